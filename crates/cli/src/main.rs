@@ -1,0 +1,2 @@
+//! A laboratory for particle-filter localization with range sensors
+fn main() {}

@@ -1,0 +1,182 @@
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::Pose2;
+
+/// Why a laser's description is refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum LaserError {
+    /// There is no beam.
+    #[error("a laser needs at least one beam")]
+    NoBeams,
+    /// Minimum and maximum range are not 0 <= min < max, finite.
+    #[error("laser ranges must satisfy 0 <= min < max, finite; got min {min} m, max {max} m")]
+    Ranges {
+        /// Minimum range [m].
+        min: f32,
+        /// Maximum range [m].
+        max: f32,
+    },
+    /// A bearing is not finite.
+    #[error("bearing {index} of the laser is not finite")]
+    Bearing {
+        /// Its index.
+        index: usize,
+    },
+    /// The number of beam times is not the number of bearings.
+    #[error("{times} beam times for {bearings} bearings")]
+    BeamTimes {
+        /// Number of beam times.
+        times: usize,
+        /// Number of bearings.
+        bearings: usize,
+    },
+}
+
+/// The fixed description of a planar range sensor, as in ROS `sensor_msgs/LaserScan`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Laser {
+    bearings: Arc<[f32]>,
+    beam_times_secs: Arc<[f32]>,
+    min_range: f32,
+    max_range: f32,
+    base_from_laser: Pose2,
+}
+
+impl Laser {
+    /// A laser with one bearing [rad, laser frame] and one time offset [s, from the scan's stamp] per beam,
+    /// its range limits [m] and where it is mounted on the robot.
+    ///
+    /// # Errors
+    /// [`LaserError`] for no beams, ranges out of order, bearings that are not finite, lengths that differ.
+    pub fn new(
+        bearings: Vec<f32>,
+        beam_times_secs: Vec<f32>,
+        min_range: f32,
+        max_range: f32,
+        base_from_laser: Pose2,
+    ) -> Result<Self, LaserError> {
+        if bearings.is_empty() {
+            return Err(LaserError::NoBeams);
+        }
+        if !(min_range >= 0.0 && max_range > min_range && max_range.is_finite()) {
+            return Err(LaserError::Ranges { min: min_range, max: max_range });
+        }
+        if let Some(index) = bearings.iter().position(|b| !b.is_finite()) {
+            return Err(LaserError::Bearing { index });
+        }
+        if beam_times_secs.len() != bearings.len() {
+            return Err(LaserError::BeamTimes { times: beam_times_secs.len(), bearings: bearings.len() });
+        }
+        Ok(Self {
+            bearings: bearings.into(),
+            beam_times_secs: beam_times_secs.into(),
+            min_range,
+            max_range,
+            base_from_laser,
+        })
+    }
+
+    /// Bearing of each beam in the laser frame [rad].
+    pub fn bearings(&self) -> &[f32] {
+        &self.bearings
+    }
+
+    /// When each beam was taken, seconds after the scan's stamp.
+    pub fn beam_times_secs(&self) -> &[f32] {
+        &self.beam_times_secs
+    }
+
+    /// Number of beams.
+    pub fn beam_count(&self) -> usize {
+        self.bearings.len()
+    }
+
+    /// Minimum range [m].
+    pub fn min_range(&self) -> f32 {
+        self.min_range
+    }
+
+    /// Maximum range [m]; a reading equal to it means "no return".
+    pub fn max_range(&self) -> f32 {
+        self.max_range
+    }
+
+    /// Where the laser is mounted.
+    pub fn base_from_laser(&self) -> Pose2 {
+        self.base_from_laser
+    }
+
+    /// This laser with only every so many beams left: at most `count` of them, spread evenly.
+    ///
+    /// Returns the reduced laser and the index of each kept beam.
+    pub fn thinned(&self, count: usize) -> (Self, Vec<usize>) {
+        let n = self.beam_count();
+        let count = count.clamp(1, n);
+        let kept: Vec<usize> = (0..count).map(|i| (2 * i + 1) * n / (2 * count)).collect();
+        let laser = Self {
+            bearings: kept.iter().map(|&i| self.bearings[i]).collect(),
+            beam_times_secs: kept.iter().map(|&i| self.beam_times_secs[i]).collect(),
+            ..self.clone()
+        };
+        (laser, kept)
+    }
+}
+
+/// One sweep of a laser: a range [m] per beam.
+///
+/// A value equal to the laser's maximum range means "no return within range"; NaN means "no usable reading"
+/// (for example below the minimum range) and tells a filter nothing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scan {
+    /// Range of each beam [m].
+    pub ranges: Vec<f32>,
+}
+
+/// What was recorded at one scan of a drive.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DriveStep {
+    /// Time of the scan [s]; never decreasing along a drive.
+    pub stamp_secs: f64,
+    /// `odom_from_base`: the robot's pose by its odometry alone.
+    pub odometry: Pose2,
+    /// `map_from_base`: the true pose (simulation) or the reference pose (measured log), where known.
+    pub reference: Option<Pose2>,
+    /// The sweep.
+    pub scan: Scan,
+}
+
+/// A recorded drive, simulated or measured: one laser, many steps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drive {
+    /// The sensor that took every scan.
+    pub laser: Laser,
+    /// The scans with odometry and reference, in order of time.
+    pub steps: Vec<DriveStep>,
+}
+
+impl Drive {
+    /// Motion from step `i - 1` to step `i` by odometry, in the frame of the base at `i - 1`; the identity at 0.
+    pub fn odometry_increment(&self, i: usize) -> Pose2 {
+        if i == 0 {
+            return Pose2::IDENTITY;
+        }
+        self.steps[i].odometry.relative_to(&self.steps[i - 1].odometry)
+    }
+
+    /// The same drive with at most `count` beams per scan, spread evenly.
+    #[must_use]
+    pub fn with_beams(&self, count: usize) -> Self {
+        let (laser, kept) = self.laser.thinned(count);
+        let steps = self
+            .steps
+            .iter()
+            .map(|step| DriveStep {
+                scan: Scan { ranges: kept.iter().map(|&i| step.scan.ranges[i]).collect() },
+                ..step.clone()
+            })
+            .collect();
+        Self { laser, steps }
+    }
+}

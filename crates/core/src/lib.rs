@@ -1,0 +1,22 @@
+//! The words every other crate of locsim speaks: poses and frames, scans and ray-cast hits, particles and
+//! their weights, keyed random draws, and the traits between a world, a sensor model and a filter.
+//!
+//! Conventions (REP-103, REP-105): SI units, radians in (-pi, pi], x forward, y left, counter-clockwise
+//! positive; frames `map`, `odom`, `base`, `laser`; a transform named `map_from_base` takes coordinates of
+//! `base` to coordinates of `map`.
+
+mod beams;
+mod draw;
+mod drive;
+mod model;
+mod particles;
+mod pose;
+mod weights;
+
+pub use beams::{Beams, Hits, NO_SURFACE};
+pub use draw::{Draw, Stage};
+pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
+pub use model::{DistanceMap, Obstructions, RangeMap, SensorModel};
+pub use particles::{Particles, Poses};
+pub use pose::{Pose2, circular_mean, wrap_angle};
+pub use weights::{WeightError, Weights};

@@ -1,0 +1,66 @@
+use crate::{Beams, Draw, Hits, Poses};
+
+/// A map that answers ray casts.
+pub trait RangeMap: Send + Sync {
+    /// Casts `bearings.len()` rays from each of the laser poses and fills `out` (resized to n*k, pose-major).
+    ///
+    /// A ray that meets nothing within `max_range` [m] has range `max_range`, incidence 0 and no surface; a
+    /// surface at exactly `max_range` counts as no return. A pose inside a wall or outside the map is legal:
+    /// its rays hit whatever is in front of them.
+    fn cast(&self, laser: Poses<'_>, bearings: &[f32], max_range: f32, out: &mut Hits);
+
+    /// Whether a robot can stand at this point [m]: inside the map's free space. Used to draw the particles of
+    /// a global localization.
+    fn is_free(&self, x: f64, y: f64) -> bool;
+
+    /// Lower and upper corner of the map \[x0, y0, x1, y1\] [m].
+    fn bounds(&self) -> [f64; 4];
+}
+
+/// Distance to the nearest mapped surface, for the likelihood field (Probabilistic Robotics, table 6.3).
+pub trait DistanceMap: Send + Sync {
+    /// Distance [m] from a point of the map frame to the nearest surface, 0 on it, saturating at a bound of the
+    /// map's choice; that bound outside the map.
+    fn distance(&self, x: f64, y: f64) -> f32;
+}
+
+/// What a world knows of its own unmapped objects. Only the oracle, the bound on what any per-beam model can
+/// do, may ask.
+pub trait Obstructions: Send + Sync {
+    /// Distance between the entries of [`Obstructions::survival`] [m].
+    fn bin_m(&self) -> f32;
+
+    /// Entry `i` is the probability that no unmapped object stands within `i * bin_m()` metres on the ray from
+    /// (x, y) [m] in direction `heading` [rad]. Starts at 1, never increases; the last entry holds beyond.
+    fn survival(&self, x: f64, y: f64, heading: f64) -> &[f32];
+}
+
+/// A learnt observation density p(z | beam): one object samples and scores.
+///
+/// The reference measure is the same for every model: Lebesgue (a density per metre) below the beam's maximum
+/// range and a point mass of 1 at it, so that the log likelihoods of different models can be compared.
+pub trait SensorModel: Send + Sync {
+    /// The name a scenario calls this model by.
+    fn name(&self) -> &str;
+
+    /// Natural log of the density of reading `z[j]` for each beam `i * k + j`: per metre below the maximum
+    /// range, a probability at it. `z` has k entries, shared by the n poses; `out` has n*k. A NaN reading gives
+    /// 0 (no information). Never NaN, never plus infinity.
+    fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]);
+
+    /// P(Z <= z\[j\]) for each beam; 1 at the maximum range. Shapes as in [`SensorModel::log_density`].
+    fn cdf(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]);
+
+    /// Draws one reading per beam (`out` has n*k entries); beam `i` uses `draw.item(i)`.
+    fn sample(&self, beams: &Beams<'_>, draw: &Draw, out: &mut [f32]);
+
+    /// Log likelihood of a whole scan for each pose: the sum over its k beams (nats). `scratch` is resized to
+    /// n*k and holds the beams' log densities afterwards.
+    fn log_likelihood(&self, z: &[f32], beams: &Beams<'_>, scratch: &mut Vec<f32>, out: &mut [f64]) {
+        scratch.resize(beams.len(), 0.0);
+        self.log_density(z, beams, scratch);
+        for (out, beams) in out.iter_mut().zip(scratch.chunks(beams.per_pose())) {
+            *out = beams.iter().map(|&l| f64::from(l)).sum();
+        }
+    }
+}

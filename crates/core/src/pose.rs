@@ -1,0 +1,130 @@
+use std::f64::consts::{PI, TAU};
+
+use glam::DVec2;
+use serde::{Deserialize, Serialize};
+
+/// Brings an angle [rad] into (-pi, pi] (REP-103).
+pub fn wrap_angle(angle: f64) -> f64 {
+    if angle > -PI && angle <= PI {
+        return angle;
+    }
+    let wrapped = angle.rem_euclid(TAU);
+    if wrapped > PI { wrapped - TAU } else { wrapped }
+}
+
+/// Weighted circular mean of angles [rad]: the direction of the weighted sum of unit vectors.
+///
+/// `None` when that sum vanishes, that is, when no direction is preferred.
+pub fn circular_mean(angles: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
+    let sum = angles
+        .into_iter()
+        .fold(DVec2::ZERO, |sum, (angle, weight)| sum + weight * DVec2::from_angle(angle));
+    (sum.length_squared() > 1e-24).then(|| sum.y.atan2(sum.x))
+}
+
+/// A pose in the plane, or the rigid transform that takes coordinates of the posed frame to its parent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Pose2 {
+    /// Forward axis of the parent frame [m].
+    pub x: f64,
+    /// Left axis of the parent frame [m].
+    pub y: f64,
+    /// Heading [rad], counter-clockwise, in (-pi, pi].
+    pub theta: f64,
+}
+
+impl Pose2 {
+    /// The identity transform.
+    pub const IDENTITY: Self = Self { x: 0.0, y: 0.0, theta: 0.0 };
+
+    /// A pose from metres and radians; the heading is wrapped.
+    pub fn new(x: f64, y: f64, theta: f64) -> Self {
+        Self { x, y, theta: wrap_angle(theta) }
+    }
+
+    /// Position [m].
+    pub fn position(&self) -> DVec2 {
+        DVec2::new(self.x, self.y)
+    }
+
+    /// Takes a point of the posed frame to the parent frame [m].
+    pub fn transform_point(&self, point: DVec2) -> DVec2 {
+        self.position() + DVec2::from_angle(self.theta).rotate(point)
+    }
+
+    /// `a_from_b.compose(&b_from_c)` is `a_from_c`.
+    #[must_use]
+    pub fn compose(&self, other: &Self) -> Self {
+        let position = self.transform_point(other.position());
+        Self::new(position.x, position.y, self.theta + other.theta)
+    }
+
+    /// `a_from_b.inverse()` is `b_from_a`.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let position = DVec2::from_angle(-self.theta).rotate(-self.position());
+        Self::new(position.x, position.y, -self.theta)
+    }
+
+    /// `self` seen from `origin`: `parent_from_origin^-1 * parent_from_self`.
+    #[must_use]
+    pub fn relative_to(&self, origin: &Self) -> Self {
+        origin.inverse().compose(self)
+    }
+
+    /// All three components are finite.
+    pub fn is_finite(&self) -> bool {
+        self.x.is_finite() && self.y.is_finite() && self.theta.is_finite()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn pose() -> impl Strategy<Value = Pose2> {
+        (-1e3..1e3, -1e3..1e3, -10.0..10.0).prop_map(|(x, y, theta)| Pose2::new(x, y, theta))
+    }
+
+    fn near(a: &Pose2, b: &Pose2) -> bool {
+        (a.x - b.x).abs() < 1e-9 && (a.y - b.y).abs() < 1e-9 && wrap_angle(a.theta - b.theta).abs() < 1e-9
+    }
+
+    proptest! {
+        #[test]
+        fn wrapped_angles_lie_in_the_half_open_interval(angle in -1e4..1e4f64) {
+            let wrapped = wrap_angle(angle);
+            prop_assert!(wrapped > -PI && wrapped <= PI);
+            prop_assert!(((angle - wrapped) / TAU - ((angle - wrapped) / TAU).round()).abs() < 1e-9);
+        }
+
+        #[test]
+        fn a_pose_and_its_inverse_cancel(a in pose()) {
+            prop_assert!(near(&a.compose(&a.inverse()), &Pose2::IDENTITY));
+        }
+
+        #[test]
+        fn composition_is_associative(a in pose(), b in pose(), c in pose()) {
+            prop_assert!(near(&a.compose(&b).compose(&c), &a.compose(&b.compose(&c))));
+        }
+
+        #[test]
+        fn relative_to_undoes_compose(a in pose(), b in pose()) {
+            prop_assert!(near(&a.compose(&b).relative_to(&a), &b));
+        }
+    }
+
+    #[test]
+    fn the_wrap_keeps_plus_pi_and_maps_minus_pi_to_it() {
+        assert_eq!(wrap_angle(PI), PI);
+        assert_eq!(wrap_angle(-PI), PI);
+    }
+
+    #[test]
+    fn headings_either_side_of_the_cut_average_on_the_cut() {
+        let mean = circular_mean([(PI - 0.1, 1.0), (-PI + 0.1, 1.0)]).unwrap();
+        assert!((mean.abs() - PI).abs() < 1e-12);
+        assert_eq!(circular_mean([(0.0, 1.0), (PI, 1.0)]), None);
+    }
+}

@@ -1,0 +1,1 @@
+//! Measured logs in and out: CARMEN logs and TUM trajectories

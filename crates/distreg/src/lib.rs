@@ -1,0 +1,1 @@
+//! Distribution regression: learn the whole distribution p(z | x) from samples

@@ -1,0 +1,1 @@
+//! YAML scenarios, runs, tables, figures and reports

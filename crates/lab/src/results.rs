@@ -1,0 +1,171 @@
+//! What a run leaves behind: plain rows that the tables, figures, reports and recordings are made from.
+
+use std::collections::BTreeMap;
+
+use locsim_core::{Drive, Particles, Pose2};
+use serde::{Deserialize, Serialize};
+
+/// One filter step of one model in one trial. Positions in metres, angles in radians.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StepRow {
+    /// Index of the scan in the drive.
+    pub step: u32,
+    /// Time of the scan [s].
+    pub stamp_secs: f64,
+    /// True (or reference) pose, `map_from_base`.
+    pub truth: Pose2,
+    /// Dead-reckoned pose from the true start by odometry alone, `map_from_base`.
+    pub dead_reckoning: Pose2,
+    /// The estimate the scenario asks for, `map_from_base`.
+    pub estimate: Pose2,
+    /// Signed error of the estimate along the scenario's error axis [m].
+    pub error_along_m: f64,
+    /// Signed error across it, left positive [m].
+    pub error_across_m: f64,
+    /// Signed heading error [rad].
+    pub error_heading_rad: f64,
+    /// Effective sample size before resampling.
+    pub effective_sample_size: f64,
+    /// Number of particles.
+    pub particles: u32,
+    /// The step's log evidence ln p(z_t | z_1..t-1) under this model (nats).
+    pub log_evidence_nats: f64,
+    /// Whether the filter resampled.
+    pub resampled: bool,
+}
+
+impl StepRow {
+    /// Distance between estimate and truth [m].
+    pub fn position_error_m(&self) -> f64 {
+        self.error_along_m.hypot(self.error_across_m)
+    }
+}
+
+/// All steps of one model in one trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelTrial {
+    /// Model name, as in the scenario.
+    pub model: String,
+    /// One row per scan.
+    pub steps: Vec<StepRow>,
+    /// The trial ended further from the truth than the scenario's `lost` threshold.
+    pub lost: bool,
+    /// Mean wall time of a filter step [ms]; the only thing here that a repeated run doesn't reproduce.
+    pub step_ms: f64,
+    /// What happened: recoveries, injections, with the step at which they did.
+    pub events: Vec<(u32, String)>,
+}
+
+/// One trial: every model on the same drive.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Trial {
+    /// Number of the trial, from 0.
+    pub trial: u32,
+    /// The seed all its draws come from.
+    pub seed: u64,
+    /// One entry per model, in the scenario's order.
+    pub models: Vec<ModelTrial>,
+}
+
+/// How a model did on held-out training data.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TrainingRow {
+    /// Mean negative log density of held-out readings (nats); `None` where the model isn't a normalized density.
+    pub log_loss_nats: Option<f64>,
+    /// Wasserstein-1 distance between predicted and observed distribution at held-out states [m]
+    /// (the paper's histogram match times the bin width); `None` as above.
+    pub histogram_match_m: Option<f64>,
+    /// What was chosen on held-out data: bandwidths, floor, exponent, mixture weights, by name.
+    pub chosen: BTreeMap<String, f64>,
+}
+
+/// Everything a run measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunResults {
+    /// The scenario's name.
+    pub scenario: String,
+    /// Its one-line description.
+    pub description: String,
+    /// Its seed.
+    pub seed: u64,
+    /// Wall time of the run [s].
+    pub seconds: f64,
+    /// Where errors are measured: "map x axis" or "robot".
+    pub error_frame: String,
+    /// Which estimate the errors are of.
+    pub estimate: String,
+    /// Model names in the scenario's order.
+    pub models: Vec<String>,
+    /// Held-out quality of each model, in the same order.
+    pub training: Vec<TrainingRow>,
+    /// All trials in order.
+    pub trials: Vec<Trial>,
+}
+
+/// One trial in full, for pictures and recordings.
+#[derive(Clone, Debug)]
+pub struct DetailedTrial {
+    /// The drive that was localized on (beams as the filter saw them).
+    pub drive: Drive,
+    /// Wall segments of the map [m].
+    pub walls: Vec<[[f64; 2]; 2]>,
+    /// Corners of the blocks that stood there at each step, not known to the filter; empty for measured logs.
+    pub blocks: Vec<Vec<[[f64; 2]; 4]>>,
+    /// `map_from_base` by odometry alone, at each step.
+    pub dead_reckoning: Vec<Pose2>,
+    /// One entry per model.
+    pub models: Vec<DetailedModel>,
+}
+
+/// One model's filter in full.
+#[derive(Clone, Debug)]
+pub struct DetailedModel {
+    /// Model name.
+    pub name: String,
+    /// One entry per scan.
+    pub steps: Vec<DetailedStep>,
+    /// The most likely trajectory at the end of the drive, one pose per scan.
+    pub most_likely_trajectory: Vec<Pose2>,
+}
+
+/// One filter step in full.
+#[derive(Clone, Debug)]
+pub struct DetailedStep {
+    /// Particles after weighting, before resampling.
+    pub particles: Particles,
+    /// Their normalized weights.
+    pub weights: Vec<f64>,
+    /// Online estimate of this step (weighted mean).
+    pub estimate: Pose2,
+    /// Covariance of (x, y) of the particles [m^2], row-major.
+    pub position_covariance: [[f64; 2]; 2],
+    /// Log density of each beam's reading at the true pose under this model (nats).
+    pub beam_log_density: Vec<f32>,
+    /// Effective sample size.
+    pub effective_sample_size: f64,
+    /// Log evidence of the step (nats).
+    pub log_evidence_nats: f64,
+    /// What happened, for the text log.
+    pub events: Vec<String>,
+    /// Predicted density of one beam against its reading.
+    pub probe: BeamProbe,
+}
+
+/// A predicted distribution of one beam of one particle, beside the reading.
+#[derive(Clone, Debug, Default)]
+pub struct BeamProbe {
+    /// Index of the beam in the scan.
+    pub beam: usize,
+    /// The pose of the particle it is predicted for, `map_from_base`.
+    pub pose: Pose2,
+    /// Nominal range from that pose [m].
+    pub nominal_m: f32,
+    /// The reading [m].
+    pub reading_m: f32,
+    /// Ranges at which the density is given [m].
+    pub z_m: Vec<f32>,
+    /// Density at each [1/m].
+    pub density_per_m: Vec<f32>,
+    /// Probability of no return.
+    pub max_range_probability: f32,
+}

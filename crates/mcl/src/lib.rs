@@ -1,0 +1,1 @@
+//! Monte Carlo localization: motion models, resamplers, the filter and its estimates

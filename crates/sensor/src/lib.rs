@@ -1,0 +1,1 @@
+//! Sensor models p(z | beam) learnt from data

@@ -1,0 +1,1 @@
+//! Maps, ray casts, dynamic blocks, the simulated robot and its laser
