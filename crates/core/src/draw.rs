@@ -92,10 +92,8 @@ mod tests {
     fn neighbouring_items_are_uniform_together() {
         let draw = Draw::new(7, Stage::Motion, 11);
         let n = 100_000;
-        let mean = (0..n)
-            .map(|i| rand_philox::u32_to_unit_f64(draw.item(i).next_u32()))
-            .sum::<f64>()
-            / f64::from(n);
+        let mean =
+            (0..n).map(|i| rand_philox::u32_to_unit_f64(draw.item(i).next_u32())).sum::<f64>() / f64::from(n);
         assert!((mean - 0.5).abs() < 4.9 * 9.13e-4, "mean {mean}");
     }
 }

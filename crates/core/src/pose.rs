@@ -16,9 +16,8 @@ pub fn wrap_angle(angle: f64) -> f64 {
 ///
 /// `None` when that sum vanishes, that is, when no direction is preferred.
 pub fn circular_mean(angles: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
-    let sum = angles
-        .into_iter()
-        .fold(DVec2::ZERO, |sum, (angle, weight)| sum + weight * DVec2::from_angle(angle));
+    let sum =
+        angles.into_iter().fold(DVec2::ZERO, |sum, (angle, weight)| sum + weight * DVec2::from_angle(angle));
     (sum.length_squared() > 1e-24).then(|| sum.y.atan2(sum.x))
 }
 
