@@ -1,2 +1,3 @@
-//! A laboratory for particle-filter localization with range sensors
+//! A laboratory for particle-filter localization with range sensors.
+mod recording;
 fn main() {}

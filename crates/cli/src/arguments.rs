@@ -1,0 +1,122 @@
+//! What a user can type.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// A laboratory for particle-filter localization with range sensors.
+///
+/// Exit codes: 0 done, 1 a bound declared under `expect` was missed, 2 bad input, 130 interrupted.
+#[derive(Debug, Parser)]
+#[command(name = "locsim", version, max_term_width = 110)]
+pub struct Arguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Run a scenario: train the sensor models, localize under each, write tables, figures, report, recording
+    Run(Run),
+    /// Check scenarios without running them
+    Validate {
+        /// Scenario files
+        #[arg(required = true)]
+        scenarios: Vec<PathBuf>,
+    },
+    /// Print the JSON Schema of scenario files, for editors
+    Schema,
+    /// Write one simulated drive of a scenario as a measured log (CARMEN format, `.gz` to compress)
+    Simulate(Simulate),
+    /// Build an occupancy grid map (ROS map_server format) from a log with reference poses
+    Map(Map),
+    /// Print a shell's completion script
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+}
+
+/// `locsim run`.
+#[derive(Debug, Args)]
+pub struct Run {
+    /// The scenario file
+    pub scenario: PathBuf,
+    /// Results folder [default: results/<scenario name>]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// Number of trials, instead of the scenario's
+    #[arg(long)]
+    pub trials: Option<u32>,
+    /// Seed, instead of the scenario's
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Worker threads; results don't depend on it [default: all cores]
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Only these models of the scenario, separated by commas
+    #[arg(long, value_delimiter = ',')]
+    pub models: Option<Vec<String>>,
+    /// Where the recording of one trial goes: a file in the results folder, a running viewer, a new viewer
+    #[arg(long, value_enum, default_value_t = Record::File)]
+    pub record: Record,
+    /// Go on with an interrupted run of the same scenario instead of starting again
+    #[arg(long)]
+    pub resume: bool,
+    /// Print nothing but errors (and, with --json, the summary)
+    #[arg(long)]
+    pub quiet: bool,
+    /// Print summary.json instead of the table
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What to do with the recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Record {
+    /// No recording
+    None,
+    /// recording.rrd in the results folder
+    File,
+    /// Send to a rerun viewer that is already open on this machine
+    Connect,
+    /// Start a rerun viewer (`rerun` must be on the path)
+    Spawn,
+}
+
+/// `locsim simulate`.
+#[derive(Debug, Args)]
+pub struct Simulate {
+    /// The scenario file
+    pub scenario: PathBuf,
+    /// The log to write (`.log` or `.log.gz`)
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Which trial of the scenario to write
+    #[arg(long, default_value_t = 0)]
+    pub trial: u32,
+    /// Seed, instead of the scenario's
+    #[arg(long)]
+    pub seed: Option<u64>,
+}
+
+/// `locsim map`.
+#[derive(Debug, Args)]
+pub struct Map {
+    /// A CARMEN log with reference poses (`.log` or `.log.gz`)
+    pub log: PathBuf,
+    /// The map to write: OUT.yaml and OUT.pgm
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Cell size [m]
+    #[arg(long, default_value_t = 0.05)]
+    pub resolution: f64,
+    /// Use only this share of the log, for example 0.0,0.5
+    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 1.0])]
+    pub share: Vec<f64>,
+    /// Readings at or above this count as no return [m; default: the log's own]
+    #[arg(long)]
+    pub max_range: Option<f64>,
+}
