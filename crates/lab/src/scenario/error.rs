@@ -1,0 +1,118 @@
+use std::fmt::{self, Write};
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+/// Why a scenario, or a map that it names, is refused.
+#[derive(Debug, Error)]
+pub enum ScenarioError {
+    /// The file can't be read at all.
+    #[error("{}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// The file's content is at fault.
+    #[error("{}", render(file, problems))]
+    Invalid {
+        /// The file.
+        file: PathBuf,
+        /// At least one, in the order of the checks.
+        problems: Vec<Problem>,
+    },
+}
+
+/// One thing wrong in a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Problem {
+    /// Line in the file, from 1; `None` where the fault isn't in the file (a command-line option).
+    pub line: Option<usize>,
+    /// Path of the key, such as `filter.particles` or `models[2].label`; empty for the file as a whole.
+    pub key: String,
+    /// The value and what is allowed instead.
+    pub message: String,
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if !self.key.is_empty() {
+            write!(f, "{}: ", self.key)?;
+        }
+        f.write_str(&self.message)
+    }
+}
+
+/// One line per problem: `file:line: key: message`, as compilers do.
+fn render(file: &Path, problems: &[Problem]) -> String {
+    let mut text = String::new();
+    for (i, problem) in problems.iter().enumerate() {
+        if i > 0 {
+            text.push('\n');
+        }
+        let _ = write!(text, "{}:", file.display());
+        if let Some(line) = problem.line {
+            let _ = write!(text, "{line}:");
+        }
+        let _ = write!(text, " {problem}");
+    }
+    text
+}
+
+/// `name is not <what>; did you mean X?; one of a, b, c`: the sentence for a word that isn't in a list.
+pub(crate) fn unknown_word(word: &str, what: &str, known: &[&str]) -> String {
+    let mut text = format!("`{word}` is not {what}; ");
+    if let Some(near) = nearest(word, known) {
+        let _ = write!(text, "did you mean `{near}`? ");
+    }
+    match known {
+        [] => text.push_str("none is allowed here"),
+        known => {
+            let _ = write!(text, "allowed: {}", known.join(", "));
+        }
+    }
+    text
+}
+
+/// The known word nearest to `word`, if it is near enough to be a slip of the keyboard.
+fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
+    let limit = (word.chars().count() / 3).max(1);
+    let near = known.iter().map(|k| (edit_distance(word, k), *k)).min_by_key(|(distance, _)| *distance)?;
+    (near.0 <= limit).then_some(near.1)
+}
+
+/// Levenshtein distance in characters.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, y) in b.iter().enumerate() {
+            let substitute = diagonal + usize::from(x != *y);
+            diagonal = row[j + 1];
+            row[j + 1] = substitute.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn edit_distances_are_levenshteins() {
+        for (a, b, distance) in [("kitten", "sitting", 3), ("", "abc", 3), ("abc", "", 3), ("beams", "beams", 0)] {
+            assert_eq!(edit_distance(a, b), distance, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn only_near_words_are_suggested() {
+        let known = ["particles", "motion"];
+        assert_eq!(nearest("partcles", &known), Some("particles"));
+        assert_eq!(nearest("colour", &known), None);
+    }
+}
