@@ -1,1 +1,5 @@
-//! YAML scenarios, runs, tables, figures and reports
+//! YAML scenarios, runs, tables, figures and reports.
+
+pub mod palette;
+pub mod results;
+pub mod scenario;
