@@ -1,1 +1,4 @@
 //! Maps, ray casts, dynamic blocks, the simulated robot and its laser
+
+pub mod map;
+pub mod raycast;

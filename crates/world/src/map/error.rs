@@ -1,0 +1,102 @@
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// Why a map is refused.
+#[derive(Debug, Error)]
+pub enum MapError {
+    /// A closed polyline needs three points.
+    #[error("`{polyline}` has {points} points; a closed polyline needs at least 3")]
+    TooFewPoints {
+        /// Name of the polyline.
+        polyline: String,
+        /// How many points it has.
+        points: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("point {point} of `{polyline}` is not finite: [{}, {}]", .value[0], .value[1])]
+    NotFinite {
+        /// Name of the polyline or wall.
+        polyline: String,
+        /// Index of the point.
+        point: usize,
+        /// Its coordinates.
+        value: [f64; 2],
+    },
+    /// Two neighbouring points coincide; the last point of a polyline neighbours the first.
+    #[error(
+        "points {point} and {next} of `{polyline}` coincide; edges need a length, and polylines close themselves"
+    )]
+    ZeroLengthEdge {
+        /// Name of the polyline or wall.
+        polyline: String,
+        /// Index of the edge's first point.
+        point: usize,
+        /// Index of the edge's second point.
+        next: usize,
+    },
+    /// A name stands for two things.
+    #[error("the name `{name}` is given twice, the second time in `{polyline}`")]
+    DuplicateName {
+        /// The name.
+        name: String,
+        /// Polyline or wall where it occurs again.
+        polyline: String,
+    },
+    /// A surface names an edge that its polyline doesn't have.
+    #[error("surface `{name}` names edge {edge} of `{polyline}`, which has edges 0 to {last}")]
+    NoSuchEdge {
+        /// Name of the polyline.
+        polyline: String,
+        /// Name of the surface.
+        name: String,
+        /// The edge's index.
+        edge: usize,
+        /// The greatest index.
+        last: usize,
+    },
+    /// An edge belongs to two surfaces.
+    #[error("edge {edge} of `{polyline}` is named twice: `{first}` and `{second}`")]
+    EdgeNamedTwice {
+        /// Name of the polyline.
+        polyline: String,
+        /// The edge's index.
+        edge: usize,
+        /// Its first name.
+        first: String,
+        /// Its second name.
+        second: String,
+    },
+    /// The cell size of a grid is not positive and finite.
+    #[error("resolution must be positive and finite, in metres per cell; got {0}")]
+    Resolution(f64),
+    /// The origin of a grid is not finite.
+    #[error("origin must be finite [x, y, yaw]; got {0:?}")]
+    Origin([f64; 3]),
+    /// The thresholds of a grid are out of order.
+    #[error("thresholds must satisfy 0 <= free_thresh < occupied_thresh <= 1; got {free} and {occupied}")]
+    Thresholds {
+        /// `free_thresh`.
+        free: f64,
+        /// `occupied_thresh`.
+        occupied: f64,
+    },
+    /// The number of cells is not width times height, or it is zero or absurdly large.
+    #[error("a grid of {width} x {height} cells cannot be made from {cells} cells")]
+    GridSize {
+        /// Cells along x.
+        width: usize,
+        /// Cells along y.
+        height: usize,
+        /// Cells given.
+        cells: usize,
+    },
+    /// The image of a grid cannot be read or written.
+    #[error("map image {}: {source}", .path.display())]
+    Image {
+        /// The image's path.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: image::ImageError,
+    },
+}

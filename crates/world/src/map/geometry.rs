@@ -1,0 +1,100 @@
+use glam::DVec2;
+
+use super::{Cell, OccupancyGrid};
+
+/// The wall segments of a map with the surfaces they belong to, and the map's free space.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Geometry {
+    segments: Vec<[DVec2; 2]>,
+    surfaces: Vec<u32>,
+    surface_names: Vec<String>,
+    bounds: [f64; 4],
+    free: FreeSpace,
+}
+
+/// Where a robot can stand.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum FreeSpace {
+    /// Inside the outline and outside every obstacle.
+    Polygons {
+        /// Closed polygon.
+        outline: Vec<DVec2>,
+        /// Closed polygons.
+        obstacles: Vec<Vec<DVec2>>,
+    },
+    /// In a free cell.
+    Grid(OccupancyGrid),
+}
+
+impl Geometry {
+    /// `surfaces[i]` is the surface of segment `i`, an index into `surface_names`.
+    pub(super) fn new(
+        segments: Vec<[DVec2; 2]>,
+        surfaces: Vec<u32>,
+        surface_names: Vec<String>,
+        bounds: [f64; 4],
+        free: FreeSpace,
+    ) -> Self {
+        debug_assert_eq!(segments.len(), surfaces.len());
+        Self { segments, surfaces, surface_names, bounds, free }
+    }
+
+    /// The wall segments, end points in the map frame [m]. None has length zero.
+    pub fn segments(&self) -> &[[DVec2; 2]] {
+        &self.segments
+    }
+
+    /// Surface id of each segment: an index into [`Geometry::surface_names`].
+    pub fn surfaces(&self) -> &[u32] {
+        &self.surfaces
+    }
+
+    /// The name of each surface.
+    pub fn surface_names(&self) -> &[String] {
+        &self.surface_names
+    }
+
+    /// Lower and upper corner of the map \[x0, y0, x1, y1\] [m].
+    pub fn bounds(&self) -> [f64; 4] {
+        self.bounds
+    }
+
+    /// Total length of the wall segments [m].
+    pub fn wall_length_m(&self) -> f64 {
+        self.segments.iter().map(|[a, b]| a.distance(*b)).sum()
+    }
+
+    /// Whether a point [m] is in free space: inside the outline and outside the obstacles of a vector map, in a
+    /// free cell of an occupancy grid (an unknown cell is not free). Points on a wall may count either way.
+    pub fn is_free(&self, x: f64, y: f64) -> bool {
+        match &self.free {
+            FreeSpace::Polygons { outline, obstacles } => {
+                let point = DVec2::new(x, y);
+                contains(outline, point) && !obstacles.iter().any(|ring| contains(ring, point))
+            }
+            FreeSpace::Grid(grid) => grid.cell_at(x, y) == Some(Cell::Free),
+        }
+    }
+}
+
+/// Whether a closed polygon contains a point, by the even-odd rule.
+fn contains(polygon: &[DVec2], point: DVec2) -> bool {
+    let mut inside = false;
+    let mut a = polygon[polygon.len() - 1];
+    for &b in polygon {
+        if (a.y > point.y) != (b.y > point.y) {
+            let x = a.x + (point.y - a.y) / (b.y - a.y) * (b.x - a.x);
+            inside ^= point.x < x;
+        }
+        a = b;
+    }
+    inside
+}
+
+/// The smallest box around the points \[x0, y0, x1, y1\] [m].
+pub(super) fn bounds_of(points: impl IntoIterator<Item = DVec2>) -> [f64; 4] {
+    let (lower, upper) = points
+        .into_iter()
+        .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lower, upper), p| (lower.min(p), upper.max(p)));
+    [lower.x, lower.y, upper.x, upper.y]
+}

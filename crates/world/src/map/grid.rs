@@ -1,0 +1,136 @@
+use glam::DVec2;
+use locsim_core::Pose2;
+
+use super::geometry::{FreeSpace, bounds_of};
+use super::outline::cell_boundaries;
+use super::{Geometry, MapError};
+
+/// What is known of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cell {
+    /// Nothing is in it.
+    Free,
+    /// A surface is in it.
+    Occupied,
+    /// Neither is sure enough.
+    Unknown,
+}
+
+/// A grid of square cells over the plane, as in ROS `nav_msgs/OccupancyGrid`.
+///
+/// Cells are stored row by row from the lower left: cell (column, row) covers `column..column + 1` times the
+/// resolution along the grid's x axis and the same along y. The grid's frame is at `origin` in the map frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OccupancyGrid {
+    width: usize,
+    height: usize,
+    resolution_m: f64,
+    origin: Pose2,
+    cells: Vec<Cell>,
+    occupancy: Vec<f32>,
+}
+
+/// More cells than this are surely a mistake in units.
+const MOST_CELLS: usize = 1 << 30;
+
+impl OccupancyGrid {
+    /// A grid of `width` x `height` cells, row by row from the lower left, with cells of `resolution_m` metres.
+    /// `origin` is `map_from_grid`, the pose of the grid's lower left corner. `occupancy` is the probability that
+    /// a cell is occupied.
+    ///
+    /// # Errors
+    /// [`MapError`] when the sizes don't match or are zero, the resolution is not positive, the origin not finite.
+    pub fn new(
+        width: usize,
+        height: usize,
+        resolution_m: f64,
+        origin: Pose2,
+        cells: Vec<Cell>,
+        occupancy: Vec<f32>,
+    ) -> Result<Self, MapError> {
+        Self::check_size(width, height, cells.len())?;
+        Self::check_size(width, height, occupancy.len())?;
+        if !(resolution_m > 0.0 && resolution_m.is_finite()) {
+            return Err(MapError::Resolution(resolution_m));
+        }
+        if !origin.is_finite() {
+            return Err(MapError::Origin([origin.x, origin.y, origin.theta]));
+        }
+        Ok(Self { width, height, resolution_m, origin, cells, occupancy })
+    }
+
+    /// Whether `cells` cells make a grid of this size.
+    pub(crate) fn check_size(width: usize, height: usize, cells: usize) -> Result<(), MapError> {
+        match width.checked_mul(height) {
+            Some(n) if n == cells && n > 0 && n <= MOST_CELLS => Ok(()),
+            _ => Err(MapError::GridSize { width, height, cells }),
+        }
+    }
+
+    /// Number of columns.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Number of rows.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Edge length of a cell [m].
+    pub fn resolution_m(&self) -> f64 {
+        self.resolution_m
+    }
+
+    /// `map_from_grid`: the pose of the grid's lower left corner.
+    pub fn origin(&self) -> Pose2 {
+        self.origin
+    }
+
+    /// Every cell, row by row from the lower left.
+    pub fn cells(&self) -> &[Cell] {
+        &self.cells
+    }
+
+    /// Probability that each cell is occupied, in the order of [`OccupancyGrid::cells`]; 0.5 where nothing is
+    /// known.
+    pub fn occupancy(&self) -> &[f32] {
+        &self.occupancy
+    }
+
+    /// Index of the cell that holds a point of the map frame [m]; `None` outside the grid.
+    pub fn index_at(&self, x: f64, y: f64) -> Option<usize> {
+        let p = self.origin.inverse().transform_point(DVec2::new(x, y)) / self.resolution_m;
+        // The comparisons are false for NaN too.
+        let inside = p.x >= 0.0 && p.y >= 0.0 && p.x < self.width as f64 && p.y < self.height as f64;
+        inside.then(|| p.y as usize * self.width + p.x as usize)
+    }
+
+    /// The cell that holds a point of the map frame [m]; `None` outside the grid.
+    pub fn cell_at(&self, x: f64, y: f64) -> Option<Cell> {
+        self.index_at(x, y).map(|i| self.cells[i])
+    }
+
+    /// The boundaries between occupied cells and others as wall segments; beyond the grid counts as not occupied.
+    ///
+    /// Collinear boundaries that face the same way are one segment, and each segment is a surface of its own,
+    /// called `wall-0`, `wall-1`, .. Unknown cells don't stop rays, and aren't free to stand in.
+    pub fn to_geometry(&self) -> Geometry {
+        let segments: Vec<[DVec2; 2]> = cell_boundaries(&self.cells, self.width, self.height)
+            .into_iter()
+            .map(|ends| {
+                ends.map(|[column, row]| {
+                    self.origin.transform_point(self.resolution_m * DVec2::new(column, row))
+                })
+            })
+            .collect();
+        let n = segments.len() as u32;
+        let (w, h) = (self.width as f64, self.height as f64);
+        let corners = [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]];
+        let bounds = bounds_of(
+            corners.map(|corner| self.origin.transform_point(self.resolution_m * DVec2::from_array(corner))),
+        );
+        let names = (0..n).map(|i| format!("wall-{i}")).collect();
+        Geometry::new(segments, (0..n).collect(), names, bounds, FreeSpace::Grid(self.clone()))
+    }
+}

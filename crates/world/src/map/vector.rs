@@ -1,0 +1,179 @@
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
+
+use glam::DVec2;
+use serde::{Deserialize, Serialize};
+
+use super::geometry::{FreeSpace, bounds_of};
+use super::{Geometry, MapError};
+
+/// A map of polylines, as written in a vector map file (see the [module](super) for the format). Coordinates are
+/// metres in the map frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VectorMap {
+    /// The boundary of the floor.
+    pub outline: Polyline,
+    /// What stands on the floor.
+    #[serde(default)]
+    pub obstacles: Vec<Polyline>,
+    /// Walls without thickness.
+    #[serde(default)]
+    pub walls: Vec<Wall>,
+}
+
+/// A closed polyline.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Polyline {
+    /// Its name; `outline` or `obstacle-<index>` by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Its corners [m]; the last is joined to the first.
+    pub points_m: Vec<[f64; 2]>,
+    /// Names for some of its edges.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub surfaces: Vec<NamedEdges>,
+}
+
+/// A named surface: one or more edges of a polyline. Edge `i` runs from point `i` to point `i + 1`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NamedEdges {
+    /// Name of the surface.
+    pub name: String,
+    /// Indices of its edges.
+    pub edges: Vec<usize>,
+}
+
+/// A thin wall that can be seen from both sides. It doesn't bound free space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wall {
+    /// Name of the surface.
+    pub name: String,
+    /// One end [m].
+    pub from_m: [f64; 2],
+    /// The other end [m].
+    pub to_m: [f64; 2],
+}
+
+impl VectorMap {
+    /// Checks the map and turns it into segments: the outline's edges, each obstacle's edges, the walls, in that
+    /// order. Surface ids count up in the order in which surfaces first occur.
+    ///
+    /// # Errors
+    /// [`MapError`] naming the polyline and the point, edge or name that is wrong.
+    pub fn to_geometry(&self) -> Result<Geometry, MapError> {
+        let mut segments = Segments::default();
+        let outline = segments.add_polyline(&self.outline, "outline")?;
+        let mut obstacles = Vec::with_capacity(self.obstacles.len());
+        for (i, obstacle) in self.obstacles.iter().enumerate() {
+            obstacles.push(segments.add_polyline(obstacle, &format!("obstacle-{i}"))?);
+        }
+        for wall in &self.walls {
+            segments.claim_name(&wall.name, &wall.name)?;
+            let ends = finite_points(&wall.name, &[wall.from_m, wall.to_m])?;
+            let surface = segments.new_surface(wall.name.clone());
+            segments.add(&wall.name, &ends, 0, surface)?;
+        }
+        let bounds = bounds_of(segments.segments.iter().flatten().copied());
+        let free = FreeSpace::Polygons { outline, obstacles };
+        Ok(Geometry::new(segments.segments, segments.surfaces, segments.surface_names, bounds, free))
+    }
+}
+
+/// Segments under construction.
+#[derive(Default)]
+struct Segments {
+    segments: Vec<[DVec2; 2]>,
+    surfaces: Vec<u32>,
+    surface_names: Vec<String>,
+    /// Names of polylines and of surfaces share one name space, since an unnamed edge is called after its
+    /// polyline.
+    names: BTreeSet<String>,
+}
+
+impl Segments {
+    /// Adds a polyline's edges; returns its corners.
+    fn add_polyline(&mut self, polyline: &Polyline, default_name: &str) -> Result<Vec<DVec2>, MapError> {
+        let name = polyline.name.as_deref().unwrap_or(default_name);
+        self.claim_name(name, name)?;
+        let points = finite_points(name, &polyline.points_m)?;
+        if points.len() < 3 {
+            return Err(MapError::TooFewPoints { polyline: name.to_owned(), points: points.len() });
+        }
+        let mut surface_of_edge = BTreeMap::new();
+        for surface in &polyline.surfaces {
+            self.claim_name(&surface.name, name)?;
+            for &edge in &surface.edges {
+                if edge >= points.len() {
+                    return Err(MapError::NoSuchEdge {
+                        polyline: name.to_owned(),
+                        name: surface.name.clone(),
+                        edge,
+                        last: points.len() - 1,
+                    });
+                }
+                match surface_of_edge.entry(edge) {
+                    Entry::Vacant(slot) => slot.insert(surface.name.as_str()),
+                    Entry::Occupied(slot) => {
+                        return Err(MapError::EdgeNamedTwice {
+                            polyline: name.to_owned(),
+                            edge,
+                            first: (*slot.get()).to_owned(),
+                            second: surface.name.clone(),
+                        });
+                    }
+                };
+            }
+        }
+        let mut ids = BTreeMap::new();
+        for edge in 0..points.len() {
+            let surface = match surface_of_edge.get(&edge) {
+                Some(&surface) => *ids.entry(surface).or_insert_with(|| self.new_surface(surface.to_owned())),
+                None => self.new_surface(format!("{name}/{edge}")),
+            };
+            self.add(name, &points, edge, surface)?;
+        }
+        Ok(points)
+    }
+
+    /// Adds the edge from point `i` to the next, cyclically.
+    fn add(&mut self, polyline: &str, points: &[DVec2], i: usize, surface: u32) -> Result<(), MapError> {
+        let next = (i + 1) % points.len();
+        if points[i] == points[next] {
+            return Err(MapError::ZeroLengthEdge { polyline: polyline.to_owned(), point: i, next });
+        }
+        self.segments.push([points[i], points[next]]);
+        self.surfaces.push(surface);
+        Ok(())
+    }
+
+    fn new_surface(&mut self, name: String) -> u32 {
+        self.surface_names.push(name);
+        self.surface_names.len() as u32 - 1
+    }
+
+    fn claim_name(&mut self, name: &str, polyline: &str) -> Result<(), MapError> {
+        if self.names.insert(name.to_owned()) {
+            return Ok(());
+        }
+        Err(MapError::DuplicateName { name: name.to_owned(), polyline: polyline.to_owned() })
+    }
+}
+
+fn finite_points(polyline: &str, points: &[[f64; 2]]) -> Result<Vec<DVec2>, MapError> {
+    points
+        .iter()
+        .enumerate()
+        .map(|(point, &value)| {
+            let p = DVec2::from_array(value);
+            if p.is_finite() {
+                Ok(p)
+            } else {
+                Err(MapError::NotFinite { polyline: polyline.to_owned(), point, value })
+            }
+        })
+        .collect()
+}

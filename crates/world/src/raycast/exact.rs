@@ -1,0 +1,104 @@
+use glam::DVec2;
+use locsim_core::{Hits, NO_SURFACE, Poses, RangeMap};
+use parry2d_f64::partitioning::Bvh;
+use parry2d_f64::query::Ray;
+
+use super::batch::cast_batch;
+use super::segment::{incidence, range_to, tree_over};
+use crate::map::Geometry;
+
+/// Where a ray meets a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RayHit {
+    /// Distance from the ray's origin [m].
+    pub range: f64,
+    /// Angle between the ray and the surface's normal [rad], 0 to pi/2.
+    pub incidence: f64,
+    /// Id of the surface.
+    pub surface: u32,
+}
+
+/// Exact ray casts against the segments of a map, by a tree of bounding boxes (parry's `Bvh`).
+///
+/// - Walls are seen from both sides: a ray from inside a wall or outside the map hits whatever is in front of it.
+/// - Ends belong to their segments, and segments that share an end let no ray pass between them (overlap of
+///   1e-9 m).
+/// - A ray that starts within 1e-9 m of a segment meets it at range 0.
+/// - A ray along a segment meets its nearest point, at incidence pi/2.
+/// - A surface at exactly the maximum range is not met.
+#[derive(Clone)]
+pub struct ExactRangeMap {
+    geometry: Geometry,
+    tree: Bvh,
+}
+
+impl ExactRangeMap {
+    /// Builds the tree over the map's segments.
+    pub fn new(geometry: Geometry) -> Self {
+        let tree = tree_over(geometry.segments());
+        Self { geometry, tree }
+    }
+
+    /// The map.
+    pub fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// Casts one ray from `origin` [m] along the unit vector `direction`; `None` if it meets nothing nearer than
+    /// `max_range` [m], which may be infinite.
+    pub fn cast_ray(&self, origin: DVec2, direction: DVec2, max_range: f64) -> Option<RayHit> {
+        let (segment, range) = self.cast_segment(origin, direction, max_range)?;
+        let incidence = incidence(&self.geometry.segments()[segment], direction);
+        Some(RayHit { range, incidence, surface: self.geometry.surfaces()[segment] })
+    }
+
+    /// As [`ExactRangeMap::cast_ray`], with segments in the way that the map doesn't know. A hit on one of them
+    /// has surface [`NO_SURFACE`].
+    pub fn cast_ray_with(
+        &self,
+        extra: &[[DVec2; 2]],
+        origin: DVec2,
+        direction: DVec2,
+        max_range: f64,
+    ) -> Option<RayHit> {
+        let mut best = self.cast_ray(origin, direction, max_range);
+        for segment in extra {
+            let nearest = best.map_or(max_range, |hit| hit.range);
+            if let Some(range) = range_to(segment, origin, direction).filter(|&range| range < nearest) {
+                best = Some(RayHit { range, incidence: incidence(segment, direction), surface: NO_SURFACE });
+            }
+        }
+        best
+    }
+
+    /// Index of the segment that a ray meets first, and the range [m].
+    pub(super) fn cast_segment(
+        &self,
+        origin: DVec2,
+        direction: DVec2,
+        max_range: f64,
+    ) -> Option<(usize, f64)> {
+        let segments = self.geometry.segments();
+        let (leaf, range) = self.tree.cast_ray(&Ray::new(origin, direction), max_range, |leaf, _| {
+            range_to(&segments[leaf as usize], origin, direction)
+        })?;
+        Some((leaf as usize, range))
+    }
+}
+
+impl RangeMap for ExactRangeMap {
+    fn cast(&self, laser: Poses<'_>, bearings: &[f32], max_range: f32, out: &mut Hits) {
+        let max = f64::from(max_range);
+        cast_batch(laser, bearings, max_range, out, |origin, _| {
+            move |direction, _| self.cast_ray(origin, direction, max)
+        });
+    }
+
+    fn is_free(&self, x: f64, y: f64) -> bool {
+        self.geometry.is_free(x, y)
+    }
+
+    fn bounds(&self) -> [f64; 4] {
+        self.geometry.bounds()
+    }
+}

@@ -1,0 +1,45 @@
+use glam::DVec2;
+use parry2d_f64::bounding_volume::Aabb;
+use parry2d_f64::partitioning::{Bvh, BvhBuildStrategy};
+
+/// Segments are this much wider than drawn [m], so that no ray slips between two that share an end.
+pub(super) const OVERLAP_M: f64 = 1e-9;
+
+/// Distance [m] along a ray (unit `direction`) to a segment, `None` if it misses.
+///
+/// Both ends belong to the segment. The ends' signed distances from the ray decide, and two segments that share
+/// an end compute the same number for it: no ray passes between them. A ray along the segment meets its nearest
+/// point.
+#[inline]
+pub(super) fn range_to(&[a, b]: &[DVec2; 2], origin: DVec2, direction: DVec2) -> Option<f64> {
+    let (a, b) = (a - origin, b - origin);
+    let (side_a, side_b) = (direction.perp_dot(a), direction.perp_dot(b));
+    if !(side_a.min(side_b) <= OVERLAP_M && side_a.max(side_b) >= -OVERLAP_M) {
+        return None;
+    }
+    let (along_a, along_b) = (direction.dot(a), direction.dot(b));
+    let along = if (side_a - side_b).abs() > OVERLAP_M {
+        let share = (side_a / (side_a - side_b)).clamp(0.0, 1.0);
+        along_a + share * (along_b - along_a)
+    } else {
+        // Along the segment. The nearest point ahead is the origin itself when the ends lie either side of it.
+        let (near, far) = (along_a.min(along_b), along_a.max(along_b));
+        if far < 0.0 { far } else { near.max(0.0) }
+    };
+    (along >= -OVERLAP_M).then_some(along.max(0.0))
+}
+
+/// Angle between a ray and a segment's normal [rad], 0 to pi/2.
+#[inline]
+pub(super) fn incidence(&[a, b]: &[DVec2; 2], direction: DVec2) -> f64 {
+    let edge = b - a;
+    direction.dot(edge).abs().atan2(direction.perp_dot(edge).abs())
+}
+
+/// A tree over the segments; leaf `i` is segment `i`.
+pub(super) fn tree_over(segments: &[[DVec2; 2]]) -> Bvh {
+    let margin = DVec2::splat(OVERLAP_M);
+    let boxes: Vec<Aabb> =
+        segments.iter().map(|[a, b]| Aabb::new(a.min(*b) - margin, a.max(*b) + margin)).collect();
+    Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes)
+}
