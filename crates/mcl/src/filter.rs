@@ -1,0 +1,390 @@
+use std::fmt;
+use std::sync::Arc;
+
+use locsim_core::{
+    Draw, Laser, Particles, Pose2, RangeMap, Scan, SensorModel, Stage, WeightError, Weights, wrap_angle,
+};
+use rand::RngExt;
+
+use crate::adaptive::{KldOptions, KldSampler};
+use crate::ancestry::{Ancestry, NO_PARENT};
+use crate::augmented::{Augmented, InjectionOptions};
+use crate::bins::PoseBins;
+use crate::error::{FilterError, check, check_sigma};
+use crate::estimate::{Cluster, Clusters, Estimate, max_weight, weighted_mean};
+use crate::motion::{MotionModel, for_each_with_normals};
+use crate::resampling::Resampler;
+use crate::start::{Start, free_pose};
+use crate::weigh::Weigher;
+
+/// How many particles a filter has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ParticleCount {
+    /// Always the same number, at least 1.
+    Fixed(usize),
+    /// As many as the spread of the posterior asks for, chosen anew at each resampling.
+    Kld(KldOptions),
+}
+
+/// When a filter resamples. A step that injects random particles always resamples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ResampleTrigger {
+    /// At the end of each step.
+    EachStep,
+    /// When the effective sample size is below this share of the particle count, from 0 to 1.
+    EffectiveShareBelow(f64),
+}
+
+/// Gaussian jitter of the resampled particles, which keeps copies of one ancestor apart (the regularized
+/// particle filter of Musso, Oudjane and Le Gland 2001, with a bandwidth of the user's choice).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Regularization {
+    /// Standard deviation along x and y [m].
+    pub sigma_m: f64,
+    /// Standard deviation of the heading [rad].
+    pub sigma_rad: f64,
+}
+
+/// What makes a filter.
+#[derive(Clone, Debug)]
+pub struct FilterOptions {
+    /// Number of particles.
+    pub particles: ParticleCount,
+    /// How the robot moves.
+    pub motion: Arc<dyn MotionModel>,
+    /// Who lives on.
+    pub resampler: Arc<dyn Resampler>,
+    /// When to resample.
+    pub trigger: ResampleTrigger,
+    /// Random particles for recovery, `None` for none.
+    pub injection: Option<InjectionOptions>,
+    /// Jitter after resampling, `None` for none.
+    pub regularization: Option<Regularization>,
+    /// Bins for the cluster estimate, `None` to do without it.
+    pub clusters: Option<PoseBins>,
+    /// Whether to keep the history that the most likely trajectory is read from.
+    pub ancestry: bool,
+}
+
+/// What a filter is told at a step.
+#[derive(Clone, Copy, Debug)]
+pub struct StepInput<'a> {
+    /// Motion since the last step by odometry, `base_prev_from_base_now`; the identity at the first step.
+    pub odometry: Pose2,
+    /// The sensor.
+    pub laser: &'a Laser,
+    /// Its sweep at the end of that motion. NaN readings tell the filter nothing.
+    pub scan: &'a Scan,
+}
+
+/// How a filter went on where the rules of probability do not say how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Recovery {
+    /// Every particle had likelihood zero. The observation was dropped and the weights were made equal; the
+    /// step does not resample, unless it injects random particles.
+    WeightsReset,
+}
+
+impl fmt::Display for Recovery {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::WeightsReset => f.write_str("every particle had likelihood zero: weights made equal"),
+        }
+    }
+}
+
+/// The filter's answers to "where is the robot?" from one weighted particle set.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimates {
+    /// Weighted mean, circular for the heading, and covariance.
+    pub weighted_mean: Estimate,
+    /// The particle of the greatest weight.
+    pub max_weight: Pose2,
+    /// The heaviest cluster, if the options ask for it.
+    pub densest_cluster: Option<Cluster>,
+}
+
+/// What happened at a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepOutcome {
+    /// ln p(z_t | z_1..t-1) [nats], the log of the weighted mean likelihood; minus infinity if all were zero.
+    pub log_evidence: f64,
+    /// 1 / sum of squared weights, after weighting and before resampling.
+    pub effective_sample_size: f64,
+    /// Number of particles that were weighted.
+    pub particle_count: usize,
+    /// Whether the step ended with a resampling.
+    pub resampled: bool,
+    /// Number of random particles in the next step's set.
+    pub injected: usize,
+    /// A recovery, where one was needed.
+    pub recovered: Option<Recovery>,
+    /// Estimates from the weighted set, before resampling.
+    pub estimates: Estimates,
+}
+
+/// A particle filter that localizes a robot with a planar range sensor in a known map (Probabilistic Robotics,
+/// table 8.2).
+///
+/// Between steps [`Filter::particles`] and [`Filter::weights`] are the posterior as it was weighted; a resampling
+/// that the step decided on takes effect when the next step begins.
+#[derive(Clone, Debug)]
+pub struct Filter {
+    options: FilterOptions,
+    seeds: Seeds,
+    step: u32,
+    particles: Particles,
+    weights: Weights,
+    /// The resampled set that the next step starts from, valid if `resampled`.
+    next: Particles,
+    ancestors: Vec<u32>,
+    resampled: bool,
+    log_likelihood: Vec<f64>,
+    weigher: Weigher,
+    kld: Option<KldSampler>,
+    /// Cumulative weights, for KLD sampling.
+    cumulative: Vec<f64>,
+    augmented: Option<Augmented>,
+    clusters: Option<Clusters>,
+    ancestry: Option<Ancestry>,
+}
+
+/// The stage [`Stage::Resample`] serves three purposes, told apart by seeds of their own.
+#[derive(Clone, Copy, Debug)]
+struct Seeds {
+    filter: u64,
+    ancestors: u64,
+    sample_size: u64,
+    jitter: u64,
+}
+
+impl Seeds {
+    fn new(seed: u64) -> Self {
+        let resample = Draw::new(seed, Stage::Resample, 0);
+        Self {
+            filter: seed,
+            ancestors: resample.seed(0),
+            sample_size: resample.seed(1),
+            jitter: resample.seed(2),
+        }
+    }
+}
+
+impl Filter {
+    /// A filter before its first step; `map` tells where there is free space. Everything random follows from
+    /// `seed`.
+    ///
+    /// # Errors
+    /// [`FilterError::Option`] for options out of range, [`FilterError::NoFreeSpace`] for a global start in a
+    /// map without free space.
+    pub fn new(
+        options: FilterOptions,
+        start: &Start,
+        map: &dyn RangeMap,
+        seed: u64,
+    ) -> Result<Self, FilterError> {
+        let (count, kld) = match options.particles {
+            ParticleCount::Fixed(n) => (n, None),
+            ParticleCount::Kld(kld) => (kld.max, Some(KldSampler::new(kld)?)),
+        };
+        let most = u32::MAX - 1;
+        check("particle count", count as f64, (1..=most as usize).contains(&count), "from 1 to 2^32 - 2")?;
+        if let ResampleTrigger::EffectiveShareBelow(share) = options.trigger {
+            check("effective share", share, (0.0..=1.0).contains(&share), "from 0 to 1")?;
+        }
+        if let Some(Regularization { sigma_m, sigma_rad }) = options.regularization {
+            check_sigma("regularization sigma_m", sigma_m)?;
+            check_sigma("regularization sigma_rad", sigma_rad)?;
+        }
+        Ok(Self {
+            seeds: Seeds::new(seed),
+            step: 0,
+            particles: start.particles(count, map, seed)?,
+            weights: Weights::uniform(count),
+            next: Particles::default(),
+            ancestors: Vec::new(),
+            resampled: false,
+            log_likelihood: Vec::new(),
+            weigher: Weigher::default(),
+            kld,
+            cumulative: Vec::new(),
+            augmented: options.injection.map(Augmented::new).transpose()?,
+            clusters: options.clusters.map(Clusters::new),
+            ancestry: options.ancestry.then(Ancestry::default),
+            options,
+        })
+    }
+
+    /// One step: predict, weight, estimate, and resample if it is time to.
+    ///
+    /// # Errors
+    /// [`FilterError::Odometry`] and [`FilterError::ScanLength`] for input that makes no sense, which leaves the
+    /// filter as it was; [`FilterError::SensorModel`] for a model that returns NaN or plus infinity, and
+    /// [`FilterError::NoFreeSpace`] where a random particle finds no place, after which the filter cannot go on.
+    pub fn step(
+        &mut self,
+        input: &StepInput<'_>,
+        map: &dyn RangeMap,
+        model: &dyn SensorModel,
+    ) -> Result<StepOutcome, FilterError> {
+        let (step, scan, laser) = (self.step, input.scan, input.laser);
+        if !input.odometry.is_finite() {
+            return Err(FilterError::Odometry { step });
+        }
+        if scan.ranges.len() != laser.beam_count() {
+            let (ranges, beams) = (scan.ranges.len(), laser.beam_count());
+            return Err(FilterError::ScanLength { step, ranges, beams });
+        }
+
+        let was_resampled = self.resampled;
+        if was_resampled {
+            std::mem::swap(&mut self.particles, &mut self.next);
+            self.weights.reset(self.particles.len());
+        }
+        self.options.motion.propagate(
+            &input.odometry,
+            &Draw::new(self.seeds.filter, Stage::Motion, step),
+            &mut self.particles,
+        );
+        self.log_likelihood.resize(self.particles.len(), 0.0);
+        self.weigher.log_likelihoods(
+            self.particles.view(),
+            laser,
+            scan,
+            map,
+            model,
+            &mut self.log_likelihood,
+        );
+        let (log_evidence, recovered) = match self.weights.update(&self.log_likelihood) {
+            Ok(log_evidence) => (log_evidence, None),
+            Err(WeightError::AllZero) => {
+                self.weights.reset(self.particles.len());
+                (f64::NEG_INFINITY, Some(Recovery::WeightsReset))
+            }
+            Err(WeightError::NotANumber { particle }) => {
+                return Err(FilterError::SensorModel { model: model.name().to_owned(), step, particle });
+            }
+            Err(WeightError::Length { .. }) => unreachable!("one log likelihood per particle"),
+        };
+        if let Some(ancestry) = &mut self.ancestry {
+            let parents = was_resampled.then_some(self.ancestors.as_slice());
+            let likelihoods = recovered.is_none().then_some((self.log_likelihood.as_slice(), log_evidence));
+            ancestry.record(&self.particles, parents, likelihoods);
+        }
+        let estimates = self.estimates();
+
+        let usable_beams = scan.ranges.iter().filter(|z| !z.is_nan()).count();
+        let share = self.augmented.as_mut().map_or(0.0, |a| a.update(log_evidence, usable_beams));
+        let effective_sample_size = self.weights.effective_sample_size();
+        let particle_count = self.particles.len();
+        let triggered = recovered.is_none()
+            && match self.options.trigger {
+                ResampleTrigger::EachStep => true,
+                ResampleTrigger::EffectiveShareBelow(share) => {
+                    effective_sample_size < share * particle_count as f64
+                }
+            };
+        let injected = self.resample(triggered, share, map)?;
+        self.step += 1;
+        Ok(StepOutcome {
+            log_evidence,
+            effective_sample_size,
+            particle_count,
+            resampled: self.resampled,
+            injected,
+            recovered,
+            estimates,
+        })
+    }
+
+    /// The particles: those that the last step weighted, or the start set before the first step.
+    pub fn particles(&self) -> &Particles {
+        &self.particles
+    }
+
+    /// The particles' weights at the last step, before its resampling.
+    pub fn weights(&self) -> &Weights {
+        &self.weights
+    }
+
+    /// Log likelihood of the last scan for each particle [nats]; empty before the first step.
+    pub fn log_likelihood(&self) -> &[f64] {
+        &self.log_likelihood
+    }
+
+    /// Which particle each of the next step's particles descends from, [`NO_PARENT`] for a random one; `None` if
+    /// the last step did not resample.
+    pub fn ancestors(&self) -> Option<&[u32]> {
+        self.resampled.then_some(self.ancestors.as_slice())
+    }
+
+    /// The history, if the options ask for it.
+    pub fn ancestry(&self) -> Option<&Ancestry> {
+        self.ancestry.as_ref()
+    }
+
+    fn estimates(&mut self) -> Estimates {
+        let (particles, weights) = (&self.particles, &self.weights);
+        Estimates {
+            weighted_mean: weighted_mean(particles, weights).expect("a filter has particles"),
+            max_weight: max_weight(particles, weights).expect("a filter has particles"),
+            densest_cluster: self.clusters.as_mut().and_then(|c| c.heaviest(particles, weights)),
+        }
+    }
+
+    /// Draws the next step's particles if `triggered`, or if random ones are due; a `share` of them, on average,
+    /// is random. Returns how many are.
+    fn resample(&mut self, triggered: bool, share: f64, map: &dyn RangeMap) -> Result<usize, FilterError> {
+        let injection = Draw::new(self.seeds.filter, Stage::Injection, self.step);
+        // The share is rounded to whole particles up or down at random, so that small shares count, too.
+        let rounding: f64 = injection.item(u32::MAX).random();
+        let random_of = |count: usize| (share * count as f64 + rounding) as usize;
+        self.resampled = triggered || random_of(self.particles.len()) > 0;
+        if !self.resampled {
+            return Ok(0);
+        }
+        let count = self.sample_size(share, map)?;
+        let injected = random_of(count).min(count);
+        self.options.resampler.ancestors(
+            &self.weights,
+            count - injected,
+            &Draw::new(self.seeds.ancestors, Stage::Resample, self.step),
+            &mut self.ancestors,
+        );
+        self.next.gather(&self.particles, &self.ancestors);
+        if let Some(Regularization { sigma_m, sigma_rad }) = self.options.regularization {
+            let draw = Draw::new(self.seeds.jitter, Stage::Resample, self.step);
+            for_each_with_normals(&mut self.next, &draw, |[n1, n2, n3], x, y, theta| {
+                *x += sigma_m * n1;
+                *y += sigma_m * n2;
+                *theta = wrap_angle(*theta + sigma_rad * n3);
+            });
+        }
+        for i in 0..injected {
+            self.next.push(free_pose(map, &mut injection.item(i as u32))?);
+            self.ancestors.push(NO_PARENT);
+        }
+        Ok(injected)
+    }
+
+    /// Number of particles of the next set. KLD sampling draws from what is going to be resampled, the weighted
+    /// particles with a `share` of random ones.
+    fn sample_size(&mut self, share: f64, map: &dyn RangeMap) -> Result<usize, FilterError> {
+        let Some(kld) = &mut self.kld else { return Ok(self.particles.len()) };
+        let mut rng = Draw::new(self.seeds.sample_size, Stage::Resample, self.step).item(0);
+        let cumulative = &mut self.cumulative;
+        cumulative.clear();
+        cumulative.extend(self.weights.linear().iter().scan(0.0, |sum, w| {
+            *sum += w;
+            Some(*sum)
+        }));
+        let last = self.particles.len() - 1;
+        kld.draw(|| {
+            if rng.random::<f64>() < share {
+                return free_pose(map, &mut rng);
+            }
+            let u: f64 = rng.random();
+            Ok(self.particles.get(cumulative.partition_point(|&c| c <= u).min(last)))
+        })
+    }
+}

@@ -1,0 +1,67 @@
+use std::f64::consts::PI;
+
+use locsim_core::{Draw, Particles, Pose2, RangeMap, Stage};
+use rand::{Rng, RngExt};
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::FilterError;
+use crate::error::check_sigma;
+
+/// What is known of the robot's pose before the first step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Start {
+    /// Pose tracking: Gaussian around a pose.
+    Tracking {
+        /// Mean, `map_from_base`.
+        pose: Pose2,
+        /// Standard deviation along x and y [m].
+        sigma_m: f64,
+        /// Standard deviation of the heading [rad].
+        sigma_rad: f64,
+    },
+    /// Global localization: uniform over the map's free space and all headings.
+    Global,
+}
+
+impl Start {
+    /// Draws `n` particles; particle `i` from item `i` of [`Stage::Initial`].
+    pub(crate) fn particles(
+        &self,
+        n: usize,
+        map: &dyn RangeMap,
+        seed: u64,
+    ) -> Result<Particles, FilterError> {
+        let draw = Draw::new(seed, Stage::Initial, 0);
+        match *self {
+            Self::Tracking { pose, sigma_m, sigma_rad } => {
+                check_sigma("start sigma_m", sigma_m)?;
+                check_sigma("start sigma_rad", sigma_rad)?;
+                Ok((0..n as u32)
+                    .map(|i| {
+                        let mut rng = draw.item(i);
+                        let [x, y, theta]: [f64; 3] =
+                            std::array::from_fn(|_| StandardNormal.sample(&mut rng));
+                        Pose2::new(pose.x + sigma_m * x, pose.y + sigma_m * y, pose.theta + sigma_rad * theta)
+                    })
+                    .collect())
+            }
+            Self::Global => (0..n as u32).map(|i| free_pose(map, &mut draw.item(i))).collect(),
+        }
+    }
+}
+
+/// A map whose free space is a smaller share of its bounds than about one in this many is refused.
+const ATTEMPTS: u32 = 100_000;
+
+/// A pose uniform over the map's free space and all headings, by rejection from its bounds.
+pub(crate) fn free_pose(map: &dyn RangeMap, rng: &mut impl Rng) -> Result<Pose2, FilterError> {
+    let [x0, y0, x1, y1] = map.bounds();
+    for _ in 0..ATTEMPTS {
+        let x = x0 + (x1 - x0) * rng.random::<f64>();
+        let y = y0 + (y1 - y0) * rng.random::<f64>();
+        if map.is_free(x, y) {
+            return Ok(Pose2::new(x, y, PI * (1.0 - 2.0 * rng.random::<f64>())));
+        }
+    }
+    Err(FilterError::NoFreeSpace { attempts: ATTEMPTS })
+}
