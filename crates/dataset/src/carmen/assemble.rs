@@ -1,0 +1,272 @@
+use std::f64::consts::PI;
+use std::path::Path;
+
+use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan, circular_mean, wrap_angle};
+
+use super::beams::Beams;
+use super::parse::{Log, ScanLine};
+use super::{CarmenLaser, CarmenOptions, LogKind, LogSummary, OdometrySource};
+use crate::DatasetError;
+
+/// Where the SICK LMS in centimetre mode begins to count error codes instead of distances [m].
+const SICK_MAX_RANGE: f32 = 81.83;
+
+/// Poses nearer than this [m, rad] were printed from the same numbers.
+const SAME: f64 = 1e-6;
+
+/// The laser's pose on the robot varies by more than this [m, rad] only if one of the two was corrected.
+const RIGID: f64 = 0.02;
+
+/// Times may go backwards this far [s] because messages were logged out of order; further back, the clock was
+/// set or wrapped.
+const BACKWARDS: f64 = 60.0;
+
+/// No two scans of a log are further apart in time [s].
+const LEAP: f64 = 1e6;
+
+/// Turns the lines of a log into a drive.
+pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive, LogSummary), DatasetError> {
+    let recognised = Recognised::from(&log);
+    let mount = mount(&log, recognised.kind, options.laser);
+    let (poses, intervals_without_odometry) = poses(&log, &recognised, &mount);
+    let laser = laser(&log, options, mount, path)?;
+
+    let (max, min) = (laser.max_range(), laser.min_range());
+    let mut clock = Clock::default();
+    let mut steps = Vec::with_capacity(log.scans.len());
+    let (mut no_return, mut unusable, mut longest) = (0_usize, 0_usize, None);
+    for (mut scan, (odometry, reference)) in log.scans.into_iter().zip(poses) {
+        for range in &mut scan.ranges {
+            if *range >= max {
+                *range = max;
+                no_return += 1;
+            } else if *range < min || *range == 0.0 {
+                *range = f32::NAN;
+                unusable += 1;
+            } else {
+                longest = Some(range.max(longest.unwrap_or(0.0)));
+            }
+        }
+        let stamp_secs = clock.stamp(scan.stamp_secs);
+        steps.push(DriveStep { stamp_secs, odometry, reference, scan: Scan { ranges: scan.ranges } });
+    }
+    let readings = (steps.len() * laser.beam_count()) as f64;
+    let summary = LogSummary {
+        kind: recognised.kind,
+        odometry: recognised.odometry,
+        evidence: recognised.evidence,
+        keyword: log.keyword,
+        odometry_lines: log.odometry_lines,
+        true_pose_lines: log.true_pose_lines,
+        skipped: log.skipped,
+        stamps_repaired: clock.repaired,
+        stamps_repeated: clock.repeated,
+        intervals_without_odometry,
+        no_return_share: no_return as f64 / readings,
+        unusable_share: unusable as f64 / readings,
+        longest_return_m: longest,
+    };
+    Ok((Drive { laser, steps }, summary))
+}
+
+/// What the poses of a log are, and why.
+struct Recognised {
+    kind: LogKind,
+    odometry: OdometrySource,
+    evidence: String,
+}
+
+impl Recognised {
+    fn from(log: &Log) -> Self {
+        let scans = &log.scans;
+        let n = scans.len();
+        let count = |what: &dyn Fn(&ScanLine) -> bool| scans.iter().filter(|s| what(s)).count();
+        let most = |part: usize, of: usize| of > 0 && part * 20 >= of * 19;
+
+        // Without odometry of their own the scans' robot poses stand still while the ODOM lines move.
+        let moves =
+            |pose: Option<Pose2>| pose.zip(log.first_odometry).is_some_and(|(a, b)| !near(&a, &b, SAME));
+        let frozen = n > 1
+            && scans.iter().all(|s| s.robot_pose == scans[0].robot_pose)
+            && scans.iter().any(|s| moves(s.before.last_odometry.map(|(_, pose)| pose)));
+        let own = if frozen { OdometrySource::OdomLines } else { OdometrySource::ScanLines };
+
+        let with_truth = count(&|s| s.before.truth.is_some());
+        if with_truth > 0 {
+            let evidence = format!("{with_truth} of {n} scans have a TRUEPOS line before them");
+            return Self { kind: LogKind::Simulated, odometry: own, evidence };
+        }
+
+        // A mapping program that restarts the odometry at each corrected pose leaves three traces.
+        let one_pose = count(&|s| near(&s.laser_pose, &s.robot_pose, SAME));
+        let follows: Vec<bool> = scans
+            .windows(2)
+            .filter_map(|w| Some(near(&w[1].before.first_odometry?, &w[0].laser_pose, SAME)))
+            .collect();
+        let restarted = follows.iter().filter(|same| **same).count();
+        let at_scan_time = |s: &ScanLine| s.before.last_odometry.filter(|(time, _)| *time == s.stamp_secs);
+        let same_time = count(&|s| at_scan_time(s).is_some());
+        let contradicted = count(&|s| at_scan_time(s).is_some_and(|(_, p)| !near(&p, &s.robot_pose, SAME)));
+        if most(one_pose, n) && most(restarted, follows.len()) && contradicted * 2 > same_time {
+            let evidence = format!(
+                "laser pose and robot pose are one in {one_pose} of {n} scans, the ODOM line after a scan \
+                 repeats its pose in {restarted} of {} intervals, and the ODOM line of the same time before a \
+                 scan differs from it in {contradicted} of {same_time} scans",
+                follows.len()
+            );
+            let odometry = OdometrySource::RestartedOdomLines;
+            return Self { kind: LogKind::Corrected, odometry, evidence };
+        }
+
+        if !frozen {
+            let mount = scans[0].laser_pose.relative_to(&scans[0].robot_pose);
+            let bent = count(&|s| !near(&s.laser_pose.relative_to(&s.robot_pose), &mount, RIGID));
+            if bent * 20 > n {
+                let evidence = format!(
+                    "the laser's pose on the robot isn't rigid: it differs from the first in {bent} of {n} scans"
+                );
+                return Self { kind: LogKind::Corrected, odometry: own, evidence };
+            }
+            // Half a metre is more than a robot moves from an ODOM line to the scan after it.
+            let apart = count(&|s| {
+                let last = s.before.last_odometry;
+                last.is_some_and(|(_, p)| p.position().distance(s.robot_pose.position()) > 0.5)
+            });
+            if apart * 2 > n {
+                let evidence = format!(
+                    "the scans' robot pose is more than 0.5 m from the ODOM lines in {apart} of {n} scans"
+                );
+                let odometry = OdometrySource::OdomLines;
+                return Self { kind: LogKind::Corrected, odometry, evidence };
+            }
+        }
+        let evidence = format!(
+            "no TRUEPOS line, and nothing shows that the poses of {n} scans were corrected; odometry from {}",
+            if frozen { "ODOM lines, because the scans' own doesn't change" } else { "the scans' lines" }
+        );
+        Self { kind: LogKind::Raw, odometry: own, evidence }
+    }
+}
+
+/// Poses that differ by at most `tolerance` [m, rad] in each component.
+fn near(a: &Pose2, b: &Pose2, tolerance: f64) -> bool {
+    (a.x - b.x).abs() <= tolerance
+        && (a.y - b.y).abs() <= tolerance
+        && wrap_angle(a.theta - b.theta).abs() <= tolerance
+}
+
+/// `base_from_laser`.
+fn mount(log: &Log, kind: LogKind, laser: CarmenLaser) -> Pose2 {
+    let params = &log.params;
+    let facing = if laser == CarmenLaser::Front { 0.0 } else { PI };
+    let noted = [params.offset, params.side_offset, params.angular_offset];
+    let mounted = |s: &ScanLine| s.laser_pose.relative_to(&s.robot_pose);
+    let one_pose = log.scans.iter().all(|s| near(&s.laser_pose, &s.robot_pose, SAME));
+    if noted.iter().any(Option::is_some) || kind == LogKind::Corrected || one_pose {
+        let [x, y, theta] = noted.map(Option::unwrap_or_default);
+        return Pose2::new(x, y, facing + theta);
+    }
+    let n = log.scans.len() as f64;
+    let mean = |of: fn(Pose2) -> f64| log.scans.iter().map(|s| of(mounted(s))).sum::<f64>() / n;
+    let heading = circular_mean(log.scans.iter().map(|s| (mounted(s).theta, 1.0)));
+    Pose2::new(mean(|p| p.x), mean(|p| p.y), heading.unwrap_or(facing))
+}
+
+/// Odometry and reference of the base at each scan; the number of intervals without odometry.
+fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Option<Pose2>)>, usize) {
+    let laser_from_base = mount.inverse();
+    let mut latest = log.first_odometry;
+    let mut chained: Option<Pose2> = None;
+    let mut previous: Option<Pose2> = None;
+    let mut missing = 0;
+    let poses = log.scans.iter().map(|scan| {
+        let last = scan.before.last_odometry.map(|(_, pose)| pose);
+        latest = last.or(latest);
+        let odometry = match recognised.odometry {
+            OdometrySource::ScanLines => scan.robot_pose,
+            OdometrySource::OdomLines => latest.unwrap_or(scan.robot_pose),
+            OdometrySource::RestartedOdomLines => {
+                let pose = match (chained, previous) {
+                    (Some(chained), Some(previous)) => {
+                        // A single ODOM line that only repeats the scan before it tells no motion.
+                        let told =
+                            last.filter(|p| scan.before.odometry_lines > 1 || !near(p, &previous, SAME));
+                        missing += usize::from(told.is_none());
+                        chained.compose(&told.unwrap_or(scan.laser_pose).relative_to(&previous))
+                    }
+                    _ => scan.laser_pose,
+                };
+                chained = Some(pose);
+                previous = Some(scan.laser_pose);
+                pose.compose(&laser_from_base)
+            }
+        };
+        let reference = match recognised.kind {
+            LogKind::Raw => None,
+            LogKind::Corrected => Some(scan.laser_pose.compose(&laser_from_base)),
+            LogKind::Simulated => scan.before.truth.map(|(truth, then)| {
+                if then == odometry { truth } else { truth.compose(&odometry.relative_to(&then)) }
+            }),
+        };
+        (odometry, reference)
+    });
+    (poses.collect(), missing)
+}
+
+fn laser(log: &Log, options: &CarmenOptions, mount: Pose2, path: &Path) -> Result<Laser, DatasetError> {
+    let n = log.scans[0].ranges.len();
+    let params = &log.params;
+    let beams = log.layout.map_or_else(
+        || Beams::of_old_line(n, params.resolution, params.field_of_view),
+        |layout| layout.beams,
+    );
+    let max_range =
+        options.max_range_m.unwrap_or_else(|| log.layout.map_or(SICK_MAX_RANGE, |layout| layout.max_range));
+    let min_range = options.min_range_m.unwrap_or_else(|| params.min_range.unwrap_or(0.0) as f32);
+    let interval = params.beam_interval.unwrap_or(0.0);
+    let beam_times = (0..n).map(|i| (i as f64 * interval) as f32).collect();
+    Laser::new(beams.bearings(n), beam_times, min_range, max_range, mount)
+        .map_err(|source| DatasetError::Laser { path: path.to_owned(), source })
+}
+
+/// Makes the scans' times never decrease.
+#[derive(Default)]
+struct Clock {
+    last: Option<f64>,
+    /// What the log's clock has lost since the start [s].
+    offset: f64,
+    repaired: usize,
+    repeated: usize,
+}
+
+impl Clock {
+    fn stamp(&mut self, logged: f64) -> f64 {
+        let mut stamp = logged + self.offset;
+        if let Some(last) = self.last {
+            if !(-BACKWARDS..=LEAP).contains(&(stamp - last)) {
+                self.offset = last - logged;
+                stamp = f64::NEG_INFINITY;
+            }
+            if stamp < last {
+                self.repaired += 1;
+                stamp = last;
+            }
+            self.repeated += usize::from(stamp == last);
+        }
+        self.last = Some(stamp);
+        stamp
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_that_go_backwards_are_held_and_leaps_continue() {
+        let mut clock = Clock::default();
+        let stamps = [10.0, 11.0, 10.9, 12.0, 4e9, 4e9 + 1.0, 5.0, 5.0, 7.0].map(|t| clock.stamp(t));
+        assert_eq!(stamps, [10.0, 11.0, 11.0, 12.0, 12.0, 13.0, 13.0, 13.0, 15.0]);
+        assert_eq!((clock.repaired, clock.repeated), (3, 4));
+    }
+}

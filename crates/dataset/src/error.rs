@@ -1,0 +1,122 @@
+use std::io;
+use std::path::PathBuf;
+
+use locsim_core::LaserError;
+use thiserror::Error;
+
+/// Why a log or a trajectory could not be read or written. Line numbers count from 1.
+#[derive(Debug, Error)]
+pub enum DatasetError {
+    /// The file can't be opened.
+    #[error("{}: cannot be opened: {source}", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file can't be read on, for example because its compressed data are damaged or cut.
+    #[error("{}:{line}: cannot be read: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The line that was to be read.
+        line: usize,
+        /// What the system or the decompressor says.
+        source: io::Error,
+    },
+    /// The file holds nothing, or nothing but blank lines and comments.
+    #[error("{}: the file is empty", path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The last line has no line end.
+    #[error(
+        "{}:{line}: {keyword}: the file ends inside this line, so it was cut off; \
+         allowed: every line ends with a newline",
+        path.display()
+    )]
+    CutOff {
+        /// The file.
+        path: PathBuf,
+        /// The last line.
+        line: usize,
+        /// Its first word.
+        keyword: String,
+    },
+    /// A line is longer than any line of a log.
+    #[error("{}:{line}: the line is too long for a text log; allowed: at most {limit} bytes", path.display())]
+    LongLine {
+        /// The file.
+        path: PathBuf,
+        /// The line.
+        line: usize,
+        /// The greatest allowed length in bytes.
+        limit: usize,
+    },
+    /// A line has too few or too many fields, counting its keyword.
+    #[error("{}:{line}: {keyword}: the line has {found} fields; allowed: {allowed}", path.display())]
+    FieldCount {
+        /// The file.
+        path: PathBuf,
+        /// The line.
+        line: usize,
+        /// The line's keyword.
+        keyword: String,
+        /// Number of fields found.
+        found: usize,
+        /// Number of fields the format asks for, and why.
+        allowed: String,
+    },
+    /// A field has a value that isn't allowed.
+    #[error("{}:{line}: {keyword}: {field} is `{value}`; allowed: {allowed}", path.display())]
+    Field {
+        /// The file.
+        path: PathBuf,
+        /// The line.
+        line: usize,
+        /// The line's keyword.
+        keyword: String,
+        /// What the field means.
+        field: String,
+        /// The offending value.
+        value: String,
+        /// What is allowed instead.
+        allowed: String,
+    },
+    /// The log has no scan of the wanted laser.
+    #[error("{}: no scan in this log; allowed: at least one {wanted} line; found: {found}", path.display())]
+    NoScans {
+        /// The file.
+        path: PathBuf,
+        /// Keywords of the wanted laser.
+        wanted: String,
+        /// What the log has instead.
+        found: String,
+    },
+    /// What the log or the options say of the laser makes no laser.
+    #[error("{}: {source}", path.display())]
+    Laser {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: LaserError,
+    },
+    /// The drive or trajectory doesn't fit into the format.
+    #[error("{}: not written: {reason}", path.display())]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// What doesn't fit, and what is allowed.
+        reason: String,
+    },
+    /// The file can't be written; what was there before is untouched.
+    #[error("{}: cannot be written: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+}

@@ -1,0 +1,166 @@
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::str::{FromStr, SplitAsciiWhitespace};
+
+use flate2::bufread::MultiGzDecoder;
+use locsim_core::Pose2;
+
+use crate::DatasetError;
+
+/// No line of a log is longer: a scan of 1000 beams takes about 10 kB.
+const LONGEST_LINE: usize = 1 << 20;
+
+/// Opens a file, decompressing it when it starts with the magic number of gzip (RFC 1952).
+pub fn open(path: &Path) -> Result<Box<dyn BufRead>, DatasetError> {
+    let failed = |source| DatasetError::Open { path: path.to_owned(), source };
+    let mut file = BufReader::new(File::open(path).map_err(failed)?);
+    if file.fill_buf().map_err(failed)?.starts_with(&[0x1f, 0x8b]) {
+        Ok(Box::new(BufReader::with_capacity(1 << 16, MultiGzDecoder::new(file))))
+    } else {
+        Ok(Box::new(file))
+    }
+}
+
+/// Reads a text file line by line into one buffer.
+pub struct Lines<'a, R> {
+    path: &'a Path,
+    reader: R,
+    number: usize,
+    buffer: Vec<u8>,
+}
+
+impl<'a, R: BufRead> Lines<'a, R> {
+    pub fn new(path: &'a Path, reader: R) -> Self {
+        Self { path, reader, number: 0, buffer: Vec::new() }
+    }
+
+    /// The next line that isn't blank; `None` at the end.
+    pub fn next(&mut self) -> Result<Option<Line<'_>>, DatasetError> {
+        loop {
+            self.number += 1;
+            self.buffer.clear();
+            self.reader.by_ref().take(LONGEST_LINE as u64).read_until(b'\n', &mut self.buffer).map_err(
+                |source| DatasetError::Read { path: self.path.to_owned(), line: self.number, source },
+            )?;
+            if self.buffer.is_empty() {
+                return Ok(None);
+            }
+            if self.buffer.len() == LONGEST_LINE && !self.buffer.ends_with(b"\n") {
+                return Err(DatasetError::LongLine {
+                    path: self.path.to_owned(),
+                    line: self.number,
+                    limit: LONGEST_LINE,
+                });
+            }
+            if !self.buffer.trim_ascii().is_empty() {
+                break;
+            }
+        }
+        let line = Line { path: self.path, number: self.number, text: String::from_utf8_lossy(&self.buffer) };
+        if self.buffer.ends_with(b"\n") {
+            return Ok(Some(line));
+        }
+        Err(DatasetError::CutOff {
+            path: self.path.to_owned(),
+            line: self.number,
+            keyword: line.fields().keyword.to_owned(),
+        })
+    }
+}
+
+/// One line that isn't blank. Bytes that aren't UTF-8 have become replacement characters.
+pub struct Line<'a> {
+    path: &'a Path,
+    pub number: usize,
+    text: Cow<'a, str>,
+}
+
+impl Line<'_> {
+    /// The line's fields, its first word taken as the keyword.
+    pub fn fields(&self) -> Fields<'_> {
+        let mut rest = self.text.split_ascii_whitespace();
+        let keyword = rest.next().unwrap_or_default();
+        Fields { path: self.path, line: self.number, keyword, rest }
+    }
+
+    /// The line's fields where the format has no keywords; errors then call the line by `name`.
+    pub fn fields_of<'a>(&'a self, name: &'a str) -> Fields<'a> {
+        Fields { path: self.path, line: self.number, keyword: name, rest: self.text.split_ascii_whitespace() }
+    }
+}
+
+/// Takes the fields of a line one after the other; every error names file, line, keyword and value.
+pub struct Fields<'a> {
+    path: &'a Path,
+    line: usize,
+    pub keyword: &'a str,
+    rest: SplitAsciiWhitespace<'a>,
+}
+
+impl<'a> Fields<'a> {
+    /// Number of fields not yet taken.
+    pub fn remaining(&self) -> usize {
+        self.rest.clone().count()
+    }
+
+    /// Fails unless exactly `count` fields are left; `taken` of them are gone (with the keyword), and `why`
+    /// tells where the number comes from.
+    pub fn expect_remaining(&self, count: usize, taken: usize, why: &str) -> Result<(), DatasetError> {
+        let remaining = self.remaining();
+        if remaining == count {
+            return Ok(());
+        }
+        Err(DatasetError::FieldCount {
+            path: self.path.to_owned(),
+            line: self.line,
+            keyword: self.keyword.to_owned(),
+            found: taken.saturating_add(remaining),
+            allowed: format!("{} {why}", taken.saturating_add(count)),
+        })
+    }
+
+    /// The next field; an empty string when there is none.
+    pub fn word(&mut self) -> &'a str {
+        self.rest.next().unwrap_or_default()
+    }
+
+    /// The next field as a value that `accept` approves of.
+    pub fn value<T: FromStr + Copy>(
+        &mut self,
+        field: &str,
+        allowed: &str,
+        accept: impl Fn(T) -> bool,
+    ) -> Result<T, DatasetError> {
+        let word = self.word();
+        match word.parse::<T>() {
+            Ok(value) if accept(value) => Ok(value),
+            _ => Err(self.refuse(field, word, allowed)),
+        }
+    }
+
+    /// The next field as a finite number.
+    pub fn number(&mut self, field: &str) -> Result<f64, DatasetError> {
+        self.value(field, "a finite number", f64::is_finite)
+    }
+
+    /// The next three fields as a pose [m, m, rad].
+    pub fn pose(&mut self, of: &str) -> Result<Pose2, DatasetError> {
+        let [x, y, theta] = ["x", "y", "theta"]
+            .map(|axis| self.value(&format!("{of} {axis}"), "a finite number", f64::is_finite));
+        Ok(Pose2::new(x?, y?, theta?))
+    }
+
+    /// The error for a field whose value isn't allowed.
+    pub fn refuse(&self, field: &str, value: &str, allowed: &str) -> DatasetError {
+        DatasetError::Field {
+            path: self.path.to_owned(),
+            line: self.line,
+            keyword: self.keyword.to_owned(),
+            field: field.to_owned(),
+            value: value.chars().take(40).collect(),
+            allowed: allowed.to_owned(),
+        }
+    }
+}
