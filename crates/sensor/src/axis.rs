@@ -1,0 +1,100 @@
+//! The bins of an observation.
+
+use serde::{Deserialize, Serialize};
+
+/// Bins of different widths, each a whole number of quanta, found through a table in constant time.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(try_from = "Parts", into = "Parts")]
+pub(crate) struct Axis {
+    parts: Parts,
+    /// Bin of each quantum.
+    bin_of: Vec<u16>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Parts {
+    /// Lower end [m].
+    origin: f32,
+    /// Width of a quantum [m].
+    quantum: f32,
+    /// Upper end of each bin in quanta from the origin, ascending.
+    ends: Vec<u32>,
+}
+
+impl From<Axis> for Parts {
+    fn from(axis: Axis) -> Self {
+        axis.parts
+    }
+}
+
+impl TryFrom<Parts> for Axis {
+    type Error = &'static str;
+
+    fn try_from(parts: Parts) -> Result<Self, Self::Error> {
+        let ascending = parts.ends.first().is_some_and(|&e| e > 0) && parts.ends.is_sorted_by(|a, b| a < b);
+        let sound = parts.origin.is_finite() && parts.quantum.is_finite() && parts.quantum > 0.0;
+        if !(ascending && sound && parts.ends.len() <= usize::from(u16::MAX)) {
+            return Err("bins are out of order");
+        }
+        let mut bin_of = Vec::new();
+        for (bin, &end) in parts.ends.iter().enumerate() {
+            bin_of.resize(end as usize, bin as u16);
+        }
+        Ok(Self { parts, bin_of })
+    }
+}
+
+impl Axis {
+    /// `bins` bins of equal width over \[0, max) [m], for readings themselves.
+    pub fn uniform(max: f32, bins: usize) -> Self {
+        Self::build(0.0, max / bins as f32, (1..=bins as u32).collect())
+    }
+
+    /// Bins over [-max, max] [m] for offsets from the nominal range: of one quantum within 16 quanta of 0, where
+    /// the sensor's own noise lies, then each an eighth wider than the one before, up to `widest` [m].
+    pub fn around_zero(max: f32, quantum: f32, widest: f32) -> Self {
+        let most = (max / quantum).ceil() as u32;
+        let widest = ((widest / quantum) as u32).max(1);
+        let mut upper = Vec::new();
+        let mut end = 0;
+        while end < most {
+            end = (end + (end / 8).saturating_sub(1).clamp(1, widest)).min(most);
+            upper.push(end);
+        }
+        let lower = upper.iter().rev().skip(1).map(|end| most - end);
+        let ends = lower.chain([most]).chain(upper.iter().map(|end| most + end)).collect();
+        Self::build(-(most as f32) * quantum, quantum, ends)
+    }
+
+    fn build(origin: f32, quantum: f32, ends: Vec<u32>) -> Self {
+        Self::try_from(Parts { origin, quantum, ends }).expect("ends ascend by construction")
+    }
+
+    /// Number of bins.
+    pub fn bins(&self) -> usize {
+        self.parts.ends.len()
+    }
+
+    /// The bin of a value [m]; values outside fall into the first or the last bin.
+    #[inline]
+    pub fn bin(&self, value: f32) -> usize {
+        let quantum = ((value - self.parts.origin) * (1.0 / self.parts.quantum)) as usize;
+        usize::from(self.bin_of[quantum.min(self.bin_of.len() - 1)])
+    }
+
+    /// Lower end of a bin [m].
+    pub fn lower(&self, bin: usize) -> f32 {
+        let quanta = if bin == 0 { 0 } else { self.parts.ends[bin - 1] };
+        self.parts.origin + quanta as f32 * self.parts.quantum
+    }
+
+    /// Upper end of a bin [m].
+    pub fn upper(&self, bin: usize) -> f32 {
+        self.parts.origin + self.parts.ends[bin] as f32 * self.parts.quantum
+    }
+
+    /// Width of a bin [m].
+    pub fn width(&self, bin: usize) -> f32 {
+        self.upper(bin) - self.lower(bin)
+    }
+}

@@ -1,0 +1,99 @@
+use std::io;
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use crate::ModelKind;
+
+/// Why a sensor model can't be fitted, saved, loaded or used.
+#[derive(Debug, Error)]
+pub enum SensorError {
+    /// The maximum range is not a positive finite number.
+    #[error("the maximum range must be positive and finite, got {0} m")]
+    MaxRange(f32),
+    /// A training state has a pose, range or angle that is not finite or out of bounds.
+    #[error("training state {index}: {what}")]
+    State {
+        /// Index the state would have had.
+        index: usize,
+        /// What is wrong with it.
+        what: &'static str,
+    },
+    /// An observation lies outside of 0 to the maximum range.
+    #[error("training state {index}: reading {value} m is outside of 0 to {max_range} m")]
+    Reading {
+        /// Index the state would have had.
+        index: usize,
+        /// The reading [m].
+        value: f32,
+        /// The maximum range [m].
+        max_range: f32,
+    },
+    /// There are too few readings to fit anything.
+    #[error("{model}: {what}")]
+    TooFewData {
+        /// The model that was to be fitted.
+        model: ModelKind,
+        /// What is missing.
+        what: &'static str,
+    },
+    /// The training and held-out sets are of different sensors.
+    #[error("training data reach to {train} m, held-out data to {held_out} m")]
+    MaxRangesDiffer {
+        /// Maximum range of the training set [m].
+        train: f32,
+        /// Maximum range of the held-out set [m].
+        held_out: f32,
+    },
+    /// The likelihood field was to be fitted or used without a distance map.
+    #[error("likelihood_field needs a distance map")]
+    NoDistanceMap,
+    /// A model of this name doesn't exist.
+    #[error("unknown sensor model {0:?}; known are {known}", known = ModelKind::ALL.map(ModelKind::as_str).join(", "))]
+    UnknownModel(String),
+    /// Parameters of a model are out of bounds.
+    #[error("{what} must be {allowed}, got {value}")]
+    Parameter {
+        /// Which parameter.
+        what: &'static str,
+        /// The values it may have.
+        allowed: &'static str,
+        /// The value given.
+        value: f64,
+    },
+    /// There is nothing to choose a tempering from.
+    #[error("tempering: {0}")]
+    Calibration(&'static str),
+    /// A regression failed.
+    #[error("regression: {0}")]
+    Regression(#[from] distreg::Error),
+    /// A model file could not be read or written.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A file is not a sensor model of ours.
+    #[error("{path} is not a locsim sensor model", path = .0.display())]
+    Foreign(PathBuf),
+    /// A file was written by a later version of locsim.
+    #[error("{path} has format version {found}; this locsim reads version {known}", path = path.display())]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Version in the file.
+        found: u32,
+        /// Version this program writes and reads.
+        known: u32,
+    },
+    /// A file is cut short or altered.
+    #[error("{path} is damaged: {what}", path = path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What doesn't fit.
+        what: String,
+    },
+}

@@ -1,0 +1,178 @@
+//! The likelihood field: a reading is likely where it ends near a mapped surface.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use locsim_core::{Beams, DistanceMap, Draw, SensorModel};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use crate::beam::{cdfs, log_densities, samples};
+use crate::normal;
+use crate::{ModelKind, SensorError, TrainingSet};
+
+/// Steps of the quadrature along a beam.
+const STEPS: usize = 2048;
+
+/// Parameters of the likelihood field (Probabilistic Robotics, table 6.3): what a file keeps.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(crate) struct FieldParameters {
+    /// Weights of the Gaussian and of the uniform part; they sum to 1.
+    z_hit: f32,
+    z_rand: f32,
+    /// Share of readings at the maximum range.
+    z_max: f32,
+    /// Standard deviation of the distance from a reading's end to the nearest surface [m].
+    sigma_m: f32,
+}
+
+impl FieldParameters {
+    /// Maximum likelihood by expectation maximization over the distances at which the training readings end.
+    pub fn fit(train: &TrainingSet, map: &dyn DistanceMap) -> Result<Self, SensorError> {
+        let mut distances = Vec::new();
+        let mut at_max = 0usize;
+        for i in 0..train.len() {
+            let (sin, cos) = train.heading(i).sin_cos();
+            for &z in train.observations(i) {
+                if z >= train.max_range() {
+                    at_max += 1;
+                } else {
+                    let (x, y) = (train.pose(i).x + f64::from(z) * cos, train.pose(i).y + f64::from(z) * sin);
+                    distances.push(f64::from(map.distance(x, y)));
+                }
+            }
+        }
+        if distances.is_empty() {
+            return Err(SensorError::TooFewData {
+                model: ModelKind::LikelihoodField,
+                what: "no reading below the maximum range",
+            });
+        }
+        let n = distances.len() as f64;
+        let uniform = 1.0 / f64::from(train.max_range());
+        let (mut z_hit, mut sigma) = (0.8, 0.1);
+        for _ in 0..300 {
+            let (mut hits, mut squares) = (0.0, 0.0);
+            for d in &distances {
+                let hit = z_hit * normal::pdf(d / sigma) / sigma;
+                let share = hit / (hit + (1.0 - z_hit) * uniform);
+                hits += share;
+                squares += share * d * d;
+            }
+            // never quite certain, so that no share above is 0 / 0
+            z_hit = (hits / n).clamp(1e-6, 1.0 - 1e-6);
+            sigma = (squares / hits.max(1e-9)).sqrt().max(1e-3);
+        }
+        // the constant of the maximum range is never 0: one more such reading than was seen
+        let z_max = (at_max as f64 + 1.0) / (at_max as f64 + n + 2.0);
+        Ok(Self {
+            z_hit: z_hit as f32,
+            z_rand: (1.0 - z_hit) as f32,
+            z_max: z_max as f32,
+            sigma_m: sigma as f32,
+        })
+    }
+
+    pub fn chosen(&self) -> BTreeMap<String, f64> {
+        [("z_hit", self.z_hit), ("z_rand", self.z_rand), ("z_max", self.z_max), ("sigma_m", self.sigma_m)]
+            .map(|(name, value)| (name.to_owned(), f64::from(value)))
+            .into()
+    }
+}
+
+/// The likelihood field over a map.
+///
+/// `log_density` is the table's own score: (1 - `z_max`) (`z_hit` N(d; 0, sigma) + `z_rand` / max) at a reading's end with
+/// distance d to the nearest surface, and the constant `z_max` for any reading at the maximum range. It is **not**
+/// a normalized density of z: along a wall it is high for every z, so its log loss isn't comparable with that of
+/// the other models. `cdf` and `sample` use the same score normalized along the beam by quadrature.
+pub(crate) struct LikelihoodField {
+    pub parameters: FieldParameters,
+    pub map: Arc<dyn DistanceMap>,
+}
+
+impl LikelihoodField {
+    fn score(&self, x: f64, y: f64, max_range: f32) -> f32 {
+        let p = &self.parameters;
+        let t = self.map.distance(x, y) / p.sigma_m;
+        (1.0 - p.z_max) * (p.z_hit * 0.398_942_3 * (-0.5 * t * t).exp() / p.sigma_m + p.z_rand / max_range)
+    }
+
+    /// The running integral of the score along beam `i`, from 0 to 1 - `z_max`, at STEPS + 1 ranges.
+    fn profile(&self, beams: &Beams<'_>, i: usize, out: &mut Vec<f32>) {
+        let pose = beams.laser.get(i / beams.per_pose());
+        let (sin, cos) = beams.heading(i).sin_cos();
+        let step = f64::from(beams.max_range) / STEPS as f64;
+        out.clear();
+        out.push(0.0);
+        let mut sum = 0.0;
+        for s in 0..STEPS {
+            let z = (s as f64 + 0.5) * step;
+            sum += self.score(pose.x + z * cos, pose.y + z * sin, beams.max_range);
+            out.push(sum);
+        }
+        for value in out {
+            *value *= (1.0 - self.parameters.z_max) / sum;
+        }
+    }
+}
+
+/// Linear interpolation in a [`LikelihoodField::profile`].
+fn interpolate(profile: &[f32], fraction: f32) -> f32 {
+    let at = fraction * STEPS as f32;
+    let i = (at as usize).min(STEPS - 1);
+    profile[i] + (at - i as f32) * (profile[i + 1] - profile[i])
+}
+
+impl SensorModel for LikelihoodField {
+    fn name(&self) -> &str {
+        ModelKind::LikelihoodField.as_str()
+    }
+
+    fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
+        let directions: Vec<(f64, f64)> = beams.bearings.iter().map(|b| f64::from(*b).sin_cos()).collect();
+        let mut last = usize::MAX;
+        let (mut sin, mut cos) = (0.0, 1.0);
+        log_densities(z, beams, out, |z, beam| {
+            if z >= beam.max_range {
+                return self.parameters.z_max.ln();
+            }
+            if beam.pose != last {
+                (sin, cos) = beams.laser.theta[beam.pose].sin_cos();
+                last = beam.pose;
+            }
+            let (s, c) = directions[beam.bearing];
+            let x = beams.laser.x[beam.pose] + f64::from(z) * (cos * c - sin * s);
+            let y = beams.laser.y[beam.pose] + f64::from(z) * (sin * c + cos * s);
+            self.score(x, y, beam.max_range).ln()
+        });
+    }
+
+    fn cdf(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
+        let mut profile = Vec::new();
+        // many readings of one beam, as an evaluation asks for, share its profile
+        let mut profiled = None;
+        cdfs(z, beams, out, |z, beam| {
+            let key = (beam.pose, beams.bearings[beam.bearing]);
+            if profiled != Some(key) {
+                self.profile(beams, beam.pose * beams.per_pose() + beam.bearing, &mut profile);
+                profiled = Some(key);
+            }
+            interpolate(&profile, z / beam.max_range)
+        });
+    }
+
+    fn sample(&self, beams: &Beams<'_>, draw: &Draw, out: &mut [f32]) {
+        let mut profile = Vec::new();
+        samples(beams, draw, out, |beam, rng| {
+            self.profile(beams, beam.pose * beams.per_pose() + beam.bearing, &mut profile);
+            let u = rng.random::<f32>();
+            let above = profile.partition_point(|&p| p <= u);
+            if above > STEPS {
+                return beam.max_range;
+            }
+            let (lo, hi) = (profile[above - 1], profile[above]);
+            (above as f32 - 1.0 + (u - lo) / (hi - lo)) / STEPS as f32 * beam.max_range
+        });
+    }
+}

@@ -1,0 +1,132 @@
+//! A sensor model made of one histogram per cell of the state.
+
+use locsim_core::{Beams, Draw, SensorModel};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use crate::ModelKind;
+use crate::axis::Axis;
+use crate::beam::{Beam, cdfs, log_densities, samples};
+use crate::state_grid::StateGrid;
+
+/// The prepared form of `np_reg` and `np_reg_registered`: for each cell of (r, alpha) a histogram of the observation,
+/// which is z itself or the offset z - r from the beam's exact nominal range, and a point mass at the maximum range.
+///
+/// Within a bin the density is constant, so density, distribution function and samples agree exactly. An offset that
+/// would give a reading outside of \[0, maximum) counts as no return, at the maximum range.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(try_from = "Parts", into = "Parts")]
+pub(crate) struct HistogramTable {
+    parts: Parts,
+    /// \[cell\]\[bin\]: ln(mass / width).
+    log_density: Vec<f32>,
+    /// \[cell\]\[bins + 1\]: mass below each bin.
+    below: Vec<f32>,
+}
+
+/// What a file keeps.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Parts {
+    pub kind: ModelKind,
+    pub grid: StateGrid,
+    pub axis: Axis,
+    /// \[cell\]\[bin\]: mass of each bin; with the point mass a cell's masses sum to 1.
+    pub mass: Vec<f32>,
+}
+
+impl From<HistogramTable> for Parts {
+    fn from(table: HistogramTable) -> Self {
+        table.parts
+    }
+}
+
+impl TryFrom<Parts> for HistogramTable {
+    type Error = &'static str;
+
+    fn try_from(parts: Parts) -> Result<Self, Self::Error> {
+        let bins = parts.axis.bins();
+        let grid = &parts.grid;
+        if grid.ranges == 0 || grid.incidences == 0 || !(grid.max_range > 0.0 && grid.max_range.is_finite()) {
+            return Err("the state grid is empty");
+        }
+        if grid.cells().checked_mul(bins) != Some(parts.mass.len()) {
+            return Err("the number of bin masses doesn't match the grid");
+        }
+        if parts.mass.iter().any(|m| !(0.0..=1.0).contains(m)) {
+            return Err("a bin mass isn't a probability");
+        }
+        let widths: Vec<f32> = (0..bins).map(|bin| parts.axis.width(bin)).collect();
+        let mut log_density = Vec::with_capacity(parts.mass.len());
+        let mut below = Vec::with_capacity(parts.mass.len() + grid.cells());
+        for row in parts.mass.chunks(bins) {
+            let mut sum = 0.0f64;
+            for (mass, width) in row.iter().zip(&widths) {
+                log_density.push((mass / width).ln());
+                below.push(sum as f32);
+                sum += f64::from(*mass);
+            }
+            below.push(sum as f32);
+        }
+        Ok(Self { parts, log_density, below })
+    }
+}
+
+impl HistogramTable {
+    /// The observation that a reading is, on this beam [m].
+    #[inline]
+    fn observation(&self, z: f32, beam: &Beam) -> f32 {
+        if self.parts.kind == ModelKind::NpRegRegistered { z - beam.range } else { z }
+    }
+
+    /// Mass of the cell's histogram below an observation.
+    fn mass_below(&self, cell: usize, observation: f32) -> f32 {
+        let axis = &self.parts.axis;
+        let bin = axis.bin(observation);
+        let row = &self.below[cell * (axis.bins() + 1)..];
+        let share = ((observation - axis.lower(bin)) / axis.width(bin)).clamp(0.0, 1.0);
+        row[bin] + share * (row[bin + 1] - row[bin])
+    }
+
+    /// P(reading < `z`), `z` at most the maximum range.
+    fn cdf_at(&self, z: f32, beam: &Beam) -> f32 {
+        let cell = self.parts.grid.cell(beam);
+        self.mass_below(cell, self.observation(z, beam)) - self.mass_below(cell, self.observation(0.0, beam))
+    }
+}
+
+impl SensorModel for HistogramTable {
+    fn name(&self) -> &str {
+        self.parts.kind.as_str()
+    }
+
+    fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
+        let bins = self.parts.axis.bins();
+        log_densities(z, beams, out, |z, beam| {
+            if z >= beam.max_range {
+                return (1.0 - self.cdf_at(z, &beam)).max(0.0).ln();
+            }
+            let bin = self.parts.axis.bin(self.observation(z, &beam));
+            self.log_density[self.parts.grid.cell(&beam) * bins + bin]
+        });
+    }
+
+    fn cdf(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
+        cdfs(z, beams, out, |z, beam| self.cdf_at(z, &beam));
+    }
+
+    fn sample(&self, beams: &Beams<'_>, draw: &Draw, out: &mut [f32]) {
+        let axis = &self.parts.axis;
+        samples(beams, draw, out, |beam, rng| {
+            let row = &self.below[self.parts.grid.cell(&beam) * (axis.bins() + 1)..][..=axis.bins()];
+            let u = rng.random::<f32>();
+            let above = row.partition_point(|&p| p <= u);
+            if above > axis.bins() {
+                return beam.max_range;
+            }
+            let bin = above - 1;
+            let share = (u - row[bin]) / (row[above] - row[bin]);
+            let z = axis.lower(bin) + share * axis.width(bin) - self.observation(0.0, &beam);
+            if (0.0..beam.max_range).contains(&z) { z } else { beam.max_range }
+        });
+    }
+}

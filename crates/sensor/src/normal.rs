@@ -1,0 +1,75 @@
+//! The normal distribution, and the normal noise of a range reading: cut at 0, censored at the maximum range.
+
+use std::f64::consts::{FRAC_1_SQRT_2, PI};
+
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+use statrs::function::erf::erfc;
+
+/// 1 / sqrt(2 pi).
+const INV_SQRT_TAU: f32 = 0.398_942_3;
+
+/// Standard deviations beyond which a normal distribution has less mass (1e-9) than f32 can tell from none.
+const FAR: f64 = 6.0;
+
+/// Standard normal density.
+pub(crate) fn pdf(t: f64) -> f64 {
+    (-0.5 * t * t).exp() / (2.0 * PI).sqrt()
+}
+
+/// Standard normal distribution function.
+pub(crate) fn cdf(t: f64) -> f64 {
+    0.5 * erfc(-t * FRAC_1_SQRT_2)
+}
+
+/// A normal distribution of readings around `mean` [m]: conditioned on being at least 0, and everything at
+/// or beyond the maximum range reported as the maximum range.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RangeNormal {
+    pub mean: f32,
+    pub sigma: f32,
+}
+
+impl RangeNormal {
+    /// Share of the uncut distribution that is at least 0.
+    fn kept(self) -> f32 {
+        let t = f64::from(self.mean) / f64::from(self.sigma);
+        if t > FAR { 1.0 } else { cdf(t) as f32 }
+    }
+
+    /// Density at `z` below the maximum range [1/m].
+    pub fn density(self, z: f32) -> f32 {
+        let t = (z - self.mean) / self.sigma;
+        INV_SQRT_TAU * (-0.5 * t * t).exp() / (self.sigma * self.kept())
+    }
+
+    /// Natural log of [`RangeNormal::density`], without its underflow.
+    pub fn log_density(self, z: f32) -> f32 {
+        let t = (z - self.mean) / self.sigma;
+        -0.5 * t * t + (INV_SQRT_TAU / (self.sigma * self.kept())).ln()
+    }
+
+    /// P(reading <= `z`) below the maximum range.
+    pub fn cdf(self, z: f32) -> f32 {
+        let (mean, sigma) = (f64::from(self.mean), f64::from(self.sigma));
+        let below = cdf(-mean / sigma);
+        ((cdf((f64::from(z) - mean) / sigma) - below) / (1.0 - below)) as f32
+    }
+
+    /// Probability of the maximum range.
+    pub fn at(self, max_range: f32) -> f32 {
+        let t = (f64::from(self.mean) - f64::from(max_range)) / f64::from(self.sigma);
+        if t < -2.0 * FAR { 0.0 } else { cdf(t) as f32 / self.kept() }
+    }
+
+    /// A draw, at least 0 and at most the maximum range.
+    pub fn sample(self, max_range: f32, rng: &mut dyn Rng) -> f32 {
+        loop {
+            let t: f32 = StandardNormal.sample(rng);
+            let z = self.mean + self.sigma * t;
+            if z >= 0.0 {
+                return z.min(max_range);
+            }
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! The oracle: the density by which a simulated world makes its readings.
+
+use std::sync::Arc;
+
+use locsim_core::{Beams, Draw, Obstructions, SensorModel};
+use rand::{Rng, RngExt};
+
+use crate::SensorError;
+use crate::beam::{Beam, cdfs, log_densities, samples};
+use crate::normal::{self, RangeNormal};
+
+/// Noise beyond this many standard deviations (mass 6e-7) is taken as none.
+const REACH: f32 = 5.0;
+
+/// The best that any model of independent beams can be in a simulated world: it knows the true noise and, from
+/// [`Obstructions`], how far a ray gets before an unmapped object stops it.
+///
+/// With S the survival function of a ray and r its nominal range, the object in front stands at r with probability
+/// S(r), otherwise at x < r with density -S'(x), constant within a bin; the reading is that distance plus
+/// Gaussian noise of deviation `sigma_m + sigma_per_m * x`, conditioned on being at least 0, and the maximum range
+/// if it isn't below it. The noise's deviation is taken as constant within a bin. A ray that meets neither map nor
+/// object reads the maximum range.
+pub struct Oracle {
+    obstructions: Arc<dyn Obstructions>,
+    sigma_m: f32,
+    sigma_per_m: f32,
+}
+
+/// Where an unmapped object may stand on a ray: evenly within `[near, far]` [m].
+struct Stretch {
+    near: f32,
+    far: f32,
+    /// Probability that the nearest object stands here.
+    mass: f32,
+}
+
+impl Oracle {
+    /// The name of this model in scenarios and tables. It is no [`crate::ModelKind`]: there is nothing to fit or save.
+    pub const NAME: &'static str = "oracle";
+
+    /// `sigma_m` [m] and `sigma_per_m` [m per m of range] describe the true noise.
+    ///
+    /// # Errors
+    /// [`SensorError::Parameter`] unless `sigma_m` is positive and `sigma_per_m` at least 0, both finite.
+    pub fn new(
+        obstructions: Arc<dyn Obstructions>,
+        sigma_m: f32,
+        sigma_per_m: f32,
+    ) -> Result<Self, SensorError> {
+        if !(sigma_m > 0.0 && sigma_m.is_finite()) {
+            let (what, allowed) = ("the noise's sigma_m", "positive and finite");
+            return Err(SensorError::Parameter { what, allowed, value: sigma_m.into() });
+        }
+        if !(sigma_per_m >= 0.0 && sigma_per_m.is_finite()) {
+            let (what, allowed) = ("the noise's sigma_per_m", "at least 0 and finite");
+            return Err(SensorError::Parameter { what, allowed, value: sigma_per_m.into() });
+        }
+        Ok(Self { obstructions, sigma_m, sigma_per_m })
+    }
+
+    fn noise(&self, mean: f32) -> RangeNormal {
+        RangeNormal { mean, sigma: self.sigma_m + self.sigma_per_m * mean }
+    }
+
+    fn survival(&self, beams: &Beams<'_>, beam: Beam) -> &[f32] {
+        let heading = beams.laser.theta[beam.pose] + f64::from(beams.bearings[beam.bearing]);
+        self.obstructions.survival(beams.laser.x[beam.pose], beams.laser.y[beam.pose], heading)
+    }
+
+    /// The bins of a survival function between two ranges in which an object may stand, cut at `to`.
+    fn stretches(&self, survival: &[f32], from: f32, to: f32) -> impl Iterator<Item = Stretch> {
+        let width = self.obstructions.bin_m();
+        let first = (from / width).max(0.0) as usize;
+        let last = ((to / width).ceil().max(0.0) as usize).min(survival.len().saturating_sub(1));
+        (first..last).filter_map(move |i| {
+            let drop = survival[i] - survival[i + 1];
+            let near = i as f32 * width;
+            let far = (near + width).min(to);
+            // where the nominal range ends inside of a bin, the surface hides what stands behind it
+            (drop > 0.0 && far > near).then(|| Stretch { near, far, mass: drop * (far - near) / width })
+        })
+    }
+
+    /// Probability that nothing unmapped stands before the nominal range.
+    fn clear(&self, survival: &[f32], range: f32) -> f32 {
+        let at = range / self.obstructions.bin_m();
+        let i = at as usize;
+        match (survival.get(i), survival.get(i + 1)) {
+            (Some(a), Some(b)) => a + (at - i as f32) * (b - a),
+            (a, _) => a.or(survival.last()).copied().unwrap_or(1.0),
+        }
+    }
+
+    /// P(reading <= `z`) of an object that stands evenly within a stretch, for `z` from 0 to below the maximum.
+    fn stretch_cdf(&self, stretch: &Stretch, z: f32) -> f32 {
+        let mean = 0.5 * (stretch.near + stretch.far);
+        let sigma = f64::from(self.noise(mean).sigma);
+        let (near, far) = (f64::from(stretch.near), f64::from(stretch.far));
+        let at = |z: f64| {
+            if z - far > 8.0 * sigma {
+                return 1.0;
+            }
+            // the integral of the normal distribution function is t cdf(t) + pdf(t)
+            let primitive = |t: f64| t * normal::cdf(t) + normal::pdf(t);
+            sigma * (primitive((z - near) / sigma) - primitive((z - far) / sigma)) / (far - near)
+        };
+        let below = at(0.0);
+        ((at(f64::from(z)) - below) / (1.0 - below)) as f32
+    }
+
+    /// Density [1/m] of a reading of an object that stands evenly within a stretch.
+    fn stretch_density(&self, stretch: &Stretch, z: f32) -> f32 {
+        let sigma = f64::from(self.noise(0.5 * (stretch.near + stretch.far)).sigma);
+        let (near, far, z) = (f64::from(stretch.near), f64::from(stretch.far), f64::from(z));
+        let density = (normal::cdf((z - near) / sigma) - normal::cdf((z - far) / sigma)) / (far - near);
+        if near > 6.0 * sigma {
+            return density as f32;
+        }
+        let primitive = |t: f64| t * normal::cdf(t) + normal::pdf(t);
+        let below = sigma * (primitive(-near / sigma) - primitive(-far / sigma)) / (far - near);
+        (density / (1.0 - below)) as f32
+    }
+
+    fn density(&self, survival: &[f32], z: f32, beam: Beam) -> f32 {
+        let range = beam.range.min(beam.max_range);
+        let clear = self.clear(survival, range);
+        // noise where the reading is; at the far end of its own reach it is a little wider
+        let reach = REACH * self.noise(z * (1.0 + REACH * self.sigma_per_m) + REACH * self.sigma_m).sigma;
+        if z >= beam.max_range {
+            let nominal = if beam.is_open() { 1.0 } else { self.noise(range).at(beam.max_range) };
+            let objects: f32 = self
+                .stretches(survival, z - reach, range)
+                .map(|s| s.mass * (1.0 - self.stretch_cdf(&s, z)))
+                .sum();
+            return clear * nominal + objects;
+        }
+        let nominal =
+            if beam.is_open() || (z - range).abs() > reach { 0.0 } else { self.noise(range).density(z) };
+        let objects: f32 = self
+            .stretches(survival, z - reach, range)
+            .take_while(|s| s.near <= z + reach)
+            .map(|s| s.mass * self.stretch_density(&s, z))
+            .sum();
+        clear * nominal + objects
+    }
+
+    fn draw(&self, survival: &[f32], beam: Beam, rng: &mut dyn Rng) -> f32 {
+        let range = beam.range.min(beam.max_range);
+        let mut u = rng.random::<f32>();
+        for stretch in self.stretches(survival, 0.0, range) {
+            if u < stretch.mass {
+                let at = stretch.near + (stretch.far - stretch.near) * u / stretch.mass;
+                return self.noise(at).sample(beam.max_range, rng);
+            }
+            u -= stretch.mass;
+        }
+        if beam.is_open() { beam.max_range } else { self.noise(range).sample(beam.max_range, rng) }
+    }
+}
+
+impl SensorModel for Oracle {
+    fn name(&self) -> &str {
+        Self::NAME
+    }
+
+    fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
+        log_densities(z, beams, out, |z, beam| self.density(self.survival(beams, beam), z, beam).ln());
+    }
+
+    fn cdf(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
+        cdfs(z, beams, out, |z, beam| {
+            let survival = self.survival(beams, beam);
+            let range = beam.range.min(beam.max_range);
+            let nominal = if beam.is_open() { 0.0 } else { self.noise(range).cdf(z) };
+            let objects: f32 =
+                self.stretches(survival, 0.0, range).map(|s| s.mass * self.stretch_cdf(&s, z)).sum();
+            self.clear(survival, range) * nominal + objects
+        });
+    }
+
+    fn sample(&self, beams: &Beams<'_>, draw: &Draw, out: &mut [f32]) {
+        samples(beams, draw, out, |beam, rng| self.draw(self.survival(beams, beam), beam, rng));
+    }
+}

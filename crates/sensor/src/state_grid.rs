@@ -1,0 +1,58 @@
+//! The grid over the state (r, alpha) on which the regressed models are prepared.
+
+use std::f32::consts::FRAC_PI_2;
+
+use serde::{Deserialize, Serialize};
+
+use crate::beam::Beam;
+
+/// Cells over nominal range and incidence angle, and one more for beams that meet nothing in the map.
+///
+/// A prepared model answers with what it knows of the cell a beam falls into. Cells are small against the
+/// bandwidths, so that what is lost between a state and its cell's centre is small too.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StateGrid {
+    pub max_range: f32,
+    pub ranges: usize,
+    pub incidences: usize,
+}
+
+impl StateGrid {
+    /// Cells with a mapped surface; the cell of open beams has this index.
+    pub fn mapped(&self) -> usize {
+        self.ranges * self.incidences
+    }
+
+    /// All cells.
+    pub fn cells(&self) -> usize {
+        self.mapped() + 1
+    }
+
+    pub fn range_width(&self) -> f32 {
+        self.max_range / self.ranges as f32
+    }
+
+    pub fn incidence_width(&self) -> f32 {
+        FRAC_PI_2 / self.incidences as f32
+    }
+
+    /// The cell of a beam.
+    #[inline]
+    pub fn cell(&self, beam: &Beam) -> usize {
+        if beam.is_open() {
+            return self.mapped();
+        }
+        let i = (beam.range * (self.ranges as f32 / self.max_range)) as usize;
+        let j = (beam.incidence * (self.incidences as f32 / FRAC_PI_2)) as usize;
+        i.min(self.ranges - 1) * self.incidences + j.min(self.incidences - 1)
+    }
+
+    /// Nominal range and incidence angle at the middle of a cell; the maximum range and 0 for open beams.
+    pub fn centre(&self, cell: usize) -> (f32, f32) {
+        if cell >= self.mapped() {
+            return (self.max_range, 0.0);
+        }
+        let (i, j) = (cell / self.incidences, cell % self.incidences);
+        ((i as f32 + 0.5) * self.range_width(), (j as f32 + 0.5) * self.incidence_width())
+    }
+}

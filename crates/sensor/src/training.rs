@@ -1,0 +1,176 @@
+//! Training data: states of the sensor, each with one or more readings.
+
+use std::collections::BTreeSet;
+
+use locsim_core::{Draw, Pose2, Stage};
+use rand::RngExt;
+
+use crate::SensorError;
+use crate::beam::Beam;
+
+/// The state x of one beam: what a sensor model may know of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BeamState {
+    /// `map_from_laser`.
+    pub laser: Pose2,
+    /// Bearing of the beam in the laser frame [rad].
+    pub bearing: f32,
+    /// Nominal range r [m]; the maximum range where the map has nothing within reach.
+    pub range: f32,
+    /// Incidence angle alpha [rad], 0 to pi/2.
+    pub incidence: f32,
+    /// Surface id, [`locsim_core::NO_SURFACE`] without one.
+    pub surface: u32,
+    /// Which scan pose the beam belongs to; beams of one scan are never parted by [`TrainingSet::split`].
+    pub scan: u32,
+}
+
+/// D = {(`x_i`, `z_ij`)}: N beam states with one or more readings each, in a structure of arrays.
+#[derive(Clone, Debug)]
+pub struct TrainingSet {
+    max_range: f32,
+    states: Vec<BeamState>,
+    /// Readings of state i are `readings[ends[i - 1]..ends[i]]`.
+    ends: Vec<usize>,
+    readings: Vec<f32>,
+}
+
+impl TrainingSet {
+    /// An empty set for a sensor of this maximum range [m].
+    ///
+    /// # Errors
+    /// [`SensorError::MaxRange`] unless it is positive and finite.
+    pub fn new(max_range: f32) -> Result<Self, SensorError> {
+        if !(max_range > 0.0 && max_range.is_finite()) {
+            return Err(SensorError::MaxRange(max_range));
+        }
+        Ok(Self { max_range, states: Vec::new(), ends: Vec::new(), readings: Vec::new() })
+    }
+
+    /// Adds a state with its readings [m]; the maximum range means "no return". NaN readings (nothing usable)
+    /// are left out. Returns whether any reading was left: a state without one isn't kept.
+    ///
+    /// # Errors
+    /// [`SensorError::State`] or [`SensorError::Reading`] for values out of bounds; the set is then unchanged.
+    pub fn push(&mut self, state: BeamState, readings: &[f32]) -> Result<bool, SensorError> {
+        let index = self.len();
+        let refuse = |what| Err(SensorError::State { index, what });
+        if !(state.laser.is_finite() && state.bearing.is_finite()) {
+            return refuse("pose and bearing must be finite");
+        }
+        if !(0.0..=self.max_range).contains(&state.range) {
+            return refuse("the nominal range must be from 0 to the maximum range");
+        }
+        // pi/2 in f32 lies above that in f64, and ray casts round
+        if !(0.0..=std::f32::consts::FRAC_PI_2 + 1e-4).contains(&state.incidence) {
+            return refuse("the incidence angle must be from 0 to pi/2");
+        }
+        let outside = |z: &&f32| !z.is_nan() && !(0.0..=self.max_range).contains(*z);
+        if let Some(&value) = readings.iter().find(outside) {
+            return Err(SensorError::Reading { index, value, max_range: self.max_range });
+        }
+        let before = self.readings.len();
+        self.readings.extend(readings.iter().copied().filter(|z| !z.is_nan()));
+        let kept = self.readings.len() > before;
+        if kept {
+            self.states.push(state);
+            self.ends.push(self.readings.len());
+        }
+        Ok(kept)
+    }
+
+    /// Number of states, N.
+    pub fn len(&self) -> usize {
+        self.states.len()
+    }
+
+    /// No states at all.
+    pub fn is_empty(&self) -> bool {
+        self.states.is_empty()
+    }
+
+    /// Number of readings of all states.
+    pub fn reading_count(&self) -> usize {
+        self.readings.len()
+    }
+
+    /// Maximum range [m].
+    pub fn max_range(&self) -> f32 {
+        self.max_range
+    }
+
+    /// State `i`. Panics beyond the end, as slices do.
+    pub fn state(&self, i: usize) -> &BeamState {
+        &self.states[i]
+    }
+
+    /// Readings of state `i` [m], at least one. Panics beyond the end, as slices do.
+    pub fn observations(&self, i: usize) -> &[f32] {
+        let start = if i == 0 { 0 } else { self.ends[i - 1] };
+        &self.readings[start..self.ends[i]]
+    }
+
+    /// Parts the set by scan pose: about `held_out_share` of the scans go to the second set, and at least one goes to
+    /// each where there are two. Beams of one scan share what stands around the robot, so parting by beam would
+    /// let a model see its own test. The same seed gives the same parts.
+    ///
+    /// # Errors
+    /// [`SensorError::Parameter`] unless the share is above 0 and below 1.
+    pub fn split(&self, held_out_share: f64, seed: u64) -> Result<(Self, Self), SensorError> {
+        if !(held_out_share > 0.0 && held_out_share < 1.0) {
+            let (what, allowed) = ("the held-out share", "above 0 and below 1");
+            return Err(SensorError::Parameter { what, allowed, value: held_out_share });
+        }
+        let draw = Draw::new(seed, Stage::Training, 0);
+        let mut scans: Vec<u32> =
+            self.states.iter().map(|s| s.scan).collect::<BTreeSet<_>>().into_iter().collect();
+        // the scans with the smallest keys are held out
+        scans.sort_by_cached_key(|&scan| (draw.item(scan).random::<u64>(), scan));
+        let most = scans.len().saturating_sub(1);
+        let count = ((held_out_share * scans.len() as f64).round() as usize).max(1).min(most);
+        let held_out: BTreeSet<u32> = scans[..count].iter().copied().collect();
+        Ok((self.filtered(|s| !held_out.contains(&s.scan)), self.filtered(|s| held_out.contains(&s.scan))))
+    }
+
+    /// The states for which `keep` holds, in order.
+    #[must_use]
+    pub fn filtered(&self, keep: impl Fn(&BeamState) -> bool) -> Self {
+        let mut part =
+            Self { max_range: self.max_range, states: Vec::new(), ends: Vec::new(), readings: Vec::new() };
+        for (i, state) in self.states.iter().enumerate() {
+            if keep(state) {
+                part.states.push(*state);
+                part.readings.extend_from_slice(self.observations(i));
+                part.ends.push(part.readings.len());
+            }
+        }
+        part
+    }
+
+    /// Laser pose of state `i`.
+    pub(crate) fn pose(&self, i: usize) -> Pose2 {
+        self.states[i].laser
+    }
+
+    /// Direction of the beam of state `i` in the map frame [rad].
+    pub(crate) fn heading(&self, i: usize) -> f64 {
+        self.states[i].laser.theta + f64::from(self.states[i].bearing)
+    }
+
+    /// The beam of state `i`, as the models' per-beam functions see it.
+    pub(crate) fn beam(&self, i: usize) -> Beam {
+        let state = &self.states[i];
+        Beam {
+            pose: i,
+            bearing: 0,
+            range: state.range,
+            incidence: state.incidence,
+            max_range: self.max_range,
+        }
+    }
+
+    /// Every reading with its beam.
+    pub(crate) fn readings(&self) -> impl Iterator<Item = (f32, Beam)> + '_ {
+        (0..self.len()).flat_map(move |i| self.observations(i).iter().map(move |&z| (z, self.beam(i))))
+    }
+}
