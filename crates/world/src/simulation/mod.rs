@@ -1,0 +1,28 @@
+//! The simulated robot: unmapped blocks along the walls, a path through the map, odometry that errs, a laser.
+//!
+//! A [`Simulator`] puts them together. [`simulate_drive`] records a drive; [`Simulator::observe_many`] gathers
+//! repeated readings at given poses, to learn sensor models from; [`ObstructionTable`] knows how likely a block
+//! stands in a beam's way, for the oracle.
+//!
+//! Every draw is keyed by (seed, stage, step, item), see [`locsim_core::Draw`]: the same seed gives the same
+//! drive on any number of threads.
+
+mod blocks;
+mod drive;
+mod error;
+mod faces;
+mod laser;
+mod observe;
+mod obstruction;
+mod odometry;
+mod path;
+mod rectangle;
+
+pub use blocks::{Block, BlockModel, BlockOptions, BlockResampling};
+pub use drive::{Robot, SimulatedDrive, simulate_drive};
+pub use error::SimulationError;
+pub use laser::{LaserOptions, LaserSimulator};
+pub use observe::Simulator;
+pub use obstruction::{ObstructionOptions, ObstructionTable};
+pub use odometry::OdometryNoise;
+pub use path::{RobotPath, Trajectory, VelocitySegment};
