@@ -43,7 +43,7 @@ pub enum DatasetError {
         /// The last line.
         line: usize,
         /// Its first word.
-        keyword: String,
+        keyword: Box<str>,
     },
     /// A line is longer than any line of a log.
     #[error("{}:{line}: the line is too long for a text log; allowed: at most {limit} bytes", path.display())]
@@ -63,11 +63,11 @@ pub enum DatasetError {
         /// The line.
         line: usize,
         /// The line's keyword.
-        keyword: String,
+        keyword: Box<str>,
         /// Number of fields found.
         found: usize,
         /// Number of fields the format asks for, and why.
-        allowed: String,
+        allowed: Box<str>,
     },
     /// A field has a value that isn't allowed.
     #[error("{}:{line}: {keyword}: {field} is `{value}`; allowed: {allowed}", path.display())]
@@ -77,13 +77,13 @@ pub enum DatasetError {
         /// The line.
         line: usize,
         /// The line's keyword.
-        keyword: String,
+        keyword: Box<str>,
         /// What the field means.
-        field: String,
+        field: Box<str>,
         /// The offending value.
-        value: String,
+        value: Box<str>,
         /// What is allowed instead.
-        allowed: String,
+        allowed: Box<str>,
     },
     /// The log has no scan of the wanted laser.
     #[error("{}: no scan in this log; allowed: at least one {wanted} line; found: {found}", path.display())]

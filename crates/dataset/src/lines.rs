@@ -65,7 +65,7 @@ impl<'a, R: BufRead> Lines<'a, R> {
         Err(DatasetError::CutOff {
             path: self.path.to_owned(),
             line: self.number,
-            keyword: line.fields().keyword.to_owned(),
+            keyword: line.fields().keyword.into(),
         })
     }
 }
@@ -115,9 +115,9 @@ impl<'a> Fields<'a> {
         Err(DatasetError::FieldCount {
             path: self.path.to_owned(),
             line: self.line,
-            keyword: self.keyword.to_owned(),
+            keyword: self.keyword.into(),
             found: taken.saturating_add(remaining),
-            allowed: format!("{} {why}", taken.saturating_add(count)),
+            allowed: format!("{} {why}", taken.saturating_add(count)).into(),
         })
     }
 
@@ -145,7 +145,7 @@ impl<'a> Fields<'a> {
         self.value(field, "a finite number", f64::is_finite)
     }
 
-    /// The next three fields as a pose [m, m, rad].
+    /// The next three fields as a pose (m, m, rad).
     pub fn pose(&mut self, of: &str) -> Result<Pose2, DatasetError> {
         let [x, y, theta] = ["x", "y", "theta"]
             .map(|axis| self.value(&format!("{of} {axis}"), "a finite number", f64::is_finite));
@@ -157,10 +157,10 @@ impl<'a> Fields<'a> {
         DatasetError::Field {
             path: self.path.to_owned(),
             line: self.line,
-            keyword: self.keyword.to_owned(),
-            field: field.to_owned(),
+            keyword: self.keyword.into(),
+            field: field.into(),
             value: value.chars().take(40).collect(),
-            allowed: allowed.to_owned(),
+            allowed: allowed.into(),
         }
     }
 }

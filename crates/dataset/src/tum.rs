@@ -9,7 +9,7 @@ use crate::output::write_whole;
 /// A pose with its time: one line of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StampedPose {
-    /// Time [s].
+    /// Time (s).
     pub stamp_secs: f64,
     /// The pose at that time.
     pub pose: Pose2,

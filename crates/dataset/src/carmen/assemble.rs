@@ -8,20 +8,20 @@ use super::parse::{Log, ScanLine};
 use super::{CarmenLaser, CarmenOptions, LogKind, LogSummary, OdometrySource};
 use crate::DatasetError;
 
-/// Where the SICK LMS in centimetre mode begins to count error codes instead of distances [m].
+/// Where the SICK LMS in centimetre mode begins to count error codes instead of distances (m).
 const SICK_MAX_RANGE: f32 = 81.83;
 
-/// Poses nearer than this [m, rad] were printed from the same numbers.
+/// Poses nearer than this (m, rad) were printed from the same numbers.
 const SAME: f64 = 1e-6;
 
-/// The laser's pose on the robot varies by more than this [m, rad] only if one of the two was corrected.
+/// The laser's pose on the robot varies by more than this (m, rad) only if one of the two was corrected.
 const RIGID: f64 = 0.02;
 
-/// Times may go backwards this far [s] because messages were logged out of order; further back, the clock was
+/// Times may go backwards this far (s) because messages were logged out of order; further back, the clock was
 /// set or wrapped.
 const BACKWARDS: f64 = 60.0;
 
-/// No two scans of a log are further apart in time [s].
+/// No two scans of a log are further apart in time (s).
 const LEAP: f64 = 1e6;
 
 /// Turns the lines of a log into a drive.
@@ -148,7 +148,7 @@ impl Recognised {
     }
 }
 
-/// Poses that differ by at most `tolerance` [m, rad] in each component.
+/// Poses that differ by at most `tolerance` (m, rad) in each component.
 fn near(a: &Pose2, b: &Pose2, tolerance: f64) -> bool {
     (a.x - b.x).abs() <= tolerance
         && (a.y - b.y).abs() <= tolerance
@@ -203,6 +203,8 @@ fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Opti
         };
         let reference = match recognised.kind {
             LogKind::Raw => None,
+            // The corrected pose is the laser's, whatever the mount: the end points of Freiburg 079 (noted mount
+            // -0.04 m) have an entropy of 9.75 nats with beams from that pose, 9.92 from 0.04 m behind it.
             LogKind::Corrected => Some(scan.laser_pose.compose(&laser_from_base)),
             LogKind::Simulated => scan.before.truth.map(|(truth, then)| {
                 if then == odometry { truth } else { truth.compose(&odometry.relative_to(&then)) }
@@ -233,7 +235,7 @@ fn laser(log: &Log, options: &CarmenOptions, mount: Pose2, path: &Path) -> Resul
 #[derive(Default)]
 struct Clock {
     last: Option<f64>,
-    /// What the log's clock has lost since the start [s].
+    /// What the log's clock has lost since the start (s).
     offset: f64,
     repaired: usize,
     repeated: usize,

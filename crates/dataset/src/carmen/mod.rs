@@ -45,11 +45,11 @@ impl CarmenLaser {
 pub struct CarmenOptions {
     /// Which laser's scans.
     pub laser: CarmenLaser,
-    /// Readings of this range [m] or more mean "no return". `None`: the maximum range in the ROBOTLASER line;
+    /// Readings of this range (m) or more mean "no return". `None`: the maximum range in the ROBOTLASER line;
     /// for FLASER lines, which have none, 81.83 m, where the SICK LMS begins to count its error codes. Some
     /// logs need another value; [`LogSummary::longest_return_m`] shows it.
     pub max_range_m: Option<f32>,
-    /// Readings below this range [m] are unusable. `None`: what [`write_carmen`] has noted in the log,
+    /// Readings below this range (m) are unusable. `None`: what [`write_carmen`] has noted in the log,
     /// otherwise 0. A reading of exactly 0 is always unusable.
     pub min_range_m: Option<f32>,
 }
@@ -73,7 +73,7 @@ pub enum OdometrySource {
     ScanLines,
     /// The last ODOM line before each scan.
     OdomLines,
-    /// ODOM lines that start again from the corrected pose after each scan, as GMapping writes them: the last
+    /// ODOM lines that start again from the corrected pose after each scan, as gmapping writes them: the last
     /// one before a scan, seen from the scan before, is the odometry of the interval.
     RestartedOdomLines,
 }
@@ -106,7 +106,7 @@ pub struct LogSummary {
     pub no_return_share: f64,
     /// Share of readings that are unusable (NaN).
     pub unusable_share: f64,
-    /// The longest reading below the maximum range [m]; `None` when no reading is.
+    /// The longest reading below the maximum range (m); `None` when no reading is.
     pub longest_return_m: Option<f32>,
 }
 

@@ -17,7 +17,7 @@ pub struct Log {
     /// Keyword of the scans' lines.
     pub keyword: &'static str,
     pub scans: Vec<ScanLine>,
-    /// Layout and maximum range [m] of the first ROBOTLASER line; the others have the same.
+    /// Layout and maximum range (m) of the first ROBOTLASER line; the others have the same.
     pub layout: Option<Layout>,
     pub params: Params,
     pub odometry_lines: usize,
@@ -59,7 +59,7 @@ pub struct Layout {
 /// The parameters that matter here, where the log has them.
 #[derive(Default)]
 pub struct Params {
-    /// Mount of the wanted laser: x [m], y [m], heading [rad].
+    /// Mount of the wanted laser: x (m), y (m), heading (rad).
     pub offset: Option<f64>,
     pub side_offset: Option<f64>,
     pub angular_offset: Option<f64>,
@@ -120,6 +120,7 @@ pub fn parse<R: BufRead>(
         skipped: BTreeMap::new(),
         first_odometry: None,
     };
+    let mut params = 0;
     let mut between = Between::default();
     while let Some(line) = lines.next()? {
         let mut fields = line.fields();
@@ -128,6 +129,7 @@ pub fn parse<R: BufRead>(
         let is_scan = |form| keyword == form && (log.scans.is_empty() || log.keyword == form);
         if keyword == "PARAM" {
             log.params.read(fields, laser)?;
+            params += 1;
         } else if keyword == "ODOM" {
             fields.expect_remaining(6 + TRAILER, 1, "(ODOM x y theta tv rv accel, times and host)")?;
             let pose = fields.pose("robot")?;
@@ -165,7 +167,7 @@ pub fn parse<R: BufRead>(
     if !log.scans.is_empty() {
         return Ok(log);
     }
-    let known = [("ODOM", log.odometry_lines), ("TRUEPOS", log.true_pose_lines)];
+    let known = [("PARAM", params), ("ODOM", log.odometry_lines), ("TRUEPOS", log.true_pose_lines)];
     let found: Vec<_> = known
         .into_iter()
         .chain(log.skipped.iter().map(|(word, n)| (word.as_str(), *n)))
@@ -194,7 +196,7 @@ fn counted_as(keyword: &str) -> String {
     }
 }
 
-/// The time of a message [s], from the fields that end it.
+/// The time of a message (s), from the fields that end it.
 fn trailer(fields: &mut Fields<'_>) -> Result<f64, DatasetError> {
     let stamp_secs = fields.number("ipc_timestamp")?;
     fields.word();
@@ -279,7 +281,7 @@ fn beam_count(fields: &mut Fields<'_>, first: Option<usize>) -> Result<usize, Da
     }
 }
 
-/// Readings as they stand [m]; infinity, which some writers use, is above every maximum range.
+/// Readings as they stand (m); infinity, which some writers use, is above every maximum range.
 fn ranges(fields: &mut Fields<'_>, n: usize) -> Result<Vec<f32>, DatasetError> {
     let mut ranges = Vec::with_capacity(n);
     for i in 0..n {

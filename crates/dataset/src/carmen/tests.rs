@@ -38,7 +38,7 @@ fn corrected_path() -> (Vec<Pose2>, Vec<Pose2>) {
     (poses, increments)
 }
 
-/// A log as GMapping writes it: ODOM restarts at each corrected pose, `lines` of them per interval.
+/// A log as gmapping writes it: ODOM restarts at each corrected pose, `lines` of them per interval.
 fn corrected_log(lines: usize) -> String {
     let (poses, increments) = corrected_path();
     let mut text = String::from("PARAM robot_frontlaser_offset -0.04 nohost 0\n");
@@ -281,6 +281,7 @@ fn errors_name_file_line_keyword_value_and_what_is_allowed() {
         ("\n# nothing\n".into(), &["empty"]),
         ("O 1 2 3\nL 1\nL 2\n".into(), &["no scan", "FLASER or ROBOTLASER1", "L 2, O 1"]),
         ("ODOM 0 0 0 0 0 0 0 h 0\n".into(), &["no scan", "found: ODOM 1"]),
+        ("PARAM a 1 h 0\nPARAM b\n# end\n".into(), &["no scan", "found: PARAM 2"]),
         (format!("{good}FLASER 2 1 1 0 0 0 0 0 0 1 h"), &["test.log:2: FLASER", "cut off"]),
         (good.trim_end().into(), &["test.log:1: FLASER", "cut off", "newline"]),
         (format!("{good}FLASER 2 1 1 0 0\n"), &[":2: FLASER", "6 fields", "13 for 2 beams"]),
@@ -301,7 +302,7 @@ fn errors_name_file_line_keyword_value_and_what_is_allowed() {
         (robot.replace(" 30 ", " 0 "), &["maximum_range is `0`", "more than 0 m"]),
         (
             robot.replace("2 1 2 0", "2 1 2 5"),
-            &["ROBOTLASER1", "25 fields", "30 for 2 beams and 5 remissions"],
+            &["ROBOTLASER1", "26 fields", "31 for 2 beams and 5 remissions"],
         ),
         ("ROBOTLASER1 0 -1 1 1 30 0.01 0 2 1\n".into(), &["10 fields", "26 or more for 2 beams"]),
         (format!("{robot}{}", robot.replace("-1 1 1", "-2 1 1")), &[":2:", "from -2 rad", "same laser"]),
