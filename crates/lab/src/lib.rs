@@ -3,3 +3,4 @@
 pub mod palette;
 pub mod results;
 pub mod scenario;
+pub mod yaml;

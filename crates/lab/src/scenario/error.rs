@@ -104,7 +104,9 @@ mod tests {
 
     #[test]
     fn edit_distances_are_levenshteins() {
-        for (a, b, distance) in [("kitten", "sitting", 3), ("", "abc", 3), ("abc", "", 3), ("beams", "beams", 0)] {
+        for (a, b, distance) in
+            [("kitten", "sitting", 3), ("", "abc", 3), ("abc", "", 3), ("beams", "beams", 0)]
+        {
             assert_eq!(edit_distance(a, b), distance, "{a} {b}");
         }
     }

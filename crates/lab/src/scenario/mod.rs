@@ -1,8 +1,56 @@
 //! Scenarios: YAML files that say what an experiment is. [`Scenario::load`] reads and checks one; nothing runs
-//! before every check has passed.
+//! before every check has passed. [`schema`] describes the files to editors.
 
-mod error;
+mod check;
+pub(crate) mod error;
+mod form;
+pub(crate) mod locate;
+mod raw;
+mod validate;
 mod validated;
+
+use std::path::Path;
 
 pub use error::{Problem, ScenarioError};
 pub use validated::*;
+
+use crate::yaml;
+
+/// What the command line says instead of the scenario.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Overrides {
+    /// Number of trials.
+    pub trials: Option<u32>,
+    /// Seed.
+    pub seed: Option<u64>,
+    /// Labels of the models to run, a subset of the scenario's; their order stays the scenario's. Bounds and
+    /// recordings of the others are dropped.
+    pub models: Option<Vec<String>>,
+}
+
+impl Scenario {
+    /// Reads and checks a scenario file.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] with everything that is wrong: file, line, key path, value and what is allowed.
+    pub fn load(path: &Path, overrides: &Overrides) -> Result<Self, ScenarioError> {
+        let text = yaml::read(path)?;
+        Self::parse(path, &text, overrides, &|name| std::env::var(name).ok())
+    }
+
+    /// [`Scenario::load`] of a text that was read from `path`, with an environment of the caller's.
+    fn parse(
+        path: &Path,
+        text: &str,
+        overrides: &Overrides,
+        environment: check::Environment<'_>,
+    ) -> Result<Self, ScenarioError> {
+        let (raw, locations) = yaml::parse::<raw::RawScenario>(path, text)?;
+        validate::validate(raw, path, overrides, check::Checker::new(path, &locations, environment))
+    }
+}
+
+/// The JSON Schema of scenario files.
+pub fn schema() -> serde_json::Value {
+    schemars::schema_for!(raw::RawScenario).to_value()
+}

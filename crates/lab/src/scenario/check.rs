@@ -1,0 +1,206 @@
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use super::locate::{Locations, join};
+use super::{Problem, ScenarioError};
+
+/// Looks up an environment variable; `None` where it isn't set.
+pub(super) type Environment<'a> = &'a dyn Fn(&str) -> Option<String>;
+
+/// Checks values one after another and remembers every problem, so that a person mends a file in one go.
+pub(super) struct Checker<'a> {
+    file: &'a Path,
+    locations: &'a Locations,
+    environment: Environment<'a>,
+    problems: Vec<Problem>,
+}
+
+/// Which numbers are allowed; NaN and infinities never are.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Allowed {
+    /// Every number.
+    Any,
+    /// This or more.
+    AtLeast(f64),
+    /// More than this.
+    Above(f64),
+    /// From the first to the second.
+    Within(f64, f64),
+    /// More than the first, up to the second.
+    AboveUpTo(f64, f64),
+    /// From the first, less than the second.
+    FromBelow(f64, f64),
+    /// Strictly between.
+    Between(f64, f64),
+}
+
+impl Allowed {
+    fn contains(self, value: f64) -> bool {
+        value.is_finite()
+            && match self {
+                Self::Any => true,
+                Self::AtLeast(lo) => value >= lo,
+                Self::Above(lo) => value > lo,
+                Self::Within(lo, hi) => (lo..=hi).contains(&value),
+                Self::AboveUpTo(lo, hi) => value > lo && value <= hi,
+                Self::FromBelow(lo, hi) => (lo..hi).contains(&value),
+                Self::Between(lo, hi) => value > lo && value < hi,
+            }
+    }
+}
+
+impl fmt::Display for Allowed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Any => f.write_str("a finite number"),
+            Self::AtLeast(lo) => write!(f, "a finite number not below {lo}"),
+            Self::Above(lo) => write!(f, "a finite number above {lo}"),
+            Self::Within(lo, hi) => write!(f, "a number from {lo} to {hi}"),
+            Self::AboveUpTo(lo, hi) => write!(f, "a number above {lo}, up to {hi}"),
+            Self::FromBelow(lo, hi) => write!(f, "a number from {lo}, below {hi}"),
+            Self::Between(lo, hi) => write!(f, "a number above {lo}, below {hi}"),
+        }
+    }
+}
+
+impl<'a> Checker<'a> {
+    pub(super) fn new(file: &'a Path, locations: &'a Locations, environment: Environment<'a>) -> Self {
+        Self { file, locations, environment, problems: Vec::new() }
+    }
+
+    /// Remembers a problem with the value at `key`.
+    pub(super) fn problem(&mut self, key: &str, message: impl Into<String>) {
+        self.problems.push(Problem {
+            line: self.locations.line(key),
+            key: key.to_owned(),
+            message: message.into(),
+        });
+    }
+
+    /// Remembers a problem where `wrong`.
+    pub(super) fn refuse(&mut self, wrong: bool, key: &str, message: impl FnOnce() -> String) {
+        if wrong {
+            self.problem(key, message());
+        }
+    }
+
+    /// No problem so far.
+    pub(super) fn is_clean(&self) -> bool {
+        self.problems.is_empty()
+    }
+
+    /// The problems as an error, in the order of the file.
+    pub(super) fn into_error(mut self) -> ScenarioError {
+        self.problems.sort_by_key(|problem| problem.line);
+        ScenarioError::Invalid { file: self.file.to_owned(), problems: self.problems }
+    }
+
+    /// A number in range.
+    pub(super) fn number(&mut self, key: &str, value: f64, allowed: Allowed) -> f64 {
+        self.refuse(!allowed.contains(value), key, || format!("{value} is not allowed; {allowed}"));
+        value
+    }
+
+    /// A number in range, in degrees; returns radians.
+    pub(super) fn degrees(&mut self, key: &str, value: f64, allowed: Allowed) -> f64 {
+        self.number(key, value, allowed).to_radians()
+    }
+
+    /// A list of numbers in range.
+    pub(super) fn numbers(&mut self, key: &str, values: &[f64], allowed: Allowed) {
+        for (i, value) in values.iter().enumerate() {
+            self.number(&format!("{key}[{i}]"), *value, allowed);
+        }
+    }
+
+    /// An interval `[lo, hi]` of numbers in range, lo <= hi.
+    pub(super) fn interval(&mut self, key: &str, [lo, hi]: [f64; 2], allowed: Allowed) -> [f64; 2] {
+        self.numbers(key, &[lo, hi], allowed);
+        self.refuse(lo > hi, key, || format!("[{lo}, {hi}] is not allowed; [lo, hi] with lo not above hi"));
+        [lo, hi]
+    }
+
+    /// A whole number in range.
+    pub(super) fn count(&mut self, key: &str, value: u64, lo: u32, hi: u32) -> u32 {
+        let range = u64::from(lo)..=u64::from(hi);
+        self.refuse(!range.contains(&value), key, || {
+            format!("{value} is not allowed; a whole number from {lo} to {hi}")
+        });
+        value.min(u64::from(u32::MAX)) as u32
+    }
+
+    /// Intervals `[from, to)` of a log: at least one, each with 0 <= from < to <= 1, in order.
+    pub(super) fn shares(&mut self, key: &str, shares: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        self.refuse(shares.is_empty(), key, || {
+            "an empty list is not allowed; at least one interval [from, to]".to_owned()
+        });
+        let mut end = 0.0;
+        for (i, [from, to]) in shares.iter().enumerate() {
+            let legal = *from >= end && from < to && *to <= 1.0;
+            self.refuse(!legal, &format!("{key}[{i}]"), || {
+                format!(
+                    "[{from}, {to}] is not allowed; [from, to] with 0 <= from < to <= 1, not before the end of \
+                     the interval before it"
+                )
+            });
+            end = *to;
+        }
+        shares.to_vec()
+    }
+
+    /// An existing file: `${VARIABLE}` is replaced, a relative path starts at the scenario's folder.
+    pub(super) fn file(&mut self, key: &str, text: &str) -> PathBuf {
+        match expand(text, self.environment) {
+            Ok(expanded) => {
+                let path = self.file.parent().unwrap_or(Path::new("")).join(&expanded);
+                self.refuse(!path.is_file(), key, || {
+                    format!("`{text}` is not allowed; there is no file {}", path.display())
+                });
+                path
+            }
+            Err(message) => {
+                self.problem(key, format!("`{text}` is not allowed; {message}"));
+                PathBuf::new()
+            }
+        }
+    }
+
+    /// A key that goes only with another choice.
+    pub(super) fn absent<T>(&mut self, parent: &str, key: &str, value: Option<&T>, why: &str) {
+        self.refuse(value.is_some(), &join(parent, key), || format!("the key is not allowed here; {why}"));
+    }
+}
+
+/// Replaces each `${NAME}` by the environment variable of that name.
+fn expand(text: &str, environment: Environment<'_>) -> Result<String, String> {
+    let mut expanded = String::new();
+    let mut rest = text;
+    while let Some((before, after)) = rest.split_once("${") {
+        let (name, after) = after.split_once('}').ok_or("`${` has no `}`")?;
+        let value = environment(name)
+            .ok_or_else(|| format!("the environment variable {name} is not set (export {name}=...)"))?;
+        expanded.push_str(before);
+        expanded.push_str(&value);
+        rest = after;
+    }
+    expanded.push_str(rest);
+    Ok(expanded)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_variable_of_a_path_is_expanded_and_what_it_holds_is_not() {
+        let environment = |name: &str| match name {
+            "A" => Some("${B}".to_owned()),
+            "B" => Some("b".to_owned()),
+            _ => None,
+        };
+        assert_eq!(expand("x/${A}-${B}/$B", &environment).unwrap(), "x/${B}-b/$B");
+        assert_eq!(expand("plain", &environment).unwrap(), "plain");
+        assert!(expand("${C}", &environment).unwrap_err().contains("variable C is not set"));
+        assert!(expand("${A", &environment).unwrap_err().contains("no `}`"));
+    }
+}

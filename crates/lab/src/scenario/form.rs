@@ -1,0 +1,67 @@
+use std::fmt;
+use std::marker::PhantomData;
+
+use schemars::JsonSchema;
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{Error, MapAccess, SeqAccess, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+/// A value with a short form (a word or a number) and a full form (a map or a list).
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub(super) enum Form<S, F> {
+    /// The short form.
+    Short(S),
+    /// The full form.
+    Full(F),
+}
+
+/// What can be written as a word or a number.
+pub(super) trait Short: Sized {
+    /// Every form that is allowed, the full one included, as an error message shows them.
+    const FORMS: &'static [&'static str];
+
+    /// From a word of the file.
+    fn from_word(_: &str) -> Option<Self> {
+        None
+    }
+
+    /// From a whole number.
+    fn from_count(_: u64) -> Option<Self> {
+        None
+    }
+}
+
+impl<'de, S: Short, F: Deserialize<'de>> Deserialize<'de> for Form<S, F> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(FormVisitor(PhantomData))
+    }
+}
+
+struct FormVisitor<S, F>(PhantomData<(S, F)>);
+
+impl<'de, S: Short, F: Deserialize<'de>> Visitor<'de> for FormVisitor<S, F> {
+    type Value = Form<S, F>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "allowed: {}", S::FORMS.join(", "))
+    }
+
+    fn visit_str<E: Error>(self, word: &str) -> Result<Self::Value, E> {
+        S::from_word(word).map(Form::Short).ok_or_else(|| E::unknown_variant(word, S::FORMS))
+    }
+
+    fn visit_u64<E: Error>(self, count: u64) -> Result<Self::Value, E> {
+        S::from_count(count)
+            .map(Form::Short)
+            .ok_or_else(|| E::invalid_type(Unexpected::Unsigned(count), &self))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+        F::deserialize(MapAccessDeserializer::new(map)).map(Form::Full)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Self::Value, A::Error> {
+        F::deserialize(SeqAccessDeserializer::new(list)).map(Form::Full)
+    }
+}

@@ -1,0 +1,226 @@
+use std::path::PathBuf;
+
+use locsim_core::Pose2;
+
+use super::MAX_BEAMS;
+use crate::scenario::check::Allowed::{Above, AboveUpTo, Any, AtLeast, Within};
+use crate::scenario::check::Checker;
+use crate::scenario::locate::join;
+use crate::scenario::raw::{
+    RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot, RawScenario,
+    RawSegment, RayCastMethod, default,
+};
+use crate::scenario::{
+    BlockResampling, Blocks, Laser, Log, LogMap, RayCast, Robot, RobotPath, Simulation, Source,
+    VelocitySegment,
+};
+
+pub(super) fn ray_cast(check: &mut Checker<'_>, raw: &RawRayCast) -> RayCast {
+    match raw.method {
+        RayCastMethod::Table => RayCast::Table {
+            cell_m: check.number(
+                "ray_cast.cell_m",
+                raw.cell_m.unwrap_or(default::CELL_M),
+                Within(0.001, 10.0),
+            ),
+            headings: check.count("ray_cast.headings", raw.headings.unwrap_or(default::HEADINGS), 4, 3600),
+        },
+        RayCastMethod::Exact => {
+            let why = "it belongs to `method: table`";
+            check.absent("ray_cast", "cell_m", raw.cell_m.as_ref(), why);
+            check.absent("ray_cast", "headings", raw.headings.as_ref(), why);
+            RayCast::Exact
+        }
+    }
+}
+
+/// `None` where so much is missing that there is nothing to return; the problem is remembered.
+pub(super) fn source(check: &mut Checker<'_>, raw: &RawScenario) -> Option<Source> {
+    let map = raw.map.as_ref().map(|map| check.file("map.file", &map.file));
+    match (&raw.robot, &raw.log) {
+        (Some(robot), None) => {
+            let blocks = raw.blocks.as_ref().map(|raw| blocks(check, raw));
+            let robot = self::robot(check, robot);
+            let laser = raw.laser.as_ref().map(|raw| laser(check, raw));
+            check.refuse(map.is_none(), "map", || "the key is missing; `robot` drives in a map".to_owned());
+            check.refuse(laser.is_none(), "laser", || {
+                "the key is missing; `robot` carries a laser".to_owned()
+            });
+            Some(Source::Simulation(Simulation { map: map?, blocks, robot, laser: laser? }))
+        }
+        (None, Some(log)) => {
+            check.absent("", "blocks", raw.blocks.as_ref(), "a log can't be given blocks");
+            check.absent("", "laser", raw.laser.as_ref(), "the log brings its own laser");
+            Some(Source::Log(self::log(check, log, map)))
+        }
+        (Some(_), Some(_)) => {
+            check.problem("log", "the key is not allowed here; either `robot` or `log`, not both");
+            None
+        }
+        (None, None) => {
+            check.problem("", "`robot` and `log` are both missing; one of them is needed");
+            None
+        }
+    }
+}
+
+fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> Blocks {
+    let resample = match raw.resample {
+        RawBlockResampling::EachObservation => BlockResampling::EachObservation,
+        RawBlockResampling::Never => BlockResampling::Never,
+        RawBlockResampling::EachScanN(n) => {
+            BlockResampling::EachScanN(check.count("blocks.resample.each_scan_n", n, 1, 1_000_000))
+        }
+    };
+    let speed_m_s = check.interval("blocks.speed_m_s", raw.speed_m_s, Any);
+    let persists = resample != BlockResampling::EachObservation;
+    check.refuse(!persists && speed_m_s != [0.0; 2], "blocks.speed_m_s", || {
+        let [lo, hi] = speed_m_s;
+        format!(
+            "[{lo}, {hi}] is not allowed; blocks move only with `resample: never` or `{{each_scan_n: ...}}`"
+        )
+    });
+    let [yaw_lo, yaw_hi] = check.interval("blocks.yaw_deg", raw.yaw_deg, Within(-180.0, 180.0));
+    Blocks {
+        per_metre_of_wall: check.number(
+            "blocks.per_metre_of_wall",
+            raw.per_metre_of_wall,
+            Within(0.0, 100.0),
+        ),
+        length_m: check.interval("blocks.length_m", raw.length_m, Above(0.0)),
+        width_m: check.interval("blocks.width_m", raw.width_m, Above(0.0)),
+        yaw_rad: [yaw_lo.to_radians(), yaw_hi.to_radians()],
+        wall_distance_m: check.interval("blocks.wall_distance_m", raw.wall_distance_m, AtLeast(0.0)),
+        resample,
+        speed_m_s,
+        clearance_m: check.number("blocks.clearance_m", raw.clearance_m, AtLeast(0.0)),
+    }
+}
+
+fn robot(check: &mut Checker<'_>, raw: &RawRobot) -> Robot {
+    let alpha = raw.odometry_noise.alpha;
+    check.numbers("robot.odometry_noise.alpha", &alpha, AtLeast(0.0));
+    Robot {
+        path: match &raw.path {
+            RawPath::Waypoints { points_m, speed_m_s, turn_rate_deg_s } => {
+                let key = "robot.path.waypoints";
+                waypoints(check, &join(key, "points_m"), points_m);
+                RobotPath::Waypoints {
+                    points_m: points_m.clone(),
+                    speed_m_s: check.number(&join(key, "speed_m_s"), *speed_m_s, Above(0.0)),
+                    turn_rate_rad_s: check.degrees(
+                        &join(key, "turn_rate_deg_s"),
+                        *turn_rate_deg_s,
+                        Above(0.0),
+                    ),
+                }
+            }
+            RawPath::VelocityProfile { start, segments } => velocity_profile(check, *start, segments),
+        },
+        start_jitter_m: check.number("robot.start_jitter_m", raw.start_jitter_m, AtLeast(0.0)),
+        odometry_alpha: alpha,
+    }
+}
+
+fn waypoints(check: &mut Checker<'_>, key: &str, points: &[[f64; 2]]) {
+    check.refuse(points.len() < 2, key, || {
+        format!("{} points are not allowed; a path needs at least 2", points.len())
+    });
+    for (i, point) in points.iter().enumerate() {
+        let key = format!("{key}[{i}]");
+        check.numbers(&key, point, Any);
+        check.refuse(i > 0 && points[i - 1] == *point, &key, || {
+            let [x, y] = point;
+            format!("[{x}, {y}] is not allowed; it repeats the point before it")
+        });
+    }
+}
+
+fn velocity_profile(check: &mut Checker<'_>, start: RawPose, segments: &[RawSegment]) -> RobotPath {
+    let key = "robot.path.velocity_profile";
+    let start = Pose2::new(
+        check.number(&join(key, "start.x_m"), start.x_m, Any),
+        check.number(&join(key, "start.y_m"), start.y_m, Any),
+        check.degrees(&join(key, "start.heading_deg"), start.heading_deg, Any),
+    );
+    let list = join(key, "segments");
+    check.refuse(segments.is_empty(), &list, || {
+        "an empty list is not allowed; at least one segment".to_owned()
+    });
+    let segments = segments.iter().enumerate().map(|(i, raw)| {
+        let key = format!("{list}[{i}]");
+        VelocitySegment {
+            secs: check.number(&join(&key, "secs"), raw.secs, Above(0.0)),
+            speed_m_s: check.number(&join(&key, "speed_m_s"), raw.speed_m_s, Any),
+            turn_rate_rad_s: check.degrees(&join(&key, "turn_rate_deg_s"), raw.turn_rate_deg_s, Any),
+        }
+    });
+    RobotPath::VelocityProfile { start, segments: segments.collect() }
+}
+
+fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> Laser {
+    let rate_hz = check.number("laser.rate_hz", raw.rate_hz, Above(0.0));
+    let min_range_m = check.number("laser.min_range_m", raw.min_range_m, AtLeast(0.0));
+    let max_range_m = check.number("laser.max_range_m", raw.max_range_m, Above(0.0));
+    check.refuse(max_range_m <= min_range_m, "laser.max_range_m", || {
+        format!("{max_range_m} is not allowed; above laser.min_range_m, which is {min_range_m}")
+    });
+    let scan_secs = check.number("laser.scan_secs", raw.scan_secs, AtLeast(0.0));
+    check.refuse(scan_secs * rate_hz > 1.0, "laser.scan_secs", || {
+        format!("{scan_secs} is not allowed; a sweep ends before the next begins, after {} s", 1.0 / rate_hz)
+    });
+    Laser {
+        rate_hz,
+        beams: check.count("laser.beams", raw.beams, 1, MAX_BEAMS),
+        field_of_view_rad: check.degrees(
+            "laser.field_of_view_deg",
+            raw.field_of_view_deg,
+            AboveUpTo(0.0, 360.0),
+        ),
+        min_range_m,
+        max_range_m,
+        resolution_m: check.number("laser.resolution_m", raw.resolution_m, AtLeast(0.0)),
+        noise_sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, AtLeast(0.0)),
+        noise_sigma_per_m: check.number("laser.noise.sigma_per_m", raw.noise.sigma_per_m, AtLeast(0.0)),
+        mount: Pose2::new(
+            check.number("laser.mount.x_m", raw.mount.x_m, Any),
+            check.number("laser.mount.y_m", raw.mount.y_m, Any),
+            check.degrees("laser.mount.yaw_deg", raw.mount.yaw_deg, Any),
+        ),
+        scan_secs,
+    }
+}
+
+fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
+    let file = check.file("log.file", &raw.file);
+    let map = if let Some(map) = map {
+        let why = "there is a `map`";
+        check.absent("log", "map_scans", raw.map_scans.as_ref(), why);
+        check.absent("log", "map_resolution_m", raw.map_resolution_m.as_ref(), why);
+        LogMap::File(map)
+    } else {
+        check.refuse(raw.map_scans.is_none(), "log.map_scans", || {
+            "the key is missing; without a `map`, one is built from these scans".to_owned()
+        });
+        let resolution_m = raw.map_resolution_m.unwrap_or(default::MAP_RESOLUTION_M);
+        LogMap::FromScans {
+            scans: raw.map_scans.as_ref().map_or_else(Vec::new, |scans| check.shares("log.map_scans", scans)),
+            resolution_m: check.number("log.map_resolution_m", resolution_m, Within(0.001, 10.0)),
+        }
+    };
+    let train_scans = check.shares("log.train_scans", &raw.train_scans);
+    let localize_scans = check.shares("log.localize_scans", &raw.localize_scans);
+    for (i, [from, to]) in localize_scans.iter().enumerate() {
+        let taken = train_scans.iter().chain(raw.map_scans.iter().flatten());
+        for [a, b] in taken.filter(|[a, b]| from < b && a < to) {
+            check.problem(
+                &format!("log.localize_scans[{i}]"),
+                format!(
+                    "[{from}, {to}] is not allowed; scans of [{a}, {b}] serve for training or for the map"
+                ),
+            );
+        }
+    }
+    let max_range_m = raw.max_range_m.map(|max| check.number("log.max_range_m", max, Above(0.0)));
+    Log { file, map, train_scans, localize_scans, max_range_m }
+}
