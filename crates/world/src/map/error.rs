@@ -68,7 +68,7 @@ pub enum MapError {
         second: String,
     },
     /// The cell size of a grid is not positive and finite.
-    #[error("resolution must be positive and finite, in metres per cell; got {0}")]
+    #[error("the cell size must be positive and finite, in metres; got {0}")]
     Resolution(f64),
     /// The origin of a grid is not finite.
     #[error("origin must be finite [x, y, yaw]; got {0:?}")]
@@ -81,7 +81,7 @@ pub enum MapError {
         /// `occupied_thresh`.
         occupied: f64,
     },
-    /// The number of cells is not width times height, or it is zero or absurdly large.
+    /// The number of cells given is not the number of cells of the grid.
     #[error("a grid of {width} x {height} cells cannot be made from {cells} cells")]
     GridSize {
         /// Cells along x.
@@ -90,6 +90,20 @@ pub enum MapError {
         height: usize,
         /// Cells given.
         cells: usize,
+    },
+    /// The grid would have no cells, or far more than memory can hold.
+    #[error("a grid of {width} x {height} cells is empty or too large: are the map's units metres?")]
+    Extent {
+        /// Cells along x.
+        width: f64,
+        /// Cells along y.
+        height: f64,
+    },
+    /// No step of a drive has a reference pose, so there is nothing to make a map from.
+    #[error("none of the {steps} steps has a reference pose and a reading")]
+    NoReference {
+        /// How many steps were asked for.
+        steps: usize,
     },
     /// The image of a grid cannot be read or written.
     #[error("map image {}: {source}", .path.display())]

@@ -30,9 +30,6 @@ pub struct OccupancyGrid {
     occupancy: Vec<f32>,
 }
 
-/// More cells than this are surely a mistake in units.
-const MOST_CELLS: usize = 1 << 30;
-
 impl OccupancyGrid {
     /// A grid of `width` x `height` cells, row by row from the lower left, with cells of `resolution_m` metres.
     /// `origin` is `map_from_grid`, the pose of the grid's lower left corner. `occupancy` is the probability that
@@ -48,8 +45,11 @@ impl OccupancyGrid {
         cells: Vec<Cell>,
         occupancy: Vec<f32>,
     ) -> Result<Self, MapError> {
-        Self::check_size(width, height, cells.len())?;
-        Self::check_size(width, height, occupancy.len())?;
+        for given in [cells.len(), occupancy.len()] {
+            if given == 0 || width.checked_mul(height) != Some(given) {
+                return Err(MapError::GridSize { width, height, cells: given });
+            }
+        }
         if !(resolution_m > 0.0 && resolution_m.is_finite()) {
             return Err(MapError::Resolution(resolution_m));
         }
@@ -57,14 +57,6 @@ impl OccupancyGrid {
             return Err(MapError::Origin([origin.x, origin.y, origin.theta]));
         }
         Ok(Self { width, height, resolution_m, origin, cells, occupancy })
-    }
-
-    /// Whether `cells` cells make a grid of this size.
-    pub(crate) fn check_size(width: usize, height: usize, cells: usize) -> Result<(), MapError> {
-        match width.checked_mul(height) {
-            Some(n) if n == cells && n > 0 && n <= MOST_CELLS => Ok(()),
-            _ => Err(MapError::GridSize { width, height, cells }),
-        }
     }
 
     /// Number of columns.

@@ -23,6 +23,7 @@
 //! Either kind becomes a [`Geometry`].
 
 mod error;
+mod frame;
 mod geometry;
 mod grid;
 mod outline;
@@ -30,6 +31,7 @@ mod ros;
 mod vector;
 
 pub use error::MapError;
+pub(crate) use frame::CellFrame;
 pub use geometry::Geometry;
 pub use grid::{Cell, OccupancyGrid};
 pub use ros::{ImageMode, OccupancyMapFile};

@@ -65,27 +65,27 @@ impl VectorMap {
     /// # Errors
     /// [`MapError`] naming the polyline and the point, edge or name that is wrong.
     pub fn to_geometry(&self) -> Result<Geometry, MapError> {
-        let mut segments = Segments::default();
-        let outline = segments.add_polyline(&self.outline, "outline")?;
+        let mut builder = Builder::default();
+        let outline = builder.add_polyline(&self.outline, "outline")?;
         let mut obstacles = Vec::with_capacity(self.obstacles.len());
         for (i, obstacle) in self.obstacles.iter().enumerate() {
-            obstacles.push(segments.add_polyline(obstacle, &format!("obstacle-{i}"))?);
+            obstacles.push(builder.add_polyline(obstacle, &format!("obstacle-{i}"))?);
         }
         for wall in &self.walls {
-            segments.claim_name(&wall.name, &wall.name)?;
+            builder.claim_name(&wall.name, &wall.name)?;
             let ends = finite_points(&wall.name, &[wall.from_m, wall.to_m])?;
-            let surface = segments.new_surface(wall.name.clone());
-            segments.add(&wall.name, &ends, 0, surface)?;
+            let surface = builder.new_surface(wall.name.clone());
+            builder.add(&wall.name, &ends, 0, surface)?;
         }
-        let bounds = bounds_of(segments.segments.iter().flatten().copied());
+        let bounds = bounds_of(builder.segments.iter().flatten().copied());
         let free = FreeSpace::Polygons { outline, obstacles };
-        Ok(Geometry::new(segments.segments, segments.surfaces, segments.surface_names, bounds, free))
+        Ok(Geometry::new(builder.segments, builder.surfaces, builder.surface_names, bounds, free))
     }
 }
 
-/// Segments under construction.
+/// A geometry under construction.
 #[derive(Default)]
-struct Segments {
+struct Builder {
     segments: Vec<[DVec2; 2]>,
     surfaces: Vec<u32>,
     surface_names: Vec<String>,
@@ -94,7 +94,7 @@ struct Segments {
     names: BTreeSet<String>,
 }
 
-impl Segments {
+impl Builder {
     /// Adds a polyline's edges; returns its corners.
     fn add_polyline(&mut self, polyline: &Polyline, default_name: &str) -> Result<Vec<DVec2>, MapError> {
         let name = polyline.name.as_deref().unwrap_or(default_name);

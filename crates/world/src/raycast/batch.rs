@@ -1,5 +1,5 @@
 use glam::DVec2;
-use locsim_core::{Hits, NO_SURFACE, Poses};
+use locsim_core::{Hits, NO_SURFACE, Poses, wrap_angle};
 use rayon::prelude::*;
 
 use super::RayHit;
@@ -13,8 +13,8 @@ const PARALLEL_RAYS: usize = 4096;
 
 /// Casts every beam of every pose.
 ///
-/// `from(origin, theta)` prepares a pose and returns its caster, which takes a beam's unit direction in the map
-/// frame and its bearing [rad].
+/// `from(origin)` prepares a pose and returns its caster, which takes a beam's unit direction in the map
+/// frame and its heading in (-2 pi, 2 pi] [rad].
 pub(super) fn cast_batch<From, Cast>(
     laser: Poses<'_>,
     bearings: &[f32],
@@ -22,7 +22,7 @@ pub(super) fn cast_batch<From, Cast>(
     out: &mut Hits,
     from: From,
 ) where
-    From: Fn(DVec2, f64) -> Cast + Sync,
+    From: Fn(DVec2) -> Cast + Sync,
     Cast: Fn(DVec2, f64) -> Option<RayHit>,
 {
     let beams = bearings.len();
@@ -32,34 +32,29 @@ pub(super) fn cast_batch<From, Cast>(
     }
     let cast_chunk = |chunk: usize, range: &mut [f32], incidence: &mut [f32], surface: &mut [u32]| {
         let first = chunk * POSES_PER_CHUNK;
-        let mut directions = [DVec2::X; BEAMS_PER_BLOCK];
+        let mut prepared = [(DVec2::X, 0.0); BEAMS_PER_BLOCK];
         for block in (0..beams).step_by(BEAMS_PER_BLOCK) {
             let bearings = &bearings[block..beams.min(block + BEAMS_PER_BLOCK)];
-            for (direction, &bearing) in directions.iter_mut().zip(bearings) {
-                *direction = DVec2::from_angle(f64::from(bearing));
+            for (beam, &bearing) in prepared.iter_mut().zip(bearings) {
+                let bearing = f64::from(bearing);
+                *beam = (DVec2::from_angle(bearing), wrap_angle(bearing));
             }
             for i in 0..range.len() / beams {
                 let pose = first + i;
                 let origin = DVec2::new(laser.x[pose], laser.y[pose]);
-                let heading = DVec2::from_angle(laser.theta[pose]);
-                let cast = from(origin, laser.theta[pose]);
+                let (theta, rotation) = (wrap_angle(laser.theta[pose]), DVec2::from_angle(laser.theta[pose]));
+                let cast = from(origin);
                 let here = i * beams + block..i * beams + block + bearings.len();
-                let out = range[here.clone()]
-                    .iter_mut()
-                    .zip(&mut incidence[here.clone()])
-                    .zip(&mut surface[here])
-                    .map(|((range, incidence), surface)| (range, incidence, surface));
-                for ((direction, &bearing), (range, incidence, surface)) in
-                    directions.iter().zip(bearings).zip(out)
-                {
-                    (*range, *incidence, *surface) =
-                        match cast(heading.rotate(*direction), f64::from(bearing)) {
-                            // Rounding to f32 may reach the maximum, which says "no return".
-                            Some(hit) if (hit.range as f32) < max_range => {
-                                (hit.range as f32, hit.incidence as f32, hit.surface)
-                            }
-                            _ => (max_range, 0.0, NO_SURFACE),
-                        };
+                let (range, incidence) = (&mut range[here.clone()], &mut incidence[here.clone()]);
+                let outputs = range.iter_mut().zip(incidence).zip(&mut surface[here]);
+                for (&(direction, bearing), ((range, incidence), surface)) in prepared.iter().zip(outputs) {
+                    (*range, *incidence, *surface) = match cast(rotation.rotate(direction), theta + bearing) {
+                        // Rounding to f32 may reach the maximum, which says "no return".
+                        Some(hit) if (hit.range as f32) < max_range => {
+                            (hit.range as f32, hit.incidence as f32, hit.surface)
+                        }
+                        _ => (max_range, 0.0, NO_SURFACE),
+                    };
                 }
             }
         }

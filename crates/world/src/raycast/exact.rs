@@ -89,7 +89,7 @@ impl ExactRangeMap {
 impl RangeMap for ExactRangeMap {
     fn cast(&self, laser: Poses<'_>, bearings: &[f32], max_range: f32, out: &mut Hits) {
         let max = f64::from(max_range);
-        cast_batch(laser, bearings, max_range, out, |origin, _| {
+        cast_batch(laser, bearings, max_range, out, |origin| {
             move |direction, _| self.cast_ray(origin, direction, max)
         });
     }

@@ -1,7 +1,12 @@
-//! Ray casts into a map: exact, and from a table.
+//! Ray casts into a map, exact and from a table, and distances to its walls.
 
 mod batch;
+mod build;
+mod distance;
 mod exact;
 mod segment;
+mod table;
 
+pub use distance::DistanceGrid;
 pub use exact::{ExactRangeMap, RayHit};
+pub use table::SurfaceTable;

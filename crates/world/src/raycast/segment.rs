@@ -14,7 +14,7 @@ pub(super) const OVERLAP_M: f64 = 1e-9;
 pub(super) fn range_to(&[a, b]: &[DVec2; 2], origin: DVec2, direction: DVec2) -> Option<f64> {
     let (a, b) = (a - origin, b - origin);
     let (side_a, side_b) = (direction.perp_dot(a), direction.perp_dot(b));
-    if !(side_a.min(side_b) <= OVERLAP_M && side_a.max(side_b) >= -OVERLAP_M) {
+    if side_a > OVERLAP_M && side_b > OVERLAP_M || side_a < -OVERLAP_M && side_b < -OVERLAP_M {
         return None;
     }
     let (along_a, along_b) = (direction.dot(a), direction.dot(b));
@@ -34,6 +34,13 @@ pub(super) fn range_to(&[a, b]: &[DVec2; 2], origin: DVec2, direction: DVec2) ->
 pub(super) fn incidence(&[a, b]: &[DVec2; 2], direction: DVec2) -> f64 {
     let edge = b - a;
     direction.dot(edge).abs().atan2(direction.perp_dot(edge).abs())
+}
+
+/// Distance from a point to a segment [m].
+pub(super) fn distance_to(&[a, b]: &[DVec2; 2], point: DVec2) -> f64 {
+    let edge = b - a;
+    let share = ((point - a).dot(edge) / edge.length_squared()).clamp(0.0, 1.0);
+    point.distance(a + share * edge)
 }
 
 /// A tree over the segments; leaf `i` is segment `i`.
