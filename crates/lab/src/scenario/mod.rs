@@ -2,9 +2,11 @@
 //! before every check has passed. [`schema`] describes the files to editors.
 
 mod check;
+mod digest;
 pub(crate) mod error;
 mod form;
 pub(crate) mod locate;
+mod map_file;
 mod raw;
 mod validate;
 mod validated;
@@ -12,6 +14,7 @@ mod validated;
 use std::path::Path;
 
 pub use error::{Problem, ScenarioError};
+pub use map_file::{LoadedMap, load_map};
 pub use validated::*;
 
 use crate::yaml;
@@ -29,7 +32,7 @@ pub struct Overrides {
 }
 
 impl Scenario {
-    /// Reads and checks a scenario file.
+    /// Reads and checks a scenario file and the map that it names.
     ///
     /// # Errors
     /// [`ScenarioError`] with everything that is wrong: file, line, key path, value and what is allowed.
@@ -46,7 +49,12 @@ impl Scenario {
         environment: check::Environment<'_>,
     ) -> Result<Self, ScenarioError> {
         let (raw, locations) = yaml::parse::<raw::RawScenario>(path, text)?;
-        validate::validate(raw, path, overrides, check::Checker::new(path, &locations, environment))
+        let check = || check::Checker::new(path, &locations, environment);
+        let scenario = validate::validate(raw, path, overrides, check())?;
+        if let Some(map) = scenario.map_file() {
+            validate::path_in_map(&scenario, &load_map(map)?.geometry, check())?;
+        }
+        Ok(scenario)
     }
 }
 

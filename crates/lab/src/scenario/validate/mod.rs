@@ -6,6 +6,8 @@ mod source;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use locsim_world::map::Geometry;
+
 use super::check::Allowed::{Above, AboveUpTo, Any, Between, FromBelow};
 use super::check::Checker;
 use super::error::unknown_word;
@@ -13,8 +15,8 @@ use super::form::Form;
 use super::locate::join;
 use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
 use super::{
-    Errors, Expectation, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError, Source,
-    Training,
+    Errors, Expectation, METRICS, Model, ModelName, Overrides, Record, RobotPath, Scenario, ScenarioError,
+    Source, Training,
 };
 
 const MAX_PARTICLES: u32 = 10_000_000;
@@ -62,6 +64,31 @@ pub(in crate::scenario) fn validate(
         }),
         _ => Err(check.into_error()),
     }
+}
+
+/// Checks that a simulated robot's way points, or its start, lie in the map's free space.
+pub(in crate::scenario) fn path_in_map(
+    scenario: &Scenario,
+    map: &Geometry,
+    mut check: Checker<'_>,
+) -> Result<(), ScenarioError> {
+    let Source::Simulation(simulation) = &scenario.source else { return Ok(()) };
+    let mut visit = |key: &str, x: f64, y: f64| {
+        check.refuse(!map.is_free(x, y), key, || {
+            format!("[{x}, {y}] is not allowed; a point in the free space of {}", simulation.map.display())
+        });
+    };
+    match &simulation.robot.path {
+        RobotPath::Waypoints { points_m, .. } => {
+            for (i, [x, y]) in points_m.iter().enumerate() {
+                visit(&format!("robot.path.waypoints.points_m[{i}]"), *x, *y);
+            }
+        }
+        RobotPath::VelocityProfile { start, .. } => {
+            visit("robot.path.velocity_profile.start", start.x, start.y);
+        }
+    }
+    if check.is_clean() { Ok(()) } else { Err(check.into_error()) }
 }
 
 fn name(check: &mut Checker<'_>, name: Option<&str>, path: &Path) -> String {

@@ -1,0 +1,44 @@
+use std::path::Path;
+
+use super::{LogMap, Scenario, ScenarioError, Source, load_map};
+
+impl Scenario {
+    /// A hash (blake3, hexadecimal) of everything that a trial's result depends on: the settings, the content of
+    /// the map, log and model files, and the version of this program. Equal hashes mean that finished trials can
+    /// be kept when an interrupted run is resumed, with more trials too.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] when one of the files can't be read any more.
+    pub fn content_hash(&self) -> Result<String, ScenarioError> {
+        let unreadable = |path: &Path, source| ScenarioError::Read { path: path.to_owned(), source };
+        let settings = serde_json::to_vec(self).map_err(|error| unreadable(&self.file, error.into()))?;
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
+        let mut add = |content: &[u8]| {
+            hasher.update(&(content.len() as u64).to_le_bytes());
+            hasher.update(content);
+        };
+        add(&settings);
+        let image = self.map_file().map(load_map).transpose()?.and_then(|map| map.image);
+        let log = match &self.source {
+            Source::Simulation(_) => None,
+            Source::Log(log) => Some(log.file.as_path()),
+        };
+        let fitted = self.models.iter().filter_map(|model| model.file.as_deref());
+        for path in self.map_file().into_iter().chain(image.as_deref()).chain(log).chain(fitted) {
+            add(&std::fs::read(path).map_err(|source| unreadable(path, source))?);
+        }
+        Ok(hasher.finalize().to_hex().to_string())
+    }
+
+    /// The map file; `None` where the map is built from the log.
+    pub fn map_file(&self) -> Option<&Path> {
+        match &self.source {
+            Source::Simulation(simulation) => Some(&simulation.map),
+            Source::Log(log) => match &log.map {
+                LogMap::File(path) => Some(path),
+                LogMap::FromScans { .. } => None,
+            },
+        }
+    }
+}

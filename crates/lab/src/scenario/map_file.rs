@@ -1,0 +1,88 @@
+use std::path::{Path, PathBuf};
+
+use locsim_world::map::{Geometry, MapError, OccupancyMapFile, Polyline, VectorMap};
+use serde::Deserialize;
+
+use super::locate::join;
+use super::{Problem, ScenarioError};
+use crate::yaml;
+
+/// A map as read from its file.
+#[derive(Clone, Debug)]
+pub struct LoadedMap {
+    /// Its walls.
+    pub geometry: Geometry,
+    /// The image that a ROS `map_server` YAML names; `None` for a vector map.
+    pub image: Option<PathBuf>,
+}
+
+/// What tells the two kinds of map files apart.
+#[derive(Deserialize)]
+struct Kind {
+    image: Option<serde::de::IgnoredAny>,
+}
+
+/// Reads a map file: a ROS `map_server` YAML if it has the key `image`, a vector map otherwise. An image is
+/// looked up in the file's own folder.
+///
+/// # Errors
+/// [`ScenarioError`] naming the map file, and where it can the line and the key that are wrong.
+pub fn load_map(path: &Path) -> Result<LoadedMap, ScenarioError> {
+    let text = yaml::read(path)?;
+    let (kind, locations) = yaml::parse::<Kind>(path, &text)?;
+    let invalid = |key: String, error: &MapError| ScenarioError::Invalid {
+        file: path.to_owned(),
+        problems: vec![Problem { line: locations.line(&key), key, message: error.to_string() }],
+    };
+    if kind.image.is_some() {
+        let (map, _) = yaml::parse::<OccupancyMapFile>(path, &text)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let grid = map.load(folder).map_err(|error| invalid(key_of_grid_error(&error).to_owned(), &error))?;
+        Ok(LoadedMap { geometry: grid.to_geometry(), image: Some(folder.join(&map.image)) })
+    } else {
+        let (map, _) = yaml::parse::<VectorMap>(path, &text)?;
+        let geometry =
+            map.to_geometry().map_err(|error| invalid(key_of_vector_error(&map, &error), &error))?;
+        Ok(LoadedMap { geometry, image: None })
+    }
+}
+
+/// The key of a `map_server` file that an error is about; empty for the whole file.
+fn key_of_grid_error(error: &MapError) -> &'static str {
+    match error {
+        MapError::Resolution(_) => "resolution",
+        MapError::Origin(_) => "origin",
+        MapError::Thresholds { .. } => "occupied_thresh",
+        MapError::Image { .. } | MapError::Extent { .. } | MapError::GridSize { .. } => "image",
+        _ => "",
+    }
+}
+
+/// The key of a vector map that an error is about; empty for the whole file.
+fn key_of_vector_error(map: &VectorMap, error: &MapError) -> String {
+    let (name, point) = match error {
+        MapError::NotFinite { polyline, point, .. } | MapError::ZeroLengthEdge { polyline, point, .. } => {
+            (polyline, Some(*point))
+        }
+        MapError::TooFewPoints { polyline, .. }
+        | MapError::DuplicateName { polyline, .. }
+        | MapError::NoSuchEdge { polyline, .. }
+        | MapError::EdgeNamedTwice { polyline, .. } => (polyline, None),
+        _ => return String::new(),
+    };
+    if let Some(i) = map.walls.iter().position(|wall| wall.name == *name) {
+        let end = point.map_or("", |point| if point == 0 { ".from_m" } else { ".to_m" });
+        return format!("walls[{i}]{end}");
+    }
+    let named = |polyline: &Polyline, default: &str| polyline.name.as_deref().unwrap_or(default) == *name;
+    let polyline = if named(&map.outline, "outline") {
+        "outline".to_owned()
+    } else {
+        let mut obstacles = map.obstacles.iter().enumerate();
+        match obstacles.find(|(i, obstacle)| named(obstacle, &format!("obstacle-{i}"))) {
+            Some((i, _)) => format!("obstacles[{i}]"),
+            None => return String::new(),
+        }
+    };
+    point.map_or_else(|| polyline.clone(), |point| join(&polyline, &format!("points_m[{point}]")))
+}
