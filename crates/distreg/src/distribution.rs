@@ -3,6 +3,9 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::error::{finite, positive};
 
+/// Largest number of bins; bin numbers then fit an `i32` even after an alignment.
+pub(crate) const MAX_BINS: usize = 1 << 30;
+
 /// Equal bins over the observation: bin b covers [`lo` + b `width`, `lo` + (b + 1) `width`). Observations beyond
 /// either end count as the end bin.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,11 +28,11 @@ impl Grid {
     pub fn of_values(first: f64, last: f64, resolution: f64) -> Result<Self, Error> {
         finite("the first value of a grid", first)?;
         positive("the resolution of a grid", resolution)?;
-        let steps = ((last - first) / resolution).round();
-        if !(steps >= 0.0 && steps < f64::from(u32::MAX)) {
-            return Err(Error::NotPositive { what: "the number of values of a grid", value: steps + 1.0 });
-        }
-        Ok(Self { lo: first - 0.5 * resolution, width: resolution, bins: steps as usize + 1 })
+        let values = ((last - first) / resolution).round() + 1.0;
+        let bins = positive("the number of values of a grid", values)? as usize;
+        let grid = Self { lo: first - 0.5 * resolution, width: resolution, bins };
+        grid.validate()?;
+        Ok(grid)
     }
 
     /// Upper edge of the last bin.
@@ -52,8 +55,8 @@ impl Grid {
         finite("the lower end of a grid", self.lo)?;
         positive("the bin width of a grid", self.width)?;
         finite("the upper end of a grid", self.hi())?;
-        if self.bins == 0 {
-            return Err(Error::Empty { what: "the bins of a grid" });
+        if self.bins == 0 || self.bins > MAX_BINS {
+            return Err(Error::Bins { found: self.bins });
         }
         Ok(())
     }
@@ -199,7 +202,8 @@ impl Distribution {
             return self.continuous_quantile(u);
         };
         let before = self.continuous_cdf(point.at);
-        if u < before || (u == before && u > 0.0) {
+        let reached = if u > 0.0 { u > before } else { before <= 0.0 };
+        if !reached || point.mass == 0.0 {
             self.continuous_quantile(u)
         } else if u <= before + point.mass || before >= self.cumulative[self.grid.bins - 1] {
             point.at
@@ -240,7 +244,7 @@ impl Distribution {
     /// If `share` isn't within 0..=1.
     pub fn with_floor(&self, share: f64) -> Result<Self, Error> {
         if !(0.0..=1.0).contains(&share) {
-            return Err(Error::NotFinite { what: "the share of a floor (within 0 and 1)", value: share });
+            return Err(Error::NotAShare { what: "the share of a floor", value: share });
         }
         let outcomes = self.grid.bins + usize::from(self.point.is_some());
         let mix = |m: f64| (1.0 - share) * m + share / outcomes as f64;

@@ -25,6 +25,14 @@ pub enum Error {
         /// Its value.
         value: f64,
     },
+    /// A share is not within 0 and 1.
+    #[error("{what} must be within 0 and 1, found {value}")]
+    NotAShare {
+        /// Which share.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
     /// Something that must have at least one element has none.
     #[error("{what} must not be empty")]
     Empty {
@@ -39,6 +47,12 @@ pub enum Error {
         /// The length that was needed.
         expected: usize,
         /// The length that was given.
+        found: usize,
+    },
+    /// A grid has no bins or too many.
+    #[error("a grid must have 1 to {} bins, found {found}", crate::distribution::MAX_BINS)]
+    Bins {
+        /// Bins of the grid.
         found: usize,
     },
     /// An alignment names a state coordinate that does not exist.

@@ -13,12 +13,12 @@ use crate::{Dataset, Distribution, Error, Grid, Kernel, PointMass, Smoother, Sup
 pub enum Alignment {
     /// Histograms of z, as published.
     Identity,
-    /// Histograms of z - x[`state_dim`]; a prediction is shifted back by the query's coordinate.
+    /// Histograms of z minus the coordinate; a prediction is shifted back by the query's coordinate.
     Shift {
         /// Index of the state coordinate.
         state_dim: usize,
     },
-    /// Histograms of z / x[`state_dim`]; a prediction is scaled back. The coordinate must be positive.
+    /// Histograms of z divided by the coordinate; a prediction is scaled back. The coordinate must be positive.
     Scale {
         /// Index of the state coordinate.
         state_dim: usize,
@@ -302,21 +302,21 @@ impl NpReg {
 
     /// Adds the weighted histograms of z - x to `row`, shifted up by `shift`. Gives the mass above the grid.
     fn shifted(&self, shift: f64, weights: &[(usize, f64)], raw: &mut Vec<f64>, row: &mut [f64]) -> f64 {
-        // An aligned bin moves by whole bins and a fraction; `raw` takes the whole bins, with one more bin at
-        // either end for what leaves the grid, and the fraction is split between neighbours afterwards.
+        // An aligned bin moves by whole bins and a fraction. `raw` takes what the whole bins leave in the grid,
+        // with one more bin at either end for the rest; then the fraction is split between neighbours.
         let grid = &self.options.grid;
-        let last = row.len() as i64;
         let offset = (shift - grid.lo) / grid.width;
-        let whole = offset.floor();
-        let fraction = offset - whole;
-        let whole = (whole as i64).clamp(-(1 << 40), 1 << 40);
+        let fraction = offset - offset.floor();
+        // Where the limits of i32 bind, everything is beyond the grid anyway.
+        let whole = (offset.floor() as i32).clamp(-i32::MAX / 2, i32::MAX / 2);
+        let below = -1 - whole;
+        let above = (row.len() as i32).saturating_sub(whole);
         raw.clear();
         raw.resize(row.len() + 2, 0.0);
         for &(i, w) in weights {
             let (bins, masses) = self.histograms.of(i);
             for (&b, m) in bins.iter().zip(masses) {
-                let target = (i64::from(b) + whole).clamp(-1, last) + 1;
-                raw[target as usize] += w * m;
+                raw[(b.clamp(below, above) - below) as usize] += w * m;
             }
         }
         row[0] += raw[0];

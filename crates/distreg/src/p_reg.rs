@@ -1,5 +1,6 @@
 use std::f64::consts::{PI, SQRT_2};
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use statrs::function::erf::erfc;
 
@@ -46,26 +47,26 @@ impl PReg {
         };
         let estimates: Vec<(f64, Option<f64>)> =
             (0..data.len()).map(|i| gaussian_parameters(data.observations(i))).collect();
-        let single = estimates.iter().any(|(_, sigma)| sigma.is_none());
-        let means = if single {
-            let means: Vec<f64> = estimates.iter().map(|&(mean, _)| mean).collect();
-            Some(regress(&means)?)
+        let sigmas = if estimates.iter().all(|(_, sigma)| sigma.is_some()) {
+            estimates.iter().filter_map(|&(_, sigma)| sigma).collect()
         } else {
-            None
-        };
-        let mut targets = Vec::with_capacity(2 * data.len());
-        for (i, &(mean, sigma)) in estimates.iter().enumerate() {
-            let sigma = match (sigma, &means) {
-                (Some(sigma), _) => sigma,
-                (None, Some(means)) => {
+            let means: Vec<f64> = estimates.iter().map(|&(mean, _)| mean).collect();
+            let means = regress(&means)?;
+            estimates
+                .par_iter()
+                .enumerate()
+                .map(|(i, &(mean, sigma))| {
+                    if let Some(sigma) = sigma {
+                        return Ok(sigma);
+                    }
                     let mut smooth = [0.0];
                     means.predict(data.state(i), &mut smooth)?;
-                    (mean - smooth[0]).abs() * (PI / 2.0).sqrt()
-                }
-                (None, None) => 0.0,
-            };
-            targets.extend([mean, sigma]);
-        }
+                    Ok((mean - smooth[0]).abs() * (PI / 2.0).sqrt())
+                })
+                .collect::<Result<Vec<f64>, Error>>()?
+        };
+        let targets: Vec<f64> =
+            estimates.iter().zip(sigmas).flat_map(|(&(mean, _), sigma)| [mean, sigma]).collect();
         Ok(Self { parameters: regress(&targets)?, smallest_sigma })
     }
 
