@@ -20,7 +20,7 @@ const SIZES: [usize; 2] = [10_000, 1_000_000];
 const INCREMENT: Pose2 = Pose2 { x: 0.1, y: 0.01, theta: 0.1 };
 
 fn main() {
-    divan::main();
+    divan::Divan::default().sample_count(30).config_with_args().main();
 }
 
 /// A cloud of half a metre and the weights of a plausible posterior.

@@ -77,3 +77,64 @@ impl KldSampler {
         Ok(drawn)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use locsim_core::{Draw, Stage};
+    use rand::RngExt;
+    use statrs::distribution::ChiSquared;
+
+    use super::*;
+
+    fn options() -> KldOptions {
+        let bins = PoseBins::new(0.5, 10_f64.to_radians()).unwrap();
+        KldOptions { min: 10, max: 1_000_000, error: 0.05, quantile: 0.99, bins }
+    }
+
+    /// Wilson and Hilferty's approximation is within 1 % of the exact chi-square quantile from 3 degrees of
+    /// freedom on.
+    #[test]
+    fn sample_sizes_are_chi_square_quantiles() {
+        let sampler = KldSampler::new(options()).unwrap();
+        for k in [4, 10, 100, 1000] {
+            let exact = ChiSquared::new((k - 1) as f64).unwrap().inverse_cdf(0.99) / (2.0 * 0.05);
+            let got = sampler.sample_size(k) as f64;
+            assert!((got / exact - 1.0).abs() < 0.01, "{k} bins: {got}, exact {exact}");
+        }
+        // By hand, for k = 11: 100 (1 - 0.0222222 + 0.1490712 * 2.3263479)^3 = 232.16.
+        assert_eq!(sampler.sample_size(11), 233);
+    }
+
+    #[test]
+    fn sample_sizes_stay_within_their_limits() {
+        let sampler = KldSampler::new(KldOptions { min: 100, max: 200, ..options() }).unwrap();
+        assert_eq!([0, 1, 2, 11, 1000].map(|k| sampler.sample_size(k)), [100, 100, 100, 200, 200]);
+    }
+
+    #[test]
+    fn drawing_stops_when_the_bins_found_ask_for_no_more() {
+        let mut sampler = KldSampler::new(options()).unwrap();
+        let mut draw_over = |bins: f64| {
+            let mut rng = Draw::new(1, Stage::Resample, 0).item(0);
+            sampler.draw(|| Ok::<_, ()>(Pose2::new(bins * 0.5 * rng.random::<f64>(), 0.1, 0.1))).unwrap()
+        };
+        assert_eq!(draw_over(1.0), 10, "one bin: the least number");
+        // 50 equally likely bins: with 750 draws, one is missed with probability 50 exp(-15) = 1.5e-5 at most,
+        // and this seed misses none.
+        let fifty = draw_over(50.0);
+        assert_eq!(fifty, KldSampler::new(options()).unwrap().sample_size(50));
+        assert_eq!(draw_over(50.0), fifty, "bins found before are forgotten");
+        assert_eq!(sampler.draw(|| Err("no pose")), Err("no pose"));
+    }
+
+    #[test]
+    fn options_are_checked() {
+        let bad = [
+            KldOptions { min: 0, ..options() },
+            KldOptions { min: 10, max: 9, ..options() },
+            KldOptions { error: 0.0, ..options() },
+            KldOptions { quantile: 1.0, ..options() },
+        ];
+        assert!(bad.into_iter().all(|options| KldSampler::new(options).is_err()));
+    }
+}

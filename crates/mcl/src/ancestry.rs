@@ -9,9 +9,9 @@ pub const NO_PARENT: u32 = u32::MAX;
 #[derive(Clone, Debug, Default)]
 pub struct Ancestry {
     generations: Vec<Generation>,
-    /// Log likelihood of each current particle's path [nats].
+    /// Log likelihood of each current particle's path (nats).
     log_weight: Vec<f64>,
-    /// Log evidence of all steps so far [nats].
+    /// Log evidence of all steps so far (nats).
     log_evidence: f64,
 }
 
@@ -72,8 +72,8 @@ impl Ancestry {
         self.generations.is_empty()
     }
 
-    /// Log likelihood [nats] of all observations along the path of each current particle: the sum over the steps
-    /// of ln p(z_t | x_t) of its ancestor at t.
+    /// Log likelihood (nats) of all observations along the path of each current particle: the sum over the steps
+    /// of `ln p(z_t | x_t)` of its ancestor at t.
     ///
     /// A path that begins at an injected particle starts from the log evidence of the steps before it; when all
     /// weights are reset, all paths start anew from the log evidence.
@@ -82,7 +82,7 @@ impl Ancestry {
     }
 
     /// The path of the current particle whose accumulated log weight is highest, the first among equals: the
-    /// filter's most likely trajectory, GMapping's "best particle" (Grisetti, Stachniss and Burgard 2007).
+    /// filter's most likely trajectory, `GMapping`'s "best particle" (Grisetti, Stachniss and Burgard 2007).
     /// `None` before the first step.
     pub fn most_likely_trajectory(&self) -> Option<Trajectory> {
         let best = (0..self.log_weight.len())

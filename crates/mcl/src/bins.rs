@@ -16,8 +16,8 @@ pub struct PoseBins {
 pub(crate) type BinKey = [i32; 3];
 
 impl PoseBins {
-    /// Square bins of side `size_m` [m], and the least number of equal heading bins no wider than `size_rad`
-    /// [rad]. AMCL's are 0.5 m and 10 degrees.
+    /// Square bins of side `size_m` (m), and the least number of equal heading bins no wider than `size_rad`
+    /// (rad). AMCL's are 0.5 m and 10 degrees.
     ///
     /// # Errors
     /// [`FilterError::Option`] where a size is not finite or not above 0.

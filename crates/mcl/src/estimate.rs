@@ -9,7 +9,7 @@ use crate::bins::{BinKey, PoseBins};
 pub struct Estimate {
     /// `map_from_base`.
     pub pose: Pose2,
-    /// Covariance of (x, y, theta) in the map frame [m, m, rad]; symmetric.
+    /// Covariance of (x, y, theta) in the map frame (m, m, rad); symmetric.
     pub covariance: [[f64; 3]; 3],
 }
 
@@ -70,6 +70,7 @@ pub struct Cluster {
 #[derive(Clone, Debug)]
 pub struct Clusters {
     bins: PoseBins,
+    /// Looked up only, never iterated over: the hasher's random keys cannot show.
     cell_of_key: HashMap<BinKey, u32>,
     cells: Vec<Cell>,
     cell_of_particle: Vec<u32>,
@@ -188,11 +189,8 @@ mod tests {
         assert!(near(covariance[0][0], 2.75) && near(covariance[1][1], 1.0));
         assert!(near(covariance[0][1], 1.5) && near(covariance[2][2], 0.005));
         assert!(near(covariance[0][2], 0.05) && near(covariance[1][2], 0.0));
-        for i in 0..3 {
-            for j in 0..3 {
-                assert_eq!(covariance[i][j], covariance[j][i]);
-            }
-        }
+        let [[_, xy, xt], [yx, _, yt], [tx, ty, _]] = covariance;
+        assert_eq!([xy, xt, yt], [yx, tx, ty]);
     }
 
     #[test]
@@ -224,14 +222,18 @@ mod tests {
         let hill = |centre: f64, n: usize| {
             (0..n).map(move |i| Pose2::new(centre + 0.3 * (i as f64 / n as f64 - 0.5), 0.25, 0.1))
         };
-        let bridge = (0..40).map(|i| Pose2::new(f64::from(i) * 0.25, 0.25, 0.1));
+        // Dense near the hills, sparse in the middle, no bin of 0.5 m empty.
+        let bridge = (-20..=20).map(|i| {
+            let offset = f64::from(i).signum() * 4.5 * (1.0 - (f64::from(i) / 20.0).powi(2));
+            Pose2::new(4.75 + offset, 0.25, 0.1)
+        });
         let particles: Particles = hill(0.25, 500).chain(hill(9.25, 400)).chain(bridge).collect();
         let weights = Weights::uniform(particles.len());
         let mut clusters = Clusters::new(PoseBins::new(0.5, 10_f64.to_radians()).unwrap());
         let cluster = clusters.heaviest(&particles, &weights).unwrap();
-        assert!((cluster.estimate.pose.x - 0.25).abs() < 0.1, "{cluster:?}");
+        assert!((cluster.estimate.pose.x - 0.25).abs() < 0.15, "{cluster:?}");
         assert!((0.5..0.6).contains(&cluster.weight), "{cluster:?}");
-        assert!(cluster.estimate.covariance[0][0] < 0.1, "{cluster:?}");
+        assert!(cluster.estimate.covariance[0][0] < 0.5, "{cluster:?}");
         let mean = weighted_mean(&particles, &weights).unwrap();
         assert!(mean.pose.x > 3.0, "the mean lies where nobody is: {mean:?}");
         assert_eq!(clusters.heaviest(&particles, &weights).unwrap(), cluster, "buffers leave no trace");

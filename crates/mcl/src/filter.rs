@@ -39,9 +39,9 @@ pub enum ResampleTrigger {
 /// particle filter of Musso, Oudjane and Le Gland 2001, with a bandwidth of the user's choice).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Regularization {
-    /// Standard deviation along x and y [m].
+    /// Standard deviation along x and y (m).
     pub sigma_m: f64,
-    /// Standard deviation of the heading [rad].
+    /// Standard deviation of the heading (rad).
     pub sigma_rad: f64,
 }
 
@@ -107,7 +107,7 @@ pub struct Estimates {
 /// What happened at a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOutcome {
-    /// ln p(z_t | z_1..t-1) [nats], the log of the weighted mean likelihood; minus infinity if all were zero.
+    /// `ln p(z_t | z_1..t-1)` (nats), the log of the weighted mean likelihood; minus infinity if all were zero.
     pub log_evidence: f64,
     /// 1 / sum of squared weights, after weighting and before resampling.
     pub effective_sample_size: f64,
@@ -307,7 +307,7 @@ impl Filter {
         &self.weights
     }
 
-    /// Log likelihood of the last scan for each particle [nats]; empty before the first step.
+    /// Log likelihood of the last scan for each particle (nats); empty before the first step.
     pub fn log_likelihood(&self) -> &[f64] {
         &self.log_likelihood
     }

@@ -14,9 +14,9 @@ pub enum Start {
     Tracking {
         /// Mean, `map_from_base`.
         pose: Pose2,
-        /// Standard deviation along x and y [m].
+        /// Standard deviation along x and y (m).
         sigma_m: f64,
-        /// Standard deviation of the heading [rad].
+        /// Standard deviation of the heading (rad).
         sigma_rad: f64,
     },
     /// Global localization: uniform over the map's free space and all headings.

@@ -1,0 +1,48 @@
+//! The number of threads changes no bit of a result.
+
+use locsim_core::{Laser, Particles, Pose2, Weights};
+use locsim_mcl::{
+    Filter, FilterOptions, InjectionOptions, PoseBins, Regularization, Start, StepInput, StepOutcome,
+};
+
+use crate::toy::{Gaussian, Room};
+use crate::{laser, options, scan};
+
+/// Everything that a filter computes over a few steps of every kind.
+fn run(threads: usize, seed: u64) -> (Vec<StepOutcome>, Particles, Weights, Vec<f64>) {
+    let room = Room { width: 6.0, depth: 4.0 };
+    let model = Gaussian { sigma_m: 0.2 };
+    let laser: Laser = laser(12);
+    let options = FilterOptions {
+        injection: Some(InjectionOptions { alpha_slow: 0.1, alpha_fast: 0.9 }),
+        regularization: Some(Regularization { sigma_m: 0.01, sigma_rad: 0.01 }),
+        clusters: Some(PoseBins::new(0.5, 0.2).unwrap()),
+        ancestry: true,
+        // Not a multiple of any chunk.
+        ..options(10_007)
+    };
+    let odometry = Pose2::new(0.2, 0.0, 0.1);
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
+        let mut filter = Filter::new(options, &Start::Global, &room, seed).unwrap();
+        let mut truth = Pose2::new(1.0, 1.0, 0.0);
+        let outcomes = (0..6)
+            .map(|step| {
+                // The robot is carried away at step 3, so that random particles are injected.
+                truth = if step == 3 { Pose2::new(4.5, 2.5, 2.0) } else { truth.compose(&odometry) };
+                let scan = scan(&room, &laser, &model, truth, step);
+                filter.step(&StepInput { odometry, laser: &laser, scan: &scan }, &room, &model).unwrap()
+            })
+            .collect();
+        let paths = filter.ancestry().unwrap().log_weights().to_vec();
+        (outcomes, filter.particles().clone(), filter.weights().clone(), paths)
+    })
+}
+
+#[test]
+fn one_two_and_eight_threads_give_the_same_bits() {
+    let one = run(1, 7);
+    assert!(one.0.iter().any(|outcome| outcome.injected > 0), "injection takes part in the comparison");
+    assert_eq!(run(2, 7), one);
+    assert_eq!(run(8, 7), one);
+    assert_ne!(run(1, 8), one, "the seed does change them");
+}
