@@ -28,23 +28,32 @@ pub struct Evaluation {
 
 /// Scores `model` on every state of `data`. NaN for an empty set.
 pub fn evaluate(model: &dyn SensorModel, data: &TrainingSet) -> Evaluation {
+    Evaluation { log_loss_nats: log_loss(model, data), histogram_match_m: histogram_match(model, data) }
+}
+
+/// [`Evaluation::log_loss_nats`].
+pub(crate) fn log_loss(model: &dyn SensorModel, data: &TrainingSet) -> f64 {
+    let sum = sum_over_states(data.len(), |scorer, i| scorer.loss(model, data, i));
+    sum / data.reading_count() as f64
+}
+
+/// [`Evaluation::histogram_match_m`].
+pub(crate) fn histogram_match(model: &dyn SensorModel, data: &TrainingSet) -> f64 {
     let stride = data.len().div_ceil(MATCHED_STATES).max(1);
-    let parts: Vec<(f64, f64)> = (0..data.len().div_ceil(CHUNK))
+    let matched = data.len().div_ceil(stride);
+    sum_over_states(matched, |scorer, i| scorer.distance(model, data, i * stride)) / matched as f64
+}
+
+/// Sums over states in parallel, but in an order that doesn't depend on threads.
+fn sum_over_states(states: usize, score: impl Fn(&mut Scorer, usize) -> f64 + Sync) -> f64 {
+    let parts: Vec<f64> = (0..states.div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
             let mut scorer = Scorer::default();
-            let states = chunk * CHUNK..((chunk + 1) * CHUNK).min(data.len());
-            states.fold((0.0, 0.0), |(loss, distance), i| {
-                let matched = if i % stride == 0 { scorer.distance(model, data, i) } else { 0.0 };
-                (loss + scorer.loss(model, data, i), distance + matched)
-            })
+            (chunk * CHUNK..((chunk + 1) * CHUNK).min(states)).map(|i| score(&mut scorer, i)).sum()
         })
         .collect();
-    let (loss, distance) = parts.iter().fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
-    Evaluation {
-        log_loss_nats: loss / data.reading_count() as f64,
-        histogram_match_m: distance / data.len().div_ceil(stride) as f64,
-    }
+    parts.iter().sum()
 }
 
 /// Buffers: one state as a batch of one pose whose beams all point the same way.

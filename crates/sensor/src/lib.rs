@@ -32,6 +32,9 @@ mod state_grid;
 mod tempered;
 mod training;
 
+#[cfg(test)]
+mod tests;
+
 pub use error::SensorError;
 pub use evaluate::{Evaluation, evaluate};
 pub use fitted::{FitOptions, FittedModel, fit};

@@ -27,7 +27,8 @@ const ROUNDS: usize = 500;
 ///
 /// - *hit*: Gaussian around the nominal range r, cut at 0; what lies beyond the maximum range is reported as the
 ///   maximum range. Where the map has nothing within reach (r = maximum), the point mass at the maximum range.
-/// - *short*: an exponential of rate lambda cut to \[0, r), from unmapped objects.
+/// - *short*: an exponential of rate lambda (at least 0.001 per metre, which is as good as even) cut to \[0, r),
+///   from unmapped objects.
 /// - *max*: the point mass at the maximum range.
 /// - *random*: uniform over \[0, maximum).
 ///
@@ -137,7 +138,7 @@ impl BeamMixture {
         if total > 0.0 || z >= beam.max_range || beam.is_open() {
             total.ln()
         } else {
-            self.weights[HIT].ln() + self.hit(beam).log_density(z)
+            self.hit(beam).log_density(self.weights[HIT], z)
         }
     }
 

@@ -1,6 +1,7 @@
 //! The normal distribution, and the normal noise of a range reading: cut at 0, censored at the maximum range.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
+use std::sync::LazyLock;
 
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -22,6 +23,24 @@ pub(crate) fn cdf(t: f64) -> f64 {
     0.5 * erfc(-t * FRAC_1_SQRT_2)
 }
 
+/// Standard normal distribution function from a table: monotone, within 1e-6 of [`cdf`], an eighth of its time.
+pub(crate) fn quick_cdf(t: f32) -> f32 {
+    const PER_UNIT: f32 = 256.0;
+    static TABLE: LazyLock<Vec<f32>> = LazyLock::new(|| {
+        let steps = (2.0 * FAR * f64::from(PER_UNIT)) as usize;
+        (0..=steps).map(|i| cdf(i as f64 / f64::from(PER_UNIT) - FAR) as f32).collect()
+    });
+    let at = (t + FAR as f32) * PER_UNIT;
+    if at <= 0.0 {
+        return 0.0;
+    }
+    let i = at as usize;
+    match TABLE.get(i..i + 2) {
+        Some(&[a, b]) => a + (at - i as f32) * (b - a),
+        _ => 1.0,
+    }
+}
+
 /// A normal distribution of readings around `mean` [m]: conditioned on being at least 0, and everything at
 /// or beyond the maximum range reported as the maximum range.
 #[derive(Clone, Copy, Debug)]
@@ -33,8 +52,7 @@ pub(crate) struct RangeNormal {
 impl RangeNormal {
     /// Share of the uncut distribution that is at least 0.
     fn kept(self) -> f32 {
-        let t = f64::from(self.mean) / f64::from(self.sigma);
-        if t > FAR { 1.0 } else { cdf(t) as f32 }
+        quick_cdf(self.mean / self.sigma).max(f32::MIN_POSITIVE)
     }
 
     /// Density at `z` below the maximum range [1/m].
@@ -43,17 +61,16 @@ impl RangeNormal {
         INV_SQRT_TAU * (-0.5 * t * t).exp() / (self.sigma * self.kept())
     }
 
-    /// Natural log of [`RangeNormal::density`], without its underflow.
-    pub fn log_density(self, z: f32) -> f32 {
+    /// ln(`weight` * [`RangeNormal::density`]) without its underflow.
+    pub fn log_density(self, weight: f32, z: f32) -> f32 {
         let t = (z - self.mean) / self.sigma;
-        -0.5 * t * t + (INV_SQRT_TAU / (self.sigma * self.kept())).ln()
+        -0.5 * t * t + (weight * INV_SQRT_TAU / (self.sigma * self.kept())).ln()
     }
 
     /// P(reading <= `z`) below the maximum range.
     pub fn cdf(self, z: f32) -> f32 {
-        let (mean, sigma) = (f64::from(self.mean), f64::from(self.sigma));
-        let below = cdf(-mean / sigma);
-        ((cdf((f64::from(z) - mean) / sigma) - below) / (1.0 - below)) as f32
+        let kept = self.kept();
+        (quick_cdf((z - self.mean) / self.sigma) - (1.0 - kept)) / kept
     }
 
     /// Probability of the maximum range.
@@ -70,6 +87,23 @@ impl RangeNormal {
             if z >= 0.0 {
                 return z.min(max_range);
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_quick_distribution_function_is_near_the_exact_one_and_monotone() {
+        let mut last = 0.0;
+        for i in -80_000..80_000 {
+            let t = i as f32 * 1e-4;
+            let p = quick_cdf(t);
+            assert!((f64::from(p) - cdf(f64::from(t))).abs() < 1e-6, "at {t}");
+            assert!(p >= last);
+            last = p;
         }
     }
 }

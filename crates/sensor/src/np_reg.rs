@@ -4,12 +4,15 @@ use std::collections::BTreeMap;
 
 use crate::axis::Axis;
 use crate::binned::Counts;
+use crate::evaluate::{histogram_match, log_loss};
 use crate::histogram::{HistogramTable, Parts};
 use crate::state_grid::StateGrid;
-use crate::{Evaluation, ModelKind, SensorError, TrainingSet, evaluate};
+use crate::{ModelKind, SensorError, TrainingSet};
 
-/// Candidates for the bandwidth over nominal range, as shares of the maximum range: 1 cm to 1.8 m of 4.5 m.
-const RANGE_SHARES: [f32; 8] = [0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4];
+/// Candidates for the bandwidth of `np_reg` over nominal range, as shares of the maximum range: 1 cm to 45 cm of 4.5 m.
+const RANGE_SHARES: [f32; 6] = [0.002, 0.005, 0.01, 0.02, 0.05, 0.1];
+/// The same of `np_reg_registered`: 4.5 cm to 3.6 m.
+const REGISTERED_RANGE_SHARES: [f32; 7] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8];
 /// Candidates for the bandwidth over incidence [rad].
 const INCIDENCES: [f32; 5] = [0.03, 0.06, 0.12, 0.25, 0.5];
 /// Candidates for the bandwidth over the observation in bins, and for the weight of the pooled histogram in
@@ -61,46 +64,50 @@ pub(crate) fn fit(
     let search = Search::new(kind, train, held_out);
     let registered = kind == ModelKind::NpRegRegistered;
     let mut tried = search.states();
-    let mut best = choose(kind, &tried);
-    if registered {
-        for observation_bins in OBSERVATIONS {
-            tried.push(search.try_one(Smoothing { observation_bins, ..best.0 }));
-        }
-        best = choose(kind, &tried);
-        for pseudo_count in PSEUDO_COUNTS {
-            tried.push(search.try_one(Smoothing { pseudo_count, ..best.0 }));
-        }
-        best = choose(kind, &tried);
+    if !registered {
+        let least = tried.iter().map(|t| t.risk_m).fold(f64::INFINITY, f64::min);
+        tried.retain(|t| t.risk_m <= least * (1.0 + EQUAL_RISK));
     }
-    let (smoothing, score) = best;
+    let mut best = least_log_loss(tried);
+    if registered {
+        let start = best.smoothing;
+        let tried = OBSERVATIONS.map(|bins| search.score(Smoothing { observation_bins: bins, ..start }));
+        best = least_log_loss(tried);
+        let start = best.smoothing;
+        let tried = PSEUDO_COUNTS.map(|readings| search.score(Smoothing { pseudo_count: readings, ..start }));
+        best = least_log_loss(tried);
+    }
+    let Smoothing { range_m, incidence_rad, observation_bins, pseudo_count } = best.smoothing;
+    let table = search.table(&search.smoothed(best.smoothing), pseudo_count);
     let mut chosen: BTreeMap<String, f64> = [
-        ("bandwidth_range_m", smoothing.range_m.into()),
-        ("bandwidth_incidence_rad", smoothing.incidence_rad.into()),
-        ("held_out_log_loss_nats", score.log_loss_nats),
-        ("held_out_histogram_match_m", score.histogram_match_m),
+        ("bandwidth_range_m", range_m.into()),
+        ("bandwidth_incidence_rad", incidence_rad.into()),
+        ("held_out_log_loss_nats", best.log_loss_nats),
+        ("held_out_histogram_match_m", histogram_match(&table, held_out)),
     ]
     .map(|(name, value)| (name.to_owned(), value))
     .into();
     if registered {
-        chosen.insert("bandwidth_observation_bins".to_owned(), smoothing.observation_bins.into());
-        chosen.insert("pseudo_count".to_owned(), smoothing.pseudo_count.into());
+        chosen.insert("bandwidth_observation_bins".to_owned(), observation_bins.into());
+        chosen.insert("pseudo_count".to_owned(), pseudo_count.into());
     }
-    Ok((search.table(&search.smoothed(smoothing), smoothing.pseudo_count), chosen))
+    Ok((table, chosen))
 }
 
-/// The best of what was tried; the earlier of equals.
-fn choose(kind: ModelKind, tried: &[(Smoothing, Evaluation)]) -> (Smoothing, Evaluation) {
-    let least_risk = tried.iter().map(|t| t.1.histogram_match_m).fold(f64::INFINITY, f64::min);
-    let allowed = |score: &Evaluation| {
-        kind == ModelKind::NpRegRegistered || score.histogram_match_m <= least_risk * (1.0 + EQUAL_RISK)
-    };
-    let mut best: Option<&(Smoothing, Evaluation)> = None;
-    for candidate in tried.iter().filter(|t| allowed(&t.1)) {
-        if best.is_none_or(|best| candidate.1.log_loss_nats < best.1.log_loss_nats) {
-            best = Some(candidate);
-        }
-    }
-    *best.expect("the candidate of least risk is allowed")
+/// A candidate and its held-out scores.
+struct Tried {
+    smoothing: Smoothing,
+    log_loss_nats: f64,
+    /// Mean histogram match [m]; only `np_reg` asks for it, 0 otherwise.
+    risk_m: f64,
+}
+
+/// The candidate with the least log loss, the first of equals. There is at least one.
+fn least_log_loss(tried: impl IntoIterator<Item = Tried>) -> Tried {
+    tried
+        .into_iter()
+        .reduce(|best, other| if other.log_loss_nats < best.log_loss_nats { other } else { best })
+        .expect("there are candidates")
 }
 
 /// The readings as counted, and what scores candidates.
@@ -128,28 +135,36 @@ impl<'a> Search<'a> {
     }
 
     /// Scores every pair of bandwidths over the state.
-    fn states(&self) -> Vec<(Smoothing, Evaluation)> {
-        let (observation_bins, pseudo_count) = match self.kind {
-            ModelKind::NpRegRegistered => (OBSERVATIONS[0], PSEUDO_COUNTS[0]),
-            _ => (0.0, FALLBACK),
+    fn states(&self) -> Vec<Tried> {
+        let (shares, observation_bins, pseudo_count) = match self.kind {
+            ModelKind::NpRegRegistered => (&REGISTERED_RANGE_SHARES[..], OBSERVATIONS[0], PSEUDO_COUNTS[0]),
+            _ => (&RANGE_SHARES[..], 0.0, FALLBACK),
         };
         let along_observation = self.counts.smoothed_over_observation(observation_bins);
         let mut tried = Vec::new();
-        for share in RANGE_SHARES {
+        for share in shares {
             let range_m = share * self.counts.grid.max_range;
             let along_range = along_observation.smoothed_over_range(range_m);
             for incidence_rad in INCIDENCES {
                 let smoothing = Smoothing { range_m, incidence_rad, observation_bins, pseudo_count };
-                let table = self.table(&along_range.smoothed_over_incidence(incidence_rad), pseudo_count);
-                tried.push((smoothing, evaluate(&table, self.held_out)));
+                tried.push(self.scored(smoothing, &along_range.smoothed_over_incidence(incidence_rad)));
             }
         }
         tried
     }
 
-    fn try_one(&self, smoothing: Smoothing) -> (Smoothing, Evaluation) {
-        let table = self.table(&self.smoothed(smoothing), smoothing.pseudo_count);
-        (smoothing, evaluate(&table, self.held_out))
+    fn score(&self, smoothing: Smoothing) -> Tried {
+        self.scored(smoothing, &self.smoothed(smoothing))
+    }
+
+    fn scored(&self, smoothing: Smoothing, smoothed: &Counts) -> Tried {
+        let table = self.table(smoothed, smoothing.pseudo_count);
+        let by_risk = self.kind == ModelKind::NpReg;
+        Tried {
+            smoothing,
+            log_loss_nats: log_loss(&table, self.held_out),
+            risk_m: if by_risk { histogram_match(&table, self.held_out) } else { 0.0 },
+        }
     }
 
     fn smoothed(&self, smoothing: Smoothing) -> Counts {
@@ -170,35 +185,37 @@ impl<'a> Search<'a> {
             let open = cell == grid.mapped();
             let share = if open { 0.0 } else { pseudo_count };
             let wide = pseudo_count * if open { 1.0 } else { WIDE };
-            self.push_row(smoothed.row(cell), &pooled, share, wide, grid.centre(cell).0, &mut mass);
+            self.push_row(smoothed.row(cell), &pooled, share, wide, grid.longest(cell), &mut mass);
         }
         let parts = Parts { kind: self.kind, grid, axis: self.axis.clone(), mass };
         HistogramTable::try_from(parts).expect("normalized counts are probabilities")
     }
 
-    /// Appends the bin masses of one cell: its counts, `share` readings of the pooled histogram, and
-    /// `wide` of the wide distribution, cut to readings that are possible at nominal range `r`, and normalized.
-    fn push_row(&self, counts: &[f32], pooled: &[f32], share: f32, wide: f32, r: f32, mass: &mut Vec<f32>) {
+    /// Appends the bin masses of one cell: its counts, `share` readings of the pooled histogram, and `wide` of the
+    /// wide distribution, without what no beam of the cell can observe below a reading of 0, normalized. What lies
+    /// beyond the maximum range stays: the table reports it as the maximum range.
+    fn push_row(
+        &self,
+        counts: &[f32],
+        pooled: &[f32],
+        share: f32,
+        wide: f32,
+        longest: f32,
+        mass: &mut Vec<f32>,
+    ) {
         let bins = self.axis.bins();
-        let max_range = self.counts.grid.max_range;
-        let zero = if self.kind == ModelKind::NpRegRegistered { r } else { 0.0 };
+        let zero = if self.kind == ModelKind::NpRegRegistered { -longest } else { 0.0 };
         let start = mass.len();
-        let mut at_max = f64::from(counts[bins] + share * pooled[bins] + 0.5 * wide);
-        let mut total = 0.0;
-        for bin in 0..bins {
-            let (lower, upper) = (self.axis.lower(bin) + zero, self.axis.upper(bin) + zero);
-            let possible = (upper.min(max_range) - lower.max(0.0)).max(0.0);
-            let value = counts[bin] + share * pooled[bin] + 0.5 * wide * possible / max_range;
-            // a reading beyond the maximum range is seen as the maximum range, one below 0 isn't seen
-            let kept = if possible > 0.0 { value } else { 0.0 };
-            if lower >= max_range {
-                at_max += f64::from(value);
+        mass.extend((0..bins).map(|bin| {
+            if self.axis.upper(bin) <= zero {
+                return 0.0;
             }
-            total += f64::from(kept);
-            mass.push(kept);
-        }
-        let scale = 1.0 / (total + at_max);
-        mass[start..].iter_mut().for_each(|m| *m = ((f64::from(*m) * scale) as f32).min(1.0));
+            let even = self.axis.width(bin) / self.counts.grid.max_range;
+            counts[bin] + share * pooled[bin] + 0.5 * wide * even
+        }));
+        let at_max = f64::from(counts[bins] + share * pooled[bins] + 0.5 * wide);
+        let total: f64 = at_max + mass[start..].iter().map(|m| f64::from(*m)).sum::<f64>();
+        mass[start..].iter_mut().for_each(|m| *m = (f64::from(*m) / total).min(1.0) as f32);
     }
 }
 

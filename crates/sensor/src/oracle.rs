@@ -91,34 +91,32 @@ impl Oracle {
         }
     }
 
-    /// P(reading <= `z`) of an object that stands evenly within a stretch, for `z` from 0 to below the maximum.
+    /// P(reading <= `z`) of an object that stands evenly within a stretch, for `z` from 0 to the maximum.
     fn stretch_cdf(&self, stretch: &Stretch, z: f32) -> f32 {
-        let mean = 0.5 * (stretch.near + stretch.far);
-        let sigma = f64::from(self.noise(mean).sigma);
-        let (near, far) = (f64::from(stretch.near), f64::from(stretch.far));
-        let at = |z: f64| {
-            if z - far > 8.0 * sigma {
-                return 1.0;
-            }
-            // the integral of the normal distribution function is t cdf(t) + pdf(t)
-            let primitive = |t: f64| t * normal::cdf(t) + normal::pdf(t);
-            sigma * (primitive((z - near) / sigma) - primitive((z - far) / sigma)) / (far - near)
-        };
-        let below = at(0.0);
-        ((at(f64::from(z)) - below) / (1.0 - below)) as f32
+        let below = self.uncut_cdf(stretch, 0.0);
+        ((self.uncut_cdf(stretch, z) - below) / (1.0 - below)) as f32
     }
 
     /// Density [1/m] of a reading of an object that stands evenly within a stretch.
     fn stretch_density(&self, stretch: &Stretch, z: f32) -> f32 {
+        let &Stretch { near, far, .. } = stretch;
+        let sigma = self.noise(0.5 * (near + far)).sigma;
+        let at = |z: f32| normal::quick_cdf((z - near) / sigma) - normal::quick_cdf((z - far) / sigma);
+        let density = at(z) / (far - near);
+        if near > REACH * sigma { density } else { density / (1.0 - self.uncut_cdf(stretch, 0.0) as f32) }
+    }
+
+    /// P(reading <= `z`) of an object that stands evenly within a stretch, before readings below 0 are
+    /// conditioned away.
+    fn uncut_cdf(&self, stretch: &Stretch, z: f32) -> f64 {
         let sigma = f64::from(self.noise(0.5 * (stretch.near + stretch.far)).sigma);
         let (near, far, z) = (f64::from(stretch.near), f64::from(stretch.far), f64::from(z));
-        let density = (normal::cdf((z - near) / sigma) - normal::cdf((z - far) / sigma)) / (far - near);
-        if near > 6.0 * sigma {
-            return density as f32;
+        if z - far > 8.0 * sigma {
+            return 1.0;
         }
+        // the integral of the normal distribution function is t cdf(t) + pdf(t)
         let primitive = |t: f64| t * normal::cdf(t) + normal::pdf(t);
-        let below = sigma * (primitive(-near / sigma) - primitive(-far / sigma)) / (far - near);
-        (density / (1.0 - below)) as f32
+        sigma * (primitive((z - near) / sigma) - primitive((z - far) / sigma)) / (far - near)
     }
 
     fn density(&self, survival: &[f32], z: f32, beam: Beam) -> f32 {

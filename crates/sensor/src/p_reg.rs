@@ -9,9 +9,10 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::beam::{Beam, cdfs, log_densities, samples};
+use crate::evaluate::{histogram_match, log_loss};
 use crate::normal::RangeNormal;
 use crate::state_grid::StateGrid;
-use crate::{ModelKind, SensorError, TrainingSet, evaluate};
+use crate::{ModelKind, SensorError, TrainingSet};
 
 /// A group of states has at least this many readings, so that a standard deviation can be told.
 const GROUP: usize = 20;
@@ -89,7 +90,7 @@ impl SensorModel for NormalTable {
             if z >= beam.max_range {
                 return (no_return + (1.0 - no_return) * normal.at(beam.max_range)).ln();
             }
-            (1.0 - no_return).ln() + normal.log_density(z)
+            normal.log_density(1.0 - no_return, z)
         });
     }
 
@@ -131,23 +132,23 @@ pub(crate) fn fit(
         });
     }
     let open = open_cell(train, &open);
-    let mut best: Option<(NormalTable, f64, f64, f64, f64)> = None;
+    let mut best: Option<(NormalTable, f64, f64, f64)> = None;
     for share in RANGE_SHARES {
         let range = share * f64::from(train.max_range());
         for incidence in INCIDENCES {
             let table = groups.regress(train.max_range(), [range, incidence], open)?;
-            let score = evaluate(&table, held_out);
-            if best.as_ref().is_none_or(|best| score.histogram_match_m < best.3) {
-                best = Some((table, range, incidence, score.histogram_match_m, score.log_loss_nats));
+            let risk = histogram_match(&table, held_out);
+            if best.as_ref().is_none_or(|best| risk < best.3) {
+                best = Some((table, range, incidence, risk));
             }
         }
     }
-    let (table, range, incidence, histogram_match, log_loss) = best.expect("there are candidates");
+    let (table, range, incidence, risk) = best.expect("there are candidates");
     let chosen = [
         ("bandwidth_range_m", range),
         ("bandwidth_incidence_rad", incidence),
-        ("held_out_histogram_match_m", histogram_match),
-        ("held_out_log_loss_nats", log_loss),
+        ("held_out_histogram_match_m", risk),
+        ("held_out_log_loss_nats", log_loss(&table, held_out)),
     ];
     Ok((table, chosen.map(|(name, value)| (name.to_owned(), value)).into()))
 }
@@ -161,11 +162,13 @@ struct Groups {
     /// All groups: states, and share of no returns.
     states: Vec<f64>,
     no_returns: Vec<f64>,
+    /// Half a reading of all those seen: no kind of reading is held rarer than that, least of all impossible.
+    rarest: f64,
 }
 
 impl Groups {
     fn of(train: &TrainingSet, mut members: Vec<usize>) -> Self {
-        let mut groups = Self::default();
+        let mut groups = Self { rarest: 0.5 / (train.reading_count() as f64 + 1.0), ..Self::default() };
         groups.split(train, &mut members);
         groups
     }
@@ -217,6 +220,12 @@ impl Groups {
         let normals = regression(&self.normal_states, &self.normals)?;
         let no_returns = regression(&self.states, &self.no_returns)?;
         let grid = StateGrid { max_range, ranges: 60, incidences: 15 };
+        // a plane may leave what a parameter can be; it is kept to what groups have had
+        let seen = |parameter: usize| {
+            let values = || self.normals.iter().skip(parameter).step_by(2).copied();
+            (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
+        };
+        let (offsets, sigmas) = (seen(0), seen(1));
         let mut cells = (0..grid.mapped())
             .into_par_iter()
             .map(|cell| {
@@ -225,11 +234,10 @@ impl Groups {
                 let (mut normal, mut no_return) = ([0.0; 2], [0.0]);
                 normals.predict(&query, &mut normal)?;
                 no_returns.predict(&query, &mut no_return)?;
-                // a plane may leave what a parameter can be
                 Ok(Cell {
-                    offset_m: normal[0] as f32,
-                    sigma_m: normal[1].max(LEAST_SIGMA) as f32,
-                    no_return: no_return[0].clamp(0.0, 1.0) as f32,
+                    offset_m: normal[0].clamp(offsets.0, offsets.1) as f32,
+                    sigma_m: normal[1].clamp(sigmas.0, sigmas.1) as f32,
+                    no_return: no_return[0].clamp(self.rarest, 1.0 - self.rarest) as f32,
                 })
             })
             .collect::<Result<Vec<_>, SensorError>>()?;

@@ -47,6 +47,14 @@ impl StateGrid {
         i.min(self.ranges - 1) * self.incidences + j.min(self.incidences - 1)
     }
 
+    /// The longest nominal range of a cell [m].
+    pub fn longest(&self, cell: usize) -> f32 {
+        if cell >= self.mapped() {
+            return self.max_range;
+        }
+        (cell / self.incidences + 1) as f32 * self.range_width()
+    }
+
     /// Nominal range and incidence angle at the middle of a cell; the maximum range and 0 for open beams.
     pub fn centre(&self, cell: usize) -> (f32, f32) {
         if cell >= self.mapped() {

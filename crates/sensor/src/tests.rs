@@ -1,0 +1,8 @@
+//! Tests of the crate as its users see it, on a simulated world whose density is known.
+
+mod densities;
+mod files;
+mod learning;
+mod simulated;
+mod tempering;
+mod training;
