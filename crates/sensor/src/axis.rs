@@ -33,7 +33,7 @@ impl TryFrom<Parts> for Axis {
     fn try_from(parts: Parts) -> Result<Self, Self::Error> {
         let ascending = parts.ends.first().is_some_and(|&e| e > 0) && parts.ends.is_sorted_by(|a, b| a < b);
         let sound = parts.origin.is_finite() && parts.quantum.is_finite() && parts.quantum > 0.0;
-        if !(ascending && sound && parts.ends.len() <= usize::from(u16::MAX)) {
+        if !(ascending && sound && u16::try_from(parts.ends.len()).is_ok()) {
             return Err("bins are out of order");
         }
         let mut bin_of = Vec::new();

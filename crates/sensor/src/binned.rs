@@ -22,23 +22,23 @@ pub(crate) struct Counts {
     /// Number of bins plus one: the last entry of each row counts readings at the maximum range.
     stride: usize,
     /// \[cell\]\[stride\].
-    counts: Vec<f32>,
+    rows: Vec<f32>,
 }
 
 impl Counts {
     /// Counts the observation `observe(z, r)` of every reading.
     pub fn of(data: &TrainingSet, grid: StateGrid, axis: &Axis, observe: impl Fn(f32, f32) -> f32) -> Self {
         let stride = axis.bins() + 1;
-        let mut counts = vec![0.0; grid.cells() * stride];
+        let mut rows = vec![0.0; grid.cells() * stride];
         for (z, beam) in data.readings() {
             let bin = if z >= beam.max_range { axis.bins() } else { axis.bin(observe(z, beam.range)) };
-            counts[grid.cell(&beam) * stride + bin] += 1.0;
+            rows[grid.cell(&beam) * stride + bin] += 1.0;
         }
-        Self { grid, stride, counts }
+        Self { grid, stride, rows }
     }
 
     pub fn row(&self, cell: usize) -> &[f32] {
-        &self.counts[cell * self.stride..][..self.stride]
+        &self.rows[cell * self.stride..][..self.stride]
     }
 
     /// The readings of all cells with a mapped surface together.
@@ -56,7 +56,7 @@ impl Counts {
         let kernel = kernel(bandwidth);
         let bins = self.stride - 1;
         let mut out = self.clone();
-        out.counts.par_chunks_mut(self.stride).zip(self.counts.par_chunks(self.stride)).for_each(
+        out.rows.par_chunks_mut(self.stride).zip(self.rows.par_chunks(self.stride)).for_each(
             |(to, from)| {
                 to[..bins].fill(0.0);
                 for (bin, &count) in from[..bins].iter().enumerate().filter(|(_, count)| **count > 0.0) {
@@ -79,8 +79,8 @@ impl Counts {
         let slab = self.grid.incidences * self.stride;
         let mut out = self.clone();
         let mapped = self.grid.mapped() * self.stride;
-        out.counts[..mapped].par_chunks_mut(slab).enumerate().for_each(|(i, to)| {
-            convolve(to, &self.counts[..mapped], i, self.grid.ranges, &kernel);
+        out.rows[..mapped].par_chunks_mut(slab).enumerate().for_each(|(i, to)| {
+            convolve(to, &self.rows[..mapped], i, self.grid.ranges, &kernel);
         });
         out
     }
@@ -92,7 +92,7 @@ impl Counts {
         let slab = self.grid.incidences * self.stride;
         let mut out = self.clone();
         let mapped = self.grid.mapped() * self.stride;
-        out.counts[..mapped].par_chunks_mut(slab).zip(self.counts.par_chunks(slab)).for_each(|(to, from)| {
+        out.rows[..mapped].par_chunks_mut(slab).zip(self.rows.par_chunks(slab)).for_each(|(to, from)| {
             for (j, to) in to.chunks_mut(self.stride).enumerate() {
                 convolve(to, from, j, self.grid.incidences, &kernel);
             }

@@ -179,7 +179,9 @@ impl<'a> Search<'a> {
         let grid = smoothed.grid;
         let mut pooled = smoothed.pooled();
         let total: f32 = pooled.iter().sum();
-        pooled.iter_mut().for_each(|mass| *mass *= (1.0 - WIDE) / total);
+        for mass in &mut pooled {
+            *mass *= (1.0 - WIDE) / total;
+        }
         let mut mass = Vec::with_capacity(grid.cells() * self.axis.bins());
         for cell in 0..grid.cells() {
             let open = cell == grid.mapped();
@@ -215,7 +217,9 @@ impl<'a> Search<'a> {
         }));
         let at_max = f64::from(counts[bins] + share * pooled[bins] + 0.5 * wide);
         let total: f64 = at_max + mass[start..].iter().map(|m| f64::from(*m)).sum::<f64>();
-        mass[start..].iter_mut().for_each(|m| *m = (f64::from(*m) / total).min(1.0) as f32);
+        for mass in &mut mass[start..] {
+            *mass = (f64::from(*mass) / total).min(1.0) as f32;
+        }
     }
 }
 

@@ -194,7 +194,9 @@ fn log_posteriors(model: &dyn SensorModel, scan: &CalibrationScan, grid: &Temper
         &scan.hits.beams(scan.laser.view(), &scan.bearings, scan.max_range),
         &mut density,
     );
-    density.iter_mut().for_each(|l| *l = l.exp());
+    for l in &mut density {
+        *l = l.exp();
+    }
     let mut row = Vec::with_capacity(grid.floors.len() * grid.exponents.len());
     for &floor in &grid.floors {
         let sums: Vec<f64> = density
