@@ -2,6 +2,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::density::Taps;
+use crate::distribution::MAX_BINS;
 use crate::error::{finite, positive};
 use crate::{Dataset, Distribution, Error, Grid, Kernel, PointMass, Smoother, Support};
 
@@ -224,10 +225,8 @@ impl NpReg {
     /// # Errors
     /// If the query isn't `dim` finite numbers, or the coordinate of a scale alignment isn't positive.
     pub fn predict(&self, query: &[f64]) -> Result<(Distribution, Support), Error> {
+        crate::error::query(self.dim(), query)?;
         let predictions = self.predict_batch(query)?;
-        if predictions.len() != 1 {
-            return Err(Error::Dimension { expected: self.dim(), found: query.len() });
-        }
         Ok((predictions.distribution(0), predictions.support[0]))
     }
 
@@ -305,12 +304,12 @@ impl NpReg {
         // An aligned bin moves by whole bins and a fraction. `raw` takes what the whole bins leave in the grid,
         // with one more bin at either end for the rest; then the fraction is split between neighbours.
         let grid = &self.options.grid;
-        let offset = (shift - grid.lo) / grid.width;
+        // Beyond these limits nothing stays within the grid, and whole bins would not fit an i32.
+        let limit = MAX_BINS as f64 - 1.0;
+        let offset = ((shift - grid.lo) / grid.width).clamp(-limit, limit);
         let fraction = offset - offset.floor();
-        // Where the limits of i32 bind, everything is beyond the grid anyway.
-        let whole = (offset.floor() as i32).clamp(-i32::MAX / 2, i32::MAX / 2);
-        let below = -1 - whole;
-        let above = (row.len() as i32).saturating_sub(whole);
+        let whole = offset.floor() as i32;
+        let (below, above) = (-1 - whole, row.len() as i32 - whole);
         raw.clear();
         raw.resize(row.len() + 2, 0.0);
         for &(i, w) in weights {
@@ -330,7 +329,8 @@ impl NpReg {
     /// Adds the weighted histograms of z / x to `row`, scaled up by `scale`. Gives the mass above the grid.
     fn scaled(&self, scale: f64, weights: &[(usize, f64)], row: &mut [f64]) -> f64 {
         let grid = &self.options.grid;
-        let step = self.aligned_width * scale / grid.width;
+        // Finite, as bin 0 times infinity would be NaN.
+        let step = (self.aligned_width * scale / grid.width).min(f64::MAX);
         let start = -grid.lo / grid.width;
         let mut above = 0.0;
         for &(i, w) in weights {

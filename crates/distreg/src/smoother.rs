@@ -8,7 +8,7 @@ pub const FALLBACK_NEIGHBOURS: usize = 8;
 
 /// Total Gaussian weight that may be left out per query by skipping far states. Small enough that a prediction
 /// agrees with the dense product to better than 1e-12.
-const NEGLIGIBLE: f64 = 1e-13;
+const NEGLIGIBLE: f64 = 5e-13;
 
 /// Whether a query lies within the training data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
