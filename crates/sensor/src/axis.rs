@@ -54,7 +54,7 @@ impl Axis {
     /// the sensor's own noise lies, then each an eighth wider than the one before, up to `widest` [m].
     pub fn around_zero(max: f32, quantum: f32, widest: f32) -> Self {
         let most = (max / quantum).ceil() as u32;
-        let widest = ((widest / quantum) as u32).max(1);
+        let widest = ((widest / quantum).round() as u32).max(1);
         let mut upper = Vec::new();
         let mut end = 0;
         while end < most {
@@ -96,5 +96,36 @@ impl Axis {
     /// Width of a bin [m].
     pub fn width(&self, bin: usize) -> f32 {
         self.upper(bin) - self.lower(bin)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_value_lies_in_its_bin(value in -4.5f32..4.5, quantum in 0.0005f32..0.02) {
+            for axis in [Axis::around_zero(4.5, quantum, 0.03), Axis::uniform(4.5, 450)] {
+                let bin = axis.bin(value);
+                // both ends are rounded to f32
+                prop_assert!(axis.lower(bin) <= value.max(axis.lower(0)) + 2e-6);
+                prop_assert!(axis.upper(bin) >= value - 2e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn bins_are_fine_around_zero_and_symmetric() {
+        let axis = Axis::around_zero(4.5, 0.002, 0.03);
+        assert!((axis.width(axis.bin(0.01)) - 0.002).abs() < 1e-6);
+        assert!((axis.width(axis.bin(2.0)) - 0.03).abs() < 1e-6);
+        assert!((axis.lower(0) + axis.upper(axis.bins() - 1)).abs() < 1e-6);
+        assert!(axis.upper(axis.bins() - 1) >= 4.5);
+        for bin in 0..axis.bins() {
+            assert!((axis.lower(bin) + axis.upper(axis.bins() - 1 - bin)).abs() < 1e-5);
+        }
     }
 }

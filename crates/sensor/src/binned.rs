@@ -56,18 +56,16 @@ impl Counts {
         let kernel = kernel(bandwidth);
         let bins = self.stride - 1;
         let mut out = self.clone();
-        out.rows.par_chunks_mut(self.stride).zip(self.rows.par_chunks(self.stride)).for_each(
-            |(to, from)| {
-                to[..bins].fill(0.0);
-                for (bin, &count) in from[..bins].iter().enumerate().filter(|(_, count)| **count > 0.0) {
-                    let near = bin.saturating_sub(kernel.len() - 1)..(bin + kernel.len()).min(bins);
-                    let total: f32 = near.clone().map(|b| kernel[b.abs_diff(bin)]).sum();
-                    for b in near {
-                        to[b] += count * kernel[b.abs_diff(bin)] / total;
-                    }
+        out.rows.par_chunks_mut(self.stride).zip(self.rows.par_chunks(self.stride)).for_each(|(to, from)| {
+            to[..bins].fill(0.0);
+            for (bin, &count) in from[..bins].iter().enumerate().filter(|(_, count)| **count > 0.0) {
+                let near = bin.saturating_sub(kernel.len() - 1)..(bin + kernel.len()).min(bins);
+                let total: f32 = near.clone().map(|b| kernel[b.abs_diff(bin)]).sum();
+                for b in near {
+                    to[b] += count * kernel[b.abs_diff(bin)] / total;
                 }
-            },
-        );
+            }
+        });
         out
     }
 
@@ -117,4 +115,67 @@ fn convolve(to: &mut [f32], from: &[f32], at: usize, n: usize, kernel: &[f32]) {
 fn kernel(bandwidth: f32) -> Vec<f32> {
     let reach = (CUT * bandwidth) as usize;
     (0..=reach).map(|k| if k == 0 { 1.0 } else { (-0.5 * (k as f32 / bandwidth).powi(2)).exp() }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use distreg::{Dataset, Kernel, Smoother};
+    use locsim_core::{Draw, Stage};
+    use rand::RngExt;
+
+    use super::*;
+    use crate::tests::simulated::{MAX_RANGE, state};
+
+    /// With every state in the middle of a cell, smoothing on the grid is the sum over states of eq. (7), but
+    /// for what lies beyond four bandwidths: 3e-4 of a kernel's height, and a mass of 1e-4.
+    #[test]
+    fn smoothing_on_the_grid_is_the_sum_over_states() {
+        let grid = StateGrid { max_range: MAX_RANGE, ranges: 30, incidences: 10 };
+        let axis = Axis::uniform(MAX_RANGE, 20);
+        let mut data = TrainingSet::new(MAX_RANGE).unwrap();
+        let mut states = Dataset::new(2);
+        for i in 0..120 {
+            let mut rng = Draw::new(2, Stage::Training, 0).item(i);
+            let (r, alpha) = grid.centre(rng.random_range(0..grid.mapped()));
+            let z: Vec<f32> =
+                (0..5).map(|_| rng.random::<f32>() * 1.1 * MAX_RANGE).map(|z| z.min(MAX_RANGE)).collect();
+            data.push(state(r, alpha, i), &z).unwrap();
+            states.push(&[r.into(), alpha.into()], &z.iter().map(|&z| z.into()).collect::<Vec<_>>()).unwrap();
+        }
+        let bandwidths = [0.4f32, 0.3];
+        let counts = Counts::of(&data, grid, &axis, |z, _| z);
+        let smoothed = counts.smoothed_over_range(bandwidths[0]).smoothed_over_incidence(bandwidths[1]);
+        let smoother = Smoother::new(&states, Kernel::Gaussian, &bandwidths.map(f64::from)).unwrap();
+        let mut weights = Vec::new();
+        for cell in 0..grid.mapped() {
+            let (r, alpha) = grid.centre(cell);
+            smoother.weights(&[r.into(), alpha.into()], &mut weights).unwrap();
+            let mut expected = vec![0.0; axis.bins() + 1];
+            for &(i, weight) in &weights {
+                for &z in data.observations(i) {
+                    let bin = if z >= MAX_RANGE { axis.bins() } else { axis.bin(z) };
+                    expected[bin] += weight / 5.0;
+                }
+            }
+            let row = smoothed.row(cell);
+            let total: f32 = row.iter().sum();
+            for (found, expected) in row.iter().zip(expected) {
+                assert!((f64::from(found / total) - expected).abs() < 2e-3, "cell {cell}");
+            }
+        }
+    }
+
+    #[test]
+    fn smoothing_over_the_observation_keeps_every_count() {
+        let grid = StateGrid { max_range: MAX_RANGE, ranges: 1, incidences: 1 };
+        let axis = Axis::around_zero(MAX_RANGE, 0.002, 0.03);
+        let mut data = TrainingSet::new(MAX_RANGE).unwrap();
+        data.push(state(2.0, 0.1, 0), &[0.0, 1.9, 2.0, 2.01, 4.4, MAX_RANGE]).unwrap();
+        for bandwidth in [0.0, 0.5, 3.0, 50.0] {
+            let counts = Counts::of(&data, grid, &axis, |z, r| z - r).smoothed_over_observation(bandwidth);
+            let (below, at_max) = counts.row(0).split_at(axis.bins());
+            assert!((below.iter().sum::<f32>() - 5.0).abs() < 1e-4);
+            assert_eq!(at_max, [1.0]);
+        }
+    }
 }

@@ -2,6 +2,7 @@
 
 use locsim_core::{Beams, Draw, SensorModel};
 use rand::RngExt;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::ModelKind;
@@ -56,17 +57,17 @@ impl TryFrom<Parts> for HistogramTable {
             return Err("a bin mass isn't a probability");
         }
         let widths: Vec<f32> = (0..bins).map(|bin| parts.axis.width(bin)).collect();
-        let mut log_density = Vec::with_capacity(parts.mass.len());
-        let mut below = Vec::with_capacity(parts.mass.len() + grid.cells());
-        for row in parts.mass.chunks(bins) {
+        let mut log_density = vec![0.0; parts.mass.len()];
+        let mut below = vec![0.0; parts.mass.len() + grid.cells()];
+        let rows = log_density.par_chunks_mut(bins).zip(below.par_chunks_mut(bins + 1));
+        rows.zip(parts.mass.par_chunks(bins)).for_each(|((log_density, below), mass)| {
             let mut sum = 0.0f64;
-            for (mass, width) in row.iter().zip(&widths) {
-                log_density.push((mass / width).ln());
-                below.push(sum as f32);
-                sum += f64::from(*mass);
+            for bin in 0..bins {
+                log_density[bin] = (mass[bin] / widths[bin]).ln();
+                sum += f64::from(mass[bin]);
+                below[bin + 1] = sum as f32;
             }
-            below.push(sum as f32);
-        }
+        });
         Ok(Self { parts, log_density, below })
     }
 }

@@ -23,7 +23,7 @@ pub(crate) fn cdf(t: f64) -> f64 {
     0.5 * erfc(-t * FRAC_1_SQRT_2)
 }
 
-/// Standard normal distribution function from a table: monotone, within 1e-6 of [`cdf`], an eighth of its time.
+/// Standard normal distribution function from a table: monotone, within 1e-6 of [`cdf`] and much faster.
 pub(crate) fn quick_cdf(t: f32) -> f32 {
     const PER_UNIT: f32 = 256.0;
     static TABLE: LazyLock<Vec<f32>> = LazyLock::new(|| {

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use rayon::prelude::*;
+
 use crate::axis::Axis;
 use crate::binned::Counts;
 use crate::evaluate::{histogram_match, log_loss};
@@ -182,42 +184,40 @@ impl<'a> Search<'a> {
         for mass in &mut pooled {
             *mass *= (1.0 - WIDE) / total;
         }
-        let mut mass = Vec::with_capacity(grid.cells() * self.axis.bins());
-        for cell in 0..grid.cells() {
-            let open = cell == grid.mapped();
-            let share = if open { 0.0 } else { pseudo_count };
-            let wide = pseudo_count * if open { 1.0 } else { WIDE };
-            self.push_row(smoothed.row(cell), &pooled, share, wide, grid.longest(cell), &mut mass);
-        }
+        let mut mass = vec![0.0; grid.cells() * self.axis.bins()];
+        mass.par_chunks_mut(self.axis.bins()).enumerate().for_each(|(cell, mass)| {
+            // open beams aren't like the others: their cell leans on the wide distribution alone
+            let (share, wide) =
+                if cell == grid.mapped() { (0.0, 1.0) } else { (pseudo_count, pseudo_count * WIDE) };
+            self.fill_cell(smoothed.row(cell), &pooled, share, wide, grid.longest(cell), mass);
+        });
         let parts = Parts { kind: self.kind, grid, axis: self.axis.clone(), mass };
         HistogramTable::try_from(parts).expect("normalized counts are probabilities")
     }
 
-    /// Appends the bin masses of one cell: its counts, `share` readings of the pooled histogram, and `wide` of the
-    /// wide distribution, without what no beam of the cell can observe below a reading of 0, normalized. What lies
-    /// beyond the maximum range stays: the table reports it as the maximum range.
-    fn push_row(
+    /// The bin masses of one cell: its counts, `share` readings of the pooled histogram and `wide` of the wide
+    /// distribution, without what would be a reading below 0 at every nominal range up to `longest`, normalized.
+    /// What lies beyond the maximum range stays: the table reports it as the maximum range.
+    fn fill_cell(
         &self,
         counts: &[f32],
         pooled: &[f32],
         share: f32,
         wide: f32,
         longest: f32,
-        mass: &mut Vec<f32>,
+        mass: &mut [f32],
     ) {
         let bins = self.axis.bins();
         let zero = if self.kind == ModelKind::NpRegRegistered { -longest } else { 0.0 };
-        let start = mass.len();
-        mass.extend((0..bins).map(|bin| {
-            if self.axis.upper(bin) <= zero {
-                return 0.0;
+        for (bin, mass) in mass.iter_mut().enumerate() {
+            if self.axis.upper(bin) > zero {
+                let even = self.axis.width(bin) / self.counts.grid.max_range;
+                *mass = counts[bin] + share * pooled[bin] + 0.5 * wide * even;
             }
-            let even = self.axis.width(bin) / self.counts.grid.max_range;
-            counts[bin] + share * pooled[bin] + 0.5 * wide * even
-        }));
-        let at_max = f64::from(counts[bins] + share * pooled[bins] + 0.5 * wide);
-        let total: f64 = at_max + mass[start..].iter().map(|m| f64::from(*m)).sum::<f64>();
-        for mass in &mut mass[start..] {
+        }
+        let at_max = counts[bins] + share * pooled[bins] + 0.5 * wide;
+        let total = f64::from(at_max) + mass.iter().map(|m| f64::from(*m)).sum::<f64>();
+        for mass in mass {
             *mass = (f64::from(*mass) / total).min(1.0) as f32;
         }
     }
@@ -235,4 +235,25 @@ fn noise_scale(train: &TrainingSet) -> f32 {
     let at = off.len() * 2 / 5;
     let (_, scale, _) = off.select_nth_unstable_by(at, f32::total_cmp);
     scale.clamp(2.5e-3, 0.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::simulated::training_set;
+
+    /// A beam is answered by the cell it falls into. Four times as many cells change the log loss by less than 0.003 nats, so
+    /// interpolating between cells couldn't gain more.
+    #[test]
+    fn cells_are_small_enough() {
+        let (train, held_out) = training_set(1000, 40, 3).split(0.3, 1).unwrap();
+        let coarse = Search::new(ModelKind::NpRegRegistered, &train, &held_out);
+        let grid = StateGrid { ranges: 192, incidences: 60, ..coarse.counts.grid };
+        let counts = Counts::of(&train, grid, &coarse.axis, |z, r| z - r);
+        let fine = Search { axis: coarse.axis.clone(), counts, ..coarse };
+        let smoothing =
+            Smoothing { range_m: 0.45, incidence_rad: 0.06, observation_bins: 1.0, pseudo_count: 3.0 };
+        let losses = [&coarse, &fine].map(|search| search.score(smoothing).log_loss_nats);
+        assert!((losses[0] - losses[1]).abs() < 0.003, "{losses:?}");
+    }
 }

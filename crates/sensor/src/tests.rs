@@ -3,6 +3,6 @@
 mod densities;
 mod files;
 mod learning;
-mod simulated;
+pub(crate) mod simulated;
 mod tempering;
 mod training;

@@ -2,9 +2,10 @@ use std::sync::Arc;
 
 use locsim_core::{Beams, Draw, Hits, Particles, Pose2, SensorModel, Stage};
 use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
 
-use super::simulated::{MAX_RANGE, model, normalized_models};
-use crate::{ModelKind, Tempered};
+use super::simulated::{MAX_RANGE, Objects, model, normalized_models};
+use crate::{ModelKind, Oracle, Tempered};
 
 /// Nominal range and incidence of the beams that are looked at: near, far, at the very end, nothing there.
 const BEAMS: [(f32, f32); 7] =
@@ -91,25 +92,28 @@ fn the_likelihood_field_does_not_integrate_to_one() {
     assert!((ends[0] + at_max - 1.0).abs() < 1e-4 && ends[1] == 1.0);
 }
 
-/// Kolmogorov-Smirnov distance of samples at `drawn` from the distribution at `beam`, by the randomized probability transform
+/// Kolmogorov-Smirnov distance of readings from a model's distribution, by the randomized probability transform
 /// F(z-) + V (F(z) - F(z-)), which is uniform also where there is a point mass.
-fn distance_from_uniform(model: &dyn SensorModel, drawn: (f32, f32), beam: (f32, f32), n: usize) -> f64 {
-    let mut z = vec![0.0; n];
-    let draw = Draw::new(5, Stage::Sensor, 3);
-    model.sample(&OneBeam::new(drawn, n).beams(), &draw, &mut z);
+fn distance_from(model: &dyn SensorModel, beam: (f32, f32), z: &[f32]) -> f64 {
     let before: Vec<f32> =
         z.iter().map(|&z| if z >= MAX_RANGE { MAX_RANGE.next_down() } else { z }).collect();
-    let upper = cdfs(model, beam, &z);
+    let upper = cdfs(model, beam, z);
     let lower = cdfs(model, beam, &before);
-    let mut u: Vec<f64> = (0..n)
+    let mut u: Vec<f64> = (0..z.len())
         .map(|i| {
-            let v: f64 = draw.at(4).item(i as u32).random();
+            let v: f64 = Draw::new(5, Stage::Bootstrap, 0).item(i as u32).random();
             lower[i] + v * (upper[i] - lower[i])
         })
         .collect();
     u.sort_unstable_by(f64::total_cmp);
-    let n = n as f64;
+    let n = z.len() as f64;
     u.iter().enumerate().map(|(i, u)| (u - i as f64 / n).max((i as f64 + 1.0) / n - u)).fold(0.0, f64::max)
+}
+
+fn sampled(model: &dyn SensorModel, beam: (f32, f32), n: usize) -> Vec<f32> {
+    let mut z = vec![0.0; n];
+    model.sample(&OneBeam::new(beam, n).beams(), &Draw::new(5, Stage::Sensor, 3), &mut z);
+    z
 }
 
 /// P(D > d) <= 2 exp(-2 n d^2) (Dvoretzky, Kiefer, Wolfowitz, Massart): 1e-6 at this d.
@@ -125,9 +129,37 @@ fn samples_follow_the_distribution_function() {
     models.push(model(ModelKind::LikelihoodField));
     for model in models {
         for beam in BEAMS {
-            let d = distance_from_uniform(&*model, beam, beam, n);
+            let d = distance_from(&*model, beam, &sampled(&*model, beam, n));
             assert!(d < critical_distance(n), "{} {beam:?}: {d}", model.name());
         }
+    }
+}
+
+/// The oracle's distribution function against the story it tells, told by other code: an object with even density between
+/// 0.5 m and 2.5 m in 30 % of the cases, hidden where it stands behind the surface, seen with noise.
+#[test]
+fn the_oracle_is_what_a_simulation_does() {
+    let n = 20_000;
+    let oracle = Oracle::new(Arc::new(Objects::default()), 0.01, 0.002).unwrap();
+    for range in [1.03f32, 2.003, 4.49, MAX_RANGE] {
+        let z: Vec<f32> = (0..n as u32)
+            .map(|i| {
+                let mut rng = Draw::new(9, Stage::Laser, 0).item(i);
+                let object: f32 =
+                    if rng.random::<f32>() < 0.3 { 0.5 + 2.0 * rng.random::<f32>() } else { 9.0 };
+                let at = object.min(range);
+                if at >= MAX_RANGE {
+                    return MAX_RANGE;
+                }
+                let noise: f32 = StandardNormal.sample(&mut rng);
+                (at + (0.01 + 0.002 * at) * noise).min(MAX_RANGE)
+            })
+            .collect();
+        let d = distance_from(&oracle, (range, 0.0), &z);
+        assert!(d < critical_distance(n), "{range}: {d}");
+        // negative control: 2 cm further away
+        let d = distance_from(&oracle, (range - 0.02, 0.0), &z);
+        assert!(d > critical_distance(n), "{range}: {d}");
     }
 }
 
@@ -136,7 +168,8 @@ fn samples_follow_the_distribution_function() {
 fn samples_of_another_beam_are_told_apart() {
     let n = 4000;
     let registered = model(ModelKind::NpRegRegistered);
-    assert!(distance_from_uniform(&*registered, (2.01, 0.3), (2.0, 0.3), n) > critical_distance(n));
+    let z = sampled(&*registered, (2.01, 0.3), n);
+    assert!(distance_from(&*registered, (2.0, 0.3), &z) > critical_distance(n));
 }
 
 #[test]

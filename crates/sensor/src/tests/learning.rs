@@ -77,7 +77,7 @@ fn the_likelihood_field_recovers_the_noise() {
 }
 
 /// On fresh data the registered regression comes within 0.03 nats of the density that made them, the best that any model
-/// can do; the others are further away in the order that PAPER's account leads to expect. Classic is scored with a floor of 1 %:
+/// can do; the beam mixture comes next. Classic is scored with a floor of 1 %:
 /// without it, its loss is infinite, for it holds an unseen wall impossible.
 #[test]
 fn the_registered_regression_is_nearest_to_the_truth() {
