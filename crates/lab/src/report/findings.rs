@@ -1,0 +1,302 @@
+//! What the numbers say, in sentences that follow from them alone.
+
+use super::text::{escape, metres, metres_with, percent, with_interval};
+use crate::statistics::share_interval;
+use crate::summary::{CLASSIC, ModelSummary, ORACLE, Ratio, Summary};
+
+/// The paper's nonparametric model, as published.
+pub const NP_REG: &str = "np_reg";
+/// The model whose aims the report checks.
+pub const REGISTERED: &str = "np_reg_registered";
+
+/// The paper's Table II: mean and standard deviation of the pose error [m].
+pub const PAPER: [(&str, f64, f64); 2] = [(CLASSIC, 0.004, 0.041), (NP_REG, 0.002, 0.020)];
+
+/// Largest ratio of deviations to `classic` that is aimed for: the paper's own, rounded.
+const AIM_STD: f64 = 0.5;
+/// Largest ratio of RMSE to `oracle` that is aimed for.
+const AIM_RMSE: f64 = 1.1;
+
+/// So few lost trials that a bootstrap over trials doesn't represent them well.
+const FEW: u32 = 5;
+
+/// A bound on a ratio, judged by its whole interval.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    Met,
+    NotMet,
+    Undecided,
+}
+
+/// Whether a ratio is at most `bound`.
+fn judge(ratio: Ratio, bound: f64) -> Verdict {
+    match ratio.interval() {
+        Some(interval) if interval.hi <= bound => Verdict::Met,
+        Some(interval) if interval.lo > bound => Verdict::NotMet,
+        _ => Verdict::Undecided,
+    }
+}
+
+fn ratio_text(ratio: Ratio) -> String {
+    with_interval(ratio.value, ratio.interval(), 2)
+}
+
+fn code(name: &str) -> String {
+    format!("`{}`", name.replace('`', "'"))
+}
+
+/// Which models did best and how each compares with `classic`.
+pub fn comparisons(summary: &Summary) -> Vec<String> {
+    let mut sentences = Vec::new();
+    let mut ranked: Vec<(&str, &ModelSummary)> = summary.models.iter().collect();
+    ranked.sort_by(|a, b| a.1.errors.position_rmse_m.total_cmp(&b.1.errors.position_rmse_m));
+    let figure = |(name, model): (&str, &ModelSummary)| {
+        let interval = model.intervals.map(|i| i.errors.position_rmse_m);
+        format!("{} with {} m", code(name), metres_with(model.errors.position_rmse_m, interval))
+    };
+    if let [best, rest @ ..] = ranked.as_slice() {
+        let next = rest.first().map_or_else(String::new, |next| format!("; next {}", figure(*next)));
+        sentences.push(format!("Lowest position RMSE over all trials: {}{next}.", figure(*best)));
+    }
+    let median = |m: &ModelSummary| m.errors.position_median_m;
+    if let Some((name, model)) = summary.models.iter().min_by(|a, b| median(a.1).total_cmp(&median(b.1)))
+        && ranked.len() > 1
+    {
+        sentences.push(format!(
+            "Lowest median position error: {} with {} m.",
+            code(name),
+            metres(median(model))
+        ));
+    }
+    for ((name, all), (_, kept)) in summary.ratios.iter().zip(summary.ratios_kept.iter()) {
+        let (Some(ratio), true) = (all.rmse_vs_classic, name != CLASSIC) else { continue };
+        let without_lost =
+            kept.rmse_vs_classic.filter(|k| k.value != ratio.value).map_or_else(String::new, |k| {
+                format!("; {} on the trials that neither lost, {}", ratio_text(k), direction(k))
+            });
+        sentences.push(format!(
+            "{} against {}: {} times the RMSE, {}{without_lost}.",
+            code(name),
+            code(CLASSIC),
+            ratio_text(ratio),
+            direction(ratio)
+        ));
+    }
+    sentences
+}
+
+/// Which side of 1 a ratio is on.
+fn direction(ratio: Ratio) -> &'static str {
+    match ratio.interval() {
+        None => "a single trial, so no interval",
+        Some(interval) if interval.hi < 1.0 => "lower",
+        Some(interval) if interval.lo > 1.0 => "higher",
+        Some(_) => "no difference that these trials can show",
+    }
+}
+
+/// Who lost how many trials.
+pub fn lost_trials(summary: &Summary) -> Vec<String> {
+    let lost: Vec<(&str, u32)> = summary
+        .models
+        .iter()
+        .map(|(name, m)| (name, (m.lost_share * f64::from(summary.trials)).round() as u32))
+        .collect();
+    let bound = |k| share_interval(k, summary.trials);
+    if lost.iter().all(|(_, k)| *k == 0) {
+        return vec![format!(
+            "No model lost any of the {} trials; the true share of lost trials is then below {} % (exact 95 % interval), \
+             for each.",
+            summary.trials,
+            percent(bound(0).hi)
+        )];
+    }
+    let mut sentences: Vec<String> = lost
+        .iter()
+        .map(|&(name, k)| {
+            let interval = bound(k);
+            format!(
+                "{} lost {k} of {} trials: {} % [{}, {}].",
+                code(name),
+                summary.trials,
+                percent(f64::from(k) / f64::from(summary.trials)),
+                percent(interval.lo),
+                percent(interval.hi)
+            )
+        })
+        .collect();
+    if lost.iter().any(|(_, k)| (1..=FEW).contains(k)) {
+        sentences.push(
+            "Where only a few trials were lost, means, deviations and RMSE over all trials hang on these few, and a \
+             bootstrap can't know how far off the next one would be: read medians and the figures without lost \
+             trials beside them."
+                .to_owned(),
+        );
+    }
+    sentences
+}
+
+/// Where our experiment agrees with the paper's Table II and where not; empty unless `classic` and `np_reg` ran.
+pub fn beside_the_paper(summary: &Summary) -> Vec<String> {
+    let [(_, _, paper_classic), (_, _, paper_np_reg)] = PAPER;
+    let published = paper_np_reg / paper_classic;
+    let mut sentences = Vec::new();
+    let ratios = |kept: bool| {
+        let all = if kept { &summary.ratios_kept } else { &summary.ratios };
+        all.get(NP_REG).and_then(|r| r.position_std_vs_classic)
+    };
+    if let Some(ratio) = ratios(false) {
+        let verdict = match ratio.interval() {
+            None => "can't be told from a single trial".to_owned(),
+            Some(i) if i.contains(published) => "agrees: the paper's ratio lies in our interval".to_owned(),
+            Some(i) if i.hi < 1.0 && i.lo > published => {
+                "agrees in direction only: less deviation, but not by as much as in the paper".to_owned()
+            }
+            Some(i) if i.hi < published => {
+                "agrees in direction: even less deviation than in the paper".to_owned()
+            }
+            Some(i) if i.lo > 1.0 => "doesn't agree: more deviation, where the paper has less".to_owned(),
+            Some(_) => "doesn't agree: no difference from 1 that these trials can show".to_owned(),
+        };
+        sentences.push(format!(
+            "Deviation of NP-REG as published over that of the classic model: paper {published:.2} (one trajectory, no \
+             interval), ours {}. This {verdict}.",
+            ratio_text(ratio)
+        ));
+        if let Some(kept) = ratios(true).filter(|k| k.value != ratio.value) {
+            sentences.push(format!(
+                "On the trials that neither of the two lost the ratio is {}: what is left of the difference when \
+                 divergence is taken out.",
+                ratio_text(kept)
+            ));
+        }
+    }
+    for (name, mean, std) in PAPER {
+        let Some(model) = summary.models.get(name) else { continue };
+        let errors = &model.errors;
+        let bias = |label: &str, ours: f64, interval: Option<crate::statistics::Interval>| {
+            let state = match interval {
+                None => "no interval",
+                Some(i) if i.contains(0.0) => "not to be told from zero",
+                Some(_) => "different from zero",
+            };
+            format!("{label} {} m ({state})", metres_with(ours, interval))
+        };
+        sentences.push(format!(
+            "{}: paper {mean:.3} ± {std:.3} m. Our deviation is {} times the paper's along the error axis and {} times \
+             across it; our mean error is {} and {}.",
+            code(name),
+            with_interval(errors.along.std_m / std, None, 2),
+            with_interval(errors.across.std_m / std, None, 2),
+            bias("along", errors.along.mean_m, model.intervals.map(|i| i.errors.along.mean_m)),
+            bias("across", errors.across.mean_m, model.intervals.map(|i| i.errors.across.mean_m)),
+        ));
+    }
+    sentences
+}
+
+/// Whether registered NP-REG does what it was made for; empty unless it ran beside `classic` or `oracle`.
+pub fn aims(summary: &Summary) -> Vec<String> {
+    let Some(ratios) = summary.ratios.get(REGISTERED) else { return Vec::new() };
+    let kept = summary.ratios_kept.get(REGISTERED).copied().unwrap_or_default();
+    [
+        ("Deviation", CLASSIC, AIM_STD, ratios.position_std_vs_classic, kept.position_std_vs_classic),
+        ("RMSE", ORACLE, AIM_RMSE, ratios.rmse_vs_oracle, kept.rmse_vs_oracle),
+    ]
+    .into_iter()
+    .filter_map(|(what, against, bound, ratio, kept)| {
+        let ratio = ratio?;
+        let verdict = match judge(ratio, bound) {
+            Verdict::Met => "**met**",
+            Verdict::NotMet => "**not met**",
+            Verdict::Undecided if ratio.interval().is_none() => {
+                "**undecided**: a single trial has no interval"
+            }
+            Verdict::Undecided => "**undecided** by the interval",
+        };
+        let without_lost = kept
+            .filter(|k| k.value != ratio.value)
+            .map_or_else(String::new, |k| format!(" ({} on the trials that neither lost)", ratio_text(k)));
+        Some(format!(
+            "{what} of {} at most {bound} times that of {}: {verdict}; it is {}{without_lost}.",
+            code(REGISTERED),
+            code(against),
+            ratio_text(ratio)
+        ))
+    })
+    .collect()
+}
+
+/// Which model predicted held-out readings best; empty when none was measured.
+pub fn training(summary: &Summary) -> Vec<String> {
+    let best = |pick: fn(&ModelSummary) -> Option<f64>| {
+        summary
+            .models
+            .iter()
+            .filter_map(|(name, model)| Some((name, pick(model)?)))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    let mut sentences = Vec::new();
+    if let Some((name, loss)) = best(|m| m.train.log_loss_nats) {
+        sentences.push(format!("Lowest held-out log loss: {} with {loss:.3} nats a reading.", code(name)));
+    }
+    if let Some((name, distance)) = best(|m| m.train.histogram_match_m) {
+        sentences.push(format!(
+            "Closest held-out distributions: {} with {} m.",
+            code(name),
+            metres(distance)
+        ));
+    }
+    sentences
+}
+
+/// What the models that locsim ships are, for the report's definitions; `None` for other names.
+pub fn describe(model: &str) -> Option<&'static str> {
+    Some(match model {
+        "classic" => {
+            "Gaussian about the nominal range plus an exponential for unmapped objects (the paper's competitor), by EM"
+        }
+        "beam_mixture" => {
+            "hit, short, maximum and random components (Probabilistic Robotics, table 6.1), by EM"
+        }
+        "likelihood_field" => "distance of a reading's end to the nearest mapped surface (table 6.3 there)",
+        "p_reg" => "Gaussian whose parameters are regressed on the beam's state (the paper's procedure 1)",
+        NP_REG => "histograms smoothed over the beam's state (the paper's procedure 2, as published)",
+        REGISTERED => "the same on readings minus nominal ranges, with a point mass at the maximum range",
+        "oracle" => {
+            "the true density of one beam, by Monte Carlo over the world's own blocks: the best that a model of \
+             single beams can be"
+        }
+        _ => return None,
+    })
+}
+
+/// What was chosen for a model on held-out data, as `name = value` pairs.
+pub fn chosen(model: &ModelSummary) -> String {
+    let pairs = model.train.chosen.iter().map(|(name, value)| format!("{} = {value}", escape(name)));
+    pairs.collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ratio(value: f64, interval: Option<(f64, f64)>) -> Ratio {
+        Ratio { value, lo: interval.map(|i| i.0), hi: interval.map(|i| i.1) }
+    }
+
+    #[test]
+    fn a_bound_is_judged_by_the_whole_interval() {
+        assert_eq!(judge(ratio(0.4, Some((0.3, 0.5))), 0.5), Verdict::Met);
+        assert_eq!(judge(ratio(0.4, Some((0.3, 0.51))), 0.5), Verdict::Undecided);
+        assert_eq!(judge(ratio(0.6, Some((0.51, 0.7))), 0.5), Verdict::NotMet);
+        assert_eq!(judge(ratio(0.4, None), 0.5), Verdict::Undecided);
+    }
+
+    #[test]
+    fn a_difference_needs_an_interval_clear_of_one() {
+        assert_eq!(direction(ratio(0.8, Some((0.7, 0.9)))), "lower");
+        assert_eq!(direction(ratio(1.2, Some((1.1, 1.3)))), "higher");
+        assert!(direction(ratio(0.9, Some((0.7, 1.1)))).starts_with("no difference"));
+    }
+}

@@ -1,0 +1,154 @@
+//! Per-step and per-trial tables. CSV and Parquet are written from one Arrow batch, so they hold the same columns
+//! in the same order. No timings: the same results give the same bytes.
+
+use std::sync::Arc;
+
+use arrow::array::{
+    Array, ArrayRef, AsArray, BooleanArray, Float64Array, RecordBatch, StringArray, UInt32Array, UInt64Array,
+};
+use arrow::datatypes::{DataType, Float64Type, UInt32Type, UInt64Type};
+use locsim_core::Pose2;
+use parquet::arrow::ArrowWriter;
+use parquet::basic::Compression;
+use parquet::file::properties::WriterProperties;
+
+use super::ReportError;
+use crate::results::{ModelTrial, RunResults, StepRow, Trial};
+use crate::statistics::{Moments, quantile};
+
+/// One row per trial, model and step.
+pub fn steps(results: &RunResults) -> Result<RecordBatch, ReportError> {
+    let rows: Vec<(u32, &ModelTrial, &StepRow)> = results
+        .trials
+        .iter()
+        .flat_map(|t| t.models.iter().map(move |m| (t.trial, m)))
+        .flat_map(|(trial, m)| m.steps.iter().map(move |s| (trial, m, s)))
+        .collect();
+    let real = |value: fn(&StepRow) -> f64| -> ArrayRef {
+        Arc::new(Float64Array::from_iter_values(rows.iter().map(|(_, _, s)| value(s))))
+    };
+    let count = |value: fn(&StepRow) -> u32| -> ArrayRef {
+        Arc::new(UInt32Array::from_iter_values(rows.iter().map(|(_, _, s)| value(s))))
+    };
+    let pose = |names: [&'static str; 3], pose: fn(&StepRow) -> Pose2| {
+        let component = |pick: fn(Pose2) -> f64| -> ArrayRef {
+            Arc::new(Float64Array::from_iter_values(rows.iter().map(|(_, _, s)| pick(pose(s)))))
+        };
+        names.into_iter().zip([component(|p| p.x), component(|p| p.y), component(|p| p.theta)])
+    };
+    let columns = [
+        ("trial", Arc::new(UInt32Array::from_iter_values(rows.iter().map(|r| r.0))) as ArrayRef),
+        ("model", Arc::new(StringArray::from_iter_values(rows.iter().map(|r| &r.1.model)))),
+        ("step", count(|s| s.step)),
+        ("stamp_secs", real(|s| s.stamp_secs)),
+    ]
+    .into_iter()
+    .chain(pose(["truth_x_m", "truth_y_m", "truth_theta_rad"], |s| s.truth))
+    .chain(pose(["dead_reckoning_x_m", "dead_reckoning_y_m", "dead_reckoning_theta_rad"], |s| {
+        s.dead_reckoning
+    }))
+    .chain(pose(["estimate_x_m", "estimate_y_m", "estimate_theta_rad"], |s| s.estimate))
+    .chain([
+        ("error_along_m", real(|s| s.error_along_m)),
+        ("error_across_m", real(|s| s.error_across_m)),
+        ("error_heading_rad", real(|s| s.error_heading_rad)),
+        ("position_error_m", real(StepRow::position_error_m)),
+        ("effective_sample_size", real(|s| s.effective_sample_size)),
+        ("particles", count(|s| s.particles)),
+        ("log_evidence_nats", real(|s| s.log_evidence_nats)),
+        ("resampled", Arc::new(rows.iter().map(|(_, _, s)| Some(s.resampled)).collect::<BooleanArray>())),
+    ]);
+    Ok(RecordBatch::try_from_iter(columns)?)
+}
+
+/// One row per trial and model.
+pub fn trials(results: &RunResults) -> Result<RecordBatch, ReportError> {
+    let rows: Vec<(&Trial, &ModelTrial)> =
+        results.trials.iter().flat_map(|t| t.models.iter().map(move |m| (t, m))).collect();
+    let count = |value: fn(&ModelTrial) -> usize| -> ArrayRef {
+        Arc::new(UInt32Array::from_iter_values(rows.iter().map(|(_, m)| value(m) as u32)))
+    };
+    let real = |value: &dyn Fn(&ModelTrial) -> f64| -> ArrayRef {
+        Arc::new(Float64Array::from_iter_values(rows.iter().map(|(_, m)| value(m))))
+    };
+    let mean = |value: fn(&StepRow) -> f64| real(&move |m| moments(m, value).mean());
+    let std = |value: fn(&StepRow) -> f64| real(&move |m| moments(m, value).variance().sqrt());
+    let position = |probability: f64| {
+        real(&move |m| {
+            let mut errors: Vec<f64> = m.steps.iter().map(StepRow::position_error_m).collect();
+            errors.sort_by(f64::total_cmp);
+            quantile(&errors, probability)
+        })
+    };
+    let columns = [
+        ("trial", Arc::new(UInt32Array::from_iter_values(rows.iter().map(|(t, _)| t.trial))) as ArrayRef),
+        ("seed", Arc::new(UInt64Array::from_iter_values(rows.iter().map(|(t, _)| t.seed)))),
+        ("model", Arc::new(StringArray::from_iter_values(rows.iter().map(|(_, m)| &m.model)))),
+        ("steps", count(|m| m.steps.len())),
+        ("lost", Arc::new(rows.iter().map(|(_, m)| Some(m.lost)).collect::<BooleanArray>())),
+        ("position_rmse_m", real(&|m| moments(m, StepRow::position_error_m).mean_square().sqrt())),
+        ("position_median_m", position(0.5)),
+        ("position_p95_m", position(0.95)),
+        ("position_max_m", position(1.0)),
+        ("position_final_m", real(&|m| m.steps.last().map_or(f64::NAN, StepRow::position_error_m))),
+        ("along_mean_m", mean(|s| s.error_along_m)),
+        ("along_std_m", std(|s| s.error_along_m)),
+        ("across_mean_m", mean(|s| s.error_across_m)),
+        ("across_std_m", std(|s| s.error_across_m)),
+        ("heading_mean_rad", mean(|s| s.error_heading_rad)),
+        ("heading_std_rad", std(|s| s.error_heading_rad)),
+        ("ess_mean", mean(|s| s.effective_sample_size)),
+        ("resamplings", count(|m| m.steps.iter().filter(|s| s.resampled).count())),
+        ("log_evidence_nats", real(&|m| m.steps.iter().map(|s| s.log_evidence_nats).sum())),
+        ("events", Arc::new(StringArray::from_iter_values(rows.iter().map(|(_, m)| events(m))))),
+    ];
+    Ok(RecordBatch::try_from_iter(columns)?)
+}
+
+fn moments(model: &ModelTrial, value: fn(&StepRow) -> f64) -> Moments {
+    model.steps.iter().map(value).collect()
+}
+
+/// `step: what happened`, separated by semicolons.
+fn events(model: &ModelTrial) -> String {
+    model.events.iter().map(|(step, event)| format!("{step}: {event}")).collect::<Vec<_>>().join("; ")
+}
+
+/// The table as CSV (RFC 4180, header first). Reals have as many digits as they need to be read back exactly;
+/// one that isn't finite is an empty field.
+pub fn csv(batch: &RecordBatch) -> Result<Vec<u8>, ReportError> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(batch.schema_ref().fields().iter().map(|field| field.name()))?;
+    for row in 0..batch.num_rows() {
+        writer.write_record(batch.columns().iter().map(|column| cell(column, row)))?;
+    }
+    writer
+        .into_inner()
+        .map_err(|error| ReportError::Io { path: "table in memory".into(), source: error.into_error() })
+}
+
+fn cell(column: &ArrayRef, row: usize) -> String {
+    match column.data_type() {
+        DataType::UInt32 => column.as_primitive::<UInt32Type>().value(row).to_string(),
+        DataType::UInt64 => column.as_primitive::<UInt64Type>().value(row).to_string(),
+        DataType::Boolean => column.as_boolean().value(row).to_string(),
+        DataType::Float64 => {
+            let value = column.as_primitive::<Float64Type>().value(row);
+            if value.is_finite() { value.to_string() } else { String::new() }
+        }
+        _ => column.as_string::<i32>().value(row).to_owned(),
+    }
+}
+
+/// The table as Parquet, snappy-compressed.
+pub fn parquet(batch: &RecordBatch) -> Result<Vec<u8>, ReportError> {
+    let properties = WriterProperties::builder()
+        .set_compression(Compression::SNAPPY)
+        .set_created_by(concat!("locsim ", env!("CARGO_PKG_VERSION")).to_owned())
+        .build();
+    let mut bytes = Vec::new();
+    let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), Some(properties))?;
+    writer.write(batch)?;
+    writer.close()?;
+    Ok(bytes)
+}

@@ -1,0 +1,184 @@
+//! Tables and numbers as text, for the terminal and for Markdown.
+
+use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
+use comfy_table::{CellAlignment, Table};
+
+use crate::statistics::Interval;
+use crate::summary::{Errors, Ratio, Summary};
+
+/// What stands where there is no value.
+pub const NONE: &str = "-";
+
+/// A table of text; the first column is aligned left, the others right.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TextTable {
+    /// Column titles with units.
+    pub header: Vec<String>,
+    /// Rows of as many cells.
+    pub rows: Vec<Vec<String>>,
+}
+
+impl TextTable {
+    /// A table with these column titles and rows.
+    pub fn new<const N: usize>(header: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> Self {
+        Self { header: header.map(str::to_owned).to_vec(), rows: rows.into_iter().map(Vec::from).collect() }
+    }
+
+    /// For a terminal: as wide as its content.
+    pub fn to_terminal(&self) -> String {
+        let mut table = Table::new();
+        table.load_style(UTF8_HORIZONTAL_ONLY).set_header(&self.header).add_rows(&self.rows);
+        // Rules between rows only cost lines.
+        table.style_mut().row_separator = comfy_table::LineStyle::none();
+        for column in table.column_iter_mut().skip(1) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        table.trim_fmt()
+    }
+
+    /// As a Markdown table (GitHub's extension).
+    pub fn to_markdown(&self) -> String {
+        let line = |cells: &mut dyn Iterator<Item = String>| {
+            format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "))
+        };
+        let rule = |i: usize| if i == 0 { ":--" } else { "--:" }.to_owned();
+        let mut text = line(&mut self.header.iter().map(|c| escape(c)));
+        text += &line(&mut (0..self.header.len()).map(rule));
+        for row in &self.rows {
+            text += &line(&mut row.iter().map(|c| escape(c)));
+        }
+        text
+    }
+}
+
+/// Text that Markdown shows as it is, in a line or a table's cell. Underscores and brackets stay as they are:
+/// within names and units they mean nothing to Markdown.
+pub fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for c in text.chars() {
+        if matches!(c, '\\' | '|' | '*' | '`' | '<') || (c == '(' && escaped.ends_with(']')) {
+            escaped.push('\\');
+        }
+        escaped.push(if c == '\n' { ' ' } else { c });
+    }
+    escaped
+}
+
+/// A number with this many decimals; zero has no sign.
+pub fn fixed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    if text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.')) { text.replace('-', "") } else { text }
+}
+
+/// Metres, to a tenth of a millimetre.
+pub fn metres(value: f64) -> String {
+    fixed(value, 4)
+}
+
+/// `value [lo, hi]` in metres.
+pub fn metres_with(value: f64, interval: Option<Interval>) -> String {
+    with_interval(value, interval, 4)
+}
+
+/// `value [lo, hi]`, the value alone without an interval.
+pub fn with_interval(value: f64, interval: Option<Interval>, decimals: usize) -> String {
+    let value = fixed(value, decimals);
+    match interval {
+        Some(Interval { lo, hi }) => format!("{value} [{}, {}]", fixed(lo, decimals), fixed(hi, decimals)),
+        None => value,
+    }
+}
+
+/// `mean ± std` with this many decimals.
+pub fn mean_std(mean: f64, std: f64, decimals: usize) -> String {
+    format!("{} ± {}", fixed(mean, decimals), fixed(std, decimals))
+}
+
+/// A ratio with its interval.
+pub fn ratio(ratio: Option<Ratio>) -> String {
+    ratio.map_or_else(|| NONE.to_owned(), |r| with_interval(r.value, r.interval(), 2))
+}
+
+/// A share in percent.
+pub fn percent(share: f64) -> String {
+    format!("{:.1}", 100.0 * share)
+}
+
+/// A value that may be missing.
+pub fn optional(value: Option<f64>, decimals: usize) -> String {
+    value.map_or_else(|| NONE.to_owned(), |v| fixed(v, decimals))
+}
+
+/// Errors of each model, one row per `(model, errors, intervals)`.
+pub fn errors_table<'a>(
+    rows: impl Iterator<Item = (&'a str, &'a Errors, Option<&'a Errors<Interval>>)>,
+) -> TextTable {
+    TextTable::new(
+        ["model", "along [m]", "across [m]", "heading [deg]", "RMSE [m]", "p50 [m]", "p95 [m]"],
+        rows.map(|(model, errors, intervals)| {
+            [
+                model.to_owned(),
+                mean_std(errors.along.mean_m, errors.along.std_m, 4),
+                mean_std(errors.across.mean_m, errors.across.std_m, 4),
+                mean_std(errors.heading.mean_rad.to_degrees(), errors.heading.std_rad.to_degrees(), 2),
+                metres_with(errors.position_rmse_m, intervals.map(|i| i.position_rmse_m)),
+                metres(errors.position_median_m),
+                metres(errors.position_p95_m),
+            ]
+        }),
+    )
+}
+
+/// The two halves of the headline table: errors, then everything else.
+pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
+    let errors = errors_table(
+        summary.models.iter().map(|(name, m)| (name, &m.errors, m.intervals.as_ref().map(|i| &i.errors))),
+    );
+    let others = TextTable::new(
+        ["model", "lost [%]", "ESS", "ms/step", "std / classic", "RMSE / classic", "RMSE / oracle"],
+        summary.models.iter().zip(summary.ratios.iter()).map(|((name, model), (_, ratios))| {
+            [
+                name.to_owned(),
+                percent(model.lost_share),
+                format!("{:.1}", model.ess_mean),
+                format!("{:.2}", model.step_ms),
+                ratio(ratios.position_std_vs_classic),
+                ratio(ratios.rmse_vs_classic),
+                ratio(ratios.rmse_vs_oracle),
+            ]
+        }),
+    );
+    [errors, others]
+}
+
+/// The headline table for a terminal of 120 columns, in two halves, with a line on how to read it.
+pub fn terminal_table(summary: &Summary) -> String {
+    let [errors, others] = headline_tables(summary);
+    format!(
+        "{}: {} trials, seed {}\n{}\n{}\nmean ± standard deviation of signed errors over all steps; [lo, hi]: 95 % \
+         bootstrap over trials\n",
+        summary.scenario,
+        summary.trials,
+        summary.seed,
+        errors.to_terminal(),
+        others.to_terminal()
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_from_outside_is_neither_markup_nor_a_link() {
+        assert_eq!(escape("np_reg [m]"), "np_reg [m]");
+        assert_eq!(escape("[x](http://a) | *b* <i>\n`c`"), "[x]\\(http://a) \\| \\*b\\* \\<i> \\`c\\`");
+    }
+
+    #[test]
+    fn a_rounded_zero_has_no_sign() {
+        assert_eq!(fixed(-0.000_01, 4), "0.0000");
+        assert_eq!(fixed(-0.000_06, 4), "-0.0001");
+        assert_eq!(fixed(10.0, 0), "10");
+    }
+}
