@@ -232,3 +232,198 @@ fn check_interval(
         Err(SimulationError::Interval { name, value, allowed })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::super::fixtures::{Z_1E6, block_options, moments, room};
+    use super::*;
+    use crate::map::{Polyline, VectorMap, Wall};
+
+    const FAR: DVec2 = DVec2::splat(1e3);
+
+    fn model(options: BlockOptions) -> BlockModel {
+        BlockModel::new(options, &room()).unwrap()
+    }
+
+    fn center(block: &Block) -> DVec2 {
+        block.corners.iter().sum::<DVec2>() / 4.0
+    }
+
+    /// Over 4000 worlds the count has the mean and the variance of a Poisson distribution of mean 20. Standard
+    /// errors: sqrt(m/n) of the mean, sqrt((m + 2 m^2)/n) of the variance (fourth moment of a Poisson m + 3 m^2).
+    #[test]
+    fn the_number_of_blocks_is_poisson_with_the_density_times_the_wall_length() {
+        let model = model(block_options());
+        assert!((model.wall_length_m() - 20.0).abs() < 1e-9);
+        let counts: Vec<f64> =
+            (0..4000).map(|step| model.blocks_at(5, step, 0.0, FAR).len() as f64).collect();
+        let (mean, variance) = moments(&counts);
+        let (m, n): (f64, f64) = (20.0, 4000.0);
+        let mean_error = Z_1E6 * (m / n).sqrt();
+        assert!((mean - m).abs() < mean_error, "mean {mean}");
+        assert!((mean - 1.05 * m).abs() > mean_error, "blind to 5 %");
+        assert!((variance - m).abs() < Z_1E6 * ((m + 2.0 * m * m) / n).sqrt(), "variance {variance}");
+    }
+
+    /// Each wall gets its share of the length, uniform along it, standing blocks and moving ones at any time: the
+    /// count on a stretch is Poisson.
+    #[test]
+    fn blocks_stand_at_walls_by_their_length() {
+        let moving =
+            BlockOptions { resample: BlockResampling::Never, speed_m_s: [0.0, 1.0], ..block_options() };
+        let worlds = 4000_u32;
+        for (options, secs) in [(block_options(), 0.0), (moving, 25.0)] {
+            let model = model(options);
+            let (mut south, mut west) = ([0_u32; 2], 0_u32);
+            let mut placements = Vec::new();
+            for seed in 0..worlds {
+                model.place_blocks(&model.draw(u64::from(seed), 0), secs, FAR, &mut placements);
+                for placement in &placements {
+                    let (center, _) = placement.at(secs).circle();
+                    let foot = center - placement.offset * placement.face.inward;
+                    if foot.y.abs() < 1e-9 {
+                        south[usize::from(foot.x > 2.0)] += 1;
+                    }
+                    west += u32::from(foot.x.abs() < 1e-9);
+                }
+            }
+            for (count, length) in [(south[0], 2.0), (south[1], 4.0), (west, 4.0)] {
+                let expected = f64::from(worlds) * length;
+                assert!((f64::from(count) - expected).abs() < Z_1E6 * expected.sqrt(), "{count} {expected}");
+            }
+        }
+    }
+
+    proptest! {
+        /// Sides, yaw relative to the wall, gap and side of the wall are as asked for.
+        #[test]
+        fn each_block_is_within_its_options(step: u32) {
+            let options = block_options();
+            let model = model(options);
+            let mut placements = Vec::new();
+            model.place_blocks(&model.draw(7, step), 0.0, FAR, &mut placements);
+            for placement in placements {
+                let Block { corners, .. } = placement.block(0.0);
+                let within = |value: f64, [lo, hi]: [f64; 2]| (lo - 1e-9..hi + 1e-9).contains(&value);
+                let side = corners[1] - corners[0];
+                prop_assert!(within(side.length(), options.length_m));
+                prop_assert!(within(corners[2].distance(corners[1]), options.width_m));
+                prop_assert!(within(placement.face.along.angle_to(side), options.yaw_rad));
+                let nearest = corners
+                    .map(|corner| (corner - placement.face.start).dot(placement.face.inward))
+                    .into_iter()
+                    .fold(f64::INFINITY, f64::min);
+                prop_assert!(within(nearest, options.wall_distance_m), "{}", nearest);
+                prop_assert!(side.perp_dot(corners[2] - corners[1]) > 0.0, "not counter-clockwise");
+            }
+        }
+
+        #[test]
+        fn no_block_is_nearer_to_the_robot_than_the_clearance(step: u32, x in 0.0..6.0f64, y in 0.0..4.0f64) {
+            let model = model(block_options());
+            let robot = DVec2::new(x, y);
+            let all = model.blocks_at(8, step, 0.0, FAR);
+            let near = model.blocks_at(8, step, 0.0, robot);
+            let distance = |block: &Block| {
+                let (a, b, d) = (block.corners[0], block.corners[1], block.corners[3]);
+                let rectangle = Rectangle::new(center(block), (b - a).normalize(),
+                    0.5 * DVec2::new(a.distance(b), a.distance(d)));
+                rectangle.distance_to(robot)
+            };
+            let kept: Vec<Block> = all.into_iter().filter(|block| distance(block) > 0.35).collect();
+            prop_assert_eq!(kept, near);
+        }
+    }
+
+    #[test]
+    fn blocks_stay_for_as_many_scans_as_asked_for() {
+        let blocks = |resample, step| {
+            model(BlockOptions { resample, ..block_options() }).blocks_at(1, step, f64::from(step), FAR)
+        };
+        let each = BlockResampling::EachObservation;
+        assert_ne!(blocks(each, 0), blocks(each, 1));
+        let third = BlockResampling::EachScanN(3);
+        assert_eq!(blocks(third, 0), blocks(third, 2));
+        assert_eq!(blocks(third, 3), blocks(third, 5));
+        assert_ne!(blocks(third, 2), blocks(third, 3));
+        assert_eq!(blocks(BlockResampling::Never, 0), blocks(BlockResampling::Never, 1000));
+        let other_seed = model(block_options()).blocks_at(2, 0, 0.0, FAR);
+        assert_ne!(blocks(each, 0), other_seed);
+    }
+
+    #[test]
+    fn moving_blocks_keep_their_speed_their_wall_and_their_shape() {
+        let model = model(BlockOptions {
+            resample: BlockResampling::Never,
+            speed_m_s: [0.2, 0.4],
+            ..block_options()
+        });
+        let (h, mut turned) = (0.05, 0);
+        for tenth in 0..400 {
+            let secs = 0.1 * f64::from(tenth);
+            let before = model.blocks_at(1, 0, secs, FAR);
+            let after = model.blocks_at(1, 0, secs + h, FAR);
+            assert_eq!(before.len(), after.len());
+            for (a, b) in before.iter().zip(&after) {
+                assert!((0.2..=0.4).contains(&a.velocity.length()));
+                assert!((a.corners[1] - a.corners[0]).distance(b.corners[1] - b.corners[0]) < 1e-12);
+                let moved = center(b) - center(a);
+                if a.velocity == b.velocity {
+                    assert!(moved.distance(a.velocity * h) < 1e-12);
+                } else {
+                    assert!(moved.length() < 0.4 * h && a.velocity == -b.velocity);
+                    turned += 1;
+                }
+                let c = center(b);
+                assert!((-1e-9..6.0 + 1e-9).contains(&c.x) && (-1e-9..4.0 + 1e-9).contains(&c.y));
+            }
+        }
+        // 20 blocks at 0.3 m/s reach an end of their wall about every 16 s each: some 25 times in 400 looks of h.
+        assert!(turned > 0, "no block turned back at the end of its wall");
+    }
+
+    #[test]
+    fn a_screen_has_blocks_on_both_sides_and_no_wall_means_no_blocks() {
+        let outline = Polyline {
+            points_m: vec![[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]],
+            ..Polyline::default()
+        };
+        let screen = Wall { name: "screen".into(), from_m: [2.0, 2.0], to_m: [4.0, 2.0] };
+        let map = VectorMap { outline, obstacles: vec![], walls: vec![screen] }.to_geometry().unwrap();
+        let model = BlockModel::new(block_options(), &map).unwrap();
+        assert!((model.wall_length_m() - 24.0).abs() < 1e-9);
+        let none = BlockOptions { per_metre_of_wall: 0.0, ..block_options() };
+        let model = BlockModel::new(none, &map).unwrap();
+        assert!((0..100).all(|step| model.blocks_at(1, step, 0.0, FAR).is_empty()));
+    }
+
+    #[test]
+    fn options_out_of_range_are_refused() {
+        let good = block_options();
+        for (options, message) in [
+            (
+                BlockOptions { per_metre_of_wall: -1.0, ..good },
+                "blocks per metre of wall must be at least 0; got -1",
+            ),
+            (BlockOptions { per_metre_of_wall: 1e9, ..good }, "20000000000 blocks are more than the 100000"),
+            (
+                BlockOptions { clearance_m: f64::NAN, ..good },
+                "clearance around the robot [m] must be at least 0",
+            ),
+            (BlockOptions { length_m: [0.0, 1.0], ..good }, "length of a block [m] must be an interval"),
+            (BlockOptions { width_m: [0.5, 0.4], ..good }, "0 < lo <= hi; got [0.5, 0.4]"),
+            (BlockOptions { yaw_rad: [1.0, -1.0], ..good }, "yaw of a block [rad]"),
+            (BlockOptions { wall_distance_m: [-0.1, 1.0], ..good }, "gap to the wall [m]"),
+            (
+                BlockOptions { speed_m_s: [0.1, 0.2], ..good },
+                "resampled at each observation cannot have a speed",
+            ),
+            (BlockOptions { resample: BlockResampling::EachScanN(0), ..good }, "at least 1; got 0"),
+        ] {
+            let error = BlockModel::new(options, &room()).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+    }
+}

@@ -124,3 +124,124 @@ fn first_bearing(beams: usize, field_of_view: f64) -> f64 {
         -0.5 * field_of_view
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use locsim_core::{Draw, Stage};
+    use proptest::prelude::*;
+
+    use super::super::fixtures::{is_normal_sample, laser_options};
+    use super::*;
+
+    fn readings(options: LaserOptions, range: Option<f64>, count: u32) -> Vec<f32> {
+        let laser = LaserSimulator::new(options).unwrap();
+        let draw = Draw::new(3, Stage::Laser, 0);
+        (0..count).map(|i| laser.reading(range, &mut draw.item(i))).collect()
+    }
+
+    fn bearings(beams: u32, field_of_view_rad: f64) -> Vec<f32> {
+        let options = LaserOptions { beams, field_of_view_rad, ..laser_options() };
+        LaserSimulator::new(options).unwrap().laser().bearings().to_vec()
+    }
+
+    #[test]
+    fn a_full_circle_has_no_double_end_and_a_narrower_field_of_view_has_both() {
+        let pi = PI as f32;
+        assert_eq!(bearings(4, TAU), [-0.5 * pi, 0.0, 0.5 * pi, pi]);
+        assert_eq!(bearings(3, PI), [-0.5 * pi, 0.0, 0.5 * pi]);
+        assert_eq!(bearings(1, PI), [0.0]);
+        assert_eq!(bearings(1, TAU), [0.0]);
+    }
+
+    #[test]
+    fn beams_are_stamped_along_the_sweep() {
+        let times = |beams, field_of_view_rad| {
+            let options = LaserOptions { beams, field_of_view_rad, scan_secs: 0.2, ..laser_options() };
+            LaserSimulator::new(options).unwrap().laser().beam_times_secs().to_vec()
+        };
+        assert_eq!(times(4, TAU), [0.0, 0.05, 0.1, 0.15]);
+        assert_eq!(times(3, PI), [0.0, 0.1, 0.2]);
+        assert_eq!(times(1, PI), [0.0]);
+    }
+
+    /// Mean and variance of 100,000 readings; a noise 3 % off must show.
+    #[test]
+    fn noise_grows_with_range() {
+        let options = LaserOptions { sigma_m: 0.01, sigma_per_m: 0.004, ..laser_options() };
+        for range in [0.5, 5.0] {
+            let sample: Vec<f64> =
+                readings(options, Some(range), 100_000).into_iter().map(f64::from).collect();
+            let sigma = 0.01 + 0.004 * range;
+            assert!(is_normal_sample(&sample, range, sigma * sigma));
+            assert!(!is_normal_sample(&sample, range, (1.03 * sigma).powi(2)));
+            assert!(!is_normal_sample(&sample, range + 0.03 * sigma, sigma * sigma));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn readings_are_on_the_grid_or_a_value_of_their_own(range in 0.0..9.0f64, millimetres in 1..50u32) {
+            let resolution_m = f64::from(millimetres) * 1e-3;
+            let options = LaserOptions { resolution_m, sigma_m: 0.05, min_range_m: 0.2, ..laser_options() };
+            for reading in readings(options, Some(range), 50) {
+                let steps = f64::from(reading) / resolution_m;
+                let on_grid = (steps - steps.round()).abs() < 1e-6 * steps && (0.2..8.0).contains(&reading);
+                prop_assert!(on_grid || reading == 8.0 || reading.is_nan(), "{}", reading);
+            }
+        }
+    }
+
+    #[test]
+    fn without_noise_a_reading_is_the_nearest_step() {
+        let options = LaserOptions { resolution_m: 0.01, ..laser_options() };
+        assert_eq!(readings(options, Some(1.2349), 1), [1.23]);
+        assert_eq!(readings(options, Some(1.2351), 1), [1.24]);
+        assert_eq!(readings(laser_options(), Some(1.2345), 1), [1.2345]);
+    }
+
+    #[test]
+    fn no_return_and_readings_beyond_the_maximum_are_exactly_the_maximum() {
+        let options = LaserOptions { sigma_m: 0.02, resolution_m: 0.003, ..laser_options() };
+        assert!(readings(options, None, 1000).iter().all(|&reading| reading == 8.0));
+        // Just below the maximum about half of the readings reach it; 1000 coins: 0.5 +- 4.9 * 0.0158.
+        let beyond = readings(options, Some(7.9985), 1000).iter().filter(|&&reading| reading == 8.0).count();
+        assert!((423..=577).contains(&beyond), "{beyond}");
+    }
+
+    #[test]
+    fn readings_below_the_minimum_are_not_usable() {
+        let options = LaserOptions { min_range_m: 0.25, ..laser_options() };
+        assert!(readings(options, Some(0.2499), 1)[0].is_nan());
+        assert_eq!(readings(options, Some(0.25), 1), [0.25]);
+        let noisy = LaserOptions { sigma_m: 0.01, ..laser_options() };
+        let unusable = readings(noisy, Some(0.0), 1000).iter().filter(|reading| reading.is_nan()).count();
+        assert!((423..=577).contains(&unusable), "negative readings: {unusable}");
+    }
+
+    #[test]
+    fn options_out_of_range_are_refused() {
+        let good = laser_options();
+        for (options, message) in [
+            (LaserOptions { rate_hz: 0.0, ..good }, "laser rate [Hz] must be above 0; got 0"),
+            (LaserOptions { beams: 0, ..good }, "at least one beam"),
+            (LaserOptions { beams: 2_000_000, ..good }, "2000000 beams are more than the 1000000"),
+            (
+                LaserOptions { field_of_view_rad: 6.3, ..good },
+                "field of view [rad] must be above 0, at most 2 pi",
+            ),
+            (LaserOptions { min_range_m: 8.0, ..good }, "0 <= min < max"),
+            (LaserOptions { max_range_m: f64::NAN, ..good }, "0 <= min < max"),
+            (LaserOptions { resolution_m: -0.1, ..good }, "laser resolution [m] must be at least 0"),
+            (LaserOptions { sigma_m: f64::NAN, ..good }, "laser noise sigma [m] must be at least 0; got NaN"),
+            (LaserOptions { sigma_per_m: -1.0, ..good }, "laser noise sigma per metre"),
+            (LaserOptions { scan_secs: 0.21, ..good }, "at most the time between two scans; got 0.21"),
+            (
+                LaserOptions { mount: Pose2 { x: f64::NAN, ..Pose2::IDENTITY }, ..good },
+                "laser mount must be finite",
+            ),
+        ] {
+            let error = LaserSimulator::new(options).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+    }
+}

@@ -11,6 +11,8 @@ mod blocks;
 mod drive;
 mod error;
 mod faces;
+#[cfg(test)]
+mod fixtures;
 mod laser;
 mod observe;
 mod obstruction;

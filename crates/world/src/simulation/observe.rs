@@ -172,3 +172,99 @@ impl Standing {
         Self { robot: map_from_base.position(), origin, directions, nominal }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use locsim_core::{Hits, Particles, RangeMap};
+    use proptest::prelude::*;
+
+    use super::super::fixtures::{block_options, laser_options, on_threads, room_map};
+    use super::*;
+
+    fn noisy_laser() -> LaserOptions {
+        let mount = Pose2::new(0.1, 0.05, 0.3);
+        LaserOptions { sigma_m: 0.01, resolution_m: 0.001, max_range_m: 3.0, mount, ..laser_options() }
+    }
+
+    fn simulator(laser: LaserOptions) -> Simulator {
+        Simulator::new(room_map(), Some(block_options()), laser).unwrap()
+    }
+
+    fn some_poses() -> Particles {
+        (0..7).map(|i| Pose2::new(1.0 + 0.5 * f64::from(i), 2.0, f64::from(i))).collect()
+    }
+
+    proptest! {
+        /// Without noise a reading is what an exact cast against the walls and the edges of the same blocks gives.
+        #[test]
+        fn readings_are_casts_at_walls_and_blocks(
+            x in 0.5..5.5f64, y in 0.5..3.5f64, theta in -3.0..3.0f64, observation: u32,
+        ) {
+            let simulator = simulator(laser_options());
+            let pose = Pose2::new(x, y, theta);
+            let blocks = simulator.blocks().unwrap().blocks_at(4, observation, 0.0, pose.position());
+            let edges: Vec<[DVec2; 2]> = blocks
+                .iter()
+                .flat_map(|block| (0..4).map(|i| [block.corners[i], block.corners[(i + 1) % 4]]))
+                .collect();
+            let readings = simulator.observe(&pose, 4, observation);
+            for (&reading, &bearing) in readings.iter().zip(simulator.laser().laser().bearings()) {
+                let direction = DVec2::from_angle(theta + f64::from(bearing));
+                let hit = simulator.map().cast_ray_with(&edges, pose.position(), direction, 8.0).unwrap();
+                prop_assert!((f64::from(reading) - hit.range).abs() < 1e-5, "{} {}", reading, hit.range);
+            }
+        }
+    }
+
+    #[test]
+    fn a_world_without_blocks_is_as_its_map() {
+        let none = BlockOptions { per_metre_of_wall: 0.0, ..block_options() };
+        let poses = some_poses();
+        for blocks in [None, Some(none)] {
+            let simulator = Simulator::new(room_map(), blocks, laser_options()).unwrap();
+            let mut hits = Hits::default();
+            let laser = simulator.laser().laser();
+            simulator.map().cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
+            for (reading, range) in simulator.observe_many(poses.view(), 1, 1).iter().zip(&hits.range) {
+                assert!((reading - range).abs() < 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn many_observations_are_single_ones_in_order_and_new_ones_leave_the_old() {
+        let (simulator, poses) = (simulator(noisy_laser()), some_poses());
+        let many = simulator.observe_many(poses.view(), 5, 9);
+        assert_eq!(many.len(), 7 * 5 * 36);
+        let draw = Draw::new(9, Stage::Training, 0);
+        for (i, scan) in many.chunks(36).enumerate() {
+            let single = simulator.observe(&poses.get(i / 5), draw.seed((i / 5) as u32), (i % 5) as u32);
+            assert_eq!(bits(scan), bits(&single));
+        }
+        let fewer = simulator.observe_many(poses.view().slice(0, 3), 2, 9);
+        for (few, many) in fewer.chunks(2 * 36).zip(many.chunks(5 * 36)) {
+            assert_eq!(bits(few), bits(&many[..2 * 36]));
+        }
+        assert!(simulator.observe_many(poses.view(), 0, 9).is_empty());
+    }
+
+    #[test]
+    fn observations_are_the_same_on_any_number_of_threads() {
+        let (simulator, poses) = (simulator(noisy_laser()), some_poses());
+        let run = |threads| on_threads(threads, || bits(&simulator.observe_many(poses.view(), 20, 9)));
+        let one = run(1);
+        assert_eq!(one, run(2));
+        assert_eq!(one, run(8));
+    }
+
+    #[test]
+    fn a_beam_that_meets_nothing_reads_the_maximum_range() {
+        let laser = LaserOptions { max_range_m: 1.0, sigma_m: 0.01, ..laser_options() };
+        let simulator = Simulator::new(room_map(), None, laser).unwrap();
+        assert_eq!(simulator.observe(&Pose2::new(3.0, 2.0, 0.0), 1, 0), [1.0; 36]);
+    }
+
+    fn bits(readings: &[f32]) -> Vec<u32> {
+        readings.iter().map(|reading| reading.to_bits()).collect()
+    }
+}

@@ -179,3 +179,147 @@ impl Trajectory {
 fn check_duration(secs: f64) -> Result<f64, SimulationError> {
     check("duration of the path [s]", secs, "finite", |_| true)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn waypoints(points: &[[f64; 2]]) -> RobotPath {
+        RobotPath::Waypoints {
+            points: points.iter().map(|&[x, y]| DVec2::new(x, y)).collect(),
+            speed_m_s: 0.5,
+            turn_rate_rad_s: 0.5,
+        }
+    }
+
+    fn profile(segments: &[[f64; 3]]) -> RobotPath {
+        let segments = segments
+            .iter()
+            .map(|&[secs, speed_m_s, turn_rate_rad_s]| VelocitySegment { secs, speed_m_s, turn_rate_rad_s })
+            .collect();
+        RobotPath::VelocityProfile { start: Pose2::new(1.0, 2.0, 0.0), segments }
+    }
+
+    fn assert_near(pose: Pose2, x: f64, y: f64, theta: f64) {
+        let error = pose.relative_to(&Pose2::new(x, y, theta));
+        assert!(error.position().length() < 1e-9 && error.theta.abs() < 1e-9, "{pose:?}");
+    }
+
+    #[test]
+    fn waypoints_are_driven_straight_with_turns_in_place() {
+        let path = Trajectory::new(&waypoints(&[[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]])).unwrap();
+        let turned = 4.0 + FRAC_PI_2 / 0.5;
+        assert!((path.duration_secs() - (turned + 2.0)).abs() < 1e-12);
+        assert_near(path.pose_at(-1.0), 0.0, 0.0, 0.0);
+        assert_near(path.pose_at(1.0), 0.5, 0.0, 0.0);
+        assert_near(path.pose_at(5.0), 2.0, 0.0, 0.5);
+        assert_near(path.pose_at(turned + 1.0), 2.0, 0.5, FRAC_PI_2);
+        assert_near(path.pose_at(99.0), 2.0, 1.0, FRAC_PI_2);
+    }
+
+    #[test]
+    fn a_path_back_turns_by_half_a_turn() {
+        let path = Trajectory::new(&waypoints(&[[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]])).unwrap();
+        assert!((path.duration_secs() - (2.0 + PI / 0.5 + 2.0)).abs() < 1e-12);
+        assert_near(path.pose_at(path.duration_secs()), 0.0, 0.0, PI);
+    }
+
+    /// A quarter circle of radius 2 m to the left, back along it, a stop, a turn in place.
+    #[test]
+    fn a_profile_drives_arcs_reverses_stops_and_turns_in_place() {
+        let quarter = FRAC_PI_2 / 0.25;
+        let path = profile(&[
+            [quarter, 0.5, 0.25],
+            [quarter, -0.5, -0.25],
+            [3.0, 0.0, 0.0],
+            [2.0, 0.0, -0.5],
+            [1.0, -1.0, 0.0],
+        ]);
+        let path = Trajectory::new(&path).unwrap();
+        assert_near(path.pose_at(quarter), 3.0, 4.0, FRAC_PI_2);
+        assert_near(path.pose_at(0.5 * quarter), 1.0 + 2.0_f64.sqrt(), 4.0 - 2.0_f64.sqrt(), 0.5 * FRAC_PI_2);
+        for secs in [0.0, 1.5, 3.0] {
+            assert_near(path.pose_at(2.0 * quarter + secs), 1.0, 2.0, 0.0);
+        }
+        assert_near(path.pose_at(2.0 * quarter + 5.0), 1.0, 2.0, -1.0);
+        assert_near(path.pose_at(99.0), 1.0 - 1.0_f64.cos(), 2.0 + 1.0_f64.sin(), -1.0);
+    }
+
+    fn any_path() -> impl Strategy<Value = RobotPath> {
+        let waypoints = prop::collection::vec((-5.0..5.0, -5.0..5.0), 2..6)
+            .prop_map(|points| waypoints(&points.iter().map(|&(x, y)| [x, y]).collect::<Vec<_>>()));
+        let profile = prop::collection::vec((0.1..3.0, -1.0..1.0, -1.5..1.5), 1..6)
+            .prop_map(|arcs| profile(&arcs.iter().map(|&(t, v, w)| [t, v, w]).collect::<Vec<_>>()));
+        prop_oneof![waypoints, profile]
+    }
+
+    proptest! {
+        /// No jump: within dt a robot moves at most by its speed (1 m/s) and turns at most by its rate (1.5 rad/s).
+        #[test]
+        fn paths_are_continuous(path in any_path(), share in 0.0..1.0f64, dt in 0.0..0.5f64) {
+            let path = Trajectory::new(&path).unwrap();
+            let secs = share * path.duration_secs();
+            let motion = path.pose_at(secs + dt).relative_to(&path.pose_at(secs));
+            prop_assert!(motion.position().length() <= dt + 1e-9);
+            prop_assert!(motion.theta.abs() <= 1.5 * dt + 1e-9);
+        }
+
+        /// Wheels don't slip sideways: over 2 h the motion seen from its middle heading is straight up to O(h^2).
+        #[test]
+        fn motion_is_along_the_heading(path in any_path(), share in 0.0..1.0f64) {
+            let path = Trajectory::new(&path).unwrap();
+            let (secs, h) = (share * path.duration_secs(), 1e-5);
+            let motion = path.pose_at(secs + h).position() - path.pose_at(secs - h).position();
+            let sideways = DVec2::from_angle(path.pose_at(secs).theta).perp_dot(motion);
+            prop_assert!(sideways.abs() < 1e-9, "{}", sideways);
+        }
+
+        #[test]
+        fn a_nearly_straight_arc_is_the_limit_of_arcs(rate in -1e-3..1e-3f64) {
+            let straight = Trajectory::new(&profile(&[[1.0, 1.0, 0.0]])).unwrap().pose_at(1.0);
+            let arc = Trajectory::new(&profile(&[[1.0, 1.0, rate]])).unwrap().pose_at(1.0);
+            // The circle leaves its tangent by rate/2 sideways and by rate^2/6 lengthways.
+            prop_assert!((arc.y - straight.y - 0.5 * rate).abs() < 1e-10);
+            prop_assert!((arc.x - straight.x).abs() < 0.2 * rate * rate + 1e-15);
+        }
+    }
+
+    #[test]
+    fn the_start_moves_alone_in_waypoints_and_with_the_path_in_a_profile() {
+        let offset = DVec2::new(0.0, 0.5);
+        let points = Trajectory::new(&waypoints(&[[0.0, 0.0], [2.0, 0.5]]).with_start_moved(offset)).unwrap();
+        assert_near(points.pose_at(0.0), 0.0, 0.5, 0.0);
+        assert_near(points.pose_at(99.0), 2.0, 0.5, 0.0);
+        let arcs = Trajectory::new(&profile(&[[1.0, 1.0, 0.0]]).with_start_moved(offset)).unwrap();
+        assert_near(arcs.pose_at(1.0), 2.0, 2.5, 0.0);
+    }
+
+    #[test]
+    fn degenerate_paths_are_refused() {
+        let nan = f64::NAN;
+        let with_speed = |speed_m_s, turn_rate_rad_s| RobotPath::Waypoints {
+            points: vec![DVec2::ZERO, DVec2::X],
+            speed_m_s,
+            turn_rate_rad_s,
+        };
+        for (path, message) in [
+            (waypoints(&[]), "at least 2 waypoints; got 0"),
+            (waypoints(&[[1.0, 1.0]]), "at least 2 waypoints; got 1"),
+            (waypoints(&[[1.0, 1.0], [nan, 0.0]]), "point 1 of the path is not finite"),
+            (waypoints(&[[0.0, 1.0], [1.0, 1.0], [1.0, 1.0]]), "waypoint 2 coincides"),
+            (with_speed(0.0, 1.0), "speed on a leg [m/s] must be above 0; got 0"),
+            (with_speed(1.0, -1.0), "turn rate at a waypoint [rad/s] must be above 0; got -1"),
+            (profile(&[]), "at least one segment"),
+            (profile(&[[1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]), "segment 1 of the velocity profile"),
+            (profile(&[[1.0, nan, 0.0]]), "segment 0 of the velocity profile"),
+            (profile(&[[1e308, 0.0, 0.0], [1e308, 0.0, 0.0]]), "duration of the path [s] must be finite"),
+        ] {
+            let error = Trajectory::new(&path).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+    }
+}
