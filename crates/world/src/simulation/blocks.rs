@@ -15,39 +15,40 @@ const MAX_BLOCKS: f64 = 1e5;
 /// A rectangular object that the map doesn't know.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Block {
-    /// Corners in the map frame, counter-clockwise [m].
+    /// Corners in the map frame, counter-clockwise \[m\].
     pub corners: [DVec2; 4],
-    /// Velocity in the map frame [m/s].
+    /// Velocity in the map frame \[m/s\].
     pub velocity: DVec2,
 }
 
 /// Unmapped rectangular blocks along the walls. Each `[lo, hi]` is the interval of a uniform distribution.
 ///
-/// Blocks are a Poisson process over the wall faces, the sides of walls that border free space: their number is
-/// Poisson with mean `per_metre_of_wall` times the faces' length, each stands at a uniform place, independent of the
-/// others. A block is put on the free side of its wall; where it reaches into another wall, the wall hides it.
+/// Blocks are a Poisson process over the wall faces, the sides of walls that border free space: their number
+/// is Poisson with mean `per_metre_of_wall` times the faces' length, each stands at a uniform place,
+/// independent of the others. A block is put on the free side of its wall; where it reaches into another
+/// wall, the wall hides it.
 ///
-/// Where a block comes closer than `clearance_m` to the robot's centre, it is left out of that scan. A thinned
-/// Poisson process is Poisson, so the probability that nothing stands on a ray is exactly exp(-expected number of
-/// blocks on it).
+/// Where a block comes closer than `clearance_m` to the robot's centre, it is left out of that scan. A
+/// thinned Poisson process is Poisson, so the probability that nothing stands on a ray is exactly
+/// exp(-expected number of blocks on it).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockOptions {
-    /// Blocks per metre of wall face [1/m], at least 0.
+    /// Blocks per metre of wall face \[1/m\], at least 0.
     pub per_metre_of_wall: f64,
-    /// Length of a block, along the wall before it is turned [m], above 0.
+    /// Length of a block, along the wall before it is turned \[m\], above 0.
     pub length_m: [f64; 2],
-    /// Width of a block [m], above 0.
+    /// Width of a block \[m\], above 0.
     pub width_m: [f64; 2],
-    /// Yaw relative to the wall [rad].
+    /// Yaw relative to the wall \[rad\].
     pub yaw_rad: [f64; 2],
-    /// Gap between the wall and the block's nearest corner [m], at least 0.
+    /// Gap between the wall and the block's nearest corner \[m\], at least 0.
     pub wall_distance_m: [f64; 2],
     /// When blocks take new places.
     pub resample: BlockResampling,
-    /// Speed along the wall [m/s], at least 0, either way; blocks turn back where their centre reaches the end of
-    /// the wall face. 0 for blocks that are resampled at each observation.
+    /// Speed along the wall \[m/s\], at least 0, either way; blocks turn back where their centre reaches the
+    /// end of the wall face. 0 for blocks that are resampled at each observation.
     pub speed_m_s: [f64; 2],
-    /// No block comes closer than this to the robot's centre [m], at least 0.
+    /// No block comes closer than this to the robot's centre \[m\], at least 0.
     pub clearance_m: f64,
 }
 
@@ -67,7 +68,7 @@ pub enum BlockResampling {
 pub struct BlockModel {
     options: BlockOptions,
     faces: Vec<Face>,
-    /// Length of the faces up to the end of each [m].
+    /// Length of the faces up to the end of each \[m\].
     ends: Vec<f64>,
 }
 
@@ -75,13 +76,13 @@ pub struct BlockModel {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Placement {
     face: Face,
-    /// Place of the centre along the face at time 0 [m].
+    /// Place of the centre along the face at time 0 \[m\].
     position: f64,
-    /// Distance of the centre from the wall [m].
+    /// Distance of the centre from the wall \[m\].
     offset: f64,
     axis: DVec2,
     half: DVec2,
-    /// Signed speed along the face at time 0 [m/s].
+    /// Signed speed along the face at time 0 \[m/s\].
     speed: f64,
 }
 
@@ -152,7 +153,7 @@ impl BlockModel {
         &self.options
     }
 
-    /// Length of the wall faces that blocks stand at [m].
+    /// Length of the wall faces that blocks stand at \[m\].
     pub fn wall_length_m(&self) -> f64 {
         self.ends.last().copied().unwrap_or(0.0)
     }
@@ -162,7 +163,8 @@ impl BlockModel {
         self.options.per_metre_of_wall * self.wall_length_m()
     }
 
-    /// The blocks of scan `step` at `secs` after the start of the drive, without those near the robot at `robot` [m].
+    /// The blocks of scan `step` at `secs` after the start of the drive, without those near the robot at
+    /// `robot` \[m\].
     pub fn blocks_at(&self, seed: u64, step: u32, secs: f64, robot: DVec2) -> Vec<Block> {
         let mut placements = Vec::new();
         self.place_blocks(&self.draw(seed, step), secs, robot, &mut placements);
@@ -179,7 +181,8 @@ impl BlockModel {
         Draw::new(seed, Stage::Blocks, epoch)
     }
 
-    /// Draws blocks and leaves out those near the robot at `secs`. Item 0 draws their number, item `i` + 1 block `i`.
+    /// Draws blocks and leaves out those near the robot at `secs`. Item 0 draws their number, item `i` + 1
+    /// block `i`.
     pub(super) fn place_blocks(&self, draw: &Draw, secs: f64, robot: DVec2, out: &mut Vec<Placement>) {
         out.clear();
         let count = match Poisson::new(self.expected_count()) {
@@ -194,7 +197,7 @@ impl BlockModel {
         out.retain(|placement| self.is_clear(&placement.at(secs), robot));
     }
 
-    /// A block of random shape at `position` [m] along the wall faces.
+    /// A block of random shape at `position` \[m\] along the wall faces.
     pub(super) fn place(&self, position: f64, rng: &mut impl Rng) -> Placement {
         let mut uniform = |[lo, hi]: [f64; 2]| lo + (hi - lo) * rng.random::<f64>();
         let half = 0.5 * DVec2::new(uniform(self.options.length_m), uniform(self.options.width_m));
@@ -213,7 +216,7 @@ impl BlockModel {
         }
     }
 
-    /// Whether a block leaves the robot at `robot` [m] its clearance.
+    /// Whether a block leaves the robot at `robot` \[m\] its clearance.
     pub(super) fn is_clear(&self, block: &Rectangle, robot: DVec2) -> bool {
         block.distance_to(robot) > self.options.clearance_m
     }
@@ -251,8 +254,9 @@ mod tests {
         block.corners.iter().sum::<DVec2>() / 4.0
     }
 
-    /// Over 4000 worlds the count has the mean and the variance of a Poisson distribution of mean 20. Standard
-    /// errors: sqrt(m/n) of the mean, sqrt((m + 2 m^2)/n) of the variance (fourth moment of a Poisson m + 3 m^2).
+    /// Over 4000 worlds the count has the mean and the variance of a Poisson distribution of mean 20.
+    /// Standard errors: sqrt(m/n) of the mean, sqrt((m + 2 m^2)/n) of the variance (fourth moment of a
+    /// Poisson m + 3 m^2).
     #[test]
     fn the_number_of_blocks_is_poisson_with_the_density_times_the_wall_length() {
         let model = model(block_options());
@@ -267,8 +271,8 @@ mod tests {
         assert!((variance - m).abs() < Z_1E6 * ((m + 2.0 * m * m) / n).sqrt(), "variance {variance}");
     }
 
-    /// Each wall gets its share of the length, uniform along it, standing blocks and moving ones at any time: the
-    /// count on a stretch is Poisson.
+    /// Each wall gets its share of the length, uniform along it, standing blocks and moving ones at any time:
+    /// the count on a stretch is Poisson.
     #[test]
     fn blocks_stand_at_walls_by_their_length() {
         let moving =
@@ -380,7 +384,8 @@ mod tests {
                 assert!((-1e-9..6.0 + 1e-9).contains(&c.x) && (-1e-9..4.0 + 1e-9).contains(&c.y));
             }
         }
-        // 20 blocks at 0.3 m/s reach an end of their wall about every 16 s each: some 25 times in 400 looks of h.
+        // 20 blocks at 0.3 m/s reach an end of their wall about every 16 s each: some 25 times in 400 looks
+        // of h.
         assert!(turned > 0, "no block turned back at the end of its wall");
     }
 

@@ -14,7 +14,7 @@ const MAX_SCANS: f64 = 1e6;
 pub struct Robot {
     /// The path it drives.
     pub path: RobotPath,
-    /// Half-width of the uniform shift of the path's start along x and along y [m], at least 0; see
+    /// Half-width of the uniform shift of the path's start along x and along y \[m\], at least 0; see
     /// [`RobotPath::with_start_moved`].
     pub start_jitter_m: f64,
     /// How its odometry errs.
@@ -24,8 +24,8 @@ pub struct Robot {
 /// A recorded drive and what only the simulator knows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedDrive {
-    /// Scans, odometry (starting at the origin of `odom`) and true poses as reference, from the start of the path at
-    /// 0 s to its end.
+    /// Scans, odometry (starting at the origin of `odom`) and true poses as reference, from the start of the
+    /// path at 0 s to its end.
     pub drive: Drive,
     /// The blocks that stood around the robot at the stamp of each scan.
     pub blocks: Vec<Vec<Block>>,
@@ -86,7 +86,8 @@ pub fn simulate_drive(
     Ok(SimulatedDrive { drive: Drive { laser: simulator.laser().laser().clone(), steps }, blocks })
 }
 
-/// `odom_from_base` at each scan: the sum of noisy increments of the true poses. Increment `i` draws from step `i`.
+/// `odom_from_base` at each scan: the sum of noisy increments of the true poses. Increment `i` draws from
+/// step `i`.
 fn odometry_track(truth: &[Pose2], noise: &OdometryNoise, seed: u64) -> Vec<Pose2> {
     let mut odom_from_base = Pose2::IDENTITY;
     let mut track = Vec::with_capacity(truth.len());
@@ -156,7 +157,8 @@ mod tests {
         }
     }
 
-    /// Each beam of a sweep is an exact cast from the robot's pose at the beam's time at the blocks' edges there.
+    /// Each beam of a sweep is an exact cast from the robot's pose at the beam's time at the blocks' edges
+    /// there.
     #[test]
     fn beams_are_cast_from_the_pose_at_their_own_time() {
         let blocks = BlockOptions {

@@ -67,11 +67,11 @@ pub enum SimulationError {
     /// The path leaves the map's free space.
     #[error("at {secs:.2} s the path is at ({x:.3}, {y:.3}) m, outside the map's free space")]
     OutsideFreeSpace {
-        /// Time since the start [s].
+        /// Time since the start \[s\].
         secs: f64,
-        /// x there [m].
+        /// x there \[m\].
         x: f64,
-        /// y there [m].
+        /// y there \[m\].
         y: f64,
     },
     /// The laser's description is refused.

@@ -2,26 +2,26 @@ use glam::DVec2;
 
 use crate::map::Geometry;
 
-/// Distance between the points of a wall at which free space is looked for [m].
+/// Distance between the points of a wall at which free space is looked for \[m\].
 const PROBE_PITCH_M: f64 = 0.25;
-/// Distance of these points from the wall [m].
+/// Distance of these points from the wall \[m\].
 const PROBE_OFFSET_M: f64 = 0.01;
 
 /// One side of a stretch of wall, with free space before it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Face {
-    /// One end [m].
+    /// One end \[m\].
     pub start: DVec2,
     /// Unit vector to the other end.
     pub along: DVec2,
     /// Unit normal into free space.
     pub inward: DVec2,
-    /// Length [m].
+    /// Length \[m\].
     pub length: f64,
 }
 
-/// Every side of every wall that borders free space. A thin wall with free space on both sides has two faces; a
-/// wall that borders it only in part has a face there.
+/// Every side of every wall that borders free space. A thin wall with free space on both sides has two faces;
+/// a wall that borders it only in part has a face there.
 pub(super) fn faces_of(geometry: &Geometry) -> Vec<Face> {
     let mut faces = Vec::new();
     for &[a, b] in geometry.segments() {

@@ -65,8 +65,9 @@ pub(super) fn moments(sample: &[f64]) -> (f64, f64) {
     (mean, sample.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0))
 }
 
-/// Whether a sample of a normal distribution agrees with `mean` and `variance`, each at a false-alarm probability of
-/// 1e-6: the mean's standard error is sigma / sqrt(n), the variance's is variance * sqrt(2 / n).
+/// Whether a sample of a normal distribution agrees with `mean` and `variance`, each at a false-alarm
+/// probability of 1e-6: the mean's standard error is sigma / sqrt(n), the variance's is variance * sqrt(2 /
+/// n).
 pub(super) fn is_normal_sample(sample: &[f64], mean: f64, variance: f64) -> bool {
     let n = sample.len() as f64;
     let (sample_mean, sample_variance) = moments(sample);

@@ -13,27 +13,27 @@ const MAX_BEAMS: f64 = 1e6;
 /// A simulated planar laser.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LaserOptions {
-    /// Scans per second [Hz], above 0.
+    /// Scans per second \[Hz\], above 0.
     pub rate_hz: f64,
     /// Beams per scan, at least 1.
     pub beams: u32,
-    /// Field of view [rad], above 0, at most 2 pi. At 2 pi beams are spread evenly, the last at bearing pi; below it
-    /// both ends carry a beam. A single beam looks ahead.
+    /// Field of view \[rad\], above 0, at most 2 pi. At 2 pi beams are spread evenly, the last at bearing pi;
+    /// below it both ends carry a beam. A single beam looks ahead.
     pub field_of_view_rad: f64,
-    /// Minimum range [m], at least 0.
+    /// Minimum range \[m\], at least 0.
     pub min_range_m: f64,
-    /// Maximum range [m], above the minimum.
+    /// Maximum range \[m\], above the minimum.
     pub max_range_m: f64,
-    /// Readings are multiples of this [m]; 0 for readings that aren't quantized.
+    /// Readings are multiples of this \[m\]; 0 for readings that aren't quantized.
     pub resolution_m: f64,
-    /// Standard deviation of a reading at range 0 [m], at least 0.
+    /// Standard deviation of a reading at range 0 \[m\], at least 0.
     pub sigma_m: f64,
     /// Its growth per metre of range, at least 0: sigma(r) = `sigma_m` + `sigma_per_m` * r.
     pub sigma_per_m: f64,
     /// Where the laser sits, `base_from_laser`.
     pub mount: Pose2,
-    /// Time that a sweep over the field of view takes [s]: at least 0, at most the time between two scans. A beam's
-    /// time after the scan's stamp is its share of the field of view swept before it.
+    /// Time that a sweep over the field of view takes \[s\]: at least 0, at most the time between two scans.
+    /// A beam's time after the scan's stamp is its share of the field of view swept before it.
     pub scan_secs: f64,
 }
 
@@ -90,10 +90,11 @@ impl LaserSimulator {
         &self.options
     }
 
-    /// The reading [m] of a beam whose way is free for `range` metres, or free beyond the maximum range (`None`).
+    /// The reading \[m\] of a beam whose way is free for `range` metres, or free beyond the maximum range
+    /// (`None`).
     ///
-    /// Gaussian noise of standard deviation sigma(range), then quantization. A reading at or beyond the maximum
-    /// range, and no return, is exactly the maximum range; one below the minimum is NaN, not usable.
+    /// Gaussian noise of standard deviation sigma(range), then quantization. A reading at or beyond the
+    /// maximum range, and no return, is exactly the maximum range; one below the minimum is NaN, not usable.
     pub fn reading(&self, range: Option<f64>, rng: &mut impl Rng) -> f32 {
         let Some(range) = range else { return self.laser.max_range() };
         let normal: f64 = StandardNormal.sample(rng);
@@ -114,7 +115,7 @@ fn shares_swept(beams: usize, field_of_view: f64) -> impl Iterator<Item = f64> {
     (0..beams).map(move |beam| beam as f64 / gaps as f64)
 }
 
-/// Bearing of the first beam [rad].
+/// Bearing of the first beam \[rad\].
 fn first_bearing(beams: usize, field_of_view: f64) -> f64 {
     if beams <= 1 {
         0.0

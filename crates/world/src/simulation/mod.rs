@@ -1,8 +1,8 @@
 //! The simulated robot: unmapped blocks along the walls, a path through the map, odometry that errs, a laser.
 //!
-//! A [`Simulator`] puts them together. [`simulate_drive`] records a drive; [`Simulator::observe_many`] gathers
-//! repeated readings at given poses, to learn sensor models from; [`ObstructionTable`] knows how likely a block
-//! stands in a beam's way, for the oracle.
+//! A [`Simulator`] puts them together. [`simulate_drive`] records a drive; [`Simulator::observe_many`]
+//! gathers repeated readings at given poses, to learn sensor models from; [`ObstructionTable`] knows how
+//! likely a block stands in a beam's way, for the oracle.
 //!
 //! Every draw is keyed by (seed, stage, step, item), see [`locsim_core::Draw`]: the same seed gives the same
 //! drive on any number of threads.

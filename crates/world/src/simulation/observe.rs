@@ -53,15 +53,17 @@ impl Simulator {
         &self.laser
     }
 
-    /// The readings [m] of one scan by a robot that stands at `pose` (`map_from_base`), one per beam, with blocks of
-    /// its own: whatever the [resampling](super::BlockResampling) of a drive, observations of one seed are independent.
+    /// The readings \[m\] of one scan by a robot that stands at `pose` (`map_from_base`), one per beam, with
+    /// blocks of its own: whatever the [resampling](super::BlockResampling) of a drive, observations of one
+    /// seed are independent.
     pub fn observe(&self, pose: &Pose2, seed: u64, observation: u32) -> Vec<f32> {
         let mut out = vec![0.0; self.laser.laser().beam_count()];
         self.observe_into(&Standing::new(self, pose), seed, observation, &mut Scratch::default(), &mut out);
         out
     }
 
-    /// `per_pose` independent scans at each pose (`map_from_base`): readings [m] in \[pose\]\[observation\]\[beam\] order.
+    /// `per_pose` independent scans at each pose (`map_from_base`): readings \[m\] in
+    /// \[pose\]\[observation\]\[beam\] order.
     ///
     /// Pose `i` observes with seed `Draw::new(seed, Stage::Training, 0).seed(i)`, so that more poses or more
     /// observations leave those there are as they were.
@@ -107,7 +109,8 @@ impl Simulator {
         }
     }
 
-    /// The scan that a robot takes from `stamp_secs` on: each beam from where robot and blocks are at its own time.
+    /// The scan that a robot takes from `stamp_secs` on: each beam from where robot and blocks are at its own
+    /// time.
     pub(super) fn sweep(
         &self,
         placements: &[Placement],
@@ -138,7 +141,8 @@ impl Simulator {
         Scan { ranges: ranges.collect() }
     }
 
-    /// The reading of a beam that is free for `range` metres, the maximum range where nothing is met before it.
+    /// The reading of a beam that is free for `range` metres, the maximum range where nothing is met before
+    /// it.
     fn read(&self, range: f64, noise: &Draw, beam: usize) -> f32 {
         let max = f64::from(self.laser.laser().max_range());
         self.laser.reading((range < max).then_some(range), &mut noise.item(beam as u32))
@@ -150,7 +154,7 @@ struct Standing {
     robot: DVec2,
     origin: DVec2,
     directions: Vec<DVec2>,
-    /// Range of each beam in the map [m], at most the maximum range.
+    /// Range of each beam in the map \[m\], at most the maximum range.
     nominal: Vec<f64>,
 }
 
@@ -195,7 +199,8 @@ mod tests {
     }
 
     proptest! {
-        /// Without noise a reading is what an exact cast against the walls and the edges of the same blocks gives.
+        /// Without noise a reading is what an exact cast against the walls and the edges of the same blocks
+        /// gives.
         #[test]
         fn readings_are_casts_at_walls_and_blocks(
             x in 0.5..5.5f64, y in 0.5..3.5f64, theta in -3.0..3.0f64, observation: u32,

@@ -14,7 +14,8 @@ use crate::map::Geometry;
 const MAX_ENTRIES: f64 = 2.5e8;
 /// The most sampled blocks; counts of them are exact in f32.
 const MAX_SAMPLES: f64 = 1e7;
-/// A cell whose centre is not free is looked at from the free one of this many times as many points nearest to it.
+/// A cell is looked at from its centre or, where that is not free, from the nearest free point of a grid with
+/// this many points per side.
 const SUBDIVISION: u32 = 4;
 /// No table for this cell.
 const NO_TABLE: u32 = u32::MAX;
@@ -22,25 +23,27 @@ const NO_TABLE: u32 = u32::MAX;
 /// How finely an [`ObstructionTable`] is made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObstructionOptions {
-    /// Side of a cell [m], for example 0.2.
+    /// Side of a cell \[m\], for example 0.2.
     pub cell_m: f64,
     /// Number of headings over the full circle, for example 72.
     pub headings: u32,
-    /// Distance between two entries along a ray [m], for example 0.05.
+    /// Distance between two entries along a ray \[m\], for example 0.05.
     pub bin_m: f64,
-    /// Length of a ray [m].
+    /// Length of a ray \[m\].
     pub max_range_m: f64,
     /// Number K of blocks that the integral is sampled with, for example 1000 per metre of wall.
     pub samples: u32,
 }
 
-/// The probability that no block stands on a ray, for rays from the free cells of a map: what the oracle knows.
+/// The probability that no block stands on a ray, for rays from the free cells of a map: what the oracle
+/// knows.
 ///
-/// As blocks are a Poisson process, S(s) = exp(-Lambda(s)), where Lambda(s) is the expected number of blocks that the
-/// ray meets within s. It is summed over K sampled blocks, their places stratified along the walls; a block counts
-/// n/K, n the mean number of blocks. Blocks too near a robot at the ray's origin are left out, as the simulator
-/// does; that a laser's mount puts the robot elsewhere is neglected. Each cell is looked at from its centre, each
-/// heading along its direction, and a query is answered by the nearest cell and heading.
+/// As blocks are a Poisson process, S(s) = exp(-Lambda(s)), where Lambda(s) is the expected number of blocks
+/// that the ray meets within s. It is summed over K sampled blocks, their places stratified along the walls;
+/// a block counts n/K, n the mean number of blocks. Blocks too near a robot at the ray's origin are left out,
+/// as the simulator does; that a laser's mount puts the robot elsewhere is neglected. Each cell is looked at
+/// from its centre, each heading along its direction, and a query is answered by the nearest cell and
+/// heading.
 #[derive(Clone, Debug)]
 pub struct ObstructionTable {
     origin: DVec2,
@@ -61,7 +64,8 @@ impl ObstructionTable {
     /// Makes the table for the blocks of a map.
     ///
     /// # Errors
-    /// [`SimulationError`] for an option that is not positive and finite, or a table that would not fit into memory.
+    /// [`SimulationError`] for an option that is not positive and finite, or a table that would not fit
+    /// into memory.
     pub fn new(
         model: &BlockModel,
         geometry: &Geometry,
@@ -261,9 +265,9 @@ mod tests {
         [1.0, 3.0, 5.0].into_iter().flat_map(|x| [1.0, 3.0].map(|y| DVec2::new(x, y)))
     }
 
-    /// Greatest deviation between the table and the share of simulated readings beyond each entry, in standard
-    /// errors: binomial for the readings; for the table, Lambda is n/K times a count, with a variance of at most
-    /// n Lambda / K.
+    /// Greatest deviation between the table and the share of simulated readings beyond each entry, in
+    /// standard errors: binomial for the readings; for the table, Lambda is n/K times a count, with a
+    /// variance of at most n Lambda / K.
     fn worst_deviation(table: &ObstructionTable, readings: &[Vec<f32>], blocks: f64) -> f64 {
         let mut worst = 0.0_f64;
         for (point, readings) in viewpoints().zip(readings) {
@@ -289,7 +293,8 @@ mod tests {
         worst
     }
 
-    /// 6 points x 8 rays x about 25 entries: each of 1200 comparisons at 1e-6 / 1200, that is 6.15 standard errors.
+    /// 6 points x 8 rays x about 25 entries: each of 1200 comparisons at 1e-6 / 1200, that is 6.15 standard
+    /// errors.
     #[test]
     fn survival_is_the_share_of_simulated_readings_that_no_block_shortened() {
         let laser = LaserOptions { beams: 8, ..laser_options() };
@@ -309,8 +314,8 @@ mod tests {
         assert!(worst(BlockOptions { wall_distance_m: [0.07, 0.52], ..good }) > 6.15);
     }
 
-    /// Blocks all alike, square to the wall: those on a ray straight at the wall have their centre within half a
-    /// length of it, so Lambda jumps from 0 to density x length where the blocks' fronts are.
+    /// Blocks all alike, square to the wall: those on a ray straight at the wall have their centre within
+    /// half a length of it, so Lambda jumps from 0 to density x length where the blocks' fronts are.
     #[test]
     fn a_ray_straight_at_a_wall_has_the_survival_of_a_one_dimensional_poisson_process() {
         let blocks = BlockOptions {

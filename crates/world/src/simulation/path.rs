@@ -9,11 +9,11 @@ use super::error::check;
 pub enum RobotPath {
     /// Straight legs between points, turning in place at each. The robot starts facing the second point.
     Waypoints {
-        /// At least two points [m], no two in a row the same.
+        /// At least two points \[m\], no two in a row the same.
         points: Vec<DVec2>,
-        /// Speed on a leg [m/s], above 0.
+        /// Speed on a leg \[m/s\], above 0.
         speed_m_s: f64,
-        /// Turn rate at a point [rad/s], above 0.
+        /// Turn rate at a point \[rad/s\], above 0.
         turn_rate_rad_s: f64,
     },
     /// Arcs of constant speed and turn rate, one after the other.
@@ -28,17 +28,17 @@ pub enum RobotPath {
 /// An arc of constant speed and turn rate; negative speeds reverse, zero speeds turn in place or stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VelocitySegment {
-    /// How long it lasts [s], above 0.
+    /// How long it lasts \[s\], above 0.
     pub secs: f64,
-    /// Forward speed [m/s].
+    /// Forward speed \[m/s\].
     pub speed_m_s: f64,
-    /// Turn rate, counter-clockwise positive [rad/s].
+    /// Turn rate, counter-clockwise positive \[rad/s\].
     pub turn_rate_rad_s: f64,
 }
 
 impl RobotPath {
-    /// The same path with its start moved by `offset` [m]: of waypoints the first alone, of a velocity profile the
-    /// whole.
+    /// The same path with its start moved by `offset` \[m\]: of waypoints the first alone, of a velocity
+    /// profile the whole.
     #[must_use]
     pub fn with_start_moved(&self, offset: DVec2) -> Self {
         let mut path = self.clone();
@@ -93,8 +93,8 @@ impl Trajectory {
     /// The motion along `path`.
     ///
     /// # Errors
-    /// [`SimulationError`] for fewer than two waypoints, two in a row that coincide, no segments, a segment that
-    /// does not last, speeds of waypoints that are not positive, anything not finite.
+    /// [`SimulationError`] for fewer than two waypoints, two in a row that coincide, no segments, a segment
+    /// that does not last, speeds of waypoints that are not positive, anything not finite.
     pub fn new(path: &RobotPath) -> Result<Self, SimulationError> {
         match path {
             RobotPath::Waypoints { points, speed_m_s, turn_rate_rad_s } => {
@@ -162,13 +162,13 @@ impl Trajectory {
         Ok(Self { arcs, duration_secs: check_duration(secs)? })
     }
 
-    /// How long the motion lasts [s], above 0.
+    /// How long the motion lasts \[s\], above 0.
     pub fn duration_secs(&self) -> f64 {
         self.duration_secs
     }
 
-    /// `map_from_base` at `secs` after the start. Before the start the robot stands at the start, after the end at
-    /// the end.
+    /// `map_from_base` at `secs` after the start. Before the start the robot stands at the start, after the
+    /// end at the end.
     pub fn pose_at(&self, secs: f64) -> Pose2 {
         let secs = secs.clamp(0.0, self.duration_secs);
         let arc = self.arcs.partition_point(|arc| arc.start_secs <= secs) - 1;
@@ -258,7 +258,8 @@ mod tests {
     }
 
     proptest! {
-        /// No jump: within dt a robot moves at most by its speed (1 m/s) and turns at most by its rate (1.5 rad/s).
+        /// No jump: within dt a robot moves at most by its speed (1 m/s) and turns at most by its rate (1.5
+        /// rad/s).
         #[test]
         fn paths_are_continuous(path in any_path(), share in 0.0..1.0f64, dt in 0.0..0.5f64) {
             let path = Trajectory::new(&path).unwrap();
@@ -268,7 +269,8 @@ mod tests {
             prop_assert!(motion.theta.abs() <= 1.5 * dt + 1e-9);
         }
 
-        /// Wheels don't slip sideways: over 2 h the motion seen from its middle heading is straight up to O(h^2).
+        /// Wheels don't slip sideways: over 2 h the motion seen from its middle heading is straight up to
+        /// O(h^2).
         #[test]
         fn motion_is_along_the_heading(path in any_path(), share in 0.0..1.0f64) {
             let path = Trajectory::new(&path).unwrap();

@@ -3,42 +3,42 @@ use glam::DVec2;
 /// A solid rectangle of any orientation, in the form that rays are cast at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rectangle {
-    /// Centre [m].
+    /// Centre \[m\].
     center: DVec2,
     /// Unit vector along the length.
     axis: DVec2,
-    /// Half the length and half the width [m].
+    /// Half the length and half the width \[m\].
     half: DVec2,
-    /// Radius of the circle through the corners [m].
+    /// Radius of the circle through the corners \[m\].
     radius: f64,
 }
 
 impl Rectangle {
-    /// `axis` is a unit vector along the length, `half` half the length and half the width [m].
+    /// `axis` is a unit vector along the length, `half` half the length and half the width \[m\].
     pub fn new(center: DVec2, axis: DVec2, half: DVec2) -> Self {
         Self { center, axis, half, radius: half.length() }
     }
 
-    /// Its corners, counter-clockwise [m].
+    /// Its corners, counter-clockwise \[m\].
     pub fn corners(&self) -> [DVec2; 4] {
         let length = self.half.x * self.axis;
         let width = self.half.y * self.axis.perp();
         [-length - width, length - width, length + width, -length + width].map(|corner| self.center + corner)
     }
 
-    /// Centre [m] and radius [m] of the circle through the corners.
+    /// Centre \[m\] and radius \[m\] of the circle through the corners.
     pub fn circle(&self) -> (DVec2, f64) {
         (self.center, self.radius)
     }
 
-    /// Distance from a point to the rectangle [m], 0 inside it.
+    /// Distance from a point to the rectangle \[m\], 0 inside it.
     pub fn distance_to(&self, point: DVec2) -> f64 {
         let offset = self.to_local(point - self.center);
         (offset.abs() - self.half).max(DVec2::ZERO).length()
     }
 
-    /// Where the ray from `origin` along the unit vector `direction` first meets the rectangle [m]: 0 if it starts
-    /// inside, `None` if it misses it or meets it at `limit` or beyond.
+    /// Where the ray from `origin` along the unit vector `direction` first meets the rectangle \[m\]: 0 if it
+    /// starts inside, `None` if it misses it or meets it at `limit` or beyond.
     #[inline]
     pub fn first_hit(&self, origin: DVec2, direction: DVec2, limit: f64) -> Option<f64> {
         let to_center = self.center - origin;
@@ -66,15 +66,15 @@ impl Rectangle {
 
 /// Where a line `start + t step` enters and leaves the strip from `-half` to `half`.
 ///
-/// A line along the strip gives infinities of the right signs. Exactly on the strip's edge one of them is a NaN,
-/// which `min` and `max` ignore: the line counts as outside.
+/// A line along the strip gives infinities of the right signs. Exactly on the strip's edge one of them is a
+/// NaN, which `min` and `max` ignore: the line counts as outside.
 fn slab(start: f64, step: f64, half: f64) -> (f64, f64) {
     let inverse = step.recip();
     let (a, b) = ((-half - start) * inverse, (half - start) * inverse);
     (a.min(b), a.max(b))
 }
 
-/// Where a ray first meets one of the rectangles, or `limit` [m].
+/// Where a ray first meets one of the rectangles, or `limit` \[m\].
 pub(super) fn nearest_hit(rectangles: &[Rectangle], origin: DVec2, direction: DVec2, limit: f64) -> f64 {
     rectangles
         .iter()
@@ -107,7 +107,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_ray_meets_the_nearest_edge(r in rectangle(), x in -3.0..3.0f64, y in -3.0..3.0f64, angle in -4.0..4.0f64) {
+        fn a_ray_meets_the_nearest_edge(
+            r in rectangle(), x in -3.0..3.0f64, y in -3.0..3.0f64, angle in -4.0..4.0f64,
+        ) {
             let (origin, direction) = (DVec2::new(x, y), DVec2::from_angle(angle));
             let hit = r.first_hit(origin, direction, f64::INFINITY);
             if r.distance_to(origin) == 0.0 {
