@@ -83,46 +83,50 @@ impl FromIterator<f64> for Moments {
 /// resample of trials are found in one pass.
 #[derive(Clone, Debug, Default)]
 pub struct PooledValues {
-    sorted: Vec<(f64, u32)>,
+    values: Vec<f64>,
+    /// The trial of each value.
+    trials: Vec<u32>,
+    /// How many values each trial has.
+    sizes: Vec<u32>,
 }
 
 impl PooledValues {
-    /// Pools `(value, trial)` pairs.
-    pub fn new(values: impl IntoIterator<Item = (f64, u32)>) -> Self {
+    /// Pools `(value, trial)` pairs of trials numbered below `trials`.
+    pub fn new(trials: usize, values: impl IntoIterator<Item = (f64, u32)>) -> Self {
         let mut sorted: Vec<_> = values.into_iter().collect();
         sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        Self { sorted }
+        let (values, of): (Vec<f64>, Vec<u32>) = sorted.into_iter().unzip();
+        let mut sizes = vec![0; trials];
+        of.iter().for_each(|&trial| sizes[trial as usize] += 1);
+        Self { values, trials: of, sizes }
     }
 
     /// Quantiles of the sample in which trial `t` occurs `copies[t]` times, by linear interpolation between
     /// order statistics (Hyndman and Fan's type 7). `probabilities` ascend. NaN when the sample is empty.
     pub fn quantiles<const N: usize>(&self, copies: &[u32], probabilities: [f64; N]) -> [f64; N] {
-        let copies_of = |trial: u32| copies[trial as usize] as usize;
-        let total: usize = self.sorted.iter().map(|&(_, trial)| copies_of(trial)).sum();
-        let mut quantiles = [f64::NAN; N];
+        let copies_of = |value: usize| copies[self.trials[value] as usize] as usize;
+        let total: usize = self.sizes.iter().zip(copies).map(|(&size, &n)| size as usize * n as usize).sum();
         if total == 0 {
-            return quantiles;
+            return [f64::NAN; N];
         }
-        let mut present = self.sorted.iter().filter(|(_, trial)| copies_of(*trial) > 0).peekable();
-        // Values of the expanded sample before the current one.
-        let mut before = 0;
-        for (quantile, probability) in quantiles.iter_mut().zip(probabilities) {
+        // The value at `place` has the ranks `before..before + copies_of(place)` in the sample.
+        let (mut place, mut before) = (0, 0);
+        probabilities.map(|probability| {
             let rank = probability * (total - 1) as f64;
             let below = rank.floor() as usize;
-            while let Some((_, trial)) = present.next_if(|(_, trial)| before + copies_of(*trial) <= below) {
-                before += copies_of(*trial);
+            while before + copies_of(place) <= below {
+                before += copies_of(place);
+                place += 1;
             }
-            let mut rest = present.clone();
-            if let Some(&(value, trial)) = rest.next() {
-                let upper = if before + copies_of(trial) > below + 1 {
-                    value
-                } else {
-                    rest.next().map_or(value, |next| next.0)
-                };
-                *quantile = value + (rank - rank.floor()) * (upper - value);
-            }
-        }
-        quantiles
+            let value = self.values[place];
+            let upper = if below + 1 < before + copies_of(place) {
+                value
+            } else {
+                let next = (place + 1..self.values.len()).find(|&next| copies_of(next) > 0);
+                next.map_or(value, |next| self.values[next])
+            };
+            value + (rank - rank.floor()) * (upper - value)
+        })
     }
 }
 
@@ -214,7 +218,7 @@ mod tests {
                 .collect();
             expanded.sort_by(f64::total_cmp);
             let probabilities = [0.0, 0.1, 0.5, 0.95, 1.0];
-            let found = PooledValues::new(values).quantiles(&copies, probabilities);
+            let found = PooledValues::new(4, values).quantiles(&copies, probabilities);
             for (found, probability) in found.into_iter().zip(probabilities) {
                 let expected = quantile(&expanded, probability);
                 prop_assert!((found - expected).abs() < 1e-12 || (found.is_nan() && expected.is_nan()));

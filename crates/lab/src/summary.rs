@@ -110,21 +110,21 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Ordered<T> {
     }
 }
 
-/// Mean and standard deviation of a signed error [m].
+/// Mean and standard deviation of a signed error (m).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LinearError<T = f64> {
-    /// Mean [m].
+    /// Mean (m).
     pub mean_m: T,
-    /// Standard deviation about the mean [m].
+    /// Standard deviation about the mean (m).
     pub std_m: T,
 }
 
-/// Mean and standard deviation of a signed error [rad].
+/// Mean and standard deviation of a signed error (rad).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AngularError<T = f64> {
-    /// Mean [rad].
+    /// Mean (rad).
     pub mean_rad: T,
-    /// Standard deviation about the mean [rad].
+    /// Standard deviation about the mean (rad).
     pub std_rad: T,
 }
 
@@ -132,13 +132,13 @@ pub struct AngularError<T = f64> {
 /// `T = Interval` the 95 % interval of each.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Errors<T = f64> {
-    /// Root of the mean squared distance between estimate and truth [m] (absolute trajectory error).
+    /// Root of the mean squared distance between estimate and truth (m) (absolute trajectory error).
     pub position_rmse_m: T,
-    /// Median of that distance [m].
+    /// Median of that distance (m).
     pub position_median_m: T,
-    /// Its 95th percentile [m].
+    /// Its 95th percentile (m).
     pub position_p95_m: T,
-    /// Root of the sum of the variances of the signed errors along and across [m].
+    /// Root of the sum of the variances of the signed errors along and across (m).
     pub position_std_m: T,
     /// Signed error along the scenario's error axis.
     pub along: LinearError<T>,
@@ -195,7 +195,7 @@ pub struct ModelSummary {
     pub errors: Errors,
     /// Mean effective sample size before resampling, over all steps of all trials.
     pub ess_mean: f64,
-    /// Mean wall time of a filter step [ms]; with `seconds` the only figure that a repeated run doesn't reproduce.
+    /// Mean wall time of a filter step (ms); with `seconds` the only figure that a repeated run doesn't reproduce.
     pub step_ms: f64,
     /// How the model did on held-out training data, and what was chosen on it.
     pub train: TrainingRow,
@@ -244,7 +244,7 @@ pub struct Summary {
     pub seed: u64,
     /// Number of trials.
     pub trials: u32,
-    /// Wall time of the run [s].
+    /// Wall time of the run (s).
     pub seconds: f64,
     /// The models in the scenario's order.
     pub models: Ordered<ModelSummary>,
@@ -361,7 +361,7 @@ impl Sample {
             along: per_trial(|s| s.error_along_m),
             across: per_trial(|s| s.error_across_m),
             heading: per_trial(|s| s.error_heading_rad),
-            position: PooledValues::new(positions),
+            position: PooledValues::new(trials.len(), positions),
             lost: trials.iter().map(|t| t.lost).collect(),
             ess_mean: Moments::pooled(ess.iter().map(|m| (m, 1))).mean(),
             step_ms: trials.iter().map(|t| t.step_ms).sum::<f64>() / trials.len() as f64,

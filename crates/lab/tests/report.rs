@@ -83,7 +83,7 @@ fn results(models: &[usize], trials: u32) -> RunResults {
         description: "Made-up errors of known size.".to_owned(),
         seed: 7,
         seconds: 12.5,
-        error_frame: "map x axis".to_owned(),
+        error_frame: "map: along is x, across is y".to_owned(),
         estimate: "most likely trajectory".to_owned(),
         models: models.iter().map(|&m| MODELS[m].0.to_owned()).collect(),
         training: training.collect(),

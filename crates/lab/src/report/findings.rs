@@ -9,7 +9,7 @@ pub const NP_REG: &str = "np_reg";
 /// The model whose aims the report checks.
 pub const REGISTERED: &str = "np_reg_registered";
 
-/// The paper's Table II: mean and standard deviation of the pose error [m].
+/// The paper's Table II: mean and standard deviation of the pose error (m).
 pub const PAPER: [(&str, f64, f64); 2] = [(CLASSIC, 0.004, 0.041), (NP_REG, 0.002, 0.020)];
 
 /// Largest ratio of deviations to `classic` that is aimed for: the paper's own, rounded.

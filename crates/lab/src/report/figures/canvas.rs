@@ -16,17 +16,17 @@ use crate::palette;
 
 /// Drawing units per pixel: the SVG backend rounds coordinates to integers, and a quarter of a pixel is fine.
 const UNITS: u32 = 4;
-/// Width of every figure [px].
+/// Width of every figure (px).
 pub const WIDTH: u32 = 960;
 /// The typeface; the first is what the PNGs are set in, the others stand in where it isn't installed.
 const TYPEFACE: &str = "Ubuntu, Segoe UI, Helvetica, Arial, sans-serif";
-/// Size of labels [px].
+/// Size of labels (px).
 pub const LABEL: f64 = 13.0;
-/// Size of a panel's title [px].
+/// Size of a panel's title (px).
 pub const HEADING: f64 = 14.0;
-/// Size of a figure's title [px].
+/// Size of a figure's title (px).
 const TITLE: f64 = 18.0;
-/// Room left of a y axis' title [px].
+/// Room left of a y axis' title (px).
 const EDGE: f64 = 12.0;
 
 /// Text and axes.
@@ -58,18 +58,18 @@ pub fn px(pixels: f64) -> i32 {
     (pixels * f64::from(UNITS)).round() as i32
 }
 
-/// A line of this colour and width [px].
+/// A line of this colour and width (px).
 pub fn line(color: impl Color, width_px: f64) -> ShapeStyle {
     color.stroke_width(px(width_px) as u32)
 }
 
-/// Text of this size [px] and colour.
+/// Text of this size (px) and colour.
 pub fn text(size: f64, color: RGBColor) -> TextStyle<'static> {
     // The SVG backend divides font sizes by 1.24.
     (TYPEFACE, size * f64::from(UNITS) * 1.24).into_font().color(&color)
 }
 
-/// Estimated width of a text [px]: plotters has no metrics of the typeface.
+/// Estimated width of a text (px): plotters has no metrics of the typeface.
 pub fn text_width(content: &str, size: f64) -> f64 {
     let advance = |c| match c {
         'i' | 'l' | 'j' | 'I' | '.' | ',' | ':' | ' ' | '/' | '\'' | '|' => 0.27,
@@ -96,7 +96,7 @@ pub enum Mark {
 const LINE_HEIGHT: f64 = 22.0;
 const SWATCH: f64 = 22.0;
 
-/// Places of legend entries [px], wrapped at the figure's width, and the height they take.
+/// Places of legend entries (px), wrapped at the figure's width, and the height they take.
 fn legend_layout(entries: &[(String, Mark)]) -> (Vec<(f64, f64)>, f64) {
     let (mut x, mut y) = (16.0, 0.0);
     let mut places = Vec::new();
@@ -229,7 +229,7 @@ impl Axis {
         (self.lo, self.hi)
     }
 
-    /// Room that its tick labels and its title need below a panel [px].
+    /// Room that its tick labels and its title need below a panel (px).
     fn height(&self) -> f64 {
         let labelled = self.ticks.iter().any(|(_, label)| !label.is_empty());
         match (self.label.is_empty(), labelled) {
@@ -279,7 +279,7 @@ impl ValueFormatter<f64> for Axis {
     }
 }
 
-/// A panel with a light grid. `left` is the room for the labels of the y axis [px].
+/// A panel with a light grid. `left` is the room for the labels of the y axis (px).
 pub fn chart<'a, 'b>(area: &'a Area<'b>, x: &Axis, y: &Axis, left: f64) -> Result<Chart<'a, 'b>, DrawError> {
     let mut chart = ChartBuilder::on(area)
         .margin_top(px(8.0))

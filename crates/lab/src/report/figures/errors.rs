@@ -10,7 +10,7 @@ use crate::results::{RunResults, StepRow};
 use crate::statistics::{Interval, quantile};
 use crate::summary::{Ratio, Ratios, Summary};
 
-/// The finest error worth an axis [m].
+/// The finest error worth an axis (m).
 const FINEST_M: f64 = 1e-4;
 /// Points of a drawn distribution.
 const POINTS: u32 = 240;

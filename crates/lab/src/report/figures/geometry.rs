@@ -2,10 +2,10 @@
 
 use std::collections::HashMap;
 
-/// A point of the map [m].
+/// A point of the map (m).
 pub type Point = [f64; 2];
 
-/// An axis-aligned window onto the map [m].
+/// An axis-aligned window onto the map (m).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// Lower left corner.
@@ -30,7 +30,7 @@ impl Window {
         Self { lo: [x - width / 2.0, y - height / 2.0], hi: [x + width / 2.0, y + height / 2.0] }
     }
 
-    /// Width and height [m].
+    /// Width and height (m).
     pub fn size(&self) -> [f64; 2] {
         [self.hi[0] - self.lo[0], self.hi[1] - self.lo[1]]
     }

@@ -11,9 +11,9 @@ use super::geometry::{Point, Window, join};
 use crate::results::{DetailedModel, DetailedStep, DetailedTrial};
 use crate::statistics::quantile;
 
-/// Room for the labels of the y axis [px].
+/// Room for the labels of the y axis (px).
 const LEFT: f64 = 74.0;
-/// What [`chart`] leaves at the right, at the top and below a labelled x axis [px].
+/// What [`chart`] leaves at the right, at the top and below a labelled x axis (px).
 const MARGINS: (f64, f64, f64) = (18.0, 8.0, 46.0);
 /// Colour of dead reckoning.
 const DEAD_RECKONING: RGBColor = RGBColor(0x99, 0x99, 0x99);
@@ -81,7 +81,7 @@ fn points(poses: impl IntoIterator<Item = Pose2>) -> Vec<Point> {
     poses.into_iter().map(|p| [p.x, p.y]).collect()
 }
 
-/// Width over height of the plot in an area of this size [px].
+/// Width over height of the plot in an area of this size (px).
 fn aspect(width: f64, height: f64) -> f64 {
     let (right, top, below) = MARGINS;
     (width - LEFT - right) / (height - top - below)
@@ -202,7 +202,7 @@ pub fn snapshots(
     })
 }
 
-/// Height of a window around the true pose that shows all but the furthest particles [m].
+/// Height of a window around the true pose that shows all but the furthest particles (m).
 fn close_up(step: &DetailedStep, pose: Pose2) -> f64 {
     let mut distances: Vec<f64> =
         step.particles.iter().map(|p| p.position().distance(pose.position())).collect();
