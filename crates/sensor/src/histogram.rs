@@ -23,6 +23,8 @@ pub(crate) struct HistogramTable {
     log_density: Vec<f32>,
     /// \[cell\]\[bins + 1\]: mass below each bin.
     below: Vec<f32>,
+    /// ln of the probability of the maximum range on an open beam, the usual case of such a reading.
+    open_no_return: f32,
 }
 
 /// What a file keeps.
@@ -68,7 +70,11 @@ impl TryFrom<Parts> for HistogramTable {
                 below[bin + 1] = sum as f32;
             }
         });
-        Ok(Self { parts, log_density, below })
+        let mut table = Self { parts, log_density, below, open_no_return: 0.0 };
+        let max_range = table.parts.grid.max_range;
+        let open = Beam { pose: 0, bearing: 0, range: max_range, incidence: 0.0, max_range };
+        table.open_no_return = table.log_no_return(&open);
+        Ok(table)
     }
 }
 
@@ -88,6 +94,11 @@ impl HistogramTable {
         row[bin] + share * (row[bin + 1] - row[bin])
     }
 
+    /// ln of the probability of the maximum range.
+    fn log_no_return(&self, beam: &Beam) -> f32 {
+        (1.0 - self.cdf_at(beam.max_range, beam)).max(0.0).ln()
+    }
+
     /// P(reading < `z`), `z` at most the maximum range.
     fn cdf_at(&self, z: f32, beam: &Beam) -> f32 {
         let cell = self.parts.grid.cell(beam);
@@ -104,7 +115,7 @@ impl SensorModel for HistogramTable {
         let bins = self.parts.axis.bins();
         log_densities(z, beams, out, |z, beam| {
             if z >= beam.max_range {
-                return (1.0 - self.cdf_at(z, &beam)).max(0.0).ln();
+                return if beam.is_open() { self.open_no_return } else { self.log_no_return(&beam) };
             }
             let bin = self.parts.axis.bin(self.observation(z, &beam));
             self.log_density[self.parts.grid.cell(&beam) * bins + bin]

@@ -93,30 +93,35 @@ impl Oracle {
 
     /// P(reading <= `z`) of an object that stands evenly within a stretch, for `z` from 0 to the maximum.
     fn stretch_cdf(&self, stretch: &Stretch, z: f32) -> f32 {
-        let below = self.uncut_cdf(stretch, 0.0);
-        ((self.uncut_cdf(stretch, z) - below) / (1.0 - below)) as f32
+        let below = self.below_zero(stretch);
+        (self.uncut_cdf(stretch, z) - below) / (1.0 - below)
     }
 
     /// Density [1/m] of a reading of an object that stands evenly within a stretch.
     fn stretch_density(&self, stretch: &Stretch, z: f32) -> f32 {
         let &Stretch { near, far, .. } = stretch;
         let sigma = self.noise(0.5 * (near + far)).sigma;
-        let at = |z: f32| normal::quick_cdf((z - near) / sigma) - normal::quick_cdf((z - far) / sigma);
-        let density = at(z) / (far - near);
-        if near > REACH * sigma { density } else { density / (1.0 - self.uncut_cdf(stretch, 0.0) as f32) }
+        let mass = normal::quick_cdf((z - near) / sigma) - normal::quick_cdf((z - far) / sigma);
+        mass / ((far - near) * (1.0 - self.below_zero(stretch)))
     }
 
-    /// P(reading <= `z`) of an object that stands evenly within a stretch, before readings below 0 are
-    /// conditioned away.
-    fn uncut_cdf(&self, stretch: &Stretch, z: f32) -> f64 {
-        let sigma = f64::from(self.noise(0.5 * (stretch.near + stretch.far)).sigma);
-        let (near, far, z) = (f64::from(stretch.near), f64::from(stretch.far), f64::from(z));
-        if z - far > 8.0 * sigma {
-            return 1.0;
+    /// P(reading < 0), which is conditioned away.
+    fn below_zero(&self, stretch: &Stretch) -> f32 {
+        let away = stretch.near > REACH * self.noise(stretch.far).sigma;
+        if away { 0.0 } else { self.uncut_cdf(stretch, 0.0) }
+    }
+
+    /// P(reading <= `z`) before readings below 0 are conditioned away.
+    fn uncut_cdf(&self, stretch: &Stretch, z: f32) -> f32 {
+        let &Stretch { near, far, .. } = stretch;
+        let sigma = self.noise(0.5 * (near + far)).sigma;
+        let (first, last) = ((z - near) / sigma, (z - far) / sigma);
+        if first < -REACH || last > REACH {
+            return if last > REACH { 1.0 } else { 0.0 };
         }
         // the integral of the normal distribution function is t cdf(t) + pdf(t)
-        let primitive = |t: f64| t * normal::cdf(t) + normal::pdf(t);
-        sigma * (primitive((z - near) / sigma) - primitive((z - far) / sigma)) / (far - near)
+        let primitive = |t: f32| t * normal::quick_cdf(t) + normal::pdf(f64::from(t)) as f32;
+        ((primitive(first) - primitive(last)) * sigma / (far - near)).clamp(0.0, 1.0)
     }
 
     fn density(&self, survival: &[f32], z: f32, beam: Beam) -> f32 {
