@@ -42,7 +42,7 @@ pub(crate) fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<(T, 
         // The line is already told.
         let what = message.split(" at line ").next().unwrap_or_default();
         let line = error.location().map(|at| at.line());
-        invalid(vec![Problem { line, key: String::new(), message: format!("not valid YAML: {what}") }])
+        invalid(vec![Problem { line, key: String::new(), message: format!("not readable as YAML: {what}") }])
     })?;
     if tree.is_null() {
         let message = "the file is empty; a map of keys is needed".to_owned();
@@ -51,8 +51,8 @@ pub(crate) fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<(T, 
     let value = serde_path_to_error::deserialize(Node(&tree)).map_err(|error| {
         let mut key =
             if error.path().iter().next().is_none() { String::new() } else { error.path().to_string() };
-        if let Mismatch::UnknownKey { key: inner, .. } | Mismatch::MissingKey { key: inner } = error.inner() {
-            key = join(&key, inner);
+        if let Mismatch::MissingKey { key: missing } = error.inner() {
+            key = join(&key, missing);
         }
         invalid(vec![Problem { line: locations.line(&key), message: error.inner().to_string(), key }])
     })?;
@@ -224,6 +224,19 @@ impl<'de> Deserializer<'de> for Node<'de> {
         visitor.visit_newtype_struct(self)
     }
 
+    /// Derived visitors would take a list as the fields in their order.
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        _: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Mismatch> {
+        match self.0 {
+            Value::Sequence(_) => Err(Mismatch::value(Unexpected::Seq, &visitor)),
+            _ => self.deserialize_any(visitor),
+        }
+    }
+
     fn deserialize_enum<V: Visitor<'de>>(
         self,
         _: &'static str,
@@ -255,7 +268,7 @@ impl<'de> Deserializer<'de> for Node<'de> {
 
     serde::forward_to_deserialize_any! {
         bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf unit unit_struct
-        seq tuple tuple_struct map struct identifier
+        seq tuple tuple_struct map identifier
     }
 }
 
@@ -336,9 +349,9 @@ impl<'de> de::VariantAccess<'de> for Choice<'de> {
 
     fn struct_variant<V: Visitor<'de>>(
         self,
-        _: &'static [&'static str],
+        fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Mismatch> {
-        self.content()?.deserialize_any(visitor)
+        self.content()?.deserialize_struct("", fields, visitor)
     }
 }

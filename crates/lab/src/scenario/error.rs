@@ -75,27 +75,37 @@ pub(crate) fn unknown_word(word: &str, what: &str, known: &[&str]) -> String {
     text
 }
 
-/// The known word nearest to `word`, if it is near enough to be a slip of the keyboard.
+/// The known word that is near enough to be meant: a slip of the keyboard, or one begins with the other.
 fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
     let limit = (word.chars().count() / 3).max(1);
     let near = known.iter().map(|k| (edit_distance(word, k), *k)).min_by_key(|(distance, _)| *distance)?;
-    (near.0 <= limit).then_some(near.1)
+    if near.0 <= limit {
+        return Some(near.1);
+    }
+    known
+        .iter()
+        .copied()
+        .find(|k| word.len() >= 3 && k.len() >= 3 && (k.starts_with(word) || word.starts_with(k)))
 }
 
-/// Levenshtein distance in characters.
+/// Damerau-Levenshtein distance (optimal string alignment) in characters.
 fn edit_distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.iter().enumerate() {
-            let substitute = diagonal + usize::from(x != *y);
-            diagonal = row[j + 1];
-            row[j + 1] = substitute.min(diagonal + 1).min(row[j] + 1);
+    let [a, b]: [Vec<char>; 2] = [a, b].map(|text| text.chars().collect());
+    let mut distance = vec![vec![0; b.len() + 1]; a.len() + 1];
+    for i in 0..=a.len() {
+        for j in 0..=b.len() {
+            distance[i][j] = if i == 0 || j == 0 {
+                i + j
+            } else {
+                let replaced = distance[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
+                replaced.min(distance[i - 1][j] + 1).min(distance[i][j - 1] + 1)
+            };
+            if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
+                distance[i][j] = distance[i][j].min(distance[i - 2][j - 2] + 1);
+            }
         }
     }
-    row[b.len()]
+    distance[a.len()][b.len()]
 }
 
 #[cfg(test)]
@@ -103,10 +113,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn edit_distances_are_levenshteins() {
-        for (a, b, distance) in
-            [("kitten", "sitting", 3), ("", "abc", 3), ("abc", "", 3), ("beams", "beams", 0)]
-        {
+    fn edit_distances_count_insertions_deletions_replacements_and_swaps() {
+        for (a, b, distance) in [
+            ("kitten", "sitting", 3),
+            ("", "abc", 3),
+            ("abc", "", 3),
+            ("beams", "beams", 0),
+            ("baems", "beams", 1),
+            ("ab", "ba", 1),
+        ] {
             assert_eq!(edit_distance(a, b), distance, "{a} {b}");
         }
     }
@@ -115,6 +130,9 @@ mod tests {
     fn only_near_words_are_suggested() {
         let known = ["particles", "motion"];
         assert_eq!(nearest("partcles", &known), Some("particles"));
+        assert_eq!(nearest("part", &known), Some("particles"));
+        assert_eq!(nearest("motion_model", &known), Some("motion"));
         assert_eq!(nearest("colour", &known), None);
+        assert_eq!(nearest("", &known), None);
     }
 }

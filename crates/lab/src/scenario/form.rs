@@ -6,13 +6,13 @@ use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{Error, MapAccess, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// A value with a short form (a word or a number) and a full form (a map or a list).
+// A value with a short form (a word or a number) and a full form (a map or a list). Doc comments here would become
+// descriptions in the JSON Schema.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
+#[schemars(inline)]
 pub(super) enum Form<S, F> {
-    /// The short form.
     Short(S),
-    /// The full form.
     Full(F),
 }
 

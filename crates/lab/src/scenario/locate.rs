@@ -43,6 +43,8 @@ impl Locations {
                     open.push(Open::List { path, next: 0 });
                 }
                 Event::MappingEnd | Event::SequenceEnd => _ = open.pop(),
+                // A second document isn't ours.
+                Event::DocumentEnd => break,
                 _ => {}
             }
         }
@@ -110,7 +112,7 @@ mod tests {
 
     #[test]
     fn every_key_and_element_has_the_line_it_stands_on() {
-        let text = "# comment\na: 1\nb:\n  c: [1,\n    2]\n  d:\n    - {e: 3}\n    -\n      e: *x\n'f g': |\n  h: 5\ni: 6\n";
+        let text = "# comment\na: 1\nb:\n  c: [1,\n    2]\n  d:\n    - {e: &x 3}\n    -\n      e: *x\n'f g': |\n  h: 5\ni: 6\n";
         let locations = Locations::of(text);
         for (key, line) in [
             ("", 2),

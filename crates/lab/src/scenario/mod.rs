@@ -8,6 +8,10 @@ mod form;
 pub(crate) mod locate;
 mod map_file;
 mod raw;
+#[cfg(test)]
+mod schema_tests;
+#[cfg(test)]
+mod tests;
 mod validate;
 mod validated;
 
@@ -22,7 +26,7 @@ use crate::yaml;
 /// What the command line says instead of the scenario.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Overrides {
-    /// Number of trials.
+    /// Number of trials. A recorded trial beyond them becomes the last.
     pub trials: Option<u32>,
     /// Seed.
     pub seed: Option<u64>,

@@ -81,8 +81,10 @@ pub struct RawTraining {
     /// Scan poses drawn in free space, 2 to 1000000; for a log, at most this many of its training scans.
     pub poses: u64,
     /// Observations of each state, 1 to 100000. Default: 100; 1 for a log, which has no other.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub observations: Option<u64>,
     /// Beams per pose that become states, spread evenly. Default: all of the laser's.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub beams: Option<u64>,
     /// Share of the poses held out for choosing bandwidths, floors and exponents, above 0 and below 1.
     pub held_out_share: f64,

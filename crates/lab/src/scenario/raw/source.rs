@@ -11,9 +11,11 @@ pub struct RawRayCast {
     #[serde(default)]
     pub method: RayCastMethod,
     /// Side of a table cell [m], 0.001 to 10. Only with `table`. Default: 0.1.
+    #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("default" = default::CELL_M))]
     pub cell_m: Option<f64>,
     /// Number of heading bins of the table, 4 to 3600. Only with `table`. Default: 180.
+    #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("default" = default::HEADINGS))]
     pub headings: Option<u64>,
 }

@@ -30,9 +30,10 @@ pub(in crate::scenario) fn validate(
     mut check: Checker<'_>,
 ) -> Result<Scenario, ScenarioError> {
     let name = name(&mut check, raw.name.as_deref(), path);
+    let trials_of_file = check.count("trials", raw.trials, 1, 1_000_000);
     let trials = match overrides.trials {
         Some(trials) => check.count("--trials", trials.into(), 1, 1_000_000),
-        None => check.count("trials", raw.trials, 1, 1_000_000),
+        None => trials_of_file,
     };
     let ray_cast = source::ray_cast(&mut check, &raw.ray_cast);
     let source = source::source(&mut check, &raw);
@@ -44,7 +45,8 @@ pub(in crate::scenario) fn validate(
         frame: raw.errors.frame,
         lost_m: check.number("errors.lost_m", raw.errors.lost_m, Above(0.0)),
     };
-    let record = record(&mut check, &raw.record, trials, &all_models, &models);
+    let mut record = record(&mut check, &raw.record, trials_of_file, &all_models, &models);
+    record.trial = record.trial.min(trials.saturating_sub(1));
     let expect = expectations(&mut check, &raw.expect, &all_models, &models);
     match source {
         Some(source) if check.is_clean() => Ok(Scenario {
@@ -132,7 +134,8 @@ fn training(check: &mut Checker<'_>, raw: &RawTraining, source: Option<&Source>)
 /// A number of beams, at most the laser's where that is known.
 fn beams(check: &mut Checker<'_>, key: &str, beams: Option<u64>, of_laser: Option<u32>) -> Option<u32> {
     let beams = check.count(key, beams?, 1, MAX_BEAMS);
-    if let Some(limit) = of_laser {
+    // A laser without beams is a problem of its own.
+    if let Some(limit @ 1..) = of_laser {
         check.refuse(beams > limit, key, || format!("{beams} is not allowed; at most laser.beams, {limit}"));
     }
     Some(beams)
@@ -201,7 +204,11 @@ fn known_label(check: &mut Checker<'_>, key: &str, label: &str, models: &[Model]
 }
 
 fn record(check: &mut Checker<'_>, raw: &RawRecord, trials: u32, all: &[Model], models: &[Model]) -> Record {
-    let trial = check.count("record.trial", raw.trial, 0, trials.saturating_sub(1));
+    let trial = match trials {
+        // A problem of its own.
+        0 => 0,
+        1.. => check.count("record.trial", raw.trial, 0, trials - 1),
+    };
     let wanted = |label: &String| match &raw.models {
         Form::Short(All::All) => true,
         Form::Full(labels) => labels.contains(label),
@@ -253,6 +260,10 @@ fn bound(
     }
     if let (Some(min), Some(max)) = (min, max) {
         check.refuse(min > max, &join(key, "min"), || format!("{min} is not allowed; not above max, {max}"));
+    }
+    if metric.is_empty() {
+        check.problem(key, "a bound belongs to a figure, such as {lost_share: {max: 0.05}}");
+        return;
     }
     match METRICS.into_iter().find(|known| *known == metric) {
         Some(metric) => out.push(Expectation { model: label.to_owned(), metric, min, max }),
