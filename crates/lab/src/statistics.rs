@@ -97,7 +97,9 @@ impl PooledValues {
         sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (values, of): (Vec<f64>, Vec<u32>) = sorted.into_iter().unzip();
         let mut sizes = vec![0; trials];
-        of.iter().for_each(|&trial| sizes[trial as usize] += 1);
+        for &trial in &of {
+            sizes[trial as usize] += 1;
+        }
         Self { values, trials: of, sizes }
     }
 

@@ -104,6 +104,11 @@ pub fn lost_trials(summary: &Summary) -> Vec<String> {
         .collect();
     let bound = |k| share_interval(k, summary.trials);
     if lost.iter().all(|(_, k)| *k == 0) {
+        if summary.trials == 1 {
+            return vec![
+                "No model lost the trial; a single one says little of how often they would.".to_owned(),
+            ];
+        }
         return vec![format!(
             "No model lost any of the {} trials; the true share of lost trials is then below {} % (exact 95 % interval), \
              for each.",

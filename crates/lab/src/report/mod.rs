@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use crate::results::{BeamProbe, DetailedTrial, RunResults};
+use crate::results::{DetailedTrial, RunResults};
 use crate::summary::{Summary, SummaryError};
 
 pub use text::terminal_table;
@@ -29,8 +29,6 @@ pub struct ReportContext {
     pub simulated: bool,
     /// What a reader should know of the run's limits, one sentence or two each.
     pub notes: Vec<String>,
-    /// Predictions of the models, by name, for the same beam of the same particle; empty for no such figure.
-    pub probes: Vec<(String, BeamProbe)>,
 }
 
 /// Why a report wasn't written.
@@ -99,7 +97,7 @@ pub fn write(
         save(&dir.join(format!("{name}.parquet")), &tables::parquet(&table)?)?;
     }
 
-    let figures = figures::all(results, &summary, detail, context)?;
+    let figures = figures::all(results, &summary, detail)?;
     let rasterizer = figures::Rasterizer::new();
     for figure in &figures {
         save(&folder.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;

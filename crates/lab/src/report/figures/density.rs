@@ -4,16 +4,41 @@ use plotters::prelude::{PathElement, RGBColor, Text};
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::canvas::{Axis, DrawError, INK, LABEL, Mark, READING, chart, figure, line, model_color, px, text};
-use crate::results::BeamProbe;
+use crate::results::{BeamProbe, DetailedTrial};
 
 /// Decades shown below the highest density.
 const DECADES: f64 = 4.5;
+
+/// A reading this much shorter than its nominal range has met something that isn't in the map (m).
+const SHORTENED_M: f32 = 0.1;
+
+/// What the models predicted for one shortened beam: of the steps at which all of them probed the same beam of the
+/// same particle and its reading was short, the one with the median shortfall. Empty without such a step.
+pub fn shortened_beam(detail: &DetailedTrial) -> Vec<(&str, &BeamProbe)> {
+    let Some(first) = detail.models.first() else { return Vec::new() };
+    let same = |a: &BeamProbe, b: &BeamProbe| a.beam == b.beam && a.pose == b.pose && !b.z_m.is_empty();
+    let mut short: Vec<(f32, usize)> = first
+        .steps
+        .iter()
+        .enumerate()
+        .map(|(step, s)| (s.probe.nominal_m - s.probe.reading_m, step))
+        .filter(|(shortfall, _)| *shortfall > SHORTENED_M)
+        .filter(|&(_, step)| {
+            let shared = &first.steps[step].probe;
+            detail.models.iter().all(|m| m.steps.get(step).is_some_and(|s| same(shared, &s.probe)))
+        })
+        .collect();
+    short.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    short.get(short.len() / 2).map_or_else(Vec::new, |&(_, step)| {
+        detail.models.iter().map(|m| (m.name.as_str(), &m.steps[step].probe)).collect()
+    })
+}
 
 /// Predicted densities of the models for the same beam of the same particle, with the nominal range and the
 /// reading. The legend gives each model's density at the reading and its probability of no return.
 ///
 /// `models` fixes the colours; the first probe's nominal range and reading are drawn.
-pub fn predicted(models: &[String], probes: &[(String, BeamProbe)]) -> Result<String, DrawError> {
+pub fn predicted(models: &[String], probes: &[(&str, &BeamProbe)]) -> Result<String, DrawError> {
     let (nominal, reading) =
         probes.first().map_or((0.0, 0.0), |(_, p)| (f64::from(p.nominal_m), f64::from(p.reading_m)));
     let curves: Vec<Vec<(f64, f64)>> = probes.iter().map(|(_, probe)| curve(probe)).collect();

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 
-use super::{ReportContext, ReportError};
+use super::ReportError;
 use crate::results::{DetailedTrial, RunResults};
 use crate::summary::Summary;
 
@@ -39,13 +39,11 @@ impl Figure {
     }
 }
 
-/// Every figure that the results allow: those of a single trial need `detail`, the predicted densities need
-/// `context.probes`.
+/// Every figure that the results allow: those of a single trial need `detail`.
 pub fn all(
     results: &RunResults,
     summary: &Summary,
     detail: Option<&DetailedTrial>,
-    context: &ReportContext,
 ) -> Result<Vec<Figure>, ReportError> {
     let figure =
         |name, caption: &str, svg: Result<String, canvas::DrawError>| -> Result<Figure, ReportError> {
@@ -94,14 +92,16 @@ pub fn all(
                 map::snapshots(&results.models, detail, model),
             )?);
         }
-    }
-    if !context.probes.is_empty() {
-        figures.push(figure(
-            "predicted_densities",
-            "What each model predicts for one beam of a particle near the truth, against the reading, as in the \
-             paper's Fig. 11. Logarithmic density, as the filter weighs it.",
-            density::predicted(&results.models, &context.probes),
-        )?);
+        let probes = density::shortened_beam(detail);
+        if !probes.is_empty() {
+            figures.push(figure(
+                "predicted_densities",
+                "What each model predicts for the same beam of the same particle near the truth, whose reading fell \
+                 short of the nominal range, as in the paper's Fig. 11; of all such steps of the recorded trial the one \
+                 with the median shortfall. Logarithmic density, as the filter weighs it.",
+                density::predicted(&results.models, &probes),
+            )?);
+        }
     }
     Ok(figures)
 }
