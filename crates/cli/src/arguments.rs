@@ -30,7 +30,7 @@ pub enum Command {
     Schema,
     /// Write one simulated drive of a scenario as a measured log (CARMEN format, `.gz` to compress)
     Simulate(Simulate),
-    /// Build an occupancy grid map (ROS map_server format) from a log with reference poses
+    /// Build an occupancy grid map (ROS `map_server` format) from a log with reference poses
     Map(Map),
     /// Print a shell's completion script
     Completions {
@@ -110,7 +110,7 @@ pub struct Map {
     /// The map to write: OUT.yaml and OUT.pgm
     #[arg(long)]
     pub out: PathBuf,
-    /// Cell size [m]
+    /// Cell size \[m\]
     #[arg(long, default_value_t = 0.05)]
     pub resolution: f64,
     /// Use only this share of the log, for example 0.0,0.5

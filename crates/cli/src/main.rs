@@ -1,3 +1,194 @@
-//! A laboratory for particle-filter localization with range sensors.
+//! The `locsim` command: runs scenarios, checks them, simulates logs, builds maps.
+
+mod arguments;
+mod progress;
 mod recording;
-fn main() {}
+
+use std::io::{IsTerminal, Write};
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::{CommandFactory, Parser};
+use locsim_lab::report::terminal_table;
+use locsim_lab::run::{self, Recorder, RunError, RunOptions};
+use locsim_lab::scenario::{self, Overrides, Scenario};
+
+use arguments::{Arguments, Command, Map, Record, Run, Simulate};
+use progress::Bars;
+
+/// A bound that the scenario declares was missed.
+const MISSED: u8 = 1;
+/// Bad input.
+const BAD_INPUT: u8 = 2;
+/// Stopped by the user, as shells report it.
+const INTERRUPTED: u8 = 130;
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let done = match &arguments.command {
+        Command::Run(arguments) => run(arguments),
+        Command::Validate { scenarios } => validate(scenarios),
+        Command::Schema => print_schema(),
+        Command::Simulate(arguments) => simulate(arguments),
+        Command::Map(arguments) => map(arguments),
+        Command::Completions { shell } => {
+            clap_complete::generate(*shell, &mut Arguments::command(), "locsim", &mut std::io::stdout());
+            Ok(ExitCode::SUCCESS)
+        }
+    };
+    done.unwrap_or_else(|error| {
+        eprintln!("error: {error:#}");
+        let interrupted = matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }));
+        ExitCode::from(if interrupted { INTERRUPTED } else { BAD_INPUT })
+    })
+}
+
+fn run(arguments: &Run) -> Result<ExitCode> {
+    let overrides =
+        Overrides { trials: arguments.trials, seed: arguments.seed, models: arguments.models.clone() };
+    let scenario = Scenario::load(&arguments.scenario, &overrides)?;
+    if let Some(threads) = arguments.threads {
+        anyhow::ensure!(threads > 0, "--threads: 0 is not allowed; a whole number from 1");
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+    }
+    let interrupted = Arc::new(AtomicBool::new(false));
+    ctrlc::set_handler({
+        let interrupted = Arc::clone(&interrupted);
+        move || {
+            // A second interrupt means "now".
+            if interrupted.swap(true, Ordering::Relaxed) {
+                std::process::exit(i32::from(INTERRUPTED));
+            }
+        }
+    })?;
+    #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
+    let start = Instant::now();
+    let clock = || start.elapsed();
+    let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
+    let out = arguments.out.clone().unwrap_or_else(|| Path::new("results").join(&scenario.name));
+    let recorder = recorder(arguments.record, &scenario.name);
+    let options = RunOptions {
+        out: out.clone(),
+        resume: arguments.resume,
+        command: command_line(arguments, &scenario),
+        clock: &clock,
+        progress: &bars,
+        interrupted: &interrupted,
+        recorder: recorder.as_deref(),
+    };
+    let outcome = run::run(&scenario, &options)?;
+    if arguments.json {
+        say(&serde_json::to_string_pretty(&outcome.summary)?)?;
+    } else if !arguments.quiet {
+        say(&terminal_table(&outcome.summary))?;
+        say(&format!("Results in {} (open report.html; `rerun {0}/recording.rrd` replays)", out.display()))?;
+    }
+    for missed in &outcome.missed {
+        eprintln!("missed: {missed}");
+    }
+    Ok(if outcome.missed.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(MISSED) })
+}
+
+/// The command that repeats a run.
+fn command_line(arguments: &Run, scenario: &Scenario) -> String {
+    let mut command = format!(
+        "locsim run {} --seed {} --trials {}",
+        arguments.scenario.display(),
+        scenario.seed,
+        scenario.trials
+    );
+    if let Some(models) = &arguments.models {
+        command += " --models ";
+        command += &models.join(",");
+    }
+    command
+}
+
+fn recorder(record: Record, scenario: &str) -> Option<Box<Recorder<'static>>> {
+    let scenario = scenario.to_owned();
+    match record {
+        Record::None => None,
+        Record::File => Some(Box::new(move |trial, folder| {
+            let path = folder.join("recording.rrd");
+            Ok(recording::record(trial, &scenario, recording::Sink::File(&path))?)
+        })),
+        Record::Connect => {
+            Some(Box::new(move |trial, _| Ok(recording::record(trial, &scenario, recording::Sink::Connect)?)))
+        }
+        Record::Spawn => {
+            Some(Box::new(move |trial, _| Ok(recording::record(trial, &scenario, recording::Sink::Spawn)?)))
+        }
+    }
+}
+
+fn validate(scenarios: &[std::path::PathBuf]) -> Result<ExitCode> {
+    let mut refused = false;
+    for path in scenarios {
+        match Scenario::load(path, &Overrides::default()) {
+            Ok(scenario) => say(&format!(
+                "{}: valid ({} models, {} trials)",
+                path.display(),
+                scenario.models.len(),
+                scenario.trials
+            ))?,
+            Err(error) => {
+                refused = true;
+                eprintln!("error: {error}");
+            }
+        }
+    }
+    Ok(if refused { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS })
+}
+
+fn print_schema() -> Result<ExitCode> {
+    say(&serde_json::to_string_pretty(&scenario::schema())?)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn simulate(arguments: &Simulate) -> Result<ExitCode> {
+    let overrides = Overrides { seed: arguments.seed, ..Overrides::default() };
+    let scenario = Scenario::load(&arguments.scenario, &overrides)?;
+    let drive = run::simulate_trial(&scenario, arguments.trial)?;
+    locsim_dataset::write_carmen(&arguments.out, &drive)?;
+    say(&format!(
+        "{}: {} scans of {} beams",
+        arguments.out.display(),
+        drive.steps.len(),
+        drive.laser.beam_count()
+    ))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn map(arguments: &Map) -> Result<ExitCode> {
+    let &[from, to] = arguments.share.as_slice() else {
+        anyhow::bail!("--share: two numbers are needed, for example 0.0,0.5");
+    };
+    anyhow::ensure!(
+        0.0 <= from && from < to && to <= 1.0,
+        "--share: {from},{to} is not allowed; 0 <= from < to <= 1"
+    );
+    let (grid, summary) =
+        run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, arguments.max_range)?;
+    let _ = &grid;
+    say(&summary.to_string())?;
+    say(&format!(
+        "{}: {} x {} cells of {} m",
+        arguments.out.with_extension("yaml").display(),
+        grid.width(),
+        grid.height(),
+        grid.resolution_m()
+    ))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Prints a line; a reader that closes the pipe early (`| head`) is no error.
+fn say(text: &str) -> Result<()> {
+    match writeln!(std::io::stdout(), "{}", text.trim_end()) {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        other => other.context("standard output"),
+    }
+}

@@ -36,9 +36,8 @@ const BLOCK: [u8; 3] = [0xb8, 0xb8, 0xb8];
 /// # Errors
 /// What rerun says when the file can't be written or the viewer can't be reached.
 pub fn record(trial: &DetailedTrial, scenario: &str, sink: Sink<'_>) -> RecordingStreamResult<()> {
-    let builder = RecordingStreamBuilder::new("locsim")
-        .recording_name(scenario)
-        .with_default_blueprint(layout(trial));
+    let builder =
+        RecordingStreamBuilder::new("locsim").recording_name(scenario).with_blueprint(layout(trial));
     let stream = match sink {
         Sink::File(path) => builder.save(path)?,
         Sink::Connect => builder.connect_grpc()?,
@@ -115,26 +114,17 @@ fn log_static(stream: &RecordingStream, trial: &DetailedTrial) -> RecordingStrea
             .with_colors([color(WALL)])
             .with_radii([rerun::Radius::new_ui_points(1.2)]),
     )?;
-    let models: String = trial
-        .models
-        .iter()
-        .enumerate()
-        .map(|(m, model)| {
-            let [r, g, b] = palette::rgb(m);
-            format!("- `{}`: rgb({r}, {g}, {b})\n", model.name)
-        })
-        .collect();
     stream.log_static(
         "legend",
-        &rerun::TextDocument::from_markdown(format!(
+        &rerun::TextDocument::from_markdown(
             "Each map shows one sensor model's filter on the same drive.\n\n\
              - black: true (or reference) path; grey line: odometry alone\n\
              - grey rectangles: blocks that stood there, **not known to the filter**\n\
              - points: particles, pale to strong by weight\n\
              - thin line in the model's colour: most likely trajectory (found at the end of the drive)\n\
              - ellipse: 95 % of the particles' position covariance\n\
-             - beams: log likelihood of the reading at the true pose, red (unexpected) to blue (expected)\n\n{models}"
-        )),
+             - beams: log likelihood of the reading at the true pose, red (unexpected) to blue (expected)\n",
+        ),
     )?;
     for (m, model) in trial.models.iter().enumerate() {
         let line = rerun::SeriesLines::new()
@@ -173,7 +163,10 @@ fn log_world(
     let truth: Vec<_> =
         trial.drive.steps[..=i].iter().filter_map(|s| s.reference.as_ref().map(pose_point)).collect();
     stream.log("world/truth/path", &path(truth, TRUTH))?;
-    stream.log("world/odometry/path", &path(trial.dead_reckoning[..=i].iter().map(pose_point).collect(), ODOMETRY))?;
+    stream.log(
+        "world/odometry/path",
+        &path(trial.dead_reckoning[..=i].iter().map(pose_point).collect(), ODOMETRY),
+    )?;
     if let Some(pose) = &step.reference {
         stream.log("world/truth/pose", &arrow(pose, 0.5, TRUTH))?;
     }
@@ -202,16 +195,15 @@ fn log_model(
         stream.log(format!("error/position/{}", model.name), &scalar(error.position().length()))?;
         stream.log(format!("error/heading/{}", model.name), &scalar(error.theta.to_degrees()))?;
     }
-    let series = [
-        ("effective_sample_size", step.effective_sample_size),
-        ("log_evidence", step.log_evidence_nats),
-    ];
+    let series =
+        [("effective_sample_size", step.effective_sample_size), ("log_evidence", step.log_evidence_nats)];
     for (plot, value) in series {
         stream.log(format!("{plot}/{}", model.name), &rerun::Scalars::new([value]))?;
     }
     log_probe(stream, &model.name, &step.probe, rgb)?;
     for event in &step.events {
-        stream.log("events", &rerun::TextLog::new(format!("{}: {event}", model.name)).with_color(color(rgb)))?;
+        stream
+            .log("events", &rerun::TextLog::new(format!("{}: {event}", model.name)).with_color(color(rgb)))?;
     }
     Ok(())
 }
@@ -286,7 +278,9 @@ fn ellipse(step: &DetailedStep, rgb: [u8; 3]) -> rerun::LineStrips2D {
 }
 
 fn path(points: Vec<[f32; 2]>, rgb: [u8; 3]) -> rerun::LineStrips2D {
-    rerun::LineStrips2D::new([points]).with_colors([color(rgb)]).with_radii([rerun::Radius::new_ui_points(1.0)])
+    rerun::LineStrips2D::new([points])
+        .with_colors([color(rgb)])
+        .with_radii([rerun::Radius::new_ui_points(1.0)])
 }
 
 fn arrow(pose: &Pose2, length_m: f64, rgb: [u8; 3]) -> rerun::Arrows2D {

@@ -7,9 +7,9 @@ pub const NO_SURFACE: u32 = u32::MAX;
 /// (entry `i * k + j` is beam `j` from pose `i`).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Hits {
-    /// Nominal range r [m]: distance to the nearest mapped surface; the maximum range where there is none.
+    /// Nominal range r \[m\]: distance to the nearest mapped surface; the maximum range where there is none.
     pub range: Vec<f32>,
-    /// Incidence angle alpha [rad] in [0, pi/2]: between the beam and the surface's normal; 0 without a hit.
+    /// Incidence angle alpha \[rad\] in [0, pi/2]: between the beam and the surface's normal; 0 without a hit.
     pub incidence: Vec<f32>,
     /// Id of the surface that was hit, [`NO_SURFACE`] without a hit.
     pub surface: Vec<u32>,
@@ -56,15 +56,15 @@ impl Hits {
 pub struct Beams<'a> {
     /// n laser poses in the map frame.
     pub laser: Poses<'a>,
-    /// k bearings [rad] in the laser frame.
+    /// k bearings \[rad\] in the laser frame.
     pub bearings: &'a [f32],
-    /// Nominal range r of each beam [m], `max_range` where the map has no surface. \[n*k\]
+    /// Nominal range r of each beam \[m\], `max_range` where the map has no surface. \[n*k\]
     pub range: &'a [f32],
-    /// Incidence angle alpha of each beam [rad], 0 to pi/2. \[n*k\]
+    /// Incidence angle alpha of each beam \[rad\], 0 to pi/2. \[n*k\]
     pub incidence: &'a [f32],
     /// Surface id of each beam. \[n*k\]
     pub surface: &'a [u32],
-    /// The sensor's maximum range [m]; a reading equal to it means "no return".
+    /// The sensor's maximum range \[m\]; a reading equal to it means "no return".
     pub max_range: f32,
 }
 
@@ -103,7 +103,7 @@ impl<'a> Beams<'a> {
         }
     }
 
-    /// Direction of beam `i` (pose-major index) in the map frame [rad], not wrapped.
+    /// Direction of beam `i` (pose-major index) in the map frame \[rad\], not wrapped.
     pub fn heading(&self, i: usize) -> f64 {
         let k = self.per_pose();
         self.laser.theta[i / k] + f64::from(self.bearings[i % k])

@@ -13,9 +13,9 @@ pub enum LaserError {
     /// Minimum and maximum range are not 0 <= min < max, finite.
     #[error("laser ranges must satisfy 0 <= min < max, finite; got min {min} m, max {max} m")]
     Ranges {
-        /// Minimum range [m].
+        /// Minimum range \[m\].
         min: f32,
-        /// Maximum range [m].
+        /// Maximum range \[m\].
         max: f32,
     },
     /// A bearing is not finite.
@@ -46,7 +46,7 @@ pub struct Laser {
 
 impl Laser {
     /// A laser with one bearing [rad, laser frame] and one time offset [s, from the scan's stamp] per beam,
-    /// its range limits [m] and where it is mounted on the robot.
+    /// its range limits \[m\] and where it is mounted on the robot.
     ///
     /// # Errors
     /// [`LaserError`] for no beams, ranges out of order, bearings that are not finite, lengths that differ.
@@ -78,7 +78,7 @@ impl Laser {
         })
     }
 
-    /// Bearing of each beam in the laser frame [rad].
+    /// Bearing of each beam in the laser frame \[rad\].
     pub fn bearings(&self) -> &[f32] {
         &self.bearings
     }
@@ -93,12 +93,12 @@ impl Laser {
         self.bearings.len()
     }
 
-    /// Minimum range [m].
+    /// Minimum range \[m\].
     pub fn min_range(&self) -> f32 {
         self.min_range
     }
 
-    /// Maximum range [m]; a reading equal to it means "no return".
+    /// Maximum range \[m\]; a reading equal to it means "no return".
     pub fn max_range(&self) -> f32 {
         self.max_range
     }
@@ -124,20 +124,20 @@ impl Laser {
     }
 }
 
-/// One sweep of a laser: a range [m] per beam.
+/// One sweep of a laser: a range \[m\] per beam.
 ///
 /// A value equal to the laser's maximum range means "no return within range"; NaN means "no usable reading"
 /// (for example below the minimum range) and tells a filter nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scan {
-    /// Range of each beam [m].
+    /// Range of each beam \[m\].
     pub ranges: Vec<f32>,
 }
 
 /// What was recorded at one scan of a drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveStep {
-    /// Time of the scan [s]; never decreasing along a drive.
+    /// Time of the scan \[s\]; never decreasing along a drive.
     pub stamp_secs: f64,
     /// `odom_from_base`: the robot's pose by its odometry alone.
     pub odometry: Pose2,

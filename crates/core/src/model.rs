@@ -4,22 +4,22 @@ use crate::{Beams, Draw, Hits, Poses};
 pub trait RangeMap: Send + Sync {
     /// Casts `bearings.len()` rays from each of the laser poses and fills `out` (resized to n*k, pose-major).
     ///
-    /// A ray that meets nothing within `max_range` [m] has range `max_range`, incidence 0 and no surface; a
+    /// A ray that meets nothing within `max_range` \[m\] has range `max_range`, incidence 0 and no surface; a
     /// surface at exactly `max_range` counts as no return. A pose inside a wall or outside the map is legal:
     /// its rays hit whatever is in front of them.
     fn cast(&self, laser: Poses<'_>, bearings: &[f32], max_range: f32, out: &mut Hits);
 
-    /// Whether a robot can stand at this point [m]: inside the map's free space. Used to draw the particles of
+    /// Whether a robot can stand at this point \[m\]: inside the map's free space. Used to draw the particles of
     /// a global localization.
     fn is_free(&self, x: f64, y: f64) -> bool;
 
-    /// Lower and upper corner of the map \[x0, y0, x1, y1\] [m].
+    /// Lower and upper corner of the map \[x0, y0, x1, y1\] \[m\].
     fn bounds(&self) -> [f64; 4];
 }
 
 /// Distance to the nearest mapped surface, for the likelihood field (Probabilistic Robotics, table 6.3).
 pub trait DistanceMap: Send + Sync {
-    /// Distance [m] from a point of the map frame to the nearest surface, 0 on it, saturating at a bound of the
+    /// Distance \[m\] from a point of the map frame to the nearest surface, 0 on it, saturating at a bound of the
     /// map's choice; that bound outside the map.
     fn distance(&self, x: f64, y: f64) -> f32;
 }
@@ -27,11 +27,11 @@ pub trait DistanceMap: Send + Sync {
 /// What a world knows of its own unmapped objects. Only the oracle, the bound on what any per-beam model can
 /// do, may ask.
 pub trait Obstructions: Send + Sync {
-    /// Distance between the entries of [`Obstructions::survival`] [m].
+    /// Distance between the entries of [`Obstructions::survival`] \[m\].
     fn bin_m(&self) -> f32;
 
     /// Entry `i` is the probability that no unmapped object stands within `i * bin_m()` metres on the ray from
-    /// (x, y) [m] in direction `heading` [rad]. Starts at 1, never increases; the last entry holds beyond.
+    /// (x, y) \[m\] in direction `heading` \[rad\]. Starts at 1, never increases; the last entry holds beyond.
     fn survival(&self, x: f64, y: f64, heading: f64) -> &[f32];
 }
 

@@ -3,11 +3,11 @@ use crate::Pose2;
 /// A set of poses as a structure of arrays, all of one length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Particles {
-    /// x of each pose in its parent frame [m].
+    /// x of each pose in its parent frame \[m\].
     pub x: Vec<f64>,
-    /// y of each pose [m].
+    /// y of each pose \[m\].
     pub y: Vec<f64>,
-    /// Heading of each pose [rad], in (-pi, pi].
+    /// Heading of each pose \[rad\], in (-pi, pi].
     pub theta: Vec<f64>,
 }
 
@@ -85,11 +85,11 @@ impl FromIterator<Pose2> for Particles {
 /// A borrowed run of poses, structure of arrays.
 #[derive(Clone, Copy, Debug)]
 pub struct Poses<'a> {
-    /// x [m].
+    /// x \[m\].
     pub x: &'a [f64],
-    /// y [m].
+    /// y \[m\].
     pub y: &'a [f64],
-    /// Heading [rad].
+    /// Heading \[rad\].
     pub theta: &'a [f64],
 }
 

@@ -3,7 +3,7 @@ use std::f64::consts::{PI, TAU};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-/// Brings an angle [rad] into (-pi, pi] (REP-103).
+/// Brings an angle \[rad\] into (-pi, pi] (REP-103).
 pub fn wrap_angle(angle: f64) -> f64 {
     if angle > -PI && angle <= PI {
         return angle;
@@ -12,7 +12,7 @@ pub fn wrap_angle(angle: f64) -> f64 {
     if wrapped > PI { wrapped - TAU } else { wrapped }
 }
 
-/// Weighted circular mean of angles [rad]: the direction of the weighted sum of unit vectors.
+/// Weighted circular mean of angles \[rad\]: the direction of the weighted sum of unit vectors.
 ///
 /// `None` when that sum vanishes, that is, when no direction is preferred.
 pub fn circular_mean(angles: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
@@ -24,11 +24,11 @@ pub fn circular_mean(angles: impl IntoIterator<Item = (f64, f64)>) -> Option<f64
 /// A pose in the plane, or the rigid transform that takes coordinates of the posed frame to its parent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose2 {
-    /// Forward axis of the parent frame [m].
+    /// Forward axis of the parent frame \[m\].
     pub x: f64,
-    /// Left axis of the parent frame [m].
+    /// Left axis of the parent frame \[m\].
     pub y: f64,
-    /// Heading [rad], counter-clockwise, in (-pi, pi].
+    /// Heading \[rad\], counter-clockwise, in (-pi, pi].
     pub theta: f64,
 }
 
@@ -41,12 +41,12 @@ impl Pose2 {
         Self { x, y, theta: wrap_angle(theta) }
     }
 
-    /// Position [m].
+    /// Position \[m\].
     pub fn position(&self) -> DVec2 {
         DVec2::new(self.x, self.y)
     }
 
-    /// Takes a point of the posed frame to the parent frame [m].
+    /// Takes a point of the posed frame to the parent frame \[m\].
     pub fn transform_point(&self, point: DVec2) -> DVec2 {
         self.position() + DVec2::from_angle(self.theta).rotate(point)
     }

@@ -54,8 +54,8 @@ impl Weights {
 
     /// Multiplies each weight by exp(`log_likelihood`) and normalizes.
     ///
-    /// Returns the log of the weighted mean likelihood, ln sum_i w_i exp(l_i): the step's share of the log
-    /// evidence, ln p(z_t | z_1..t-1) (nats).
+    /// Returns the log of the weighted mean likelihood, `ln sum_i w_i exp(l_i)`: the step's share of the log
+    /// evidence, `ln p(z_t | z_1..t-1)` (nats).
     ///
     /// # Errors
     /// [`WeightError`]; the weights are then unchanged.

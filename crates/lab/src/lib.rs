@@ -1,6 +1,10 @@
 //! YAML scenarios, runs, tables, figures and reports.
 
 pub mod palette;
+pub mod report;
 pub mod results;
+pub mod run;
 pub mod scenario;
+pub mod statistics;
+pub mod summary;
 pub mod yaml;

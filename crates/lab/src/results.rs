@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct StepRow {
     /// Index of the scan in the drive.
     pub step: u32,
-    /// Time of the scan [s].
+    /// Time of the scan \[s\].
     pub stamp_secs: f64,
     /// True (or reference) pose, `map_from_base`.
     pub truth: Pose2,
@@ -18,24 +18,24 @@ pub struct StepRow {
     pub dead_reckoning: Pose2,
     /// The estimate the scenario asks for, `map_from_base`.
     pub estimate: Pose2,
-    /// Signed error of the estimate along the scenario's error axis [m].
+    /// Signed error of the estimate along the scenario's error axis \[m\].
     pub error_along_m: f64,
-    /// Signed error across it, left positive [m].
+    /// Signed error across it, left positive \[m\].
     pub error_across_m: f64,
-    /// Signed heading error [rad].
+    /// Signed heading error \[rad\].
     pub error_heading_rad: f64,
     /// Effective sample size before resampling.
     pub effective_sample_size: f64,
     /// Number of particles.
     pub particles: u32,
-    /// The step's log evidence ln p(z_t | z_1..t-1) under this model (nats).
+    /// The step's log evidence `ln p(z_t | z_1..t-1)` under this model (nats).
     pub log_evidence_nats: f64,
     /// Whether the filter resampled.
     pub resampled: bool,
 }
 
 impl StepRow {
-    /// Distance between estimate and truth [m].
+    /// Distance between estimate and truth \[m\].
     pub fn position_error_m(&self) -> f64 {
         self.error_along_m.hypot(self.error_across_m)
     }
@@ -72,7 +72,7 @@ pub struct Trial {
 pub struct TrainingRow {
     /// Mean negative log density of held-out readings (nats); `None` where the model isn't a normalized density.
     pub log_loss_nats: Option<f64>,
-    /// Wasserstein-1 distance between predicted and observed distribution at held-out states [m]
+    /// Wasserstein-1 distance between predicted and observed distribution at held-out states \[m\]
     /// (the paper's histogram match times the bin width); `None` as above.
     pub histogram_match_m: Option<f64>,
     /// What was chosen on held-out data: bandwidths, floor, exponent, mixture weights, by name.
@@ -88,7 +88,7 @@ pub struct RunResults {
     pub description: String,
     /// Its seed.
     pub seed: u64,
-    /// Wall time of the run [s].
+    /// Wall time of the run \[s\].
     pub seconds: f64,
     /// Where errors are measured: "map x axis" or "robot".
     pub error_frame: String,
@@ -107,7 +107,7 @@ pub struct RunResults {
 pub struct DetailedTrial {
     /// The drive that was localized on (beams as the filter saw them).
     pub drive: Drive,
-    /// Wall segments of the map [m].
+    /// Wall segments of the map \[m\].
     pub walls: Vec<[[f64; 2]; 2]>,
     /// Corners of the blocks that stood there at each step, not known to the filter; empty for measured logs.
     pub blocks: Vec<Vec<[[f64; 2]; 4]>>,
@@ -137,7 +137,7 @@ pub struct DetailedStep {
     pub weights: Vec<f64>,
     /// Online estimate of this step (weighted mean).
     pub estimate: Pose2,
-    /// Covariance of (x, y) of the particles [m^2], row-major.
+    /// Covariance of (x, y) of the particles \[m^2\], row-major.
     pub position_covariance: [[f64; 2]; 2],
     /// Log density of each beam's reading at the true pose under this model (nats).
     pub beam_log_density: Vec<f32>,
@@ -158,13 +158,13 @@ pub struct BeamProbe {
     pub beam: usize,
     /// The pose of the particle it is predicted for, `map_from_base`.
     pub pose: Pose2,
-    /// Nominal range from that pose [m].
+    /// Nominal range from that pose \[m\].
     pub nominal_m: f32,
-    /// The reading [m].
+    /// The reading \[m\].
     pub reading_m: f32,
-    /// Ranges at which the density is given [m].
+    /// Ranges at which the density is given \[m\].
     pub z_m: Vec<f32>,
-    /// Density at each [1/m].
+    /// Density at each \[1/m\].
     pub density_per_m: Vec<f32>,
     /// Probability of no return.
     pub max_range_probability: f32,

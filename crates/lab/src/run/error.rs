@@ -1,0 +1,99 @@
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// Why a run could not be done.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// The scenario's map, log or path is refused.
+    #[error(transparent)]
+    Scenario(#[from] crate::scenario::ScenarioError),
+    /// The map can't be used.
+    #[error("map {path}: {source}")]
+    Map {
+        /// The map's file, or the log it was built from.
+        path: PathBuf,
+        /// What is wrong.
+        source: locsim_world::map::MapError,
+    },
+    /// The simulated world, robot or laser is refused.
+    #[error("{path}: {source}")]
+    Simulation {
+        /// The scenario's file.
+        path: PathBuf,
+        /// What is wrong.
+        source: locsim_world::simulation::SimulationError,
+    },
+    /// The measured log can't be read.
+    #[error(transparent)]
+    Dataset(#[from] locsim_dataset::DatasetError),
+    /// A log doesn't fit its scenario.
+    #[error("{path}: {what}")]
+    Log {
+        /// The log's file.
+        path: PathBuf,
+        /// What is wrong and what is needed.
+        what: String,
+    },
+    /// The training data are refused.
+    #[error("training data: {source}")]
+    TrainingData {
+        /// What is wrong.
+        source: locsim_sensor::SensorError,
+    },
+    /// A fitted model's file can't be used.
+    #[error("model {path}: {what}")]
+    ModelFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what is needed.
+        what: String,
+    },
+    /// A sensor model could not be fitted.
+    #[error("sensor model `{label}`: {source}")]
+    Sensor {
+        /// The model's label.
+        label: String,
+        /// What is wrong.
+        source: locsim_sensor::SensorError,
+    },
+    /// The filter gave up.
+    #[error("filter: {0}")]
+    Filter(#[from] locsim_mcl::FilterError),
+    /// The report could not be written.
+    #[error(transparent)]
+    Report(#[from] crate::report::ReportError),
+    /// The recording could not be written.
+    #[error("recording: {0}")]
+    Recording(Box<dyn std::error::Error + Send + Sync>),
+    /// A result file could not be written or read.
+    #[error("{path}: {source}")]
+    File {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// There is something else in the place of a results folder.
+    #[error("{path} is not a results folder of locsim; choose another --out")]
+    Foreign {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The user stopped the run; finished trials are kept.
+    #[error("interrupted after {finished} of {trials} trials; add --resume to go on")]
+    Interrupted {
+        /// Trials that are kept.
+        finished: usize,
+        /// Trials asked for.
+        trials: usize,
+    },
+}
+
+impl RunError {
+    /// Attaches a path to a system error.
+    pub(crate) fn file(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::File { path, source }
+    }
+}

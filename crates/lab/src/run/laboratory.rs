@@ -1,0 +1,437 @@
+//! What all trials of a scenario share: the map, the trained models, and where drives come from.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::DVec2;
+use locsim_core::{DistanceMap, Draw, Drive, DriveStep, Obstructions, Particles, Pose2, RangeMap, Stage};
+use locsim_dataset::{CarmenOptions, read_carmen};
+use locsim_world::map::{Geometry, MapError};
+use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
+use locsim_world::raycast::{DistanceGrid, ExactRangeMap, SurfaceTable};
+use locsim_world::simulation::{
+    Block, BlockOptions, BlockResampling, LaserOptions, ObstructionOptions, ObstructionTable, OdometryNoise, Robot,
+    RobotPath, SimulationError, Simulator, VelocitySegment, simulate_drive,
+};
+use rand::RngExt;
+
+use super::training::{ScanData, Surroundings, TrainedModel, train};
+use super::{Progress, RunError};
+use crate::scenario::{self, Log, LogMap, ModelName, RayCast, Scenario, Simulation, Source};
+
+/// Training poses keep this far from walls \[m\]: a robot has a body.
+const WALL_CLEARANCE_M: f64 = 0.25;
+
+/// Cell \[m\] and saturation \[m\] of the distance grid behind the likelihood field.
+const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
+
+/// Trial numbers from here on are not trials: their seeds serve training.
+const TRAINING_SEED: u32 = u32::MAX;
+
+/// A map in the forms that a run needs.
+pub struct Place {
+    /// Exact ray casts.
+    pub exact: Arc<ExactRangeMap>,
+    /// Ray casts for the filter: the table, or the exact ones.
+    pub ranges: Arc<dyn RangeMap>,
+    /// Distances to the nearest surface.
+    pub distance: Arc<dyn DistanceMap>,
+}
+
+impl Place {
+    fn new(geometry: Geometry, ray_cast: RayCast, progress: &dyn Progress) -> Result<Self, MapError> {
+        let distance = Arc::new(DistanceGrid::new(&geometry, DISTANCE_GRID_M.0, DISTANCE_GRID_M.1)?);
+        let exact = Arc::new(ExactRangeMap::new(geometry));
+        let ranges: Arc<dyn RangeMap> = match ray_cast {
+            RayCast::Exact => Arc::<ExactRangeMap>::clone(&exact),
+            RayCast::Table { cell_m, headings } => {
+                progress.stage("building the ray-cast table", 1);
+                let table = SurfaceTable::new(&exact, cell_m, headings as usize)?;
+                progress.advance(1);
+                Arc::new(table)
+            }
+        };
+        Ok(Self { exact, ranges, distance })
+    }
+
+    /// Wall segments \[m\].
+    pub fn walls(&self) -> Vec<[[f64; 2]; 2]> {
+        self.exact.geometry().segments().iter().map(|wall| wall.map(|end| end.to_array())).collect()
+    }
+}
+
+/// One drive to localize on, with what stood in its way.
+pub struct TrialDrive {
+    /// Scans with the beams that the filter uses.
+    pub drive: Drive,
+    /// Corners of the blocks at each step; empty for a measured log.
+    pub blocks: Vec<Vec<[[f64; 2]; 4]>>,
+}
+
+/// Where drives come from.
+enum Drives {
+    Simulated(Box<World>),
+    /// One measured drive serves every trial; trials differ in the filter's draws alone.
+    Measured(Drive),
+}
+
+/// A simulated world and the robot in it.
+struct World {
+    simulator: Simulator,
+    robot: Robot,
+}
+
+/// Everything that the trials of a scenario share.
+pub struct Laboratory<'a> {
+    /// The scenario.
+    pub scenario: &'a Scenario,
+    /// The map.
+    pub place: Place,
+    /// The sensor models in the scenario's order.
+    pub models: Vec<TrainedModel>,
+    /// Remarks for the report: what kind of log, how much training data.
+    pub notes: Vec<String>,
+    drives: Drives,
+}
+
+impl<'a> Laboratory<'a> {
+    /// Loads the map, gathers training data and fits every model.
+    ///
+    /// # Errors
+    /// Whatever is wrong with map, log, world, training data or model files.
+    pub fn prepare(scenario: &'a Scenario, progress: &dyn Progress) -> Result<Self, RunError> {
+        match &scenario.source {
+            Source::Simulation(simulation) => Self::simulated(scenario, simulation, progress),
+            Source::Log(log) => Self::measured(scenario, log, progress),
+        }
+    }
+
+    fn simulated(
+        scenario: &'a Scenario,
+        simulation: &Simulation,
+        progress: &dyn Progress,
+    ) -> Result<Self, RunError> {
+        let place = Place::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, progress)
+            .map_err(unusable(&simulation.map))?;
+        let world = world(simulation, &place).map_err(refused(scenario))?;
+        let training = &scenario.training;
+        let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
+        let poses = free_poses(&place, training.poses, seed);
+        progress.stage("simulating training scans", 1);
+        let readings = world.simulator.observe_many(poses.view(), training.observations, seed);
+        progress.advance(1);
+        let data = simulated_scans(&world, &poses, &readings, training);
+        let needs_oracle = scenario.models.iter().any(|model| model.name == ModelName::Oracle);
+        let oracle = if needs_oracle {
+            progress.stage("integrating over blocks", 1);
+            let obstructions = obstructions(&world.simulator, seed).map_err(refused(scenario))?;
+            progress.advance(1);
+            Some((obstructions, [simulation.laser.noise_sigma_m, simulation.laser.noise_sigma_per_m]))
+        } else {
+            None
+        };
+        let surroundings = Surroundings {
+            map: Arc::<ExactRangeMap>::clone(&place.exact),
+            distance: Arc::clone(&place.distance),
+            oracle,
+        };
+        let models =
+            train(&scenario.models, &data, &surroundings, training.held_out_share, seed, progress)?;
+        let notes = vec![format!(
+            "Every model was trained on the same {} scan poses with {} observations of each of their {} beams; \
+             {:.0} % of the poses were held out to choose bandwidths, floors and exponents.",
+            training.poses,
+            training.observations,
+            data.laser.beam_count(),
+            100.0 * training.held_out_share,
+        )];
+        Ok(Self { scenario, place, models, notes, drives: Drives::Simulated(Box::new(world)) })
+    }
+
+    fn measured(scenario: &'a Scenario, log: &Log, progress: &dyn Progress) -> Result<Self, RunError> {
+        progress.stage("reading the log", 1);
+        let max_range_m = log.max_range_m.map(|max| max as f32);
+        let options = CarmenOptions { max_range_m, ..CarmenOptions::default() };
+        let (drive, summary) = read_carmen(&log.file, &options)?;
+        progress.advance(1);
+        let refuse = |what: &str| RunError::Log { path: log.file.clone(), what: what.to_owned() };
+        let map = match &log.map {
+            LogMap::File(file) => scenario::load_map(file)?.geometry,
+            LogMap::FromScans { scans, resolution_m } => {
+                progress.stage("building the map", 1);
+                let steps = selected(&drive, scans);
+                let options = MappingOptions { resolution_m: *resolution_m, ..MappingOptions::default() };
+                let grid = occupancy_from_drive(&drive, &steps, &options)
+                    .map_err(unusable(&log.file))?;
+                progress.advance(1);
+                grid.to_geometry()
+            }
+        };
+        let place = Place::new(map, scenario.ray_cast, progress).map_err(unusable(&log.file))?;
+        let training = &scenario.training;
+        let data = measured_scans(&drive, &selected(&drive, &log.train_scans), &place, training);
+        if data.poses.len() < 4 {
+            return Err(refuse("fewer than 4 training scans have a reference pose in the map's free space"));
+        }
+        let surroundings = Surroundings {
+            map: Arc::<ExactRangeMap>::clone(&place.exact),
+            distance: Arc::clone(&place.distance),
+            oracle: None,
+        };
+        let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
+        let models =
+            train(&scenario.models, &data, &surroundings, training.held_out_share, seed, progress)?;
+        let localized: Vec<DriveStep> =
+            selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
+        if localized.is_empty() {
+            return Err(refuse("no scan is left to localize on; widen `log.localize_scans`"));
+        }
+        let notes = vec![
+            summary.to_string(),
+            format!(
+                "Every model was trained on the same {} scans of {} beams, one observation of each state; \
+                 {:.0} % of them were held out to choose bandwidths, floors and exponents. Reference poses are \
+                 not the truth: errors below some centimetres say nothing.",
+                data.poses.len(),
+                data.laser.beam_count(),
+                100.0 * training.held_out_share,
+            ),
+        ];
+        let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
+        Ok(Self { scenario, place, models, notes, drives: Drives::Measured(drive) })
+    }
+
+    /// Seed of a trial.
+    pub fn trial_seed(&self, trial: u32) -> u64 {
+        Draw::new(self.scenario.seed, Stage::Trial, 0).seed(trial)
+    }
+
+    /// The drive of a trial.
+    ///
+    /// # Errors
+    /// [`RunError::Simulation`] for a path that makes no sense.
+    pub fn drive(&self, trial: u32) -> Result<TrialDrive, RunError> {
+        match &self.drives {
+            Drives::Measured(drive) => Ok(TrialDrive { drive: drive.clone(), blocks: Vec::new() }),
+            Drives::Simulated(world) => {
+                let simulated = drive_of(world, self.trial_seed(trial), self.scenario)?;
+                Ok(TrialDrive { drive: with_filter_beams(simulated.drive, self.scenario), ..simulated })
+            }
+        }
+    }
+}
+
+/// Simulates the drive of one trial without training anything, with all beams of the laser.
+///
+/// # Errors
+/// [`RunError::Log`] if the scenario is of a measured log; what is wrong with map, world or path.
+pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError> {
+    let Source::Simulation(simulation) = &scenario.source else {
+        let what = "a scenario of a measured log has nothing to simulate".to_owned();
+        return Err(RunError::Log { path: scenario.file.clone(), what });
+    };
+    let place = Place::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, &())
+        .map_err(unusable(&simulation.map))?;
+    let world = world(simulation, &place).map_err(refused(scenario))?;
+    let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(trial);
+    Ok(drive_of(&world, seed, scenario)?.drive)
+}
+
+/// Builds an occupancy grid map from the given shares of a log.
+///
+/// # Errors
+/// [`RunError::Dataset`] for a log that can't be read, [`RunError::Map`] when no map can be made of it.
+pub fn map_from_log(
+    log: &Path,
+    shares: &[[f64; 2]],
+    resolution_m: f64,
+    max_range_m: Option<f64>,
+) -> Result<(locsim_world::map::OccupancyGrid, locsim_dataset::LogSummary), RunError> {
+    let max_range_m = max_range_m.map(|max| max as f32);
+    let (drive, summary) = read_carmen(log, &CarmenOptions { max_range_m, ..CarmenOptions::default() })?;
+    let options = MappingOptions { resolution_m, ..MappingOptions::default() };
+    let grid = occupancy_from_drive(&drive, &selected(&drive, shares), &options)
+        .map_err(unusable(log))?;
+    Ok((grid, summary))
+}
+
+fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, RunError> {
+    let simulated = simulate_drive(&world.simulator, &world.robot, seed).map_err(refused(scenario))?;
+    let corners = |block: &Block| block.corners.map(|corner| corner.to_array());
+    let blocks = simulated.blocks.iter().map(|blocks| blocks.iter().map(corners).collect()).collect();
+    Ok(TrialDrive { drive: simulated.drive, blocks })
+}
+
+/// Attaches the map's file to what is wrong with it.
+fn unusable(path: &Path) -> impl FnOnce(MapError) -> RunError {
+    let path = path.to_owned();
+    move |source| RunError::Map { path, source }
+}
+
+/// Attaches the scenario's file to what the simulator refuses.
+fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> RunError {
+    let path = scenario.file.clone();
+    move |source| RunError::Simulation { path, source }
+}
+
+fn with_filter_beams(drive: Drive, scenario: &Scenario) -> Drive {
+    match scenario.filter.beams {
+        Some(beams) => drive.with_beams(beams as usize),
+        None => drive,
+    }
+}
+
+/// Indices of the steps within shares of a drive.
+fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
+    let n = drive.steps.len();
+    let inside = |i: usize| {
+        let share = i as f64 / n as f64;
+        shares.iter().any(|[from, to]| (*from..*to).contains(&share))
+    };
+    (0..n).filter(|&i| inside(i)).collect()
+}
+
+fn world(simulation: &Simulation, place: &Place) -> Result<World, SimulationError> {
+    let laser = &simulation.laser;
+    let laser = LaserOptions {
+        rate_hz: laser.rate_hz,
+        beams: laser.beams,
+        field_of_view_rad: laser.field_of_view_rad,
+        min_range_m: laser.min_range_m,
+        max_range_m: laser.max_range_m,
+        resolution_m: laser.resolution_m,
+        sigma_m: laser.noise_sigma_m,
+        sigma_per_m: laser.noise_sigma_per_m,
+        mount: laser.mount,
+        scan_secs: laser.scan_secs,
+    };
+    let blocks = simulation.blocks.as_ref().map(|blocks| BlockOptions {
+        per_metre_of_wall: blocks.per_metre_of_wall,
+        length_m: blocks.length_m,
+        width_m: blocks.width_m,
+        yaw_rad: blocks.yaw_rad,
+        wall_distance_m: blocks.wall_distance_m,
+        resample: match blocks.resample {
+            scenario::BlockResampling::EachObservation => BlockResampling::EachObservation,
+            scenario::BlockResampling::EachScanN(n) => BlockResampling::EachScanN(n),
+            scenario::BlockResampling::Never => BlockResampling::Never,
+        },
+        speed_m_s: blocks.speed_m_s,
+        clearance_m: blocks.clearance_m,
+    });
+    let path = match &simulation.robot.path {
+        scenario::RobotPath::Waypoints { points_m, speed_m_s, turn_rate_rad_s } => RobotPath::Waypoints {
+            points: points_m.iter().map(|&point| DVec2::from_array(point)).collect(),
+            speed_m_s: *speed_m_s,
+            turn_rate_rad_s: *turn_rate_rad_s,
+        },
+        scenario::RobotPath::VelocityProfile { start, segments } => RobotPath::VelocityProfile {
+            start: *start,
+            segments: segments
+                .iter()
+                .map(|segment| VelocitySegment {
+                    secs: segment.secs,
+                    speed_m_s: segment.speed_m_s,
+                    turn_rate_rad_s: segment.turn_rate_rad_s,
+                })
+                .collect(),
+        },
+    };
+    Ok(World {
+        simulator: Simulator::new(Arc::clone(&place.exact), blocks, laser)?,
+        robot: Robot {
+            path,
+            start_jitter_m: simulation.robot.start_jitter_m,
+            odometry_noise: OdometryNoise::new(simulation.robot.odometry_alpha)?,
+        },
+    })
+}
+
+/// What the oracle knows of the world's blocks.
+fn obstructions(simulator: &Simulator, seed: u64) -> Result<Arc<dyn Obstructions>, SimulationError> {
+    let Some(blocks) = simulator.blocks() else { return Ok(Arc::new(NothingInTheWay)) };
+    let max_range_m = simulator.laser().options().max_range_m;
+    let options = ObstructionOptions { max_range_m, ..OBSTRUCTIONS };
+    Ok(Arc::new(ObstructionTable::new(blocks, simulator.map().geometry(), &options, seed)?))
+}
+
+/// How finely the oracle integrates over blocks; its rays are as long as the laser's.
+const OBSTRUCTIONS: ObstructionOptions =
+    ObstructionOptions { cell_m: 0.2, headings: 72, bin_m: 0.05, max_range_m: 0.0, samples: 50_000 };
+
+/// A world that is as mapped.
+struct NothingInTheWay;
+
+impl Obstructions for NothingInTheWay {
+    fn bin_m(&self) -> f32 {
+        1.0
+    }
+
+    fn survival(&self, _x: f64, _y: f64, _heading: f64) -> &[f32] {
+        &[1.0]
+    }
+}
+
+/// Poses uniform over free space, clear of walls, with uniform headings.
+fn free_poses(place: &Place, count: u32, seed: u64) -> Particles {
+    /// A map with less room than this share of its bounds gets fewer poses.
+    const ATTEMPTS_PER_POSE: u32 = 10_000;
+    let [x0, y0, x1, y1] = place.exact.bounds();
+    let draw = Draw::new(seed, Stage::Path, 1);
+    (0..count)
+        .filter_map(|i| {
+            let mut rng = draw.item(i);
+            (0..ATTEMPTS_PER_POSE).find_map(|_| {
+                let x = x0 + (x1 - x0) * rng.random::<f64>();
+                let y = y0 + (y1 - y0) * rng.random::<f64>();
+                let theta = std::f64::consts::PI * (1.0 - 2.0 * rng.random::<f64>());
+                let clear = f64::from(place.distance.distance(x, y)) >= WALL_CLEARANCE_M;
+                (clear && place.exact.is_free(x, y)).then(|| Pose2::new(x, y, theta))
+            })
+        })
+        .collect()
+}
+
+/// Readings in [pose][observation][beam] order become scans with the training's beams.
+fn simulated_scans(
+    world: &World,
+    poses: &Particles,
+    readings: &[f32],
+    training: &scenario::Training,
+) -> ScanData {
+    let laser = world.simulator.laser().laser();
+    let (thinned, kept) = laser.thinned(training.beams.map_or(laser.beam_count(), |beams| beams as usize));
+    let scans = readings
+        .chunks(training.observations as usize * laser.beam_count())
+        .map(|pose| {
+            let scans = pose.chunks(laser.beam_count());
+            scans.map(|ranges| kept.iter().map(|&beam| ranges[beam]).collect()).collect()
+        })
+        .collect();
+    ScanData { laser: thinned, poses: poses.iter().collect(), scans }
+}
+
+/// Training scans of a log: those whose reference pose lies in the map's free space, at most as many as asked
+/// for, evenly spread.
+fn measured_scans(
+    drive: &Drive,
+    steps: &[usize],
+    place: &Place,
+    training: &scenario::Training,
+) -> ScanData {
+    let beams = training.beams.map_or(drive.laser.beam_count(), |beams| beams as usize);
+    let (laser, kept) = drive.laser.thinned(beams);
+    let usable: Vec<(Pose2, &DriveStep)> = steps
+        .iter()
+        .map(|&i| &drive.steps[i])
+        .filter_map(|step| Some((step.reference?, step)))
+        .filter(|(pose, _)| place.exact.is_free(pose.x, pose.y))
+        .collect();
+    let stride = usable.len().div_ceil(training.poses as usize).max(1);
+    let (poses, scans) = usable
+        .into_iter()
+        .step_by(stride)
+        .map(|(pose, step)| (pose, vec![kept.iter().map(|&beam| step.scan.ranges[beam]).collect()]))
+        .unzip();
+    ScanData { laser, poses, scans }
+}

@@ -1,0 +1,248 @@
+//! Runs a scenario: prepares the laboratory, runs the trials in parallel, writes the results folder.
+
+mod bounds;
+mod detail;
+mod error;
+mod laboratory;
+mod store;
+mod training;
+mod trial;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use locsim_core::Pose2;
+use locsim_dataset::{StampedPose, write_tum};
+use rayon::prelude::*;
+
+pub use bounds::MissedBound;
+pub use error::RunError;
+pub use laboratory::{map_from_log, simulate_trial};
+
+use crate::report::{self, ReportContext};
+use crate::results::{BeamProbe, DetailedTrial, RunResults, Trial};
+use crate::scenario::{ErrorFrame, Estimate, Scenario, Source};
+use crate::summary::Summary;
+use detail::Detail;
+use laboratory::{Laboratory, TrialDrive};
+use store::Store;
+
+/// Told how far a run is; `()` listens to nothing.
+pub trait Progress: Sync {
+    /// A stage of `total` units begins.
+    fn stage(&self, _name: &str, _total: u64) {}
+    /// `n` units of the stage are done.
+    fn advance(&self, _n: u64) {}
+    /// All stages are done.
+    fn finish(&self) {}
+}
+
+impl Progress for () {}
+
+/// Writes a recording of one trial into a results folder.
+pub type Recorder<'a> =
+    dyn Fn(&DetailedTrial, &Path) -> Result<(), Box<dyn std::error::Error + Send + Sync>> + Sync + 'a;
+
+/// How to run a scenario.
+pub struct RunOptions<'a> {
+    /// The results folder.
+    pub out: PathBuf,
+    /// Whether to go on with an interrupted run.
+    pub resume: bool,
+    /// The command that reproduces the run, for the report.
+    pub command: String,
+    /// Monotonic time since any fixed moment, for `seconds` and `step_ms`.
+    pub clock: &'a (dyn Fn() -> Duration + Sync),
+    /// Who is told how far the run is.
+    pub progress: &'a dyn Progress,
+    /// Set from outside to stop after the trials under way.
+    pub interrupted: &'a AtomicBool,
+    /// Who records the scenario's recorded trial, if anyone.
+    pub recorder: Option<&'a Recorder<'a>>,
+}
+
+/// What a complete run gives.
+pub struct Outcome {
+    /// The content of `summary.json`.
+    pub summary: Summary,
+    /// Bounds of the scenario's `expect` that the results miss.
+    pub missed: Vec<MissedBound>,
+}
+
+/// Runs every trial of a scenario under every model and writes the results folder.
+///
+/// The folder is written beside its final place and renamed when complete; finished trials are kept there if the
+/// run is interrupted.
+///
+/// # Errors
+/// [`RunError`]; earlier results at `options.out` are then untouched.
+pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, RunError> {
+    let began = (options.clock)();
+    let store = Store::open(&options.out, &scenario.content_hash()?, options.resume)?;
+    let laboratory = Laboratory::prepare(scenario, options.progress)?;
+    let trials = run_trials(&laboratory, &store, options)?;
+    options.progress.stage("recording and report", 1);
+    let detail = detailed_trial(&laboratory, scenario.record.trial, options.clock)?;
+    let folder = store.folder();
+    if let Some(recorder) = options.recorder {
+        recorder(&detail, folder).map_err(RunError::Recording)?;
+    }
+    save_models(&laboratory, folder)?;
+    save_trajectories(&detail, folder)?;
+    let results = RunResults {
+        scenario: scenario.name.clone(),
+        description: scenario.description.clone(),
+        seed: scenario.seed,
+        seconds: (options.clock)().saturating_sub(began).as_secs_f64(),
+        error_frame: match scenario.errors.frame {
+            ErrorFrame::Map => "map: along is x, across is y".to_owned(),
+            ErrorFrame::Robot => "robot: along is forward, across is left".to_owned(),
+        },
+        estimate: estimate_name(scenario.filter.estimate).to_owned(),
+        models: scenario.models.iter().map(|model| model.label.clone()).collect(),
+        training: laboratory.models.iter().map(|model| model.row.clone()).collect(),
+        trials,
+    };
+    let context = ReportContext {
+        scenario_yaml: fs::read_to_string(&scenario.file).map_err(RunError::file(&scenario.file))?,
+        command: options.command.clone(),
+        simulated: matches!(scenario.source, Source::Simulation(_)),
+        notes: laboratory.notes.clone(),
+        probes: shortened_beam(&detail),
+    };
+    let summary = report::write(folder, &results, Some(&detail), &context)?;
+    store.finish()?;
+    options.progress.advance(1);
+    options.progress.finish();
+    let missed = bounds::missed(&scenario.expect, &summary);
+    Ok(Outcome { summary, missed })
+}
+
+fn run_trials(
+    laboratory: &Laboratory<'_>,
+    store: &Store,
+    options: &RunOptions<'_>,
+) -> Result<Vec<Trial>, RunError> {
+    let count = laboratory.scenario.trials;
+    options.progress.stage("trials", u64::from(count));
+    let trials: Vec<Option<Trial>> = (0..count)
+        .into_par_iter()
+        .map(|number| {
+            if options.interrupted.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            let trial = if let Some(trial) = store.load(number) {
+                trial
+            } else {
+                let trial = run_trial(laboratory, number, options.clock)?;
+                store.save(&trial)?;
+                trial
+            };
+            options.progress.advance(1);
+            Ok(Some(trial))
+        })
+        .collect::<Result<_, RunError>>()?;
+    let finished = trials.iter().flatten().count();
+    if finished < trials.len() {
+        return Err(RunError::Interrupted { finished, trials: trials.len() });
+    }
+    Ok(trials.into_iter().flatten().collect())
+}
+
+fn run_trial(
+    laboratory: &Laboratory<'_>,
+    number: u32,
+    clock: &(dyn Fn() -> Duration + Sync),
+) -> Result<Trial, RunError> {
+    let TrialDrive { drive, .. } = laboratory.drive(number)?;
+    let seed = laboratory.trial_seed(number);
+    let models = laboratory
+        .models
+        .iter()
+        .map(|model| trial::localize(laboratory, model, &drive, seed, clock, None))
+        .collect::<Result<_, _>>()?;
+    Ok(Trial { trial: number, seed, models })
+}
+
+/// Runs one trial again and keeps everything.
+fn detailed_trial(
+    laboratory: &Laboratory<'_>,
+    number: u32,
+    clock: &(dyn Fn() -> Duration + Sync),
+) -> Result<DetailedTrial, RunError> {
+    let TrialDrive { drive, blocks } = laboratory.drive(number)?;
+    let seed = laboratory.trial_seed(number);
+    let recorded = &laboratory.scenario.record.models;
+    let mut probes = None;
+    let mut models = Vec::new();
+    for model in laboratory.models.iter().filter(|model| recorded.contains(&model.label)) {
+        let mut detail = Detail::new(&*laboratory.place.exact, &drive, &model.label, probes);
+        trial::localize(laboratory, model, &drive, seed, clock, Some(&mut detail))?;
+        let (model, used) = detail.into_model();
+        models.push(model);
+        probes = Some(used);
+    }
+    let dead_reckoning = trial::dead_reckoning(&drive, drive.steps[0].reference.unwrap_or(Pose2::IDENTITY));
+    Ok(DetailedTrial { walls: laboratory.place.walls(), blocks, dead_reckoning, models, drive })
+}
+
+/// Every model's prediction for the probed beam of one step (the paper's Fig. 11): the step whose reading is
+/// shortened as much as is usual, by the median of all steps whose probed beam is shortened at all.
+fn shortened_beam(detail: &DetailedTrial) -> Vec<(String, BeamProbe)> {
+    /// Shorter differences may be noise.
+    const SHORTENED_M: f32 = 0.1;
+    let Some(first) = detail.models.first() else { return Vec::new() };
+    let shortening = |step: usize| {
+        let probe = &first.steps[step].probe;
+        probe.nominal_m - probe.reading_m
+    };
+    let mut steps: Vec<usize> =
+        (0..first.steps.len()).filter(|&step| shortening(step) > SHORTENED_M).collect();
+    steps.sort_by(|&a, &b| shortening(a).total_cmp(&shortening(b)));
+    let Some(&step) = steps.get(steps.len() / 2) else { return Vec::new() };
+    detail.models.iter().map(|model| (model.name.clone(), model.steps[step].probe.clone())).collect()
+}
+
+/// `models/LABEL.model`: what a scenario's `file` key takes.
+fn save_models(laboratory: &Laboratory<'_>, folder: &Path) -> Result<(), RunError> {
+    let models = folder.join("models");
+    fs::create_dir_all(&models).map_err(RunError::file(&models))?;
+    for model in &laboratory.models {
+        if let Some(fitted) = &model.fitted {
+            fitted
+                .save(&models.join(format!("{}.model", model.label)))
+                .map_err(|source| RunError::Sensor { label: model.label.clone(), source })?;
+        }
+    }
+    Ok(())
+}
+
+/// `trajectories/*.tum` of the recorded trial, as `evo` reads them.
+fn save_trajectories(detail: &DetailedTrial, folder: &Path) -> Result<(), RunError> {
+    let trajectories = folder.join("trajectories");
+    fs::create_dir_all(&trajectories).map_err(RunError::file(&trajectories))?;
+    let stamped = |poses: &[Pose2]| -> Vec<StampedPose> {
+        // A path that begins at a random particle lacks its first steps.
+        let missing = detail.drive.steps.len() - poses.len();
+        let steps = detail.drive.steps.iter().skip(missing);
+        steps.zip(poses).map(|(step, &pose)| StampedPose { stamp_secs: step.stamp_secs, pose }).collect()
+    };
+    write_tum(&trajectories.join("reference.tum"), &locsim_dataset::reference_trajectory(&detail.drive))?;
+    write_tum(&trajectories.join("odometry.tum"), &stamped(&detail.dead_reckoning))?;
+    for model in &detail.models {
+        let path = trajectories.join(format!("{}.tum", model.name));
+        write_tum(&path, &stamped(&model.most_likely_trajectory))?;
+    }
+    Ok(())
+}
+
+fn estimate_name(estimate: Estimate) -> &'static str {
+    match estimate {
+        Estimate::WeightedMean => "weighted mean",
+        Estimate::MaxWeight => "particle of greatest weight",
+        Estimate::DensestCluster => "densest cluster",
+        Estimate::MostLikelyTrajectory => "most likely trajectory",
+    }
+}

@@ -1,0 +1,252 @@
+//! Gathers the data that every sensor model is trained on, fits the models, and makes them fit for a filter.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::Arc;
+
+use locsim_core::{Beams, DistanceMap, Draw, Hits, Laser, Obstructions, Particles, Pose2, RangeMap, SensorModel, Stage};
+use locsim_sensor::{
+    BeamState, CalibrationScan, FitOptions, FittedModel, ModelKind, Oracle, SensorError, Tempered, TemperingGrid,
+    TrainingSet, choose_tempering, evaluate, fit,
+};
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::{Progress, RunError};
+use crate::results::TrainingRow;
+use crate::scenario::{Model, ModelName};
+
+/// Candidate poses per calibration scan, the true one not counted.
+const CANDIDATES: u32 = 256;
+
+/// Calibration scans at the most.
+const CALIBRATION_SCANS: usize = 200;
+
+/// Largest scale of the candidates' distance from the true pose \[m\] and \[rad\]; the smallest is a hundredth of it.
+const CANDIDATE_SPREAD: (f64, f64) = (0.2, 0.1);
+
+/// Scans taken from known poses: what training data are made of.
+pub struct ScanData {
+    /// The sensor (with the beams that become states).
+    pub laser: Laser,
+    /// `map_from_base` of each scan pose.
+    pub poses: Vec<Pose2>,
+    /// Scans of each pose, all with the laser's beams.
+    pub scans: Vec<Vec<Vec<f32>>>,
+}
+
+/// A sensor model as the filter uses it, with what is known of it.
+pub struct TrainedModel {
+    /// The scenario's label.
+    pub label: String,
+    /// The model alone.
+    pub bare: Arc<dyn SensorModel>,
+    /// With floor and exponent, as the filter uses it.
+    pub tempered: Arc<dyn SensorModel>,
+    /// What can be saved; `None` for the oracle, which isn't fitted.
+    pub fitted: Option<FittedModel>,
+    /// Held-out quality and what was chosen.
+    pub row: TrainingRow,
+}
+
+/// What the world gives to models that need more than the training data.
+pub struct Surroundings {
+    /// Exact ray casts.
+    pub map: Arc<dyn RangeMap>,
+    /// For the likelihood field.
+    pub distance: Arc<dyn DistanceMap>,
+    /// For the oracle, with the laser's noise (sigma at range 0 \[m\], growth per metre).
+    pub oracle: Option<(Arc<dyn Obstructions>, [f64; 2])>,
+}
+
+/// Fits every model of a scenario on the same data.
+///
+/// # Errors
+/// [`RunError::Sensor`] for data that a model can't be fitted to and for files that can't be loaded.
+pub fn train(
+    models: &[Model],
+    data: &ScanData,
+    surroundings: &Surroundings,
+    held_out_share: f64,
+    seed: u64,
+    progress: &dyn Progress,
+) -> Result<Vec<TrainedModel>, RunError> {
+    let failed = |source| RunError::TrainingData { source };
+    let set = training_set(data, &*surroundings.map).map_err(failed)?;
+    let (train, held_out) = set.split(held_out_share, seed).map_err(failed)?;
+    let calibration = calibration_scans(data, &held_out, &*surroundings.map, seed);
+    progress.stage("training sensor models", models.len() as u64);
+    models
+        .iter()
+        .map(|model| {
+            let trained = train_one(model, &train, &held_out, &calibration, surroundings)?;
+            progress.advance(1);
+            Ok(trained)
+        })
+        .collect()
+}
+
+fn train_one(
+    model: &Model,
+    train: &TrainingSet,
+    held_out: &TrainingSet,
+    calibration: &[CalibrationScan],
+    surroundings: &Surroundings,
+) -> Result<TrainedModel, RunError> {
+    let failed = |source| RunError::Sensor { label: model.label.clone(), source };
+    let distance_map = Some(Arc::clone(&surroundings.distance));
+    let fitted = match (&model.file, model.name) {
+        (_, ModelName::Oracle) => None,
+        (Some(file), name) => Some(load(file, kind(name).map_err(failed)?, train.max_range())?),
+        (None, name) => {
+            let options = FitOptions { distance_map: distance_map.clone() };
+            let fitted = kind(name).and_then(|kind| fit(kind, train, held_out, &options));
+            Some(fitted.map_err(failed)?)
+        }
+    };
+    let bare: Arc<dyn SensorModel> = match (&fitted, &surroundings.oracle) {
+        (Some(fitted), _) => fitted.clone().into_model(distance_map).map_err(failed)?,
+        (None, Some((obstructions, [sigma_m, sigma_per_m]))) => {
+            let oracle = Oracle::new(Arc::clone(obstructions), *sigma_m as f32, *sigma_per_m as f32);
+            Arc::new(oracle.map_err(failed)?)
+        }
+        (None, None) => unreachable!("a validated scenario has an oracle in simulation only"),
+    };
+    let mut grid = TemperingGrid::default();
+    if let Some(floor) = model.floor {
+        grid.floors = vec![floor];
+    }
+    if let Some(exponent) = model.exponent {
+        grid.exponents = vec![exponent];
+    }
+    let tempering = choose_tempering(&*bare, calibration, &grid).map_err(failed)?;
+    let tempered =
+        |exponent| Tempered::new(Arc::clone(&bare), tempering.floor, exponent).map_err(failed);
+    let with_floor = tempered(1.0)?;
+    // The log loss with the floor, without which one odd reading makes it infinite; the match without it.
+    let normalized = model.name != ModelName::LikelihoodField;
+    let log_loss_nats = normalized.then(|| evaluate(&with_floor, held_out).log_loss_nats);
+    let histogram_match_m = normalized.then(|| evaluate(&*bare, held_out).histogram_match_m);
+    let mut chosen = fitted.as_ref().map_or_else(BTreeMap::new, |fitted| fitted.chosen().clone());
+    chosen.insert("floor".to_owned(), tempering.floor);
+    chosen.insert("exponent".to_owned(), tempering.exponent);
+    chosen.insert("pose_log_score_nats".to_owned(), tempering.score);
+    Ok(TrainedModel {
+        label: model.label.clone(),
+        tempered: Arc::new(tempered(tempering.exponent)?),
+        bare,
+        fitted,
+        row: TrainingRow { log_loss_nats, histogram_match_m, chosen },
+    })
+}
+
+/// A model from a file, if it is of the right kind and for the same sensor.
+fn load(file: &Path, kind: ModelKind, max_range: f32) -> Result<FittedModel, RunError> {
+    let refuse = |what| RunError::ModelFile { path: file.to_owned(), what };
+    let fitted = FittedModel::load(file).map_err(|source| refuse(source.to_string()))?;
+    if fitted.kind() != kind {
+        return Err(refuse(format!("holds a {} model, the scenario asks for {kind}", fitted.kind())));
+    }
+    if fitted.max_range() != max_range {
+        return Err(refuse(format!(
+            "was fitted to a sensor of {} m maximum range, the scenario's reaches {max_range} m",
+            fitted.max_range()
+        )));
+    }
+    Ok(fitted)
+}
+
+/// The fitted model of this name.
+fn kind(name: ModelName) -> Result<ModelKind, SensorError> {
+    name.as_str().parse()
+}
+
+/// D = {(`x_i`, `z_ij`)}: one state per scan pose and beam, with the nominal ray cast from it.
+fn training_set(data: &ScanData, map: &dyn RangeMap) -> Result<TrainingSet, SensorError> {
+    let laser = &data.laser;
+    let poses: Particles = data.poses.iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
+    let mut hits = Hits::default();
+    map.cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
+    let mut set = TrainingSet::new(laser.max_range())?;
+    let beams = laser.beam_count();
+    let mut readings = Vec::new();
+    for (scan, laser_pose) in poses.iter().enumerate() {
+        for (beam, &bearing) in laser.bearings().iter().enumerate() {
+            let hit = scan * beams + beam;
+            let state = BeamState {
+                laser: laser_pose,
+                bearing,
+                range: hits.range[hit],
+                incidence: hits.incidence[hit],
+                surface: hits.surface[hit],
+                scan: scan as u32,
+            };
+            readings.clear();
+            readings.extend(data.scans[scan].iter().map(|ranges| ranges[beam]));
+            set.push(state, &readings)?;
+        }
+    }
+    Ok(set)
+}
+
+/// Held-out scans, each with candidates around the pose it was taken from.
+///
+/// The candidates' distances are spread evenly over two decades of scale, so that some lie as close to the truth
+/// as any model's posterior is wide: a model that is too sure of itself is then seen to miss.
+fn calibration_scans(
+    data: &ScanData,
+    held_out: &TrainingSet,
+    map: &dyn RangeMap,
+    seed: u64,
+) -> Vec<CalibrationScan> {
+    let poses: BTreeSet<u32> = (0..held_out.len()).map(|i| held_out.state(i).scan).collect();
+    let scans: Vec<(usize, usize)> = poses
+        .iter()
+        .flat_map(|&pose| (0..data.scans[pose as usize].len()).map(move |scan| (pose as usize, scan)))
+        .collect();
+    let stride = scans.len().div_ceil(CALIBRATION_SCANS).max(1);
+    let draw = Draw::new(seed, Stage::Training, 1);
+    let laser = &data.laser;
+    scans
+        .iter()
+        .step_by(stride)
+        .enumerate()
+        .map(|(i, &(pose, scan))| {
+            let truth = data.poses[pose];
+            let candidates = (0..CANDIDATES).map(|c| {
+                let mut rng = draw.item(i as u32 * CANDIDATES + c);
+                let scale = 100.0_f64.powf(-rng.random::<f64>());
+                let mut normal = |sigma: f64| -> f64 {
+                    let unit: f64 = StandardNormal.sample(&mut rng);
+                    scale * sigma * unit
+                };
+                let (x, y) = (normal(CANDIDATE_SPREAD.0), normal(CANDIDATE_SPREAD.0));
+                Pose2::new(truth.x + x, truth.y + y, truth.theta + normal(CANDIDATE_SPREAD.1))
+            });
+            let poses: Particles = std::iter::once(truth)
+                .chain(candidates)
+                .map(|pose| pose.compose(&laser.base_from_laser()))
+                .collect();
+            let mut hits = Hits::default();
+            map.cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
+            CalibrationScan {
+                z: data.scans[pose][scan].clone(),
+                laser: poses,
+                bearings: laser.bearings().to_vec(),
+                hits,
+                max_range: laser.max_range(),
+            }
+        })
+        .collect()
+}
+
+/// The beams of one pose, cast into the map: what a model is asked about for a picture.
+pub fn cast_scan<'a>(
+    map: &dyn RangeMap,
+    laser: &'a Laser,
+    laser_pose: &'a Particles,
+    hits: &'a mut Hits,
+) -> Beams<'a> {
+    map.cast(laser_pose.view(), laser.bearings(), laser.max_range(), hits);
+    hits.beams(laser_pose.view(), laser.bearings(), laser.max_range())
+}

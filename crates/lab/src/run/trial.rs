@@ -1,0 +1,194 @@
+//! One trial: every model localizes on the same drive.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use locsim_core::{Drive, Pose2, wrap_angle};
+use locsim_mcl::{
+    Filter, FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, PoseBins, Regularization,
+    ResampleTrigger, Resampler, Residual, Start, StepInput, StepOutcome, Stratified, Systematic, VelocityMotion,
+};
+
+use super::RunError;
+use super::detail::Detail;
+use super::laboratory::Laboratory;
+use super::training::TrainedModel;
+use crate::results::{ModelTrial, StepRow};
+use crate::scenario::{self, ErrorFrame, Errors, Estimate, Motion, ParticleCount, ResampleWhen};
+
+/// Side of a bin of the densest cluster when the scenario doesn't set one: AMCL's 0.5 m and 10 degrees.
+const CLUSTER_BINS: (f64, f64) = (0.5, 10.0 * std::f64::consts::PI / 180.0);
+
+/// Runs one model's filter over a drive. With `detail`, every step is kept in full.
+///
+/// # Errors
+/// [`RunError::Log`] for a drive without reference poses, [`RunError::Filter`] for a filter that gives up.
+pub(super) fn localize(
+    laboratory: &Laboratory<'_>,
+    model: &TrainedModel,
+    drive: &Drive,
+    seed: u64,
+    clock: &(dyn Fn() -> Duration + Sync),
+    mut detail: Option<&mut Detail<'_>>,
+) -> Result<ModelTrial, RunError> {
+    let settings = &laboratory.scenario.filter;
+    let truth = truth_of(laboratory, drive)?;
+    let dead_reckoning = dead_reckoning(drive, truth[0]);
+    let map = &*laboratory.place.ranges;
+    let mut filter = Filter::new(options(settings)?, &start(settings, truth[0]), map, seed)?;
+    let mut steps = Vec::with_capacity(drive.steps.len());
+    let mut events = Vec::new();
+    let mut spent = Duration::ZERO;
+    for (i, step) in drive.steps.iter().enumerate() {
+        let input =
+            StepInput { odometry: drive.odometry_increment(i), laser: &drive.laser, scan: &step.scan };
+        let before = clock();
+        let outcome = filter.step(&input, map, &*model.tempered)?;
+        spent += clock().saturating_sub(before);
+        let first_event = events.len();
+        if let Some(recovery) = outcome.recovered {
+            events.push((i as u32, recovery.to_string()));
+        }
+        if outcome.injected > 0 {
+            events.push((i as u32, format!("{} random particles injected", outcome.injected)));
+        }
+        if let Some(detail) = detail.as_deref_mut() {
+            let events = events[first_event..].iter().map(|(_, event): &(u32, String)| event.clone());
+            detail.push(&filter, &outcome, model, truth[i], &step.scan, events.collect());
+        }
+        steps.push(StepRow {
+            step: i as u32,
+            stamp_secs: step.stamp_secs,
+            truth: truth[i],
+            dead_reckoning: dead_reckoning[i],
+            estimate: online_estimate(settings.estimate, &outcome),
+            error_along_m: 0.0,
+            error_across_m: 0.0,
+            error_heading_rad: 0.0,
+            effective_sample_size: outcome.effective_sample_size,
+            particles: outcome.particle_count as u32,
+            log_evidence_nats: outcome.log_evidence,
+            resampled: outcome.resampled,
+        });
+    }
+    if let Some(trajectory) = filter.ancestry().and_then(locsim_mcl::Ancestry::most_likely_trajectory) {
+        if settings.estimate == Estimate::MostLikelyTrajectory {
+            // Steps before an injected particle came in keep the weighted mean.
+            for (row, pose) in steps.iter_mut().skip(trajectory.first_step).zip(&trajectory.poses) {
+                row.estimate = *pose;
+            }
+        }
+        if let Some(detail) = detail {
+            detail.finish(&trajectory);
+        }
+    }
+    for row in &mut steps {
+        measure(row, laboratory.scenario.errors);
+    }
+    let last = steps.last().map_or(0.0, StepRow::position_error_m);
+    Ok(ModelTrial {
+        model: model.label.clone(),
+        lost: last > laboratory.scenario.errors.lost_m,
+        step_ms: spent.as_secs_f64() * 1e3 / steps.len() as f64,
+        steps,
+        events,
+    })
+}
+
+/// The reference pose of each step.
+fn truth_of(laboratory: &Laboratory<'_>, drive: &Drive) -> Result<Vec<Pose2>, RunError> {
+    drive
+        .steps
+        .iter()
+        .map(|step| step.reference)
+        .collect::<Option<Vec<Pose2>>>()
+        .filter(|truth| !truth.is_empty())
+        .ok_or_else(|| RunError::Log {
+            path: laboratory.scenario.file.clone(),
+            what: "errors need a reference pose at every scan that is localized on".to_owned(),
+        })
+}
+
+/// `map_from_base` by odometry alone, from the true first pose.
+pub(super) fn dead_reckoning(drive: &Drive, start: Pose2) -> Vec<Pose2> {
+    let origin = drive.steps[0].odometry;
+    drive.steps.iter().map(|step| start.compose(&step.odometry.relative_to(&origin))).collect()
+}
+
+/// Signed errors of a row in the scenario's frame.
+fn measure(row: &mut StepRow, errors: Errors) {
+    let difference = row.estimate.position() - row.truth.position();
+    let error = match errors.frame {
+        ErrorFrame::Map => difference,
+        ErrorFrame::Robot => glam::DVec2::from_angle(-row.truth.theta).rotate(difference),
+    };
+    row.error_along_m = error.x;
+    row.error_across_m = error.y;
+    row.error_heading_rad = wrap_angle(row.estimate.theta - row.truth.theta);
+}
+
+/// The step's estimate; for the most likely trajectory a stand-in that is replaced at the end of the drive.
+fn online_estimate(estimate: Estimate, outcome: &StepOutcome) -> Pose2 {
+    let estimates = &outcome.estimates;
+    let mean = estimates.weighted_mean.pose;
+    match estimate {
+        Estimate::WeightedMean | Estimate::MostLikelyTrajectory => mean,
+        Estimate::MaxWeight => estimates.max_weight,
+        Estimate::DensestCluster => estimates.densest_cluster.map_or(mean, |cluster| cluster.estimate.pose),
+    }
+}
+
+fn start(settings: &scenario::Filter, truth: Pose2) -> Start {
+    match settings.start {
+        scenario::Start::Global => Start::Global,
+        scenario::Start::Tracking(spread) => {
+            Start::Tracking { pose: truth, sigma_m: spread.sigma_m, sigma_rad: spread.sigma_rad }
+        }
+    }
+}
+
+fn options(settings: &scenario::Filter) -> Result<FilterOptions, RunError> {
+    let motion: Arc<dyn MotionModel> = match settings.motion {
+        Motion::Odometry(alpha) => Arc::new(OdometryMotion::new(alpha)?),
+        Motion::Velocity(alpha) => Arc::new(VelocityMotion::new(alpha)?),
+    };
+    let resampler: Arc<dyn Resampler> = match settings.resampler {
+        scenario::Resampler::Multinomial => Arc::new(Multinomial),
+        scenario::Resampler::Systematic => Arc::new(Systematic),
+        scenario::Resampler::Stratified => Arc::new(Stratified),
+        scenario::Resampler::Residual => Arc::new(Residual),
+    };
+    let (particles, bins) = match settings.particles {
+        ParticleCount::Fixed(n) => (locsim_mcl::ParticleCount::Fixed(n as usize), CLUSTER_BINS),
+        ParticleCount::Kld { min, max, error, quantile, bin_m, bin_rad } => (
+            locsim_mcl::ParticleCount::Kld(KldOptions {
+                min: min as usize,
+                max: max as usize,
+                error,
+                quantile,
+                bins: PoseBins::new(bin_m, bin_rad)?,
+            }),
+            (bin_m, bin_rad),
+        ),
+    };
+    let jitter = settings.regularization;
+    Ok(FilterOptions {
+        particles,
+        motion,
+        resampler,
+        trigger: match settings.resample {
+            ResampleWhen::EachStep => ResampleTrigger::EachStep,
+            ResampleWhen::EffectiveShareBelow(share) => ResampleTrigger::EffectiveShareBelow(share),
+        },
+        injection: settings.injection.map(|injection| locsim_mcl::InjectionOptions {
+            alpha_slow: injection.alpha_slow,
+            alpha_fast: injection.alpha_fast,
+        }),
+        regularization: (jitter.sigma_m > 0.0 || jitter.sigma_rad > 0.0)
+            .then_some(Regularization { sigma_m: jitter.sigma_m, sigma_rad: jitter.sigma_rad }),
+        clusters: (settings.estimate == Estimate::DensestCluster)
+            .then(|| PoseBins::new(bins.0, bins.1))
+            .transpose()?,
+        ancestry: true,
+    })
+}
