@@ -13,9 +13,9 @@ pub(crate) struct Axis {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Parts {
-    /// Lower end [m].
+    /// Lower end \[m\].
     origin: f32,
-    /// Width of a quantum [m].
+    /// Width of a quantum \[m\].
     quantum: f32,
     /// Upper end of each bin in quanta from the origin, ascending.
     ends: Vec<u32>,
@@ -45,13 +45,14 @@ impl TryFrom<Parts> for Axis {
 }
 
 impl Axis {
-    /// `bins` bins of equal width over \[0, max) [m], for readings themselves.
+    /// `bins` bins of equal width over \[0, max) \[m\], for readings themselves.
     pub fn uniform(max: f32, bins: usize) -> Self {
         Self::build(0.0, max / bins as f32, (1..=bins as u32).collect())
     }
 
-    /// Bins over [-max, max] [m] for offsets from the nominal range: of one quantum within 16 quanta of 0, where
-    /// the sensor's own noise lies, then each an eighth wider than the one before, up to `widest` [m].
+    /// Bins over \[-max, max\] \[m\] for offsets from the nominal range: of one quantum within 24 quanta of 0,
+    /// where the sensor's own noise lies, further away about an eighth of their distance from 0 wide, at most
+    /// `widest` \[m\].
     pub fn around_zero(max: f32, quantum: f32, widest: f32) -> Self {
         let most = (max / quantum).ceil() as u32;
         let widest = ((widest / quantum).round() as u32).max(1);
@@ -75,25 +76,25 @@ impl Axis {
         self.parts.ends.len()
     }
 
-    /// The bin of a value [m]; values outside fall into the first or the last bin.
+    /// The bin of a value \[m\]; values outside fall into the first or the last bin.
     #[inline]
     pub fn bin(&self, value: f32) -> usize {
         let quantum = ((value - self.parts.origin) * (1.0 / self.parts.quantum)) as usize;
         usize::from(self.bin_of[quantum.min(self.bin_of.len() - 1)])
     }
 
-    /// Lower end of a bin [m].
+    /// Lower end of a bin \[m\].
     pub fn lower(&self, bin: usize) -> f32 {
         let quanta = if bin == 0 { 0 } else { self.parts.ends[bin - 1] };
         self.parts.origin + quanta as f32 * self.parts.quantum
     }
 
-    /// Upper end of a bin [m].
+    /// Upper end of a bin \[m\].
     pub fn upper(&self, bin: usize) -> f32 {
         self.parts.origin + self.parts.ends[bin] as f32 * self.parts.quantum
     }
 
-    /// Width of a bin [m].
+    /// Width of a bin \[m\].
     pub fn width(&self, bin: usize) -> f32 {
         self.upper(bin) - self.lower(bin)
     }

@@ -10,11 +10,11 @@ pub(crate) struct Beam {
     pub pose: usize,
     /// Index of its bearing.
     pub bearing: usize,
-    /// Nominal range r [m].
+    /// Nominal range r \[m\].
     pub range: f32,
-    /// Incidence angle alpha [rad].
+    /// Incidence angle alpha \[rad\].
     pub incidence: f32,
-    /// Maximum range [m].
+    /// Maximum range \[m\].
     pub max_range: f32,
 }
 
@@ -37,8 +37,9 @@ fn each_beam(beams: &Beams<'_>, mut f: impl FnMut(usize, Beam)) {
     }
 }
 
-/// `log_density` of a batch from that of one beam. NaN gives 0, a negative reading minus infinity and a reading
-/// beyond the maximum range counts as the maximum range, so `f` sees only readings from 0 to the maximum.
+/// `log_density` of a batch from that of one beam. NaN gives 0, a negative reading minus infinity and a
+/// reading beyond the maximum range counts as the maximum range, so `f` sees only readings from 0 to the
+/// maximum.
 #[inline]
 pub(crate) fn log_densities(
     z: &[f32],

@@ -1,10 +1,11 @@
 //! Nadaraya-Watson smoothing of histograms over the state, on a grid.
 //!
-//! The paper's eq. (7) takes a weighted sum over all N training states at each query. Here the states are first counted into the
-//! cells of a grid over (r, alpha); a product of Gaussian kernels then is a convolution along one axis after
-//! the other (binned kernel estimators: Fan and Marron, Fast implementations of nonparametric curve estimators,
-//! J. Comp. Graph. Stat. 1994). The cost doesn't depend on N, and the result is the table that answers at run time. Against
-//! the sum over states each state moves by at most half a cell.
+//! The paper's eq. (7) takes a weighted sum over all N training states at each query. Here the states are
+//! first counted into the cells of a grid over (r, alpha); a product of Gaussian kernels then is a
+//! convolution along one axis after the other (binned kernel estimators: Fan and Marron, Fast implementations
+//! of nonparametric curve estimators, J. Comp. Graph. Stat. 1994). The cost doesn't depend on N, and the
+//! result is the table that answers at run time. Against the sum over states each state moves by at most half
+//! a cell.
 
 use rayon::prelude::*;
 
@@ -69,8 +70,9 @@ impl Counts {
         out
     }
 
-    /// Smooths over nominal range by a Gaussian kernel of `bandwidth` [m] with peak 1, so that counts add up to the
-    /// effective number of readings behind a cell. The cell of open beams is left alone, here and below.
+    /// Smooths over nominal range by a Gaussian kernel of `bandwidth` \[m\] with peak 1, so that counts add
+    /// up to the effective number of readings behind a cell. The cell of open beams is left alone, here and
+    /// below.
     #[must_use]
     pub fn smoothed_over_range(&self, bandwidth: f32) -> Self {
         let kernel = kernel(bandwidth / self.grid.range_width());
@@ -83,7 +85,7 @@ impl Counts {
         out
     }
 
-    /// Smooths over incidence by a Gaussian kernel of `bandwidth` [rad] with peak 1.
+    /// Smooths over incidence by a Gaussian kernel of `bandwidth` \[rad\] with peak 1.
     #[must_use]
     pub fn smoothed_over_incidence(&self, bandwidth: f32) -> Self {
         let kernel = kernel(bandwidth / self.grid.incidence_width());

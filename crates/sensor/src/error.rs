@@ -24,9 +24,9 @@ pub enum SensorError {
     Reading {
         /// Index the state would have had.
         index: usize,
-        /// The reading [m].
+        /// The reading \[m\].
         value: f32,
-        /// The maximum range [m].
+        /// The maximum range \[m\].
         max_range: f32,
     },
     /// There are too few readings to fit anything.
@@ -40,16 +40,19 @@ pub enum SensorError {
     /// The training and held-out sets are of different sensors.
     #[error("training data reach to {train} m, held-out data to {held_out} m")]
     MaxRangesDiffer {
-        /// Maximum range of the training set [m].
+        /// Maximum range of the training set \[m\].
         train: f32,
-        /// Maximum range of the held-out set [m].
+        /// Maximum range of the held-out set \[m\].
         held_out: f32,
     },
     /// The likelihood field was to be fitted or used without a distance map.
     #[error("likelihood_field needs a distance map")]
     NoDistanceMap,
     /// A model of this name doesn't exist.
-    #[error("unknown sensor model {0:?}; known are {known}", known = ModelKind::ALL.map(ModelKind::as_str).join(", "))]
+    #[error(
+        "unknown sensor model {0:?}; known are {known}",
+        known = ModelKind::ALL.map(ModelKind::as_str).join(", ")
+    )]
     UnknownModel(String),
     /// Parameters of a model are out of bounds.
     #[error("{what} must be {allowed}, got {value}")]

@@ -17,12 +17,12 @@ const CHUNK: usize = 16;
 /// Scores of a model on a set of readings; less is better.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evaluation {
-    /// Mean of -ln p(z) over all readings [nats]; plus infinity if the model holds one of them impossible.
+    /// Mean of -ln p(z) over all readings \[nats\]; plus infinity if the model holds one of them impossible.
     pub log_loss_nats: f64,
-    /// Mean over states of the Wasserstein-1 distance [m] between predicted and observed distribution, the
-    /// integral of the difference of their distribution functions: the paper's histogram match times the width of a bin. With
-    /// one reading at a state it is the model's mean distance from that reading. Taken over at most
-    /// 1000 states, evenly chosen.
+    /// Mean over states of the Wasserstein-1 distance \[m\] between predicted and observed distribution, the
+    /// integral of the difference of their distribution functions: the paper's histogram match times the
+    /// width of a bin. With one reading at a state it is the model's mean distance from that reading. Taken
+    /// over at most 1000 states, evenly chosen.
     pub histogram_match_m: f64,
 }
 
@@ -89,7 +89,7 @@ impl Scorer {
         -self.out.iter().map(|&l| f64::from(l)).sum::<f64>()
     }
 
-    /// Wasserstein-1 distance [m] at state `i`, by the midpoint rule.
+    /// Wasserstein-1 distance \[m\] at state `i`, by the midpoint rule.
     fn distance(&mut self, model: &dyn SensorModel, data: &TrainingSet, i: usize) -> f64 {
         let step = data.max_range() / POINTS as f32;
         self.z.clear();

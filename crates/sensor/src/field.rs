@@ -14,6 +14,9 @@ use crate::{ModelKind, SensorError, TrainingSet};
 /// Steps of the quadrature along a beam.
 const STEPS: usize = 2048;
 
+/// Most rounds of expectation maximization.
+const ROUNDS: usize = 300;
+
 /// Parameters of the likelihood field (Probabilistic Robotics, table 6.3): what a file keeps.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct FieldParameters {
@@ -22,7 +25,7 @@ pub(crate) struct FieldParameters {
     z_rand: f32,
     /// Share of readings at the maximum range.
     z_max: f32,
-    /// Standard deviation of the distance from a reading's end to the nearest surface [m].
+    /// Standard deviation of the distance from a reading's end to the nearest surface \[m\].
     sigma_m: f32,
 }
 
@@ -51,7 +54,7 @@ impl FieldParameters {
         let n = distances.len() as f64;
         let uniform = 1.0 / f64::from(train.max_range());
         let (mut z_hit, mut sigma) = (0.8, 0.1);
-        for _ in 0..300 {
+        for _ in 0..ROUNDS {
             let (mut hits, mut squares) = (0.0, 0.0);
             for d in &distances {
                 let hit = z_hit * normal::pdf(d / sigma) / sigma;
@@ -61,7 +64,10 @@ impl FieldParameters {
             }
             // never quite certain, so that no share above is 0 / 0
             z_hit = (hits / n).clamp(1e-6, 1.0 - 1e-6);
-            sigma = (squares / hits.max(1e-9)).sqrt().max(1e-3);
+            let before = std::mem::replace(&mut sigma, (squares / hits.max(1e-9)).sqrt().max(1e-3));
+            if (sigma - before).abs() < 1e-9 {
+                break;
+            }
         }
         // the constant of the maximum range is never 0: one more such reading than was seen
         let z_max = (at_max as f64 + 1.0) / (at_max as f64 + n + 2.0);
@@ -82,10 +88,11 @@ impl FieldParameters {
 
 /// The likelihood field over a map.
 ///
-/// `log_density` is the table's own score: (1 - `z_max`) (`z_hit` N(d; 0, sigma) + `z_rand` / max) at a reading's end with
-/// distance d to the nearest surface, and the constant `z_max` for any reading at the maximum range. It is **not**
-/// a normalized density of z: along a wall it is high for every z, so its log loss isn't comparable with that of
-/// the other models. `cdf` and `sample` use the same score normalized along the beam by quadrature.
+/// `log_density` is the table's own score: (1 - `z_max`) (`z_hit` N(d; 0, sigma) + `z_rand` / max) at a
+/// reading's end with distance d to the nearest surface, and the constant `z_max` for any reading at the
+/// maximum range. It is **not** a normalized density of z: along a wall it is high for every z, so its log
+/// loss isn't comparable with that of the other models. `cdf` and `sample` use the same score normalized
+/// along the beam by quadrature.
 pub(crate) struct LikelihoodField {
     pub parameters: FieldParameters,
     pub map: Arc<dyn DistanceMap>,

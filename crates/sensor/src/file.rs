@@ -29,12 +29,13 @@ impl FittedModel {
         fs::write(&unfinished, bytes).and_then(|()| fs::rename(&unfinished, path)).map_err(io)
     }
 
-    /// Reads a model from a file that [`FittedModel::save`] wrote. The loaded model's densities equal the saved
-    /// one's bit for bit.
+    /// Reads a model from a file that [`FittedModel::save`] wrote. The loaded model's densities equal the
+    /// saved one's bit for bit.
     ///
     /// # Errors
     /// [`SensorError::Io`] if it can't be read, [`SensorError::Foreign`] if it is something else,
-    /// [`SensorError::Version`] if its format is another one, [`SensorError::Damaged`] if it is cut short or altered.
+    /// [`SensorError::Version`] if its format is another one, [`SensorError::Damaged`] if it is cut short or
+    /// altered.
     pub fn load(path: &Path) -> Result<Self, SensorError> {
         let bytes = fs::read(path).map_err(|source| SensorError::Io { path: path.to_owned(), source })?;
         let damaged = |what: String| SensorError::Damaged { path: path.to_owned(), what };

@@ -39,12 +39,13 @@ enum Form {
 
 /// Fits a model of `kind` to `train`; `held_out` decides between bandwidths, where the model has any.
 ///
-/// Both sets should come from [`TrainingSet::split`]. The result is a function of the arguments alone, whatever the number of
-/// threads.
+/// Both sets should come from [`TrainingSet::split`]. The result is a function of the arguments alone,
+/// whatever the number of threads.
 ///
 /// # Errors
 /// [`SensorError::TooFewData`] where there is nothing to fit or to choose by,
-/// [`SensorError::MaxRangesDiffer`], and [`SensorError::NoDistanceMap`] for a likelihood field without its map.
+/// [`SensorError::MaxRangesDiffer`], and [`SensorError::NoDistanceMap`] for a likelihood field without its
+/// map.
 pub fn fit(
     kind: ModelKind,
     train: &TrainingSet,
@@ -96,13 +97,13 @@ impl FittedModel {
         self.kind
     }
 
-    /// Maximum range [m] of the sensor it was fitted to. It makes no sense for another.
+    /// Maximum range \[m\] of the sensor it was fitted to. It makes no sense for another.
     pub fn max_range(&self) -> f32 {
         self.max_range
     }
 
-    /// What fitting chose, by name: weights, deviations and rates of a mixture, bandwidths of a regression and
-    /// the held-out scores they were chosen by. Names end in their unit.
+    /// What fitting chose, by name: weights, deviations and rates of a mixture, bandwidths of a regression
+    /// and the held-out scores they were chosen by. Names end in their unit.
     pub fn chosen(&self) -> &BTreeMap<String, f64> {
         &self.chosen
     }

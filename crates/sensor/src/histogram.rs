@@ -10,11 +10,12 @@ use crate::axis::Axis;
 use crate::beam::{Beam, cdfs, log_densities, samples};
 use crate::state_grid::StateGrid;
 
-/// The prepared form of `np_reg` and `np_reg_registered`: for each cell of (r, alpha) a histogram of the observation,
-/// which is z itself or the offset z - r from the beam's exact nominal range, and a point mass at the maximum range.
+/// The prepared form of `np_reg` and `np_reg_registered`: for each cell of (r, alpha) a histogram of the
+/// observation, which is z itself or the offset z - r from the beam's exact nominal range, and a point mass
+/// at the maximum range.
 ///
-/// Within a bin the density is constant, so density, distribution function and samples agree exactly. An offset that
-/// would give a reading outside of \[0, maximum) counts as no return, at the maximum range.
+/// Within a bin the density is constant, so density, distribution function and samples agree exactly. An
+/// offset that would give a reading outside of \[0, maximum) counts as no return, at the maximum range.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(try_from = "Parts", into = "Parts")]
 pub(crate) struct HistogramTable {
@@ -79,7 +80,7 @@ impl TryFrom<Parts> for HistogramTable {
 }
 
 impl HistogramTable {
-    /// The observation that a reading is, on this beam [m].
+    /// The observation that a reading is, on this beam \[m\].
     #[inline]
     fn observation(&self, z: f32, beam: &Beam) -> f32 {
         if self.parts.kind == ModelKind::NpRegRegistered { z - beam.range } else { z }

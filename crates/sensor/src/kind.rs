@@ -9,7 +9,8 @@ use crate::SensorError;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ModelKind {
-    /// Gaussian at the nominal range and exponential, the paper's baseline: Probabilistic Robotics, eqs. 6.4 to 6.8.
+    /// Gaussian at the nominal range and exponential, the paper's baseline: Probabilistic Robotics, eqs. 6.4
+    /// to 6.9.
     Classic,
     /// Hit, short, max and random: Probabilistic Robotics, tables 6.1 and 6.2.
     BeamMixture,

@@ -16,40 +16,44 @@ const SHORT: usize = 1;
 const MAX: usize = 2;
 const RANDOM: usize = 3;
 
-/// Lowest nominal range [m] for the exponential, so that it has somewhere to be on a ray that starts in a wall.
+/// Lowest nominal range \[m\] for the exponential, so that it has somewhere to be on a ray that starts in a
+/// wall.
 const SHORTEST: f32 = 1e-3;
 
-/// Expectation maximization stops when the mean log likelihood gains less than this [nats], or after so many rounds.
+/// Expectation maximization stops when the mean log likelihood gains less than this \[nats\], or after so
+/// many rounds.
 const TOLERANCE: f64 = 1e-7;
 const ROUNDS: usize = 500;
 
 /// A mixture of up to four ways in which a reading comes about (Probabilistic Robotics, eqs. 6.4 to 6.12).
 ///
-/// - *hit*: Gaussian around the nominal range r, cut at 0; what lies beyond the maximum range is reported as the
-///   maximum range. Where the map has nothing within reach (r = maximum), the point mass at the maximum range.
-/// - *short*: an exponential of rate lambda (at least 0.001 per metre, which is as good as even) cut to \[0, r),
-///   from unmapped objects.
+/// - *hit*: Gaussian around the nominal range r, cut at 0; what lies beyond the maximum range is reported as
+///   the maximum range. Where the map has nothing within reach (r = maximum), the point mass at the maximum
+///   range.
+/// - *short*: an exponential of rate lambda (at least 0.001 per metre, which is as good as even) cut to \[0,
+///   r), from unmapped objects.
 /// - *max*: the point mass at the maximum range.
 /// - *random*: uniform over \[0, maximum).
 ///
-/// `classic` has only *hit* and *short*, as the paper's baseline: a reading at the maximum range where the map has a
-/// surface is then (nearly) impossible, and such training readings take no part in the fit. Only a floor on the density
-/// ([`crate::Tempered`]) makes that model usable with a sensor that fails to see surfaces.
+/// `classic` has only *hit* and *short*, as the paper's baseline: a reading at the maximum range where the
+/// map has a surface is then (nearly) impossible, and such training readings take no part in the fit. Only a
+/// floor on the density ([`crate::Tempered`]) makes that model usable with a sensor that fails to see
+/// surfaces.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct BeamMixture {
     kind: ModelKind,
     /// Weights of hit, short, max and random; they sum to 1.
     weights: [f32; 4],
-    /// Standard deviation of *hit* [m].
+    /// Standard deviation of *hit* \[m\].
     sigma_m: f32,
-    /// Rate lambda of *short* [1/m].
+    /// Rate lambda of *short* \[1/m\].
     lambda_per_m: f32,
 }
 
 impl BeamMixture {
     /// Fits the components of `kind` (`classic` or `beam_mixture`) by expectation maximization (Probabilistic
-    /// Robotics, table 6.2), but with the maximum-likelihood rate of the *cut* exponential, found by one Newton step
-    /// per round, where the table has the rate of an uncut one.
+    /// Robotics, table 6.2), but with the maximum-likelihood rate of the *cut* exponential, found by one
+    /// Newton step per round, where the table has the rate of an uncut one.
     pub fn fit(kind: ModelKind, train: &TrainingSet) -> Result<Self, SensorError> {
         let readings: Vec<(f32, Beam)> = train
             .readings()
@@ -209,8 +213,8 @@ fn first_guess(readings: &[(f32, Beam)]) -> (f32, f32) {
     ((1.48 * *median).clamp(1e-3, 1.0), (1.0 / mean.max(1e-2)) as f32)
 }
 
-/// First and second derivative by lambda of the log density of an exponential cut to \[0, r), ln(lambda) - lambda z -
-/// ln(1 - exp(-lambda r)); it is concave in lambda.
+/// First and second derivative by lambda of the log density of an exponential cut to \[0, r), ln(lambda) -
+/// lambda z - ln(1 - exp(-lambda r)); it is concave in lambda.
 fn cut_exponential_slopes(lambda: f64, z: f64, r: f64) -> (f64, f64) {
     let x = lambda * r;
     if x < 1e-2 {

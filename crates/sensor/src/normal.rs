@@ -41,7 +41,7 @@ pub(crate) fn quick_cdf(t: f32) -> f32 {
     }
 }
 
-/// A normal distribution of readings around `mean` [m]: conditioned on being at least 0, and everything at
+/// A normal distribution of readings around `mean` \[m\]: conditioned on being at least 0, and everything at
 /// or beyond the maximum range reported as the maximum range.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RangeNormal {
@@ -55,7 +55,7 @@ impl RangeNormal {
         quick_cdf(self.mean / self.sigma).max(f32::MIN_POSITIVE)
     }
 
-    /// Density at `z` below the maximum range [1/m].
+    /// Density at `z` below the maximum range \[1/m\].
     pub fn density(self, z: f32) -> f32 {
         let t = (z - self.mean) / self.sigma;
         INV_SQRT_TAU * (-0.5 * t * t).exp() / (self.sigma * self.kept())

@@ -11,23 +11,24 @@ use crate::histogram::{HistogramTable, Parts};
 use crate::state_grid::StateGrid;
 use crate::{ModelKind, SensorError, TrainingSet};
 
-/// Candidates for the bandwidth of `np_reg` over nominal range, as shares of the maximum range: 1 cm to 45 cm of 4.5 m.
+/// Candidates for the bandwidth of `np_reg` over nominal range, as shares of the maximum range: 1 cm to 45 cm
+/// of 4.5 m.
 const RANGE_SHARES: [f32; 6] = [0.002, 0.005, 0.01, 0.02, 0.05, 0.1];
 /// The same of `np_reg_registered`: 4.5 cm to 3.6 m.
 const REGISTERED_RANGE_SHARES: [f32; 7] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8];
-/// Candidates for the bandwidth over incidence [rad].
+/// Candidates for the bandwidth over incidence \[rad\].
 const INCIDENCES: [f32; 5] = [0.03, 0.06, 0.12, 0.25, 0.5];
 /// Candidates for the bandwidth over the observation in bins, and for the weight of the pooled histogram in
 /// readings; the first of each is used while the bandwidths over the state are chosen.
 const OBSERVATIONS: [f32; 4] = [1.0, 0.5, 2.0, 3.0];
-const PSEUDO_COUNTS: [f32; 3] = [3.0, 1.0, 10.0];
+const PSEUDO_COUNTS: [f32; 4] = [3.0, 1.0, 10.0, 30.0];
 
-/// Weight of the pooled histogram for `np_reg`, which knows of no such thing: enough to say something where no state
-/// is near.
+/// Weight of the pooled histogram for `np_reg`, which knows of no such thing: enough to say something where
+/// no state is near.
 const FALLBACK: f32 = 1e-3;
 
-/// Share of the wide distribution (half uniform, half at the maximum range) in the pooled histogram: no reading is
-/// impossible.
+/// Share of the wide distribution (half uniform, half at the maximum range) in the pooled histogram: no
+/// reading is impossible.
 const WIDE: f32 = 1e-3;
 
 /// Candidates whose risk is within this share of the least count as equally good by risk.
@@ -44,17 +45,18 @@ struct Smoothing {
 
 /// Fits `np_reg` or `np_reg_registered`.
 ///
-/// `np_reg` is the paper's procedure 2 with histograms (eqs. 6 and 7): histograms of z in bins of 1 cm (1/1000 of the
-/// maximum range where that is more), smoothed over (r, alpha) by a product of Gaussian kernels. Each reading has the same
-/// weight; with M readings at every state that is eq. (7). Bandwidths: least risk (mean histogram match, the paper's
-/// criterion) on the held-out states; of those within 1 % of the least, the one with the least log loss.
+/// `np_reg` is the paper's procedure 2 with histograms (eqs. 6 and 7): histograms of z in bins of 1 cm
+/// (1/1000 of the maximum range where that is more), smoothed over (r, alpha) by a product of Gaussian
+/// kernels. Each reading has the same weight; with M readings at every state that is eq. (7). Bandwidths:
+/// least risk (mean histogram match, the paper's criterion) on the held-out states; of those within 1 % of
+/// the least, the one with the least log loss.
 ///
-/// `np_reg_registered` smooths histograms of z - r. The sensor's own noise then stays at 0 whatever the bandwidth
-/// over r, so that it isn't blurred. Its bins are fine around 0 and coarse far away, smoothed by a Gaussian
-/// that is constant in bins, hence wide where bins are; a cell with few readings around it leans on the histogram of all.
-/// All constants by the least held-out log loss, a strictly proper score and what a filter adds up; the risk, which
-/// forgives a blurred peak, isn't asked. First the bandwidths over the state, then over the observation, then the weight of
-/// the pooled histogram.
+/// `np_reg_registered` smooths histograms of z - r. The sensor's own noise then stays at 0 whatever the
+/// bandwidth over r, so that it isn't blurred. Its bins are fine around 0 and coarse far away, smoothed by a
+/// Gaussian that is constant in bins, hence wide where bins are; a cell with few readings around it leans on
+/// the histogram of all. All constants by the least held-out log loss, a strictly proper score and what a
+/// filter adds up; the risk, which forgives a blurred peak, isn't asked. First the bandwidths over the state,
+/// then over the observation, then the weight of the pooled histogram.
 pub(crate) fn fit(
     kind: ModelKind,
     train: &TrainingSet,
@@ -100,7 +102,7 @@ pub(crate) fn fit(
 struct Tried {
     smoothing: Smoothing,
     log_loss_nats: f64,
-    /// Mean histogram match [m]; only `np_reg` asks for it, 0 otherwise.
+    /// Mean histogram match \[m\]; only `np_reg` asks for it, 0 otherwise.
     risk_m: f64,
 }
 
@@ -195,9 +197,9 @@ impl<'a> Search<'a> {
         HistogramTable::try_from(parts).expect("normalized counts are probabilities")
     }
 
-    /// The bin masses of one cell: its counts, `share` readings of the pooled histogram and `wide` of the wide
-    /// distribution, without what would be a reading below 0 at every nominal range up to `longest`, normalized.
-    /// What lies beyond the maximum range stays: the table reports it as the maximum range.
+    /// The bin masses of one cell: its counts, `share` readings of the pooled histogram and `wide` of the
+    /// wide distribution, without what would be a reading below 0 at every nominal range up to `longest`,
+    /// normalized. What lies beyond the maximum range stays: the table reports it as the maximum range.
     fn fill_cell(
         &self,
         counts: &[f32],
@@ -223,9 +225,9 @@ impl<'a> Search<'a> {
     }
 }
 
-/// A scale of the sensor's own noise [m] from readings of mapped surfaces: the 40th percentile of their distance to the
-/// nominal range, which is half a standard deviation of Gaussian noise, or more where objects block
-/// some beams. Kept between 2.5 mm and 10 cm.
+/// A scale of the sensor's own noise \[m\] from readings of mapped surfaces: the 40th percentile of their
+/// distance to the nominal range, which is half a standard deviation of Gaussian noise, or more where objects
+/// block some beams. Kept between 2.5 mm and 10 cm.
 fn noise_scale(train: &TrainingSet) -> f32 {
     let mut off: Vec<f32> = train
         .readings()
@@ -242,8 +244,8 @@ mod tests {
     use super::*;
     use crate::tests::simulated::training_set;
 
-    /// A beam is answered by the cell it falls into. Four times as many cells change the log loss by less than 0.003 nats, so
-    /// interpolating between cells couldn't gain more.
+    /// A beam is answered by the cell it falls into. Four times as many cells change the log loss by less
+    /// than 0.003 nats, so interpolating between cells couldn't gain more.
     #[test]
     fn cells_are_small_enough() {
         let (train, held_out) = training_set(1000, 40, 3).split(0.3, 1).unwrap();

@@ -12,21 +12,21 @@ use crate::normal::{self, RangeNormal};
 /// Noise beyond this many standard deviations (mass 6e-7) is taken as none.
 const REACH: f32 = 5.0;
 
-/// The best that any model of independent beams can be in a simulated world: it knows the true noise and, from
-/// [`Obstructions`], how far a ray gets before an unmapped object stops it.
+/// The best that any model of independent beams can be in a simulated world: it knows the true noise and,
+/// from [`Obstructions`], how far a ray gets before an unmapped object stops it.
 ///
-/// With S the survival function of a ray and r its nominal range, the object in front stands at r with probability
-/// S(r), otherwise at x < r with density -S'(x), constant within a bin; the reading is that distance plus
-/// Gaussian noise of deviation `sigma_m + sigma_per_m * x`, conditioned on being at least 0, and the maximum range
-/// if it isn't below it. The noise's deviation is taken as constant within a bin. A ray that meets neither map nor
-/// object reads the maximum range.
+/// With S the survival function of a ray and r its nominal range, the object in front stands at r with
+/// probability S(r), otherwise at x < r with density -S'(x), constant within a bin; the reading is that
+/// distance plus Gaussian noise of deviation `sigma_m + sigma_per_m * x`, conditioned on being at least 0,
+/// and the maximum range if it isn't below it. The noise's deviation is taken as constant within a bin. A ray
+/// that meets neither map nor object reads the maximum range.
 pub struct Oracle {
     obstructions: Arc<dyn Obstructions>,
     sigma_m: f32,
     sigma_per_m: f32,
 }
 
-/// Where an unmapped object may stand on a ray: evenly within `[near, far]` [m].
+/// Where an unmapped object may stand on a ray: evenly within `[near, far]` \[m\].
 struct Stretch {
     near: f32,
     far: f32,
@@ -35,10 +35,11 @@ struct Stretch {
 }
 
 impl Oracle {
-    /// The name of this model in scenarios and tables. It is no [`crate::ModelKind`]: there is nothing to fit or save.
+    /// The name of this model in scenarios and tables. It is no [`crate::ModelKind`]: there is nothing to fit
+    /// or save.
     pub const NAME: &'static str = "oracle";
 
-    /// `sigma_m` [m] and `sigma_per_m` [m per m of range] describe the true noise.
+    /// `sigma_m` \[m\] and `sigma_per_m` \[m per m of range\] describe the true noise.
     ///
     /// # Errors
     /// [`SensorError::Parameter`] unless `sigma_m` is positive and `sigma_per_m` at least 0, both finite.
@@ -97,7 +98,7 @@ impl Oracle {
         (self.uncut_cdf(stretch, z) - below) / (1.0 - below)
     }
 
-    /// Density [1/m] of a reading of an object that stands evenly within a stretch.
+    /// Density \[1/m\] of a reading of an object that stands evenly within a stretch.
     fn stretch_density(&self, stretch: &Stretch, z: f32) -> f32 {
         let &Stretch { near, far, .. } = stretch;
         let sigma = self.noise(0.5 * (near + far)).sigma;

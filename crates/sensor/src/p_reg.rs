@@ -14,18 +14,20 @@ use crate::normal::RangeNormal;
 use crate::state_grid::StateGrid;
 use crate::{ModelKind, SensorError, TrainingSet};
 
-/// A group of states has at least this many readings, so that a standard deviation can be told.
+/// A group of states has at least this many readings, so that a standard deviation can be told, and there are
+/// at most so many groups, so that a regression over them stays quick.
 const GROUP: usize = 20;
+const MOST_GROUPS: usize = 2000;
 
-/// Candidates for the bandwidths: over nominal range as shares of the maximum range, over incidence [rad].
+/// Candidates for the bandwidths: over nominal range as shares of the maximum range, over incidence \[rad\].
 const RANGE_SHARES: [f64; 5] = [0.02, 0.05, 0.1, 0.2, 0.4];
 const INCIDENCES: [f64; 4] = [0.05, 0.1, 0.25, 0.6];
 
-/// No deviation below this [m] is believed.
+/// No deviation below this \[m\] is believed.
 const LEAST_SIGMA: f64 = 1e-3;
 
-/// The prepared form of `p_reg`: for each cell of (r, alpha) a Gaussian around an offset from the beam's exact nominal
-/// range (cut at 0, censored at the maximum range) and the probability of no return.
+/// The prepared form of `p_reg`: for each cell of (r, alpha) a Gaussian around an offset from the beam's
+/// exact nominal range (cut at 0, censored at the maximum range) and the probability of no return.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(try_from = "Parts", into = "Parts")]
 pub(crate) struct NormalTable(Parts);
@@ -38,9 +40,9 @@ struct Parts {
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct Cell {
-    /// Mean of z - r over readings below the maximum range [m].
+    /// Mean of z - r over readings below the maximum range \[m\].
     offset_m: f32,
-    /// Their standard deviation [m].
+    /// Their standard deviation \[m\].
     sigma_m: f32,
     /// Share of readings at the maximum range.
     no_return: f32,
@@ -111,12 +113,14 @@ impl SensorModel for NormalTable {
 
 /// Fits `p_reg`: the paper's procedure 1 with a Gaussian (eq. 4, with the square root that its print lacks).
 ///
-/// 1. Parameters at each state. A state needs readings enough for a deviation: while a set of states has two groups' worth of
-///    readings (40) it is halved at the median of the coordinate in which it is wider, as in a k-d tree. With many
-///    readings at a state each state is a group of its own; with one reading at a state about 20 to 40 neighbours are.
-///    In a group, mean and deviation are those of z - r, so that its extent in r doesn't count as noise.
-/// 2. Locally weighted linear regression of mean, deviation and share of no returns over (r, alpha), prepared at the
-///    cells of a grid. Bandwidths: the least held-out risk (mean histogram match), the earlier of equals.
+/// 1. Parameters at each state. A state needs readings enough for a deviation: while a set of states has two
+///    groups' worth of readings (40, or a thousandth of all readings where that is more) it is halved at the
+///    median of the coordinate in which it is wider, as in a k-d tree. With many readings at a state each
+///    state is a group of its own; with one reading at a state about 20 to 40 neighbours are. In a group,
+///    mean and deviation are those of z - r, so that its extent in r doesn't count as noise.
+/// 2. Locally weighted linear regression of mean, deviation and share of no returns over (r, alpha), prepared
+///    at the cells of a grid. Bandwidths: the least held-out risk (mean histogram match), the earlier of
+///    equals.
 ///
 /// Beams that meet nothing in the map have a Gaussian of their own.
 pub(crate) fn fit(
@@ -162,20 +166,26 @@ struct Groups {
     /// All groups: states, and share of no returns.
     states: Vec<f64>,
     no_returns: Vec<f64>,
+    /// Least number of readings in a group.
+    least_readings: usize,
     /// Half a reading of all those seen: no kind of reading is held rarer than that, least of all impossible.
     rarest: f64,
 }
 
 impl Groups {
     fn of(train: &TrainingSet, mut members: Vec<usize>) -> Self {
-        let mut groups = Self { rarest: 0.5 / (train.reading_count() as f64 + 1.0), ..Self::default() };
+        let mut groups = Self {
+            least_readings: GROUP.max(train.reading_count() / MOST_GROUPS),
+            rarest: 0.5 / (train.reading_count() as f64 + 1.0),
+            ..Self::default()
+        };
         groups.split(train, &mut members);
         groups
     }
 
     fn split(&mut self, train: &TrainingSet, members: &mut [usize]) {
         let readings: usize = members.iter().map(|&i| train.observations(i).len()).sum();
-        if members.len() < 2 || readings < 2 * GROUP {
+        if members.len() < 2 || readings < 2 * self.least_readings {
             if !members.is_empty() {
                 self.push(train, members);
             }
@@ -246,8 +256,8 @@ impl Groups {
     }
 }
 
-/// Mean and deviation of z - r over the readings below the maximum range (`None` if there are fewer than two), and the share
-/// of the others.
+/// Mean and deviation of z - r over the readings below the maximum range (`None` if there are fewer than
+/// two), and the share of the others.
 fn moments(train: &TrainingSet, members: &[usize]) -> (Option<(f64, f64)>, f64) {
     let readings = || members.iter().flat_map(|&i| train.observations(i).iter().map(move |&z| (i, z)));
     let all = readings().count() as f64;

@@ -47,7 +47,7 @@ impl StateGrid {
         i.min(self.ranges - 1) * self.incidences + j.min(self.incidences - 1)
     }
 
-    /// The longest nominal range of a cell [m].
+    /// The longest nominal range of a cell \[m\].
     pub fn longest(&self, cell: usize) -> f32 {
         if cell >= self.mapped() {
             return self.max_range;

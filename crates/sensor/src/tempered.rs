@@ -10,12 +10,12 @@ use crate::SensorError;
 
 /// Any model made fit for a filter: `exponent * ln((1 - floor) p + floor q)`.
 ///
-/// q is the same wide distribution for every model: half its mass uniform on \[0, maximum), half at the maximum range. The
-/// floor bounds what one reading that the model holds impossible can do; the exponent makes up for beams that are
-/// not independent (Probabilistic Robotics, section 6.3.4).
+/// q is the same wide distribution for every model: half its mass uniform on \[0, maximum), half at the
+/// maximum range. The floor bounds what one reading that the model holds impossible can do; the exponent
+/// makes up for beams that are not independent (Probabilistic Robotics, section 6.3.4).
 ///
-/// `cdf` and `sample` are those of the mixture (1 - floor) p + floor q: with an exponent other than 1 the
-/// log density is a score, not the log of a normalized density.
+/// `cdf` and `sample` are those of the mixture (1 - floor) p + floor q: with an exponent other than 1 the log
+/// density is a score, not the log of a normalized density.
 #[derive(Clone)]
 pub struct Tempered {
     inner: Arc<dyn SensorModel>,
@@ -90,21 +90,22 @@ impl SensorModel for Tempered {
     }
 }
 
-/// Set in the item number of the draws that decide between the inner model and q: the inner model has the others.
+/// Set in the item number of the draws that decide between the inner model and q: the inner model has the
+/// others.
 const WIDE_ITEMS: u32 = 1 << 31;
 
 /// A held-out scan with candidates for the pose it was taken from.
 #[derive(Clone, Debug)]
 pub struct CalibrationScan {
-    /// Readings \[k\] [m], not used in the model's fit.
+    /// Readings \[k\] \[m\], not used in the model's fit.
     pub z: Vec<f32>,
     /// Laser poses \[K + 1\]: the true one first, then K perturbed ones.
     pub laser: Particles,
-    /// Bearings \[k\] [rad].
+    /// Bearings \[k\] \[rad\].
     pub bearings: Vec<f32>,
-    /// Ray casts from each laser pose at each bearing [(K + 1) * k].
+    /// Ray casts from each laser pose at each bearing \[(K + 1) * k\].
     pub hits: Hits,
-    /// Maximum range [m].
+    /// Maximum range \[m\].
     pub max_range: f32,
 }
 
@@ -134,21 +135,22 @@ pub struct Tempering {
     pub floor: f64,
     /// For [`Tempered::new`].
     pub exponent: f64,
-    /// Mean log posterior probability of the true pose among its candidates [nats]; at most 0.
+    /// Mean log posterior probability of the true pose among its candidates \[nats\]; at most 0.
     pub score: f64,
 }
 
-/// Chooses floor and exponent by the mean log posterior of the true pose among its candidates on held-out scans,
-/// all candidates being equally likely beforehand: the mean of `l_0 - ln sum_k exp(l_k)`, `l_k` the tempered log
-/// likelihood of candidate k.
+/// Chooses floor and exponent by the mean log posterior of the true pose among its candidates on held-out
+/// scans, all candidates being equally likely beforehand: the mean of `l_0 - ln sum_k exp(l_k)`, `l_k` the
+/// tempered log likelihood of candidate k.
 ///
-/// This is a conditional likelihood, the logarithmic score of the posterior; that score is proper (Gneiting and
-/// Raftery, JASA 2007), so it rewards posteriors that are as sharp as they are right and no sharper. One rule for
-/// every model. Among equal scores the earlier in the grid wins.
+/// This is a conditional likelihood, the logarithmic score of the posterior; that score is proper (Gneiting
+/// and Raftery, JASA 2007), so it rewards posteriors that are as sharp as they are right and no sharper. One
+/// rule for every model. Among equal scores the earlier in the grid wins.
 ///
 /// # Errors
-/// [`SensorError::Calibration`] for no scans, an empty grid, lengths that don't match or when no candidate has a finite
-/// score (with a floor above 0 there always is one); [`SensorError::Parameter`] for a grid value out of bounds.
+/// [`SensorError::Calibration`] for no scans, an empty grid, lengths that don't match or when no candidate
+/// has a finite score (with a floor above 0 there always is one); [`SensorError::Parameter`] for a grid value
+/// out of bounds.
 pub fn choose_tempering(
     model: &dyn SensorModel,
     calibration: &[CalibrationScan],

@@ -13,11 +13,11 @@ use crate::beam::Beam;
 pub struct BeamState {
     /// `map_from_laser`.
     pub laser: Pose2,
-    /// Bearing of the beam in the laser frame [rad].
+    /// Bearing of the beam in the laser frame \[rad\].
     pub bearing: f32,
-    /// Nominal range r [m]; the maximum range where the map has nothing within reach.
+    /// Nominal range r \[m\]; the maximum range where the map has nothing within reach.
     pub range: f32,
-    /// Incidence angle alpha [rad], 0 to pi/2.
+    /// Incidence angle alpha \[rad\], 0 to pi/2.
     pub incidence: f32,
     /// Surface id, [`locsim_core::NO_SURFACE`] without one.
     pub surface: u32,
@@ -36,7 +36,7 @@ pub struct TrainingSet {
 }
 
 impl TrainingSet {
-    /// An empty set for a sensor of this maximum range [m].
+    /// An empty set for a sensor of this maximum range \[m\].
     ///
     /// # Errors
     /// [`SensorError::MaxRange`] unless it is positive and finite.
@@ -47,11 +47,12 @@ impl TrainingSet {
         Ok(Self { max_range, states: Vec::new(), ends: Vec::new(), readings: Vec::new() })
     }
 
-    /// Adds a state with its readings [m]; the maximum range means "no return". NaN readings (nothing usable)
-    /// are left out. Returns whether any reading was left: a state without one isn't kept.
+    /// Adds a state with its readings \[m\]; the maximum range means "no return". NaN readings (nothing
+    /// usable) are left out. Returns whether any reading was left: a state without one isn't kept.
     ///
     /// # Errors
-    /// [`SensorError::State`] or [`SensorError::Reading`] for values out of bounds; the set is then unchanged.
+    /// [`SensorError::State`] or [`SensorError::Reading`] for values out of bounds; the set is then
+    /// unchanged.
     pub fn push(&mut self, state: BeamState, readings: &[f32]) -> Result<bool, SensorError> {
         let index = self.len();
         let refuse = |what| Err(SensorError::State { index, what });
@@ -94,7 +95,7 @@ impl TrainingSet {
         self.readings.len()
     }
 
-    /// Maximum range [m].
+    /// Maximum range \[m\].
     pub fn max_range(&self) -> f32 {
         self.max_range
     }
@@ -104,15 +105,15 @@ impl TrainingSet {
         &self.states[i]
     }
 
-    /// Readings of state `i` [m], at least one. Panics beyond the end, as slices do.
+    /// Readings of state `i` \[m\], at least one. Panics beyond the end, as slices do.
     pub fn observations(&self, i: usize) -> &[f32] {
         let start = if i == 0 { 0 } else { self.ends[i - 1] };
         &self.readings[start..self.ends[i]]
     }
 
-    /// Parts the set by scan pose: about `held_out_share` of the scans go to the second set, and at least one goes to
-    /// each where there are two. Beams of one scan share what stands around the robot, so parting by beam would
-    /// let a model see its own test. The same seed gives the same parts.
+    /// Parts the set by scan pose: about `held_out_share` of the scans go to the second set, and at least one
+    /// goes to each where there are two. Beams of one scan share what stands around the robot, so parting by
+    /// beam would let a model see its own test. The same seed gives the same parts.
     ///
     /// # Errors
     /// [`SensorError::Parameter`] unless the share is above 0 and below 1.
@@ -152,7 +153,7 @@ impl TrainingSet {
         self.states[i].laser
     }
 
-    /// Direction of the beam of state `i` in the map frame [rad].
+    /// Direction of the beam of state `i` in the map frame \[rad\].
     pub(crate) fn heading(&self, i: usize) -> f64 {
         self.states[i].laser.theta + f64::from(self.states[i].bearing)
     }

@@ -50,8 +50,8 @@ fn steps() -> (Vec<f32>, f64) {
     ((0..18_000).map(|i| (i as f32 + 0.5) * step).collect(), f64::from(step))
 }
 
-/// The density integrates to 1 with the point mass, and its running integral is the distribution function. The
-/// midpoint rule errs by at most half a step times the jump at each edge of a histogram, well below 2e-3.
+/// The density integrates to 1 with the point mass, and its running integral is the distribution function.
+/// The midpoint rule errs by at most half a step times the jump at each edge of a histogram, well below 2e-3.
 #[test]
 fn every_density_integrates_to_one_and_to_its_distribution_function() {
     let (z, step) = steps();
@@ -92,8 +92,8 @@ fn the_likelihood_field_does_not_integrate_to_one() {
     assert!((ends[0] + at_max - 1.0).abs() < 1e-4 && ends[1] == 1.0);
 }
 
-/// Kolmogorov-Smirnov distance of readings from a model's distribution, by the randomized probability transform
-/// F(z-) + V (F(z) - F(z-)), which is uniform also where there is a point mass.
+/// Kolmogorov-Smirnov distance of readings from a model's distribution, by the randomized probability
+/// transform F(z-) + V (F(z) - F(z-)), which is uniform also where there is a point mass.
 fn distance_from(model: &dyn SensorModel, beam: (f32, f32), z: &[f32]) -> f64 {
     let before: Vec<f32> =
         z.iter().map(|&z| if z >= MAX_RANGE { MAX_RANGE.next_down() } else { z }).collect();
@@ -135,8 +135,9 @@ fn samples_follow_the_distribution_function() {
     }
 }
 
-/// The oracle's distribution function against the story it tells, told by other code: an object with even density between
-/// 0.5 m and 2.5 m in 30 % of the cases, hidden where it stands behind the surface, seen with noise.
+/// The oracle's distribution function against the story it tells, told by other code: an object with even
+/// density between 0.5 m and 2.5 m in 30 % of the cases, hidden where it stands behind the surface, seen with
+/// noise.
 #[test]
 fn the_oracle_is_what_a_simulation_does() {
     let n = 20_000;
@@ -163,7 +164,8 @@ fn the_oracle_is_what_a_simulation_does() {
     }
 }
 
-/// Negative control: samples of a beam whose nominal range is 1 cm longer, one standard deviation of the noise.
+/// Negative control: samples of a beam whose nominal range is 1 cm longer, one standard deviation of the
+/// noise.
 #[test]
 fn samples_of_another_beam_are_told_apart() {
     let n = 4000;

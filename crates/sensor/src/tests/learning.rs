@@ -13,8 +13,9 @@ fn chosen(kind: ModelKind, train: &TrainingSet) -> BTreeMap<String, f64> {
     fit(kind, train, train, &options).unwrap().chosen().clone()
 }
 
-/// Expectation maximization on 20,000 draws finds the parameters they were drawn with. Bounds are about five standard errors: of a
-/// weight 0.0035, of sigma 0.6 %, of lambda (3,000 short readings, spread over less than their own scale) 6 %.
+/// Expectation maximization on 20,000 draws finds the parameters they were drawn with. Bounds are about five
+/// standard errors: of a weight 0.0035, of sigma 0.6 %, of lambda (3,000 short readings, spread over less
+/// than their own scale) 6 %.
 #[test]
 fn expectation_maximization_recovers_known_parameters() {
     let (sigma, lambda) = (0.03f64, 1.2f64);
@@ -53,8 +54,8 @@ fn expectation_maximization_recovers_known_parameters() {
     }
 }
 
-/// Readings straight at a wall end at noise of known deviation from it. The uniform rest lies near the wall too with
-/// density 1/max on either side, twice what the model gives it: `z_hit` absorbs a little of it.
+/// Readings straight at a wall end at noise of known deviation from it. The uniform rest lies near the wall
+/// too with density 1/max on either side, twice what the model gives it: `z_hit` absorbs a little of it.
 #[test]
 fn the_likelihood_field_recovers_the_noise() {
     let mut set = TrainingSet::new(MAX_RANGE).unwrap();
@@ -76,9 +77,9 @@ fn the_likelihood_field_recovers_the_noise() {
     assert!(found["z_max"] < 1e-3);
 }
 
-/// On fresh data the registered regression comes within 0.03 nats of the density that made them, the best that any model
-/// can do; the beam mixture comes next. Classic is scored with a floor of 1 %:
-/// without it, its loss is infinite, for it holds an unseen wall impossible.
+/// On fresh data the registered regression comes within 0.03 nats of the density that made them, the best
+/// that any model can do; the beam mixture comes next. Classic is scored with a floor of 1 %: without it, its
+/// loss is infinite, for it holds an unseen wall impossible.
 #[test]
 fn the_registered_regression_is_nearest_to_the_truth() {
     let fresh = training_set(500, 70, 99);
@@ -101,7 +102,7 @@ fn the_registered_regression_is_nearest_to_the_truth() {
     assert!(risk(ModelKind::NpReg) < risk(ModelKind::BeamMixture));
 }
 
-/// The same with one reading at each state, and half the readings of the test above in all.
+/// The same with one reading at each state, and less than a third of the readings in all.
 #[test]
 fn one_reading_at_a_state_is_enough() {
     let (train, held_out) = training_set(20_000, 1, 2).split(0.3, 1).unwrap();
@@ -114,8 +115,8 @@ fn one_reading_at_a_state_is_enough() {
     }
 }
 
-/// Negative control: where the nominal ranges belong to other readings there is nothing to learn from them, and the
-/// model doesn't get anywhere near the truth.
+/// Negative control: where the nominal ranges belong to other readings there is nothing to learn from them,
+/// and the model doesn't get anywhere near the truth.
 #[test]
 fn shuffled_states_teach_nothing() {
     let data = training_set(300, 20, 4);

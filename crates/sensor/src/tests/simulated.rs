@@ -19,8 +19,8 @@ const DEPTH: [f64; 2] = [0.1, 0.6];
 /// Of the beams that meet nothing in the map, this share meets a block anywhere.
 const OPEN_BLOCKED: f64 = 0.2;
 
-/// A reading of a wall at range `r` under incidence `alpha`: unseen with probability 0.02, blocked with probability
-/// 0.2 at r - U(0.1, 0.6) / cos(alpha) if that lies before the sensor, with noise of 1 cm.
+/// A reading of a wall at range `r` under incidence `alpha`: unseen with probability 0.02, blocked with
+/// probability 0.2 at r - U(0.1, 0.6) / cos(alpha) if that lies before the sensor, with noise of 1 cm.
 fn reading(r: f64, alpha: f64, rng: &mut impl Rng) -> f32 {
     let max = f64::from(MAX_RANGE);
     if r >= max {
