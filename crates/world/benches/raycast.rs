@@ -7,7 +7,7 @@ use locsim_core::{Draw, Hits, Particles, Pose2, RangeMap, Stage};
 use locsim_world::raycast::{ExactRangeMap, SurfaceTable};
 use rand::RngExt;
 
-#[path = "../tests/common/mod.rs"]
+#[path = "../tests/maps_and_rays/common.rs"]
 mod common;
 
 const POSES: u32 = 10_000;

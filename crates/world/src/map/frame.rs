@@ -1,3 +1,5 @@
+use glam::DVec2;
+
 use super::MapError;
 
 /// More cells than this cannot be meant.
@@ -41,5 +43,45 @@ impl CellFrame {
     pub(crate) fn half_cell(&self, column2: usize, row2: usize) -> [f64; 2] {
         let half = 0.5 * self.cell_m;
         [self.x0 + half * column2 as f64, self.y0 + half * row2 as f64]
+    }
+
+    /// Column and row of the cell that holds a point of the box [m].
+    pub(crate) fn cell_of(&self, point: DVec2) -> [usize; 2] {
+        let cell = |value: f64, origin: f64| ((value - origin) / self.cell_m) as usize;
+        [cell(point.x, self.x0), cell(point.y, self.y0)]
+    }
+
+    /// The cells that a line passes before the cell it ends in, in order (Amanatides and Woo, Eurographics 1987).
+    /// Both points [m] are in the box.
+    pub(crate) fn cells_between(&self, start: DVec2, end: DVec2) -> impl Iterator<Item = [usize; 2]> {
+        let [mut column, mut row] = self.cell_of(start);
+        let [last_column, last_row] = self.cell_of(end);
+        let direction = end - start;
+        // Share of the line up to the next border of a column or row, and from border to border.
+        let next = |cell: usize, forward: bool, origin: f64, from: f64, step: f64| {
+            (origin + self.cell_m * (cell + usize::from(forward)) as f64 - from) / step
+        };
+        let mut next_column = next(column, direction.x > 0.0, self.x0, start.x, direction.x);
+        let mut next_row = next(row, direction.y > 0.0, self.y0, start.y, direction.y);
+        let per_cell = self.cell_m / direction.abs();
+        // Counting steps per axis ends in the last cell whatever the rounding.
+        let mut columns_left = column.abs_diff(last_column);
+        let mut rows_left = row.abs_diff(last_row);
+        std::iter::from_fn(move || {
+            if columns_left == 0 && rows_left == 0 {
+                return None;
+            }
+            let cell = [column, row];
+            if rows_left == 0 || (columns_left > 0 && next_column <= next_row) {
+                columns_left -= 1;
+                next_column += per_cell.x;
+                column = if last_column > column { column + 1 } else { column - 1 };
+            } else {
+                rows_left -= 1;
+                next_row += per_cell.y;
+                row = if last_row > row { row + 1 } else { row - 1 };
+            }
+            Some(cell)
+        })
     }
 }

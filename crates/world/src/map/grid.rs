@@ -1,9 +1,11 @@
+use std::path::Path;
+
 use glam::DVec2;
 use locsim_core::Pose2;
 
 use super::geometry::{FreeSpace, bounds_of};
 use super::outline::cell_boundaries;
-use super::{Geometry, MapError};
+use super::{Geometry, ImageMode, MapError, OccupancyMapFile};
 
 /// What is known of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,6 +103,40 @@ impl OccupancyGrid {
     /// The cell that holds a point of the map frame [m]; `None` outside the grid.
     pub fn cell_at(&self, x: f64, y: f64) -> Option<Cell> {
         self.index_at(x, y).map(|i| self.cells[i])
+    }
+
+    /// Writes the cells as an image (pgm or png, by the path's extension) in the shades of `map_saver`: free 254,
+    /// occupied 0, unknown 205. Occupancies between are not kept.
+    ///
+    /// # Errors
+    /// [`MapError::Image`].
+    pub fn write_image(&self, path: &Path) -> Result<(), MapError> {
+        let shades = self.cells.chunks(self.width).rev().flatten().map(|cell| match cell {
+            Cell::Free => 254,
+            Cell::Occupied => 0,
+            Cell::Unknown => 205,
+        });
+        image::save_buffer(
+            path,
+            &shades.collect::<Vec<u8>>(),
+            self.width as u32,
+            self.height as u32,
+            image::ExtendedColorType::L8,
+        )
+        .map_err(|source| MapError::Image { path: path.to_owned(), source })
+    }
+
+    /// The description that goes with [`OccupancyGrid::write_image`]; `image` is relative to the yaml file.
+    pub fn map_file(&self, image: &Path) -> OccupancyMapFile {
+        OccupancyMapFile {
+            image: image.to_owned(),
+            mode: ImageMode::Trinary,
+            resolution: self.resolution_m,
+            origin: [self.origin.x, self.origin.y, self.origin.theta],
+            negate: false,
+            occupied_thresh: 0.65,
+            free_thresh: 0.196,
+        }
     }
 
     /// The boundaries between occupied cells and others as wall segments; beyond the grid counts as not occupied.

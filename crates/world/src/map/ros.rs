@@ -58,6 +58,25 @@ impl OccupancyMapFile {
         self.read_pixels(&image)
     }
 
+    /// The text of the yaml file.
+    pub fn to_yaml(&self) -> String {
+        let mode = match self.mode {
+            ImageMode::Trinary => "trinary",
+            ImageMode::Scale => "scale",
+            ImageMode::Raw => "raw",
+        };
+        // Rust quotes printable text as YAML does.
+        format!(
+            "image: {:?}\nmode: {mode}\nresolution: {}\norigin: {:?}\nnegate: {}\noccupied_thresh: {}\nfree_thresh: {}\n",
+            self.image.to_string_lossy(),
+            self.resolution,
+            self.origin,
+            u8::from(self.negate),
+            self.occupied_thresh,
+            self.free_thresh,
+        )
+    }
+
     fn read_pixels(&self, image: &DynamicImage) -> Result<OccupancyGrid, MapError> {
         let thresholds = [self.free_thresh, self.occupied_thresh];
         if !(thresholds.iter().all(|t| (0.0..=1.0).contains(t)) && thresholds[0] < thresholds[1]) {

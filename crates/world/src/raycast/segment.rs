@@ -18,13 +18,13 @@ pub(super) fn range_to(&[a, b]: &[DVec2; 2], origin: DVec2, direction: DVec2) ->
         return None;
     }
     let (along_a, along_b) = (direction.dot(a), direction.dot(b));
-    let along = if (side_a - side_b).abs() > OVERLAP_M {
-        let share = (side_a / (side_a - side_b)).clamp(0.0, 1.0);
-        along_a + share * (along_b - along_a)
-    } else {
+    let along = if (side_a - side_b).abs() <= OVERLAP_M {
         // Along the segment. The nearest point ahead is the origin itself when the ends lie either side of it.
         let (near, far) = (along_a.min(along_b), along_a.max(along_b));
         if far < 0.0 { far } else { near.max(0.0) }
+    } else {
+        let share = (side_a / (side_a - side_b)).clamp(0.0, 1.0);
+        along_a + share * (along_b - along_a)
     };
     (along >= -OVERLAP_M).then_some(along.max(0.0))
 }

@@ -1,11 +1,11 @@
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{FRAC_1_PI, FRAC_PI_2, PI, TAU};
 
 use glam::DVec2;
 use locsim_core::{Hits, Poses, RangeMap};
 
 use super::batch::cast_batch;
-use super::build::{Lists, build};
-use super::segment::range_to;
+use super::build::{Entry, build};
+use super::segment::OVERLAP_M;
 use super::{ExactRangeMap, RayHit};
 use crate::map::{CellFrame, MapError};
 
@@ -14,25 +14,57 @@ use crate::map::{CellFrame, MapError};
 ///
 /// The lists hold every segment that exact casts meet from the corners and the centre of the cell, in the
 /// directions of the edges and the centre of the bin. So a range is exact, unless the nearest segment shows only in
-/// a sliver between these casts and a listed segment stands behind it. A ray that meets no listed segment, or
-/// starts outside the map's free space, is cast exactly.
+/// a sliver between these casts and a listed segment stands behind it: about 1 ray in 50,000 in a corridor, 7 in
+/// 10,000 on a cluttered office floor mapped by a robot. A ray is cast exactly when it meets no listed segment, when
+/// its list is long, and when it starts outside the map's free space.
 pub struct SurfaceTable {
     map: ExactRangeMap,
     walls: Vec<Wall>,
     frame: CellFrame,
     /// A power of two.
     headings: usize,
-    /// Per row, column and heading bin: the number of its list.
-    entries: Vec<u32>,
-    lists: Lists,
+    /// The list of each row, column and heading bin.
+    entries: Vec<Entry>,
+    /// Lists of segments, one after the other.
+    pool: Vec<u32>,
 }
 
-/// A segment with what a query needs of it, side by side in memory.
+/// A segment, as a query wants it.
+#[repr(align(64))]
 struct Wall {
-    ends: [DVec2; 2],
-    /// Direction of the segment [rad], in \[0, pi).
-    direction: f64,
+    /// One end [m].
+    start: DVec2,
+    /// Unit vector from there to the other end.
+    along: DVec2,
+    length: f64,
+    /// Direction of `along`, modulo pi, in \[0, pi) [rad].
+    angle: f64,
     surface: u32,
+}
+
+impl Wall {
+    fn new([a, b]: [DVec2; 2], surface: u32) -> Self {
+        let along = (b - a).normalize();
+        Self { start: a, along, length: a.distance(b), angle: along.to_angle().rem_euclid(PI), surface }
+    }
+
+    /// Distance along a ray [m]; infinite if it misses. Leaves rays along the wall to the exact cast.
+    #[inline]
+    fn range_to(&self, origin: DVec2, direction: DVec2) -> f64 {
+        let start = self.start - origin;
+        let range = self.along.perp_dot(start) / self.along.perp_dot(direction);
+        let position = range * self.along.dot(direction) - self.along.dot(start);
+        let hit = range >= -OVERLAP_M && position >= -OVERLAP_M && position <= self.length + OVERLAP_M;
+        if hit { range.max(0.0) } else { f64::INFINITY }
+    }
+
+    /// Angle between a ray and the wall's normal [rad]. `heading` is the ray's, at least 0.
+    #[inline]
+    fn incidence(&self, heading: f64) -> f64 {
+        let turn = heading + PI - self.angle;
+        let from_wall = turn - PI * f64::from((turn * FRAC_1_PI) as u32);
+        (FRAC_PI_2 - from_wall).abs()
+    }
 }
 
 impl SurfaceTable {
@@ -57,19 +89,15 @@ impl SurfaceTable {
     ) -> Result<Self, MapError> {
         let headings = headings.max(4).next_power_of_two();
         let frame = CellFrame::covering(map.bounds(), cell_m, headings)?;
-        let (entries, lists) = build(map, &frame, headings, progress);
+        let (entries, pool) = build(map, &frame, headings, progress);
         let geometry = map.geometry();
         let walls = geometry
             .segments()
             .iter()
             .zip(geometry.surfaces())
-            .map(|(&ends, &surface)| Wall {
-                ends,
-                direction: (ends[1] - ends[0]).to_angle().rem_euclid(PI),
-                surface,
-            })
+            .map(|(&ends, &surface)| Wall::new(ends, surface))
             .collect();
-        Ok(Self { map: map.clone(), walls, frame, headings, entries, lists })
+        Ok(Self { map: map.clone(), walls, frame, headings, entries, pool })
     }
 
     /// The map that the table was built from.
@@ -79,11 +107,11 @@ impl SurfaceTable {
 
     /// Size of the table in memory [bytes].
     pub fn bytes(&self) -> usize {
-        size_of_val(&*self.entries) + self.lists.bytes() + size_of_val(&*self.walls)
+        size_of_val(&*self.entries) + size_of_val(&*self.pool) + size_of_val(&*self.walls)
     }
 
-    /// The list numbers of a cell, one per heading bin; `None` outside the map.
-    fn cell(&self, origin: DVec2) -> Option<&[u32]> {
+    /// The entries of a cell, one per heading bin; `None` outside the map.
+    fn cell(&self, origin: DVec2) -> Option<&[Entry]> {
         let p = (origin - DVec2::new(self.frame.x0, self.frame.y0)) / self.frame.cell_m;
         // False for NaN too.
         let inside =
@@ -96,24 +124,25 @@ impl SurfaceTable {
 
     /// The nearest of the listed segments. `heading` is above -2 pi.
     #[inline]
-    fn nearest_listed(&self, cell: &[u32], origin: DVec2, direction: DVec2, heading: f64) -> Option<RayHit> {
+    fn nearest_listed(
+        &self,
+        cell: &[Entry],
+        origin: DVec2,
+        direction: DVec2,
+        heading: f64,
+    ) -> Option<RayHit> {
         let heading = heading + TAU;
         let bin = (heading * (self.headings as f64 / TAU)) as usize & (self.headings - 1);
-        let mut nearest = None;
         let mut range = f64::INFINITY;
-        for &candidate in self.lists.get(cell[bin]) {
+        let mut nearest = None;
+        for &candidate in cell[bin].list(&self.pool) {
             let wall = &self.walls[candidate as usize];
-            if let Some(r) = range_to(&wall.ends, origin, direction)
-                && r < range
-            {
+            let r = wall.range_to(origin, direction);
+            if r < range {
                 (range, nearest) = (r, Some(wall));
             }
         }
-        nearest.map(|wall| {
-            let turned = heading + PI - wall.direction;
-            let from_wall = turned - PI * f64::from((turned / PI) as u32);
-            RayHit { range, incidence: (FRAC_PI_2 - from_wall).abs(), surface: wall.surface }
-        })
+        nearest.map(|wall| RayHit { range, incidence: wall.incidence(heading), surface: wall.surface })
     }
 }
 
