@@ -8,13 +8,13 @@ use crate::map::{Cell, CellFrame, MapError, OccupancyGrid};
 /// How scans become a map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MappingOptions {
-    /// Edge length of a cell [m].
+    /// Edge length of a cell \[m\].
     pub resolution_m: f64,
-    /// Room around everything that was seen [m].
+    /// Room around everything that was seen \[m\].
     pub margin_m: f64,
-    /// A reading beyond this range [m] marks no cell; its beam clears up to here.
+    /// A reading beyond this range \[m\] marks no cell; its beam clears up to here.
     pub usable_range_m: f64,
-    /// A beam without return clears up to this range [m]; 0 clears nothing.
+    /// A beam without return clears up to this range \[m\]; 0 clears nothing.
     pub no_return_clear_m: f64,
     /// Probability that a cell is occupied, given that a beam ends in it; between 0.5 and 1.
     pub occupied_if_hit: f64,
@@ -105,7 +105,7 @@ pub fn occupancy_from_drive(
     )
 }
 
-/// A beam as a line in the map frame [m].
+/// A beam as a line in the map frame \[m\].
 struct Beam {
     start: DVec2,
     end: DVec2,

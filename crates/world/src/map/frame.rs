@@ -8,11 +8,11 @@ const MOST_CELLS: f64 = (1_u64 << 29) as f64;
 /// Square cells over an axis-aligned box of the map frame, counted from its lower left corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct CellFrame {
-    /// Lower left corner [m].
+    /// Lower left corner \[m\].
     pub(crate) x0: f64,
-    /// Lower left corner [m].
+    /// Lower left corner \[m\].
     pub(crate) y0: f64,
-    /// Edge length of a cell [m].
+    /// Edge length of a cell \[m\].
     pub(crate) cell_m: f64,
     /// Cells along x.
     pub(crate) columns: usize,
@@ -21,7 +21,7 @@ pub(crate) struct CellFrame {
 }
 
 impl CellFrame {
-    /// The cells that cover the box \[x0, y0, x1, y1\] [m]. `layers` is how many values each cell will hold.
+    /// The cells that cover the box \[x0, y0, x1, y1\] \[m\]. `layers` is how many values each cell will hold.
     ///
     /// # Errors
     /// [`MapError::Resolution`] for a cell size that is not positive, [`MapError::Extent`] for an empty box or too
@@ -45,14 +45,14 @@ impl CellFrame {
         [self.x0 + half * column2 as f64, self.y0 + half * row2 as f64]
     }
 
-    /// Column and row of the cell that holds a point of the box [m].
+    /// Column and row of the cell that holds a point of the box \[m\].
     pub(crate) fn cell_of(&self, point: DVec2) -> [usize; 2] {
         let cell = |value: f64, origin: f64| ((value - origin) / self.cell_m) as usize;
         [cell(point.x, self.x0), cell(point.y, self.y0)]
     }
 
     /// The cells that a line passes before the cell it ends in, in order (Amanatides and Woo, Eurographics 1987).
-    /// Both points [m] are in the box.
+    /// Both points \[m\] are in the box.
     pub(crate) fn cells_between(&self, start: DVec2, end: DVec2) -> impl Iterator<Item = [usize; 2]> {
         let [mut column, mut row] = self.cell_of(start);
         let [last_column, last_row] = self.cell_of(end);

@@ -39,7 +39,7 @@ impl Geometry {
         Self { segments, surfaces, surface_names, bounds, free }
     }
 
-    /// The wall segments, end points in the map frame [m]. None has length zero.
+    /// The wall segments, end points in the map frame \[m\]. None has length zero.
     pub fn segments(&self) -> &[[DVec2; 2]] {
         &self.segments
     }
@@ -54,17 +54,17 @@ impl Geometry {
         &self.surface_names
     }
 
-    /// Lower and upper corner of the map \[x0, y0, x1, y1\] [m].
+    /// Lower and upper corner of the map \[x0, y0, x1, y1\] \[m\].
     pub fn bounds(&self) -> [f64; 4] {
         self.bounds
     }
 
-    /// Total length of the wall segments [m].
+    /// Total length of the wall segments \[m\].
     pub fn wall_length_m(&self) -> f64 {
         self.segments.iter().map(|[a, b]| a.distance(*b)).sum()
     }
 
-    /// Whether a point [m] is in free space: inside the outline and outside the obstacles of a vector map, in a
+    /// Whether a point \[m\] is in free space: inside the outline and outside the obstacles of a vector map, in a
     /// free cell of an occupancy grid (an unknown cell is not free). Points on a wall may count either way.
     pub fn is_free(&self, x: f64, y: f64) -> bool {
         match &self.free {
@@ -91,7 +91,7 @@ fn contains(polygon: &[DVec2], point: DVec2) -> bool {
     inside
 }
 
-/// The smallest box around the points \[x0, y0, x1, y1\] [m].
+/// The smallest box around the points \[x0, y0, x1, y1\] \[m\].
 pub(super) fn bounds_of(points: impl IntoIterator<Item = DVec2>) -> [f64; 4] {
     let (lower, upper) = points
         .into_iter()

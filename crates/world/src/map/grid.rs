@@ -71,7 +71,7 @@ impl OccupancyGrid {
         self.height
     }
 
-    /// Edge length of a cell [m].
+    /// Edge length of a cell \[m\].
     pub fn resolution_m(&self) -> f64 {
         self.resolution_m
     }
@@ -92,7 +92,7 @@ impl OccupancyGrid {
         &self.occupancy
     }
 
-    /// Index of the cell that holds a point of the map frame [m]; `None` outside the grid.
+    /// Index of the cell that holds a point of the map frame \[m\]; `None` outside the grid.
     pub fn index_at(&self, x: f64, y: f64) -> Option<usize> {
         let p = self.origin.inverse().transform_point(DVec2::new(x, y)) / self.resolution_m;
         // The comparisons are false for NaN too.
@@ -100,7 +100,7 @@ impl OccupancyGrid {
         inside.then(|| p.y as usize * self.width + p.x as usize)
     }
 
-    /// The cell that holds a point of the map frame [m]; `None` outside the grid.
+    /// The cell that holds a point of the map frame \[m\]; `None` outside the grid.
     pub fn cell_at(&self, x: f64, y: f64) -> Option<Cell> {
         self.index_at(x, y).map(|i| self.cells[i])
     }

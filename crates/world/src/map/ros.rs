@@ -30,9 +30,9 @@ pub struct OccupancyMapFile {
     /// How pixels are read.
     #[serde(default)]
     pub mode: ImageMode,
-    /// Edge length of a pixel [m].
+    /// Edge length of a pixel \[m\].
     pub resolution: f64,
-    /// Pose of the lower left pixel's outer corner in the map frame: x [m], y [m], yaw [rad].
+    /// Pose of the lower left pixel's outer corner in the map frame: x \[m\], y \[m\], yaw \[rad\].
     pub origin: [f64; 3],
     /// Whether white is occupied; 0 and 1 are also understood. Raw values are not affected.
     #[serde(default, deserialize_with = "bool_or_integer")]

@@ -29,7 +29,7 @@ pub struct Polyline {
     /// Its name; `outline` or `obstacle-<index>` by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Its corners [m]; the last is joined to the first.
+    /// Its corners \[m\]; the last is joined to the first.
     pub points_m: Vec<[f64; 2]>,
     /// Names for some of its edges.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -52,9 +52,9 @@ pub struct NamedEdges {
 pub struct Wall {
     /// Name of the surface.
     pub name: String,
-    /// One end [m].
+    /// One end \[m\].
     pub from_m: [f64; 2],
-    /// The other end [m].
+    /// The other end \[m\].
     pub to_m: [f64; 2],
 }
 

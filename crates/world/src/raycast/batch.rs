@@ -14,7 +14,7 @@ const PARALLEL_RAYS: usize = 4096;
 /// Casts every beam of every pose.
 ///
 /// `from(origin)` prepares a pose and returns its caster, which takes a beam's unit direction in the map
-/// frame and its heading in (-2 pi, 2 pi] [rad].
+/// frame and its heading in (-2 pi, 2 pi] \[rad\].
 pub(super) fn cast_batch<From, Cast>(
     laser: Poses<'_>,
     bearings: &[f32],

@@ -56,7 +56,7 @@ impl DistanceMap for DistanceGrid {
     }
 }
 
-/// Distance from a point to the nearest segment, at most `max_m` [m].
+/// Distance from a point to the nearest segment, at most `max_m` \[m\].
 fn nearest(geometry: &Geometry, tree: &Bvh, point: DVec2, max_m: f64) -> f64 {
     let segments = geometry.segments();
     tree.find_best(

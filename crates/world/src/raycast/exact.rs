@@ -10,9 +10,9 @@ use crate::map::Geometry;
 /// Where a ray meets a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RayHit {
-    /// Distance from the ray's origin [m].
+    /// Distance from the ray's origin \[m\].
     pub range: f64,
-    /// Angle between the ray and the surface's normal [rad], 0 to pi/2.
+    /// Angle between the ray and the surface's normal \[rad\], 0 to pi/2.
     pub incidence: f64,
     /// Id of the surface.
     pub surface: u32,
@@ -44,8 +44,8 @@ impl ExactRangeMap {
         &self.geometry
     }
 
-    /// Casts one ray from `origin` [m] along the unit vector `direction`; `None` if it meets nothing nearer than
-    /// `max_range` [m], which may be infinite.
+    /// Casts one ray from `origin` \[m\] along the unit vector `direction`; `None` if it meets nothing nearer than
+    /// `max_range` \[m\], which may be infinite.
     pub fn cast_ray(&self, origin: DVec2, direction: DVec2, max_range: f64) -> Option<RayHit> {
         let (segment, range) = self.cast_segment(origin, direction, max_range)?;
         let incidence = incidence(&self.geometry.segments()[segment], direction);
@@ -71,7 +71,7 @@ impl ExactRangeMap {
         best
     }
 
-    /// Index of the segment that a ray meets first, and the range [m].
+    /// Index of the segment that a ray meets first, and the range \[m\].
     pub(super) fn cast_segment(
         &self,
         origin: DVec2,

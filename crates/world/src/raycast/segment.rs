@@ -2,10 +2,10 @@ use glam::DVec2;
 use parry2d_f64::bounding_volume::Aabb;
 use parry2d_f64::partitioning::{Bvh, BvhBuildStrategy};
 
-/// Segments are this much wider than drawn [m], so that no ray slips between two that share an end.
+/// Segments are this much wider than drawn \[m\], so that no ray slips between two that share an end.
 pub(super) const OVERLAP_M: f64 = 1e-9;
 
-/// Distance [m] along a ray (unit `direction`) to a segment, `None` if it misses.
+/// Distance \[m\] along a ray (unit `direction`) to a segment, `None` if it misses.
 ///
 /// Both ends belong to the segment. The ends' signed distances from the ray decide, and two segments that share
 /// an end compute the same number for it: no ray passes between them. A ray along the segment meets its nearest
@@ -29,14 +29,14 @@ pub(super) fn range_to(&[a, b]: &[DVec2; 2], origin: DVec2, direction: DVec2) ->
     (along >= -OVERLAP_M).then_some(along.max(0.0))
 }
 
-/// Angle between a ray and a segment's normal [rad], 0 to pi/2.
+/// Angle between a ray and a segment's normal \[rad\], 0 to pi/2.
 #[inline]
 pub(super) fn incidence(&[a, b]: &[DVec2; 2], direction: DVec2) -> f64 {
     let edge = b - a;
     direction.dot(edge).abs().atan2(direction.perp_dot(edge).abs())
 }
 
-/// Distance from a point to a segment [m].
+/// Distance from a point to a segment \[m\].
 pub(super) fn distance_to(&[a, b]: &[DVec2; 2], point: DVec2) -> f64 {
     let edge = b - a;
     let share = ((point - a).dot(edge) / edge.length_squared()).clamp(0.0, 1.0);

@@ -32,12 +32,12 @@ pub struct SurfaceTable {
 /// A segment, as a query wants it.
 #[repr(align(64))]
 struct Wall {
-    /// One end [m].
+    /// One end \[m\].
     start: DVec2,
     /// Unit vector from there to the other end.
     along: DVec2,
     length: f64,
-    /// Direction of `along`, modulo pi, in \[0, pi) [rad].
+    /// Direction of `along`, modulo pi, in \[0, pi) \[rad\].
     angle: f64,
     surface: u32,
 }
@@ -48,7 +48,7 @@ impl Wall {
         Self { start: a, along, length: a.distance(b), angle: along.to_angle().rem_euclid(PI), surface }
     }
 
-    /// Distance along a ray [m]; infinite if it misses. Leaves rays along the wall to the exact cast.
+    /// Distance along a ray \[m\]; infinite if it misses. Leaves rays along the wall to the exact cast.
     #[inline]
     fn range_to(&self, origin: DVec2, direction: DVec2) -> f64 {
         let start = self.start - origin;
@@ -58,7 +58,7 @@ impl Wall {
         if hit { range.max(0.0) } else { f64::INFINITY }
     }
 
-    /// Angle between a ray and the wall's normal [rad]. `heading` is the ray's, at least 0.
+    /// Angle between a ray and the wall's normal \[rad\]. `heading` is the ray's, at least 0.
     #[inline]
     fn incidence(&self, heading: f64) -> f64 {
         let turn = heading + PI - self.angle;
@@ -105,7 +105,7 @@ impl SurfaceTable {
         &self.map
     }
 
-    /// Size of the table in memory [bytes].
+    /// Size of the table in memory \[bytes\].
     pub fn bytes(&self) -> usize {
         size_of_val(&*self.entries) + size_of_val(&*self.pool) + size_of_val(&*self.walls)
     }
