@@ -16,7 +16,7 @@ mod weights;
 pub use beams::{Beams, Hits, NO_SURFACE};
 pub use draw::{Draw, Stage};
 pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
-pub use model::{DistanceMap, Obstructions, RangeMap, SensorModel};
+pub use model::{DistanceMap, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
 pub use weights::{WeightError, Weights};

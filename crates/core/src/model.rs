@@ -27,12 +27,22 @@ pub trait DistanceMap: Send + Sync {
 /// What a world knows of its own unmapped objects. Only the oracle, the bound on what any per-beam model can
 /// do, may ask.
 pub trait Obstructions: Send + Sync {
-    /// Distance between the entries of [`Obstructions::survival`] \[m\].
+    /// Distance between the entries of [`Survival::probability`] \[m\].
     fn bin_m(&self) -> f32;
 
-    /// Entry `i` is the probability that no unmapped object stands within `i * bin_m()` metres on the ray from
-    /// (x, y) \[m\] in direction `heading` \[rad\]. Starts at 1, never increases; the last entry holds beyond.
-    fn survival(&self, x: f64, y: f64, heading: f64) -> &[f32];
+    /// How far the ray from (x, y) \[m\] in direction `heading` \[rad\] gets, whose nominal range is `range` \[m\].
+    fn survival(&self, x: f64, y: f64, heading: f64, range: f32) -> Survival<'_>;
+}
+
+/// How far a ray gets before an unmapped object stops it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Survival<'a> {
+    /// Entry `i` is the probability that no unmapped object stands within `start_m + i * bin_m()` metres. Starts at
+    /// 1, never increases; the last entry holds beyond.
+    pub probability: &'a [f32],
+    /// Distance of the first entry from the ray's origin \[m\], possibly below 0. Objects stand by walls, so an
+    /// answer computed for a neighbouring ray is aligned with this one at the wall, not at the origin.
+    pub start_m: f32,
 }
 
 /// A learnt observation density p(z | beam): one object samples and scores.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use locsim_core::{Beams, Draw, Obstructions, SensorModel};
+use locsim_core::{Beams, Draw, Obstructions, SensorModel, Survival};
 use rand::{Rng, RngExt};
 
 use crate::SensorError;
@@ -63,32 +63,34 @@ impl Oracle {
         RangeNormal { mean, sigma: self.sigma_m + self.sigma_per_m * mean }
     }
 
-    fn survival(&self, beams: &Beams<'_>, beam: Beam) -> &[f32] {
+    fn survival(&self, beams: &Beams<'_>, beam: Beam) -> Survival<'_> {
         let heading = beams.laser.theta[beam.pose] + f64::from(beams.bearings[beam.bearing]);
-        self.obstructions.survival(beams.laser.x[beam.pose], beams.laser.y[beam.pose], heading)
+        let (x, y) = (beams.laser.x[beam.pose], beams.laser.y[beam.pose]);
+        self.obstructions.survival(x, y, heading, beam.range.min(beam.max_range))
     }
 
     /// The bins of a survival function between two ranges in which an object may stand, cut at `to`.
-    fn stretches(&self, survival: &[f32], from: f32, to: f32) -> impl Iterator<Item = Stretch> {
+    fn stretches(&self, survival: Survival<'_>, from: f32, to: f32) -> impl Iterator<Item = Stretch> {
         let width = self.obstructions.bin_m();
-        let first = (from / width).max(0.0) as usize;
-        let last = ((to / width).ceil().max(0.0) as usize).min(survival.len().saturating_sub(1));
-        (first..last).filter_map(move |i| {
-            let drop = survival[i] - survival[i + 1];
-            let near = i as f32 * width;
-            let far = (near + width).min(to);
+        let Survival { probability, start_m } = survival;
+        let first = ((from.max(0.0) - start_m) / width).max(0.0) as usize;
+        let last = ((to - start_m) / width).ceil().max(0.0) as usize;
+        (first..last.min(probability.len().saturating_sub(1))).filter_map(move |i| {
+            let drop = probability[i] - probability[i + 1];
+            let begin = start_m + i as f32 * width;
+            let (near, far) = (begin.max(0.0), (begin + width).min(to));
             // where the nominal range ends inside of a bin, the surface hides what stands behind it
             (drop > 0.0 && far > near).then(|| Stretch { near, far, mass: drop * (far - near) / width })
         })
     }
 
     /// Probability that nothing unmapped stands before the nominal range.
-    fn clear(&self, survival: &[f32], range: f32) -> f32 {
-        let at = range / self.obstructions.bin_m();
+    fn clear(&self, survival: Survival<'_>, range: f32) -> f32 {
+        let at = ((range - survival.start_m) / self.obstructions.bin_m()).max(0.0);
         let i = at as usize;
-        match (survival.get(i), survival.get(i + 1)) {
+        match (survival.probability.get(i), survival.probability.get(i + 1)) {
             (Some(a), Some(b)) => a + (at - i as f32) * (b - a),
-            (a, _) => a.or(survival.last()).copied().unwrap_or(1.0),
+            (a, _) => a.or(survival.probability.last()).copied().unwrap_or(1.0),
         }
     }
 
@@ -125,7 +127,7 @@ impl Oracle {
         ((primitive(first) - primitive(last)) * sigma / (far - near)).clamp(0.0, 1.0)
     }
 
-    fn density(&self, survival: &[f32], z: f32, beam: Beam) -> f32 {
+    fn density(&self, survival: Survival<'_>, z: f32, beam: Beam) -> f32 {
         let range = beam.range.min(beam.max_range);
         let clear = self.clear(survival, range);
         // noise where the reading is; at the far end of its own reach it is a little wider
@@ -148,7 +150,7 @@ impl Oracle {
         clear * nominal + objects
     }
 
-    fn draw(&self, survival: &[f32], beam: Beam, rng: &mut dyn Rng) -> f32 {
+    fn draw(&self, survival: Survival<'_>, beam: Beam, rng: &mut dyn Rng) -> f32 {
         let range = beam.range.min(beam.max_range);
         let mut u = rng.random::<f32>();
         for stretch in self.stretches(survival, 0.0, range) {

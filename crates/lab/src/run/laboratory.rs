@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec2;
-use locsim_core::{DistanceMap, Draw, Drive, DriveStep, Obstructions, Particles, Pose2, RangeMap, Stage};
+use locsim_core::{DistanceMap, Draw, Drive, DriveStep, Obstructions, Particles, Pose2, RangeMap, Stage, Survival};
 use locsim_dataset::{CarmenOptions, read_carmen};
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
@@ -352,12 +352,12 @@ fn obstructions(simulator: &Simulator, seed: u64) -> Result<Arc<dyn Obstructions
     let Some(blocks) = simulator.blocks() else { return Ok(Arc::new(NothingInTheWay)) };
     let max_range_m = simulator.laser().options().max_range_m;
     let options = ObstructionOptions { max_range_m, ..OBSTRUCTIONS };
-    Ok(Arc::new(ObstructionTable::new(blocks, simulator.map().geometry(), &options, seed)?))
+    Ok(Arc::new(ObstructionTable::new(blocks, simulator.map(), &options, seed)?))
 }
 
 /// How finely the oracle integrates over blocks; its rays are as long as the laser's.
 const OBSTRUCTIONS: ObstructionOptions =
-    ObstructionOptions { cell_m: 0.2, headings: 72, bin_m: 0.05, max_range_m: 0.0, samples: 50_000 };
+    ObstructionOptions { cell_m: 0.15, headings: 120, bin_m: 0.05, max_range_m: 0.0, samples: 50_000 };
 
 /// A world that is as mapped.
 struct NothingInTheWay;
@@ -367,8 +367,8 @@ impl Obstructions for NothingInTheWay {
         1.0
     }
 
-    fn survival(&self, _x: f64, _y: f64, _heading: f64) -> &[f32] {
-        &[1.0]
+    fn survival(&self, _x: f64, _y: f64, _heading: f64, _range: f32) -> Survival<'_> {
+        Survival { probability: &[1.0], start_m: 0.0 }
     }
 }
 

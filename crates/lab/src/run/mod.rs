@@ -22,7 +22,7 @@ pub use error::RunError;
 pub use laboratory::{map_from_log, simulate_trial};
 
 use crate::report::{self, ReportContext};
-use crate::results::{BeamProbe, DetailedTrial, RunResults, Trial};
+use crate::results::{DetailedTrial, RunResults, Trial};
 use crate::scenario::{ErrorFrame, Estimate, Scenario, Source};
 use crate::summary::Summary;
 use detail::Detail;
@@ -110,7 +110,6 @@ pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, Run
         command: options.command.clone(),
         simulated: matches!(scenario.source, Source::Simulation(_)),
         notes: laboratory.notes.clone(),
-        probes: shortened_beam(&detail),
     };
     let summary = report::write(folder, &results, Some(&detail), &context)?;
     store.finish()?;
@@ -186,23 +185,6 @@ fn detailed_trial(
     }
     let dead_reckoning = trial::dead_reckoning(&drive, drive.steps[0].reference.unwrap_or(Pose2::IDENTITY));
     Ok(DetailedTrial { walls: laboratory.place.walls(), blocks, dead_reckoning, models, drive })
-}
-
-/// Every model's prediction for the probed beam of one step (the paper's Fig. 11): the step whose reading is
-/// shortened as much as is usual, by the median of all steps whose probed beam is shortened at all.
-fn shortened_beam(detail: &DetailedTrial) -> Vec<(String, BeamProbe)> {
-    /// Shorter differences may be noise.
-    const SHORTENED_M: f32 = 0.1;
-    let Some(first) = detail.models.first() else { return Vec::new() };
-    let shortening = |step: usize| {
-        let probe = &first.steps[step].probe;
-        probe.nominal_m - probe.reading_m
-    };
-    let mut steps: Vec<usize> =
-        (0..first.steps.len()).filter(|&step| shortening(step) > SHORTENED_M).collect();
-    steps.sort_by(|&a, &b| shortening(a).total_cmp(&shortening(b)));
-    let Some(&step) = steps.get(steps.len() / 2) else { return Vec::new() };
-    detail.models.iter().map(|model| (model.name.clone(), model.steps[step].probe.clone())).collect()
 }
 
 /// `models/LABEL.model`: what a scenario's `file` key takes.

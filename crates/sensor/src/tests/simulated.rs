@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::{Arc, LazyLock};
 
-use locsim_core::{DistanceMap, Draw, NO_SURFACE, Obstructions, Pose2, SensorModel, Stage};
+use locsim_core::{DistanceMap, Draw, NO_SURFACE, Obstructions, Pose2, SensorModel, Stage, Survival};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
@@ -112,8 +112,8 @@ impl Obstructions for Objects {
         0.05
     }
 
-    fn survival(&self, _x: f64, _y: f64, _heading: f64) -> &[f32] {
-        &self.0
+    fn survival(&self, _x: f64, _y: f64, _heading: f64, _range: f32) -> Survival<'_> {
+        Survival { probability: &self.0, start_m: 0.0 }
     }
 }
 

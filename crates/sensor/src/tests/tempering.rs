@@ -53,8 +53,8 @@ fn exact() -> Oracle {
         fn bin_m(&self) -> f32 {
             1.0
         }
-        fn survival(&self, _x: f64, _y: f64, _heading: f64) -> &[f32] {
-            &[1.0]
+        fn survival(&self, _x: f64, _y: f64, _heading: f64, _range: f32) -> locsim_core::Survival<'_> {
+            locsim_core::Survival { probability: &[1.0], start_m: 0.0 }
         }
     }
     Oracle::new(Arc::new(Nothing), SIGMA_M as f32, 0.0).unwrap()

@@ -23,6 +23,7 @@ pub struct SurfaceTable {
     frame: CellFrame,
     /// A power of two.
     headings: usize,
+    bins_per_rad: f64,
     /// The list of each row, column and heading bin.
     entries: Vec<Entry>,
     /// Lists of segments, one after the other.
@@ -97,7 +98,15 @@ impl SurfaceTable {
             .zip(geometry.surfaces())
             .map(|(&ends, &surface)| Wall::new(ends, surface))
             .collect();
-        Ok(Self { map: map.clone(), walls, frame, headings, entries, pool })
+        Ok(Self {
+            map: map.clone(),
+            walls,
+            frame,
+            headings,
+            bins_per_rad: headings as f64 / TAU,
+            entries,
+            pool,
+        })
     }
 
     /// The map that the table was built from.
@@ -132,7 +141,7 @@ impl SurfaceTable {
         heading: f64,
     ) -> Option<RayHit> {
         let heading = heading + TAU;
-        let bin = (heading * (self.headings as f64 / TAU)) as usize & (self.headings - 1);
+        let bin = (heading * self.bins_per_rad) as usize & (self.headings - 1);
         let mut range = f64::INFINITY;
         let mut nearest = None;
         for &candidate in cell[bin].list(&self.pool) {

@@ -1,7 +1,7 @@
 use std::f64::consts::TAU;
 
 use glam::DVec2;
-use locsim_core::{Draw, Obstructions, Stage};
+use locsim_core::{Draw, Obstructions, Stage, Survival};
 use rand::RngExt;
 use rayon::prelude::*;
 
@@ -9,6 +9,7 @@ use super::error::{check, check_count};
 use super::rectangle::Rectangle;
 use super::{BlockModel, SimulationError};
 use crate::map::Geometry;
+use crate::raycast::ExactRangeMap;
 
 /// The most numbers in a table (1 GB).
 const MAX_ENTRIES: f64 = 2.5e8;
@@ -43,7 +44,7 @@ pub struct ObstructionOptions {
 /// a block counts n/K, n the mean number of blocks. Blocks too near a robot at the ray's origin are left out,
 /// as the simulator does; that a laser's mount puts the robot elsewhere is neglected. Each cell is looked at
 /// from its centre, each heading along its direction, and a query is answered by the nearest cell and
-/// heading.
+/// heading, moved along the ray so that both rays' walls coincide: blocks stand by walls.
 #[derive(Clone, Debug)]
 pub struct ObstructionTable {
     origin: DVec2,
@@ -54,6 +55,9 @@ pub struct ObstructionTable {
     tables: Vec<u32>,
     headings: usize,
     bin_m: f32,
+    max_range: f32,
+    /// Nominal range of each ray \[table\]\[heading\] \[m\].
+    ranges: Vec<f32>,
     /// Entries per ray.
     entries: usize,
     /// \[table\]\[heading\]\[entry\]
@@ -68,7 +72,7 @@ impl ObstructionTable {
     /// into memory.
     pub fn new(
         model: &BlockModel,
-        geometry: &Geometry,
+        map: &ExactRangeMap,
         options: &ObstructionOptions,
         seed: u64,
     ) -> Result<Self, SimulationError> {
@@ -83,6 +87,7 @@ impl ObstructionTable {
         }
         check_count("sampled blocks", f64::from(options.samples), MAX_SAMPLES)?;
 
+        let geometry = map.geometry();
         let [x0, y0, x1, y1] = geometry.bounds();
         let origin = DVec2::new(x0, y0);
         let size = ((DVec2::new(x1, y1) - origin) / options.cell_m).ceil().max(DVec2::ONE);
@@ -115,6 +120,14 @@ impl ObstructionTable {
             max_range_m: options.max_range_m,
             entries,
         };
+        let ranges = viewpoints
+            .iter()
+            .flat_map(|&viewpoint| rays.directions.iter().map(move |&direction| (viewpoint, direction)))
+            .map(|(viewpoint, direction)| {
+                let hit = map.cast_ray(viewpoint, direction, options.max_range_m);
+                hit.map_or(options.max_range_m, |hit| hit.range) as f32
+            })
+            .collect();
         let mut survival = vec![0.0; viewpoints.len() * headings * entries];
         survival
             .par_chunks_mut(headings * entries)
@@ -128,6 +141,8 @@ impl ObstructionTable {
             tables,
             headings,
             bin_m: options.bin_m as f32,
+            max_range: options.max_range_m as f32,
+            ranges,
             entries,
             survival,
         })
@@ -140,22 +155,28 @@ impl Obstructions for ObstructionTable {
     }
 
     /// From a cell without free space nothing is known, and nothing is expected in the way.
-    fn survival(&self, x: f64, y: f64, heading: f64) -> &[f32] {
+    fn survival(&self, x: f64, y: f64, heading: f64, range: f32) -> Survival<'_> {
+        let unknown = Survival { probability: &[1.0], start_m: 0.0 };
         let cell = ((DVec2::new(x, y) - self.origin) / self.cell_m).floor();
         let inside = cell.cmpge(DVec2::ZERO).all()
             && cell.x < self.columns as f64
             && cell.y < self.rows as f64
             && heading.is_finite();
         if !inside {
-            return &[1.0];
+            return unknown;
         }
         match self.tables[cell.y as usize * self.columns + cell.x as usize] {
-            NO_TABLE => &[1.0],
+            NO_TABLE => unknown,
             table => {
                 let turns = (heading / TAU * self.headings as f64).round();
                 let heading = turns.rem_euclid(self.headings as f64) as usize;
                 let ray = table as usize * self.headings + heading;
-                &self.survival[ray * self.entries..(ray + 1) * self.entries]
+                // Without a wall within reach on either ray there is nothing to align.
+                let aligned = range < self.max_range && self.ranges[ray] < self.max_range;
+                Survival {
+                    probability: &self.survival[ray * self.entries..(ray + 1) * self.entries],
+                    start_m: if aligned { range - self.ranges[ray] } else { 0.0 },
+                }
             }
         }
     }
@@ -258,7 +279,15 @@ mod tests {
 
     fn table(blocks: BlockOptions, options: &ObstructionOptions) -> ObstructionTable {
         let model = BlockModel::new(blocks, &room()).unwrap();
-        ObstructionTable::new(&model, &room(), options, 1).unwrap()
+        ObstructionTable::new(&model, &room_map(), options, 1).unwrap()
+    }
+
+    /// Survival along a table's own rays, which start where the query does.
+    fn survival(table: &ObstructionTable, x: f64, y: f64, heading: f64) -> &[f32] {
+        let wall = room_map().cast_ray(DVec2::new(x, y), DVec2::from_angle(heading), 8.0);
+        let survival = table.survival(x, y, heading, wall.map_or(8.0, |hit| hit.range) as f32);
+        assert!(survival.start_m.abs() < 1e-5);
+        survival.probability
     }
 
     fn viewpoints() -> impl Iterator<Item = DVec2> {
@@ -275,7 +304,7 @@ mod tests {
             for beam in 0..8 {
                 let angle = (beam + 1) as f64 / 8.0 * TAU - 0.5 * TAU;
                 let wall = room_map().cast_ray(point, DVec2::from_angle(angle), 8.0).unwrap().range;
-                let survival = table.survival(point.x, point.y, angle);
+                let survival = survival(table, point.x, point.y, angle);
                 for (i, &survival) in survival.iter().enumerate() {
                     let (s, survival) = (0.1 * i as f64, f64::from(survival));
                     let expected_hits = (1.0 - survival) * n as f64;
@@ -327,7 +356,7 @@ mod tests {
             ..block_options()
         };
         let table = table(blocks, &ObstructionOptions { bin_m: 0.04, ..options() });
-        let survival = table.survival(3.0, 1.0, -0.25 * TAU);
+        let survival = survival(&table, 3.0, 1.0, -0.25 * TAU);
         // From 1 m the fronts are at 0.7 m. Stratified places: the count is off by at most 2 in 4000.
         for (i, &s) in survival.iter().enumerate().take(25) {
             let expected: f64 = if (i as f64) * 0.04 < 0.7 { 1.0 } else { (-1.5_f64 * 0.4).exp() };
@@ -340,7 +369,7 @@ mod tests {
         let table = table(block_options(), &ObstructionOptions { samples: 1000, ..options() });
         for point in viewpoints() {
             for heading in 0..8 {
-                let survival = table.survival(point.x, point.y, f64::from(heading) * TAU / 8.0);
+                let survival = survival(&table, point.x, point.y, f64::from(heading) * TAU / 8.0);
                 assert_eq!(survival.len(), 81);
                 assert_eq!(survival[0], 1.0);
                 assert!(survival.windows(2).all(|pair| pair[1] <= pair[0] && pair[1] > 0.0));
@@ -352,22 +381,32 @@ mod tests {
     fn queries_are_answered_by_the_nearest_cell_and_heading() {
         let table = table(block_options(), &ObstructionOptions { samples: 1000, ..options() });
         let step = TAU / 8.0;
+        let ray = |x, y, heading| table.survival(x, y, heading, 1.0).probability;
         for turns in -2..=2 {
             let heading = f64::from(turns) * TAU + 3.0 * step;
-            assert_eq!(table.survival(3.0, 1.0, 3.0 * step), table.survival(2.1, 1.9, heading + 0.4 * step));
-            assert_eq!(table.survival(3.0, 1.0, 4.0 * step), table.survival(3.9, 0.1, heading + 0.6 * step));
+            assert_eq!(ray(3.0, 1.0, 3.0 * step), ray(2.1, 1.9, heading + 0.4 * step));
+            assert_eq!(ray(3.0, 1.0, 4.0 * step), ray(3.9, 0.1, heading + 0.6 * step));
         }
-        assert_ne!(table.survival(3.0, 1.0, step), table.survival(3.0, 1.0, 2.0 * step));
+        assert_ne!(ray(3.0, 1.0, step), ray(3.0, 1.0, 2.0 * step));
         for (x, y, heading) in [(-0.1, 1.0, 0.0), (1.0, 4.1, 0.0), (f64::NAN, 1.0, 0.0), (1.0, 1.0, f64::NAN)]
         {
-            assert_eq!(table.survival(x, y, heading), [1.0]);
+            assert_eq!(ray(x, y, heading), [1.0]);
         }
+    }
+
+    /// From (3, 1) the wall below is 1 m away; a query 0.2 m nearer to it has its blocks 0.2 m nearer.
+    #[test]
+    fn neighbouring_rays_are_aligned_at_their_walls() {
+        let table = table(block_options(), &ObstructionOptions { samples: 1000, ..options() });
+        let down = -0.25 * TAU;
+        assert!((table.survival(3.0, 0.8, down, 0.8).start_m + 0.2).abs() < 1e-6);
+        assert_eq!(table.survival(3.0, 0.8, down, 8.0).start_m, 0.0, "an open ray has no wall to align");
     }
 
     #[test]
     fn no_blocks_are_never_in_the_way() {
         let table = table(BlockOptions { per_metre_of_wall: 0.0, ..block_options() }, &options());
-        assert!(table.survival(3.0, 1.0, 0.0).iter().all(|&s| s == 1.0));
+        assert!(survival(&table, 3.0, 1.0, 0.0).iter().all(|&s| s == 1.0));
     }
 
     #[test]
@@ -396,7 +435,7 @@ mod tests {
             (ObstructionOptions { samples: 0, ..good }, "samples of the obstruction table"),
             (ObstructionOptions { samples: 20_000_000, ..good }, "20000000 sampled blocks are more than"),
         ] {
-            let error = ObstructionTable::new(&model, &room(), &options, 1).unwrap_err().to_string();
+            let error = ObstructionTable::new(&model, &room_map(), &options, 1).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");
         }
     }
