@@ -7,4 +7,4 @@ pub mod run;
 pub mod scenario;
 pub mod statistics;
 pub mod summary;
-pub mod yaml;
+mod yaml;

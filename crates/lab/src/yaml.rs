@@ -16,21 +16,16 @@ use crate::scenario::error::unknown_word;
 use crate::scenario::locate::{Locations, join};
 use crate::scenario::{Problem, ScenarioError};
 
-/// Reads a YAML file into a value. An enum is written as its variant's name, or as a map with that one key.
-///
-/// # Errors
-/// [`ScenarioError`] when the file can't be read, isn't YAML, holds a key twice, or doesn't fit `T`.
-pub fn load<T: DeserializeOwned>(path: &Path) -> Result<T, ScenarioError> {
-    let text = read(path)?;
-    Ok(parse(path, &text)?.0)
-}
-
 /// The text of a file.
 pub(crate) fn read(path: &Path) -> Result<String, ScenarioError> {
     std::fs::read_to_string(path).map_err(|source| ScenarioError::Read { path: path.to_owned(), source })
 }
 
-/// Like [`load`] for a text that was read from `path`; also tells where its keys stand.
+/// Makes a value from a text that was read from `path`, and tells where its keys stand. An enum is written as its
+/// variant's name, or as a map with that one key.
+///
+/// # Errors
+/// [`ScenarioError`] when the text isn't YAML, holds a key twice, or doesn't fit `T`.
 pub(crate) fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<(T, Locations), ScenarioError> {
     let invalid = |problems| ScenarioError::Invalid { file: path.to_owned(), problems };
     let locations = Locations::of(text);

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use locsim_core::Pose2;
+use proptest::prelude::*;
 
 use super::*;
 
@@ -423,6 +424,28 @@ fn a_number_has_to_be_finite_wherever_it_stands() {
         }
     }
     assert!(tried > 150, "{tried}");
+}
+
+proptest! {
+    /// A damaged file is refused or read, never a panic; what is wrong with a key has a line.
+    #[test]
+    fn damage_is_survived(
+        fixture in prop::sample::select(vec!["simulation.yaml", "minimal.yaml", "log.yaml"]),
+        at in any::<prop::sample::Index>(),
+        cut in 0..40_usize,
+        put in "[-\\[\\]{}:,#&*!|>'\"%@` \n\t0-9a-z.~é]{0,4}",
+    ) {
+        let mut text: Vec<char> = text(fixture).chars().collect();
+        let at = at.index(text.len());
+        let end = (at + cut).min(text.len());
+        text.splice(at..end, put.chars());
+        if let Err(ScenarioError::Invalid { problems, .. }) = parse(&text.into_iter().collect::<String>()) {
+            prop_assert!(!problems.is_empty());
+            for problem in problems {
+                prop_assert!(problem.line.is_some() || problem.key.is_empty(), "{problem:?}");
+            }
+        }
+    }
 }
 
 pub(super) fn shipped() -> Vec<PathBuf> {

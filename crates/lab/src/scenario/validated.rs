@@ -51,7 +51,7 @@ pub struct Scenario {
 pub enum RayCast {
     /// From a precomputed table over (cell, heading).
     Table {
-        /// Side of a cell [m].
+        /// Side of a cell (m).
         cell_m: f64,
         /// Number of heading bins over the full circle.
         headings: u32,
@@ -86,21 +86,21 @@ pub struct Simulation {
 /// Unmapped rectangular blocks along the walls. Each `[lo, hi]` is the interval of a uniform distribution.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Blocks {
-    /// Blocks per metre of wall [1/m].
+    /// Blocks per metre of wall (1/m).
     pub per_metre_of_wall: f64,
-    /// Length of a block, along the wall before it is turned [m].
+    /// Length of a block, along the wall before it is turned (m).
     pub length_m: [f64; 2],
-    /// Width of a block [m].
+    /// Width of a block (m).
     pub width_m: [f64; 2],
-    /// Yaw relative to the wall [rad].
+    /// Yaw relative to the wall (rad).
     pub yaw_rad: [f64; 2],
-    /// Gap between the wall and the block's nearest point [m].
+    /// Gap between the wall and the block's nearest point (m).
     pub wall_distance_m: [f64; 2],
     /// When blocks take new places.
     pub resample: BlockResampling,
-    /// Speed along the wall [m/s], zero unless blocks persist.
+    /// Speed along the wall (m/s), zero unless blocks persist.
     pub speed_m_s: [f64; 2],
-    /// No block comes closer than this to the robot's centre [m].
+    /// No block comes closer than this to the robot's centre (m).
     pub clearance_m: f64,
 }
 
@@ -120,7 +120,7 @@ pub enum BlockResampling {
 pub struct Robot {
     /// The path it drives.
     pub path: RobotPath,
-    /// Half-width of the uniform shift of the start along x and along y, drawn anew for each trial [m].
+    /// Half-width of the uniform shift of the start along x and along y, drawn anew for each trial (m).
     pub start_jitter_m: f64,
     /// Noise of its odometry, alpha 1 to 4 of Probabilistic Robotics, table 5.6.
     pub odometry_alpha: [f64; 4],
@@ -131,11 +131,11 @@ pub struct Robot {
 pub enum RobotPath {
     /// Straight legs between points, turning in place at each.
     Waypoints {
-        /// At least two points [m].
+        /// At least two points (m).
         points_m: Vec<[f64; 2]>,
-        /// Speed on a leg [m/s], above 0.
+        /// Speed on a leg (m/s), above 0.
         speed_m_s: f64,
-        /// Turn rate at a point [rad/s], above 0.
+        /// Turn rate at a point (rad/s), above 0.
         turn_rate_rad_s: f64,
     },
     /// Arcs of constant speed and turn rate.
@@ -150,37 +150,37 @@ pub enum RobotPath {
 /// An arc of constant speed and turn rate; negative speeds reverse, zero speeds turn in place or stop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VelocitySegment {
-    /// How long it lasts [s], above 0.
+    /// How long it lasts (s), above 0.
     pub secs: f64,
-    /// Forward speed [m/s].
+    /// Forward speed (m/s).
     pub speed_m_s: f64,
-    /// Turn rate, counter-clockwise positive [rad/s].
+    /// Turn rate, counter-clockwise positive (rad/s).
     pub turn_rate_rad_s: f64,
 }
 
 /// The simulated laser.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Laser {
-    /// Scans per second [Hz].
+    /// Scans per second (Hz).
     pub rate_hz: f64,
     /// Beams per scan, at least 1.
     pub beams: u32,
-    /// Field of view [rad], at most 2 pi. At 2 pi the beams are spread evenly without a double end, below it
+    /// Field of view (rad), at most 2 pi. At 2 pi the beams are spread evenly without a double end, below it
     /// both ends carry a beam.
     pub field_of_view_rad: f64,
-    /// Minimum range [m].
+    /// Minimum range (m).
     pub min_range_m: f64,
-    /// Maximum range [m].
+    /// Maximum range (m).
     pub max_range_m: f64,
-    /// Step of a reading [m]; 0 for readings that aren't quantized.
+    /// Step of a reading (m); 0 for readings that aren't quantized.
     pub resolution_m: f64,
-    /// Standard deviation of a reading at range 0 [m].
+    /// Standard deviation of a reading at range 0 (m).
     pub noise_sigma_m: f64,
-    /// Its growth per metre of range [m/m]: sigma(r) = `noise_sigma_m` + `noise_sigma_per_m` * r.
+    /// Its growth per metre of range (m/m): sigma(r) = `noise_sigma_m` + `noise_sigma_per_m` * r.
     pub noise_sigma_per_m: f64,
     /// Where the laser sits, `base_from_laser`.
     pub mount: Pose2,
-    /// Time that one sweep takes [s]; beams are stamped along it.
+    /// Time that one sweep takes (s); beams are stamped along it.
     pub scan_secs: f64,
 }
 
@@ -197,7 +197,7 @@ pub struct Log {
     pub train_scans: Vec<[f64; 2]>,
     /// Scans that the filter localizes on.
     pub localize_scans: Vec<[f64; 2]>,
-    /// Readings at or above this count as no return [m]; `None` takes the log's own maximum.
+    /// Readings at or above this count as no return (m); `None` takes the log's own maximum.
     pub max_range_m: Option<f64>,
 }
 
@@ -210,7 +210,7 @@ pub enum LogMap {
     FromScans {
         /// Scans the map is built from.
         scans: Vec<[f64; 2]>,
-        /// Side of a cell [m].
+        /// Side of a cell (m).
         resolution_m: f64,
     },
 }
@@ -353,9 +353,9 @@ pub enum ParticleCount {
         error: f64,
         /// Probability 1 - delta with which the bound holds, in (0, 1).
         quantile: f64,
-        /// Side of a histogram bin [m].
+        /// Side of a histogram bin (m).
         bin_m: f64,
-        /// Heading width of a histogram bin [rad].
+        /// Heading width of a histogram bin (rad).
         bin_rad: f64,
     },
 }
@@ -414,9 +414,9 @@ pub enum Start {
 /// Independent Gaussian spread of a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Spread {
-    /// Standard deviation of x and of y [m].
+    /// Standard deviation of x and of y (m).
     pub sigma_m: f64,
-    /// Standard deviation of the heading [rad].
+    /// Standard deviation of the heading (rad).
     pub sigma_rad: f64,
 }
 
@@ -440,7 +440,7 @@ pub enum Estimate {
 pub struct Errors {
     /// Along which axes.
     pub frame: ErrorFrame,
-    /// A trial is lost when its last position error exceeds this [m].
+    /// A trial is lost when its last position error exceeds this (m).
     pub lost_m: f64,
 }
 

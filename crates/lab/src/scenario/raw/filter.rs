@@ -71,10 +71,10 @@ pub struct RawKld {
     /// Probability with which the bound holds, above 0 and below 1.
     #[serde(default = "default::kld_quantile")]
     pub quantile: f64,
-    /// Side of a histogram bin [m], above 0.
+    /// Side of a histogram bin (m), above 0.
     #[serde(default = "default::kld_bin_m")]
     pub bin_m: f64,
-    /// Heading width of a histogram bin [deg], above 0 to 360.
+    /// Heading width of a histogram bin (deg), above 0 to 360.
     #[serde(default = "default::kld_bin_deg")]
     pub bin_deg: f64,
 }
@@ -150,10 +150,10 @@ pub enum RawStart {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSpread {
-    /// Standard deviation of x and of y [m], at least 0.
+    /// Standard deviation of x and of y (m), at least 0.
     #[serde(default)]
     pub sigma_m: f64,
-    /// Standard deviation of the heading [deg], at least 0.
+    /// Standard deviation of the heading (deg), at least 0.
     #[serde(default)]
     pub sigma_deg: f64,
 }

@@ -136,7 +136,7 @@ impl Short for ModelName {
 pub struct RawErrors {
     /// The axes of position errors.
     pub frame: ErrorFrame,
-    /// A trial is lost when its last position error exceeds this [m], above 0.
+    /// A trial is lost when its last position error exceeds this (m), above 0.
     pub lost_m: f64,
 }
 

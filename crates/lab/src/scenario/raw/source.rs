@@ -10,7 +10,7 @@ pub struct RawRayCast {
     /// From a precomputed table, or exactly each time.
     #[serde(default)]
     pub method: RayCastMethod,
-    /// Side of a table cell [m], 0.001 to 10. Only with `table`. Default: 0.1.
+    /// Side of a table cell (m), 0.001 to 10. Only with `table`. Default: 0.1.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("default" = default::CELL_M))]
     pub cell_m: Option<f64>,
@@ -35,25 +35,25 @@ pub enum RayCastMethod {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawBlocks {
-    /// Blocks per metre of wall [1/m], 0 to 100.
+    /// Blocks per metre of wall (1/m), 0 to 100.
     pub per_metre_of_wall: f64,
-    /// Length of a block along the wall, before it is turned [m], above 0.
+    /// Length of a block along the wall, before it is turned (m), above 0.
     pub length_m: [f64; 2],
-    /// Width of a block [m], above 0.
+    /// Width of a block (m), above 0.
     pub width_m: [f64; 2],
-    /// Yaw relative to the wall [deg], -180 to 180.
+    /// Yaw relative to the wall (deg), -180 to 180.
     #[serde(default)]
     pub yaw_deg: [f64; 2],
-    /// Gap between the wall and the block's nearest side [m], at least 0.
+    /// Gap between the wall and the block's nearest side (m), at least 0.
     #[serde(default)]
     pub wall_distance_m: [f64; 2],
     /// When blocks take new places.
     #[serde(default)]
     pub resample: RawBlockResampling,
-    /// Speed along the wall [m/s]; only with `never` or `each_scan_n`.
+    /// Speed along the wall (m/s); only with `never` or `each_scan_n`.
     #[serde(default)]
     pub speed_m_s: [f64; 2],
-    /// No block comes closer than this to the robot's centre [m], at least 0.
+    /// No block comes closer than this to the robot's centre (m), at least 0.
     #[serde(default = "default::clearance_m")]
     pub clearance_m: f64,
 }
@@ -77,7 +77,7 @@ pub enum RawBlockResampling {
 pub struct RawRobot {
     /// The path it drives.
     pub path: RawPath,
-    /// The start is shifted along x and along y by a uniform draw from -this to this, anew for each trial [m].
+    /// The start is shifted along x and along y by a uniform draw from -this to this, anew for each trial (m).
     #[serde(default)]
     pub start_jitter_m: f64,
     /// Noise of its odometry.
@@ -100,11 +100,11 @@ pub struct RawOdometryNoise {
 pub enum RawPath {
     /// Straight legs between points, turning in place at each.
     Waypoints {
-        /// At least two points [x, y] in the map frame [m], neighbours apart.
+        /// At least two points [x, y] in the map frame (m), neighbours apart.
         points_m: Vec<[f64; 2]>,
-        /// Speed on a leg [m/s], above 0.
+        /// Speed on a leg (m/s), above 0.
         speed_m_s: f64,
-        /// Turn rate at a point [deg/s], above 0.
+        /// Turn rate at a point (deg/s), above 0.
         turn_rate_deg_s: f64,
     },
     /// Arcs of constant speed and turn rate.
@@ -120,11 +120,11 @@ pub enum RawPath {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawPose {
-    /// x [m].
+    /// x (m).
     pub x_m: f64,
-    /// y [m].
+    /// y (m).
     pub y_m: f64,
-    /// Heading [deg], 0 along x, counter-clockwise.
+    /// Heading (deg), 0 along x, counter-clockwise.
     pub heading_deg: f64,
 }
 
@@ -132,11 +132,11 @@ pub struct RawPose {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSegment {
-    /// How long it lasts [s], above 0.
+    /// How long it lasts (s), above 0.
     pub secs: f64,
-    /// Forward speed [m/s].
+    /// Forward speed (m/s).
     pub speed_m_s: f64,
-    /// Turn rate [deg/s], counter-clockwise.
+    /// Turn rate (deg/s), counter-clockwise.
     #[serde(default)]
     pub turn_rate_deg_s: f64,
 }
@@ -145,20 +145,20 @@ pub struct RawSegment {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawLaser {
-    /// Scans per second [Hz], above 0.
+    /// Scans per second (Hz), above 0.
     pub rate_hz: f64,
     /// Beams per scan, 1 to 100000.
     pub beams: u64,
-    /// Field of view [deg], above 0 to 360. At 360 beams are spread evenly without a double end; below, both
+    /// Field of view (deg), above 0 to 360. At 360 beams are spread evenly without a double end; below, both
     /// ends carry a beam.
     #[serde(default = "default::field_of_view_deg")]
     pub field_of_view_deg: f64,
-    /// Minimum range [m], at least 0.
+    /// Minimum range (m), at least 0.
     #[serde(default)]
     pub min_range_m: f64,
-    /// Maximum range [m], above the minimum. A reading at it means "no return".
+    /// Maximum range (m), above the minimum. A reading at it means "no return".
     pub max_range_m: f64,
-    /// Step of a reading [m], at least 0; 0 for readings that aren't quantized.
+    /// Step of a reading (m), at least 0; 0 for readings that aren't quantized.
     #[serde(default)]
     pub resolution_m: f64,
     /// Gaussian noise of a reading.
@@ -167,7 +167,7 @@ pub struct RawLaser {
     /// Where the laser sits on the robot.
     #[serde(default)]
     pub mount: RawMount,
-    /// Time one sweep takes [s], 0 to 1 / `rate_hz`; beams are stamped along it.
+    /// Time one sweep takes (s), 0 to 1 / `rate_hz`; beams are stamped along it.
     #[serde(default)]
     pub scan_secs: f64,
 }
@@ -176,10 +176,10 @@ pub struct RawLaser {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawRangeNoise {
-    /// Standard deviation at range 0 [m], at least 0.
+    /// Standard deviation at range 0 (m), at least 0.
     #[serde(default)]
     pub sigma_m: f64,
-    /// Growth of the standard deviation per metre of range [m/m], at least 0.
+    /// Growth of the standard deviation per metre of range (m/m), at least 0.
     #[serde(default)]
     pub sigma_per_m: f64,
 }
@@ -188,13 +188,13 @@ pub struct RawRangeNoise {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawMount {
-    /// Forward [m].
+    /// Forward (m).
     #[serde(default)]
     pub x_m: f64,
-    /// Left [m].
+    /// Left (m).
     #[serde(default)]
     pub y_m: f64,
-    /// Counter-clockwise [deg].
+    /// Counter-clockwise (deg).
     #[serde(default)]
     pub yaw_deg: f64,
 }
@@ -213,9 +213,9 @@ pub struct RawLog {
     pub train_scans: Vec<[f64; 2]>,
     /// Scans that the filter localizes on; none of them may be a training or map scan.
     pub localize_scans: Vec<[f64; 2]>,
-    /// Side of a cell of the map built from the log [m], 0.001 to 10. Default: 0.05.
+    /// Side of a cell of the map built from the log (m), 0.001 to 10. Default: 0.05.
     #[schemars(extend("default" = default::MAP_RESOLUTION_M))]
     pub map_resolution_m: Option<f64>,
-    /// Readings at or above this count as no return [m]. Default: the log's own maximum.
+    /// Readings at or above this count as no return (m). Default: the log's own maximum.
     pub max_range_m: Option<f64>,
 }
