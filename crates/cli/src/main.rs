@@ -173,11 +173,14 @@ fn map(arguments: &Map) -> Result<ExitCode> {
     );
     let (grid, summary) =
         run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, arguments.max_range)?;
-    let _ = &grid;
+    let [image, yaml] = ["pgm", "yaml"].map(|extension| arguments.out.with_extension(extension));
+    grid.write_image(&image)?;
+    let name = image.file_name().map(Path::new).context("--out needs a file name")?;
+    std::fs::write(&yaml, grid.map_file(name).to_yaml()).with_context(|| yaml.display().to_string())?;
     say(&summary.to_string())?;
     say(&format!(
         "{}: {} x {} cells of {} m",
-        arguments.out.with_extension("yaml").display(),
+        yaml.display(),
         grid.width(),
         grid.height(),
         grid.resolution_m()

@@ -119,10 +119,10 @@ pub struct TemperingGrid {
 }
 
 impl Default for TemperingGrid {
-    /// Floors from 0.0001 to 0.5 and exponents from 0.05 to 1, about evenly in their logarithms.
+    /// Floors from 0.0001 to 0.95 and exponents from 0.05 to 1, about evenly in their logarithms.
     fn default() -> Self {
         Self {
-            floors: vec![1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5],
+            floors: vec![1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 0.95],
             exponents: vec![0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.0],
         }
     }
