@@ -111,6 +111,7 @@ fn fill_band(
     let mut below = vec![Vec::new(); frame.columns + 1];
     let mut above = below.clone();
     let mut centre = Vec::new();
+    let mut list = Vec::new();
     let look = |seen: &mut Vec<u32>, [x, y]: [f64; 2]| {
         if seen.is_empty() {
             seen.extend(directions.iter().map(|&direction| {
@@ -134,7 +135,8 @@ fn fill_band(
             look(&mut centre, spots[4]);
             let seen = [&below[column], &below[column + 1], &above[column], &above[column + 1], &centre];
             for (bin, entry) in entries.iter_mut().enumerate() {
-                *entry = pool.entry(&segments_of_bin(seen, bin));
+                segments_of_bin(seen, bin, &mut list);
+                *entry = pool.entry(&list);
             }
         }
         std::mem::swap(&mut below, &mut above);
@@ -143,15 +145,15 @@ fn fill_band(
     pool.segments
 }
 
-/// The segments seen in a heading bin, ascending.
-fn segments_of_bin(seen: [&Vec<u32>; 5], bin: usize) -> Vec<u32> {
-    let fine = seen[0].len();
-    let mut list: Vec<u32> = seen
-        .iter()
-        .flat_map(|seen| [seen[2 * bin], seen[2 * bin + 1], seen[(2 * bin + 2) % fine]])
-        .filter(|&segment| segment != NOTHING)
-        .collect();
+/// Makes `list` the segments seen in a heading bin, ascending.
+fn segments_of_bin(seen: [&Vec<u32>; 5], bin: usize, list: &mut Vec<u32>) {
+    list.clear();
+    for seen in seen {
+        list.extend([seen[2 * bin], seen[2 * bin + 1], seen[(2 * bin + 2) % seen.len()]]);
+    }
     list.sort_unstable();
     list.dedup();
-    list
+    if list.last() == Some(&NOTHING) {
+        list.pop();
+    }
 }
