@@ -7,6 +7,8 @@ use serde_json::Value;
 
 use super::tests::{edited, parse, shipped, text};
 use super::*;
+use crate::results::TrainingRow;
+use crate::summary::{AngularError, Errors as ErrorSummary, Kept, LinearError, ModelSummary};
 
 fn json_of(yaml: &str) -> Value {
     yaml::parse(Path::new("x.yaml"), yaml).unwrap().0
@@ -208,4 +210,45 @@ fn what_is_absent_takes_the_value_its_description_names() {
     let log = edited(&text("log.yaml"), "  max_range_m: 40\n", "");
     let Source::Log(log) = parse(&log).unwrap().source else { panic!() };
     assert_eq!(log.max_range_m, None);
+}
+
+/// Collects the dotted paths of the numbers in a tree.
+fn figures(path: &str, value: &Value, out: &mut BTreeSet<String>) {
+    match value {
+        Value::Object(map) => {
+            for (key, inner) in map {
+                figures(&locate::join(path, key), inner, out);
+            }
+        }
+        Value::Number(_) => _ = out.insert(path.to_owned()),
+        _ => {}
+    }
+}
+
+#[test]
+fn bounds_can_be_declared_on_every_figure_of_a_model() {
+    let linear = LinearError { mean_m: 1.0, std_m: 1.0 };
+    let errors = ErrorSummary {
+        position_rmse_m: 1.0,
+        position_median_m: 1.0,
+        position_p95_m: 1.0,
+        position_std_m: 1.0,
+        along: linear,
+        across: linear,
+        heading: AngularError { mean_rad: 1.0, std_rad: 1.0 },
+    };
+    let train =
+        TrainingRow { log_loss_nats: Some(1.0), histogram_match_m: Some(1.0), ..TrainingRow::default() };
+    let summary = ModelSummary {
+        lost_share: 0.0,
+        errors,
+        ess_mean: 1.0,
+        step_ms: 1.0,
+        train,
+        intervals: None,
+        kept: Some(Kept { trials: 1, errors, intervals: None }),
+    };
+    let mut found = BTreeSet::new();
+    figures("", &serde_json::to_value(summary).unwrap(), &mut found);
+    assert_eq!(found, METRICS.into_iter().map(str::to_owned).collect());
 }

@@ -477,12 +477,14 @@ pub struct Expectation {
     pub max: Option<f64>,
 }
 
-/// Figures of a model in `summary.json` that `expect` can bound, with dots between nested keys.
-pub const METRICS: [&str; 14] = [
+/// Figures of a model in `summary.json` that `expect` can bound, with dots between nested keys; `kept` leaves out
+/// the lost trials.
+pub const METRICS: [&str; 26] = [
     "lost_share",
     "position_rmse_m",
     "position_median_m",
     "position_p95_m",
+    "position_std_m",
     "along.mean_m",
     "along.std_m",
     "across.mean_m",
@@ -493,4 +495,15 @@ pub const METRICS: [&str; 14] = [
     "step_ms",
     "train.log_loss_nats",
     "train.histogram_match_m",
+    "kept.trials",
+    "kept.position_rmse_m",
+    "kept.position_median_m",
+    "kept.position_p95_m",
+    "kept.position_std_m",
+    "kept.along.mean_m",
+    "kept.along.std_m",
+    "kept.across.mean_m",
+    "kept.across.std_m",
+    "kept.heading.mean_rad",
+    "kept.heading.std_rad",
 ];
