@@ -26,10 +26,11 @@ pub enum Sink<'a> {
     Spawn,
 }
 
-const TRUTH: [u8; 3] = [0x22, 0x22, 0x22];
-const ODOMETRY: [u8; 3] = [0x99, 0x99, 0x99];
-const WALL: [u8; 3] = [0x44, 0x44, 0x44];
-const BLOCK: [u8; 3] = [0xb8, 0xb8, 0xb8];
+// Seen on the viewer's dark background.
+const TRUTH: [u8; 3] = [0xff, 0xff, 0xff];
+const ODOMETRY: [u8; 3] = [0x70, 0x70, 0x70];
+const WALL: [u8; 3] = [0xc8, 0xc8, 0xc8];
+const BLOCK: [u8; 3] = [0x80, 0x80, 0x80];
 
 /// Writes one trial, all models side by side on one timeline.
 ///
@@ -101,7 +102,7 @@ fn layout(trial: &DetailedTrial) -> Blueprint {
             TimePanel::new()
                 .with_state(PanelState::Collapsed)
                 .with_timeline("step")
-                .with_play_state(PlayState::Paused),
+                .with_play_state(PlayState::Following),
         )
 }
 
@@ -118,9 +119,9 @@ fn log_static(stream: &RecordingStream, trial: &DetailedTrial) -> RecordingStrea
         "legend",
         &rerun::TextDocument::from_markdown(
             "Each map shows one sensor model's filter on the same drive.\n\n\
-             - black: true (or reference) path; grey line: odometry alone\n\
+             - white: true (or reference) path and pose; grey line: odometry alone\n\
              - grey rectangles: blocks that stood there, **not known to the filter**\n\
-             - points: particles, pale to strong by weight\n\
+             - points: particles, dim to strong by weight\n\
              - thin line in the model's colour: most likely trajectory (found at the end of the drive)\n\
              - ellipse: 95 % of the particles' position covariance\n\
              - beams: log likelihood of the reading at the true pose, red (unexpected) to blue (expected)\n",
@@ -215,21 +216,25 @@ fn log_probe(
     probe: &BeamProbe,
     rgb: [u8; 3],
 ) -> RecordingStreamResult<()> {
-    if probe.z_m.is_empty() {
+    if probe.z_m.len() < 2 {
         return Ok(());
     }
-    let bars = |values: &[f32], abscissa: &[f32], rgb| {
-        rerun::BarChart::new(values.to_vec()).with_abscissa(abscissa.to_vec()).with_color(color(rgb))
+    let bars = |values: &[f32], abscissa: &[f32], width: f32, rgb| {
+        rerun::BarChart::new(values.to_vec())
+            .with_abscissa(abscissa.to_vec())
+            .with_widths(vec![width; values.len()])
+            .with_color(color(rgb))
     };
-    stream.log(format!("beam_density/{model}"), &bars(&probe.density_per_m, &probe.z_m, rgb))?;
+    let width = probe.z_m[1] - probe.z_m[0];
+    stream.log(format!("beam_density/{model}"), &bars(&probe.density_per_m, &probe.z_m, width, rgb))?;
     let height = probe.density_per_m.iter().copied().fold(0.0, f32::max);
-    stream.log("beam_density/reading", &bars(&[height], &[probe.reading_m], TRUTH))
+    stream.log("beam_density/reading", &bars(&[height], &[probe.reading_m], width, TRUTH))
 }
 
 fn particles(step: &DetailedStep, rgb: [u8; 3]) -> rerun::Points2D {
     let heaviest = step.weights.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     // The square root keeps light particles visible beside a few heavy ones.
-    let colors = step.weights.iter().map(|w| blend([0xdd; 3], rgb, (w / heaviest).sqrt()));
+    let colors = step.weights.iter().map(|w| blend([0x40; 3], rgb, (w / heaviest).sqrt()));
     rerun::Points2D::new(step.particles.iter().map(|p| pose_point(&p)))
         .with_colors(colors)
         .with_radii([rerun::Radius::new_ui_points(1.5)])

@@ -1,6 +1,6 @@
 //! What the numbers say, in sentences that follow from them alone.
 
-use super::text::{escape, metres, metres_with, percent, with_interval};
+use super::text::{escape, metres, metres_with, percent, significant, with_interval};
 use crate::statistics::share_interval;
 use crate::summary::{CLASSIC, ModelSummary, ORACLE, Ratio, Summary};
 
@@ -276,10 +276,16 @@ pub fn describe(model: &str) -> Option<&'static str> {
     })
 }
 
-/// What was chosen for a model on held-out data, as `name = value` pairs.
-pub fn chosen(model: &ModelSummary) -> String {
-    let pairs = model.train.chosen.iter().map(|(name, value)| format!("{} = {value}", escape(name)));
-    pairs.collect::<Vec<_>>().join(", ")
+/// What was fitted or chosen for each model: one line per model of names and values.
+pub fn chosen(summary: &Summary) -> Vec<String> {
+    let models = summary.models.iter().filter(|(_, model)| !model.train.chosen.is_empty());
+    models
+        .map(|(name, model)| {
+            let pairs = model.train.chosen.iter();
+            let pairs = pairs.map(|(name, value)| format!("{} {}", escape(name), significant(*value)));
+            format!("`{name}`: {}.", pairs.collect::<Vec<_>>().join(", "))
+        })
+        .collect()
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::figures::Figure;
 use super::findings::{self, NP_REG, PAPER};
-use super::text::{self, NONE, TextTable};
+use super::text::{self, TextTable};
 use super::{ReportContext, ReportError};
 use crate::results::RunResults;
 use crate::summary::{CLASSIC, Kept, ORACLE, Summary};
@@ -76,6 +76,7 @@ pub fn markdown(
         kept_table => kept_table(summary).to_markdown(),
         kept_ratios => kept_ratios(summary).to_markdown(),
         training_table => training_table(summary).to_markdown(),
+        chosen => findings::chosen(summary),
         training => findings::training(summary),
         figures => Serde(pick(false)),
         trial_figures => Serde(pick(true)),
@@ -132,14 +133,12 @@ fn kept_ratios(summary: &Summary) -> TextTable {
 
 fn training_table(summary: &Summary) -> TextTable {
     TextTable::new(
-        ["model", "log loss [nats]", "histogram match [m]", "chosen on held-out data"],
+        ["model", "log loss [nats]", "histogram match [m]"],
         summary.models.iter().map(|(name, model)| {
-            let chosen = findings::chosen(model);
             [
                 name.to_owned(),
                 text::optional(model.train.log_loss_nats, 3),
                 text::optional(model.train.histogram_match_m, 4),
-                if chosen.is_empty() { NONE.to_owned() } else { chosen },
             ]
         }),
     )

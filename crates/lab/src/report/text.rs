@@ -70,6 +70,12 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     if text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.')) { text.replace('-', "") } else { text }
 }
 
+/// A number with three significant digits.
+pub fn significant(value: f64) -> String {
+    let magnitude = if value == 0.0 { 0.0 } else { value.abs().log10().floor() };
+    fixed(value, (2.0 - magnitude).clamp(0.0, 12.0) as usize)
+}
+
 /// Metres, to a tenth of a millimetre.
 pub fn metres(value: f64) -> String {
     fixed(value, 4)

@@ -68,10 +68,7 @@ impl<'a> Detail<'a> {
             particles: filter.particles().iter().step_by(stride).collect(),
             weights: filter.weights().linear().iter().step_by(stride).copied().collect(),
             estimate: mean.pose,
-            position_covariance: [
-                [covariance[0][0], covariance[0][1]],
-                [covariance[1][0], covariance[1][1]],
-            ],
+            position_covariance: [[covariance[0][0], covariance[0][1]], [covariance[1][0], covariance[1][1]]],
             beam_log_density: log_density,
             effective_sample_size: outcome.effective_sample_size,
             log_evidence_nats: outcome.log_evidence,
@@ -135,7 +132,9 @@ fn most_shortened(nominal: &[f32], scan: &Scan, laser: &Laser) -> usize {
         let usable = z < laser.max_range() && r < laser.max_range();
         if usable { r - z } else { f32::NEG_INFINITY }
     };
-    (0..nominal.len()).reduce(|best, beam| if shortening(beam) > shortening(best) { beam } else { best }).unwrap_or(0)
+    (0..nominal.len())
+        .reduce(|best, beam| if shortening(beam) > shortening(best) { beam } else { best })
+        .unwrap_or(0)
 }
 
 /// The particle nearest to the truth in position.

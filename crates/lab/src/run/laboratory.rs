@@ -4,14 +4,16 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec2;
-use locsim_core::{DistanceMap, Draw, Drive, DriveStep, Obstructions, Particles, Pose2, RangeMap, Stage, Survival};
+use locsim_core::{
+    DistanceMap, Draw, Drive, DriveStep, Obstructions, Particles, Pose2, RangeMap, Stage, Survival,
+};
 use locsim_dataset::{CarmenOptions, read_carmen};
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, SurfaceTable};
 use locsim_world::simulation::{
-    Block, BlockOptions, BlockResampling, LaserOptions, ObstructionOptions, ObstructionTable, OdometryNoise, Robot,
-    RobotPath, SimulationError, Simulator, VelocitySegment, simulate_drive,
+    Block, BlockOptions, BlockResampling, LaserOptions, ObstructionOptions, ObstructionTable, OdometryNoise,
+    Robot, RobotPath, SimulationError, Simulator, VelocitySegment, simulate_drive,
 };
 use rand::RngExt;
 
@@ -135,8 +137,7 @@ impl<'a> Laboratory<'a> {
             distance: Arc::clone(&place.distance),
             oracle,
         };
-        let models =
-            train(&scenario.models, &data, &surroundings, training.held_out_share, seed, progress)?;
+        let models = train(&scenario.models, &data, &surroundings, training.held_out_share, seed, progress)?;
         let notes = vec![format!(
             "Every model was trained on the same {} scan poses with {} observations of each of their {} beams; \
              {:.0} % of the poses were held out to choose bandwidths, floors and exponents.",
@@ -161,8 +162,7 @@ impl<'a> Laboratory<'a> {
                 progress.stage("building the map", 1);
                 let steps = selected(&drive, scans);
                 let options = MappingOptions { resolution_m: *resolution_m, ..MappingOptions::default() };
-                let grid = occupancy_from_drive(&drive, &steps, &options)
-                    .map_err(unusable(&log.file))?;
+                let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(&log.file))?;
                 progress.advance(1);
                 grid.to_geometry()
             }
@@ -179,8 +179,7 @@ impl<'a> Laboratory<'a> {
             oracle: None,
         };
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
-        let models =
-            train(&scenario.models, &data, &surroundings, training.held_out_share, seed, progress)?;
+        let models = train(&scenario.models, &data, &surroundings, training.held_out_share, seed, progress)?;
         let localized: Vec<DriveStep> =
             selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
         if localized.is_empty() {
@@ -250,8 +249,7 @@ pub fn map_from_log(
     let max_range_m = max_range_m.map(|max| max as f32);
     let (drive, summary) = read_carmen(log, &CarmenOptions { max_range_m, ..CarmenOptions::default() })?;
     let options = MappingOptions { resolution_m, ..MappingOptions::default() };
-    let grid = occupancy_from_drive(&drive, &selected(&drive, shares), &options)
-        .map_err(unusable(log))?;
+    let grid = occupancy_from_drive(&drive, &selected(&drive, shares), &options).map_err(unusable(log))?;
     Ok((grid, summary))
 }
 
@@ -413,12 +411,7 @@ fn simulated_scans(
 
 /// Training scans of a log: those whose reference pose lies in the map's free space, at most as many as asked
 /// for, evenly spread.
-fn measured_scans(
-    drive: &Drive,
-    steps: &[usize],
-    place: &Place,
-    training: &scenario::Training,
-) -> ScanData {
+fn measured_scans(drive: &Drive, steps: &[usize], place: &Place, training: &scenario::Training) -> ScanData {
     let beams = training.beams.map_or(drive.laser.beam_count(), |beams| beams as usize);
     let (laser, kept) = drive.laser.thinned(beams);
     let usable: Vec<(Pose2, &DriveStep)> = steps

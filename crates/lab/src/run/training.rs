@@ -4,10 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
-use locsim_core::{Beams, DistanceMap, Draw, Hits, Laser, Obstructions, Particles, Pose2, RangeMap, SensorModel, Stage};
+use locsim_core::{
+    Beams, DistanceMap, Draw, Hits, Laser, Obstructions, Particles, Pose2, RangeMap, SensorModel, Stage,
+};
 use locsim_sensor::{
-    BeamState, CalibrationScan, FitOptions, FittedModel, ModelKind, Oracle, SensorError, Tempered, TemperingGrid,
-    TrainingSet, choose_tempering, evaluate, fit,
+    BeamState, CalibrationScan, FitOptions, FittedModel, ModelKind, Oracle, SensorError, Tempered,
+    TemperingGrid, TrainingSet, choose_tempering, evaluate, fit,
 };
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -120,8 +122,7 @@ fn train_one(
         grid.exponents = vec![exponent];
     }
     let tempering = choose_tempering(&*bare, calibration, &grid).map_err(failed)?;
-    let tempered =
-        |exponent| Tempered::new(Arc::clone(&bare), tempering.floor, exponent).map_err(failed);
+    let tempered = |exponent| Tempered::new(Arc::clone(&bare), tempering.floor, exponent).map_err(failed);
     let with_floor = tempered(1.0)?;
     // The log loss with the floor, without which one odd reading makes it infinite; the match without it.
     let normalized = model.name != ModelName::LikelihoodField;

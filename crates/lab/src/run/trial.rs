@@ -6,7 +6,8 @@ use std::time::Duration;
 use locsim_core::{Drive, Pose2, wrap_angle};
 use locsim_mcl::{
     Filter, FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, PoseBins, Regularization,
-    ResampleTrigger, Resampler, Residual, Start, StepInput, StepOutcome, Stratified, Systematic, VelocityMotion,
+    ResampleTrigger, Resampler, Residual, Start, StepInput, StepOutcome, Stratified, Systematic,
+    VelocityMotion,
 };
 
 use super::RunError;
