@@ -52,7 +52,7 @@ fn every_key_arrives_in_si_units_and_radians() {
             yaw_rad: [degrees(-30.0), degrees(30.0)],
             wall_distance_m: [0.0, 0.5],
             resample: BlockResampling::EachScanN(5),
-            speed_m_s: [-0.1, 0.1],
+            speed_m_s: [0.0, 0.1],
             clearance_m: 0.4,
         })
     );

@@ -50,7 +50,7 @@ pub struct RawBlocks {
     /// When blocks take new places.
     #[serde(default)]
     pub resample: RawBlockResampling,
-    /// Speed along the wall (m/s); only with `never` or `each_scan_n`.
+    /// Speed along the wall, either way (m/s), not below 0; only with `never` or `each_scan_n`.
     #[serde(default)]
     pub speed_m_s: [f64; 2],
     /// No block comes closer than this to the robot's centre (m), at least 0.

@@ -72,7 +72,7 @@ fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> Blocks {
             BlockResampling::EachScanN(check.count("blocks.resample.each_scan_n", n, 1, 1_000_000))
         }
     };
-    let speed_m_s = check.interval("blocks.speed_m_s", raw.speed_m_s, Any);
+    let speed_m_s = check.interval("blocks.speed_m_s", raw.speed_m_s, AtLeast(0.0));
     let persists = resample != BlockResampling::EachObservation;
     check.refuse(!persists && speed_m_s != [0.0; 2], "blocks.speed_m_s", || {
         let [lo, hi] = speed_m_s;
