@@ -5,7 +5,7 @@ mod progress;
 mod recording;
 
 use std::io::{IsTerminal, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -41,10 +41,21 @@ fn main() -> ExitCode {
         }
     };
     done.unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
+        eprintln!("error: {}", explain(&error));
         let interrupted = matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }));
         ExitCode::from(if interrupted { INTERRUPTED } else { BAD_INPUT })
     })
+}
+
+/// An error with its causes; a cause that the message quotes already isn't said again.
+fn explain(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
 }
 
 fn run(arguments: &Run) -> Result<ExitCode> {
@@ -85,7 +96,12 @@ fn run(arguments: &Run) -> Result<ExitCode> {
         say(&serde_json::to_string_pretty(&outcome.summary)?)?;
     } else if !arguments.quiet {
         say(&terminal_table(&outcome.summary))?;
-        say(&format!("Results in {} (open report.html; `rerun {0}/recording.rrd` replays)", out.display()))?;
+        let replay = if arguments.record == Record::File {
+            format!("; `rerun {}` replays", out.join("recording.rrd").display())
+        } else {
+            String::new()
+        };
+        say(&format!("Results in {} (open report.html{replay})", out.display()))?;
     }
     for missed in &outcome.missed {
         eprintln!("missed: {missed}");
@@ -125,7 +141,7 @@ fn recorder(record: Record, scenario: &str) -> Option<Box<Recorder<'static>>> {
     }
 }
 
-fn validate(scenarios: &[std::path::PathBuf]) -> Result<ExitCode> {
+fn validate(scenarios: &[PathBuf]) -> Result<ExitCode> {
     let mut refused = false;
     for path in scenarios {
         match Scenario::load(path, &Overrides::default()) {
@@ -173,7 +189,14 @@ fn map(arguments: &Map) -> Result<ExitCode> {
     );
     let (grid, summary) =
         run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, arguments.max_range)?;
-    let [image, yaml] = ["pgm", "yaml"].map(|extension| arguments.out.with_extension(extension));
+    let named_yaml = arguments.out.extension().is_some_and(|extension| extension == "yaml");
+    let stem = if named_yaml { arguments.out.with_extension("") } else { arguments.out.clone() };
+    // Appended: what follows a dot in a name such as `floor-0.05` is no extension.
+    let [image, yaml] = [".pgm", ".yaml"].map(|extension| {
+        let mut name = stem.clone().into_os_string();
+        name.push(extension);
+        PathBuf::from(name)
+    });
     grid.write_image(&image)?;
     let name = image.file_name().map(Path::new).context("--out needs a file name")?;
     std::fs::write(&yaml, grid.map_file(name).to_yaml()).with_context(|| yaml.display().to_string())?;

@@ -75,7 +75,7 @@ pub enum RunError {
         source: std::io::Error,
     },
     /// There is something else in the place of a results folder.
-    #[error("{path} is not a results folder of locsim; choose another --out")]
+    #[error("--out: {path} is not allowed; a new folder, or one that holds results of locsim")]
     Foreign {
         /// The folder.
         path: PathBuf,

@@ -25,10 +25,9 @@ impl Store {
     /// the folder can't be made.
     pub fn open(out: &Path, fingerprint: &str, resume: bool) -> Result<Self, RunError> {
         let in_use = fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
-        if out.is_file() || (in_use && !out.join(MARK).exists()) {
-            return Err(RunError::Foreign { path: out.to_owned() });
-        }
-        let mut name = out.file_name().unwrap_or_default().to_owned();
+        // A path such as `.` or `..` has no name to put a finished folder in the place of.
+        let name = out.file_name().filter(|_| !out.is_file() && (!in_use || out.join(MARK).exists()));
+        let mut name = name.ok_or_else(|| RunError::Foreign { path: out.to_owned() })?.to_owned();
         name.push(".partial");
         let store = Self { out: out.to_owned(), partial: out.with_file_name(name) };
         let same = fs::read_to_string(store.fingerprint()).is_ok_and(|found| found == fingerprint);
@@ -155,5 +154,6 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("thesis.tex"), "precious").unwrap();
         assert!(matches!(Store::open(folder.path(), "a", false), Err(RunError::Foreign { .. })));
+        assert!(matches!(Store::open(&folder.path().join(".."), "a", false), Err(RunError::Foreign { .. })));
     }
 }

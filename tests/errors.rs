@@ -1,0 +1,278 @@
+//! Every kind of bad input as a user meets it: exit code 2 and a message that names the file, the line where there
+//! is one, the key, the value and what is allowed. What is no error but a recovery says what happened.
+
+mod common;
+
+use common::{Folder, SCENARIO, edited, output};
+use predicates::str::{is_empty, starts_with};
+
+/// Runs a command line that has to be refused with exactly this message.
+fn refused(folder: &Folder, line: &str, message: &str) {
+    let call = folder.locsim(line).code(2).stdout(is_empty());
+    let error = String::from_utf8(call.get_output().stderr.clone()).unwrap();
+    assert_eq!(error.trim_end(), format!("error: {message}"), "{line}");
+    assert!(!folder.path("results").join("room").exists(), "{line} left results");
+}
+
+/// Runs the scenario with one part replaced.
+fn refused_scenario(from: &str, to: &str, message: &str) {
+    let folder = Folder::new();
+    folder.write("s.yaml", edited(SCENARIO, from, to));
+    refused(&folder, "run s.yaml", message);
+}
+
+/// A scenario that localizes on `drive.log`.
+const ON_A_LOG: &str = "\
+seed: 1
+log: {file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]}
+map: {file: room.yaml}
+training: {poses: 400}
+models: [classic]
+filter:
+  particles: 100
+  motion: {model: odometry, alpha: [0.1, 0.05, 0.1, 0.05]}
+  start: {tracking: {sigma_m: 0.1, sigma_deg: 3}}
+";
+
+#[test]
+fn keys_types_and_values_of_a_scenario() {
+    for (from, to, message) in [
+        (
+            "  particles: 100",
+            "  partcles: 100",
+            "s.yaml:15: filter.partcles: `partcles` is not a key; did you mean `particles`? allowed: particles, motion, \
+             resampler, resample, injection, start, beams, estimate, regularization",
+        ),
+        ("seed: 3", "seed: three", "s.yaml:3: seed: \"three\" is not allowed; a whole number, not negative"),
+        (
+            "particles: 100",
+            "particles: 0",
+            "s.yaml:15: filter.particles: 0 is not allowed; a whole number from 1 to 10000000",
+        ),
+        (
+            "beams: 12",
+            "beams: 0",
+            "s.yaml:11: laser.beams: 0 is not allowed; a whole number from 1 to 100000",
+        ),
+        ("trials: 3", "trials: 0", "s.yaml:4: trials: 0 is not allowed; a whole number from 1 to 1000000"),
+        (
+            "max_range_m: 3",
+            "max_range_m: .nan",
+            "s.yaml:11: laser.max_range_m: NaN is not allowed; a finite number above 0",
+        ),
+        (
+            "sigma_m: 0.02",
+            "sigma_m: -0.02",
+            "s.yaml:11: laser.noise.sigma_m: -0.02 is not allowed; a finite number not below 0",
+        ),
+        ("seed: 3\n", "", "s.yaml:1: seed: the key is missing"),
+        (
+            "seed: 3",
+            "seed: 3: 4",
+            "s.yaml:3: not readable as YAML: mapping values are not allowed in this context",
+        ),
+    ] {
+        refused_scenario(from, to, message);
+    }
+}
+
+#[test]
+fn every_problem_of_a_file_is_told_at_once_in_the_order_of_the_file() {
+    let folder = Folder::new();
+    let text = edited(SCENARIO, "particles: 100", "particles: 0");
+    folder.write("s.yaml", edited(&text, "trials: 3", "trials: 0"));
+    refused(
+        &folder,
+        "validate s.yaml",
+        "s.yaml:4: trials: 0 is not allowed; a whole number from 1 to 1000000\n\
+         s.yaml:15: filter.particles: 0 is not allowed; a whole number from 1 to 10000000",
+    );
+}
+
+#[test]
+fn files_that_are_not_there() {
+    let folder = Folder::new();
+    refused(&folder, "run nowhere.yaml", "nowhere.yaml: No such file or directory (os error 2)");
+    refused_scenario(
+        "map: {file: room.yaml}",
+        "map: {file: hall.yaml}",
+        "s.yaml:5: map.file: `hall.yaml` is not allowed; there is no file hall.yaml",
+    );
+    refused_scenario(
+        "models: [classic,",
+        "models: [{name: classic, file: old.model},",
+        "s.yaml:13: models[0].file: `old.model` is not allowed; there is no file old.model",
+    );
+    folder.write("s.yaml", ON_A_LOG);
+    refused(
+        &folder,
+        "run s.yaml",
+        "s.yaml:2: log.file: `drive.log` is not allowed; there is no file drive.log",
+    );
+    folder.write("s.yaml", edited(ON_A_LOG, "drive.log", "'${LOCSIM_DATA}/drive.log'"));
+    refused(
+        &folder,
+        "run s.yaml",
+        "s.yaml:2: log.file: `${LOCSIM_DATA}/drive.log` is not allowed; the environment variable LOCSIM_DATA is not \
+         set (export LOCSIM_DATA=...)",
+    );
+    refused(
+        &folder,
+        "map nowhere.log --out m",
+        "nowhere.log: cannot be opened: No such file or directory (os error 2)",
+    );
+}
+
+#[test]
+fn options_of_the_command_line() {
+    let folder = Folder::new();
+    let run = "run room-run.yaml";
+    refused(
+        &folder,
+        &format!("{run} --models classic,np_rge"),
+        "room-run.yaml: --models: `np_rge` is not a model of this scenario; allowed: classic, np_reg_registered",
+    );
+    refused(
+        &folder,
+        &format!("{run} --trials 0"),
+        "room-run.yaml: --trials: 0 is not allowed; a whole number from 1 to 1000000",
+    );
+    refused(&folder, &format!("{run} --threads 0"), "--threads: 0 is not allowed; a whole number from 1");
+    folder.locsim("simulate room-run.yaml --out drive.log").success();
+    let map = "map drive.log --out m";
+    refused(&folder, &format!("{map} --share 0.5"), "--share: two numbers are needed, for example 0.0,0.5");
+    refused(
+        &folder,
+        &format!("{map} --share 0.5,0.2"),
+        "--share: 0.5,0.2 is not allowed; 0 <= from < to <= 1",
+    );
+    refused(
+        &folder,
+        &format!("{map} --resolution 0"),
+        "map drive.log: the cell size must be positive and finite, in metres; got 0",
+    );
+    refused(
+        &folder,
+        "simulate room-run.yaml --out nowhere/drive.log",
+        "nowhere/drive.log: cannot be written: No such file or directory (os error 2)",
+    );
+}
+
+#[test]
+fn maps() {
+    let folder = Folder::new();
+    let room = String::from_utf8(folder.read("room.yaml")).unwrap();
+    folder.write("room.yaml", edited(&room, "[1.8, 1.5]", "[1.8, .nan]"));
+    refused(
+        &folder,
+        "run room-run.yaml",
+        "room.yaml:6: obstacles[0].points_m[1]: point 1 of `pillar` is not finite: [1.8, NaN]",
+    );
+
+    folder.write(
+        "room.yaml",
+        "image: room.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n",
+    );
+    refused(
+        &folder,
+        "run room-run.yaml",
+        "room.yaml:1: image: map image room.pgm: No such file or directory (os error 2)",
+    );
+}
+
+#[test]
+fn a_path_through_a_wall() {
+    refused_scenario(
+        "[2.6, 0.9]",
+        "[5.0, 0.9]",
+        "s.yaml:9: robot.path.waypoints.points_m[1]: [5, 0.9] is not allowed; a point in the free space of room.yaml",
+    );
+    // Both ends are free here; the pillar stands between.
+    refused_scenario(
+        "[[0.6, 0.9], [2.6, 0.9]]",
+        "[[0.6, 1.6], [2.6, 1.6]]",
+        "s.yaml: at 1.80 s the path is at (1.500, 1.600) m, outside the map's free space",
+    );
+}
+
+#[test]
+fn logs() {
+    let folder = Folder::new();
+    folder.locsim("simulate room-run.yaml --out drive.log").success();
+    folder.write("s.yaml", ON_A_LOG);
+    folder.locsim("run s.yaml --quiet --record none --out whole").success();
+
+    // Cut in the middle of the last line.
+    let whole = folder.read("drive.log");
+    folder.write("drive.log", &whole[..whole.len() - 150]);
+    let line = std::str::from_utf8(&whole).unwrap().lines().count();
+    let message = format!(
+        "drive.log:{line}: ROBOTLASER1: the file ends inside this line, so it was cut off; allowed: every line ends \
+         with a newline"
+    );
+    refused(&folder, "run s.yaml", &message);
+
+    folder.write("drive.log", "");
+    refused(&folder, "run s.yaml", "drive.log: the file is empty");
+    folder.write("drive.log", "# a comment\nODOM 0 0 0 0 0 0 0 nohost 0\n");
+    let call = folder.locsim("run s.yaml").code(2);
+    let error = String::from_utf8(call.get_output().stderr.clone()).unwrap();
+    assert!(error.starts_with("error: drive.log: no scan in this log; allowed: at least one "), "{error}");
+    refused(
+        &folder,
+        "simulate s.yaml --out other.log",
+        "s.yaml: a scenario of a measured log has nothing to simulate",
+    );
+}
+
+#[test]
+fn saved_models() {
+    let folder = Folder::new();
+    folder.locsim("run room-run.yaml --out fitted --quiet --record none --trials 1").success();
+    let models =
+        |text: &str| edited(SCENARIO, "models: [classic, np_reg_registered]", &format!("models: [{text}]"));
+
+    let file = folder.read("fitted/models/np_reg_registered.model");
+    folder.write("half.model", &file[..file.len() / 2]);
+    folder.write("s.yaml", models("{name: np_reg_registered, file: half.model}"));
+    let call = folder.locsim("run s.yaml").code(2).stderr(starts_with("error: model half.model: "));
+    assert!(output(&call).is_empty());
+
+    folder.write("empty.model", "");
+    folder.write("s.yaml", models("{name: classic, file: empty.model}"));
+    refused(&folder, "run s.yaml", "model empty.model: empty.model is not a locsim sensor model");
+
+    folder.write("s.yaml", models("{name: classic, file: fitted/models/np_reg_registered.model}"));
+    refused(
+        &folder,
+        "run s.yaml",
+        "model fitted/models/np_reg_registered.model: holds a np_reg_registered model, the scenario asks for classic",
+    );
+
+    let other_laser = models("{name: classic, file: fitted/models/classic.model}");
+    folder.write("s.yaml", edited(&other_laser, "max_range_m: 3", "max_range_m: 4"));
+    refused(
+        &folder,
+        "run s.yaml",
+        "model fitted/models/classic.model: was fitted to a sensor of 3 m maximum range, the scenario's reaches 4 m",
+    );
+}
+
+#[test]
+fn weights_that_are_all_zero_are_made_equal_and_the_trials_table_says_so() {
+    // Three particles strewn over metres, under the exact density of a world as mapped, without a floor: none of
+    // them can explain a scan.
+    let folder = Folder::new();
+    let text = edited(SCENARIO, "particles: 100", "particles: 3");
+    let text = edited(&text, "sigma_m: 0.1, sigma_deg: 3", "sigma_m: 2, sigma_deg: 100");
+    let text = edited(&text, "per_metre_of_wall: 0.3", "per_metre_of_wall: 0");
+    let models =
+        "models: [{name: oracle, floor: 0, exponent: 1}, {name: oracle, label: floored, floor: 0.01}]";
+    folder.write("s.yaml", edited(&text, "models: [classic, np_reg_registered]", models));
+    folder.locsim("run s.yaml --out o --quiet --record none").success();
+    let table = String::from_utf8(folder.read("o/trials.csv")).unwrap();
+    for row in table.lines().skip(1) {
+        let recovered = row.contains("0: every particle had likelihood zero: weights made equal");
+        assert_eq!(recovered, row.contains(",oracle,"), "{row}");
+    }
+}

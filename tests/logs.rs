@@ -1,0 +1,177 @@
+//! Measured logs from end to end: written by `simulate`, mapped by `map`, localized on by `run`; and what else a
+//! user types beside `run`.
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::{Folder, SCENARIO, edited, locsim, output};
+use predicates::prelude::*;
+use predicates::str::contains;
+use serde_json::Value;
+
+/// A drive through the corridor of the room and back, long enough to map, to learn from, and to localize on.
+fn folder_with_a_drive() -> Folder {
+    let folder = Folder::new();
+    let path = "[[0.6, 0.9], [2.6, 0.9]]";
+    let there_and_back = "[[0.6, 0.9], [2.6, 0.9], [2.6, 0.6], [0.6, 0.6], [0.6, 1.2], [2.4, 1.0]]";
+    let text = edited(SCENARIO, path, there_and_back);
+    folder.write("drive.yaml", edited(&text, "beams: 12", "beams: 60"));
+    folder
+}
+
+/// A scenario that localizes on a log.
+fn on_a_log(log: &str) -> String {
+    format!(
+        "seed: 1\ntrials: 3\nlog: {log}\ntraining: {{poses: 400, beams: 20}}\nmodels: [classic, np_reg_registered]\n\
+         filter:\n  particles: 300\n  beams: 20\n  motion: {{model: odometry, alpha: [0.1, 0.05, 0.1, 0.05]}}\n  \
+         start: {{tracking: {{sigma_m: 0.1, sigma_deg: 3}}}}\n"
+    )
+}
+
+/// Runs a scenario and holds every model's error under a bound.
+fn localizes(folder: &Folder, scenario: &str, text: &str, rmse_m: f64) -> Value {
+    folder.write(scenario, text);
+    let run = folder.locsim(&format!("run {scenario} --out {scenario}.d --record none --json")).success();
+    let summary: Value = serde_json::from_str(&output(&run)).unwrap();
+    for (name, model) in summary["models"].as_object().unwrap() {
+        assert_eq!(model["lost_share"], 0.0, "{scenario}: {name} lost its way");
+        let found = model["position_rmse_m"].as_f64().unwrap();
+        assert!(found < rmse_m, "{scenario}: {name} is off by {found} m");
+    }
+    summary
+}
+
+#[test]
+fn a_simulated_log_is_mapped_learnt_from_and_localized_on() {
+    let folder = folder_with_a_drive();
+    for name in ["drive.log", "drive.log.gz"] {
+        let call = folder.locsim(&format!("simulate drive.yaml --out {name} --seed 5")).success();
+        assert!(output(&call).starts_with(&format!("{name}: ")), "{}", output(&call));
+    }
+    assert!(folder.read("drive.log").starts_with(b"# CARMEN"));
+    assert!(folder.read("drive.log.gz").starts_with(b"\x1f\x8b"));
+
+    // One observation of each state; the map as drawn. Noise is 0.02 m on each of 20 beams.
+    let log = "{file: LOG, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]}\nmap: {file: room.yaml}";
+    let plain = localizes(&folder, "plain.yaml", &on_a_log(&log.replace("LOG", "drive.log")), 0.1);
+    let packed = localizes(&folder, "packed.yaml", &on_a_log(&log.replace("LOG", "drive.log.gz")), 0.1);
+    for name in ["classic", "np_reg_registered"] {
+        assert_eq!(
+            plain["models"][name]["position_rmse_m"], packed["models"][name]["position_rmse_m"],
+            "{name}"
+        );
+    }
+
+    // A map built from the first third of the log itself.
+    let log = "{file: drive.log, map_scans: [[0.0, 0.35]], train_scans: [[0.35, 0.7]], localize_scans: [[0.7, 1.0]], \
+               map_resolution_m: 0.05}";
+    localizes(&folder, "mapped.yaml", &on_a_log(log), 0.2);
+
+    // A map that `map` wrote, in a file. What follows a dot in its name is no extension.
+    let call = folder.locsim("map drive.log --out room-0.05 --share 0.0,0.5").success();
+    let told = output(&call);
+    assert!(told.contains("log with true poses") && told.contains("room-0.05.yaml: "), "{told}");
+    folder.locsim("map drive.log --out again.yaml --share 0.0,0.5").success();
+    assert_eq!(folder.read("again.pgm"), folder.read("room-0.05.pgm"));
+    let log = "{file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]}\nmap: {file: room-0.05.yaml}";
+    localizes(&folder, "written.yaml", &on_a_log(log), 0.2);
+
+    // The map serves a simulation too.
+    let simulated = edited(SCENARIO, "room.yaml", "room-0.05.yaml");
+    folder.write("simulated.yaml", simulated);
+    folder.locsim("run simulated.yaml --quiet --record none --trials 1").success();
+}
+
+#[test]
+fn a_log_depends_on_seed_and_trial_alone() {
+    let folder = Folder::new();
+    let log = |options: &str| {
+        folder.locsim(&format!("simulate room-run.yaml --out o.log {options}")).success();
+        folder.read("o.log")
+    };
+    let plain = log("");
+    assert_eq!(plain, log("--seed 3 --trial 0"));
+    assert_ne!(plain, log("--seed 4"));
+    assert_ne!(plain, log("--trial 1"));
+}
+
+/// The checkout's root folder.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+}
+
+/// The scenario files of a folder, as relative paths.
+fn scenarios(folder: &str) -> Vec<String> {
+    let entries = std::fs::read_dir(root().join(folder)).unwrap();
+    let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut paths: Vec<String> =
+        names.filter(|name| name.ends_with(".yaml")).map(|name| format!("{folder}/{name}")).collect();
+    paths.sort();
+    paths
+}
+
+#[test]
+fn the_shipped_scenarios_and_their_maps_are_valid() {
+    let shipped = scenarios("scenarios");
+    assert!(shipped.iter().any(|path| path == "scenarios/table2.yaml"), "{shipped:?}");
+    let call = locsim(&root(), "validate").args(&shipped).assert().success();
+    for path in &shipped {
+        assert!(output(&call).contains(&format!("{path}: valid (")), "{path}");
+    }
+
+    // Every shipped map: a short drive from a place that is free in it.
+    let folder = Folder::new();
+    let maps = scenarios("maps");
+    assert!(maps.len() >= 4, "{maps:?}");
+    for map in maps {
+        let y = if map.ends_with("office.yaml") { 6.0 } else { 1.5 };
+        let map = root().join(map);
+        let text = edited(SCENARIO, "room.yaml", map.to_str().unwrap());
+        folder.write("s.yaml", edited(&text, "[[0.6, 0.9], [2.6, 0.9]]", &format!("[[1, {y}], [1.5, {y}]]")));
+        folder.locsim("simulate s.yaml --out o.log").success();
+    }
+}
+
+#[test]
+fn the_scenarios_of_measured_logs_say_where_they_look_for_data() {
+    let measured = scenarios("scenarios/real");
+    assert!(measured.len() >= 2, "{measured:?}");
+    for path in &measured {
+        locsim(&root(), &format!("validate {path}"))
+            .env_remove("LOCSIM_DATA")
+            .assert()
+            .code(2)
+            .stderr(contains(format!("{path}:")).and(contains("log.file: `${LOCSIM_DATA}/")))
+            .stderr(contains("the environment variable LOCSIM_DATA is not set (export LOCSIM_DATA=...)"));
+    }
+    if std::env::var_os("LOCSIM_DATA").is_none() {
+        eprintln!("skipped: LOCSIM_DATA is not set");
+        return;
+    }
+    locsim(&root(), "validate").args(&measured).assert().success();
+    let folder = Folder::new();
+    locsim(
+        &root(),
+        "run scenarios/real/intel.yaml --trials 1 --models likelihood_field --record none --json --out",
+    )
+    .arg(folder.path("intel"))
+    .assert()
+    .success()
+    .stdout(contains("\"likelihood_field\""));
+}
+
+#[test]
+fn schema_and_completions_are_what_editors_and_shells_take() {
+    let folder = Folder::new();
+    let schema: Value = serde_json::from_str(&output(&folder.locsim("schema").success())).unwrap();
+    assert_eq!(schema["type"], "object");
+    for key in ["seed", "models", "filter", "expect"] {
+        assert!(schema["properties"][key].is_object(), "{key}");
+    }
+    let script = output(&folder.locsim("completions bash").success());
+    assert!(script.contains("complete -F _locsim"), "{script}");
+    for option in ["--resume", "--trials", "--share"] {
+        assert!(script.contains(option), "{option}");
+    }
+}
