@@ -104,9 +104,11 @@ fn root() -> PathBuf {
 /// The scenario files of a folder, as relative paths.
 fn scenarios(folder: &str) -> Vec<String> {
     let entries = std::fs::read_dir(root().join(folder)).unwrap();
-    let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
-    let mut paths: Vec<String> =
-        names.filter(|name| name.ends_with(".yaml")).map(|name| format!("{folder}/{name}")).collect();
+    let paths = entries.map(|entry| entry.unwrap().path());
+    let mut paths: Vec<String> = paths
+        .filter(|path| path.extension().is_some_and(|extension| extension == "yaml"))
+        .map(|path| format!("{folder}/{}", path.file_name().unwrap().to_str().unwrap()))
+        .collect();
     paths.sort();
     paths
 }
