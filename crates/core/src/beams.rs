@@ -3,11 +3,15 @@ use crate::Poses;
 /// The surface id of a beam that hit nothing within the maximum range.
 pub const NO_SURFACE: u32 = u32::MAX;
 
+/// Nominal ranges are cast this many times as far as the sensor sees: whether a wall stands just beyond its maximum
+/// range, and with it the objects in front of that wall, matters to what it reads.
+pub const CAST_REACH: f32 = 1.5;
+
 /// What ray casts into the map return for n laser poses x k bearings; every array has n*k entries, pose-major
 /// (entry `i * k + j` is beam `j` from pose `i`).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Hits {
-    /// Nominal range r \[m\]: distance to the nearest mapped surface; the maximum range where there is none.
+    /// Nominal range r \[m\]: distance to the nearest mapped surface; how far the ray was cast where there is none.
     pub range: Vec<f32>,
     /// Incidence angle alpha \[rad\] in [0, pi/2]: between the beam and the surface's normal; 0 without a hit.
     pub incidence: Vec<f32>,
@@ -58,7 +62,8 @@ pub struct Beams<'a> {
     pub laser: Poses<'a>,
     /// k bearings \[rad\] in the laser frame.
     pub bearings: &'a [f32],
-    /// Nominal range r of each beam \[m\], `max_range` where the map has no surface. \[n*k\]
+    /// Nominal range r of each beam \[m\], from casts of at least `max_range`, at most [`CAST_REACH`] times that; no
+    /// less than `max_range` where the map has no surface that the sensor could see. \[n*k\]
     pub range: &'a [f32],
     /// Incidence angle alpha of each beam \[rad\], 0 to pi/2. \[n*k\]
     pub incidence: &'a [f32],

@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::Pose2;
+use crate::{CAST_REACH, Pose2};
 
 /// Why a laser's description is refused.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -101,6 +101,11 @@ impl Laser {
     /// Maximum range \[m\]; a reading equal to it means "no return".
     pub fn max_range(&self) -> f32 {
         self.max_range
+    }
+
+    /// How far nominal ranges are cast for this laser \[m\]: [`CAST_REACH`] times its maximum range.
+    pub fn cast_range(&self) -> f32 {
+        CAST_REACH * self.max_range
     }
 
     /// Where the laser is mounted.

@@ -13,7 +13,7 @@ mod particles;
 mod pose;
 mod weights;
 
-pub use beams::{Beams, Hits, NO_SURFACE};
+pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
 pub use draw::{Draw, Stage};
 pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
 pub use model::{DistanceMap, Obstructions, RangeMap, SensorModel, Survival};

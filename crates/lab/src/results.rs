@@ -70,7 +70,8 @@ pub struct Trial {
 /// How a model did on held-out training data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrainingRow {
-    /// Mean negative log density of held-out readings (nats); `None` where the model isn't a normalized density.
+    /// Mean negative log density of held-out readings (nats), with a floor of 0.001 under every model's density;
+    /// `None` where the model isn't a normalized density.
     pub log_loss_nats: Option<f64>,
     /// Wasserstein-1 distance between predicted and observed distribution at held-out states \[m\]
     /// (the paper's histogram match times the bin width); `None` as above.

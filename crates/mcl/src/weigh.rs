@@ -77,7 +77,7 @@ impl Lane {
         for i in 0..base.len() {
             self.laser.set(i, base.get(i).compose(&mount));
         }
-        map.cast(self.laser.view(), laser.bearings(), laser.max_range(), &mut self.hits);
+        map.cast(self.laser.view(), laser.bearings(), laser.cast_range(), &mut self.hits);
         let beams = self.hits.beams(self.laser.view(), laser.bearings(), laser.max_range());
         model.log_likelihood(&scan.ranges, &beams, &mut self.log_density, out);
     }

@@ -10,8 +10,10 @@ pub(crate) struct Beam {
     pub pose: usize,
     /// Index of its bearing.
     pub bearing: usize,
-    /// Nominal range r \[m\].
+    /// Nominal range r \[m\], cut at the maximum range.
     pub range: f32,
+    /// Nominal range as cast \[m\], which may lie beyond the maximum range.
+    pub nominal: f32,
     /// Incidence angle alpha \[rad\].
     pub incidence: f32,
     /// Maximum range \[m\].
@@ -19,7 +21,7 @@ pub(crate) struct Beam {
 }
 
 impl Beam {
-    /// The map has nothing within reach along this beam.
+    /// The map has nothing along this beam that the sensor could see.
     pub fn is_open(&self) -> bool {
         self.range >= self.max_range
     }
@@ -31,8 +33,10 @@ fn each_beam(beams: &Beams<'_>, mut f: impl FnMut(usize, Beam)) {
     for pose in 0..beams.poses() {
         for bearing in 0..k {
             let i = pose * k + bearing;
-            let (range, incidence) = (beams.range[i], beams.incidence[i]);
-            f(i, Beam { pose, bearing, range, incidence, max_range: beams.max_range });
+            let (nominal, incidence) = (beams.range[i], beams.incidence[i]);
+            let max_range = beams.max_range;
+            let range = nominal.min(max_range);
+            f(i, Beam { pose, bearing, range, nominal, incidence, max_range });
         }
     }
 }

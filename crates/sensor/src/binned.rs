@@ -7,10 +7,12 @@
 //! result is the table that answers at run time. Against the sum over states each state moves by at most half
 //! a cell.
 
+use locsim_core::CAST_REACH;
 use rayon::prelude::*;
 
 use crate::TrainingSet;
 use crate::axis::Axis;
+use crate::beam::Beam;
 use crate::state_grid::StateGrid;
 
 /// Kernels are cut at this many bandwidths.
@@ -26,13 +28,31 @@ pub(crate) struct Counts {
     rows: Vec<f32>,
 }
 
+/// The observation of `np_reg`: the reading itself.
+pub(crate) fn published(z: f32, beam: &Beam) -> Option<f32> {
+    (z < beam.max_range).then_some(z)
+}
+
+/// The observation of `np_reg_registered`: the reading less the nominal range. No return from a beam whose wall stands
+/// beyond the maximum range is what that wall would give, observed at the wall; which beam a block stopped
+/// between the maximum range and the wall can't be told.
+pub(crate) fn registered(z: f32, beam: &Beam) -> Option<f32> {
+    let unseen_wall = beam.is_open() && beam.nominal < CAST_REACH * beam.max_range;
+    if z < beam.max_range { Some(z - beam.nominal) } else { unseen_wall.then_some(0.0) }
+}
+
 impl Counts {
-    /// Counts the observation `observe(z, r)` of every reading.
-    pub fn of(data: &TrainingSet, grid: StateGrid, axis: &Axis, observe: impl Fn(f32, f32) -> f32) -> Self {
+    /// Counts the observation `observe(z, beam)` of every reading; `None` is no return.
+    pub fn of(
+        data: &TrainingSet,
+        grid: StateGrid,
+        axis: &Axis,
+        observe: impl Fn(f32, &Beam) -> Option<f32>,
+    ) -> Self {
         let stride = axis.bins() + 1;
         let mut rows = vec![0.0; grid.cells() * stride];
         for (z, beam) in data.readings() {
-            let bin = if z >= beam.max_range { axis.bins() } else { axis.bin(observe(z, beam.range)) };
+            let bin = observe(z, &beam).map_or(axis.bins(), |observation| axis.bin(observation));
             rows[grid.cell(&beam) * stride + bin] += 1.0;
         }
         Self { grid, stride, rows }
@@ -132,7 +152,7 @@ mod tests {
     /// for what lies beyond four bandwidths: 3e-4 of a kernel's height, and a mass of 1e-4.
     #[test]
     fn smoothing_on_the_grid_is_the_sum_over_states() {
-        let grid = StateGrid { max_range: MAX_RANGE, ranges: 30, incidences: 10 };
+        let grid = StateGrid { reach: MAX_RANGE, ranges: 30, incidences: 10 };
         let axis = Axis::uniform(MAX_RANGE, 20);
         let mut data = TrainingSet::new(MAX_RANGE).unwrap();
         let mut states = Dataset::new(2);
@@ -145,7 +165,7 @@ mod tests {
             states.push(&[r.into(), alpha.into()], &z.iter().map(|&z| z.into()).collect::<Vec<_>>()).unwrap();
         }
         let bandwidths = [0.4f32, 0.3];
-        let counts = Counts::of(&data, grid, &axis, |z, _| z);
+        let counts = Counts::of(&data, grid, &axis, published);
         let smoothed = counts.smoothed_over_range(bandwidths[0]).smoothed_over_incidence(bandwidths[1]);
         let smoother = Smoother::new(&states, Kernel::Gaussian, &bandwidths.map(f64::from)).unwrap();
         let mut weights = Vec::new();
@@ -169,12 +189,12 @@ mod tests {
 
     #[test]
     fn smoothing_over_the_observation_keeps_every_count() {
-        let grid = StateGrid { max_range: MAX_RANGE, ranges: 1, incidences: 1 };
+        let grid = StateGrid { reach: MAX_RANGE, ranges: 1, incidences: 1 };
         let axis = Axis::around_zero(MAX_RANGE, 0.002, 0.03);
         let mut data = TrainingSet::new(MAX_RANGE).unwrap();
         data.push(state(2.0, 0.1, 0), &[0.0, 1.9, 2.0, 2.01, 4.4, MAX_RANGE]).unwrap();
         for bandwidth in [0.0, 0.5, 3.0, 50.0] {
-            let counts = Counts::of(&data, grid, &axis, |z, r| z - r).smoothed_over_observation(bandwidth);
+            let counts = Counts::of(&data, grid, &axis, registered).smoothed_over_observation(bandwidth);
             let (below, at_max) = counts.row(0).split_at(axis.bins());
             assert!((below.iter().sum::<f32>() - 5.0).abs() < 1e-4);
             assert_eq!(at_max, [1.0]);

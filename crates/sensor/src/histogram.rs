@@ -32,6 +32,8 @@ pub(crate) struct HistogramTable {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Parts {
     pub kind: ModelKind,
+    /// Maximum range of the sensor \[m\].
+    pub max_range: f32,
     pub grid: StateGrid,
     pub axis: Axis,
     /// \[cell\]\[bin\]: mass of each bin; with the point mass a cell's masses sum to 1.
@@ -50,7 +52,7 @@ impl TryFrom<Parts> for HistogramTable {
     fn try_from(parts: Parts) -> Result<Self, Self::Error> {
         let bins = parts.axis.bins();
         let grid = &parts.grid;
-        if grid.ranges == 0 || grid.incidences == 0 || !(grid.max_range > 0.0 && grid.max_range.is_finite()) {
+        if grid.ranges == 0 || grid.incidences == 0 || !(grid.reach > 0.0 && grid.reach.is_finite()) {
             return Err("the state grid is empty");
         }
         if grid.cells().checked_mul(bins) != Some(parts.mass.len()) {
@@ -72,8 +74,8 @@ impl TryFrom<Parts> for HistogramTable {
             }
         });
         let mut table = Self { parts, log_density, below, open_no_return: 0.0 };
-        let max_range = table.parts.grid.max_range;
-        let open = Beam { pose: 0, bearing: 0, range: max_range, incidence: 0.0, max_range };
+        let (max_range, nominal) = (table.parts.max_range, table.parts.grid.reach);
+        let open = Beam { pose: 0, bearing: 0, range: max_range, nominal, incidence: 0.0, max_range };
         table.open_no_return = table.log_no_return(&open);
         Ok(table)
     }
@@ -83,7 +85,11 @@ impl HistogramTable {
     /// The observation that a reading is, on this beam \[m\].
     #[inline]
     fn observation(&self, z: f32, beam: &Beam) -> f32 {
-        if self.parts.kind == ModelKind::NpRegRegistered { z - beam.range } else { z }
+        if self.parts.kind == ModelKind::NpRegRegistered {
+            z - beam.nominal.min(self.parts.grid.reach)
+        } else {
+            z
+        }
     }
 
     /// Mass of the cell's histogram below an observation.
@@ -116,7 +122,8 @@ impl SensorModel for HistogramTable {
         let bins = self.parts.axis.bins();
         log_densities(z, beams, out, |z, beam| {
             if z >= beam.max_range {
-                return if beam.is_open() { self.open_no_return } else { self.log_no_return(&beam) };
+                let open = beam.nominal >= self.parts.grid.reach;
+                return if open { self.open_no_return } else { self.log_no_return(&beam) };
             }
             let bin = self.parts.axis.bin(self.observation(z, &beam));
             self.log_density[self.parts.grid.cell(&beam) * bins + bin]

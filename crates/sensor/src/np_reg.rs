@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use locsim_core::CAST_REACH;
 use rayon::prelude::*;
 
 use crate::axis::Axis;
-use crate::binned::Counts;
+use crate::binned::{Counts, published, registered};
 use crate::evaluate::{histogram_match, log_loss};
 use crate::histogram::{HistogramTable, Parts};
 use crate::state_grid::StateGrid;
@@ -126,15 +127,16 @@ impl<'a> Search<'a> {
     fn new(kind: ModelKind, train: &TrainingSet, held_out: &'a TrainingSet) -> Self {
         let max_range = train.max_range();
         if kind == ModelKind::NpRegRegistered {
-            let axis = Axis::around_zero(max_range, noise_scale(train) / 5.0, max_range / 150.0);
-            let grid = StateGrid { max_range, ranges: 96, incidences: 30 };
-            let counts = Counts::of(train, grid, &axis, |z, r| z - r);
+            let reach = CAST_REACH * max_range;
+            let axis = Axis::around_zero(reach, noise_scale(train) / 5.0, max_range / 150.0);
+            let grid = StateGrid { reach, ranges: 144, incidences: 30 };
+            let counts = Counts::of(train, grid, &axis, registered);
             return Self { kind, axis, counts, held_out };
         }
         let bins = ((max_range / 0.01).ceil() as usize).clamp(100, 1000);
         let axis = Axis::uniform(max_range, bins);
-        let grid = StateGrid { max_range, ranges: bins.min(500), incidences: 15 };
-        let counts = Counts::of(train, grid, &axis, |z, _| z);
+        let grid = StateGrid { reach: max_range, ranges: bins.min(500), incidences: 15 };
+        let counts = Counts::of(train, grid, &axis, published);
         Self { kind, axis, counts, held_out }
     }
 
@@ -147,7 +149,7 @@ impl<'a> Search<'a> {
         let along_observation = self.counts.smoothed_over_observation(observation_bins);
         let mut tried = Vec::new();
         for share in shares {
-            let range_m = share * self.counts.grid.max_range;
+            let range_m = share * self.held_out.max_range();
             let along_range = along_observation.smoothed_over_range(range_m);
             for incidence_rad in INCIDENCES {
                 let smoothing = Smoothing { range_m, incidence_rad, observation_bins, pseudo_count };
@@ -193,7 +195,8 @@ impl<'a> Search<'a> {
                 if cell == grid.mapped() { (0.0, 1.0) } else { (pseudo_count, pseudo_count * WIDE) };
             self.fill_cell(smoothed.row(cell), &pooled, share, wide, grid.longest(cell), mass);
         });
-        let parts = Parts { kind: self.kind, grid, axis: self.axis.clone(), mass };
+        let max_range = self.held_out.max_range();
+        let parts = Parts { kind: self.kind, max_range, grid, axis: self.axis.clone(), mass };
         HistogramTable::try_from(parts).expect("normalized counts are probabilities")
     }
 
@@ -213,7 +216,7 @@ impl<'a> Search<'a> {
         let zero = if self.kind == ModelKind::NpRegRegistered { -longest } else { 0.0 };
         for (bin, mass) in mass.iter_mut().enumerate() {
             if self.axis.upper(bin) > zero {
-                let even = self.axis.width(bin) / self.counts.grid.max_range;
+                let even = self.axis.width(bin) / self.held_out.max_range();
                 *mass = counts[bin] + share * pooled[bin] + 0.5 * wide * even;
             }
         }
@@ -250,8 +253,8 @@ mod tests {
     fn cells_are_small_enough() {
         let (train, held_out) = training_set(1000, 40, 3).split(0.3, 1).unwrap();
         let coarse = Search::new(ModelKind::NpRegRegistered, &train, &held_out);
-        let grid = StateGrid { ranges: 192, incidences: 60, ..coarse.counts.grid };
-        let counts = Counts::of(&train, grid, &coarse.axis, |z, r| z - r);
+        let grid = StateGrid { ranges: 288, incidences: 60, ..coarse.counts.grid };
+        let counts = Counts::of(&train, grid, &coarse.axis, registered);
         let fine = Search { axis: coarse.axis.clone(), counts, ..coarse };
         let smoothing =
             Smoothing { range_m: 0.45, incidence_rad: 0.06, observation_bins: 1.0, pseudo_count: 3.0 };

@@ -66,7 +66,7 @@ impl Oracle {
     fn survival(&self, beams: &Beams<'_>, beam: Beam) -> Survival<'_> {
         let heading = beams.laser.theta[beam.pose] + f64::from(beams.bearings[beam.bearing]);
         let (x, y) = (beams.laser.x[beam.pose], beams.laser.y[beam.pose]);
-        self.obstructions.survival(x, y, heading, beam.range.min(beam.max_range))
+        self.obstructions.survival(x, y, heading, beam.nominal)
     }
 
     /// The bins of a survival function between two ranges in which an object may stand, cut at `to`.

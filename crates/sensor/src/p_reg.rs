@@ -229,7 +229,7 @@ impl Groups {
         };
         let normals = regression(&self.normal_states, &self.normals)?;
         let no_returns = regression(&self.states, &self.no_returns)?;
-        let grid = StateGrid { max_range, ranges: 60, incidences: 15 };
+        let grid = StateGrid { reach: max_range, ranges: 60, incidences: 15 };
         // a plane may leave what a parameter can be; it is kept to what groups have had
         let seen = |parameter: usize| {
             let values = || self.normals.iter().skip(parameter).step_by(2).copied();

@@ -12,7 +12,8 @@ use crate::beam::Beam;
 /// bandwidths, so that what is lost between a state and its cell's centre is small too.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct StateGrid {
-    pub max_range: f32,
+    /// Nominal ranges from 0 to here \[m\] have cells; a beam that reaches it is open.
+    pub reach: f32,
     pub ranges: usize,
     pub incidences: usize,
 }
@@ -29,7 +30,7 @@ impl StateGrid {
     }
 
     pub fn range_width(&self) -> f32 {
-        self.max_range / self.ranges as f32
+        self.reach / self.ranges as f32
     }
 
     pub fn incidence_width(&self) -> f32 {
@@ -39,10 +40,10 @@ impl StateGrid {
     /// The cell of a beam.
     #[inline]
     pub fn cell(&self, beam: &Beam) -> usize {
-        if beam.is_open() {
+        if beam.nominal >= self.reach {
             return self.mapped();
         }
-        let i = (beam.range * (self.ranges as f32 / self.max_range)) as usize;
+        let i = (beam.nominal * (self.ranges as f32 / self.reach)) as usize;
         let j = (beam.incidence * (self.incidences as f32 / FRAC_PI_2)) as usize;
         i.min(self.ranges - 1) * self.incidences + j.min(self.incidences - 1)
     }
@@ -50,15 +51,15 @@ impl StateGrid {
     /// The longest nominal range of a cell \[m\].
     pub fn longest(&self, cell: usize) -> f32 {
         if cell >= self.mapped() {
-            return self.max_range;
+            return self.reach;
         }
         (cell / self.incidences + 1) as f32 * self.range_width()
     }
 
-    /// Nominal range and incidence angle at the middle of a cell; the maximum range and 0 for open beams.
+    /// Nominal range and incidence angle at the middle of a cell; the grid's reach and 0 for open beams.
     pub fn centre(&self, cell: usize) -> (f32, f32) {
         if cell >= self.mapped() {
-            return (self.max_range, 0.0);
+            return (self.reach, 0.0);
         }
         let (i, j) = (cell / self.incidences, cell % self.incidences);
         ((i as f32 + 0.5) * self.range_width(), (j as f32 + 0.5) * self.incidence_width())

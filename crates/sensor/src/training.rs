@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use locsim_core::{Draw, Pose2, Stage};
+use locsim_core::{CAST_REACH, Draw, Pose2, Stage};
 use rand::RngExt;
 
 use crate::SensorError;
@@ -15,7 +15,8 @@ pub struct BeamState {
     pub laser: Pose2,
     /// Bearing of the beam in the laser frame \[rad\].
     pub bearing: f32,
-    /// Nominal range r \[m\]; the maximum range where the map has nothing within reach.
+    /// Nominal range r \[m\], at most [`locsim_core::CAST_REACH`] times the maximum range; no less than the maximum
+    /// range where the map has nothing that the sensor could see.
     pub range: f32,
     /// Incidence angle alpha \[rad\], 0 to pi/2.
     pub incidence: f32,
@@ -59,8 +60,8 @@ impl TrainingSet {
         if !(state.laser.is_finite() && state.bearing.is_finite()) {
             return refuse("pose and bearing must be finite");
         }
-        if !(0.0..=self.max_range).contains(&state.range) {
-            return refuse("the nominal range must be from 0 to the maximum range");
+        if !(0.0..=CAST_REACH * self.max_range).contains(&state.range) {
+            return refuse("the nominal range must be from 0 to 1.5 times the maximum range");
         }
         // pi/2 in f32 lies above that in f64, and ray casts round
         if !(0.0..=std::f32::consts::FRAC_PI_2 + 1e-4).contains(&state.incidence) {
@@ -164,7 +165,8 @@ impl TrainingSet {
         Beam {
             pose: i,
             bearing: 0,
-            range: state.range,
+            range: state.range.min(self.max_range),
+            nominal: state.range,
             incidence: state.incidence,
             max_range: self.max_range,
         }

@@ -93,7 +93,8 @@ impl<'a> Detail<'a> {
         let max_range = laser.max_range();
         let laser_pose: Particles = std::iter::once(probe.pose.compose(&laser.base_from_laser())).collect();
         let mut nominal = Hits::default();
-        self.map.cast(laser_pose.view(), &laser.bearings()[probe.beam..=probe.beam], max_range, &mut nominal);
+        let bearing = &laser.bearings()[probe.beam..=probe.beam];
+        self.map.cast(laser_pose.view(), bearing, laser.cast_range(), &mut nominal);
 
         // One pose whose beams all point the same way: a density over z in one call.
         let mut z: Vec<f32> = (0..PROBE_POINTS)
@@ -116,7 +117,7 @@ impl<'a> Detail<'a> {
         BeamProbe {
             beam: probe.beam,
             pose: probe.pose,
-            nominal_m: nominal.range[0],
+            nominal_m: nominal.range[0].min(max_range),
             reading_m: scan.ranges[probe.beam],
             z_m: z,
             density_per_m: density,

@@ -27,6 +27,9 @@ const CALIBRATION_SCANS: usize = 200;
 /// Largest scale of the candidates' distance from the true pose \[m\] and \[rad\]; the smallest is a hundredth of it.
 const CANDIDATE_SPREAD: (f64, f64) = (0.2, 0.1);
 
+/// Floor under every model's density in the reported log loss.
+const LOG_LOSS_FLOOR: f64 = 1e-3;
+
 /// Scans taken from known poses: what training data are made of.
 pub struct ScanData {
     /// The sensor (with the beams that become states).
@@ -61,7 +64,8 @@ pub struct Surroundings {
     pub oracle: Option<(Arc<dyn Obstructions>, [f64; 2])>,
 }
 
-/// Fits every model of a scenario on the same data.
+/// Fits every model of a scenario on the same data. `filter_beams` is how many beams of a scan the filter uses (`None`:
+/// all), for which exponents are chosen.
 ///
 /// # Errors
 /// [`RunError::Sensor`] for data that a model can't be fitted to and for files that can't be loaded.
@@ -70,13 +74,15 @@ pub fn train(
     data: &ScanData,
     surroundings: &Surroundings,
     held_out_share: f64,
+    filter_beams: Option<usize>,
     seed: u64,
     progress: &dyn Progress,
 ) -> Result<Vec<TrainedModel>, RunError> {
     let failed = |source| RunError::TrainingData { source };
     let set = training_set(data, &*surroundings.map).map_err(failed)?;
     let (train, held_out) = set.split(held_out_share, seed).map_err(failed)?;
-    let calibration = calibration_scans(data, &held_out, &*surroundings.map, seed);
+    let beams = filter_beams.unwrap_or(data.laser.beam_count());
+    let calibration = calibration_scans(data, &held_out, &*surroundings.map, beams, seed);
     progress.stage("training sensor models", models.len() as u64);
     models
         .iter()
@@ -122,9 +128,9 @@ fn train_one(
         grid.exponents = vec![exponent];
     }
     let tempering = choose_tempering(&*bare, calibration, &grid).map_err(failed)?;
-    let tempered = |exponent| Tempered::new(Arc::clone(&bare), tempering.floor, exponent).map_err(failed);
-    let with_floor = tempered(1.0)?;
-    // The log loss with the floor, without which one odd reading makes it infinite; the match without it.
+    let tempered = Tempered::new(Arc::clone(&bare), tempering.floor, tempering.exponent).map_err(failed)?;
+    // The same small floor for all: without one, a single odd reading makes the log loss infinite.
+    let with_floor = Tempered::new(Arc::clone(&bare), LOG_LOSS_FLOOR, 1.0).map_err(failed)?;
     let normalized = model.name != ModelName::LikelihoodField;
     let log_loss_nats = normalized.then(|| evaluate(&with_floor, held_out).log_loss_nats);
     let histogram_match_m = normalized.then(|| evaluate(&*bare, held_out).histogram_match_m);
@@ -134,7 +140,7 @@ fn train_one(
     chosen.insert("pose_log_score_nats".to_owned(), tempering.score);
     Ok(TrainedModel {
         label: model.label.clone(),
-        tempered: Arc::new(tempered(tempering.exponent)?),
+        tempered: Arc::new(tempered),
         bare,
         fitted,
         row: TrainingRow { log_loss_nats, histogram_match_m, chosen },
@@ -167,7 +173,7 @@ fn training_set(data: &ScanData, map: &dyn RangeMap) -> Result<TrainingSet, Sens
     let laser = &data.laser;
     let poses: Particles = data.poses.iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
     let mut hits = Hits::default();
-    map.cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
+    map.cast(poses.view(), laser.bearings(), laser.cast_range(), &mut hits);
     let mut set = TrainingSet::new(laser.max_range())?;
     let beams = laser.beam_count();
     let mut readings = Vec::new();
@@ -190,14 +196,17 @@ fn training_set(data: &ScanData, map: &dyn RangeMap) -> Result<TrainingSet, Sens
     Ok(set)
 }
 
-/// Held-out scans, each with candidates around the pose it was taken from.
+/// Held-out scans, each with candidates for the pose it was taken from, as seen with `beams` of its beams.
 ///
-/// The candidates' distances are spread evenly over two decades of scale, so that some lie as close to the truth
-/// as any model's posterior is wide: a model that is too sure of itself is then seen to miss.
+/// Truth and candidates are drawn alike around a centre that is itself off the truth, so that nothing but the scan
+/// tells them apart: with candidates centred on the truth, a model that is as sure as it should be would be
+/// taken for too sure. Scales are spread evenly over two decades, so that some candidates lie as close together as
+/// any model's posterior is wide.
 fn calibration_scans(
     data: &ScanData,
     held_out: &TrainingSet,
     map: &dyn RangeMap,
+    beams: usize,
     seed: u64,
 ) -> Vec<CalibrationScan> {
     let poses: BTreeSet<u32> = (0..held_out.len()).map(|i| held_out.state(i).scan).collect();
@@ -207,31 +216,32 @@ fn calibration_scans(
         .collect();
     let stride = scans.len().div_ceil(CALIBRATION_SCANS).max(1);
     let draw = Draw::new(seed, Stage::Training, 1);
-    let laser = &data.laser;
+    let (laser, kept) = data.laser.thinned(beams);
     scans
         .iter()
         .step_by(stride)
         .enumerate()
         .map(|(i, &(pose, scan))| {
             let truth = data.poses[pose];
-            let candidates = (0..CANDIDATES).map(|c| {
-                let mut rng = draw.item(i as u32 * CANDIDATES + c);
-                let scale = 100.0_f64.powf(-rng.random::<f64>());
-                let mut normal = |sigma: f64| -> f64 {
+            let mut rng = draw.item(i as u32);
+            let scale = 100.0_f64.powf(-rng.random::<f64>());
+            let mut around = |centre: Pose2| {
+                let mut normal = |sigma: f64| {
                     let unit: f64 = StandardNormal.sample(&mut rng);
                     scale * sigma * unit
                 };
                 let (x, y) = (normal(CANDIDATE_SPREAD.0), normal(CANDIDATE_SPREAD.0));
-                Pose2::new(truth.x + x, truth.y + y, truth.theta + normal(CANDIDATE_SPREAD.1))
-            });
+                Pose2::new(centre.x + x, centre.y + y, centre.theta + normal(CANDIDATE_SPREAD.1))
+            };
+            let centre = around(truth);
             let poses: Particles = std::iter::once(truth)
-                .chain(candidates)
+                .chain((0..CANDIDATES).map(|_| around(centre)))
                 .map(|pose| pose.compose(&laser.base_from_laser()))
                 .collect();
             let mut hits = Hits::default();
-            map.cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
+            map.cast(poses.view(), laser.bearings(), laser.cast_range(), &mut hits);
             CalibrationScan {
-                z: data.scans[pose][scan].clone(),
+                z: kept.iter().map(|&beam| data.scans[pose][scan][beam]).collect(),
                 laser: poses,
                 bearings: laser.bearings().to_vec(),
                 hits,
@@ -248,6 +258,6 @@ pub fn cast_scan<'a>(
     laser_pose: &'a Particles,
     hits: &'a mut Hits,
 ) -> Beams<'a> {
-    map.cast(laser_pose.view(), laser.bearings(), laser.max_range(), hits);
+    map.cast(laser_pose.view(), laser.bearings(), laser.cast_range(), hits);
     hits.beams(laser_pose.view(), laser.bearings(), laser.max_range())
 }

@@ -4,12 +4,21 @@ use locsim_core::{Beams, Draw, Hits, Particles, Pose2, SensorModel, Stage};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::simulated::{MAX_RANGE, Objects, model, normalized_models};
+use super::simulated::{MAX_RANGE, Objects, REACH, model, normalized_models};
 use crate::{ModelKind, Oracle, Tempered};
 
-/// Nominal range and incidence of the beams that are looked at: near, far, at the very end, nothing there.
-const BEAMS: [(f32, f32); 7] =
-    [(0.0, 0.0), (0.25, 0.3), (1.0, 1.2), (2.003, 0.6), (4.3, 0.1), (4.495, 0.5), (MAX_RANGE, 0.0)];
+/// Nominal range and incidence of the beams that are looked at: near, far, at the very end, just out of sight, nothing there.
+const BEAMS: [(f32, f32); 9] = [
+    (0.0, 0.0),
+    (0.25, 0.3),
+    (1.0, 1.2),
+    (2.003, 0.6),
+    (4.3, 0.1),
+    (4.495, 0.5),
+    (MAX_RANGE, 0.0),
+    (5.2, 0.4),
+    (REACH, 0.0),
+];
 
 /// Readings of one beam, all asked about at once.
 struct OneBeam {

@@ -4,13 +4,17 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::{Arc, LazyLock};
 
-use locsim_core::{DistanceMap, Draw, NO_SURFACE, Obstructions, Pose2, SensorModel, Stage, Survival};
+use locsim_core::{
+    CAST_REACH, DistanceMap, Draw, NO_SURFACE, Obstructions, Pose2, SensorModel, Stage, Survival,
+};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::{BeamState, FitOptions, FittedModel, ModelKind, Oracle, TrainingSet, fit, normal};
 
 pub const MAX_RANGE: f32 = 4.5;
+/// How far nominal ranges are cast.
+pub const REACH: f32 = CAST_REACH * MAX_RANGE;
 const SIGMA_M: f64 = 0.01;
 const BLOCKED: f64 = 0.2;
 const UNSEEN: f64 = 0.02;
@@ -81,7 +85,7 @@ pub fn training_set(n: u32, m: usize, seed: u64) -> TrainingSet {
     for i in 0..n {
         let mut rng = draw.item(i);
         let open = i % 10 == 9;
-        let r = if open { f64::from(MAX_RANGE) } else { 0.3 + 4.1 * rng.random::<f64>() };
+        let r = if open { f64::from(REACH) } else { 0.3 + 4.1 * rng.random::<f64>() };
         let alpha = if open { 0.0 } else { 1.3 * rng.random::<f64>() };
         let z: Vec<f32> = (0..m).map(|_| reading(r, alpha, &mut rng)).collect();
         assert!(set.push(state(r as f32, alpha as f32, i / 10), &z).unwrap());

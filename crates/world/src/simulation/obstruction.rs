@@ -1,7 +1,7 @@
 use std::f64::consts::TAU;
 
 use glam::DVec2;
-use locsim_core::{Draw, Obstructions, Stage, Survival};
+use locsim_core::{CAST_REACH, Draw, Obstructions, Stage, Survival};
 use rand::RngExt;
 use rayon::prelude::*;
 
@@ -55,7 +55,8 @@ pub struct ObstructionTable {
     tables: Vec<u32>,
     headings: usize,
     bin_m: f32,
-    max_range: f32,
+    /// A nominal range of this or more is that of a ray without a wall \[m\].
+    reach: f32,
     /// Nominal range of each ray \[table\]\[heading\] \[m\].
     ranges: Vec<f32>,
     /// Entries per ray.
@@ -120,12 +121,13 @@ impl ObstructionTable {
             max_range_m: options.max_range_m,
             entries,
         };
+        let reach = f64::from(CAST_REACH) * options.max_range_m;
         let ranges = viewpoints
             .iter()
             .flat_map(|&viewpoint| rays.directions.iter().map(move |&direction| (viewpoint, direction)))
             .map(|(viewpoint, direction)| {
-                let hit = map.cast_ray(viewpoint, direction, options.max_range_m);
-                hit.map_or(options.max_range_m, |hit| hit.range) as f32
+                let hit = map.cast_ray(viewpoint, direction, reach);
+                hit.map_or(reach, |hit| hit.range) as f32
             })
             .collect();
         let mut survival = vec![0.0; viewpoints.len() * headings * entries];
@@ -141,7 +143,7 @@ impl ObstructionTable {
             tables,
             headings,
             bin_m: options.bin_m as f32,
-            max_range: options.max_range_m as f32,
+            reach: reach as f32,
             ranges,
             entries,
             survival,
@@ -172,7 +174,7 @@ impl Obstructions for ObstructionTable {
                 let heading = turns.rem_euclid(self.headings as f64) as usize;
                 let ray = table as usize * self.headings + heading;
                 // Without a wall within reach on either ray there is nothing to align.
-                let aligned = range < self.max_range && self.ranges[ray] < self.max_range;
+                let aligned = range < self.reach && self.ranges[ray] < self.reach;
                 Survival {
                     probability: &self.survival[ray * self.entries..(ray + 1) * self.entries],
                     start_m: if aligned { range - self.ranges[ray] } else { 0.0 },
@@ -400,7 +402,7 @@ mod tests {
         let table = table(block_options(), &ObstructionOptions { samples: 1000, ..options() });
         let down = -0.25 * TAU;
         assert!((table.survival(3.0, 0.8, down, 0.8).start_m + 0.2).abs() < 1e-6);
-        assert_eq!(table.survival(3.0, 0.8, down, 8.0).start_m, 0.0, "an open ray has no wall to align");
+        assert_eq!(table.survival(3.0, 0.8, down, 12.0).start_m, 0.0, "an open ray has no wall to align");
     }
 
     #[test]
