@@ -119,19 +119,35 @@ impl TrainingSet {
     /// # Errors
     /// [`SensorError::Parameter`] unless the share is above 0 and below 1.
     pub fn split(&self, held_out_share: f64, seed: u64) -> Result<(Self, Self), SensorError> {
+        self.split_runs(held_out_share, seed, 1)
+    }
+
+    /// As [`TrainingSet::split`], but parts whole runs of `length` (at least 1) consecutive scan poses: neighbouring
+    /// scans of a drive share what stands around the robot, too.
+    ///
+    /// # Errors
+    /// As [`TrainingSet::split`].
+    pub fn split_runs(
+        &self,
+        held_out_share: f64,
+        seed: u64,
+        length: u32,
+    ) -> Result<(Self, Self), SensorError> {
+        let run_of = |state: &BeamState| state.scan / length.max(1);
         if !(held_out_share > 0.0 && held_out_share < 1.0) {
             let (what, allowed) = ("the held-out share", "above 0 and below 1");
             return Err(SensorError::Parameter { what, allowed, value: held_out_share });
         }
         let draw = Draw::new(seed, Stage::Training, 0);
-        let mut scans: Vec<u32> =
-            self.states.iter().map(|s| s.scan).collect::<BTreeSet<_>>().into_iter().collect();
-        // the scans with the smallest keys are held out
-        scans.sort_by_cached_key(|&scan| (draw.item(scan).random::<u64>(), scan));
-        let most = scans.len().saturating_sub(1);
-        let count = ((held_out_share * scans.len() as f64).round() as usize).max(1).min(most);
-        let held_out: BTreeSet<u32> = scans[..count].iter().copied().collect();
-        Ok((self.filtered(|s| !held_out.contains(&s.scan)), self.filtered(|s| held_out.contains(&s.scan))))
+        let mut runs: Vec<u32> =
+            self.states.iter().map(run_of).collect::<BTreeSet<_>>().into_iter().collect();
+        // the runs with the smallest keys are held out
+        runs.sort_by_cached_key(|&run| (draw.item(run).random::<u64>(), run));
+        let most = runs.len().saturating_sub(1);
+        let count = ((held_out_share * runs.len() as f64).round() as usize).max(1).min(most);
+        let held_out: BTreeSet<u32> = runs[..count].iter().copied().collect();
+        let is_held_out = |state: &BeamState| held_out.contains(&run_of(state));
+        Ok((self.filtered(|s| !is_held_out(s)), self.filtered(is_held_out)))
     }
 
     /// The states for which `keep` holds, in order.

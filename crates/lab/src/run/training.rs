@@ -38,6 +38,8 @@ pub struct ScanData {
     pub poses: Vec<Pose2>,
     /// Scans of each pose, all with the laser's beams.
     pub scans: Vec<Vec<Vec<f32>>>,
+    /// Poses in a run that is held out or trained on as a whole: 1 where poses are independent.
+    pub run: u32,
 }
 
 /// A sensor model as the filter uses it, with what is known of it.
@@ -80,7 +82,7 @@ pub fn train(
 ) -> Result<Vec<TrainedModel>, RunError> {
     let failed = |source| RunError::TrainingData { source };
     let set = training_set(data, &*surroundings.map).map_err(failed)?;
-    let (train, held_out) = set.split(held_out_share, seed).map_err(failed)?;
+    let (train, held_out) = set.split_runs(held_out_share, seed, data.run).map_err(failed)?;
     let beams = filter_beams.unwrap_or(data.laser.beam_count());
     let calibration = calibration_scans(data, &held_out, &*surroundings.map, beams, seed);
     progress.stage("training sensor models", models.len() as u64);

@@ -28,6 +28,15 @@ fn a_split_parts_scans_and_keeps_every_reading() {
 }
 
 #[test]
+fn runs_of_scans_stay_together() {
+    let set = training_set(500, 1, 1);
+    let (train, held_out) = set.split_runs(0.3, 7, 10).unwrap();
+    let runs = |part: &TrainingSet| -> BTreeSet<u32> { scans(part).iter().map(|scan| scan / 10).collect() };
+    assert!(runs(&train).is_disjoint(&runs(&held_out)));
+    assert_eq!((scans(&train).len(), scans(&held_out).len()), (30, 20));
+}
+
+#[test]
 fn both_parts_of_a_split_have_a_scan_where_there_are_two() {
     let two = training_set(20, 1, 1);
     for share in [0.01, 0.99] {
