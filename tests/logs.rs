@@ -72,6 +72,7 @@ fn a_simulated_log_is_mapped_learnt_from_and_localized_on() {
     let call = folder.locsim("map drive.log --out room-0.05 --share 0.0,0.5").success();
     let told = output(&call);
     assert!(told.contains("log with true poses") && told.contains("room-0.05.yaml: "), "{told}");
+    assert!(folder.read("room-0.05.pgm").starts_with(b"P5"), "the greymap that map servers read");
     folder.locsim("map drive.log --out again.yaml --share 0.0,0.5").success();
     assert_eq!(folder.read("again.pgm"), folder.read("room-0.05.pgm"));
     let log = "{file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]}\nmap: {file: room-0.05.yaml}";

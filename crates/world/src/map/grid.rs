@@ -1,6 +1,8 @@
 use std::path::Path;
 
 use glam::DVec2;
+use image::codecs::pnm::{PnmEncoder, PnmSubtype, SampleEncoding};
+use image::{ExtendedColorType, ImageEncoder, ImageResult};
 use locsim_core::Pose2;
 
 use super::geometry::{FreeSpace, bounds_of};
@@ -116,14 +118,22 @@ impl OccupancyGrid {
             Cell::Occupied => 0,
             Cell::Unknown => 205,
         });
-        image::save_buffer(
-            path,
-            &shades.collect::<Vec<u8>>(),
-            self.width as u32,
-            self.height as u32,
-            image::ExtendedColorType::L8,
-        )
-        .map_err(|source| MapError::Image { path: path.to_owned(), source })
+        let shades: Vec<u8> = shades.collect();
+        let (width, height) = (self.width as u32, self.height as u32);
+        let write = || -> ImageResult<()> {
+            if path.extension().is_some_and(|extension| extension == "pgm") {
+                // A greymap (P5) has to be asked for: the default of `image` is PAM (P7), which map servers don't
+                // read.
+                let mut file = Vec::new();
+                PnmEncoder::new(&mut file)
+                    .with_subtype(PnmSubtype::Graymap(SampleEncoding::Binary))
+                    .write_image(&shades, width, height, ExtendedColorType::L8)?;
+                Ok(std::fs::write(path, file)?)
+            } else {
+                image::save_buffer(path, &shades, width, height, ExtendedColorType::L8)
+            }
+        };
+        write().map_err(|source| MapError::Image { path: path.to_owned(), source })
     }
 
     /// The description that goes with [`OccupancyGrid::write_image`]; `image` is relative to the yaml file.

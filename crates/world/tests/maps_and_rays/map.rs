@@ -263,7 +263,9 @@ proptest! {
     fn a_written_grid_is_read_back_as_it_was(seed in any::<u64>()) {
         let grid = random_grid(seed);
         let folder = tempfile::tempdir().unwrap();
-        grid.write_image(&folder.path().join("map.pgm")).unwrap();
+        let image = folder.path().join("map.pgm");
+        grid.write_image(&image).unwrap();
+        prop_assert!(std::fs::read(image).unwrap().starts_with(b"P5"), "not a binary greymap");
         let file = grid.map_file(Path::new("map.pgm"));
         prop_assert_eq!(&file.load(folder.path()).unwrap(), &grid);
         let yaml = file.to_yaml();
