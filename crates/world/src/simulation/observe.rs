@@ -65,15 +65,16 @@ impl Simulator {
     /// `per_pose` independent scans at each pose (`map_from_base`): readings \[m\] in
     /// \[pose\]\[observation\]\[beam\] order.
     ///
-    /// Pose `i` observes with seed `Draw::new(seed, Stage::Training, 0).seed(i)`, so that more poses or more
-    /// observations leave those there are as they were.
+    /// Pose `i` observes with seed `Draw::new(seed, Stage::Training, 3).seed(i)`, so that more poses or more
+    /// observations leave those there are as they were. Steps 0 to 2 are drawn from where these scans are learnt
+    /// from.
     pub fn observe_many(&self, poses: Poses<'_>, per_pose: u32, seed: u64) -> Vec<f32> {
         let beams = self.laser.laser().beam_count();
         let mut out = vec![0.0; poses.len() * per_pose as usize * beams];
         if out.is_empty() {
             return out;
         }
-        let draw = Draw::new(seed, Stage::Training, 0);
+        let draw = Draw::new(seed, Stage::Training, 3);
         out.par_chunks_mut(per_pose as usize * beams).enumerate().for_each_init(
             Scratch::default,
             |scratch, (i, out)| {
@@ -241,7 +242,7 @@ mod tests {
         let (simulator, poses) = (simulator(noisy_laser()), some_poses());
         let many = simulator.observe_many(poses.view(), 5, 9);
         assert_eq!(many.len(), 7 * 5 * 36);
-        let draw = Draw::new(9, Stage::Training, 0);
+        let draw = Draw::new(9, Stage::Training, 3);
         for (i, scan) in many.chunks(36).enumerate() {
             let single = simulator.observe(&poses.get(i / 5), draw.seed((i / 5) as u32), (i % 5) as u32);
             assert_eq!(bits(scan), bits(&single));
