@@ -333,6 +333,7 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ("floor of one", "simulation.yaml", "floor: 0.01", "floor: 1"),
     ("exponent of zero", "simulation.yaml", "exponent: 0.5", "exponent: 0"),
     ("oracle from a file", "simulation.yaml", "  - oracle", "  - {name: oracle, file: fitted.model}"),
+    ("oracle without noise", "simulation.yaml", "sigma_m: 0.01, sigma_per_m", "sigma_per_m"),
     ("oracle with a log", "log.yaml", "[classic, np", "[classic, oracle, np"),
     ("motion parameters", "minimal.yaml", "[0.1, 0.1, 0.1, 0.1, 0.01, 0.01]", "[0.1, 0.1, 0.1, 0.1]"),
     ("share of zero", "simulation.yaml", "effective_share_below: 0.5", "effective_share_below: 0"),
@@ -366,6 +367,7 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ("training scans out of order", "log.yaml", "[0.6, 0.75]", "[0.55, 0.75]"),
     ("empty interval", "log.yaml", "[0.75, 1.0]", "[1.0, 1.0]"),
     ("interval in percent", "log.yaml", "[0.75, 1.0]", "[75, 100]"),
+    ("localizing on two parts", "log.yaml", "[[0.75, 1.0]]", "[[0.75, 0.8], [0.9, 1.0]]"),
     ("localizing on training scans", "log.yaml", "[0.75, 1.0]", "[0.7, 1.0]"),
     (
         "several at once",

@@ -195,7 +195,7 @@ pub struct Log {
     pub map: LogMap,
     /// Scans that the sensor models are trained on.
     pub train_scans: Vec<[f64; 2]>,
-    /// Scans that the filter localizes on.
+    /// Scans that the filter localizes on: one interval.
     pub localize_scans: Vec<[f64; 2]>,
     /// Readings at or above this count as no return (m); `None` takes the log's own maximum.
     pub max_range_m: Option<f64>,

@@ -176,7 +176,7 @@ pub struct RawLaser {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawRangeNoise {
-    /// Standard deviation at range 0 (m), at least 0.
+    /// Standard deviation at range 0 (m), at least 0; above 0 with the model `oracle`.
     #[serde(default)]
     pub sigma_m: f64,
     /// Growth of the standard deviation per metre of range (m/m), at least 0.
@@ -211,7 +211,9 @@ pub struct RawLog {
     pub map_scans: Option<Vec<[f64; 2]>>,
     /// Scans that the sensor models are trained on.
     pub train_scans: Vec<[f64; 2]>,
-    /// Scans that the filter localizes on; none of them may be a training or map scan.
+    /// Scans that the filter localizes on: one interval, as a drive doesn't jump; none of them may be a training or map
+    /// scan.
+    #[schemars(length(min = 1, max = 1))]
     pub localize_scans: Vec<[f64; 2]>,
     /// Side of a cell of the map built from the log (m), 0.001 to 10. Default: 0.05.
     #[schemars(extend("default" = default::MAP_RESOLUTION_M))]

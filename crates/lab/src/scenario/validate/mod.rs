@@ -39,6 +39,11 @@ pub(in crate::scenario) fn validate(
     let source = source::source(&mut check, &raw);
     let training = training(&mut check, &raw.training, source.as_ref());
     let all_models = models(&mut check, &raw.models, raw.log.is_some());
+    let has_oracle = all_models.iter().any(|model| model.name == ModelName::Oracle);
+    let noiseless = raw.laser.as_ref().is_some_and(|laser| laser.noise.sigma_m == 0.0);
+    check.refuse(has_oracle && noiseless, "laser.noise.sigma_m", || {
+        "0 is not allowed with the model `oracle`, which is a density; a finite number above 0".to_owned()
+    });
     let models = select(&mut check, &all_models, overrides.models.as_deref());
     let filter = filter::filter(&mut check, &raw.filter, raw.laser.as_ref());
     let errors = Errors {

@@ -210,6 +210,10 @@ fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
     };
     let train_scans = check.shares("log.train_scans", &raw.train_scans);
     let localize_scans = check.shares("log.localize_scans", &raw.localize_scans);
+    check.refuse(localize_scans.len() > 1, "log.localize_scans", || {
+        let n = localize_scans.len();
+        format!("a list of {n} intervals is not allowed; one interval, between several the drive would jump")
+    });
     for (i, [from, to]) in localize_scans.iter().enumerate() {
         let taken = train_scans.iter().chain(raw.map_scans.iter().flatten());
         for [a, b] in taken.filter(|[a, b]| from < b && a < to) {
