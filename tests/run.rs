@@ -203,6 +203,20 @@ fn json_prints_the_summary_quiet_prints_nothing_and_no_recording_is_left_when_no
 }
 
 #[test]
+fn results_are_complete_when_the_recording_fails() {
+    let folder = Folder::new();
+    // No viewer can be found to start.
+    common::locsim(&folder.path("."), "run room-run.yaml --out o --models classic --quiet --record spawn")
+        .env("PATH", "")
+        .assert()
+        .code(2)
+        .stdout(is_empty())
+        .stderr(contains("error: the results are in o, but the recording failed: "));
+    assert!(folder.path("o/report.html").exists() && folder.path("o/summary.json").exists());
+    assert!(!folder.path("o.partial").exists());
+}
+
+#[test]
 fn a_missed_bound_gives_exit_code_1_and_complete_results() {
     let folder = Folder::new();
     let bound = |text: &str| format!("{SCENARIO}expect:\n  classic: {text}\n");
@@ -276,6 +290,7 @@ fn bad_input_and_a_folder_of_someone_else_change_nothing() {
     );
     folder.locsim("run bad.yaml --out o").code(2);
     assert_eq!(files(&folder.path("o")), before);
+    assert!(!folder.path("o.partial").exists(), "no trial was run");
 
     fs::create_dir(folder.path("thesis")).unwrap();
     folder.write("thesis/thesis.tex", "precious");

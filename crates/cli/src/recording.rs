@@ -31,12 +31,16 @@ const TRUTH: [u8; 3] = [0xff, 0xff, 0xff];
 const ODOMETRY: [u8; 3] = [0x70, 0x70, 0x70];
 const WALL: [u8; 3] = [0xc8, 0xc8, 0xc8];
 const BLOCK: [u8; 3] = [0x80, 0x80, 0x80];
+const NO_RETURN: [u8; 3] = [0x50, 0x50, 0x50];
+
+/// Length at which a beam without a return is drawn \[m\].
+const STUB_M: f64 = 0.3;
 
 /// Writes one trial, all models side by side on one timeline.
 ///
 /// # Errors
 /// What rerun says when the file can't be written or the viewer can't be reached.
-pub fn record(trial: &DetailedTrial, scenario: &str, sink: Sink<'_>) -> RecordingStreamResult<()> {
+pub fn record(trial: &DetailedTrial, scenario: &str, sink: Sink<'_>) -> anyhow::Result<()> {
     let builder =
         RecordingStreamBuilder::new("locsim").recording_name(scenario).with_blueprint(layout(trial));
     let stream = match sink {
@@ -56,8 +60,7 @@ pub fn record(trial: &DetailedTrial, scenario: &str, sink: Sink<'_>) -> Recordin
             log_model(&stream, trial, m, model, i, step)?;
         }
     }
-    stream.flush_blocking().ok();
-    Ok(())
+    Ok(stream.flush_blocking()?)
 }
 
 /// Maps to the left, one per model; time series and the beam's density to the right.
@@ -81,8 +84,8 @@ fn layout(trial: &DetailedTrial) -> Blueprint {
         TimeSeriesView::new(title).with_origin(origin.to_owned()).into()
     };
     let side = Vertical::new([
-        series("Position error [m]", "/error/position"),
-        series("Heading error [deg]", "/error/heading"),
+        series("Position error of the weighted mean [m]", "/error/position"),
+        series("Heading error of the weighted mean [deg]", "/error/heading"),
         series("Effective sample size", "/effective_sample_size"),
         BarChartView::new("One beam: predicted density [1/m] over range, and its reading")
             .with_origin("/beam_density")
@@ -124,7 +127,8 @@ fn log_static(stream: &RecordingStream, trial: &DetailedTrial) -> RecordingStrea
              - points: particles, dim to strong by weight\n\
              - thin line in the model's colour: most likely trajectory (found at the end of the drive)\n\
              - ellipse: 95 % of the particles' position covariance\n\
-             - beams: log likelihood of the reading at the true pose, red (unexpected) to blue (expected)\n",
+             - beams: log likelihood of the reading at the true pose, red (unexpected) to blue (expected); \
+             grey stubs: beams without a return\n",
         ),
     )?;
     for (m, model) in trial.models.iter().enumerate() {
@@ -240,7 +244,8 @@ fn particles(step: &DetailedStep, rgb: [u8; 3]) -> rerun::Points2D {
         .with_radii([rerun::Radius::new_ui_points(1.5)])
 }
 
-/// Readings as rays from the true pose, coloured by their log density under the model.
+/// Readings as rays from the true pose, coloured by their log density under the model; beams without a return as
+/// stubs, as their probability is that of a point and no density.
 fn scan(laser: &Laser, drive_step: &DriveStep, pose: &Pose2, step: &DetailedStep) -> rerun::LineStrips2D {
     let map_from_laser = pose.compose(&laser.base_from_laser());
     let mut rays = Vec::new();
@@ -248,17 +253,18 @@ fn scan(laser: &Laser, drive_step: &DriveStep, pose: &Pose2, step: &DetailedStep
     for ((&range, &bearing), &log_density) in
         drive_step.scan.ranges.iter().zip(laser.bearings()).zip(&step.beam_log_density)
     {
-        if range.is_nan() || range >= laser.max_range() {
+        if range.is_nan() {
             continue;
         }
+        let returned = range < laser.max_range();
+        let length = if returned { f64::from(range) } else { STUB_M };
         let direction = map_from_laser.theta + f64::from(bearing);
-        let end = [
-            map_from_laser.x + f64::from(range) * direction.cos(),
-            map_from_laser.y + f64::from(range) * direction.sin(),
-        ];
+        let end = [map_from_laser.x + length * direction.cos(), map_from_laser.y + length * direction.sin()];
         rays.push([pose_point(&map_from_laser), point(end)]);
         // -4 nats (improbable) to 3 nats (a peak some centimetres wide).
-        colors.push(blend([0xd5, 0x3e, 0x4f], [0x32, 0x88, 0xbd], f64::from((log_density + 4.0) / 7.0)));
+        let share = f64::from((log_density + 4.0) / 7.0);
+        let by_density = blend([0xd5, 0x3e, 0x4f], [0x32, 0x88, 0xbd], share);
+        colors.push(if returned { by_density } else { color(NO_RETURN) });
     }
     rerun::LineStrips2D::new(rays).with_colors(colors).with_radii([rerun::Radius::new_ui_points(0.5)])
 }

@@ -63,9 +63,14 @@ pub enum RunError {
     /// The report could not be written.
     #[error(transparent)]
     Report(#[from] crate::report::ReportError),
-    /// The recording could not be written.
-    #[error("recording: {0}")]
-    Recording(Box<dyn std::error::Error + Send + Sync>),
+    /// The recording failed; the results are complete without it.
+    #[error("the results are in {out}, but the recording failed: {source}")]
+    Recording {
+        /// The results folder.
+        out: PathBuf,
+        /// What the recorder says.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// A result file could not be written or read.
     #[error("{path}: {source}")]
     File {
@@ -75,10 +80,14 @@ pub enum RunError {
         source: std::io::Error,
     },
     /// There is something else in the place of a results folder.
-    #[error("--out: {path} is not allowed; a new folder, or one that holds results of locsim")]
+    #[error(
+        "--out: {out} is not allowed; a new folder, or one that holds results of locsim, which {found} doesn't"
+    )]
     Foreign {
-        /// The folder.
-        path: PathBuf,
+        /// The results folder that was asked for.
+        out: PathBuf,
+        /// What is something else: this folder, or the one that a run uses beside it.
+        found: PathBuf,
     },
     /// The user stopped the run; finished trials are kept.
     #[error("interrupted after {finished} of {trials} trials; add --resume to go on")]

@@ -77,18 +77,36 @@ pub struct Outcome {
 /// run is interrupted.
 ///
 /// # Errors
-/// [`RunError`]; earlier results at `options.out` are then untouched.
+/// [`RunError`]; earlier results at `options.out` are then untouched, save with [`RunError::Recording`], when the new
+/// ones are complete.
 pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, RunError> {
-    let began = (options.clock)();
+    // Read now, or the report could quote what was edited while trials ran.
+    let text = fs::read_to_string(&scenario.file).map_err(RunError::file(&scenario.file))?;
     let store = Store::open(&options.out, &scenario.content_hash()?, options.resume)?;
+    let written = write_results(scenario, text, &store, options);
+    let (summary, detail) = written.inspect_err(|_| store.discard_if_empty())?;
+    let recorded = options.recorder.map_or(Ok(()), |recorder| recorder(&detail, store.folder()));
+    store.finish()?;
+    options.progress.advance(1);
+    options.progress.finish();
+    recorded.map_err(|source| RunError::Recording { out: options.out.clone(), source })?;
+    let missed = bounds::missed(&scenario.expect, &summary);
+    Ok(Outcome { summary, missed })
+}
+
+/// Runs the trials and writes everything but the recording.
+fn write_results(
+    scenario: &Scenario,
+    scenario_yaml: String,
+    store: &Store,
+    options: &RunOptions<'_>,
+) -> Result<(Summary, DetailedTrial), RunError> {
+    let began = (options.clock)();
     let laboratory = Laboratory::prepare(scenario, options.progress)?;
-    let trials = run_trials(&laboratory, &store, options)?;
-    options.progress.stage("recording and report", 1);
+    let trials = run_trials(&laboratory, store, options)?;
+    options.progress.stage("report and recording", 1);
     let detail = detailed_trial(&laboratory, scenario.record.trial, options.clock)?;
     let folder = store.folder();
-    if let Some(recorder) = options.recorder {
-        recorder(&detail, folder).map_err(RunError::Recording)?;
-    }
     save_models(&laboratory, folder)?;
     save_trajectories(&detail, folder)?;
     let results = RunResults {
@@ -106,17 +124,13 @@ pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, Run
         trials,
     };
     let context = ReportContext {
-        scenario_yaml: fs::read_to_string(&scenario.file).map_err(RunError::file(&scenario.file))?,
+        scenario_yaml,
         command: options.command.clone(),
         simulated: matches!(scenario.source, Source::Simulation(_)),
         notes: laboratory.notes.clone(),
     };
     let summary = report::write(folder, &results, Some(&detail), &context)?;
-    store.finish()?;
-    options.progress.advance(1);
-    options.progress.finish();
-    let missed = bounds::missed(&scenario.expect, &summary);
-    Ok(Outcome { summary, missed })
+    Ok((summary, detail))
 }
 
 fn run_trials(

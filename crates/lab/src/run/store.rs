@@ -2,6 +2,7 @@
 //! stay until new ones are complete.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use super::RunError;
@@ -10,33 +11,61 @@ use crate::results::Trial;
 /// Name of the file by which a results folder is known as ours.
 const MARK: &str = "summary.json";
 
+/// Name of the file by which a partial folder is known as ours, and that says of which run it is.
+const FINGERPRINT: &str = "fingerprint";
+
 /// A folder beside the results folder that becomes it when the run is complete.
 pub struct Store {
     out: PathBuf,
+    /// `OUT.partial`, the folder.
     partial: PathBuf,
+    /// `OUT.old`, where earlier results are while the new ones take their place.
+    old: PathBuf,
+}
+
+/// Whether a folder may be replaced: there is none, it is empty, or it holds the file by which it is known as ours.
+fn is_ours(folder: &Path, mark: &str) -> bool {
+    match fs::read_dir(folder) {
+        Ok(mut entries) => entries.next().is_none() || folder.join(mark).is_file(),
+        Err(error) => error.kind() == ErrorKind::NotFound,
+    }
 }
 
 impl Store {
     /// Opens the partial folder for results at `out`. With `resume`, finished trials of a run with the same
-    /// `fingerprint` are kept; otherwise it starts empty.
+    /// `fingerprint` are kept; otherwise it starts empty. Earlier results that an interruption left beside `out` are
+    /// put back there.
     ///
     /// # Errors
-    /// [`RunError::Foreign`] when `out` holds something that isn't a results folder, [`RunError::File`] when
-    /// the folder can't be made.
+    /// [`RunError::Foreign`] when `out`, or a folder that is needed beside it, holds something that isn't ours,
+    /// [`RunError::File`] when the folder can't be made.
     pub fn open(out: &Path, fingerprint: &str, resume: bool) -> Result<Self, RunError> {
-        let in_use = fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
+        let foreign = |found: &Path| RunError::Foreign { out: out.to_owned(), found: found.to_owned() };
         // A path such as `.` or `..` has no name to put a finished folder in the place of.
-        let name = out.file_name().filter(|_| !out.is_file() && (!in_use || out.join(MARK).exists()));
-        let mut name = name.ok_or_else(|| RunError::Foreign { path: out.to_owned() })?.to_owned();
-        name.push(".partial");
-        let store = Self { out: out.to_owned(), partial: out.with_file_name(name) };
+        let name = out.file_name().ok_or_else(|| foreign(out))?;
+        let [partial, old] = [".partial", ".old"].map(|ending| {
+            let mut name = name.to_owned();
+            name.push(ending);
+            out.with_file_name(name)
+        });
+        for (folder, mark) in [(out, MARK), (&partial, FINGERPRINT), (&old, MARK)] {
+            if !is_ours(folder, mark) {
+                return Err(foreign(folder));
+            }
+        }
+        if !out.exists() && old.exists() {
+            fs::rename(&old, out).map_err(RunError::file(&old))?;
+        }
+        let store = Self { out: out.to_owned(), partial, old };
         let same = fs::read_to_string(store.fingerprint()).is_ok_and(|found| found == fingerprint);
         if store.partial.exists() && !(resume && same) {
             fs::remove_dir_all(&store.partial).map_err(RunError::file(&store.partial))?;
         }
+        fs::create_dir_all(&store.partial).map_err(RunError::file(&store.partial))?;
+        // First of all, or after an interruption the folder wouldn't be known as ours.
+        fs::write(store.fingerprint(), fingerprint).map_err(RunError::file(store.fingerprint()))?;
         let trials = store.trials();
         fs::create_dir_all(&trials).map_err(RunError::file(&trials))?;
-        fs::write(store.fingerprint(), fingerprint).map_err(RunError::file(store.fingerprint()))?;
         Ok(store)
     }
 
@@ -46,7 +75,7 @@ impl Store {
     }
 
     fn fingerprint(&self) -> PathBuf {
-        self.partial.join("fingerprint")
+        self.partial.join(FINGERPRINT)
     }
 
     fn trials(&self) -> PathBuf {
@@ -78,6 +107,14 @@ impl Store {
         fs::rename(&temporary, &path).map_err(RunError::file(&path))
     }
 
+    /// Removes the partial folder unless a trial is kept in it. What can't be removed is left: the run has a failure
+    /// of its own to tell.
+    pub fn discard_if_empty(&self) {
+        if fs::read_dir(self.trials()).is_ok_and(|mut entries| entries.next().is_none()) {
+            let _ = fs::remove_dir_all(&self.partial);
+        }
+    }
+
     /// Puts the complete results in the place of earlier ones.
     ///
     /// # Errors
@@ -85,19 +122,17 @@ impl Store {
     pub fn finish(self) -> Result<(), RunError> {
         let trials = self.trials();
         fs::remove_dir_all(&trials).map_err(RunError::file(&trials))?;
-        fs::remove_file(self.fingerprint()).map_err(RunError::file(self.fingerprint()))?;
-        let mut name = self.out.file_name().unwrap_or_default().to_owned();
-        name.push(".old");
-        let old = self.out.with_file_name(name);
-        if old.exists() {
-            fs::remove_dir_all(&old).map_err(RunError::file(&old))?;
+        if self.old.exists() {
+            fs::remove_dir_all(&self.old).map_err(RunError::file(&self.old))?;
         }
         if self.out.exists() {
-            fs::rename(&self.out, &old).map_err(RunError::file(&self.out))?;
+            fs::rename(&self.out, &self.old).map_err(RunError::file(&self.out))?;
         }
         fs::rename(&self.partial, &self.out).map_err(RunError::file(&self.out))?;
-        if old.exists() {
-            fs::remove_dir_all(&old).map_err(RunError::file(&old))?;
+        let fingerprint = self.out.join(FINGERPRINT);
+        fs::remove_file(&fingerprint).map_err(RunError::file(&fingerprint))?;
+        if self.old.exists() {
+            fs::remove_dir_all(&self.old).map_err(RunError::file(&self.old))?;
         }
         Ok(())
     }
@@ -147,6 +182,52 @@ mod tests {
         store.finish().unwrap();
         assert_eq!(fs::read_to_string(out.join(MARK)).unwrap(), "new");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside the results");
+    }
+
+    #[test]
+    fn earlier_results_that_an_interruption_left_beside_their_place_are_put_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let (out, old) = (folder.path().join("results"), folder.path().join("results.old"));
+        fs::create_dir(&old).unwrap();
+        fs::write(old.join(MARK), "old").unwrap();
+        Store::open(&out, "a", false).unwrap();
+        assert_eq!(fs::read_to_string(out.join(MARK)).unwrap(), "old");
+        assert!(!old.exists());
+    }
+
+    #[test]
+    fn a_folder_of_someone_else_beside_the_results_is_refused_and_left() {
+        for name in ["results.partial", "results.old"] {
+            let folder = tempfile::tempdir().unwrap();
+            let (out, beside) = (folder.path().join("results"), folder.path().join(name));
+            fs::create_dir(&beside).unwrap();
+            fs::write(beside.join("thesis.tex"), "precious").unwrap();
+            let refused = Store::open(&out, "a", false).err();
+            assert!(
+                matches!(&refused, Some(RunError::Foreign { found, .. }) if *found == beside),
+                "{refused:?}"
+            );
+            assert_eq!(fs::read_to_string(beside.join("thesis.tex")).unwrap(), "precious");
+            assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+
+            fs::remove_file(beside.join("thesis.tex")).unwrap();
+            let store = Store::open(&out, "a", false).unwrap();
+            store.finish().unwrap();
+            assert!(out.exists() && !beside.exists(), "an empty folder is nobody's");
+        }
+    }
+
+    #[test]
+    fn a_run_that_kept_no_trial_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(&folder.path().join("results"), "a", false).unwrap();
+        store.discard_if_empty();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+
+        let store = Store::open(&folder.path().join("results"), "a", false).unwrap();
+        store.save(&trial(0)).unwrap();
+        store.discard_if_empty();
+        assert_eq!(store.load(0), Some(trial(0)));
     }
 
     #[test]
