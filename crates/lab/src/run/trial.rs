@@ -36,7 +36,9 @@ pub(super) fn localize(
     let truth = truth_of(laboratory, drive)?;
     let dead_reckoning = dead_reckoning(drive, truth[0]);
     let map = &*laboratory.place.ranges;
-    let mut filter = Filter::new(options(settings)?, &start(settings, truth[0]), map, seed)?;
+    // It keeps every generation of particles, so only where its trajectory is asked for.
+    let ancestry = detail.is_some() || settings.estimate == Estimate::MostLikelyTrajectory;
+    let mut filter = Filter::new(options(settings, ancestry)?, &start(settings, truth[0]), map, seed)?;
     let mut steps = Vec::with_capacity(drive.steps.len());
     let mut events = Vec::new();
     let mut spent = Duration::ZERO;
@@ -148,7 +150,7 @@ fn start(settings: &scenario::Filter, truth: Pose2) -> Start {
     }
 }
 
-fn options(settings: &scenario::Filter) -> Result<FilterOptions, RunError> {
+fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions, RunError> {
     let motion: Arc<dyn MotionModel> = match settings.motion {
         Motion::Odometry(alpha) => Arc::new(OdometryMotion::new(alpha)?),
         Motion::Velocity(alpha) => Arc::new(VelocityMotion::new(alpha)?),
@@ -190,6 +192,6 @@ fn options(settings: &scenario::Filter) -> Result<FilterOptions, RunError> {
         clusters: (settings.estimate == Estimate::DensestCluster)
             .then(|| PoseBins::new(bins.0, bins.1))
             .transpose()?,
-        ancestry: true,
+        ancestry,
     })
 }
