@@ -50,7 +50,8 @@ pub struct ModelTrial {
     pub steps: Vec<StepRow>,
     /// The trial ended further from the truth than the scenario's `lost` threshold.
     pub lost: bool,
-    /// Mean wall time of a filter step [ms]; the only thing here that a repeated run doesn't reproduce.
+    /// Mean wall time of a filter step \[ms\]; the only thing here that a repeated run doesn't reproduce. It is measured
+    /// while trials run in parallel on all threads, so it includes contention.
     pub step_ms: f64,
     /// What happened: recoveries, injections, with the step at which they did.
     pub events: Vec<(u32, String)>,

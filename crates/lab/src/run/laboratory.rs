@@ -139,9 +139,9 @@ impl<'a> Laboratory<'a> {
         };
         let models = train(&scenario.models, &data, &surroundings, training.held_out_share, seed, progress)?;
         let notes = vec![format!(
-            "Every model was trained on the same {} scan poses with {} observations of each of their {} beams; \
+            "Every fitted model was trained on the same {} scan poses with {} observations of each of their {} beams; \
              {:.0} % of the poses were held out to choose bandwidths, floors and exponents.",
-            training.poses,
+            data.poses.len(),
             training.observations,
             data.laser.beam_count(),
             100.0 * training.held_out_share,
@@ -188,13 +188,16 @@ impl<'a> Laboratory<'a> {
         let notes = vec![
             summary.to_string(),
             format!(
-                "Every model was trained on the same {} scans of {} beams, one observation of each state; \
+                "Every fitted model was trained on the same {} scans of {} beams, one observation of each state; \
                  {:.0} % of them were held out to choose bandwidths, floors and exponents. Reference poses are \
                  not the truth: errors below some centimetres say nothing.",
                 data.poses.len(),
                 data.laser.beam_count(),
                 100.0 * training.held_out_share,
             ),
+            "All trials share this one drive: intervals over them show how the filter's own draws vary, and nothing \
+             else."
+                .to_owned(),
         ];
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
         Ok(Self { scenario, place, models, notes, drives: Drives::Measured(drive) })

@@ -98,7 +98,8 @@ pub fn all(
                 "predicted_densities",
                 "What each model predicts for the same beam of the same particle near the truth, whose reading fell \
                  short of the nominal range, as in the paper's Fig. 11; of all such steps of the recorded trial the one \
-                 with the median shortfall. Logarithmic density, as the filter weighs it.",
+                 with the median shortfall. The models' own densities, without the floor and the exponent that the filter \
+                 applies, on a logarithmic axis.",
                 density::predicted(&results.models, &probes),
             )?);
         }
