@@ -27,6 +27,9 @@ const WALL_CLEARANCE_M: f64 = 0.25;
 /// Cell \[m\] and saturation \[m\] of the distance grid behind the likelihood field.
 const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
 
+/// Consecutive training scans of a log that are held out together: some metres of driving.
+const RUN: u32 = 20;
+
 /// Trial numbers from here on are not trials: their seeds serve training.
 const TRAINING_SEED: u32 = u32::MAX;
 
@@ -137,7 +140,9 @@ impl<'a> Laboratory<'a> {
             distance: Arc::clone(&place.distance),
             oracle,
         };
-        let models = train(&scenario.models, &data, &surroundings, training.held_out_share, seed, progress)?;
+        let beams = scenario.filter.beams.map(|beams| beams as usize);
+        let models =
+            train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)?;
         let notes = vec![format!(
             "Every fitted model was trained on the same {} scan poses with {} observations of each of their {} beams; \
              {:.0} % of the poses were held out to choose bandwidths, floors and exponents.",
@@ -179,7 +184,9 @@ impl<'a> Laboratory<'a> {
             oracle: None,
         };
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
-        let models = train(&scenario.models, &data, &surroundings, training.held_out_share, seed, progress)?;
+        let beams = scenario.filter.beams.map(|beams| beams as usize);
+        let models =
+            train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)?;
         let localized: Vec<DriveStep> =
             selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
         if localized.is_empty() {
@@ -409,7 +416,7 @@ fn simulated_scans(
             scans.map(|ranges| kept.iter().map(|&beam| ranges[beam]).collect()).collect()
         })
         .collect();
-    ScanData { laser: thinned, poses: poses.iter().collect(), scans }
+    ScanData { laser: thinned, poses: poses.iter().collect(), scans, run: 1 }
 }
 
 /// Training scans of a log: those whose reference pose lies in the map's free space, at most as many as asked
@@ -424,10 +431,11 @@ fn measured_scans(drive: &Drive, steps: &[usize], place: &Place, training: &scen
         .filter(|(pose, _)| place.exact.is_free(pose.x, pose.y))
         .collect();
     let stride = usable.len().div_ceil(training.poses as usize).max(1);
-    let (poses, scans) = usable
+    let (poses, scans): (Vec<Pose2>, Vec<_>) = usable
         .into_iter()
         .step_by(stride)
         .map(|(pose, step)| (pose, vec![kept.iter().map(|&beam| step.scan.ranges[beam]).collect()]))
         .unzip();
-    ScanData { laser, poses, scans }
+    let run = (poses.len() as u32 / 8).clamp(1, RUN);
+    ScanData { laser, poses, scans, run }
 }
