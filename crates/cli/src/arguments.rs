@@ -44,7 +44,7 @@ pub enum Command {
 pub struct Run {
     /// The scenario file
     pub scenario: PathBuf,
-    /// Results folder [default: results/<scenario name>]
+    /// Results folder [default: results/ and the name of the scenario]
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Number of trials, instead of the scenario's
