@@ -232,6 +232,39 @@ pub fn aims(summary: &Summary) -> Vec<String> {
     .collect()
 }
 
+/// Why the models differ, as far as what was fitted and measured tells.
+pub fn reasons(summary: &Summary) -> Vec<String> {
+    let mut sentences = Vec::new();
+    let sigma = |name| summary.models.get(name)?.train.chosen.get("sigma_m").copied();
+    if let Some(sigma_m) = sigma(CLASSIC) {
+        sentences.push(format!(
+            "The Gaussian of {} was fitted with a deviation of {} m. Where that is many times the sensor's noise, it has \
+             taken in the readings that unmapped objects in front of walls shortened: no exponential describes those. \
+             The posterior is then as much too wide.",
+            code(CLASSIC),
+            significant(sigma_m)
+        ));
+    }
+    let ratio = summary.ratios.get(REGISTERED).and_then(|ratios| ratios.rmse_vs_oracle);
+    if let Some(ratio) = ratio.filter(|ratio| ratio.value > 1.0) {
+        sentences.push(format!(
+            "{} has {} times the RMSE of {}, which knows from each pose where objects may stand; nominal range and incidence \
+             angle don't tell that apart. Fewer particles than a sharp density needs widen the gap.",
+            code(REGISTERED),
+            ratio_text(ratio),
+            code(ORACLE)
+        ));
+    }
+    if summary.ratios.get(CLASSIC).and_then(|r| r.rmse_vs_oracle).is_some_and(|r| r.value < 1.0) {
+        sentences.push(format!(
+            "{} bounds the density of single beams, not the filter: beams that meet the same object aren't independent, and \
+             a model that learns nothing from such readings is then the safer one.",
+            code(ORACLE)
+        ));
+    }
+    sentences
+}
+
 /// Which model predicted held-out readings best; empty when none was measured.
 pub fn training(summary: &Summary) -> Vec<String> {
     let best = |pick: fn(&ModelSummary) -> Option<f64>| {

@@ -71,6 +71,7 @@ pub fn markdown(
         paper_table => with_paper.then(|| paper_table(summary).to_markdown()),
         paper_findings => findings::beside_the_paper(summary),
         aims => findings::aims(summary),
+        reasons => findings::reasons(summary),
         lost => findings::lost_trials(summary),
         any_lost => summary.models.iter().any(|(_, m)| m.lost_share > 0.0),
         kept_table => kept_table(summary).to_markdown(),

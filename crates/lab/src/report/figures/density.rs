@@ -9,6 +9,12 @@ use crate::results::{BeamProbe, DetailedTrial};
 /// Decades shown below the highest density.
 const DECADES: f64 = 4.5;
 
+/// The nominal range stands at most this far along the axis, so that its label has room.
+const ROOM_FOR_LABEL: f64 = 0.86;
+
+/// Share of the maximum range beyond which a wall is too near the axis's end to show what stands at it.
+const IN_SIGHT: f32 = 0.85;
+
 /// A reading this much shorter than its nominal range has met something that isn't in the map (m).
 const SHORTENED_M: f32 = 0.1;
 
@@ -22,7 +28,11 @@ pub fn shortened_beam(detail: &DetailedTrial) -> Vec<(&str, &BeamProbe)> {
         .iter()
         .enumerate()
         .map(|(step, s)| (s.probe.nominal_m - s.probe.reading_m, step))
-        .filter(|(shortfall, _)| *shortfall > SHORTENED_M)
+        .filter(|&(shortfall, step)| {
+            let probe = &first.steps[step].probe;
+            let furthest = probe.z_m.last().copied().unwrap_or(0.0);
+            shortfall > SHORTENED_M && probe.nominal_m < IN_SIGHT * furthest
+        })
         .filter(|&(_, step)| {
             let shared = &first.steps[step].probe;
             detail.models.iter().all(|m| m.steps.get(step).is_some_and(|s| same(shared, &s.probe)))
@@ -44,7 +54,8 @@ pub fn predicted(models: &[String], probes: &[(&str, &BeamProbe)]) -> Result<Str
     let curves: Vec<Vec<(f64, f64)>> = probes.iter().map(|(_, probe)| curve(probe)).collect();
     let highest = curves.iter().flatten().map(|p| p.1).filter(|d| d.is_finite()).fold(1e-6, f64::max);
     let y = Axis::logarithmic("predicted density [1/m]", highest / 10f64.powf(DECADES), 3.0 * highest);
-    let furthest = curves.iter().flatten().map(|p| p.0).fold(nominal.max(reading), f64::max);
+    let furthest =
+        curves.iter().flatten().map(|p| p.0).fold((nominal / ROOM_FOR_LABEL).max(reading), f64::max);
     let x = Axis::linear("range [m]", 0.0, furthest, 10.0);
     let legend: Vec<(String, Mark)> = probes
         .iter()
