@@ -31,8 +31,6 @@ pub enum Stage {
     Oracle = 12,
     /// Seeds of trials, derived from a scenario's seed.
     Trial = 13,
-    /// Effects of the measured world that the nominal simulator lacks.
-    Effect = 14,
 }
 
 /// Every random draw of locsim is a pure function of (seed, stage, step, item), so the number of threads or

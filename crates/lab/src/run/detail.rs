@@ -1,9 +1,9 @@
 //! Keeps one trial in full, for pictures and recordings.
 
-use locsim_core::{Drive, Hits, Laser, Particles, Pose2, RangeMap, Scan, SensorModel};
+use locsim_core::{Beams, Drive, Hits, Laser, Particles, Pose2, RangeMap, Scan, SensorModel};
 use locsim_mcl::{Filter, StepOutcome, Trajectory};
 
-use super::training::{TrainedModel, cast_scan};
+use super::training::TrainedModel;
 use crate::results::{BeamProbe, DetailedModel, DetailedStep};
 
 /// Particles kept per step at the most; of more, every so manieth is.
@@ -142,4 +142,15 @@ fn most_shortened(nominal: &[f32], scan: &Scan, laser: &Laser) -> usize {
 fn nearest(particles: &Particles, truth: Pose2) -> Pose2 {
     let distance = |pose: &Pose2| pose.position().distance_squared(truth.position());
     particles.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(truth)
+}
+
+/// The beams of one pose, cast into the map.
+fn cast_scan<'a>(
+    map: &dyn RangeMap,
+    laser: &'a Laser,
+    laser_pose: &'a Particles,
+    hits: &'a mut Hits,
+) -> Beams<'a> {
+    map.cast(laser_pose.view(), laser.bearings(), laser.cast_range(), hits);
+    hits.beams(laser_pose.view(), laser.bearings(), laser.max_range())
 }
