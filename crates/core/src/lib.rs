@@ -8,6 +8,7 @@
 mod beams;
 mod draw;
 mod drive;
+mod likelihood;
 mod model;
 mod particles;
 mod pose;
@@ -16,6 +17,10 @@ mod weights;
 pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
 pub use draw::{Draw, Stage};
 pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
+pub use likelihood::{
+    BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
+    turn,
+};
 pub use model::{DistanceMap, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec2;
 use locsim_core::{
@@ -10,7 +11,7 @@ use locsim_core::{
 use locsim_dataset::{CarmenOptions, read_carmen};
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
-use locsim_world::raycast::{DistanceGrid, ExactRangeMap, SurfaceTable};
+use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
 use locsim_world::simulation::{
     Block, BlockOptions, BlockResampling, LaserOptions, ObstructionOptions, ObstructionTable, OdometryNoise,
     Robot, RobotPath, SimulationError, Simulator, VelocitySegment, simulate_drive,
@@ -26,6 +27,9 @@ const WALL_CLEARANCE_M: f64 = 0.25;
 
 /// Cell \[m\] and saturation \[m\] of the distance grid behind the likelihood field.
 const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
+
+/// Units of progress of a range table.
+const TABLE_TICKS: u64 = 100;
 
 /// Consecutive training scans of a log that are held out together: some metres of driving.
 const RUN: u32 = 20;
@@ -49,10 +53,14 @@ impl Place {
         let exact = Arc::new(ExactRangeMap::new(geometry));
         let ranges: Arc<dyn RangeMap> = match ray_cast {
             RayCast::Exact => Arc::<ExactRangeMap>::clone(&exact),
-            RayCast::Table { cell_m, headings } => {
-                progress.stage("building the ray-cast table", 1);
-                let table = SurfaceTable::new(&exact, cell_m, headings as usize)?;
-                progress.advance(1);
+            RayCast::Table { cell_m, memory_mb } => {
+                progress.stage("building the range table", TABLE_TICKS);
+                let options = RangeTableOptions { cell_m, most_bytes: (memory_mb as usize) << 20 };
+                let done = AtomicU64::new(0);
+                let table = RangeTable::new(&exact, &options, &|share| {
+                    let now = (share * TABLE_TICKS as f64) as u64;
+                    progress.advance(now.saturating_sub(done.fetch_max(now, Ordering::Relaxed)));
+                })?;
                 Arc::new(table)
             }
         };
@@ -139,6 +147,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle,
+            tables: scenario.ray_cast != RayCast::Exact,
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
@@ -182,6 +191,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle: None,
+            tables: scenario.ray_cast != RayCast::Exact,
         };
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let beams = scenario.filter.beams.map(|beams| beams as usize);

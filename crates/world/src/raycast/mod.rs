@@ -5,8 +5,9 @@ mod build;
 mod distance;
 mod exact;
 mod segment;
+mod sight;
 mod table;
 
 pub use distance::DistanceGrid;
 pub use exact::{ExactRangeMap, RayHit};
-pub use table::SurfaceTable;
+pub use table::{RangeTable, RangeTableOptions};
