@@ -70,7 +70,8 @@ impl Folder {
 /// The program with the arguments of a command line (no quotes: words are cut at blanks).
 pub fn locsim(folder: &Path, line: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_locsim"));
-    command.current_dir(folder).args(line.split_whitespace());
+    // Not in the cache folder of whoever runs the tests.
+    command.current_dir(folder).env("LOCSIM_CACHE", folder.join(".cache")).args(line.split_whitespace());
     command
 }
 

@@ -48,16 +48,22 @@ pub struct Place {
 }
 
 impl Place {
-    fn new(geometry: Geometry, ray_cast: RayCast, progress: &dyn Progress) -> Result<Self, MapError> {
+    fn new(
+        geometry: Geometry,
+        ray_cast: RayCast,
+        cache: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<Self, MapError> {
         let distance = Arc::new(DistanceGrid::new(&geometry, DISTANCE_GRID_M.0, DISTANCE_GRID_M.1)?);
         let exact = Arc::new(ExactRangeMap::new(geometry));
         let ranges: Arc<dyn RangeMap> = match ray_cast {
             RayCast::Exact => Arc::<ExactRangeMap>::clone(&exact),
             RayCast::Table { cell_m, memory_mb } => {
                 progress.stage("building the range table", TABLE_TICKS);
-                let options = RangeTableOptions { cell_m, most_bytes: (memory_mb as usize) << 20 };
+                let most_bytes = (memory_mb as usize) << 20;
+                let options = RangeTableOptions { cell_m, most_bytes, ..RangeTableOptions::default() };
                 let done = AtomicU64::new(0);
-                let table = RangeTable::new(&exact, &options, &|share| {
+                let table = RangeTable::cached(&exact, &options, cache, &|share| {
                     let now = (share * TABLE_TICKS as f64) as u64;
                     progress.advance(now.saturating_sub(done.fetch_max(now, Ordering::Relaxed)));
                 })?;
@@ -112,20 +118,26 @@ impl<'a> Laboratory<'a> {
     ///
     /// # Errors
     /// Whatever is wrong with map, log, world, training data or model files.
-    pub fn prepare(scenario: &'a Scenario, progress: &dyn Progress) -> Result<Self, RunError> {
+    pub fn prepare(
+        scenario: &'a Scenario,
+        cache: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<Self, RunError> {
         match &scenario.source {
-            Source::Simulation(simulation) => Self::simulated(scenario, simulation, progress),
-            Source::Log(log) => Self::measured(scenario, log, progress),
+            Source::Simulation(simulation) => Self::simulated(scenario, simulation, cache, progress),
+            Source::Log(log) => Self::measured(scenario, log, cache, progress),
         }
     }
 
     fn simulated(
         scenario: &'a Scenario,
         simulation: &Simulation,
+        cache: Option<&Path>,
         progress: &dyn Progress,
     ) -> Result<Self, RunError> {
-        let place = Place::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, progress)
-            .map_err(unusable(&simulation.map))?;
+        let place =
+            Place::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, cache, progress)
+                .map_err(unusable(&simulation.map))?;
         let world = world(simulation, &place).map_err(refused(scenario))?;
         let training = &scenario.training;
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
@@ -163,7 +175,12 @@ impl<'a> Laboratory<'a> {
         Ok(Self { scenario, place, models, notes, drives: Drives::Simulated(Box::new(world)) })
     }
 
-    fn measured(scenario: &'a Scenario, log: &Log, progress: &dyn Progress) -> Result<Self, RunError> {
+    fn measured(
+        scenario: &'a Scenario,
+        log: &Log,
+        cache: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<Self, RunError> {
         progress.stage("reading the log", 1);
         let max_range_m = log.max_range_m.map(|max| max as f32);
         let options = CarmenOptions { max_range_m, ..CarmenOptions::default() };
@@ -181,7 +198,7 @@ impl<'a> Laboratory<'a> {
                 grid.to_geometry()
             }
         };
-        let place = Place::new(map, scenario.ray_cast, progress).map_err(unusable(&log.file))?;
+        let place = Place::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
         let training = &scenario.training;
         let data = measured_scans(&drive, &selected(&drive, &log.train_scans), &place, training);
         if data.poses.len() < 4 {
@@ -249,7 +266,7 @@ pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError
         let what = "a scenario of a measured log has nothing to simulate".to_owned();
         return Err(RunError::Log { path: scenario.file.clone(), what });
     };
-    let place = Place::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, &())
+    let place = Place::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, &())
         .map_err(unusable(&simulation.map))?;
     let world = world(simulation, &place).map_err(refused(scenario))?;
     let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(trial);

@@ -2,6 +2,7 @@
 
 mod batch;
 mod build;
+mod cache;
 mod distance;
 mod exact;
 mod segment;

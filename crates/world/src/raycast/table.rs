@@ -1,3 +1,5 @@
+use std::path::Path;
+
 use glam::DVec2;
 use locsim_core::{
     BEAMS_PER_RUN, BeamRun, Hits, LikelihoodTable, NO_SURFACE, Pose2, Poses, PreparedScan, RangeMap, turn,
@@ -8,6 +10,7 @@ use wide::{f32x4, u32x4};
 use super::ExactRangeMap;
 use super::batch::for_each_chunk;
 use super::build::{Built, Views, build, cells_in_sight};
+use super::cache::Cached;
 use super::sight::{Met, Sight};
 use crate::map::{CellFrame, MapError};
 
@@ -68,8 +71,30 @@ impl RangeTable {
         options: &RangeTableOptions,
         progress: &(dyn Fn(f64) + Sync),
     ) -> Result<Self, MapError> {
+        Self::cached(map, options, None, progress)
+    }
+
+    /// As [`RangeTable::new`], kept in a folder: read from there if the very same table was built before, and written
+    /// there otherwise. A file that is damaged is built anew, a folder that can't be written to is done without.
+    ///
+    /// # Errors
+    /// As [`RangeTable::new`].
+    pub fn cached(
+        map: &ExactRangeMap,
+        options: &RangeTableOptions,
+        folder: Option<&Path>,
+        progress: &(dyn Fn(f64) + Sync),
+    ) -> Result<Self, MapError> {
         let (frame, in_sight) = fitting_frame(map, options)?;
+        let cached = folder.map(|folder| Cached::new(folder, map, options, &frame, &in_sight));
+        if let Some(built) = cached.as_ref().and_then(Cached::read) {
+            progress(1.0);
+            return Ok(Self::assemble(map, frame, built));
+        }
         let built = build(map, &frame, HEADINGS, &in_sight, options.tolerance_m, progress);
+        if let Some(cached) = cached {
+            cached.write(&built);
+        }
         Ok(Self::assemble(map, frame, built))
     }
 

@@ -315,6 +315,44 @@ fn a_table_that_does_not_fit_gets_larger_cells() {
     );
 }
 
+/// A cached table answers like the one that was built, whatever has happened to its file.
+#[test]
+fn a_cached_table_is_the_built_one_or_is_built_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let exact = ExactRangeMap::new(common::corridor());
+    let cached = |options: &RangeTableOptions| {
+        let table = RangeTable::cached(&exact, options, Some(folder.path()), &|_| ()).unwrap();
+        let (poses, mut hits) = (random_poses(100, exact.bounds()), Hits::default());
+        table.cast(poses.view(), &bearings(60), 30.0, &mut hits);
+        hits
+    };
+    let files = || {
+        let mut files: Vec<_> =
+            std::fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().path()).collect();
+        files.sort();
+        files
+    };
+    let options = RangeTableOptions { cell_m: 0.4, ..RangeTableOptions::default() };
+    let built = cached(&options);
+    let [file] = &files()[..] else { panic!("one file is kept") };
+    let content = std::fs::read(file).unwrap();
+    assert_eq!(cached(&options), built);
+    let mut altered = content.clone();
+    altered[5000] ^= 1;
+    for damaged in [&altered[..], &content[..content.len() / 2], &[]] {
+        std::fs::write(file, damaged).unwrap();
+        assert_eq!(cached(&options), built);
+        assert_eq!(std::fs::read(file).unwrap(), content, "the damaged file is replaced");
+    }
+    // A file under another table's name isn't taken for it.
+    let other = RangeTableOptions { cell_m: 0.8, ..options };
+    let built_other = cached(&other);
+    let [a, b] = &files()[..] else { panic!("another table has another file") };
+    let other_file = if a == file { b } else { a };
+    std::fs::copy(file, other_file).unwrap();
+    assert_eq!(cached(&other), built_other);
+}
+
 #[test]
 fn a_map_without_walls_returns_nothing() {
     let grid = OccupancyGrid::new(2, 1, 1.0, Pose2::IDENTITY, vec![Cell::Free; 2], vec![0.0; 2]).unwrap();
