@@ -36,11 +36,18 @@ impl Start {
             Self::Tracking { pose, sigma_m, sigma_rad } => {
                 check_sigma("start sigma_m", sigma_m)?;
                 check_sigma("start sigma_rad", sigma_rad)?;
-                let mut particles: Particles = std::iter::repeat_n(pose, n).collect();
+                let mut particles = Particles::zeros(n);
+                (0..n).for_each(|i| particles.set(i, pose));
                 spread(&mut particles, &draw, sigma_m, sigma_rad);
                 Ok(particles)
             }
-            Self::Global => (0..n as u32).map(|i| free_pose(map, &mut draw.item(i))).collect(),
+            Self::Global => {
+                let mut particles = Particles::zeros(n);
+                for i in 0..n {
+                    particles.set(i, free_pose(map, &mut draw.item(i as u32))?);
+                }
+                Ok(particles)
+            }
         }
     }
 }
