@@ -178,6 +178,48 @@ mod tests {
         }
     }
 
+    /// Two updates by the definitions, over several runs and with impossible particles among them.
+    #[test]
+    fn updates_multiply_and_normalize() {
+        for n in [1, 7, RUN, RUN + 1, 5 * RUN + 13] {
+            let mut weights = Weights::uniform(n);
+            let mut expected = vec![1.0 / n as f64; n];
+            for round in 0..2 {
+                let l: Vec<f64> = (0..n)
+                    .map(|i| {
+                        if i % 5 == 4 { f64::NEG_INFINITY } else { ((i * 7919 + round) % 1009) as f64 / 50.0 }
+                    })
+                    .collect();
+                let products: Vec<f64> = expected.iter().zip(&l).map(|(w, l)| w * l.exp()).collect();
+                let evidence: f64 = products.iter().sum();
+                expected = products.iter().map(|p| p / evidence).collect();
+                let got = weights.update(&l).unwrap();
+                assert!((got - evidence.ln()).abs() < 1e-9, "{n}: {got}, expected {}", evidence.ln());
+            }
+            for ((got, log), expected) in weights.linear().iter().zip(weights.log()).zip(&expected) {
+                assert!((got - expected).abs() <= 1e-12 * expected, "{n}: {got}, expected {expected}");
+                assert!(log == expected.ln() || (log - expected.ln()).abs() < 1e-9);
+            }
+            let first_greatest = (0..n).reduce(|best, i| if expected[i] > expected[best] { i } else { best });
+            assert_eq!(weights.argmax(), first_greatest);
+            let squares: f64 = expected.iter().map(|w| w * w).sum();
+            assert!((weights.effective_sample_size() * squares - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_first_of_the_greatest_is_found_in_any_run() {
+        let n = 3 * RUN + 5;
+        for best in [0, 1, RUN - 1, RUN, 2 * RUN + 3, n - 2] {
+            let mut weights = Weights::uniform(n);
+            let mut l = vec![0.0; n];
+            (l[best], l[n - 1]) = (1.0, 1.0);
+            weights.update(&l).unwrap();
+            assert_eq!(weights.argmax(), Some(best));
+        }
+        assert_eq!((Weights::uniform(3).argmax(), Weights::uniform(0).argmax()), (Some(0), None));
+    }
+
     #[test]
     fn likelihoods_far_below_the_smallest_double_still_rank() {
         let mut weights = Weights::uniform(2);
