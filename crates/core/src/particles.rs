@@ -60,11 +60,17 @@ impl Particles {
 
     /// Becomes `source[ancestors[i]]` for each `i`; keeps its buffers.
     pub fn gather(&mut self, source: &Self, ancestors: &[u32]) {
-        for (out, from) in
-            [(&mut self.x, &source.x), (&mut self.y, &source.y), (&mut self.theta, &source.theta)]
-        {
-            out.clear();
-            out.extend(ancestors.iter().map(|&a| from[a as usize]));
+        // So many ancestors at a time that they are still in the first-level cache for y and theta.
+        const RUN: usize = 1024;
+        self.resize(ancestors.len());
+        let Self { x, y, theta } = self;
+        let runs = x.chunks_mut(RUN).zip(y.chunks_mut(RUN)).zip(theta.chunks_mut(RUN));
+        for (ancestors, ((x, y), theta)) in ancestors.chunks(RUN).zip(runs) {
+            for (out, from) in [(x, &source.x), (y, &source.y), (theta, &source.theta)] {
+                for (out, ancestor) in out.iter_mut().zip(ancestors) {
+                    *out = from[*ancestor as usize];
+                }
+            }
         }
     }
 

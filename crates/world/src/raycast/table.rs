@@ -2,7 +2,8 @@ use std::path::Path;
 
 use glam::DVec2;
 use locsim_core::{
-    BEAMS_PER_RUN, BeamRun, Hits, LikelihoodTable, NO_SURFACE, Pose2, Poses, PreparedScan, RangeMap, turn,
+    BEAMS_PER_RUN, BeamRun, Hits, LikelihoodTable, NO_SURFACE, Pose2, Poses, PreparedScan, RangeMap, sin_cos,
+    turn,
 };
 use wide::bytemuck::cast;
 use wide::{f32x4, u32x4};
@@ -213,7 +214,7 @@ impl RangeTable {
     #[inline]
     fn origin(&self, pose: Pose2) -> (Origin, Bins<'_>) {
         let (x, y) = (pose.x - self.frame.x0, pose.y - self.frame.y0);
-        let (sin, cos) = pose.theta.sin_cos();
+        let (sin, cos) = sin_cos(pose.theta);
         let origin =
             Origin { at: [x as f32, y as f32], ahead: [cos as f32, sin as f32], heading: turn(pose.theta) };
         (origin, self.bins(x, y))
