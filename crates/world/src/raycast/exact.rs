@@ -71,6 +71,23 @@ impl ExactRangeMap {
         best
     }
 
+    /// As [`ExactRangeMap::cast_segment`], among some of the segments only.
+    pub(super) fn cast_segment_among(
+        &self,
+        among: &[u32],
+        origin: DVec2,
+        direction: DVec2,
+    ) -> Option<(usize, f64)> {
+        let mut nearest: Option<(usize, f64)> = None;
+        for &i in among {
+            let range = range_to(&self.geometry.segments()[i as usize], origin, direction);
+            if let Some(range) = range.filter(|&range| nearest.is_none_or(|(_, least)| range < least)) {
+                nearest = Some((i as usize, range));
+            }
+        }
+        nearest
+    }
+
     /// Index of the segment that a ray meets first, and the range \[m\].
     pub(super) fn cast_segment(
         &self,
