@@ -2,8 +2,9 @@
 //! turns such loops into vector instructions; and only operations that IEEE 754 rounds the same way everywhere,
 //! so that results have the same bits on every machine (the system's own functions do not promise that).
 //!
-//! Each reduces its argument to a short interval about 0 and evaluates a polynomial there, which interpolates the
-//! function at Chebyshev nodes (Muller, Elementary Functions, 2016, sections 3.4 and 11.2).
+//! Each reduces its argument to a short interval about 0, by subtracting multiples of a constant in two parts (Cody
+//! and Waite 1980), and evaluates a polynomial there, which interpolates the function at Chebyshev nodes (Muller
+//! 2016).
 
 use std::f64::consts::{FRAC_2_PI, LOG2_E};
 

@@ -121,3 +121,20 @@ impl<'a> Poses<'a> {
         Poses { x: &self.x[start..end], y: &self.y[start..end], theta: &self.theta[start..end] }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gathering_copies_whole_poses_whatever_the_lengths() {
+        let source: Particles =
+            (0..3000).map(|i| Pose2::new(f64::from(i), -f64::from(i), 0.001 * f64::from(i))).collect();
+        let mut gathered = Particles::zeros(5);
+        for ancestors in [vec![7_u32; 2500], (0..3000).rev().collect(), vec![], vec![2999, 0, 1]] {
+            gathered.gather(&source, &ancestors);
+            assert_eq!(gathered.len(), ancestors.len());
+            assert!(gathered.iter().zip(&ancestors).all(|(pose, a)| pose == source.get(*a as usize)));
+        }
+    }
+}

@@ -55,11 +55,21 @@ fn predict_velocity(bencher: Bencher<'_, '_>, n: usize) {
 
 fn resample(bencher: Bencher<'_, '_>, n: usize, resampler: &dyn Resampler) {
     let (particles, weights) = cloud(n);
+    resample_from(bencher, &particles, &weights, resampler);
+}
+
+fn resample_from(
+    bencher: Bencher<'_, '_>,
+    particles: &Particles,
+    weights: &Weights,
+    resampler: &dyn Resampler,
+) {
+    let n = particles.len();
     let draw = Draw::new(3, Stage::Resample, 1);
     let (mut ancestors, mut next) = (Vec::new(), Particles::default());
     bencher.counter(ItemsCount::new(n)).bench_local(|| {
-        resampler.ancestors(&weights, n, &draw, &mut ancestors);
-        next.gather(&particles, &ancestors);
+        resampler.ancestors(weights, n, &draw, &mut ancestors);
+        next.gather(particles, &ancestors);
     });
 }
 
@@ -71,6 +81,15 @@ fn resample_multinomial(bencher: Bencher<'_, '_>, n: usize) {
 #[divan::bench(args = SIZES)]
 fn resample_systematic(bencher: Bencher<'_, '_>, n: usize) {
     resample(bencher, n, &Systematic);
+}
+
+/// A sharp posterior: of a hundred particles few live on.
+#[divan::bench(args = SIZES)]
+fn resample_systematic_few_survivors(bencher: Bencher<'_, '_>, n: usize) {
+    let (particles, mut weights) = cloud(n);
+    let log_likelihood: Vec<f64> = particles.x.iter().map(|x| -5000.0 * (x - 5.0).powi(2)).collect();
+    weights.update(&log_likelihood).unwrap();
+    resample_from(bencher, &particles, &weights, &Systematic);
 }
 
 #[divan::bench(args = SIZES)]
@@ -98,6 +117,16 @@ fn estimate_mean(bencher: Bencher<'_, '_>, n: usize) {
     bencher
         .counter(ItemsCount::new(n))
         .bench_local(|| (weighted_mean(&particles, &weights), max_weight(&particles, &weights)));
+}
+
+/// The same where nothing is known of the heading, so that it takes a second pass.
+#[divan::bench(args = SIZES)]
+fn estimate_mean_of_all_headings(bencher: Bencher<'_, '_>, n: usize) {
+    let (mut particles, weights) = cloud(n);
+    for (i, theta) in particles.theta.iter_mut().enumerate() {
+        *theta = Pose2::new(0.0, 0.0, i as f64).theta;
+    }
+    bencher.counter(ItemsCount::new(n)).bench_local(|| weighted_mean(&particles, &weights));
 }
 
 #[divan::bench(args = SIZES)]
