@@ -1,7 +1,6 @@
 use glam::DVec2;
 use locsim_core::{Hits, NO_SURFACE, Poses, RangeMap};
-use parry2d_f64::partitioning::Bvh;
-use parry2d_f64::query::Ray;
+use parry2d_f64::partitioning::{Bvh, BvhNode};
 
 use super::batch::cast_batch;
 use super::segment::{incidence, range_to, tree_over};
@@ -79,9 +78,18 @@ impl ExactRangeMap {
         max_range: f64,
     ) -> Option<(usize, f64)> {
         let segments = self.geometry.segments();
-        let (leaf, range) = self.tree.cast_ray(&Ray::new(origin, direction), max_range, |leaf, _| {
-            range_to(&segments[leaf as usize], origin, direction)
-        })?;
+        // Finite also for rays along an axis, so that no product below is NaN.
+        let inverse = direction.recip().clamp(DVec2::MIN, DVec2::MAX);
+        // Where the ray enters a box (slab method). `Bvh::cast_ray` does the same with divisions at every box.
+        let enter = |node: &BvhNode, nearest: f64| {
+            let (a, b) = ((node.mins() - origin) * inverse, (node.maxs() - origin) * inverse);
+            let enter = a.min(b).max_element().max(0.0);
+            let leave = a.max(b).min_element().min(nearest);
+            if enter <= leave { enter } else { f64::MAX }
+        };
+        let (leaf, range) = self
+            .tree
+            .find_best(max_range, enter, |leaf, _| range_to(&segments[leaf as usize], origin, direction))?;
         Some((leaf as usize, range))
     }
 }
