@@ -3,7 +3,7 @@ use locsim_core::{Hits, NO_SURFACE, Poses, RangeMap};
 use parry2d_f64::partitioning::{Bvh, BvhNode};
 
 use super::batch::cast_batch;
-use super::segment::{incidence, range_to, tree_over};
+use super::segment::{angle, incidence, range_to, tree_over};
 use crate::map::Geometry;
 
 /// Where a ray meets a surface.
@@ -28,14 +28,17 @@ pub struct RayHit {
 #[derive(Clone)]
 pub struct ExactRangeMap {
     geometry: Geometry,
+    /// Direction of each segment \[rad\].
+    angles: Vec<f64>,
     tree: Bvh,
 }
 
 impl ExactRangeMap {
     /// Builds the tree over the map's segments.
     pub fn new(geometry: Geometry) -> Self {
+        let angles = geometry.segments().iter().map(angle).collect();
         let tree = tree_over(geometry.segments());
-        Self { geometry, tree }
+        Self { geometry, angles, tree }
     }
 
     /// The map.
@@ -46,9 +49,8 @@ impl ExactRangeMap {
     /// Casts one ray from `origin` \[m\] along the unit vector `direction`; `None` if it meets nothing nearer than
     /// `max_range` \[m\], which may be infinite.
     pub fn cast_ray(&self, origin: DVec2, direction: DVec2, max_range: f64) -> Option<RayHit> {
-        let (segment, range) = self.cast_segment(origin, direction, max_range)?;
-        let incidence = incidence(&self.geometry.segments()[segment], direction);
-        Some(RayHit { range, incidence, surface: self.geometry.surfaces()[segment] })
+        let hit = self.cast_segment(origin, direction, max_range)?;
+        Some(self.hit(hit, direction.to_angle()))
     }
 
     /// As [`ExactRangeMap::cast_ray`], with segments in the way that the map doesn't know. A hit on one of them
@@ -60,14 +62,22 @@ impl ExactRangeMap {
         direction: DVec2,
         max_range: f64,
     ) -> Option<RayHit> {
+        let heading = direction.to_angle();
         let mut best = self.cast_ray(origin, direction, max_range);
         for segment in extra {
             let nearest = best.map_or(max_range, |hit| hit.range);
             if let Some(range) = range_to(segment, origin, direction).filter(|&range| range < nearest) {
-                best = Some(RayHit { range, incidence: incidence(segment, direction), surface: NO_SURFACE });
+                let incidence = incidence(angle(segment), heading);
+                best = Some(RayHit { range, incidence, surface: NO_SURFACE });
             }
         }
         best
+    }
+
+    /// A segment met by a ray of this heading \[rad\].
+    fn hit(&self, (segment, range): (usize, f64), heading: f64) -> RayHit {
+        let incidence = incidence(self.angles[segment], heading);
+        RayHit { range, incidence, surface: self.geometry.surfaces()[segment] }
     }
 
     /// Index of the segment that a ray meets first, and the range \[m\].
@@ -98,7 +108,9 @@ impl RangeMap for ExactRangeMap {
     fn cast(&self, laser: Poses<'_>, bearings: &[f32], max_range: f32, out: &mut Hits) {
         let max = f64::from(max_range);
         cast_batch(laser, bearings, max_range, out, |origin| {
-            move |direction, _| self.cast_ray(origin, direction, max)
+            move |direction, heading| {
+                self.cast_segment(origin, direction, max).map(|hit| self.hit(hit, heading))
+            }
         });
     }
 
