@@ -81,7 +81,7 @@ impl ExactRangeMap {
     }
 
     /// Index of the segment that a ray meets first, and the range \[m\].
-    pub(super) fn cast_segment(
+    pub(crate) fn cast_segment(
         &self,
         origin: DVec2,
         direction: DVec2,
