@@ -88,8 +88,9 @@ impl ExactRangeMap {
         max_range: f64,
     ) -> Option<(usize, f64)> {
         let segments = self.geometry.segments();
-        // Finite also for rays along an axis, so that no product below is NaN.
-        let inverse = direction.recip().clamp(DVec2::MIN, DVec2::MAX);
+        // Infinite for rays along an axis. Zero times infinity then comes only of a ray on the very edge of a box,
+        // where it meets nothing anyway: see `tree_over`.
+        let inverse = direction.recip();
         // Where the ray enters a box (slab method). `Bvh::cast_ray` does the same with divisions at every box.
         let enter = |node: &BvhNode, nearest: f64| {
             let (a, b) = ((node.mins() - origin) * inverse, (node.maxs() - origin) * inverse);

@@ -51,9 +51,10 @@ pub(super) fn distance_to(&[a, b]: &[DVec2; 2], point: DVec2) -> f64 {
     point.distance(a + share * edge)
 }
 
-/// A tree over the segments; leaf `i` is segment `i`.
+/// A tree over the segments; leaf `i` is segment `i`. Boxes are wider than the segments' overlap, so that rounding
+/// at the edge of a box never decides whether a ray meets the segment.
 pub(super) fn tree_over(segments: &[[DVec2; 2]]) -> Bvh {
-    let margin = DVec2::splat(OVERLAP_M);
+    let margin = DVec2::splat(2.0 * OVERLAP_M);
     let boxes: Vec<Aabb> =
         segments.iter().map(|[a, b]| Aabb::new(a.min(*b) - margin, a.max(*b) + margin)).collect();
     Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes)
