@@ -155,6 +155,26 @@ fn rays_from_outside_the_map_and_from_inside_a_wall_hit_what_is_in_front() {
     assert_eq!(range(0.0, 0.5), Some(0.0));
 }
 
+/// Along an axis, past the end of a wall by just less than walls overlap and by more: there, on the edges of boxes,
+/// a slab's bound is zero times infinity.
+#[test]
+fn a_ray_past_the_end_of_a_wall_meets_it_within_the_overlap() {
+    let map = square_room();
+    for (origin, direction) in [
+        (DVec2::new(5.0, 0.0), -DVec2::X),
+        (DVec2::new(-1.0, 4.0), DVec2::X),
+        (DVec2::new(0.0, 5.0), -DVec2::Y),
+        (DVec2::new(4.0, -1.0), DVec2::Y),
+    ] {
+        // Out of the room, whose middle is (2, 2).
+        let outward = direction.perp() * direction.perp().dot(origin - DVec2::splat(2.0)).signum();
+        let cast = |past_m: f64| map.cast_ray(origin + past_m * outward, direction, 10.0);
+        let hit = cast(0.999e-9);
+        assert!(hit.is_some_and(|hit| (hit.range - 1.0).abs() < 1e-8), "{origin} {direction}: {hit:?}");
+        assert_eq!([cast(2e-9), cast(1e-8)], [None; 2], "{origin} {direction}");
+    }
+}
+
 #[test]
 fn segments_that_the_map_does_not_know_are_met_without_a_surface() {
     let map = square_room();
