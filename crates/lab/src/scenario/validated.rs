@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use locsim_sensor::ModelKind;
 use locsim_world::simulation::{BlockOptions, LaserOptions, Robot};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -177,15 +178,23 @@ impl ModelName {
 
     /// The name used in files.
     pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Classic => "classic",
-            Self::BeamMixture => "beam_mixture",
-            Self::LikelihoodField => "likelihood_field",
-            Self::PReg => "p_reg",
-            Self::NpReg => "np_reg",
-            Self::NpRegRegistered => "np_reg_registered",
-            Self::Oracle => "oracle",
+        match self.kind() {
+            Some(kind) => kind.as_str(),
+            None => "oracle",
         }
+    }
+
+    /// Which fitted model it is; `None` for the oracle, which knows instead of being fitted.
+    pub const fn kind(self) -> Option<ModelKind> {
+        Some(match self {
+            Self::Classic => ModelKind::Classic,
+            Self::BeamMixture => ModelKind::BeamMixture,
+            Self::LikelihoodField => ModelKind::LikelihoodField,
+            Self::PReg => ModelKind::PReg,
+            Self::NpReg => ModelKind::NpReg,
+            Self::NpRegRegistered => ModelKind::NpRegRegistered,
+            Self::Oracle => return None,
+        })
     }
 }
 
