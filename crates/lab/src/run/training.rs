@@ -110,13 +110,12 @@ fn train_one(
 ) -> Result<TrainedModel, RunError> {
     let failed = |source| RunError::Sensor { label: model.label.clone(), source };
     let distance_map = Some(Arc::clone(&surroundings.distance));
-    let fitted = match (&model.file, model.name) {
-        (_, ModelName::Oracle) => None,
-        (Some(file), name) => Some(load(file, kind(name).map_err(failed)?, train.max_range())?),
-        (None, name) => {
+    let fitted = match (&model.file, model.name.kind()) {
+        (_, None) => None,
+        (Some(file), Some(kind)) => Some(load(file, kind, train.max_range())?),
+        (None, Some(kind)) => {
             let options = FitOptions { distance_map: distance_map.clone() };
-            let fitted = kind(name).and_then(|kind| fit(kind, train, held_out, &options));
-            Some(fitted.map_err(failed)?)
+            Some(fit(kind, train, held_out, &options).map_err(failed)?)
         }
     };
     let bare: Arc<dyn SensorModel> = match (&fitted, &surroundings.oracle) {
@@ -172,11 +171,6 @@ fn load(file: &Path, kind: ModelKind, max_range: f32) -> Result<FittedModel, Run
         )));
     }
     Ok(fitted)
-}
-
-/// The fitted model of this name.
-fn kind(name: ModelName) -> Result<ModelKind, SensorError> {
-    name.as_str().parse()
 }
 
 /// D = {(`x_i`, `z_ij`)}: one state per scan pose and beam, with the nominal ray cast from it.
