@@ -33,18 +33,24 @@ pub struct EndpointGrid {
     pub rows: usize,
 }
 
-/// Most cells of a grid, 64 MB.
-const MOST_CELLS: f64 = (1 << 25) as f64;
+/// Most cells of a grid, 32 MB.
+const MOST_CELLS: f64 = (1 << 24) as f64;
 
 impl EndpointGrid {
-    /// Cells of `cell_m` metres over the box \[x0, y0, x1, y1\] \[m\], larger ones where they would be more than 2^25.
+    /// Cells of `cell_m` metres over the box \[x0, y0, x1, y1\] \[m\], larger ones where they would be more than 2^24.
     pub fn covering([x0, y0, x1, y1]: [f64; 4], cell_m: f64) -> Self {
         let cells = |length: f64, cell_m: f64| (length / cell_m).ceil().max(1.0);
         let mut cell_m = cell_m;
         while cells(x1 - x0, cell_m) * cells(y1 - y0, cell_m) > MOST_CELLS {
             cell_m *= 2.0;
         }
-        Self { x0, y0, cell_m, columns: cells(x1 - x0, cell_m) as usize, rows: cells(y1 - y0, cell_m) as usize }
+        Self {
+            x0,
+            y0,
+            cell_m,
+            columns: cells(x1 - x0, cell_m) as usize,
+            rows: cells(y1 - y0, cell_m) as usize,
+        }
     }
 
     /// Centre of each cell of a row \[m\].

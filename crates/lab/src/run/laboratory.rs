@@ -5,7 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use locsim_core::{
-    DistanceMap, Draw, Drive, DriveStep, Obstructions, Particles, Pose2, RangeMap, Stage, Survival,
+    DistanceMap, Draw, Drive, DriveStep, EndpointGrid, Obstructions, Particles, Pose2, RangeMap, Stage,
+    Survival,
 };
 use locsim_dataset::{CarmenOptions, read_carmen};
 use locsim_world::map::{Geometry, MapError};
@@ -28,6 +29,9 @@ const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
 
 /// Units of progress of a range table.
 const TABLE_TICKS: u64 = 100;
+
+/// Cell \[m\] of the likelihood field's table: a fraction of the laser's noise.
+const ENDPOINT_CELL_M: f64 = 0.01;
 
 /// Consecutive training scans of a log that are held out together: some metres of driving.
 const RUN: u32 = 20;
@@ -69,6 +73,13 @@ impl Place {
             }
         };
         Ok(Self { exact, ranges, distance })
+    }
+
+    /// Cells for tables over where readings end.
+    pub fn endpoints(&self) -> EndpointGrid {
+        let [x0, y0, x1, y1] = self.exact.bounds();
+        let margin = DISTANCE_GRID_M.1;
+        EndpointGrid::covering([x0 - margin, y0 - margin, x1 + margin, y1 + margin], ENDPOINT_CELL_M)
     }
 
     /// Wall segments \[m\].
@@ -157,7 +168,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle,
-            tables: scenario.ray_cast != RayCast::Exact,
+            tables: (scenario.ray_cast != RayCast::Exact).then(|| place.endpoints()),
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
@@ -206,7 +217,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle: None,
-            tables: scenario.ray_cast != RayCast::Exact,
+            tables: (scenario.ray_cast != RayCast::Exact).then(|| place.endpoints()),
         };
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let beams = scenario.filter.beams.map(|beams| beams as usize);
