@@ -57,6 +57,7 @@
 //! ```
 
 mod alignment;
+pub mod benchmark;
 mod dataset;
 mod density;
 mod distribution;

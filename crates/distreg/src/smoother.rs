@@ -372,9 +372,7 @@ impl Smoother {
             for (g, t) in gradient.iter_mut().zip(&tilt) {
                 *g += TILT_RIDGE * t;
             }
-            if dot(&gradient, &gradient) < 1e-24 {
-                break;
-            }
+            let done = dot(&gradient, &gradient) < NEWTON_TOLERANCE;
             solve_positive_definite(&mut matrix, TILT_RIDGE, &mut gradient);
             // A step of more than one per bandwidth is cut, as the quadratic model doesn't reach that far.
             let length = dot(&gradient, &gradient).sqrt();
@@ -389,6 +387,10 @@ impl Smoother {
             }
             for w in &mut tilted {
                 *w /= total;
+            }
+            // Convergence is quadratic: the step just taken squares what was left.
+            if done {
+                break;
             }
         }
         for (weight, tilted) in weights.iter_mut().zip(tilted) {
@@ -459,8 +461,11 @@ impl Smoother {
     }
 }
 
-/// Newton's method on a smooth convex function takes fewer than ten steps but for odd designs.
+/// Newton's method on a smooth convex function takes about four steps but for odd designs.
 const MOST_NEWTON_STEPS: usize = 50;
+
+/// Squared gradient (states' weighted mean from the query, in bandwidths) after which one step is left.
+const NEWTON_TOLERANCE: f64 = 1e-12;
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
