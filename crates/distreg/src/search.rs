@@ -90,22 +90,20 @@ where
         corner[axis] += step;
         simplex.push(corner);
     }
-    let trace = RefCell::new(Vec::new());
-    let problem = Problem { criterion, trace: &trace };
+    let (trace, failure) = (RefCell::default(), RefCell::default());
+    let problem = Problem { criterion, trace: &trace, failure: &failure };
     let start_score = problem.score(&origin)?;
     let tolerance = if start_score.is_finite() { TOLERANCE * start_score.abs() } else { 0.0 };
-    let outcome = NelderMead::new(simplex).with_sd_tolerance(tolerance).and_then(|solver| {
-        Executor::new(problem, solver)
-            .timer(false)
-            .configure(|state| state.max_iters(steps as u64))
-            .run()
-            .map(|_| ())
+    let solver = NelderMead::new(simplex).with_sd_tolerance(tolerance);
+    // The solver's own errors are of settings, which are valid; the criterion's are kept aside.
+    let _ = solver.and_then(|solver| {
+        let executor = Executor::new(problem, solver).timer(false);
+        executor.configure(|state| state.max_iters(steps as u64)).run()
     });
-    let trace = trace.into_inner();
-    // The solver's own errors are of its settings, which are valid.
-    if let Err(Ok(error)) = outcome.map_err(|error| error.downcast::<Error>()) {
+    if let Some(error) = failure.into_inner() {
         return Err(error);
     }
+    let trace = trace.into_inner();
     let scores: Vec<f64> = trace.iter().map(|(_, score)| *score).collect();
     match trace.into_iter().filter(|(_, score)| score.is_finite()).min_by(|a, b| a.1.total_cmp(&b.1)) {
         Some((candidate, score)) => Ok(Found { candidate, score, scores }),
@@ -118,6 +116,8 @@ struct Problem<'a, F> {
     criterion: F,
     /// Candidates and scores.
     trace: &'a RefCell<Vec<(Vec<f64>, f64)>>,
+    /// The first error; the solver would panic over it.
+    failure: &'a RefCell<Option<Error>>,
 }
 
 impl<F: Fn(&[f64]) -> Result<f64, Error>> Problem<'_, F> {
@@ -138,7 +138,13 @@ impl<F: Fn(&[f64]) -> Result<f64, Error>> CostFunction for Problem<'_, F> {
     type Output = f64;
 
     fn cost(&self, logarithms: &Vec<f64>) -> Result<f64, argmin::core::Error> {
-        Ok(self.score(logarithms)?)
+        if self.failure.borrow().is_some() {
+            return Ok(f64::INFINITY);
+        }
+        Ok(self.score(logarithms).unwrap_or_else(|error| {
+            *self.failure.borrow_mut() = Some(error);
+            f64::INFINITY
+        }))
     }
 }
 

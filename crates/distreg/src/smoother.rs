@@ -381,8 +381,9 @@ impl Smoother {
                 *t -= cut * step;
             }
             let mut total = 0.0;
+            let largest = u.chunks(p).map(|u| dot(&tilt, u)).fold(f64::NEG_INFINITY, f64::max);
             for ((to, &(_, w)), u) in tilted.iter_mut().zip(weights.iter()).zip(u.chunks(p)) {
-                *to = w * dot(&tilt, u).exp();
+                *to = w * (dot(&tilt, u) - largest).exp();
                 total += *to;
             }
             for w in &mut tilted {
@@ -398,12 +399,22 @@ impl Smoother {
         }
     }
 
-    /// Offsets of the weighted states from the query, in bandwidths: one row per weight.
+    /// Offsets of the weighted states from the query, one row per weight, in bandwidths; among nearest neighbours the
+    /// distance of the farthest is the bandwidth.
     fn offsets(&self, query: &[f64], weights: &[(usize, f64)]) -> Vec<f64> {
-        let mut offsets = Vec::with_capacity(weights.len() * self.dim());
+        let p = self.dim();
+        let mut offsets = Vec::with_capacity(weights.len() * p);
         for &(i, _) in weights {
             offsets
                 .extend(self.state(i).iter().zip(query).zip(&self.bandwidths).map(|((x, q), h)| (x - q) / h));
+        }
+        if matches!(self.weighting, Weighting::NearestNeighbours { .. }) {
+            let radius = offsets.chunks(p).map(|u| dot(u, u).sqrt()).fold(0.0, f64::max);
+            if radius > 0.0 {
+                for u in &mut offsets {
+                    *u /= radius;
+                }
+            }
         }
         offsets
     }
