@@ -201,7 +201,7 @@ fn batch_ms<M: ConditionalDistribution>(
     for _ in 0..REPETITIONS {
         let start = clock();
         pool.install(|| model.predict_batch_into(black_box(&task.queries), &mut predictions))?;
-        best = best.min((clock() - start).as_secs_f64() * 1e3);
+        best = best.min(clock().saturating_sub(start).as_secs_f64() * 1e3);
     }
     Ok(best)
 }
@@ -220,7 +220,8 @@ fn density_ns(table: &Table, clock: &dyn Fn() -> Duration) -> f64 {
             }
         }
         black_box(sum);
-        best = best.min((clock() - start).as_secs_f64() * 1e9 / (f64::from(cells) * z.len() as f64));
+        best =
+            best.min(clock().saturating_sub(start).as_secs_f64() * 1e9 / (f64::from(cells) * z.len() as f64));
     }
     best
 }
