@@ -53,28 +53,32 @@ fn held_out_loss(train: &Dataset, held_out: &Dataset, axes: &[&[f64]]) -> Result
     Ok(risk(&losses(&method(&best.candidate).fit(train)?, held_out, loss)?, 1)?.mean)
 }
 
+/// State and reading of one regression, from (r, z1, z2).
+type Row = fn(&[f64; 3]) -> (Vec<f64>, f64);
+
+fn dataset(pairs: &[[f64; 3]], dim: usize, row: Row) -> Result<Dataset, Error> {
+    let mut data = Dataset::new(dim);
+    for (state, z) in pairs.iter().map(row) {
+        data.push(&state, &[z])?;
+    }
+    Ok(data)
+}
+
 /// Learns both models from 1500 pairs and scores them on 700 others.
 ///
 /// # Errors
 /// If a fit is not possible.
 pub fn compare(together: f64) -> Result<Losses, Error> {
     let (train, held_out) = (pairs(1500, together, 1), pairs(700, together, 2));
-    let dataset = |pairs: &[[f64; 3]], row: &dyn Fn(&[f64; 3]) -> (Vec<f64>, f64)| {
-        let mut data = Dataset::new(row(&pairs[0]).0.len());
-        for pair in pairs {
-            let (state, z) = row(pair);
-            data.push(&state, &[z])?;
-        }
-        Ok::<_, Error>(data)
+    let score = |axes: &[&[f64]], row: Row| {
+        let dim = axes.len();
+        held_out_loss(&dataset(&train, dim, row)?, &dataset(&held_out, dim, row)?, axes)
     };
-    let score = |row: &dyn Fn(&[f64; 3]) -> (Vec<f64>, f64), axes: &[&[f64]]| {
-        held_out_loss(&dataset(&train, row)?, &dataset(&held_out, row)?, axes)
-    };
-    let ranges: &[f64] = &[0.5, 2.0];
-    let first = score(&|&[r, z1, _]| (vec![r], z1), &[ranges])?;
-    let second = score(&|&[r, _, z2]| (vec![r], z2), &[ranges])?;
+    let ranges = [0.5, 2.0];
+    let first = score(&[&ranges], |&[r, z1, _]| (vec![r], z1))?;
+    let second = score(&[&ranges], |&[r, _, z2]| (vec![r], z2))?;
     // What the first beam saw before the wall is a state coordinate of the second.
-    let given = score(&|&[r, z1, z2]| (vec![r, z1 - r], z2), &[ranges, &[0.02, 0.05, 0.2, 1.0]])?;
+    let given = score(&[&ranges, &[0.02, 0.05, 0.2, 1.0]], |&[r, z1, z2]| (vec![r, z1 - r], z2))?;
     Ok(Losses { joint: first + given, product: first + second })
 }
 

@@ -297,6 +297,43 @@ fn a_table_holds_the_predictions_of_its_cells() {
     assert!(Table::prepare(model.as_ref(), &[axes[0], Axis { cells: 0, ..axes[1] }]).is_err());
 }
 
+/// The models that hold regressed values come back from a file as they were, and don't from one whose values don't
+/// fit the settings.
+#[test]
+fn a_fitted_model_survives_a_file_and_a_damaged_one_is_refused() {
+    fn there_and_back<M>(model: &M, damage: &[(&str, &str)])
+    where
+        M: serde::Serialize + serde::de::DeserializeOwned + PartialEq + std::fmt::Debug,
+    {
+        let mut file = Vec::new();
+        ciborium::into_writer(model, &mut file).unwrap();
+        assert_eq!(&ciborium::from_reader::<M, _>(&file[..]).unwrap(), model);
+        let text = serde_json::to_string(model).unwrap();
+        for (key, bad) in damage {
+            assert!(text.contains(key), "{key}");
+            assert!(serde_json::from_str::<M>(&text.replace(key, bad)).is_err(), "{bad}");
+        }
+    }
+    let data = data(20, 10, 4);
+    let (alignment, degree) = (Alignment::Shift { state_dim: 0 }, Degree::Linear);
+    let weighting = Weighting::nearest_neighbours(7, &[0.5, 0.5]);
+    let p_reg = PRegOptions {
+        outcomes: outcomes(),
+        alignment,
+        family: Family::TwoGaussians,
+        weighting: weighting.clone(),
+        degree,
+        smallest_sigma: 1e-3,
+        least_observations: 5,
+    };
+    let damage = [("two_gaussians", "gaussian"), ("\"smallest_sigma\":0.001", "\"smallest_sigma\":-1.0")];
+    there_and_back(&p_reg.fit(&data).unwrap(), &damage);
+    let frechet = FrechetOptions { outcomes: outcomes(), alignment, quantiles: 9, weighting, degree };
+    let damage =
+        [("\"quantiles\":9", "\"quantiles\":8"), ("\"point_mass_at\":5.0", "\"point_mass_at\":null")];
+    there_and_back(&frechet.fit(&data).unwrap(), &damage);
+}
+
 fn np_reg(bandwidths: &[f64]) -> NpRegOptions {
     NpRegOptions {
         outcomes: outcomes(),

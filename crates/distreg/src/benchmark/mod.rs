@@ -305,3 +305,51 @@ fn difference_from_dense(model: &crate::NpReg, task: &Task, predictions: &Predic
     }
     Ok(largest)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sums of all readings \[mm\] and of readings with weights 0 to 999, of the true distribution functions, and risks
+    /// at given bandwidths, as the task's scripts have them.
+    #[test]
+    fn data_truth_and_risk_are_those_of_numpy() {
+        for (truth, sums, cdf_sum, bandwidths, risk) in [
+            (Truth::Gauss, [222_961_283, 111_518_753_947], 723.963_577_932_255_5, [0.002, 0.4], 3.733),
+            (Truth::Mixed, [219_693_775, 109_957_966_661], 3_442.313_225_235_566_3, [0.02, 0.2], 61.523),
+        ] {
+            let task = Task::new(truth).unwrap();
+            let readings: Vec<u64> = (0..task.train.len())
+                .flat_map(|i| task.train.observations(i))
+                .map(|z| (z * 1000.0).round() as u64)
+                .collect();
+            let weighted: u64 = readings.iter().zip((0..1000).cycle()).map(|(z, k)| z * k).sum();
+            assert_eq!([readings.iter().sum::<u64>(), weighted], sums);
+            let cdf: f64 = task.cdf([task.queries[0], task.queries[1]]).iter().sum();
+            assert!((cdf - cdf_sum).abs() < 1e-6, "{cdf}");
+            let model = faithful(Task::outcomes().unwrap(), &bandwidths).fit(&task.train).unwrap();
+            let found = task.risk(&model.predict_batch(&task.queries).unwrap());
+            assert!((found - risk).abs() < 0.0005, "{found}");
+        }
+    }
+
+    /// The difference is rounding alone; for predictions of other bandwidths, the control, it isn't.
+    #[test]
+    fn predictions_are_the_dense_product() {
+        let mut task = Task::new(Truth::Mixed).unwrap();
+        task.queries.truncate(60);
+        let outcomes = Task::outcomes().unwrap();
+        for (method, other) in [
+            (faithful(outcomes, &[0.02, 0.1]), faithful(outcomes, &[0.02, 0.100_001])),
+            (registered(outcomes, &[0.8, 0.2]), registered(outcomes, &[0.8, 0.200_001])),
+        ] {
+            let model = method.fit(&task.train).unwrap();
+            let difference = |from: &NpRegOptions| {
+                let predictions = from.fit(&task.train).unwrap().predict_batch(&task.queries).unwrap();
+                difference_from_dense(&model, &task, &predictions).unwrap()
+            };
+            assert!(difference(&method) < 1e-12, "{}", difference(&method));
+            assert!(difference(&other) > 1e-12);
+        }
+    }
+}
