@@ -91,6 +91,10 @@ impl Regressor for FrechetOptions {
             options: self.clone(),
         })
     }
+
+    fn outcomes(&self) -> Outcomes {
+        self.outcomes
+    }
 }
 
 /// Quantile of sorted numbers, linear between the levels (k + 1/2) / n (Hyndman and Fan 1996, type 5).

@@ -9,7 +9,7 @@
 //! | --- | --- |
 //! | data | [`Dataset`]: states with one or more observations; [`select`] and [`condense`] thin it |
 //! | what can be observed | [`Outcomes`]: a [`Grid`] and a point mass such as the maximum range |
-//! | methods | [`NpRegOptions`], [`PRegOptions`], [`FrechetOptions`], each a [`Regressor`] |
+//! | methods | [`NpRegOptions`], [`PRegOptions`], [`FrechetOptions`], [`StandardizedOptions`], each a [`Regressor`] |
 //! | weights over states | [`Weighting`]: a [`Kernel`] or nearest neighbours; [`Degree`]: mean or plane |
 //! | predictions | [`ConditionalDistribution`]: a [`Distribution`] and whether the query is in the data ([`Support`]) |
 //! | quality | [`Loss`], [`losses`], [`risk`] |
@@ -62,6 +62,7 @@ mod point_share;
 mod regressor;
 mod search;
 mod smoother;
+mod standardized;
 mod table;
 mod thin;
 
@@ -80,5 +81,6 @@ pub use p_reg::{PReg, PRegOptions};
 pub use regressor::{ConditionalDistribution, Predictions, Regressor, Scratch};
 pub use search::{Found, cross_validate, grid_search, optimize, product};
 pub use smoother::{Degree, FALLBACK_NEIGHBOURS, Smoother, Support, Weighting};
+pub use standardized::{Standardized, StandardizedOptions};
 pub use table::{Axis, Table};
 pub use thin::{Selection, condense, select};

@@ -116,6 +116,10 @@ impl Regressor for NpRegOptions {
         }
         NpReg::assemble(self.clone(), smoother, histograms)
     }
+
+    fn outcomes(&self) -> Outcomes {
+        self.outcomes
+    }
 }
 
 impl NpReg {

@@ -97,6 +97,10 @@ impl Regressor for PRegOptions {
             options: self.clone(),
         })
     }
+
+    fn outcomes(&self) -> Outcomes {
+        self.outcomes
+    }
 }
 
 impl PRegOptions {
@@ -163,7 +167,12 @@ impl PReg {
         self.parameters_with(query, &mut Scratch::default())
     }
 
-    fn parameters_with(&self, query: &[f64], scratch: &mut Scratch) -> Result<(Parameters, Support), Error> {
+    /// As [`PReg::parameters`], with buffers.
+    pub(crate) fn parameters_with(
+        &self,
+        query: &[f64],
+        scratch: &mut Scratch,
+    ) -> Result<(Parameters, Support), Error> {
         let PRegOptions { family, alignment, smallest_sigma, .. } = self.options;
         let Scratch { weights, values, .. } = scratch;
         values.resize(family.values(), 0.0);
