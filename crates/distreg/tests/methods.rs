@@ -264,6 +264,31 @@ fn frechet_regression_is_unbiased_at_the_edge_of_a_linear_family() {
     }
 }
 
+/// A plane through quantiles that close on each other crosses them beyond the data; their projection doesn't fall.
+#[test]
+fn predicted_quantiles_never_fall() {
+    let mut data = Dataset::new(1);
+    for k in 0..20 {
+        let x = f64::from(k) * 0.05;
+        let z: Vec<f64> = (0..10).map(|j| 2.0 + (1.0 - x) * f64::from(j) * 0.1).collect();
+        data.push(&[x], &z).unwrap();
+    }
+    let method = FrechetOptions {
+        outcomes: Outcomes::of_values(0.0, 4.0, 0.02).unwrap(),
+        alignment: Alignment::Identity,
+        quantiles: 10,
+        weighting: Weighting::kernel(Kernel::Gaussian, &[0.5]),
+        degree: Degree::Linear,
+    };
+    let model = method.fit(&data).unwrap();
+    let (inside, _) = model.quantiles(&[0.5]).unwrap();
+    assert!(inside.is_sorted() && inside[9] > inside[0] + 0.4);
+    // At 1.5 the plane has quantiles 2 to 1.55; what doesn't fall and is nearest is their mean.
+    let (outside, support) = model.quantiles(&[1.5]).unwrap();
+    assert_eq!(support, Support::InData);
+    assert!(outside.iter().all(|q| (q - 1.775).abs() < 1e-3), "{outside:?}");
+}
+
 /// Balanced weights take the bias from the edge of the data: NP-REG of a share that is linear in the state.
 #[test]
 fn balancing_takes_the_bias_at_the_edge() {
