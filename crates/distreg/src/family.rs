@@ -201,7 +201,7 @@ impl Family {
     }
 }
 
-/// Expectation maximization from a start; gives the parameters and their mean log likelihood.
+/// Expectation maximization (Dempster, Laird and Rubin 1977) from a start; gives the parameters and their mean log likelihood.
 fn maximize(start: Parameters, z: &[f64], lo: f64, least: f64) -> (Parameters, f64) {
     let n = z.len() as f64;
     let mut at = start;

@@ -71,7 +71,7 @@ pub fn select(
             while let Some(i) = next {
                 chosen[i] = true;
                 order.push(i);
-                if order.len() == budget {
+                if order.len() >= budget {
                     break;
                 }
                 for (j, score) in scores.iter_mut().enumerate() {

@@ -1,8 +1,9 @@
 //! The fixed task by which this crate is measured: a synthetic range sensor whose truth is known, N = 1000 states
 //! with M = 100 observations each, Q = 200 queries, B = 4501 bins.
 //!
-//! The data are those of a NumPy script with `default_rng(7)`, reading by reading; NumPy's generator is part of this
-//! module, so no file is needed.
+//! The data are those of a `NumPy` script with `default_rng(7)`, reading by reading; `NumPy`'s generator is part of
+//! this module, so no file is needed. Bandwidths are chosen by cross-validation on the training states; queries and the
+//! truth are looked at once, for the risk.
 
 mod numpy;
 mod task;
