@@ -9,9 +9,10 @@ use statrs::function::gamma::digamma;
 
 use crate::alignment::Affine;
 
-/// Rounds of expectation maximization, and the gain of mean log likelihood below which it ends.
-const MOST_ROUNDS: usize = 100;
-const LEAST_GAIN: f64 = 1e-7;
+/// Rounds of expectation maximization, and the gain of mean log likelihood below which it ends: far less than the 1 / M
+/// that M observations leave uncertain.
+const MOST_ROUNDS: usize = 50;
+const LEAST_GAIN: f64 = 1e-5;
 
 /// A parametric family of p(z | x).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
