@@ -147,7 +147,10 @@ impl Family {
                 })
                 .collect(),
         };
-        let fits = starts.into_iter().map(|start| maximize(start, observations, lo, least));
+        // A sensor's readings repeat; each value counts once, with its number.
+        let values: Vec<(f64, f64)> =
+            sorted.chunk_by(|a, b| a == b).map(|same| (same[0], same.len() as f64)).collect();
+        let fits = starts.into_iter().map(|start| maximize(start, &values, lo, least));
         let best = fits.reduce(|a, b| if b.1 > a.1 { b } else { a });
         let mut best = best.map_or(Parameters { mean, sigma, second: None }, |fit| fit.0);
         if let Some((share, Second::Gaussian { mean, sigma })) = best.second
@@ -202,46 +205,49 @@ impl Family {
     }
 }
 
-/// Expectation maximization (Dempster, Laird and Rubin 1977) from a start; gives the parameters and their mean log likelihood.
-fn maximize(start: Parameters, z: &[f64], lo: f64, least: f64) -> (Parameters, f64) {
-    let n = z.len() as f64;
+/// Expectation maximization (Dempster, Laird and Rubin 1977) over (value, count) from a start; gives the parameters and
+/// their mean log likelihood.
+fn maximize(start: Parameters, values: &[(f64, f64)], lo: f64, least: f64) -> (Parameters, f64) {
+    let n: f64 = values.iter().map(|value| value.1).sum();
     let mut at = start;
     let mut likelihood = f64::NEG_INFINITY;
-    let mut responsible = vec![0.0; z.len()];
+    // How much of each value's count is the second part's.
+    let mut second_counts = vec![0.0; values.len()];
     for _ in 0..MOST_ROUNDS {
         let Some((share, second)) = at.second else { break };
         let mut sum = 0.0;
-        for (r, &z) in responsible.iter_mut().zip(z) {
+        for (part, &(z, count)) in second_counts.iter_mut().zip(values) {
             let first = (1.0 - share) * normal_density(z, at.mean, at.sigma);
             let other = share * second.density(lo, z);
             let total = (first + other).max(f64::MIN_POSITIVE);
-            *r = other / total;
-            sum += total.ln();
+            *part = count * other / total;
+            sum += count * total.ln();
         }
         let gain = sum / n - likelihood;
         likelihood = sum / n;
         if gain < LEAST_GAIN {
             break;
         }
-        let weight: f64 = responsible.iter().sum();
-        let moments = |weight: f64, r: &dyn Fn(usize) -> f64| {
-            let mean = z.iter().enumerate().map(|(i, z)| r(i) * z).sum::<f64>() / weight;
-            let square = z.iter().enumerate().map(|(i, z)| r(i) * (z - mean).powi(2)).sum::<f64>() / weight;
+        let weight: f64 = second_counts.iter().sum();
+        let moments = |weight: f64, part: &dyn Fn(f64, f64) -> f64| {
+            let pairs = || values.iter().zip(&second_counts).map(|(v, &second)| (v.0, part(v.1, second)));
+            let mean = pairs().map(|(z, w)| w * z).sum::<f64>() / weight;
+            let square = pairs().map(|(z, w)| w * (z - mean).powi(2)).sum::<f64>() / weight;
             (mean, square.sqrt().max(least))
         };
         // A part that explains less than a tenth of an observation keeps its place.
         if n - weight > 0.1 {
-            (at.mean, at.sigma) = moments(n - weight, &|i| 1.0 - responsible[i]);
+            (at.mean, at.sigma) = moments(n - weight, &|count, second| count - second);
         }
         let second = match second {
             second if weight <= 0.1 => second,
             Second::Gaussian { .. } => {
-                let (mean, sigma) = moments(weight, &|i| responsible[i]);
+                let (mean, sigma) = moments(weight, &|_, second| second);
                 Second::Gaussian { mean, sigma }
             }
             Second::Exponential { .. } => {
-                let sum: f64 = z.iter().zip(&responsible).map(|(z, r)| r * (z - lo).max(0.0)).sum();
-                Second::Exponential { scale: (sum / weight).max(least) }
+                let distances = values.iter().zip(&second_counts).map(|(v, w)| w * (v.0 - lo).max(0.0));
+                Second::Exponential { scale: (distances.sum::<f64>() / weight).max(least) }
             }
         };
         at.second = Some((weight / n, second));
