@@ -33,6 +33,8 @@ pub enum Stage {
     Oracle = 12,
     /// Seeds of trials, derived from a scenario's seed.
     Trial = 13,
+    /// The filter's moves and resamplings within one scan.
+    Annealing = 14,
 }
 
 /// Number of items that [`Draw::normals`] serves at once.

@@ -151,6 +151,7 @@ fn step(bencher: Bencher<'_, '_>, n: usize) {
         injection: None,
         regularization: None,
         clusters: None,
+        annealing: None,
         ancestry: false,
     };
     let start = Start::Tracking { pose: Pose2::new(5.0, 3.0, 0.0), sigma_m: 0.3, sigma_rad: 0.1 };

@@ -6,6 +6,7 @@ use rand::RngExt;
 
 use crate::adaptive::{KldOptions, KldSampler};
 use crate::ancestry::{Ancestry, NO_PARENT};
+use crate::annealing::{Annealer, AnnealingOptions, Set};
 use crate::augmented::{Augmented, InjectionOptions};
 use crate::bins::PoseBins;
 use crate::error::{FilterError, check, check_sigma};
@@ -60,6 +61,8 @@ pub struct FilterOptions {
     pub regularization: Option<Regularization>,
     /// Bins for the cluster estimate, `None` to do without it.
     pub clusters: Option<PoseBins>,
+    /// How scans are taken in while the particles are spread, `None` for all at once as always.
+    pub annealing: Option<AnnealingOptions>,
     /// Whether to keep the history that the most likely trajectory is read from.
     pub ancestry: bool,
 }
@@ -139,12 +142,17 @@ pub struct Filter {
     resampled: bool,
     log_likelihood: Vec<f64>,
     weigher: Weigher,
+    /// Number of particles, the greatest where it varies.
+    count: usize,
     kld: Option<KldSampler>,
     /// Cumulative weights, for KLD sampling.
     cumulative: Vec<f64>,
     augmented: Option<Augmented>,
+    annealer: Option<Annealer>,
     clusters: Option<Clusters>,
     ancestry: Option<Ancestry>,
+    /// Parents of annealed particles, for the history.
+    parents: Vec<u32>,
 }
 
 /// The stage [`Stage::Resample`] serves three purposes, told apart by seeds of their own.
@@ -194,11 +202,16 @@ impl Filter {
             check_sigma("regularization sigma_m", sigma_m)?;
             check_sigma("regularization sigma_rad", sigma_rad)?;
         }
+        let annealer = options.annealing.map(Annealer::new).transpose()?;
+        let first = match (start, options.annealing) {
+            (Start::Global, Some(annealing)) => count.max(annealing.candidates),
+            _ => count,
+        };
         Ok(Self {
             seeds: Seeds::new(seed),
             step: 0,
-            particles: start.particles(count, map, seed)?,
-            weights: Weights::uniform(count),
+            particles: start.particles(first, map, seed)?,
+            weights: Weights::uniform(first),
             next: Particles::default(),
             ancestors: Vec::new(),
             resampled: false,
@@ -207,8 +220,11 @@ impl Filter {
             kld,
             cumulative: Vec::new(),
             augmented: options.injection.map(Augmented::new).transpose()?,
+            annealer,
+            count,
             clusters: options.clusters.map(Clusters::new),
             ancestry: options.ancestry.then(Ancestry::default),
+            parents: Vec::new(),
             options,
         })
     }
@@ -253,7 +269,26 @@ impl Filter {
             model,
             &mut self.log_likelihood,
         );
-        let (log_evidence, recovered) = match self.weights.update(&self.log_likelihood) {
+        let annealing = self.annealer.as_mut().filter(|annealer| annealer.is_due());
+        let annealed = annealing.is_some();
+        let weighed = match annealing {
+            None => self.weights.update(&self.log_likelihood),
+            Some(annealer) => {
+                // A varying number of particles is chosen when the step resamples.
+                let count =
+                    if self.kld.is_some() { self.particles.len().min(self.count) } else { self.count };
+                let weigher = &mut self.weigher;
+                let set = Set {
+                    particles: &mut self.particles,
+                    weights: &mut self.weights,
+                    log_likelihood: &mut self.log_likelihood,
+                };
+                annealer.weigh(set, count, map, self.seeds.filter, |poses, out| {
+                    weigher.log_likelihoods(poses, laser, scan, map, model, out);
+                })
+            }
+        };
+        let (log_evidence, recovered) = match weighed {
             Ok(log_evidence) => (log_evidence, None),
             Err(WeightError::AllZero) => {
                 self.weights.reset(self.particles.len());
@@ -265,11 +300,25 @@ impl Filter {
             Err(WeightError::Length { .. }) => unreachable!("one log likelihood per particle"),
         };
         if let Some(ancestry) = &mut self.ancestry {
-            let parents = was_resampled.then_some(self.ancestors.as_slice());
+            let parents =
+                match &self.annealer {
+                    // The particles of the first step have no parents.
+                    Some(annealer) if annealed && step > 0 => {
+                        self.parents.clear();
+                        self.parents.extend(annealer.origins().iter().map(|&origin| {
+                            if was_resampled { self.ancestors[origin as usize] } else { origin }
+                        }));
+                        Some(self.parents.as_slice())
+                    }
+                    _ => was_resampled.then_some(self.ancestors.as_slice()),
+                };
             let likelihoods = recovered.is_none().then_some((self.log_likelihood.as_slice(), log_evidence));
             ancestry.record(&self.particles, parents, likelihoods);
         }
         let estimates = self.estimates();
+        if let Some(annealer) = &mut self.annealer {
+            annealer.observe(&estimates.weighted_mean);
+        }
 
         let usable_beams = scan.ranges.iter().filter(|z| !z.is_nan()).count();
         let share = self.augmented.as_mut().map_or(0.0, |a| a.update(log_evidence, usable_beams));

@@ -9,6 +9,7 @@
 
 mod adaptive;
 mod ancestry;
+mod annealing;
 mod augmented;
 mod bins;
 mod error;
@@ -21,6 +22,7 @@ mod weigh;
 
 pub use adaptive::{KldOptions, KldSampler};
 pub use ancestry::{Ancestry, NO_PARENT, Trajectory};
+pub use annealing::AnnealingOptions;
 pub use augmented::{Augmented, InjectionOptions};
 pub use bins::PoseBins;
 pub use error::FilterError;

@@ -72,6 +72,7 @@ fn with_filter<R: Send>(
         regularization: Some(Regularization { sigma_m: 0.01, sigma_rad: 0.01 }),
         // One bin: the number of occupied bins is not fixed, but here it is.
         clusters: Some(PoseBins::new(1000.0, 7.0).unwrap()),
+        annealing: None,
         ancestry,
     };
     let start = Start::Tracking { pose: Pose2::new(3.0, 2.0, 0.0), sigma_m: 0.3, sigma_rad: 0.3 };

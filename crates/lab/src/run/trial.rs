@@ -192,6 +192,7 @@ fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions,
         clusters: (settings.estimate == Estimate::DensestCluster)
             .then(|| PoseBins::new(bins.0, bins.1))
             .transpose()?,
+        annealing: None,
         ancestry,
     })
 }

@@ -6,6 +6,7 @@ use locsim_core::{Draw, Hits, Laser, Particles, Pose2, RangeMap, Scan, SensorMod
 use locsim_mcl::{FilterOptions, OdometryMotion, ParticleCount, ResampleTrigger, Systematic};
 use toy::{Gaussian, Room};
 
+mod annealing;
 mod behaviour;
 mod exact;
 mod threads;
@@ -39,6 +40,7 @@ fn options(n: usize) -> FilterOptions {
         injection: None,
         regularization: None,
         clusters: None,
+        annealing: None,
         ancestry: false,
     }
 }
