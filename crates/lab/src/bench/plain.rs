@@ -86,3 +86,62 @@ pub fn mean_range(workload: &Workload) -> f64 {
     }
     sum / (particles.len() * laser.beam_count()) as f64
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+    use locsim_world::raycast::ExactRangeMap;
+
+    use super::*;
+
+    /// A room of 40 x 20 cells of 0.1 m within walls one cell thick, its grid turned and moved.
+    fn room() -> OccupancyGrid {
+        let (columns, rows) = (42, 22);
+        let wall = |i: usize| {
+            let (column, row) = (i % columns, i / columns);
+            column == 0 || row == 0 || column == columns - 1 || row == rows - 1
+        };
+        let cells = (0..columns * rows).map(|i| if wall(i) { Cell::Occupied } else { Cell::Free }).collect();
+        let occupancy = vec![0.5; columns * rows];
+        OccupancyGrid::new(columns, rows, 0.1, Pose2::new(1.0, -2.0, 0.3), cells, occupancy).unwrap()
+    }
+
+    /// Bresenham's line leaves the ray by at most a cell, and so does its end; a ray that grazes a wall may end earlier
+    /// or later by more, so headings keep off the walls' directions.
+    #[test]
+    fn the_walk_ends_within_two_cells_of_the_exact_cast() {
+        let grid = room();
+        let exact = ExactRangeMap::new(grid.to_geometry());
+        for i in 0..200 {
+            let t = f64::from(i);
+            let inside = Pose2::new(0.6 + 3.0 * (0.37 * t).fract(), 0.5 + 1.2 * (0.61 * t).fract(), t);
+            let heading = DVec2::from_angle(inside.theta);
+            if heading.x.abs().min(heading.y.abs()) < 0.2 {
+                continue;
+            }
+            let pose = grid.origin().compose(&inside);
+            let direction = DVec2::from_angle(pose.theta);
+            let range = exact.cast_ray(pose.position(), direction, 10.0).unwrap().range;
+            let walked = cast(&grid, &inside, 0.0, 10.0);
+            assert!((walked - range).abs() < 0.3, "{walked} for {range} from {pose:?}");
+            assert_eq!(cast(&grid, &inside, 0.0, 0.2), 0.2, "no wall so near");
+        }
+    }
+
+    #[test]
+    fn the_density_of_readings_integrates_to_the_weights() {
+        let beam = BeamParameters {
+            z_hit: 0.7,
+            z_short: 0.15,
+            z_max: 0.1,
+            z_rand: 0.05,
+            sigma_hit: 0.05,
+            lambda_short: 0.5,
+        };
+        let step = 1e-4;
+        let below: f64 =
+            (0..45_000).map(|i| step * density(&beam, (f64::from(i) + 0.5) * step, 3.0, 4.5)).sum();
+        assert!((below - 0.9).abs() < 1e-3, "{below}");
+        assert!((density(&beam, 4.5, 3.0, 4.5) - 0.1).abs() < 1e-9);
+    }
+}

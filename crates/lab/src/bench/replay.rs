@@ -127,3 +127,23 @@ pub fn replays(
 pub fn known_start(drive: &Drive) -> Start {
     Start::Tracking { pose: truth(drive, 0), sigma_m: 0.0, sigma_rad: 0.0 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn localized_is_near_in_place_and_in_heading() {
+        let at = |last_m, degrees: f64| Replay { ate_m: 1.0, last_m, last_rad: degrees.to_radians() };
+        assert!(at(0.49, -19.0).localized());
+        assert!(!at(0.51, 0.0).localized(), "half a metre off");
+        assert!(!at(0.0, 180.0).localized(), "the mirrored pose");
+    }
+
+    #[test]
+    fn errors_of_seeds_have_a_median_and_a_greatest() {
+        let replay = |ate_m, last_m| Replay { ate_m, last_m, last_rad: 0.0 };
+        let errors = ReplayErrors::of(&[replay(0.3, 0.1), replay(0.1, 0.1), replay(0.2, 2.0)]);
+        assert_eq!(errors, ReplayErrors { median: 0.2, max: 0.3, localized: 2 });
+    }
+}
