@@ -84,6 +84,7 @@ fn run(arguments: &Run) -> Result<ExitCode> {
     let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
     let out = arguments.out.clone().unwrap_or_else(|| Path::new("results").join(&scenario.name));
     let recorder = recorder(arguments.record, &scenario.name);
+    let cache = arguments.cache.clone().or_else(users_cache);
     let options = RunOptions {
         out: out.clone(),
         resume: arguments.resume,
@@ -91,6 +92,7 @@ fn run(arguments: &Run) -> Result<ExitCode> {
         clock: &clock,
         progress: &bars,
         interrupted: &interrupted,
+        cache: cache.as_deref(),
         recorder: recorder.as_deref(),
     };
     let outcome = run::run(&scenario, &options)?;
@@ -109,6 +111,11 @@ fn run(arguments: &Run) -> Result<ExitCode> {
         eprintln!("missed: {missed}");
     }
     Ok(if outcome.missed.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(MISSED) })
+}
+
+/// Where programs keep what they can do without, for this user.
+fn users_cache() -> Option<PathBuf> {
+    directories::BaseDirs::new().map(|user| user.cache_dir().join("locsim"))
 }
 
 /// The command that repeats a run.

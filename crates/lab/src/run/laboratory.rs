@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec2;
 use locsim_core::{
@@ -10,7 +11,7 @@ use locsim_core::{
 use locsim_dataset::{CarmenOptions, read_carmen};
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
-use locsim_world::raycast::{DistanceGrid, ExactRangeMap, SurfaceTable};
+use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
 use locsim_world::simulation::{
     Block, BlockOptions, BlockResampling, LaserOptions, ObstructionOptions, ObstructionTable, OdometryNoise,
     Robot, RobotPath, SimulationError, Simulator, VelocitySegment, simulate_drive,
@@ -26,6 +27,9 @@ const WALL_CLEARANCE_M: f64 = 0.25;
 
 /// Cell \[m\] and saturation \[m\] of the distance grid behind the likelihood field.
 const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
+
+/// Units of progress of a range table.
+const TABLE_TICKS: u64 = 100;
 
 /// Consecutive training scans of a log that are held out together: some metres of driving.
 const RUN: u32 = 20;
@@ -44,15 +48,25 @@ pub struct Place {
 }
 
 impl Place {
-    fn new(geometry: Geometry, ray_cast: RayCast, progress: &dyn Progress) -> Result<Self, MapError> {
+    fn new(
+        geometry: Geometry,
+        ray_cast: RayCast,
+        cache: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<Self, MapError> {
         let distance = Arc::new(DistanceGrid::new(&geometry, DISTANCE_GRID_M.0, DISTANCE_GRID_M.1)?);
         let exact = Arc::new(ExactRangeMap::new(geometry));
         let ranges: Arc<dyn RangeMap> = match ray_cast {
             RayCast::Exact => Arc::<ExactRangeMap>::clone(&exact),
-            RayCast::Table { cell_m, headings } => {
-                progress.stage("building the ray-cast table", 1);
-                let table = SurfaceTable::new(&exact, cell_m, headings as usize)?;
-                progress.advance(1);
+            RayCast::Table { cell_m, memory_mb } => {
+                progress.stage("building the range table", TABLE_TICKS);
+                let most_bytes = (memory_mb as usize) << 20;
+                let options = RangeTableOptions { cell_m, most_bytes, ..RangeTableOptions::default() };
+                let done = AtomicU64::new(0);
+                let table = RangeTable::cached(&exact, &options, cache, &|share| {
+                    let now = (share * TABLE_TICKS as f64) as u64;
+                    progress.advance(now.saturating_sub(done.fetch_max(now, Ordering::Relaxed)));
+                })?;
                 Arc::new(table)
             }
         };
@@ -104,20 +118,26 @@ impl<'a> Laboratory<'a> {
     ///
     /// # Errors
     /// Whatever is wrong with map, log, world, training data or model files.
-    pub fn prepare(scenario: &'a Scenario, progress: &dyn Progress) -> Result<Self, RunError> {
+    pub fn prepare(
+        scenario: &'a Scenario,
+        cache: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<Self, RunError> {
         match &scenario.source {
-            Source::Simulation(simulation) => Self::simulated(scenario, simulation, progress),
-            Source::Log(log) => Self::measured(scenario, log, progress),
+            Source::Simulation(simulation) => Self::simulated(scenario, simulation, cache, progress),
+            Source::Log(log) => Self::measured(scenario, log, cache, progress),
         }
     }
 
     fn simulated(
         scenario: &'a Scenario,
         simulation: &Simulation,
+        cache: Option<&Path>,
         progress: &dyn Progress,
     ) -> Result<Self, RunError> {
-        let place = Place::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, progress)
-            .map_err(unusable(&simulation.map))?;
+        let place =
+            Place::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, cache, progress)
+                .map_err(unusable(&simulation.map))?;
         let world = world(simulation, &place).map_err(refused(scenario))?;
         let training = &scenario.training;
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
@@ -139,6 +159,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle,
+            tables: scenario.ray_cast != RayCast::Exact,
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
@@ -154,7 +175,12 @@ impl<'a> Laboratory<'a> {
         Ok(Self { scenario, place, models, notes, drives: Drives::Simulated(Box::new(world)) })
     }
 
-    fn measured(scenario: &'a Scenario, log: &Log, progress: &dyn Progress) -> Result<Self, RunError> {
+    fn measured(
+        scenario: &'a Scenario,
+        log: &Log,
+        cache: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<Self, RunError> {
         progress.stage("reading the log", 1);
         let max_range_m = log.max_range_m.map(|max| max as f32);
         let options = CarmenOptions { max_range_m, ..CarmenOptions::default() };
@@ -172,7 +198,7 @@ impl<'a> Laboratory<'a> {
                 grid.to_geometry()
             }
         };
-        let place = Place::new(map, scenario.ray_cast, progress).map_err(unusable(&log.file))?;
+        let place = Place::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
         let training = &scenario.training;
         let data = measured_scans(&drive, &selected(&drive, &log.train_scans), &place, training);
         if data.poses.len() < 4 {
@@ -182,6 +208,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle: None,
+            tables: scenario.ray_cast != RayCast::Exact,
         };
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let beams = scenario.filter.beams.map(|beams| beams as usize);
@@ -239,7 +266,7 @@ pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError
         let what = "a scenario of a measured log has nothing to simulate".to_owned();
         return Err(RunError::Log { path: scenario.file.clone(), what });
     };
-    let place = Place::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, &())
+    let place = Place::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, &())
         .map_err(unusable(&simulation.map))?;
     let world = world(simulation, &place).map_err(refused(scenario))?;
     let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(trial);

@@ -39,7 +39,7 @@ fn every_key_arrives_in_si_units_and_radians() {
     let scenario = parse(&text("simulation.yaml")).unwrap();
     assert_eq!(scenario.name, "everything");
     assert_eq!((scenario.seed, scenario.trials), (7, 20));
-    assert_eq!(scenario.ray_cast, RayCast::Table { cell_m: 0.05, headings: 120 });
+    assert_eq!(scenario.ray_cast, RayCast::Table { cell_m: 0.05, memory_mb: 300 });
     let Source::Simulation(simulation) = &scenario.source else { panic!("{:?}", scenario.source) };
     assert_eq!(simulation.map, Path::new(FIXTURES).join("map.yaml"));
     let degrees = f64::to_radians;

@@ -46,17 +46,17 @@ pub struct Scenario {
     pub expect: Vec<Expectation>,
 }
 
-/// How nominal ranges are computed inside the filter.
+/// How nominal ranges and log densities are computed inside the filter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum RayCast {
-    /// From a precomputed table over (cell, heading).
+    /// From precomputed tables of the map and of the sensor models.
     Table {
-        /// Side of a cell (m).
+        /// Side of a cell of the map's table (m), larger where it would not fit.
         cell_m: f64,
-        /// Number of heading bins over the full circle.
-        headings: u32,
+        /// What the map's table may take (MB).
+        memory_mb: u32,
     },
-    /// By an exact cast each time.
+    /// By an exact cast and the model itself each time.
     Exact,
 }
 

@@ -4,6 +4,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 
 use super::error::{check, check_count};
+use super::observe::Scratch;
 use super::{Block, OdometryNoise, RobotPath, SimulationError, Simulator, Trajectory};
 
 /// The most scans of a drive.
@@ -60,15 +61,9 @@ pub fn simulate_drive(
 
     let scans: Vec<_> = (0..stamps.len())
         .into_par_iter()
-        .map(|i| {
-            let mut placements = Vec::new();
-            if let Some(blocks) = simulator.blocks() {
-                let draw = blocks.draw(seed, i as u32);
-                blocks.place_blocks(&draw, stamps[i], truth[i].position(), &mut placements);
-            }
-            let noise = Draw::new(seed, Stage::Laser, i as u32);
-            let scan = simulator.sweep(&placements, stamps[i], |secs| trajectory.pose_at(secs), &noise);
-            let blocks = placements.iter().map(|placement| placement.block(stamps[i])).collect();
+        .map_init(Scratch::default, |scratch, i| {
+            let scan = simulator.sweep(seed, i as u32, stamps[i], |secs| trajectory.pose_at(secs), scratch);
+            let blocks = scratch.blocks.iter().map(|placement| placement.block(stamps[i])).collect();
             (scan, blocks)
         })
         .collect();

@@ -23,12 +23,17 @@ pub(super) fn ray_cast(check: &mut Checker<'_>, raw: &RawRayCast) -> RayCast {
                 raw.cell_m.unwrap_or(default::CELL_M),
                 Within(0.001, 10.0),
             ),
-            headings: check.count("ray_cast.headings", raw.headings.unwrap_or(default::HEADINGS), 4, 3600),
+            memory_mb: check.count(
+                "ray_cast.memory_mb",
+                raw.memory_mb.unwrap_or(default::MEMORY_MB),
+                16,
+                65536,
+            ),
         },
         RayCastMethod::Exact => {
             let why = "it belongs to `method: table`";
             check.absent("ray_cast", "cell_m", raw.cell_m.as_ref(), why);
-            check.absent("ray_cast", "headings", raw.headings.as_ref(), why);
+            check.absent("ray_cast", "memory_mb", raw.memory_mb.as_ref(), why);
             RayCast::Exact
         }
     }
