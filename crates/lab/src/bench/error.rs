@@ -52,6 +52,9 @@ pub enum BenchError {
     /// A sensor model could not be trained.
     #[error(transparent)]
     Run(#[from] RunError),
+    /// A sensor model could not be made a table.
+    #[error("sensor model: {0}")]
+    Sensor(#[from] locsim_sensor::SensorError),
     /// The filter gave up.
     #[error("filter: {0}")]
     Filter(#[from] locsim_mcl::FilterError),

@@ -108,7 +108,7 @@ pub struct BenchReport {
     /// Time to build the table on all threads \[s\].
     pub table_build_s: f64,
     /// Its size \[bytes\].
-    pub table_bytes: Option<usize>,
+    pub table_bytes: usize,
     /// Errors of the replays with a known start.
     pub replay_ate_m: Both<BTreeMap<String, ReplayErrors>>,
     /// How many of the seeds localized from an unknown start.

@@ -12,12 +12,14 @@ mod timing;
 mod workload;
 pub mod world;
 
+use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 
+use locsim_core::{Drive, RangeMap};
 use locsim_mcl::Start;
-use locsim_world::raycast::{DistanceGrid, ExactRangeMap};
+use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable};
 use rayon::ThreadPoolBuilder;
 
 pub use error::BenchError;
@@ -28,12 +30,12 @@ pub use workload::{BeamParameters, Workload};
 
 use crate::run::Progress;
 use crate::run::laboratory::Place;
-use crate::run::training::TrainedModel;
 use crate::scenario::ModelName;
 use figures::{CastTimes, Conditions, PlainLoop, Timings, UpdateTimes};
 use replay::{
     GLOBAL_PARTICLES, ReplayErrors, SEEDS, TRACKING_PARTICLES, filter_options, known_start, replays,
 };
+use table::BenchModel;
 use timing::{Timing, time};
 use world::{MODELS, TRAINING_WORLD, train_models};
 
@@ -48,7 +50,7 @@ pub struct Bench {
     workload: Workload,
     place: Place,
     table: table::Table,
-    models: Vec<TrainedModel>,
+    models: Vec<BenchModel>,
 }
 
 impl Bench {
@@ -61,12 +63,16 @@ impl Bench {
         let distance = DistanceGrid::new(&workload.geometry, DISTANCE_GRID_M.0, DISTANCE_GRID_M.1)?;
         let exact = Arc::new(ExactRangeMap::new(workload.geometry.clone()));
         let table = table::build(&exact, clock, progress)?;
-        let place = Place { exact, ranges: Arc::clone(&table.map), distance: Arc::new(distance) };
-        let models = train_models(&workload, &place, &TRAINING_WORLD, progress)?;
+        let place =
+            Place { exact, ranges: Arc::<RangeTable>::clone(&table.map), distance: Arc::new(distance) };
+        let models = train_models(&workload, &place, &TRAINING_WORLD, progress)?
+            .into_iter()
+            .map(|model| BenchModel::new(model, &workload.laser))
+            .collect::<Result<_, _>>()?;
         Ok(Self { workload, place, table, models })
     }
 
-    fn main_model(&self) -> &TrainedModel {
+    fn main_model(&self) -> &BenchModel {
         let main = self.models.iter().find(|model| model.label == MAIN_MODEL.as_str());
         main.expect("the main model is one of them")
     }
@@ -88,12 +94,12 @@ impl Bench {
         progress.stage("table against exact casts", 1);
         let main = self.main_model();
         let (exact, table) = (&*self.place.exact, &*self.table.map);
-        let prepared = table::prepared(main);
-        let accuracy = accuracy::compare(&self.workload, exact, &*main.tempered, table, &*prepared)?;
+        let prepared = &*main.prepared;
+        let accuracy = accuracy::compare(&self.workload, exact, &*main.exact, table, prepared)?;
         progress.advance(1);
         progress.stage("memory of a million particles", 1);
         let bytes_per_million_particles =
-            measure::bytes_per_million_particles(&self.workload, table, &*prepared)?;
+            measure::bytes_per_million_particles(&self.workload, table, prepared)?;
         progress.advance(1);
         progress.finish();
         let mut report = BenchReport {
@@ -111,7 +117,7 @@ impl Bench {
             median,
             fastest,
             table_build_s: self.table.seconds,
-            table_bytes: self.table.bytes,
+            table_bytes: self.table.map.bytes(),
             replay_ate_m,
             global_localized,
             accuracy,
@@ -126,15 +132,16 @@ impl Bench {
     fn timings(&self, clock: Clock<'_>, progress: &dyn Progress) -> Result<(Timings, Timings), BenchError> {
         let one = ThreadPoolBuilder::new().num_threads(1).build()?;
         let two = ThreadPoolBuilder::new().num_threads(2).build()?;
-        let (workload, exact, table) = (&self.workload, &*self.place.exact, &*self.table.map);
+        let workload = &self.workload;
+        let (exact, table): (&dyn RangeMap, &dyn RangeMap) = (&*self.place.exact, &*self.table.map);
         let (mut median, mut fastest) = (Timings::default(), Timings::default());
         progress.stage("timing updates", MODELS.len() as u64);
         for model in &self.models {
-            let prepared = table::prepared(model);
-            let exact = one.install(|| measure::update(clock, workload, exact, &*model.tempered))?;
-            let single = one.install(|| measure::update(clock, workload, table, &*prepared))?;
-            let double = two.install(|| measure::update(clock, workload, table, &*prepared))?;
-            let step = one.install(|| measure::whole_step(clock, workload, table, &*prepared))?;
+            let prepared = &*model.prepared;
+            let exact = one.install(|| measure::update(clock, workload, exact, &*model.exact))?;
+            let single = one.install(|| measure::update(clock, workload, table, prepared))?;
+            let double = two.install(|| measure::update(clock, workload, table, prepared))?;
+            let step = one.install(|| measure::whole_step(clock, workload, table, prepared))?;
             for (timings, of) in each(&mut median, &mut fastest) {
                 let update =
                     UpdateTimes { exact: of(&exact), table: of(&single), table_2_threads: of(&double) };
@@ -172,17 +179,16 @@ impl Bench {
     /// Errors of every model on a drive with a known start.
     fn errors(
         &self,
-        drive: &locsim_core::Drive,
+        drive: &Drive,
         progress: &dyn Progress,
-    ) -> Result<std::collections::BTreeMap<String, ReplayErrors>, BenchError> {
+    ) -> Result<BTreeMap<String, ReplayErrors>, BenchError> {
         progress.stage("replays", self.models.len() as u64);
         let options = filter_options(self.workload.alpha, TRACKING_PARTICLES)?;
         let start = known_start(drive);
         self.models
             .iter()
             .map(|model| {
-                let prepared = table::prepared(model);
-                let replays = replays(drive, &options, &start, &*self.table.map, &*prepared, SEEDS)?;
+                let replays = replays(drive, &options, &start, &*self.table.map, &*model.prepared, SEEDS)?;
                 progress.advance(1);
                 Ok((model.label.clone(), ReplayErrors::of(&replays)))
             })
@@ -190,11 +196,11 @@ impl Bench {
     }
 
     /// How many seeds localize from an unknown start.
-    fn localized(&self, drive: &locsim_core::Drive, progress: &dyn Progress) -> Result<usize, BenchError> {
+    fn localized(&self, drive: &Drive, progress: &dyn Progress) -> Result<usize, BenchError> {
         progress.stage("unknown start", 1);
         let options = filter_options(self.workload.alpha, GLOBAL_PARTICLES)?;
-        let prepared = table::prepared(self.main_model());
-        let replays = replays(drive, &options, &Start::Global, &*self.table.map, &*prepared, SEEDS)?;
+        let model = &*self.main_model().prepared;
+        let replays = replays(drive, &options, &Start::Global, &*self.table.map, model, SEEDS)?;
         progress.advance(1);
         Ok(ReplayErrors::of(&replays).localized)
     }

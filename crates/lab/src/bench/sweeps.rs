@@ -48,8 +48,10 @@ pub struct Cost {
     pub step_ms: f64,
     /// Building the table \[s\], where the sweep is over maps.
     pub table_build_s: Option<f64>,
-    /// The table's size \[bytes\], where it tells.
+    /// The table's size \[bytes\], where the sweep is over maps.
     pub table_bytes: Option<usize>,
+    /// Side of its cells \[m\], larger than asked for where the table would not have fitted.
+    pub table_cell_m: Option<f64>,
 }
 
 /// All sweeps.
@@ -97,7 +99,12 @@ pub fn sweep(
         let truth = Pose2::new(0.5 * sides[0], 0.5 * CORRIDOR_M, 0.35);
         let seen = seen_from(workload, &exact, truth, beams, 10_000)?;
         let cost = cost(bench, &seen, &*table.map, 1, clock)?;
-        report.maps.push(Cost { table_build_s: Some(table.seconds), table_bytes: table.bytes, ..cost });
+        report.maps.push(Cost {
+            table_build_s: Some(table.seconds),
+            table_bytes: Some(table.map.bytes()),
+            table_cell_m: Some(table.map.cell_m()),
+            ..cost
+        });
         progress.advance(1);
     }
     progress.finish();
@@ -146,9 +153,9 @@ fn cost(
     clock: Clock<'_>,
 ) -> Result<Cost, BenchError> {
     let pool = ThreadPoolBuilder::new().num_threads(threads).build()?;
-    let model = table::prepared(bench.main_model());
-    let update = pool.install(|| measure::update(clock, seen, map, &*model))?;
-    let step = pool.install(|| measure::whole_step(clock, seen, map, &*model))?;
+    let model = &*bench.main_model().prepared;
+    let update = pool.install(|| measure::update(clock, seen, map, model))?;
+    let step = pool.install(|| measure::whole_step(clock, seen, map, model))?;
     let [x0, y0, x1, y1] = map.bounds();
     Ok(Cost {
         particles: seen.particles.len(),

@@ -67,7 +67,7 @@ pub const TRAINING_WORLD: TrainingWorld = TrainingWorld {
     held_out_share: 0.25,
 };
 
-/// Trains every model of [`MODELS`] in the simulated world.
+/// Trains every model of [`MODELS`] in the simulated world; none is made a table.
 pub fn train_models(
     workload: &Workload,
     place: &Place,
@@ -112,6 +112,7 @@ pub fn train_models(
         map: Arc::<_>::clone(&place.exact) as Arc<_>,
         distance: Arc::clone(&place.distance),
         oracle: None,
+        tables: false,
     };
     let models =
         MODELS.map(|name| Model { name, label: name.to_string(), floor: None, exponent: None, file: None });
