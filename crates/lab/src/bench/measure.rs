@@ -153,28 +153,32 @@ pub fn estimate(clock: Clock<'_>, workload: &Workload) -> Result<Timing, BenchEr
     }))
 }
 
-/// Resident memory \[bytes\] that a filter of a million particles adds to the program, once it has taken two steps; `None`
-/// where the system doesn't tell (`/proc/self/statm` of Linux).
+/// Resident memory \[bytes\] that a filter adds to the program for each million of its particles, once it has taken two
+/// steps; `None` where the system doesn't tell (`/proc/self/statm` of Linux).
 pub fn bytes_per_million_particles(
     workload: &Workload,
     map: &dyn RangeMap,
     model: &dyn SensorModel,
 ) -> Result<Option<f64>, BenchError> {
-    const MILLION: usize = 1_000_000;
+    /// So many that an allocator has nothing of that size lying about.
+    const PARTICLES: usize = 10_000_000;
     const PAGE_BYTES: f64 = 4096.0;
     let resident = || -> Option<f64> {
         let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
         Some(PAGE_BYTES * statm.split_whitespace().nth(1)?.parse::<f64>().ok()?)
     };
     let before = resident();
-    let start =
-        Start::Tracking { pose: workload.truth, sigma_m: workload.spread.0, sigma_rad: workload.spread.1 };
+    let start = Start::Tracking {
+        pose: workload.truth,
+        sigma_m: workload.spread.0,
+        sigma_rad: workload.spread.1,
+    };
     let options =
-        FilterOptions { trigger: ResampleTrigger::EachStep, ..filter_options(workload.alpha, MILLION)? };
+        FilterOptions { trigger: ResampleTrigger::EachStep, ..filter_options(workload.alpha, PARTICLES)? };
     let mut filter = Filter::new(options, &start, map, 1)?;
     let input = StepInput { odometry: workload.increment, laser: &workload.laser, scan: &workload.scan };
     for _ in 0..2 {
         filter.step(&input, map, model)?;
     }
-    Ok(resident().zip(before).map(|(after, before)| after - before))
+    Ok(resident().zip(before).map(|(after, before)| (after - before) * 1e6 / PARTICLES as f64))
 }

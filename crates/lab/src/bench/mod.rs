@@ -97,7 +97,7 @@ impl Bench {
         let prepared = &*main.prepared;
         let accuracy = accuracy::compare(&self.workload, exact, &*main.exact, table, prepared)?;
         progress.advance(1);
-        progress.stage("memory of a million particles", 1);
+        progress.stage("memory of ten million particles", 1);
         let bytes_per_million_particles =
             measure::bytes_per_million_particles(&self.workload, table, prepared)?;
         progress.advance(1);
