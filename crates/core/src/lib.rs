@@ -9,6 +9,7 @@ mod beams;
 mod draw;
 mod drive;
 mod elementary;
+mod endpoint;
 mod lanes;
 mod likelihood;
 mod model;
@@ -21,11 +22,12 @@ pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
 pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
 pub use elementary::{sin_cos, sin_cos_near_zero};
+pub use endpoint::{EndpointGrid, EndpointScan, EndpointTable};
 pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
     turn,
 };
-pub use model::{DistanceMap, Obstructions, RangeMap, SensorModel, Survival};
+pub use model::{DistanceMap, Knows, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
 pub use weights::{WeightError, Weights};

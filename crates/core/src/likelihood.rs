@@ -18,9 +18,34 @@ pub struct LikelihoodTable {
     ranges: usize,
     /// \[reading\]\[range\]\[cosine\], in units above the base; a last row of zeros for beams that don't count.
     entries: Vec<i16>,
-    /// Nats.
+    nats: Nats,
+}
+
+/// Log densities as whole numbers: nats = base + unit * entry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Nats {
     base: f64,
     unit: f64,
+}
+
+impl Nats {
+    /// The entries of log densities; those more than [`SPAN_NATS`] below the greatest count as that far below.
+    pub fn of(log_density: &[f32]) -> (Vec<i16>, Self) {
+        let highest = log_density.iter().copied().fold(f32::NEG_INFINITY, f32::max).max(f32::MIN);
+        let lowest = log_density.iter().copied().fold(highest, f32::min);
+        let highest = f64::from(highest);
+        let span = (highest - f64::from(lowest)).clamp(1e-3, SPAN_NATS);
+        let unit = span / f64::from(u16::MAX);
+        let base = highest - span / 2.0;
+        let entries = log_density.iter().map(|&l| ((f64::from(l) - base) / unit).round() as i16).collect();
+        (entries, Self { base, unit })
+    }
+
+    /// The sum of `beams` log densities (nats) from that of their entries.
+    #[inline]
+    pub fn sum(self, beams: usize, entries: i32) -> f64 {
+        self.base * beams as f64 + self.unit * f64::from(entries)
+    }
 }
 
 /// The knots of a [`LikelihoodTable`].
@@ -91,21 +116,11 @@ impl LikelihoodTable {
     /// If the number of log densities is not the grid's.
     pub fn new(grid: LikelihoodGrid, log_density: &[f32]) -> Self {
         let ranges = grid.ranges();
-        assert_eq!(
-            log_density.len(),
-            grid.rows() * ranges * INCIDENCE_KNOTS,
-            "log densities do not match the grid"
-        );
-        let highest = log_density.iter().copied().fold(f32::NEG_INFINITY, f32::max).max(f32::MIN);
-        let lowest = log_density.iter().copied().fold(highest, f32::min);
-        let highest = f64::from(highest);
-        let span = (highest - f64::from(lowest)).clamp(1e-3, SPAN_NATS);
-        let unit = span / f64::from(u16::MAX);
-        let base = highest - span / 2.0;
-        let mut entries: Vec<i16> =
-            log_density.iter().map(|&l| ((f64::from(l) - base) / unit).round() as i16).collect();
-        entries.resize(entries.len() + ranges * INCIDENCE_KNOTS, 0);
-        Self { grid, ranges, entries, base, unit }
+        let count = grid.rows() * ranges * INCIDENCE_KNOTS;
+        assert_eq!(log_density.len(), count, "log densities do not match the grid");
+        let (mut entries, nats) = Nats::of(log_density);
+        entries.resize(count + ranges * INCIDENCE_KNOTS, 0);
+        Self { grid, ranges, entries, nats }
     }
 
     /// Where the knots are.
@@ -121,7 +136,8 @@ impl LikelihoodTable {
     /// Log density (nats) of one reading.
     pub fn log_density(&self, z: f32, range: f32, cosine: f32) -> f32 {
         let entry = self.scale().entry(f32x4::splat(range), f32x4::splat(cosine)).to_array()[0];
-        (self.base + self.unit * f64::from(self.entries[(self.row_start(z) + entry) as usize])) as f32
+        let entry = self.entries[(self.row_start(z) + entry) as usize];
+        self.nats.sum(1, entry.into()) as f32
     }
 
     /// Start of a row among the entries; the one after the last is the row of zeros.
@@ -144,7 +160,7 @@ impl LikelihoodTable {
     /// The log likelihood (nats) of a scan from the sum of its beams' entries.
     #[inline]
     pub fn nats(&self, beams: usize, sum: i32) -> f64 {
-        self.base * beams as f64 + self.unit * f64::from(sum)
+        self.nats.sum(beams, sum)
     }
 
     /// Log likelihood (nats) of a scan for each pose of `hits`, which were cast along the scan's bearings up to the
@@ -224,7 +240,7 @@ impl BeamRun {
         run
     }
 
-    fn set(&mut self, i: usize, bearing: f32) {
+    pub(crate) fn set(&mut self, i: usize, bearing: f32) {
         let (sin, cos) = f64::from(bearing).sin_cos();
         self.cos.as_mut_array()[i] = cos as f32;
         self.sin.as_mut_array()[i] = sin as f32;
@@ -255,9 +271,10 @@ impl PreparedScan {
                 self.runs.push((BeamRun::AHEAD, nothing));
             }
             self.bearings.push(bearing);
-            let (beams, row_start) = self.runs.last_mut().expect("a run was pushed for its first beam");
-            beams.set(i, bearing);
-            row_start.as_mut_array()[i] = table.row_start(z);
+            if let Some((beams, row_start)) = self.runs.last_mut() {
+                beams.set(i, bearing);
+                row_start.as_mut_array()[i] = table.row_start(z);
+            }
         }
     }
 }

@@ -1,4 +1,4 @@
-use crate::{Beams, Draw, Hits, LikelihoodTable, Poses, PreparedScan};
+use crate::{Beams, Draw, EndpointTable, Hits, LikelihoodTable, Poses, PreparedScan};
 
 /// A map that answers ray casts.
 pub trait RangeMap: Send + Sync {
@@ -59,6 +59,26 @@ pub struct Survival<'a> {
     pub start_m: f32,
 }
 
+/// What a sensor model looks at, besides the reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Knows {
+    /// Nominal range and incidence of the beam.
+    State,
+    /// Where the reading ends, and whether it is a return.
+    Endpoint,
+    /// More than that.
+    Everything,
+}
+
+/// A sensor model as a table.
+#[derive(Clone, Copy, Debug)]
+pub enum ModelTable<'a> {
+    /// Over reading, nominal range and incidence.
+    State(&'a LikelihoodTable),
+    /// Over where the reading ends.
+    Endpoint(&'a EndpointTable),
+}
+
 /// A learnt observation density p(z | beam): one object samples and scores.
 ///
 /// The reference measure is the same for every model: Lebesgue (a density per metre) below the beam's maximum
@@ -78,14 +98,13 @@ pub trait SensorModel: Send + Sync {
     /// Draws one reading per beam (`out` has n*k entries); beam `i` uses `draw.item(i)`.
     fn sample(&self, beams: &Beams<'_>, draw: &Draw, out: &mut [f32]);
 
-    /// Whether the density depends on more of a beam than nominal range and incidence, on where it is: such a model
-    /// can't be prepared as a [`LikelihoodTable`].
-    fn depends_on_place(&self) -> bool {
-        false
+    /// What the density depends on, which tells how the model can be prepared as a table.
+    fn knows(&self) -> Knows {
+        Knows::State
     }
 
     /// The model as a table, if it has been prepared as one; a filter then asks nothing else.
-    fn table(&self) -> Option<&LikelihoodTable> {
+    fn table(&self) -> Option<ModelTable<'_>> {
         None
     }
 

@@ -1,6 +1,8 @@
 use std::sync::{Mutex, PoisonError};
 
-use locsim_core::{Hits, Laser, Particles, Pose2, Poses, PreparedScan, RangeMap, Scan, SensorModel};
+use locsim_core::{
+    EndpointScan, Hits, Laser, ModelTable, Particles, Pose2, Poses, PreparedScan, RangeMap, Scan, SensorModel,
+};
 use rayon::prelude::*;
 
 /// Particles are cast and weighted by runs of this many: small enough to balance a thousand particles over a few
@@ -19,7 +21,8 @@ struct Lane {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Weigher {
     lanes: Vec<Lane>,
-    scan: PreparedScan,
+    states: PreparedScan,
+    endpoints: EndpointScan,
 }
 
 impl Weigher {
@@ -35,10 +38,14 @@ impl Weigher {
     ) {
         self.make_room(laser.beam_count());
         let table = model.table();
-        if let Some(table) = table {
-            self.scan.prepare(laser.bearings(), &scan.ranges, table);
+        match table {
+            Some(ModelTable::State(table)) => self.states.prepare(laser.bearings(), &scan.ranges, table),
+            Some(ModelTable::Endpoint(table)) => {
+                self.endpoints.prepare(laser.bearings(), &scan.ranges, table)
+            }
+            None => {}
         }
-        let prepared = table.map(|table| (table, &self.scan));
+        let (states, endpoints) = (&self.states, &self.endpoints);
         // Each lane takes the next run when it has done one. Which lane takes which run is a matter of chance,
         // but no run's result depends on it.
         let runs = Mutex::new(out.chunks_mut(CHUNK).enumerate());
@@ -49,12 +56,14 @@ impl Weigher {
                 let base = base.slice(i * CHUNK, i * CHUNK + out.len());
                 let Lane { laser: poses, hits, log_density } = lane;
                 let poses = laser_poses(base, laser.base_from_laser(), poses);
-                if let Some((table, scan)) = prepared {
-                    map.log_likelihood(poses, scan, table, hits, out);
-                } else {
-                    map.cast(poses, laser.bearings(), laser.cast_range(), hits);
-                    let beams = hits.beams(poses, laser.bearings(), laser.max_range());
-                    model.log_likelihood(&scan.ranges, &beams, log_density, out);
+                match table {
+                    Some(ModelTable::State(table)) => map.log_likelihood(poses, states, table, hits, out),
+                    Some(ModelTable::Endpoint(table)) => table.log_likelihood(poses, endpoints, out),
+                    None => {
+                        map.cast(poses, laser.bearings(), laser.cast_range(), hits);
+                        let beams = hits.beams(poses, laser.bearings(), laser.max_range());
+                        model.log_likelihood(&scan.ranges, &beams, log_density, out);
+                    }
                 }
             }
         });

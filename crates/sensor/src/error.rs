@@ -64,9 +64,9 @@ pub enum SensorError {
         /// The value given.
         value: f64,
     },
-    /// A model that looks at where a beam is was to be prepared as a table over its state.
-    #[error("{model} depends on more than nominal range and incidence: it can't be made a table of them")]
-    DependsOnPlace {
+    /// A model that looks at everything was to be prepared as a table.
+    #[error("{model} depends on more of a beam than a table can hold")]
+    NoTable {
         /// The model.
         model: String,
     },

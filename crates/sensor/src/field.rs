@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use locsim_core::{Beams, DistanceMap, Draw, SensorModel};
+use locsim_core::{Beams, DistanceMap, Draw, Knows, SensorModel};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
@@ -136,8 +136,8 @@ impl SensorModel for LikelihoodField {
         ModelKind::LikelihoodField.as_str()
     }
 
-    fn depends_on_place(&self) -> bool {
-        true
+    fn knows(&self) -> Knows {
+        Knows::Endpoint
     }
 
     fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {

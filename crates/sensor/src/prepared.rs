@@ -1,51 +1,97 @@
-//! Any model that knows a beam by its state alone, as a table.
+//! Models as tables.
 
 use std::sync::Arc;
 
-use locsim_core::{Beams, Draw, LikelihoodGrid, LikelihoodTable, Poses, SensorModel};
+use locsim_core::{
+    Beams, Draw, EndpointGrid, EndpointTable, Knows, LikelihoodGrid, LikelihoodTable, ModelTable, Poses,
+    SensorModel,
+};
 use rayon::prelude::*;
 
 use crate::SensorError;
 
-/// A model with its log densities in a [`LikelihoodTable`], for filters that want them fast: a beam then costs one
-/// read. All else is the model's own.
+/// A model with its log densities in a table, for filters that want them fast: a beam then costs one read. All else is
+/// the model's own.
 pub struct Prepared {
     inner: Arc<dyn SensorModel>,
-    table: LikelihoodTable,
+    table: Table,
+}
+
+enum Table {
+    State(LikelihoodTable),
+    Endpoint(EndpointTable),
 }
 
 impl Prepared {
-    /// Evaluates `inner` at every knot of `grid`, in parallel.
+    /// Evaluates `inner` in parallel: at every knot of `states` if it looks at nominal range and incidence, at the
+    /// centre of every cell of `endpoints` if it looks at where a reading ends. That grid has to reach as far beyond
+    /// the map as the model tells distances apart.
     ///
     /// # Errors
-    /// [`SensorError::DependsOnPlace`] for a model that wants to know more of a beam than nominal range and incidence.
-    pub fn new(inner: Arc<dyn SensorModel>, grid: LikelihoodGrid) -> Result<Self, SensorError> {
-        if inner.depends_on_place() {
-            return Err(SensorError::DependsOnPlace { model: inner.name().to_owned() });
-        }
-        let (range, incidence) = grid.states();
-        let n = range.len();
-        // The state is all that such a model looks at: the beams' poses, bearings and surfaces are dummies.
-        let (bearings, surface) = (vec![0.0; n], vec![0; n]);
-        let laser = Poses { x: &[0.0], y: &[0.0], theta: &[0.0] };
-        let beams = Beams {
-            laser,
-            bearings: &bearings,
-            range: &range,
-            incidence: &incidence,
-            surface: &surface,
-            max_range: grid.max_range,
+    /// [`SensorError::NoTable`] for a model that wants to know more of a beam.
+    pub fn new(
+        inner: Arc<dyn SensorModel>,
+        states: LikelihoodGrid,
+        endpoints: &EndpointGrid,
+    ) -> Result<Self, SensorError> {
+        let table = match inner.knows() {
+            Knows::State => Table::State(over_states(&*inner, states)),
+            Knows::Endpoint => Table::Endpoint(over_endpoints(&*inner, states.max_range, endpoints)),
+            Knows::Everything => return Err(SensorError::NoTable { model: inner.name().to_owned() }),
         };
-        let mut log_density = vec![0.0; grid.rows() * n];
-        log_density.par_chunks_mut(n).enumerate().for_each_init(
-            || vec![0.0; n],
-            |z, (row, out)| {
-                z.fill(grid.reading(row));
-                inner.log_density(z, &beams, out);
-            },
-        );
-        Ok(Self { table: LikelihoodTable::new(grid, &log_density), inner })
+        Ok(Self { inner, table })
     }
+}
+
+fn over_states(model: &dyn SensorModel, grid: LikelihoodGrid) -> LikelihoodTable {
+    let (range, incidence) = grid.states();
+    let n = range.len();
+    // The state is all that such a model looks at: the beams' poses, bearings and surfaces are dummies.
+    let (bearings, surface) = (vec![0.0; n], vec![0; n]);
+    let beams = Beams {
+        laser: Poses { x: &[0.0], y: &[0.0], theta: &[0.0] },
+        bearings: &bearings,
+        range: &range,
+        incidence: &incidence,
+        surface: &surface,
+        max_range: grid.max_range,
+    };
+    let mut log_density = vec![0.0; grid.rows() * n];
+    log_density.par_chunks_mut(n).enumerate().for_each_init(
+        || vec![0.0; n],
+        |z, (row, out)| {
+            z.fill(grid.reading(row));
+            model.log_density(z, &beams, out);
+        },
+    );
+    LikelihoodTable::new(grid, &log_density)
+}
+
+fn over_endpoints(model: &dyn SensorModel, max_range: f32, grid: &EndpointGrid) -> EndpointTable {
+    // Readings of half the maximum range that end at the centres of a row's cells, from lasers that look along x.
+    let z = 0.5 * max_range;
+    let n = grid.columns;
+    let (theta, range, incidence, surface) = (vec![0.0; n], vec![z; n], vec![0.0; n], vec![0; n]);
+    let score = |z: f32, x: &[f64], y: &[f64], out: &mut [f32]| {
+        let n = out.len();
+        let beams = Beams {
+            laser: Poses { x, y, theta: &theta[..n] },
+            bearings: &[0.0],
+            range: &range[..n],
+            incidence: &incidence[..n],
+            surface: &surface[..n],
+            max_range,
+        };
+        model.log_density(&[z], &beams, out);
+    };
+    let mut log_density = vec![0.0; grid.rows * n + 1];
+    let (cells, no_return) = log_density.split_at_mut(grid.rows * n);
+    cells.par_chunks_mut(n).enumerate().for_each(|(row, out)| {
+        let (x, y): (Vec<f64>, Vec<f64>) = grid.centres(row).map(|[x, y]| (x - f64::from(z), y)).unzip();
+        score(z, &x, &y, out);
+    });
+    score(max_range, &[0.0], &[0.0], no_return);
+    EndpointTable::new(*grid, max_range, &log_density)
 }
 
 impl SensorModel for Prepared {
@@ -65,7 +111,10 @@ impl SensorModel for Prepared {
         self.inner.sample(beams, draw, out);
     }
 
-    fn table(&self) -> Option<&LikelihoodTable> {
-        Some(&self.table)
+    fn table(&self) -> Option<ModelTable<'_>> {
+        Some(match &self.table {
+            Table::State(table) => ModelTable::State(table),
+            Table::Endpoint(table) => ModelTable::Endpoint(table),
+        })
     }
 }

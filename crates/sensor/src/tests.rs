@@ -3,6 +3,7 @@
 mod densities;
 mod files;
 mod learning;
+mod prepared;
 pub(crate) mod simulated;
 mod tempering;
 mod training;

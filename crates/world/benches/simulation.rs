@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use glam::DVec2;
 use locsim_core::{Draw, Particles, Pose2, Stage};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{
@@ -62,9 +61,9 @@ fn one_thread() -> ThreadPool {
 }
 
 fn drive(bencher: Bencher<'_, '_>, simulator: &Simulator) {
-    let points = [[1.5, 1.8], [7.0, 2.3], [13.0, 1.7], [18.5, 2.1]].map(DVec2::from_array).to_vec();
+    let points_m = vec![[1.5, 1.8], [7.0, 2.3], [13.0, 1.7], [18.5, 2.1]];
     let robot = Robot {
-        path: RobotPath::Waypoints { points, speed_m_s: 0.7, turn_rate_rad_s: 0.8 },
+        path: RobotPath::Waypoints { points_m, speed_m_s: 0.7, turn_rate_rad_s: 0.8 },
         start_jitter_m: 0.2,
         odometry_noise: OdometryNoise::default(),
     };

@@ -4,17 +4,16 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use glam::DVec2;
 use locsim_core::{
-    DistanceMap, Draw, Drive, DriveStep, Obstructions, Particles, Pose2, RangeMap, Stage, Survival,
+    DistanceMap, Draw, Drive, DriveStep, EndpointGrid, Obstructions, Particles, Pose2, RangeMap, Stage,
+    Survival,
 };
 use locsim_dataset::{CarmenOptions, read_carmen};
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
 use locsim_world::simulation::{
-    Block, BlockOptions, BlockResampling, LaserOptions, ObstructionOptions, ObstructionTable, OdometryNoise,
-    Robot, RobotPath, SimulationError, Simulator, VelocitySegment, simulate_drive,
+    Block, ObstructionOptions, ObstructionTable, Robot, SimulationError, Simulator, simulate_drive,
 };
 use rand::RngExt;
 
@@ -30,6 +29,9 @@ const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
 
 /// Units of progress of a range table.
 const TABLE_TICKS: u64 = 100;
+
+/// Cell \[m\] of the likelihood field's table: a fraction of the laser's noise.
+const ENDPOINT_CELL_M: f64 = 0.01;
 
 /// Consecutive training scans of a log that are held out together: some metres of driving.
 const RUN: u32 = 20;
@@ -71,6 +73,13 @@ impl Place {
             }
         };
         Ok(Self { exact, ranges, distance })
+    }
+
+    /// Cells for tables over where readings end.
+    pub fn endpoints(&self) -> EndpointGrid {
+        let [x0, y0, x1, y1] = self.exact.bounds();
+        let margin = DISTANCE_GRID_M.1;
+        EndpointGrid::covering([x0 - margin, y0 - margin, x1 + margin, y1 + margin], ENDPOINT_CELL_M)
     }
 
     /// Wall segments \[m\].
@@ -151,7 +160,7 @@ impl<'a> Laboratory<'a> {
             progress.stage("integrating over blocks", 1);
             let obstructions = obstructions(&world.simulator, seed).map_err(refused(scenario))?;
             progress.advance(1);
-            Some((obstructions, [simulation.laser.noise_sigma_m, simulation.laser.noise_sigma_per_m]))
+            Some((obstructions, [simulation.laser.sigma_m, simulation.laser.sigma_per_m]))
         } else {
             None
         };
@@ -159,7 +168,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle,
-            tables: scenario.ray_cast != RayCast::Exact,
+            tables: (scenario.ray_cast != RayCast::Exact).then(|| place.endpoints()),
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
@@ -208,7 +217,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle: None,
-            tables: scenario.ray_cast != RayCast::Exact,
+            tables: (scenario.ray_cast != RayCast::Exact).then(|| place.endpoints()),
         };
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let beams = scenario.filter.beams.map(|beams| beams as usize);
@@ -327,59 +336,8 @@ fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
 }
 
 fn world(simulation: &Simulation, place: &Place) -> Result<World, SimulationError> {
-    let laser = &simulation.laser;
-    let laser = LaserOptions {
-        rate_hz: laser.rate_hz,
-        beams: laser.beams,
-        field_of_view_rad: laser.field_of_view_rad,
-        min_range_m: laser.min_range_m,
-        max_range_m: laser.max_range_m,
-        resolution_m: laser.resolution_m,
-        sigma_m: laser.noise_sigma_m,
-        sigma_per_m: laser.noise_sigma_per_m,
-        mount: laser.mount,
-        scan_secs: laser.scan_secs,
-    };
-    let blocks = simulation.blocks.as_ref().map(|blocks| BlockOptions {
-        per_metre_of_wall: blocks.per_metre_of_wall,
-        length_m: blocks.length_m,
-        width_m: blocks.width_m,
-        yaw_rad: blocks.yaw_rad,
-        wall_distance_m: blocks.wall_distance_m,
-        resample: match blocks.resample {
-            scenario::BlockResampling::EachObservation => BlockResampling::EachObservation,
-            scenario::BlockResampling::EachScanN(n) => BlockResampling::EachScanN(n),
-            scenario::BlockResampling::Never => BlockResampling::Never,
-        },
-        speed_m_s: blocks.speed_m_s,
-        clearance_m: blocks.clearance_m,
-    });
-    let path = match &simulation.robot.path {
-        scenario::RobotPath::Waypoints { points_m, speed_m_s, turn_rate_rad_s } => RobotPath::Waypoints {
-            points: points_m.iter().map(|&point| DVec2::from_array(point)).collect(),
-            speed_m_s: *speed_m_s,
-            turn_rate_rad_s: *turn_rate_rad_s,
-        },
-        scenario::RobotPath::VelocityProfile { start, segments } => RobotPath::VelocityProfile {
-            start: *start,
-            segments: segments
-                .iter()
-                .map(|segment| VelocitySegment {
-                    secs: segment.secs,
-                    speed_m_s: segment.speed_m_s,
-                    turn_rate_rad_s: segment.turn_rate_rad_s,
-                })
-                .collect(),
-        },
-    };
-    Ok(World {
-        simulator: Simulator::new(Arc::clone(&place.exact), blocks, laser)?,
-        robot: Robot {
-            path,
-            start_jitter_m: simulation.robot.start_jitter_m,
-            odometry_noise: OdometryNoise::new(simulation.robot.odometry_alpha)?,
-        },
-    })
+    let Simulation { blocks, laser, robot, .. } = simulation;
+    Ok(World { simulator: Simulator::new(Arc::clone(&place.exact), *blocks, *laser)?, robot: robot.clone() })
 }
 
 /// What the oracle knows of the world's blocks.

@@ -2,6 +2,7 @@ use glam::DVec2;
 use locsim_core::{Draw, Stage};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, Poisson};
+use serde::Serialize;
 
 use super::SimulationError;
 use super::error::{check, check_count};
@@ -31,7 +32,7 @@ pub struct Block {
 /// Where a block comes closer than `clearance_m` to the robot's centre, it is left out of that scan. A
 /// thinned Poisson process is Poisson, so the probability that nothing stands on a ray is exactly
 /// exp(-expected number of blocks on it).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BlockOptions {
     /// Blocks per metre of wall face \[1/m\], at least 0.
     pub per_metre_of_wall: f64,
@@ -53,7 +54,7 @@ pub struct BlockOptions {
 }
 
 /// When blocks take new places.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum BlockResampling {
     /// At every scan.
     EachObservation,

@@ -4,6 +4,7 @@ use glam::DVec2;
 use locsim_core::{Laser, Pose2};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
+use serde::Serialize;
 
 use super::SimulationError;
 use super::error::{check, check_count};
@@ -12,7 +13,7 @@ use super::error::{check, check_count};
 const MAX_BEAMS: f64 = 1e6;
 
 /// A simulated planar laser.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LaserOptions {
     /// Scans per second \[Hz\], above 0.
     pub rate_hz: f64,
