@@ -168,11 +168,8 @@ pub fn bytes_per_million_particles(
         Some(PAGE_BYTES * statm.split_whitespace().nth(1)?.parse::<f64>().ok()?)
     };
     let before = resident();
-    let start = Start::Tracking {
-        pose: workload.truth,
-        sigma_m: workload.spread.0,
-        sigma_rad: workload.spread.1,
-    };
+    let start =
+        Start::Tracking { pose: workload.truth, sigma_m: workload.spread.0, sigma_rad: workload.spread.1 };
     let options =
         FilterOptions { trigger: ResampleTrigger::EachStep, ..filter_options(workload.alpha, PARTICLES)? };
     let mut filter = Filter::new(options, &start, map, 1)?;

@@ -67,7 +67,7 @@ impl Bench {
             Place { exact, ranges: Arc::<RangeTable>::clone(&table.map), distance: Arc::new(distance) };
         let models = train_models(&workload, &place, &TRAINING_WORLD, progress)?
             .into_iter()
-            .map(|model| BenchModel::new(model, &workload.laser))
+            .map(|model| BenchModel::new(model, &workload.laser, &place.endpoints()))
             .collect::<Result<_, _>>()?;
         Ok(Self { workload, place, table, models })
     }

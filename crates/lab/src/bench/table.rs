@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use locsim_core::{Laser, LikelihoodGrid, SensorModel};
+use locsim_core::{EndpointGrid, Knows, Laser, LikelihoodGrid, SensorModel};
 use locsim_sensor::Prepared;
 use locsim_world::raycast::{ExactRangeMap, RangeTable, RangeTableOptions};
 
@@ -48,12 +48,12 @@ pub struct BenchModel {
 
 impl BenchModel {
     /// Prepares a model that was trained without tables.
-    pub fn new(model: TrainedModel, laser: &Laser) -> Result<Self, BenchError> {
+    pub fn new(model: TrainedModel, laser: &Laser, endpoints: &EndpointGrid) -> Result<Self, BenchError> {
         let TrainedModel { label, tempered: exact, .. } = model;
-        let prepared: Arc<dyn SensorModel> = if exact.depends_on_place() {
+        let prepared: Arc<dyn SensorModel> = if exact.knows() == Knows::Everything {
             Arc::clone(&exact)
         } else {
-            Arc::new(Prepared::new(Arc::clone(&exact), LikelihoodGrid::for_laser(laser))?)
+            Arc::new(Prepared::new(Arc::clone(&exact), LikelihoodGrid::for_laser(laser), endpoints)?)
         };
         Ok(Self { label, exact, prepared })
     }

@@ -112,7 +112,7 @@ pub fn train_models(
         map: Arc::<_>::clone(&place.exact) as Arc<_>,
         distance: Arc::clone(&place.distance),
         oracle: None,
-        tables: false,
+        tables: None,
     };
     let models =
         MODELS.map(|name| Model { name, label: name.to_string(), floor: None, exponent: None, file: None });
