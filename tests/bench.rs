@@ -49,12 +49,13 @@ fn folder() -> TempDir {
     write("scan.csv", scan.as_bytes());
     let numbers = (0..50).flat_map(|i| [1.0 + 0.002 * f64::from(i), 1.0, 0.2]);
     write("particles_f64le.bin", &numbers.flat_map(f64::to_le_bytes).collect::<Vec<u8>>());
-    let header: String = (0..8).map(|beam| format!(",r{beam}")).collect();
-    let mut drive = format!("step,gt_x,gt_y,gt_theta,odom_x,odom_y,odom_theta{header}\n");
+    let joined = |words: Vec<String>| words.join(",");
+    let header = joined((0..8).map(|beam| format!("r{beam}")).collect());
+    let mut drive = format!("step,gt_x,gt_y,gt_theta,odom_x,odom_y,odom_theta,{header}\n");
     for step in 0..6 {
         let x = 0.1 * f64::from(step);
-        let readings: String = ranges(1.0 + x, 1.0, 0.0).iter().map(|range| format!(",{range}")).collect();
-        writeln!(drive, "{step},{},1,0,{x},0,0{readings}", 1.0 + x).unwrap();
+        let readings = joined(ranges(1.0 + x, 1.0, 0.0).iter().map(f64::to_string).collect());
+        writeln!(drive, "{step},{},1,0,{x},0,0,{readings}", 1.0 + x).unwrap();
     }
     write("traj_static.csv", drive.as_bytes());
     write("traj_dynamic.csv", drive.as_bytes());

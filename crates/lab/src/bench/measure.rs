@@ -120,7 +120,7 @@ pub fn predict(clock: Clock<'_>, workload: &Workload) -> Result<Timing, BenchErr
 }
 
 /// `n` particles about the workload's true pose, with weights such as its scan gives.
-pub fn cloud(workload: &Workload, n: usize) -> Result<(Particles, Weights), BenchError> {
+fn cloud(workload: &Workload, n: usize) -> (Particles, Weights) {
     let count = workload.particles.len();
     let particles: Particles = (0..n).map(|i| workload.particles.get(i % count)).collect();
     let mut weights = Weights::uniform(n);
@@ -129,28 +129,28 @@ pub fn cloud(workload: &Workload, n: usize) -> Result<(Particles, Weights), Benc
         -2.0 * off.length_squared()
     };
     let log_likelihood: Vec<f64> = particles.iter().map(near).collect();
-    weights.update(&log_likelihood).ok();
-    Ok((particles, weights))
+    weights.update(&log_likelihood).expect("one finite log likelihood per particle");
+    (particles, weights)
 }
 
 /// Time of systematic resampling per particle: ancestors, and their poses gathered.
-pub fn resample(clock: Clock<'_>, workload: &Workload, n: usize) -> Result<Timing, BenchError> {
-    let (particles, weights) = cloud(workload, n)?;
+pub fn resample(clock: Clock<'_>, workload: &Workload, n: usize) -> Timing {
+    let (particles, weights) = cloud(workload, n);
     let (mut ancestors, mut next) = (Vec::new(), Particles::default());
     let mut step = 0;
-    Ok(time(clock, n, || {
+    time(clock, n, || {
         Systematic.ancestors(&weights, n, &Draw::new(1, Stage::Resample, step), &mut ancestors);
         next.gather(&particles, &ancestors);
         step += 1;
-    }))
+    })
 }
 
 /// Time of the weighted mean and covariance, per particle.
-pub fn estimate(clock: Clock<'_>, workload: &Workload) -> Result<Timing, BenchError> {
-    let (particles, weights) = cloud(workload, workload.particles.len())?;
-    Ok(time(clock, particles.len(), || {
+pub fn estimate(clock: Clock<'_>, workload: &Workload) -> Timing {
+    let (particles, weights) = cloud(workload, workload.particles.len());
+    time(clock, particles.len(), || {
         black_box(weighted_mean(black_box(&particles), &weights));
-    }))
+    })
 }
 
 /// Resident memory \[bytes\] that a filter adds to the program for each million of its particles, once it has taken two

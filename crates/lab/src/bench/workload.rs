@@ -114,13 +114,16 @@ fn refused(file: &Path, line: Option<usize>, key: &str, message: &str) -> BenchE
     ScenarioError::Invalid { file: file.to_owned(), problems: vec![problem] }.into()
 }
 
+/// A key, its values, what is allowed, and whether a value is.
+type Check<'a> = (&'a str, &'a [f64], &'a str, &'a dyn Fn(f64) -> bool);
+
 /// JSON is YAML, and the reader of scenarios knows lines and keys.
 fn read_settings(path: &Path) -> Result<Settings, BenchError> {
     let (settings, locations) = yaml::parse::<Settings>(path, &yaml::read(path)?)?;
     let finite = |v: f64| v.is_finite();
     let at_least_0 = |v: f64| v.is_finite() && v >= 0.0;
     let beam = &settings.beam;
-    let numbers: [(&str, &[f64], &str, &dyn Fn(f64) -> bool); 13] = [
+    let numbers: [Check<'_>; 13] = [
         ("true_pose", &settings.true_pose, "finite", &finite),
         ("sensor_pose", &settings.sensor_pose, "finite", &finite),
         ("odom_delta_fullstep", &settings.odom_delta_fullstep, "finite", &finite),
@@ -164,10 +167,10 @@ impl Table {
         let header = reader.headers().map_err(|error| refuse(&error))?.clone();
         let rows: Vec<_> = reader.records().collect::<Result<_, _>>().map_err(|error| refuse(&error))?;
         let table = Self { path, header, rows };
-        match table.rows.is_empty() {
-            true => Err(table.refuse(1, "row", "there is none; a header and at least one row are needed")),
-            false => Ok(table),
+        if table.rows.is_empty() {
+            return Err(table.refuse(1, "row", "there is none; a header and at least one row are needed"));
         }
+        Ok(table)
     }
 
     fn refuse(&self, line: u64, column: &str, what: &str) -> BenchError {
