@@ -32,6 +32,8 @@ pub enum Command {
     Simulate(Simulate),
     /// Build an occupancy grid map (ROS `map_server` format) from a log with reference poses
     Map(Map),
+    /// Measure speed and accuracy on a folder of fixed work, beside targets and other programs
+    Bench(Bench),
     /// Print a shell's completion script
     Completions {
         /// The shell
@@ -122,4 +124,21 @@ pub struct Map {
     /// Readings at or above this count as no return [m; default: the log's own]
     #[arg(long)]
     pub max_range: Option<f64>,
+}
+
+/// `locsim bench`.
+#[derive(Debug, Args)]
+pub struct Bench {
+    /// Folder with map.yaml, workload.json, scan.csv, particles_f64le.bin, traj_static.csv, traj_dynamic.csv
+    pub folder: PathBuf,
+    /// Print all figures as JSON instead of a table
+    #[arg(long)]
+    pub json: bool,
+    /// Also measure cost against particles, beams, map size and threads, and write sweeps.json and plots into this
+    /// folder (some minutes)
+    #[arg(long)]
+    pub sweeps: Option<PathBuf>,
+    /// No progress bars
+    #[arg(long)]
+    pub quiet: bool,
 }

@@ -1,4 +1,4 @@
-//! The `locsim` command: runs scenarios, checks them, simulates logs, builds maps.
+//! The `locsim` command: runs scenarios, checks them, simulates logs, builds maps, measures speed.
 
 mod arguments;
 mod progress;
@@ -13,11 +13,12 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::{CommandFactory, Parser};
+use locsim_lab::bench;
 use locsim_lab::report::terminal_table;
 use locsim_lab::run::{self, Recorder, RunError, RunOptions};
 use locsim_lab::scenario::{self, Overrides, Scenario};
 
-use arguments::{Arguments, Command, Map, Record, Run, Simulate};
+use arguments::{Arguments, Bench, Command, Map, Record, Run, Simulate};
 use progress::Bars;
 
 /// A bound that the scenario declares was missed.
@@ -35,6 +36,7 @@ fn main() -> ExitCode {
         Command::Schema => print_schema(),
         Command::Simulate(arguments) => simulate(arguments),
         Command::Map(arguments) => map(arguments),
+        Command::Bench(arguments) => bench(arguments),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut Arguments::command(), "locsim", &mut std::io::stdout());
             Ok(ExitCode::SUCCESS)
@@ -215,6 +217,24 @@ fn map(arguments: &Map) -> Result<ExitCode> {
         grid.height(),
         grid.resolution_m()
     ))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn bench(arguments: &Bench) -> Result<ExitCode> {
+    #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
+    let start = Instant::now();
+    let clock = || start.elapsed();
+    let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
+    let bench = bench::Bench::prepare(&arguments.folder, &clock, &bars)?;
+    let report = bench.run(&clock, &bars)?;
+    if let Some(out) = &arguments.sweeps {
+        bench::sweep(&bench, out, &clock, &bars)?;
+    }
+    say(&if arguments.json {
+        serde_json::to_string_pretty(&report)?
+    } else {
+        bench::terminal_text(&report)
+    })?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,5 +1,6 @@
 //! YAML scenarios, runs, tables, figures and reports.
 
+pub mod bench;
 pub mod palette;
 pub mod report;
 pub mod results;

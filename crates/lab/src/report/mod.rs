@@ -1,7 +1,7 @@
 //! What a run leaves in its results folder for readers: `summary.json`, tables, figures and the report.
 //! `docs/RESULTS.md` lists every file and column.
 
-mod figures;
+pub(crate) mod figures;
 mod findings;
 mod page;
 mod tables;
@@ -16,6 +16,7 @@ use thiserror::Error;
 use crate::results::{DetailedTrial, RunResults};
 use crate::summary::{Summary, SummaryError};
 
+pub(crate) use text::TextTable;
 pub use text::terminal_table;
 
 /// What a report says beside the results.

@@ -366,7 +366,7 @@ impl Obstructions for NothingInTheWay {
 }
 
 /// Poses uniform over free space, clear of walls, with uniform headings.
-fn free_poses(place: &Place, count: u32, seed: u64) -> Particles {
+pub(crate) fn free_poses(place: &Place, count: u32, seed: u64) -> Particles {
     /// A map with less room than this share of its bounds gets fewer poses.
     const ATTEMPTS_PER_POSE: u32 = 10_000;
     let [x0, y0, x1, y1] = place.exact.bounds();

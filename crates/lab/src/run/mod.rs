@@ -3,9 +3,9 @@
 mod bounds;
 mod detail;
 mod error;
-mod laboratory;
+pub(crate) mod laboratory;
 mod store;
-mod training;
+pub(crate) mod training;
 mod trial;
 
 use std::fs;
