@@ -18,7 +18,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use locsim_core::{Drive, RangeMap};
-use locsim_mcl::Start;
+use locsim_mcl::{AnnealingOptions, FilterOptions, Start};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable};
 use rayon::ThreadPoolBuilder;
 
@@ -198,7 +198,10 @@ impl Bench {
     /// How many seeds localize from an unknown start.
     fn localized(&self, drive: &Drive, progress: &dyn Progress) -> Result<usize, BenchError> {
         progress.stage("unknown start", 1);
-        let options = filter_options(self.workload.alpha, GLOBAL_PARTICLES)?;
+        let options = FilterOptions {
+            annealing: Some(AnnealingOptions::default()),
+            ..filter_options(self.workload.alpha, GLOBAL_PARTICLES)?
+        };
         let model = &*self.main_model().prepared;
         let replays = replays(drive, &options, &Start::Global, &*self.table.map, model, SEEDS)?;
         progress.advance(1);

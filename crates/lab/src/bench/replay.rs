@@ -53,6 +53,7 @@ pub fn filter_options(alpha: [f64; 4], particles: usize) -> Result<FilterOptions
         injection: None,
         regularization: None,
         clusters: None,
+        annealing: None,
         ancestry: false,
     })
 }
