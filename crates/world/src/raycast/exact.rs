@@ -74,23 +74,6 @@ impl ExactRangeMap {
         best
     }
 
-    /// As [`ExactRangeMap::cast_segment`], among some of the segments only.
-    pub(super) fn cast_segment_among(
-        &self,
-        among: &[u32],
-        origin: DVec2,
-        direction: DVec2,
-    ) -> Option<(usize, f64)> {
-        let mut nearest: Option<(usize, f64)> = None;
-        for &i in among {
-            let range = range_to(&self.geometry.segments()[i as usize], origin, direction);
-            if let Some(range) = range.filter(|&range| nearest.is_none_or(|(_, least)| range < least)) {
-                nearest = Some((i as usize, range));
-            }
-        }
-        nearest
-    }
-
     /// A segment met by a ray of this heading \[rad\].
     fn hit(&self, (segment, range): (usize, f64), heading: f64) -> RayHit {
         let incidence = incidence(self.angles[segment], heading);

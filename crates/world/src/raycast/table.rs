@@ -28,9 +28,9 @@ pub struct RangeTableOptions {
 }
 
 impl Default for RangeTableOptions {
-    /// Cells of 10 cm, 512 MiB, a tolerance of 1 cm.
+    /// Cells of 10 cm, 512 MiB, a tolerance of 5 cm.
     fn default() -> Self {
-        Self { cell_m: 0.1, most_bytes: 512 << 20, tolerance_m: 0.01 }
+        Self { cell_m: 0.1, most_bytes: 512 << 20, tolerance_m: 0.05 }
     }
 }
 
@@ -53,8 +53,56 @@ pub struct RangeTable {
     sights: Vec<Sight>,
     /// The surface ids of each sight's walls.
     surfaces: Vec<[u32; 2]>,
-    /// Indices of wall segments.
-    lists: Vec<Box<[u32]>>,
+    /// Where each list's walls start among `walls`, and where the last one's end.
+    lists: Vec<u32>,
+    walls: Vec<ListedWall>,
+}
+
+/// A wall of a list, relative to the frame's lower left corner.
+#[derive(Clone, Copy, Debug)]
+struct ListedWall {
+    /// One end \[m\].
+    start: [f32; 2],
+    /// Unit vector from there to the other end.
+    along: [f32; 2],
+    /// \[m\].
+    length: f32,
+    segment: u32,
+}
+
+/// Walls of a list are this much longer at both ends \[m\], so that no ray passes between two that share an end.
+const OVERLAP_M: f32 = 1e-5;
+
+impl ListedWall {
+    fn new([a, b]: &[DVec2; 2], segment: u32, origin: DVec2) -> Self {
+        let (start, along) = (*a - origin, (*b - *a).normalize());
+        Self {
+            start: [start.x as f32, start.y as f32],
+            along: [along.x as f32, along.y as f32],
+            length: a.distance(*b) as f32,
+            segment,
+        }
+    }
+
+    /// Distance along a ray \[m\]; infinite if it misses.
+    #[inline]
+    fn range_to(&self, origin: [f32; 2], direction: [f32; 2]) -> f32 {
+        let start = [self.start[0] - origin[0], self.start[1] - origin[1]];
+        let range = perp_dot(self.along, start) / perp_dot(self.along, direction);
+        let position = range * dot(self.along, direction) - dot(self.along, start);
+        let hit = range >= 0.0 && position >= -OVERLAP_M && position <= self.length + OVERLAP_M;
+        if hit { range } else { f32::INFINITY }
+    }
+}
+
+#[inline]
+fn dot(a: [f32; 2], b: [f32; 2]) -> f32 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+#[inline]
+fn perp_dot(a: [f32; 2], b: [f32; 2]) -> f32 {
+    a[0] * b[1] - a[1] * b[0]
 }
 
 /// Bins of heading over the full circle: the upper byte of a heading in turns of 2^-32.
@@ -103,6 +151,12 @@ impl RangeTable {
         let Built { rows, entries, views: Views { sights: keys, lists } } = built;
         let (segments, surfaces) = (map.geometry().segments(), map.geometry().surfaces());
         let origin = DVec2::new(frame.x0, frame.y0);
+        let mut walls = Vec::new();
+        let mut starts = vec![0];
+        for list in lists {
+            walls.extend(list.iter().map(|&wall| ListedWall::new(&segments[wall as usize], wall, origin)));
+            starts.push(walls.len() as u32);
+        }
         let surface = |wall: u32| surfaces.get(wall as usize).copied().unwrap_or(NO_SURFACE);
         Self {
             map: map.clone(),
@@ -111,7 +165,8 @@ impl RangeTable {
             entries,
             sights: keys.iter().map(|key| key.sight(segments, origin)).collect(),
             surfaces: keys.iter().map(|key| key.walls.map(surface)).collect(),
-            lists,
+            lists: starts,
+            walls,
         }
     }
 
@@ -132,7 +187,7 @@ impl RangeTable {
             + size_of_val(&*self.sights)
             + size_of_val(&*self.surfaces)
             + size_of_val(&*self.lists)
-            + self.lists.iter().map(|list| size_of_val(&**list)).sum::<usize>()
+            + size_of_val(&*self.walls)
     }
 
     /// The heading bins of the cell that holds a point relative to the frame's corner \[m\]; `None` outside free space.
@@ -244,19 +299,29 @@ impl RangeTable {
         let [x, y] = direction.map(f32x4::to_array);
         for (i, view) in views.into_iter().enumerate() {
             let Some(list) = (view as usize).checked_sub(self.sights.len()) else { continue };
-            let direction = DVec2::new(f64::from(x[i]), f64::from(y[i]));
-            let hit = self
-                .map
-                .cast_segment_among(&self.lists[list], position, direction)
-                .or_else(|| self.map.cast_segment(position, direction, f64::INFINITY));
-            if let Some((segment, range)) = hit {
-                let [a, b] = self.map.geometry().segments()[segment];
-                let edge = (b - a).normalize();
-                met.range.as_mut_array()[i] = range as f32;
-                met.cosine.as_mut_array()[i] = edge.perp_dot(direction).abs() as f32;
-                met.sine.as_mut_array()[i] = edge.dot(direction).abs() as f32;
-                met.listed[i] = segment as u32;
+            let direction = [x[i], y[i]];
+            let walls = &self.walls[self.lists[list] as usize..self.lists[list + 1] as usize];
+            let mut nearest: Option<(&ListedWall, f32)> = None;
+            for wall in walls {
+                let range = wall.range_to(origin.at, direction);
+                if nearest.map_or(range < f32::INFINITY, |(_, least)| range < least) {
+                    nearest = Some((wall, range));
+                }
             }
+            let (wall, range) = match nearest {
+                Some((wall, range)) => (*wall, range),
+                None => {
+                    let [x, y] = direction.map(f64::from);
+                    let hit = self.map.cast_segment(position, DVec2::new(x, y), f64::INFINITY);
+                    let Some((segment, range)) = hit else { continue };
+                    let ends = &self.map.geometry().segments()[segment];
+                    (ListedWall::new(ends, segment as u32, frame), range as f32)
+                }
+            };
+            met.range.as_mut_array()[i] = range;
+            met.cosine.as_mut_array()[i] = perp_dot(wall.along, direction).abs();
+            met.sine.as_mut_array()[i] = dot(wall.along, direction).abs();
+            met.listed[i] = wall.segment;
         }
     }
 
