@@ -20,6 +20,8 @@ pub struct Arguments {
 pub enum Command {
     /// Run a scenario: train the sensor models, localize under each, write tables, figures, report, recording
     Run(Run),
+    /// Run studies of distribution regression (the paper's sensor experiments): figures, report, results.json
+    Study(Study),
     /// Check scenarios without running them
     Validate {
         /// Scenario files
@@ -84,6 +86,35 @@ pub enum Record {
     Connect,
     /// Start a rerun viewer (`rerun` must be on the path)
     Spawn,
+}
+
+/// `locsim study`.
+#[derive(Debug, Args)]
+pub struct Study {
+    /// The studies' files
+    #[arg(required = true)]
+    pub studies: Vec<PathBuf>,
+    /// Folder that gets a results folder for each study
+    #[arg(long, default_value = "results")]
+    pub out: PathBuf,
+    /// Number of repeats, instead of the study's
+    #[arg(long)]
+    pub repeats: Option<u32>,
+    /// Seed, instead of the study's
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Worker threads; results don't depend on it [default: all cores]
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Two repeats on little data, to see whether everything works
+    #[arg(long)]
+    pub quick: bool,
+    /// Print nothing but errors (and, with --json, the results)
+    #[arg(long)]
+    pub quiet: bool,
+    /// Print the results as JSON, one study per line, instead of what holds
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `locsim simulate`.

@@ -1,11 +1,11 @@
 //! What a run leaves in its results folder for readers: `summary.json`, tables, figures and the report.
 //! `docs/RESULTS.md` lists every file and column.
 
-mod figures;
+pub(crate) mod figures;
 mod findings;
-mod page;
+pub(crate) mod page;
 mod tables;
-mod text;
+pub(crate) mod text;
 
 use std::fs;
 use std::io;
@@ -110,6 +110,6 @@ pub fn write(
     Ok(summary)
 }
 
-fn save(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
+pub(crate) fn save(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     fs::write(path, bytes).map_err(|source| ReportError::Io { path: path.to_owned(), source })
 }

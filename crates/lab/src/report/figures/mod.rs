@@ -1,6 +1,6 @@
 //! Figures as SVG, and as PNG from the same SVG.
 
-mod canvas;
+pub(crate) mod canvas;
 mod density;
 mod errors;
 mod geometry;
