@@ -125,7 +125,7 @@ impl Dataset {
 }
 
 /// The indices 0..n in random order (Fisher and Yates).
-fn shuffled(n: usize, seed: u64) -> Vec<usize> {
+pub(crate) fn shuffled(n: usize, seed: u64) -> Vec<usize> {
     let mut random = Philox::from_u64_seed(seed);
     let mut order: Vec<usize> = (0..n).collect();
     for i in (1..n).rev() {

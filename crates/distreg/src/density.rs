@@ -1,27 +1,41 @@
 //! ESTIMATEDENSITY of the paper: a distribution from the observations at one state.
 
+use serde::{Deserialize, Serialize};
+
 use crate::error::{finite, positive};
-use crate::{Distribution, Error, Grid, Kernel, PointMass};
+use crate::{Distribution, Error, Grid, Kernel, Outcomes, PointMass};
 
 /// Gaussian taps end here, in bandwidths: exp(-8^2 / 2) = 1e-14.
 const GAUSSIAN_REACH: f64 = 8.0;
 
-/// Histogram of `observations` (eq. 6). Observations equal to `point_mass_at` count as the point mass, the
-/// others in their bin.
+/// How a density is estimated from the observations at a state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DensityEstimate {
+    /// Histogram over the bins (eq. 6).
+    #[default]
+    Histogram,
+    /// Kernel density (eq. 5).
+    Kernel {
+        /// Kernel over z.
+        kernel: Kernel,
+        /// Its bandwidth, in units of z.
+        bandwidth: f64,
+    },
+}
+
+/// Histogram of `observations` (eq. 6). Observations at the point mass count as that, the others in their bin.
 ///
 /// # Errors
 /// If there are no observations, a number isn't finite or the grid is invalid.
-pub fn histogram(
-    observations: &[f64],
-    grid: Grid,
-    point_mass_at: Option<f64>,
-) -> Result<Distribution, Error> {
-    grid.validate()?;
+pub fn histogram(observations: &[f64], outcomes: &Outcomes) -> Result<Distribution, Error> {
+    outcomes.validate()?;
+    let grid = outcomes.grid;
     if observations.is_empty() {
         return Err(Error::Empty { what: "the observations of a histogram" });
     }
     let mut mass = vec![0.0; grid.bins];
-    let mut point = point_mass_at.map(|at| PointMass { at, mass: 0.0 });
+    let mut point = outcomes.point_mass_at.map(|at| PointMass { at, mass: 0.0 });
     for &z in observations {
         finite("an observation", z)?;
         match &mut point {
@@ -40,13 +54,13 @@ pub fn histogram(
 /// As [`histogram`], and if the bandwidth isn't positive.
 pub fn kernel_density(
     observations: &[f64],
-    grid: Grid,
-    point_mass_at: Option<f64>,
+    outcomes: &Outcomes,
     kernel: Kernel,
     bandwidth: f64,
 ) -> Result<Distribution, Error> {
     positive("the observation bandwidth", bandwidth)?;
-    let histogram = histogram(observations, grid, point_mass_at)?;
+    let histogram = histogram(observations, outcomes)?;
+    let grid = outcomes.grid;
     let mut mass = vec![0.0; grid.bins];
     Taps::new(&grid, kernel, bandwidth).spread(histogram.mass(), &mut mass);
     Ok(Distribution::normalized(grid, mass, histogram.point()))

@@ -62,6 +62,59 @@ impl Grid {
     }
 }
 
+/// What can be observed: a bin of the grid, or a value that has a probability of its own, such as a laser's
+/// maximum range.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Outcomes {
+    /// Bins of every distribution.
+    pub grid: Grid,
+    /// Observations equal to this value are a point mass. It is smoothed over states as one number and never
+    /// aligned.
+    #[serde(default)]
+    pub point_mass_at: Option<f64>,
+}
+
+impl Outcomes {
+    /// The values `first`, `first + resolution`, ... up to `last` that a sensor can report, a bin each (see
+    /// [`Grid::of_values`]), and no point mass.
+    ///
+    /// # Errors
+    /// If a number isn't finite, `resolution` isn't positive or `last` is below `first`.
+    pub fn of_values(first: f64, last: f64, resolution: f64) -> Result<Self, Error> {
+        Ok(Self { grid: Grid::of_values(first, last, resolution)?, point_mass_at: None })
+    }
+
+    /// The same outcomes with a point mass at `z`.
+    #[must_use]
+    pub fn with_point_mass(self, z: f64) -> Self {
+        Self { point_mass_at: Some(z), ..self }
+    }
+
+    /// Whether `z` is the point mass.
+    pub fn is_point(&self, z: f64) -> bool {
+        self.point_mass_at == Some(z)
+    }
+
+    pub(crate) fn validate(&self) -> Result<(), Error> {
+        self.grid.validate()?;
+        self.point_mass_at.map_or(Ok(()), |at| finite("the place of a point mass", at).map(|_| ()))
+    }
+
+    /// Accounts for mass above the grid: it is the point mass where that lies at the high end (a range beyond the
+    /// maximum reads as maximum), else it counts in the last bin. Gives what is added to the point mass.
+    pub(crate) fn absorb_above(&self, above: f64, mass: &mut [f64]) -> f64 {
+        let last = self.grid.bins - 1;
+        match self.point_mass_at {
+            Some(at) if at >= self.grid.centre(last) => above,
+            _ => {
+                mass[last] += above;
+                0.0
+            }
+        }
+    }
+}
+
 /// A value that is observed with positive probability, such as a laser's maximum range.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

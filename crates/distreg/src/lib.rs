@@ -2,9 +2,19 @@
 //! state x of any dimension from samples, not only its mean.
 //!
 //! The procedures are those of Tallavajhula, Poczos and Kelly, "Nonparametric Distribution Regression Applied
-//! to Sensor Modeling", IROS 2016: [`PReg`] regresses the parameters of a Gaussian on the state, [`NpReg`]
-//! regresses the density itself. Equation numbers in this crate are that paper's. [`Alignment`] goes beyond it: an
-//! observation that follows a state coordinate is smoothed relative to it, and isn't blurred by smoothing.
+//! to Sensor Modeling", IROS 2016. Equation numbers in this crate are that paper's. Beyond it, [`Alignment`] smooths
+//! an observation that follows a state coordinate relative to it, so that it isn't blurred.
+//!
+//! | step | what there is |
+//! | --- | --- |
+//! | data | [`Dataset`]: states with one or more observations; [`select`] and [`condense`] thin it |
+//! | what can be observed | [`Outcomes`]: a [`Grid`] and a point mass such as the maximum range |
+//! | methods | [`NpRegOptions`], [`PRegOptions`], [`FrechetOptions`], each a [`Regressor`] |
+//! | weights over states | [`Weighting`]: a [`Kernel`] or nearest neighbours; [`Degree`]: mean or plane |
+//! | predictions | [`ConditionalDistribution`]: a [`Distribution`] and whether the query is in the data ([`Support`]) |
+//! | quality | [`Loss`], [`losses`], [`risk`] |
+//! | settings | [`cross_validate`] with [`grid_search`] or [`optimize`] |
+//! | speed | [`ConditionalDistribution::predict_batch`]; [`Table`] for single densities |
 //!
 //! # A new sensor
 //!
@@ -13,8 +23,8 @@
 //! cross-validation, and ask for the probability of a reading at a state that was never measured:
 //!
 //! ```
-//! use distreg::{Alignment, Dataset, Error, Grid, Kernel, NpReg, NpRegOptions, Support};
-//! use distreg::{cross_validate, grid_search, histogram, histogram_match, product};
+//! use distreg::{Alignment, ConditionalDistribution, Dataset, Degree, DensityEstimate, Error, Kernel, Loss};
+//! use distreg::{NpRegOptions, Outcomes, Regressor, Support, Weighting, cross_validate, grid_search, product};
 //!
 //! # fn readings(i: u32) -> (f64, f64, [f64; 4]) {
 //! #     let (distance, angle) = (0.5 + 0.02 * f64::from(i), 0.01 * f64::from(i * 37 % 100));
@@ -26,26 +36,18 @@
 //!     let (distance, angle, z) = readings(i);
 //!     data.push(&[distance, angle], &z)?;
 //! }
-//! let grid = Grid::of_values(0.0, 3.0, 0.01)?;
-//! let options = |bandwidths: &[f64]| NpRegOptions {
-//!     grid,
-//!     point_mass_at: Some(3.0),
+//! let outcomes = Outcomes::of_values(0.0, 3.0, 0.01)?.with_point_mass(3.0);
+//! let method = |bandwidths: &[f64]| NpRegOptions {
+//!     outcomes,
 //!     alignment: Alignment::Shift { state_dim: 0 },
-//!     observation_bandwidth: 0.0,
-//!     kernel: Kernel::Gaussian,
-//!     bandwidths: bandwidths.to_vec(),
+//!     density: DensityEstimate::Histogram,
+//!     weighting: Weighting::kernel(Kernel::Gaussian, bandwidths),
+//!     degree: Degree::Constant,
 //! };
 //! let best = grid_search(&product(&[&[0.1, 0.5, 1.0], &[0.05, 0.2, 0.5]]), |bandwidths| {
-//!     cross_validate(&data, 5, 1, |train, held_out| {
-//!         let predicted = NpReg::fit(train, options(bandwidths))?.predict_batch(held_out.states())?;
-//!         let loss = |i| {
-//!             let observed = histogram(held_out.observations(i), grid, Some(3.0))?;
-//!             histogram_match(&predicted.distribution(i), &observed)
-//!         };
-//!         Ok((0..held_out.len()).map(loss).sum::<Result<f64, Error>>()? / held_out.len() as f64)
-//!     })
+//!     cross_validate(&method(bandwidths), &data, 5, 1, Loss::HistogramMatch)
 //! })?;
-//! let sensor = NpReg::fit(&data, options(&best.candidate))?;
+//! let sensor = method(&best.candidate).fit(&data)?;
 //!
 //! let (distribution, support) = sensor.predict(&[1.234, 0.3])?;
 //! assert_eq!(support, Support::InData);
@@ -54,26 +56,40 @@
 //! # Ok::<(), Error>(())
 //! ```
 
+mod alignment;
+pub mod benchmark;
 mod dataset;
 mod density;
 mod distribution;
 mod error;
+mod family;
+mod frechet;
 mod kernel;
-mod linear;
+mod local_regression;
 mod loss;
 mod np_reg;
 mod p_reg;
+mod point_share;
+mod regressor;
 mod search;
 mod smoother;
+mod table;
+mod thin;
 
+pub use alignment::Alignment;
 pub use dataset::Dataset;
-pub use density::{histogram, kernel_density};
-pub use distribution::{Distribution, Grid, PointMass};
+pub use density::{DensityEstimate, histogram, kernel_density};
+pub use distribution::{Distribution, Grid, Outcomes, PointMass};
 pub use error::Error;
+pub use family::{Family, Parameters, Second, gaussian_parameters};
+pub use frechet::{Frechet, FrechetOptions};
 pub use kernel::Kernel;
-pub use linear::LocallyWeightedLinear;
-pub use loss::{Risk, crps, euclidean, histogram_match, log_loss, risk, wasserstein_1};
-pub use np_reg::{Alignment, NpReg, NpRegOptions, Predictions};
-pub use p_reg::{PReg, gaussian_parameters};
-pub use search::{Found, cross_validate, grid_search, product};
-pub use smoother::{FALLBACK_NEIGHBOURS, Smoother, Support};
+pub use local_regression::LocalRegression;
+pub use loss::{Loss, Risk, crps, euclidean, histogram_match, log_loss, losses, risk, wasserstein_1};
+pub use np_reg::{NpReg, NpRegOptions};
+pub use p_reg::{PReg, PRegOptions};
+pub use regressor::{ConditionalDistribution, Predictions, Regressor, Scratch};
+pub use search::{Found, cross_validate, grid_search, optimize, product};
+pub use smoother::{Degree, FALLBACK_NEIGHBOURS, Smoother, Support, Weighting};
+pub use table::{Axis, Table};
+pub use thin::{Selection, condense, select};

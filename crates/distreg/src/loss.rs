@@ -1,6 +1,8 @@
 use rand_philox::Philox;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use crate::{Distribution, Error};
+use crate::{ConditionalDistribution, Dataset, Distribution, Error, Outcomes, histogram};
 
 /// Resamples of the bootstrap interval.
 const RESAMPLES: u64 = 1000;
@@ -44,27 +46,100 @@ pub fn log_loss(distribution: &Distribution, observations: &[f64]) -> f64 {
     sum / observations.len() as f64
 }
 
-/// Continuous ranked probability score, the integral of (cdf(t) - [t >= z])^2 over t, in units of z (Gneiting
-/// and Raftery 2007).
-pub fn crps(distribution: &Distribution, z: f64) -> f64 {
+/// Mean over `observations` of the continuous ranked probability score, the integral of (cdf(t) - \[t >= z\])^2 over
+/// t, in units of z (Gneiting and Raftery 2007). NaN without observations.
+pub fn crps(distribution: &Distribution, observations: &[f64]) -> f64 {
     let grid = distribution.grid();
     let point = distribution.point();
     let mut breaks: Vec<f64> = (0..=grid.bins).map(|b| grid.lo + b as f64 * grid.width).collect();
-    breaks.push(z);
-    breaks.extend(point.map(|p| p.at));
-    breaks.sort_by(f64::total_cmp);
-    // Between neighbouring breaks the difference is linear from a to b, and its square integrates to
+    let place = point.map_or(f64::NAN, |p| p.at);
+    if point.is_some() {
+        breaks.insert(breaks.partition_point(|&t| t < place), place);
+    }
+    let jump = |t: f64| point.map_or(0.0, |p| if t >= p.at { p.mass } else { 0.0 });
+    // Between neighbouring breaks the cdf is linear, from `a` to `b`; its square integrates to
     // length (a^2 + a b + b^2) / 3.
-    breaks
-        .windows(2)
-        .map(|ends| {
-            let jumps = point.map_or(0.0, |p| if ends[0] >= p.at { p.mass } else { 0.0 })
-                - if ends[0] >= z { 1.0 } else { 0.0 };
-            let a = distribution.continuous_cdf(ends[0]) + jumps;
-            let b = distribution.continuous_cdf(ends[1]) + jumps;
-            (ends[1] - ends[0]) * (a * a + a * b + b * b) / 3.0
-        })
-        .sum()
+    let square = |from: f64, to: f64, a: f64, b: f64| (to - from) * (a * a + a * b + b * b) / 3.0;
+    let ends = |from: f64, to: f64| {
+        let jump = jump(from);
+        (distribution.continuous_cdf(from) + jump, distribution.continuous_cdf(to) + jump)
+    };
+    // Integrals of cdf^2 from the lowest break, and of (1 - cdf)^2 from there, up to each break.
+    let (mut below, mut above) = (vec![0.0], vec![0.0]);
+    for pair in breaks.windows(2) {
+        let (a, b) = ends(pair[0], pair[1]);
+        below.push(below[below.len() - 1] + square(pair[0], pair[1], a, b));
+        above.push(above[above.len() - 1] + square(pair[0], pair[1], 1.0 - a, 1.0 - b));
+    }
+    let (last, total_above) = (breaks.len() - 1, above[above.len() - 1]);
+    let score = |&z: &f64| {
+        if z <= breaks[0] {
+            return breaks[0] - z + total_above;
+        }
+        if z >= breaks[last] {
+            return below[last] + z - breaks[last];
+        }
+        let k = breaks.partition_point(|&t| t <= z) - 1;
+        let (a, b) = ends(breaks[k], z);
+        below[k] + square(breaks[k], z, a, b) + total_above
+            - above[k]
+            - square(breaks[k], z, 1.0 - a, 1.0 - b)
+    };
+    observations.iter().map(score).sum::<f64>() / observations.len() as f64
+}
+
+/// How far a prediction is from what was observed at a state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Loss {
+    /// [`histogram_match`] with the observations' histogram: the paper's. Like the other distances between
+    /// distributions it wants repeated observations; with a single one it is smallest for a point at the median.
+    #[default]
+    HistogramMatch,
+    /// [`wasserstein_1`] with the observations' histogram.
+    Wasserstein1,
+    /// [`euclidean`] distance to the observations' histogram.
+    Euclidean,
+    /// [`log_loss`] of the observations.
+    LogLoss {
+        /// Share of [`Distribution::with_floor`], which keeps the loss finite on the grid.
+        floor: f64,
+    },
+    /// [`crps`] of the observations.
+    Crps,
+}
+
+impl Loss {
+    /// The loss of `predicted` against the observations at its state.
+    ///
+    /// # Errors
+    /// If there are no observations, one isn't finite, or the floor isn't within 0..=1.
+    pub fn of(self, predicted: &Distribution, observations: &[f64]) -> Result<f64, Error> {
+        let outcomes =
+            Outcomes { grid: *predicted.grid(), point_mass_at: predicted.point().map(|point| point.at) };
+        let observed = histogram(observations, &outcomes)?;
+        match self {
+            Self::HistogramMatch => histogram_match(predicted, &observed),
+            Self::Wasserstein1 => wasserstein_1(predicted, &observed),
+            Self::Euclidean => euclidean(predicted, &observed),
+            Self::LogLoss { floor } => Ok(log_loss(&predicted.with_floor(floor)?, observations)),
+            Self::Crps => Ok(crps(predicted, observations)),
+        }
+    }
+}
+
+/// The loss at each state of `held_out`, in parallel. [`risk`] makes their mean with its interval.
+///
+/// # Errors
+/// If a prediction or a loss isn't possible.
+pub fn losses<M>(model: &M, held_out: &Dataset, loss: Loss) -> Result<Vec<f64>, Error>
+where
+    M: ConditionalDistribution + ?Sized,
+{
+    (0..held_out.len())
+        .into_par_iter()
+        .map(|i| loss.of(&model.predict(held_out.state(i))?.0, held_out.observations(i)))
+        .collect()
 }
 
 /// Differences of bin masses, with point masses in their bins.
@@ -89,7 +164,7 @@ fn differences<'a>(
 }
 
 /// A mean loss over states with its 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Risk {
     /// Mean loss.
     pub mean: f64,

@@ -1,51 +1,36 @@
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::density::Taps;
 use crate::distribution::MAX_BINS;
-use crate::error::{finite, positive};
-use crate::{Dataset, Distribution, Error, Grid, Kernel, PointMass, Smoother, Support};
+use crate::error::positive;
+use crate::{
+    Alignment, ConditionalDistribution, Dataset, Degree, DensityEstimate, Error, Outcomes, Regressor,
+    Scratch, Smoother, Support, Weighting,
+};
 
-/// What is smoothed over states: the observation itself, or the observation relative to a state coordinate.
-/// Where the observation follows that coordinate, aligned histograms of neighbouring states agree, and smoothing
-/// them doesn't blur.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Alignment {
-    /// Histograms of z, as published.
-    Identity,
-    /// Histograms of z minus the coordinate; a prediction is shifted back by the query's coordinate.
-    Shift {
-        /// Index of the state coordinate.
-        state_dim: usize,
-    },
-    /// Histograms of z divided by the coordinate; a prediction is scaled back. The coordinate must be positive.
-    Scale {
-        /// Index of the state coordinate.
-        state_dim: usize,
-    },
-}
-
-/// How to fit [`NpReg`].
+/// Nonparametric distribution regression (procedure 2, NP-REG) with its settings. As published, the alignment is
+/// [`Alignment::Identity`], the density estimate a histogram and the degree [`Degree::Constant`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NpRegOptions {
-    /// Bins of every predicted distribution.
-    pub grid: Grid,
-    /// Observations equal to this value are a point mass, smoothed over states as one number and never aligned.
-    pub point_mass_at: Option<f64>,
-    /// What is smoothed over states.
+    /// What can be observed.
+    pub outcomes: Outcomes,
+    /// What is compared between states.
     pub alignment: Alignment,
-    /// Bandwidth of kernel smoothing over z (eq. 5), in units of z; 0 for plain histograms (eq. 6).
-    pub observation_bandwidth: f64,
-    /// Kernel over states and, where `observation_bandwidth` is positive, over z.
-    pub kernel: Kernel,
-    /// One bandwidth per state coordinate, in its units.
-    pub bandwidths: Vec<f64>,
+    /// ESTIMATEDENSITY of the paper.
+    pub density: DensityEstimate,
+    /// How much each state counts at a query.
+    pub weighting: Weighting,
+    /// Mean of the densities around a query, or the mean balanced as a plane would be
+    /// ([`Smoother::positive_weights`]).
+    pub degree: Degree,
 }
 
-/// Nonparametric distribution regression (procedure 2, NP-REG): a histogram at each training state, and
-/// predictions as their kernel-weighted mean (eq. 7).
+/// What [`NpRegOptions`] fit: a histogram at each training state, and predictions as their weighted mean (eq. 7).
+///
+/// An aligned histogram that is moved beyond the low end of the grid counts in the first bin; beyond the high end,
+/// as the point mass where that lies at the high end (a range beyond the maximum reads as maximum), else in the
+/// last bin.
 ///
 /// Histograms are sparse, so that a prediction costs the neighbours' occupied bins, at most M each.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -94,73 +79,13 @@ impl TryFrom<Parts> for NpReg {
     }
 }
 
-/// Predictions at many queries, row by row.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Predictions {
-    grid: Grid,
-    point_mass_at: Option<f64>,
-    /// Queries x bins.
-    mass: Vec<f64>,
-    points: Vec<f64>,
-    support: Vec<Support>,
-}
+impl Regressor for NpRegOptions {
+    type Model = NpReg;
 
-impl Predictions {
-    /// Number of queries.
-    pub fn len(&self) -> usize {
-        self.support.len()
-    }
-
-    /// Whether there were no queries.
-    pub fn is_empty(&self) -> bool {
-        self.support.is_empty()
-    }
-
-    /// Probability of each bin at query `i`, without the point mass.
-    ///
-    /// # Panics
-    /// If `i` is not below `len`.
-    pub fn mass(&self, i: usize) -> &[f64] {
-        &self.mass[i * self.grid.bins..(i + 1) * self.grid.bins]
-    }
-
-    /// Probability of the point mass at each query; 0 where the model has none.
-    pub fn points(&self) -> &[f64] {
-        &self.points
-    }
-
-    /// Whether each query lies within the data.
-    pub fn support(&self) -> &[Support] {
-        &self.support
-    }
-
-    /// The distribution predicted at query `i`.
-    ///
-    /// # Panics
-    /// If `i` is not below `len`.
-    pub fn distribution(&self, i: usize) -> Distribution {
-        let point = self.point_mass_at.map(|at| PointMass { at, mass: self.points[i] });
-        Distribution::normalized(self.grid, self.mass(i).to_vec(), point)
-    }
-}
-
-/// Buffers of one worker.
-#[derive(Default)]
-struct Scratch {
-    weights: Vec<(usize, f64)>,
-    row: Vec<f64>,
-}
-
-impl NpReg {
-    /// Learns from `data`.
-    ///
-    /// # Errors
-    /// If there is no data, an option is invalid, the alignment names a coordinate that doesn't exist, or it
-    /// scales by one that isn't positive at every state.
-    pub fn fit(data: &Dataset, options: NpRegOptions) -> Result<Self, Error> {
-        let smoother = Smoother::new(data, options.kernel, &options.bandwidths)?;
-        options.grid.validate()?;
-        let width = aligned_width(&options, &smoother)?;
+    fn fit(&self, data: &Dataset) -> Result<NpReg, Error> {
+        let smoother = Smoother::new(data, &self.weighting)?;
+        self.outcomes.validate()?;
+        let width = aligned_width(self, &smoother)?;
         let mut histograms = Histograms {
             ends: Vec::with_capacity(data.len()),
             bins: Vec::new(),
@@ -170,17 +95,16 @@ impl NpReg {
         let mut bins: Vec<i32> = Vec::new();
         for i in 0..data.len() {
             let observations = data.observations(i);
+            let affine = self.alignment.at(data.state(i))?;
             bins.clear();
-            for &z in observations {
-                if options.point_mass_at == Some(z) {
-                    continue;
+            bins.extend(observations.iter().filter(|&&z| !self.outcomes.is_point(z)).map(|&z| {
+                match self.alignment {
+                    Alignment::Identity => self.outcomes.grid.bin(z) as i32,
+                    Alignment::Shift { .. } | Alignment::Scale { .. } => {
+                        (affine.align(z) / width).floor() as i32
+                    }
                 }
-                bins.push(match options.alignment {
-                    Alignment::Identity => options.grid.bin(z) as i32,
-                    Alignment::Shift { state_dim } => ((z - data.state(i)[state_dim]) / width).floor() as i32,
-                    Alignment::Scale { state_dim } => (z / data.state(i)[state_dim] / width).floor() as i32,
-                });
-            }
+            }));
             let count = observations.len() as f64;
             histograms.points.push((observations.len() - bins.len()) as f64 / count);
             bins.sort_unstable();
@@ -190,20 +114,19 @@ impl NpReg {
             }
             histograms.ends.push(histograms.bins.len());
         }
-        Self::assemble(options, smoother, histograms)
+        NpReg::assemble(self.clone(), smoother, histograms)
     }
+}
 
+impl NpReg {
     fn assemble(options: NpRegOptions, smoother: Smoother, histograms: Histograms) -> Result<Self, Error> {
-        options.grid.validate()?;
-        if let Some(at) = options.point_mass_at {
-            finite("the place of the point mass", at)?;
-        }
-        let bandwidth = options.observation_bandwidth;
-        let taps = if bandwidth == 0.0 {
-            None
-        } else {
-            positive("the observation bandwidth (or 0)", bandwidth)?;
-            Some(Taps::new(&options.grid, options.kernel, bandwidth))
+        options.outcomes.validate()?;
+        let taps = match options.density {
+            DensityEstimate::Histogram => None,
+            DensityEstimate::Kernel { kernel, bandwidth } => {
+                positive("the observation bandwidth", bandwidth)?;
+                Some(Taps::new(&options.outcomes.grid, kernel, bandwidth))
+            }
         };
         Ok(Self { aligned_width: aligned_width(&options, &smoother)?, options, smoother, histograms, taps })
     }
@@ -213,97 +136,11 @@ impl NpReg {
         &self.options
     }
 
-    /// Coordinates of a state.
-    pub fn dim(&self) -> usize {
-        self.smoother.dim()
-    }
-
-    /// The distribution at `query`. An aligned histogram that is moved beyond the low end of the grid counts in
-    /// the first bin; beyond the high end, as the point mass where that lies at the high end (a range beyond the
-    /// maximum reads as maximum), else in the last bin.
-    ///
-    /// # Errors
-    /// If the query isn't `dim` finite numbers, or the coordinate of a scale alignment isn't positive.
-    pub fn predict(&self, query: &[f64]) -> Result<(Distribution, Support), Error> {
-        crate::error::query(self.dim(), query)?;
-        let predictions = self.predict_batch(query)?;
-        Ok((predictions.distribution(0), predictions.support[0]))
-    }
-
-    /// The distributions at many queries (row by row, Q x `dim`), in parallel. Each row depends on its query
-    /// alone, so the number of threads changes no bit.
-    ///
-    /// # Errors
-    /// As [`NpReg::predict`], at any query.
-    pub fn predict_batch(&self, queries: &[f64]) -> Result<Predictions, Error> {
-        let dim = self.dim();
-        if !queries.len().is_multiple_of(dim) {
-            return Err(Error::Dimension { expected: dim, found: queries.len() % dim });
-        }
-        let bins = self.options.grid.bins;
-        let mut mass = vec![0.0; queries.len() / dim * bins];
-        let rows: Result<Vec<(f64, Support)>, Error> = mass
-            .par_chunks_mut(bins)
-            .zip(queries.par_chunks(dim))
-            .map_init(Scratch::default, |scratch, (row, query)| self.predict_into(query, scratch, row))
-            .collect();
-        let (points, support) = rows?.into_iter().unzip();
-        Ok(Predictions {
-            grid: self.options.grid,
-            point_mass_at: self.options.point_mass_at,
-            mass,
-            points,
-            support,
-        })
-    }
-
-    /// Fills `row`, all zeros, with the bin masses at `query`; gives the probability of the point mass.
-    fn predict_into(
-        &self,
-        query: &[f64],
-        scratch: &mut Scratch,
-        row: &mut [f64],
-    ) -> Result<(f64, Support), Error> {
-        let Scratch { weights, row: raw } = scratch;
-        let support = self.smoother.weights(query, weights)?;
-        let mut point: f64 = weights.iter().map(|&(i, w)| w * self.histograms.points[i]).sum();
-        let above = match self.options.alignment {
-            Alignment::Identity => {
-                for &(i, w) in weights.iter() {
-                    let (bins, masses) = self.histograms.of(i);
-                    for (&b, m) in bins.iter().zip(masses) {
-                        row[b as usize] += w * m;
-                    }
-                }
-                0.0
-            }
-            Alignment::Shift { state_dim } => self.shifted(query[state_dim], weights, raw, row),
-            Alignment::Scale { state_dim } => {
-                let scale = positive("the state coordinate of a scale alignment", query[state_dim])?;
-                self.scaled(scale, weights, row)
-            }
-        };
-        if above > 0.0 {
-            let last = row.len() - 1;
-            match self.options.point_mass_at {
-                Some(at) if at >= self.options.grid.centre(last) => point += above,
-                _ => row[last] += above,
-            }
-        }
-        if let Some(taps) = &self.taps {
-            raw.clear();
-            raw.extend_from_slice(row);
-            row.fill(0.0);
-            taps.spread(raw, row);
-        }
-        Ok((point, support))
-    }
-
     /// Adds the weighted histograms of z - x to `row`, shifted up by `shift`. Gives the mass above the grid.
     fn shifted(&self, shift: f64, weights: &[(usize, f64)], raw: &mut Vec<f64>, row: &mut [f64]) -> f64 {
         // An aligned bin moves by whole bins and a fraction. `raw` takes what the whole bins leave in the grid,
         // with one more bin at either end for the rest; then the fraction is split between neighbours.
-        let grid = &self.options.grid;
+        let grid = &self.options.outcomes.grid;
         // Beyond these limits nothing stays within the grid, and whole bins would not fit an i32.
         let limit = MAX_BINS as f64 - 1.0;
         let offset = ((shift - grid.lo) / grid.width).clamp(-limit, limit);
@@ -328,7 +165,7 @@ impl NpReg {
 
     /// Adds the weighted histograms of z / x to `row`, scaled up by `scale`. Gives the mass above the grid.
     fn scaled(&self, scale: f64, weights: &[(usize, f64)], row: &mut [f64]) -> f64 {
-        let grid = &self.options.grid;
+        let grid = &self.options.outcomes.grid;
         // Finite, as bin 0 times infinity would be NaN.
         let step = (self.aligned_width * scale / grid.width).min(f64::MAX);
         let start = -grid.lo / grid.width;
@@ -344,9 +181,54 @@ impl NpReg {
     }
 }
 
+impl ConditionalDistribution for NpReg {
+    fn dim(&self) -> usize {
+        self.smoother.dim()
+    }
+
+    fn outcomes(&self) -> Outcomes {
+        self.options.outcomes
+    }
+
+    fn predict_into(
+        &self,
+        query: &[f64],
+        scratch: &mut Scratch,
+        mass: &mut [f64],
+    ) -> Result<(f64, Support), Error> {
+        let Scratch { weights, bins: raw, .. } = scratch;
+        let support = self.smoother.positive_weights(query, self.options.degree, weights)?;
+        let mut point: f64 = weights.iter().map(|&(i, w)| w * self.histograms.points[i]).sum();
+        let affine = self.options.alignment.at(query)?;
+        let above = match self.options.alignment {
+            Alignment::Identity => {
+                for &(i, w) in weights.iter() {
+                    let (bins, masses) = self.histograms.of(i);
+                    for (&b, m) in bins.iter().zip(masses) {
+                        mass[b as usize] += w * m;
+                    }
+                }
+                0.0
+            }
+            Alignment::Shift { .. } => self.shifted(affine.offset, weights, raw, mass),
+            Alignment::Scale { .. } => self.scaled(affine.scale, weights, mass),
+        };
+        if above > 0.0 {
+            point += self.options.outcomes.absorb_above(above, mass);
+        }
+        if let Some(taps) = &self.taps {
+            raw.clear();
+            raw.extend_from_slice(mass);
+            mass.fill(0.0);
+            taps.spread(raw, mass);
+        }
+        Ok((point, support))
+    }
+}
+
 /// Spreads `mass` evenly over [`from`, `to`) in units of bins, what lies below bin 0 into it. Gives what lies
 /// above the last bin.
-fn deposit(from: f64, to: f64, mass: f64, row: &mut [f64]) -> f64 {
+pub(crate) fn deposit(from: f64, to: f64, mass: f64, row: &mut [f64]) -> f64 {
     let bins = row.len() as f64;
     let length = to - from;
     if from >= bins {
@@ -371,21 +253,11 @@ fn deposit(from: f64, to: f64, mass: f64, row: &mut [f64]) -> f64 {
 
 /// Width of an aligned bin. Ratios z / x have bins that are no wider than the grid's at the largest x.
 fn aligned_width(options: &NpRegOptions, smoother: &Smoother) -> Result<f64, Error> {
-    let dim = smoother.dim();
-    match options.alignment {
-        Alignment::Shift { state_dim } | Alignment::Scale { state_dim } if state_dim >= dim => {
-            Err(Error::AlignmentDimension { state_dim, dim })
-        }
-        Alignment::Identity | Alignment::Shift { .. } => Ok(options.grid.width),
-        Alignment::Scale { state_dim } => {
-            let mut largest: f64 = 0.0;
-            for i in 0..smoother.len() {
-                let x = smoother.state(i)[state_dim];
-                largest = largest.max(positive("the state coordinate of a scale alignment", x)?);
-            }
-            Ok(options.grid.width / largest)
-        }
+    let mut largest = 0.0;
+    for i in 0..smoother.len() {
+        largest = options.alignment.at(smoother.state(i))?.scale.max(largest);
     }
+    Ok(options.outcomes.grid.width / largest)
 }
 
 impl Histograms {
@@ -409,7 +281,7 @@ impl Histograms {
                 return Err(Error::Length { what, expected, found });
             }
         }
-        let in_grid = |b: i32| b >= 0 && (b as usize) < options.grid.bins;
+        let in_grid = |b: i32| b >= 0 && (b as usize) < options.outcomes.grid.bins;
         let is_share = |m: f64| (0.0..=1.0).contains(&m);
         let valid = self.ends.is_sorted()
             && (options.alignment != Alignment::Identity || self.bins.iter().all(|&b| in_grid(b)))

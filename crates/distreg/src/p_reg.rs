@@ -1,102 +1,181 @@
-use std::f64::consts::{PI, SQRT_2};
-
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use statrs::function::erf::erfc;
 
 use crate::error::positive;
-use crate::{Dataset, Distribution, Error, Grid, Kernel, LocallyWeightedLinear, Support};
+use crate::family::{Family, Parameters};
+use crate::point_share::{PointShare, without_points};
+use crate::{
+    Alignment, ConditionalDistribution, Dataset, Degree, Error, LocalRegression, Outcomes, Regressor,
+    Scratch, Smoother, Support, Weighting,
+};
 
-/// Mean and standard deviation (with n - 1) of the observations at one state, eq. 4 with the square root that
-/// the paper omits. The deviation is `None` for a single observation, the mean NaN for none.
-pub fn gaussian_parameters(observations: &[f64]) -> (f64, Option<f64>) {
-    let n = observations.len() as f64;
-    let mean = observations.iter().sum::<f64>() / n;
-    let squares: f64 = observations.iter().map(|z| (z - mean).powi(2)).sum();
-    let sigma = (observations.len() > 1).then(|| (squares / (n - 1.0)).sqrt());
-    (mean, sigma)
+/// Parametric distribution regression (procedure 1, P-REG) with its settings: a family's parameters are estimated
+/// at each state by maximum likelihood and regressed on the state. As published, the family is a Gaussian and the
+/// degree [`Degree::Linear`].
+///
+/// A state with fewer than `least_observations` borrows those of the states nearest to it, each moved by the
+/// difference of the regressed means, so single observations at each state are enough. The point mass is regressed
+/// apart from the rest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PRegOptions {
+    /// What can be observed.
+    pub outcomes: Outcomes,
+    /// What is compared between states.
+    pub alignment: Alignment,
+    /// The parametric family.
+    pub family: Family,
+    /// How much each state counts at a query.
+    pub weighting: Weighting,
+    /// What is fitted to the parameters around a query.
+    pub degree: Degree,
+    /// No deviation is below this, in units of z; the sensor's resolution / sqrt(12) is a good one.
+    pub smallest_sigma: f64,
+    /// Parameters are estimated from at least so many observations.
+    pub least_observations: usize,
 }
 
-/// Parametric distribution regression (procedure 1, P-REG) with a Gaussian: its mean and standard deviation are
-/// estimated at each state and regressed on the state by locally weighted linear regression.
-///
-/// A state with a single observation has no deviation of its own; |z - m(x)| sqrt(pi / 2) takes its place, with
-/// m the regressed mean: for a Gaussian its expectation is sigma.
+/// What [`PRegOptions`] fit: parameters at each state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PReg {
-    parameters: LocallyWeightedLinear,
-    smallest_sigma: f64,
+    options: PRegOptions,
+    parameters: LocalRegression,
+    points: PointShare,
+    dim: usize,
+}
+
+impl Regressor for PRegOptions {
+    type Model = PReg;
+
+    fn fit(&self, data: &Dataset) -> Result<PReg, Error> {
+        self.outcomes.validate()?;
+        positive("the smallest sigma", self.smallest_sigma)?;
+        Smoother::new(data, &self.weighting)?;
+        let rest = without_points(data, &self.outcomes)?;
+        let enough = (0..rest.len()).all(|i| rest.observations(i).len() >= self.least_observations);
+        let pooled = if enough { None } else { Some(self.pooled(&rest)?) };
+        let observations = pooled.as_ref().unwrap_or(&rest);
+        let targets: Vec<Vec<f64>> = (0..rest.len())
+            .into_par_iter()
+            .map(|i| {
+                let z = observations.observations(i);
+                let parameters = self.family.estimate(z, self.outcomes.grid.lo, self.smallest_sigma);
+                let mut values = Vec::with_capacity(self.family.values());
+                self.family.encode(&parameters, z.len(), self.alignment.at(rest.state(i))?, &mut values);
+                Ok(values)
+            })
+            .collect::<Result<_, Error>>()?;
+        Ok(PReg {
+            parameters: LocalRegression::fit(rest.states(), &targets.concat(), &self.weighting, self.degree)?,
+            points: PointShare::fit(data, &self.outcomes, &self.weighting, self.degree)?,
+            dim: data.dim(),
+            options: self.clone(),
+        })
+    }
+}
+
+impl PRegOptions {
+    /// The same states, those with too few observations filled up from their neighbours.
+    fn pooled(&self, data: &Dataset) -> Result<Dataset, Error> {
+        let aligned: Vec<Vec<f64>> = (0..data.len())
+            .map(|i| {
+                let affine = self.alignment.at(data.state(i))?;
+                Ok(data.observations(i).iter().map(|&z| affine.align(z)).collect())
+            })
+            .collect::<Result<_, Error>>()?;
+        let means: Vec<f64> = aligned.iter().map(|z| z.iter().sum::<f64>() / z.len() as f64).collect();
+        let means = LocalRegression::fit(data.states(), &means, &self.weighting, self.degree)?;
+        let smooth: Vec<f64> = (0..data.len())
+            .into_par_iter()
+            .map(|i| {
+                let mut mean = [0.0];
+                means.predict(data.state(i), &mut mean)?;
+                Ok(mean[0])
+            })
+            .collect::<Result<_, Error>>()?;
+        let smoother = Smoother::new(data, &self.weighting)?;
+        let pooled: Vec<Vec<f64>> = (0..data.len())
+            .into_par_iter()
+            .map(|i| {
+                let own = data.observations(i);
+                if own.len() >= self.least_observations {
+                    return Ok(own.to_vec());
+                }
+                let affine = self.alignment.at(data.state(i))?;
+                let mut neighbours = Vec::new();
+                smoother.nearest_states(data.state(i), self.least_observations, &mut neighbours);
+                let mut z = own.to_vec();
+                for (k, _) in neighbours {
+                    if z.len() >= self.least_observations {
+                        break;
+                    }
+                    if k != i {
+                        z.extend(aligned[k].iter().map(|e| affine.restore(e - smooth[k] + smooth[i])));
+                    }
+                }
+                Ok(z)
+            })
+            .collect::<Result<_, Error>>()?;
+        let mut filled = Dataset::new(data.dim());
+        for (i, z) in pooled.iter().enumerate() {
+            filled.push(data.state(i), z)?;
+        }
+        Ok(filled)
+    }
 }
 
 impl PReg {
-    /// Learns from `data`. `smallest_sigma` is a lower limit of the predicted deviation, in units of z; the
-    /// sensor's resolution / sqrt(12) is a good one.
-    ///
-    /// # Errors
-    /// If there is no data, the bandwidths aren't `dim` positive numbers, or `smallest_sigma` isn't positive.
-    pub fn fit(
-        data: &Dataset,
-        kernel: Kernel,
-        bandwidths: &[f64],
-        smallest_sigma: f64,
-    ) -> Result<Self, Error> {
-        positive("the smallest sigma", smallest_sigma)?;
-        let regress = |targets: &[f64]| {
-            LocallyWeightedLinear::fit(data.dim(), data.states(), targets, kernel, bandwidths)
-        };
-        let estimates: Vec<(f64, Option<f64>)> =
-            (0..data.len()).map(|i| gaussian_parameters(data.observations(i))).collect();
-        let sigmas = if estimates.iter().all(|(_, sigma)| sigma.is_some()) {
-            estimates.iter().filter_map(|&(_, sigma)| sigma).collect()
-        } else {
-            let means: Vec<f64> = estimates.iter().map(|&(mean, _)| mean).collect();
-            let means = regress(&means)?;
-            estimates
-                .par_iter()
-                .enumerate()
-                .map(|(i, &(mean, sigma))| {
-                    if let Some(sigma) = sigma {
-                        return Ok(sigma);
-                    }
-                    let mut smooth = [0.0];
-                    means.predict(data.state(i), &mut smooth)?;
-                    Ok((mean - smooth[0]).abs() * (PI / 2.0).sqrt())
-                })
-                .collect::<Result<Vec<f64>, Error>>()?
-        };
-        let targets: Vec<f64> =
-            estimates.iter().zip(sigmas).flat_map(|(&(mean, _), sigma)| [mean, sigma]).collect();
-        Ok(Self { parameters: regress(&targets)?, smallest_sigma })
+    /// The options of the fit.
+    pub fn options(&self) -> &PRegOptions {
+        &self.options
     }
 
-    /// Mean and standard deviation at `query`, in units of z.
+    /// The family's parameters at `query`, without the point mass.
     ///
     /// # Errors
-    /// If the query isn't `dim` finite numbers.
-    pub fn parameters(&self, query: &[f64]) -> Result<(f64, f64, Support), Error> {
-        let mut out = [0.0; 2];
-        let support = self.parameters.predict(query, &mut out)?;
-        Ok((out[0], out[1].max(self.smallest_sigma), support))
+    /// As [`ConditionalDistribution::predict_into`].
+    pub fn parameters(&self, query: &[f64]) -> Result<(Parameters, Support), Error> {
+        self.parameters_with(query, &mut Scratch::default())
     }
 
-    /// The Gaussian at `query` on the bins of `grid`; what lies beyond the ends counts in the end bins.
-    ///
-    /// # Errors
-    /// As [`PReg::parameters`], and if the grid is invalid.
-    pub fn predict(&self, query: &[f64], grid: Grid) -> Result<(Distribution, Support), Error> {
-        grid.validate()?;
-        let (mean, sigma, support) = self.parameters(query)?;
-        let cdf = |edge: f64| 0.5 * erfc((mean - edge) / (sigma * SQRT_2));
+    fn parameters_with(&self, query: &[f64], scratch: &mut Scratch) -> Result<(Parameters, Support), Error> {
+        let PRegOptions { family, alignment, smallest_sigma, .. } = self.options;
+        let Scratch { weights, values, .. } = scratch;
+        values.resize(family.values(), 0.0);
+        let support = self.parameters.predict_with(query, weights, values)?;
+        Ok((family.decode(values, alignment.at(query)?, smallest_sigma), support))
+    }
+}
+
+impl ConditionalDistribution for PReg {
+    fn dim(&self) -> usize {
+        self.dim
+    }
+
+    fn outcomes(&self) -> Outcomes {
+        self.options.outcomes
+    }
+
+    /// What lies below the grid counts in the first bin; what lies above, as the point mass where that lies at the
+    /// high end, else in the last bin.
+    fn predict_into(
+        &self,
+        query: &[f64],
+        scratch: &mut Scratch,
+        mass: &mut [f64],
+    ) -> Result<(f64, Support), Error> {
+        let (parameters, support) = self.parameters_with(query, scratch)?;
+        let mut point = self.points.predict(query, &mut scratch.weights)?;
+        let rest = 1.0 - point;
+        let grid = self.options.outcomes.grid;
         let mut before = 0.0;
-        let mass = (0..grid.bins)
-            .map(|b| {
-                let after = if b + 1 == grid.bins { 1.0 } else { cdf(grid.lo + (b + 1) as f64 * grid.width) };
-                let mass = (after - before).max(0.0);
-                before = after;
-                mass
-            })
-            .collect();
-        Ok((Distribution::new(grid, mass, None)?, support))
+        for (b, mass) in mass.iter_mut().enumerate() {
+            let after = rest * parameters.cdf(grid.lo, grid.lo + (b + 1) as f64 * grid.width);
+            *mass = (after - before).max(0.0);
+            before = before.max(after);
+        }
+        point += self.options.outcomes.absorb_above((rest - before).max(0.0), mass);
+        Ok((point, support))
     }
 }

@@ -1,7 +1,20 @@
+use std::sync::OnceLock;
+
+use kdtree::KdTree;
+use kdtree::distance::squared_euclidean;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{positive, query};
 use crate::{Dataset, Error, Kernel};
+
+/// Ridge on the slopes of a local plane, in squared bandwidths: the design of few or collinear states then has a
+/// solution that tends to the weighted mean, while a design that spans a bandwidth keeps its slope to one in a
+/// million.
+const SLOPE_RIDGE: f64 = 1e-6;
+
+/// Ridge on the tilt of balanced weights, in squared bandwidths. At the edge of the data, where no tilt moves
+/// the states' mean to the query, it stops short of giving all weight to the outermost state.
+const TILT_RIDGE: f64 = 0.01;
 
 /// Number of nearest states that share the weight where no state is within the kernel's support.
 pub const FALLBACK_NEIGHBOURS: usize = 8;
@@ -21,14 +34,67 @@ pub enum Support {
     Nearest,
 }
 
-/// Nadaraya-Watson weights (eq. 7) over a fixed set of states, with one bandwidth per state coordinate.
-///
-/// The states are kept in bandwidth units, sorted along the coordinate that spans most bandwidths; a query
-/// looks only at the states within the kernel's support along it.
+/// How much each training state counts at a query.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Weighting {
+    /// By a kernel of the distance in bandwidths (Nadaraya-Watson, eq. 7).
+    Kernel {
+        /// Kernel over states.
+        kernel: Kernel,
+        /// One bandwidth per state coordinate, in its units: the diagonal of the paper's bandwidth matrix.
+        bandwidths: Vec<f64>,
+    },
+    /// Equally, the k nearest states; all, where there are fewer. The nearest states always exist, so a query is
+    /// never flagged as outside the data.
+    NearestNeighbours {
+        /// Number of states k, at least 1.
+        count: usize,
+        /// What counts as distance 1 along each state coordinate, in its units.
+        scales: Vec<f64>,
+    },
+}
+
+impl Weighting {
+    /// Weights by `kernel` with one bandwidth per state coordinate, in its units.
+    pub fn kernel(kernel: Kernel, bandwidths: &[f64]) -> Self {
+        Self::Kernel { kernel, bandwidths: bandwidths.to_vec() }
+    }
+
+    /// Equal weights for the `count` nearest states, with distances measured in `scales`.
+    pub fn nearest_neighbours(count: usize, scales: &[f64]) -> Self {
+        Self::NearestNeighbours { count, scales: scales.to_vec() }
+    }
+
+    /// What distances are measured in, per state coordinate, in its units.
+    pub fn scales(&self) -> &[f64] {
+        match self {
+            Self::Kernel { bandwidths, .. } => bandwidths,
+            Self::NearestNeighbours { scales, .. } => scales,
+        }
+    }
+}
+
+/// What is fitted to the states around a query.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Degree {
+    /// Their weighted mean (Nadaraya-Watson). Biased where the states around the query lie to one side.
+    #[default]
+    Constant,
+    /// A plane, which has no such bias to first order.
+    Linear,
+}
+
+/// Weights over a fixed set of states: those of eq. 7, or of the k nearest.
+///
+/// The states are kept in bandwidth units, sorted along the coordinate that spans most bandwidths; a kernel
+/// looks only at the states within its support along it. Nearest states come from a k-d tree.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(try_from = "Parts", into = "Parts")]
 pub struct Smoother {
-    kernel: Kernel,
+    weighting: Weighting,
+    /// The bandwidths or scales.
     bandwidths: Vec<f64>,
     /// The coordinate along which the states are sorted.
     axis: usize,
@@ -40,56 +106,66 @@ pub struct Smoother {
     scaled: Vec<f64>,
     /// States as given, n x dim.
     states: Vec<f64>,
+    /// State indices by place in bandwidths; made when first asked.
+    tree: OnceLock<KdTree<f64, usize, Box<[f64]>>>,
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Parts {
-    kernel: Kernel,
-    bandwidths: Vec<f64>,
+    weighting: Weighting,
     states: Vec<f64>,
 }
 
 impl From<Smoother> for Parts {
     fn from(smoother: Smoother) -> Self {
-        Self { kernel: smoother.kernel, bandwidths: smoother.bandwidths, states: smoother.states }
+        Self { weighting: smoother.weighting, states: smoother.states }
     }
 }
 
 impl TryFrom<Parts> for Smoother {
     type Error = Error;
     fn try_from(parts: Parts) -> Result<Self, Error> {
-        Self::of_states(parts.states, parts.kernel, &parts.bandwidths)
+        Self::of_states(parts.states, &parts.weighting)
+    }
+}
+
+/// Everything else follows from these.
+impl PartialEq for Smoother {
+    fn eq(&self, other: &Self) -> bool {
+        self.weighting == other.weighting && self.states == other.states
     }
 }
 
 impl Smoother {
-    /// Smoothing over the states of `data` with one bandwidth per state coordinate, in its units.
+    /// Smoothing over the states of `data`.
     ///
     /// # Errors
-    /// If there are no states, or the bandwidths aren't `dim` positive numbers.
-    pub fn new(data: &Dataset, kernel: Kernel, bandwidths: &[f64]) -> Result<Self, Error> {
-        if bandwidths.len() != data.dim() {
-            return Err(Error::Length {
-                what: "number of state bandwidths",
-                expected: data.dim(),
-                found: bandwidths.len(),
-            });
+    /// If there are no states, or the bandwidths or scales aren't `dim` positive numbers.
+    pub fn new(data: &Dataset, weighting: &Weighting) -> Result<Self, Error> {
+        let found = weighting.scales().len();
+        if found != data.dim() {
+            return Err(Error::Length { what: "number of state bandwidths", expected: data.dim(), found });
         }
-        Self::of_states(data.states().to_vec(), kernel, bandwidths)
+        Self::of_states(data.states().to_vec(), weighting)
     }
 
-    /// Smoothing over `states`, row by row: n x `bandwidths.len()`.
+    /// Smoothing over `states`, row by row: n x the number of bandwidths.
     ///
     /// # Errors
-    /// If there are no states or no bandwidths, the states aren't a whole number of finite rows, or a bandwidth
-    /// isn't positive.
-    pub fn of_states(states: Vec<f64>, kernel: Kernel, bandwidths: &[f64]) -> Result<Self, Error> {
+    /// If there are no states or no bandwidths, the states aren't a whole number of finite rows, a bandwidth isn't
+    /// positive, or no neighbours are asked for.
+    pub fn of_states(states: Vec<f64>, weighting: &Weighting) -> Result<Self, Error> {
+        let bandwidths = weighting.scales();
         let dim = bandwidths.len();
         for &bandwidth in bandwidths {
             positive("a state bandwidth", bandwidth)?;
         }
         if states.is_empty() || dim == 0 {
             return Err(Error::Empty { what: "the training states" });
+        }
+        if matches!(weighting, Weighting::NearestNeighbours { count: 0, .. }) {
+            return Err(Error::Empty { what: "the nearest neighbours" });
         }
         for state in states.chunks(dim) {
             query(dim, state)?;
@@ -109,13 +185,14 @@ impl Smoother {
             .map(|(i, d)| states[i * dim + d] / bandwidths[d])
             .collect();
         Ok(Self {
-            kernel,
+            weighting: weighting.clone(),
             bandwidths: bandwidths.to_vec(),
             axis,
             keys: scaled.iter().skip(axis).step_by(dim).copied().collect(),
             order,
             scaled,
             states,
+            tree: OnceLock::new(),
         })
     }
 
@@ -142,9 +219,9 @@ impl Smoother {
         &self.states[i * self.dim()..(i + 1) * self.dim()]
     }
 
-    /// One bandwidth per state coordinate, in its units.
-    pub fn bandwidths(&self) -> &[f64] {
-        &self.bandwidths
+    /// How the states are weighted.
+    pub fn weighting(&self) -> &Weighting {
+        &self.weighting
     }
 
     /// Fills `out` with (state index, weight) of the states that count at `query`; the weights are positive and
@@ -154,13 +231,20 @@ impl Smoother {
     /// If the query isn't `dim` finite numbers.
     pub fn weights(&self, query: &[f64], out: &mut Vec<(usize, f64)>) -> Result<Support, Error> {
         crate::error::query(self.dim(), query)?;
+        let kernel = match self.weighting {
+            Weighting::Kernel { kernel, .. } => kernel,
+            Weighting::NearestNeighbours { count, .. } => {
+                self.nearest_states(query, count, out);
+                return Ok(Support::InData);
+            }
+        };
         out.clear();
         let key = query[self.axis] / self.bandwidths[self.axis];
         let nearest = self.nearest_squared(query, key);
-        let support = self.kernel.support();
+        let support = kernel.support();
         // A Gaussian is taken relative to its value at the nearest state, which cancels in eq. 7 and cannot
         // underflow, and ends where the states left out cannot weigh more than NEGLIGIBLE together.
-        let (base, limit) = match self.kernel {
+        let (base, limit) = match kernel {
             Kernel::Gaussian => {
                 let reach = 2.0 * (self.len() as f64 / NEGLIGIBLE).ln();
                 (nearest, nearest + reach)
@@ -177,7 +261,7 @@ impl Smoother {
                 }
                 let distance = self.squared_distance(row, query);
                 if distance <= limit {
-                    let weight = self.kernel.at_squared(distance - base);
+                    let weight = kernel.at_squared(distance - base);
                     if weight > 0.0 {
                         total += weight;
                         out.push((self.order[row], weight));
@@ -191,9 +275,148 @@ impl Smoother {
             }
             Ok(Support::InData)
         } else {
-            self.nearest_states(query, out);
+            self.nearest_states(query, FALLBACK_NEIGHBOURS, out);
             Ok(Support::Nearest)
         }
+    }
+
+    /// As [`Smoother::weights`], for a local fit of the given degree: the weighted sum of the states' values is
+    /// the fit's value at the query. For a plane weights may be negative; they sum to 1. Outside the data
+    /// ([`Support::Nearest`]) they are those of the mean: a plane is never extrapolated from there.
+    ///
+    /// # Errors
+    /// If the query isn't `dim` finite numbers.
+    pub fn regression_weights(
+        &self,
+        query: &[f64],
+        degree: Degree,
+        out: &mut Vec<(usize, f64)>,
+    ) -> Result<Support, Error> {
+        let support = self.weights(query, out)?;
+        if degree == Degree::Constant || support == Support::Nearest {
+            return Ok(support);
+        }
+        // Centred on the weighted mean of the states, the normal equations of the plane are C slope = sum w u t
+        // with C = sum w u u^T and u = (x - mean x) / h. Its value at the query's offset v is the sum of
+        // w (1 + u^T C^-1 v) t.
+        let p = self.dim();
+        let mut u = self.offsets(query, out);
+        let mut centre = vec![0.0; p];
+        for (&(_, w), u) in out.iter().zip(u.chunks(p)) {
+            for (c, u) in centre.iter_mut().zip(u) {
+                *c += w * u;
+            }
+        }
+        let mut matrix = vec![0.0; p * p];
+        for (&(_, w), u) in out.iter().zip(u.chunks_mut(p)) {
+            for (u, c) in u.iter_mut().zip(&centre) {
+                *u -= c;
+            }
+            add_outer(&mut matrix, w, u);
+        }
+        for a in 0..p {
+            matrix[a * p + a] += SLOPE_RIDGE;
+        }
+        let mut tilt: Vec<f64> = centre.iter().map(|c| -c).collect();
+        solve_positive_definite(&mut matrix, SLOPE_RIDGE, &mut tilt);
+        for ((_, w), u) in out.iter_mut().zip(u.chunks(p)) {
+            *w *= 1.0 + dot(&tilt, u);
+        }
+        Ok(support)
+    }
+
+    /// As [`Smoother::weights`], for a local fit of the given degree to values that must stay positive, such as
+    /// densities. For degree 1 the weights are those of eq. 7, tilted by exp(t^T x) so that the states' weighted
+    /// mean is the query itself: what a plane through the states corrects is then zero. They are positive and sum to
+    /// 1. This is the adjusted Nadaraya-Watson estimator of Hall, Wolff and Yao 1999 with weights by exponential
+    /// tilting; it has the bias of a local plane, in the middle of the data and, to the ridge, at its edges.
+    ///
+    /// # Errors
+    /// If the query isn't `dim` finite numbers.
+    pub fn positive_weights(
+        &self,
+        query: &[f64],
+        degree: Degree,
+        out: &mut Vec<(usize, f64)>,
+    ) -> Result<Support, Error> {
+        let support = self.weights(query, out)?;
+        if degree == Degree::Linear && support == Support::InData {
+            self.balance(query, out);
+        }
+        Ok(support)
+    }
+
+    /// Tilts weights so that the states' weighted mean is the query: Newton's method on the strictly convex
+    /// ln sum w exp(t^T u) + ridge t^T t / 2, whose gradient is that mean's offset and a ridge.
+    fn balance(&self, query: &[f64], weights: &mut [(usize, f64)]) {
+        let p = self.dim();
+        let u = self.offsets(query, weights);
+        let mut tilt = vec![0.0; p];
+        let mut tilted: Vec<f64> = weights.iter().map(|w| w.1).collect();
+        let (mut gradient, mut matrix) = (vec![0.0; p], vec![0.0; p * p]);
+        for _ in 0..MOST_NEWTON_STEPS {
+            gradient.fill(0.0);
+            matrix.fill(0.0);
+            for (w, u) in tilted.iter().zip(u.chunks(p)) {
+                for (g, u) in gradient.iter_mut().zip(u) {
+                    *g += w * u;
+                }
+                add_outer(&mut matrix, *w, u);
+            }
+            for a in 0..p {
+                for b in 0..p {
+                    matrix[a * p + b] -= gradient[a] * gradient[b];
+                }
+                matrix[a * p + a] += TILT_RIDGE;
+            }
+            for (g, t) in gradient.iter_mut().zip(&tilt) {
+                *g += TILT_RIDGE * t;
+            }
+            let done = dot(&gradient, &gradient) < NEWTON_TOLERANCE;
+            solve_positive_definite(&mut matrix, TILT_RIDGE, &mut gradient);
+            // A step of more than one per bandwidth is cut, as the quadratic model doesn't reach that far.
+            let length = dot(&gradient, &gradient).sqrt();
+            let cut = if length > 1.0 { 1.0 / length } else { 1.0 };
+            for (t, step) in tilt.iter_mut().zip(&gradient) {
+                *t -= cut * step;
+            }
+            let mut total = 0.0;
+            let largest = u.chunks(p).map(|u| dot(&tilt, u)).fold(f64::NEG_INFINITY, f64::max);
+            for ((to, &(_, w)), u) in tilted.iter_mut().zip(weights.iter()).zip(u.chunks(p)) {
+                *to = w * (dot(&tilt, u) - largest).exp();
+                total += *to;
+            }
+            for w in &mut tilted {
+                *w /= total;
+            }
+            // Convergence is quadratic: the step just taken squares what was left.
+            if done {
+                break;
+            }
+        }
+        for (weight, tilted) in weights.iter_mut().zip(tilted) {
+            weight.1 = tilted;
+        }
+    }
+
+    /// Offsets of the weighted states from the query, one row per weight, in bandwidths; among nearest neighbours the
+    /// distance of the farthest is the bandwidth.
+    fn offsets(&self, query: &[f64], weights: &[(usize, f64)]) -> Vec<f64> {
+        let p = self.dim();
+        let mut offsets = Vec::with_capacity(weights.len() * p);
+        for &(i, _) in weights {
+            offsets
+                .extend(self.state(i).iter().zip(query).zip(&self.bandwidths).map(|((x, q), h)| (x - q) / h));
+        }
+        if matches!(self.weighting, Weighting::NearestNeighbours { .. }) {
+            let radius = offsets.chunks(p).map(|u| dot(u, u).sqrt()).fold(0.0, f64::max);
+            if radius > 0.0 {
+                for u in &mut offsets {
+                    *u /= radius;
+                }
+            }
+        }
+        offsets
     }
 
     /// Squared bandwidth-scaled distance from the state in sorted row `row`.
@@ -226,13 +449,65 @@ impl Smoother {
         best
     }
 
-    /// Equal weights on the nearest states; ties go to the smaller sorted row.
-    fn nearest_states(&self, query: &[f64], out: &mut Vec<(usize, f64)>) {
-        let mut rows: Vec<(f64, usize)> =
-            (0..self.len()).map(|row| (self.squared_distance(row, query), row)).collect();
-        let count = FALLBACK_NEIGHBOURS.min(rows.len());
-        rows.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    /// Equal weights on the `count` nearest states, the nearest first.
+    pub(crate) fn nearest_states(&self, query: &[f64], count: usize, out: &mut Vec<(usize, f64)>) {
+        let tree = self.tree.get_or_init(|| {
+            let mut tree = KdTree::new(self.dim());
+            for (i, state) in self.states.chunks(self.dim()).enumerate() {
+                tree.add(self.place(state), i).expect("a finite place of the tree's dimension");
+            }
+            tree
+        });
+        let count = count.min(self.len());
+        let found = tree
+            .nearest(&self.place(query), count, &squared_euclidean)
+            .expect("a finite place of the tree's dimension");
         out.clear();
-        out.extend(rows[..count].iter().map(|&(_, row)| (self.order[row], 1.0 / count as f64)));
+        out.extend(found.into_iter().map(|(_, &i)| (i, 1.0 / count as f64)));
+    }
+
+    /// A state in bandwidths, limited to where squared distances are finite.
+    fn place(&self, state: &[f64]) -> Box<[f64]> {
+        state.iter().zip(&self.bandwidths).map(|(x, h)| (x / h).clamp(-1e150, 1e150)).collect()
+    }
+}
+
+/// Newton's method on a smooth convex function takes about four steps but for odd designs.
+const MOST_NEWTON_STEPS: usize = 50;
+
+/// Squared gradient (states' weighted mean from the query, in bandwidths) after which one step is left.
+const NEWTON_TOLERANCE: f64 = 1e-12;
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Adds w u u^T to a matrix.
+fn add_outer(matrix: &mut [f64], w: f64, u: &[f64]) {
+    for (row, a) in matrix.chunks_mut(u.len()).zip(u) {
+        for (m, b) in row.iter_mut().zip(u) {
+            *m += w * a * b;
+        }
+    }
+}
+
+/// Solves A x = b in place by Cholesky's factorization; A is p x p, symmetric and, but for rounding, above `ridge`
+/// times the identity.
+fn solve_positive_definite(a: &mut [f64], ridge: f64, b: &mut [f64]) {
+    let p = b.len();
+    for j in 0..p {
+        for i in j..p {
+            let dot: f64 = (0..j).map(|k| a[i * p + k] * a[j * p + k]).sum();
+            let value = a[i * p + j] - dot;
+            a[i * p + j] = if i == j { value.max(ridge).sqrt() } else { value / a[j * p + j] };
+        }
+    }
+    for i in 0..p {
+        let dot: f64 = (0..i).map(|k| a[i * p + k] * b[k]).sum();
+        b[i] = (b[i] - dot) / a[i * p + i];
+    }
+    for i in (0..p).rev() {
+        let dot: f64 = (i + 1..p).map(|k| a[k * p + i] * b[k]).sum();
+        b[i] = (b[i] - dot) / a[i * p + i];
     }
 }

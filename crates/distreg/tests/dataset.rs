@@ -1,6 +1,6 @@
 //! Data, splits over states and searches.
 
-use distreg::{Dataset, Error, cross_validate, grid_search, product};
+use distreg::{Dataset, Error, grid_search, optimize, product};
 
 fn data(states: usize) -> Dataset {
     let mut data = Dataset::new(1);
@@ -63,8 +63,6 @@ fn every_state_is_held_out_once() {
         assert_eq!(train.len() + held_out.len(), 11);
         assert!(states(held_out).iter().all(|s| !states(train).contains(s)));
     }
-    let mean: f64 = cross_validate(&data, 11, 3, |_, held_out| Ok::<_, Error>(held_out.state(0)[0])).unwrap();
-    assert!((mean - 5.0).abs() < 1e-12);
     for folds in [0, 1, 12] {
         assert!(matches!(data.folds(folds, 3), Err(Error::Folds { .. })));
     }
@@ -87,4 +85,34 @@ fn a_search_finds_the_smallest_finite_score() {
     assert_eq!(none, Err(Error::NoFiniteScore { candidates: 2 }));
     let failed = grid_search(&[1], |_| Err::<f64, _>(Error::GridMismatch));
     assert_eq!(failed, Err(Error::GridMismatch));
+}
+
+/// A bowl over the logarithms, steeper along one axis, from a start five times off.
+#[test]
+fn the_simplex_search_finds_the_bottom_of_a_bowl() {
+    let bowl = |h: &[f64]| {
+        let [a, b] = [(h[0] / 0.02).ln(), (h[1] / 7.0).ln()];
+        Ok(1.0 + a * a + 3.0 * b * b + a * b)
+    };
+    let found = optimize(&[0.1, 1.4], 1.5, 60, bowl).unwrap();
+    assert!((found.candidate[0] / 0.02).ln().abs() < 0.1, "{found:?}");
+    assert!((found.candidate[1] / 7.0).ln().abs() < 0.1, "{found:?}");
+    assert_eq!(found.score, found.scores.iter().copied().fold(f64::INFINITY, f64::min));
+    assert!(found.scores.len() < 120);
+    // The start is the first candidate, and what isn't finite is never chosen.
+    let wall = |h: &[f64]| Ok(if h[0] > 0.2 { f64::NAN } else { -h[0] });
+    let found = optimize(&[0.1], 1.5, 30, wall).unwrap();
+    assert!(found.candidate[0] > 0.1 && found.candidate[0] <= 0.2);
+    assert_eq!(found.scores[0], -(0.1f64.ln().exp()));
+}
+
+#[test]
+fn a_search_passes_errors_on() {
+    let failed = optimize(&[1.0], 2.0, 10, |h| if h[0] > 1.5 { Err(Error::GridMismatch) } else { Ok(h[0]) });
+    assert_eq!(failed, Err(Error::GridMismatch));
+    let none = optimize(&[1.0], 2.0, 10, |_| Ok(f64::NAN));
+    assert!(matches!(none, Err(Error::NoFiniteScore { .. })));
+    for (start, spread) in [(&[][..], 2.0), (&[0.0], 2.0), (&[1.0], -2.0), (&[f64::NAN], 2.0)] {
+        assert!(optimize(start, spread, 10, |_| Ok(1.0)).is_err());
+    }
 }

@@ -1,7 +1,7 @@
 //! Density, cdf, quantile, samples and mean of one distribution agree; density estimates agree with their
 //! equations.
 
-use distreg::{Distribution, Error, Grid, Kernel, PointMass, histogram, kernel_density};
+use distreg::{Distribution, Error, Grid, Kernel, Outcomes, PointMass, histogram, kernel_density};
 use proptest::prelude::*;
 use rand_philox::{Philox, u32_to_unit_f64};
 
@@ -72,11 +72,11 @@ proptest! {
         z in prop::collection::vec(-1.0..6.0f64, 1..50),
         bandwidth in 0.01..20.0f64,
     ) {
-        let grid = Grid::of_values(0.0, 5.0, 0.1).unwrap();
-        let plain = histogram(&z, grid, Some(5.0)).unwrap();
+        let outcomes = Outcomes::of_values(0.0, 5.0, 0.1).unwrap().with_point_mass(5.0);
+        let plain = histogram(&z, &outcomes).unwrap();
         prop_assert!((plain.mass().iter().sum::<f64>() - 1.0).abs() < 1e-12);
         for kernel in [Kernel::Gaussian, Kernel::Boxcar, Kernel::Epanechnikov] {
-            let smooth = kernel_density(&z, grid, Some(5.0), kernel, bandwidth).unwrap();
+            let smooth = kernel_density(&z, &outcomes, kernel, bandwidth).unwrap();
             prop_assert!((smooth.mass().iter().sum::<f64>() - 1.0).abs() < 1e-12);
         }
     }
@@ -112,9 +112,10 @@ fn samples_follow_the_cdf() {
 /// Eq. 5 evaluated directly at the bin centres, for observations at bin centres away from the ends.
 #[test]
 fn kernel_density_is_equation_5() {
-    let grid = Grid::of_values(0.0, 10.0, 0.05).unwrap();
+    let outcomes = Outcomes::of_values(0.0, 10.0, 0.05).unwrap();
+    let grid = outcomes.grid;
     let (z, h) = ([4.0, 4.2, 5.5, 5.55], 0.2);
-    let d = kernel_density(&z, grid, None, Kernel::Gaussian, h).unwrap();
+    let d = kernel_density(&z, &outcomes, Kernel::Gaussian, h).unwrap();
     for b in 0..grid.bins {
         let direct = z.iter().map(|z| (-0.5 * ((grid.centre(b) - z) / h).powi(2)).exp()).sum::<f64>()
             / (4.0 * h * (2.0 * std::f64::consts::PI).sqrt());
@@ -124,11 +125,11 @@ fn kernel_density_is_equation_5() {
 
 #[test]
 fn a_narrow_kernel_is_the_histogram() {
-    let grid = Grid::of_values(0.0, 1.0, 0.1).unwrap();
+    let outcomes = Outcomes::of_values(0.0, 1.0, 0.1).unwrap();
     let z = [0.0, 0.1, 0.1, 1.0];
     for kernel in [Kernel::Gaussian, Kernel::Boxcar, Kernel::Epanechnikov] {
-        let narrow = kernel_density(&z, grid, None, kernel, 0.01).unwrap();
-        assert_eq!(narrow, histogram(&z, grid, None).unwrap());
+        let narrow = kernel_density(&z, &outcomes, kernel, 0.01).unwrap();
+        assert_eq!(narrow, histogram(&z, &outcomes).unwrap());
     }
 }
 
@@ -156,9 +157,11 @@ fn impossible_input_is_an_error() {
     assert!(Distribution::new(Grid { bins: 0, ..grid }, vec![], None).is_err());
     assert!(Grid::of_values(1.0, 0.0, 0.1).is_err());
     assert!(Grid::of_values(0.0, f64::INFINITY, 0.1).is_err());
-    assert!(histogram(&[], grid, None).is_err());
-    assert!(histogram(&[f64::NAN], grid, None).is_err());
-    assert!(kernel_density(&[1.0], grid, None, Kernel::Gaussian, 0.0).is_err());
+    let outcomes = Outcomes { grid, point_mass_at: None };
+    assert!(histogram(&[], &outcomes).is_err());
+    assert!(histogram(&[f64::NAN], &outcomes).is_err());
+    assert!(histogram(&[1.0], &outcomes.with_point_mass(f64::INFINITY)).is_err());
+    assert!(kernel_density(&[1.0], &outcomes, Kernel::Gaussian, 0.0).is_err());
     let damaged = r#"{"grid":{"lo":0.0,"width":1.0,"bins":2},"mass":[1.0],"point":null}"#;
     assert!(serde_json::from_str::<Distribution>(damaged).is_err());
 }

@@ -1,7 +1,7 @@
 //! Losses against closed forms, and the paper's statements about them.
 
-use distreg::{Distribution, Error, Grid, PointMass, crps, euclidean, histogram, histogram_match, log_loss};
-use distreg::{risk, wasserstein_1};
+use distreg::{Distribution, Error, Grid, Loss, Outcomes, PointMass, crps, euclidean, histogram};
+use distreg::{histogram_match, log_loss, risk, wasserstein_1};
 use proptest::prelude::*;
 use rand_distr::{Distribution as _, StandardNormal};
 use rand_philox::Philox;
@@ -69,7 +69,8 @@ fn expected_loss_of_a_gaussian_histogram() {
                         mu + sigma * e
                     })
                     .collect();
-                histogram_match(&histogram(&z, grid, None).unwrap(), &truth).unwrap()
+                histogram_match(&histogram(&z, &Outcomes { grid, point_mass_at: None }).unwrap(), &truth)
+                    .unwrap()
             })
             .collect();
         let mean = losses.iter().sum::<f64>() / trials as f64;
@@ -94,13 +95,13 @@ fn expected_loss_of_a_gaussian_histogram() {
 fn crps_has_its_closed_forms() {
     let uniform = Distribution::new(Grid { lo: 0.0, width: 1.0, bins: 1 }, vec![1.0], None).unwrap();
     for z in [0.0, 0.2, 0.5, 1.0] {
-        assert!((crps(&uniform, z) - (z * z - z + 1.0 / 3.0)).abs() < 1e-12);
+        assert!((crps(&uniform, &[z]) - (z * z - z + 1.0 / 3.0)).abs() < 1e-12);
     }
-    assert!((crps(&uniform, -2.0) - (2.0 + 1.0 / 3.0)).abs() < 1e-12);
-    assert!((crps(&uniform, 3.0) - (2.0 + 1.0 / 3.0)).abs() < 1e-12);
+    assert!((crps(&uniform, &[-2.0]) - (2.0 + 1.0 / 3.0)).abs() < 1e-12);
+    assert!((crps(&uniform, &[3.0]) - (2.0 + 1.0 / 3.0)).abs() < 1e-12);
     let point = Distribution::new(GRID, vec![0.0; 20], Some(PointMass { at: 4.2, mass: 1.0 })).unwrap();
     for z in [-1.0, 4.2, 6.0, 12.0] {
-        assert!((crps(&point, z) - (z - 4.2f64).abs()).abs() < 1e-12);
+        assert!((crps(&point, &[z]) - (z - 4.2f64).abs()).abs() < 1e-12);
     }
 }
 
@@ -126,7 +127,7 @@ proptest! {
             .sum::<f64>()
             * 2.0
             / f64::from(n * n);
-        prop_assert!((crps(&d, z) - (to_z - 0.5 * pairs)).abs() < 0.02);
+        prop_assert!((crps(&d, &[z]) - (to_z - 0.5 * pairs)).abs() < 0.02);
     }
 }
 
@@ -162,4 +163,24 @@ fn bootstrap_interval_covers_the_true_risk() {
     assert!((0.87..0.98).contains(&share), "coverage {share}");
     assert!(risk(&[], 1).is_err());
     assert!(risk(&[1.0, f64::NAN], 1).is_err());
+}
+
+/// Each selectable loss is its function of the observations' histogram or of the observations.
+#[test]
+fn a_loss_is_what_it_names() {
+    let predicted = Distribution::new(GRID, vec![1.0; 20], Some(PointMass { at: 9.9, mass: 0.5 })).unwrap();
+    let z = [1.2, 1.4, 7.0, 9.9];
+    let observed = histogram(&z, &Outcomes { grid: GRID, point_mass_at: Some(9.9) }).unwrap();
+    let floored = predicted.with_floor(0.1).unwrap();
+    let mean_crps = z.iter().map(|&z| crps(&predicted, &[z])).sum::<f64>() / 4.0;
+    for (loss, expected) in [
+        (Loss::HistogramMatch, histogram_match(&predicted, &observed).unwrap()),
+        (Loss::Wasserstein1, wasserstein_1(&predicted, &observed).unwrap()),
+        (Loss::Euclidean, euclidean(&predicted, &observed).unwrap()),
+        (Loss::LogLoss { floor: 0.1 }, log_loss(&floored, &z)),
+        (Loss::Crps, mean_crps),
+    ] {
+        assert!((loss.of(&predicted, &z).unwrap() - expected).abs() < 1e-12, "{loss:?}");
+    }
+    assert!(Loss::Crps.of(&predicted, &[]).is_err());
 }

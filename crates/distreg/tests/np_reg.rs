@@ -1,9 +1,10 @@
 //! NP-REG: against the dense product it stands for, at its limits, and registered against faithful.
 
 use distreg::{
-    Alignment, Dataset, Distribution, Error, FALLBACK_NEIGHBOURS, Grid, Kernel, NpReg, NpRegOptions,
-    PointMass, Smoother, Support, cross_validate, grid_search, histogram, histogram_match, kernel_density,
-    product, risk,
+    Alignment, ConditionalDistribution, Dataset, Degree, DensityEstimate, Distribution, Error,
+    FALLBACK_NEIGHBOURS, Grid, Kernel, Loss, NpReg, NpRegOptions, Outcomes, PointMass, Regressor, Smoother,
+    Support, Weighting, cross_validate, grid_search, histogram, histogram_match, kernel_density, product,
+    risk,
 };
 use proptest::prelude::*;
 use rand_distr::{Distribution as _, StandardNormal};
@@ -19,14 +20,17 @@ fn grid() -> Grid {
     Grid::of_values(0.0, MAXIMUM, 0.02).unwrap()
 }
 
+fn outcomes() -> Outcomes {
+    Outcomes { grid: grid(), point_mass_at: Some(MAXIMUM) }
+}
+
 fn options(alignment: Alignment, kernel: Kernel, bandwidths: &[f64]) -> NpRegOptions {
     NpRegOptions {
-        grid: grid(),
-        point_mass_at: Some(MAXIMUM),
+        outcomes: outcomes(),
         alignment,
-        observation_bandwidth: 0.0,
-        kernel,
-        bandwidths: bandwidths.to_vec(),
+        density: DensityEstimate::Histogram,
+        weighting: Weighting::kernel(kernel, bandwidths),
+        degree: Degree::Constant,
     }
 }
 
@@ -116,7 +120,7 @@ fn predictions_equal_the_dense_product() {
     let queries = queries(60, 2);
     for kernel in KERNELS {
         for h in [[0.005, 0.02], [0.05, 0.1], [0.3, 2.0], [9.0, 9.0]] {
-            let model = NpReg::fit(&data, options(Alignment::Identity, kernel, &h)).unwrap();
+            let model = options(Alignment::Identity, kernel, &h).fit(&data).unwrap();
             let predictions = model.predict_batch(&queries).unwrap();
             for (q, query) in queries.chunks(2).enumerate() {
                 let Some(dense) = dense(&data, kernel, &h, query) else {
@@ -138,7 +142,7 @@ fn thread_count_changes_no_bit() {
     let data = shift_family(200, 20, 3);
     let queries = queries(101, 4);
     for alignment in ALIGNMENTS {
-        let model = NpReg::fit(&data, options(alignment, Kernel::Gaussian, &[0.2, 0.2])).unwrap();
+        let model = options(alignment, Kernel::Gaussian, &[0.2, 0.2]).fit(&data).unwrap();
         let [one, two, eight] = [1, 2, 8].map(|threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| model.predict_batch(&queries).unwrap())
@@ -157,7 +161,7 @@ fn a_query_outside_the_data_is_flagged_and_finite() {
     let data = shift_family(50, 10, 5);
     let far = [400.0, -300.0];
     for kernel in KERNELS {
-        let smoother = Smoother::new(&data, kernel, &[0.1, 0.1]).unwrap();
+        let smoother = Smoother::new(&data, &Weighting::kernel(kernel, &[0.1, 0.1])).unwrap();
         let mut weights = Vec::new();
         assert_eq!(smoother.weights(&far, &mut weights).unwrap(), Support::Nearest);
         let mut by_distance: Vec<usize> = (0..data.len()).collect();
@@ -169,7 +173,7 @@ fn a_query_outside_the_data_is_flagged_and_finite() {
         by_distance.sort_unstable();
         assert_eq!(used, by_distance);
         for alignment in ALIGNMENTS {
-            let model = NpReg::fit(&data, options(alignment, kernel, &[0.1, 0.1])).unwrap();
+            let model = options(alignment, kernel, &[0.1, 0.1]).fit(&data).unwrap();
             for query in [far, [f64::MAX, f64::MAX], [f64::MIN_POSITIVE, 0.0]] {
                 let (d, support) = model.predict(&query).unwrap();
                 assert!(query[0] < 1.0 || support == Support::Nearest);
@@ -191,11 +195,15 @@ proptest! {
         h in (0.01..2.0f64, 0.01..2.0f64),
         kernel in prop::sample::select(KERNELS.to_vec()),
         alignment in prop::sample::select(ALIGNMENTS.to_vec()),
-        observation_bandwidth in prop_oneof![Just(0.0), 0.01..0.5f64],
+        degree in prop::sample::select(vec![Degree::Constant, Degree::Linear]),
+        bandwidth in prop::option::of(0.01..0.5f64),
     ) {
         let data = shift_family(30, 5, seed);
-        let options = NpRegOptions { observation_bandwidth, ..options(alignment, kernel, &[h.0, h.1]) };
-        let (d, _) = NpReg::fit(&data, options).unwrap().predict(&[query.0, query.1]).unwrap();
+        let density = bandwidth.map_or(DensityEstimate::Histogram, |bandwidth| {
+            DensityEstimate::Kernel { kernel, bandwidth }
+        });
+        let options = NpRegOptions { density, degree, ..options(alignment, kernel, &[h.0, h.1]) };
+        let (d, _) = options.fit(&data).unwrap().predict(&[query.0, query.1]).unwrap();
         prop_assert!((total(&d) - 1.0).abs() < 1e-12);
         prop_assert!(d.mass().iter().all(|&m| m >= 0.0));
     }
@@ -216,7 +224,7 @@ proptest! {
             let mut data = Dataset::new(1);
             let z: Vec<f64> = relative.iter().map(|r| state + r).collect();
             data.push(&[state], &z).unwrap();
-            let model = NpReg::fit(&data, options(alignment, Kernel::Gaussian, &[1.0])).unwrap();
+            let model = options(alignment, Kernel::Gaussian, &[1.0]).fit(&data).unwrap();
             let (d, _) = model.predict(&[query]).unwrap();
             // A ratio's bin is as wide as the grid's at the largest state, and wider beyond it.
             let half_bin = 0.5 * grid().width * (query / state).max(1.0);
@@ -233,19 +241,15 @@ fn registered_prediction_beats_faithful_on_a_shift_family() {
     let (train, held_out) = shift_family(220, 40, 6).split(0.25, 7);
     assert_eq!((train.len(), held_out.len()), (165, 55));
     let losses = |data: &Dataset, test: &Dataset, options: &NpRegOptions, target: Target| {
-        let predictions = NpReg::fit(data, options.clone())?.predict_batch(test.states())?;
+        let predictions = options.fit(data)?.predict_batch(test.states())?;
         (0..test.len())
             .map(|i| histogram_match(&predictions.distribution(i), &target(test, i)))
             .collect::<Result<Vec<f64>, Error>>()
     };
-    let observed: Target = |data, i| histogram(data.observations(i), grid(), Some(MAXIMUM)).unwrap();
     let [faithful, registered] = [Alignment::Identity, Alignment::Shift { state_dim: 0 }].map(|alignment| {
         let candidates = product(&[&[0.01, 0.03, 0.1, 0.3, 1.0], &[0.1, 0.3, 1.0]]);
         let found = grid_search(&candidates, |h| {
-            cross_validate(&train, 4, 8, |fit, test| {
-                let losses = losses(fit, test, &options(alignment, Kernel::Gaussian, h), observed)?;
-                Ok::<_, Error>(losses.iter().sum::<f64>() / losses.len() as f64)
-            })
+            cross_validate(&options(alignment, Kernel::Gaussian, h), &train, 4, 8, Loss::HistogramMatch)
         })
         .unwrap();
         assert_eq!(found.scores.len(), 15);
@@ -260,15 +264,14 @@ fn what_moves_above_the_maximum_reads_as_maximum_and_below_the_grid_as_its_first
     let mut data = Dataset::new(1);
     data.push(&[2.0], &[1.5, 2.0, 2.5, MAXIMUM]).unwrap();
     let mut options = options(Alignment::Shift { state_dim: 0 }, Kernel::Gaussian, &[10.0]);
-    let predict =
-        |options: &NpRegOptions, x: f64| NpReg::fit(&data, options.clone()).unwrap().predict(&[x]).unwrap().0;
+    let predict = |options: &NpRegOptions, x: f64| options.fit(&data).unwrap().predict(&[x]).unwrap().0;
     // At 5.0: the observation at 5.5, and half of the bin [5.0, 5.02) that 5.0 aligns to, as the grid ends at 5.01.
     assert!((predict(&options, 5.0).point().unwrap().mass - (0.25 + 0.25 + 0.125)).abs() < 1e-9);
     assert!((predict(&options, 6.0).point().unwrap().mass - 1.0).abs() < 1e-12);
     assert!((predict(&options, -3.0).mass()[0] - 0.75).abs() < 1e-12);
     assert!((predict(&options, -3.0).point().unwrap().mass - 0.25).abs() < 1e-12);
     // Without a point mass at that end, it's the last bin.
-    options.point_mass_at = None;
+    options.outcomes.point_mass_at = None;
     assert!((predict(&options, 9.0).mass()[250] - 1.0).abs() < 1e-12);
 }
 
@@ -279,18 +282,19 @@ fn one_state_predicts_its_own_density() {
     let z = [1.0, 1.0, 1.02, 3.0];
     data.push(&[0.3], &z).unwrap();
     let plain = options(Alignment::Identity, Kernel::Epanechnikov, &[0.1]);
-    let smooth = NpRegOptions { observation_bandwidth: 0.1, ..plain.clone() };
-    let predict = |options| NpReg::fit(&data, options).unwrap().predict(&[0.31]).unwrap().0;
-    assert_eq!(predict(plain), histogram(&z, grid(), Some(MAXIMUM)).unwrap());
     let kernel = Kernel::Epanechnikov;
-    assert_eq!(predict(smooth), kernel_density(&z, grid(), Some(MAXIMUM), kernel, 0.1).unwrap());
+    let smooth =
+        NpRegOptions { density: DensityEstimate::Kernel { kernel, bandwidth: 0.1 }, ..plain.clone() };
+    let predict = |options: NpRegOptions| options.fit(&data).unwrap().predict(&[0.31]).unwrap().0;
+    assert_eq!(predict(plain), histogram(&z, &outcomes()).unwrap());
+    assert_eq!(predict(smooth), kernel_density(&z, &outcomes(), kernel, 0.1).unwrap());
 }
 
 #[test]
 fn a_fitted_model_survives_a_file_and_a_damaged_one_is_refused() {
     let data = shift_family(40, 1, 10);
     for alignment in ALIGNMENTS {
-        let model = NpReg::fit(&data, options(alignment, Kernel::Gaussian, &[0.2, 0.3])).unwrap();
+        let model = options(alignment, Kernel::Gaussian, &[0.2, 0.3]).fit(&data).unwrap();
         let mut file = Vec::new();
         ciborium::into_writer(&model, &mut file).unwrap();
         let back: NpReg = ciborium::from_reader(&file[..]).unwrap();
@@ -317,17 +321,26 @@ fn impossible_input_is_an_error() {
     let fit = |change: &dyn Fn(&mut NpRegOptions)| {
         let mut options = good.clone();
         change(&mut options);
-        NpReg::fit(&data, options)
+        options.fit(&data)
     };
     let model = fit(&|_| ()).unwrap();
-    assert!(matches!(fit(&|o| o.bandwidths = vec![0.1]), Err(Error::Length { .. })));
-    assert!(matches!(fit(&|o| o.bandwidths = vec![0.1, 0.0]), Err(Error::NotPositive { .. })));
-    assert!(matches!(fit(&|o| o.observation_bandwidth = -1.0), Err(Error::NotPositive { .. })));
-    assert!(matches!(fit(&|o| o.grid.bins = 0), Err(Error::Bins { found: 0 })));
-    assert!(matches!(fit(&|o| o.point_mass_at = Some(f64::NAN)), Err(Error::NotFinite { .. })));
+    assert!(matches!(
+        fit(&|o| o.weighting = Weighting::kernel(Kernel::Gaussian, &[0.1])),
+        Err(Error::Length { .. })
+    ));
+    assert!(matches!(
+        fit(&|o| o.weighting = Weighting::kernel(Kernel::Gaussian, &[0.1, 0.0])),
+        Err(Error::NotPositive { .. })
+    ));
+    let negative = DensityEstimate::Kernel { kernel: Kernel::Gaussian, bandwidth: -1.0 };
+    assert!(matches!(fit(&|o| o.density = negative), Err(Error::NotPositive { .. })));
+    assert!(matches!(fit(&|o| o.outcomes.grid.bins = 0), Err(Error::Bins { found: 0 })));
+    assert!(matches!(fit(&|o| o.outcomes.point_mass_at = Some(f64::NAN)), Err(Error::NotFinite { .. })));
+    let nobody = Weighting::nearest_neighbours(0, &[0.1, 0.1]);
+    assert!(matches!(fit(&|o| o.weighting = nobody.clone()), Err(Error::Empty { .. })));
     let beyond = Alignment::Shift { state_dim: 2 };
     assert_eq!(fit(&|o| o.alignment = beyond), Err(Error::AlignmentDimension { state_dim: 2, dim: 2 }));
-    assert!(matches!(NpReg::fit(&Dataset::new(2), good.clone()), Err(Error::Empty { .. })));
+    assert!(matches!(good.fit(&Dataset::new(2)), Err(Error::Empty { .. })));
     for query in [&[1.0][..], &[1.0; 3], &[], &[1.0; 4]] {
         assert!(matches!(model.predict(query), Err(Error::Dimension { .. })), "{query:?}");
     }

@@ -141,7 +141,7 @@ fn kernel(bandwidth: f32) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use distreg::{Dataset, Kernel, Smoother};
+    use distreg::{Dataset, Kernel, Smoother, Weighting};
     use locsim_core::{Draw, Stage};
     use rand::RngExt;
 
@@ -167,7 +167,8 @@ mod tests {
         let bandwidths = [0.4f32, 0.3];
         let counts = Counts::of(&data, grid, &axis, published);
         let smoothed = counts.smoothed_over_range(bandwidths[0]).smoothed_over_incidence(bandwidths[1]);
-        let smoother = Smoother::new(&states, Kernel::Gaussian, &bandwidths.map(f64::from)).unwrap();
+        let smoother =
+            Smoother::new(&states, &Weighting::kernel(Kernel::Gaussian, &bandwidths.map(f64::from))).unwrap();
         let mut weights = Vec::new();
         for cell in 0..grid.mapped() {
             let (r, alpha) = grid.centre(cell);

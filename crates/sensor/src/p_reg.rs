@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use distreg::{Kernel, LocallyWeightedLinear};
+use distreg::{Degree, Kernel, LocalRegression, Weighting};
 use locsim_core::{Beams, Draw, SensorModel};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -224,8 +224,9 @@ impl Groups {
 
     /// Regresses the parameters and prepares them on a grid.
     fn regress(&self, max_range: f32, bandwidths: [f64; 2], open: Cell) -> Result<NormalTable, SensorError> {
+        let weighting = Weighting::kernel(Kernel::Gaussian, &bandwidths);
         let regression = |states: &[f64], targets: &[f64]| {
-            LocallyWeightedLinear::fit(2, states, targets, Kernel::Gaussian, &bandwidths)
+            LocalRegression::fit(states, targets, &weighting, Degree::Linear)
         };
         let normals = regression(&self.normal_states, &self.normals)?;
         let no_returns = regression(&self.states, &self.no_returns)?;
