@@ -22,6 +22,8 @@ pub enum Command {
     Run(Run),
     /// Run studies of distribution regression (the paper's sensor experiments): figures, report, results.json
     Study(Study),
+    /// Measure distribution regression on its fixed task: times, risks, agreement with the dense product
+    BenchRegression(BenchRegression),
     /// Check scenarios without running them
     Validate {
         /// Scenario files
@@ -113,6 +115,17 @@ pub struct Study {
     #[arg(long)]
     pub quiet: bool,
     /// Print the results as JSON, one study per line, instead of what holds
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `locsim bench-regression`.
+#[derive(Debug, Args)]
+pub struct BenchRegression {
+    /// Folder of the task's script, task.py. Its data are part of the program, number by number, so that the
+    /// folder is only asked whether it is the right one
+    pub folder: Option<PathBuf>,
+    /// Print JSON instead of a table
     #[arg(long)]
     pub json: bool,
 }

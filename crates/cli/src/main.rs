@@ -33,6 +33,7 @@ fn main() -> ExitCode {
     let done = match &arguments.command {
         Command::Run(arguments) => run(arguments),
         Command::Study(arguments) => run_studies(arguments),
+        Command::BenchRegression(arguments) => bench_regression(arguments),
         Command::Validate { scenarios } => validate(scenarios),
         Command::Schema => print_schema(),
         Command::Simulate(arguments) => simulate(arguments),
@@ -142,11 +143,7 @@ fn run_studies(arguments: &arguments::Study) -> Result<ExitCode> {
             }
         };
         let out = arguments.out.join(&study.name);
-        let options = StudyOptions {
-            out: out.clone(),
-            progress: &bars,
-            interrupted: &interrupted,
-        };
+        let options = StudyOptions { out: out.clone(), progress: &bars, interrupted: &interrupted };
         let results = study::run(&study, &options)?;
         if arguments.json {
             say(&serde_json::to_string(&results)?)?;
@@ -156,6 +153,45 @@ fn run_studies(arguments: &arguments::Study) -> Result<ExitCode> {
         }
     }
     Ok(if refused { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS })
+}
+
+/// Runs the regression's fixed task.
+fn bench_regression(arguments: &arguments::BenchRegression) -> Result<ExitCode> {
+    if let Some(folder) = &arguments.folder {
+        let script = folder.join("task.py");
+        anyhow::ensure!(
+            script.is_file(),
+            "{} is not allowed; the folder that holds task.py",
+            folder.display()
+        );
+    }
+    #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
+    let start = Instant::now();
+    let report = distreg::benchmark::run(&|| start.elapsed())?;
+    if arguments.json {
+        say(&serde_json::to_string_pretty(&report)?)?;
+    } else {
+        let (ms, gauss, mixed) = (report.predict_ms, report.risk_mm.gauss, report.risk_mm.mixed);
+        say(&format!(
+            "200 queries [ms]: faithful {:.3}, on two threads {:.3}, registered {:.3}\n\
+             one density from a table [ns]: {:.2}\n\
+             risk, gauss [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
+             risk, mixed [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
+             largest difference from the dense product: {:.1e}",
+            ms.faithful,
+            ms.faithful_2_threads,
+            ms.registered,
+            report.density_ns,
+            gauss.faithful,
+            gauss.registered,
+            gauss.p_reg,
+            mixed.faithful,
+            mixed.registered,
+            mixed.p_reg,
+            report.max_abs_diff_from_dense
+        ))?;
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 /// The command that repeats a run.

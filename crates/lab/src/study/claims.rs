@@ -80,7 +80,12 @@ fn at_sizes(a: &ModelRisk, b: &ModelRisk) -> String {
     let n = &a.risk.at;
     let end = n.len() - 1;
     let pair = |place: usize| {
-        format!("{} against {} bins at N = {}", significant(a.risk.mean[place]), significant(b.risk.mean[place]), n[place])
+        format!(
+            "{} against {} bins at N = {}",
+            significant(a.risk.mean[place]),
+            significant(b.risk.mean[place]),
+            n[place]
+        )
     };
     if end == 0 { pair(0) } else { format!("{}, {}", pair(0), pair(end)) }
 }
@@ -97,7 +102,9 @@ fn losses(results: &Results) -> Claim {
              {near_euclidean:.3} and {far_euclidean:.3}."
         ),
         verdict: Verdict::of(near < far, far_euclidean < near_euclidean),
-        reason: "Bins that don't overlap are equally wrong to the Euclidean distance, however far apart they are.".to_owned(),
+        reason:
+            "Bins that don't overlap are equally wrong to the Euclidean distance, however far apart they are."
+                .to_owned(),
     }
 }
 
@@ -168,7 +175,7 @@ fn parametric_first(condition: &ConditionResults, figure: &'static str) -> Optio
     let end = p.risk.at.len() - 1;
     let lower = clearly_below(p, np, 0);
     let gap = |place: usize| np.risk.mean[place] - p.risk.mean[place];
-    let approaches = end > 0 && gap(end) < 0.5 * gap(0);
+    let approaches = gap(0) > 0.0 && gap(end) < 0.5 * gap(0);
     let registered = of(condition, Model::NpRegRegistered).map_or_else(String::new, |registered| {
         let place = p.ratio.iter().position(|r| *r == 1.0).map_or(end, |_| end);
         format!(
@@ -194,7 +201,12 @@ fn parametric_first(condition: &ConditionResults, figure: &'static str) -> Optio
         figure,
         ours: "risk",
         paper: "P-REG has the lower risk with few states, and NP-REG approaches it with more.",
-        finding: format!("P-REG {} for NP-REG; the gap goes from {} to {} bins.{registered}", at_sizes(p, np), significant(gap(0)), significant(gap(end))),
+        finding: format!(
+            "P-REG {} for NP-REG; the gap goes from {} to {} bins.{registered}",
+            at_sizes(p, np),
+            significant(gap(0)),
+            significant(gap(end))
+        ),
         verdict,
         reason: reason.to_owned(),
     })
@@ -265,8 +277,11 @@ fn metal_disturbs(still: &ConditionResults, disturbed: &ConditionResults) -> Cla
 
 fn samples(study: &Study, condition: &ConditionResults, figure: &'static str) -> Option<Claim> {
     let own = condition.own_histogram_risk?;
-    let list: Vec<String> =
-        condition.risks.iter().map(|r| format!("`{}` {}", r.model, significant(last(&r.risk.mean) / own))).collect();
+    let list: Vec<String> = condition
+        .risks
+        .iter()
+        .map(|r| format!("`{}` {}", r.model, significant(last(&r.risk.mean) / own)))
+        .collect();
     let np = of(condition, Model::NpReg)?;
     let n = last(&np.risk.at);
     let ratio = last(&np.risk.mean) / own;
@@ -301,9 +316,12 @@ fn not_smooth(condition: &ConditionResults) -> Claim {
         (pooled - last(&model.risk.mean)) / (pooled - floor)
     };
     let shares: Vec<(&str, f64)> = condition.risks.iter().map(|r| (r.model, taken(r))).collect();
-    let list: Vec<String> = shares.iter().map(|(model, share)| format!("`{model}` {} %", percent(*share))).collect();
+    let list: Vec<String> =
+        shares.iter().map(|(model, share)| format!("`{model}` {} %", percent(*share))).collect();
     let n = last(&condition.pooled_risk.at);
-    let fails = |model: Model| shares.iter().find(|(name, _)| *name == model.as_str()).is_none_or(|(_, s)| *s < LITTLE);
+    let fails = |model: Model| {
+        shares.iter().find(|(name, _)| *name == model.as_str()).is_none_or(|(_, s)| *s < LITTLE)
+    };
     let roughness = condition.roughness.as_ref().map_or_else(String::new, |r| {
         format!(
             " Places {} mm apart differ half as much as any two do, and training states are {} mm apart.",
@@ -359,5 +377,62 @@ fn rays_are_gaussian(results: &Results, condition: &ConditionResults) -> Claim {
         reason: "A real ray reports its angle to a whole degree only: on slanted surfaces and edges it alternates between places, \
                  and its readings have several modes. The paper's laser is another one."
             .to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::study::results::Curve;
+
+    fn model(name: &'static str, risks: [f64; 3]) -> ModelRisk {
+        let curve = |factor: f64| risks.iter().map(|r| factor * r).collect::<Vec<f64>>();
+        let risk = Curve { at: vec![30.0, 120.0, 480.0], mean: curve(1.0), lo: curve(0.9), hi: curve(1.1) };
+        ModelRisk {
+            model: name,
+            crps: risk.clone(),
+            risk,
+            bandwidths: vec![vec![1.0]; 3],
+            at_end_share: vec![0.0; 3],
+            ratio: vec![1.0; 3],
+            ratio_intervals: vec![None; 3],
+        }
+    }
+
+    fn condition(p_reg: [f64; 3], np_reg: [f64; 3]) -> ConditionResults {
+        ConditionResults {
+            condition: "disturbed".to_owned(),
+            not_gaussian_share: 0.0,
+            not_gaussian_observations: 1000.0,
+            loss_against_observations: None,
+            risks: vec![model("p_reg", p_reg), model("np_reg", np_reg)],
+            pooled_risk: Curve { at: vec![30.0, 120.0, 480.0], mean: vec![100.0; 3], ..Curve::default() },
+            own_histogram_risk: Some(1.0),
+            thinning: None,
+            roughness: None,
+        }
+    }
+
+    #[test]
+    fn verdicts_follow_the_numbers() {
+        let first = |p, np| parametric_first(&condition(p, np), "Fig. 8a").unwrap().verdict;
+        assert_eq!(first([2.0, 1.5, 1.0], [20.0, 9.0, 4.0]), Verdict::Reproduced);
+        assert_eq!(first([2.0, 1.5, 1.0], [20.0, 19.0, 18.0]), Verdict::Partly);
+        assert_eq!(
+            first([20.0, 20.0, 20.0], [2.0, 2.0, 2.0]),
+            Verdict::Not,
+            "NP-REG is lower from the first"
+        );
+        assert_eq!(first([2.0, 2.0, 2.0], [2.1, 4.0, 5.0]), Verdict::Not);
+
+        let wins = |p, np| nonparametric_wins(&condition(p, np)).unwrap().verdict;
+        assert_eq!(wins([9.0, 9.0, 9.0], [8.0, 5.0, 3.0]), Verdict::Reproduced);
+        assert_eq!(wins([9.0, 9.0, 9.0], [20.0, 9.0, 3.0]), Verdict::Partly, "only with many states");
+        assert_eq!(wins([9.0, 5.0, 2.0], [20.0, 20.0, 20.0]), Verdict::Not);
+
+        let grass = |p, np| not_smooth(&condition(p, np)).verdict;
+        assert_eq!(grass([100.0; 3], [99.0; 3]), Verdict::Reproduced);
+        assert_eq!(grass([100.0; 3], [10.0; 3]), Verdict::Partly);
+        assert_eq!(grass([10.0; 3], [10.0; 3]), Verdict::Not);
     }
 }

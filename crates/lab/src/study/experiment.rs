@@ -2,16 +2,19 @@
 
 use std::sync::atomic::Ordering;
 
-use distreg::{Dataset, Distribution, Grid, euclidean, histogram, histogram_match, product};
+use distreg::{
+    Alignment, Dataset, Distribution, Grid, Selection, condense, euclidean, histogram, histogram_match,
+    product, select,
+};
 use locsim_core::{Draw, Stage};
 use rayon::prelude::*;
 
 use super::model::folds;
 use super::results::{
-    ConditionResults, Curve, LossAgainstObservations, LossExample, ModelRisk, Results, Roughness,
+    ConditionResults, Curve, LossAgainstObservations, LossExample, ModelRisk, Results, Roughness, Thinning,
 };
 use super::sensor::{Condition, Sensor, Source};
-use super::{Kind, Study, StudyError, StudyOptions, claims, families};
+use super::{Kind, Model, Study, StudyError, StudyOptions, claims, families};
 use crate::statistics::{Bootstrap, quantile};
 
 /// The paper's threshold of the loss, in bins.
@@ -60,6 +63,7 @@ enum Purpose {
     Observations = 4,
     Roughness = 5,
     Own = 6,
+    Thinning = 7,
 }
 
 /// A test state with its true distribution.
@@ -76,6 +80,8 @@ struct Repeat {
     crps: Vec<Vec<f64>>,
     bandwidths: Vec<Vec<Vec<f64>>>,
     pooled: Vec<f64>,
+    /// By way of choosing and budget.
+    thinned: [Vec<f64>; 3],
     own: Option<f64>,
     losses: Vec<f64>,
     coefficient_of_truth: f64,
@@ -104,8 +110,8 @@ pub(super) fn run(study: &Study, options: &StudyOptions<'_>) -> Result<(Results,
         seed: study.seed,
         repeats: study.repeats,
         quick: study.quick,
-        bins: study.setup.grid.bins,
-        bin_width: study.setup.grid.width,
+        bins: study.setup.outcomes.grid.bins,
+        bin_width: study.setup.outcomes.grid.width,
         conditions,
         losses,
         families,
@@ -123,7 +129,7 @@ impl Study {
     }
 
     pub(super) fn histogram(&self, observations: &[f64]) -> Result<Distribution, StudyError> {
-        Ok(histogram(observations, self.setup.grid, self.setup.point_mass_at)?)
+        Ok(histogram(observations, &self.setup.outcomes)?)
     }
 }
 
@@ -158,7 +164,11 @@ fn data(study: &Study, number: usize, repeat: u32) -> Result<(Dataset, Vec<Test>
                 .iter()
                 .map(|&i| {
                     let observed = recorded.observations(i).to_vec();
-                    Ok(Test { state: recorded.state(i).to_vec(), truth: study.histogram(&observed)?, observed })
+                    Ok(Test {
+                        state: recorded.state(i).to_vec(),
+                        truth: study.histogram(&observed)?,
+                        observed,
+                    })
                 })
                 .collect::<Result<_, StudyError>>()?;
             let mut data = Dataset::new(recorded.dim());
@@ -244,7 +254,9 @@ fn run_condition(
     });
     let observed = match &condition.source {
         Source::Simulated(_) => study.truth_observations.min(1000) as f64,
-        Source::Recorded(data) => (0..data.len()).map(|i| data.observations(i).len()).sum::<usize>() as f64 / data.len() as f64,
+        Source::Recorded(data) => {
+            (0..data.len()).map(|i| data.observations(i).len()).sum::<usize>() as f64 / data.len() as f64
+        }
     };
     let results = ConditionResults {
         condition: condition.label.clone(),
@@ -254,13 +266,25 @@ fn run_condition(
         risks,
         pooled_risk: over(&sizes, &|r, place| r.pooled[place]),
         own_histogram_risk: repeats[0].own.is_some().then(|| mean(&|r| r.own.unwrap_or(f64::NAN))),
+        thinning: thinned_model(study).filter(|_| study.thinning).map(|m| Thinning {
+            model: study.models[m].as_str(),
+            random: over(&sizes, &|r, place| r.risks[m][place]),
+            farthest_first: over(&sizes, &|r, place| r.thinned[0][place]),
+            herding: over(&sizes, &|r, place| r.thinned[1][place]),
+            condensed: over(&sizes, &|r, place| r.thinned[2][place]),
+        }),
         roughness: roughness(study, condition)?,
     };
     let samples = repeats.into_iter().find_map(|r| r.samples);
     Ok((results, samples.unwrap_or(Samples { states: Vec::new(), training_states: 0 })))
 }
 
-fn run_repeat(study: &Study, number: usize, repeat: u32, options: &StudyOptions<'_>) -> Result<Repeat, StudyError> {
+fn run_repeat(
+    study: &Study,
+    number: usize,
+    repeat: u32,
+    options: &StudyOptions<'_>,
+) -> Result<Repeat, StudyError> {
     let (data, tests) = data(study, number, repeat)?;
     let queries: Vec<f64> = tests.iter().flat_map(|test| test.state.iter().copied()).collect();
     let axes: Vec<&[f64]> = study.bandwidths.iter().map(Vec::as_slice).collect();
@@ -279,7 +303,7 @@ fn run_repeat(study: &Study, number: usize, repeat: u32, options: &StudyOptions<
         let seed = study.draw(Purpose::Folds, repeat).seed(place as u32);
         let folds = folds(&study.setup, &train, study.folds, seed)?;
         for (m, model) in study.models.iter().enumerate() {
-            let chosen = model.choose(&study.setup, &train, &candidates, &folds)?;
+            let chosen = model.choose(&study.setup, &candidates, &folds, study.criterion)?;
             let predicted = model.predict(&study.setup, &train, &chosen, &queries)?;
             let (risk, score) = score(&predicted, &tests)?;
             risks[m].push(risk);
@@ -295,25 +319,77 @@ fn run_repeat(study: &Study, number: usize, repeat: u32, options: &StudyOptions<
         pooled.push(loss / tests.len() as f64);
         options.progress.advance(1);
     }
+    let thinned = thinned(study, repeat, &data, &tests, &queries, &candidates, &bandwidths)?;
     let (losses, coefficient_of_truth, truth_observations) = losses(study, number, repeat, &tests)?;
     let own = match &study.setup.conditions[number].source {
         Source::Simulated(sensor) => Some(own_risk(study, repeat, sensor.as_ref(), &tests)?),
         Source::Recorded(_) => None,
     };
-    let not_gaussian =
-        tests.iter().filter(|test| families::is_not_gaussian(&test.observed, &study.setup.grid)).count();
+    let not_gaussian = tests
+        .iter()
+        .filter(|test| families::is_not_gaussian(&test.observed, &study.setup.outcomes.grid))
+        .count();
     Ok(Repeat {
         risks,
         crps: scores,
         bandwidths,
         pooled,
+        thinned,
         own,
         losses,
         coefficient_of_truth,
         truth_observations,
         not_gaussian: not_gaussian as f64 / tests.len() as f64,
-        samples: (repeat == 0).then(|| pick_samples(&tests, samples, study.states.last().copied().unwrap_or(0))),
+        samples: (repeat == 0)
+            .then(|| pick_samples(&tests, samples, study.states.last().copied().unwrap_or(0))),
     })
+}
+
+/// The model whose training set is thinned: the best of NP-REG's forms that the study has.
+fn thinned_model(study: &Study) -> Option<usize> {
+    let place = |model| study.models.iter().position(|m| *m == model);
+    place(Model::NpRegRegistered).or_else(|| place(Model::NpReg))
+}
+
+/// Risk with training states chosen from the largest set within each size, by farthest-first traversal, by herding, and by
+/// the first with all observations kept. Distances are in the bandwidths that the model chose for the largest set.
+fn thinned(
+    study: &Study,
+    repeat: u32,
+    data: &Dataset,
+    tests: &[Test],
+    queries: &[f64],
+    candidates: &[Vec<f64>],
+    bandwidths: &[Vec<Vec<f64>>],
+) -> Result<[Vec<f64>; 3], StudyError> {
+    let mut risks: [Vec<f64>; 3] = Default::default();
+    let Some(place) = thinned_model(study).filter(|_| study.thinning) else { return Ok(risks) };
+    let model = study.models[place];
+    let Some(scales) = bandwidths[place].last() else { return Ok(risks) };
+    let seed = study.draw(Purpose::Thinning, repeat).seed(0);
+    let orders = [Selection::FarthestFirst, Selection::Herding]
+        .map(|selection| select(data, data.len(), selection, scales, seed));
+    let [farthest, herding] = orders;
+    let (farthest, herding) = (farthest?, herding?);
+    let alignment = match model {
+        Model::NpRegRegistered => study.setup.alignment.unwrap_or_default(),
+        _ => Alignment::Identity,
+    };
+    let point = study.setup.outcomes.point_mass_at;
+    for &n in &study.states {
+        let chosen = [
+            data.subset(&farthest[..n]),
+            data.subset(&herding[..n]),
+            condense(data, &farthest[..n], alignment, point, scales)?,
+        ];
+        for (risks, train) in risks.iter_mut().zip(chosen) {
+            let folds = folds(&study.setup, &train, study.folds, seed)?;
+            let bandwidths = model.choose(&study.setup, candidates, &folds, study.criterion)?;
+            let predicted = model.predict(&study.setup, &train, &bandwidths, queries)?;
+            risks.push(score(&predicted, tests)?.0);
+        }
+    }
+    Ok(risks)
 }
 
 /// Mean histogram match (bins) and mean CRPS (units of z) of predictions at the test states.
@@ -321,30 +397,20 @@ fn score(predicted: &[Distribution], tests: &[Test]) -> Result<(f64, f64), Study
     let (mut risk, mut crps) = (0.0, 0.0);
     for (predicted, test) in predicted.iter().zip(tests) {
         risk += histogram_match(predicted, &test.truth)?;
-        crps += mean_crps(predicted, &test.truth);
+        crps += distreg::crps(predicted, &test.observed);
     }
     let n = tests.len() as f64;
     Ok((risk / n, crps / n))
 }
 
-/// Mean CRPS of a prediction over the observations of a histogram: the integral of (F - G)^2 + G (1 - G) for the
-/// prediction's F and the histogram's G, on the bins.
-fn mean_crps(predicted: &Distribution, observed: &Distribution) -> f64 {
-    let grid = predicted.grid();
-    let point = |d: &Distribution| d.point().map_or((usize::MAX, 0.0), |p| (grid.bin(p.at), p.mass));
-    let ((at_f, point_f), (at_g, point_g)) = (point(predicted), point(observed));
-    let (mut f, mut g, mut sum) = (0.0, 0.0, 0.0);
-    for (b, (p, q)) in predicted.mass().iter().zip(observed.mass()).enumerate() {
-        f += p + if b == at_f { point_f } else { 0.0 };
-        g += q + if b == at_g { point_g } else { 0.0 };
-        sum += (f - g) * (f - g) + g * (1.0 - g);
-    }
-    sum * grid.width
-}
-
 /// Mean loss of histograms of M observations against the truth for each M of the study, over test states; the c that
 /// follows from the truths; and the observations behind a truth.
-fn losses(study: &Study, number: usize, repeat: u32, tests: &[Test]) -> Result<(Vec<f64>, f64, f64), StudyError> {
+fn losses(
+    study: &Study,
+    number: usize,
+    repeat: u32,
+    tests: &[Test],
+) -> Result<(Vec<f64>, f64, f64), StudyError> {
     let Some(&most) = study.counts.last() else { return Ok((Vec::new(), f64::NAN, f64::NAN)) };
     let draw = study.draw(Purpose::Observations, repeat);
     let mut losses = vec![0.0; study.counts.len()];
@@ -424,12 +490,7 @@ fn needed(loss: Curve, truth_observations: f64, coefficient_of_truth: f64) -> Lo
 }
 
 /// Mean loss of a histogram of M observations at the test states themselves.
-fn own_risk(
-    study: &Study,
-    repeat: u32,
-    sensor: &dyn Sensor,
-    tests: &[Test],
-) -> Result<f64, StudyError> {
+fn own_risk(study: &Study, repeat: u32, sensor: &dyn Sensor, tests: &[Test]) -> Result<f64, StudyError> {
     let draw = study.draw(Purpose::Own, repeat);
     let count = study.observations.unwrap_or(1);
     let mut sum = 0.0;
@@ -483,7 +544,8 @@ fn median_bandwidths(repeats: &[Repeat], model: usize, place: usize) -> Vec<f64>
 fn at_end_share(study: &Study, repeats: &[Repeat], model: usize, place: usize) -> f64 {
     let at_end = |r: &&Repeat| {
         r.bandwidths[model][place].iter().zip(&study.bandwidths).any(|(chosen, list)| {
-            let (least, most) = list.iter().fold((f64::INFINITY, 0.0), |(a, b): (f64, f64), &h| (a.min(h), b.max(h)));
+            let (least, most) =
+                list.iter().fold((f64::INFINITY, 0.0), |(a, b): (f64, f64), &h| (a.min(h), b.max(h)));
             *chosen == least || *chosen == most
         })
     };
@@ -491,15 +553,17 @@ fn at_end_share(study: &Study, repeats: &[Repeat], model: usize, place: usize) -
 }
 
 /// Distances of neighbouring states, as shares of the span of a state coordinate.
-const STEPS: [f64; 12] =
-    [1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.4];
+const STEPS: [f64; 12] = [1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.4];
 
 /// How the distribution changes along a state of one coordinate; `None` for other studies.
 fn roughness(study: &Study, condition: &Condition) -> Result<Option<Roughness>, StudyError> {
-    let (Source::Simulated(sensor), 1) = (&condition.source, study.setup.coordinates.len()) else { return Ok(None) };
+    let (Source::Simulated(sensor), 1) = (&condition.source, study.setup.coordinates.len()) else {
+        return Ok(None);
+    };
     let draw = study.draw(Purpose::Roughness, 0);
     let starts: Vec<f64> = (0..PAIRS).map(|i| sensor.state(&mut draw.item(i))[0]).collect();
-    let (lo, hi) = starts.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), &x| (lo.min(x), hi.max(x)));
+    let (lo, hi) =
+        starts.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), &x| (lo.min(x), hi.max(x)));
     let middle = 0.5 * (lo + hi);
     let truth = |x: f64, step: u32, i: u32| -> Result<Distribution, StudyError> {
         let mut random = draw.at(step).item(i);
@@ -512,7 +576,8 @@ fn roughness(study: &Study, condition: &Condition) -> Result<Option<Roughness>, 
         .enumerate()
         .map(|(i, &x)| truth(x, 1, i as u32))
         .collect::<Result<_, StudyError>>()?;
-    let mut roughness = Roughness { distance: Vec::new(), loss: Vec::new(), unrelated: 0.0, half_distance: f64::NAN };
+    let mut roughness =
+        Roughness { distance: Vec::new(), loss: Vec::new(), unrelated: 0.0, half_distance: f64::NAN };
     for (k, share) in STEPS.into_iter().enumerate() {
         let distance = share * (hi - lo);
         let losses = starts
@@ -547,7 +612,7 @@ fn roughness(study: &Study, condition: &Condition) -> Result<Option<Roughness>, 
 /// The paper's Fig. 5: predictions of the same shape as the reference, one moved a little, one moved far. Neither overlaps
 /// with it, so that the Euclidean distance can't tell them apart.
 fn loss_example(study: &Study) -> Result<(LossExample, [Distribution; 3]), StudyError> {
-    let grid = Grid { lo: 0.0, width: study.setup.grid.width, bins: 60 };
+    let grid = Grid { lo: 0.0, width: study.setup.outcomes.grid.width, bins: 60 };
     let bump = |from: usize| -> Result<Distribution, StudyError> {
         let mut mass = vec![0.0; grid.bins];
         for (b, share) in [1.0, 3.0, 5.0, 3.0, 1.0].into_iter().enumerate() {
@@ -581,8 +646,9 @@ fn neighbours(study: &Study) -> Result<Vec<(f64, Distribution)>, StudyError> {
         .enumerate()
         .map(|(i, distance)| {
             let mut random = draw.item(i as u32 + 1);
-            let observed: Vec<f64> =
-                (0..study.truth_observations).map(|_| sensor.observe(&[start + distance], &mut random)).collect();
+            let observed: Vec<f64> = (0..study.truth_observations)
+                .map(|_| sensor.observe(&[start + distance], &mut random))
+                .collect();
             Ok((distance, study.histogram(&observed)?))
         })
         .collect()
@@ -598,5 +664,52 @@ impl Kind {
             Self::StaticLidar => "static_lidar",
             Self::Table => "table",
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use distreg::Outcomes;
+    use rand_distr::{Distribution as _, StandardNormal};
+
+    /// The sum over bins of sqrt(F (1 - F)) of a Gaussian is 1.614 deviations, and E[loss] = 1.288 sigma / sqrt(M) bins.
+    #[test]
+    fn a_gaussians_loss_follows_the_law_of_its_width() {
+        let outcomes = Outcomes::of_values(0.0, 0.2, 0.0001).unwrap();
+        let (sigma, n) = (5.0, 200_000);
+        let draw = Draw::new(1, Stage::Laser, 0);
+        let sample = |i: u32| {
+            let normal: f64 = StandardNormal.sample(&mut draw.item(i));
+            ((1000.0 + sigma * normal).round() * 1e-4).max(0.0)
+        };
+        let all: Vec<f64> = (0..n).map(sample).collect();
+        let truth = histogram(&all, &outcomes).unwrap();
+        let expected = GAUSSIAN_COEFFICIENT * sigma;
+        // Rounding adds 1/12 to the variance, 0.2 % to the deviation; the sampled tails lack about as much.
+        assert!((coefficient_of(&truth) / expected - 1.0).abs() < 0.01, "{}", coefficient_of(&truth));
+
+        // 1000 histograms of 200: the loss of one varies by 45 % (1 standard deviation), the mean by 1.4 %; 5 of them.
+        let losses = all.chunks(200).map(|part| {
+            histogram_match(&histogram(part, &outcomes).unwrap(), &truth).unwrap() * 200f64.sqrt()
+        });
+        let mean = losses.sum::<f64>() / f64::from(n / 200);
+        assert!((mean / expected - 1.0).abs() < 0.07, "{mean} against {expected}");
+    }
+
+    #[test]
+    fn the_number_needed_is_where_the_curve_crosses() {
+        let at = [10.0, 40.0, 160.0];
+        let curve = |c: f64| Curve {
+            at: at.to_vec(),
+            mean: at.iter().map(|m: &f64| c / m.sqrt()).collect(),
+            ..Curve::default()
+        };
+        let found = needed(curve(4.0), f64::INFINITY, 4.0);
+        assert!((found.needed.unwrap() - 64.0).abs() < 1e-9, "{:?}", found.needed);
+        assert!((found.needed_by_law - 64.0).abs() < 1e-9);
+        let unreached = needed(curve(40.0), f64::INFINITY, 40.0);
+        assert_eq!(unreached.needed, None);
+        assert!((unreached.needed_by_law - 6400.0).abs() < 1e-6);
     }
 }

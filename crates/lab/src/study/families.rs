@@ -1,14 +1,17 @@
 //! Which family of distributions fits the rays of a static lidar, and whether a sample is Gaussian.
 
-use distreg::{Distribution, Error, Grid, Kernel, gaussian_parameters, kernel_density, log_loss};
+use distreg::{
+    Alignment, ConditionalDistribution, Dataset, Degree, Distribution, Error, Family, Grid, Kernel, Outcomes,
+    PRegOptions, Regressor, Weighting, gaussian_parameters, kernel_density, log_loss,
+};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
 use super::experiment::{Sample, Samples};
-use super::results::{Families, Family};
+use super::results::{Families, FamilyResults};
 use super::sensor::RaySummary;
 use super::{Study, StudyError};
-use crate::statistics::Bootstrap;
+use crate::statistics::{Bootstrap, quantile};
 
 /// Level of the test for a Gaussian.
 const LEVEL: f64 = 0.01;
@@ -20,8 +23,6 @@ const FLOOR: f64 = 1e-3;
 const BANDWIDTHS: [f64; 8] = [0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0];
 /// Rays that figures show.
 const SHOWN: usize = 6;
-/// Steps of expectation maximization; it has long converged then.
-const STEPS: usize = 300;
 
 /// Whether a chi-square test of level 1 % tells the observations from a Gaussian that is rounded to the bins of `grid`.
 ///
@@ -62,105 +63,49 @@ pub(super) fn is_not_gaussian(observations: &[f64], grid: &Grid) -> bool {
 }
 
 /// A family, by what it makes of observations.
-type Fit = fn(&[f64], Grid) -> Result<Distribution, Error>;
+type Fit = fn(&[f64], Outcomes) -> Result<Distribution, Error>;
 
-/// The families under comparison, the kernel density last.
-const FAMILIES: [(&str, Fit); 4] = [
-    ("gaussian", fit_gaussian),
+/// The families under comparison, the Gaussian first and the kernel density last.
+const FAMILIES: [(&str, Fit); 5] = [
+    ("gaussian", |z, outcomes| fit(Family::Gaussian, z, outcomes)),
     ("laplace", fit_laplace),
-    ("two_gaussians", fit_two_gaussians),
+    ("two_gaussians", |z, outcomes| fit(Family::TwoGaussians, z, outcomes)),
+    ("gaussian_exponential", |z, outcomes| fit(Family::GaussianExponential, z, outcomes)),
     ("kernel_density", fit_kernel_density),
 ];
 
-fn fit_gaussian(observations: &[f64], grid: Grid) -> Result<Distribution, Error> {
-    let (mean, sigma) = gaussian_parameters(observations);
-    mixture(&[(1.0, mean, sigma.unwrap_or(0.0))], grid)
+/// A family of P-REG at a single state.
+fn fit(family: Family, observations: &[f64], outcomes: Outcomes) -> Result<Distribution, Error> {
+    let mut data = Dataset::new(1);
+    data.push(&[0.0], observations)?;
+    let options = PRegOptions {
+        outcomes,
+        alignment: Alignment::Identity,
+        family,
+        weighting: Weighting::kernel(Kernel::Gaussian, &[1.0]),
+        degree: Degree::Constant,
+        smallest_sigma: least_sigma(&outcomes),
+        least_observations: 1,
+    };
+    Ok(options.fit(&data)?.predict(&[0.0])?.0)
 }
 
 /// Median and mean distance from it, the maximum likelihood estimates.
-fn fit_laplace(observations: &[f64], grid: Grid) -> Result<Distribution, Error> {
+fn fit_laplace(observations: &[f64], outcomes: Outcomes) -> Result<Distribution, Error> {
     let mut sorted = observations.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let median = crate::statistics::quantile(&sorted, 0.5);
+    let median = quantile(&sorted, 0.5);
     let scale = sorted.iter().map(|z| (z - median).abs()).sum::<f64>() / sorted.len() as f64;
-    let scale = scale.max(least_sigma(grid));
-    on_grid(grid, |z| {
+    let scale = scale.max(least_sigma(&outcomes));
+    let cdf = |z: f64| {
         let tail = 0.5 * (-(z - median).abs() / scale).exp();
         if z < median { tail } else { 1.0 - tail }
-    })
-}
-
-/// By expectation maximization from the two halves of the sorted observations.
-fn fit_two_gaussians(observations: &[f64], grid: Grid) -> Result<Distribution, Error> {
-    let mut sorted = observations.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let (low, high) = sorted.split_at(sorted.len() / 2);
-    let start = |part: &[f64]| {
-        let (mean, sigma) = gaussian_parameters(part);
-        (0.5, mean, sigma.unwrap_or(0.0).max(least_sigma(grid)))
     };
-    let mut parts = [start(low), start(high)];
-    let n = sorted.len() as f64;
-    // Moments about the middle, or squares of metres would swallow millimetres.
-    let middle = high[0];
-    for _ in 0..STEPS {
-        let mut sums = [[0.0; 3]; 2];
-        for &z in &sorted {
-            let densities = parts.map(|(weight, mean, sigma): (f64, f64, f64)| {
-                weight * (-0.5 * ((z - mean) / sigma).powi(2)).exp() / sigma
-            });
-            let total: f64 = densities.iter().sum::<f64>().max(f64::MIN_POSITIVE);
-            for (sums, density) in sums.iter_mut().zip(densities) {
-                let share = density / total;
-                *sums = [sums[0] + share, sums[1] + share * (z - middle), sums[2] + share * (z - middle).powi(2)];
-            }
-        }
-        parts = sums.map(|[weight, first, second]| {
-            let weight = weight.max(1e-9);
-            let mean = first / weight;
-            let variance = (second / weight - mean * mean).max(0.0);
-            (weight / n, middle + mean, variance.sqrt().max(least_sigma(grid)))
-        });
-    }
-    mixture(&parts, grid)
-}
-
-/// A Gaussian kernel with the bandwidth of the smallest log loss in two-fold cross-validation.
-fn fit_kernel_density(observations: &[f64], grid: Grid) -> Result<Distribution, Error> {
-    let half = |parity: usize| -> Vec<f64> { observations.iter().skip(parity).step_by(2).copied().collect() };
-    let halves = [half(0), half(1)];
-    let mut best = (f64::INFINITY, BANDWIDTHS[0]);
-    for bandwidth in BANDWIDTHS {
-        let mut loss = 0.0;
-        for (train, test) in [(0, 1), (1, 0)] {
-            let density = kernel_density(&halves[train], grid, None, Kernel::Gaussian, bandwidth * grid.width)?;
-            loss += log_loss(&density.with_floor(FLOOR)?, &halves[test]);
-        }
-        if loss < best.0 {
-            best = (loss, bandwidth);
-        }
-    }
-    kernel_density(observations, grid, None, Kernel::Gaussian, best.1 * grid.width)
-}
-
-fn least_sigma(grid: Grid) -> f64 {
-    grid.width / 12f64.sqrt()
-}
-
-/// Gaussians of (weight, mean, deviation) on the bins.
-fn mixture(parts: &[(f64, f64, f64)], grid: Grid) -> Result<Distribution, Error> {
-    let normals: Vec<(f64, Normal)> = parts
-        .iter()
-        .filter_map(|&(weight, mean, sigma)| Some((weight, Normal::new(mean, sigma.max(least_sigma(grid))).ok()?)))
-        .collect();
-    on_grid(grid, |z| normals.iter().map(|(weight, normal)| weight * normal.cdf(z)).sum())
-}
-
-fn on_grid(grid: Grid, cdf: impl Fn(f64) -> f64) -> Result<Distribution, Error> {
+    let grid = outcomes.grid;
     let mut before = 0.0;
-    let mass = (0..grid.bins)
+    let mass = (1..=grid.bins)
         .map(|b| {
-            let after = if b + 1 == grid.bins { 1.0 } else { cdf(grid.lo + (b + 1) as f64 * grid.width) };
+            let after = if b == grid.bins { 1.0 } else { cdf(grid.lo + b as f64 * grid.width) };
             let mass = (after - before).max(0.0);
             before = after;
             mass
@@ -169,24 +114,51 @@ fn on_grid(grid: Grid, cdf: impl Fn(f64) -> f64) -> Result<Distribution, Error> 
     Distribution::new(grid, mass, None)
 }
 
+/// A Gaussian kernel with the bandwidth of the smallest log loss in two-fold cross-validation.
+fn fit_kernel_density(observations: &[f64], outcomes: Outcomes) -> Result<Distribution, Error> {
+    let half = |parity: usize| -> Vec<f64> { observations.iter().skip(parity).step_by(2).copied().collect() };
+    let halves = [half(0), half(1)];
+    let width = outcomes.grid.width;
+    let mut best = (f64::INFINITY, BANDWIDTHS[0]);
+    for bandwidth in BANDWIDTHS {
+        let mut loss = 0.0;
+        for (train, test) in [(0, 1), (1, 0)] {
+            let density = kernel_density(&halves[train], &outcomes, Kernel::Gaussian, bandwidth * width)?;
+            loss += log_loss(&density.with_floor(FLOOR)?, &halves[test]);
+        }
+        if loss < best.0 {
+            best = (loss, bandwidth);
+        }
+    }
+    kernel_density(observations, &outcomes, Kernel::Gaussian, best.1 * width)
+}
+
+/// The deviation of rounding to bins.
+fn least_sigma(outcomes: &Outcomes) -> f64 {
+    outcomes.grid.width / 12f64.sqrt()
+}
+
 /// Fits each family to every other reading of each ray, and asks which predicts the others best.
 pub(super) fn compare(study: &Study) -> Result<Families, StudyError> {
-    let grid = study.setup.grid;
+    let outcomes = study.setup.outcomes;
     let losses: Vec<[f64; FAMILIES.len()]> = study
         .setup
         .rays
         .par_iter()
         .map(|ray| {
-            let part = |parity: usize| -> Vec<f64> { ray.readings.iter().skip(parity).step_by(2).copied().collect() };
+            let part = |parity: usize| -> Vec<f64> {
+                ray.readings.iter().skip(parity).step_by(2).copied().collect()
+            };
             let (train, test) = (part(0), part(1));
             let mut losses = [0.0; FAMILIES.len()];
             for (loss, (_, fit)) in losses.iter_mut().zip(FAMILIES) {
-                *loss = log_loss(&fit(&train, grid)?.with_floor(FLOOR)?, &test);
+                *loss = log_loss(&fit(&train, outcomes)?.with_floor(FLOOR)?, &test);
             }
             Ok(losses)
         })
         .collect::<Result<_, Error>>()?;
-    let not_gaussian: Vec<bool> = study.setup.rays.par_iter().map(|r| is_not_gaussian(&r.readings, &grid)).collect();
+    let not_gaussian: Vec<bool> =
+        study.setup.rays.par_iter().map(|r| is_not_gaussian(&r.readings, &outcomes.grid)).collect();
     let best = |among: usize| -> Vec<usize> {
         losses
             .iter()
@@ -208,7 +180,7 @@ pub(super) fn compare(study: &Study) -> Result<Families, StudyError> {
         families: FAMILIES
             .iter()
             .enumerate()
-            .map(|(f, (family, _))| Family {
+            .map(|(f, (family, _))| FamilyResults {
                 family,
                 log_loss: losses.iter().map(|l| l[f]).sum::<f64>() / losses.len() as f64,
                 best: best_of_all.iter().filter(|b| **b == f).count(),
@@ -229,7 +201,7 @@ pub(super) fn shown(study: &Study) -> Result<Samples, StudyError> {
             let ray: &RaySummary = &rays[(2 * k + 1) * rays.len() / (2 * shown)];
             let predicted = FAMILIES
                 .iter()
-                .map(|(_, fit)| fit(&ray.readings, study.setup.grid))
+                .map(|(_, fit)| fit(&ray.readings, study.setup.outcomes))
                 .collect::<Result<_, Error>>()?;
             Ok(Sample { state: vec![ray.ray as f64], truth: study.histogram(&ray.readings)?, predicted })
         })
@@ -240,4 +212,73 @@ pub(super) fn shown(study: &Study) -> Result<Samples, StudyError> {
 /// Names of the families in the order of [`shown`]'s predictions.
 pub(super) fn names() -> Vec<String> {
     FAMILIES.iter().map(|(name, _)| (*name).to_owned()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use locsim_core::{Draw, Stage};
+    use rand::RngExt;
+    use rand_distr::{Distribution as _, StandardNormal};
+
+    /// Rounded Gaussians of a deviation of 1 to 10 bins, a quarter of the second kind moved by `apart` deviations.
+    fn flagged(samples: u32, apart: f64) -> u32 {
+        let grid = Grid::of_values(0.0, 4.5, 0.001).unwrap();
+        let draw = Draw::new(3, Stage::Laser, 0);
+        (0..samples)
+            .map(|i| {
+                let mut random = draw.item(i);
+                let sigma = 0.001 * (1.0 + 9.0 * random.random::<f64>());
+                let observations: Vec<f64> = (0..1000)
+                    .map(|_| {
+                        let normal: f64 = StandardNormal.sample(&mut random);
+                        let moved = if random.random::<f64>() < 0.25 { apart } else { 0.0 };
+                        ((2.0 + sigma * (normal + moved)) / 0.001).round() * 0.001
+                    })
+                    .collect();
+                u32::from(is_not_gaussian(&observations, &grid))
+            })
+            .sum()
+    }
+
+    /// Of 400 Gaussians at most 1 % each are flagged: more than 17 with a probability below 1e-6. The control, a quarter
+    /// of whose readings are two deviations off, must be found out nearly always.
+    #[test]
+    fn gaussians_pass_the_test_and_mixtures_dont() {
+        let gaussians = flagged(400, 0.0);
+        assert!(gaussians <= 17, "{gaussians} of 400");
+        let mixtures = flagged(100, 2.0);
+        assert!(mixtures > 90, "{mixtures} of 100");
+    }
+
+    #[test]
+    fn each_family_fits_its_own_best() {
+        let outcomes = Outcomes::of_values(0.0, 1.0, 0.001).unwrap();
+        let draw = Draw::new(4, Stage::Laser, 0);
+        let best = |sample: &dyn Fn(u32) -> f64| {
+            let readings: Vec<f64> = (0..4000).map(sample).collect();
+            let (train, test) = readings.split_at(2000);
+            let loss = |(_, fit): &(&str, Fit)| {
+                log_loss(&fit(train, outcomes).unwrap().with_floor(FLOOR).unwrap(), test)
+            };
+            let best = FAMILIES[..FAMILIES.len() - 1].iter().min_by(|a, b| loss(a).total_cmp(&loss(b)));
+            best.unwrap().0
+        };
+        let normal = |i: u32| -> f64 { StandardNormal.sample(&mut draw.item(i)) };
+        let uniform = |i: u32| -> f64 { draw.at(1).item(i).random() };
+        assert_eq!(
+            best(&|i| 0.5 + 0.02 * normal(i) + if uniform(i) < 0.3 { 0.2 } else { 0.0 }),
+            "two_gaussians"
+        );
+        assert_eq!(
+            best(&|i| 0.5
+                + 0.02 * (1.0 - 2.0 * uniform(i)).signum() * -draw.at(2).item(i).random::<f64>().ln()),
+            "laplace"
+        );
+        let short = |i: u32| (-0.2 * draw.at(3).item(i).random::<f64>().ln()).min(1.0);
+        assert_eq!(
+            best(&|i| if uniform(i) < 0.3 { short(i) } else { 0.8 + 0.02 * normal(i) }),
+            "gaussian_exponential"
+        );
+    }
 }

@@ -6,7 +6,7 @@ use plotters::prelude::{Circle, Color, PathElement, Polygon, RGBColor, Text};
 use super::experiment::{Extra, Sample, Samples};
 use super::results::{Curve, Results};
 use super::sensor::Unit;
-use super::{Kind, Model, Study, families};
+use super::{Criterion, Kind, Model, Study, families};
 use crate::palette;
 use crate::report::ReportError;
 use crate::report::figures::Figure;
@@ -30,6 +30,8 @@ impl Model {
             Self::NpReg => 0,
             Self::PReg => 1,
             Self::NpRegRegistered => 2,
+            Self::Frechet => 3,
+            Self::PRegTwoGaussians => 4,
         };
         color(place)
     }
@@ -48,7 +50,8 @@ pub(super) fn all(study: &Study, results: &Results, extra: &Extra) -> Result<Vec
     };
     let mut figures = Vec::new();
     if !extra.neighbours.is_empty() {
-        let caption = "What the sensor reads at three places a centimetre apart, as in the paper's Fig. 3.".to_owned();
+        let caption =
+            "What the sensor reads at three places a centimetre apart, as in the paper's Fig. 3.".to_owned();
         figures.push(figure("neighbours", caption, neighbours(study, extra))?);
     }
     if study.kind == Kind::Grass {
@@ -67,19 +70,33 @@ pub(super) fn all(study: &Study, results: &Results, extra: &Extra) -> Result<Vec
     }
     let caption = format!(
         "Distribution of the observations at {}, as in the paper's Fig. 6. Each panel has axes of its own.",
-        if results.conditions.len() > 1 { "the same states under each condition" } else { "three test states" }
+        if results.conditions.len() > 1 {
+            "the same states under each condition"
+        } else {
+            "three test states"
+        }
     );
     figures.push(figure("observations", caption, observations(study, extra))?);
     if results.conditions.iter().any(|c| c.loss_against_observations.is_some()) {
         let caption = "Loss of a histogram of M observations against the true one, mean over test states, with the middle 80 % of \
                        repeats, as in the paper's Fig. 7. Thin: the law c sqrt(1/M + 1/M0), M0 the observations behind the truth. \
                        Horizontal: the threshold.";
-        figures.push(figure("loss_against_observations", caption.to_owned(), loss_against_observations(results))?);
+        figures.push(figure(
+            "loss_against_observations",
+            caption.to_owned(),
+            loss_against_observations(results),
+        )?);
     }
     let caption = "Risk against the number N of training states: mean over repeats and the middle 80 % of them, as in the paper's \
                    Fig. 8. Grey: the histogram of all training observations whatever their state (upper), and a histogram of M \
                    observations at the test state itself (lower).";
     figures.push(figure("risk", caption.to_owned(), risk(study, results))?);
+    if results.conditions.iter().any(|c| c.thinning.is_some()) {
+        let caption = "Risk when the training states are chosen from the largest set within a budget; mean over repeats and the \
+                       middle 80 % of them. Condensed: the states chosen farthest first, each with the observations of all \
+                       states that are nearest to it.";
+        figures.push(figure("budget", caption.to_owned(), budget(results))?);
+    }
     let caption = format!(
         "Predictions at test states (colours) and what is observed there (grey), as in the paper's Fig. 9; the largest training \
          set, {} states. Each panel has axes of its own.",
@@ -323,34 +340,72 @@ fn loss_against_observations(results: &Results) -> Result<String, DrawError> {
 fn risk(study: &Study, results: &Results) -> Result<String, DrawError> {
     let legend: Vec<_> =
         study.models.iter().map(|m| (m.as_str().to_owned(), Mark::Line(m.color()))).collect();
-    let rows: Vec<Vec<usize>> = vec![(0..results.conditions.len()).collect()];
-    let rows_height = rows.len() as f64;
-    figure("Risk against the number of training states", &legend, 380.0 * rows_height, |area| {
-        for (cell, condition) in area.split_evenly((1, results.conditions.len())).iter().zip(&results.conditions) {
-            let own: Vec<f64> = condition.own_histogram_risk.into_iter().collect();
+    figure("Risk against the number of training states", &legend, 380.0, |area| {
+        for (cell, condition) in
+            area.split_evenly((1, results.conditions.len())).iter().zip(&results.conditions)
+        {
+            let by_crps = study.criterion == Criterion::Crps;
+            let shown: Vec<Curve> = condition
+                .risks
+                .iter()
+                .map(|r| if by_crps { r.crps.times(study.setup.unit.per_z) } else { r.risk.clone() })
+                .collect();
+            // The references are histogram matches.
+            let references = if by_crps { Curve::default() } else { condition.pooled_risk.clone() };
+            let own: Vec<f64> = condition.own_histogram_risk.filter(|_| !by_crps).into_iter().collect();
             let (lowest, highest) = extremes(
-                condition
-                    .risks
-                    .iter()
-                    .flat_map(|r| r.risk.lo.iter().chain(&r.risk.hi))
-                    .chain(&condition.pooled_risk.mean)
-                    .chain(&own),
+                shown.iter().flat_map(|c| c.lo.iter().chain(&c.hi)).chain(&references.mean).chain(&own),
             );
             let (first, last) = extremes(condition.pooled_risk.at.iter());
             cell.draw(&Text::new(condition.condition.clone(), (px(LEFT), px(8.0)), text(HEADING, INK)))?;
             let (_, below) = cell.split_vertically(px(24.0));
             let x = Axis::logarithmic("training states N", first, last);
-            let y = Axis::logarithmic("risk [bins]", lowest / 1.15, 1.15 * highest);
+            let label =
+                if by_crps { format!("CRPS [{}]", study.setup.unit.name) } else { "risk [bins]".to_owned() };
+            let y = Axis::logarithmic(&label, lowest / 1.15, 1.15 * highest);
             let mut chart = chart(&below, &x, &y, LEFT)?;
-            let pooled = &condition.pooled_risk;
-            let points: Vec<_> = pooled.at.iter().copied().zip(pooled.mean.iter().copied()).collect();
+            let points: Vec<_> = references.at.iter().copied().zip(references.mean.iter().copied()).collect();
             chart.draw_series([PathElement::new(points, line(REFERENCE, 1.5))])?;
             for own in own {
                 let ends = vec![(first, own), (last, own)];
                 chart.draw_series([PathElement::new(ends, line(REFERENCE, 1.5))])?;
             }
-            for (model, found) in study.models.iter().zip(&condition.risks) {
-                draw_curve(&mut chart, &found.risk, model.color())?;
+            for (model, curve) in study.models.iter().zip(&shown) {
+                draw_curve(&mut chart, curve, model.color())?;
+            }
+        }
+        Ok(())
+    })
+}
+
+fn budget(results: &Results) -> Result<String, DrawError> {
+    let found: Vec<_> = results
+        .conditions
+        .iter()
+        .filter_map(|c| {
+            let t = c.thinning.as_ref()?;
+            let curves =
+                [("random", &t.random), ("farthest first", &t.farthest_first), ("herding", &t.herding)];
+            Some((
+                format!("{}: {}", c.condition, t.model),
+                [curves[0], curves[1], curves[2], ("condensed", &t.condensed)],
+            ))
+        })
+        .collect();
+    let legend: Vec<_> = found.first().map_or_else(Vec::new, |(_, curves)| {
+        curves.iter().enumerate().map(|(i, (name, _))| ((*name).to_owned(), Mark::Line(color(i)))).collect()
+    });
+    figure("Risk against a budget of training states", &legend, 360.0, |area| {
+        for (cell, (title, curves)) in area.split_evenly((1, found.len())).iter().zip(&found) {
+            cell.draw(&Text::new(title.clone(), (px(LEFT), px(8.0)), text(HEADING, INK)))?;
+            let (_, below) = cell.split_vertically(px(24.0));
+            let (first, last) = extremes(curves[0].1.at.iter());
+            let (lowest, highest) = extremes(curves.iter().flat_map(|(_, c)| c.lo.iter().chain(&c.hi)));
+            let x = Axis::logarithmic("training states", first, last);
+            let y = Axis::logarithmic("risk [bins]", lowest / 1.15, 1.15 * highest);
+            let mut chart = chart(&below, &x, &y, LEFT)?;
+            for (i, (_, curve)) in curves.iter().enumerate() {
+                draw_curve(&mut chart, curve, color(i))?;
             }
         }
         Ok(())

@@ -18,7 +18,7 @@ use std::sync::atomic::AtomicBool;
 
 use thiserror::Error;
 
-pub use model::Model;
+pub use model::{Criterion, Model};
 pub use page::terminal_summary;
 pub use results::{Claim, Curve, Results, Verdict};
 
@@ -47,10 +47,13 @@ pub struct Study {
     /// Candidates for each state coordinate, in the order of the coordinates.
     bandwidths: Vec<Vec<f64>>,
     folds: usize,
+    criterion: Criterion,
     /// Ascending, at least one.
     states: Vec<usize>,
     /// Observations of a training state; `None` for all there are.
     observations: Option<usize>,
+    /// Whether to choose training states within budgets.
+    thinning: bool,
     /// Ascending; may be empty.
     counts: Vec<usize>,
     repeats: u32,

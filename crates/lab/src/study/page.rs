@@ -8,10 +8,10 @@ use minijinja::value::Serde;
 use minijinja::{Environment, context};
 use serde::Serialize;
 
+use super::Study;
 use super::experiment::Extra;
 use super::figures;
 use super::results::{Claim, ConditionResults, Results};
-use super::Study;
 use crate::report::figures::{Figure, Rasterizer};
 use crate::report::text::{self, TextTable, significant};
 use crate::report::{ReportError, page, save};
@@ -49,12 +49,7 @@ impl<'a> From<&'a Claim> for ClaimText<'a> {
 }
 
 /// Writes everything into `dir`.
-pub(super) fn write(
-    dir: &Path,
-    study: &Study,
-    results: &Results,
-    extra: &Extra,
-) -> Result<(), ReportError> {
+pub(super) fn write(dir: &Path, study: &Study, results: &Results, extra: &Extra) -> Result<(), ReportError> {
     let folder = dir.join("figures");
     fs::create_dir_all(&folder).map_err(|source| ReportError::Io { path: folder.clone(), source })?;
     let mut json = serde_json::to_string_pretty(results)?;
@@ -71,7 +66,12 @@ pub(super) fn write(
     save(&dir.join("report.html"), page::html(&results.study, &markdown, &figures)?.as_bytes())
 }
 
-fn markdown(study: &Study, results: &Results, figures: &[Figure], command: &str) -> Result<String, ReportError> {
+fn markdown(
+    study: &Study,
+    results: &Results,
+    figures: &[Figure],
+    command: &str,
+) -> Result<String, ReportError> {
     let mut environment = Environment::new();
     environment.set_syntax(SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build()?);
     environment.add_template("study.md", MARKDOWN)?;
@@ -84,8 +84,11 @@ fn markdown(study: &Study, results: &Results, figures: &[Figure], command: &str)
             claims: results.claims.iter().filter(|c| c.ours == figure.name).map(ClaimText::from).collect(),
         })
         .collect();
-    let tables: Vec<(String, String)> =
-        results.conditions.iter().map(|c| (c.condition.clone(), risk_table(study, c).to_markdown())).collect();
+    let tables: Vec<(String, String)> = results
+        .conditions
+        .iter()
+        .map(|c| (c.condition.clone(), risk_table(study, c).to_markdown()))
+        .collect();
     let models: Vec<(&str, &str)> = study.models.iter().map(|m| (m.as_str(), m.describe())).collect();
     let page = context! {
         title => text::escape(&results.study),

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use super::Model;
+use super::{Criterion, Model};
 
 /// An experiment of distribution regression: a sensor, training data of growing size, models tuned alike.
 #[derive(Clone, Debug, Deserialize)]
@@ -26,10 +26,16 @@ pub struct RawStudy {
     /// Folds of the cross-validation over states that chooses among them.
     #[serde(default = "default::folds")]
     pub folds: u64,
+    /// What cross-validation makes small.
+    #[serde(default)]
+    pub criterion: Criterion,
     /// Sizes N of the training set, ascending.
     pub states: Vec<u64>,
     /// Observations M of each training state; for recorded data at most this many, absent for all.
     pub observations: Option<u64>,
+    /// Whether to show risk against a budget of chosen training states. Only with more than one size.
+    #[serde(default)]
+    pub thinning: bool,
     /// Numbers M of the figure of loss against M, ascending; absent for none.
     #[serde(default)]
     pub counts: Vec<u64>,

@@ -45,6 +45,15 @@ pub struct Curve {
     pub hi: Vec<f64>,
 }
 
+impl Curve {
+    /// The same in another unit.
+    #[must_use]
+    pub fn times(&self, factor: f64) -> Self {
+        let scaled = |values: &[f64]| values.iter().map(|v| v * factor).collect();
+        Self { at: self.at.clone(), mean: scaled(&self.mean), lo: scaled(&self.lo), hi: scaled(&self.hi) }
+    }
+}
+
 /// What was found under one condition.
 #[derive(Clone, Debug, Serialize)]
 pub struct ConditionResults {
@@ -65,6 +74,9 @@ pub struct ConditionResults {
     /// Risk of a histogram of M observations at the test state itself; simulated sensors only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub own_histogram_risk: Option<f64>,
+    /// Risk of a model whose training states were chosen from the largest set within a budget, against the budget.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub thinning: Option<Thinning>,
     /// How the distribution changes with the state.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub roughness: Option<Roughness>,
@@ -118,6 +130,21 @@ pub struct ModelRisk {
     pub ratio_intervals: Vec<Option<Interval>>,
 }
 
+/// Risk against a budget of training states, in bins.
+#[derive(Clone, Debug, Serialize)]
+pub struct Thinning {
+    /// The model.
+    pub model: &'static str,
+    /// States in the order of the draw: what the model's own curve over N shows.
+    pub random: Curve,
+    /// Each time the state farthest from those chosen.
+    pub farthest_first: Curve,
+    /// By kernel herding.
+    pub herding: Curve,
+    /// As `farthest_first`, each state with the observations of all states that are nearest to it, aligned.
+    pub condensed: Curve,
+}
+
 /// Loss between the true distributions of two states, against their distance.
 #[derive(Clone, Debug, Serialize)]
 pub struct Roughness {
@@ -148,7 +175,7 @@ pub struct Families {
     /// Rays that a test of level 1 % tells from a Gaussian.
     pub not_gaussian: usize,
     /// Each family.
-    pub families: Vec<Family>,
+    pub families: Vec<FamilyResults>,
     /// Mean over the rays that aren't Gaussian of the log loss of the Gaussian minus that of the kernel density, in
     /// nats per reading.
     pub kernel_density_gain: f64,
@@ -158,7 +185,7 @@ pub struct Families {
 
 /// One family.
 #[derive(Clone, Debug, Serialize)]
-pub struct Family {
+pub struct FamilyResults {
     /// Its name.
     pub family: &'static str,
     /// Mean log loss over rays on held-out readings, in nats per reading (densities per unit of z).

@@ -2,15 +2,17 @@
 
 use std::path::Path;
 
-use distreg::{Alignment, Dataset, Grid};
+use distreg::{Alignment, Dataset, Outcomes};
 use glam::DVec2;
 use locsim_core::{Draw, Stage};
 use locsim_world::raycast::ExactRangeMap;
 
-use super::raw::{RawAlignment, RawFieldSensor, RawGrass, RawLaser, RawSensor, RawStaticLidar, RawStudy, RawTable};
+use super::raw::{
+    RawAlignment, RawFieldSensor, RawGrass, RawLaser, RawSensor, RawStaticLidar, RawStudy, RawTable,
+};
 use super::sensor::{
-    Condition, FieldSensor, Forceps, Grass, GrassNoise, PlanarLaser, Setup, Source, Unit, Values, read_static_lidar,
-    read_table,
+    Condition, FieldSensor, Forceps, Grass, GrassNoise, PlanarLaser, Setup, Source, Unit, Values,
+    read_static_lidar, read_table,
 };
 use super::{Kind, Study, StudyError, StudyOverrides};
 use crate::scenario::check::Allowed::{Above, AtLeast, Between, FromBelow, Within};
@@ -47,8 +49,12 @@ pub(super) fn validate<'a>(
     let folds = check.count("folds", raw.folds, 2, 100) as usize;
     let states = counts(&mut check, "states", &raw.states, folds as u32);
     let counts_of_figure = counts(&mut check, "counts", &raw.counts, 1);
-    check.refuse(states.is_empty(), "states", || "an empty list is not allowed; at least one number".to_owned());
-    check.refuse(raw.models.is_empty(), "models", || "an empty list is not allowed; at least one model".to_owned());
+    check.refuse(states.is_empty(), "states", || {
+        "an empty list is not allowed; at least one number".to_owned()
+    });
+    check.refuse(raw.models.is_empty(), "models", || {
+        "an empty list is not allowed; at least one model".to_owned()
+    });
     for (i, model) in raw.models.iter().enumerate() {
         check.refuse(raw.models[..i].contains(model), &format!("models[{i}]"), || {
             format!("`{}` is not allowed; it is in the list already", model.as_str())
@@ -58,7 +64,9 @@ pub(super) fn validate<'a>(
     let observations = raw.observations.map(|n| check.count("observations", n, 1, MOST) as usize);
     for (coordinate, candidates) in &raw.bandwidths {
         let key = format!("bandwidths.{coordinate}");
-        check.refuse(candidates.is_empty(), &key, || "an empty list is not allowed; at least one number".to_owned());
+        check.refuse(candidates.is_empty(), &key, || {
+            "an empty list is not allowed; at least one number".to_owned()
+        });
         check.numbers(&key, candidates, Above(0.0));
     }
     let simulated = !matches!(raw.sensor, RawSensor::StaticLidar(_) | RawSensor::Table(_));
@@ -68,7 +76,11 @@ pub(super) fn validate<'a>(
         let why = "recorded data have the observations that they have";
         check.absent("", "truth_observations", raw.truth_observations.as_ref(), why);
     }
-    let truth_observations = raw.truth_observations.map_or(5000, |n| check.count("truth_observations", n, 2, MOST) as usize);
+    check.refuse(raw.thinning && states.len() < 2, "thinning", || {
+        "true is not allowed with one number of states; the largest is thinned to the others".to_owned()
+    });
+    let truth_observations =
+        raw.truth_observations.map_or(5000, |n| check.count("truth_observations", n, 2, MOST) as usize);
     let seed = overrides.seed.unwrap_or(raw.seed);
     let (kind, prepare) = sensor(&mut check, raw.sensor, seed);
     if !check.is_clean() {
@@ -99,7 +111,10 @@ pub(super) fn validate<'a>(
             for (i, n) in states.iter().enumerate().filter(|(_, n)| **n > most) {
                 check.problem(
                     &format!("states[{i}]"),
-                    format!("{n} is not allowed; at most {most}: of {} states {test_states} are for tests", data.len()),
+                    format!(
+                        "{n} is not allowed; at most {most}: of {} states {test_states} are for tests",
+                        data.len()
+                    ),
                 );
             }
         }
@@ -119,8 +134,10 @@ pub(super) fn validate<'a>(
         models: raw.models,
         bandwidths,
         folds,
+        criterion: raw.criterion,
         states,
         observations,
+        thinning: raw.thinning,
         counts: counts_of_figure,
         repeats,
         test_states,
@@ -189,9 +206,8 @@ fn simulated(
 ) -> Result<Setup, StudyError> {
     Ok(Setup {
         coordinates: coordinates.iter().map(|(name, unit)| ((*name).to_owned(), *unit)).collect(),
-        grid: Grid::of_values(0.0, values.last, values.resolution)?,
+        outcomes: Outcomes::of_values(0.0, values.last, values.resolution)?,
         unit: Unit::MILLIMETRE,
-        point_mass_at: None,
         alignment,
         conditions,
         rays: Vec::new(),
@@ -217,7 +233,8 @@ fn laser(check: &mut Checker<'_>, raw: RawLaser) -> Prepare {
         let geometry = load_map(&map)?.geometry;
         let path: Vec<DVec2> = raw.path_m.iter().copied().map(DVec2::from_array).collect();
         if let Some(outside) = path.iter().find(|p| !geometry.is_free(p.x, p.y)) {
-            let what = format!("the study's path_m leads through [{}, {}], which isn't free", outside.x, outside.y);
+            let what =
+                format!("the study's path_m leads through [{}, {}], which isn't free", outside.x, outside.y);
             return Err(StudyError::Data { path: map, line: None, what });
         }
         let map = ExactRangeMap::new(geometry);
@@ -248,7 +265,11 @@ fn field_sensor(check: &mut Checker<'_>, raw: &RawFieldSensor) -> Prepare {
         centre: DVec2::from_array(centre),
         sweep: check.number(&key("forceps.sweep_m"), metal.sweep_m, AtLeast(0.0)),
         wobble: check.number(&key("forceps.wobble_m"), metal.wobble_m, AtLeast(0.0)),
-        withdrawn_share: check.number(&key("forceps.withdrawn_share"), metal.withdrawn_share, Within(0.0, 1.0)),
+        withdrawn_share: check.number(
+            &key("forceps.withdrawn_share"),
+            metal.withdrawn_share,
+            Within(0.0, 1.0),
+        ),
     };
     Box::new(move || {
         let condition = |label: &str, forceps| {
@@ -326,8 +347,6 @@ fn table(check: &mut Checker<'_>, raw: RawTable) -> Prepare {
     let [first, last] = check.interval(&key("values"), raw.values, Within(-1e12, 1e12));
     check.number(&key("resolution"), raw.resolution, Above(0.0));
     too_many(check, &key("resolution"), (last - first) / raw.resolution);
-    let line_of_align = key("align");
-    let _ = line_of_align;
     Box::new(move || {
         let (names, data) = read_table(&file)?;
         let refuse = |what: String| StudyError::Data { path: file.clone(), line: Some(1), what };
@@ -348,9 +367,11 @@ fn table(check: &mut Checker<'_>, raw: RawTable) -> Prepare {
         }
         Ok(Setup {
             coordinates: names.iter().map(|name| (name.clone(), "")).collect(),
-            grid: Grid::of_values(first, last, raw.resolution)?,
+            outcomes: Outcomes {
+                point_mass_at: raw.point_mass_at,
+                ..Outcomes::of_values(first, last, raw.resolution)?
+            },
             unit: Unit::OF_Z,
-            point_mass_at: raw.point_mass_at,
             alignment,
             note: Some(describe(&data)),
             conditions: vec![Condition { label: "table".to_owned(), source: Source::Recorded(data) }],

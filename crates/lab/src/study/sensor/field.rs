@@ -122,8 +122,13 @@ mod tests {
     #[test]
     fn without_noise_and_metal_the_inversion_is_exact_and_metal_disturbs_it() {
         assert!(readings(None, 0.0).iter().all(|z| (z - 0.1).abs() < 1e-12));
-        let forceps =
-            Forceps { radius: 0.012, centre: DVec2::new(0.1, 0.04), sweep: 0.05, wobble: 0.003, withdrawn_share: 0.3 };
+        let forceps = Forceps {
+            radius: 0.012,
+            centre: DVec2::new(0.1, 0.04),
+            sweep: 0.05,
+            wobble: 0.003,
+            withdrawn_share: 0.3,
+        };
         let disturbed = readings(Some(forceps), 0.0);
         let untouched = disturbed.iter().filter(|z| (*z - 0.1).abs() < 1e-12).count();
         let moved = disturbed.iter().filter(|z| (*z - 0.1).abs() > 5e-4).count();

@@ -93,7 +93,9 @@ mod tests {
         let values = Values { resolution: 1e-3, last: 4.5 };
         let mut grass = Grass::new(1, 2.0, [1.0, 1.5], 0.0, [0.002, 0.004], still, values);
         grass.blades = vec![[0.500, 1.3, 0.003], [0.501, 1.1, 0.001], [0.9, 1.2, 0.004]];
-        for (place, distance) in [(0.5, 1.1), (0.4975, 1.3), (0.497, 1.3), (0.4969, 1.5), (0.904, 1.2), (0.7, 1.5)] {
+        for (place, distance) in
+            [(0.5, 1.1), (0.4975, 1.3), (0.497, 1.3), (0.4969, 1.5), (0.904, 1.2), (0.7, 1.5)]
+        {
             assert_eq!(grass.distance(place), distance, "{place}");
         }
     }

@@ -5,7 +5,7 @@ mod grass;
 mod laser;
 mod recorded;
 
-use distreg::{Alignment, Dataset, Grid};
+use distreg::{Alignment, Dataset, Outcomes};
 use rand::Rng;
 
 pub(super) use field::{FieldSensor, Forceps};
@@ -58,19 +58,17 @@ pub(super) struct Condition {
 pub(super) struct Setup {
     /// Name and unit of each state coordinate.
     pub coordinates: Vec<(String, &'static str)>,
-    /// The sensor's values.
-    pub grid: Grid,
+    /// The sensor's values, and one that is observed with positive probability.
+    pub outcomes: Outcomes,
     /// Unit of z, and how many of the units that figures show it has.
     pub unit: Unit,
-    /// A value that is observed with positive probability.
-    pub point_mass_at: Option<f64>,
     /// What the observation follows; `None` where it follows no coordinate.
     pub alignment: Option<Alignment>,
     /// At least one.
     pub conditions: Vec<Condition>,
     /// The rays of a static lidar.
     pub rays: Vec<RaySummary>,
-    /// The blades of grass, for the figure of what changes from state to state.
+    /// What a reader should know of recorded data.
     pub note: Option<String>,
 }
 

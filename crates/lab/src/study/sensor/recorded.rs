@@ -38,7 +38,11 @@ pub(crate) struct StaticLidar {
 ///
 /// # Errors
 /// [`StudyError::Data`] naming the line.
-pub(crate) fn read_static_lidar(path: &Path, map_scans: usize, least_share: f64) -> Result<StaticLidar, StudyError> {
+pub(crate) fn read_static_lidar(
+    path: &Path,
+    map_scans: usize,
+    least_share: f64,
+) -> Result<StaticLidar, StudyError> {
     let scans: Vec<Vec<f64>> = read_rows(path, false)?.1.into_iter().map(|(_, scan)| scan).collect();
     let wrong = |line, what| StudyError::Data { path: path.to_owned(), line, what };
     let all_rays = scans.first().map_or(0, Vec::len);
@@ -46,7 +50,10 @@ pub(crate) fn read_static_lidar(path: &Path, map_scans: usize, least_share: f64)
         return Err(wrong(Some(1), format!("{all_rays} columns are not allowed; at least 3 rays")));
     }
     if scans.len() < map_scans + 2 {
-        let what = format!("{} scans are not enough; more than sensor.static_lidar.map_scans = {map_scans}", scans.len());
+        let what = format!(
+            "{} scans are not enough; more than sensor.static_lidar.map_scans = {map_scans}",
+            scans.len()
+        );
         return Err(wrong(None, what));
     }
     let (first, rest) = scans.split_at(map_scans);
@@ -89,7 +96,10 @@ pub(crate) fn read_table(path: &Path) -> Result<(Vec<String>, Dataset), StudyErr
     let (names, rows) = read_rows(path, true)?;
     let wrong = |line, what: String| StudyError::Data { path: path.to_owned(), line, what };
     let Some(dim) = names.len().checked_sub(1).filter(|dim| *dim > 0) else {
-        return Err(wrong(Some(1), "one column is not allowed; state columns, then the observation".to_owned()));
+        return Err(wrong(
+            Some(1),
+            "one column is not allowed; state columns, then the observation".to_owned(),
+        ));
     };
     let mut order: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
     let mut found: BTreeMap<Vec<u64>, usize> = BTreeMap::new();
