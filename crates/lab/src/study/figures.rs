@@ -245,7 +245,8 @@ fn rays(study: &Study, samples: &Samples) -> Result<String, DrawError> {
         std::iter::once(("readings".to_owned(), Mark::Area(OBSERVED))).chain(families).collect();
     let rows: Vec<Vec<&Sample>> = samples.states.chunks(3).map(|row| row.iter().collect()).collect();
     grid_of("Readings of some rays", &legend, &rows, |area, sample| {
-        let lines: Vec<_> = sample.predicted.iter().enumerate().map(|(i, d)| (d, color(i))).collect();
+        // The first on top: others can be the same curve.
+        let lines: Vec<_> = sample.predicted.iter().enumerate().rev().map(|(i, d)| (d, color(i))).collect();
         let title = format!("ray {:.0}", sample.state[0]);
         panel(area, &title, study, &Window::around(&sample.truth), &sample.truth, &lines)
     })
