@@ -66,6 +66,9 @@ pub enum Error {
     /// Two distributions on different grids can't be compared bin by bin.
     #[error("the distributions are on different grids")]
     GridMismatch,
+    /// Of an observation and its residual, one has a point mass and the other has not.
+    #[error("either both or neither of an observation and its residual have a point mass")]
+    PointMassMismatch,
     /// Bin masses that are negative, not finite or sum to zero are no distribution.
     #[error("bin masses must be finite, at least zero, and sum to more than zero")]
     NoDistribution,

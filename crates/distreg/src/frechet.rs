@@ -33,12 +33,36 @@ pub struct FrechetOptions {
 
 /// What [`FrechetOptions`] fit: the quantiles of aligned observations at each state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "Parts", into = "Parts")]
 pub struct Frechet {
     options: FrechetOptions,
     quantiles: LocalRegression,
     points: PointShare,
-    dim: usize,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Parts {
+    options: FrechetOptions,
+    quantiles: LocalRegression,
+    points: PointShare,
+}
+
+impl From<Frechet> for Parts {
+    fn from(model: Frechet) -> Self {
+        Self { options: model.options, quantiles: model.quantiles, points: model.points }
+    }
+}
+
+impl TryFrom<Parts> for Frechet {
+    type Error = Error;
+    fn try_from(parts: Parts) -> Result<Self, Error> {
+        let Parts { options, quantiles, points } = parts;
+        options.outcomes.validate()?;
+        quantiles.expect(options.quantiles)?;
+        points.expect(&options.outcomes, quantiles.dim())?;
+        Ok(Self { options, quantiles, points })
+    }
 }
 
 impl Regressor for FrechetOptions {
@@ -64,9 +88,12 @@ impl Regressor for FrechetOptions {
         Ok(Frechet {
             quantiles: LocalRegression::fit(rest.states(), &targets.concat(), &self.weighting, self.degree)?,
             points: PointShare::fit(data, &self.outcomes, &self.weighting, self.degree)?,
-            dim: data.dim(),
             options: self.clone(),
         })
+    }
+
+    fn outcomes(&self) -> Outcomes {
+        self.outcomes
     }
 }
 
@@ -112,7 +139,7 @@ impl Frechet {
 
 impl ConditionalDistribution for Frechet {
     fn dim(&self) -> usize {
-        self.dim
+        self.quantiles.dim()
     }
 
     fn outcomes(&self) -> Outcomes {

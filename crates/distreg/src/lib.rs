@@ -9,52 +9,41 @@
 //! | --- | --- |
 //! | data | [`Dataset`]: states with one or more observations; [`select`] and [`condense`] thin it |
 //! | what can be observed | [`Outcomes`]: a [`Grid`] and a point mass such as the maximum range |
-//! | methods | [`NpRegOptions`], [`PRegOptions`], [`FrechetOptions`], each a [`Regressor`] |
+//! | methods | [`NpRegOptions`], [`PRegOptions`], [`FrechetOptions`], [`StandardizedOptions`], each a [`Regressor`] |
 //! | weights over states | [`Weighting`]: a [`Kernel`] or nearest neighbours; [`Degree`]: mean or plane |
 //! | predictions | [`ConditionalDistribution`]: a [`Distribution`] and whether the query is in the data ([`Support`]) |
 //! | quality | [`Loss`], [`losses`], [`risk`] |
 //! | settings | [`cross_validate`] with [`grid_search`] or [`optimize`] |
 //! | speed | [`ConditionalDistribution::predict_batch`]; [`Table`] for single densities |
 //!
-//! # A new sensor
-//!
-//! An ultrasonic ranger reads 0 to 3 m in steps of 1 cm, and 3 m where the echo is lost. Its state is the true
-//! distance and the angle to the surface. Learn it from recorded readings, choose the bandwidths by
-//! cross-validation, and ask for the probability of a reading at a state that was never measured:
+//! `docs/sensor-in-20-lines.md` shows the whole way for a new sensor. In short:
 //!
 //! ```
-//! use distreg::{Alignment, ConditionalDistribution, Dataset, Degree, DensityEstimate, Error, Kernel, Loss};
-//! use distreg::{NpRegOptions, Outcomes, Regressor, Support, Weighting, cross_validate, grid_search, product};
+//! use distreg::{Alignment, ConditionalDistribution, Dataset, Degree, DensityEstimate, Kernel};
+//! use distreg::{NpRegOptions, Outcomes, Regressor, Support, Weighting};
 //!
-//! # fn readings(i: u32) -> (f64, f64, [f64; 4]) {
-//! #     let (distance, angle) = (0.5 + 0.02 * f64::from(i), 0.01 * f64::from(i * 37 % 100));
-//! #     let near = (distance * 100.0).round() / 100.0;
-//! #     (distance, angle, [near, near + 0.01, near - 0.01, if angle > 0.7 { 3.0 } else { near }])
-//! # }
-//! let mut data = Dataset::new(2);
-//! for i in 0..100 {
-//!     let (distance, angle, z) = readings(i);
-//!     data.push(&[distance, angle], &z)?;
-//! }
-//! let outcomes = Outcomes::of_values(0.0, 3.0, 0.01)?.with_point_mass(3.0);
-//! let method = |bandwidths: &[f64]| NpRegOptions {
-//!     outcomes,
+//! // Ranges \[m\] read at two distances \[m\]; 3 m where there was no echo.
+//! let mut data = Dataset::new(1);
+//! data.push(&[1.0], &[0.99, 1.0, 1.01, 3.0])?;
+//! data.push(&[1.5], &[1.48, 1.5, 1.52, 3.0])?;
+//! let method = NpRegOptions {
+//!     outcomes: Outcomes::of_values(0.0, 3.0, 0.01)?.with_point_mass(3.0),
 //!     alignment: Alignment::Shift { state_dim: 0 },
 //!     density: DensityEstimate::Histogram,
-//!     weighting: Weighting::kernel(Kernel::Gaussian, bandwidths),
+//!     weighting: Weighting::kernel(Kernel::Gaussian, &[0.5]),
 //!     degree: Degree::Constant,
 //! };
-//! let best = grid_search(&product(&[&[0.1, 0.5, 1.0], &[0.05, 0.2, 0.5]]), |bandwidths| {
-//!     cross_validate(&method(bandwidths), &data, 5, 1, Loss::HistogramMatch)
-//! })?;
-//! let sensor = method(&best.candidate).fit(&data)?;
-//!
-//! let (distribution, support) = sensor.predict(&[1.234, 0.3])?;
+//! let (distribution, support) = method.fit(&data)?.predict(&[1.25])?;
 //! assert_eq!(support, Support::InData);
-//! assert!(distribution.density(1.23) > 10.0); // per metre
-//! assert!(distribution.density(3.0) < 0.1); // the probability of a lost echo
-//! # Ok::<(), Error>(())
+//! assert!((distribution.density(3.0) - 0.25).abs() < 1e-12); // the probability of no echo
+//! assert!((distribution.quantile(0.375) - 1.25).abs() < 0.02);
+//! # Ok::<(), distreg::Error>(())
 //! ```
+
+/// The page that shows the crate, compiled.
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/sensor-in-20-lines.md")]
+struct SensorIn20Lines;
 
 mod alignment;
 pub mod benchmark;
@@ -73,6 +62,7 @@ mod point_share;
 mod regressor;
 mod search;
 mod smoother;
+mod standardized;
 mod table;
 mod thin;
 
@@ -91,5 +81,6 @@ pub use p_reg::{PReg, PRegOptions};
 pub use regressor::{ConditionalDistribution, Predictions, Regressor, Scratch};
 pub use search::{Found, cross_validate, grid_search, optimize, product};
 pub use smoother::{Degree, FALLBACK_NEIGHBOURS, Smoother, Support, Weighting};
+pub use standardized::{Standardized, StandardizedOptions};
 pub use table::{Axis, Table};
 pub use thin::{Selection, condense, select};

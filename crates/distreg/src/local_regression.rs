@@ -74,6 +74,19 @@ impl LocalRegression {
         self.target_dim
     }
 
+    /// Coordinates of a state.
+    pub fn dim(&self) -> usize {
+        self.smoother.dim()
+    }
+
+    /// Checks the number of target values of a regression from a file.
+    pub(crate) fn expect(&self, target_dim: usize) -> Result<(), Error> {
+        if self.target_dim == target_dim {
+            return Ok(());
+        }
+        Err(Error::Length { what: "number of target values", expected: target_dim, found: self.target_dim })
+    }
+
     /// Writes the q predicted values at `query` into `out`. Outside the data ([`Support::Nearest`]) it's the
     /// mean of the nearest states; a plane is never extrapolated from there.
     ///

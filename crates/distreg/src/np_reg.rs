@@ -116,6 +116,10 @@ impl Regressor for NpRegOptions {
         }
         NpReg::assemble(self.clone(), smoother, histograms)
     }
+
+    fn outcomes(&self) -> Outcomes {
+        self.outcomes
+    }
 }
 
 impl NpReg {
@@ -147,13 +151,20 @@ impl NpReg {
         let fraction = offset - offset.floor();
         let whole = offset.floor() as i32;
         let (below, above) = (-1 - whole, row.len() as i32 - whole);
+        let end = row.len() + 1;
         raw.clear();
         raw.resize(row.len() + 2, 0.0);
         for &(i, w) in weights {
+            // Bins rise, so those beyond either end are a beginning and an end; mostly there are none.
             let (bins, masses) = self.histograms.of(i);
-            for (&b, m) in bins.iter().zip(masses) {
-                raw[(b.clamp(below, above) - below) as usize] += w * m;
+            let (Some(&lowest), Some(&highest)) = (bins.first(), bins.last()) else { continue };
+            let first = if lowest > below { 0 } else { bins.partition_point(|&b| b <= below) };
+            let last = if highest < above { bins.len() } else { bins.partition_point(|&b| b < above) };
+            raw[0] += w * masses[..first].iter().sum::<f64>();
+            for (&b, m) in bins[first..last].iter().zip(&masses[first..last]) {
+                raw[(b - below) as usize] += w * m;
             }
+            raw[end] += w * masses[last..].iter().sum::<f64>();
         }
         row[0] += raw[0];
         for (b, mass) in row.iter_mut().enumerate() {
@@ -287,8 +298,9 @@ impl Histograms {
             && (options.alignment != Alignment::Identity || self.bins.iter().all(|&b| in_grid(b)))
             && self.masses.iter().chain(&self.points).all(|&m| is_share(m))
             && (0..states).all(|i| {
-                let total = self.of(i).1.iter().sum::<f64>() + self.points[i];
-                (total - 1.0).abs() < 1e-9
+                let (bins, masses) = self.of(i);
+                let total = masses.iter().sum::<f64>() + self.points[i];
+                bins.is_sorted() && (total - 1.0).abs() < 1e-9
             });
         if valid { Ok(()) } else { Err(Error::NoDistribution) }
     }

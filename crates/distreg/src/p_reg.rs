@@ -37,12 +37,37 @@ pub struct PRegOptions {
 
 /// What [`PRegOptions`] fit: parameters at each state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "Parts", into = "Parts")]
 pub struct PReg {
     options: PRegOptions,
     parameters: LocalRegression,
     points: PointShare,
-    dim: usize,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Parts {
+    options: PRegOptions,
+    parameters: LocalRegression,
+    points: PointShare,
+}
+
+impl From<PReg> for Parts {
+    fn from(model: PReg) -> Self {
+        Self { options: model.options, parameters: model.parameters, points: model.points }
+    }
+}
+
+impl TryFrom<Parts> for PReg {
+    type Error = Error;
+    fn try_from(parts: Parts) -> Result<Self, Error> {
+        let Parts { options, parameters, points } = parts;
+        options.outcomes.validate()?;
+        positive("the smallest sigma", options.smallest_sigma)?;
+        parameters.expect(options.family.values())?;
+        points.expect(&options.outcomes, parameters.dim())?;
+        Ok(Self { options, parameters, points })
+    }
 }
 
 impl Regressor for PRegOptions {
@@ -69,9 +94,12 @@ impl Regressor for PRegOptions {
         Ok(PReg {
             parameters: LocalRegression::fit(rest.states(), &targets.concat(), &self.weighting, self.degree)?,
             points: PointShare::fit(data, &self.outcomes, &self.weighting, self.degree)?,
-            dim: data.dim(),
             options: self.clone(),
         })
+    }
+
+    fn outcomes(&self) -> Outcomes {
+        self.outcomes
     }
 }
 
@@ -139,7 +167,12 @@ impl PReg {
         self.parameters_with(query, &mut Scratch::default())
     }
 
-    fn parameters_with(&self, query: &[f64], scratch: &mut Scratch) -> Result<(Parameters, Support), Error> {
+    /// As [`PReg::parameters`], with buffers.
+    pub(crate) fn parameters_with(
+        &self,
+        query: &[f64],
+        scratch: &mut Scratch,
+    ) -> Result<(Parameters, Support), Error> {
         let PRegOptions { family, alignment, smallest_sigma, .. } = self.options;
         let Scratch { weights, values, .. } = scratch;
         values.resize(family.values(), 0.0);
@@ -150,7 +183,7 @@ impl PReg {
 
 impl ConditionalDistribution for PReg {
     fn dim(&self) -> usize {
-        self.dim
+        self.parameters.dim()
     }
 
     fn outcomes(&self) -> Outcomes {

@@ -31,6 +31,19 @@ impl PointShare {
         Ok(Self(Some(LocalRegression::fit(data.states(), &shares, weighting, degree)?)))
     }
 
+    /// Checks a share from a file against the model it belongs to.
+    pub fn expect(&self, outcomes: &Outcomes, dim: usize) -> Result<(), Error> {
+        match (&self.0, outcomes.point_mass_at) {
+            (None, None) => Ok(()),
+            (Some(share), Some(_)) if share.dim() == dim => share.expect(1),
+            (share, at) => Err(Error::Length {
+                what: "number of point shares",
+                expected: usize::from(at.is_some()),
+                found: usize::from(share.is_some()),
+            }),
+        }
+    }
+
     pub fn predict(&self, query: &[f64], weights: &mut Vec<(usize, f64)>) -> Result<f64, Error> {
         let Some(regression) = &self.0 else {
             return Ok(0.0);

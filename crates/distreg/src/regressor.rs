@@ -4,8 +4,8 @@ use crate::{Dataset, Distribution, Error, Outcomes, PointMass, Support};
 
 /// A method of distribution regression with all its settings: fits a model of p(z | x) to data.
 ///
-/// The methods are [`NpRegOptions`](crate::NpRegOptions), [`PRegOptions`](crate::PRegOptions) and
-/// [`FrechetOptions`](crate::FrechetOptions); everything downstream of [`Regressor::fit`] treats them alike.
+/// The methods are [`NpRegOptions`](crate::NpRegOptions), [`PRegOptions`](crate::PRegOptions),
+/// [`FrechetOptions`](crate::FrechetOptions) and [`StandardizedOptions`](crate::StandardizedOptions); everything downstream of [`Regressor::fit`] treats them alike.
 pub trait Regressor: Sync {
     /// What a fit gives.
     type Model: ConditionalDistribution;
@@ -15,6 +15,9 @@ pub trait Regressor: Sync {
     /// # Errors
     /// If there is no data or a setting is invalid.
     fn fit(&self, data: &Dataset) -> Result<Self::Model, Error>;
+
+    /// What can be observed: the bins and the point mass of every prediction.
+    fn outcomes(&self) -> Outcomes;
 }
 
 /// A fitted model of p(z | x).
@@ -104,6 +107,8 @@ pub struct Scratch {
     pub(crate) bins: Vec<f64>,
     /// Regressed values.
     pub(crate) values: Vec<f64>,
+    /// Bins of a residual's distribution.
+    pub(crate) residual: Vec<f64>,
 }
 
 /// Predictions at many queries, row by row.

@@ -239,27 +239,26 @@ impl Smoother {
             }
         };
         out.clear();
-        let key = query[self.axis] / self.bandwidths[self.axis];
-        let nearest = self.nearest_squared(query, key);
-        let support = kernel.support();
+        let query_scaled: Vec<f64> = query.iter().zip(&self.bandwidths).map(|(x, h)| x / h).collect();
+        let key = query_scaled[self.axis];
         // A Gaussian is taken relative to its value at the nearest state, which cancels in eq. 7 and cannot
         // underflow, and ends where the states left out cannot weigh more than NEGLIGIBLE together.
         let (base, limit) = match kernel {
             Kernel::Gaussian => {
+                let nearest = self.nearest_squared(&query_scaled);
+                let within = nearest <= kernel.support() * kernel.support();
                 let reach = 2.0 * (self.len() as f64 / NEGLIGIBLE).ln();
-                (nearest, nearest + reach)
+                (nearest, if within { nearest + reach } else { -1.0 })
             }
             Kernel::Boxcar | Kernel::Epanechnikov => (0.0, 1.0),
         };
         let mut total = 0.0;
-        if nearest <= support * support {
+        if limit >= 0.0 {
             let reach = limit.sqrt();
             let first = self.keys.partition_point(|&k| k < key - reach);
-            for (row, &k) in self.keys.iter().enumerate().skip(first) {
-                if k > key + reach {
-                    break;
-                }
-                let distance = self.squared_distance(row, query);
+            let last = first + self.keys[first..].partition_point(|&k| k <= key + reach);
+            for row in first..last {
+                let distance = self.squared_distance(row, &query_scaled);
                 if distance <= limit {
                     let weight = kernel.at_squared(distance - base);
                     if weight > 0.0 {
@@ -301,35 +300,34 @@ impl Smoother {
         // w (1 + u^T C^-1 v) t.
         let p = self.dim();
         let mut u = self.offsets(query, out);
-        let mut centre = vec![0.0; p];
-        for (&(_, w), u) in out.iter().zip(u.chunks(p)) {
-            for (c, u) in centre.iter_mut().zip(u) {
-                *c += w * u;
+        let w: Vec<f64> = out.iter().map(|w| w.1).collect();
+        let mut tilt = vec![0.0; p];
+        for (u, tilt) in u.chunks_mut(w.len()).zip(&mut tilt) {
+            let centre = dot(&w, u);
+            for u in u {
+                *u -= centre;
             }
+            *tilt = -centre;
         }
         let mut matrix = vec![0.0; p * p];
-        for (&(_, w), u) in out.iter().zip(u.chunks_mut(p)) {
-            for (u, c) in u.iter_mut().zip(&centre) {
-                *u -= c;
-            }
-            add_outer(&mut matrix, w, u);
-        }
+        second_moments(&w, &u, &mut matrix);
         for a in 0..p {
             matrix[a * p + a] += SLOPE_RIDGE;
         }
-        let mut tilt: Vec<f64> = centre.iter().map(|c| -c).collect();
         solve_positive_definite(&mut matrix, SLOPE_RIDGE, &mut tilt);
-        for ((_, w), u) in out.iter_mut().zip(u.chunks(p)) {
-            *w *= 1.0 + dot(&tilt, u);
+        let mut factors = vec![1.0; w.len()];
+        add_tilted(&tilt, &u, &mut factors);
+        for ((_, w), factor) in out.iter_mut().zip(factors) {
+            *w *= factor;
         }
         Ok(support)
     }
 
     /// As [`Smoother::weights`], for a local fit of the given degree to values that must stay positive, such as
-    /// densities. For degree 1 the weights are those of eq. 7, tilted by exp(t^T x) so that the states' weighted
-    /// mean is the query itself: what a plane through the states corrects is then zero. They are positive and sum to
-    /// 1. This is the adjusted Nadaraya-Watson estimator of Hall, Wolff and Yao 1999 with weights by exponential
-    /// tilting; it has the bias of a local plane, in the middle of the data and, to the ridge, at its edges.
+    /// densities. For a plane the weights are those of eq. 7, tilted by exp(t x) so that the states' weighted mean is
+    /// the query itself: what a plane through the states corrects is then zero. They are positive and sum to 1. This
+    /// is the adjusted Nadaraya-Watson estimator of Hall, Wolff and Yao 1999, with weights by exponential tilting; it
+    /// has the bias of a local plane, also, to the ridge, at the edges of the data.
     ///
     /// # Errors
     /// If the query isn't `dim` finite numbers.
@@ -350,44 +348,40 @@ impl Smoother {
     /// ln sum w exp(t^T u) + ridge t^T t / 2, whose gradient is that mean's offset and a ridge.
     fn balance(&self, query: &[f64], weights: &mut [(usize, f64)]) {
         let p = self.dim();
+        let n = weights.len();
         let u = self.offsets(query, weights);
-        let mut tilt = vec![0.0; p];
         let mut tilted: Vec<f64> = weights.iter().map(|w| w.1).collect();
-        let (mut gradient, mut matrix) = (vec![0.0; p], vec![0.0; p * p]);
+        let mut tilt = vec![0.0; p];
+        let (mut mean, mut step, mut matrix) = (vec![0.0; p], vec![0.0; p], vec![0.0; p * p]);
         for _ in 0..MOST_NEWTON_STEPS {
-            gradient.fill(0.0);
-            matrix.fill(0.0);
-            for (w, u) in tilted.iter().zip(u.chunks(p)) {
-                for (g, u) in gradient.iter_mut().zip(u) {
-                    *g += w * u;
-                }
-                add_outer(&mut matrix, *w, u);
+            for ((u, mean), (step, tilt)) in u.chunks(n).zip(&mut mean).zip(step.iter_mut().zip(&tilt)) {
+                *mean = dot(&tilted, u);
+                *step = -*mean - TILT_RIDGE * tilt;
             }
+            let done = dot(&step, &step) < NEWTON_TOLERANCE;
+            second_moments(&tilted, &u, &mut matrix);
             for a in 0..p {
                 for b in 0..p {
-                    matrix[a * p + b] -= gradient[a] * gradient[b];
+                    matrix[a * p + b] -= mean[a] * mean[b];
                 }
                 matrix[a * p + a] += TILT_RIDGE;
             }
-            for (g, t) in gradient.iter_mut().zip(&tilt) {
-                *g += TILT_RIDGE * t;
-            }
-            let done = dot(&gradient, &gradient) < NEWTON_TOLERANCE;
-            solve_positive_definite(&mut matrix, TILT_RIDGE, &mut gradient);
+            solve_positive_definite(&mut matrix, TILT_RIDGE, &mut step);
             // A step of more than one per bandwidth is cut, as the quadratic model doesn't reach that far.
-            let length = dot(&gradient, &gradient).sqrt();
-            let cut = if length > 1.0 { 1.0 / length } else { 1.0 };
-            for (t, step) in tilt.iter_mut().zip(&gradient) {
-                *t -= cut * step;
+            let cut = 1.0 / dot(&step, &step).sqrt().max(1.0);
+            for (t, step) in tilt.iter_mut().zip(&step) {
+                *t += cut * step;
             }
+            tilted.fill(0.0);
+            add_tilted(&tilt, &u, &mut tilted);
+            let largest = tilted.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             let mut total = 0.0;
-            let largest = u.chunks(p).map(|u| dot(&tilt, u)).fold(f64::NEG_INFINITY, f64::max);
-            for ((to, &(_, w)), u) in tilted.iter_mut().zip(weights.iter()).zip(u.chunks(p)) {
-                *to = w * (dot(&tilt, u) - largest).exp();
-                total += *to;
+            for (tilted, &(_, w)) in tilted.iter_mut().zip(weights.iter()) {
+                *tilted = w * (*tilted - largest).exp();
+                total += *tilted;
             }
-            for w in &mut tilted {
-                *w /= total;
+            for tilted in &mut tilted {
+                *tilted /= total;
             }
             // Convergence is quadratic: the step just taken squares what was left.
             if done {
@@ -399,17 +393,17 @@ impl Smoother {
         }
     }
 
-    /// Offsets of the weighted states from the query, one row per weight, in bandwidths; among nearest neighbours the
-    /// distance of the farthest is the bandwidth.
+    /// Offsets of the weighted states from the query, coordinate by coordinate, in bandwidths; among nearest
+    /// neighbours the distance of the farthest is the bandwidth.
     fn offsets(&self, query: &[f64], weights: &[(usize, f64)]) -> Vec<f64> {
-        let p = self.dim();
-        let mut offsets = Vec::with_capacity(weights.len() * p);
-        for &(i, _) in weights {
-            offsets
-                .extend(self.state(i).iter().zip(query).zip(&self.bandwidths).map(|((x, q), h)| (x - q) / h));
+        let (p, n) = (self.dim(), weights.len());
+        let mut offsets = Vec::with_capacity(n * p);
+        for (d, (q, h)) in query.iter().zip(&self.bandwidths).enumerate() {
+            offsets.extend(weights.iter().map(|&(i, _)| (self.states[i * p + d] - q) / h));
         }
         if matches!(self.weighting, Weighting::NearestNeighbours { .. }) {
-            let radius = offsets.chunks(p).map(|u| dot(u, u).sqrt()).fold(0.0, f64::max);
+            let squared = |k: usize| (0..p).map(|d| offsets[d * n + k].powi(2)).sum::<f64>();
+            let radius = (0..n).map(squared).fold(0.0, f64::max).sqrt();
             if radius > 0.0 {
                 for u in &mut offsets {
                     *u /= radius;
@@ -419,33 +413,28 @@ impl Smoother {
         offsets
     }
 
-    /// Squared bandwidth-scaled distance from the state in sorted row `row`.
+    /// Squared distance of the state in sorted row `row` from a query, both in bandwidths.
     #[inline]
-    fn squared_distance(&self, row: usize, query: &[f64]) -> f64 {
-        let dim = self.bandwidths.len();
-        self.scaled[row * dim..(row + 1) * dim]
-            .iter()
-            .zip(query.iter().zip(&self.bandwidths))
-            .map(|(s, (x, h))| (s - x / h).powi(2))
-            .sum()
+    fn squared_distance(&self, row: usize, query_scaled: &[f64]) -> f64 {
+        let dim = query_scaled.len();
+        let state = &self.scaled[row * dim..(row + 1) * dim];
+        state.iter().zip(query_scaled).map(|(s, q)| (s - q) * (s - q)).sum()
     }
 
     /// Squared distance of the nearest state, searched outwards from the query along the sorted coordinate.
-    fn nearest_squared(&self, query: &[f64], key: f64) -> f64 {
+    fn nearest_squared(&self, query_scaled: &[f64]) -> f64 {
+        let key = query_scaled[self.axis];
         let middle = self.keys.partition_point(|&k| k < key);
         let mut best = f64::INFINITY;
-        for row in middle..self.len() {
+        let mut closer = |row: usize| {
             if (self.keys[row] - key).powi(2) > best {
-                break;
+                return false;
             }
-            best = best.min(self.squared_distance(row, query));
-        }
-        for row in (0..middle).rev() {
-            if (self.keys[row] - key).powi(2) > best {
-                break;
-            }
-            best = best.min(self.squared_distance(row, query));
-        }
+            best = best.min(self.squared_distance(row, query_scaled));
+            true
+        };
+        let _ = (middle..self.len()).all(&mut closer);
+        let _ = (0..middle).rev().all(closer);
         best
     }
 
@@ -478,15 +467,42 @@ const MOST_NEWTON_STEPS: usize = 50;
 /// Squared gradient (states' weighted mean from the query, in bandwidths) after which one step is left.
 const NEWTON_TOLERANCE: f64 = 1e-12;
 
+/// Sum of products, in four sums side by side: a processor adds them at once, always in the same order.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    let (a4, a_rest) = a.as_chunks::<4>();
+    let (b4, b_rest) = b.as_chunks::<4>();
+    let mut sums = [0.0; 4];
+    for (a, b) in a4.iter().zip(b4) {
+        for k in 0..4 {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
 
-/// Adds w u u^T to a matrix.
-fn add_outer(matrix: &mut [f64], w: f64, u: &[f64]) {
-    for (row, a) in matrix.chunks_mut(u.len()).zip(u) {
-        for (m, b) in row.iter_mut().zip(u) {
-            *m += w * a * b;
+/// Weighted second moments of offsets given coordinate by coordinate: a symmetric p x p matrix.
+fn second_moments(w: &[f64], u: &[f64], matrix: &mut [f64]) {
+    let n = w.len();
+    let p = u.len() / n;
+    let mut weighted = vec![0.0; n];
+    for (a, ua) in u.chunks(n).enumerate() {
+        for ((to, w), u) in weighted.iter_mut().zip(w).zip(ua) {
+            *to = w * u;
+        }
+        for (b, ub) in u.chunks(n).enumerate().skip(a) {
+            let moment = dot(&weighted, ub);
+            matrix[a * p + b] = moment;
+            matrix[b * p + a] = moment;
+        }
+    }
+}
+
+/// Adds t^T u to each element, with the offsets u coordinate by coordinate.
+fn add_tilted(tilt: &[f64], u: &[f64], to: &mut [f64]) {
+    for (t, u) in tilt.iter().zip(u.chunks(to.len())) {
+        for (to, u) in to.iter_mut().zip(u) {
+            *to += t * u;
         }
     }
 }

@@ -21,7 +21,8 @@ pub struct Axis {
 /// Memory is 4 bytes x cells x (bins + 1).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
-    axes: Vec<Axis>,
+    /// Axes, each with the reciprocal of its width: a multiplication is quicker than a division.
+    axes: Vec<(Axis, f64)>,
     outcomes: Outcomes,
     /// Cells x (bins, and the probability of the point mass).
     densities: Vec<f32>,
@@ -58,7 +59,8 @@ impl Table {
                 .collect();
         }
         let predictions = model.predict_batch(&states.concat())?;
-        Ok(Self { axes: axes.to_vec(), ..Self::of_predictions(&predictions) })
+        let axes = axes.iter().map(|&axis| (axis, 1.0 / axis.width)).collect();
+        Ok(Self { axes, ..Self::of_predictions(&predictions) })
     }
 
     /// The densities of predictions, in their order: prediction i is cell i.
@@ -72,7 +74,7 @@ impl Table {
             })
             .collect();
         let axis = Axis { lo: 0.0, width: 1.0, cells: predictions.len() };
-        Self { axes: vec![axis], outcomes, densities, inverse_width: 1.0 / width }
+        Self { axes: vec![(axis, 1.0)], outcomes, densities, inverse_width: 1.0 / width }
     }
 
     /// What can be observed.
@@ -87,9 +89,9 @@ impl Table {
     #[inline]
     pub fn cell(&self, state: &[f64]) -> usize {
         assert_eq!(state.len(), self.axes.len(), "one coordinate per axis");
-        self.axes.iter().zip(state).fold(0, |cell, (axis, x)| {
+        self.axes.iter().zip(state).fold(0, |cell, ((axis, inverse), x)| {
             // The cast takes negative numbers and NaN to zero.
-            cell * axis.cells + (((x - axis.lo) / axis.width) as usize).min(axis.cells - 1)
+            cell * axis.cells + (((x - axis.lo) * inverse) as usize).min(axis.cells - 1)
         })
     }
 

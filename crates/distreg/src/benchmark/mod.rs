@@ -15,10 +15,11 @@ use serde::{Deserialize, Serialize};
 
 pub use task::{Task, Truth};
 
+use crate::standardized::residuals;
 use crate::{
-    Alignment, ConditionalDistribution, Degree, DensityEstimate, Error, Family, Kernel, Loss, NpRegOptions,
-    Outcomes, PRegOptions, Predictions, Regressor, Smoother, Support, Table, Weighting, cross_validate,
-    grid_search, optimize, product,
+    Alignment, ConditionalDistribution, Dataset, Degree, DensityEstimate, Error, Family, Found, Kernel, Loss,
+    NpReg, NpRegOptions, Outcomes, PRegOptions, Predictions, Regressor, Smoother, Standardized,
+    StandardizedOptions, Support, Table, Weighting, cross_validate, grid_search, optimize, product,
 };
 
 /// Folds of the cross-validation over training states that chooses all bandwidths, and its seed.
@@ -68,7 +69,8 @@ pub struct RiskMm {
 pub struct MethodRisk {
     /// NP-REG as published.
     pub faithful: f64,
-    /// NP-REG of z - r, balanced.
+    /// NP-REG, registered: of z - r, or of residuals of location and scale, whichever has the smaller
+    /// cross-validated risk on the training states.
     pub registered: f64,
     /// P-REG with a Gaussian, as published.
     pub p_reg: f64,
@@ -92,6 +94,31 @@ fn registered(outcomes: Outcomes, bandwidths: &[f64]) -> NpRegOptions {
         weighting: Weighting::kernel(Kernel::Epanechnikov, bandwidths),
         degree: Degree::Linear,
         ..faithful(outcomes, bandwidths)
+    }
+}
+
+/// Registered NP-REG by a learned location and scale: residuals in bins of 0.05 deviations.
+fn standardized(
+    outcomes: Outcomes,
+    location_scale: &[f64],
+    bandwidths: &[f64],
+) -> Result<StandardizedOptions<NpRegOptions>, Error> {
+    let residuals = Outcomes::of_values(-8.0, 8.0, 0.05)?.with_point_mass(LOST);
+    Ok(StandardizedOptions {
+        location_scale: locations(outcomes, location_scale),
+        residual: NpRegOptions { alignment: Alignment::Identity, ..registered(residuals, bandwidths) },
+    })
+}
+
+/// What stands for a lost return among residuals.
+const LOST: f64 = 100.0;
+
+/// Regression of location and scale.
+fn locations(outcomes: Outcomes, bandwidths: &[f64]) -> PRegOptions {
+    PRegOptions {
+        outcomes,
+        weighting: Weighting::kernel(Kernel::Epanechnikov, bandwidths),
+        ..p_reg(outcomes, bandwidths)
     }
 }
 
@@ -128,22 +155,43 @@ pub fn run(clock: &dyn Fn() -> Duration) -> Result<Report, BenchmarkError> {
         let task = Task::new(truth)?;
         let mut risk = MethodRisk::default();
 
-        let model = choose(&task, "faithful", |h| faithful(outcomes, h), [0.002, 0.2], &mut report)?;
+        let slower = |time: &mut f64, found: f64| *time = time.max(found);
+
+        let chosen = search(&task, &FACTORS, [0.002, 0.2], |h| Ok(faithful(outcomes, h)))?;
+        report.note(truth, "faithful", &chosen);
+        let model = faithful(outcomes, &chosen.candidate).fit(&task.train)?;
         let predictions = model.predict_batch(&task.queries)?;
         risk.faithful = task.risk(&predictions);
-        let slower = |time: &mut f64, found: f64| *time = time.max(found);
         slower(&mut report.predict_ms.faithful, batch_ms(&model, &task, &one, clock)?);
         slower(&mut report.predict_ms.faithful_2_threads, batch_ms(&model, &task, &two, clock)?);
-        slower(&mut report.max_abs_diff_from_dense, difference_from_dense(&model, &task, &predictions)?);
+        slower(&mut report.max_abs_diff_from_dense, difference_of_np_reg(&model, &task, &predictions)?);
 
-        let model = choose(&task, "registered", |h| registered(outcomes, h), [0.4, 0.1], &mut report)?;
+        let by_range = search(&task, &FACTORS, [0.4, 0.1], |h| Ok(registered(outcomes, h)))?;
+        report.note(truth, "registered by z - r", &by_range);
+        let place = search(&task, &FACTORS, [0.4, 0.1], |h| Ok(locations(outcomes, h)))?;
+        report.note(truth, "location and scale", &place);
+        let by_place =
+            search(&task, &FEW_FACTORS, [0.8, 0.2], |h| standardized(outcomes, &place.candidate, h))?;
+        report.note(truth, "registered by location and scale", &by_place);
+        let (model, difference): (Box<dyn ConditionalDistribution>, f64) = if by_range.score < by_place.score
+        {
+            let model = registered(outcomes, &by_range.candidate).fit(&task.train)?;
+            let difference = difference_of_np_reg(&model, &task, &model.predict_batch(&task.queries)?)?;
+            (Box::new(model), difference)
+        } else {
+            let model = standardized(outcomes, &place.candidate, &by_place.candidate)?.fit(&task.train)?;
+            let difference = difference_of_standardized(&model, &task, &model.predict_batch(&task.queries)?)?;
+            (Box::new(model), difference)
+        };
+        slower(&mut report.max_abs_diff_from_dense, difference);
         let predictions = model.predict_batch(&task.queries)?;
         risk.registered = task.risk(&predictions);
-        slower(&mut report.predict_ms.registered, batch_ms(&model, &task, &one, clock)?);
-        slower(&mut report.max_abs_diff_from_dense, difference_from_dense(&model, &task, &predictions)?);
+        slower(&mut report.predict_ms.registered, batch_ms(model.as_ref(), &task, &one, clock)?);
         report.density_ns = report.density_ns.min(density_ns(&Table::of_predictions(&predictions), clock));
 
-        let model = choose(&task, "p_reg", |h| p_reg(outcomes, h), [0.2, 0.1], &mut report)?;
+        let chosen = search(&task, &FACTORS, [0.2, 0.1], |h| Ok(p_reg(outcomes, h)))?;
+        report.note(truth, "p_reg", &chosen);
+        let model = p_reg(outcomes, &chosen.candidate).fit(&task.train)?;
         risk.p_reg = task.risk(&model.predict_batch(&task.queries)?);
         match truth {
             Truth::Gauss => report.risk_mm.gauss = risk,
@@ -164,33 +212,37 @@ pub enum BenchmarkError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// The model with the bandwidths of least cross-validated risk over training states: a grid of factors 1/4 to 16 of
-/// `scale`, then a search around its best.
-fn choose<R: Regressor>(
+/// Candidates for bandwidths, as factors of a scale.
+const FACTORS: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
+/// Candidates for residuals, which change little with the state: wider ones would gain little and cost time.
+const FEW_FACTORS: [f64; 3] = [0.25, 0.5, 1.0];
+
+/// The bandwidths of least cross-validated risk over training states: the best of a grid of factors of `scale`, and
+/// where that is open to wider ones, of a search around it.
+fn search<R: Regressor>(
     task: &Task,
-    name: &str,
-    method: impl Fn(&[f64]) -> R + Send + Sync,
+    factors: &[f64],
     scale: [f64; 2],
-    report: &mut Report,
-) -> Result<R::Model, Error> {
-    let axes = scale.map(|h| [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0].map(|factor| factor * h));
-    let score = |h: &[f64]| cross_validate(&method(h), &task.train, FOLDS, FOLD_SEED, Loss::HistogramMatch);
+    method: impl Fn(&[f64]) -> Result<R, Error> + Send + Sync,
+) -> Result<Found<Vec<f64>>, Error> {
+    let axes = scale.map(|h| factors.iter().map(|factor| factor * h).collect::<Vec<_>>());
+    let score = |h: &[f64]| cross_validate(&method(h)?, &task.train, FOLDS, FOLD_SEED, Loss::HistogramMatch);
     let coarse = grid_search(&product(&[&axes[0], &axes[1]]), |h| score(h))?;
-    let fine = optimize(&coarse.candidate, 1.4, 15, score)?;
-    let h = &fine.candidate;
-    let line = format!(
-        "{:?} {name}: bandwidths {:.4} m, {:.4} rad, score {:.3}",
-        task.truth(),
-        h[0],
-        h[1],
-        fine.score
-    );
-    report.chosen.push(line);
-    method(h).fit(&task.train)
+    if factors.len() == FACTORS.len() { optimize(&coarse.candidate, 1.4, 15, score) } else { Ok(coarse) }
+}
+
+impl Report {
+    fn note(&mut self, truth: Truth, method: &str, found: &Found<Vec<f64>>) {
+        let [h_range, h_incidence] = [found.candidate[0], found.candidate[1]];
+        self.chosen.push(format!(
+            "{truth:?}, {method}: bandwidths {h_range:.4} m, {h_incidence:.4} rad, score {:.3}",
+            found.score
+        ));
+    }
 }
 
 /// Shortest time of all queries, in milliseconds, into memory that is used again.
-fn batch_ms<M: ConditionalDistribution>(
+fn batch_ms<M: ConditionalDistribution + ?Sized>(
     model: &M,
     task: &Task,
     pool: &ThreadPool,
@@ -201,7 +253,7 @@ fn batch_ms<M: ConditionalDistribution>(
     for _ in 0..REPETITIONS {
         let start = clock();
         pool.install(|| model.predict_batch_into(black_box(&task.queries), &mut predictions))?;
-        best = best.min((clock() - start).as_secs_f64() * 1e3);
+        best = best.min(clock().saturating_sub(start).as_secs_f64() * 1e3);
     }
     Ok(best)
 }
@@ -220,87 +272,178 @@ fn density_ns(table: &Table, clock: &dyn Fn() -> Duration) -> f64 {
             }
         }
         black_box(sum);
-        best = best.min((clock() - start).as_secs_f64() * 1e9 / (f64::from(cells) * z.len() as f64));
+        best =
+            best.min(clock().saturating_sub(start).as_secs_f64() * 1e9 / (f64::from(cells) * z.len() as f64));
     }
     best
 }
 
-/// Largest difference of predicted masses from the dense product of all states' histograms, bin by bin and without
-/// skipping anything.
-fn difference_from_dense(model: &crate::NpReg, task: &Task, predictions: &Predictions) -> Result<f64, Error> {
-    let options = model.options();
-    let (grid, n) = (options.outcomes.grid, task.train.len());
-    let Weighting::Kernel { kernel, bandwidths } = &options.weighting else {
-        return Ok(f64::INFINITY);
-    };
-    let smoother = Smoother::new(&task.train, &options.weighting)?;
-    let registered = options.alignment != Alignment::Identity;
-    // Bins of z, or of z - r from -B to B, and the point mass as one more.
-    let bins = if registered { 2 * grid.bins } else { grid.bins };
-    let mut dense = vec![0.0; (bins + 1) * n];
-    for i in 0..n {
-        let column = &mut dense[i * (bins + 1)..(i + 1) * (bins + 1)];
-        let z = task.train.observations(i);
-        for &z in z {
-            let bin = match (options.outcomes.is_point(z), registered) {
-                (true, _) => bins,
-                (false, false) => grid.bin(z),
-                (false, true) => {
-                    let aligned = ((z - task.train.state(i)[0]) / grid.width).floor();
-                    (aligned + grid.bins as f64) as usize
-                }
-            };
-            column[bin] += 1.0;
-        }
-        for mass in column {
-            *mass /= z.len() as f64;
-        }
-    }
+/// Largest difference of predicted masses from the dense product, for NP-REG of z or of z - r.
+fn difference_of_np_reg(model: &NpReg, task: &Task, predictions: &Predictions) -> Result<f64, Error> {
+    let grid = model.options().outcomes.grid;
+    let registered = model.options().alignment != Alignment::Identity;
     let mut largest: f64 = 0.0;
     for (q, query) in task.queries.chunks(2).enumerate() {
-        let mut weights = vec![0.0; n];
-        if options.degree == Degree::Constant && predictions.support()[q] == Support::InData {
-            for (w, state) in weights.iter_mut().zip(task.train.states().chunks(2)) {
+        let (row, point) = dense_product(model, &task.train, query, predictions.support()[q])?;
+        // Bin b of z - r starts at (b - B) widths.
+        let start = if registered { (query[0] - grid.lo) / grid.width - grid.bins as f64 } else { 0.0 };
+        let (expected, above) = move_bins(&row, start, 1.0, grid.bins);
+        largest = largest.max(difference(predictions, q, &expected, point + above));
+    }
+    Ok(largest)
+}
+
+/// The same for NP-REG of residuals of location and scale.
+fn difference_of_standardized(
+    model: &Standardized<NpReg>,
+    task: &Task,
+    predictions: &Predictions,
+) -> Result<f64, Error> {
+    let residual = model.residual();
+    let data = residuals(model.location_scale(), &task.train, Some(LOST))?;
+    let (from, to) = (residual.options().outcomes.grid, predictions.outcomes().grid);
+    let mut largest: f64 = 0.0;
+    for (q, query) in task.queries.chunks(2).enumerate() {
+        let (row, point) = dense_product(residual, &data, query, predictions.support()[q])?;
+        let (at, _) = model.location_scale().parameters(query)?;
+        let start = (at.mean + at.sigma * from.lo - to.lo) / to.width;
+        let (expected, above) = move_bins(&row, start, at.sigma * from.width / to.width, to.bins);
+        largest = largest.max(difference(predictions, q, &expected, point + above));
+    }
+    Ok(largest)
+}
+
+fn difference(predictions: &Predictions, q: usize, expected: &[f64], point: f64) -> f64 {
+    let bins = predictions.mass(q).iter().zip(expected).map(|(found, expected)| (found - expected).abs());
+    bins.fold((predictions.points()[q] - point).abs(), f64::max)
+}
+
+/// The weighted mean of all states' histograms, bin by bin and without skipping anything, and that of the point
+/// mass. Histograms of z - r have bins from -B to B.
+fn dense_product(
+    model: &NpReg,
+    data: &Dataset,
+    query: &[f64],
+    support: Support,
+) -> Result<(Vec<f64>, f64), Error> {
+    let options = model.options();
+    let (outcomes, grid) = (options.outcomes, options.outcomes.grid);
+    let registered = options.alignment != Alignment::Identity;
+    let mut weights = vec![0.0; data.len()];
+    match &options.weighting {
+        Weighting::Kernel { kernel, bandwidths }
+            if options.degree == Degree::Constant && support == Support::InData =>
+        {
+            for (w, state) in weights.iter_mut().zip(data.states().chunks(2)) {
                 let offsets = state.iter().zip(query).zip(bandwidths).map(|((x, q), h)| (x - q) / h);
                 *w = kernel.at_squared(offsets.map(|u| u * u).sum());
             }
-        } else {
-            // The weights themselves are a model's own business; here it's the product that counts.
+        }
+        // Other weights are a model's own business; here it's the product that counts.
+        weighting => {
             let mut sparse = Vec::new();
-            smoother.positive_weights(query, options.degree, &mut sparse)?;
+            Smoother::new(data, weighting)?.positive_weights(query, options.degree, &mut sparse)?;
             for (i, w) in sparse {
                 weights[i] = w;
             }
         }
-        let total: f64 = weights.iter().sum();
-        let mut row = vec![0.0; bins + 1];
-        for (w, column) in weights.iter().zip(dense.chunks(bins + 1)) {
-            for (r, mass) in row.iter_mut().zip(column) {
-                *r += w / total * mass;
-            }
-        }
-        let mut expected = vec![0.0; grid.bins];
-        let mut point = row[bins];
-        if registered {
-            // Bin b of z - r starts at (b - B) widths; in the grid at r, its mass is even over one width.
-            for (b, mass) in row[..bins].iter().enumerate() {
-                let at = b as f64 - grid.bins as f64 + (query[0] - grid.lo) / grid.width;
-                for (bin, share) in [(at.floor(), 1.0 - at + at.floor()), (at.floor() + 1.0, at - at.floor())]
-                {
-                    if bin >= grid.bins as f64 {
-                        point += share * mass;
-                    } else {
-                        expected[bin.max(0.0) as usize] += share * mass;
-                    }
-                }
-            }
-        } else {
-            expected.copy_from_slice(&row[..bins]);
-        }
-        for (found, expected) in predictions.mass(q).iter().zip(&expected) {
-            largest = largest.max((found - expected).abs());
-        }
-        largest = largest.max((predictions.points()[q] - point).abs());
     }
-    Ok(largest)
+    let total: f64 = weights.iter().sum();
+    let mut row = vec![0.0; if registered { 2 * grid.bins } else { grid.bins }];
+    let mut point = 0.0;
+    for (i, weight) in weights.iter().enumerate() {
+        let mut column = vec![0.0; row.len()];
+        let z = data.observations(i);
+        let mut points = 0.0;
+        for &z in z {
+            if outcomes.is_point(z) {
+                points += 1.0;
+            } else if registered {
+                let aligned = ((z - data.state(i)[0]) / grid.width).floor();
+                column[(aligned + grid.bins as f64) as usize] += 1.0;
+            } else {
+                column[grid.bin(z)] += 1.0;
+            }
+        }
+        let factor = weight / total / z.len() as f64;
+        for (r, count) in row.iter_mut().zip(column) {
+            *r += factor * count;
+        }
+        point += factor * points;
+    }
+    Ok((row, point))
+}
+
+/// Bin b of `row` covers `start` + b `length` to `start` + (b + 1) `length` in bins of the result, evenly. What lies
+/// below counts in the first bin; what lies above is given apart.
+fn move_bins(row: &[f64], start: f64, length: f64, bins: usize) -> (Vec<f64>, f64) {
+    let mut moved = vec![0.0; bins];
+    let mut above = 0.0;
+    for (b, mass) in row.iter().enumerate() {
+        let (from, to) = (start + b as f64 * length, start + (b + 1) as f64 * length);
+        for bin in from.floor() as i64..to.ceil() as i64 {
+            let share = (to.min((bin + 1) as f64) - from.max(bin as f64)) / length;
+            match usize::try_from(bin) {
+                Ok(bin) if bin >= bins => above += share * mass,
+                Ok(bin) => moved[bin] += share * mass,
+                Err(_) => moved[0] += share * mass,
+            }
+        }
+    }
+    (moved, above)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sums of all readings \[mm\] and of readings with weights 0 to 999, of the true distribution functions, and risks
+    /// at given bandwidths, as the task's scripts have them.
+    #[test]
+    fn data_truth_and_risk_are_those_of_numpy() {
+        for (truth, sums, cdf_sum, bandwidths, risk) in [
+            (Truth::Gauss, [222_961_283, 111_518_753_947], 723.963_577_932_255_5, [0.002, 0.4], 3.733),
+            (Truth::Mixed, [219_693_775, 109_957_966_661], 3_442.313_225_235_566_3, [0.02, 0.2], 61.523),
+        ] {
+            let task = Task::new(truth).unwrap();
+            let readings: Vec<u64> = (0..task.train.len())
+                .flat_map(|i| task.train.observations(i))
+                .map(|z| (z * 1000.0).round() as u64)
+                .collect();
+            let weighted: u64 = readings.iter().zip((0..1000).cycle()).map(|(z, k)| z * k).sum();
+            assert_eq!([readings.iter().sum::<u64>(), weighted], sums);
+            let cdf: f64 = task.cdf([task.queries[0], task.queries[1]]).iter().sum();
+            assert!((cdf - cdf_sum).abs() < 1e-6, "{cdf}");
+            let model = faithful(Task::outcomes().unwrap(), &bandwidths).fit(&task.train).unwrap();
+            let found = task.risk(&model.predict_batch(&task.queries).unwrap());
+            assert!((found - risk).abs() < 0.0005, "{found}");
+        }
+    }
+
+    /// The difference is rounding alone; for predictions of other bandwidths, the control, it isn't.
+    #[test]
+    fn predictions_are_the_dense_product() {
+        let mut task = Task::new(Truth::Mixed).unwrap();
+        task.queries.truncate(60);
+        let outcomes = Task::outcomes().unwrap();
+        let predict =
+            |method: &NpRegOptions| method.fit(&task.train).unwrap().predict_batch(&task.queries).unwrap();
+        for (method, other) in [
+            (faithful(outcomes, &[0.02, 0.1]), faithful(outcomes, &[0.02, 0.100_001])),
+            (registered(outcomes, &[0.8, 0.2]), registered(outcomes, &[0.8, 0.200_001])),
+        ] {
+            let model = method.fit(&task.train).unwrap();
+            let difference = |from| difference_of_np_reg(&model, &task, &predict(from)).unwrap();
+            assert!(difference(&method) < 1e-12, "{}", difference(&method));
+            assert!(difference(&other) > 1e-12);
+        }
+        let fit = |h: f64| standardized(outcomes, &[1.0, 0.1], &[0.4, h]).unwrap().fit(&task.train).unwrap();
+        let model = fit(0.1);
+        let difference = |from: &Standardized<NpReg>| {
+            let predictions = from.predict_batch(&task.queries).unwrap();
+            difference_of_standardized(&model, &task, &predictions).unwrap()
+        };
+        assert!(difference(&model) < 1e-12, "{}", difference(&model));
+        assert!(difference(&fit(0.100_001)) > 1e-12);
+    }
 }
