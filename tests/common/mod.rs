@@ -24,7 +24,7 @@ description: A short drive through a small room
 seed: 3
 trials: 3
 map: {file: room.yaml}
-ray_cast: {method: table, cell_m: 0.1, headings: 72}
+ray_cast: {method: table, cell_m: 0.1}
 blocks: {per_metre_of_wall: 0.3, length_m: [0.2, 0.4], width_m: [0.2, 0.4], wall_distance_m: [0.0, 0.3]}
 robot:
   path: {waypoints: {points_m: [[0.6, 0.9], [2.6, 0.9]], speed_m_s: 0.5, turn_rate_deg_s: 45}}
@@ -70,7 +70,8 @@ impl Folder {
 /// The program with the arguments of a command line (no quotes: words are cut at blanks).
 pub fn locsim(folder: &Path, line: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_locsim"));
-    command.current_dir(folder).args(line.split_whitespace());
+    // Not in the cache folder of whoever runs the tests.
+    command.current_dir(folder).env("LOCSIM_CACHE", folder.join(".cache")).args(line.split_whitespace());
     command
 }
 

@@ -69,6 +69,9 @@ pub struct Run {
     /// Go on with an interrupted run of the same scenario instead of starting again
     #[arg(long)]
     pub resume: bool,
+    /// Where range tables are kept between runs [default: `locsim` in the user's cache folder]
+    #[arg(long, env = "LOCSIM_CACHE", value_name = "FOLDER", hide_env_values = true)]
+    pub cache: Option<PathBuf>,
     /// Print nothing but errors (and, with --json, the summary)
     #[arg(long)]
     pub quiet: bool,

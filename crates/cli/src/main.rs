@@ -74,6 +74,7 @@ fn run(arguments: &Run) -> Result<ExitCode> {
     let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
     let out = arguments.out.clone().unwrap_or_else(|| Path::new("results").join(&scenario.name));
     let recorder = recorder(arguments.record, &scenario.name);
+    let cache = arguments.cache.clone().or_else(users_cache);
     let options = RunOptions {
         out: out.clone(),
         resume: arguments.resume,
@@ -81,6 +82,7 @@ fn run(arguments: &Run) -> Result<ExitCode> {
         clock: &clock,
         progress: &bars,
         interrupted: &interrupted,
+        cache: cache.as_deref(),
         recorder: recorder.as_deref(),
     };
     let outcome = run::run(&scenario, &options)?;
@@ -192,6 +194,11 @@ fn bench_regression(arguments: &arguments::BenchRegression) -> Result<ExitCode> 
         ))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Where programs keep what they can do without, for this user.
+fn users_cache() -> Option<PathBuf> {
+    directories::BaseDirs::new().map(|user| user.cache_dir().join("locsim"))
 }
 
 /// The command that repeats a run.

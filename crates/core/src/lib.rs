@@ -8,14 +8,23 @@
 mod beams;
 mod draw;
 mod drive;
+mod elementary;
+mod lanes;
+mod likelihood;
 mod model;
+mod normals;
 mod particles;
 mod pose;
 mod weights;
 
 pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
-pub use draw::{Draw, Stage};
+pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
+pub use elementary::{sin_cos, sin_cos_near_zero};
+pub use likelihood::{
+    BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
+    turn,
+};
 pub use model::{DistanceMap, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};

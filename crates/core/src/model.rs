@@ -1,4 +1,4 @@
-use crate::{Beams, Draw, Hits, Poses};
+use crate::{Beams, Draw, Hits, LikelihoodTable, Poses, PreparedScan};
 
 /// A map that answers ray casts.
 pub trait RangeMap: Send + Sync {
@@ -8,6 +8,20 @@ pub trait RangeMap: Send + Sync {
     /// surface at exactly `max_range` counts as no return. A pose inside a wall or outside the map is legal:
     /// its rays hit whatever is in front of them.
     fn cast(&self, laser: Poses<'_>, bearings: &[f32], max_range: f32, out: &mut Hits);
+
+    /// Log likelihood (nats) of a scan for each of the laser poses, by a prepared sensor model. `hits` is room to work
+    /// in; a map that can do without it computes the same faster.
+    fn log_likelihood(
+        &self,
+        laser: Poses<'_>,
+        scan: &PreparedScan,
+        table: &LikelihoodTable,
+        hits: &mut Hits,
+        out: &mut [f64],
+    ) {
+        self.cast(laser, &scan.bearings, table.grid().reach, hits);
+        table.log_likelihood(scan, hits, out);
+    }
 
     /// Whether a robot can stand at this point \[m\]: inside the map's free space. Used to draw the particles of
     /// a global localization.
@@ -63,6 +77,17 @@ pub trait SensorModel: Send + Sync {
 
     /// Draws one reading per beam (`out` has n*k entries); beam `i` uses `draw.item(i)`.
     fn sample(&self, beams: &Beams<'_>, draw: &Draw, out: &mut [f32]);
+
+    /// Whether the density depends on more of a beam than nominal range and incidence, on where it is: such a model
+    /// can't be prepared as a [`LikelihoodTable`].
+    fn depends_on_place(&self) -> bool {
+        false
+    }
+
+    /// The model as a table, if it has been prepared as one; a filter then asks nothing else.
+    fn table(&self) -> Option<&LikelihoodTable> {
+        None
+    }
 
     /// Log likelihood of a whole scan for each pose: the sum over its k beams (nats). `scratch` is resized to
     /// n*k and holds the beams' log densities afterwards.

@@ -60,11 +60,17 @@ impl Particles {
 
     /// Becomes `source[ancestors[i]]` for each `i`; keeps its buffers.
     pub fn gather(&mut self, source: &Self, ancestors: &[u32]) {
-        for (out, from) in
-            [(&mut self.x, &source.x), (&mut self.y, &source.y), (&mut self.theta, &source.theta)]
-        {
-            out.clear();
-            out.extend(ancestors.iter().map(|&a| from[a as usize]));
+        // So many ancestors at a time that they are still in the first-level cache for y and theta.
+        const RUN: usize = 1024;
+        self.resize(ancestors.len());
+        let Self { x, y, theta } = self;
+        let runs = x.chunks_mut(RUN).zip(y.chunks_mut(RUN)).zip(theta.chunks_mut(RUN));
+        for (ancestors, ((x, y), theta)) in ancestors.chunks(RUN).zip(runs) {
+            for (out, from) in [(x, &source.x), (y, &source.y), (theta, &source.theta)] {
+                for (out, ancestor) in out.iter_mut().zip(ancestors) {
+                    *out = from[*ancestor as usize];
+                }
+            }
         }
     }
 
@@ -113,5 +119,22 @@ impl<'a> Poses<'a> {
     #[must_use]
     pub fn slice(&self, start: usize, end: usize) -> Poses<'a> {
         Poses { x: &self.x[start..end], y: &self.y[start..end], theta: &self.theta[start..end] }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gathering_copies_whole_poses_whatever_the_lengths() {
+        let source: Particles =
+            (0..3000).map(|i| Pose2::new(f64::from(i), -f64::from(i), 0.001 * f64::from(i))).collect();
+        let mut gathered = Particles::zeros(5);
+        for ancestors in [vec![7_u32; 2500], (0..3000).rev().collect(), vec![], vec![2999, 0, 1]] {
+            gathered.gather(&source, &ancestors);
+            assert_eq!(gathered.len(), ancestors.len());
+            assert!(gathered.iter().zip(&ancestors).all(|(pose, a)| pose == source.get(*a as usize)));
+        }
     }
 }

@@ -3,13 +3,18 @@ use std::f64::consts::{PI, TAU};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-/// Brings an angle \[rad\] into (-pi, pi] (REP-103).
+use crate::elementary::ROUND;
+
+/// Brings an angle \[rad\] into (-pi, pi] (REP-103); one that is there keeps its bits.
+///
+/// Has no branches, for loops over many angles. An angle of more than 2^51 turns, whose neighbouring doubles are
+/// turns apart, becomes some angle of the interval.
+#[inline]
 pub fn wrap_angle(angle: f64) -> f64 {
-    if angle > -PI && angle <= PI {
-        return angle;
-    }
-    let wrapped = angle.rem_euclid(TAU);
-    if wrapped > PI { wrapped - TAU } else { wrapped }
+    let turns = (angle / TAU + ROUND) - ROUND;
+    let wrapped = angle - turns * TAU;
+    // Outside by rounding only, or -pi itself.
+    if wrapped > PI || wrapped <= -PI { PI } else { wrapped }
 }
 
 /// Weighted circular mean of angles \[rad\]: the direction of the weighted sum of unit vectors.
@@ -118,6 +123,19 @@ mod tests {
     fn the_wrap_keeps_plus_pi_and_maps_minus_pi_to_it() {
         assert_eq!(wrap_angle(PI), PI);
         assert_eq!(wrap_angle(-PI), PI);
+    }
+
+    #[test]
+    fn angles_of_the_interval_keep_their_bits_and_all_finite_ones_reach_it() {
+        let ulp = f64::EPSILON * 2.0;
+        for angle in [0.0, -0.0, 1e-300, 3.0, -3.1, PI - ulp, -PI + ulp, PI] {
+            assert_eq!(wrap_angle(angle).to_bits(), angle.to_bits(), "{angle}");
+        }
+        for angle in [PI + ulp, -PI - ulp, 3.0 * PI, -3.0 * PI, 1e15, -1e16, 1e17, -1e300, f64::MAX] {
+            let wrapped = wrap_angle(angle);
+            assert!(wrapped > -PI && wrapped <= PI, "{angle}: {wrapped}");
+        }
+        assert!(wrap_angle(f64::NAN).is_nan() && wrap_angle(f64::INFINITY).is_nan());
     }
 
     #[test]

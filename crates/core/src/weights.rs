@@ -1,5 +1,8 @@
 use thiserror::Error;
 
+use crate::elementary::exp_nonpositive;
+use crate::lanes::{all_below_infinity, greatest_sum, lane_sums};
+
 /// Why weights could not be updated. The weights are unchanged when this is returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum WeightError {
@@ -22,22 +25,32 @@ pub enum WeightError {
     },
 }
 
-/// Sums are formed over runs of this many particles, then combined in order, so that a parallel sum and a
-/// serial one have the same bits.
-const CHUNK: usize = 4096;
+/// Particles are worked on in runs of this many, whose intermediate results stay in the first-level cache.
+const RUN: usize = 512;
 
 /// Normalized importance weights of a particle set, with what follows from them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weights {
-    log: Vec<f64>,
+    /// Log of each weight over the greatest weight.
+    log_ratio: Vec<f64>,
     linear: Vec<f64>,
+    /// Log of the greatest weight.
+    log_greatest: f64,
+    /// Index of the greatest weight, the first among equals; 0 for an empty set.
+    heaviest: usize,
     effective_sample_size: f64,
 }
 
 impl Weights {
     /// `n` equal weights.
     pub fn uniform(n: usize) -> Self {
-        let mut weights = Self { log: Vec::new(), linear: Vec::new(), effective_sample_size: 0.0 };
+        let mut weights = Self {
+            log_ratio: Vec::new(),
+            linear: Vec::new(),
+            log_greatest: 0.0,
+            heaviest: 0,
+            effective_sample_size: 0.0,
+        };
         weights.reset(n);
         weights
     }
@@ -47,12 +60,15 @@ impl Weights {
         let weight = 1.0 / n.max(1) as f64;
         self.linear.clear();
         self.linear.resize(n, weight);
-        self.log.clear();
-        self.log.resize(n, weight.ln());
+        self.log_ratio.clear();
+        self.log_ratio.resize(n, 0.0);
+        self.log_greatest = weight.ln();
+        self.heaviest = 0;
         self.effective_sample_size = n as f64;
     }
 
-    /// Multiplies each weight by exp(`log_likelihood`) and normalizes.
+    /// Multiplies each weight by exp(`log_likelihood`) and normalizes. A weight below exp(-708) of the greatest
+    /// becomes 0; its log lives on.
     ///
     /// Returns the log of the weighted mean likelihood, `ln sum_i w_i exp(l_i)`: the step's share of the log
     /// evidence, `ln p(z_t | z_1..t-1)` (nats).
@@ -60,43 +76,51 @@ impl Weights {
     /// # Errors
     /// [`WeightError`]; the weights are then unchanged.
     pub fn update(&mut self, log_likelihood: &[f64]) -> Result<f64, WeightError> {
-        if log_likelihood.len() != self.log.len() {
-            return Err(WeightError::Length { expected: self.log.len(), got: log_likelihood.len() });
+        if log_likelihood.len() != self.log_ratio.len() {
+            return Err(WeightError::Length { expected: self.log_ratio.len(), got: log_likelihood.len() });
         }
-        let mut highest = f64::NEG_INFINITY;
-        for (i, (log, l)) in self.log.iter().zip(log_likelihood).enumerate() {
-            if l.is_nan() || *l == f64::INFINITY {
-                return Err(WeightError::NotANumber { particle: i });
+        let (highest, heaviest) = self.highest(log_likelihood)?;
+        let (mut sum, mut squares) = (0.0, 0.0);
+        let runs = self.log_ratio.chunks_mut(RUN).zip(self.linear.chunks_mut(RUN));
+        for ((log_ratio, linear), l) in runs.zip(log_likelihood.chunks(RUN)) {
+            for ((log_ratio, linear), l) in log_ratio.iter_mut().zip(linear.iter_mut()).zip(l) {
+                *log_ratio = *log_ratio + l - highest;
+                *linear = exp_nonpositive(*log_ratio);
             }
-            highest = highest.max(log + l);
+            let [part, part_squares] = lane_sums(linear, |w| [w, w * w]);
+            sum += part;
+            squares += part_squares;
+        }
+        let share = 1.0 / sum;
+        for linear in &mut self.linear {
+            *linear *= share;
+        }
+        let log_mean = self.log_greatest + highest + sum.ln();
+        self.log_greatest = share.ln();
+        self.heaviest = heaviest;
+        self.effective_sample_size = sum * sum / squares;
+        Ok(log_mean)
+    }
+
+    /// The greatest sum of log ratio and log likelihood, and where it stands first.
+    fn highest(&self, log_likelihood: &[f64]) -> Result<(f64, usize), WeightError> {
+        let (mut highest, mut best_run) = (f64::NEG_INFINITY, 0);
+        for (run, (log_ratio, l)) in self.log_ratio.chunks(RUN).zip(log_likelihood.chunks(RUN)).enumerate() {
+            if !all_below_infinity(l) {
+                let within = l.iter().position(|l| !all_below_infinity(&[*l])).unwrap_or(0);
+                return Err(WeightError::NotANumber { particle: run * RUN + within });
+            }
+            let greatest = greatest_sum(log_ratio, l);
+            if greatest > highest {
+                (highest, best_run) = (greatest, run * RUN);
+            }
         }
         if highest == f64::NEG_INFINITY {
             return Err(WeightError::AllZero);
         }
-        let mut sum = 0.0;
-        let chunks = self.log.chunks_mut(CHUNK).zip(self.linear.chunks_mut(CHUNK));
-        for ((log, linear), l) in chunks.zip(log_likelihood.chunks(CHUNK)) {
-            let mut part = 0.0;
-            for ((log, linear), l) in log.iter_mut().zip(linear).zip(l) {
-                *log += l;
-                *linear = (*log - highest).exp();
-                part += *linear;
-            }
-            sum += part;
-        }
-        let log_mean = highest + sum.ln();
-        let mut squares = 0.0;
-        for (log, linear) in self.log.chunks_mut(CHUNK).zip(self.linear.chunks_mut(CHUNK)) {
-            let mut part = 0.0;
-            for (log, linear) in log.iter_mut().zip(linear) {
-                *log -= log_mean;
-                *linear /= sum;
-                part += *linear * *linear;
-            }
-            squares += part;
-        }
-        self.effective_sample_size = 1.0 / squares;
-        Ok(log_mean)
+        let mut sums =
+            self.log_ratio[best_run..].iter().zip(&log_likelihood[best_run..]).map(|(log, l)| log + l);
+        Ok((highest, best_run + sums.position(|sum| sum == highest).unwrap_or(0)))
     }
 
     /// Number of particles.
@@ -114,9 +138,9 @@ impl Weights {
         &self.linear
     }
 
-    /// Natural logs of the weights.
-    pub fn log(&self) -> &[f64] {
-        &self.log
+    /// Natural logs of the weights, in order.
+    pub fn log(&self) -> impl ExactSizeIterator<Item = f64> + '_ {
+        self.log_ratio.iter().map(|ratio| ratio + self.log_greatest)
     }
 
     /// Effective sample size 1 / sum of squared weights (Kong, Liu and Wong 1994), from 1 to n.
@@ -126,7 +150,7 @@ impl Weights {
 
     /// Index of the greatest weight, the first among equals; `None` for an empty set.
     pub fn argmax(&self) -> Option<usize> {
-        (0..self.len()).reduce(|best, i| if self.log[i] > self.log[best] { i } else { best })
+        (!self.is_empty()).then_some(self.heaviest)
     }
 }
 
@@ -152,6 +176,48 @@ mod tests {
             prop_assert!(a.effective_sample_size() >= 1.0 - 1e-9);
             prop_assert!(a.effective_sample_size() <= l.len() as f64 + 1e-9);
         }
+    }
+
+    /// Two updates by the definitions, over several runs and with impossible particles among them.
+    #[test]
+    fn updates_multiply_and_normalize() {
+        for n in [1, 7, RUN, RUN + 1, 5 * RUN + 13] {
+            let mut weights = Weights::uniform(n);
+            let mut expected = vec![1.0 / n as f64; n];
+            for round in 0..2 {
+                let l: Vec<f64> = (0..n)
+                    .map(|i| {
+                        if i % 5 == 4 { f64::NEG_INFINITY } else { ((i * 7919 + round) % 1009) as f64 / 50.0 }
+                    })
+                    .collect();
+                let products: Vec<f64> = expected.iter().zip(&l).map(|(w, l)| w * l.exp()).collect();
+                let evidence: f64 = products.iter().sum();
+                expected = products.iter().map(|p| p / evidence).collect();
+                let got = weights.update(&l).unwrap();
+                assert!((got - evidence.ln()).abs() < 1e-9, "{n}: {got}, expected {}", evidence.ln());
+            }
+            for ((got, log), expected) in weights.linear().iter().zip(weights.log()).zip(&expected) {
+                assert!((got - expected).abs() <= 1e-12 * expected, "{n}: {got}, expected {expected}");
+                assert!(log == expected.ln() || (log - expected.ln()).abs() < 1e-9);
+            }
+            let first_greatest = (0..n).reduce(|best, i| if expected[i] > expected[best] { i } else { best });
+            assert_eq!(weights.argmax(), first_greatest);
+            let squares: f64 = expected.iter().map(|w| w * w).sum();
+            assert!((weights.effective_sample_size() * squares - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_first_of_the_greatest_is_found_in_any_run() {
+        let n = 3 * RUN + 5;
+        for best in [0, 1, RUN - 1, RUN, 2 * RUN + 3, n - 2] {
+            let mut weights = Weights::uniform(n);
+            let mut l = vec![0.0; n];
+            (l[best], l[n - 1]) = (1.0, 1.0);
+            weights.update(&l).unwrap();
+            assert_eq!(weights.argmax(), Some(best));
+        }
+        assert_eq!((Weights::uniform(3).argmax(), Weights::uniform(0).argmax()), (Some(0), None));
     }
 
     #[test]

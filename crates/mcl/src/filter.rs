@@ -1,9 +1,7 @@
 use std::fmt;
 use std::sync::Arc;
 
-use locsim_core::{
-    Draw, Laser, Particles, Pose2, RangeMap, Scan, SensorModel, Stage, WeightError, Weights, wrap_angle,
-};
+use locsim_core::{Draw, Laser, Particles, Pose2, RangeMap, Scan, SensorModel, Stage, WeightError, Weights};
 use rand::RngExt;
 
 use crate::adaptive::{KldOptions, KldSampler};
@@ -12,7 +10,7 @@ use crate::augmented::{Augmented, InjectionOptions};
 use crate::bins::PoseBins;
 use crate::error::{FilterError, check, check_sigma};
 use crate::estimate::{Cluster, Clusters, Estimate, max_weight, weighted_mean};
-use crate::motion::{MotionModel, for_each_with_normals};
+use crate::motion::{MotionModel, spread};
 use crate::resampling::Resampler;
 use crate::start::{Start, free_pose};
 use crate::weigh::Weigher;
@@ -354,11 +352,7 @@ impl Filter {
         self.next.gather(&self.particles, &self.ancestors);
         if let Some(Regularization { sigma_m, sigma_rad }) = self.options.regularization {
             let draw = Draw::new(self.seeds.jitter, Stage::Resample, self.step);
-            for_each_with_normals(&mut self.next, &draw, |[n1, n2, n3], x, y, theta| {
-                *x += sigma_m * n1;
-                *y += sigma_m * n2;
-                *theta = wrap_angle(*theta + sigma_rad * n3);
-            });
+            spread(&mut self.next, &draw, sigma_m, sigma_rad);
         }
         for i in 0..injected {
             self.next.push(free_pose(map, &mut injection.item(i as u32))?);

@@ -1,7 +1,6 @@
 use std::fmt::Debug;
 
-use locsim_core::{Draw, Particles, Pose2, wrap_angle};
-use rand_distr::{Distribution, StandardNormal};
+use locsim_core::{BATCH, Draw, Particles, Pose2, sin_cos, wrap_angle};
 use rayon::prelude::*;
 
 use crate::FilterError;
@@ -12,7 +11,7 @@ pub trait MotionModel: Debug + Send + Sync {
     /// Moves each particle by a draw from the motion distribution.
     ///
     /// `increment` is the motion since the last step by odometry, `base_prev_from_base_now`. Particle `i` draws
-    /// from `draw.item(i)`.
+    /// from item `i` of `draw`.
     fn propagate(&self, increment: &Pose2, draw: &Draw, particles: &mut Particles);
 }
 
@@ -64,7 +63,7 @@ impl MotionModel for OdometryMotion {
         for_each_with_normals(particles, draw, |[n1, n2, n3], x, y, theta| {
             let direction = *theta + rot1 + rot1_sigma * n1;
             let trans = trans + trans_sigma * n2;
-            let (sin, cos) = direction.sin_cos();
+            let (sin, cos) = sin_cos(direction);
             *x += trans * cos;
             *y += trans * sin;
             *theta = wrap_angle(direction + rot2 + rot2_sigma * n3);
@@ -115,7 +114,7 @@ impl MotionModel for VelocityMotion {
         for_each_with_normals(particles, draw, |[n1, n2, n3], x, y, theta| {
             let angle = angle + angle_sigma * n2;
             let chord = (arc + arc_sigma * n1) * sinc(angle / 2.0);
-            let (sin, cos) = (*theta + angle / 2.0).sin_cos();
+            let (sin, cos) = sin_cos(*theta + angle / 2.0);
             *x += chord * cos;
             *y += chord * sin;
             *theta = wrap_angle(*theta + angle + final_sigma * n3);
@@ -126,15 +125,26 @@ impl MotionModel for VelocityMotion {
 /// sin(a) / a, 1 at 0.
 fn sinc(a: f64) -> f64 {
     // Below this the series' next term, a^2 / 6, is under half a unit in the last place of 1.
-    if a.abs() < 2e-8 { 1.0 } else { a.sin() / a }
+    let ratio = sin_cos(a).0 / a;
+    if a.abs() < 2e-8 { 1.0 } else { ratio }
+}
+
+/// Adds Gaussian noise of these standard deviations (m, rad) to each pose; particle `i` draws from item `i`.
+pub(crate) fn spread(particles: &mut Particles, draw: &Draw, sigma_m: f64, sigma_rad: f64) {
+    for_each_with_normals(particles, draw, |[n1, n2, n3], x, y, theta| {
+        *x += sigma_m * n1;
+        *y += sigma_m * n2;
+        *theta = wrap_angle(*theta + sigma_rad * n3);
+    });
 }
 
 /// Particles are moved in parallel by runs of this many.
-const CHUNK: usize = 1024;
+const CHUNK: usize = 16 * BATCH;
 
 /// Calls `f(normals, x, y, theta)` for each particle, in parallel, with three standard normal numbers of the
-/// particle's own.
-pub(crate) fn for_each_with_normals(
+/// particle's own. Where `f` has no branches and calls nothing but such functions, the loop over particles becomes
+/// vector instructions.
+fn for_each_with_normals(
     particles: &mut Particles,
     draw: &Draw,
     f: impl Fn([f64; 3], &mut f64, &mut f64, &mut f64) + Sync,
@@ -145,10 +155,13 @@ pub(crate) fn for_each_with_normals(
         .zip(theta.par_chunks_mut(CHUNK))
         .enumerate()
         .for_each(|(chunk, ((x, y), theta))| {
-            for (i, ((x, y), theta)) in x.iter_mut().zip(y).zip(theta).enumerate() {
-                let mut rng = draw.item((chunk * CHUNK + i) as u32);
-                let normals = std::array::from_fn(|_| StandardNormal.sample(&mut rng));
-                f(normals, x, y, theta);
+            let batches = x.chunks_mut(BATCH).zip(y.chunks_mut(BATCH)).zip(theta.chunks_mut(BATCH));
+            for (batch, ((x, y), theta)) in batches.enumerate() {
+                let [n1, n2, n3] = draw.normals((chunk * CHUNK + batch * BATCH) as u32);
+                let normals = n1.iter().zip(&n2).zip(&n3);
+                for (((x, y), theta), ((n1, n2), n3)) in x.iter_mut().zip(y).zip(theta).zip(normals) {
+                    f([*n1, *n2, *n3].map(f64::from), x, y, theta);
+                }
             }
         });
 }

@@ -41,8 +41,29 @@ impl Resampler for Multinomial {
 
 impl Resampler for Systematic {
     fn ancestors(&self, weights: &Weights, count: usize, draw: &Draw, out: &mut Vec<u32>) {
+        // How many copies a particle has can't be predicted, and a mistaken branch costs more than all else. So
+        // each particle writes this many; what is too much is overwritten by the next one.
+        const ROOM: usize = 4;
+        // The points are k + 1 - u, for whole k, on the scale where the weights sum to `count`. Up to a cumulative
+        // weight c there are floor(c + u) of them.
         let u: f64 = draw.item(0).random();
-        invert(weights.linear(), (0..count).map(|i| (i as f64 + u) / count as f64), out);
+        let weights = weights.linear();
+        // The sum of the weights may round to below the last point: that one goes to the last possible particle.
+        let Some(last) = weights.iter().rposition(|&w| w > 0.0) else { return out.clear() };
+        out.resize(count + ROOM, 0);
+        let scale = count as f64;
+        let (mut cumulative, mut start) = (0.0, 0);
+        for (i, weight) in weights[..last].iter().enumerate() {
+            cumulative += weight;
+            let end = ((cumulative * scale + u) as usize).min(count);
+            out[start..start + ROOM].fill(i as u32);
+            if end > start + ROOM {
+                out[start + ROOM..end].fill(i as u32);
+            }
+            start = end;
+        }
+        out.truncate(count);
+        out[start..].fill(last as u32);
     }
 }
 

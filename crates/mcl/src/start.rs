@@ -2,10 +2,10 @@ use std::f64::consts::PI;
 
 use locsim_core::{Draw, Particles, Pose2, RangeMap, Stage};
 use rand::{Rng, RngExt};
-use rand_distr::{Distribution, StandardNormal};
 
 use crate::FilterError;
 use crate::error::check_sigma;
+use crate::motion::spread;
 
 /// What is known of the robot's pose before the first step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,16 +36,18 @@ impl Start {
             Self::Tracking { pose, sigma_m, sigma_rad } => {
                 check_sigma("start sigma_m", sigma_m)?;
                 check_sigma("start sigma_rad", sigma_rad)?;
-                Ok((0..n as u32)
-                    .map(|i| {
-                        let mut rng = draw.item(i);
-                        let [x, y, theta]: [f64; 3] =
-                            std::array::from_fn(|_| StandardNormal.sample(&mut rng));
-                        Pose2::new(pose.x + sigma_m * x, pose.y + sigma_m * y, pose.theta + sigma_rad * theta)
-                    })
-                    .collect())
+                let mut particles = Particles::zeros(n);
+                (0..n).for_each(|i| particles.set(i, pose));
+                spread(&mut particles, &draw, sigma_m, sigma_rad);
+                Ok(particles)
             }
-            Self::Global => (0..n as u32).map(|i| free_pose(map, &mut draw.item(i))).collect(),
+            Self::Global => {
+                let mut particles = Particles::zeros(n);
+                for i in 0..n {
+                    particles.set(i, free_pose(map, &mut draw.item(i as u32))?);
+                }
+                Ok(particles)
+            }
         }
     }
 }

@@ -1,6 +1,6 @@
 use std::sync::{Mutex, PoisonError};
 
-use locsim_core::{Hits, Laser, Particles, Poses, RangeMap, Scan, SensorModel};
+use locsim_core::{Hits, Laser, Particles, Pose2, Poses, PreparedScan, RangeMap, Scan, SensorModel};
 use rayon::prelude::*;
 
 /// Particles are cast and weighted by runs of this many: small enough to balance a thousand particles over a few
@@ -19,6 +19,7 @@ struct Lane {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Weigher {
     lanes: Vec<Lane>,
+    scan: PreparedScan,
 }
 
 impl Weigher {
@@ -32,7 +33,12 @@ impl Weigher {
         model: &dyn SensorModel,
         out: &mut [f64],
     ) {
-        self.prepare(laser.beam_count());
+        self.make_room(laser.beam_count());
+        let table = model.table();
+        if let Some(table) = table {
+            self.scan.prepare(laser.bearings(), &scan.ranges, table);
+        }
+        let prepared = table.map(|table| (table, &self.scan));
         // Each lane takes the next run when it has done one. Which lane takes which run is a matter of chance,
         // but no run's result depends on it.
         let runs = Mutex::new(out.chunks_mut(CHUNK).enumerate());
@@ -41,13 +47,21 @@ impl Weigher {
                 let run = runs.lock().unwrap_or_else(PoisonError::into_inner).next();
                 let Some((i, out)) = run else { return };
                 let base = base.slice(i * CHUNK, i * CHUNK + out.len());
-                lane.log_likelihoods(base, laser, scan, map, model, out);
+                let Lane { laser: poses, hits, log_density } = lane;
+                let poses = laser_poses(base, laser.base_from_laser(), poses);
+                if let Some((table, scan)) = prepared {
+                    map.log_likelihood(poses, scan, table, hits, out);
+                } else {
+                    map.cast(poses, laser.bearings(), laser.cast_range(), hits);
+                    let beams = hits.beams(poses, laser.bearings(), laser.max_range());
+                    model.log_likelihood(&scan.ranges, &beams, log_density, out);
+                }
             }
         });
     }
 
     /// One lane for each thread, each with room for a whole run.
-    fn prepare(&mut self, beams: usize) {
+    fn make_room(&mut self, beams: usize) {
         let threads = rayon::current_num_threads();
         if self.lanes.len() < threads {
             self.lanes.resize_with(threads, Lane::default);
@@ -62,23 +76,14 @@ impl Weigher {
     }
 }
 
-impl Lane {
-    fn log_likelihoods(
-        &mut self,
-        base: Poses<'_>,
-        laser: &Laser,
-        scan: &Scan,
-        map: &dyn RangeMap,
-        model: &dyn SensorModel,
-        out: &mut [f64],
-    ) {
-        let mount = laser.base_from_laser();
-        self.laser.resize(base.len());
-        for i in 0..base.len() {
-            self.laser.set(i, base.get(i).compose(&mount));
-        }
-        map.cast(self.laser.view(), laser.bearings(), laser.cast_range(), &mut self.hits);
-        let beams = self.hits.beams(self.laser.view(), laser.bearings(), laser.max_range());
-        model.log_likelihood(&scan.ranges, &beams, &mut self.log_density, out);
+/// Where the laser is on each robot of `base`; `room` keeps the poses if they are others.
+fn laser_poses<'a>(base: Poses<'a>, mount: Pose2, room: &'a mut Particles) -> Poses<'a> {
+    if mount == Pose2::IDENTITY {
+        return base;
     }
+    room.resize(base.len());
+    for i in 0..base.len() {
+        room.set(i, base.get(i).compose(&mount));
+    }
+    room.view()
 }

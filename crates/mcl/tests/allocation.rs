@@ -1,4 +1,5 @@
-//! A warm filter step with a fixed number of particles allocates no memory.
+//! A warm filter step with a fixed number of particles allocates no memory, and a filter takes no more memory than
+//! its particles need.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
@@ -17,22 +18,33 @@ mod toy;
 struct Counting;
 
 static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
+static BYTES_IN_USE: AtomicUsize = AtomicUsize::new(0);
+static MOST_BYTES_IN_USE: AtomicUsize = AtomicUsize::new(0);
+
+fn count(more_bytes: usize) {
+    ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+    let bytes = BYTES_IN_USE.fetch_add(more_bytes, Ordering::Relaxed) + more_bytes;
+    MOST_BYTES_IN_USE.fetch_max(bytes, Ordering::Relaxed);
+}
 
 // Only an allocator of our own sees every allocation, and that trait is unsafe; each method hands its arguments
 // to the system's allocator unchanged, so that its contract is kept.
 #[allow(unsafe_code)]
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        count(layout.size());
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn realloc(&self, ptr: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // Both may exist for a moment.
+        count(new_size);
+        BYTES_IN_USE.fetch_sub(layout.size(), Ordering::Relaxed);
         unsafe { System.realloc(ptr, layout, new_size) }
     }
 
     unsafe fn dealloc(&self, ptr: *mut u8, layout: Layout) {
+        BYTES_IN_USE.fetch_sub(layout.size(), Ordering::Relaxed);
         unsafe { System.dealloc(ptr, layout) }
     }
 }
@@ -40,15 +52,19 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Allocations of 20 steps after 10 to warm up, in a pool of two threads. All options are on but those that
-/// change the number of particles or keep a history.
-fn allocations(ancestry: bool) -> usize {
+/// Runs `steps` in a pool of two threads with a function that does a number of steps of a filter. All options are
+/// on but those that change the number of particles or keep a history.
+fn with_filter<R: Send>(
+    particles: usize,
+    ancestry: bool,
+    run: impl FnOnce(&mut dyn FnMut(usize)) -> R + Send,
+) -> R {
     let room = Room { width: 6.0, depth: 4.0 };
     let bearings = (0..12).map(|i| i as f32 * 0.5).collect();
     let laser = Laser::new(bearings, vec![0.0; 12], 0.0, 50.0, Pose2::IDENTITY).unwrap();
     let scan = Scan { ranges: vec![2.0; 12] };
     let options = FilterOptions {
-        particles: ParticleCount::Fixed(2000),
+        particles: ParticleCount::Fixed(particles),
         motion: Arc::new(OdometryMotion::new([0.02; 4]).unwrap()),
         resampler: Arc::new(Systematic),
         trigger: ResampleTrigger::EachStep,
@@ -63,21 +79,42 @@ fn allocations(ancestry: bool) -> usize {
     let model = Gaussian { sigma_m: 0.5 };
     rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap().install(|| {
         let mut filter = Filter::new(options, &start, &room, 1).unwrap();
-        let mut steps = |n: usize| {
-            for _ in 0..n {
+        run(&mut |steps| {
+            for _ in 0..steps {
                 assert!(filter.step(&input, &room, &model).unwrap().resampled);
             }
-        };
-        steps(10);
+        })
+    })
+}
+
+/// Allocations of 20 steps after 10 to warm up.
+fn allocations(ancestry: bool) -> usize {
+    with_filter(2000, ancestry, |step| {
+        step(10);
         let before = ALLOCATIONS.load(Ordering::Relaxed);
-        steps(20);
+        step(20);
         ALLOCATIONS.load(Ordering::Relaxed) - before
     })
 }
 
+/// The most bytes that were in use at once while a filter was made and did three steps, more than before.
+fn most_bytes(particles: usize, ancestry: bool) -> usize {
+    let before = BYTES_IN_USE.load(Ordering::Relaxed);
+    MOST_BYTES_IN_USE.store(before, Ordering::Relaxed);
+    with_filter(particles, ancestry, |step| step(3));
+    MOST_BYTES_IN_USE.load(Ordering::Relaxed) - before
+}
+
 /// One test, so that no other thread allocates meanwhile; the history is the negative control.
 #[test]
-fn a_warm_step_allocates_nothing_unless_it_keeps_a_history() {
+fn a_warm_step_allocates_nothing_and_a_particle_takes_100_bytes_unless_it_has_a_history() {
     assert_eq!(allocations(false), 0);
     assert!(allocations(true) >= 20);
+    // Two sets of poses, logs and weights, likelihoods, ancestors, and the clusters' bins and weights: 76 + 12.
+    let (few, many) = (50_000, 100_000);
+    let per_particle = |ancestry| (most_bytes(many, ancestry) - most_bytes(few, ancestry)) / (many - few);
+    let without = per_particle(false);
+    assert!((76..=100).contains(&without), "{without} bytes");
+    let with = per_particle(true);
+    assert!(with > 150, "{with} bytes");
 }

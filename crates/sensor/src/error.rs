@@ -64,6 +64,12 @@ pub enum SensorError {
         /// The value given.
         value: f64,
     },
+    /// A model that looks at where a beam is was to be prepared as a table over its state.
+    #[error("{model} depends on more than nominal range and incidence: it can't be made a table of them")]
+    DependsOnPlace {
+        /// The model.
+        model: String,
+    },
     /// There is nothing to choose a tempering from.
     #[error("tempering: {0}")]
     Calibration(&'static str),

@@ -136,6 +136,10 @@ impl SensorModel for LikelihoodField {
         ModelKind::LikelihoodField.as_str()
     }
 
+    fn depends_on_place(&self) -> bool {
+        true
+    }
+
     fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
         let directions: Vec<(f64, f64)> = beams.bearings.iter().map(|b| f64::from(*b).sin_cos()).collect();
         let mut last = usize::MAX;

@@ -3,7 +3,7 @@
 //! [`fit`] makes a [`FittedModel`] of any [`ModelKind`] from a [`TrainingSet`]; [`FittedModel::into_model`]
 //! turns it into a [`locsim_core::SensorModel`], which scores and samples. [`Oracle`] knows the simulated
 //! world instead of learning it. [`Tempered`] makes any of them fit for a filter, with constants from
-//! [`choose_tempering`]; [`evaluate`] scores them on readings they haven't seen.
+//! [`choose_tempering`], and [`Prepared`] fast; [`evaluate`] scores them on readings they haven't seen.
 //!
 //! Every model has the same reference measure: a density per metre on \[0, maximum range) and a point mass at
 //! the maximum range, which means "no return". The models know a beam by its nominal range r and incidence
@@ -29,6 +29,7 @@ mod normal;
 mod np_reg;
 mod oracle;
 mod p_reg;
+mod prepared;
 mod state_grid;
 mod tempered;
 mod training;
@@ -41,5 +42,6 @@ pub use evaluate::{Evaluation, evaluate};
 pub use fitted::{FitOptions, FittedModel, fit};
 pub use kind::ModelKind;
 pub use oracle::Oracle;
+pub use prepared::Prepared;
 pub use tempered::{CalibrationScan, Tempered, Tempering, TemperingGrid, choose_tempering};
 pub use training::{BeamState, TrainingSet};

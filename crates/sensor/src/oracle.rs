@@ -169,6 +169,10 @@ impl SensorModel for Oracle {
         Self::NAME
     }
 
+    fn depends_on_place(&self) -> bool {
+        true
+    }
+
     fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
         log_densities(z, beams, out, |z, beam| self.density(self.survival(beams, beam), z, beam).ln());
     }

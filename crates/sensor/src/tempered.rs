@@ -56,6 +56,10 @@ impl SensorModel for Tempered {
         self.inner.name()
     }
 
+    fn depends_on_place(&self) -> bool {
+        self.inner.depends_on_place()
+    }
+
     fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
         self.inner.log_density(z, beams, out);
         for out in out.chunks_mut(beams.per_pose()) {

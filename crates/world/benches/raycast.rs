@@ -4,7 +4,7 @@
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use locsim_core::{Draw, Hits, Particles, Pose2, RangeMap, Stage};
-use locsim_world::raycast::{ExactRangeMap, SurfaceTable};
+use locsim_world::raycast::{ExactRangeMap, RangeTable, RangeTableOptions};
 use rand::RngExt;
 
 #[path = "../tests/maps_and_rays/common.rs"]
@@ -52,8 +52,8 @@ fn exact() -> ExactRangeMap {
     ExactRangeMap::new(common::corridor())
 }
 
-fn table() -> SurfaceTable {
-    SurfaceTable::new(&exact(), 0.05, 128).unwrap()
+fn table() -> RangeTable {
+    RangeTable::new(&exact(), &RangeTableOptions::default(), &|_| ()).unwrap()
 }
 
 #[divan::bench]
@@ -77,6 +77,6 @@ fn table_spread(bencher: Bencher<'_, '_>) {
 }
 
 #[divan::bench(sample_count = 3)]
-fn build_table() -> SurfaceTable {
+fn build_table() -> RangeTable {
     table()
 }

@@ -2,18 +2,17 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-use glam::DVec2;
 use locsim_core::{
     DistanceMap, Draw, Drive, DriveStep, Obstructions, Particles, Pose2, RangeMap, Stage, Survival,
 };
 use locsim_dataset::{CarmenOptions, read_carmen};
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
-use locsim_world::raycast::{DistanceGrid, ExactRangeMap, SurfaceTable};
+use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
 use locsim_world::simulation::{
-    Block, BlockOptions, BlockResampling, LaserOptions, ObstructionOptions, ObstructionTable, OdometryNoise,
-    Robot, RobotPath, SimulationError, Simulator, VelocitySegment, simulate_drive,
+    Block, ObstructionOptions, ObstructionTable, Robot, SimulationError, Simulator, simulate_drive,
 };
 use rand::RngExt;
 
@@ -26,6 +25,9 @@ const WALL_CLEARANCE_M: f64 = 0.25;
 
 /// Cell \[m\] and saturation \[m\] of the distance grid behind the likelihood field.
 const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
+
+/// Units of progress of a range table.
+const TABLE_TICKS: u64 = 100;
 
 /// Consecutive training scans of a log that are held out together: some metres of driving.
 const RUN: u32 = 20;
@@ -44,15 +46,25 @@ pub struct Place {
 }
 
 impl Place {
-    fn new(geometry: Geometry, ray_cast: RayCast, progress: &dyn Progress) -> Result<Self, MapError> {
+    fn new(
+        geometry: Geometry,
+        ray_cast: RayCast,
+        cache: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<Self, MapError> {
         let distance = Arc::new(DistanceGrid::new(&geometry, DISTANCE_GRID_M.0, DISTANCE_GRID_M.1)?);
         let exact = Arc::new(ExactRangeMap::new(geometry));
         let ranges: Arc<dyn RangeMap> = match ray_cast {
             RayCast::Exact => Arc::<ExactRangeMap>::clone(&exact),
-            RayCast::Table { cell_m, headings } => {
-                progress.stage("building the ray-cast table", 1);
-                let table = SurfaceTable::new(&exact, cell_m, headings as usize)?;
-                progress.advance(1);
+            RayCast::Table { cell_m, memory_mb } => {
+                progress.stage("building the range table", TABLE_TICKS);
+                let most_bytes = (memory_mb as usize) << 20;
+                let options = RangeTableOptions { cell_m, most_bytes, ..RangeTableOptions::default() };
+                let done = AtomicU64::new(0);
+                let table = RangeTable::cached(&exact, &options, cache, &|share| {
+                    let now = (share * TABLE_TICKS as f64) as u64;
+                    progress.advance(now.saturating_sub(done.fetch_max(now, Ordering::Relaxed)));
+                })?;
                 Arc::new(table)
             }
         };
@@ -104,20 +116,26 @@ impl<'a> Laboratory<'a> {
     ///
     /// # Errors
     /// Whatever is wrong with map, log, world, training data or model files.
-    pub fn prepare(scenario: &'a Scenario, progress: &dyn Progress) -> Result<Self, RunError> {
+    pub fn prepare(
+        scenario: &'a Scenario,
+        cache: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<Self, RunError> {
         match &scenario.source {
-            Source::Simulation(simulation) => Self::simulated(scenario, simulation, progress),
-            Source::Log(log) => Self::measured(scenario, log, progress),
+            Source::Simulation(simulation) => Self::simulated(scenario, simulation, cache, progress),
+            Source::Log(log) => Self::measured(scenario, log, cache, progress),
         }
     }
 
     fn simulated(
         scenario: &'a Scenario,
         simulation: &Simulation,
+        cache: Option<&Path>,
         progress: &dyn Progress,
     ) -> Result<Self, RunError> {
-        let place = Place::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, progress)
-            .map_err(unusable(&simulation.map))?;
+        let place =
+            Place::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, cache, progress)
+                .map_err(unusable(&simulation.map))?;
         let world = world(simulation, &place).map_err(refused(scenario))?;
         let training = &scenario.training;
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
@@ -131,7 +149,7 @@ impl<'a> Laboratory<'a> {
             progress.stage("integrating over blocks", 1);
             let obstructions = obstructions(&world.simulator, seed).map_err(refused(scenario))?;
             progress.advance(1);
-            Some((obstructions, [simulation.laser.noise_sigma_m, simulation.laser.noise_sigma_per_m]))
+            Some((obstructions, [simulation.laser.sigma_m, simulation.laser.sigma_per_m]))
         } else {
             None
         };
@@ -139,6 +157,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle,
+            tables: scenario.ray_cast != RayCast::Exact,
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
@@ -154,7 +173,12 @@ impl<'a> Laboratory<'a> {
         Ok(Self { scenario, place, models, notes, drives: Drives::Simulated(Box::new(world)) })
     }
 
-    fn measured(scenario: &'a Scenario, log: &Log, progress: &dyn Progress) -> Result<Self, RunError> {
+    fn measured(
+        scenario: &'a Scenario,
+        log: &Log,
+        cache: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<Self, RunError> {
         progress.stage("reading the log", 1);
         let max_range_m = log.max_range_m.map(|max| max as f32);
         let options = CarmenOptions { max_range_m, ..CarmenOptions::default() };
@@ -172,7 +196,7 @@ impl<'a> Laboratory<'a> {
                 grid.to_geometry()
             }
         };
-        let place = Place::new(map, scenario.ray_cast, progress).map_err(unusable(&log.file))?;
+        let place = Place::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
         let training = &scenario.training;
         let data = measured_scans(&drive, &selected(&drive, &log.train_scans), &place, training);
         if data.poses.len() < 4 {
@@ -182,6 +206,7 @@ impl<'a> Laboratory<'a> {
             map: Arc::<ExactRangeMap>::clone(&place.exact),
             distance: Arc::clone(&place.distance),
             oracle: None,
+            tables: scenario.ray_cast != RayCast::Exact,
         };
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let beams = scenario.filter.beams.map(|beams| beams as usize);
@@ -239,7 +264,7 @@ pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError
         let what = "a scenario of a measured log has nothing to simulate".to_owned();
         return Err(RunError::Log { path: scenario.file.clone(), what });
     };
-    let place = Place::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, &())
+    let place = Place::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, &())
         .map_err(unusable(&simulation.map))?;
     let world = world(simulation, &place).map_err(refused(scenario))?;
     let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(trial);
@@ -300,59 +325,8 @@ fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
 }
 
 fn world(simulation: &Simulation, place: &Place) -> Result<World, SimulationError> {
-    let laser = &simulation.laser;
-    let laser = LaserOptions {
-        rate_hz: laser.rate_hz,
-        beams: laser.beams,
-        field_of_view_rad: laser.field_of_view_rad,
-        min_range_m: laser.min_range_m,
-        max_range_m: laser.max_range_m,
-        resolution_m: laser.resolution_m,
-        sigma_m: laser.noise_sigma_m,
-        sigma_per_m: laser.noise_sigma_per_m,
-        mount: laser.mount,
-        scan_secs: laser.scan_secs,
-    };
-    let blocks = simulation.blocks.as_ref().map(|blocks| BlockOptions {
-        per_metre_of_wall: blocks.per_metre_of_wall,
-        length_m: blocks.length_m,
-        width_m: blocks.width_m,
-        yaw_rad: blocks.yaw_rad,
-        wall_distance_m: blocks.wall_distance_m,
-        resample: match blocks.resample {
-            scenario::BlockResampling::EachObservation => BlockResampling::EachObservation,
-            scenario::BlockResampling::EachScanN(n) => BlockResampling::EachScanN(n),
-            scenario::BlockResampling::Never => BlockResampling::Never,
-        },
-        speed_m_s: blocks.speed_m_s,
-        clearance_m: blocks.clearance_m,
-    });
-    let path = match &simulation.robot.path {
-        scenario::RobotPath::Waypoints { points_m, speed_m_s, turn_rate_rad_s } => RobotPath::Waypoints {
-            points: points_m.iter().map(|&point| DVec2::from_array(point)).collect(),
-            speed_m_s: *speed_m_s,
-            turn_rate_rad_s: *turn_rate_rad_s,
-        },
-        scenario::RobotPath::VelocityProfile { start, segments } => RobotPath::VelocityProfile {
-            start: *start,
-            segments: segments
-                .iter()
-                .map(|segment| VelocitySegment {
-                    secs: segment.secs,
-                    speed_m_s: segment.speed_m_s,
-                    turn_rate_rad_s: segment.turn_rate_rad_s,
-                })
-                .collect(),
-        },
-    };
-    Ok(World {
-        simulator: Simulator::new(Arc::clone(&place.exact), blocks, laser)?,
-        robot: Robot {
-            path,
-            start_jitter_m: simulation.robot.start_jitter_m,
-            odometry_noise: OdometryNoise::new(simulation.robot.odometry_alpha)?,
-        },
-    })
+    let Simulation { blocks, laser, robot, .. } = simulation;
+    Ok(World { simulator: Simulator::new(Arc::clone(&place.exact), *blocks, *laser)?, robot: robot.clone() })
 }
 
 /// What the oracle knows of the world's blocks.

@@ -59,6 +59,8 @@ pub struct RunOptions<'a> {
     pub progress: &'a dyn Progress,
     /// Set from outside to stop after the trials under way.
     pub interrupted: &'a AtomicBool,
+    /// Where range tables are kept between runs, if anywhere.
+    pub cache: Option<&'a Path>,
     /// Who records the scenario's recorded trial, if anyone.
     pub recorder: Option<&'a Recorder<'a>>,
 }
@@ -102,7 +104,7 @@ fn write_results(
     options: &RunOptions<'_>,
 ) -> Result<(Summary, DetailedTrial), RunError> {
     let began = (options.clock)();
-    let laboratory = Laboratory::prepare(scenario, options.progress)?;
+    let laboratory = Laboratory::prepare(scenario, options.cache, options.progress)?;
     let trials = run_trials(&laboratory, store, options)?;
     options.progress.stage("report and recording", 1);
     let detail = detailed_trial(&laboratory, scenario.record.trial, options.clock)?;

@@ -5,10 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use locsim_core::{
-    DistanceMap, Draw, Hits, Laser, Obstructions, Particles, Pose2, RangeMap, SensorModel, Stage,
+    DistanceMap, Draw, Hits, Laser, LikelihoodGrid, Obstructions, Particles, Pose2, RangeMap, SensorModel,
+    Stage,
 };
 use locsim_sensor::{
-    BeamState, CalibrationScan, FitOptions, FittedModel, ModelKind, Oracle, SensorError, Tempered,
+    BeamState, CalibrationScan, FitOptions, FittedModel, ModelKind, Oracle, Prepared, SensorError, Tempered,
     TemperingGrid, TrainingSet, choose_tempering, evaluate, fit,
 };
 use rand::RngExt;
@@ -48,7 +49,7 @@ pub struct TrainedModel {
     pub label: String,
     /// The model alone.
     pub bare: Arc<dyn SensorModel>,
-    /// With floor and exponent, as the filter uses it.
+    /// With floor and exponent, and as a table if it can be one: as the filter uses it.
     pub tempered: Arc<dyn SensorModel>,
     /// What can be saved; `None` for the oracle, which isn't fitted.
     pub fitted: Option<FittedModel>,
@@ -64,6 +65,8 @@ pub struct Surroundings {
     pub distance: Arc<dyn DistanceMap>,
     /// For the oracle, with the laser's noise (sigma at range 0 \[m\], growth per metre).
     pub oracle: Option<(Arc<dyn Obstructions>, [f64; 2])>,
+    /// Whether the filter is to have models as tables where they can be.
+    pub tables: bool,
 }
 
 /// Fits every model of a scenario on the same data. `filter_beams` is how many beams of a scan the filter uses (`None`:
@@ -90,7 +93,7 @@ pub fn train(
     models
         .iter()
         .map(|model| {
-            let trained = train_one(model, &train, &held_out, &calibration, surroundings)?;
+            let trained = train_one(model, &train, &held_out, &calibration, surroundings, &data.laser)?;
             progress.advance(1);
             Ok(trained)
         })
@@ -103,16 +106,16 @@ fn train_one(
     held_out: &TrainingSet,
     calibration: &[CalibrationScan],
     surroundings: &Surroundings,
+    laser: &Laser,
 ) -> Result<TrainedModel, RunError> {
     let failed = |source| RunError::Sensor { label: model.label.clone(), source };
     let distance_map = Some(Arc::clone(&surroundings.distance));
-    let fitted = match (&model.file, model.name) {
-        (_, ModelName::Oracle) => None,
-        (Some(file), name) => Some(load(file, kind(name).map_err(failed)?, train.max_range())?),
-        (None, name) => {
+    let fitted = match (&model.file, model.name.kind()) {
+        (_, None) => None,
+        (Some(file), Some(kind)) => Some(load(file, kind, train.max_range())?),
+        (None, Some(kind)) => {
             let options = FitOptions { distance_map: distance_map.clone() };
-            let fitted = kind(name).and_then(|kind| fit(kind, train, held_out, &options));
-            Some(fitted.map_err(failed)?)
+            Some(fit(kind, train, held_out, &options).map_err(failed)?)
         }
     };
     let bare: Arc<dyn SensorModel> = match (&fitted, &surroundings.oracle) {
@@ -132,6 +135,10 @@ fn train_one(
     }
     let tempering = choose_tempering(&*bare, calibration, &grid).map_err(failed)?;
     let tempered = Tempered::new(Arc::clone(&bare), tempering.floor, tempering.exponent).map_err(failed)?;
+    let mut tempered: Arc<dyn SensorModel> = Arc::new(tempered);
+    if surroundings.tables && !tempered.depends_on_place() {
+        tempered = Arc::new(Prepared::new(tempered, LikelihoodGrid::for_laser(laser)).map_err(failed)?);
+    }
     // The same small floor for all: without one, a single odd reading makes the log loss infinite.
     let with_floor = Tempered::new(Arc::clone(&bare), LOG_LOSS_FLOOR, 1.0).map_err(failed)?;
     let normalized = model.name != ModelName::LikelihoodField;
@@ -143,7 +150,7 @@ fn train_one(
     chosen.insert("pose_log_score_nats".to_owned(), tempering.score);
     Ok(TrainedModel {
         label: model.label.clone(),
-        tempered: Arc::new(tempered),
+        tempered,
         bare,
         fitted,
         row: TrainingRow { log_loss_nats, histogram_match_m, chosen },
@@ -164,11 +171,6 @@ fn load(file: &Path, kind: ModelKind, max_range: f32) -> Result<FittedModel, Run
         )));
     }
     Ok(fitted)
-}
-
-/// The fitted model of this name.
-fn kind(name: ModelName) -> Result<ModelKind, SensorError> {
-    name.as_str().parse()
 }
 
 /// D = {(`x_i`, `z_ij`)}: one state per scan pose and beam, with the nominal ray cast from it.

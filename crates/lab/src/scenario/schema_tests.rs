@@ -82,7 +82,7 @@ fn properties<'a>(schema: &'a Value, out: &mut Vec<(&'a str, &'a Value)>) {
 
 fn fixtures() -> [String; 4] {
     let simulation = text("simulation.yaml");
-    let exact = edited(&simulation, "method: table\n  cell_m: 0.05\n  headings: 120", "method: exact");
+    let exact = edited(&simulation, "method: table\n  cell_m: 0.05\n  memory_mb: 300", "method: exact");
     let turning = edited(&text("minimal.yaml"), "speed_m_s: 0.5}", "speed_m_s: 0.5, turn_rate_deg_s: 10}");
     [simulation, exact, turning, text("log.yaml")]
 }

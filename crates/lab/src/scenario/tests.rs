@@ -5,6 +5,9 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use locsim_core::Pose2;
+use locsim_world::simulation::{
+    BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath,
+};
 use proptest::prelude::*;
 
 use super::*;
@@ -39,13 +42,13 @@ fn every_key_arrives_in_si_units_and_radians() {
     let scenario = parse(&text("simulation.yaml")).unwrap();
     assert_eq!(scenario.name, "everything");
     assert_eq!((scenario.seed, scenario.trials), (7, 20));
-    assert_eq!(scenario.ray_cast, RayCast::Table { cell_m: 0.05, headings: 120 });
+    assert_eq!(scenario.ray_cast, RayCast::Table { cell_m: 0.05, memory_mb: 300 });
     let Source::Simulation(simulation) = &scenario.source else { panic!("{:?}", scenario.source) };
     assert_eq!(simulation.map, Path::new(FIXTURES).join("map.yaml"));
     let degrees = f64::to_radians;
     assert_eq!(
         simulation.blocks,
-        Some(Blocks {
+        Some(BlockOptions {
             per_metre_of_wall: 0.5,
             length_m: [0.2, 0.6],
             width_m: [0.2, 0.5],
@@ -65,20 +68,20 @@ fn every_key_arrives_in_si_units_and_radians() {
                 turn_rate_rad_s: degrees(45.0),
             },
             start_jitter_m: 0.1,
-            odometry_alpha: [0.05, 0.02, 0.05, 0.01],
+            odometry_noise: OdometryNoise::new([0.05, 0.02, 0.05, 0.01]).unwrap(),
         }
     );
     assert_eq!(
         simulation.laser,
-        Laser {
+        LaserOptions {
             rate_hz: 5.0,
             beams: 36,
             field_of_view_rad: 1.5 * PI,
             min_range_m: 0.05,
             max_range_m: 4.5,
             resolution_m: 0.001,
-            noise_sigma_m: 0.01,
-            noise_sigma_per_m: 0.002,
+            sigma_m: 0.01,
+            sigma_per_m: 0.002,
             mount: Pose2 { x: 0.1, y: -0.05, theta: FRAC_PI_2 },
             scan_secs: 0.1,
         }

@@ -1,7 +1,8 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use locsim_core::Pose2;
+use locsim_sensor::ModelKind;
+use locsim_world::simulation::{BlockOptions, LaserOptions, Robot};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -46,17 +47,17 @@ pub struct Scenario {
     pub expect: Vec<Expectation>,
 }
 
-/// How nominal ranges are computed inside the filter.
+/// How nominal ranges and log densities are computed inside the filter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum RayCast {
-    /// From a precomputed table over (cell, heading).
+    /// From precomputed tables of the map and of the sensor models.
     Table {
-        /// Side of a cell (m).
+        /// Side of a cell of the map's table (m), larger where it would not fit.
         cell_m: f64,
-        /// Number of heading bins over the full circle.
-        headings: u32,
+        /// What the map's table may take (MB).
+        memory_mb: u32,
     },
-    /// By an exact cast each time.
+    /// By an exact cast and the model itself each time.
     Exact,
 }
 
@@ -76,112 +77,11 @@ pub struct Simulation {
     #[serde(skip)]
     pub map: PathBuf,
     /// Unmapped blocks; `None` for a world that is as mapped.
-    pub blocks: Option<Blocks>,
+    pub blocks: Option<BlockOptions>,
     /// How the robot moves.
     pub robot: Robot,
     /// Its laser.
-    pub laser: Laser,
-}
-
-/// Unmapped rectangular blocks along the walls. Each `[lo, hi]` is the interval of a uniform distribution.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Blocks {
-    /// Blocks per metre of wall (1/m).
-    pub per_metre_of_wall: f64,
-    /// Length of a block, along the wall before it is turned (m).
-    pub length_m: [f64; 2],
-    /// Width of a block (m).
-    pub width_m: [f64; 2],
-    /// Yaw relative to the wall (rad).
-    pub yaw_rad: [f64; 2],
-    /// Gap between the wall and the block's nearest point (m).
-    pub wall_distance_m: [f64; 2],
-    /// When blocks take new places.
-    pub resample: BlockResampling,
-    /// Speed along the wall (m/s), zero unless blocks persist.
-    pub speed_m_s: [f64; 2],
-    /// No block comes closer than this to the robot's centre (m).
-    pub clearance_m: f64,
-}
-
-/// When blocks take new places.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub enum BlockResampling {
-    /// At every scan.
-    EachObservation,
-    /// Every so many scans (at least 1).
-    EachScanN(u32),
-    /// Never: the blocks of a trial stay (or move at their speed).
-    Never,
-}
-
-/// The simulated robot.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Robot {
-    /// The path it drives.
-    pub path: RobotPath,
-    /// Half-width of the uniform shift of the start along x and along y, drawn anew for each trial (m).
-    pub start_jitter_m: f64,
-    /// Noise of its odometry, alpha 1 to 4 of Probabilistic Robotics, table 5.6.
-    pub odometry_alpha: [f64; 4],
-}
-
-/// A path through the map.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub enum RobotPath {
-    /// Straight legs between points, turning in place at each.
-    Waypoints {
-        /// At least two points (m).
-        points_m: Vec<[f64; 2]>,
-        /// Speed on a leg (m/s), above 0.
-        speed_m_s: f64,
-        /// Turn rate at a point (rad/s), above 0.
-        turn_rate_rad_s: f64,
-    },
-    /// Arcs of constant speed and turn rate.
-    VelocityProfile {
-        /// First pose, `map_from_base`.
-        start: Pose2,
-        /// At least one.
-        segments: Vec<VelocitySegment>,
-    },
-}
-
-/// An arc of constant speed and turn rate; negative speeds reverse, zero speeds turn in place or stop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct VelocitySegment {
-    /// How long it lasts (s), above 0.
-    pub secs: f64,
-    /// Forward speed (m/s).
-    pub speed_m_s: f64,
-    /// Turn rate, counter-clockwise positive (rad/s).
-    pub turn_rate_rad_s: f64,
-}
-
-/// The simulated laser.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Laser {
-    /// Scans per second (Hz).
-    pub rate_hz: f64,
-    /// Beams per scan, at least 1.
-    pub beams: u32,
-    /// Field of view (rad), at most 2 pi. At 2 pi the beams are spread evenly without a double end, below it
-    /// both ends carry a beam.
-    pub field_of_view_rad: f64,
-    /// Minimum range (m).
-    pub min_range_m: f64,
-    /// Maximum range (m).
-    pub max_range_m: f64,
-    /// Step of a reading (m); 0 for readings that aren't quantized.
-    pub resolution_m: f64,
-    /// Standard deviation of a reading at range 0 (m).
-    pub noise_sigma_m: f64,
-    /// Its growth per metre of range (m/m): sigma(r) = `noise_sigma_m` + `noise_sigma_per_m` * r.
-    pub noise_sigma_per_m: f64,
-    /// Where the laser sits, `base_from_laser`.
-    pub mount: Pose2,
-    /// Time that one sweep takes (s); beams are stamped along it.
-    pub scan_secs: f64,
+    pub laser: LaserOptions,
 }
 
 /// A measured log, cut into parts by share of its scans. Each part is a list of half-open intervals
@@ -278,15 +178,23 @@ impl ModelName {
 
     /// The name used in files.
     pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Classic => "classic",
-            Self::BeamMixture => "beam_mixture",
-            Self::LikelihoodField => "likelihood_field",
-            Self::PReg => "p_reg",
-            Self::NpReg => "np_reg",
-            Self::NpRegRegistered => "np_reg_registered",
-            Self::Oracle => "oracle",
+        match self.kind() {
+            Some(kind) => kind.as_str(),
+            None => "oracle",
         }
+    }
+
+    /// Which fitted model it is; `None` for the oracle, which knows instead of being fitted.
+    pub const fn kind(self) -> Option<ModelKind> {
+        Some(match self {
+            Self::Classic => ModelKind::Classic,
+            Self::BeamMixture => ModelKind::BeamMixture,
+            Self::LikelihoodField => ModelKind::LikelihoodField,
+            Self::PReg => ModelKind::PReg,
+            Self::NpReg => ModelKind::NpReg,
+            Self::NpRegRegistered => ModelKind::NpRegRegistered,
+            Self::Oracle => return None,
+        })
     }
 }
 

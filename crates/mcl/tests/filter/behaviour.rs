@@ -190,9 +190,9 @@ fn weights_accumulate_until_resampling() {
     let trigger = ResampleTrigger::EffectiveShareBelow(0.0);
     let mut filter = filter(FilterOptions { trigger, ..options(200) }, &tracking(0.05));
     stand(&mut filter, &MODEL).unwrap();
-    let once = filter.weights().log().to_vec();
+    let once = filter.weights().log().collect::<Vec<_>>();
     stand(&mut filter, &MODEL).unwrap();
-    let twice = filter.weights().log();
+    let twice = filter.weights().log().collect::<Vec<_>>();
     for i in 1..200 {
         let (once, twice) = (once[i] - once[0], twice[i] - twice[0]);
         assert!((twice - 2.0 * once).abs() < 1e-9, "{twice}, {once}");

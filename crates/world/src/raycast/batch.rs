@@ -30,8 +30,7 @@ pub(super) fn cast_batch<From, Cast>(
     if out.is_empty() {
         return;
     }
-    let cast_chunk = |chunk: usize, range: &mut [f32], incidence: &mut [f32], surface: &mut [u32]| {
-        let first = chunk * POSES_PER_CHUNK;
+    for_each_chunk(out, beams, |first, range, incidence, surface| {
         let mut prepared = [(DVec2::X, 0.0); BEAMS_PER_BLOCK];
         for block in (0..beams).step_by(BEAMS_PER_BLOCK) {
             let bearings = &bearings[block..beams.min(block + BEAMS_PER_BLOCK)];
@@ -58,18 +57,29 @@ pub(super) fn cast_batch<From, Cast>(
                 }
             }
         }
-    };
-    let rays = POSES_PER_CHUNK * beams;
-    if out.len() < PARALLEL_RAYS {
-        let chunks = out.range.chunks_mut(rays).zip(out.incidence.chunks_mut(rays));
-        for (i, ((range, incidence), surface)) in chunks.zip(out.surface.chunks_mut(rays)).enumerate() {
-            cast_chunk(i, range, incidence, surface);
-        }
+    });
+}
+
+/// Calls `f(first pose, ranges, incidences, surfaces)` for runs of poses with k beams each, in parallel where it pays.
+pub(super) fn for_each_chunk(
+    out: &mut Hits,
+    k: usize,
+    f: impl Fn(usize, &mut [f32], &mut [f32], &mut [u32]) + Sync,
+) {
+    let rays = POSES_PER_CHUNK * k;
+    let parallel = out.len() >= PARALLEL_RAYS;
+    let Hits { range, incidence, surface } = out;
+    if parallel {
+        let chunks = range.par_chunks_mut(rays).zip(incidence.par_chunks_mut(rays));
+        chunks.zip(surface.par_chunks_mut(rays)).enumerate().for_each(
+            |(i, ((range, incidence), surface))| {
+                f(i * POSES_PER_CHUNK, range, incidence, surface);
+            },
+        );
     } else {
-        let chunks = out.range.par_chunks_mut(rays).zip(out.incidence.par_chunks_mut(rays));
-        chunks
-            .zip(out.surface.par_chunks_mut(rays))
-            .enumerate()
-            .for_each(|(i, ((range, incidence), surface))| cast_chunk(i, range, incidence, surface));
+        let chunks = range.chunks_mut(rays).zip(incidence.chunks_mut(rays));
+        for (i, ((range, incidence), surface)) in chunks.zip(surface.chunks_mut(rays)).enumerate() {
+            f(i * POSES_PER_CHUNK, range, incidence, surface);
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! Filling a surface table.
+//! Filling a range table.
 
 use std::collections::HashMap;
 use std::f64::consts::TAU;
@@ -8,152 +8,330 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::ExactRangeMap;
+use super::segment::range_to;
+use super::sight::{NOTHING, SightKey};
 use crate::map::CellFrame;
 
 /// Cell rows per unit of parallel work; neighbouring bands both cast from the row of corners between them.
-const BAND_ROWS: usize = 8;
-/// Stands for "met nothing".
-const NOTHING: u32 = u32::MAX;
+const BAND_ROWS: usize = 4;
 
-/// Where a list of segments is in a pool of lists: its start and, in the low bits, its length. Entry 0 is the empty
-/// list.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Entry(u32);
+/// A range that is wrong by more than this is as wrong as can be \[m\].
+const MOST_ERROR_M: f64 = 1.0;
 
-/// Bits of an entry that hold the length. Longer lists than three come from clutter, where the sampled casts surely
-/// missed something: such rays are cast exactly. On a mapped office floor this cuts the share of wrong ranges to a
-/// tenth.
-const LENGTH_BITS: u32 = 2;
-const LENGTH_MASK: u32 = (1 << LENGTH_BITS) - 1;
-
-impl Entry {
-    /// An entry for a list of the pool; the empty list if it is too long or starts too far, so that its rays are
-    /// cast exactly.
-    fn new(start: usize, length: usize) -> Self {
-        let fits = length <= LENGTH_MASK as usize && start < 1 << (u32::BITS - LENGTH_BITS);
-        if fits { Self((start as u32) << LENGTH_BITS | length as u32) } else { Self(0) }
-    }
-
-    /// The list that this entry stands for.
-    #[inline]
-    pub(super) fn list(self, pool: &[u32]) -> &[u32] {
-        let start = (self.0 >> LENGTH_BITS) as usize;
-        &pool[start..start + (self.0 & LENGTH_MASK) as usize]
-    }
+/// A table's content: rows of cells, and sights by key.
+pub(super) struct Built {
+    /// Row of each cell of the frame, [`NO_ROW`] outside free space.
+    pub rows: Vec<u32>,
+    /// What shows in each row's heading bins: an index into `views.sights`, or behind these into `views.lists`.
+    pub entries: Vec<u32>,
+    pub views: Views,
 }
 
-/// Keeps equal lists once; an entry is found again by its list.
+/// Every view that occurs, once.
 #[derive(Default)]
-struct Pool {
-    segments: Vec<u32>,
-    entries: HashMap<Box<[u32]>, Entry>,
+pub(super) struct Views {
+    pub sights: Vec<SightKey>,
+    /// Wall segments that a sight can't do justice to, ascending.
+    pub lists: Vec<Box<[u32]>>,
 }
 
-impl Pool {
-    fn entry(&mut self, list: &[u32]) -> Entry {
-        if let Some(&entry) = self.entries.get(list) {
-            return entry;
-        }
-        let entry = Entry::new(self.segments.len(), list.len());
-        if entry.0 != 0 {
-            self.segments.extend_from_slice(list);
-        }
-        self.entries.insert(list.into(), entry);
-        entry
-    }
+/// What shows in a heading bin.
+enum View<'a> {
+    Sight(SightKey),
+    List(&'a [u32]),
 }
 
-/// The entry of each row, column and heading bin, and the pool of lists.
+/// Marks an index into the lists until it is known how many sights there are.
+const LIST: u32 = 1 << 31;
+
+/// The row of a cell from which nobody looks.
+pub(super) const NO_ROW: u32 = u32::MAX;
+
+/// Marks the cells of which a corner or the centre is in free space.
+pub(super) fn cells_in_sight(map: &ExactRangeMap, frame: &CellFrame) -> Vec<bool> {
+    let free = |column2: usize, row2: usize| {
+        let [x, y] = frame.half_cell(column2, row2);
+        map.geometry().is_free(x, y)
+    };
+    let corners: Vec<bool> = (0..=frame.rows)
+        .into_par_iter()
+        .flat_map_iter(|row| (0..=frame.columns).map(move |column| free(2 * column, 2 * row)))
+        .collect();
+    let corner = |column: usize, row: usize| corners[row * (frame.columns + 1) + column];
+    (0..frame.rows)
+        .into_par_iter()
+        .flat_map_iter(|row| {
+            (0..frame.columns).map(move |column| {
+                corner(column, row)
+                    || corner(column + 1, row)
+                    || corner(column, row + 1)
+                    || corner(column + 1, row + 1)
+                    || free(2 * column + 1, 2 * row + 1)
+            })
+        })
+        .collect()
+}
+
+/// Fills the rows of the cells `in_sight`.
 pub(super) fn build(
     map: &ExactRangeMap,
     frame: &CellFrame,
     headings: usize,
+    in_sight: &[bool],
+    tolerance_m: f64,
     progress: &(dyn Fn(f64) + Sync),
-) -> (Vec<Entry>, Vec<u32>) {
-    // Edges (even) and centres (odd) of the heading bins.
-    let directions: Vec<DVec2> =
-        (0..2 * headings).map(|i| DVec2::from_angle(TAU * i as f64 / (2 * headings) as f64)).collect();
-    let mut entries = vec![Entry::default(); frame.rows * frame.columns * headings];
-    let band_len = BAND_ROWS * frame.columns * headings;
-    let rows_done = AtomicUsize::new(0);
-    let pools: Vec<Vec<u32>> = entries
-        .par_chunks_mut(band_len)
-        .enumerate()
-        .map(|(band, entries)| {
-            let pool = fill_band(map, frame, band * BAND_ROWS, &directions, entries);
-            let rows = entries.len() / (frame.columns * headings);
-            let done = rows_done.fetch_add(rows, Ordering::Relaxed) + rows;
-            progress(done as f64 / frame.rows as f64);
-            pool
+) -> Built {
+    let mut count = 0;
+    let rows: Vec<u32> = in_sight
+        .iter()
+        .map(|&inside| {
+            count += u32::from(inside);
+            if inside { count - 1 } else { NO_ROW }
         })
         .collect();
-    // Each band has a pool of its own; make them one, in order.
+    let mut entries = vec![0; count as usize * headings];
+    let direction = |bins: f64| DVec2::from_angle(TAU * bins / headings as f64);
+    let edges: Vec<DVec2> = (0..headings).map(|i| direction(i as f64)).collect();
+    let between = (0..headings).map(|i| [0.25, 0.5, 0.75].map(|part| direction(i as f64 + part))).collect();
+    let caster = Caster { map, frame, edges, between, tolerance_m };
+
+    // Each band of cell rows has a share of the entries and a pool of keys of its own.
+    let mut bands = Vec::new();
+    let mut rest = entries.as_mut_slice();
+    for (band, inside) in in_sight.chunks(BAND_ROWS * frame.columns).enumerate() {
+        let cells = inside.iter().filter(|inside| **inside).count();
+        let (here, after) = rest.split_at_mut(cells * headings);
+        rest = after;
+        bands.push((band * BAND_ROWS, inside, here));
+    }
+    let done = AtomicUsize::new(0);
+    let total = bands.len();
+    let pools: Vec<Views> = bands
+        .into_par_iter()
+        .map(|(first_row, inside, entries)| {
+            let views = caster.fill_band(first_row, inside, entries);
+            progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / total as f64);
+            views
+        })
+        .collect();
+
+    // Make the pools one, in order.
     let mut pool = Pool::default();
-    for (entries, band_pool) in entries.chunks_mut(band_len).zip(pools) {
-        for entry in entries {
-            *entry = pool.entry(entry.list(&band_pool));
+    let mut rest = entries.as_mut_slice();
+    for (inside, views) in in_sight.chunks(BAND_ROWS * frame.columns).zip(pools) {
+        let sights: Vec<u32> = views.sights.into_iter().map(|key| pool.index(&View::Sight(key))).collect();
+        let lists: Vec<u32> = views.lists.iter().map(|list| pool.index(&View::List(list))).collect();
+        let cells = inside.iter().filter(|inside| **inside).count();
+        let (here, after) = rest.split_at_mut(cells * headings);
+        rest = after;
+        for entry in here {
+            *entry = if *entry < LIST { sights[*entry as usize] } else { lists[(*entry - LIST) as usize] };
         }
     }
-    (entries, pool.segments)
+    let sights = pool.views.sights.len() as u32;
+    for entry in entries.iter_mut().filter(|entry| **entry >= LIST) {
+        *entry = *entry - LIST + sights;
+    }
+    Built { rows, entries, views: pool.views }
 }
 
-/// Fills the entries of the cell rows from `first_row` on; returns their pool.
-fn fill_band(
-    map: &ExactRangeMap,
-    frame: &CellFrame,
-    first_row: usize,
-    directions: &[DVec2],
-    entries: &mut [Entry],
-) -> Vec<u32> {
-    let headings = directions.len() / 2;
-    let mut pool = Pool::default();
-    // What each corner of the cell row sees in each direction; empty where nobody has asked yet.
-    let mut below = vec![Vec::new(); frame.columns + 1];
-    let mut above = below.clone();
-    let mut centre = Vec::new();
-    let mut list = Vec::new();
-    let look = |seen: &mut Vec<u32>, [x, y]: [f64; 2]| {
-        if seen.is_empty() {
-            seen.extend(directions.iter().map(|&direction| {
-                map.cast_segment(DVec2::new(x, y), direction, f64::INFINITY)
-                    .map_or(NOTHING, |(segment, _)| segment as u32)
-            }));
+/// Keeps equal views once.
+#[derive(Default)]
+struct Pool {
+    views: Views,
+    sights: HashMap<SightKey, u32>,
+    lists: HashMap<Box<[u32]>, u32>,
+}
+
+impl Pool {
+    fn index(&mut self, view: &View<'_>) -> u32 {
+        let Views { sights, lists } = &mut self.views;
+        match *view {
+            View::Sight(key) => *self.sights.entry(key).or_insert_with(|| {
+                sights.push(key);
+                sights.len() as u32 - 1
+            }),
+            View::List(list) => {
+                if let Some(&index) = self.lists.get(list) {
+                    return index;
+                }
+                let index = LIST + lists.len() as u32;
+                lists.push(list.into());
+                self.lists.insert(list.into(), index);
+                index
+            }
         }
-    };
-    for (row, entries) in (first_row..).zip(entries.chunks_mut(frame.columns * headings)) {
-        for (column, entries) in entries.chunks_mut(headings).enumerate() {
-            let spot = |dx, dy| frame.half_cell(2 * column + dx, 2 * row + dy);
-            let spots = [spot(0, 0), spot(2, 0), spot(0, 2), spot(2, 2), spot(1, 1)];
-            if !spots.iter().any(|&[x, y]| map.geometry().is_free(x, y)) {
+    }
+}
+
+/// An exact cast that a sight has to explain.
+struct Sample {
+    origin: DVec2,
+    direction: DVec2,
+    wall: u32,
+}
+
+/// A corner of a cell.
+struct Spot {
+    at: DVec2,
+    /// The wall that it sees along the lower edge of each heading bin; empty outside free space, from where nobody
+    /// looks.
+    walls: Vec<u32>,
+}
+
+struct Caster<'a> {
+    map: &'a ExactRangeMap,
+    frame: &'a CellFrame,
+    /// Direction of the lower edge of each heading bin.
+    edges: Vec<DVec2>,
+    /// Directions within each bin, where two walls may hide a third between the edges.
+    between: Vec<[DVec2; 3]>,
+    tolerance_m: f64,
+}
+
+impl Caster<'_> {
+    fn wall(&self, origin: DVec2, direction: DVec2) -> u32 {
+        self.map.cast_segment(origin, direction, f64::INFINITY).map_or(NOTHING, |(segment, _)| segment as u32)
+    }
+
+    /// Fills the entries of the cells `inside`, rows of cells from `first_row` on; returns the views they
+    /// point to.
+    fn fill_band(&self, first_row: usize, inside: &[bool], entries: &mut [u32]) -> Views {
+        let columns = self.frame.columns;
+        let mut pool = Pool::default();
+        // What each corner of the cell row sees along each edge; `None` where nobody has asked yet.
+        let mut below: Vec<Option<Spot>> = (0..=columns).map(|_| None).collect();
+        let mut above: Vec<Option<Spot>> = (0..=columns).map(|_| None).collect();
+        let (mut samples, mut walls) = (Vec::new(), Vec::new());
+        let mut entries = entries.chunks_mut(self.edges.len());
+        for (row, inside) in (first_row..).zip(inside.chunks(columns)) {
+            for column in (0..columns).filter(|&column| inside[column]) {
+                for column in [column, column + 1] {
+                    below[column].get_or_insert_with(|| self.look(2 * column, 2 * row));
+                    above[column].get_or_insert_with(|| self.look(2 * column, 2 * row + 2));
+                }
+                let corners = [&below[column], &below[column + 1], &above[column], &above[column + 1]];
+                let corners =
+                    corners.map(|corner| corner.as_ref().expect("each corner has been looked from"));
+                let centre = self.spot(2 * column + 1, 2 * row + 1);
+                let entries = entries.next().expect("one row of entries per cell");
+                for (bin, entry) in entries.iter_mut().enumerate() {
+                    *entry = pool.index(&self.view_of_bin(corners, centre, bin, &mut samples, &mut walls));
+                }
+            }
+            std::mem::swap(&mut below, &mut above);
+            above.iter_mut().for_each(|spot| *spot = None);
+        }
+        pool.views
+    }
+
+    fn spot(&self, column2: usize, row2: usize) -> DVec2 {
+        DVec2::from_array(self.frame.half_cell(column2, row2))
+    }
+
+    fn is_free(&self, spot: DVec2) -> bool {
+        self.map.geometry().is_free(spot.x, spot.y)
+    }
+
+    fn look(&self, column2: usize, row2: usize) -> Spot {
+        let at = self.spot(column2, row2);
+        let walls = if self.is_free(at) {
+            self.edges.iter().map(|&direction| self.wall(at, direction)).collect()
+        } else {
+            Vec::new()
+        };
+        Spot { at, walls }
+    }
+
+    /// What explains the exact casts from the corners of a cell along the edges of a heading bin: one wall; where they
+    /// meet several, also casts between, the sight with the least error, or all the walls that they meet.
+    fn view_of_bin<'a>(
+        &self,
+        corners: [&Spot; 4],
+        centre: DVec2,
+        bin: usize,
+        samples: &mut Vec<Sample>,
+        walls: &'a mut Vec<u32>,
+    ) -> View<'a> {
+        let next = (bin + 1) % self.edges.len();
+        samples.clear();
+        for corner in corners.into_iter().filter(|corner| !corner.walls.is_empty()) {
+            for edge in [bin, next] {
+                let (origin, direction) = (corner.at, self.edges[edge]);
+                samples.push(Sample { origin, direction, wall: corner.walls[edge] });
+            }
+        }
+        if let Some((first, rest)) = samples.split_first()
+            && rest.iter().all(|sample| sample.wall == first.wall)
+        {
+            return View::Sight(SightKey::single(first.wall));
+        }
+        for i in 0..samples.len() / 2 {
+            let origin = samples[2 * i].origin;
+            self.look_between(origin, bin, samples);
+        }
+        if self.is_free(centre) {
+            self.look_between(centre, bin, samples);
+        }
+        walls.clear();
+        walls.extend(samples.iter().map(|sample| sample.wall));
+        walls.sort_unstable();
+        walls.dedup();
+        let segments = self.map.geometry().segments();
+        let singles = walls.iter().map(|&wall| SightKey::single(wall));
+        let pairs = walls.iter().flat_map(|&first| {
+            walls.iter().filter(move |&&second| second != first).flat_map(move |&second| {
+                (0..4).map(move |corner| SightKey { walls: [first, second], corner })
+            })
+        });
+        // Worse than this, and the walls are listed.
+        let most_error = self.tolerance_m * samples.len() as f64;
+        let mut best = None;
+        let mut least_error = most_error;
+        for key in singles.chain(pairs) {
+            if key.walls[(key.corner >> 1) as usize] == NOTHING && key.walls[0] != key.walls[1] {
                 continue;
             }
-            centre.clear();
-            look(&mut below[column], spots[0]);
-            look(&mut below[column + 1], spots[1]);
-            look(&mut above[column], spots[2]);
-            look(&mut above[column + 1], spots[3]);
-            look(&mut centre, spots[4]);
-            let seen = [&below[column], &below[column + 1], &above[column], &above[column + 1], &centre];
-            for (bin, entry) in entries.iter_mut().enumerate() {
-                segments_of_bin(seen, bin, &mut list);
-                *entry = pool.entry(&list);
+            let mut error = 0.0;
+            for sample in samples.iter() {
+                error += self.error(segments, &key, sample);
+                if error > least_error {
+                    break;
+                }
+            }
+            if error < least_error || (error <= least_error && best.is_none()) {
+                (least_error, best) = (error, Some(key));
             }
         }
-        std::mem::swap(&mut below, &mut above);
-        above.iter_mut().for_each(Vec::clear);
+        if let Some(key) = best {
+            return View::Sight(key);
+        }
+        walls.retain(|&wall| wall != NOTHING);
+        View::List(walls)
     }
-    pool.segments
-}
 
-/// Makes `list` the segments seen in a heading bin, ascending.
-fn segments_of_bin(seen: [&Vec<u32>; 5], bin: usize, list: &mut Vec<u32>) {
-    list.clear();
-    for seen in seen {
-        list.extend([seen[2 * bin], seen[2 * bin + 1], seen[(2 * bin + 2) % seen.len()]]);
+    fn look_between(&self, origin: DVec2, bin: usize, samples: &mut Vec<Sample>) {
+        for direction in self.between[bin] {
+            samples.push(Sample { origin, direction, wall: self.wall(origin, direction) });
+        }
     }
-    list.sort_unstable();
-    list.dedup();
-    if list.last() == Some(&NOTHING) {
-        list.pop();
+
+    /// By how much a sight misses an exact cast \[m\], at most [`MOST_ERROR_M`].
+    fn error(&self, segments: &[[DVec2; 2]], key: &SightKey, sample: &Sample) -> f64 {
+        let wall = key.wall(segments, sample.origin, sample.direction);
+        if wall == sample.wall {
+            return 0.0;
+        }
+        // A wall that the ray passes by counts with its line, as in a query.
+        let range = |wall: u32| {
+            let [a, b] = *segments.get(wall as usize)?;
+            let normal = (b - a).perp();
+            let range = normal.dot(a - sample.origin) / normal.dot(sample.direction);
+            range_to(&[a, b], sample.origin, sample.direction).or(Some(range).filter(|r| *r >= 0.0))
+        };
+        match (range(wall), range(sample.wall)) {
+            (Some(a), Some(b)) => (a - b).abs().min(MOST_ERROR_M),
+            _ => MOST_ERROR_M,
+        }
     }
 }

@@ -1,10 +1,9 @@
 use glam::DVec2;
 use locsim_core::{Hits, NO_SURFACE, Poses, RangeMap};
-use parry2d_f64::partitioning::Bvh;
-use parry2d_f64::query::Ray;
+use parry2d_f64::partitioning::{Bvh, BvhNode};
 
 use super::batch::cast_batch;
-use super::segment::{incidence, range_to, tree_over};
+use super::segment::{angle, incidence, range_to, tree_over};
 use crate::map::Geometry;
 
 /// Where a ray meets a surface.
@@ -29,14 +28,17 @@ pub struct RayHit {
 #[derive(Clone)]
 pub struct ExactRangeMap {
     geometry: Geometry,
+    /// Direction of each segment \[rad\].
+    angles: Vec<f64>,
     tree: Bvh,
 }
 
 impl ExactRangeMap {
     /// Builds the tree over the map's segments.
     pub fn new(geometry: Geometry) -> Self {
+        let angles = geometry.segments().iter().map(angle).collect();
         let tree = tree_over(geometry.segments());
-        Self { geometry, tree }
+        Self { geometry, angles, tree }
     }
 
     /// The map.
@@ -47,9 +49,8 @@ impl ExactRangeMap {
     /// Casts one ray from `origin` \[m\] along the unit vector `direction`; `None` if it meets nothing nearer than
     /// `max_range` \[m\], which may be infinite.
     pub fn cast_ray(&self, origin: DVec2, direction: DVec2, max_range: f64) -> Option<RayHit> {
-        let (segment, range) = self.cast_segment(origin, direction, max_range)?;
-        let incidence = incidence(&self.geometry.segments()[segment], direction);
-        Some(RayHit { range, incidence, surface: self.geometry.surfaces()[segment] })
+        let hit = self.cast_segment(origin, direction, max_range)?;
+        Some(self.hit(hit, direction.to_angle()))
     }
 
     /// As [`ExactRangeMap::cast_ray`], with segments in the way that the map doesn't know. A hit on one of them
@@ -61,27 +62,62 @@ impl ExactRangeMap {
         direction: DVec2,
         max_range: f64,
     ) -> Option<RayHit> {
+        let heading = direction.to_angle();
         let mut best = self.cast_ray(origin, direction, max_range);
         for segment in extra {
             let nearest = best.map_or(max_range, |hit| hit.range);
             if let Some(range) = range_to(segment, origin, direction).filter(|&range| range < nearest) {
-                best = Some(RayHit { range, incidence: incidence(segment, direction), surface: NO_SURFACE });
+                let incidence = incidence(angle(segment), heading);
+                best = Some(RayHit { range, incidence, surface: NO_SURFACE });
             }
         }
         best
     }
 
+    /// As [`ExactRangeMap::cast_segment`], among some of the segments only.
+    pub(super) fn cast_segment_among(
+        &self,
+        among: &[u32],
+        origin: DVec2,
+        direction: DVec2,
+    ) -> Option<(usize, f64)> {
+        let mut nearest: Option<(usize, f64)> = None;
+        for &i in among {
+            let range = range_to(&self.geometry.segments()[i as usize], origin, direction);
+            if let Some(range) = range.filter(|&range| nearest.is_none_or(|(_, least)| range < least)) {
+                nearest = Some((i as usize, range));
+            }
+        }
+        nearest
+    }
+
+    /// A segment met by a ray of this heading \[rad\].
+    fn hit(&self, (segment, range): (usize, f64), heading: f64) -> RayHit {
+        let incidence = incidence(self.angles[segment], heading);
+        RayHit { range, incidence, surface: self.geometry.surfaces()[segment] }
+    }
+
     /// Index of the segment that a ray meets first, and the range \[m\].
-    pub(super) fn cast_segment(
+    pub(crate) fn cast_segment(
         &self,
         origin: DVec2,
         direction: DVec2,
         max_range: f64,
     ) -> Option<(usize, f64)> {
         let segments = self.geometry.segments();
-        let (leaf, range) = self.tree.cast_ray(&Ray::new(origin, direction), max_range, |leaf, _| {
-            range_to(&segments[leaf as usize], origin, direction)
-        })?;
+        // Infinite for rays along an axis. Zero times infinity then comes only of a ray on the very edge of a box,
+        // where it meets nothing anyway: see `tree_over`.
+        let inverse = direction.recip();
+        // Where the ray enters a box (slab method). `Bvh::cast_ray` does the same with divisions at every box.
+        let enter = |node: &BvhNode, nearest: f64| {
+            let (a, b) = ((node.mins() - origin) * inverse, (node.maxs() - origin) * inverse);
+            let enter = a.min(b).max_element().max(0.0);
+            let leave = a.max(b).min_element().min(nearest);
+            if enter <= leave { enter } else { f64::MAX }
+        };
+        let (leaf, range) = self
+            .tree
+            .find_best(max_range, enter, |leaf, _| range_to(&segments[leaf as usize], origin, direction))?;
         Some((leaf as usize, range))
     }
 }
@@ -90,7 +126,9 @@ impl RangeMap for ExactRangeMap {
     fn cast(&self, laser: Poses<'_>, bearings: &[f32], max_range: f32, out: &mut Hits) {
         let max = f64::from(max_range);
         cast_batch(laser, bearings, max_range, out, |origin| {
-            move |direction, _| self.cast_ray(origin, direction, max)
+            move |direction, heading| {
+                self.cast_segment(origin, direction, max).map(|hit| self.hit(hit, heading))
+            }
         });
     }
 

@@ -2,11 +2,13 @@
 
 mod batch;
 mod build;
+mod cache;
 mod distance;
 mod exact;
 mod segment;
+mod sight;
 mod table;
 
 pub use distance::DistanceGrid;
 pub use exact::{ExactRangeMap, RayHit};
-pub use table::SurfaceTable;
+pub use table::{RangeTable, RangeTableOptions};

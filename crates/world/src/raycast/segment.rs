@@ -1,3 +1,5 @@
+use std::f64::consts::{FRAC_1_PI, FRAC_PI_2, PI};
+
 use glam::DVec2;
 use parry2d_f64::bounding_volume::Aabb;
 use parry2d_f64::partitioning::{Bvh, BvhBuildStrategy};
@@ -29,11 +31,17 @@ pub(super) fn range_to(&[a, b]: &[DVec2; 2], origin: DVec2, direction: DVec2) ->
     (along >= -OVERLAP_M).then_some(along.max(0.0))
 }
 
-/// Angle between a ray and a segment's normal \[rad\], 0 to pi/2.
+/// Direction of a segment \[rad\], from its first end to the other.
+pub(super) fn angle(&[a, b]: &[DVec2; 2]) -> f64 {
+    (b - a).to_angle()
+}
+
+/// Angle between a ray of a heading and the normal of a segment of an angle \[rad\], 0 to pi/2.
 #[inline]
-pub(super) fn incidence(&[a, b]: &[DVec2; 2], direction: DVec2) -> f64 {
-    let edge = b - a;
-    direction.dot(edge).abs().atan2(direction.perp_dot(edge).abs())
+pub(super) fn incidence(angle: f64, heading: f64) -> f64 {
+    let turn = (heading - angle).abs();
+    let from_segment = turn - PI * f64::from((turn * FRAC_1_PI) as u32);
+    (FRAC_PI_2 - from_segment).abs()
 }
 
 /// Distance from a point to a segment \[m\].
@@ -43,9 +51,10 @@ pub(super) fn distance_to(&[a, b]: &[DVec2; 2], point: DVec2) -> f64 {
     point.distance(a + share * edge)
 }
 
-/// A tree over the segments; leaf `i` is segment `i`.
+/// A tree over the segments; leaf `i` is segment `i`. Boxes are wider than the segments' overlap, so that rounding
+/// at the edge of a box never decides whether a ray meets the segment.
 pub(super) fn tree_over(segments: &[[DVec2; 2]]) -> Bvh {
-    let margin = DVec2::splat(OVERLAP_M);
+    let margin = DVec2::splat(2.0 * OVERLAP_M);
     let boxes: Vec<Aabb> =
         segments.iter().map(|[a, b]| Aabb::new(a.min(*b) - margin, a.max(*b) + margin)).collect();
     Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes)

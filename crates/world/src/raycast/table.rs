@@ -1,112 +1,118 @@
-use std::f64::consts::{FRAC_1_PI, FRAC_PI_2, PI, TAU};
+use std::path::Path;
 
 use glam::DVec2;
-use locsim_core::{Hits, Poses, RangeMap};
+use locsim_core::{
+    BEAMS_PER_RUN, BeamRun, Hits, LikelihoodTable, NO_SURFACE, Pose2, Poses, PreparedScan, RangeMap, sin_cos,
+    turn,
+};
+use wide::bytemuck::cast;
+use wide::{f32x4, u32x4};
 
-use super::batch::cast_batch;
-use super::build::{Entry, build};
-use super::segment::OVERLAP_M;
-use super::{ExactRangeMap, RayHit};
+use super::ExactRangeMap;
+use super::batch::for_each_chunk;
+use super::build::{Built, Views, build, cells_in_sight};
+use super::cache::Cached;
+use super::sight::{Met, Sight};
 use crate::map::{CellFrame, MapError};
 
-/// Fast ray casts: a table tells, for each cell of the plane and bin of headings, which few segments a ray can meet,
-/// and the ray is intersected with those alone.
+/// What a [`RangeTable`] is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RangeTableOptions {
+    /// Side of a cell \[m\]; doubled until the table fits into `most_bytes`, or given up for exact casts.
+    pub cell_m: f64,
+    /// The table may be this large \[bytes\].
+    pub most_bytes: usize,
+    /// Where three or more walls show in one bin of headings, the two that explain it best may be off by this much on
+    /// average \[m\]; where they are worse, the table lists all the walls, which are slower to intersect.
+    pub tolerance_m: f64,
+}
+
+impl Default for RangeTableOptions {
+    /// Cells of 10 cm, 512 MiB, a tolerance of 1 cm.
+    fn default() -> Self {
+        Self { cell_m: 0.1, most_bytes: 512 << 20, tolerance_m: 0.01 }
+    }
+}
+
+/// Fast ray casts: a table tells, for each cell of the plane and bin of headings, which wall a ray meets, or which two
+/// walls and the corner that divides the rays between them; the ray is then intersected with that wall's line.
 ///
-/// The lists hold every segment that exact casts meet from the corners and the centre of the cell, in the
-/// directions of the edges and the centre of the bin. So a range is exact, unless the nearest segment shows only in
-/// a sliver between these casts and a listed segment stands behind it: about 1 ray in 50,000 in a corridor, 7 in
-/// 10,000 on a cluttered office floor mapped by a robot. A ray is cast exactly when it meets no listed segment, when
-/// its list is long, and when it starts outside the map's free space.
-pub struct SurfaceTable {
+/// So a range is exact to rounding (f32), wherever in its cell and bin the ray is. Where exact casts from the cell's
+/// corners and centre along the bin's edges and centre show that two walls don't explain what there is to see, the
+/// table lists the walls that these casts meet, and the ray is intersected with all of them. What remains are walls
+/// that none of these casts meets. A ray that starts in a cell without free space is cast exactly; one that starts in
+/// a wall, but in a cell with free space, sees what can be seen from there.
+pub struct RangeTable {
     map: ExactRangeMap,
-    walls: Vec<Wall>,
     frame: CellFrame,
-    /// A power of two.
-    headings: usize,
-    bins_per_rad: f64,
-    /// The list of each row, column and heading bin.
-    entries: Vec<Entry>,
-    /// Lists of segments, one after the other.
-    pool: Vec<u32>,
+    /// Row of each cell.
+    rows: Vec<u32>,
+    /// What shows in each row's heading bins: an index into `sights`, or behind these into `lists`.
+    entries: Vec<u32>,
+    /// In coordinates relative to the frame's lower left corner.
+    sights: Vec<Sight>,
+    /// The surface ids of each sight's walls.
+    surfaces: Vec<[u32; 2]>,
+    /// Indices of wall segments.
+    lists: Vec<Box<[u32]>>,
 }
 
-/// A segment, as a query wants it.
-#[repr(align(64))]
-struct Wall {
-    /// One end \[m\].
-    start: DVec2,
-    /// Unit vector from there to the other end.
-    along: DVec2,
-    length: f64,
-    /// Direction of `along`, modulo pi, in \[0, pi) \[rad\].
-    angle: f64,
-    surface: u32,
-}
+/// Bins of heading over the full circle: the upper byte of a heading in turns of 2^-32.
+const HEADINGS: usize = 256;
+/// Beam directions are kept for this many beams at a time, on the stack.
+const BEAMS_PER_BLOCK: usize = 64;
 
-impl Wall {
-    fn new([a, b]: [DVec2; 2], surface: u32) -> Self {
-        let along = (b - a).normalize();
-        Self { start: a, along, length: a.distance(b), angle: along.to_angle().rem_euclid(PI), surface }
-    }
-
-    /// Distance along a ray \[m\]; infinite if it misses. Leaves rays along the wall to the exact cast.
-    #[inline]
-    fn range_to(&self, origin: DVec2, direction: DVec2) -> f64 {
-        let start = self.start - origin;
-        let range = self.along.perp_dot(start) / self.along.perp_dot(direction);
-        let position = range * self.along.dot(direction) - self.along.dot(start);
-        let hit = range >= -OVERLAP_M && position >= -OVERLAP_M && position <= self.length + OVERLAP_M;
-        if hit { range.max(0.0) } else { f64::INFINITY }
-    }
-
-    /// Angle between a ray and the wall's normal \[rad\]. `heading` is the ray's, at least 0.
-    #[inline]
-    fn incidence(&self, heading: f64) -> f64 {
-        let turn = heading + PI - self.angle;
-        let from_wall = turn - PI * f64::from((turn * FRAC_1_PI) as u32);
-        (FRAC_PI_2 - from_wall).abs()
-    }
-}
-
-impl SurfaceTable {
-    /// Builds the table in parallel: cells of `cell_m` metres, and `headings` bins of heading (rounded up to a power
-    /// of two). 0.05 m and 128 suit corridors and offices.
+impl RangeTable {
+    /// Builds the table in parallel; `progress` hears from several threads which share of it is done, 0 to 1.
     ///
     /// # Errors
-    /// [`MapError`] when the cell size is not positive or the table would be too large.
-    pub fn new(map: &ExactRangeMap, cell_m: f64, headings: usize) -> Result<Self, MapError> {
-        Self::with_progress(map, cell_m, headings, &|_| ())
-    }
-
-    /// As [`SurfaceTable::new`]; `progress` hears from several threads which share of the table is done, 0 to 1.
-    ///
-    /// # Errors
-    /// As [`SurfaceTable::new`].
-    pub fn with_progress(
+    /// [`MapError`] when the cell size is not positive, or the map so large that no cell size fits.
+    pub fn new(
         map: &ExactRangeMap,
-        cell_m: f64,
-        headings: usize,
+        options: &RangeTableOptions,
         progress: &(dyn Fn(f64) + Sync),
     ) -> Result<Self, MapError> {
-        let headings = headings.max(4).next_power_of_two();
-        let frame = CellFrame::covering(map.bounds(), cell_m, headings)?;
-        let (entries, pool) = build(map, &frame, headings, progress);
-        let geometry = map.geometry();
-        let walls = geometry
-            .segments()
-            .iter()
-            .zip(geometry.surfaces())
-            .map(|(&ends, &surface)| Wall::new(ends, surface))
-            .collect();
-        Ok(Self {
+        Self::cached(map, options, None, progress)
+    }
+
+    /// As [`RangeTable::new`], kept in a folder: read from there if the very same table was built before, and written
+    /// there otherwise. A file that is damaged is built anew, a folder that can't be written to is done without.
+    ///
+    /// # Errors
+    /// As [`RangeTable::new`].
+    pub fn cached(
+        map: &ExactRangeMap,
+        options: &RangeTableOptions,
+        folder: Option<&Path>,
+        progress: &(dyn Fn(f64) + Sync),
+    ) -> Result<Self, MapError> {
+        let (frame, in_sight) = fitting_frame(map, options)?;
+        let cached = folder.map(|folder| Cached::new(folder, map, options, &frame, &in_sight));
+        if let Some(built) = cached.as_ref().and_then(Cached::read) {
+            progress(1.0);
+            return Ok(Self::assemble(map, frame, built));
+        }
+        let built = build(map, &frame, HEADINGS, &in_sight, options.tolerance_m, progress);
+        if let Some(cached) = cached {
+            cached.write(&built);
+        }
+        Ok(Self::assemble(map, frame, built))
+    }
+
+    fn assemble(map: &ExactRangeMap, frame: CellFrame, built: Built) -> Self {
+        let Built { rows, entries, views: Views { sights: keys, lists } } = built;
+        let (segments, surfaces) = (map.geometry().segments(), map.geometry().surfaces());
+        let origin = DVec2::new(frame.x0, frame.y0);
+        let surface = |wall: u32| surfaces.get(wall as usize).copied().unwrap_or(NO_SURFACE);
+        Self {
             map: map.clone(),
-            walls,
             frame,
-            headings,
-            bins_per_rad: headings as f64 / TAU,
+            rows,
             entries,
-            pool,
-        })
+            sights: keys.iter().map(|key| key.sight(segments, origin)).collect(),
+            surfaces: keys.iter().map(|key| key.walls.map(surface)).collect(),
+            lists,
+        }
     }
 
     /// The map that the table was built from.
@@ -114,56 +120,254 @@ impl SurfaceTable {
         &self.map
     }
 
+    /// Side of a cell \[m\]: that of the options, or larger where the table would not have fitted.
+    pub fn cell_m(&self) -> f64 {
+        self.frame.cell_m
+    }
+
     /// Size of the table in memory \[bytes\].
     pub fn bytes(&self) -> usize {
-        size_of_val(&*self.entries) + size_of_val(&*self.pool) + size_of_val(&*self.walls)
+        size_of_val(&*self.rows)
+            + size_of_val(&*self.entries)
+            + size_of_val(&*self.sights)
+            + size_of_val(&*self.surfaces)
+            + size_of_val(&*self.lists)
+            + self.lists.iter().map(|list| size_of_val(&**list)).sum::<usize>()
     }
 
-    /// The entries of a cell, one per heading bin; `None` outside the map.
-    fn cell(&self, origin: DVec2) -> Option<&[Entry]> {
-        let p = (origin - DVec2::new(self.frame.x0, self.frame.y0)) / self.frame.cell_m;
+    /// The heading bins of the cell that holds a point relative to the frame's corner \[m\]; `None` outside free space.
+    #[inline]
+    fn bins(&self, x: f64, y: f64) -> Bins<'_> {
+        let (column, row) = (x / self.frame.cell_m, y / self.frame.cell_m);
         // False for NaN too.
         let inside =
-            p.x >= 0.0 && p.y >= 0.0 && p.x < self.frame.columns as f64 && p.y < self.frame.rows as f64;
-        inside.then(|| {
-            let start = (p.y as usize * self.frame.columns + p.x as usize) * self.headings;
-            &self.entries[start..start + self.headings]
-        })
-    }
-
-    /// The nearest of the listed segments. `heading` is above -2 pi.
-    #[inline]
-    fn nearest_listed(
-        &self,
-        cell: &[Entry],
-        origin: DVec2,
-        direction: DVec2,
-        heading: f64,
-    ) -> Option<RayHit> {
-        let heading = heading + TAU;
-        let bin = (heading * self.bins_per_rad) as usize & (self.headings - 1);
-        let mut range = f64::INFINITY;
-        let mut nearest = None;
-        for &candidate in cell[bin].list(&self.pool) {
-            let wall = &self.walls[candidate as usize];
-            let r = wall.range_to(origin, direction);
-            if r < range {
-                (range, nearest) = (r, Some(wall));
-            }
+            column >= 0.0 && row >= 0.0 && column < self.frame.columns as f64 && row < self.frame.rows as f64;
+        if !inside {
+            return None;
         }
-        nearest.map(|wall| RayHit { range, incidence: wall.incidence(heading), surface: wall.surface })
+        let row = self.rows[row as usize * self.frame.columns + column as usize];
+        // No table has as many rows as the mark for "none".
+        self.entries.as_chunks().0.get(row as usize)
     }
 }
 
-impl RangeMap for SurfaceTable {
+/// Cells aren't made larger than this \[m\]: they would no longer tell one side of a wall from the other.
+const COARSEST_M: f64 = 1.0;
+
+/// The map's bounds with the lower corner moved by a part of a cell: walls tend to lie on whole multiples of a cell,
+/// and what a point on a wall sees says nothing about its neighbours.
+fn shifted([x0, y0, x1, y1]: [f64; 4], cell_m: f64) -> [f64; 4] {
+    [x0 - 0.382 * cell_m, y0 - 0.382 * cell_m, x1, y1]
+}
+
+/// The cells of the table and which of them have a row: as fine as the options say, or as fine as fits; without any row
+/// where even cells of a metre don't fit, so that every ray is cast exactly.
+fn fitting_frame(
+    map: &ExactRangeMap,
+    options: &RangeTableOptions,
+) -> Result<(CellFrame, Vec<bool>), MapError> {
+    let mut cell_m = options.cell_m;
+    loop {
+        let frame = CellFrame::covering(shifted(map.bounds(), cell_m), cell_m, 1);
+        let coarsest = cell_m >= COARSEST_M;
+        match frame {
+            Ok(frame) if frame.rows * frame.columns <= options.most_bytes / size_of::<u32>() => {
+                let in_sight = cells_in_sight(map, &frame);
+                let rows = in_sight.iter().filter(|inside| **inside).count();
+                if (rows * HEADINGS + in_sight.len()) * size_of::<u32>() <= options.most_bytes {
+                    return Ok((frame, in_sight));
+                }
+                if coarsest {
+                    return Ok((frame, vec![false; in_sight.len()]));
+                }
+            }
+            Ok(_) | Err(MapError::Extent { .. }) if !coarsest => {}
+            Ok(frame) => {
+                return Err(MapError::Extent { width: frame.columns as f64, height: frame.rows as f64 });
+            }
+            Err(error) => return Err(error),
+        }
+        cell_m *= 2.0;
+    }
+}
+
+/// A pose as the table wants it.
+struct Origin {
+    /// Relative to the frame's corner \[m\].
+    at: [f32; 2],
+    /// Unit vector of the heading.
+    ahead: [f32; 2],
+    /// In turns of 2^-32.
+    heading: u32,
+}
+
+/// The heading bins of a pose's cell, `None` outside free space.
+type Bins<'a> = Option<&'a [u32; HEADINGS]>;
+
+/// The bin of a heading in turns of 2^-32.
+#[inline]
+const fn bin(heading: u32) -> usize {
+    (heading >> 24) as usize
+}
+
+impl RangeTable {
+    #[inline]
+    fn origin(&self, pose: Pose2) -> (Origin, Bins<'_>) {
+        let (x, y) = (pose.x - self.frame.x0, pose.y - self.frame.y0);
+        let (sin, cos) = sin_cos(pose.theta);
+        let origin =
+            Origin { at: [x as f32, y as f32], ahead: [cos as f32, sin as f32], heading: turn(pose.theta) };
+        (origin, self.bins(x, y))
+    }
+
+    /// What a run of beams meets.
+    #[inline]
+    fn meet(&self, origin: &Origin, bins: &[u32; HEADINGS], beams: &BeamRun) -> Met {
+        let [c, s] = origin.ahead;
+        let direction = [beams.cos * c - beams.sin * s, beams.cos * s + beams.sin * c];
+        let heading = beams.turn + u32x4::splat(origin.heading);
+        let views = heading.to_array().map(|heading| bins[bin(heading)]);
+        let sights = views.map(|view| self.sights.get(view as usize).unwrap_or(&Sight::NOTHING));
+        let mut met = Sight::meet(sights, origin.at, direction);
+        let last = views.into_iter().fold(0, u32::max);
+        if last as usize >= self.sights.len() {
+            self.meet_lists(views, origin, direction, &mut met);
+        }
+        met
+    }
+
+    /// Completes what the beams meet that have a list of walls instead of a sight.
+    #[cold]
+    fn meet_lists(&self, views: [u32; BEAMS_PER_RUN], origin: &Origin, direction: [f32x4; 2], met: &mut Met) {
+        let frame = DVec2::new(self.frame.x0, self.frame.y0);
+        let position = frame + DVec2::new(f64::from(origin.at[0]), f64::from(origin.at[1]));
+        let [x, y] = direction.map(f32x4::to_array);
+        for (i, view) in views.into_iter().enumerate() {
+            let Some(list) = (view as usize).checked_sub(self.sights.len()) else { continue };
+            let direction = DVec2::new(f64::from(x[i]), f64::from(y[i]));
+            let hit = self
+                .map
+                .cast_segment_among(&self.lists[list], position, direction)
+                .or_else(|| self.map.cast_segment(position, direction, f64::INFINITY));
+            if let Some((segment, range)) = hit {
+                let [a, b] = self.map.geometry().segments()[segment];
+                let edge = (b - a).normalize();
+                met.range.as_mut_array()[i] = range as f32;
+                met.cosine.as_mut_array()[i] = edge.perp_dot(direction).abs() as f32;
+                met.sine.as_mut_array()[i] = edge.dot(direction).abs() as f32;
+                met.listed[i] = segment as u32;
+            }
+        }
+    }
+
+    /// Range \[m\], incidence angle \[rad\] and surface id (as bits) of a run of beams.
+    #[inline]
+    fn hits(
+        &self,
+        pose: Pose2,
+        origin: &Origin,
+        bins: Bins<'_>,
+        beams: &BeamRun,
+        max_range: f32,
+    ) -> [f32x4; 3] {
+        let Some(bins) = bins else { return self.exact_hits(pose, beams, max_range) };
+        let met = self.meet(origin, bins, beams);
+        let heading = (beams.turn + u32x4::splat(origin.heading)).to_array();
+        let first = met.first.to_array();
+        let surface: [u32; BEAMS_PER_RUN] = std::array::from_fn(|i| {
+            let sight = self.surfaces.get(bins[bin(heading[i])] as usize);
+            sight.map_or_else(
+                || self.map.geometry().surfaces().get(met.listed[i] as usize).copied().unwrap_or(NO_SURFACE),
+                |walls| walls[usize::from(first[i].to_bits() == 0)],
+            )
+        });
+        let is_hit = met.range.simd_ge(f32x4::ZERO) & met.range.simd_lt(f32x4::splat(max_range));
+        [
+            is_hit.bitselect(met.range, f32x4::splat(max_range)),
+            is_hit & met.sine.atan2(met.cosine),
+            is_hit.bitselect(cast(surface), cast([NO_SURFACE; BEAMS_PER_RUN])),
+        ]
+    }
+
+    /// As [`RangeTable::hits`], by exact casts, for poses outside free space.
+    #[cold]
+    fn exact_hits(&self, pose: Pose2, beams: &BeamRun, max_range: f32) -> [f32x4; 3] {
+        let rotation = DVec2::from_angle(pose.theta);
+        let (cos, sin) = (beams.cos.to_array(), beams.sin.to_array());
+        let hits: [(f32, f32, u32); BEAMS_PER_RUN] = std::array::from_fn(|i| {
+            let direction = rotation.rotate(DVec2::new(f64::from(cos[i]), f64::from(sin[i])));
+            self.map
+                .cast_ray(pose.position(), direction, f64::from(max_range))
+                // Rounding to f32 may reach the maximum, which says "no return".
+                .filter(|hit| (hit.range as f32) < max_range)
+                .map_or((max_range, 0.0, NO_SURFACE), |hit| {
+                    (hit.range as f32, hit.incidence as f32, hit.surface)
+                })
+        });
+        [f32x4::new(hits.map(|hit| hit.0)), f32x4::new(hits.map(|hit| hit.1)), cast(hits.map(|hit| hit.2))]
+    }
+}
+
+impl RangeMap for RangeTable {
     fn cast(&self, laser: Poses<'_>, bearings: &[f32], max_range: f32, out: &mut Hits) {
-        cast_batch(laser, bearings, max_range, out, |origin| {
-            let cell = self.cell(origin);
-            move |direction, heading| {
-                cell.and_then(|cell| self.nearest_listed(cell, origin, direction, heading))
-                    .or_else(|| self.map.cast_ray(origin, direction, f64::from(max_range)))
+        let k = bearings.len();
+        out.resize(laser.len() * k);
+        if out.is_empty() {
+            return;
+        }
+        for_each_chunk(out, k, |first, range, incidence, surface| {
+            let mut runs = [BeamRun::AHEAD; BEAMS_PER_BLOCK / BEAMS_PER_RUN];
+            for (block, bearings) in bearings.chunks(BEAMS_PER_BLOCK).enumerate() {
+                for (run, bearings) in runs.iter_mut().zip(bearings.chunks(BEAMS_PER_RUN)) {
+                    *run = BeamRun::new(bearings);
+                }
+                for i in 0..range.len() / k {
+                    let pose = laser.get(first + i);
+                    let (origin, bins) = self.origin(pose);
+                    let here =
+                        i * k + block * BEAMS_PER_BLOCK..i * k + block * BEAMS_PER_BLOCK + bearings.len();
+                    let hits = range[here.clone()].chunks_mut(BEAMS_PER_RUN);
+                    let hits = hits.zip(incidence[here.clone()].chunks_mut(BEAMS_PER_RUN));
+                    let hits = hits.zip(surface[here].chunks_mut(BEAMS_PER_RUN));
+                    for (beams, ((range, incidence), surface)) in runs.iter().zip(hits) {
+                        let [r, alpha, id] = self.hits(pose, &origin, bins, beams, max_range);
+                        let n = range.len();
+                        range.copy_from_slice(&r.to_array()[..n]);
+                        incidence.copy_from_slice(&alpha.to_array()[..n]);
+                        surface.copy_from_slice(&cast::<_, [u32; 4]>(id)[..n]);
+                    }
+                }
             }
         });
+    }
+
+    fn log_likelihood(
+        &self,
+        laser: Poses<'_>,
+        scan: &PreparedScan,
+        table: &LikelihoodTable,
+        _hits: &mut Hits,
+        out: &mut [f64],
+    ) {
+        let scale = table.scale();
+        for (i, out) in out.iter_mut().enumerate() {
+            let (origin, bins) = self.origin(laser.get(i));
+            let mut sum = 0;
+            for &(ref beams, row_start) in &scan.runs {
+                let [range, cosine] = match bins {
+                    Some(bins) => {
+                        let met = self.meet(&origin, bins, beams);
+                        [met.range, met.cosine]
+                    }
+                    None => {
+                        let hits = self.exact_hits(laser.get(i), beams, table.grid().reach);
+                        [hits[0], hits[1].cos()]
+                    }
+                };
+                sum += table.sum(row_start + scale.entry(range, cosine));
+            }
+            *out = table.nats(scan.bearings.len(), sum);
+        }
     }
 
     fn is_free(&self, x: f64, y: f64) -> bool {

@@ -2,6 +2,7 @@ use glam::DVec2;
 use locsim_core::{Draw, Stage};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, Poisson};
+use serde::Serialize;
 
 use super::SimulationError;
 use super::error::{check, check_count};
@@ -31,7 +32,7 @@ pub struct Block {
 /// Where a block comes closer than `clearance_m` to the robot's centre, it is left out of that scan. A
 /// thinned Poisson process is Poisson, so the probability that nothing stands on a ray is exactly
 /// exp(-expected number of blocks on it).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BlockOptions {
     /// Blocks per metre of wall face \[1/m\], at least 0.
     pub per_metre_of_wall: f64,
@@ -53,7 +54,7 @@ pub struct BlockOptions {
 }
 
 /// When blocks take new places.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum BlockResampling {
     /// At every scan.
     EachObservation,
@@ -70,6 +71,8 @@ pub struct BlockModel {
     faces: Vec<Face>,
     /// Length of the faces up to the end of each \[m\].
     ends: Vec<f64>,
+    /// The distribution of their number; `None` for a mean of 0.
+    count: Option<Poisson<f64>>,
 }
 
 /// One block with its track along the wall.
@@ -98,6 +101,11 @@ impl Placement {
     pub fn block(&self, secs: f64) -> Block {
         let (_, speed) = self.position_and_speed(secs);
         Block { corners: self.at(secs).corners(), velocity: speed * self.face.along }
+    }
+
+    /// How fast it moves along the face \[m/s\].
+    pub fn speed_m_s(&self) -> f64 {
+        self.speed.abs()
     }
 
     /// The centre moves to and fro over the face.
@@ -143,8 +151,9 @@ impl BlockModel {
                 total
             })
             .collect();
-        let model = Self { options, faces, ends };
+        let mut model = Self { options, faces, ends, count: None };
         check_count("blocks", model.expected_count(), MAX_BLOCKS)?;
+        model.count = Poisson::new(model.expected_count()).ok();
         Ok(model)
     }
 
@@ -185,10 +194,7 @@ impl BlockModel {
     /// block `i`.
     pub(super) fn place_blocks(&self, draw: &Draw, secs: f64, robot: DVec2, out: &mut Vec<Placement>) {
         out.clear();
-        let count = match Poisson::new(self.expected_count()) {
-            Ok(poisson) => poisson.sample(&mut draw.item(0)) as u32,
-            Err(_) => 0, // the mean is 0
-        };
+        let count = self.count.map_or(0, |poisson| poisson.sample(&mut draw.item(0)) as u32);
         out.extend((1..=count).map(|item| {
             let mut rng = draw.item(item);
             let position = self.wall_length_m() * rng.random::<f64>();
@@ -203,7 +209,13 @@ impl BlockModel {
         let half = 0.5 * DVec2::new(uniform(self.options.length_m), uniform(self.options.width_m));
         let yaw = DVec2::from_angle(uniform(self.options.yaw_rad));
         let gap = uniform(self.options.wall_distance_m);
-        let speed = uniform(self.options.speed_m_s);
+        // The last draws; those of a block that stands are never asked for.
+        let speed = if self.options.speed_m_s[1] > 0.0 {
+            let speed = uniform(self.options.speed_m_s);
+            if rng.random::<bool>() { speed } else { -speed }
+        } else {
+            0.0
+        };
         let i = self.ends.partition_point(|&end| end <= position).min(self.faces.len() - 1);
         let face = self.faces[i];
         Placement {
@@ -212,7 +224,7 @@ impl BlockModel {
             offset: gap + half.x * yaw.y.abs() + half.y * yaw.x.abs(),
             axis: yaw.rotate(face.along),
             half,
-            speed: if rng.random::<bool>() { speed } else { -speed },
+            speed,
         }
     }
 

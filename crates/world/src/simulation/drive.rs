@@ -2,15 +2,17 @@ use glam::DVec2;
 use locsim_core::{Draw, Drive, DriveStep, Pose2, Stage};
 use rand::RngExt;
 use rayon::prelude::*;
+use serde::Serialize;
 
 use super::error::{check, check_count};
+use super::observe::Scratch;
 use super::{Block, OdometryNoise, RobotPath, SimulationError, Simulator, Trajectory};
 
 /// The most scans of a drive.
 const MAX_SCANS: f64 = 1e6;
 
 /// A robot that drives through the world.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Robot {
     /// The path it drives.
     pub path: RobotPath,
@@ -60,15 +62,9 @@ pub fn simulate_drive(
 
     let scans: Vec<_> = (0..stamps.len())
         .into_par_iter()
-        .map(|i| {
-            let mut placements = Vec::new();
-            if let Some(blocks) = simulator.blocks() {
-                let draw = blocks.draw(seed, i as u32);
-                blocks.place_blocks(&draw, stamps[i], truth[i].position(), &mut placements);
-            }
-            let noise = Draw::new(seed, Stage::Laser, i as u32);
-            let scan = simulator.sweep(&placements, stamps[i], |secs| trajectory.pose_at(secs), &noise);
-            let blocks = placements.iter().map(|placement| placement.block(stamps[i])).collect();
+        .map_init(Scratch::default, |scratch, i| {
+            let scan = simulator.sweep(seed, i as u32, stamps[i], |secs| trajectory.pose_at(secs), scratch);
+            let blocks = scratch.blocks.iter().map(|placement| placement.block(stamps[i])).collect();
             (scan, blocks)
         })
         .collect();
@@ -256,14 +252,14 @@ mod tests {
     #[test]
     fn drives_that_cannot_be_are_refused() {
         let simulator = simulator(None, laser_options());
-        let path = |points: &[DVec2], speed_m_s| RobotPath::Waypoints {
-            points: points.to_vec(),
+        let path = |points: &[[f64; 2]], speed_m_s| RobotPath::Waypoints {
+            points_m: points.to_vec(),
             speed_m_s,
             turn_rate_rad_s: 1.0,
         };
-        let inside = [DVec2::new(1.0, 1.0), DVec2::new(5.0, 1.0)];
+        let inside = [[1.0, 1.0], [5.0, 1.0]];
         for (path, start_jitter_m, message) in [
-            (path(&[inside[0], DVec2::new(9.0, 1.0)], 1.0), 0.0, "outside the map's free space"),
+            (path(&[inside[0], [9.0, 1.0]], 1.0), 0.0, "outside the map's free space"),
             (path(&[], 1.0), 0.0, "at least 2 waypoints"),
             (path(&inside, 1e-6), 0.0, "20000001 scans are more than the 1000000"),
             (path(&inside, 1.0), -0.1, "start jitter [m] must be at least 0; got -0.1"),

@@ -1,8 +1,10 @@
 use std::f64::consts::{PI, TAU};
 
+use glam::DVec2;
 use locsim_core::{Laser, Pose2};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
+use serde::Serialize;
 
 use super::SimulationError;
 use super::error::{check, check_count};
@@ -11,7 +13,7 @@ use super::error::{check, check_count};
 const MAX_BEAMS: f64 = 1e6;
 
 /// A simulated planar laser.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LaserOptions {
     /// Scans per second \[Hz\], above 0.
     pub rate_hz: f64,
@@ -42,6 +44,11 @@ pub struct LaserOptions {
 pub struct LaserSimulator {
     options: LaserOptions,
     laser: Laser,
+    /// Unit direction of each beam in the robot's frame.
+    directions: Vec<DVec2>,
+    /// Bearing of beam 0 \[rad\].
+    first_bearing: f64,
+    beams_per_rad: f64,
 }
 
 impl LaserSimulator {
@@ -72,12 +79,19 @@ impl LaserSimulator {
 
         let beams = options.beams as usize;
         let (min, max) = (options.min_range_m as f32, options.max_range_m as f32);
-        let shares = || shares_swept(beams, options.field_of_view_rad);
-        let first = first_bearing(beams, options.field_of_view_rad);
-        let bearings = shares().map(|share| (first + share * options.field_of_view_rad) as f32).collect();
+        let gaps = gaps(beams, options.field_of_view_rad);
+        let shares = || (0..beams).map(|beam| beam as f64 / gaps as f64);
+        let first_bearing = first_bearing(beams, options.field_of_view_rad);
+        let bearings: Vec<f32> =
+            shares().map(|share| (first_bearing + share * options.field_of_view_rad) as f32).collect();
+        let directions = bearings
+            .iter()
+            .map(|&bearing| DVec2::from_angle(options.mount.theta + f64::from(bearing)))
+            .collect();
         let times = shares().map(|share| (share * options.scan_secs) as f32).collect();
         let laser = Laser::new(bearings, times, min, max, options.mount)?;
-        Ok(Self { options, laser })
+        let beams_per_rad = gaps as f64 / options.field_of_view_rad;
+        Ok(Self { options, laser, directions, first_bearing, beams_per_rad })
     }
 
     /// The laser as a filter knows it.
@@ -88,6 +102,28 @@ impl LaserSimulator {
     /// What it was made from.
     pub fn options(&self) -> &LaserOptions {
         &self.options
+    }
+
+    /// Unit direction of each beam in the robot's frame.
+    pub(super) fn directions(&self) -> &[DVec2] {
+        &self.directions
+    }
+
+    /// The beams at most `half_width` \[rad\] away from `bearing` in (-pi, pi]. Beyond a half-width of pi some come
+    /// twice.
+    pub(super) fn beams_within(&self, bearing: f64, half_width: f64) -> impl Iterator<Item = usize> {
+        /// More than bearings are off by, as f32 \[rad\].
+        const MARGIN: f64 = 1e-6;
+        let beams = self.directions.len();
+        let middle = (bearing - self.first_bearing) * self.beams_per_rad;
+        let half = (half_width + MARGIN) * self.beams_per_rad;
+        let turn = TAU * self.beams_per_rad;
+        // Conversion rounds down, and takes what is below 0 to 0.
+        [middle - turn, middle, middle + turn].into_iter().flat_map(move |middle| {
+            let first = (middle - half + 1.0) as usize;
+            let end = ((middle + half + 1.0) as usize).min(beams);
+            first..end
+        })
     }
 
     /// The reading \[m\] of a beam whose way is free for `range` metres, or free beyond the maximum range
@@ -109,10 +145,9 @@ fn is_full_circle(field_of_view: f64) -> bool {
     field_of_view >= TAU - 1e-9
 }
 
-/// Share of the field of view between its first beam and each beam.
-fn shares_swept(beams: usize, field_of_view: f64) -> impl Iterator<Item = f64> {
-    let gaps = if is_full_circle(field_of_view) { beams } else { beams.saturating_sub(1).max(1) };
-    (0..beams).map(move |beam| beam as f64 / gaps as f64)
+/// How many times the angle between two beams goes into the field of view.
+fn gaps(beams: usize, field_of_view: f64) -> usize {
+    if is_full_circle(field_of_view) { beams } else { beams.saturating_sub(1).max(1) }
 }
 
 /// Bearing of the first beam \[rad\].
@@ -128,7 +163,7 @@ fn first_bearing(beams: usize, field_of_view: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use locsim_core::{Draw, Stage};
+    use locsim_core::{Draw, Stage, wrap_angle};
     use proptest::prelude::*;
 
     use super::super::fixtures::{is_normal_sample, laser_options};
@@ -163,6 +198,29 @@ mod tests {
         assert_eq!(times(4, TAU), [0.0, 0.05, 0.1, 0.15]);
         assert_eq!(times(3, PI), [0.0, 0.1, 0.2]);
         assert_eq!(times(1, PI), [0.0]);
+    }
+
+    proptest! {
+        /// Of fields of view of all widths, and of intervals that reach over their ends.
+        #[test]
+        fn beams_within_an_interval_are_those_and_no_others(
+            beams in 1..400u32, field_of_view_rad in 0.1..TAU + 0.1, bearing in -PI..PI, half_width in 0.0..PI,
+        ) {
+            let field_of_view_rad = field_of_view_rad.min(TAU);
+            let options = LaserOptions { beams, field_of_view_rad, ..laser_options() };
+            let laser = LaserSimulator::new(options).unwrap();
+            let mut found: Vec<usize> = laser.beams_within(bearing, half_width).collect();
+            found.sort_unstable();
+            found.dedup();
+            for (beam, &b) in laser.laser().bearings().iter().enumerate() {
+                let away = wrap_angle(f64::from(b) - bearing).abs();
+                if found.contains(&beam) {
+                    prop_assert!(away < half_width + 2e-6, "beam {} is {} away", beam, away);
+                } else {
+                    prop_assert!(away > half_width, "beam {} is missing", beam);
+                }
+            }
+        }
     }
 
     /// Mean and variance of 100,000 readings; a noise 3 % off must show.

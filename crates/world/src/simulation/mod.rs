@@ -19,6 +19,7 @@ mod obstruction;
 mod odometry;
 mod path;
 mod rectangle;
+mod view;
 
 pub use blocks::{Block, BlockModel, BlockOptions, BlockResampling};
 pub use drive::{Robot, SimulatedDrive, simulate_drive};

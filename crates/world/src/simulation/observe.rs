@@ -1,11 +1,10 @@
 use std::sync::Arc;
 
-use glam::DVec2;
 use locsim_core::{Draw, Pose2, Poses, Scan, Stage};
 use rayon::prelude::*;
 
 use super::blocks::Placement;
-use super::rectangle::{Rectangle, nearest_hit};
+use super::view::View;
 use super::{BlockModel, BlockOptions, LaserOptions, LaserSimulator, SimulationError};
 use crate::raycast::ExactRangeMap;
 
@@ -17,11 +16,13 @@ pub struct Simulator {
     laser: LaserSimulator,
 }
 
-/// Where blocks are kept between scans, to allocate once.
+/// What is kept between scans, to allocate once.
 #[derive(Default)]
-struct Scratch {
-    placements: Vec<Placement>,
-    rectangles: Vec<Rectangle>,
+pub(super) struct Scratch {
+    view: View,
+    /// The blocks of the last scan.
+    pub blocks: Vec<Placement>,
+    ranges: Vec<f64>,
 }
 
 impl Simulator {
@@ -58,7 +59,9 @@ impl Simulator {
     /// seed are independent.
     pub fn observe(&self, pose: &Pose2, seed: u64, observation: u32) -> Vec<f32> {
         let mut out = vec![0.0; self.laser.laser().beam_count()];
-        self.observe_into(&Standing::new(self, pose), seed, observation, &mut Scratch::default(), &mut out);
+        let mut scratch = Scratch::default();
+        scratch.view.update(&self.map, &self.laser, 0.0, |_| *pose);
+        self.observe_into(pose, seed, observation, &mut scratch, &mut out);
         out
     }
 
@@ -78,108 +81,71 @@ impl Simulator {
         out.par_chunks_mut(per_pose as usize * beams).enumerate().for_each_init(
             Scratch::default,
             |scratch, (i, out)| {
-                let standing = Standing::new(self, &poses.get(i));
+                let pose = poses.get(i);
                 let seed = draw.seed(i as u32);
+                scratch.view.update(&self.map, &self.laser, 0.0, |_| pose);
                 for (observation, out) in out.chunks_mut(beams).enumerate() {
-                    self.observe_into(&standing, seed, observation as u32, scratch, out);
+                    self.observe_into(&pose, seed, observation as u32, scratch, out);
                 }
             },
         );
         out
     }
 
+    /// The readings of a robot at `pose`, from where `scratch` has the view.
     fn observe_into(
         &self,
-        standing: &Standing,
+        pose: &Pose2,
         seed: u64,
         observation: u32,
         scratch: &mut Scratch,
         out: &mut [f32],
     ) {
-        scratch.rectangles.clear();
-        if let Some(blocks) = &self.blocks {
-            let draw = Draw::new(seed, Stage::Blocks, observation);
-            blocks.place_blocks(&draw, 0.0, standing.robot, &mut scratch.placements);
-            scratch.rectangles.extend(scratch.placements.iter().map(|placement| placement.at(0.0)));
+        let Scratch { view, blocks, ranges } = scratch;
+        if let Some(model) = &self.blocks {
+            model.place_blocks(&Draw::new(seed, Stage::Blocks, observation), 0.0, pose.position(), blocks);
         }
+        view.ranges_among(blocks, &self.laser, ranges);
         let noise = Draw::new(seed, Stage::Laser, observation);
-        let beams = standing.directions.iter().zip(&standing.nominal).zip(out);
-        for (beam, ((&direction, &nominal), reading)) in beams.enumerate() {
-            let range = nearest_hit(&scratch.rectangles, standing.origin, direction, nominal);
-            *reading = self.read(range, &noise, beam);
+        for (reading, range) in out.iter_mut().zip(self.readings(ranges, &noise)) {
+            *reading = range;
         }
     }
 
-    /// The scan that a robot takes from `stamp_secs` on: each beam from where robot and blocks are at its own
-    /// time.
+    /// The scan number `step` of a drive, which a robot takes from `stamp_secs` on: each beam from where robot and
+    /// blocks are at its own time. The blocks are left in `scratch`.
     pub(super) fn sweep(
         &self,
-        placements: &[Placement],
+        seed: u64,
+        step: u32,
         stamp_secs: f64,
         map_from_base_at: impl Fn(f64) -> Pose2,
-        noise: &Draw,
+        scratch: &mut Scratch,
     ) -> Scan {
-        let laser = self.laser.laser();
-        let max = f64::from(laser.max_range());
-        let mut rectangles = Vec::with_capacity(placements.len());
-        let mut now = f64::NAN;
-        let mut map_from_laser = Pose2::IDENTITY;
-        let beams = laser.bearings().iter().zip(laser.beam_times_secs());
-        let ranges = beams.enumerate().map(|(beam, (&bearing, &offset_secs))| {
-            let secs = stamp_secs + f64::from(offset_secs);
-            if secs != now {
-                now = secs;
-                map_from_laser = map_from_base_at(secs).compose(&laser.base_from_laser());
-                rectangles.clear();
-                rectangles.extend(placements.iter().map(|placement| placement.at(secs)));
-            }
-            let origin = map_from_laser.position();
-            let direction = DVec2::from_angle(map_from_laser.theta + f64::from(bearing));
-            let block = nearest_hit(&rectangles, origin, direction, max);
-            let range = self.map.cast_ray(origin, direction, block).map_or(block, |hit| hit.range);
-            self.read(range, noise, beam)
-        });
-        Scan { ranges: ranges.collect() }
+        let Scratch { view, blocks, ranges } = scratch;
+        if let Some(model) = &self.blocks {
+            let robot = map_from_base_at(stamp_secs).position();
+            model.place_blocks(&model.draw(seed, step), stamp_secs, robot, blocks);
+        }
+        view.update(&self.map, &self.laser, stamp_secs, map_from_base_at);
+        view.ranges_among(blocks, &self.laser, ranges);
+        let noise = Draw::new(seed, Stage::Laser, step);
+        Scan { ranges: self.readings(ranges, &noise).collect() }
     }
 
-    /// The reading of a beam that is free for `range` metres, the maximum range where nothing is met before
+    /// The readings of beams that are free for `ranges` metres, the maximum range where nothing is met before
     /// it.
-    fn read(&self, range: f64, noise: &Draw, beam: usize) -> f32 {
+    fn readings<'a>(&'a self, ranges: &'a [f64], noise: &'a Draw) -> impl Iterator<Item = f32> + 'a {
         let max = f64::from(self.laser.laser().max_range());
-        self.laser.reading((range < max).then_some(range), &mut noise.item(beam as u32))
-    }
-}
-
-/// A robot that stands still, with the beams of its laser cast into the map once.
-struct Standing {
-    robot: DVec2,
-    origin: DVec2,
-    directions: Vec<DVec2>,
-    /// Range of each beam in the map \[m\], at most the maximum range.
-    nominal: Vec<f64>,
-}
-
-impl Standing {
-    fn new(simulator: &Simulator, map_from_base: &Pose2) -> Self {
-        let laser = simulator.laser.laser();
-        let max = f64::from(laser.max_range());
-        let map_from_laser = map_from_base.compose(&laser.base_from_laser());
-        let origin = map_from_laser.position();
-        let directions: Vec<DVec2> = laser
-            .bearings()
-            .iter()
-            .map(|&bearing| DVec2::from_angle(map_from_laser.theta + f64::from(bearing)))
-            .collect();
-        let nominal = directions
-            .iter()
-            .map(|&direction| simulator.map.cast_ray(origin, direction, max).map_or(max, |hit| hit.range))
-            .collect();
-        Self { robot: map_from_base.position(), origin, directions, nominal }
+        ranges.iter().enumerate().map(move |(beam, &range)| {
+            self.laser.reading((range < max).then_some(range), &mut noise.item(beam as u32))
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec2;
     use locsim_core::{Hits, Particles, RangeMap};
     use proptest::prelude::*;
 

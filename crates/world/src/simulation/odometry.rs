@@ -2,6 +2,7 @@ use glam::DVec2;
 use locsim_core::{Pose2, wrap_angle};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
+use serde::Serialize;
 
 use super::SimulationError;
 use super::error::check;
@@ -23,7 +24,7 @@ const MIN_TRANSLATION_M: f64 = 0.01;
 /// Two usual refinements: a backward motion is a negative translation with small rotations rather than two
 /// half turns, and below 1 cm of translation, whose direction says little, the whole rotation counts as the
 /// second one.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct OdometryNoise {
     alpha: [f64; 4],
 }

@@ -1,16 +1,17 @@
 use glam::DVec2;
 use locsim_core::{Pose2, wrap_angle};
+use serde::Serialize;
 
 use super::SimulationError;
 use super::error::check;
 
 /// What a robot drives.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum RobotPath {
     /// Straight legs between points, turning in place at each. The robot starts facing the second point.
     Waypoints {
         /// At least two points \[m\], no two in a row the same.
-        points: Vec<DVec2>,
+        points_m: Vec<[f64; 2]>,
         /// Speed on a leg \[m/s\], above 0.
         speed_m_s: f64,
         /// Turn rate at a point \[rad/s\], above 0.
@@ -26,7 +27,7 @@ pub enum RobotPath {
 }
 
 /// An arc of constant speed and turn rate; negative speeds reverse, zero speeds turn in place or stop.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VelocitySegment {
     /// How long it lasts \[s\], above 0.
     pub secs: f64,
@@ -43,9 +44,10 @@ impl RobotPath {
     pub fn with_start_moved(&self, offset: DVec2) -> Self {
         let mut path = self.clone();
         match &mut path {
-            Self::Waypoints { points, .. } => {
-                if let Some(first) = points.first_mut() {
-                    *first += offset;
+            Self::Waypoints { points_m, .. } => {
+                if let Some([x, y]) = points_m.first_mut() {
+                    *x += offset.x;
+                    *y += offset.y;
                 }
             }
             Self::VelocityProfile { start, .. } => {
@@ -97,8 +99,9 @@ impl Trajectory {
     /// that does not last, speeds of waypoints that are not positive, anything not finite.
     pub fn new(path: &RobotPath) -> Result<Self, SimulationError> {
         match path {
-            RobotPath::Waypoints { points, speed_m_s, turn_rate_rad_s } => {
-                Self::through(points, *speed_m_s, *turn_rate_rad_s)
+            RobotPath::Waypoints { points_m, speed_m_s, turn_rate_rad_s } => {
+                let points: Vec<DVec2> = points_m.iter().copied().map(DVec2::from_array).collect();
+                Self::through(&points, *speed_m_s, *turn_rate_rad_s)
             }
             RobotPath::VelocityProfile { start, segments } => Self::along(*start, segments),
         }
@@ -189,11 +192,7 @@ mod tests {
     use super::*;
 
     fn waypoints(points: &[[f64; 2]]) -> RobotPath {
-        RobotPath::Waypoints {
-            points: points.iter().map(|&[x, y]| DVec2::new(x, y)).collect(),
-            speed_m_s: 0.5,
-            turn_rate_rad_s: 0.5,
-        }
+        RobotPath::Waypoints { points_m: points.to_vec(), speed_m_s: 0.5, turn_rate_rad_s: 0.5 }
     }
 
     fn profile(segments: &[[f64; 3]]) -> RobotPath {
@@ -304,7 +303,7 @@ mod tests {
     fn degenerate_paths_are_refused() {
         let nan = f64::NAN;
         let with_speed = |speed_m_s, turn_rate_rad_s| RobotPath::Waypoints {
-            points: vec![DVec2::ZERO, DVec2::X],
+            points_m: vec![[0.0, 0.0], [1.0, 0.0]],
             speed_m_s,
             turn_rate_rad_s,
         };

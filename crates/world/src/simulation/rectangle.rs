@@ -74,13 +74,6 @@ fn slab(start: f64, step: f64, half: f64) -> (f64, f64) {
     (a.min(b), a.max(b))
 }
 
-/// Where a ray first meets one of the rectangles, or `limit` \[m\].
-pub(super) fn nearest_hit(rectangles: &[Rectangle], origin: DVec2, direction: DVec2, limit: f64) -> f64 {
-    rectangles
-        .iter()
-        .fold(limit, |limit, rectangle| rectangle.first_hit(origin, direction, limit).unwrap_or(limit))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

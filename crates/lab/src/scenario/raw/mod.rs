@@ -224,7 +224,7 @@ pub mod default {
     use super::{Form, No, RawInjection};
 
     pub const CELL_M: f64 = 0.1;
-    pub const HEADINGS: u64 = 180;
+    pub const MEMORY_MB: u64 = 512;
     pub const MAP_RESOLUTION_M: f64 = 0.05;
     pub const OBSERVATIONS: u64 = 100;
 

@@ -3,31 +3,32 @@ use serde::{Deserialize, Serialize};
 
 use super::default;
 
-/// How nominal ranges are computed.
+/// How the filter computes nominal ranges and log densities.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawRayCast {
-    /// From a precomputed table, or exactly each time.
+    /// From precomputed tables of map and sensor model, or exactly each time.
     #[serde(default)]
     pub method: RayCastMethod,
-    /// Side of a table cell (m), 0.001 to 10. Only with `table`. Default: 0.1.
+    /// Side of a cell of the map's table (m), 0.001 to 10; larger where it would not fit. Only with `table`. Default:
+    /// 0.1.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("default" = default::CELL_M))]
     pub cell_m: Option<f64>,
-    /// Number of heading bins of the table, 4 to 3600. Only with `table`. Default: 180.
+    /// The map's table may be this large (MB), 16 to 65536. Only with `table`. Default: 512.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("default" = default::HEADINGS))]
-    pub headings: Option<u64>,
+    #[schemars(extend("default" = default::MEMORY_MB))]
+    pub memory_mb: Option<u64>,
 }
 
-/// How nominal ranges are computed.
+/// Where nominal ranges and log densities come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RayCastMethod {
-    /// From a precomputed table over (cell, heading).
+    /// From a table over (cell, heading) and one over (reading, nominal range, incidence).
     #[default]
     Table,
-    /// By an exact cast each time; slower.
+    /// By an exact cast and the model itself each time; slower.
     Exact,
 }
 

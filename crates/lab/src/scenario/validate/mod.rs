@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use locsim_world::map::Geometry;
+use locsim_world::simulation::RobotPath;
 
 use super::check::Allowed::{Above, AboveUpTo, Any, Between, FromBelow};
 use super::check::Checker;
@@ -15,8 +16,8 @@ use super::form::Form;
 use super::locate::join;
 use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
 use super::{
-    Errors, Expectation, METRICS, Model, ModelName, Overrides, Record, RobotPath, Scenario, ScenarioError,
-    Source, Training,
+    Errors, Expectation, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError, Source,
+    Training,
 };
 
 const MAX_PARTICLES: u32 = 10_000_000;

@@ -1,6 +1,9 @@
 use std::path::PathBuf;
 
 use locsim_core::Pose2;
+use locsim_world::simulation::{
+    BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath, VelocitySegment,
+};
 
 use super::MAX_BEAMS;
 use crate::scenario::check::Allowed::{Above, AboveUpTo, Any, AtLeast, Within};
@@ -10,10 +13,7 @@ use crate::scenario::raw::{
     RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot, RawScenario,
     RawSegment, RayCastMethod, default,
 };
-use crate::scenario::{
-    BlockResampling, Blocks, Laser, Log, LogMap, RayCast, Robot, RobotPath, Simulation, Source,
-    VelocitySegment,
-};
+use crate::scenario::{Log, LogMap, RayCast, Simulation, Source};
 
 pub(super) fn ray_cast(check: &mut Checker<'_>, raw: &RawRayCast) -> RayCast {
     match raw.method {
@@ -23,12 +23,17 @@ pub(super) fn ray_cast(check: &mut Checker<'_>, raw: &RawRayCast) -> RayCast {
                 raw.cell_m.unwrap_or(default::CELL_M),
                 Within(0.001, 10.0),
             ),
-            headings: check.count("ray_cast.headings", raw.headings.unwrap_or(default::HEADINGS), 4, 3600),
+            memory_mb: check.count(
+                "ray_cast.memory_mb",
+                raw.memory_mb.unwrap_or(default::MEMORY_MB),
+                16,
+                65536,
+            ),
         },
         RayCastMethod::Exact => {
             let why = "it belongs to `method: table`";
             check.absent("ray_cast", "cell_m", raw.cell_m.as_ref(), why);
-            check.absent("ray_cast", "headings", raw.headings.as_ref(), why);
+            check.absent("ray_cast", "memory_mb", raw.memory_mb.as_ref(), why);
             RayCast::Exact
         }
     }
@@ -64,7 +69,7 @@ pub(super) fn source(check: &mut Checker<'_>, raw: &RawScenario) -> Option<Sourc
     }
 }
 
-fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> Blocks {
+fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> BlockOptions {
     let resample = match raw.resample {
         RawBlockResampling::EachObservation => BlockResampling::EachObservation,
         RawBlockResampling::Never => BlockResampling::Never,
@@ -81,7 +86,7 @@ fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> Blocks {
         )
     });
     let [yaw_lo, yaw_hi] = check.interval("blocks.yaw_deg", raw.yaw_deg, Within(-180.0, 180.0));
-    Blocks {
+    BlockOptions {
         per_metre_of_wall: check.number(
             "blocks.per_metre_of_wall",
             raw.per_metre_of_wall,
@@ -118,7 +123,8 @@ fn robot(check: &mut Checker<'_>, raw: &RawRobot) -> Robot {
             RawPath::VelocityProfile { start, segments } => velocity_profile(check, *start, segments),
         },
         start_jitter_m: check.number("robot.start_jitter_m", raw.start_jitter_m, AtLeast(0.0)),
-        odometry_alpha: alpha,
+        // Where an alpha is refused, it has been said above.
+        odometry_noise: OdometryNoise::new(alpha).unwrap_or_default(),
     }
 }
 
@@ -158,7 +164,7 @@ fn velocity_profile(check: &mut Checker<'_>, start: RawPose, segments: &[RawSegm
     RobotPath::VelocityProfile { start, segments: segments.collect() }
 }
 
-fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> Laser {
+fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
     let rate_hz = check.number("laser.rate_hz", raw.rate_hz, Above(0.0));
     let min_range_m = check.number("laser.min_range_m", raw.min_range_m, AtLeast(0.0));
     let max_range_m = check.number("laser.max_range_m", raw.max_range_m, Above(0.0));
@@ -169,7 +175,7 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> Laser {
     check.refuse(scan_secs * rate_hz > 1.0, "laser.scan_secs", || {
         format!("{scan_secs} is not allowed; a sweep ends before the next begins, after {} s", 1.0 / rate_hz)
     });
-    Laser {
+    LaserOptions {
         rate_hz,
         beams: check.count("laser.beams", raw.beams, 1, MAX_BEAMS),
         field_of_view_rad: check.degrees(
@@ -180,8 +186,8 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> Laser {
         min_range_m,
         max_range_m,
         resolution_m: check.number("laser.resolution_m", raw.resolution_m, AtLeast(0.0)),
-        noise_sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, AtLeast(0.0)),
-        noise_sigma_per_m: check.number("laser.noise.sigma_per_m", raw.noise.sigma_per_m, AtLeast(0.0)),
+        sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, AtLeast(0.0)),
+        sigma_per_m: check.number("laser.noise.sigma_per_m", raw.noise.sigma_per_m, AtLeast(0.0)),
         mount: Pose2::new(
             check.number("laser.mount.x_m", raw.mount.x_m, Any),
             check.number("laser.mount.y_m", raw.mount.y_m, Any),
