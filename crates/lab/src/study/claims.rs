@@ -314,19 +314,21 @@ fn samples(
 }
 
 fn not_smooth(condition: &ConditionResults) -> Claim {
-    // Own histogram where there is one: nobody predicts better than by measuring.
+    // Nobody predicts better than by measuring at the state itself.
     let floor = condition.own_histogram_risk.unwrap_or(0.0);
-    let taken = |model: &ModelRisk| {
-        let pooled = last(&condition.pooled_risk.mean);
-        (pooled - last(&model.risk.mean)) / (pooled - floor)
-    };
-    let shares: Vec<(&str, f64)> = condition.risks.iter().map(|r| (r.model, taken(r))).collect();
+    let (sizes, pooled) = (&condition.pooled_risk.at, &condition.pooled_risk.mean);
+    // Share of what a model can take off the pooled risk.
+    let taken =
+        |model: &ModelRisk, place: usize| (pooled[place] - model.risk.mean[place]) / (pooled[place] - floor);
+    let (end, n) = (sizes.len() - 1, last(sizes));
     let list: Vec<String> =
-        shares.iter().map(|(model, share)| format!("`{model}` {} %", percent(*share))).collect();
-    let n = last(&condition.pooled_risk.at);
-    let fails = |model: Model| {
-        shares.iter().find(|(name, _)| *name == model.as_str()).is_none_or(|(_, s)| *s < LITTLE)
-    };
+        condition.risks.iter().map(|r| format!("`{}` {} %", r.model, percent(taken(r, end)))).collect();
+    let little = |place: &usize| condition.risks.iter().all(|r| taken(r, *place) < LITTLE);
+    let until = (0..=end)
+        .rev()
+        .find(little)
+        .map_or_else(String::new, |place| format!(" Up to N = {} none of them takes half.", sizes[place]));
+    let fails = |model: Model| of(condition, model).is_none_or(|r| taken(r, end) < LITTLE);
     let roughness = condition.roughness.as_ref().map_or_else(String::new, |r| {
         format!(
             " Places {} mm apart differ half as much as any two do, and training states are {} mm apart.",
@@ -340,7 +342,7 @@ fn not_smooth(condition: &ConditionResults) -> Claim {
         paper: "In grass p(z | x) isn't smooth in x, and neither procedure works.",
         finding: format!(
             "Risks at N = {n}: {} bins for the histogram of all observations, {} for one measured at the test state itself. Of \
-             what lies between, the models take: {}.",
+             what lies between, the models take: {}.{until}",
             significant(last(&condition.pooled_risk.mean)),
             significant(floor),
             list.join(", ")
