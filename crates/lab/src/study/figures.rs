@@ -177,6 +177,15 @@ fn panel(
     Ok(())
 }
 
+/// The title of a panel: its condition, where there are several, and its state.
+fn title(study: &Study, condition: usize, state: &[f64]) -> String {
+    let state = state_name(study, state);
+    match study.setup.conditions.as_slice() {
+        [_] => state,
+        conditions => format!("{}: {state}", conditions[condition].label),
+    }
+}
+
 /// The name of a state: its coordinates.
 fn state_name(study: &Study, state: &[f64]) -> String {
     let coordinates = study.setup.coordinates.iter().zip(state).map(|((name, unit), x)| {
@@ -217,8 +226,7 @@ fn observations(study: &Study, extra: &Extra) -> Result<String, DrawError> {
         .map(|(c, samples)| samples.states.iter().map(|s| (c, s)).collect())
         .collect();
     grid_of("Observations at a state", &[], &rows, |area, (condition, sample)| {
-        let label = &study.setup.conditions[*condition].label;
-        let title = format!("{label}: {}", state_name(study, &sample.state));
+        let title = title(study, *condition, &sample.state);
         panel(area, &title, study, &Window::around(&sample.truth), &sample.truth, &[])
     })
 }
@@ -231,8 +239,7 @@ fn predictions(study: &Study, extra: &Extra) -> Result<String, DrawError> {
         .map(|(c, samples)| samples.states.iter().map(|s| (c, s)).collect())
         .collect();
     grid_of("Predictions at test states", &model_legend(study), &rows, |area, (condition, sample)| {
-        let label = &study.setup.conditions[*condition].label;
-        let title = format!("{label}: {}", state_name(study, &sample.state));
+        let title = title(study, *condition, &sample.state);
         let lines: Vec<_> = sample.predicted.iter().zip(&study.models).map(|(d, m)| (d, m.color())).collect();
         panel(area, &title, study, &Window::around(&sample.truth), &sample.truth, &lines)
     })
@@ -284,17 +291,21 @@ fn losses(study: &Study, results: &Results, extra: &Extra) -> Result<String, Dra
     })
 }
 
-/// A curve with its band.
-fn draw_curve(chart: &mut Chart<'_, '_>, curve: &Curve, color: RGBColor) -> Drawn {
-    let points = |values: &[f64]| -> Vec<(f64, f64)> {
+/// Curves with their bands, all lines above all bands.
+fn draw_curves(chart: &mut Chart<'_, '_>, curves: &[(&Curve, RGBColor)]) -> Drawn {
+    let points = |curve: &Curve, values: &[f64]| -> Vec<(f64, f64)> {
         curve.at.iter().copied().zip(values.iter().copied()).collect()
     };
-    let mut band = points(&curve.hi);
-    band.extend(points(&curve.lo).into_iter().rev());
-    chart.draw_series([Polygon::new(band, color.mix(0.18).filled())])?;
-    let mean = points(&curve.mean);
-    chart.draw_series(mean.iter().map(|p| Circle::new(*p, px(3.0), color.filled())))?;
-    chart.draw_series([PathElement::new(mean, line(color, 2.0))])?;
+    for (curve, color) in curves {
+        let mut band = points(curve, &curve.hi);
+        band.extend(points(curve, &curve.lo).into_iter().rev());
+        chart.draw_series([Polygon::new(band, color.mix(0.18).filled())])?;
+    }
+    for (curve, color) in curves {
+        let mean = points(curve, &curve.mean);
+        chart.draw_series(mean.iter().map(|p| Circle::new(*p, px(3.0), color.filled())))?;
+        chart.draw_series([PathElement::new(mean, line(*color, 2.0))])?;
+    }
     Ok(())
 }
 
@@ -329,8 +340,9 @@ fn loss_against_observations(results: &Results) -> Result<String, DrawError> {
             vec![(first, threshold), (last, threshold)],
             line(REFERENCE, 1.5),
         )])?;
-        for (i, (_, loss)) in found.iter().enumerate() {
-            draw_curve(&mut chart, &loss.loss, color(i))?;
+        let colored: Vec<_> = found.iter().enumerate().map(|(i, (_, l))| (&l.loss, color(i))).collect();
+        draw_curves(&mut chart, &colored)?;
+        for (_, loss) in &found {
             let law = loss.loss.at.iter().map(|m| (*m, loss.law(*m))).collect::<Vec<_>>();
             chart.draw_series([PathElement::new(law, line(INK, 0.75))])?;
         }
@@ -371,9 +383,8 @@ fn risk(study: &Study, results: &Results) -> Result<String, DrawError> {
                 let ends = vec![(first, own), (last, own)];
                 chart.draw_series([PathElement::new(ends, line(REFERENCE, 1.5))])?;
             }
-            for (model, curve) in study.models.iter().zip(&shown) {
-                draw_curve(&mut chart, curve, model.color())?;
-            }
+            let colored: Vec<_> = shown.iter().zip(&study.models).map(|(c, m)| (c, m.color())).collect();
+            draw_curves(&mut chart, &colored)?;
         }
         Ok(())
     })
@@ -405,9 +416,8 @@ fn budget(results: &Results) -> Result<String, DrawError> {
             let x = Axis::logarithmic("training states", first, last);
             let y = Axis::logarithmic("risk [bins]", lowest / 1.15, 1.15 * highest);
             let mut chart = chart(&below, &x, &y, LEFT)?;
-            for (i, (_, curve)) in curves.iter().enumerate() {
-                draw_curve(&mut chart, curve, color(i))?;
-            }
+            let colored: Vec<_> = curves.iter().enumerate().map(|(i, (_, c))| (*c, color(i))).collect();
+            draw_curves(&mut chart, &colored)?;
         }
         Ok(())
     })
