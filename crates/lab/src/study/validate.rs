@@ -31,6 +31,8 @@ const QUICK_REPEATS: u32 = 2;
 const QUICK_STATES: usize = 60;
 const QUICK_TESTS: usize = 20;
 const QUICK_TRUTH: usize = 2000;
+/// Every so many-th ray is fitted with families.
+const QUICK_RAYS: usize = 10;
 
 /// Checks everything; the error holds every problem of the first step that finds one.
 pub(super) fn validate<'a>(
@@ -151,6 +153,7 @@ pub(super) fn validate<'a>(
             study.states.push(QUICK_STATES.max(folds));
         }
         study.test_states = study.test_states.min(QUICK_TESTS);
+        study.setup.rays = study.setup.rays.into_iter().step_by(QUICK_RAYS).collect();
         study.truth_observations = study.truth_observations.min(QUICK_TRUTH);
     }
     Ok(study)
