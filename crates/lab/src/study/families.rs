@@ -242,12 +242,12 @@ mod tests {
     }
 
     /// Of 400 Gaussians at most 1 % each are flagged: more than 17 with a probability below 1e-6. The control, a quarter
-    /// of whose readings are two deviations off, must be found out nearly always.
+    /// of whose readings are three deviations off, must be found out nearly always.
     #[test]
     fn gaussians_pass_the_test_and_mixtures_dont() {
         let gaussians = flagged(400, 0.0);
         assert!(gaussians <= 17, "{gaussians} of 400");
-        let mixtures = flagged(100, 2.0);
+        let mixtures = flagged(100, 3.0);
         assert!(mixtures > 90, "{mixtures} of 100");
     }
 
