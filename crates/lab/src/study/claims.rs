@@ -2,7 +2,7 @@
 
 use super::results::{Claim, ConditionResults, LossAgainstObservations, ModelRisk, Results, Verdict};
 use super::{Kind, Model, Study};
-use crate::report::text::{percent, significant};
+use crate::report::text::{fixed, percent, significant};
 use crate::statistics::Interval;
 
 /// A number within this factor of the paper's is the paper's: its text says "near".
@@ -254,9 +254,11 @@ fn nonparametric_wins(condition: &ConditionResults) -> Option<Claim> {
         ours: "risk",
         paper: "NP-REG has the lower risk and keeps improving with N; P-REG flattens early.",
         finding: format!(
-            "NP-REG {} for P-REG; {crossing}. Over the upper half of the sizes NP-REG falls as N^{fall_np:.2}, P-REG as \
-             N^{fall_p:.2}.{registered}",
-            at_sizes(np, p)
+            "NP-REG {} for P-REG; {crossing}. Over the upper half of the sizes NP-REG falls as N^{}, P-REG as \
+             N^{}.{registered}",
+            at_sizes(np, p),
+            fixed(fall_np, 2),
+            fixed(fall_p, 2)
         ),
         verdict,
         reason,
