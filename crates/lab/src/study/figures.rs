@@ -188,6 +188,11 @@ fn title(study: &Study, condition: usize, state: &[f64]) -> String {
 
 /// The name of a state: its coordinates.
 fn state_name(study: &Study, state: &[f64]) -> String {
+    // More names than two don't fit above a panel.
+    if state.len() > 2 {
+        let values: Vec<String> = state.iter().map(|x| format!("{x:.3}")).collect();
+        return format!("state ({})", values.join(", "));
+    }
     let coordinates = study.setup.coordinates.iter().zip(state).map(|((name, unit), x)| {
         let plain = name.strip_suffix(&format!("_{unit}")).unwrap_or(name);
         if unit.is_empty() { format!("{plain} {x:.4}") } else { format!("{plain} {x:.3} {unit}") }
