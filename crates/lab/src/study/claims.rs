@@ -25,7 +25,7 @@ pub(super) fn claims(study: &Study, results: &Results) -> Vec<Claim> {
         Kind::Laser => {
             claims.push(losses(results));
             if let Some(laser) = condition("laser") {
-                claims.extend(nearly_gaussian(laser));
+                claims.push(nearly_gaussian(laser));
                 claims.extend(enough_observations(laser, "Fig. 7a", 70.0));
                 claims.extend(parametric_first(laser, "Fig. 8a"));
                 let paper = "Predictions of both procedures resemble what is observed at test states.";
@@ -56,7 +56,7 @@ pub(super) fn claims(study: &Study, results: &Results) -> Vec<Claim> {
     claims
 }
 
-fn of<'a>(condition: &'a ConditionResults, model: Model) -> Option<&'a ModelRisk> {
+fn of(condition: &ConditionResults, model: Model) -> Option<&ModelRisk> {
     condition.risks.iter().find(|r| r.model == model.as_str())
 }
 
@@ -114,10 +114,10 @@ fn losses(results: &Results) -> Claim {
     }
 }
 
-fn nearly_gaussian(condition: &ConditionResults) -> Option<Claim> {
+fn nearly_gaussian(condition: &ConditionResults) -> Claim {
     let share = condition.not_gaussian_share;
-    Some(Claim {
-        figure: "section IV-A",
+    Claim {
+        figure: "experiment A",
         ours: "observations",
         paper: "The laser's distributions are nearly Gaussian.",
         finding: format!(
@@ -129,7 +129,7 @@ fn nearly_gaussian(condition: &ConditionResults) -> Option<Claim> {
         reason: "That is how this laser is simulated; only a measured one can support or refute the statement (see the \
                  static lidar)."
             .to_owned(),
-    })
+    }
 }
 
 fn enough_observations(condition: &ConditionResults, figure: &'static str, paper: f64) -> Option<Claim> {
@@ -343,7 +343,7 @@ fn not_smooth(condition: &ConditionResults) -> Claim {
     Claim {
         figure: "Fig. 3",
         ours: "neighbours",
-        paper: "In grass p(z | x) isn't smooth in x, and neither procedure works.",
+        paper: "In grass p(z given x) isn't smooth in x, and neither procedure works.",
         finding: format!(
             "Risks at N = {n}: {} bins for the histogram of all observations, {} for one measured at the test state itself. Of \
              what lies between, the models take: {}.{until}",
@@ -380,7 +380,7 @@ fn rays_are_gaussian(results: &Results, condition: &ConditionResults) -> Claim {
         },
     );
     Claim {
-        figure: "section IV-A",
+        figure: "experiment A",
         ours: "rays",
         paper: "The laser's distributions are nearly Gaussian.",
         finding,

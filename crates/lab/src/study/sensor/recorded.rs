@@ -123,8 +123,11 @@ pub(crate) fn read_table(path: &Path) -> Result<(Vec<String>, Dataset), StudyErr
     Ok((names[..dim].to_vec(), data))
 }
 
+/// The line that a row of numbers stands on, and the row.
+type Row = (usize, Vec<f64>);
+
 /// The names in the first line, if there are any, and rows of as many numbers with their lines.
-fn read_rows(path: &Path, names: bool) -> Result<(Vec<String>, Vec<(usize, Vec<f64>)>), StudyError> {
+fn read_rows(path: &Path, names: bool) -> Result<(Vec<String>, Vec<Row>), StudyError> {
     let wrong = |line, what: String| StudyError::Data { path: path.to_owned(), line, what };
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(names)
