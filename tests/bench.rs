@@ -1,5 +1,6 @@
 //! `locsim bench` on a small folder of work, made here: all figures are there, and bad files are named.
 
+#[allow(dead_code, reason = "the scenario and folder of the other tests aren't needed here")]
 mod common;
 
 use std::fmt::Write;

@@ -15,7 +15,10 @@ const LAYERS: [(&str, &[&str]); 8] = [
     ("locsim-sensor", &["distreg", "locsim-core"]),
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
-    ("locsim-lab", &["locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"]),
+    (
+        "locsim-lab",
+        &["distreg", "locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"],
+    ),
     (
         "locsim",
         &[

@@ -20,6 +20,10 @@ pub struct Arguments {
 pub enum Command {
     /// Run a scenario: train the sensor models, localize under each, write tables, figures, report, recording
     Run(Run),
+    /// Run studies of distribution regression (the paper's sensor experiments): figures, report, results.json
+    Study(Study),
+    /// Measure distribution regression on its fixed task: times, risks, agreement with the dense product
+    BenchRegression(BenchRegression),
     /// Check scenarios without running them
     Validate {
         /// Scenario files
@@ -91,6 +95,46 @@ pub enum Record {
     Spawn,
 }
 
+/// `locsim study`.
+#[derive(Debug, Args)]
+pub struct Study {
+    /// The studies' files
+    #[arg(required = true)]
+    pub studies: Vec<PathBuf>,
+    /// Folder that gets a results folder for each study
+    #[arg(long, default_value = "results")]
+    pub out: PathBuf,
+    /// Number of repeats, instead of the study's
+    #[arg(long)]
+    pub repeats: Option<u32>,
+    /// Seed, instead of the study's
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Worker threads; results don't depend on it [default: all cores]
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Two repeats on little data, to see whether everything works
+    #[arg(long)]
+    pub quick: bool,
+    /// Print nothing but errors (and, with --json, the results)
+    #[arg(long)]
+    pub quiet: bool,
+    /// Print the results as JSON, one study per line, instead of what holds
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `locsim bench-regression`.
+#[derive(Debug, Args)]
+pub struct BenchRegression {
+    /// Folder of the task's script, task.py. Its data are part of the program, number by number, so that the
+    /// folder is only asked whether it is the right one
+    pub folder: Option<PathBuf>,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// `locsim simulate`.
 #[derive(Debug, Args)]
 pub struct Simulate {
@@ -129,7 +173,7 @@ pub struct Map {
 /// `locsim bench`.
 #[derive(Debug, Args)]
 pub struct Bench {
-    /// Folder with map.yaml, workload.json, scan.csv, particles_f64le.bin, traj_static.csv, traj_dynamic.csv
+    /// Folder with map.yaml, workload.json, scan.csv, `particles_f64le.bin`, `traj_static.csv`, `traj_dynamic.csv`
     pub folder: PathBuf,
     /// Print all figures as JSON instead of a table
     #[arg(long)]

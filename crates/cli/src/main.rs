@@ -19,6 +19,7 @@ use locsim_lab::run::{self, Recorder, RunError, RunOptions};
 use locsim_lab::scenario::{self, Overrides, Scenario};
 
 use arguments::{Arguments, Bench, Command, Map, Record, Run, Simulate};
+use locsim_lab::study::{self, StudyError, StudyOptions, StudyOverrides};
 use progress::Bars;
 
 /// A bound that the scenario declares was missed.
@@ -32,6 +33,8 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let done = match &arguments.command {
         Command::Run(arguments) => run(arguments),
+        Command::Study(arguments) => run_studies(arguments),
+        Command::BenchRegression(arguments) => bench_regression(arguments),
         Command::Validate { scenarios } => validate(scenarios),
         Command::Schema => print_schema(),
         Command::Simulate(arguments) => simulate(arguments),
@@ -44,7 +47,8 @@ fn main() -> ExitCode {
     };
     done.unwrap_or_else(|error| {
         eprintln!("error: {}", explain(&error));
-        let interrupted = matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }));
+        let interrupted = matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }))
+            || matches!(error.downcast_ref(), Some(StudyError::Interrupted));
         ExitCode::from(if interrupted { INTERRUPTED } else { BAD_INPUT })
     })
 }
@@ -64,20 +68,8 @@ fn run(arguments: &Run) -> Result<ExitCode> {
     let overrides =
         Overrides { trials: arguments.trials, seed: arguments.seed, models: arguments.models.clone() };
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
-    if let Some(threads) = arguments.threads {
-        anyhow::ensure!(threads > 0, "--threads: 0 is not allowed; a whole number from 1");
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
-    }
-    let interrupted = Arc::new(AtomicBool::new(false));
-    ctrlc::set_handler({
-        let interrupted = Arc::clone(&interrupted);
-        move || {
-            // A second interrupt means "now".
-            if interrupted.swap(true, Ordering::Relaxed) {
-                std::process::exit(i32::from(INTERRUPTED));
-            }
-        }
-    })?;
+    use_threads(arguments.threads)?;
+    let interrupted = on_interrupt()?;
     #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
     let start = Instant::now();
     let clock = || start.elapsed();
@@ -111,6 +103,99 @@ fn run(arguments: &Run) -> Result<ExitCode> {
         eprintln!("missed: {missed}");
     }
     Ok(if outcome.missed.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(MISSED) })
+}
+
+/// Limits the worker threads.
+fn use_threads(threads: Option<usize>) -> Result<()> {
+    if let Some(threads) = threads {
+        anyhow::ensure!(threads > 0, "--threads: 0 is not allowed; a whole number from 1");
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+    }
+    Ok(())
+}
+
+/// What an interrupt sets.
+fn on_interrupt() -> Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    ctrlc::set_handler({
+        let interrupted = Arc::clone(&interrupted);
+        move || {
+            // A second interrupt means "now".
+            if interrupted.swap(true, Ordering::Relaxed) {
+                std::process::exit(i32::from(INTERRUPTED));
+            }
+        }
+    })?;
+    Ok(interrupted)
+}
+
+/// Runs every study that can be read; one that can't doesn't keep the others from running.
+fn run_studies(arguments: &arguments::Study) -> Result<ExitCode> {
+    let overrides =
+        StudyOverrides { repeats: arguments.repeats, seed: arguments.seed, quick: arguments.quick };
+    use_threads(arguments.threads)?;
+    let interrupted = on_interrupt()?;
+    let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
+    let mut refused = false;
+    for path in &arguments.studies {
+        let study = match study::Study::load(path, overrides) {
+            Ok(study) => study,
+            Err(error) => {
+                refused = true;
+                eprintln!("error: {error}");
+                continue;
+            }
+        };
+        let out = arguments.out.join(&study.name);
+        let options = StudyOptions { out: out.clone(), progress: &bars, interrupted: &interrupted };
+        let results = study::run(&study, &options)?;
+        if arguments.json {
+            say(&serde_json::to_string(&results)?)?;
+        } else if !arguments.quiet {
+            say(&study::terminal_summary(&results))?;
+            say(&format!("Results in {} (open report.html)", out.display()))?;
+        }
+    }
+    Ok(if refused { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS })
+}
+
+/// Runs the regression's fixed task.
+fn bench_regression(arguments: &arguments::BenchRegression) -> Result<ExitCode> {
+    if let Some(folder) = &arguments.folder {
+        let script = folder.join("task.py");
+        anyhow::ensure!(
+            script.is_file(),
+            "{} is not allowed; the folder that holds task.py",
+            folder.display()
+        );
+    }
+    #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
+    let start = Instant::now();
+    let report = distreg::benchmark::run(&|| start.elapsed())?;
+    if arguments.json {
+        say(&serde_json::to_string_pretty(&report)?)?;
+    } else {
+        let (ms, gauss, mixed) = (report.predict_ms, report.risk_mm.gauss, report.risk_mm.mixed);
+        say(&format!(
+            "200 queries [ms]: faithful {:.3}, on two threads {:.3}, registered {:.3}\n\
+             one density from a table [ns]: {:.2}\n\
+             risk, gauss [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
+             risk, mixed [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
+             largest difference from the dense product: {:.1e}",
+            ms.faithful,
+            ms.faithful_2_threads,
+            ms.registered,
+            report.density_ns,
+            gauss.faithful,
+            gauss.registered,
+            gauss.p_reg,
+            mixed.faithful,
+            mixed.registered,
+            mixed.p_reg,
+            report.max_abs_diff_from_dense
+        ))?;
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Where programs keep what they can do without, for this user.

@@ -7,5 +7,6 @@ pub mod results;
 pub mod run;
 pub mod scenario;
 pub mod statistics;
+pub mod study;
 pub mod summary;
 mod yaml;

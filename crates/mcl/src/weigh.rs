@@ -41,7 +41,7 @@ impl Weigher {
         match table {
             Some(ModelTable::State(table)) => self.states.prepare(laser.bearings(), &scan.ranges, table),
             Some(ModelTable::Endpoint(table)) => {
-                self.endpoints.prepare(laser.bearings(), &scan.ranges, table)
+                self.endpoints.prepare(laser.bearings(), &scan.ranges, table);
             }
             None => {}
         }

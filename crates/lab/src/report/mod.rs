@@ -3,9 +3,9 @@
 
 pub(crate) mod figures;
 mod findings;
-mod page;
+pub(crate) mod page;
 mod tables;
-mod text;
+pub(crate) mod text;
 
 use std::fs;
 use std::io;
@@ -111,6 +111,6 @@ pub fn write(
     Ok(summary)
 }
 
-fn save(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
+pub(crate) fn save(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     fs::write(path, bytes).map_err(|source| ReportError::Io { path: path.to_owned(), source })
 }

@@ -146,7 +146,7 @@ fn training_table(summary: &Summary) -> TextTable {
 }
 
 /// A code fence longer than any run of backticks in the texts.
-fn fence(texts: &[&str]) -> String {
+pub(crate) fn fence(texts: &[&str]) -> String {
     let longest = texts.iter().flat_map(|t| t.split(|c| c != '`').map(str::len)).max().unwrap_or(0);
     "`".repeat(longest.max(2) + 1)
 }

@@ -27,7 +27,7 @@ use crate::scenario::{ErrorFrame, Estimate, Scenario, Source};
 use crate::summary::Summary;
 use detail::Detail;
 use laboratory::{Laboratory, TrialDrive};
-use store::Store;
+pub(crate) use store::Store;
 
 /// Told how far a run is; `()` listens to nothing.
 pub trait Progress: Sync {

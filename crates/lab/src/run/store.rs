@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use super::RunError;
 use crate::results::Trial;
 
-/// Name of the file by which a results folder is known as ours.
-const MARK: &str = "summary.json";
+/// Names of the files by which a results folder is known as ours: a run leaves the first, a study the second.
+const MARKS: [&str; 2] = ["summary.json", "results.json"];
 
 /// Name of the file by which a partial folder is known as ours, and that says of which run it is.
 const FINGERPRINT: &str = "fingerprint";
@@ -23,10 +23,10 @@ pub struct Store {
     old: PathBuf,
 }
 
-/// Whether a folder may be replaced: there is none, it is empty, or it holds the file by which it is known as ours.
-fn is_ours(folder: &Path, mark: &str) -> bool {
+/// Whether a folder may be replaced: there is none, it is empty, or it holds a file by which it is known as ours.
+fn is_ours(folder: &Path, marks: &[&str]) -> bool {
     match fs::read_dir(folder) {
-        Ok(mut entries) => entries.next().is_none() || folder.join(mark).is_file(),
+        Ok(mut entries) => entries.next().is_none() || marks.iter().any(|mark| folder.join(mark).is_file()),
         Err(error) => error.kind() == ErrorKind::NotFound,
     }
 }
@@ -48,8 +48,8 @@ impl Store {
             name.push(ending);
             out.with_file_name(name)
         });
-        for (folder, mark) in [(out, MARK), (&partial, FINGERPRINT), (&old, MARK)] {
-            if !is_ours(folder, mark) {
+        for (folder, marks) in [(out, &MARKS[..]), (&partial, &[FINGERPRINT]), (&old, &MARKS)] {
+            if !is_ours(folder, marks) {
                 return Err(foreign(folder));
             }
         }
@@ -175,12 +175,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("results");
         fs::create_dir(&out).unwrap();
-        fs::write(out.join(MARK), "old").unwrap();
+        fs::write(out.join(MARKS[0]), "old").unwrap();
         let store = Store::open(&out, "a", false).unwrap();
-        fs::write(store.folder().join(MARK), "new").unwrap();
-        assert_eq!(fs::read_to_string(out.join(MARK)).unwrap(), "old");
+        fs::write(store.folder().join(MARKS[0]), "new").unwrap();
+        assert_eq!(fs::read_to_string(out.join(MARKS[0])).unwrap(), "old");
         store.finish().unwrap();
-        assert_eq!(fs::read_to_string(out.join(MARK)).unwrap(), "new");
+        assert_eq!(fs::read_to_string(out.join(MARKS[0])).unwrap(), "new");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside the results");
     }
 
@@ -189,9 +189,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (out, old) = (folder.path().join("results"), folder.path().join("results.old"));
         fs::create_dir(&old).unwrap();
-        fs::write(old.join(MARK), "old").unwrap();
+        fs::write(old.join(MARKS[0]), "old").unwrap();
         Store::open(&out, "a", false).unwrap();
-        assert_eq!(fs::read_to_string(out.join(MARK)).unwrap(), "old");
+        assert_eq!(fs::read_to_string(out.join(MARKS[0])).unwrap(), "old");
         assert!(!old.exists());
     }
 

@@ -5,10 +5,10 @@ use super::locate::{Locations, join};
 use super::{Problem, ScenarioError};
 
 /// Looks up an environment variable; `None` where it isn't set.
-pub(super) type Environment<'a> = &'a dyn Fn(&str) -> Option<String>;
+pub(crate) type Environment<'a> = &'a dyn Fn(&str) -> Option<String>;
 
 /// Checks values one after another and remembers every problem, so that a person mends a file in one go.
-pub(super) struct Checker<'a> {
+pub(crate) struct Checker<'a> {
     file: &'a Path,
     locations: &'a Locations,
     environment: Environment<'a>,
@@ -17,7 +17,7 @@ pub(super) struct Checker<'a> {
 
 /// Which numbers are allowed; NaN and infinities never are.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Allowed {
+pub(crate) enum Allowed {
     /// Every number.
     Any,
     /// This or more.
@@ -64,12 +64,12 @@ impl fmt::Display for Allowed {
 }
 
 impl<'a> Checker<'a> {
-    pub(super) fn new(file: &'a Path, locations: &'a Locations, environment: Environment<'a>) -> Self {
+    pub(crate) fn new(file: &'a Path, locations: &'a Locations, environment: Environment<'a>) -> Self {
         Self { file, locations, environment, problems: Vec::new() }
     }
 
     /// Remembers a problem with the value at `key`.
-    pub(super) fn problem(&mut self, key: &str, message: impl Into<String>) {
+    pub(crate) fn problem(&mut self, key: &str, message: impl Into<String>) {
         self.problems.push(Problem {
             line: self.locations.line(key),
             key: key.to_owned(),
@@ -78,50 +78,50 @@ impl<'a> Checker<'a> {
     }
 
     /// Remembers a problem where `wrong`.
-    pub(super) fn refuse(&mut self, wrong: bool, key: &str, message: impl FnOnce() -> String) {
+    pub(crate) fn refuse(&mut self, wrong: bool, key: &str, message: impl FnOnce() -> String) {
         if wrong {
             self.problem(key, message());
         }
     }
 
     /// No problem so far.
-    pub(super) fn is_clean(&self) -> bool {
+    pub(crate) fn is_clean(&self) -> bool {
         self.problems.is_empty()
     }
 
     /// The problems as an error, in the order of the file.
-    pub(super) fn into_error(mut self) -> ScenarioError {
+    pub(crate) fn into_error(mut self) -> ScenarioError {
         self.problems.sort_by_key(|problem| problem.line);
         ScenarioError::Invalid { file: self.file.to_owned(), problems: self.problems }
     }
 
     /// A number in range.
-    pub(super) fn number(&mut self, key: &str, value: f64, allowed: Allowed) -> f64 {
+    pub(crate) fn number(&mut self, key: &str, value: f64, allowed: Allowed) -> f64 {
         self.refuse(!allowed.contains(value), key, || format!("{value} is not allowed; {allowed}"));
         value
     }
 
     /// A number in range, in degrees; returns radians.
-    pub(super) fn degrees(&mut self, key: &str, value: f64, allowed: Allowed) -> f64 {
+    pub(crate) fn degrees(&mut self, key: &str, value: f64, allowed: Allowed) -> f64 {
         self.number(key, value, allowed).to_radians()
     }
 
     /// A list of numbers in range.
-    pub(super) fn numbers(&mut self, key: &str, values: &[f64], allowed: Allowed) {
+    pub(crate) fn numbers(&mut self, key: &str, values: &[f64], allowed: Allowed) {
         for (i, value) in values.iter().enumerate() {
             self.number(&format!("{key}[{i}]"), *value, allowed);
         }
     }
 
     /// An interval `[lo, hi]` of numbers in range, lo <= hi.
-    pub(super) fn interval(&mut self, key: &str, [lo, hi]: [f64; 2], allowed: Allowed) -> [f64; 2] {
+    pub(crate) fn interval(&mut self, key: &str, [lo, hi]: [f64; 2], allowed: Allowed) -> [f64; 2] {
         self.numbers(key, &[lo, hi], allowed);
         self.refuse(lo > hi, key, || format!("[{lo}, {hi}] is not allowed; [lo, hi] with lo not above hi"));
         [lo, hi]
     }
 
     /// A whole number in range.
-    pub(super) fn count(&mut self, key: &str, value: u64, lo: u32, hi: u32) -> u32 {
+    pub(crate) fn count(&mut self, key: &str, value: u64, lo: u32, hi: u32) -> u32 {
         let range = u64::from(lo)..=u64::from(hi);
         self.refuse(!range.contains(&value), key, || {
             format!("{value} is not allowed; a whole number from {lo} to {hi}")
@@ -130,7 +130,7 @@ impl<'a> Checker<'a> {
     }
 
     /// Intervals `[from, to)` of a log: at least one, each with 0 <= from < to <= 1, in order.
-    pub(super) fn shares(&mut self, key: &str, shares: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    pub(crate) fn shares(&mut self, key: &str, shares: &[[f64; 2]]) -> Vec<[f64; 2]> {
         self.refuse(shares.is_empty(), key, || {
             "an empty list is not allowed; at least one interval [from, to]".to_owned()
         });
@@ -149,7 +149,7 @@ impl<'a> Checker<'a> {
     }
 
     /// An existing file: `${VARIABLE}` is replaced, a relative path starts at the scenario's folder.
-    pub(super) fn file(&mut self, key: &str, text: &str) -> PathBuf {
+    pub(crate) fn file(&mut self, key: &str, text: &str) -> PathBuf {
         match expand(text, self.environment) {
             Ok(expanded) => {
                 let path = self.file.parent().unwrap_or(Path::new("")).join(&expanded);
@@ -166,7 +166,7 @@ impl<'a> Checker<'a> {
     }
 
     /// A key that goes only with another choice.
-    pub(super) fn absent<T>(&mut self, parent: &str, key: &str, value: Option<&T>, why: &str) {
+    pub(crate) fn absent<T>(&mut self, parent: &str, key: &str, value: Option<&T>, why: &str) {
         self.refuse(value.is_some(), &join(parent, key), || format!("the key is not allowed here; {why}"));
     }
 }

@@ -1,7 +1,7 @@
 //! Scenarios: YAML files that say what an experiment is. [`Scenario::load`] reads and checks one; nothing runs
 //! before every check has passed. [`schema`] describes the files to editors.
 
-mod check;
+pub(crate) mod check;
 mod digest;
 pub(crate) mod error;
 mod form;
@@ -19,6 +19,7 @@ use std::path::Path;
 
 pub use error::{Problem, ScenarioError};
 pub use map_file::{LoadedMap, load_map};
+pub(crate) use validate::name;
 pub use validated::*;
 
 use crate::yaml;

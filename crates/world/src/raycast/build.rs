@@ -220,7 +220,7 @@ impl Caster<'_> {
                 }
             }
             std::mem::swap(&mut below, &mut above);
-            above.iter_mut().for_each(|spot| *spot = None);
+            above.fill_with(|| None);
         }
         pool.views
     }
@@ -294,7 +294,7 @@ impl Caster<'_> {
             }
             let mut error = 0.0;
             for sample in samples.iter() {
-                error += self.error(segments, &key, sample);
+                error += error_of(segments, &key, sample);
                 if error > least_error {
                     break;
                 }
@@ -315,23 +315,23 @@ impl Caster<'_> {
             samples.push(Sample { origin, direction, wall: self.wall(origin, direction) });
         }
     }
+}
 
-    /// By how much a sight misses an exact cast \[m\], at most [`MOST_ERROR_M`].
-    fn error(&self, segments: &[[DVec2; 2]], key: &SightKey, sample: &Sample) -> f64 {
-        let wall = key.wall(segments, sample.origin, sample.direction);
-        if wall == sample.wall {
-            return 0.0;
-        }
-        // A wall that the ray passes by counts with its line, as in a query.
-        let range = |wall: u32| {
-            let [a, b] = *segments.get(wall as usize)?;
-            let normal = (b - a).perp();
-            let range = normal.dot(a - sample.origin) / normal.dot(sample.direction);
-            range_to(&[a, b], sample.origin, sample.direction).or(Some(range).filter(|r| *r >= 0.0))
-        };
-        match (range(wall), range(sample.wall)) {
-            (Some(a), Some(b)) => (a - b).abs().min(MOST_ERROR_M),
-            _ => MOST_ERROR_M,
-        }
+/// By how much a sight misses an exact cast \[m\], at most [`MOST_ERROR_M`].
+fn error_of(segments: &[[DVec2; 2]], key: &SightKey, sample: &Sample) -> f64 {
+    let wall = key.wall(segments, sample.origin, sample.direction);
+    if wall == sample.wall {
+        return 0.0;
+    }
+    // A wall that the ray passes by counts with its line, as in a query.
+    let range = |wall: u32| {
+        let [a, b] = *segments.get(wall as usize)?;
+        let normal = (b - a).perp();
+        let range = normal.dot(a - sample.origin) / normal.dot(sample.direction);
+        range_to(&[a, b], sample.origin, sample.direction).or(Some(range).filter(|r| *r >= 0.0))
+    };
+    match (range(wall), range(sample.wall)) {
+        (Some(a), Some(b)) => (a - b).abs().min(MOST_ERROR_M),
+        _ => MOST_ERROR_M,
     }
 }

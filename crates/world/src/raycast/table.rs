@@ -308,15 +308,14 @@ impl RangeTable {
                     nearest = Some((wall, range));
                 }
             }
-            let (wall, range) = match nearest {
-                Some((wall, range)) => (*wall, range),
-                None => {
-                    let [x, y] = direction.map(f64::from);
-                    let hit = self.map.cast_segment(position, DVec2::new(x, y), f64::INFINITY);
-                    let Some((segment, range)) = hit else { continue };
-                    let ends = &self.map.geometry().segments()[segment];
-                    (ListedWall::new(ends, segment as u32, frame), range as f32)
-                }
+            let (wall, range) = if let Some((wall, range)) = nearest {
+                (*wall, range)
+            } else {
+                let [x, y] = direction.map(f64::from);
+                let hit = self.map.cast_segment(position, DVec2::new(x, y), f64::INFINITY);
+                let Some((segment, range)) = hit else { continue };
+                let ends = &self.map.geometry().segments()[segment];
+                (ListedWall::new(ends, segment as u32, frame), range as f32)
             };
             met.range.as_mut_array()[i] = range;
             met.cosine.as_mut_array()[i] = perp_dot(wall.along, direction).abs();
@@ -419,15 +418,12 @@ impl RangeMap for RangeTable {
             let (origin, bins) = self.origin(laser.get(i));
             let mut sum = 0;
             for &(ref beams, row_start) in &scan.runs {
-                let [range, cosine] = match bins {
-                    Some(bins) => {
-                        let met = self.meet(&origin, bins, beams);
-                        [met.range, met.cosine]
-                    }
-                    None => {
-                        let hits = self.exact_hits(laser.get(i), beams, table.grid().reach);
-                        [hits[0], hits[1].cos()]
-                    }
+                let [range, cosine] = if let Some(bins) = bins {
+                    let met = self.meet(&origin, bins, beams);
+                    [met.range, met.cosine]
+                } else {
+                    let hits = self.exact_hits(laser.get(i), beams, table.grid().reach);
+                    [hits[0], hits[1].cos()]
                 };
                 sum += table.sum(row_start + scale.entry(range, cosine));
             }

@@ -99,7 +99,8 @@ pub(in crate::scenario) fn path_in_map(
     if check.is_clean() { Ok(()) } else { Err(check.into_error()) }
 }
 
-fn name(check: &mut Checker<'_>, name: Option<&str>, path: &Path) -> String {
+/// The name that is given, or that of the file.
+pub(crate) fn name(check: &mut Checker<'_>, name: Option<&str>, path: &Path) -> String {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let (name, origin) = match name {
         Some(name) => (name, ""),

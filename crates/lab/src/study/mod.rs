@@ -1,0 +1,165 @@
+//! Studies: experiments of distribution regression alone, without a robot that localizes. A YAML file names a sensor,
+//! the models and how much data they get; [`Study::load`] reads and checks it, [`run`] writes a results folder with
+//! figures beside what the paper says of its own.
+
+mod claims;
+mod experiment;
+mod families;
+mod figures;
+mod model;
+mod page;
+mod raw;
+mod results;
+mod sensor;
+mod validate;
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+use thiserror::Error;
+
+pub use model::{Criterion, Model};
+pub use page::terminal_summary;
+pub use results::{Claim, Curve, Results, Verdict};
+
+use crate::report::ReportError;
+use crate::run::{Progress, RunError, Store};
+use crate::scenario::ScenarioError;
+use crate::scenario::check::Checker;
+use crate::yaml;
+use sensor::Setup;
+
+/// A study that passed every check, its maps and data read.
+pub struct Study {
+    /// The file it was read from.
+    pub file: PathBuf,
+    /// The file's text.
+    text: String,
+    /// Letters, digits, `-` and `_`.
+    pub name: String,
+    /// One line for people; may be empty.
+    description: String,
+    /// Everything random derives from it.
+    seed: u64,
+    kind: Kind,
+    setup: Setup,
+    models: Vec<Model>,
+    /// Candidates for each state coordinate, in the order of the coordinates.
+    bandwidths: Vec<Vec<f64>>,
+    folds: usize,
+    criterion: Criterion,
+    /// Ascending, at least one.
+    states: Vec<usize>,
+    /// Observations of a training state; `None` for all there are.
+    observations: Option<usize>,
+    /// Whether to choose training states within budgets.
+    thinning: bool,
+    /// Ascending; may be empty.
+    counts: Vec<usize>,
+    repeats: u32,
+    test_states: usize,
+    /// Observations behind the truth of a simulated test state.
+    truth_observations: usize,
+    /// Whether the size was cut down by `--quick`.
+    quick: bool,
+}
+
+/// Which of the paper's experiments a study is, and so which of its statements stand beside it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Laser,
+    FieldSensor,
+    Grass,
+    StaticLidar,
+    Table,
+}
+
+/// What the command line says instead of the file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StudyOverrides {
+    /// Number of repeats.
+    pub repeats: Option<u32>,
+    /// Seed.
+    pub seed: Option<u64>,
+    /// Two repeats on little data, to see whether everything works.
+    pub quick: bool,
+}
+
+/// How to run a study.
+pub struct StudyOptions<'a> {
+    /// The results folder.
+    pub out: PathBuf,
+    /// Who is told how far the study is.
+    pub progress: &'a dyn Progress,
+    /// Set from outside to stop.
+    pub interrupted: &'a AtomicBool,
+}
+
+/// Why a study could not be read or done.
+#[derive(Debug, Error)]
+pub enum StudyError {
+    /// The study's file or its map is refused.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// A data file is refused.
+    #[error("{}:{} {what}", path.display(), line.map_or_else(String::new, |line| format!("{line}:")))]
+    Data {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1, where there is one.
+        line: Option<usize>,
+        /// What is wrong and what is allowed.
+        what: String,
+    },
+    /// A regression refused its data.
+    #[error("distribution regression: {0}")]
+    Regression(#[from] distreg::Error),
+    /// The figures or the report could not be written.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// The results folder could not be made.
+    #[error(transparent)]
+    Folder(#[from] RunError),
+    /// The user stopped the study; nothing is kept.
+    #[error("interrupted; nothing is kept")]
+    Interrupted,
+}
+
+impl Study {
+    /// Reads and checks a study and the map or data that it names.
+    ///
+    /// # Errors
+    /// [`StudyError`] with everything that is wrong: file, line, key path, value and what is allowed.
+    pub fn load(path: &Path, overrides: StudyOverrides) -> Result<Self, StudyError> {
+        let text = yaml::read(path)?;
+        let (raw, locations) = yaml::parse::<raw::RawStudy>(path, &text)?;
+        let environment = |name: &str| std::env::var(name).ok();
+        let check = || Checker::new(path, &locations, &environment);
+        validate::validate(raw, path, text, overrides, &check)
+    }
+}
+
+impl Study {
+    /// The command that repeats it.
+    pub fn command(&self) -> String {
+        let quick = if self.quick { " --quick" } else { "" };
+        format!("locsim study {} --seed {} --repeats {}{quick}", self.file.display(), self.seed, self.repeats)
+    }
+}
+
+/// Does a study and writes `results.json`, figures and reports into the results folder, which is written beside its
+/// place and renamed when complete. The bytes are a function of the study alone.
+///
+/// # Errors
+/// [`StudyError`]; earlier results at `options.out` are then untouched.
+pub fn run(study: &Study, options: &StudyOptions<'_>) -> Result<Results, StudyError> {
+    let store = Store::open(&options.out, &study.name, false)?;
+    let written = experiment::run(study, options).and_then(|(results, extra)| {
+        page::write(store.folder(), study, &results, &extra)?;
+        Ok(results)
+    });
+    let results = written.inspect_err(|_| store.discard_if_empty())?;
+    store.finish()?;
+    options.progress.finish();
+    Ok(results)
+}
