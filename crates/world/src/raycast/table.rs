@@ -45,6 +45,8 @@ impl Default for RangeTableOptions {
 pub struct RangeTable {
     map: ExactRangeMap,
     frame: CellFrame,
+    /// \[1/m\].
+    cells_per_m: f64,
     /// Row of each cell.
     rows: Vec<u32>,
     /// What shows in each row's heading bins: an index into `sights`, or behind these into `lists`.
@@ -161,6 +163,7 @@ impl RangeTable {
         Self {
             map: map.clone(),
             frame,
+            cells_per_m: 1.0 / frame.cell_m,
             rows,
             entries,
             sights: keys.iter().map(|key| key.sight(segments, origin)).collect(),
@@ -193,14 +196,16 @@ impl RangeTable {
     /// The heading bins of the cell that holds a point relative to the frame's corner \[m\]; `None` outside free space.
     #[inline]
     fn bins(&self, x: f64, y: f64) -> Bins<'_> {
-        let (column, row) = (x / self.frame.cell_m, y / self.frame.cell_m);
+        let (column, row) = (x * self.cells_per_m, y * self.cells_per_m);
         // False for NaN too.
         let inside =
             column >= 0.0 && row >= 0.0 && column < self.frame.columns as f64 && row < self.frame.rows as f64;
         if !inside {
             return None;
         }
-        let row = self.rows[row as usize * self.frame.columns + column as usize];
+        // Signed conversions are cheaper.
+        let cell = row as i64 as usize * self.frame.columns + column as i64 as usize;
+        let row = self.rows[cell];
         // No table has as many rows as the mark for "none".
         self.entries.as_chunks().0.get(row as usize)
     }
@@ -275,25 +280,65 @@ impl RangeTable {
         (origin, self.bins(x, y))
     }
 
-    /// What a run of beams meets.
+    /// The views of a run of beams, and its directions.
     #[inline]
-    fn meet(&self, origin: &Origin, bins: &[u32; HEADINGS], beams: &BeamRun) -> Met {
+    fn views(origin: &Origin, bins: &[u32; HEADINGS], beams: &BeamRun) -> ([u32; BEAMS_PER_RUN], [f32x4; 2]) {
         let [c, s] = origin.ahead;
         let direction = [beams.cos * c - beams.sin * s, beams.cos * s + beams.sin * c];
         let heading = beams.turn + u32x4::splat(origin.heading);
-        let views = heading.to_array().map(|heading| bins[bin(heading)]);
-        let sights = views.map(|view| self.sights.get(view as usize).unwrap_or(&Sight::NOTHING));
-        let mut met = Sight::meet(sights, origin.at, direction);
-        let last = views.into_iter().fold(0, u32::max);
-        if last as usize >= self.sights.len() {
-            self.meet_lists(views, origin, direction, &mut met);
-        }
-        met
+        (heading.to_array().map(|heading| bins[bin(heading)]), direction)
     }
 
-    /// Completes what the beams meet that have a list of walls instead of a sight.
+    /// What a run of beams meets.
+    #[inline]
+    fn meet(&self, origin: &Origin, bins: &[u32; HEADINGS], beams: &BeamRun) -> Met {
+        let (views, direction) = Self::views(origin, bins, beams);
+        match views.map(|view| self.sights.get(view as usize)) {
+            [Some(a), Some(b), Some(c), Some(d)] => Sight::meet([a, b, c, d], origin.at, direction),
+            _ => self.meet_lists(views, origin, direction),
+        }
+    }
+
+    /// Sum of the entries of a run of beams in a likelihood table.
+    #[inline]
+    fn sum(
+        &self,
+        origin: &Origin,
+        bins: &[u32; HEADINGS],
+        (beams, row_start): (&BeamRun, u32x4),
+        table: &LikelihoodTable,
+    ) -> i32 {
+        let (views, direction) = Self::views(origin, bins, beams);
+        // As in `meet`, but so that what most beams need stays in registers.
+        match views.map(|view| self.sights.get(view as usize)) {
+            [Some(a), Some(b), Some(c), Some(d)] => {
+                let met = Sight::meet([a, b, c, d], origin.at, direction);
+                table.sum(row_start + table.scale().entry(met.range, met.cosine))
+            }
+            _ => self.sum_with_lists(views, origin, direction, row_start, table),
+        }
+    }
+
     #[cold]
-    fn meet_lists(&self, views: [u32; BEAMS_PER_RUN], origin: &Origin, direction: [f32x4; 2], met: &mut Met) {
+    #[inline(never)]
+    fn sum_with_lists(
+        &self,
+        views: [u32; BEAMS_PER_RUN],
+        origin: &Origin,
+        direction: [f32x4; 2],
+        row_start: u32x4,
+        table: &LikelihoodTable,
+    ) -> i32 {
+        let met = self.meet_lists(views, origin, direction);
+        table.sum(row_start + table.scale().entry(met.range, met.cosine))
+    }
+
+    /// What beams meet of which some have a list of walls instead of a sight.
+    #[cold]
+    #[inline(never)]
+    fn meet_lists(&self, views: [u32; BEAMS_PER_RUN], origin: &Origin, direction: [f32x4; 2]) -> Met {
+        let sights = views.map(|view| self.sights.get(view as usize).unwrap_or(&Sight::NOTHING));
+        let mut met = Sight::meet(sights, origin.at, direction);
         let frame = DVec2::new(self.frame.x0, self.frame.y0);
         let position = frame + DVec2::new(f64::from(origin.at[0]), f64::from(origin.at[1]));
         let [x, y] = direction.map(f32x4::to_array);
@@ -322,6 +367,7 @@ impl RangeTable {
             met.sine.as_mut_array()[i] = dot(wall.along, direction).abs();
             met.listed[i] = wall.segment;
         }
+        met
     }
 
     /// Range \[m\], incidence angle \[rad\] and surface id (as bits) of a run of beams.
@@ -413,19 +459,16 @@ impl RangeMap for RangeTable {
         _hits: &mut Hits,
         out: &mut [f64],
     ) {
-        let scale = table.scale();
         for (i, out) in out.iter_mut().enumerate() {
             let (origin, bins) = self.origin(laser.get(i));
             let mut sum = 0;
             for &(ref beams, row_start) in &scan.runs {
-                let [range, cosine] = if let Some(bins) = bins {
-                    let met = self.meet(&origin, bins, beams);
-                    [met.range, met.cosine]
+                sum += if let Some(bins) = bins {
+                    self.sum(&origin, bins, (beams, row_start), table)
                 } else {
-                    let hits = self.exact_hits(laser.get(i), beams, table.grid().reach);
-                    [hits[0], hits[1].cos()]
+                    let [range, incidence, _] = self.exact_hits(laser.get(i), beams, table.grid().reach);
+                    table.sum(row_start + table.scale().entry(range, incidence.cos()))
                 };
-                sum += table.sum(row_start + scale.entry(range, cosine));
             }
             *out = table.nats(scan.bearings.len(), sum);
         }
