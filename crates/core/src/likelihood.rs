@@ -72,11 +72,11 @@ const ROUND: f32 = 8_388_608.0;
 const ROUND_MASK: u32 = (1 << 23) - 1;
 
 impl LikelihoodGrid {
-    /// Knots fit for a laser: every 7.5 mm, or every 1600th of a maximum range above 12 m. A table of them has at most
+    /// Knots fit for a laser: every 5 mm, or every 1600th of a maximum range above 8 m. A table of them has at most
     /// 62 MB.
     pub fn for_laser(laser: &Laser) -> Self {
         let (max_range, reach) = (laser.max_range(), laser.cast_range());
-        Self { max_range, reach, step_m: (max_range / 1600.0).max(0.0075) }
+        Self { max_range, reach, step_m: (max_range / 1600.0).max(0.005) }
     }
 
     /// Number of knots over nominal range.
