@@ -35,6 +35,8 @@ pub enum Stage {
     Trial = 13,
     /// The filter's moves and resamplings within one scan.
     Annealing = 14,
+    /// What effects (the ways in which a world differs from the nominal one) leave to chance.
+    Effect = 15,
 }
 
 /// Number of items that [`Draw::normals`] serves at once.

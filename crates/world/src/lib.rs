@@ -1,5 +1,6 @@
-//! Maps, ray casts, dynamic blocks, the simulated robot and its laser
+//! Maps, ray casts, dynamic blocks, effects, the simulated robot and its laser
 
+pub mod effect;
 pub mod map;
 pub mod mapping;
 pub mod raycast;

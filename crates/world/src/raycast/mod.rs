@@ -11,4 +11,5 @@ mod table;
 
 pub use distance::DistanceGrid;
 pub use exact::{ExactRangeMap, RayHit};
+pub(crate) use segment::distance_to;
 pub use table::{RangeTable, RangeTableOptions};

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::SimulationError;
 use super::error::{check, check_count};
+use crate::effect::as_read;
 
 /// The most beams of a scan.
 const MAX_BEAMS: f64 = 1e6;
@@ -135,9 +136,7 @@ impl LaserSimulator {
         let Some(range) = range else { return self.laser.max_range() };
         let normal: f64 = StandardNormal.sample(rng);
         let noisy = range + (self.options.sigma_m + self.options.sigma_per_m * range) * normal;
-        let step = self.options.resolution_m;
-        let reading = (if step > 0.0 { (noisy / step).round() * step } else { noisy }) as f32;
-        if reading < self.laser.min_range() { f32::NAN } else { reading.min(self.laser.max_range()) }
+        as_read(noisy, self.options.resolution_m, self.laser.min_range(), self.laser.max_range())
     }
 }
 

@@ -1,0 +1,307 @@
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
+
+use rand::{Rng, RngExt};
+use rand_distr::{Distribution, StandardNormal};
+use statrs::function::erf::erfc;
+
+use super::EffectError;
+
+/// How much wider than the base the tail of a reading is.
+pub const TAIL_FACTOR: f64 = 5.0;
+
+/// The most alternatives of a law.
+const MAX_ALTERNATIVES: usize = 12;
+
+/// The distribution of a reading, given what the beam met: the one definition that [`ReadingLaw::sample`] draws from
+/// and [`ReadingLaw::log_density`] tells the density of.
+///
+/// 1. The alternatives are tried in their order, each with its probability; the first that comes true is what is
+///    read.
+/// 2. Where none does, the reading is normal around `mean`, with a standard deviation of `sigma`, or with
+///    probability `tail[0]` of `tail[1]` times that.
+/// 3. With a step, the reading is rounded to the nearest multiple of it.
+/// 4. At or beyond the maximum range it is exactly the maximum range; below the minimum it is NaN, not usable.
+///
+/// A reading that isn't usable tells nothing, so density and distribution function are those of a usable one:
+/// conditioned on not being below the minimum range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReadingLaw {
+    /// Mean of the return \[m\]; infinite where nothing is met.
+    pub mean: f64,
+    /// Standard deviation of the return \[m\].
+    pub sigma: f64,
+    /// Probability of the tail, and its standard deviation in units of `sigma`.
+    pub tail: [f64; 2],
+    /// What may be read instead of the return.
+    pub alternatives: Alternatives,
+    /// Readings are multiples of this \[m\]; 0 for readings that aren't quantized.
+    pub step_m: f64,
+    /// Minimum range \[m\], as the laser's f32 has it.
+    pub min_m: f64,
+    /// Maximum range \[m\], as the laser's f32 has it.
+    pub max_m: f64,
+}
+
+/// What may be read instead of the return.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Alternative {
+    /// The maximum range.
+    NoReturn,
+    /// The return of something else.
+    Near {
+        /// Its mean \[m\].
+        mean: f64,
+        /// Its standard deviation \[m\].
+        sigma: f64,
+    },
+    /// Uniform.
+    Between {
+        /// From here \[m\].
+        lo: f64,
+        /// To here \[m\].
+        hi: f64,
+    },
+}
+
+/// Alternatives with their probabilities, in the order in which they are tried; a list of fixed capacity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alternatives {
+    items: [(f64, Alternative); MAX_ALTERNATIVES],
+    len: usize,
+}
+
+impl Default for Alternatives {
+    fn default() -> Self {
+        Self { items: [(0.0, Alternative::NoReturn); MAX_ALTERNATIVES], len: 0 }
+    }
+}
+
+impl Alternatives {
+    /// Refuses more alternatives than there is room for.
+    pub(super) fn check(count: usize) -> Result<(), EffectError> {
+        let max = MAX_ALTERNATIVES;
+        if count <= max { Ok(()) } else { Err(EffectError::TooMany { count, max }) }
+    }
+
+    /// Adds what is tried after all others; nothing for a probability of 0.
+    pub(super) fn push(&mut self, probability: f64, alternative: Alternative) {
+        if probability > 0.0 {
+            self.items[self.len] = (probability, alternative);
+            self.len += 1;
+        }
+    }
+
+    /// Probability of each, given that none before it came true, and what it is.
+    pub fn as_slice(&self) -> &[(f64, Alternative)] {
+        &self.items[..self.len]
+    }
+}
+
+/// A part of the law's mixture.
+#[derive(Clone, Copy)]
+enum Component {
+    NoReturn,
+    Normal { mean: f64, sigma: f64 },
+    Between { lo: f64, hi: f64 },
+}
+
+impl ReadingLaw {
+    /// A draw. `noise` gives the standard normal number of the return, as its first and only draw; `chance` decides
+    /// everything else.
+    pub fn sample(&self, noise: &mut impl Rng, chance: &mut impl Rng) -> f32 {
+        let mut normal = || -> f64 { StandardNormal.sample(&mut *noise) };
+        for &(probability, alternative) in self.alternatives.as_slice() {
+            if chance.random::<f64>() < probability {
+                return self.read(match alternative {
+                    Alternative::NoReturn => f64::INFINITY,
+                    Alternative::Near { mean, sigma } => mean + sigma * normal(),
+                    Alternative::Between { lo, hi } => lo + (hi - lo) * chance.random::<f64>(),
+                });
+            }
+        }
+        let [p, factor] = self.tail;
+        let wide = p > 0.0 && chance.random::<f64>() < p;
+        let sigma = if wide { factor * self.sigma } else { self.sigma };
+        self.read(self.mean + sigma * normal())
+    }
+
+    fn read(&self, noisy: f64) -> f32 {
+        as_read(noisy, self.step_m, self.min_m as f32, self.max_m as f32)
+    }
+
+    /// Natural log of the density of a usable reading: per metre below the maximum range, a probability at it; 0 for
+    /// NaN, which tells nothing.
+    ///
+    /// Quantized readings have, at the multiples of the step, the probability of that multiple over the step, and
+    /// everywhere else a density of 0. Where a standard deviation is 0 and readings aren't quantized there is no
+    /// density: it is infinite at the mean.
+    pub fn log_density(&self, z: f32) -> f64 {
+        if z.is_nan() {
+            return 0.0;
+        }
+        if z < self.min_m as f32 {
+            return f64::NEG_INFINITY;
+        }
+        let [lo, hi] = self.limits();
+        let usable = self.ln_interval(lo, f64::INFINITY);
+        if usable == f64::NEG_INFINITY {
+            return usable;
+        }
+        let ln = if z >= self.max_m as f32 {
+            self.ln_interval(hi, f64::INFINITY)
+        } else if self.step_m > 0.0 {
+            let Some(k) = self.multiple(z) else { return f64::NEG_INFINITY };
+            self.ln_interval((k - 0.5) * self.step_m, (k + 0.5) * self.step_m) - self.step_m.ln()
+        } else {
+            self.ln_sum(|component| component.ln_density(f64::from(z)))
+        };
+        ln - usable
+    }
+
+    /// The density of a usable reading, see [`ReadingLaw::log_density`]; 1 for NaN.
+    pub fn density(&self, z: f32) -> f64 {
+        self.log_density(z).exp()
+    }
+
+    /// P(reading <= `z`) of a usable reading, 1 at the maximum range; NaN for NaN.
+    pub fn cdf(&self, z: f32) -> f64 {
+        if z.is_nan() {
+            return f64::NAN;
+        }
+        if z >= self.max_m as f32 {
+            return 1.0;
+        }
+        if z < self.min_m as f32 {
+            return 0.0;
+        }
+        let [lo, _] = self.limits();
+        let to = if self.step_m > 0.0 {
+            let k = self.multiple(z).unwrap_or_else(|| (f64::from(z) / self.step_m).floor());
+            (k + 0.5) * self.step_m
+        } else {
+            f64::from(z)
+        };
+        if to <= lo {
+            return 0.0;
+        }
+        // Between adds up to 1 only up to rounding.
+        (self.ln_interval(lo, to) - self.ln_interval(lo, f64::INFINITY)).exp().clamp(0.0, 1.0)
+    }
+
+    /// Which multiple of the step a reading is; `None` for one between two of them. Readings may be a few units in
+    /// the last place off, as those that have been text.
+    fn multiple(&self, z: f32) -> Option<f64> {
+        let z = f64::from(z);
+        let k = (z / self.step_m).round();
+        ((k * self.step_m - z).abs() <= 4.0 * f64::from(f32::EPSILON) * z).then_some(k)
+    }
+
+    /// Before rounding: from where on a reading is usable, and from where on it is the maximum range.
+    fn limits(&self) -> [f64; 2] {
+        let step = self.step_m;
+        if step == 0.0 {
+            return [self.min_m, self.max_m];
+        }
+        [self.min_m as f32, self.max_m as f32].map(|limit| {
+            let near = (f64::from(limit) / step).floor() - 1.0;
+            let multiple = (0..4).map(|i| near + f64::from(i)).find(|k| (k * step) as f32 >= limit);
+            (multiple.unwrap_or(near + 4.0) - 0.5) * step
+        })
+    }
+
+    /// ln P(`from` <= reading before rounding < `to`).
+    fn ln_interval(&self, from: f64, to: f64) -> f64 {
+        self.ln_sum(|component| component.ln_interval(from, to))
+    }
+
+    /// ln of the sum over the mixture of weight times exp(`ln`).
+    fn ln_sum(&self, ln: impl Fn(Component) -> f64) -> f64 {
+        let mut terms = [f64::NEG_INFINITY; MAX_ALTERNATIVES + 2];
+        let mut len = 0;
+        let mut add = |weight: f64, component: Component| {
+            if weight > 0.0 {
+                terms[len] = weight.ln() + ln(component);
+                len += 1;
+            }
+        };
+        let mut left = 1.0;
+        for &(probability, alternative) in self.alternatives.as_slice() {
+            let component = match alternative {
+                Alternative::NoReturn => Component::NoReturn,
+                Alternative::Near { mean, sigma } => Component::Normal { mean, sigma },
+                Alternative::Between { lo, hi } => Component::Between { lo, hi },
+            };
+            add(left * probability, component);
+            left *= 1.0 - probability;
+        }
+        let [p, factor] = self.tail;
+        add(left * (1.0 - p), Component::Normal { mean: self.mean, sigma: self.sigma });
+        add(left * p, Component::Normal { mean: self.mean, sigma: factor * self.sigma });
+        let terms = &terms[..len];
+        let greatest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        if greatest.is_infinite() {
+            return greatest;
+        }
+        greatest + terms.iter().map(|term| (term - greatest).exp()).sum::<f64>().ln()
+    }
+}
+
+impl Component {
+    fn ln_density(self, z: f64) -> f64 {
+        match self {
+            Self::NoReturn => f64::NEG_INFINITY,
+            Self::Normal { mean, sigma } => {
+                if sigma == 0.0 {
+                    return if z == mean { f64::INFINITY } else { f64::NEG_INFINITY };
+                }
+                let t = (z - mean) / sigma;
+                -0.5 * t * t - (sigma * TAU.sqrt()).ln()
+            }
+            Self::Between { lo, hi } => {
+                if (lo..hi).contains(&z) {
+                    -(hi - lo).ln()
+                } else {
+                    f64::NEG_INFINITY
+                }
+            }
+        }
+    }
+
+    /// ln P(`from` <= value < `to`).
+    fn ln_interval(self, from: f64, to: f64) -> f64 {
+        let certain = |inside: bool| if inside { 0.0 } else { f64::NEG_INFINITY };
+        match self {
+            Self::NoReturn => certain(to == f64::INFINITY),
+            Self::Normal { mean, .. } if mean.is_infinite() => certain(to == f64::INFINITY),
+            Self::Normal { mean, sigma: 0.0 } => certain((from..to).contains(&mean)),
+            Self::Normal { mean, sigma } => ln_normal_interval((from - mean) / sigma, (to - mean) / sigma),
+            Self::Between { lo, hi } if hi <= lo => certain((from..to).contains(&lo)),
+            Self::Between { lo, hi } => ((to.clamp(lo, hi) - from.clamp(lo, hi)) / (hi - lo)).ln(),
+        }
+    }
+}
+
+/// What a sensor makes of a return: rounded to a multiple of `step` (0: not rounded), exactly the maximum range at or
+/// beyond it, NaN below the minimum.
+pub(crate) fn as_read(noisy: f64, step: f64, min: f32, max: f32) -> f32 {
+    let reading = (if step > 0.0 { (noisy / step).round() * step } else { noisy }) as f32;
+    if reading < min { f32::NAN } else { reading.min(max) }
+}
+
+/// P(N(0, 1) > `t`).
+pub(super) fn normal_tail(t: f64) -> f64 {
+    0.5 * erfc(t * FRAC_1_SQRT_2)
+}
+
+/// ln P(`a` <= N(0, 1) < `b`), also where the probability itself would vanish.
+fn ln_normal_interval(a: f64, b: f64) -> f64 {
+    // By symmetry on the side where tails are small numbers, whose difference is exact.
+    let (a, b) = if b <= 0.0 { (-b, -a) } else { (a, b) };
+    if a < 30.0 {
+        return (normal_tail(a) - normal_tail(b)).ln();
+    }
+    // Q(a) = phi(a) / a up to a relative 1 / a^2; towards b the density falls as exp(-a t - t^2 / 2).
+    let width = b - a;
+    let share = -(-width * (a + 0.5 * width)).exp_m1();
+    -0.5 * a * a - (a * TAU.sqrt()).ln() + share.ln()
+}
