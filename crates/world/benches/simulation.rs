@@ -7,6 +7,7 @@ use std::sync::Arc;
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use locsim_core::{Draw, Particles, Pose2, Stage};
+use locsim_world::effect::Effects;
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{
     BlockModel, BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath, Simulator,
@@ -53,7 +54,7 @@ fn simulator(beams: u32, scan_secs: f64, resample: BlockResampling, speed_m_s: [
         mount: Pose2::IDENTITY,
         scan_secs,
     };
-    Simulator::new(map, Some(blocks), laser).unwrap()
+    Simulator::new(map, Some(blocks), laser, Effects::none()).unwrap()
 }
 
 fn one_thread() -> ThreadPool {

@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use locsim_core::{Draw, Pose2, Stage};
+use locsim_world::effect::Effects;
 use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, Simulator};
 use rand::RngExt;
 use serde::Serialize;
@@ -96,7 +97,7 @@ pub fn train_models(
         speed_m_s: [0.0, 0.0],
         clearance_m: world.clearance_m,
     };
-    let simulator = Simulator::new(Arc::clone(&place.exact), Some(blocks), laser)?;
+    let simulator = Simulator::new(Arc::clone(&place.exact), Some(blocks), laser, Effects::none())?;
     let poses = free_poses(place, world.poses, world.seed);
     progress.stage("simulating training scans", 1);
     let mut readings = simulator.observe_many(poses.view(), world.observations, world.seed);

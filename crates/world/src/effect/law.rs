@@ -174,13 +174,14 @@ impl ReadingLaw {
         if z < self.min_m as f32 {
             return 0.0;
         }
-        let [lo, _] = self.limits();
+        let [lo, hi] = self.limits();
         let to = if self.step_m > 0.0 {
             let k = self.multiple(z).unwrap_or_else(|| (f64::from(z) / self.step_m).floor());
             (k + 0.5) * self.step_m
         } else {
             f64::from(z)
-        };
+        }
+        .min(hi);
         if to <= lo {
             return 0.0;
         }

@@ -11,6 +11,8 @@ mod kind;
 mod law;
 mod odometry;
 mod set;
+#[cfg(test)]
+pub(crate) mod tests;
 
 use glam::DVec2;
 use serde::{Serialize, Serializer};
@@ -22,6 +24,7 @@ pub(crate) use law::as_read;
 pub use law::{Alternative, Alternatives, ReadingLaw, TAIL_FACTOR};
 pub use odometry::{OdometryLaw, Slip};
 pub use set::{BeamView, Effects, JUMP_M, Met, Needs, PLACE_REACH_M, jump_at};
+pub(crate) use set::{burst, burst_window, slip_draw};
 
 /// One effect with its numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -227,22 +227,24 @@ impl Effects {
     /// Bursts of `crosstalk` come and go, and here it isn't known when: their probability is that of a reading at an
     /// unknown time, `p * share`.
     pub fn law(&self, laser: &LaserOptions, view: &BeamView, met: Met, range: f64) -> ReadingLaw {
-        self.law_in_bursts(laser, view, met, range, |_, share| share)
+        let mapped = met == Met::Wall && range >= view.range;
+        let range = if mapped { self.wall_range(view) } else { range };
+        self.law_of(laser, view, met, range, mapped, |_, share| share)
     }
 
-    /// As [`Effects::law`], where it is known when bursts come: that of the crosstalk which is number `i` of the list
-    /// and has this share falls on the beam with probability `burst(i, share)`.
-    pub(crate) fn law_in_bursts(
+    /// As [`Effects::law`], where it is known whether it is the wall of the map that was met, moved as it may be, and
+    /// when bursts come: that of the crosstalk which is number `i` of the list and has this share falls on the beam
+    /// with probability `burst(i, share)`.
+    pub(crate) fn law_of(
         &self,
         laser: &LaserOptions,
         view: &BeamView,
         met: Met,
         range: f64,
+        mapped: bool,
         burst: impl Fn(usize, f64) -> f64,
     ) -> ReadingLaw {
         let max = f64::from(laser.max_range_m as f32);
-        let mapped = met == Met::Wall && range >= view.range;
-        let range = if mapped { self.wall_range(view) } else { range };
         let returns = range < max;
         let tan_squared =
             if met == Met::Wall { view.incidence.min(MAX_INCIDENCE_RAD).tan().powi(2) } else { 0.0 };
@@ -310,16 +312,24 @@ impl Effects {
             max_m: max,
         }
     }
+}
 
-    /// Whether bursts fall on a time, for [`Effects::law_in_bursts`]: a draw for each window of a second.
-    pub(crate) fn burst(&self, seed: u64, secs: f64) -> impl Fn(usize, f64) -> f64 {
-        // Windows before the start, of beams that are early, are those of the start.
-        let draw = Draw::new(seed, Stage::Effect, (secs / BURST_SECS) as u32);
-        move |i, share| {
-            let falls = draw.item(u32::MAX - 1 - i as u32).random::<f64>() < share;
-            if falls { 1.0 } else { 0.0 }
-        }
-    }
+/// Which window of [`BURST_SECS`] a time \[s\] falls into; times before the start, of beams that are early, into the
+/// first.
+pub(crate) fn burst_window(secs: f64) -> u32 {
+    (secs / BURST_SECS) as u32
+}
+
+/// Whether bursts fall on a window, for [`Effects::law_of`]: 1 or 0, by a draw for each window.
+pub(crate) fn burst(seed: u64, window: u32) -> impl Fn(usize, f64) -> f64 {
+    let draw = Draw::new(seed, Stage::Effect, window);
+    // Items from the last downwards, which no beam uses; the very last is that of the odometry.
+    move |i, share| f64::from(draw.item(u32::MAX - 1 - i as u32).random::<f64>() < share)
+}
+
+/// The draws by which increment `step` of the odometry slips or doesn't.
+pub(crate) fn slip_draw(seed: u64, step: u32) -> impl rand::Rng {
+    Draw::new(seed, Stage::Effect, step).item(u32::MAX)
 }
 
 /// Nominal ranges \[m\] of beam `beam` and of the neighbour that it differs from most, the nearer first; `None` if

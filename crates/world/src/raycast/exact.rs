@@ -17,6 +17,9 @@ pub struct RayHit {
     pub surface: u32,
 }
 
+/// What is nearer to a surface than this \[m\] isn't behind it, but the surface itself.
+pub const BEHIND_M: f64 = 1e-3;
+
 /// Exact ray casts against the segments of a map, by a tree of bounding boxes (parry's `Bvh`).
 ///
 /// - Walls are seen from both sides: a ray from inside a wall or outside the map hits whatever is in front of it.
@@ -53,6 +56,14 @@ impl ExactRangeMap {
         Some(self.hit(hit, direction.to_angle()))
     }
 
+    /// Range \[m\] of the next surface behind the one that a ray meets at `range`: at least [`BEHIND_M`] behind it,
+    /// `None` if there is none nearer than `max_range`.
+    pub fn cast_behind(&self, origin: DVec2, direction: DVec2, range: f64, max_range: f64) -> Option<f64> {
+        let start = range + BEHIND_M;
+        let hit = self.cast_segment(origin + start * direction, direction, max_range - start);
+        hit.map(|(_, range)| start + range)
+    }
+
     /// As [`ExactRangeMap::cast_ray`], with segments in the way that the map doesn't know. A hit on one of them
     /// has surface [`NO_SURFACE`].
     pub fn cast_ray_with(
@@ -75,7 +86,7 @@ impl ExactRangeMap {
     }
 
     /// A segment met by a ray of this heading \[rad\].
-    fn hit(&self, (segment, range): (usize, f64), heading: f64) -> RayHit {
+    pub(crate) fn hit(&self, (segment, range): (usize, f64), heading: f64) -> RayHit {
         let incidence = incidence(self.angles[segment], heading);
         RayHit { range, incidence, surface: self.geometry.surfaces()[segment] }
     }

@@ -10,6 +10,6 @@ mod sight;
 mod table;
 
 pub use distance::DistanceGrid;
-pub use exact::{ExactRangeMap, RayHit};
+pub use exact::{BEHIND_M, ExactRangeMap, RayHit};
 pub(crate) use segment::distance_to;
 pub use table::{RangeTable, RangeTableOptions};

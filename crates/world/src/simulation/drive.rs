@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::error::{check, check_count};
 use super::observe::Scratch;
 use super::{Block, OdometryNoise, RobotPath, SimulationError, Simulator, Trajectory};
+use crate::effect::{Effects, slip_draw};
 
 /// The most scans of a drive.
 const MAX_SCANS: f64 = 1e6;
@@ -27,7 +28,7 @@ pub struct Robot {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedDrive {
     /// Scans, odometry (starting at the origin of `odom`) and true poses as reference, from the start of the
-    /// path at 0 s to its end.
+    /// path at 0 s to its end. Laser and stamps are as they are said to be, whatever effects make of them.
     pub drive: Drive,
     /// The blocks that stood around the robot at the stamp of each scan.
     pub blocks: Vec<Vec<Block>>,
@@ -58,7 +59,7 @@ pub fn simulate_drive(
     if let Some(i) = truth.iter().position(|pose| !geometry.is_free(pose.x, pose.y)) {
         return Err(SimulationError::OutsideFreeSpace { secs: stamps[i], x: truth[i].x, y: truth[i].y });
     }
-    let odometry = odometry_track(&truth, &robot.odometry_noise, seed);
+    let odometry = odometry_along(&truth, &robot.odometry_noise, simulator.effects(), seed);
 
     let scans: Vec<_> = (0..stamps.len())
         .into_par_iter()
@@ -82,14 +83,17 @@ pub fn simulate_drive(
     Ok(SimulatedDrive { drive: Drive { laser: simulator.laser().laser().clone(), steps }, blocks })
 }
 
-/// `odom_from_base` at each scan: the sum of noisy increments of the true poses. Increment `i` draws from
-/// step `i`.
-fn odometry_track(truth: &[Pose2], noise: &OdometryNoise, seed: u64) -> Vec<Pose2> {
+/// `odom_from_base` at each of the true poses `truth` (`map_from_base`), from the origin on: the sum of increments as a
+/// robot of this noise and these effects reads them. Increment `i` draws from step `i`.
+pub fn odometry_along(truth: &[Pose2], noise: &OdometryNoise, effects: &Effects, seed: u64) -> Vec<Pose2> {
     let mut odom_from_base = Pose2::IDENTITY;
     let mut track = Vec::with_capacity(truth.len());
     for (i, pose) in truth.iter().enumerate() {
         if i > 0 {
-            let increment = pose.relative_to(&truth[i - 1]);
+            let mut increment = pose.relative_to(&truth[i - 1]);
+            if !effects.is_empty() {
+                increment = effects.odometry(&increment).sample(&mut slip_draw(seed, i as u32));
+            }
             let mut rng = Draw::new(seed, Stage::Odometry, i as u32).item(0);
             odom_from_base = odom_from_base.compose(&noise.sample(&increment, &mut rng));
         }
@@ -107,7 +111,7 @@ mod tests {
     use super::*;
 
     fn simulator(blocks: Option<BlockOptions>, laser: LaserOptions) -> Simulator {
-        Simulator::new(room_map(), blocks, laser).unwrap()
+        Simulator::new(room_map(), blocks, laser, Effects::none()).unwrap()
     }
 
     /// 4 s forward in a curve, 2 s in place, 2 s backward.

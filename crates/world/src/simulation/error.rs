@@ -1,6 +1,8 @@
 use locsim_core::LaserError;
 use thiserror::Error;
 
+use crate::effect::EffectError;
+
 /// Why a simulation is refused.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SimulationError {
@@ -74,6 +76,9 @@ pub enum SimulationError {
         /// y there \[m\].
         y: f64,
     },
+    /// An effect is refused.
+    #[error(transparent)]
+    Effect(#[from] EffectError),
     /// The laser's description is refused.
     #[error(transparent)]
     Laser(#[from] LaserError),

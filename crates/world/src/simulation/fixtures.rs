@@ -10,21 +10,21 @@ use crate::map::{Geometry, Polyline, VectorMap};
 use crate::raycast::ExactRangeMap;
 
 /// Two-sided quantile of the standard normal distribution at a false-alarm probability of 1e-6.
-pub(super) const Z_1E6: f64 = 4.892;
+pub(crate) const Z_1E6: f64 = 4.892;
 
 /// A room of 6 m x 4 m with a corner at the origin: 20 m of wall.
-pub(super) fn room() -> Geometry {
+pub(crate) fn room() -> Geometry {
     let outline =
         Polyline { points_m: vec![[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]], ..Polyline::default() };
     VectorMap { outline, obstacles: vec![], walls: vec![] }.to_geometry().unwrap()
 }
 
-pub(super) fn room_map() -> Arc<ExactRangeMap> {
+pub(crate) fn room_map() -> Arc<ExactRangeMap> {
     Arc::new(ExactRangeMap::new(room()))
 }
 
 /// On average 20 blocks in the room.
-pub(super) fn block_options() -> BlockOptions {
+pub(crate) fn block_options() -> BlockOptions {
     BlockOptions {
         per_metre_of_wall: 1.0,
         length_m: [0.2, 0.6],
@@ -38,7 +38,7 @@ pub(super) fn block_options() -> BlockOptions {
 }
 
 /// 36 beams without noise or quantization, beyond the room's walls.
-pub(super) fn laser_options() -> LaserOptions {
+pub(crate) fn laser_options() -> LaserOptions {
     LaserOptions {
         rate_hz: 5.0,
         beams: 36,
@@ -54,12 +54,12 @@ pub(super) fn laser_options() -> LaserOptions {
 }
 
 /// Runs `work` on a pool of `threads` threads.
-pub(super) fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+pub(crate) fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }
 
 /// Mean and variance of a sample.
-pub(super) fn moments(sample: &[f64]) -> (f64, f64) {
+pub(crate) fn moments(sample: &[f64]) -> (f64, f64) {
     let n = sample.len() as f64;
     let mean = sample.iter().sum::<f64>() / n;
     (mean, sample.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0))
@@ -68,7 +68,7 @@ pub(super) fn moments(sample: &[f64]) -> (f64, f64) {
 /// Whether a sample of a normal distribution agrees with `mean` and `variance`, each at a false-alarm
 /// probability of 1e-6: the mean's standard error is sigma / sqrt(n), the variance's is variance * sqrt(2 /
 /// n).
-pub(super) fn is_normal_sample(sample: &[f64], mean: f64, variance: f64) -> bool {
+pub(crate) fn is_normal_sample(sample: &[f64], mean: f64, variance: f64) -> bool {
     let n = sample.len() as f64;
     let (sample_mean, sample_variance) = moments(sample);
     (sample_mean - mean).abs() < Z_1E6 * (variance / n).sqrt()

@@ -105,6 +105,11 @@ impl LaserSimulator {
         &self.options
     }
 
+    /// Whether the first and the last beam are neighbours.
+    pub(super) fn is_closed(&self) -> bool {
+        is_full_circle(self.options.field_of_view_rad)
+    }
+
     /// Unit direction of each beam in the robot's frame.
     pub(super) fn directions(&self) -> &[DVec2] {
         &self.directions

@@ -1,28 +1,32 @@
 //! The simulated robot: unmapped blocks along the walls, a path through the map, odometry that errs, a laser.
 //!
 //! A [`Simulator`] puts them together. [`simulate_drive`] records a drive; [`Simulator::observe_many`]
-//! gathers repeated readings at given poses, to learn sensor models from; [`ObstructionTable`] knows how
+//! gathers repeated readings at given poses, to learn sensor models from; [`Simulator::scan_along`] repeats the scans of
+//! a recorded drive; [`ObstructionTable`] knows how
 //! likely a block stands in a beam's way, for the oracle.
 //!
 //! Every draw is keyed by (seed, stage, step, item), see [`locsim_core::Draw`]: the same seed gives the same
 //! drive on any number of threads.
 
+#[cfg(test)]
+mod affected;
 mod blocks;
 mod drive;
 mod error;
 mod faces;
 #[cfg(test)]
-mod fixtures;
+pub(crate) mod fixtures;
 mod laser;
 mod observe;
 mod obstruction;
 mod odometry;
 mod path;
+mod recorded;
 mod rectangle;
 mod view;
 
 pub use blocks::{Block, BlockModel, BlockOptions, BlockResampling};
-pub use drive::{Robot, SimulatedDrive, simulate_drive};
+pub use drive::{Robot, SimulatedDrive, odometry_along, simulate_drive};
 pub use error::SimulationError;
 pub use laser::{LaserOptions, LaserSimulator};
 pub use observe::Simulator;

@@ -4,8 +4,10 @@ use locsim_core::{Draw, Pose2, Poses, Scan, Stage};
 use rayon::prelude::*;
 
 use super::blocks::Placement;
-use super::view::View;
+use super::recorded::RecordedPath;
+use super::view::{EffectView, View};
 use super::{BlockModel, BlockOptions, LaserOptions, LaserSimulator, SimulationError};
+use crate::effect::{Effects, Met, burst, burst_window};
 use crate::raycast::ExactRangeMap;
 
 /// A world that is not quite as its map, and a laser in it.
@@ -14,6 +16,9 @@ pub struct Simulator {
     map: Arc<ExactRangeMap>,
     blocks: Option<BlockModel>,
     laser: LaserSimulator,
+    /// The laser where it really sits.
+    mounted: LaserSimulator,
+    effects: Effects,
 }
 
 /// What is kept between scans, to allocate once.
@@ -26,7 +31,8 @@ pub(super) struct Scratch {
 }
 
 impl Simulator {
-    /// A mapped world with unmapped blocks in it (`None`: as mapped) and a laser.
+    /// A mapped world with unmapped blocks in it (`None`: as mapped), a laser, and the effects that make the world
+    /// another one than these say. [`Simulator::laser`] stays as it is given: it is what a filter is told.
     ///
     /// # Errors
     /// As [`BlockModel::new`] and [`LaserSimulator::new`].
@@ -34,9 +40,12 @@ impl Simulator {
         map: Arc<ExactRangeMap>,
         blocks: Option<BlockOptions>,
         laser: LaserOptions,
+        effects: Effects,
     ) -> Result<Self, SimulationError> {
-        let blocks = blocks.map(|options| BlockModel::new(options, map.geometry())).transpose()?;
-        Ok(Self { map, blocks, laser: LaserSimulator::new(laser)? })
+        let blocks =
+            blocks.map(|options| BlockModel::new(effects.blocks(options), map.geometry())).transpose()?;
+        let mounted = LaserSimulator::new(LaserOptions { mount: effects.laser_mount(laser.mount), ..laser })?;
+        Ok(Self { map, blocks, laser: LaserSimulator::new(laser)?, mounted, effects })
     }
 
     /// The map.
@@ -44,23 +53,28 @@ impl Simulator {
         &self.map
     }
 
-    /// The distribution of blocks, where there are any.
+    /// What makes the world another one than it is said to be.
+    pub fn effects(&self) -> &Effects {
+        &self.effects
+    }
+
+    /// The distribution of blocks as they really are, where there are any.
     pub fn blocks(&self) -> Option<&BlockModel> {
         self.blocks.as_ref()
     }
 
-    /// The laser.
+    /// The laser as it is said to be.
     pub fn laser(&self) -> &LaserSimulator {
         &self.laser
     }
 
     /// The readings \[m\] of one scan by a robot that stands at `pose` (`map_from_base`), one per beam, with
     /// blocks of its own: whatever the [resampling](super::BlockResampling) of a drive, observations of one
-    /// seed are independent.
+    /// seed are independent, in bursts of crosstalk too. An observation is one at the start of a drive, at 0 s.
     pub fn observe(&self, pose: &Pose2, seed: u64, observation: u32) -> Vec<f32> {
         let mut out = vec![0.0; self.laser.laser().beam_count()];
         let mut scratch = Scratch::default();
-        scratch.view.update(&self.map, &self.laser, 0.0, |_| *pose);
+        scratch.view.update(&self.map, &self.mounted, &self.effects, 0.0, |_| *pose);
         self.observe_into(pose, seed, observation, &mut scratch, &mut out);
         out
     }
@@ -83,7 +97,7 @@ impl Simulator {
             |scratch, (i, out)| {
                 let pose = poses.get(i);
                 let seed = draw.seed(i as u32);
-                scratch.view.update(&self.map, &self.laser, 0.0, |_| pose);
+                scratch.view.update(&self.map, &self.mounted, &self.effects, 0.0, |_| pose);
                 for (observation, out) in out.chunks_mut(beams).enumerate() {
                     self.observe_into(&pose, seed, observation as u32, scratch, out);
                 }
@@ -105,11 +119,8 @@ impl Simulator {
         if let Some(model) = &self.blocks {
             model.place_blocks(&Draw::new(seed, Stage::Blocks, observation), 0.0, pose.position(), blocks);
         }
-        view.ranges_among(blocks, &self.laser, ranges);
-        let noise = Draw::new(seed, Stage::Laser, observation);
-        for (reading, range) in out.iter_mut().zip(self.readings(ranges, &noise)) {
-            *reading = range;
-        }
+        view.ranges_among(blocks, &self.mounted, ranges);
+        self.read(view, ranges, seed, observation, |_| observation, out);
     }
 
     /// The scan number `step` of a drive, which a robot takes from `stamp_secs` on: each beam from where robot and
@@ -127,19 +138,59 @@ impl Simulator {
             let robot = map_from_base_at(stamp_secs).position();
             model.place_blocks(&model.draw(seed, step), stamp_secs, robot, blocks);
         }
-        view.update(&self.map, &self.laser, stamp_secs, map_from_base_at);
-        view.ranges_among(blocks, &self.laser, ranges);
-        let noise = Draw::new(seed, Stage::Laser, step);
-        Scan { ranges: self.readings(ranges, &noise).collect() }
+        view.update(&self.map, &self.mounted, &self.effects, stamp_secs, map_from_base_at);
+        view.ranges_among(blocks, &self.mounted, ranges);
+        let mut scan = Scan { ranges: vec![0.0; ranges.len()] };
+        self.read(view, ranges, seed, step, burst_window, &mut scan.ranges);
+        scan
     }
 
-    /// The readings of beams that are free for `ranges` metres, the maximum range where nothing is met before
-    /// it.
-    fn readings<'a>(&'a self, ranges: &'a [f64], noise: &'a Draw) -> impl Iterator<Item = f32> + 'a {
-        let max = f64::from(self.laser.laser().max_range());
-        ranges.iter().enumerate().map(move |(beam, &range)| {
-            self.laser.reading((range < max).then_some(range), &mut noise.item(beam as u32))
-        })
+    /// The readings of beams that are free for `ranges` metres, the maximum range where nothing is met before it.
+    /// `window` tells in which window of bursts a time \[s\] lies.
+    fn read(
+        &self,
+        view: &View,
+        ranges: &[f64],
+        seed: u64,
+        step: u32,
+        window: impl Fn(f64) -> u32,
+        out: &mut [f32],
+    ) {
+        let noise = Draw::new(seed, Stage::Laser, step);
+        if self.effects.is_empty() {
+            let max = f64::from(self.laser.laser().max_range());
+            for (beam, (reading, &range)) in out.iter_mut().zip(ranges).enumerate() {
+                *reading = self.laser.reading((range < max).then_some(range), &mut noise.item(beam as u32));
+            }
+            return;
+        }
+        let chance = Draw::new(seed, Stage::Effect, step);
+        for (beam, (reading, &range)) in out.iter_mut().zip(ranges).enumerate() {
+            let EffectView { view, clear, mapped } = view.beams[beam];
+            let blocked = range < clear;
+            let met = if blocked { Met::Object } else { Met::Wall };
+            let burst = burst(seed, window(view.secs));
+            let law = self.effects.law_of(self.laser.options(), &view, met, range, mapped && !blocked, burst);
+            *reading = law.sample(&mut noise.item(beam as u32), &mut chance.item(beam as u32));
+        }
+    }
+
+    /// The scans of a robot that was at `poses[i]` (`map_from_base`) at `secs[i]`, in order of time, and takes scan
+    /// `i` from then on: readings \[m\] in \[scan\]\[beam\] order. Between the poses it moves straight and evenly,
+    /// before the first and after the last as in the interval next to it. Blocks take new places, and time counts from
+    /// the first scan, as in [`simulate_drive`](super::simulate_drive).
+    ///
+    /// # Panics
+    /// If there are not as many times as poses.
+    pub fn scan_along(&self, secs: &[f64], poses: &[Pose2], seed: u64) -> Vec<f32> {
+        let path = RecordedPath::new(secs, poses);
+        let beams = self.laser.laser().beam_count();
+        let mut out = vec![0.0; poses.len() * beams];
+        out.par_chunks_mut(beams).enumerate().for_each_init(Scratch::default, |scratch, (i, out)| {
+            let scan = self.sweep(seed, i as u32, secs[i] - secs[0], |secs| path.pose_at(secs), scratch);
+            out.copy_from_slice(&scan.ranges);
+        });
+        out
     }
 }
 
@@ -158,7 +209,7 @@ mod tests {
     }
 
     fn simulator(laser: LaserOptions) -> Simulator {
-        Simulator::new(room_map(), Some(block_options()), laser).unwrap()
+        Simulator::new(room_map(), Some(block_options()), laser, Effects::none()).unwrap()
     }
 
     fn some_poses() -> Particles {
@@ -193,7 +244,7 @@ mod tests {
         let none = BlockOptions { per_metre_of_wall: 0.0, ..block_options() };
         let poses = some_poses();
         for blocks in [None, Some(none)] {
-            let simulator = Simulator::new(room_map(), blocks, laser_options()).unwrap();
+            let simulator = Simulator::new(room_map(), blocks, laser_options(), Effects::none()).unwrap();
             let mut hits = Hits::default();
             let laser = simulator.laser().laser();
             simulator.map().cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
@@ -232,7 +283,7 @@ mod tests {
     #[test]
     fn a_beam_that_meets_nothing_reads_the_maximum_range() {
         let laser = LaserOptions { max_range_m: 1.0, sigma_m: 0.01, ..laser_options() };
-        let simulator = Simulator::new(room_map(), None, laser).unwrap();
+        let simulator = Simulator::new(room_map(), None, laser, Effects::none()).unwrap();
         assert_eq!(simulator.observe(&Pose2::new(3.0, 2.0, 0.0), 1, 0), [1.0; 36]);
     }
 

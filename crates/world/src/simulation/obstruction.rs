@@ -273,6 +273,7 @@ mod tests {
     use super::super::fixtures::{block_options, laser_options, on_threads, room, room_map};
     use super::super::{BlockOptions, LaserOptions, Simulator};
     use super::*;
+    use crate::effect::Effects;
 
     /// Two by three cells around (1, 1), (3, 1), .. (5, 3).
     fn options() -> ObstructionOptions {
@@ -329,7 +330,7 @@ mod tests {
     #[test]
     fn survival_is_the_share_of_simulated_readings_that_no_block_shortened() {
         let laser = LaserOptions { beams: 8, ..laser_options() };
-        let simulator = Simulator::new(room_map(), Some(block_options()), laser).unwrap();
+        let simulator = Simulator::new(room_map(), Some(block_options()), laser, Effects::none()).unwrap();
         let poses =
             viewpoints().map(|point| Pose2::new(point.x, point.y, 0.0)).collect::<locsim_core::Particles>();
         let per_pose = 20_000;

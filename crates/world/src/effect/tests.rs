@@ -1,0 +1,428 @@
+//! The catalogue, and laws of readings against their own samples.
+
+use std::f64::consts::TAU;
+
+use locsim_core::{Draw, Pose2, Stage};
+use proptest::prelude::*;
+use rand::RngExt;
+
+use super::*;
+use crate::simulation::LaserOptions;
+use crate::simulation::fixtures::laser_options;
+
+/// A stretch of wall that the beams of these tests end on.
+pub(crate) const STRETCH: [DVec2; 2] = [DVec2::new(0.0, 0.0), DVec2::new(6.0, 0.0)];
+
+/// A place for kinds that have one.
+pub(crate) fn place(kind: EffectKind) -> Vec<[DVec2; 2]> {
+    if kind.has_place() { vec![STRETCH] } else { Vec::new() }
+}
+
+/// Each effect at a value that shows.
+pub(crate) fn strong(kind: EffectKind) -> Effect {
+    use EffectKind as E;
+    let values: &[f64] = match kind {
+        E::RangeBias => &[0.05],
+        E::RangeScale => &[0.03],
+        E::IncidenceBias => &[0.02],
+        E::RangeNoise => &[0.01],
+        E::IncidenceNoise => &[2.0],
+        E::HeavyTail => &[0.4],
+        E::IncidenceDropout => &[0.8, 0.6, 0.2],
+        E::RangeDropout => &[0.9, 0.7],
+        E::MixedPixels => &[0.5],
+        E::Glass => &[0.6],
+        E::MovedWall => &[-0.3],
+        E::MissingObject => &[4.0, 3.0, 0.3],
+        E::MountYaw => &[0.1],
+        E::MountOffset => &[0.1, -0.05],
+        E::TimeOffset => &[0.1],
+        E::MotionSkew => &[0.2],
+        E::WarmupDrift => &[0.1, 5.0],
+        E::SectorOcclusion => &[3.0, -2.0, 0.4, 0.7],
+        E::Crosstalk => &[0.7, 0.6],
+        E::Quantization => &[0.05],
+        E::BlockDensity => &[2.0],
+        E::BlockDepth => &[1.5],
+        E::OdomDistanceScale | E::OdomTurnScale => &[0.1],
+        E::OdomImbalance => &[0.2],
+        E::WheelSlip => &[0.5, 0.3],
+    };
+    Effect::new(kind, values.to_vec(), place(kind)).unwrap()
+}
+
+fn effects(kinds: &[EffectKind]) -> Effects {
+    Effects::new(kinds.iter().map(|&kind| strong(kind)).collect()).unwrap()
+}
+
+/// P(D > d) <= 2 exp(-2 n d^2) (Dvoretzky, Kiefer, Wolfowitz, Massart): 1e-6 at this d.
+pub(crate) fn critical_distance(n: usize) -> f64 {
+    ((2.0f64 / 1e-6).ln() / (2.0 * n as f64)).sqrt()
+}
+
+/// Kolmogorov-Smirnov distance of usable readings from a law, by the randomized probability transform, which is
+/// uniform also where there are point masses; in units of the critical distance.
+pub(crate) fn distance_from(law: impl Fn(usize) -> ReadingLaw, readings: &[f32]) -> f64 {
+    let mut u: Vec<f64> = readings
+        .iter()
+        .enumerate()
+        .filter(|(_, z)| !z.is_nan())
+        .map(|(i, &z)| {
+            let law = law(i);
+            let upper = law.cdf(z);
+            let lower = if z >= law.max_m as f32 {
+                law.cdf(z.next_down())
+            } else if law.step_m > 0.0 {
+                law.cdf((f64::from(z) - 0.5 * law.step_m) as f32)
+            } else {
+                upper
+            };
+            let v: f64 = Draw::new(5, Stage::Bootstrap, 0).item(i as u32).random();
+            lower + v * (upper - lower)
+        })
+        .collect();
+    if u.is_empty() {
+        return 0.0;
+    }
+    u.sort_unstable_by(f64::total_cmp);
+    let n = u.len() as f64;
+    let distance = u
+        .iter()
+        .enumerate()
+        .map(|(i, u)| (u - i as f64 / n).max((i as f64 + 1.0) / n - u))
+        .fold(0.0, f64::max);
+    distance / critical_distance(u.len())
+}
+
+fn laser(resolution_m: f64) -> LaserOptions {
+    LaserOptions {
+        sigma_m: 0.02,
+        sigma_per_m: 0.002,
+        min_range_m: 0.1,
+        max_range_m: 4.5,
+        resolution_m,
+        ..laser_options()
+    }
+}
+
+/// A wall straight ahead and at a slant, both with an edge and a surface behind; a wall with nothing behind, near the
+/// maximum range; a block; nothing.
+fn beams() -> [(BeamView, Met, f64); 5] {
+    let view = |range, incidence, jump, behind| BeamView {
+        secs: 1.0,
+        bearing: 3.1,
+        range,
+        incidence,
+        endpoint: DVec2::new(3.0, 0.05),
+        jump,
+        behind,
+    };
+    [
+        (view(2.0, 0.1, Some([2.0, 3.5]), Some(3.0)), Met::Wall, 2.0),
+        (view(1.2, 1.2, Some([0.6, 1.2]), Some(4.4)), Met::Wall, 1.2),
+        (view(4.45, 0.7, None, None), Met::Wall, 4.45),
+        (view(3.0, 0.7, Some([2.0, 3.0]), Some(3.5)), Met::Object, 0.12),
+        (view(6.75, 0.0, None, None), Met::Wall, 6.75),
+    ]
+}
+
+fn samples(law: &ReadingLaw, n: u32) -> Vec<f32> {
+    let (noise, chance) = (Draw::new(3, Stage::Laser, 0), Draw::new(3, Stage::Effect, 0));
+    (0..n).map(|i| law.sample(&mut noise.item(i), &mut chance.item(i))).collect()
+}
+
+/// Every reading that a quantized sensor can give below the maximum range, or the middles of steps of 0.25 mm; and the
+/// width that each stands for \[m\].
+fn readings(law: &ReadingLaw) -> (Vec<f32>, f64) {
+    if law.step_m > 0.0 {
+        let multiples = (0..).map(|k| (f64::from(k) * law.step_m) as f32);
+        (multiples.take_while(|z| *z < law.max_m as f32).collect(), law.step_m)
+    } else {
+        ((0..18_000).map(|i| (f64::from(i) + 0.5) as f32 * 0.000_25).collect(), 0.000_25)
+    }
+}
+
+/// The density integrates to 1 with the mass at the maximum range, and its running integral is the distribution
+/// function. The midpoint rule errs by at most half a step times the jump at each edge of a uniform part.
+fn check_density(name: &str, law: &ReadingLaw) {
+    let (z, width) = readings(law);
+    let mut sum = 0.0;
+    for &z in &z {
+        let mass = law.density(z) * width;
+        let at = sum + if law.step_m > 0.0 { mass } else { 0.5 * mass };
+        assert!((at - law.cdf(z)).abs() < 1e-3, "{name} at {z}: {at}, but cdf {}", law.cdf(z));
+        sum += mass;
+    }
+    let max = law.max_m as f32;
+    let total = sum + law.density(max);
+    assert!((total - 1.0).abs() < 1e-3, "{name}: total {total} for {law:?}");
+    assert!((1.0 - law.cdf(max.next_down()) - law.density(max)).abs() < 1e-9, "{name}: jump at the maximum");
+    let below = (law.min_m as f32).next_down();
+    assert_eq!((law.cdf(max), law.cdf(below), law.density(below)), (1.0, 0.0, 0.0), "{name}");
+    assert_eq!(law.log_density(f32::NAN), 0.0, "{name}");
+}
+
+#[test]
+fn every_law_integrates_to_one_and_samples_agree_with_it() {
+    for resolution_m in [0.0, 0.01] {
+        for kind in EffectKind::ALL {
+            let effects = effects(&[kind]);
+            let mut told_apart = false;
+            for (i, (view, met, range)) in beams().into_iter().enumerate() {
+                let name = format!("{kind}, beam {i}, resolution {resolution_m}");
+                let law = effects.law(&laser(resolution_m), &view, met, range);
+                let nominal = Effects::none().law(&laser(resolution_m), &view, met, range);
+                check_density(&name, &law);
+                let d = distance_from(|_| law, &samples(&law, 4000));
+                assert!(d < 1.0, "{name}: {d}");
+                told_apart |= distance_from(|_| law, &samples(&nominal, 4000)) > 1.0;
+            }
+            // Negative control: samples of the nominal world, under every effect that changes readings.
+            let shapes_readings = matches!(kind.site(), Site::Beam)
+                && !matches!(kind, EffectKind::MountYaw | EffectKind::MountOffset)
+                || kind.has_place();
+            assert_eq!(told_apart, shapes_readings, "{kind}, resolution {resolution_m}");
+        }
+    }
+}
+
+/// All pairs, the same effect twice among them, on a slanted wall with an edge and a surface behind.
+#[test]
+fn two_effects_together_agree_with_their_density() {
+    let (view, met, range) = beams()[1];
+    for a in EffectKind::ALL {
+        for b in EffectKind::ALL {
+            if (a, b) == (EffectKind::WheelSlip, EffectKind::WheelSlip) {
+                continue;
+            }
+            let law = effects(&[a, b]).law(&laser(0.0), &view, met, range);
+            let d = distance_from(|_| law, &samples(&law, 1000));
+            assert!(d < 1.0, "{a}, {b}: {d}");
+            let other_way = effects(&[b, a]).law(&laser(0.0), &view, met, range);
+            if a != b {
+                assert_eq!(law.alternatives, other_way.alternatives, "{a}, {b}: order doesn't matter");
+            }
+        }
+    }
+    let all = effects(&EffectKind::ALL).law(&laser(0.0), &view, met, range);
+    check_density("all", &all);
+    assert!(distance_from(|_| all, &samples(&all, 4000)) < 1.0);
+}
+
+#[test]
+fn a_neutral_effect_leaves_every_law_as_it_is() {
+    for kind in EffectKind::ALL {
+        let neutral = Effects::new(vec![Effect::neutral(kind, place(kind))]).unwrap();
+        for (view, met, range) in beams() {
+            let law = neutral.law(&laser(0.001), &view, met, range);
+            assert_eq!(law, Effects::none().law(&laser(0.001), &view, met, range), "{kind}");
+        }
+        let pose = Pose2::new(0.3, -0.2, 1.0);
+        assert_eq!(neutral.laser_mount(pose), pose, "{kind}");
+        assert_eq!(neutral.beam_secs(1.0, 2.5), 2.5, "{kind}");
+        assert_eq!(neutral.odometry(&pose).mean, pose, "{kind}");
+        assert!(neutral.objects().is_empty());
+    }
+}
+
+/// The forms of the documentation, term by term.
+#[test]
+fn means_and_deviations_are_those_of_the_formulas() {
+    let (view, ..) = beams()[1];
+    let law = |kind| effects(&[kind]).law(&laser(0.0), &view, Met::Wall, 1.2);
+    let tan_squared = 1.2f64.tan().powi(2);
+    let sigma = 0.02 + 0.002 * 1.2;
+    for (kind, mean, sigma) in [
+        (EffectKind::RangeBias, 1.25, sigma),
+        (EffectKind::RangeScale, 1.2 * 1.03, sigma),
+        (EffectKind::IncidenceBias, 1.2 + 0.02 * tan_squared, sigma),
+        (EffectKind::RangeNoise, 1.2, sigma + 0.01 * 1.44),
+        (EffectKind::IncidenceNoise, 1.2, sigma * (1.0 + 2.0 * tan_squared)),
+        (EffectKind::MovedWall, 1.2 - 0.3 / 1.2f64.cos(), 0.02 + 0.002 * (1.2 - 0.3 / 1.2f64.cos())),
+        (EffectKind::WarmupDrift, 1.2 + 0.1 * (-0.2f64).exp(), sigma),
+    ] {
+        let law = law(kind);
+        assert!((law.mean - mean).abs() < 1e-12 && (law.sigma - sigma).abs() < 1e-12, "{kind}: {law:?}");
+    }
+    let alternative = |kind| law(kind).alternatives.as_slice()[0];
+    let near = |p: f64, expected: f64| (p - expected).abs() < 1e-12;
+    assert!(near(alternative(EffectKind::RangeDropout).0, 0.9 * (1.2f64 / 4.5).powf(0.7)));
+    assert!(near(alternative(EffectKind::IncidenceDropout).0, 0.8 / (1.0 + (-3.0f64).exp())));
+    assert!(near(alternative(EffectKind::Crosstalk).0, 0.42));
+    assert_eq!(alternative(EffectKind::MixedPixels), (0.5, Alternative::Between { lo: 0.6, hi: 1.2 }));
+    assert_eq!(alternative(EffectKind::Glass), (0.6, Alternative::Near { mean: 4.4, sigma: 0.02 + 0.0088 }));
+    assert_eq!(
+        alternative(EffectKind::SectorOcclusion),
+        (0.7, Alternative::Near { mean: 0.4, sigma: 0.0208 })
+    );
+    // Beyond 80 deg all is as there.
+    let grazing = BeamView { incidence: 1.57, ..view };
+    let mean = effects(&[EffectKind::IncidenceBias]).law(&laser(0.0), &grazing, Met::Wall, 1.2).mean;
+    assert!((mean - 1.2 - 0.02 * 80f64.to_radians().tan().powi(2)).abs() < 1e-9);
+}
+
+#[test]
+fn effects_of_walls_leave_blocks_alone_and_effects_of_a_place_other_walls() {
+    use EffectKind as E;
+    let (view, ..) = beams()[1];
+    let nominal = |met| Effects::none().law(&laser(0.0), &view, met, 0.9);
+    for kind in
+        [E::IncidenceBias, E::IncidenceNoise, E::IncidenceDropout, E::MixedPixels, E::Glass, E::MovedWall]
+    {
+        let law = effects(&[kind]).law(&laser(0.0), &view, Met::Object, 0.9);
+        assert_eq!(law, nominal(Met::Object), "{kind} on a block");
+    }
+    for kind in [E::MixedPixels, E::Glass, E::MovedWall] {
+        let law = effects(&[kind]).law(&laser(0.0), &view, Met::Wall, 0.9);
+        assert_eq!(law, nominal(Met::Wall), "{kind} on an object before the wall");
+    }
+    let elsewhere = BeamView { endpoint: DVec2::new(3.0, 0.11), ..view };
+    for kind in [E::Glass, E::MovedWall] {
+        let law = effects(&[kind]).law(&laser(0.0), &elsewhere, Met::Wall, 1.2);
+        assert_eq!(law, Effects::none().law(&laser(0.0), &elsewhere, Met::Wall, 1.2), "{kind} elsewhere");
+    }
+    let ahead = BeamView { bearing: 2.9, ..view };
+    assert_eq!(
+        effects(&[E::SectorOcclusion]).law(&laser(0.0), &ahead, Met::Wall, 1.2),
+        Effects::none().law(&laser(0.0), &ahead, Met::Wall, 1.2),
+        "outside the sector"
+    );
+}
+
+#[test]
+fn quantized_readings_have_a_density_on_their_grid_alone() {
+    let (view, met, range) = beams()[0];
+    let law = effects(&[EffectKind::Quantization]).law(&laser(0.0), &view, met, range);
+    assert_eq!(law.step_m, 0.05);
+    assert_eq!(law.density(2.01), 0.0);
+    assert!(law.density(2.0) > law.density(2.05) && law.density(2.05) > 0.0);
+    assert_eq!(law.cdf(2.01), law.cdf(2.0));
+    // The coarsest step counts.
+    let fine = effects(&[EffectKind::Quantization]).law(&laser(0.1), &view, met, range);
+    assert_eq!(fine.step_m, 0.1);
+}
+
+/// Far from the mean the log density goes on where the density itself has vanished.
+#[test]
+fn log_densities_do_not_underflow() {
+    let (view, met, range) = beams()[0];
+    for resolution_m in [0.0, 0.01] {
+        let law = Effects::none().law(&laser(resolution_m), &view, met, range);
+        let mut last = law.log_density(2.0);
+        for centimetres in 201..450 {
+            let z = (f64::from(centimetres) * 0.01) as f32;
+            let ln = law.log_density(z);
+            assert!(ln < last && ln > -1e5, "{ln} at {z} after {last}");
+            let t = (f64::from(z) - 2.0) / law.sigma;
+            // A cell of half a standard deviation looks like its near edge: t off by a quarter.
+            assert!((ln + 0.5 * t * t).abs() < 6.0 + 0.3 * t, "{ln} at {t} standard deviations");
+            last = ln;
+        }
+        assert!(law.log_density(4.5) > -1e5 && law.log_density(4.5) < -5e3);
+    }
+}
+
+#[test]
+fn the_odometry_reads_what_the_formulas_say() {
+    let increment = Pose2::new(-0.3, 0.04, 0.2);
+    let mean = |kind| effects(&[kind]).odometry(&increment).mean;
+    let near = |a: Pose2, b: Pose2| (a.x - b.x).abs() + (a.y - b.y).abs() + (a.theta - b.theta).abs() < 1e-12;
+    assert!(near(mean(EffectKind::OdomDistanceScale), Pose2::new(-0.33, 0.044, 0.2)));
+    assert!(near(mean(EffectKind::OdomTurnScale), Pose2::new(-0.3, 0.04, 0.22)));
+    let backward = -0.3f64.hypot(0.04);
+    assert!(near(mean(EffectKind::OdomImbalance), Pose2::new(-0.3, 0.04, 0.2 + 0.2 * backward)));
+}
+
+/// Samples of the share of a slip against its distribution function, where it is above 0; the share of increments that
+/// don't slip within 4.9 standard errors.
+#[test]
+fn slips_agree_with_their_distribution() {
+    let law = effects(&[EffectKind::WheelSlip]).odometry(&Pose2::new(0.5, 0.0, 0.1));
+    let n = 20_000;
+    let draw = Draw::new(3, Stage::Effect, 0);
+    let mut stretch: Vec<f64> =
+        (0..n).map(|i| law.sample(&mut draw.item(i)).x / 0.5 - 1.0).filter(|s| *s > 1e-12).collect();
+    stretch.sort_unstable_by(f64::total_cmp);
+    let slipped = stretch.len() as f64 / f64::from(n);
+    assert!((slipped - 0.5).abs() < 4.9 * (0.25 / f64::from(n)).sqrt(), "{slipped}");
+    let distance = |slip: Slip| {
+        let m = stretch.len() as f64;
+        let of_slips = |s: f64| (slip.cdf(s) - slip.cdf(0.0)) / slip.p;
+        stretch
+            .iter()
+            .enumerate()
+            .map(|(i, s)| (of_slips(*s) - (i as f64 + 0.5) / m).abs())
+            .fold(0.0, f64::max)
+    };
+    assert!(distance(law.slip) < critical_distance(stretch.len()));
+    assert!(distance(Slip { share: 0.33, ..law.slip }) > critical_distance(stretch.len()), "blind to 10 %");
+    let step = 1e-4;
+    let integral: f64 = (0..30_000).map(|i| law.slip.density((f64::from(i) + 0.5) * step) * step).sum();
+    assert!((integral - law.slip.p).abs() < 1e-6 && (law.slip.cdf(0.0) - 0.5).abs() < 1e-12);
+}
+
+#[test]
+fn jumps_are_those_to_the_neighbour_that_differs_most() {
+    let nominal = [1.0, 1.2, 2.0, 1.9, 5.0];
+    assert_eq!(jump_at(&nominal, 0, false), None);
+    assert_eq!(jump_at(&nominal, 0, true), Some([1.0, 5.0]));
+    assert_eq!(jump_at(&nominal, 1, false), Some([1.2, 2.0]));
+    assert_eq!(jump_at(&nominal, 2, false), Some([1.2, 2.0]));
+    assert_eq!(jump_at(&nominal, 3, false), Some([1.9, 5.0]));
+    assert_eq!(jump_at(&[1.0], 0, true), None);
+}
+
+proptest! {
+    #[test]
+    fn beams_are_shifted_in_time_by_their_bearing(bearing in -3.1..3.1f64, secs in 0.0..9.0f64) {
+        let shifted = effects(&[EffectKind::TimeOffset, EffectKind::MotionSkew]).beam_secs(bearing, secs);
+        prop_assert!((shifted - (secs + 0.1 + 0.2 * bearing / TAU)).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn the_catalogue_is_complete() {
+    for (i, kind) in EffectKind::ALL.into_iter().enumerate() {
+        assert_eq!(kind as usize, i);
+        assert_eq!(kind.name().parse::<EffectKind>(), Ok(kind));
+        assert_eq!(serde_json::to_value(kind).unwrap(), kind.name());
+        assert!(!kind.confused_with().is_empty() && !kind.confused_with().contains(&kind), "{kind}");
+        for text in [kind.formula(), kind.sentence(), kind.signature()] {
+            assert!(text.len() > 4, "{kind}");
+        }
+        for parameter in kind.parameters() {
+            for value in [parameter.neutral, parameter.start] {
+                assert!((parameter.lo..=parameter.hi).contains(&value), "{kind}: {parameter:?}");
+            }
+        }
+    }
+    let error = "glas".parse::<EffectKind>().unwrap_err().to_string();
+    assert!(error.starts_with("\"glas\" is not an effect; one of range_bias, range_scale,"), "{error}");
+}
+
+#[test]
+fn effects_out_of_range_are_refused() {
+    let new = |kind, values: &[f64], place: &[[DVec2; 2]]| Effect::new(kind, values.to_vec(), place.to_vec());
+    let point = [DVec2::ZERO; 2];
+    for (effect, message) in [
+        (new(EffectKind::Glass, &[], &[STRETCH]), "glass needs 1 values; got 0"),
+        (new(EffectKind::Glass, &[1.5], &[STRETCH]), "p of glass must be from 0 to 1; got 1.5"),
+        (new(EffectKind::RangeBias, &[f64::NAN], &[]), "bias_m of range_bias must be from -1 to 1; got NaN"),
+        (new(EffectKind::Glass, &[0.5], &[]), "glass needs a place: at least one stretch of wall"),
+        (new(EffectKind::HeavyTail, &[0.5], &[STRETCH]), "heavy_tail has no place"),
+        (
+            new(EffectKind::Glass, &[0.5], &[STRETCH, point]),
+            "stretch 1 of the place of glass needs two finite",
+        ),
+    ] {
+        let error = effect.unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+    }
+    let many = |kind, n| Effects::new(vec![strong(kind); n]).map_err(|error| error.to_string());
+    assert_eq!(many(EffectKind::WheelSlip, 2).unwrap_err(), "wheel_slip can be there once only");
+    assert!(many(EffectKind::Glass, 12).is_ok());
+    assert_eq!(
+        many(EffectKind::Glass, 13).unwrap_err(),
+        "13 effects that replace readings are more than the 12 that are allowed"
+    );
+}
