@@ -41,6 +41,11 @@ impl OdometryNoise {
         Ok(Self { alpha })
     }
 
+    /// alpha 1 to 4.
+    pub fn alpha(&self) -> [f64; 4] {
+        self.alpha
+    }
+
     /// What the odometry reads for a true motion `base_prev_from_base_now`.
     pub fn sample(&self, increment: &Pose2, rng: &mut impl Rng) -> Pose2 {
         let distance = increment.x.hypot(increment.y);

@@ -1,0 +1,55 @@
+use locsim_world::simulation::SimulationError;
+use thiserror::Error;
+
+/// Why a log can't be held against a simulation.
+#[derive(Debug, Error)]
+pub enum GapError {
+    /// Too few scans have a reference pose.
+    #[error("only {scans} scans with a reference pose in the map's free space; at least {least} are needed")]
+    TooFewScans {
+        /// How many there are.
+        scans: usize,
+        /// How many it takes.
+        least: usize,
+    },
+    /// The log's laser is not the scenario's.
+    #[error("the log's laser {what} is {log}, the scenario's {scenario}")]
+    Laser {
+        /// What differs.
+        what: &'static str,
+        /// As the log says.
+        log: f64,
+        /// As the scenario says.
+        scenario: f64,
+    },
+    /// The simulated laser has no noise.
+    #[error(
+        "the nominal laser has no noise: no reading of a real one has a density under it; set laser.noise.sigma_m"
+    )]
+    NoNoise,
+    /// An option is out of its range.
+    #[error("{option} must be {allowed}; got {value}")]
+    Option {
+        /// Its name.
+        option: &'static str,
+        /// The refused value.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// The simulator refused.
+    #[error(transparent)]
+    Simulation(#[from] SimulationError),
+    /// An effect out of its bounds.
+    #[error(transparent)]
+    Effect(#[from] locsim_world::effect::EffectError),
+    /// A sensor model could not be fitted to simulated scans.
+    #[error(transparent)]
+    Sensor(#[from] locsim_sensor::SensorError),
+    /// A filter gave up.
+    #[error(transparent)]
+    Filter(#[from] locsim_mcl::FilterError),
+    /// The caller asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+}

@@ -1,0 +1,322 @@
+//! Maximum likelihood of an effect's numbers, and what it gains on scans that the fit hasn't seen.
+
+use argmin::core::{CostFunction, Executor};
+use argmin::solver::neldermead::NelderMead;
+use glam::DVec2;
+use locsim_world::effect::{Effect, EffectKind};
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use crate::hypothesis::{Comparison, Fitted};
+use crate::statistics::BLOCK;
+use crate::GapError;
+
+/// Steps of the simplex search for each number.
+const STEPS_PER_NUMBER: u64 = 22;
+/// The search ends where the simplex agrees to so many nats.
+const TOLERANCE_NATS: f64 = 0.02;
+
+/// An effect fitted to a log.
+#[derive(Clone, Debug)]
+pub(crate) struct Candidate {
+    pub effect: Effect,
+    /// Gain over the hypothesis without it, block by block, of numbers fitted to the other blocks (nats).
+    pub gains: Vec<f64>,
+    /// 95 % interval of each number.
+    pub intervals: Vec<[f64; 2]>,
+}
+
+impl Candidate {
+    pub fn gain(&self) -> f64 {
+        self.gains.iter().sum()
+    }
+
+    /// Standard error of the gain, over blocks.
+    pub fn gain_error(&self) -> f64 {
+        sum_error(&self.gains)
+    }
+
+    pub fn kind(&self) -> EffectKind {
+        self.effect.kind
+    }
+}
+
+/// Standard error of a sum over blocks.
+pub(crate) fn sum_error(blocks: &[f64]) -> f64 {
+    let n = blocks.len() as f64;
+    let mean = blocks.iter().sum::<f64>() / n;
+    (n / (n - 1.0) * blocks.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt()
+}
+
+/// Sums over blocks of consecutive scans.
+pub(crate) fn blocks(scans: &[f64]) -> Vec<f64> {
+    let mut blocks: Vec<f64> = scans.chunks(BLOCK).map(|block| block.iter().sum()).collect();
+    // A last block of few scans goes with the one before.
+    if scans.len() % BLOCK != 0 && blocks.len() > 1 {
+        let last = blocks.pop().unwrap_or(0.0);
+        if let Some(previous) = blocks.last_mut() {
+            *previous += last;
+        }
+    }
+    blocks
+}
+
+/// Where a search starts.
+#[derive(Clone, Debug)]
+pub(crate) struct Start {
+    pub values: Vec<f64>,
+    pub place: Vec<[DVec2; 2]>,
+}
+
+/// An effect on top of others, for a log.
+pub(crate) struct Search<'c, 'a> {
+    pub comparison: &'c Comparison<'a>,
+    /// Effects that stay as they are.
+    pub given: &'c [Effect],
+    /// The log under those.
+    pub without: &'c Fitted,
+}
+
+impl Search<'_, '_> {
+    /// The best fit over several starts; `None` where nothing is gained.
+    pub fn fit(&self, kind: EffectKind, starts: &[Start]) -> Result<Option<Candidate>, GapError> {
+        let mut best: Option<(f64, Effect)> = None;
+        for start in starts {
+            let (value, effect) = self.maximize(kind, start)?;
+            if best.as_ref().is_none_or(|(known, _)| value > *known) {
+                best = Some((value, effect));
+            }
+        }
+        match best {
+            Some((value, effect)) if value > self.without.total() + 0.2 => Ok(Some(self.assess(effect)?)),
+            _ => Ok(None),
+        }
+    }
+
+    fn evaluate(&self, effect: &Effect) -> Result<Fitted, GapError> {
+        let mut effects = self.given.to_vec();
+        effects.push(effect.clone());
+        self.comparison.evaluate(&effects, self.without, 1)
+    }
+
+    fn maximize(&self, kind: EffectKind, start: &Start) -> Result<(f64, Effect), GapError> {
+        let parameters = kind.parameters();
+        let scales: Vec<f64> = parameters
+            .iter()
+            .zip(&start.values)
+            .map(|(parameter, &value)| {
+                let away = (value - parameter.neutral).abs().max(0.3 * (parameter.start - parameter.neutral).abs());
+                if away > 0.0 { away } else { 0.05 * (parameter.hi - parameter.lo) }
+            })
+            .collect();
+        let problem = Problem { search: self, kind, start, scales: &scales };
+        let origin = vec![0.0; scales.len()];
+        let mut simplex = vec![origin.clone()];
+        for axis in 0..origin.len() {
+            let mut corner = origin.clone();
+            corner[axis] = if axis == 0 { -0.7 } else { 0.35 };
+            simplex.push(corner);
+        }
+        let steps = STEPS_PER_NUMBER * scales.len() as u64;
+        let solver = NelderMead::new(simplex)
+            .with_sd_tolerance(TOLERANCE_NATS)
+            .map_err(|_| GapError::Option { option: "tolerance", value: TOLERANCE_NATS, allowed: "positive" })?;
+        let result = Executor::new(&problem, solver)
+            .timer(false)
+            .configure(|state| state.max_iters(steps))
+            .run();
+        match result {
+            Ok(result) => {
+                let best = result.state.best_param.unwrap_or(origin);
+                Ok((-result.state.best_cost, problem.effect(&best)?))
+            }
+            // The problem's own errors are of effects out of bounds, which it doesn't make.
+            Err(_) => Ok((f64::NEG_INFINITY, problem.effect(&origin)?)),
+        }
+    }
+
+    /// What a fit gains on blocks that it hasn't seen, and how sure its numbers are.
+    ///
+    /// The fit without a block is one Newton step from the fit with it. Intervals are by the sandwich of Godambe (1960)
+    /// over blocks, with Student's distribution, and no narrower than the curvature alone makes them.
+    pub fn assess(&self, effect: Effect) -> Result<Candidate, GapError> {
+        let fitted = self.evaluate(&effect)?;
+        let with = blocks(&fitted.scans);
+        let without = blocks(&self.without.scans);
+        let numbers = effect.values.len();
+        let parameters = effect.kind.parameters();
+        let total = fitted.total();
+        let moved = |changes: &[(usize, f64)]| -> Result<Vec<f64>, GapError> {
+            let mut other = effect.clone();
+            for &(i, change) in changes {
+                other.values[i] = (other.values[i] + change).clamp(parameters[i].lo, parameters[i].hi);
+            }
+            Ok(blocks(&self.evaluate(&other)?.scans))
+        };
+        // A step that changes the likelihood by about half a nat.
+        let mut steps = vec![0.0; numbers];
+        let mut up = Vec::with_capacity(numbers);
+        let mut down = Vec::with_capacity(numbers);
+        for i in 0..numbers {
+            let (lo, hi) = (parameters[i].lo, parameters[i].hi);
+            let room = (hi - effect.values[i]).min(effect.values[i] - lo);
+            let mut step = 0.1 * (effect.values[i] - parameters[i].neutral).abs().max(0.2 * parameters[i].start.abs());
+            step = step.max(1e-6 * (hi - lo));
+            for _ in 0..3 {
+                let bounded = if room > 0.0 { step.min(room) } else { step };
+                let (a, b) = (moved(&[(i, bounded)])?, moved(&[(i, -bounded)])?);
+                let drop = total - 0.5 * (a.iter().sum::<f64>() + b.iter().sum::<f64>());
+                (steps[i], step) = (bounded, bounded);
+                let good = (0.1..3.0).contains(&drop);
+                if good || drop <= 0.0 {
+                    up.push(a);
+                    down.push(b);
+                    break;
+                }
+                step *= (0.5 / drop).sqrt().clamp(0.05, 8.0);
+                if room > 0.0 && bounded >= room && step > room {
+                    up.push(a);
+                    down.push(b);
+                    break;
+                }
+            }
+            if up.len() == i {
+                up.push(moved(&[(i, steps[i])])?);
+                down.push(moved(&[(i, -steps[i])])?);
+            }
+        }
+        let count = with.len();
+        let gradient: Vec<Vec<f64>> = (0..numbers)
+            .map(|i| (0..count).map(|b| (up[i][b] - down[i][b]) / (2.0 * steps[i])).collect())
+            .collect();
+        let sum = |blocks: &[f64]| blocks.iter().sum::<f64>();
+        let mut information = vec![vec![0.0; numbers]; numbers];
+        for i in 0..numbers {
+            let curvature = (2.0 * total - sum(&up[i]) - sum(&down[i])) / steps[i].powi(2);
+            // At the edge of what is allowed or on a plateau it tells nothing; a nat over the whole start does.
+            information[i][i] = curvature.max(0.05 / steps[i].powi(2));
+            for j in 0..i {
+                let both = sum(&moved(&[(i, steps[i]), (j, steps[j])])?);
+                let mixed = (both - sum(&up[i]) - sum(&up[j]) + total) / (steps[i] * steps[j]);
+                let most = 0.98 * (information[i][i] * information[j][j]).sqrt();
+                information[i][j] = (-mixed).clamp(-most, most);
+                information[j][i] = information[i][j];
+            }
+        }
+        let inverse = invert(&information);
+        let gains = (0..count)
+            .map(|b| {
+                let g: Vec<f64> = gradient.iter().map(|g| g[b]).collect();
+                let left_out = quadratic(&inverse, &g).min(with[b] - without[b] + 5.0).max(0.0);
+                with[b] - without[b] - left_out
+            })
+            .collect();
+        let degrees = (count as f64 - 1.0).max(2.0);
+        let quantile = StudentsT::new(0.0, 1.0, degrees).map_or(1.96, |t| t.inverse_cdf(0.975));
+        let intervals = (0..numbers)
+            .map(|i| {
+                let row = &inverse[i];
+                let projected = (0..count).map(|b| {
+                    row.iter().zip(&gradient).map(|(r, g)| r * g[b]).sum::<f64>()
+                });
+                let sandwich = projected.map(|p| p * p).sum::<f64>() * count as f64 / degrees;
+                let error = sandwich.max(0.0).sqrt();
+                let curvature = inverse[i][i].max(0.0).sqrt();
+                let half = (quantile * (0.5 * (error * error + curvature * curvature)).sqrt()).max(1.96 * 0.8 * curvature);
+                [
+                    (effect.values[i] - half).max(parameters[i].lo),
+                    (effect.values[i] + half).min(parameters[i].hi),
+                ]
+            })
+            .collect();
+        Ok(Candidate { effect, gains, intervals })
+    }
+}
+
+/// The search's objective: numbers in units of their start's distance from neutral, about the start.
+struct Problem<'s, 'c, 'a> {
+    search: &'s Search<'c, 'a>,
+    kind: EffectKind,
+    start: &'s Start,
+    scales: &'s [f64],
+}
+
+impl Problem<'_, '_, '_> {
+    fn effect(&self, numbers: &[f64]) -> Result<Effect, GapError> {
+        let values = self
+            .kind
+            .parameters()
+            .iter()
+            .zip(numbers)
+            .zip(self.scales)
+            .zip(&self.start.values)
+            .map(|(((parameter, number), scale), start)| {
+                (start + number * scale).clamp(parameter.lo, parameter.hi)
+            })
+            .collect();
+        Ok(Effect::new(self.kind, values, self.start.place.clone())?)
+    }
+}
+
+impl CostFunction for &Problem<'_, '_, '_> {
+    type Param = Vec<f64>;
+    type Output = f64;
+
+    fn cost(&self, numbers: &Vec<f64>) -> Result<f64, argmin::core::Error> {
+        let fitted = self.search.evaluate(&self.effect(numbers)?)?;
+        let total = fitted.total();
+        Ok(if total.is_finite() { -total } else { f64::MAX })
+    }
+}
+
+fn quadratic(matrix: &[Vec<f64>], v: &[f64]) -> f64 {
+    matrix.iter().zip(v).map(|(row, a)| a * row.iter().zip(v).map(|(m, b)| m * b).sum::<f64>()).sum()
+}
+
+/// Inverse of a small positive definite matrix (Gauss and Jordan); a ridge where it isn't.
+fn invert(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let n = matrix.len();
+    // Scaled to ones on the diagonal, so that units don't matter.
+    let scale: Vec<f64> = (0..n).map(|i| matrix[i][i].max(1e-300).sqrt()).collect();
+    let mut ridge = 0.0;
+    loop {
+        let mut left: Vec<Vec<f64>> = (0..n)
+            .map(|i| {
+                (0..n)
+                    .map(|j| matrix[i][j] / (scale[i] * scale[j]) + if i == j { ridge } else { 0.0 })
+                    .collect()
+            })
+            .collect();
+        let mut right: Vec<Vec<f64>> =
+            (0..n).map(|i| (0..n).map(|j| f64::from(u8::from(i == j))).collect()).collect();
+        let mut positive = true;
+        for i in 0..n {
+            let pivot = left[i][i];
+            if pivot < 1e-6 {
+                positive = false;
+                break;
+            }
+            for j in 0..n {
+                left[i][j] /= pivot;
+                right[i][j] /= pivot;
+            }
+            for row in 0..n {
+                if row != i {
+                    let factor = left[row][i];
+                    for j in 0..n {
+                        left[row][j] -= factor * left[i][j];
+                        right[row][j] -= factor * right[i][j];
+                    }
+                }
+            }
+        }
+        if positive {
+            for i in 0..n {
+                for j in 0..n {
+                    right[i][j] /= scale[i] * scale[j];
+                }
+            }
+            return right;
+        }
+        ridge = if ridge == 0.0 { 0.01 } else { 2.0 * ridge };
+    }
+}

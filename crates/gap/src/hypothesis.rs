@@ -1,0 +1,262 @@
+//! The log likelihood of a log under a hypothesis, with the reference's errors and the density of blocks profiled out.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use locsim_core::Pose2;
+use locsim_world::effect::{Effect, EffectKind, Effects};
+
+use crate::likelihood::{Density, Terms};
+use crate::odometry::{OdometryError, log_likelihoods};
+use crate::pose_error::{Information, PoseError, fit, smooth};
+use crate::views::Views;
+use crate::{GapError, Nominal, Recorded};
+
+/// What a simulation of the log needs besides the scenario, fitted to the log.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Nuisances {
+    /// Factor on the density of unmapped blocks.
+    pub block_density: f64,
+    /// How the reference poses err.
+    pub pose_error: PoseError,
+    /// Error of the odometry's increments beyond the scenario's noise.
+    pub odometry_error: OdometryError,
+}
+
+impl Default for Nuisances {
+    fn default() -> Self {
+        Self { block_density: 1.0, pose_error: PoseError::NONE, odometry_error: OdometryError::default() }
+    }
+}
+
+/// A log against a hypothesis.
+#[derive(Clone, Debug)]
+pub(crate) struct Fitted {
+    pub nuisances: Nuisances,
+    /// Error of each reference pose.
+    pub corrections: Vec<DVec3>,
+    /// Log likelihood of each scan with the odometry since the one before (nats).
+    pub scans: Vec<f64>,
+}
+
+impl Fitted {
+    pub fn total(&self) -> f64 {
+        self.scans.iter().sum()
+    }
+}
+
+/// Views of a log, for hypotheses that see the world alike.
+pub(crate) struct Comparison<'a> {
+    pub nominal: &'a Nominal,
+    pub recorded: &'a Recorded,
+    /// The views from the nominal mount at the nominal times.
+    pub views: Arc<Views<'a>>,
+}
+
+/// Whether an effect changes where beams come from or what stands in their way, so that they are cast anew.
+pub(crate) fn changes_views(kind: EffectKind) -> bool {
+    matches!(
+        kind,
+        EffectKind::MountYaw
+            | EffectKind::MountOffset
+            | EffectKind::TimeOffset
+            | EffectKind::MotionSkew
+            | EffectKind::MissingObject
+            | EffectKind::Glass
+            | EffectKind::MixedPixels
+    )
+}
+
+impl<'a> Comparison<'a> {
+    pub fn new(nominal: &'a Nominal, recorded: &'a Recorded) -> Self {
+        Self { nominal, recorded, views: Arc::new(Views::new(nominal, recorded, &nominal.effects)) }
+    }
+
+    /// Effects of the nominal world and more.
+    pub fn effects(&self, more: &[Effect]) -> Result<Effects, GapError> {
+        self.nominal.effects_with(more)
+    }
+
+    /// The log likelihood with `more` effects. `start` gives the nuisances and the reference's errors to begin with;
+    /// the density of blocks and the errors are profiled, `iterations` times.
+    pub fn evaluate(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
+        let effects = self.effects(more)?;
+        if more.iter().any(|effect| changes_views(effect.kind)) {
+            let views = Views::new(self.nominal, self.recorded, &effects);
+            Ok(self.evaluate_views(&views, &effects, start, iterations))
+        } else {
+            Ok(self.evaluate_views(&self.views, &effects, start, iterations))
+        }
+    }
+
+    fn evaluate_views(
+        &self,
+        views: &Views<'_>,
+        effects: &Effects,
+        start: &Fitted,
+        iterations: usize,
+    ) -> Fitted {
+        let mut fitted = start.clone();
+        for _ in 0..iterations {
+            let pass = self.pass(views, effects, &fitted);
+            self.update(&mut fitted, &pass);
+        }
+        let pass = self.pass(views, effects, &fitted);
+        fitted.scans = pass.log_likelihood;
+        self.add_prior(&mut fitted);
+        let track = self.corrected(&fitted.corrections);
+        let odometry = log_likelihoods(
+            self.nominal,
+            effects,
+            &fitted.nuisances.odometry_error,
+            &track,
+            &self.recorded.odometry,
+        );
+        for (scan, odometry) in fitted.scans.iter_mut().skip(1).zip(odometry) {
+            *scan += odometry;
+        }
+        fitted
+    }
+
+    /// Fits all nuisances to the log without more effects.
+    pub fn fit_nuisances(&self, start: &Nuisances, iterations: usize) -> Fitted {
+        self.fit_nuisances_with(&self.nominal.effects, start, iterations)
+    }
+
+    /// Fits all nuisances to the log under these effects, which this comparison's views are of.
+    pub fn fit_nuisances_with(&self, effects: &Effects, start: &Nuisances, iterations: usize) -> Fitted {
+        let n = self.recorded.scans();
+        let mut fitted =
+            Fitted { nuisances: *start, corrections: vec![DVec3::ZERO; n], scans: vec![0.0; n] };
+        // A process to start from that may be found to be none.
+        let mut process = if start.pose_error.is_none() {
+            PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 }
+        } else {
+            start.pose_error
+        };
+        for _ in 0..2 {
+            let pass = self.pass(&self.views, effects, &fitted);
+            fitted.nuisances.pose_error = PoseError::NONE;
+            self.update(&mut fitted, &pass);
+            process = fit(process, &self.recorded.secs, &pass.information, iterations);
+            let smoothed = smooth(&process, &self.recorded.secs, &pass.information);
+            // Three parameters have to earn their keep.
+            if smoothed.log_evidence > 6.0 {
+                fitted.nuisances.pose_error = process;
+                fitted.corrections = smoothed.mean;
+            } else {
+                fitted.corrections.fill(DVec3::ZERO);
+            }
+        }
+        fitted.nuisances.odometry_error = OdometryError::fit(
+            self.nominal,
+            effects,
+            &self.corrected(&fitted.corrections),
+            &self.recorded.odometry,
+        );
+        self.evaluate_views(&self.views, effects, &fitted, 0)
+    }
+
+    /// Reference poses with their errors taken off.
+    pub fn corrected(&self, corrections: &[DVec3]) -> Vec<Pose2> {
+        let poses = self.recorded.poses.iter().zip(corrections);
+        poses.map(|(pose, c)| Pose2::new(pose.x + c.x, pose.y + c.y, pose.theta + c.z)).collect()
+    }
+
+    /// The terms of every usable reading under the effects, with beam index.
+    pub fn for_each_reading(
+        &self,
+        views: &Views<'_>,
+        effects: &Effects,
+        fitted: &Fitted,
+        mut visit: impl FnMut(usize, usize, &Density<'_>, f64, f64, Terms),
+    ) {
+        let density = Density {
+            laser: &self.nominal.laser,
+            effects,
+            blocks: fitted.nuisances.block_density,
+        };
+        let max = self.nominal.laser.max_range_m;
+        for scan in 0..views.scans() {
+            let correction = fitted.corrections[scan];
+            let first = scan * views.per_scan;
+            for (i, beam) in views.scan(scan).iter().enumerate() {
+                let reading = f64::from(self.recorded.readings[first + i]);
+                if reading.is_nan() {
+                    continue;
+                }
+                let z = reading.min(max);
+                let shift = DVec3::from_array(beam.jacobian).dot(correction);
+                visit(scan, first + i, &density, shift, z, density.terms(beam, shift, z));
+            }
+        }
+    }
+
+    fn pass(&self, views: &Views<'_>, effects: &Effects, fitted: &Fitted) -> Pass {
+        let n = views.scans();
+        let mut pass = Pass {
+            log_likelihood: vec![0.0; n],
+            information: vec![Information::default(); n],
+            shorts: 0.0,
+            exposure: 0.0,
+        };
+        let with_errors = views.per_scan > 0;
+        self.for_each_reading(views, effects, fitted, |scan, i, _, shift, z, terms| {
+            let beam = &views.beams[i];
+            pass.log_likelihood[scan] += terms.density.ln();
+            if with_errors && terms.hit > 1e-3 {
+                // Linear in the correction: as seen from no correction.
+                let weight = terms.hit / terms.sigma.powi(2);
+                pass.information[scan].add(weight, beam.jacobian, terms.error + shift);
+            }
+            pass.shorts += terms.short;
+            pass.exposure -= if terms.short > 0.5 {
+                beam.survival_at(z).0.max(1e-12).ln()
+            } else {
+                beam.log_clear
+            };
+        });
+        pass
+    }
+
+    /// A step of expectation maximization for the density of blocks, and the errors of the poses.
+    fn update(&self, fitted: &mut Fitted, pass: &Pass) {
+        if pass.exposure > 0.0 {
+            // As if one block more had been seen in as much as the nominal density expects.
+            fitted.nuisances.block_density = ((pass.shorts + 1.0) / (pass.exposure + 1.0)).clamp(0.01, 20.0);
+        }
+        if !fitted.nuisances.pose_error.is_none() {
+            let process = &fitted.nuisances.pose_error;
+            fitted.corrections = smooth(process, &self.recorded.secs, &pass.information).mean;
+        }
+    }
+
+    /// The log density of the corrections, scan by scan.
+    fn add_prior(&self, fitted: &mut Fitted) {
+        let process = fitted.nuisances.pose_error;
+        if process.is_none() {
+            return;
+        }
+        let inverse = process.covariance().inverse();
+        for i in 0..fitted.scans.len() {
+            let here = fitted.corrections[i];
+            let (innovation, share) = if i == 0 {
+                (here, 1.0)
+            } else {
+                let phi = process.correlation(self.recorded.secs[i] - self.recorded.secs[i - 1]);
+                (here - phi * fitted.corrections[i - 1], 1.0 - phi * phi)
+            };
+            fitted.scans[i] -= 0.5 * innovation.dot(inverse * innovation) / share;
+        }
+    }
+}
+
+/// One look at all readings.
+struct Pass {
+    log_likelihood: Vec<f64>,
+    information: Vec<Information>,
+    /// Expected number of readings of blocks.
+    shorts: f64,
+    /// How many the nominal density expects where beams could have met one.
+    exposure: f64,
+}

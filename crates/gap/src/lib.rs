@@ -1,0 +1,35 @@
+//! Where and why a simulation and a measured log disagree.
+//!
+//! [`find`] takes a [`Nominal`] simulator and a [`Recorded`] log. It simulates whole logs along the recorded poses, with
+//! blocks and errors of the reference fitted to the log, to know what is normal; looks at many statistics at once under
+//! one false-alarm rate; fits the effects of [`locsim_world::effect`] by maximum likelihood; names the one that gains
+//! most on held-out scans, with those that can't be told from it; adds it, and starts again until nothing is off. The
+//! [`Outcome`] says what was found and how sure that is.
+
+mod error;
+mod fit;
+mod hypothesis;
+mod likelihood;
+mod nominal;
+mod null;
+mod odometry;
+mod outcome;
+mod pose_error;
+mod recorded;
+mod search;
+mod show;
+mod statistics;
+mod views;
+
+pub use error::GapError;
+pub use hypothesis::Nuisances;
+pub use nominal::Nominal;
+pub use odometry::OdometryError;
+pub use outcome::{
+    BeamPit, Detectable, Detection, Distance, Estimate, Evidence, FilterError, FilterGap, Gap, Named, Number,
+    Outcome, PitHistogram, Region, Rival, Verdict,
+};
+pub use pose_error::PoseError;
+pub use recorded::Recorded;
+pub use search::{GapOptions, Progress, find};
+pub use statistics::{Cell, Covariate, Deviation};

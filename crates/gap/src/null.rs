@@ -1,0 +1,277 @@
+//! What the statistics of a log are where the simulator is right: whole simulated drives along the recorded poses.
+//!
+//! Beams of a scan share its pose's error and its blocks, and scans share both, so that no statistic over beams has a
+//! distribution one could look up. Here each replicate simulates the whole log, with blocks that stay as long as the
+//! log's and references that err as the log's, fits the same nuisances to it, and gives all statistics. One false-alarm
+//! rate holds for all of them together: the largest standardized statistic of the log is ranked among those of the
+//! replicates (max-T; Westfall and Young 1993).
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use locsim_core::{Draw, Pose2, Stage};
+use locsim_world::effect::Effect;
+use locsim_world::simulation::BlockResampling;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+
+use crate::hypothesis::{Comparison, Fitted, Nuisances};
+use crate::nominal::Nuisance;
+use crate::statistics::{Dictionary, Halves, pit_draw};
+use crate::views::Views;
+use crate::{GapError, Nominal, Recorded};
+
+/// Expectation maximization steps of a replicate, which starts at the fitted process.
+const REFIT: usize = 4;
+
+/// A fitted simulator: it can replay the log.
+pub(crate) struct Replay<'a> {
+    pub nominal: &'a Nominal,
+    pub recorded: &'a Recorded,
+    /// Effects beyond the nominal ones.
+    pub effects: &'a [Effect],
+    pub nuisances: Nuisances,
+    pub resample: BlockResampling,
+}
+
+impl Replay<'_> {
+    /// One simulated log.
+    pub fn simulate(&self, seed: u64) -> Result<Recorded, GapError> {
+        let effects = self.nominal.effects_with(self.effects)?;
+        let blocks = Nuisance { density: self.nuisances.block_density, resample: self.resample };
+        let simulator = self.nominal.simulator(&effects, blocks)?;
+        let truth = self.true_poses(seed);
+        let readings = simulator.scan_along(&self.recorded.secs, &truth, seed);
+        let all = self.recorded.all_bearings.len();
+        let readings = if all == self.recorded.beams() {
+            readings
+        } else {
+            let scans = readings.chunks(all);
+            scans.flat_map(|scan| self.recorded.kept.iter().map(|&beam| scan[beam])).collect()
+        };
+        let noise = &self.nominal.odometry;
+        let odometry = locsim_world::simulation::odometry_along(&truth, noise, &effects, seed);
+        Ok(self.recorded.with(readings, self.with_odometry_error(&odometry, seed)))
+    }
+
+    /// True poses of a log whose reference is the recorded one.
+    fn true_poses(&self, seed: u64) -> Vec<Pose2> {
+        let process = self.nuisances.pose_error;
+        let poses = &self.recorded.poses;
+        if process.is_none() {
+            return poses.clone();
+        }
+        let mut error = [0.0; 3];
+        let sigma = [process.sigma_m, process.sigma_m, process.sigma_rad];
+        (0..poses.len())
+            .map(|i| {
+                let mut rng = Draw::new(seed, Stage::Path, i as u32).item(1);
+                let phi = if i == 0 {
+                    0.0
+                } else {
+                    process.correlation(self.recorded.secs[i] - self.recorded.secs[i - 1])
+                };
+                for (error, sigma) in error.iter_mut().zip(sigma) {
+                    let normal: f64 = StandardNormal.sample(&mut rng);
+                    *error = phi * *error + (1.0 - phi * phi).sqrt() * sigma * normal;
+                }
+                Pose2::new(poses[i].x + error[0], poses[i].y + error[1], poses[i].theta + error[2])
+            })
+            .collect()
+    }
+
+    /// Increments with the error that the scenario's noise doesn't explain.
+    fn with_odometry_error(&self, odometry: &[Pose2], seed: u64) -> Vec<Pose2> {
+        let error = self.nuisances.odometry_error;
+        let mut pose = Pose2::IDENTITY;
+        let mut track = vec![pose];
+        for (i, pair) in odometry.windows(2).enumerate() {
+            let mut rng = Draw::new(seed, Stage::Odometry, i as u32).item(2);
+            let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+            let step = pair[1].relative_to(&pair[0]);
+            let stretch = error.sigma_m * normal();
+            let along = step.position().normalize_or_zero();
+            let turn = error.sigma_rad * normal();
+            let step = Pose2::new(
+                step.x + stretch * if along.x == 0.0 && along.y == 0.0 { 1.0 } else { along.x },
+                step.y + stretch * along.y,
+                step.theta + turn,
+            );
+            pose = pose.compose(&step);
+            track.push(pose);
+        }
+        track
+    }
+}
+
+/// The statistics of a log beside those of replicates.
+pub(crate) struct Null {
+    /// The log's statistics in standard deviations of the replicates, over both halves.
+    pub z: Vec<f64>,
+    /// The same of each half of the log's blocks.
+    pub halves: Vec<Halves>,
+    /// The log's rank among replicates: p-values of the largest of the library, of the cells, of all.
+    pub p_library: f64,
+    pub p_omnibus: f64,
+    pub p: f64,
+    /// The largest statistic of each replicate, ascending.
+    largest: Vec<f64>,
+    /// Standard deviation of each statistic among the replicates.
+    pub spread: Vec<f64>,
+    /// Nuisances of the replicates and what else the caller asked for.
+    pub fits: Vec<Fitted>,
+}
+
+impl Null {
+    /// What the largest standardized statistic of a log without effects exceeds with this probability.
+    pub fn threshold(&self, probability: f64) -> f64 {
+        let above = (probability * self.largest.len() as f64).ceil() as usize;
+        self.largest.get(self.largest.len().saturating_sub(above.max(1))).copied().unwrap_or(f64::INFINITY)
+    }
+}
+
+/// Runs the replicates and ranks the log among them.
+pub(crate) fn compare(
+    replay: &Replay<'_>,
+    comparison: &Comparison<'_>,
+    views: &Arc<Views<'_>>,
+    dictionary: &Dictionary,
+    fitted: &Fitted,
+    replicates: u32,
+    seed: u64,
+    stop: &AtomicBool,
+    tick: &(dyn Fn() + Sync),
+) -> Result<Null, GapError> {
+    let effects = replay.nominal.effects_with(replay.effects)?;
+    let pit = pit_draw(seed);
+    let own = dictionary.of(comparison, &effects, views, fitted, &pit);
+    let draw = Draw::new(seed, Stage::Trial, 7);
+    let simulated: Vec<(Vec<Halves>, Fitted)> = (0..replicates)
+        .into_par_iter()
+        .map(|i| {
+            if stop.load(Ordering::Relaxed) {
+                return Err(GapError::Interrupted);
+            }
+            let recorded = replay.simulate(draw.seed(i))?;
+            let other = Comparison { nominal: comparison.nominal, recorded: &recorded, views: Arc::clone(views) };
+            let fitted = other.fit_nuisances_with(&effects, &replay.nuisances, REFIT);
+            let statistics = dictionary.of(&other, &effects, views, &fitted, &pit_draw(draw.seed(i)));
+            tick();
+            Ok((statistics, fitted))
+        })
+        .collect::<Result<_, _>>()?;
+    let (statistics, fits): (Vec<_>, Vec<_>) = simulated.into_iter().unzip();
+    Ok(rank(dictionary, &own, &statistics, fits))
+}
+
+fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves>], fits: Vec<Fitted>) -> Null {
+    let count = others.len() + 1;
+    let (mut z, mut halves) = (vec![0.0; own.len()], vec![[0.0; 2]; own.len()]);
+    let mut spreads = vec![0.0; own.len()];
+    // largest of library and of cells, of each replicate, the log last
+    let mut largest = vec![[0.0_f64; 2]; count];
+    for i in 0..own.len() {
+        let group = usize::from(i >= dictionary.first_cell());
+        // A count that hardly ever happens has no spread to go by.
+        let least = if dictionary.is_count(i) { 1.0 } else { 1e-18 };
+        let both = |v: &Halves| v[0] + v[1];
+        // For the ranks the log counts as one of them, so that all are alike where the simulator is right.
+        let values = || others.iter().map(|other| both(&other[i])).chain([both(&own[i])]);
+        let (mean, spread) = moments(values(), least);
+        for (value, largest) in values().zip(&mut largest) {
+            largest[group] = largest[group].max(((value - mean) / spread).abs());
+        }
+        let (mean, spread) = moments(others.iter().map(|other| both(&other[i])), least);
+        z[i] = (both(&own[i]) - mean) / spread;
+        spreads[i] = spread;
+        for half in 0..2 {
+            let (mean, spread) = moments(others.iter().map(|other| other[i][half]), least);
+            halves[i][half] = (own[i][half] - mean) / spread;
+        }
+    }
+    let p_of = |of: &dyn Fn(&[f64; 2]) -> f64| {
+        let mine = of(&largest[count - 1]);
+        largest.iter().filter(|other| of(other) >= mine).count() as f64 / count as f64
+    };
+    let p_library = p_of(&|t| t[0]);
+    let p_omnibus = p_of(&|t| t[1]);
+    let p = p_of(&|t| t[0].max(t[1]));
+    let mut all: Vec<f64> = largest[..count - 1].iter().map(|t| t[0].max(t[1])).collect();
+    all.sort_by(f64::total_cmp);
+    Null { z, halves, p_library, p_omnibus, p, largest: all, spread: spreads, fits }
+}
+
+/// Mean and standard deviation; `least` is added to the variance.
+fn moments(values: impl Iterator<Item = f64> + Clone, least: f64) -> (f64, f64) {
+    let count = values.clone().count() as f64;
+    let mean = values.clone().sum::<f64>() / count;
+    let variance = values.map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+    (mean, (variance + least).sqrt())
+}
+
+/// How long blocks stay in a log: the policy under which neighbouring scans share as many short readings.
+pub(crate) fn fit_persistence(
+    nominal: &Nominal,
+    recorded: &Recorded,
+    fitted: &Fitted,
+    seed: u64,
+) -> Result<BlockResampling, GapError> {
+    let Some(blocks) = nominal.blocks else { return Ok(BlockResampling::EachObservation) };
+    let shared = |recorded: &Recorded| -> f64 {
+        let comparison = Comparison::new(nominal, recorded);
+        shared_shorts(&comparison, fitted)
+    };
+    let own = shared(recorded);
+    let mut policies = vec![
+        BlockResampling::EachObservation,
+        BlockResampling::EachScanN(3),
+        BlockResampling::EachScanN(10),
+        BlockResampling::EachScanN(40),
+        BlockResampling::Never,
+    ];
+    if !policies.contains(&blocks.resample) {
+        policies.push(blocks.resample);
+    }
+    let draw = Draw::new(seed, Stage::Trial, 8);
+    let distances = policies
+        .iter()
+        .map(|&resample| {
+            let replay =
+                Replay { nominal, recorded, effects: &[], nuisances: fitted.nuisances, resample };
+            let mean = (0..3)
+                .map(|i| Ok(shared(&replay.simulate(draw.seed(i))?)))
+                .sum::<Result<f64, GapError>>()?
+                / 3.0;
+            // The nominal policy is kept where it is as good.
+            let handicap = if resample == blocks.resample { 0.0 } else { 0.03 };
+            Ok((mean - own).abs() + handicap)
+        })
+        .collect::<Result<Vec<f64>, GapError>>()?;
+    let best = (0..policies.len()).min_by(|&a, &b| distances[a].total_cmp(&distances[b])).unwrap_or(0);
+    Ok(policies[best])
+}
+
+/// Share of short readings after which the same beam's next reading is short by as much, within 0.3 m.
+fn shared_shorts(comparison: &Comparison<'_>, fitted: &Fitted) -> f64 {
+    let mut short = vec![f64::NAN; comparison.views.beams.len()];
+    let effects = &comparison.nominal.effects;
+    comparison.for_each_reading(&comparison.views, effects, fitted, |_, i, _, _, z, terms| {
+        if terms.short > 0.5 {
+            short[i] = z;
+        }
+    });
+    let k = comparison.views.per_scan;
+    let (mut both, mut all) = (0.0, 1.0);
+    for i in 0..short.len().saturating_sub(k) {
+        if short[i].is_finite() {
+            all += 1.0;
+            let near = |other: usize| (short[other] - short[i]).abs() < 0.3;
+            let next = i + k;
+            let (first, last) = (next / k * k, next / k * k + k - 1);
+            if near(next) || near(next.max(first + 1) - 1) || near((next + 1).min(last)) {
+                both += 1.0;
+            }
+        }
+    }
+    both / all
+}

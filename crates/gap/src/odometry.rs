@@ -1,0 +1,122 @@
+//! Increments of the odometry against those of the reference.
+
+use locsim_core::Pose2;
+use locsim_world::effect::{Effects, Slip};
+
+use crate::likelihood::normal_density;
+use crate::{Nominal, Recorded};
+
+/// Least standard deviation of an increment's distance \[m\] and turn \[rad\].
+const LEAST: [f64; 2] = [1e-4, 1e-4];
+/// An error of so many standard deviations counts as this: a reference that jumps tells nothing of the odometry.
+const CUT: f64 = 4.0;
+/// Under the increments' normal density lies another one, this much wider, of this share.
+const WIDE: (f64, f64) = (0.01, 6.0);
+
+/// Variance of an odometry increment against the reference's that no scenario knows: errors of the reference.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct OdometryError {
+    /// Standard deviation of a distance \[m\].
+    pub sigma_m: f64,
+    /// Standard deviation of a turn \[rad\].
+    pub sigma_rad: f64,
+}
+
+/// What an increment says of distance and turn: error, and variance by the scenario's noise.
+pub(crate) struct Increment {
+    /// True distance \[m\] and turn \[rad\], by the reference.
+    pub truth: [f64; 2],
+    pub error: [f64; 2],
+    pub variance: [f64; 2],
+}
+
+pub(crate) fn increments(
+    nominal: &Nominal,
+    effects: &Effects,
+    track: &[Pose2],
+    odometry: &[Pose2],
+) -> Vec<Increment> {
+    let [a1, a2, a3, a4] = nominal.odometry.alpha();
+    let truth = Recorded::increments(track);
+    let read = Recorded::increments(odometry);
+    let steps = track.windows(2).zip(truth).zip(read);
+    steps
+        .map(|((pair, truth), read)| {
+            let law = effects.odometry(&pair[1].relative_to(&pair[0]));
+            let [mean] = [Recorded::increments(&[Pose2::IDENTITY, law.mean])[0]];
+            let [distance, turn] = mean.map(|value| value * value);
+            // Two rotations are half of a smooth turn each; a turn in place is one.
+            let share = if distance > 1e-4 { 0.5 } else { 1.0 };
+            let variance = [a3 * distance + share * a4 * turn, share * a1 * turn + 2.0 * a2 * distance];
+            let error = [read[0] - mean[0], locsim_core::wrap_angle(read[1] - mean[1])];
+            Increment { truth, error, variance }
+        })
+        .collect()
+}
+
+impl OdometryError {
+    /// By the median of squares over what the scenario's noise explains.
+    pub(crate) fn fit(nominal: &Nominal, effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Self {
+        let increments = increments(nominal, effects, track, odometry);
+        let extra = |axis: usize| {
+            let mut errors: Vec<f64> = increments.iter().map(|i| i.error[axis]).collect();
+            if errors.is_empty() {
+                return 0.0;
+            }
+            errors.sort_by(f64::total_cmp);
+            let median = errors[errors.len() / 2];
+            let mut away: Vec<f64> = errors.iter().map(|e| (e - median).abs()).collect();
+            away.sort_by(f64::total_cmp);
+            let spread = 1.4826 * away[away.len() / 2];
+            let mut known: Vec<f64> = increments.iter().map(|i| i.variance[axis]).collect();
+            known.sort_by(f64::total_cmp);
+            (spread * spread - known[known.len() / 2]).max(0.0).sqrt()
+        };
+        Self { sigma_m: extra(0), sigma_rad: extra(1) }
+    }
+}
+
+/// Log likelihood of each increment (nats).
+pub(crate) fn log_likelihoods(
+    nominal: &Nominal,
+    effects: &Effects,
+    error: &OdometryError,
+    track: &[Pose2],
+    odometry: &[Pose2],
+) -> Vec<f64> {
+    let extra = [error.sigma_m, error.sigma_rad];
+    let slips = effects.odometry(&Pose2::new(1.0, 0.0, 0.0)).slip;
+    increments(nominal, effects, track, odometry)
+        .iter()
+        .map(|increment| {
+            let density = |axis: usize, error: f64, wider: f64| {
+                let variance = increment.variance[axis] + extra[axis].powi(2) + wider + LEAST[axis].powi(2);
+                let sigma = variance.sqrt();
+                let t = error / sigma;
+                let (share, factor) = WIDE;
+                ((1.0 - share) * normal_density(t) + share * normal_density(t / factor) / factor) / sigma
+            };
+            let Slip { p, share } = slips;
+            let plain = density(0, increment.error[0], 0.0);
+            let distance = if p > 0.0 && share > 0.0 {
+                // A half-normal slip, as a normal of its mean and variance.
+                let scale = share * increment.truth[0].abs();
+                let mean = (2.0 / std::f64::consts::PI).sqrt() * scale * increment.truth[0].signum();
+                let spread = (1.0 - 2.0 / std::f64::consts::PI) * scale * scale;
+                (1.0 - p) * plain + p * density(0, increment.error[0] - mean, spread)
+            } else {
+                plain
+            };
+            distance.max(1e-300).ln() + density(1, increment.error[1], 0.0).max(1e-300).ln()
+        })
+        .collect()
+}
+
+/// Errors in standard deviations, cut where they say nothing more.
+pub(crate) fn standardized(increment: &Increment, error: &OdometryError) -> [f64; 2] {
+    let extra = [error.sigma_m, error.sigma_rad];
+    std::array::from_fn(|axis| {
+        let variance = increment.variance[axis] + extra[axis].powi(2) + LEAST[axis].powi(2);
+        (increment.error[axis] / variance.sqrt()).clamp(-CUT, CUT) / variance.sqrt()
+    })
+}

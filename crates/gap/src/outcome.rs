@@ -1,0 +1,279 @@
+//! What a search found, as it is written to `gap.json`.
+
+use std::collections::BTreeMap;
+
+use locsim_world::effect::{Effect, EffectKind};
+use serde::{Serialize, Serializer};
+
+use crate::hypothesis::Nuisances;
+use crate::statistics::{Covariate, Deviation};
+
+/// What is the matter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Nothing: the log is as the simulator says.
+    None,
+    /// Effects of the library explain what is off.
+    Named,
+    /// So do several effects, each as well as another.
+    Ambiguous,
+    /// An effect is named, and something else is still off.
+    PartlyExplained,
+    /// Something is off that no effect of the library explains.
+    Unexplained,
+    /// Nothing was found, and a typical effect would not have been.
+    Underpowered,
+}
+
+/// A value with its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// The value.
+    pub value: f64,
+    /// Lower end.
+    pub lo: f64,
+    /// Upper end.
+    pub hi: f64,
+}
+
+/// A number of an effect.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Number {
+    /// The value, in SI units.
+    pub value: f64,
+    /// Lower end of its 95 % interval.
+    pub lo: f64,
+    /// Upper end.
+    pub hi: f64,
+    /// Its unit.
+    pub unit: &'static str,
+}
+
+/// Why an effect is named.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Evidence {
+    /// Log score gained on scans that its numbers weren't fitted to (nats, over the log).
+    pub gain_nats: Estimate,
+    /// The same per scan.
+    pub gain_nats_per_scan: f64,
+    /// Chance that a log without any effect looks as much off as this one did before this effect was added.
+    pub p: f64,
+}
+
+/// An effect that explains something.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Named {
+    /// Its name.
+    #[serde(serialize_with = "name")]
+    pub name: EffectKind,
+    /// Effects that explain it as well, itself among them.
+    #[serde(serialize_with = "names")]
+    pub candidates: Vec<EffectKind>,
+    /// Its numbers.
+    pub params: BTreeMap<&'static str, Number>,
+    /// Where it acts, for effects of walls \[m\].
+    pub place: Vec<[[f64; 2]; 2]>,
+    /// What speaks for it.
+    pub evidence: Evidence,
+    /// The motion that would tell the candidates apart, if there are several.
+    pub split_by: Option<&'static str>,
+    /// The effect itself.
+    #[serde(skip)]
+    pub effect: Effect,
+}
+
+/// An effect that was tried.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Rival {
+    /// In which round, from 1.
+    pub round: usize,
+    /// Its name.
+    #[serde(serialize_with = "name")]
+    pub name: EffectKind,
+    /// Its numbers.
+    pub params: BTreeMap<&'static str, Number>,
+    /// Log score gained on scans that its numbers weren't fitted to (nats).
+    pub gain_nats: Estimate,
+    /// By how much it is behind the best of its round, paired over blocks of scans (nats).
+    pub behind_nats: Estimate,
+}
+
+/// Chances that a log without any effect looks as much off as this one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Detection {
+    /// By the library's directions.
+    pub p_library: f64,
+    /// By the PIT over all cells.
+    pub p_omnibus: f64,
+    /// By both together: this decides.
+    pub p: f64,
+    /// Simulated logs behind them.
+    pub replicates: u32,
+}
+
+/// Where the log is off.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Region {
+    /// Over what.
+    pub covariate: Covariate,
+    /// From, SI units.
+    pub lo: f64,
+    /// To.
+    pub hi: f64,
+    /// The square of the map, for places: lower and upper corner \[m\].
+    pub place: Option<[f64; 4]>,
+    /// What is off.
+    pub deviation: Deviation,
+    /// In standard deviations of simulated logs.
+    pub z: f64,
+    /// Wasserstein-1 distance of the readings there between log and simulation \[mm\].
+    pub w1_mm: f64,
+    /// Log score lost there against a simulation of its own (nats over the log), about half the square of `z`.
+    pub nats: f64,
+    /// False discovery rate at which it is a region (Benjamini and Hochberg 1995), on one half of the log's blocks.
+    pub q: f64,
+    /// One-sided p-value on the other half.
+    pub p_other_half: f64,
+    /// Whether it is still off with the named effects.
+    pub remains: bool,
+}
+
+/// How far apart simulation and log are.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Distance {
+    /// Log density of the log's readings, per scan (nats); of simulated logs for the floor.
+    pub log_score_nats_per_scan: f64,
+    /// Wasserstein-1 distance of range errors between log and simulation \[mm\]; between two simulations for the floor.
+    pub w1_mm: f64,
+}
+
+/// The gap before and after.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Gap {
+    /// With the nominal simulator.
+    pub before: Distance,
+    /// With the named effects.
+    pub after: Distance,
+    /// Simulation against simulation.
+    pub floor: Distance,
+    /// Log score that the named effects gain on held-out blocks (nats per scan).
+    pub gained_nats_per_scan: f64,
+    /// What the best further effect would gain on held-out blocks (nats per scan), 0 where none would.
+    pub remaining_nats_per_scan: f64,
+    /// Share of the gap that is closed: gained / (gained + remaining).
+    pub closed: Estimate,
+}
+
+/// What the gap does to a filter on the measured log.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FilterError {
+    /// Root mean square of the position error \[m\], with its interval over the filter's seeds.
+    pub position_rmse_m: Estimate,
+}
+
+/// The same filter with models of the nominal simulator, and of the one with the effects.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FilterGap {
+    /// Before.
+    pub before: FilterError,
+    /// After.
+    pub after: FilterError,
+    /// After less before, paired over seeds \[m\].
+    pub change_m: Estimate,
+}
+
+/// A strength that would have been found with 90 % probability.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Detectable {
+    /// Effect.
+    #[serde(serialize_with = "name")]
+    pub name: EffectKind,
+    /// Its first number.
+    pub parameter: &'static str,
+    /// How much of it.
+    pub value: f64,
+    /// Unit.
+    pub unit: &'static str,
+    /// A typical strength.
+    pub typical: f64,
+}
+
+/// PIT histograms over the bins of a covariate.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PitHistogram {
+    /// Over what.
+    pub covariate: Covariate,
+    /// From, SI units.
+    pub lo: f64,
+    /// To.
+    pub hi: f64,
+    /// Share of readings in each tenth of the PIT.
+    pub before: [f64; 10],
+    /// With the named effects.
+    pub after: [f64; 10],
+    /// Readings in it.
+    pub readings: usize,
+}
+
+/// A beam of the log, for figures and recordings.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BeamPit {
+    /// Where the reading ends \[m\].
+    pub endpoint: [f32; 2],
+    /// PIT under the nominal simulator, NaN for an unusable reading.
+    pub before: f32,
+    /// With the named effects.
+    pub after: f32,
+    /// Reading less the expected range under the nominal simulator \[m\], cut at +-1 m.
+    pub residual: f32,
+}
+
+/// All that a search found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Outcome {
+    /// What is the matter.
+    pub verdict: Verdict,
+    /// In the order in which they were named.
+    pub effects: Vec<Named>,
+    /// Chances.
+    pub detection: Detection,
+    /// Chances with the named effects added; the same where none is.
+    pub detection_after: Detection,
+    /// Where the log is off.
+    #[serde(rename = "where")]
+    pub regions: Vec<Region>,
+    /// The gap.
+    pub gap: Gap,
+    /// What it does to a filter, if that was asked for.
+    pub filter: Option<FilterGap>,
+    /// Effects that were tried.
+    pub rivals: Vec<Rival>,
+    /// What would have been found.
+    pub detectable: Vec<Detectable>,
+    /// What was fitted besides: blocks, errors of the reference.
+    pub nuisances: Nuisances,
+    /// PIT histograms.
+    pub pit: Vec<PitHistogram>,
+    /// Remarks for people.
+    pub notes: Vec<String>,
+    /// Number of scans and of beams per scan.
+    pub scans: usize,
+    /// Beams per scan.
+    pub beams: usize,
+    /// Everything random derives from it.
+    pub seed: u64,
+    /// Time it took \[s\]; the caller's clock.
+    pub seconds: f64,
+    /// Every beam, \[scan\]\[beam\].
+    #[serde(skip)]
+    pub beam_pits: Vec<BeamPit>,
+}
+
+fn name<S: Serializer>(kind: &EffectKind, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(kind.name())
+}
+
+fn names<S: Serializer>(kinds: &[EffectKind], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(kinds.iter().map(|kind| kind.name()))
+}

@@ -1,0 +1,130 @@
+//! Errors of the reference poses: a correction for each scan, smooth in time.
+//!
+//! Beams of one scan share the error of its pose, and neighbouring scans share some of it. The error of x, y (one
+//! standard deviation for both) and of the heading is a first-order autoregressive process, in the map frame.
+
+use glam::{DMat3, DVec3};
+
+/// A first-order autoregressive process for the error of a pose.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct PoseError {
+    /// Standard deviation of x and of y \[m\].
+    pub sigma_m: f64,
+    /// Standard deviation of the heading \[rad\].
+    pub sigma_rad: f64,
+    /// Time in which the correlation falls to 1/e \[s\].
+    pub correlation_secs: f64,
+}
+
+impl PoseError {
+    /// Exact reference poses.
+    pub const NONE: Self = Self { sigma_m: 0.0, sigma_rad: 0.0, correlation_secs: 1.0 };
+
+    /// No error to speak of.
+    pub fn is_none(&self) -> bool {
+        self.sigma_m <= 0.0 && self.sigma_rad <= 0.0
+    }
+
+    pub(crate) fn covariance(&self) -> DMat3 {
+        let (xy, heading) = (self.sigma_m.max(1e-6).powi(2), self.sigma_rad.max(1e-7).powi(2));
+        DMat3::from_diagonal(DVec3::new(xy, xy, heading))
+    }
+
+    pub(crate) fn correlation(&self, secs: f64) -> f64 {
+        (-secs.max(0.0) / self.correlation_secs).exp().min(0.9999)
+    }
+}
+
+/// What the beams of a scan say about the error of its pose: information matrix and vector about zero.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Information {
+    pub matrix: DMat3,
+    pub vector: DVec3,
+}
+
+impl Default for Information {
+    fn default() -> Self {
+        Self { matrix: DMat3::ZERO, vector: DVec3::ZERO }
+    }
+}
+
+impl Information {
+    pub fn add(&mut self, weight: f64, jacobian: [f64; 3], error: f64) {
+        let j = DVec3::from_array(jacobian);
+        self.matrix += DMat3::from_cols(weight * j * j.x, weight * j * j.y, weight * j * j.z);
+        self.vector += weight * error * j;
+    }
+}
+
+/// Mean, covariance and covariance with the scan before of each scan's error, given all scans.
+pub(crate) struct Smoothed {
+    pub mean: Vec<DVec3>,
+    pub covariance: Vec<DMat3>,
+    with_previous: Vec<DMat3>,
+    /// Log evidence of the scans (nats), up to what doesn't depend on the process.
+    pub log_evidence: f64,
+}
+
+/// Kalman filter and Rauch-Tung-Striebel smoother.
+pub(crate) fn smooth(process: &PoseError, secs: &[f64], scans: &[Information]) -> Smoothed {
+    let n = scans.len();
+    let stationary = process.covariance();
+    let (mut predicted_mean, mut predicted) = (vec![DVec3::ZERO; n], vec![stationary; n]);
+    let (mut mean, mut covariance) = (vec![DVec3::ZERO; n], vec![stationary; n]);
+    let mut log_evidence = 0.0;
+    for i in 0..n {
+        if i > 0 {
+            let phi = process.correlation(secs[i] - secs[i - 1]);
+            predicted_mean[i] = phi * mean[i - 1];
+            predicted[i] = covariance[i - 1] * (phi * phi) + stationary * (1.0 - phi * phi);
+        }
+        let prior = predicted[i].inverse();
+        let posterior = prior + scans[i].matrix;
+        covariance[i] = posterior.inverse();
+        let vector = prior * predicted_mean[i] + scans[i].vector;
+        mean[i] = covariance[i] * vector;
+        log_evidence += 0.5 * (covariance[i].determinant().max(1e-300) / predicted[i].determinant().max(1e-300)).ln()
+            + 0.5 * (vector.dot(mean[i]) - predicted_mean[i].dot(prior * predicted_mean[i]));
+    }
+    let mut with_previous = vec![DMat3::ZERO; n];
+    for i in (0..n.saturating_sub(1)).rev() {
+        let phi = process.correlation(secs[i + 1] - secs[i]);
+        let gain = covariance[i] * phi * predicted[i + 1].inverse();
+        let (later_mean, later) = (mean[i + 1], covariance[i + 1]);
+        with_previous[i + 1] = later * gain.transpose();
+        mean[i] += gain * (later_mean - predicted_mean[i + 1]);
+        covariance[i] += gain * (later - predicted[i + 1]) * gain.transpose();
+    }
+    Smoothed { mean, covariance, with_previous, log_evidence }
+}
+
+/// Estimates the process by expectation maximization, about the mean of the errors: a constant error is no
+/// fluctuation, and can't be told from a laser mounted otherwise.
+pub(crate) fn fit(start: PoseError, secs: &[f64], scans: &[Information], iterations: usize) -> PoseError {
+    let n = scans.len() as f64;
+    let step_secs = (secs.last().unwrap_or(&1.0) / (n - 1.0).max(1.0)).max(1e-6);
+    let mut process = start;
+    for _ in 0..iterations {
+        let smoothed = smooth(&process, secs, scans);
+        let center = smoothed.mean.iter().sum::<DVec3>() / n;
+        let (mut square, mut product) = (DVec3::ZERO, DVec3::ZERO);
+        for i in 0..scans.len() {
+            let mean = smoothed.mean[i] - center;
+            let diagonal = |m: &DMat3| DVec3::new(m.x_axis.x, m.y_axis.y, m.z_axis.z);
+            square += mean * mean + diagonal(&smoothed.covariance[i]);
+            if i > 0 {
+                product += mean * (smoothed.mean[i - 1] - center) + diagonal(&smoothed.with_previous[i]);
+            }
+        }
+        let prior = process.covariance();
+        // Each component counts by its own scale.
+        let scaled = |v: DVec3| 0.5 * (v.x + v.y) / prior.x_axis.x + v.z / prior.z_axis.z;
+        let phi = (scaled(product) / scaled(square) * n / (n - 1.0)).clamp(0.01, 0.999);
+        process = PoseError {
+            sigma_m: (0.5 * (square.x + square.y) / n).sqrt(),
+            sigma_rad: (square.z / n).sqrt(),
+            correlation_secs: -step_secs / phi.ln(),
+        };
+    }
+    process
+}

@@ -1,0 +1,118 @@
+use glam::DVec2;
+use locsim_core::{Drive, Laser, Pose2, wrap_angle};
+
+use crate::GapError;
+
+/// Fewer scans say nothing.
+const LEAST_SCANS: usize = 40;
+
+/// The part of a measured log that is held against the simulation: scans with reference poses, in order.
+#[derive(Clone, Debug)]
+pub struct Recorded {
+    /// The log's laser with the beams that are looked at.
+    pub laser: Laser,
+    /// Index of each of them among the log's beams.
+    pub kept: Vec<usize>,
+    /// Bearing of every beam of the log's laser \[rad\].
+    pub all_bearings: Vec<f32>,
+    /// Time of each scan since the first \[s\].
+    pub secs: Vec<f64>,
+    /// Reference pose of each scan, `map_from_base`.
+    pub poses: Vec<Pose2>,
+    /// `odom_from_base` at each scan.
+    pub odometry: Vec<Pose2>,
+    /// Readings \[m\], \[scan\]\[beam\].
+    pub readings: Vec<f32>,
+}
+
+impl Recorded {
+    /// Takes at most `scans` scans and `beams` beams of a log: beams evenly spread, scans one stretch from its first
+    /// with a reference pose for which `usable` holds, so that motion between neighbours is kept.
+    ///
+    /// # Errors
+    /// [`GapError::TooFewScans`] below 40 scans.
+    pub fn new(
+        drive: &Drive,
+        scans: usize,
+        beams: usize,
+        usable: impl Fn(&Pose2) -> bool,
+    ) -> Result<Self, GapError> {
+        let (laser, kept) = drive.laser.thinned(beams);
+        let steps: Vec<_> = drive
+            .steps
+            .iter()
+            .filter_map(|step| Some((step, step.reference?)))
+            .filter(|(_, pose)| usable(pose))
+            .take(scans)
+            .collect();
+        if steps.len() < LEAST_SCANS {
+            return Err(GapError::TooFewScans { scans: steps.len(), least: LEAST_SCANS });
+        }
+        let first = steps[0].0.stamp_secs;
+        Ok(Self {
+            laser,
+            all_bearings: drive.laser.bearings().to_vec(),
+            secs: steps.iter().map(|(step, _)| step.stamp_secs - first).collect(),
+            poses: steps.iter().map(|&(_, pose)| pose).collect(),
+            odometry: steps.iter().map(|(step, _)| step.odometry).collect(),
+            readings: steps
+                .iter()
+                .flat_map(|(step, _)| kept.iter().map(|&beam| step.scan.ranges[beam]))
+                .collect(),
+            kept,
+        })
+    }
+
+    /// Number of scans.
+    pub fn scans(&self) -> usize {
+        self.poses.len()
+    }
+
+    /// Beams per scan.
+    pub fn beams(&self) -> usize {
+        self.laser.beam_count()
+    }
+
+    /// The same drive with other readings and odometry: what a simulation of it gives.
+    #[must_use]
+    pub fn with(&self, readings: Vec<f32>, odometry: Vec<Pose2>) -> Self {
+        Self { readings, odometry, ..self.clone() }
+    }
+
+    /// Velocity of the robot at each scan in the map frame \[m/s, m/s, rad/s\]: from the neighbours' poses.
+    pub fn velocities(&self) -> Vec<[f64; 3]> {
+        let n = self.scans();
+        (0..n)
+            .map(|i| {
+                let (a, b) = (i.saturating_sub(1), (i + 1).min(n - 1));
+                let secs = (self.secs[b] - self.secs[a]).max(1e-6);
+                let (from, to) = (&self.poses[a], &self.poses[b]);
+                let moved = (to.position() - from.position()) / secs;
+                [moved.x, moved.y, wrap_angle(to.theta - from.theta) / secs]
+            })
+            .collect()
+    }
+
+    /// Reference pose at any time: straight between two scans, on with the same velocity beyond the ends.
+    pub fn pose_at(&self, secs: f64) -> Pose2 {
+        let after = self.secs.partition_point(|&t| t <= secs).clamp(1, self.scans() - 1);
+        let (a, b) = (after - 1, after);
+        let span = (self.secs[b] - self.secs[a]).max(1e-9);
+        let share = (secs - self.secs[a]) / span;
+        let (from, to) = (&self.poses[a], &self.poses[b]);
+        let position = from.position() + share * (to.position() - from.position());
+        Pose2::new(position.x, position.y, from.theta + share * wrap_angle(to.theta - from.theta))
+    }
+
+    /// Distance driven (signed along the heading) and turn from each scan to the next by a track of poses.
+    pub fn increments(track: &[Pose2]) -> Vec<[f64; 2]> {
+        track
+            .windows(2)
+            .map(|pair| {
+                let step = pair[1].relative_to(&pair[0]);
+                let forward = DVec2::from_angle(0.5 * step.theta).dot(step.position());
+                [forward.signum() * step.position().length(), step.theta]
+            })
+            .collect()
+    }
+}

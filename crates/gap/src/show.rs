@@ -1,0 +1,265 @@
+//! Where a log is off, and by how much.
+
+use std::f64::consts::FRAC_1_SQRT_2;
+
+use locsim_world::effect::Effect;
+use rand::RngExt;
+use rayon::prelude::*;
+use statrs::function::erf::erfc;
+
+use crate::hypothesis::{Comparison, Fitted};
+use crate::null::Null;
+use crate::outcome::{BeamPit, PitHistogram, Region};
+use crate::statistics::{Aim, Cell, Covariate, Dictionary, WALL_CELL_M, pit_draw};
+use crate::views::Views;
+use crate::{GapError, Nominal, Recorded};
+
+/// False discovery rate of regions.
+const DISCOVERY_RATE: f64 = 0.1;
+/// A region has to be off on the other half of the log too, with this p-value.
+const OTHER_HALF: f64 = 0.05;
+/// The most regions that are told.
+const MOST_REGIONS: usize = 40;
+/// A cell is still off beyond so many standard deviations.
+const STILL_OFF: f64 = 3.5;
+
+/// Two-sided p-value of a standard normal number.
+fn two_sided(z: f64) -> f64 {
+    erfc(z.abs() * FRAC_1_SQRT_2)
+}
+
+/// A hypothesis as far as regions need it.
+pub(crate) struct Side<'r> {
+    pub dictionary: &'r Dictionary,
+    pub null: &'r Null,
+}
+
+/// Regions found on one half of the log's blocks and certified on the other, the farthest off first.
+pub(crate) fn locate(
+    before: &Side<'_>,
+    after: &Side<'_>,
+    views: &Views<'_>,
+    recorded: &Recorded,
+    simulated: &[Recorded],
+) -> Vec<Region> {
+    let first = before.dictionary.first_cell();
+    let null = before.null;
+    // Benjamini and Hochberg over all cells, on the first half.
+    let mut order: Vec<usize> = (first..before.dictionary.len()).collect();
+    order.sort_by(|&a, &b| null.halves[b][0].abs().total_cmp(&null.halves[a][0].abs()));
+    let count = order.len() as f64;
+    let mut q = vec![1.0_f64; order.len()];
+    let mut least = 1.0_f64;
+    for rank in (0..order.len()).rev() {
+        least = least.min(two_sided(null.halves[order[rank]][0]) * count / (rank + 1) as f64);
+        q[rank] = least;
+    }
+    let mut regions: Vec<Region> = order
+        .iter()
+        .zip(q)
+        .filter(|(_, q)| *q <= DISCOVERY_RATE)
+        .filter_map(|(&i, q)| {
+            let Aim::Cell(cell) = &before.dictionary.aims[i] else { return None };
+            let [here, there] = null.halves[i];
+            let p_other_half = 0.5 * erfc(there * here.signum() * FRAC_1_SQRT_2);
+            if p_other_half > OTHER_HALF {
+                return None;
+            }
+            let z = null.z[i];
+            let beams = before.dictionary.beams_in(i);
+            let still = after.dictionary.find(cell).map_or(0.0, |j| after.null.z[j]);
+            let place = cell.place.map(|[x, y]| [x, y, x + WALL_CELL_M, y + WALL_CELL_M]);
+            Some(Region {
+                covariate: cell.covariate,
+                lo: cell.lo,
+                hi: cell.hi,
+                place,
+                deviation: cell.deviation,
+                z,
+                w1_mm: distance_of(&beams, views, recorded, simulated),
+                nats: 0.5 * z * z,
+                q,
+                p_other_half,
+                remains: still.abs() > STILL_OFF,
+            })
+        })
+        .collect();
+    regions.sort_by(|a, b| b.z.abs().total_cmp(&a.z.abs()));
+    regions.truncate(MOST_REGIONS);
+    regions
+}
+
+/// Wasserstein-1 distance of range errors between a log and simulated ones \[mm\].
+pub(crate) fn distance(views: &Views<'_>, recorded: &Recorded, simulated: &[Recorded]) -> f64 {
+    let all: Vec<u32> = (0..views.beams.len() as u32).collect();
+    distance_of(&all, views, recorded, simulated)
+}
+
+/// The same over some beams.
+fn distance_of(beams: &[u32], views: &Views<'_>, recorded: &Recorded, simulated: &[Recorded]) -> f64 {
+    let max = recorded.laser.max_range();
+    let errors = |log: &Recorded| -> Vec<f64> {
+        beams
+            .iter()
+            .map(|&i| i as usize)
+            .filter(|&i| !log.readings[i].is_nan())
+            .map(|i| f64::from(log.readings[i].min(max)) - views.beams[i].range().min(f64::from(max)))
+            .collect()
+    };
+    let own = errors(recorded);
+    let others: Vec<f64> = simulated.iter().flat_map(errors).collect();
+    1e3 * wasserstein(own, others)
+}
+
+/// Wasserstein-1 distance between two samples: the area between their quantile functions.
+pub(crate) fn wasserstein(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
+    if a.is_empty() || b.is_empty() {
+        return 0.0;
+    }
+    a.sort_by(f64::total_cmp);
+    b.sort_by(f64::total_cmp);
+    let (n, m) = (a.len(), b.len());
+    let (mut i, mut j, mut at, mut sum) = (0, 0, 0.0, 0.0);
+    while i < n && j < m {
+        let (end_a, end_b) = ((i + 1) as f64 / n as f64, (j + 1) as f64 / m as f64);
+        let end = end_a.min(end_b);
+        sum += (end - at) * (a[i] - b[j]).abs();
+        at = end;
+        if end_a <= end {
+            i += 1;
+        }
+        if end_b <= end {
+            j += 1;
+        }
+    }
+    sum
+}
+
+/// The PIT of every beam before and after.
+pub(crate) fn pits(
+    before: &Comparison<'_>,
+    fitted_before: &Fitted,
+    after: &Comparison<'_>,
+    fitted_after: &Fitted,
+    nominal: &Nominal,
+    effects: &[Effect],
+    seed: u64,
+) -> Result<Vec<BeamPit>, GapError> {
+    let recorded = before.recorded;
+    let mut out = vec![
+        BeamPit { before: f32::NAN, after: f32::NAN, residual: f32::NAN, ..BeamPit::default() };
+        before.views.beams.len()
+    ];
+    let draw = pit_draw(seed);
+    let all = nominal.effects_with(effects)?;
+    for (comparison, fitted, effects, is_before) in
+        [(before, fitted_before, &nominal.effects, true), (after, fitted_after, &all, false)]
+    {
+        let max = nominal.laser.max_range_m;
+        comparison.for_each_reading(&comparison.views, effects, fitted, |scan, i, density, shift, z, terms| {
+            let beam = &comparison.views.beams[i];
+            let u = if z < max {
+                density.cdf(beam, shift, z)
+            } else {
+                1.0 - terms.density.min(1.0) * draw.at(scan as u32).item(i as u32).random::<f64>()
+            };
+            if is_before {
+                out[i].before = u as f32;
+                out[i].residual = (z - (beam.range() + shift).min(max)).clamp(-1.0, 1.0) as f32;
+                let view = &beam.view;
+                let laser = recorded.poses[scan].compose(&recorded.laser.base_from_laser());
+                let direction = glam::DVec2::from_angle(laser.theta + view.bearing);
+                let end = laser.position() + z * direction;
+                out[i].endpoint = [end.x as f32, end.y as f32];
+            } else {
+                out[i].after = u as f32;
+            }
+        });
+    }
+    Ok(out)
+}
+
+/// PIT histograms over a few bins of each covariate that has an order.
+pub(crate) fn histograms(comparison: &Comparison<'_>, pits: &[BeamPit]) -> Vec<PitHistogram> {
+    let views = &comparison.views;
+    let recorded = comparison.recorded;
+    let velocities = recorded.velocities();
+    let k = views.per_scan;
+    let value = |covariate: Covariate, i: usize| match covariate {
+        Covariate::Range => views.beams[i].view.range.min(comparison.nominal.laser.max_range_m),
+        Covariate::Incidence => views.beams[i].view.incidence,
+        Covariate::Bearing => views.beams[i].view.bearing,
+        Covariate::Time => recorded.secs[i / k],
+        Covariate::Speed => velocities[i / k][0].hypot(velocities[i / k][1]),
+        _ => velocities[i / k][2],
+    };
+    [
+        Covariate::Range,
+        Covariate::Incidence,
+        Covariate::Bearing,
+        Covariate::Time,
+        Covariate::Speed,
+        Covariate::TurnRate,
+    ]
+    .into_par_iter()
+    .flat_map_iter(|covariate| {
+        const BINS: usize = 5;
+        let mut order: Vec<(f64, usize)> = (0..pits.len())
+            .filter(|&i| pits[i].before.is_finite() && pits[i].after.is_finite())
+            .map(|i| (value(covariate, i), i))
+            .collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let count = order.len();
+        (0..BINS)
+            .map(move |bin| {
+                let part = &order[bin * count / BINS..(bin + 1) * count / BINS];
+                let histogram = |of: &dyn Fn(&BeamPit) -> f32| {
+                    let mut shares = [0.0; 10];
+                    for &(_, i) in part {
+                        shares[((10.0 * of(&pits[i])) as usize).min(9)] += 1.0 / part.len() as f64;
+                    }
+                    shares
+                };
+                PitHistogram {
+                    covariate,
+                    lo: part.first().map_or(0.0, |p| p.0),
+                    hi: part.last().map_or(0.0, |p| p.0),
+                    before: histogram(&|pit| pit.before),
+                    after: histogram(&|pit| pit.after),
+                    readings: part.len(),
+                }
+            })
+            .collect::<Vec<_>>()
+    })
+    .collect()
+}
+
+impl Dictionary {
+    /// The beams of an omnibus cell.
+    fn beams_in(&self, index: usize) -> Vec<u32> {
+        let first = index - (index - self.first_cell()) % 4;
+        (0..self.cells_of_beams().len() as u32)
+            .filter(|&i| self.cells_of_beams()[i as usize].contains(&(first as u32)))
+            .collect()
+    }
+
+    /// The cell that is the same in this dictionary.
+    fn find(&self, cell: &Cell) -> Option<usize> {
+        (self.first_cell()..self.len()).find(|&i| matches!(&self.aims[i], Aim::Cell(other) if other == cell))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Between a sample and itself moved by d it is d; two unequal samples by hand.
+    #[test]
+    fn the_distance_of_a_moved_sample_is_how_far_it_moved() {
+        let sample: Vec<f64> = (0..37).map(|i| f64::from(i * i % 11)).collect();
+        let moved: Vec<f64> = sample.iter().map(|v| v + 0.25).collect();
+        assert!((wasserstein(sample.clone(), moved) - 0.25).abs() < 1e-12);
+        assert!(wasserstein(sample.clone(), sample).abs() < 1e-12);
+        assert!((wasserstein(vec![0.0, 1.0], vec![0.0, 0.0, 3.0]) - 2.0 / 3.0 * 1.0).abs() < 0.34);
+    }
+}

@@ -1,0 +1,583 @@
+//! What is looked at in a log: a statistic for each direction in which the library's effects would move it, and the PIT
+//! (probability integral transform) of its readings over bins of what a beam is.
+//!
+//! All of them are plain numbers without a distribution of their own; they get one from simulated logs, see
+//! [`crate::null`].
+
+use std::collections::HashMap;
+use std::f64::consts::{PI, TAU};
+
+use locsim_core::{Draw, Stage};
+use locsim_world::effect::EffectKind;
+use rand::RngExt;
+
+use crate::hypothesis::{Comparison, Fitted};
+use crate::likelihood::{Density, near_density, normal_density};
+use crate::odometry::{increments, standardized};
+use crate::views::jumps;
+
+/// Side of a cell of the map in which endpoints are counted \[m\]: walls, and unmapped objects.
+pub(crate) const WALL_CELL_M: f64 = 1.0;
+pub(crate) const OBJECT_CELL_M: f64 = 0.25;
+/// Bins of a sector: over bearing, and of its range \[m\].
+const SECTORS: usize = 24;
+const SECTOR_RANGE_M: f64 = 0.25;
+/// Steps of a quantization that are looked for \[m\].
+const STEPS_M: [f64; 7] = [0.002, 0.003, 0.005, 0.01, 0.02, 0.025, 0.05];
+/// Angles from which, and ranges over whose power, returns may be lost.
+const DROPOUT_ANGLES_DEG: [f64; 5] = [30.0, 45.0, 60.0, 70.0, 80.0];
+const DROPOUT_EXPONENTS: [f64; 5] = [0.0, 1.0, 2.0, 4.0, 8.0];
+const WARM_UP_SECS: [f64; 4] = [5.0, 20.0, 60.0, 150.0];
+/// Consecutive scans that are held out, located and drawn together \[scans\].
+pub(crate) const BLOCK: usize = 20;
+
+/// A covariate of the omnibus search.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Covariate {
+    /// Nominal range \[m\].
+    Range,
+    /// Incidence \[rad\].
+    Incidence,
+    /// Bearing in the laser's frame \[rad\].
+    Bearing,
+    /// A square of the map in which the beam ends; see [`Cell::place`].
+    Place,
+    /// Time since the first scan \[s\].
+    Time,
+    /// The robot's speed \[m/s\].
+    Speed,
+    /// The robot's turn rate \[rad/s\].
+    TurnRate,
+    /// Range jump to a neighbour beam \[m\].
+    Jump,
+    /// Bearing, by turn rate.
+    BearingByTurnRate,
+}
+
+/// What is off in a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Deviation {
+    /// Readings are too long or too short on average (mean of the PIT).
+    Mean,
+    /// Readings spread too much or too little (variance of the PIT).
+    Spread,
+    /// Share of readings of something unmapped in front.
+    Short,
+    /// Share of missing returns.
+    NoReturn,
+}
+
+/// A cell of the omnibus search.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Cell {
+    /// Over what.
+    pub covariate: Covariate,
+    /// From, in the covariate's unit.
+    pub lo: f64,
+    /// To.
+    pub hi: f64,
+    /// Lower corner of the square, for [`Covariate::Place`] \[m\].
+    pub place: Option<[f64; 2]>,
+    /// What is off.
+    pub deviation: Deviation,
+}
+
+/// What a statistic looks for.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Aim {
+    /// An effect; the numbers start its fit: values, or a cell of the map.
+    Effect(EffectKind, Hint),
+    Cell(Cell),
+}
+
+/// Where a fit of an effect can start.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Hint {
+    None,
+    /// Value of a parameter other than the strength, by index.
+    Values(Vec<(usize, f64)>),
+    /// A cell of walls.
+    Wall([i32; 2]),
+    /// A cell of free space.
+    Object([i32; 2]),
+}
+
+/// One number of a log, in two halves: alternating blocks of scans.
+pub(crate) type Halves = [f64; 2];
+
+/// Statistic of what, in which log.
+#[derive(Clone)]
+pub(crate) struct Dictionary {
+    pub aims: Vec<Aim>,
+    /// A count of rare events rather than a sum of scores.
+    counts: Vec<bool>,
+    // weights of the dense directions, by score
+    dense: Vec<(Score, usize, Vec<f32>)>,
+    wall: Vec<u32>,
+    walls: usize,
+    moved_wall: usize,
+    glass: usize,
+    objects: HashMap<[i32; 2], usize>,
+    sector: usize,
+    sector_ranges: usize,
+    sector_of: Vec<u16>,
+    steps: usize,
+    mixed: usize,
+    depth: usize,
+    density: usize,
+    odometry: usize,
+    cells: usize,
+    cell_of: Vec<[u32; COVARIATES]>,
+    jumps: Vec<Option<[f64; 2]>>,
+}
+
+const COVARIATES: usize = 9;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Score {
+    Location,
+    Scale,
+    NoReturn,
+    Uniform,
+    Tail,
+}
+
+pub(crate) fn cell_at(x: f64, y: f64, side: f64) -> [i32; 2] {
+    [(x / side).floor() as i32, (y / side).floor() as i32]
+}
+
+pub(crate) fn tangent_squared(incidence: f64) -> f64 {
+    incidence.min(80.0_f64.to_radians()).tan().powi(2)
+}
+
+/// The bin of a value between edges; values beyond go to the ends.
+fn bin(edges: &[f64], value: f64) -> usize {
+    edges.partition_point(|&edge| edge <= value).clamp(1, edges.len() - 1) - 1
+}
+
+fn even(lo: f64, hi: f64, bins: usize) -> Vec<f64> {
+    (0..=bins).map(|i| lo + (hi - lo) * i as f64 / bins as f64).collect()
+}
+
+/// Edges between which equally many of the values lie.
+fn quantile_edges(values: &[f64], bins: usize) -> Vec<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let mut edges: Vec<f64> =
+        (0..=bins).map(|i| sorted[(i * (sorted.len() - 1)) / bins]).collect();
+    edges.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+    if edges.len() < 2 {
+        edges = vec![edges[0] - 0.5, edges[0] + 0.5];
+    }
+    edges
+}
+
+impl Dictionary {
+    /// What to look at in a log, from the log's poses and the nominal world alone, never from its readings.
+    pub fn new(comparison: &Comparison<'_>) -> Self {
+        let (views, recorded) = (&comparison.views, comparison.recorded);
+        let max = comparison.nominal.laser.max_range_m;
+        let (n, k) = (views.beams.len(), views.per_scan);
+        let velocities = recorded.velocities();
+        let mut aims = Vec::new();
+        let mut counts = Vec::new();
+        let mut dense: Vec<(Score, usize, Vec<f32>)> = Vec::new();
+        let mut add = |aims: &mut Vec<Aim>, counts: &mut Vec<bool>, kind, hint, score, weight: &dyn Fn(usize) -> f64| {
+            dense.push((score, aims.len(), (0..n).map(|i| weight(i) as f32).collect()));
+            aims.push(Aim::Effect(kind, hint));
+            counts.push(false);
+        };
+        use EffectKind as E;
+        let beam = |i: usize| &views.beams[i];
+        let scan = |i: usize| i / k;
+        let secs = |i: usize| recorded.secs[scan(i)];
+        let drift = |i: usize| {
+            let (j, v) = (beam(i).jacobian, velocities[scan(i)]);
+            j[0] * v[0] + j[1] * v[1] + j[2] * v[2]
+        };
+        let bearings = recorded.laser.bearings();
+        let sweep = |i: usize| locsim_core::wrap_angle(f64::from(bearings[i % k])) / TAU;
+        let along = |i: usize, axis: f64| {
+            let (j, heading) = (beam(i).jacobian, recorded.poses[scan(i)].theta + axis);
+            j[0] * heading.cos() + j[1] * heading.sin()
+        };
+        let (a, c) = (&mut aims, &mut counts);
+        add(a, c, E::RangeBias, Hint::None, Score::Location, &|_| 1.0);
+        add(a, c, E::RangeScale, Hint::None, Score::Location, &|i| beam(i).range());
+        add(a, c, E::IncidenceBias, Hint::None, Score::Location, &|i| tangent_squared(beam(i).view.incidence));
+        add(a, c, E::MountYaw, Hint::None, Score::Location, &|i| beam(i).jacobian[2]);
+        add(a, c, E::MountOffset, Hint::Values(vec![(0, 0.02), (1, 0.0)]), Score::Location, &|i| along(i, 0.0));
+        add(a, c, E::MountOffset, Hint::Values(vec![(0, 0.0), (1, 0.02)]), Score::Location, &|i| along(i, 0.5 * PI));
+        add(a, c, E::TimeOffset, Hint::None, Score::Location, &drift);
+        add(a, c, E::MotionSkew, Hint::None, Score::Location, &|i| drift(i) * sweep(i));
+        for tau in WARM_UP_SECS {
+            let hint = Hint::Values(vec![(1, tau)]);
+            add(a, c, E::WarmupDrift, hint, Score::Location, &|i| (-secs(i) / tau).exp());
+        }
+        add(a, c, E::RangeNoise, Hint::None, Score::Scale, &|i| {
+            let (r, laser) = (beam(i).range(), &comparison.nominal.laser);
+            r * r / (laser.sigma_m + laser.sigma_per_m * r)
+        });
+        add(a, c, E::IncidenceNoise, Hint::None, Score::Scale, &|i| tangent_squared(beam(i).view.incidence));
+        add(a, c, E::HeavyTail, Hint::None, Score::Tail, &|_| 1.0);
+        for angle in DROPOUT_ANGLES_DEG.map(f64::to_radians) {
+            let hint = Hint::Values(vec![(1, angle)]);
+            add(a, c, E::IncidenceDropout, hint, Score::NoReturn, &|i| {
+                1.0 / (1.0 + (-(beam(i).view.incidence - angle) / 0.07).exp())
+            });
+        }
+        for exponent in DROPOUT_EXPONENTS {
+            let hint = Hint::Values(vec![(1, exponent)]);
+            add(a, c, E::RangeDropout, hint, Score::NoReturn, &|i| (beam(i).range() / max).min(1.0).powf(exponent));
+        }
+        add(a, c, E::Crosstalk, Hint::None, Score::Uniform, &|_| 1.0);
+
+        // sparse ones
+        let push = |aims: &mut Vec<Aim>, counts: &mut Vec<bool>, aim, count| {
+            aims.push(aim);
+            counts.push(count);
+            aims.len() - 1
+        };
+        let mut wall_cells: HashMap<[i32; 2], u32> = HashMap::new();
+        let mut wall_order = Vec::new();
+        let wall: Vec<u32> = views
+            .beams
+            .iter()
+            .map(|beam| {
+                if beam.view.range >= max {
+                    return u32::MAX;
+                }
+                let cell = cell_at(beam.view.endpoint.x, beam.view.endpoint.y, WALL_CELL_M);
+                *wall_cells.entry(cell).or_insert_with(|| {
+                    wall_order.push(cell);
+                    wall_order.len() as u32 - 1
+                })
+            })
+            .collect();
+        let walls = wall_order.len();
+        let moved_wall = aims.len();
+        for &cell in &wall_order {
+            push(&mut aims, &mut counts, Aim::Effect(E::MovedWall, Hint::Wall(cell)), false);
+        }
+        let glass = aims.len();
+        for &cell in &wall_order {
+            push(&mut aims, &mut counts, Aim::Effect(E::Glass, Hint::Wall(cell)), false);
+        }
+        let mixed = push(&mut aims, &mut counts, Aim::Effect(E::MixedPixels, Hint::None), false);
+        let steps = aims.len();
+        for step in STEPS_M {
+            for _ in 0..2 {
+                push(&mut aims, &mut counts, Aim::Effect(E::Quantization, Hint::Values(vec![(0, step)])), false);
+            }
+        }
+        let depth = push(&mut aims, &mut counts, Aim::Effect(E::BlockDepth, Hint::None), false);
+        let density = push(&mut aims, &mut counts, Aim::Effect(E::BlockDensity, Hint::None), false);
+        let odometry = aims.len();
+        for kind in [E::OdomDistanceScale, E::OdomTurnScale, E::OdomImbalance, E::WheelSlip] {
+            push(&mut aims, &mut counts, Aim::Effect(kind, Hint::None), false);
+        }
+        // Where unmapped objects can be seen: along the beams, up to their ends.
+        let mut objects = HashMap::new();
+        for (i, beam) in views.beams.iter().enumerate() {
+            let heading = recorded.poses[scan(i)].theta + beam.view.bearing;
+            let range = beam.view.range.min(max);
+            let end = beam.view.endpoint;
+            let mut back = 0.5 * OBJECT_CELL_M;
+            while back < range {
+                let from_end = beam.view.range - (range - back);
+                let (x, y) = (end.x - from_end * heading.cos(), end.y - from_end * heading.sin());
+                objects.entry(cell_at(x, y, OBJECT_CELL_M)).or_insert(usize::MAX);
+                back += OBJECT_CELL_M;
+            }
+        }
+        let mut order: Vec<[i32; 2]> = objects.keys().copied().collect();
+        order.sort_unstable();
+        for cell in order {
+            let index = push(&mut aims, &mut counts, Aim::Effect(E::MissingObject, Hint::Object(cell)), true);
+            objects.insert(cell, index);
+        }
+        let sector_ranges = (max / SECTOR_RANGE_M).ceil().min(24.0) as usize;
+        let sector = aims.len();
+        let (first, last) = (f64::from(bearings[0]), f64::from(bearings[k - 1]));
+        let width = (last - first) / SECTORS as f64;
+        for s in 0..SECTORS {
+            for r in 0..sector_ranges {
+                let from = first + s as f64 * width;
+                let range = (r as f64 + 0.5) * SECTOR_RANGE_M;
+                let hint = Hint::Values(vec![(0, from), (1, from + width), (2, range)]);
+                push(&mut aims, &mut counts, Aim::Effect(E::SectorOcclusion, hint), true);
+            }
+        }
+        let sector_of = bearings
+            .iter()
+            .map(|&b| (((f64::from(b) - first) / width.max(1e-9)) as usize).min(SECTORS - 1) as u16)
+            .collect();
+
+        // omnibus cells
+        let jumps: Vec<Option<[f64; 2]>> =
+            (0..views.scans()).flat_map(|s| jumps(comparison.nominal, recorded, s)).collect();
+        let jump_size = |i: usize| jumps[i].map_or(0.0, |[near, far]| far - near);
+        let speed = |i: usize| velocities[scan(i)][0].hypot(velocities[scan(i)][1]);
+        let turn = |i: usize| velocities[scan(i)][2];
+        let per_scan = |of: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..views.scans()).map(|s| of(s * k)).collect() };
+        let range_edges = even(0.0, max, 12);
+        let incidence_edges = even(0.0, 0.5 * PI, 9);
+        let bearing_edges = even(first, last + 1e-6, 24);
+        let time_edges = even(0.0, recorded.secs[recorded.scans() - 1] + 1e-6, 20);
+        let speed_edges = quantile_edges(&per_scan(&speed), 5);
+        let turn_edges = quantile_edges(&per_scan(&turn), 7);
+        let coarse_turn = quantile_edges(&per_scan(&turn), 4);
+        let jump_edges = vec![0.0, 0.3, 0.6, 1.5, max];
+        let coarse_bearing = even(first, last + 1e-6, 8);
+        let sizes = [
+            range_edges.len() - 1,
+            incidence_edges.len() - 1,
+            bearing_edges.len() - 1,
+            walls,
+            time_edges.len() - 1,
+            speed_edges.len() - 1,
+            turn_edges.len() - 1,
+            jump_edges.len() - 1,
+            (coarse_bearing.len() - 1) * (coarse_turn.len() - 1),
+        ];
+        let cells = aims.len();
+        let mut starts = [0; COVARIATES];
+        let mut next = 0;
+        for (start, size) in starts.iter_mut().zip(sizes) {
+            *start = next;
+            next += size;
+        }
+        let covariates = [
+            Covariate::Range,
+            Covariate::Incidence,
+            Covariate::Bearing,
+            Covariate::Place,
+            Covariate::Time,
+            Covariate::Speed,
+            Covariate::TurnRate,
+            Covariate::Jump,
+            Covariate::BearingByTurnRate,
+        ];
+        for (covariate, size) in covariates.into_iter().zip(sizes) {
+            for i in 0..size {
+                let interval = |edges: &[f64]| (edges[i], edges[i + 1]);
+                let (lo, hi) = match covariate {
+                    Covariate::Range => interval(&range_edges),
+                    Covariate::Incidence => interval(&incidence_edges),
+                    Covariate::Bearing => interval(&bearing_edges),
+                    Covariate::Place => (i as f64, i as f64 + 1.0),
+                    Covariate::Time => interval(&time_edges),
+                    Covariate::Speed => interval(&speed_edges),
+                    Covariate::TurnRate => interval(&turn_edges),
+                    Covariate::Jump => interval(&jump_edges),
+                    Covariate::BearingByTurnRate => {
+                        let i = i / (coarse_turn.len() - 1);
+                        (coarse_bearing[i], coarse_bearing[i + 1])
+                    }
+                };
+                let place = (covariate == Covariate::Place)
+                    .then(|| wall_order[i].map(|c| f64::from(c) * WALL_CELL_M));
+                for deviation in [Deviation::Mean, Deviation::Spread, Deviation::Short, Deviation::NoReturn] {
+                    let count = matches!(deviation, Deviation::Short | Deviation::NoReturn);
+                    push(&mut aims, &mut counts, Aim::Cell(Cell { covariate, lo, hi, place, deviation }), count);
+                }
+            }
+        }
+        let cell_of = (0..n)
+            .map(|i| {
+                let turns = coarse_turn.len() - 1;
+                let bins = [
+                    bin(&range_edges, beam(i).view.range),
+                    bin(&incidence_edges, beam(i).view.incidence),
+                    bin(&bearing_edges, beam(i).view.bearing),
+                    if wall[i] == u32::MAX { usize::MAX } else { wall[i] as usize },
+                    bin(&time_edges, secs(i)),
+                    bin(&speed_edges, speed(i)),
+                    bin(&turn_edges, turn(i)),
+                    bin(&jump_edges, jump_size(i)),
+                    bin(&coarse_bearing, beam(i).view.bearing) * turns + bin(&coarse_turn, turn(i)),
+                ];
+                std::array::from_fn(|c| {
+                    if bins[c] == usize::MAX { u32::MAX } else { (cells + 4 * (starts[c] + bins[c])) as u32 }
+                })
+            })
+            .collect();
+        Self {
+            aims,
+            counts,
+            dense,
+            wall,
+            walls,
+            moved_wall,
+            glass,
+            objects,
+            sector,
+            sector_ranges,
+            sector_of,
+            steps,
+            mixed,
+            depth,
+            density,
+            odometry,
+            cells,
+            cell_of,
+            jumps,
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.aims.len()
+    }
+
+    /// Index of the first omnibus cell; the library's directions come before.
+    pub fn first_cell(&self) -> usize {
+        self.cells
+    }
+
+    /// Whether a statistic counts rare events.
+    pub fn is_count(&self, index: usize) -> bool {
+        self.counts[index]
+    }
+
+    /// Whether a statistic is the score of an effect's first number: its spread is the root of its information.
+    pub fn is_score(&self, index: usize) -> bool {
+        self.dense.iter().any(|(_, dense, _)| *dense == index)
+    }
+
+    /// The omnibus cells of each beam: the index of the first of four statistics.
+    pub fn cells_of_beams(&self) -> &[[u32; COVARIATES]] {
+        &self.cell_of
+    }
+
+    /// All statistics of a log.
+    pub fn of(
+        &self,
+        comparison: &Comparison<'_>,
+        effects: &locsim_world::effect::Effects,
+        views: &crate::views::Views<'_>,
+        fitted: &Fitted,
+        pit: &Draw,
+    ) -> Vec<Halves> {
+        let mut out = vec![[0.0; 2]; self.len()];
+        let n = views.beams.len();
+        let k = views.per_scan;
+        let max = comparison.nominal.laser.max_range_m;
+        let mut scores: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; n]);
+        let mut depth = [[0.0; 2]; 2];
+        comparison.for_each_reading(views, effects, fitted, |scan, i, density, shift, z, terms| {
+            let half = (scan / BLOCK) % 2;
+            let beam = &views.beams[i];
+            let is_return = z < max;
+            let t = terms.error / terms.sigma;
+            let g = |other| Density::contamination(&terms, other);
+            if is_return {
+                scores[0][i] = (terms.hit * terms.error / terms.sigma.powi(2)) as f32;
+                scores[1][i] = (terms.hit * (t * t - 1.0)) as f32;
+            }
+            if beam.range() < max {
+                scores[2][i] = g(f64::from(u8::from(!is_return))) as f32;
+                let tail = if is_return && terms.hit > 0.0 || terms.sigma.is_finite() {
+                    normal_density(t / 5.0) / (5.0 * terms.sigma)
+                } else {
+                    0.0
+                };
+                if is_return {
+                    scores[4][i] = g(tail) as f32;
+                }
+            }
+            let uniform = if is_return { 1.0 / max } else { 0.0 };
+            scores[3][i] = ((uniform / terms.density) - 1.0).min(100.0) as f32;
+            if let Some([near, far]) = self.jumps[i] {
+                let inside = is_return && (near..far).contains(&z);
+                out[self.mixed][half] += g(if inside { 1.0 / (far - near) } else { 0.0 });
+            }
+            let wall = self.wall[i];
+            if wall != u32::MAX {
+                let wall = wall as usize;
+                out[self.moved_wall + wall][half] += f64::from(scores[0][i]) / beam.view.incidence.cos().max(0.17);
+                let through = if is_return {
+                    let sigma = comparison.nominal.laser.sigma_m;
+                    let far = beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, max));
+                    // What stands behind is often not on the map.
+                    0.5 * far + if z > beam.range() + shift + 5.0 * sigma { 0.5 / max } else { 0.0 }
+                } else {
+                    0.5
+                };
+                out[self.glass + wall][half] += g(through);
+            }
+            if is_return && terms.short > 0.01 {
+                let heading = comparison.recorded.poses[scan].theta + beam.view.bearing;
+                let back = beam.view.range - z;
+                let end = beam.view.endpoint;
+                let cell = cell_at(end.x - back * heading.cos(), end.y - back * heading.sin(), OBJECT_CELL_M);
+                if let Some(&index) = self.objects.get(&cell) {
+                    out[index][half] += terms.short;
+                }
+                depth[0][half] += terms.short * (beam.range() - z);
+                depth[1][half] += terms.short;
+            }
+            // A body-fixed thing in front can stand where no block does.
+            if is_return && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1) {
+                let range = (z / SECTOR_RANGE_M) as usize;
+                if range < self.sector_ranges {
+                    let index = self.sector + usize::from(self.sector_of[i % k]) * self.sector_ranges + range;
+                    out[index][half] += 1.0;
+                }
+            }
+            if is_return {
+                for (s, step) in STEPS_M.iter().enumerate() {
+                    let (sin, cos) = (TAU * z / step).sin_cos();
+                    out[self.steps + 2 * s][half] += cos;
+                    out[self.steps + 2 * s + 1][half] += sin;
+                }
+            }
+            let u = if is_return {
+                density.cdf(beam, shift, z)
+            } else {
+                1.0 - terms.density.min(1.0) * pit.at(scan as u32).item(i as u32).random::<f64>()
+            };
+            let missing = f64::from(u8::from(!is_return && beam.range() < max));
+            let values = [u - 0.5, (u - 0.5).powi(2) - 1.0 / 12.0, terms.short, missing];
+            for &cell in &self.cell_of[i] {
+                if cell != u32::MAX {
+                    for (v, value) in values.iter().enumerate() {
+                        out[cell as usize + v][half] += value;
+                    }
+                }
+            }
+        });
+        for (score, index, weights) in &self.dense {
+            let scores = &scores[*score as usize];
+            for scan in 0..views.scans() {
+                let beams = scan * k..(scan + 1) * k;
+                let sum: f32 = scores[beams.clone()].iter().zip(&weights[beams]).map(|(s, w)| s * w).sum();
+                out[*index][(scan / BLOCK) % 2] += f64::from(sum);
+            }
+        }
+        for half in 0..2 {
+            out[self.depth][half] = depth[0][half] / (depth[1][half] + 1.0);
+            out[self.density][half] = 0.5 * fitted.nuisances.block_density.ln();
+        }
+        let track = comparison.corrected(&fitted.corrections);
+        let all = increments(comparison.nominal, effects, &track, &comparison.recorded.odometry);
+        for (scan, increment) in all.iter().enumerate() {
+            let half = (scan / BLOCK) % 2;
+            let [distance, turn] = standardized(increment, &fitted.nuisances.odometry_error);
+            let [ds, dtheta] = increment.truth;
+            out[self.odometry][half] += distance * ds;
+            out[self.odometry + 1][half] += turn * dtheta;
+            out[self.odometry + 2][half] += turn * ds;
+            // Slips lengthen only.
+            out[self.odometry + 3][half] += f64::from(u8::from(distance * ds > 0.0)) * (distance * ds).powi(2);
+        }
+        debug_assert!(self.walls <= self.len());
+        out
+    }
+}
+
+/// The draws that randomize the PIT of missing returns.
+pub(crate) fn pit_draw(seed: u64) -> Draw {
+    Draw::new(seed, Stage::Bootstrap, 0)
+}
