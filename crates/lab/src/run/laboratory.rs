@@ -9,6 +9,7 @@ use locsim_core::{
     Survival,
 };
 use locsim_dataset::{CarmenOptions, read_carmen};
+use locsim_world::effect::Effects;
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
@@ -336,11 +337,13 @@ fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
 }
 
 fn world(simulation: &Simulation, place: &Place) -> Result<World, SimulationError> {
-    let Simulation { blocks, laser, robot, .. } = simulation;
-    Ok(World { simulator: Simulator::new(Arc::clone(&place.exact), *blocks, *laser)?, robot: robot.clone() })
+    let Simulation { blocks, laser, robot, effects, .. } = simulation;
+    let effects = Effects::new(effects.clone())?;
+    let simulator = Simulator::new(Arc::clone(&place.exact), *blocks, *laser, effects)?;
+    Ok(World { simulator, robot: robot.clone() })
 }
 
-/// What the oracle knows of the world's blocks.
+/// What the oracle knows of the world: its blocks as they really are, and nothing of other effects.
 fn obstructions(simulator: &Simulator, seed: u64) -> Result<Arc<dyn Obstructions>, SimulationError> {
     let Some(blocks) = simulator.blocks() else { return Ok(Arc::new(NothingInTheWay)) };
     let max_range_m = simulator.laser().options().max_range_m;

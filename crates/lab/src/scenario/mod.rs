@@ -3,6 +3,7 @@
 
 pub(crate) mod check;
 mod digest;
+mod effect;
 pub(crate) mod error;
 mod form;
 pub(crate) mod locate;
@@ -17,6 +18,7 @@ mod validated;
 
 use std::path::Path;
 
+pub use effect::effect_yaml;
 pub use error::{Problem, ScenarioError};
 pub use map_file::{LoadedMap, load_map};
 pub(crate) use validate::name;
@@ -55,9 +57,11 @@ impl Scenario {
     ) -> Result<Self, ScenarioError> {
         let (raw, locations) = yaml::parse::<raw::RawScenario>(path, text)?;
         let check = || check::Checker::new(path, &locations, environment);
-        let scenario = validate::validate(raw, path, overrides, check())?;
+        let walls: Vec<_> = raw.effects.iter().map(|effect| effect.wall.clone()).collect();
+        let mut scenario = validate::validate(raw, path, overrides, check())?;
         if let Some(map) = scenario.map_file() {
-            validate::path_in_map(&scenario, &load_map(map)?.geometry, check())?;
+            let map = load_map(map)?;
+            validate::in_map(&mut scenario, &walls, &map, check())?;
         }
         Ok(scenario)
     }

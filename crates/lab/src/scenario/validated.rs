@@ -2,6 +2,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use locsim_sensor::ModelKind;
+use locsim_world::effect::Effect;
 use locsim_world::simulation::{BlockOptions, LaserOptions, Robot};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -82,6 +83,8 @@ pub struct Simulation {
     pub robot: Robot,
     /// Its laser.
     pub laser: LaserOptions,
+    /// Ways in which the world differs from all this.
+    pub effects: Vec<Effect>,
 }
 
 /// A measured log, cut into parts by share of its scans. Each part is a list of half-open intervals

@@ -1,3 +1,5 @@
+use std::f64::consts::{PI, TAU};
+
 use glam::DVec2;
 use locsim_core::{Draw, Pose2, Stage, wrap_angle};
 use rand::RngExt;
@@ -17,7 +19,7 @@ pub const PLACE_REACH_M: f64 = 0.1;
 
 /// 1 / cos and tan^2 of the incidence grow without bound towards grazing rays; beyond this incidence \[rad\], 80 deg,
 /// they are as here.
-const MAX_INCIDENCE_RAD: f64 = 80.0 * std::f64::consts::PI / 180.0;
+const MAX_INCIDENCE_RAD: f64 = 80.0 * PI / 180.0;
 
 /// Length of the windows that bursts of crosstalk fall on \[s\].
 const BURST_SECS: f64 = 1.0;
@@ -164,7 +166,7 @@ impl Effects {
             match (effect.kind, effect.values.as_slice()) {
                 (EffectKind::TimeOffset, &[delay]) => secs += delay,
                 (EffectKind::MotionSkew, &[sweep]) => {
-                    secs += sweep * wrap_angle(bearing) / std::f64::consts::TAU;
+                    secs += sweep * in_half_turns(bearing) / TAU;
                 }
                 _ => {}
             }
@@ -353,8 +355,16 @@ fn is_at(place: &[[DVec2; 2]], point: DVec2) -> bool {
     place.iter().any(|stretch| distance_to(stretch, point) <= PLACE_REACH_M)
 }
 
+/// More than bearings are off by, as f32 \[rad\]: pi as f32 lies beyond pi.
+const BEARING_MARGIN: f64 = 1e-6;
+
+/// A bearing in (-pi, pi] \[rad\].
+fn in_half_turns(bearing: f64) -> f64 {
+    if bearing.abs() <= PI + BEARING_MARGIN { bearing } else { wrap_angle(bearing) }
+}
+
 /// Whether a bearing lies between two others, counter-clockwise from the first \[rad\].
 fn is_between(bearing: f64, from: f64, to: f64) -> bool {
-    let turn = |angle: f64| angle.rem_euclid(std::f64::consts::TAU);
-    turn(bearing - from) <= turn(to - from)
+    let width = if to >= from { to - from } else { to - from + TAU };
+    (bearing - from + BEARING_MARGIN).rem_euclid(TAU) <= width + 2.0 * BEARING_MARGIN
 }

@@ -1,6 +1,7 @@
 //! A scenario as it stands in the file: types, keys and defaults. Their doc comments are the descriptions in
 //! the JSON Schema. Ranges are checked later, in `validate`.
 
+mod effect;
 mod filter;
 mod source;
 
@@ -14,6 +15,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::form::{Form, Short};
 use super::{ErrorFrame, ModelName};
 
+pub use effect::*;
 pub use filter::*;
 pub use source::*;
 
@@ -44,6 +46,10 @@ pub struct RawScenario {
     pub robot: Option<RawRobot>,
     /// The simulated laser. Needed with `robot`, not allowed with `log`.
     pub laser: Option<RawLaser>,
+    /// Ways in which the simulated world differs from what `map`, `blocks`, `robot` and `laser` say, all at once; the
+    /// same may come twice. `locsim effects` lists them. Only with `robot`.
+    #[serde(default)]
+    pub effects: Vec<RawEffect>,
     /// A measured log. Either this or `robot`.
     pub log: Option<RawLog>,
     /// How much training data the sensor models get.

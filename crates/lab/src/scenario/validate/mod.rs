@@ -1,12 +1,12 @@
 //! From the raw scenario to the validated one: ranges, and what keys have to do with each other.
 
+mod effect;
 mod filter;
 mod source;
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use locsim_world::map::Geometry;
 use locsim_world::simulation::RobotPath;
 
 use super::check::Allowed::{Above, AboveUpTo, Any, Between, FromBelow};
@@ -16,8 +16,8 @@ use super::form::Form;
 use super::locate::join;
 use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
 use super::{
-    Errors, Expectation, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError, Source,
-    Training,
+    Errors, Expectation, LoadedMap, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError,
+    Source, Training,
 };
 
 const MAX_PARTICLES: u32 = 10_000_000;
@@ -74,15 +74,18 @@ pub(in crate::scenario) fn validate(
     }
 }
 
-/// Checks that a simulated robot's way points, or its start, lie in the map's free space.
-pub(in crate::scenario) fn path_in_map(
-    scenario: &Scenario,
-    map: &Geometry,
+/// What needs the map: finds the walls that effects name (`walls[i]` for effect `i`), and checks that a simulated
+/// robot's way points, or its start, lie in the map's free space.
+pub(in crate::scenario) fn in_map(
+    scenario: &mut Scenario,
+    walls: &[Option<String>],
+    map: &LoadedMap,
     mut check: Checker<'_>,
 ) -> Result<(), ScenarioError> {
-    let Source::Simulation(simulation) = &scenario.source else { return Ok(()) };
+    let Source::Simulation(simulation) = &mut scenario.source else { return Ok(()) };
+    effect::places(&mut check, &mut simulation.effects, walls, map);
     let mut visit = |key: &str, x: f64, y: f64| {
-        check.refuse(!map.is_free(x, y), key, || {
+        check.refuse(!map.geometry.is_free(x, y), key, || {
             format!("[{x}, {y}] is not allowed; a point in the free space of {}", simulation.map.display())
         });
     };

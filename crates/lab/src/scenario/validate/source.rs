@@ -5,7 +5,7 @@ use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath, VelocitySegment,
 };
 
-use super::MAX_BEAMS;
+use super::{MAX_BEAMS, effect};
 use crate::scenario::check::Allowed::{Above, AboveUpTo, Any, AtLeast, Within};
 use crate::scenario::check::Checker;
 use crate::scenario::locate::join;
@@ -51,10 +51,12 @@ pub(super) fn source(check: &mut Checker<'_>, raw: &RawScenario) -> Option<Sourc
             check.refuse(laser.is_none(), "laser", || {
                 "the key is missing; `robot` carries a laser".to_owned()
             });
-            Some(Source::Simulation(Simulation { map: map?, blocks, robot, laser: laser? }))
+            let effects = effect::effects(check, raw);
+            Some(Source::Simulation(Simulation { map: map?, blocks, robot, laser: laser?, effects }))
         }
         (None, Some(log)) => {
             check.absent("", "blocks", raw.blocks.as_ref(), "a log can't be given blocks");
+            check.absent("", "effects", raw.effects.first(), "a log can't be given effects");
             check.absent("", "laser", raw.laser.as_ref(), "the log brings its own laser");
             Some(Source::Log(self::log(check, log, map)))
         }
