@@ -29,17 +29,22 @@ impl LogFormat {
 pub struct LogOptions {
     /// Readings of this range (m) or more mean "no return". `None`: the log's own maximum.
     pub max_range_m: Option<f32>,
-    /// What a bag's topics are called; a CARMEN log has none.
+    /// What a bag's topics are called; a CARMEN log has none that could be named.
     pub topics: McapTopics,
 }
 
 /// Reads a log in the format that its name tells: [`read_mcap`] or [`read_carmen`].
 ///
 /// # Errors
-/// Those of the format's reader.
+/// Those of the format's reader; topics are named for a CARMEN log.
 pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary), DatasetError> {
     let LogOptions { max_range_m, topics } = options.clone();
     match LogFormat::of(path) {
+        LogFormat::Carmen if topics != McapTopics::default() => Err(DatasetError::Topic {
+            path: path.to_owned(),
+            reason: "a topic is named; allowed: topics of a bag, a file named `.mcap`".to_owned(),
+            found: "a CARMEN log".to_owned(),
+        }),
         LogFormat::Mcap => read_mcap(path, &McapOptions { topics, max_range_m, ..McapOptions::default() }),
         LogFormat::Carmen => read_carmen(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }),
     }

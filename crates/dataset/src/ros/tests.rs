@@ -589,6 +589,12 @@ fn the_name_tells_the_format() {
     ] {
         assert_eq!(LogFormat::of(Path::new(name)), format, "{name}");
     }
+    let topics = McapTopics { scan: Some("/scan".to_owned()), ..McapTopics::default() };
+    let refused = read_log(Path::new("drive.log"), &LogOptions { max_range_m: None, topics }).unwrap_err();
+    assert_eq!(
+        refused.to_string(),
+        "drive.log: a topic is named; allowed: topics of a bag, a file named `.mcap`; found: a CARMEN log"
+    );
 }
 
 #[test]
