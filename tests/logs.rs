@@ -85,6 +85,33 @@ fn a_simulated_log_is_mapped_learnt_from_and_localized_on() {
 }
 
 #[test]
+fn a_ros_bag_is_written_mapped_and_localized_on() {
+    let folder = folder_with_a_drive();
+    for name in ["drive.mcap", "drive.log"] {
+        folder.locsim(&format!("simulate drive.yaml --out {name} --seed 5")).success();
+    }
+    assert!(folder.read("drive.mcap").starts_with(b"\x89MCAP0\r\n"));
+    for name in ["drive.mcap", "drive.log"] {
+        folder.locsim(&format!("map {name} --out {name}-map --share 0.0,0.5")).success();
+    }
+    assert_eq!(folder.read("drive.mcap-map.pgm"), folder.read("drive.log-map.pgm"));
+
+    // The reference as the odometry, which is then perfect.
+    let log = "{file: drive.mcap, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]], \
+               topics: {scan: /scan, odometry: /reference}}\nmap: {file: room.yaml}";
+    localizes(&folder, "perfect.yaml", &on_a_log(log), 0.1);
+    let log = log.replace(", topics: {scan: /scan, odometry: /reference}", "");
+    localizes(&folder, "bag.yaml", &on_a_log(&log), 0.1);
+
+    let refused =
+        |call: &str| folder.locsim(call).code(2).stderr(contains("/scan (sensor_msgs/msg/LaserScan, "));
+    refused("map drive.mcap --out m --scan-topic /lidar").stderr(contains("scan topic `/lidar` isn't there"));
+    let whole = folder.read("drive.mcap");
+    folder.write("cut.mcap", &whole[..whole.len() / 2]);
+    folder.locsim("map cut.mcap --out m").code(2).stderr(contains("cut.mcap: not a complete MCAP file"));
+}
+
+#[test]
 fn a_log_depends_on_seed_and_trial_alone() {
     let folder = Folder::new();
     let log = |options: &str| {

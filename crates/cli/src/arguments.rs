@@ -32,7 +32,7 @@ pub enum Command {
     },
     /// Print the JSON Schema of scenario files, for editors
     Schema,
-    /// Write one simulated drive of a scenario as a measured log (CARMEN format, `.gz` to compress)
+    /// Write one simulated drive of a scenario as a measured log (ROS 2 bag or CARMEN log)
     Simulate(Simulate),
     /// Build an occupancy grid map (ROS `map_server` format) from a log with reference poses
     Map(Map),
@@ -140,7 +140,7 @@ pub struct BenchRegression {
 pub struct Simulate {
     /// The scenario file
     pub scenario: PathBuf,
-    /// The log to write (`.log` or `.log.gz`)
+    /// The log to write: a ROS 2 bag (`.mcap`) or a CARMEN log (`.log`, `.log.gz`)
     #[arg(long)]
     pub out: PathBuf,
     /// Which trial of the scenario to write
@@ -154,7 +154,7 @@ pub struct Simulate {
 /// `locsim map`.
 #[derive(Debug, Args)]
 pub struct Map {
-    /// A CARMEN log with reference poses (`.log` or `.log.gz`)
+    /// A log with reference poses: a ROS 2 bag (`.mcap`) or a CARMEN log (`.log`, `.log.gz`)
     pub log: PathBuf,
     /// The map to write: OUT.yaml and OUT.pgm
     #[arg(long)]
@@ -168,6 +168,15 @@ pub struct Map {
     /// Readings at or above this count as no return [m; default: the log's own]
     #[arg(long)]
     pub max_range: Option<f64>,
+    /// The bag's topic of laser scans [default: /scan, or the only one]
+    #[arg(long, value_name = "TOPIC")]
+    pub scan_topic: Option<String>,
+    /// The bag's topic of odometry [default: /odom, or the only one]
+    #[arg(long, value_name = "TOPIC")]
+    pub odometry_topic: Option<String>,
+    /// The bag's topic of reference poses [default: /reference or `/ground_truth`]
+    #[arg(long, value_name = "TOPIC")]
+    pub reference_topic: Option<String>,
 }
 
 /// `locsim bench`.

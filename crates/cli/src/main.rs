@@ -13,6 +13,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::{CommandFactory, Parser};
+use locsim_dataset::{LogOptions, McapTopics};
 use locsim_lab::bench;
 use locsim_lab::report::terminal_table;
 use locsim_lab::run::{self, Recorder, RunError, RunOptions};
@@ -263,7 +264,7 @@ fn simulate(arguments: &Simulate) -> Result<ExitCode> {
     let overrides = Overrides { seed: arguments.seed, ..Overrides::default() };
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     let drive = run::simulate_trial(&scenario, arguments.trial)?;
-    locsim_dataset::write_carmen(&arguments.out, &drive)?;
+    locsim_dataset::write_log(&arguments.out, &drive)?;
     say(&format!(
         "{}: {} scans of {} beams",
         arguments.out.display(),
@@ -281,8 +282,15 @@ fn map(arguments: &Map) -> Result<ExitCode> {
         0.0 <= from && from < to && to <= 1.0,
         "--share: {from},{to} is not allowed; 0 <= from < to <= 1"
     );
-    let (grid, summary) =
-        run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, arguments.max_range)?;
+    let options = LogOptions {
+        max_range_m: arguments.max_range.map(|max| max as f32),
+        topics: McapTopics {
+            scan: arguments.scan_topic.clone(),
+            odometry: arguments.odometry_topic.clone(),
+            reference: arguments.reference_topic.clone(),
+        },
+    };
+    let (grid, summary) = run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, &options)?;
     let named_yaml = arguments.out.extension().is_some_and(|extension| extension == "yaml");
     let stem = if named_yaml { arguments.out.with_extension("") } else { arguments.out.clone() };
     // Appended: what follows a dot in a name such as `floor-0.05` is no extension.

@@ -95,6 +95,51 @@ pub enum DatasetError {
         /// What the log has instead.
         found: String,
     },
+    /// The file isn't a complete MCAP file, or its content is damaged.
+    #[error(
+        "{}: not a complete MCAP file: {reason}; allowed: a file that was closed \
+         (`mcap recover` mends one that was cut off)",
+        path.display()
+    )]
+    Mcap {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The bag has no topic for what is needed, or several.
+    #[error("{}: {reason}; found: {found}", path.display())]
+    Topic {
+        /// The file.
+        path: PathBuf,
+        /// What is needed, and what is allowed.
+        reason: String,
+        /// The topics of the file, with types and numbers of messages.
+        found: String,
+    },
+    /// A message of a bag holds what isn't allowed.
+    #[error("{}: {topic}: message {number}: {reason}", path.display())]
+    Message {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// Which of the topic's messages, counted from 1 in the order of the file.
+        number: usize,
+        /// What is wrong, and what is allowed.
+        reason: String,
+    },
+    /// No scan was taken while there was odometry.
+    #[error(
+        "{}: none of the {scans} scans lies within the time of the odometry; allowed: stamps of one clock",
+        path.display()
+    )]
+    NoOdometry {
+        /// The file.
+        path: PathBuf,
+        /// Number of scans.
+        scans: usize,
+    },
     /// What the log or the options say of the laser makes no laser.
     #[error("{}: {source}", path.display())]
     Laser {

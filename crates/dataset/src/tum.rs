@@ -5,6 +5,7 @@ use locsim_core::{Drive, Pose2};
 use crate::DatasetError;
 use crate::lines::{self, Lines};
 use crate::output::write_whole;
+use crate::quaternion::heading;
 
 /// A pose with its time: one line of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,11 +52,9 @@ pub fn read_tum(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
             *v = fields.number(name)?;
         }
         let [stamp_secs, x, y, _, qx, qy, qz, qw] = v;
-        let norm = qw.hypot(qx).hypot(qy.hypot(qz));
-        if (norm - 1.0).abs() > 0.01 {
-            return Err(fields.refuse("length of the quaternion", &norm.to_string(), "0.99 to 1.01"));
-        }
-        let theta = (2.0 * (qw * qz + qx * qy)).atan2(qw * qw + qx * qx - qy * qy - qz * qz);
+        let theta = heading([qx, qy, qz, qw]).map_err(|length| {
+            fields.refuse("length of the quaternion", &length.to_string(), "0.99 to 1.01")
+        })?;
         trajectory.push(StampedPose { stamp_secs, pose: Pose2::new(x, y, theta) });
     }
     if trajectory.is_empty() {

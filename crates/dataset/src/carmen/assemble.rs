@@ -5,8 +5,8 @@ use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan, circular_mean, wrap_angl
 
 use super::beams::Beams;
 use super::parse::{Log, ScanLine};
-use super::{CarmenLaser, CarmenOptions, LogKind, LogSummary, OdometrySource};
-use crate::DatasetError;
+use super::{CarmenLaser, CarmenOptions};
+use crate::{DatasetError, LogKind, LogSummary, OdometrySource};
 
 /// Where the SICK LMS in centimetre mode begins to count error codes instead of distances (m).
 const SICK_MAX_RANGE: f32 = 81.83;
@@ -55,12 +55,13 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
         kind: recognised.kind,
         odometry: recognised.odometry,
         evidence: recognised.evidence,
-        keyword: log.keyword,
-        odometry_lines: log.odometry_lines,
-        true_pose_lines: log.true_pose_lines,
+        scan_source: log.keyword.to_owned(),
+        odometry_messages: log.odometry_lines,
+        reference_messages: log.true_pose_lines,
         skipped: log.skipped,
         stamps_repaired: clock.repaired,
         stamps_repeated: clock.repeated,
+        scans_dropped: 0,
         intervals_without_odometry,
         no_return_share: no_return as f64 / readings,
         unusable_share: unusable as f64 / readings,
@@ -183,7 +184,8 @@ fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Opti
         let last = scan.before.last_odometry.map(|(_, pose)| pose);
         latest = last.or(latest);
         let odometry = match recognised.odometry {
-            OdometrySource::ScanLines => scan.robot_pose,
+            // A CARMEN log has no topics.
+            OdometrySource::ScanLines | OdometrySource::Topic => scan.robot_pose,
             OdometrySource::OdomLines => latest.unwrap_or(scan.robot_pose),
             OdometrySource::RestartedOdomLines => {
                 let pose = match (chained, previous) {
@@ -202,7 +204,7 @@ fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Opti
             }
         };
         let reference = match recognised.kind {
-            LogKind::Raw => None,
+            LogKind::Raw | LogKind::Referenced => None,
             // The corrected pose is the laser's, whatever the mount: the end points of Freiburg 079 (noted mount
             // -0.04 m) have an entropy of 9.75 nats with beams from that pose, 9.92 from 0.04 m behind it.
             LogKind::Corrected => Some(scan.laser_pose.compose(&laser_from_base)),

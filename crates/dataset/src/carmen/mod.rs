@@ -8,16 +8,15 @@ mod beams;
 mod parse;
 mod write;
 
-use std::collections::BTreeMap;
-use std::fmt;
 use std::io::BufRead;
 use std::path::Path;
 
 use locsim_core::Drive;
 
-use crate::DatasetError;
 use crate::lines::{self, Lines};
+use crate::{DatasetError, LogSummary};
 
+pub use beams::Beams;
 pub use write::write_carmen;
 
 /// Which of a robot's lasers to read.
@@ -54,95 +53,6 @@ pub struct CarmenOptions {
     pub min_range_m: Option<f32>,
 }
 
-/// What the poses of a log are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LogKind {
-    /// As the robot recorded it: odometry, and no reference poses.
-    Raw,
-    /// The scans' laser poses were corrected afterwards, for example by a mapping program: they are the
-    /// reference, good to some centimetres.
-    Corrected,
-    /// TRUEPOS lines tell where the robot was.
-    Simulated,
-}
-
-/// Where the odometry of a log was found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OdometrySource {
-    /// The robot pose in each scan's own line.
-    ScanLines,
-    /// The last ODOM line before each scan.
-    OdomLines,
-    /// ODOM lines that start again from the corrected pose after each scan, as gmapping writes them: the last
-    /// one before a scan, seen from the scan before, is the odometry of the interval.
-    RestartedOdomLines,
-}
-
-/// What was found in a log, and how it was understood.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LogSummary {
-    /// What the poses are.
-    pub kind: LogKind,
-    /// Where the odometry comes from.
-    pub odometry: OdometrySource,
-    /// How kind and odometry were recognised, in words and counts.
-    pub evidence: String,
-    /// The keyword of the scans' lines.
-    pub keyword: &'static str,
-    /// Number of ODOM lines.
-    pub odometry_lines: usize,
-    /// Number of TRUEPOS lines.
-    pub true_pose_lines: usize,
-    /// Number of lines skipped, by keyword; comments count as `#`.
-    pub skipped: BTreeMap<String, usize>,
-    /// Number of scans whose time went backwards or leapt and was repaired.
-    pub stamps_repaired: usize,
-    /// Number of scans with the same time as the scan before, after repair.
-    pub stamps_repeated: usize,
-    /// Number of intervals between scans for which [`OdometrySource::RestartedOdomLines`] has no odometry. The
-    /// motion of the reference stands in for it, so these steps test nothing.
-    pub intervals_without_odometry: usize,
-    /// Share of readings at the maximum range.
-    pub no_return_share: f64,
-    /// Share of readings that are unusable (NaN).
-    pub unusable_share: f64,
-    /// The longest reading below the maximum range (m); `None` when no reading is.
-    pub longest_return_m: Option<f32>,
-}
-
-impl fmt::Display for LogSummary {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let kind = match self.kind {
-            LogKind::Raw => "raw log without reference poses",
-            LogKind::Corrected => "corrected log",
-            LogKind::Simulated => "log with true poses",
-        };
-        writeln!(f, "{kind}: {}", self.evidence)?;
-        write!(f, "readings: {:.1} % without return", 100.0 * self.no_return_share)?;
-        write!(f, ", {:.1} % unusable", 100.0 * self.unusable_share)?;
-        if let Some(longest) = self.longest_return_m {
-            write!(f, ", longest return {longest} m")?;
-        }
-        writeln!(f)?;
-        if self.stamps_repaired + self.stamps_repeated > 0 {
-            writeln!(
-                f,
-                "times: {} repaired because they went backwards or leapt, {} stand still",
-                self.stamps_repaired, self.stamps_repeated
-            )?;
-        }
-        if self.intervals_without_odometry > 0 {
-            writeln!(
-                f,
-                "odometry: missing in {} intervals, the reference's motion stands in",
-                self.intervals_without_odometry
-            )?;
-        }
-        let skipped: Vec<_> = self.skipped.iter().map(|(word, n)| format!("{word} {n}")).collect();
-        write!(f, "lines skipped: {}", if skipped.is_empty() { "none".into() } else { skipped.join(", ") })
-    }
-}
-
 /// Reads the scans of one laser with odometry and, where the log has them, reference poses.
 ///
 /// Understood are PARAM, ODOM, TRUEPOS, FLASER and ROBOTLASER1 (front), RLASER and ROBOTLASER2 (rear); other
@@ -157,7 +67,7 @@ impl fmt::Display for LogSummary {
 ///   robot in the scans' lines.
 /// - **Reference**: TRUEPOS where present (the last one since the scan before, carried on by odometry to the
 ///   scan); otherwise the laser pose of each scan in a corrected log.
-/// - **Odometry**: see [`OdometrySource`]. In a log of restarted ODOM lines the odometry starts at the first
+/// - **Odometry**: see [`OdometrySource`](crate::OdometrySource). In a log of restarted ODOM lines the odometry starts at the first
 ///   reference pose. A corrected log's ODOM lines give the same point of the robot as its scan lines: the laser.
 /// - **Times** are the scans' `ipc_timestamp`. A time that goes backwards by up to a minute is held; one that
 ///   leaps (a clock that was set or wrapped) continues from the scan before.

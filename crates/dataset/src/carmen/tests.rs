@@ -9,6 +9,8 @@ use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan, wrap_angle};
 use proptest::prelude::*;
 
 use super::*;
+use crate::test_drives::{bits, drive};
+use crate::{LogKind, OdometrySource};
 
 fn read_text(text: &str) -> Result<(Drive, LogSummary), DatasetError> {
     read_with(text, &CarmenOptions::default())
@@ -136,7 +138,7 @@ fn an_interval_without_odometry_is_counted_and_filled() {
 fn a_raw_log_has_the_scans_odometry_and_no_reference() {
     let (drive, summary) = read_text(&raw_log()).unwrap();
     assert_eq!((summary.kind, summary.odometry), (LogKind::Raw, OdometrySource::ScanLines));
-    assert_eq!((summary.odometry_lines, summary.true_pose_lines), (20, 0));
+    assert_eq!((summary.odometry_messages, summary.reference_messages), (20, 0));
     assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.25, 0.0, 0.0)));
     for (i, step) in drive.steps.iter().enumerate() {
         assert!(near(&step.odometry, &Pose2::new(0.5 * i as f64, 0.0, 0.125)));
@@ -225,7 +227,7 @@ fn a_robotlaser_line_describes_its_laser() {
     assert_eq!(drive.steps[0].scan.ranges, [1.0, 2.0, 3.0, 4.0, 30.0]);
     assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.25, 0.0, 0.0)));
     // The other form of the same laser's lines is left alone.
-    assert_eq!(summary.keyword, "ROBOTLASER1");
+    assert_eq!(summary.scan_source, "ROBOTLASER1");
     assert_eq!(summary.skipped["FLASER"], 1);
     let no_resolution = text.replace(" 0.5 30", " 0 30");
     assert_eq!(read_text(&no_resolution).unwrap().0.laser, drive.laser);
@@ -251,7 +253,7 @@ fn comments_unknown_lines_and_windows_line_ends_are_no_obstacle() {
     assert_eq!(drive, plain);
     let skipped: Vec<_> = summary.skipped.iter().map(|(word, n)| (word.as_str(), *n)).collect();
     assert_eq!(skipped, [("#", 2), ("(no keyword)", 1), ("SYNC", 1)]);
-    assert!(summary.to_string().ends_with("lines skipped: # 2, (no keyword) 1, SYNC 1"), "{summary}");
+    assert!(summary.to_string().ends_with("skipped: # 2, (no keyword) 1, SYNC 1"), "{summary}");
 }
 
 #[test]
@@ -353,37 +355,6 @@ fn what_does_not_fit_into_a_log_is_refused() {
     write_carmen(&path, &Drive { laser: even, steps: vec![good] }).unwrap();
     let names: Vec<_> = fs::read_dir(&folder).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(names, ["drive.log"]);
-}
-
-fn pose() -> impl Strategy<Value = Pose2> {
-    (-1e3..1e3f64, -1e3..1e3f64, -3.2..3.2f64).prop_map(|(x, y, theta)| Pose2::new(x, y, theta))
-}
-
-fn drive() -> impl Strategy<Value = Drive> {
-    let laser = (1..40_usize, -3.0..3.0f64, -0.1..0.1f64, 0.0..0.5f32, 1.0..90.0f32, 0.0..1e-3f32, pose());
-    let laser = laser.prop_map(|(n, start, step, min, max, interval, mount)| {
-        let bearings = (0..n).map(|i| (start + i as f64 * step) as f32).collect();
-        Laser::new(bearings, (0..n).map(|i| i as f32 * interval).collect(), min, max, mount).unwrap()
-    });
-    (laser, 1..8_usize, 0.0..2e9f64).prop_flat_map(|(laser, count, start)| {
-        let (min, max) = (laser.min_range(), laser.max_range());
-        let range = prop_oneof![4 => min.max(1e-3)..max, 1 => Just(max), 1 => Just(f32::NAN)];
-        let ranges = prop::collection::vec(range, laser.beam_count());
-        let step = (0.0..10.0f64, pose(), prop::option::of(pose()), ranges);
-        prop::collection::vec(step, count).prop_map(move |steps| {
-            let mut stamp_secs = start;
-            let steps = steps.into_iter().map(|(dt, odometry, reference, ranges)| {
-                stamp_secs += dt;
-                DriveStep { stamp_secs, odometry, reference, scan: Scan { ranges } }
-            });
-            Drive { laser: laser.clone(), steps: steps.collect() }
-        })
-    })
-}
-
-/// NaN isn't equal to itself; as a reading it is.
-fn bits(scan: &Scan) -> Vec<u32> {
-    scan.ranges.iter().map(|r| r.to_bits()).collect()
 }
 
 proptest! {

@@ -6,7 +6,7 @@ use locsim_core::{Drive, Pose2};
 use super::beams::Beams;
 use super::parse::{BEAM_INTERVAL, MIN_RANGE};
 use crate::DatasetError;
-use crate::output::write_whole;
+use crate::output::{evenly_spaced, write_whole};
 
 /// Writes a drive as a CARMEN log that [`read_carmen`](super::read_carmen) turns into the same drive, and that
 /// programs for CARMEN logs read: PARAM lines with the laser's mount, then for each scan ODOM, TRUEPOS where
@@ -21,40 +21,7 @@ use crate::output::write_whole;
 /// The drive has no scan, bearings or beam times that aren't evenly spaced (the first beam at the stamp), or
 /// values that no log may hold; the file can't be written.
 pub fn write_carmen(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
-    let unwritable = |reason: String| DatasetError::Unwritable { path: path.to_owned(), reason };
-    let laser = &drive.laser;
-    let beams = Beams::from_bearings(laser.bearings())
-        .ok_or_else(|| unwritable("the bearings differ; allowed: evenly spaced bearings".into()))?;
-    let times = Beams::from_bearings(laser.beam_times_secs())
-        .filter(|times| times.start == 0.0)
-        .ok_or_else(|| unwritable("the beam times differ; allowed: evenly spaced, from 0 s".into()))?;
-    if drive.steps.is_empty() {
-        return Err(unwritable("the drive has no scan; allowed: at least one".into()));
-    }
-    for (i, step) in drive.steps.iter().enumerate() {
-        let ranges = &step.scan.ranges;
-        let finite = step.stamp_secs.is_finite()
-            && step.odometry.is_finite()
-            && step.reference.is_none_or(|reference| reference.is_finite());
-        if !finite {
-            return Err(unwritable(format!(
-                "scan {i}: a pose or the time isn't finite; allowed: finite numbers"
-            )));
-        }
-        if ranges.len() != laser.beam_count() {
-            let n = laser.beam_count();
-            return Err(unwritable(format!(
-                "scan {i} has {} ranges; allowed: {n}, one per beam",
-                ranges.len()
-            )));
-        }
-        if let Some(range) = ranges.iter().find(|r| !r.is_nan() && !(0.0..=laser.max_range()).contains(*r)) {
-            let max = laser.max_range();
-            return Err(unwritable(format!(
-                "scan {i} has a range of {range} m; allowed: 0 to {max} m, or NaN"
-            )));
-        }
-    }
+    let (beams, times) = evenly_spaced(path, drive)?;
     write_whole(path, |out| body(out, drive, beams, times.step))
 }
 

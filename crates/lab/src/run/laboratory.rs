@@ -8,7 +8,7 @@ use locsim_core::{
     DistanceMap, Draw, Drive, DriveStep, EndpointGrid, Obstructions, Particles, Pose2, RangeMap, Stage,
     Survival,
 };
-use locsim_dataset::{CarmenOptions, read_carmen};
+use locsim_dataset::{LogOptions, read_log};
 use locsim_world::effect::Effects;
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
@@ -193,8 +193,8 @@ impl<'a> Laboratory<'a> {
     ) -> Result<Self, RunError> {
         progress.stage("reading the log", 1);
         let max_range_m = log.max_range_m.map(|max| max as f32);
-        let options = CarmenOptions { max_range_m, ..CarmenOptions::default() };
-        let (drive, summary) = read_carmen(&log.file, &options)?;
+        let options = LogOptions { max_range_m, topics: log.topics.clone() };
+        let (drive, summary) = read_log(&log.file, &options)?;
         progress.advance(1);
         let refuse = |what: &str| RunError::Log { path: log.file.clone(), what: what.to_owned() };
         let map = match &log.map {
@@ -291,10 +291,9 @@ pub fn map_from_log(
     log: &Path,
     shares: &[[f64; 2]],
     resolution_m: f64,
-    max_range_m: Option<f64>,
+    options: &LogOptions,
 ) -> Result<(locsim_world::map::OccupancyGrid, locsim_dataset::LogSummary), RunError> {
-    let max_range_m = max_range_m.map(|max| max as f32);
-    let (drive, summary) = read_carmen(log, &CarmenOptions { max_range_m, ..CarmenOptions::default() })?;
+    let (drive, summary) = read_log(log, options)?;
     let options = MappingOptions { resolution_m, ..MappingOptions::default() };
     let grid = occupancy_from_drive(&drive, &selected(&drive, shares), &options).map_err(unusable(log))?;
     Ok((grid, summary))

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use serde_json::Value;
 
-use super::tests::{edited, parse, shipped, text};
+use super::tests::{bag, edited, parse, shipped, text};
 use super::*;
 use crate::results::TrainingRow;
 use crate::summary::{AngularError, Errors as ErrorSummary, Kept, LinearError, ModelSummary};
@@ -80,11 +80,11 @@ fn properties<'a>(schema: &'a Value, out: &mut Vec<(&'a str, &'a Value)>) {
     }
 }
 
-fn fixtures() -> [String; 4] {
+fn fixtures() -> [String; 5] {
     let simulation = text("simulation.yaml");
     let exact = edited(&simulation, "method: table\n  cell_m: 0.05\n  memory_mb: 300", "method: exact");
     let turning = edited(&text("minimal.yaml"), "speed_m_s: 0.5}", "speed_m_s: 0.5, turn_rate_deg_s: 10}");
-    [simulation, exact, turning, text("log.yaml")]
+    [simulation, exact, turning, text("log.yaml"), bag()]
 }
 
 #[test]

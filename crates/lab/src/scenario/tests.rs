@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use locsim_core::Pose2;
+use locsim_dataset::McapTopics;
 use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath,
 };
@@ -144,6 +145,12 @@ fn every_key_arrives_in_si_units_and_radians() {
     );
 }
 
+/// The scenario of a log, with a bag instead.
+pub(super) fn bag() -> String {
+    let topics = "drive.mcap\n  topics: {scan: /lidar, odometry: /wheels, reference: /fused}";
+    edited(&text("log.yaml"), "drive.log", topics)
+}
+
 #[test]
 fn a_log_is_read_with_its_parts() {
     let scenario = parse(&text("log.yaml")).unwrap();
@@ -156,7 +163,14 @@ fn a_log_is_read_with_its_parts() {
             train_scans: vec![[0.5, 0.6], [0.6, 0.75]],
             localize_scans: vec![[0.75, 1.0]],
             max_range_m: Some(40.0),
+            topics: McapTopics::default(),
         })
+    );
+    let Source::Log(bag) = parse(&bag()).unwrap().source else { panic!() };
+    let topic = |name: &str| Some(name.to_owned());
+    assert_eq!(
+        bag.topics,
+        McapTopics { scan: topic("/lidar"), odometry: topic("/wheels"), reference: topic("/fused") }
     );
     assert_eq!(scenario.map_file(), None);
     assert_eq!(scenario.training.observations, 1);
@@ -364,6 +378,7 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
         "seed: 1\nlaser: {rate_hz: 5, beams: 36, max_range_m: 4.5}\nblocks: {per_metre_of_wall: 0.5, length_m: [0.2, 0.6], width_m: [0.2, 0.6]}",
     ),
     ("log with map and map scans", "log.yaml", "seed: 1", "seed: 1\nmap: {file: map.yaml}"),
+    ("topics of a CARMEN log", "log.yaml", "  max_range_m: 40", "  topics: {scan: /scan}"),
     ("log without any map", "log.yaml", "  map_scans: [[0.0, 0.5]]\n", ""),
     ("repeated observations of a log", "log.yaml", "poses: 400", "observations: 5"),
     ("no training scans", "log.yaml", "[[0.5, 0.6], [0.6, 0.75]]", "[]"),

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use locsim_dataset::McapTopics;
 use locsim_sensor::ModelKind;
 use locsim_world::effect::Effect;
 use locsim_world::simulation::{BlockOptions, LaserOptions, Robot};
@@ -91,7 +92,7 @@ pub struct Simulation {
 /// `[from, to)` with 0 <= from < to <= 1, in order, without overlap.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Log {
-    /// The CARMEN log.
+    /// The log, in the format that its name tells.
     #[serde(skip)]
     pub file: PathBuf,
     /// Where the map comes from.
@@ -102,6 +103,8 @@ pub struct Log {
     pub localize_scans: Vec<[f64; 2]>,
     /// Readings at or above this count as no return (m); `None` takes the log's own maximum.
     pub max_range_m: Option<f64>,
+    /// What the topics are called, where the log is a bag.
+    pub topics: McapTopics,
 }
 
 /// The map of a measured log.

@@ -205,7 +205,7 @@ pub struct RawMount {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawLog {
-    /// A CARMEN log, `.log` or `.log.gz`. Relative to the scenario file; `${VARIABLE}` is replaced from the
+    /// A CARMEN log, `.log` or `.log.gz`, or a ROS 2 bag in one file, `.mcap`. Relative to the scenario file; `${VARIABLE}` is replaced from the
     /// environment.
     pub file: String,
     /// Scans that the map is built from. Needed where `map` is absent, not allowed beside it.
@@ -221,4 +221,19 @@ pub struct RawLog {
     pub map_resolution_m: Option<f64>,
     /// Readings at or above this count as no return (m). Default: the log's own maximum.
     pub max_range_m: Option<f64>,
+    /// What the topics of a bag are called; only with `.mcap`.
+    pub topics: Option<RawTopics>,
+}
+
+/// What the topics of a bag are called.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawTopics {
+    /// Laser scans, `sensor_msgs/msg/LaserScan`. Default: `/scan`, or else the only topic of that type.
+    pub scan: Option<String>,
+    /// Odometry, `nav_msgs/msg/Odometry`. Default: `/odom`, or else the only topic of that type beside the reference.
+    pub odometry: Option<String>,
+    /// Reference poses, `nav_msgs/msg/Odometry` or `geometry_msgs/msg/PoseStamped`. Default: `/reference` or
+    /// `/ground_truth`.
+    pub reference: Option<String>,
 }

@@ -1,6 +1,7 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use locsim_core::Pose2;
+use locsim_dataset::{LogFormat, McapTopics};
 use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath, VelocitySegment,
 };
@@ -234,5 +235,18 @@ fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
         }
     }
     let max_range_m = raw.max_range_m.map(|max| check.number("log.max_range_m", max, Above(0.0)));
-    Log { file, map, train_scans, localize_scans, max_range_m }
+    if LogFormat::of(Path::new(&raw.file)) != LogFormat::Mcap {
+        check.absent(
+            "log",
+            "topics",
+            raw.topics.as_ref(),
+            "only a ROS 2 bag has topics, a file named `.mcap`",
+        );
+    }
+    let topics = raw.topics.clone().map_or_else(McapTopics::default, |topics| McapTopics {
+        scan: topics.scan,
+        odometry: topics.odometry,
+        reference: topics.reference,
+    });
+    Log { file, map, train_scans, localize_scans, max_range_m, topics }
 }

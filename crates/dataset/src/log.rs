@@ -1,0 +1,62 @@
+use std::path::Path;
+
+use locsim_core::Drive;
+
+use crate::{
+    CarmenOptions, DatasetError, LogSummary, McapOptions, McapTopics, read_carmen, read_mcap, write_carmen,
+    write_mcap,
+};
+
+/// The formats of measured logs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LogFormat {
+    /// A ROS 2 bag in one MCAP file: its name ends in `.mcap`.
+    Mcap,
+    /// A CARMEN log: every other name.
+    Carmen,
+}
+
+impl LogFormat {
+    /// The format of a file, by its name.
+    pub fn of(path: &Path) -> Self {
+        let mcap = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"));
+        if mcap { Self::Mcap } else { Self::Carmen }
+    }
+}
+
+/// How to read a log of either format; what isn't here is left to the log.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LogOptions {
+    /// Readings of this range (m) or more mean "no return". `None`: the log's own maximum.
+    pub max_range_m: Option<f32>,
+    /// What a bag's topics are called; a CARMEN log has none that could be named.
+    pub topics: McapTopics,
+}
+
+/// Reads a log in the format that its name tells: [`read_mcap`] or [`read_carmen`].
+///
+/// # Errors
+/// Those of the format's reader; topics are named for a CARMEN log.
+pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary), DatasetError> {
+    let LogOptions { max_range_m, topics } = options.clone();
+    match LogFormat::of(path) {
+        LogFormat::Carmen if topics != McapTopics::default() => Err(DatasetError::Topic {
+            path: path.to_owned(),
+            reason: "a topic is named; allowed: topics of a bag, a file named `.mcap`".to_owned(),
+            found: "a CARMEN log".to_owned(),
+        }),
+        LogFormat::Mcap => read_mcap(path, &McapOptions { topics, max_range_m, ..McapOptions::default() }),
+        LogFormat::Carmen => read_carmen(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }),
+    }
+}
+
+/// Writes a drive in the format that the file's name tells: [`write_mcap`] or [`write_carmen`].
+///
+/// # Errors
+/// Those of the format's writer.
+pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
+    match LogFormat::of(path) {
+        LogFormat::Mcap => write_mcap(path, drive),
+        LogFormat::Carmen => write_carmen(path, drive),
+    }
+}

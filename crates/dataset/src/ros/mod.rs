@@ -1,0 +1,71 @@
+//! ROS 2 bags in one MCAP file: laser scans, odometry and reference poses.
+//!
+//! The container is that of <https://mcap.dev/spec>, messages are in CDR, as `rosbag2_storage_mcap` writes them.
+
+mod bag;
+mod messages;
+mod read;
+mod topics;
+mod write;
+
+use std::path::Path;
+
+use locsim_core::{Drive, Pose2};
+use serde::Serialize;
+
+use crate::{DatasetError, LogSummary};
+
+pub use write::write_mcap;
+
+/// What the topics of a bag are called.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct McapTopics {
+    /// Laser scans, `sensor_msgs/msg/LaserScan`. `None`: `/scan`, or the only topic of that type.
+    pub scan: Option<String>,
+    /// Odometry, `nav_msgs/msg/Odometry`. `None`: `/odom`, or the only topic of that type beside the reference.
+    pub odometry: Option<String>,
+    /// Reference poses, `nav_msgs/msg/Odometry` or `geometry_msgs/msg/PoseStamped`. `None`: `/reference` or
+    /// `/ground_truth` where there is one, and otherwise no reference: what the truth is, is never guessed.
+    pub reference: Option<String>,
+}
+
+/// How to read a bag.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct McapOptions {
+    /// The topics.
+    pub topics: McapTopics,
+    /// Where the laser is mounted. `None`: as `/tf_static` says; the base's origin where it says nothing.
+    pub base_from_laser: Option<Pose2>,
+    /// Readings of this range (m) or more mean "no return". `None`: the scans' `range_max`.
+    pub max_range_m: Option<f32>,
+    /// Readings below this range (m) are unusable. `None`: the scans' `range_min`.
+    pub min_range_m: Option<f32>,
+}
+
+/// Reads a ROS 2 bag, one MCAP file: the scans of one laser with odometry and, where there is a topic of them,
+/// reference poses. Chunks may be compressed with lz4 or zstd.
+///
+/// - **Topics** are those of [`McapOptions::topics`].
+/// - **Times** are those of the messages' headers. A topic's messages may be out of order by up to a second and are
+///   then sorted.
+/// - **Odometry and reference** of a scan are interpolated at its stamp between the messages before and after it, the
+///   position linearly, the heading along the shorter arc, both in the plane. Where several messages have a scan's
+///   very time, the first scan of that time takes the first, the second the second. Scans outside the span of the
+///   odometry are left out and counted; those outside the span of the reference have none.
+/// - **Readings**: infinity and `range_max` or more are no return; NaN, less than `range_min`, and exactly 0 are
+///   unusable. Some drivers write 0 for no return, others for any failure; unusable is never wrong.
+/// - **Beams** are at `angle_min + i angle_increment` and i times the mean of the scans' `time_increment`.
+/// - **Mount** of the laser: the chain of `/tf_static` from the scans' `frame_id` up to the odometry's
+///   `child_frame_id`, `base_link` or `base_footprint`, the first of them that it has. A laser mounted upside down has
+///   its bearings mirrored.
+///
+/// # Errors
+/// The file can't be read, isn't a complete MCAP file or is damaged; a topic is missing or one of several would have
+/// to be chosen; a message can't be decoded or has values that aren't allowed; the laser changes or scans out of the
+/// plane; no scan has odometry.
+pub fn read_mcap(path: &Path, options: &McapOptions) -> Result<(Drive, LogSummary), DatasetError> {
+    read::read(path, options)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,611 @@
+use std::collections::BTreeMap;
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::fs;
+use std::io::{Cursor, Write as _};
+use std::path::Path;
+
+use lz4_flex::frame::FrameEncoder;
+use mcap::records::{ChunkHeader, MessageHeader, Record, op};
+use mcap::{MAGIC, WriteOptions, Writer, parse_record};
+use proptest::prelude::*;
+use ruzstd::encoding::{CompressionLevel, compress_to_vec};
+
+use super::messages::{
+    Header, LaserScan, Message, Odometry, Pose, PoseStamped, PoseWithCovariance, Quaternion, TfMessage, Time,
+    TransformStamped, TwistWithCovariance, Vector3, encode,
+};
+use super::*;
+use crate::test_drives::{bits, drive};
+use crate::{LogFormat, LogKind, LogOptions, read_log, write_log};
+use locsim_core::wrap_angle;
+
+impl Message for PoseStamped {
+    const TYPE: &str = super::topics::POSE_STAMPED;
+    const DEFINITION: &str = "";
+}
+
+/// A bag put together message by message.
+#[derive(Default)]
+struct Bag {
+    /// Topic, type, encoding, content.
+    messages: Vec<(String, String, String, Vec<u8>)>,
+}
+
+impl Bag {
+    fn add<M: Message>(mut self, topic: &str, message: &M) -> Self {
+        self.messages.push((topic.into(), M::TYPE.into(), "cdr".into(), encode(message).unwrap()));
+        self
+    }
+
+    fn raw(mut self, topic: &str, schema: &str, encoding: &str, data: &[u8]) -> Self {
+        self.messages.push((topic.into(), schema.into(), encoding.into(), data.into()));
+        self
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        let options = WriteOptions::new().compression(None).profile("ros2");
+        let mut writer: Writer<_> = options.create(Cursor::new(Vec::new())).unwrap();
+        for (topic, schema, encoding, data) in &self.messages {
+            let schema = writer.add_schema(schema, "ros2msg", b"").unwrap();
+            let channel_id = writer.add_channel(schema, topic, encoding, &BTreeMap::new()).unwrap();
+            let header = MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
+            writer.write_to_known_channel(&header, data).unwrap();
+        }
+        writer.finish().unwrap();
+        writer.into_inner().into_inner()
+    }
+
+    fn read(&self, options: &McapOptions) -> Result<(Drive, LogSummary), DatasetError> {
+        read_bytes(&self.bytes(), options)
+    }
+
+    fn message(&self) -> String {
+        self.read(&McapOptions::default()).unwrap_err().to_string()
+    }
+}
+
+fn read_bytes(bytes: &[u8], options: &McapOptions) -> Result<(Drive, LogSummary), DatasetError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.mcap");
+    fs::write(&path, bytes).unwrap();
+    read_mcap(&path, options)
+}
+
+fn header(secs: f64, frame: &str) -> Header {
+    Header { stamp: Time::from_secs(secs).unwrap(), frame_id: frame.into() }
+}
+
+fn scan(secs: f64, ranges: &[f32]) -> LaserScan {
+    LaserScan {
+        header: header(secs, "laser"),
+        angle_min: -0.5,
+        angle_max: 0.5,
+        angle_increment: 0.25,
+        time_increment: 0.001,
+        scan_time: 0.1,
+        range_min: 0.25,
+        range_max: 8.0,
+        ranges: ranges.into(),
+        intensities: vec![1.0; ranges.len()],
+    }
+}
+
+fn odometry(secs: f64, pose: &Pose2) -> Odometry {
+    Odometry {
+        header: header(secs, "odom"),
+        child_frame_id: "base_footprint".into(),
+        pose: PoseWithCovariance { pose: Pose::planar(pose), covariance: [[1.0; 6]; 6] },
+        twist: TwistWithCovariance::default(),
+    }
+}
+
+fn stamped(secs: f64, pose: &Pose2) -> PoseStamped {
+    PoseStamped { header: header(secs, "map"), pose: Pose::planar(pose) }
+}
+
+fn transform(parent: &str, child: &str, [x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> TfMessage {
+    TfMessage {
+        transforms: vec![TransformStamped {
+            header: header(0.0, parent),
+            child_frame_id: child.into(),
+            transform: Pose {
+                position: Vector3 { x, y, z },
+                orientation: Quaternion { x: qx, y: qy, z: qz, w: qw },
+            },
+        }],
+    }
+}
+
+/// Odometry from 1 s to 3 s, scans at 1 s, 1.5 s and 3 s.
+fn plain() -> Bag {
+    let five = [1.0, 2.0, 3.0, 4.0, 5.0];
+    Bag::default()
+        .add("/odom", &odometry(1.0, &Pose2::new(1.0, 2.0, 3.0)))
+        .add("/scan", &scan(1.0, &five))
+        .add("/scan", &scan(1.5, &five))
+        .add("/odom", &odometry(3.0, &Pose2::new(3.0, 6.0, -3.0)))
+        .add("/scan", &scan(3.0, &five))
+}
+
+fn near(a: &Pose2, b: &Pose2) -> bool {
+    (a.x - b.x).abs() < 1e-9 && (a.y - b.y).abs() < 1e-9 && wrap_angle(a.theta - b.theta).abs() < 1e-9
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    #[test]
+    fn a_written_drive_reads_back(mut drive in drive(), known in any::<bool>()) {
+        // Between two known references a reader interpolates: all or none.
+        for step in &mut drive.steps {
+            step.reference = known.then(|| step.reference.unwrap_or(Pose2::new(1.0, -2.0, 3.0)));
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("drive.mcap");
+        write_log(&path, &drive).unwrap();
+        let (back, summary) = read_log(&path, &LogOptions::default()).unwrap();
+        prop_assert_eq!(summary.kind, if known { LogKind::Referenced } else { LogKind::Raw });
+        prop_assert_eq!((summary.stamps_repaired, summary.scans_dropped), (0, 0));
+        prop_assert_eq!(summary.odometry_messages, drive.steps.len());
+        prop_assert_eq!(back.steps.len(), drive.steps.len());
+        for (a, b) in back.steps.iter().zip(&drive.steps) {
+            prop_assert!((a.stamp_secs - b.stamp_secs).abs() <= 1e-9_f64.max(f64::EPSILON * b.stamp_secs));
+            prop_assert!(near(&a.odometry, &b.odometry), "{:?} {:?}", a.odometry, b.odometry);
+            prop_assert_eq!(a.reference.is_some(), known);
+            prop_assert!(!known || near(&a.reference.unwrap(), &b.reference.unwrap()));
+            prop_assert_eq!(bits(&a.scan), bits(&b.scan));
+        }
+        let (a, b) = (&back.laser, &drive.laser);
+        prop_assert_eq!((a.min_range(), a.max_range()), (b.min_range(), b.max_range()));
+        prop_assert!(near(&a.base_from_laser(), &b.base_from_laser()));
+        for (a, b) in a.bearings().iter().zip(b.bearings()) {
+            prop_assert!((a - b).abs() <= 1e-6);
+        }
+        for (a, b) in a.beam_times_secs().iter().zip(b.beam_times_secs()) {
+            prop_assert!((a - b).abs() <= 1e-6);
+        }
+    }
+
+    /// A changed byte in the data is always found out, by a check sum or before; elsewhere it is no obstacle.
+    #[test]
+    fn a_damaged_file_is_refused(place in any::<prop::sample::Index>(), change in 1..=255_u8) {
+        let mut bytes = plain().bytes();
+        let data_end = bytes.len() - summary_length(&bytes);
+        let place = place.index(bytes.len());
+        bytes[place] ^= change;
+        let result = read_bytes(&bytes, &McapOptions::default());
+        prop_assert!(place >= data_end || result.is_err(), "byte {place} of {data_end}");
+    }
+
+    /// Without check sums damage may go unnoticed, but nothing panics.
+    #[test]
+    fn no_bytes_make_the_reader_panic(
+        places in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        packing in prop::sample::select(vec!["", "lz4", "zstd"]),
+        inside in any::<bool>(),
+    ) {
+        let mut records = records_of(&plain().bytes());
+        if inside {
+            for (place, byte) in &places {
+                let place = place.index(records.len());
+                records[place] = *byte;
+            }
+        }
+        let mut bytes = packed(&records, packing, false);
+        if !inside {
+            for (place, byte) in &places {
+                let place = place.index(bytes.len());
+                bytes[place] = *byte;
+            }
+        }
+        let _ = read_bytes(&bytes, &McapOptions::default());
+    }
+
+    #[test]
+    fn a_cut_file_is_refused(share in 0.0..1.0f64) {
+        let bytes = plain().bytes();
+        let cut = read_bytes(&bytes[..(share * bytes.len() as f64) as usize], &McapOptions::default());
+        prop_assert!(matches!(cut, Err(DatasetError::Mcap { .. })), "{cut:?}");
+    }
+}
+
+/// From the end of the data section to the end of the file.
+fn summary_length(bytes: &[u8]) -> usize {
+    let footer = mcap::read::footer(bytes).unwrap();
+    // The record that ends the data: kind, length, check sum; only its check sum matters to a reader.
+    bytes.len() - footer.summary_start as usize + 1 + 8 + 4
+}
+
+/// The records in the chunks of a file.
+fn records_of(bytes: &[u8]) -> Vec<u8> {
+    let mut records = Vec::new();
+    for record in mcap::read::LinearReader::new(bytes).unwrap() {
+        if let Record::Chunk { data, .. } = record.unwrap() {
+            records.extend_from_slice(&data);
+        }
+    }
+    records
+}
+
+/// A file of one chunk, without summary.
+fn packed(records: &[u8], compression: &str, sums: bool) -> Vec<u8> {
+    let data = match compression {
+        "lz4" => {
+            let mut encoder = FrameEncoder::new(Vec::new());
+            encoder.write_all(records).unwrap();
+            encoder.finish().unwrap()
+        }
+        "zstd" => compress_to_vec(records, CompressionLevel::Fastest),
+        _ => records.to_vec(),
+    };
+    let header = ChunkHeader {
+        message_start_time: 0,
+        message_end_time: 0,
+        uncompressed_size: records.len() as u64,
+        uncompressed_crc: if sums { crc32fast::hash(records) } else { 0 },
+        compression: compression.into(),
+        compressed_size: data.len() as u64,
+    };
+    let mut chunk = Vec::new();
+    for time in [header.message_start_time, header.message_end_time, header.uncompressed_size] {
+        chunk.extend(time.to_le_bytes());
+    }
+    chunk.extend(header.uncompressed_crc.to_le_bytes());
+    chunk.extend((compression.len() as u32).to_le_bytes());
+    chunk.extend(compression.bytes());
+    chunk.extend(header.compressed_size.to_le_bytes());
+    chunk.extend(&data);
+    assert!(
+        matches!(parse_record(op::CHUNK, &chunk).unwrap(), Record::Chunk { header: h, .. } if h == header)
+    );
+
+    let mut file = MAGIC.to_vec();
+    for (opcode, body) in
+        [(op::HEADER, vec![0; 8]), (op::CHUNK, chunk), (op::DATA_END, vec![0; 4]), (op::FOOTER, vec![0; 20])]
+    {
+        file.push(opcode);
+        file.extend((body.len() as u64).to_le_bytes());
+        file.extend(body);
+    }
+    file.extend(MAGIC);
+    file
+}
+
+#[test]
+fn compressed_chunks_are_unpacked() {
+    let bytes = plain().bytes();
+    let (plain, _) = read_bytes(&bytes, &McapOptions::default()).unwrap();
+    let records = records_of(&bytes);
+    for compression in ["", "lz4", "zstd"] {
+        for sums in [false, true] {
+            let (drive, _) =
+                read_bytes(&packed(&records, compression, sums), &McapOptions::default()).unwrap();
+            assert_eq!(drive, plain, "{compression}");
+        }
+    }
+    let odd = read_bytes(&packed(&records, "xz", true), &McapOptions::default()).unwrap_err().to_string();
+    assert!(odd.contains("chunks compressed with `xz`; allowed: lz4, zstd, none"), "{odd}");
+}
+
+/// Written by other people's programs: the Python packages mcap 1.6.0 and mcap-ros2-support 0.6.0.
+#[test]
+fn a_bag_of_other_programs_is_read() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/other-programs.mcap");
+    let (drive, summary) = read_mcap(&path, &McapOptions::default()).unwrap();
+    assert_eq!(drive.laser.bearings(), [-0.5, -0.25, 0.0, 0.25, 0.5]);
+    assert_eq!((drive.laser.min_range(), drive.laser.max_range()), (0.25, 8.0));
+    assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.5, -0.125, FRAC_PI_2)));
+    assert_eq!(summary.kind, LogKind::Referenced);
+    assert_eq!(summary.skipped, BTreeMap::from([("/chatter".to_owned(), 1)]));
+    assert_eq!((drive.steps.len(), summary.scans_dropped), (3, 0));
+    for (i, step) in drive.steps.iter().enumerate() {
+        let t = i as f64 * 0.5;
+        assert_eq!(step.stamp_secs, 1_700_000_000.0 + t);
+        assert!(near(&step.odometry, &Pose2::new(t, -t, 0.25 * t)), "{i}: {:?}", step.odometry);
+        assert!(near(&step.reference.unwrap(), &Pose2::new(10.0 + t, t, 0.0)));
+        assert_eq!(step.scan.ranges[..4], [1.5 + i as f32, 8.0, 8.0, 7.75]);
+        assert!(step.scan.ranges[4].is_nan());
+    }
+}
+
+#[test]
+fn poses_are_interpolated_at_the_scans() {
+    let reference = [(1.25, Pose2::new(0.0, 0.0, 0.0)), (2.25, Pose2::new(4.0, 8.0, 1.0))];
+    let bag = plain()
+        .add("/ground_truth", &stamped(reference[0].0, &reference[0].1))
+        .add("/ground_truth", &stamped(reference[1].0, &reference[1].1))
+        .add("/scan", &scan(0.5, &[1.0; 5]))
+        .add("/scan", &scan(3.25, &[1.0; 5]));
+    // The scan of 0.5 s comes 2.5 s late.
+    assert!(
+        bag.message().contains("/scan: message 4: stamp is 0.5 s after one of 3 s; allowed: at most 1 s")
+    );
+    let mut bag = bag;
+    let early = bag.messages.remove(bag.messages.len() - 2);
+    bag.messages.insert(0, early);
+    let (drive, summary) = bag.read(&McapOptions::default()).unwrap();
+    assert_eq!((summary.scans_dropped, summary.stamps_repaired, drive.steps.len()), (2, 0, 3));
+    assert!(summary.to_string().contains("scans: 2 left out"), "{summary}");
+    let stamps: Vec<_> = drive.steps.iter().map(|step| step.stamp_secs).collect();
+    assert_eq!(stamps, [1.0, 1.5, 3.0]);
+    // From 3 rad to -3 rad the shorter arc leads over pi.
+    let quarter = Pose2::new(1.5, 3.0, 3.0 + 0.25 * (2.0 * PI - 6.0));
+    let expected = [Pose2::new(1.0, 2.0, 3.0), quarter, Pose2::new(3.0, 6.0, -3.0)];
+    for (step, expected) in drive.steps.iter().zip(&expected) {
+        assert!(near(&step.odometry, expected), "{:?}", step.odometry);
+    }
+    let references: Vec<_> = drive.steps.iter().map(|step| step.reference).collect();
+    assert!(references[0].is_none() && references[2].is_none());
+    assert!(near(&references[1].unwrap(), &Pose2::new(1.0, 2.0, 0.25)));
+
+    // Only scans without odometry.
+    let late = Bag::default()
+        .add("/odom", &odometry(1.0, &Pose2::IDENTITY))
+        .add("/odom", &odometry(2.0, &Pose2::IDENTITY))
+        .add("/scan", &scan(2.5, &[1.0]));
+    assert!(late.message().contains("none of the 1 scans lies within the time of the odometry"));
+}
+
+#[test]
+fn messages_a_little_out_of_order_are_sorted() {
+    let mut bag = plain();
+    bag.messages.swap(1, 2);
+    bag.messages.reverse();
+    // Scans now come at 3, 1, 1.5 s, which is too much; with 2 s instead of 3 s it isn't.
+    bag.messages[0].3 = encode(&scan(2.0, &[1.0; 5])).unwrap();
+    bag.messages[1].3 = encode(&odometry(2.0, &Pose2::new(3.0, 6.0, -3.0))).unwrap();
+    let (drive, summary) = bag.read(&McapOptions::default()).unwrap();
+    let stamps: Vec<_> = drive.steps.iter().map(|step| step.stamp_secs).collect();
+    assert_eq!(stamps, [1.0, 1.5, 2.0]);
+    assert_eq!(summary.stamps_repaired, 2);
+    assert!(near(&drive.steps[1].odometry, &Pose2::new(2.0, 4.0, PI)));
+}
+
+#[test]
+fn scans_of_one_time_take_their_own_odometry() {
+    let pose = |x: f64| Pose2::new(x, 0.0, 0.0);
+    let bag = Bag::default()
+        .add("/odom", &odometry(1.0, &pose(1.0)))
+        .add("/scan", &scan(1.0, &[1.0]))
+        .add("/odom", &odometry(1.0, &pose(2.0)))
+        .add("/scan", &scan(1.0, &[1.0]))
+        .add("/scan", &scan(1.0, &[1.0]));
+    let (drive, summary) = bag.read(&McapOptions::default()).unwrap();
+    let x: Vec<_> = drive.steps.iter().map(|step| step.odometry.x).collect();
+    assert_eq!(x, [1.0, 2.0, 2.0]);
+    assert_eq!(summary.stamps_repeated, 2);
+}
+
+#[test]
+fn readings_at_the_ends_of_the_range_become_sentinels() {
+    let ranges = [f32::INFINITY, 8.0, 9.0, 7.5, 0.25, 0.125, 0.0, f32::NAN, f32::NEG_INFINITY];
+    let bag = Bag::default().add("/odom", &odometry(1.0, &Pose2::IDENTITY)).add("/scan", &scan(1.0, &ranges));
+    let read = |options| bag.read(&options).unwrap();
+    let (drive, summary) = read(McapOptions::default());
+    let found = &drive.steps[0].scan.ranges;
+    assert_eq!(found[..5], [8.0, 8.0, 8.0, 7.5, 0.25]);
+    assert!(found[5..].iter().all(|range| range.is_nan()), "{found:?}");
+    assert_eq!((summary.no_return_share, summary.unusable_share), (3.0 / 9.0, 4.0 / 9.0));
+    assert_eq!(summary.longest_return_m, Some(7.5));
+    let narrow = McapOptions { max_range_m: Some(4.0), min_range_m: Some(0.0), ..McapOptions::default() };
+    let (drive, _) = read(narrow);
+    assert_eq!(drive.steps[0].scan.ranges[..6], [4.0, 4.0, 4.0, 4.0, 0.25, 0.125]);
+    assert!(drive.steps[0].scan.ranges[6..].iter().all(|range| range.is_nan()));
+    let times = drive.laser.beam_times_secs();
+    assert_eq!((times[0], times[8]), (0.0, (8.0 * f64::from(0.001_f32)) as f32));
+}
+
+#[test]
+fn topics_are_the_default_ones_or_alone_of_their_type() {
+    let rename = |from: &str, to: &str| {
+        let mut bag = plain();
+        for message in bag.messages.iter_mut().filter(|message| message.0 == from) {
+            message.0 = to.into();
+        }
+        bag
+    };
+    let (default, _) = plain().read(&McapOptions::default()).unwrap();
+    let lidar = rename("/scan", "/front/lidar");
+    let (drive, summary) = lidar.read(&McapOptions::default()).unwrap();
+    assert_eq!((&drive, summary.scan_source.as_str()), (&default, "/front/lidar"));
+    assert!(summary.evidence.contains("/front/lidar is taken for scan as the only"), "{summary}");
+
+    // A second topic of the type: no guessing. With a name, no need to.
+    let two = lidar.add("/rear/lidar", &scan(1.0, &[1.0]));
+    let message = two.message();
+    for part in [
+        "no topic `/scan` for scan",
+        "no single other",
+        "/front/lidar (sensor_msgs/msg/LaserScan, 3",
+        "/odom (",
+    ] {
+        assert!(message.contains(part), "{message}");
+    }
+    let topics = |scan: Option<&str>, reference: Option<&str>| McapOptions {
+        topics: McapTopics {
+            scan: scan.map(Into::into),
+            reference: reference.map(Into::into),
+            odometry: None,
+        },
+        ..McapOptions::default()
+    };
+    let (drive, summary) = two.read(&topics(Some("/front/lidar"), None)).unwrap();
+    assert_eq!((&drive, summary.skipped["/rear/lidar"]), (&default, 1));
+    let absent = two.read(&topics(Some("/lidar"), None)).unwrap_err().to_string();
+    assert!(
+        absent.contains("scan topic `/lidar` isn't there with messages of type sensor_msgs/msg/LaserScan")
+    );
+
+    // A reference is never guessed, and isn't taken for odometry.
+    let pose = Pose2::new(7.0, 8.0, 0.5);
+    let more =
+        rename("/odom", "/wheels").add("/fused", &odometry(1.0, &pose)).add("/fused", &odometry(3.0, &pose));
+    assert!(more.message().contains("no topic `/odom` for odometry, and no single other"));
+    let (drive, summary) = more.read(&topics(None, Some("/fused"))).unwrap();
+    assert_eq!(summary.kind, LogKind::Referenced);
+    for (step, default) in drive.steps.iter().zip(&default.steps) {
+        assert_eq!(step.odometry, default.odometry);
+        assert!(near(&step.reference.unwrap(), &pose));
+    }
+    let (drive, summary) = plain().add("/goal", &stamped(1.0, &pose)).read(&McapOptions::default()).unwrap();
+    assert_eq!((&drive, summary.kind), (&default, LogKind::Raw));
+    assert!(summary.evidence.contains("reference from no topic"), "{summary}");
+
+    for (bag, parts) in [
+        (Bag::default(), &["no topic `/scan`", "and no other", "found: no topic"][..]),
+        (Bag::default().add("/scan", &scan(1.0, &[1.0])), &["no topic `/odom` for odometry, and no other"]),
+        (
+            Bag::default().raw("/scan", LaserScan::TYPE, "ros1", &[]).add("/odom", &odometry(1.0, &pose)),
+            &["messages of /scan are encoded as `ros1`; allowed: `cdr`"],
+        ),
+    ] {
+        let message = bag.message();
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+    }
+}
+
+#[test]
+fn static_transforms_tell_the_mount() {
+    let level = [0.0, 0.0, 0.0, 1.0];
+    let left = [0.0, 0.0, FRAC_PI_2.sin() * 0.5_f64.sqrt(), 0.5_f64.sqrt()];
+    let chain = || {
+        plain()
+            .add("/tf_static", &transform("base_footprint", "base_link", [0.0, 0.0, 0.1], level))
+            .add("/tf_static", &transform("/base_link", "mast", [0.5, 0.0, 1.0], left))
+    };
+    let mount = |bag: &Bag| {
+        let (drive, summary) = bag.read(&McapOptions::default()).unwrap();
+        (drive.laser, summary.evidence)
+    };
+    let upright = chain().add("/tf_static", &transform("mast", "laser", [0.25, 0.0, 0.0], level));
+    let (laser, evidence) = mount(&upright);
+    // A quarter metre ahead on the mast, which looks to the left.
+    assert!(
+        near(&laser.base_from_laser(), &Pose2::new(0.5, 0.25, FRAC_PI_2)),
+        "{:?}",
+        laser.base_from_laser()
+    );
+    assert_eq!(laser.bearings()[0], -0.5);
+    assert!(evidence.contains("the laser `laser` is mounted on `base_footprint`"), "{evidence}");
+
+    // Rolled over: what was to its right is to its left.
+    let hanging =
+        chain().add("/tf_static", &transform("mast", "laser", [0.25, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]));
+    let (laser, _) = mount(&hanging);
+    assert!(near(&laser.base_from_laser(), &Pose2::new(0.5, 0.25, FRAC_PI_2)));
+    assert_eq!(laser.bearings(), [0.5, 0.25, 0.0, -0.25, -0.5]);
+
+    let (s, c) = 0.2_f64.sin_cos();
+    let tilted = chain().add("/tf_static", &transform("mast", "laser", [0.0; 3], [0.0, s, 0.0, c]));
+    assert!(tilted.message().contains("tilted by 22.9 degrees on `base_footprint`; allowed: at most 10"));
+
+    // No chain, a circle, and a mount that is given.
+    for bag in [chain(), chain().add("/tf_static", &transform("laser", "laser", [1.0, 0.0, 0.0], level))] {
+        let (laser, evidence) = mount(&bag);
+        assert_eq!(laser.base_from_laser(), Pose2::IDENTITY);
+        assert!(
+            evidence.contains("no static transform leads from `laser` to `base_footprint`"),
+            "{evidence}"
+        );
+    }
+    let given = Pose2::new(-1.0, 0.5, 3.0);
+    let options = McapOptions { base_from_laser: Some(given), ..McapOptions::default() };
+    assert_eq!(tilted.read(&options).unwrap().0.laser.base_from_laser(), given);
+}
+
+#[test]
+fn errors_name_file_topic_message_value_and_what_is_allowed() {
+    let with = |change: &dyn Fn(&mut LaserScan)| {
+        let mut other = scan(3.0, &[1.0; 5]);
+        change(&mut other);
+        plain().add("/scan", &other)
+    };
+    let pose = |change: &dyn Fn(&mut Pose)| {
+        let mut other = odometry(3.0, &Pose2::IDENTITY);
+        change(&mut other.pose.pose);
+        plain().add("/odom", &other)
+    };
+    let whole = encode(&scan(3.0, &[1.0; 5])).unwrap();
+    for (bag, parts) in [
+        (
+            with(&|scan| scan.ranges.truncate(4)),
+            &["test.mcap: /scan: message 4:", "4 ranges; allowed: 5"][..],
+        ),
+        (with(&|scan| scan.ranges.clear()), &["/scan: message 4:", "no ranges; allowed: at least one"]),
+        (with(&|scan| scan.angle_min = -1.0), &["angle_min is -1; allowed: -0.5, as in the first"]),
+        (with(&|scan| scan.angle_increment = 0.5), &["angle_increment is 0.5; allowed: 0.25"]),
+        (with(&|scan| scan.range_min = 0.5), &["range_min is 0.5; allowed: 0.25"]),
+        (with(&|scan| scan.range_max = 9.0), &["range_max is 9; allowed: 8"]),
+        (with(&|scan| scan.time_increment = f32::NAN), &["time_increment is NaN; allowed: a finite number"]),
+        (with(&|scan| scan.header.frame_id = "rear".into()), &["frame_id is `rear`; allowed: `laser`"]),
+        (pose(&|pose| pose.position.x = f64::NAN), &["/odom: message 3: position is (NaN, 0, 0)"]),
+        (pose(&|pose| pose.orientation.w = 0.0), &["length of the quaternion is 0; allowed: 0.99 to 1.01"]),
+        (pose(&|pose| pose.orientation.w = f64::NAN), &["length of the quaternion is NaN"]),
+        (
+            plain().raw("/scan", LaserScan::TYPE, "cdr", &whole[..40]),
+            &["message 4: not a message of its type"],
+        ),
+        (
+            plain().raw("/scan", LaserScan::TYPE, "cdr", &[0, 7, 0, 0, 1]),
+            &["representation is 00 07; allowed"],
+        ),
+        (plain().raw("/scan", LaserScan::TYPE, "cdr", &[0]), &["1 bytes are too few for a message"]),
+    ] {
+        let message = bag.message();
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+    }
+    let wide = Bag::default()
+        .add("/odom", &odometry(1.0, &Pose2::IDENTITY))
+        .add("/scan", &LaserScan { range_max: f32::INFINITY, ..scan(1.0, &[1.0]) });
+    assert!(matches!(wide.read(&McapOptions::default()), Err(DatasetError::Laser { .. })));
+
+    let folder = tempfile::tempdir().unwrap();
+    let missing = read_mcap(&folder.path().join("no.mcap"), &McapOptions::default()).unwrap_err();
+    assert!(matches!(missing, DatasetError::Open { .. }), "{missing}");
+    let directory = read_mcap(folder.path(), &McapOptions::default()).unwrap_err();
+    assert!(matches!(directory, DatasetError::Mcap { .. }), "{directory}");
+    let text = read_bytes(b"# CARMEN Logfile\n", &McapOptions::default()).unwrap_err().to_string();
+    assert!(text.contains("not a complete MCAP file: Bad magic number"), "{text}");
+}
+
+#[test]
+fn big_endian_messages_are_read() {
+    let mut data = vec![0, 0, 0, 0];
+    data.extend(re_cdr::to_vec::<_, re_cdr::BigEndian>(&scan(3.0, &[1.0, 2.0, 3.0, 4.0, 5.0])).unwrap());
+    let mut bag = plain();
+    let (expected, _) = bag.read(&McapOptions::default()).unwrap();
+    bag.messages.pop();
+    let (drive, _) = bag.raw("/scan", LaserScan::TYPE, "cdr", &data).read(&McapOptions::default()).unwrap();
+    assert_eq!(drive, expected);
+}
+
+#[test]
+fn the_name_tells_the_format() {
+    for (name, format) in [
+        ("drive.mcap", LogFormat::Mcap),
+        ("drive.MCAP", LogFormat::Mcap),
+        ("drive.log", LogFormat::Carmen),
+        ("drive.log.gz", LogFormat::Carmen),
+        ("mcap", LogFormat::Carmen),
+    ] {
+        assert_eq!(LogFormat::of(Path::new(name)), format, "{name}");
+    }
+    let topics = McapTopics { scan: Some("/scan".to_owned()), ..McapTopics::default() };
+    let refused = read_log(Path::new("drive.log"), &LogOptions { max_range_m: None, topics }).unwrap_err();
+    assert_eq!(
+        refused.to_string(),
+        "drive.log: a topic is named; allowed: topics of a bag, a file named `.mcap`; found: a CARMEN log"
+    );
+}
+
+#[test]
+fn times_a_bag_cannot_hold_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (drive, _) = plain().read(&McapOptions::default()).unwrap();
+    for time in [-1.0, 2_147_483_647.0] {
+        let mut drive = drive.clone();
+        drive.steps[1].stamp_secs = time;
+        let message = write_mcap(&folder.path().join("d.mcap"), &drive).unwrap_err().to_string();
+        assert!(message.contains(&format!("scan 1: the time is {time} s; allowed: 0 to")), "{message}");
+    }
+    assert_eq!(Time::from_secs(1.999_999_999_9), Some(Time { sec: 2, nanosec: 0 }));
+}

@@ -1,0 +1,117 @@
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::Path;
+
+use locsim_core::{Drive, Pose2};
+use mcap::records::MessageHeader;
+use mcap::{McapResult, WriteOptions, Writer};
+
+use super::messages::{
+    Header, LaserScan, Message, Odometry, Pose, PoseWithCovariance, TfMessage, Time, TransformStamped,
+    TwistWithCovariance, encode,
+};
+use crate::DatasetError;
+use crate::output::{evenly_spaced, write_whole};
+
+/// Frames of REP-105.
+const MAP: &str = "map";
+const ODOM: &str = "odom";
+const BASE: &str = "base_link";
+const LASER: &str = "laser";
+
+/// Writes a drive as a ROS 2 bag in one MCAP file that [`read_mcap`](super::read_mcap) turns into the same drive, and
+/// that `ros2 bag play` and Foxglove open: `/scan`, `/odom`, `/reference` where it is known, `/tf` with the odometry
+/// and `/tf_static` with the laser's mount. Chunks aren't compressed.
+///
+/// Ranges come back exactly, no return as infinity in between (REP-117); poses to 1e-9, bearings and beam times to
+/// 1e-6, stamps to a nanosecond. A scan without reference between others with it comes back with one, interpolated;
+/// a reading of exactly 0 comes back as unusable. The file is written under a temporary name, then renamed.
+///
+/// # Errors
+/// The drive has no scan, bearings or beam times that aren't evenly spaced (the first beam at the stamp), values that
+/// no log may hold, or times before 0 or from 2^31 - 1 s on; the file can't be written.
+pub fn write_mcap(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
+    let (beams, times) = evenly_spaced(path, drive)?;
+    let stamps = drive.steps.iter().enumerate().map(|(i, step)| {
+        Time::from_secs(step.stamp_secs).ok_or_else(|| DatasetError::Unwritable {
+            path: path.to_owned(),
+            reason: format!("scan {i}: the time is {} s; allowed: 0 to 2147483647 s", step.stamp_secs),
+        })
+    });
+    let stamps = stamps.collect::<Result<Vec<_>, _>>()?;
+    let bytes = bag(drive, &stamps, beams.step as f32, times.step as f32)
+        .map_err(|error| DatasetError::Unwritable { path: path.to_owned(), reason: error.to_string() })?;
+    write_whole(path, |out| out.write_all(&bytes))
+}
+
+/// The bytes of the file.
+fn bag(drive: &Drive, stamps: &[Time], angle_increment: f32, time_increment: f32) -> McapResult<Vec<u8>> {
+    let options = WriteOptions::new().profile("ros2").library("locsim").compression(None);
+    let mut bag = Bag { writer: options.create(Cursor::new(Vec::new()))?, channels: BTreeMap::new() };
+    let laser = &drive.laser;
+    let bearings = laser.bearings();
+    let header = |stamp: Time, frame: &str| Header { stamp, frame_id: frame.to_owned() };
+    let tf = |stamp: Time, parent: &str, child: &str, pose: &Pose2| TfMessage {
+        transforms: vec![TransformStamped {
+            header: header(stamp, parent),
+            child_frame_id: child.to_owned(),
+            transform: Pose::planar(pose),
+        }],
+    };
+    let odometry = |stamp: Time, parent: &str, pose: &Pose2| Odometry {
+        header: header(stamp, parent),
+        child_frame_id: BASE.to_owned(),
+        pose: PoseWithCovariance { pose: Pose::planar(pose), covariance: Default::default() },
+        twist: TwistWithCovariance::default(),
+    };
+    for (i, (step, &stamp)) in drive.steps.iter().zip(stamps).enumerate() {
+        if i == 0 {
+            bag.write("/tf_static", stamp, &tf(stamp, BASE, LASER, &laser.base_from_laser()))?;
+        }
+        bag.write("/tf", stamp, &tf(stamp, ODOM, BASE, &step.odometry))?;
+        bag.write("/odom", stamp, &odometry(stamp, ODOM, &step.odometry))?;
+        if let Some(reference) = &step.reference {
+            bag.write("/reference", stamp, &odometry(stamp, MAP, reference))?;
+        }
+        let or_infinity = |range: &f32| if *range == laser.max_range() { f32::INFINITY } else { *range };
+        let scan = LaserScan {
+            header: header(stamp, LASER),
+            angle_min: bearings[0],
+            angle_max: bearings[bearings.len() - 1],
+            angle_increment,
+            time_increment,
+            // Unknown: a drive has times, not a rate.
+            scan_time: 0.0,
+            range_min: laser.min_range(),
+            range_max: laser.max_range(),
+            ranges: step.scan.ranges.iter().map(or_infinity).collect(),
+            intensities: Vec::new(),
+        };
+        bag.write("/scan", stamp, &scan)?;
+    }
+    bag.writer.finish()?;
+    Ok(bag.writer.into_inner().into_inner())
+}
+
+/// A bag in the making.
+struct Bag {
+    writer: Writer<Cursor<Vec<u8>>>,
+    /// Number of each topic's channel, and how many messages it has.
+    channels: BTreeMap<&'static str, (u16, u32)>,
+}
+
+impl Bag {
+    fn write<M: Message>(&mut self, topic: &'static str, stamp: Time, message: &M) -> McapResult<()> {
+        let (channel_id, sequence) = if let Some(channel) = self.channels.get(topic) {
+            *channel
+        } else {
+            let schema = self.writer.add_schema(M::TYPE, "ros2msg", M::DEFINITION.as_bytes())?;
+            (self.writer.add_channel(schema, topic, "cdr", &BTreeMap::new())?, 0)
+        };
+        self.channels.insert(topic, (channel_id, sequence + 1));
+        let time = stamp.nanos() as u64;
+        let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
+        let data = encode(message).map_err(std::io::Error::other)?;
+        self.writer.write_to_known_channel(&header, &data)
+    }
+}

@@ -1,0 +1,101 @@
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// What the poses of a log are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LogKind {
+    /// As the robot recorded it: odometry, and no reference poses.
+    Raw,
+    /// The scans' laser poses were corrected afterwards, for example by a mapping program: they are the
+    /// reference, good to some centimetres.
+    Corrected,
+    /// TRUEPOS lines tell where the robot was.
+    Simulated,
+    /// A topic of reference poses, from wherever they come.
+    Referenced,
+}
+
+/// Where the odometry of a log was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OdometrySource {
+    /// The robot pose in each scan's own line.
+    ScanLines,
+    /// The last ODOM line before each scan.
+    OdomLines,
+    /// ODOM lines that start again from the corrected pose after each scan, as gmapping writes them: the last
+    /// one before a scan, seen from the scan before, is the odometry of the interval.
+    RestartedOdomLines,
+    /// A topic of odometry messages, interpolated at the times of the scans.
+    Topic,
+}
+
+/// What was found in a log, and how it was understood.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LogSummary {
+    /// What the poses are.
+    pub kind: LogKind,
+    /// Where the odometry comes from.
+    pub odometry: OdometrySource,
+    /// How kind and odometry were recognised, in words and counts.
+    pub evidence: String,
+    /// Where the scans come from: the keyword of their lines, or their topic.
+    pub scan_source: String,
+    /// Number of odometry messages: ODOM lines, or messages of the odometry's topic.
+    pub odometry_messages: usize,
+    /// Number of reference poses: TRUEPOS lines, or messages of the reference's topic.
+    pub reference_messages: usize,
+    /// Number of lines or messages skipped, by keyword or topic; comments count as `#`.
+    pub skipped: BTreeMap<String, usize>,
+    /// Number of scans whose time went backwards or leapt and was repaired.
+    pub stamps_repaired: usize,
+    /// Number of scans with the same time as the scan before, after repair.
+    pub stamps_repeated: usize,
+    /// Number of scans left out because they are before or after the odometry.
+    pub scans_dropped: usize,
+    /// Number of intervals between scans for which [`OdometrySource::RestartedOdomLines`] has no odometry. The
+    /// motion of the reference stands in for it, so these steps test nothing.
+    pub intervals_without_odometry: usize,
+    /// Share of readings at the maximum range.
+    pub no_return_share: f64,
+    /// Share of readings that are unusable (NaN).
+    pub unusable_share: f64,
+    /// The longest reading below the maximum range (m); `None` when no reading is.
+    pub longest_return_m: Option<f32>,
+}
+
+impl fmt::Display for LogSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kind = match self.kind {
+            LogKind::Raw => "raw log without reference poses",
+            LogKind::Corrected => "corrected log",
+            LogKind::Simulated => "log with true poses",
+            LogKind::Referenced => "log with reference poses",
+        };
+        writeln!(f, "{kind}: {}", self.evidence)?;
+        write!(f, "readings: {:.1} % without return", 100.0 * self.no_return_share)?;
+        write!(f, ", {:.1} % unusable", 100.0 * self.unusable_share)?;
+        if let Some(longest) = self.longest_return_m {
+            write!(f, ", longest return {longest} m")?;
+        }
+        writeln!(f)?;
+        if self.stamps_repaired + self.stamps_repeated > 0 {
+            writeln!(
+                f,
+                "times: {} repaired because they went backwards or leapt, {} stand still",
+                self.stamps_repaired, self.stamps_repeated
+            )?;
+        }
+        if self.scans_dropped > 0 {
+            writeln!(f, "scans: {} left out, before or after the odometry", self.scans_dropped)?;
+        }
+        if self.intervals_without_odometry > 0 {
+            writeln!(
+                f,
+                "odometry: missing in {} intervals, the reference's motion stands in",
+                self.intervals_without_odometry
+            )?;
+        }
+        let skipped: Vec<_> = self.skipped.iter().map(|(word, n)| format!("{word} {n}")).collect();
+        write!(f, "skipped: {}", if skipped.is_empty() { "none".into() } else { skipped.join(", ") })
+    }
+}
