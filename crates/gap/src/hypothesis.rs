@@ -77,6 +77,12 @@ impl<'a> Comparison<'a> {
         self.nominal.effects_with(more)
     }
 
+    /// Where an evaluation with these nuisances begins.
+    pub fn start(&self, nuisances: &Nuisances) -> Fitted {
+        let n = self.recorded.scans();
+        Fitted { nuisances: *nuisances, corrections: vec![DVec3::ZERO; n], scans: vec![0.0; n] }
+    }
+
     /// The log likelihood with `more` effects. `start` gives the nuisances and the reference's errors to begin with;
     /// the density of blocks and the errors are profiled, `iterations` times.
     pub fn evaluate(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
@@ -125,9 +131,7 @@ impl<'a> Comparison<'a> {
 
     /// Fits all nuisances to the log under these effects, which this comparison's views are of.
     pub fn fit_nuisances_with(&self, effects: &Effects, start: &Nuisances, iterations: usize) -> Fitted {
-        let n = self.recorded.scans();
-        let mut fitted =
-            Fitted { nuisances: *start, corrections: vec![DVec3::ZERO; n], scans: vec![0.0; n] };
+        let mut fitted = self.start(start);
         // A process to start from that may be found to be none.
         let mut process = if start.pose_error.is_none() {
             PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 }

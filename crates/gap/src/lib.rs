@@ -19,6 +19,7 @@ mod recorded;
 mod search;
 mod show;
 mod statistics;
+mod strength;
 mod views;
 
 pub use error::GapError;
@@ -33,3 +34,4 @@ pub use pose_error::PoseError;
 pub use recorded::Recorded;
 pub use search::{GapOptions, Progress, find};
 pub use statistics::{Cell, Covariate, Deviation};
+pub use strength::{Regime, information, oracle_power, with_information};

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use crate::fit::{Candidate, Search, Start, sum_error};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::null::{Null, Replay, compare, fit_persistence};
+use crate::null::{BlockTruth, Null, Replay, compare, fit_persistence};
 use crate::outcome::{
     Detectable, Detection, Estimate, Evidence, Gap, Named, Number, Outcome, Rival, Verdict,
 };
@@ -81,9 +81,9 @@ pub fn find(
     progress.stage("fitting blocks and reference", 1);
     let comparison = Comparison::new(nominal, recorded);
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-    let resample = fit_persistence(nominal, recorded, &fitted, options.seed)?;
+    let blocks = fit_persistence(nominal, recorded, &fitted, options.seed)?;
     progress.advance(1);
-    let state = State { nominal, recorded, options, progress, stop, resample };
+    let state = State { nominal, recorded, options, progress, stop, blocks };
     let first = state.round(Vec::new(), fitted.nuisances)?;
     let mut rounds = vec![first];
     let mut named: Vec<Named> = Vec::new();
@@ -154,7 +154,7 @@ pub fn find(
         detectable,
         nuisances: before.fitted.nuisances,
         pit,
-        notes: notes(nominal, resample),
+        notes: notes(nominal, blocks.resample),
         scans: recorded.scans(),
         beams: recorded.beams(),
         seed: options.seed,
@@ -169,7 +169,7 @@ struct State<'a> {
     options: &'a GapOptions,
     progress: &'a dyn Progress,
     stop: &'a AtomicBool,
-    resample: BlockResampling,
+    blocks: BlockTruth,
 }
 
 impl<'a> State<'a> {
@@ -190,7 +190,7 @@ impl<'a> State<'a> {
             recorded: self.recorded,
             effects: &effects,
             nuisances: fitted.nuisances,
-            resample: self.resample,
+            blocks: self.blocks,
         };
         let seed = Draw::new(self.options.seed, Stage::Trial, 9).seed(effects.len() as u32);
         let tick = || self.progress.advance(1);
@@ -257,6 +257,9 @@ impl<'a> State<'a> {
         }
         best.sort_by(|a, b| b.1.total_cmp(&a.1));
         best.truncate(count);
+        // An effect whose own direction is hardly off can't be what moves others this far.
+        let least = best.first().map_or(0.0, |(_, z, _)| (0.25 * z).clamp(2.0, 4.0));
+        best.retain(|(_, z, _)| *z >= least);
         best.into_iter()
             .map(|(kind, _, mut all)| {
                 all.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
@@ -402,7 +405,7 @@ impl<'a> State<'a> {
             recorded: self.recorded,
             effects: &round.effects,
             nuisances: round.fitted.nuisances,
-            resample: self.resample,
+            blocks: self.blocks,
         };
         let draw = Draw::new(self.options.seed, Stage::Trial, 10);
         (0..8).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()

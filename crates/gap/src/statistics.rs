@@ -507,19 +507,20 @@ impl Dictionary {
                 };
                 out[self.glass + wall][half] += g(through);
             }
-            if is_return && terms.short > 0.01 {
+            // Things in front may stand where no block does.
+            let in_front = is_return && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1);
+            if in_front {
                 let heading = comparison.recorded.poses[scan].theta + beam.view.bearing;
                 let back = beam.view.range - z;
                 let end = beam.view.endpoint;
                 let cell = cell_at(end.x - back * heading.cos(), end.y - back * heading.sin(), OBJECT_CELL_M);
                 if let Some(&index) = self.objects.get(&cell) {
-                    out[index][half] += terms.short;
+                    out[index][half] += 1.0;
                 }
                 depth[0][half] += terms.short * (beam.range() - z);
                 depth[1][half] += terms.short;
             }
-            // A body-fixed thing in front can stand where no block does.
-            if is_return && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1) {
+            if in_front {
                 let range = (z / SECTOR_RANGE_M) as usize;
                 if range < self.sector_ranges {
                     let index = self.sector + usize::from(self.sector_of[i % k]) * self.sector_ranges + range;
