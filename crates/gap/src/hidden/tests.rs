@@ -16,7 +16,7 @@ const SEED: u64 = 5;
 const NORTH: [DVec2; 2] = [DVec2::new(6.0, 4.0), DVec2::new(0.0, 4.0)];
 
 /// A room with a door recess and a thin wall that hides part of the east end, some blocks and dropouts.
-fn nominal(scan_secs: f64) -> Nominal {
+static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
     let map: VectorMap = serde_yaml::from_str(
         "outline:
   points_m: [[0, 0], [2, 0], [2, -0.4], [3, -0.4], [3, 0], [6, 0], [6, 4], [0, 4]]
@@ -36,7 +36,7 @@ walls: [{name: screen, from_m: [5, 1.0], to_m: [5, 2.0]}]
         sigma_m: SIGMA_M,
         sigma_per_m: 0.0,
         mount: Pose2::new(0.1, 0.0, 0.0),
-        scan_secs,
+        scan_secs: 0.0,
     };
     let blocks = BlockOptions {
         per_metre_of_wall: 0.3,
@@ -52,9 +52,7 @@ walls: [{name: screen, from_m: [5, 1.0], to_m: [5, 2.0]}]
     let odometry = OdometryNoise::new([0.02, 0.005, 0.01, 0.005]).unwrap();
     let effects = Effects::new(vec![dropout]).unwrap();
     Nominal::new(map, laser, Some(blocks), odometry, effects, 1).unwrap()
-}
-
-static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| nominal(0.0));
+});
 static DRIVE: LazyLock<Drive> = LazyLock::new(|| {
     let path = RobotPath::Waypoints {
         points_m: vec![[1.0, 1.0], [4.2, 1.2], [4.0, 3.0], [1.2, 2.6]],
@@ -192,7 +190,7 @@ fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     for value in values {
         (sum, n) = (sum + value, n + 1.0);
     }
-    assert!(n > 30.0, "a mean of {n}");
+    assert!(n > 20.0, "a mean of {n}");
     sum / n
 }
 
@@ -230,7 +228,8 @@ fn at_strength_0_every_drive_is_the_nominal_one_bit_for_bit() {
 /// Also with beams that are taken one after the other.
 #[test]
 fn at_strength_0_a_sweep_is_the_nominal_one() {
-    let nominal = nominal(0.1);
+    let mut nominal = NOMINAL.clone();
+    nominal.laser.scan_secs = 0.1;
     let regime = Regime::default();
     let plain = record_library(&nominal, &TRUTH, &[], regime, SEED).unwrap();
     for form in OtherForm::ALL {
@@ -344,9 +343,9 @@ fn other_walls_and_objects_stand_where_they_say() {
     let moved = pairs(&other(OtherForm::MovedWall, true, Regime::default()));
     let is_north = |pair: &Pair| pair.at.y > 4.0 - 1e-9;
     assert!(moved.iter().all(|pair| !pair.is_changed() || pair.at.y > 3.89));
-    let straight = |pair: &Pair| is_north(pair) && pair.is_wall() && pair.incidence < 0.2;
+    let straight = |pair: &Pair| is_north(pair) && pair.is_wall() && pair.incidence < 0.3;
     for x in [1.0, 2.0, 3.0, 4.0] {
-        let near = |pair: &&Pair| straight(pair) && (pair.at.x - x).abs() < 0.2;
+        let near = |pair: &&Pair| straight(pair) && (pair.at.x - x).abs() < 0.4;
         let by = mean(moved.iter().filter(near).map(Pair::moved));
         assert!((by - 0.1 * (6.0 - x)).abs() < 0.05, "{by} at {x}");
     }
@@ -430,7 +429,7 @@ fn other_clocks_are_off_as_they_say() {
         };
         let (there, elsewhere, opposite) = (near(&late), near(&|_| 0.0), near(&|pair| -late(pair)));
         assert!(
-            there > 0.8 && elsewhere < there - 0.05 && opposite < elsewhere,
+            there > 0.65 && elsewhere < there - 0.1 && opposite < elsewhere,
             "{form:?}: {there} {elsewhere} {opposite}"
         );
     }
