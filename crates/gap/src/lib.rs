@@ -8,6 +8,7 @@
 
 mod error;
 mod fit;
+pub mod hidden;
 mod hypothesis;
 mod likelihood;
 mod nominal;
