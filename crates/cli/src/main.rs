@@ -16,6 +16,7 @@ use clap::{CommandFactory, Parser};
 use locsim_dataset::{LogOptions, McapTopics};
 use locsim_lab::bench;
 use locsim_lab::effects;
+use locsim_lab::gap_bench::{self, GapBenchError, GapBenchOptions};
 use locsim_lab::report::terminal_table;
 use locsim_lab::run::{self, Recorder, RunError, RunOptions};
 use locsim_lab::scenario::{self, Overrides, Scenario};
@@ -43,6 +44,7 @@ fn main() -> ExitCode {
         Command::Simulate(arguments) => simulate(arguments),
         Command::Map(arguments) => map(arguments),
         Command::Bench(arguments) => bench(arguments),
+        Command::GapBench(arguments) => run_gap_bench(arguments),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut Arguments::command(), "locsim", &mut std::io::stdout());
             Ok(ExitCode::SUCCESS)
@@ -51,7 +53,8 @@ fn main() -> ExitCode {
     done.unwrap_or_else(|error| {
         eprintln!("error: {}", explain(&error));
         let interrupted = matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }))
-            || matches!(error.downcast_ref(), Some(StudyError::Interrupted));
+            || matches!(error.downcast_ref(), Some(StudyError::Interrupted))
+            || error.downcast_ref::<GapBenchError>().is_some_and(GapBenchError::is_interruption);
         ExitCode::from(if interrupted { INTERRUPTED } else { BAD_INPUT })
     })
 }
@@ -106,6 +109,42 @@ fn run(arguments: &Run) -> Result<ExitCode> {
         eprintln!("missed: {missed}");
     }
     Ok(if outcome.missed.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(MISSED) })
+}
+
+/// Runs what of the suite hasn't been run, and prints its table.
+fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
+    use_threads(arguments.threads)?;
+    let interrupted = on_interrupt()?;
+    #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
+    let start = Instant::now();
+    let clock = || start.elapsed();
+    let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
+    let options = GapBenchOptions {
+        scenario: arguments.scenario.clone(),
+        out: arguments.out.clone(),
+        size: match arguments.size {
+            arguments::Size::Small => gap_bench::Size::Small,
+            arguments::Size::Medium => gap_bench::Size::Medium,
+            arguments::Size::Full => gap_bench::Size::Full,
+        },
+        seed: arguments.seed,
+        replicates: arguments.replicates,
+        scans: arguments.scans as usize,
+        clock: &clock,
+        progress: &bars,
+        interrupted: &interrupted,
+    };
+    let score = gap_bench::run(&options)?;
+    std::fs::write(arguments.out.join("report.md"), gap_bench::report(&score))?;
+    let json = serde_json::to_string_pretty(&score)?;
+    std::fs::write(arguments.out.join("score.json"), &json)?;
+    if arguments.json {
+        say(&json)?;
+    } else if !arguments.quiet {
+        say(&gap_bench::table(&score))?;
+        say(&format!("{} logs; report in {}", score.runs, arguments.out.join("report.md").display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Limits the worker threads.

@@ -74,6 +74,16 @@ pub(crate) struct Search<'c, 'a> {
     pub given: &'c [Effect],
     /// The log under those.
     pub without: &'c Fitted,
+    /// Where evaluations with the effect begin: nuisances and errors of the reference.
+    pub start: &'c Fitted,
+}
+
+/// Whether an effect moves whole scans, as errors of the reference do.
+fn moves_scans(kind: EffectKind) -> bool {
+    matches!(
+        kind,
+        EffectKind::MountYaw | EffectKind::MountOffset | EffectKind::TimeOffset | EffectKind::MotionSkew
+    )
 }
 
 impl Search<'_, '_> {
@@ -87,20 +97,40 @@ impl Search<'_, '_> {
             }
         }
         match best {
+            Some((_, effect)) if moves_scans(kind) => {
+                // Errors of the reference that were fitted without the effect have taken some of it in.
+                let refitted = self.refitted(&effect)?;
+                let anew = Search { start: &refitted, ..*self };
+                let start = Start { values: effect.values.clone(), place: effect.place.clone() };
+                let (_, effect) = anew.maximize(kind, &start)?;
+                let refitted = anew.refitted(&effect)?;
+                let anew = Search { start: &refitted, ..*self };
+                let gains = anew.evaluate(&effect)?.total() > self.without.total() + 0.2;
+                Ok(if gains { Some(anew.assess(effect)?) } else { None })
+            }
             Some((value, effect)) if value > self.without.total() + 0.2 => Ok(Some(self.assess(effect)?)),
             _ => Ok(None),
         }
     }
 
     fn evaluate(&self, effect: &Effect) -> Result<Fitted, GapError> {
+        self.comparison.evaluate(&self.with(effect), self.start, 1)
+    }
+
+    fn with(&self, effect: &Effect) -> Vec<Effect> {
         let mut effects = self.given.to_vec();
         effects.push(effect.clone());
-        self.comparison.evaluate(&effects, self.without, 1)
+        effects
+    }
+
+    /// The nuisances fitted with this effect.
+    fn refitted(&self, effect: &Effect) -> Result<Fitted, GapError> {
+        self.comparison.refit(&self.with(effect), self.start, 12)
     }
 
     fn maximize(&self, kind: EffectKind, start: &Start) -> Result<(f64, Effect), GapError> {
         let parameters = kind.parameters();
-        let scales: Vec<f64> = parameters.iter().zip(&start.values).map(|(p, &value)| scale(p, value)).collect();
+        let scales: Vec<f64> = parameters.iter().zip(&start.values).enumerate().map(|(i, (p, &value))| scale(kind, i, p, value)).collect();
         let problem = Problem { search: self, kind, start, scales: &scales };
         let origin = vec![0.0; scales.len()];
         if kind == EffectKind::Quantization {
@@ -236,7 +266,13 @@ impl Search<'_, '_> {
 }
 
 /// How far a search goes at first in a number that starts at `value`.
-fn scale(parameter: &Parameter, value: f64) -> f64 {
+fn scale(kind: EffectKind, number: usize, parameter: &Parameter, value: f64) -> f64 {
+    match (kind, number) {
+        // Where something is has no neutral value.
+        (EffectKind::MissingObject, 0 | 1) => return 0.15,
+        (EffectKind::SectorOcclusion, 0 | 1) => return 0.05,
+        _ => {}
+    }
     if parameter.lo >= 0.0 {
         // The least value it starts from.
         return 1e-3 * (parameter.start - parameter.lo).abs().max(1e-3);

@@ -35,4 +35,4 @@ pub use pose_error::PoseError;
 pub use recorded::Recorded;
 pub use search::{GapOptions, Progress, find};
 pub use statistics::{Cell, Covariate, Deviation};
-pub use strength::{Regime, information, oracle_power, with_information};
+pub use strength::{information, oracle_power, with_information};

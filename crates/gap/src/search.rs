@@ -10,7 +10,7 @@ use locsim_world::simulation::BlockResampling;
 use rand::RngExt;
 use rayon::prelude::*;
 
-use crate::fit::{Candidate, Search, Start, sum_error};
+use crate::fit::{Candidate, Search, Start, blocks, sum_error};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::null::{BlockTruth, Null, Replay, compare, fit_persistence};
 use crate::outcome::{
@@ -113,6 +113,11 @@ pub fn find(
     }
     if named.len() > 1 {
         state.refit_jointly(&mut named, &rounds[rounds.len() - 1])?;
+    }
+    // Deeper blocks also stand in the way of more beams.
+    let deeper = named.iter().any(|named| named.name == EffectKind::BlockDepth);
+    if !deeper && !options.without.contains(&EffectKind::BlockDensity) {
+        named.extend(state.block_density(&rounds[0], &rounds[rounds.len() - 1])?);
     }
     let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
     let still_off = after.null.p <= options.false_alarm;
@@ -223,7 +228,7 @@ impl<'a> State<'a> {
         self.progress.stage("fitting effects", starts.len() as u64);
         // The comparison of the nominal world: effects given so far are part of each hypothesis.
         let comparison = Comparison::new(self.nominal, self.recorded);
-        let search = Search { comparison: &comparison, given: &round.effects, without: &round.fitted };
+        let search = Search { comparison: &comparison, given: &round.effects, without: &round.fitted, start: &round.fitted };
         let fits = starts
             .par_iter()
             .map(|(kind, starts)| {
@@ -243,7 +248,8 @@ impl<'a> State<'a> {
         let mut best: Vec<(EffectKind, f64, Vec<(f64, usize)>)> = Vec::new();
         for (i, aim) in round.dictionary.aims.iter().enumerate() {
             let Aim::Effect(kind, _) = aim else { continue };
-            if self.options.without.contains(kind) {
+            // The density of blocks is fitted along with everything else; see `block_density`.
+            if self.options.without.contains(kind) || *kind == EffectKind::BlockDensity {
                 continue;
             }
             let z = round.null.z[i];
@@ -379,6 +385,53 @@ impl<'a> State<'a> {
         start
     }
 
+    /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
+    /// where simulated logs say that it can't be chance.
+    fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
+        let logs: Vec<f64> =
+            last.null.fits.iter().map(|fit| fit.nuisances.block_density.ln()).collect();
+        let mean = logs.iter().sum::<f64>() / logs.len() as f64;
+        let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
+        let truth = (last.fitted.nuisances.block_density * self.blocks.density_over_fit).ln();
+        let z = truth / error;
+        // As rare as one false alarm among all effects.
+        let p = statrs::function::erf::erfc(z.abs() / std::f64::consts::SQRT_2);
+        if self.nominal.blocks.is_none() || !error.is_finite() || p > 0.1 * self.options.false_alarm {
+            return Ok(None);
+        }
+        let kind = EffectKind::BlockDensity;
+        let parameter = &kind.parameters()[0];
+        let effect = Effect::new(kind, vec![truth.exp().clamp(parameter.lo, parameter.hi)], Vec::new())?;
+        let mut nominal = first.fitted.clone();
+        nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
+        let without = first.comparison.evaluate(&[], &nominal, 0)?;
+        let gains: Vec<f64> = blocks(&first.fitted.scans)
+            .iter()
+            .zip(blocks(&without.scans))
+            .map(|(with, without)| with - without)
+            .collect();
+        let gain_nats = gain(&gains);
+        let number = Number {
+            value: truth.exp(),
+            lo: (truth - 1.96 * error).exp(),
+            hi: (truth + 1.96 * error).exp(),
+            unit: parameter.unit,
+        };
+        Ok(Some(Named {
+            name: kind,
+            candidates: vec![kind],
+            params: [(parameter.name, number)].into(),
+            place: Vec::new(),
+            evidence: Evidence {
+                gain_nats,
+                gain_nats_per_scan: gain_nats.value / self.recorded.scans() as f64,
+                p,
+            },
+            split_by: None,
+            effect,
+        }))
+    }
+
     /// With all effects at once, the numbers of each are fitted anew, the others as they are.
     fn refit_jointly(&self, named: &mut [Named], last: &Round<'a>) -> Result<(), GapError> {
         let comparison = Comparison::new(self.nominal, self.recorded);
@@ -386,7 +439,7 @@ impl<'a> State<'a> {
             let given: Vec<Effect> =
                 named.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, named)| named.effect.clone()).collect();
             let without = comparison.evaluate(&given, &last.fitted, 1)?;
-            let search = Search { comparison: &comparison, given: &given, without: &without };
+            let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
             let effect = &named[i].effect;
             let start = Start { values: effect.values.clone(), place: effect.place.clone() };
             if let Some(candidate) = search.fit(effect.kind, &[start])? {

@@ -128,6 +128,7 @@ pub(crate) struct Dictionary {
     depth: usize,
     density: usize,
     odometry: usize,
+    patterns: usize,
     cells: usize,
     cell_of: Vec<[u32; COVARIATES]>,
     jumps: Vec<Option<[f64; 2]>>,
@@ -278,6 +279,10 @@ impl Dictionary {
         for kind in [E::OdomDistanceScale, E::OdomTurnScale, E::OdomImbalance, E::WheelSlip] {
             push(&mut aims, &mut counts, Aim::Effect(kind, Hint::None), false);
         }
+        let patterns = aims.len();
+        for kind in [E::MountYaw, E::MountOffset, E::TimeOffset] {
+            push(&mut aims, &mut counts, Aim::Effect(kind, Hint::None), false);
+        }
         // Where unmapped objects can be seen: along the beams, up to their ends.
         let mut objects = HashMap::new();
         for (i, beam) in views.beams.iter().enumerate() {
@@ -421,6 +426,7 @@ impl Dictionary {
             depth,
             density,
             odometry,
+            patterns,
             cells,
             cell_of,
             jumps,
@@ -560,6 +566,10 @@ impl Dictionary {
         for half in 0..2 {
             out[self.depth][half] = depth[0][half] / (depth[1][half] + 1.0);
             out[self.density][half] = 0.5 * fitted.nuisances.block_density.ln();
+        }
+        for (p, gain) in fitted.pattern_gains.iter().enumerate() {
+            // Of the log as a whole; as a signed root, which is spread more evenly than a gain.
+            out[self.patterns + p] = [0.5 * (2.0 * gain.max(0.0)).sqrt(); 2];
         }
         let track = comparison.corrected(&fitted.corrections);
         let all = increments(comparison.nominal, effects, &track, &comparison.recorded.odometry);

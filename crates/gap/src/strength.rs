@@ -9,28 +9,18 @@ use locsim_world::simulation::BlockResampling;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
 
+use crate::hidden::Regime;
 use crate::hypothesis::{Comparison, Nuisances};
 use crate::null::{BlockTruth, Replay};
 use crate::{GapError, Nominal, PoseError, Recorded};
 
 /// Simulated logs behind an expectation.
-const LOGS: u32 = 8;
+const LOGS: u32 = 6;
 /// Steps of the search for a strength.
-const STEPS: u32 = 6;
+const STEPS: u32 = 5;
 
-/// How a log is taken.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Regime {
-    /// Unmapped blocks stay through the log, instead of taking new places at each scan.
-    pub persistent_blocks: bool,
-    /// How the reference poses err.
-    pub pose_error: PoseError,
-}
-
-impl Regime {
-    fn nuisances(&self) -> Nuisances {
-        Nuisances { pose_error: self.pose_error, ..Nuisances::default() }
-    }
+fn nuisances(regime: &Regime) -> Nuisances {
+    Nuisances { pose_error: regime.pose_error.unwrap_or(PoseError::NONE), ..Nuisances::default() }
 }
 
 /// lambda of an effect in logs along the recorded poses.
@@ -51,7 +41,7 @@ pub fn information(
         nominal,
         recorded,
         effects,
-        nuisances: regime.nuisances(),
+        nuisances: nuisances(regime),
         blocks: BlockTruth { resample, density_over_fit: 1.0 },
     };
     let draw = Draw::new(seed, Stage::Trial, 11);
@@ -60,7 +50,7 @@ pub fn information(
         .map(|i| {
             let simulated = replay.simulate(draw.seed(i))?;
             let comparison = Comparison::new(nominal, &simulated);
-            let start = comparison.start(&regime.nuisances());
+            let start = comparison.start(&nuisances(regime));
             let without = comparison.evaluate(&[], &start, 2)?.total();
             let with = comparison.evaluate(effects, &start, 2)?.total();
             Ok(2.0 * (with - without))
