@@ -31,7 +31,7 @@ fn the_page_of_an_effect_says_what_it_is_and_what_looks_like_it() {
         page,
         "incidence_dropout (beam)\n\n\
          Slanted walls often send nothing back.\n\n\
-         definition      P(no return) = p / (1 + exp(-(alpha - angle_rad) / width_rad)), on walls\n\
+         definition      P(no return) = p / (1 + exp(-(alpha - angle_deg) / width_deg)), on walls\n\
          gives it away   missing returns that set in at an incidence\n\
          looks like      range_dropout, glass\n\n\
          p               0 to 1, such as 0.5\n\
