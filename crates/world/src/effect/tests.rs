@@ -22,11 +22,11 @@ pub(crate) fn place(kind: EffectKind) -> Vec<[DVec2; 2]> {
 pub(crate) fn strong(kind: EffectKind) -> Effect {
     use EffectKind as E;
     let values: &[f64] = match kind {
-        E::RangeBias => &[0.05],
+        E::RangeBias | E::Quantization => &[0.05],
         E::RangeScale => &[0.03],
         E::IncidenceBias => &[0.02],
         E::RangeNoise => &[0.01],
-        E::IncidenceNoise => &[2.0],
+        E::IncidenceNoise | E::BlockDensity => &[2.0],
         E::HeavyTail => &[0.4],
         E::IncidenceDropout => &[0.8, 0.6, 0.2],
         E::RangeDropout => &[0.9, 0.7],
@@ -34,18 +34,13 @@ pub(crate) fn strong(kind: EffectKind) -> Effect {
         E::Glass => &[0.6],
         E::MovedWall => &[-0.3],
         E::MissingObject => &[4.0, 3.0, 0.3],
-        E::MountYaw => &[0.1],
+        E::MountYaw | E::TimeOffset | E::OdomDistanceScale | E::OdomTurnScale => &[0.1],
         E::MountOffset => &[0.1, -0.05],
-        E::TimeOffset => &[0.1],
-        E::MotionSkew => &[0.2],
+        E::MotionSkew | E::OdomImbalance => &[0.2],
         E::WarmupDrift => &[0.1, 5.0],
         E::SectorOcclusion => &[3.0, -2.0, 0.4, 0.7],
         E::Crosstalk => &[0.7, 0.6],
-        E::Quantization => &[0.05],
-        E::BlockDensity => &[2.0],
         E::BlockDepth => &[1.5],
-        E::OdomDistanceScale | E::OdomTurnScale => &[0.1],
-        E::OdomImbalance => &[0.2],
         E::WheelSlip => &[0.5, 0.3],
     };
     Effect::new(kind, values.to_vec(), place(kind)).unwrap()
