@@ -179,8 +179,8 @@ fn bench_regression(arguments: &arguments::BenchRegression) -> Result<ExitCode> 
         say(&format!(
             "200 queries [ms]: faithful {:.3}, on two threads {:.3}, registered {:.3}\n\
              one density from a table [ns]: {:.2}\n\
-             risk, gauss [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
-             risk, mixed [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
+             risk, gauss [mm]: faithful {:.3}, registered {:.3} (by {}), p_reg {:.3}\n\
+             risk, mixed [mm]: faithful {:.3}, registered {:.3} (by {}), p_reg {:.3}\n\
              largest difference from the dense product: {:.1e}",
             ms.faithful,
             ms.faithful_2_threads,
@@ -188,9 +188,11 @@ fn bench_regression(arguments: &arguments::BenchRegression) -> Result<ExitCode> 
             report.density_ns,
             gauss.faithful,
             gauss.registered,
+            report.registered_by.gauss,
             gauss.p_reg,
             mixed.faithful,
             mixed.registered,
+            report.registered_by.mixed,
             mixed.p_reg,
             report.max_abs_diff_from_dense
         ))?;

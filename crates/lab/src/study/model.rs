@@ -56,20 +56,27 @@ impl Model {
     }
 
     /// What it is, for reports.
-    pub(super) fn describe(self) -> &'static str {
-        match self {
+    pub(super) fn describe(self, setup: &Setup) -> String {
+        let text = match self {
             Self::PReg => {
                 "a Gaussian whose mean and deviation are regressed on the state (the paper's procedure 1)"
             }
             Self::PRegTwoGaussians => "the same with two Gaussians",
             Self::NpReg => "histograms smoothed over states (the paper's procedure 2, as published)",
             Self::NpRegRegistered => {
-                "the same on observations relative to the state coordinate that they follow"
+                let name = |d: usize| &setup.coordinates[d].0;
+                let aligned = match setup.alignment.unwrap_or_default() {
+                    Alignment::Identity => "z".to_owned(),
+                    Alignment::Shift { state_dim } => format!("z - `{}`", name(state_dim)),
+                    Alignment::Scale { state_dim } => format!("z / `{}`", name(state_dim)),
+                };
+                return format!("the same with histograms of {aligned}, at every state and N of this study");
             }
             Self::Frechet => {
                 "quantile functions regressed on the state by local planes (Petersen and Müller 2019)"
             }
-        }
+        };
+        text.to_owned()
     }
 
     /// Whether it needs a state coordinate that the observation follows.

@@ -122,7 +122,8 @@ pub struct ModelRisk {
     pub crps: Curve,
     /// Median over repeats of the bandwidth chosen for each state coordinate, at each N.
     pub bandwidths: Vec<Vec<f64>>,
-    /// Share of repeats in which a chosen bandwidth was the first or the last of its list, at each N.
+    /// Share of repeats in which a chosen bandwidth was the first or the last of its list, at each N. A last one of ten spans
+    /// of its coordinate and more is no end: the coordinate then doesn't count.
     pub at_end_share: Vec<f64>,
     /// Risk relative to the first model's, at each N, with 95 % bootstrap intervals over repeats (paired).
     pub ratio: Vec<f64>,

@@ -116,13 +116,20 @@ fn median_bandwidths(repeats: &[Repeat], model: usize, place: usize) -> Vec<f64>
         .collect()
 }
 
+/// Share of repeats in which the search might have gone on beyond a list. A last bandwidth of many spans of its coordinate
+/// is no end: larger ones would give the same weights.
 fn at_end_share(study: &Study, repeats: &[Repeat], model: usize, place: usize) -> f64 {
     let at_end = |r: &&Repeat| {
-        r.bandwidths[model][place].iter().zip(&study.bandwidths).any(|(chosen, list)| {
-            let (least, most) =
-                list.iter().fold((f64::INFINITY, 0.0), |(a, b): (f64, f64), &h| (a.min(h), b.max(h)));
-            *chosen == least || *chosen == most
-        })
+        r.bandwidths[model][place].iter().zip(&study.bandwidths).zip(&r.spans).any(
+            |((chosen, list), span)| {
+                let (least, most) =
+                    list.iter().fold((f64::INFINITY, 0.0), |(a, b): (f64, f64), &h| (a.min(h), b.max(h)));
+                list.len() > 1 && (*chosen == least || (*chosen == most && most < SPANS_THAT_ARE_ALL * span))
+            },
+        )
     };
     repeats.iter().filter(at_end).count() as f64 / repeats.len() as f64
 }
+
+/// With a bandwidth of so many spans of a coordinate, weights of a Gaussian kernel differ by at most 0.5 %.
+const SPANS_THAT_ARE_ALL: f64 = 10.0;

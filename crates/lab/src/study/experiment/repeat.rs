@@ -20,6 +20,8 @@ pub(super) struct Repeat {
     pub risks: Vec<Vec<f64>>,
     pub crps: Vec<Vec<f64>>,
     pub bandwidths: Vec<Vec<Vec<f64>>>,
+    /// Of each state coordinate, over the largest training set.
+    pub spans: Vec<f64>,
     pub pooled: Vec<f64>,
     /// By way of choosing and budget.
     pub thinned: [Vec<f64>; 3],
@@ -81,10 +83,16 @@ pub(super) fn run_repeat(
         .iter()
         .filter(|test| families::is_not_gaussian(&test.observed, &study.setup.outcomes.grid))
         .count();
+    let span = |d: usize| {
+        let values = (0..data.len()).map(|i| data.state(i)[d]);
+        let (lo, hi) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), x| (lo.min(x), hi.max(x)));
+        hi - lo
+    };
     Ok(Repeat {
         risks,
         crps: scores,
         bandwidths,
+        spans: (0..data.dim()).map(span).collect(),
         pooled,
         thinned,
         own,
