@@ -63,6 +63,12 @@ pub struct ConditionResults {
     pub not_gaussian_share: f64,
     /// Observations behind each of these tests, on average.
     pub not_gaussian_observations: f64,
+    /// Smallest and largest first coordinate of the test states, of all repeats, that the test doesn't tell from a Gaussian;
+    /// absent where it tells all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gaussian_between: Option<[f64; 2]>,
+    /// Span of each state coordinate over the largest training set, mean over repeats.
+    pub spans: Vec<f64>,
     /// Loss of a histogram of M observations against M (Fig. 7).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub loss_against_observations: Option<LossAgainstObservations>,

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::Samples;
 use super::budget::thinned_model;
 use super::loss_against_observations::needed;
-use super::repeat::{Repeat, run_repeat};
+use super::repeat::{Repeat, ends, run_repeat};
 use super::roughness::roughness;
 use crate::statistics::{Bootstrap, quantile};
 use crate::study::results::{ConditionResults, Curve, ModelRisk, Thinning};
@@ -75,6 +75,8 @@ pub(super) fn run_condition(
         condition: condition.label.clone(),
         not_gaussian_share: mean(&|r| r.not_gaussian),
         not_gaussian_observations: observed,
+        gaussian_between: ends(repeats.iter().flat_map(|r| r.gaussian_at.iter().copied())),
+        spans: (0..study.setup.coordinates.len()).map(|d| mean(&|r| r.spans[d])).collect(),
         loss_against_observations,
         risks,
         pooled_risk: over(&sizes, &|r, place| r.pooled[place]),

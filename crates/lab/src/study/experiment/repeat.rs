@@ -30,6 +30,8 @@ pub(super) struct Repeat {
     pub coefficient_of_truth: f64,
     pub truth_observations: f64,
     pub not_gaussian: f64,
+    /// First coordinates of the other test states.
+    pub gaussian_at: Vec<f64>,
     pub samples: Option<Samples>,
 }
 
@@ -79,14 +81,14 @@ pub(super) fn run_repeat(
         Source::Simulated(sensor) => Some(own_risk(study, repeat, sensor.as_ref(), &tests)?),
         Source::Recorded(_) => None,
     };
-    let not_gaussian = tests
+    let gaussian_at: Vec<f64> = tests
         .iter()
-        .filter(|test| families::is_not_gaussian(&test.observed, &study.setup.outcomes.grid))
-        .count();
+        .filter(|test| !families::is_not_gaussian(&test.observed, &study.setup.outcomes.grid))
+        .map(|test| test.state[0])
+        .collect();
     let span = |d: usize| {
-        let values = (0..data.len()).map(|i| data.state(i)[d]);
-        let (lo, hi) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), x| (lo.min(x), hi.max(x)));
-        hi - lo
+        let ends = ends((0..data.len()).map(|i| data.state(i)[d]));
+        ends.map_or(0.0, |[lo, hi]| hi - lo)
     };
     Ok(Repeat {
         risks,
@@ -99,7 +101,8 @@ pub(super) fn run_repeat(
         losses,
         coefficient_of_truth,
         truth_observations,
-        not_gaussian: not_gaussian as f64 / tests.len() as f64,
+        not_gaussian: 1.0 - gaussian_at.len() as f64 / tests.len() as f64,
+        gaussian_at,
         samples: (repeat == 0)
             .then(|| pick_samples(&tests, &samples, study.states.last().copied().unwrap_or(0))),
     })
@@ -127,6 +130,11 @@ fn own_risk(study: &Study, repeat: u32, sensor: &dyn Sensor, tests: &[Test]) -> 
         sum += histogram_match(&study.histogram(&own)?, &test.truth)?;
     }
     Ok(sum / tests.len() as f64)
+}
+
+/// The smallest and the largest of some values.
+pub(super) fn ends(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
+    values.map(|x| [x, x]).reduce(|[lo, hi], [x, _]| [lo.min(x), hi.max(x)])
 }
 
 /// Test states spread over the first coordinate.
