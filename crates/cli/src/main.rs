@@ -36,7 +36,7 @@ fn main() -> ExitCode {
         Command::Study(arguments) => run_studies(arguments),
         Command::BenchRegression(arguments) => bench_regression(arguments),
         Command::Validate { scenarios } => validate(scenarios),
-        Command::Schema => print_schema(),
+        Command::Schema { study } => print_schema(*study),
         Command::Simulate(arguments) => simulate(arguments),
         Command::Map(arguments) => map(arguments),
         Command::Bench(arguments) => bench(arguments),
@@ -237,16 +237,11 @@ fn recorder(record: Record, scenario: &str) -> Option<Box<Recorder<'static>>> {
     }
 }
 
-fn validate(scenarios: &[PathBuf]) -> Result<ExitCode> {
+fn validate(files: &[PathBuf]) -> Result<ExitCode> {
     let mut refused = false;
-    for path in scenarios {
-        match Scenario::load(path, &Overrides::default()) {
-            Ok(scenario) => say(&format!(
-                "{}: valid ({} models, {} trials)",
-                path.display(),
-                scenario.models.len(),
-                scenario.trials
-            ))?,
+    for path in files {
+        match validate_one(path) {
+            Ok(content) => say(&format!("{}: valid ({content})", path.display()))?,
             Err(error) => {
                 refused = true;
                 eprintln!("error: {error}");
@@ -256,8 +251,20 @@ fn validate(scenarios: &[PathBuf]) -> Result<ExitCode> {
     Ok(if refused { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS })
 }
 
-fn print_schema() -> Result<ExitCode> {
-    say(&serde_json::to_string_pretty(&scenario::schema())?)?;
+/// What a scenario or a study holds.
+fn validate_one(path: &Path) -> Result<String, StudyError> {
+    Ok(if study::is_study(path)? {
+        let study = study::Study::load(path, StudyOverrides::default())?;
+        format!("study, {} models, {} repeats", study.models().len(), study.repeats())
+    } else {
+        let scenario = Scenario::load(path, &Overrides::default())?;
+        format!("{} models, {} trials", scenario.models.len(), scenario.trials)
+    })
+}
+
+fn print_schema(study: bool) -> Result<ExitCode> {
+    let schema = if study { study::schema() } else { scenario::schema() };
+    say(&serde_json::to_string_pretty(&schema)?)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -5,6 +5,7 @@ use distreg::{
     FrechetOptions, Kernel, NpRegOptions, PRegOptions, Regressor, Weighting, crps, grid_search, histogram,
     histogram_match,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::sensor::Setup;
@@ -17,7 +18,7 @@ const LEAST_OBSERVATIONS: usize = 20;
 const MOST_QUANTILES: usize = 100;
 
 /// A model under comparison.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Model {
     /// Procedure 1 with a Gaussian, as published.
@@ -33,7 +34,7 @@ pub enum Model {
 }
 
 /// What cross-validation makes small.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Criterion {
     /// The paper's loss against the histogram of a held-out state's observations. It wants repeated observations.
