@@ -180,9 +180,10 @@ fn every_documented_default_is_the_default() {
         "    waypoints: {points_m: [[1, 2], [2, 2]], speed_m_s: 1, turn_rate_deg_s: 45}",
     );
     let adaptive = edited(&minimal, "particles: 1000", "particles: {kld: {min: 10, max: 20}}");
+    let annealed = edited(&minimal, "particles: 1000", "particles: 1000\n  annealing: {}");
     let log = edited(&text("log.yaml"), "  map_resolution_m: 0.1\n", "");
     let mut seen = BTreeSet::new();
-    for text in [minimal, waypoints, adaptive, log] {
+    for text in [minimal, waypoints, adaptive, annealed, log] {
         let mut explicit = json_of(&text);
         fill(&schema, &schema, &mut explicit, &mut seen);
         // JSON is YAML.
