@@ -24,14 +24,18 @@ pub enum Command {
     Study(Study),
     /// Measure distribution regression on its fixed task: times, risks, agreement with the dense product
     BenchRegression(BenchRegression),
-    /// Check scenarios without running them
+    /// Check scenarios and studies without running them
     Validate {
-        /// Scenario files
+        /// Scenario and study files
         #[arg(required = true)]
         scenarios: Vec<PathBuf>,
     },
     /// Print the JSON Schema of scenario files, for editors
-    Schema,
+    Schema {
+        /// Of study files instead
+        #[arg(long)]
+        study: bool,
+    },
     /// List the effects: named ways in which a simulated world can differ from the nominal one; or tell all about one
     Effects {
         /// Which one

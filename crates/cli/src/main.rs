@@ -39,7 +39,7 @@ fn main() -> ExitCode {
         Command::Study(arguments) => run_studies(arguments),
         Command::BenchRegression(arguments) => bench_regression(arguments),
         Command::Validate { scenarios } => validate(scenarios),
-        Command::Schema => print_schema(),
+        Command::Schema { study } => print_schema(*study),
         Command::Effects { name } => effects(name.as_deref()),
         Command::Simulate(arguments) => simulate(arguments),
         Command::Map(arguments) => map(arguments),
@@ -221,8 +221,8 @@ fn bench_regression(arguments: &arguments::BenchRegression) -> Result<ExitCode> 
         say(&format!(
             "200 queries [ms]: faithful {:.3}, on two threads {:.3}, registered {:.3}\n\
              one density from a table [ns]: {:.2}\n\
-             risk, gauss [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
-             risk, mixed [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
+             risk, gauss [mm]: faithful {:.3}, registered {:.3} (by {}), p_reg {:.3}\n\
+             risk, mixed [mm]: faithful {:.3}, registered {:.3} (by {}), p_reg {:.3}\n\
              largest difference from the dense product: {:.1e}",
             ms.faithful,
             ms.faithful_2_threads,
@@ -230,9 +230,11 @@ fn bench_regression(arguments: &arguments::BenchRegression) -> Result<ExitCode> 
             report.density_ns,
             gauss.faithful,
             gauss.registered,
+            report.registered_by.gauss,
             gauss.p_reg,
             mixed.faithful,
             mixed.registered,
+            report.registered_by.mixed,
             mixed.p_reg,
             report.max_abs_diff_from_dense
         ))?;
@@ -277,16 +279,11 @@ fn recorder(record: Record, scenario: &str) -> Option<Box<Recorder<'static>>> {
     }
 }
 
-fn validate(scenarios: &[PathBuf]) -> Result<ExitCode> {
+fn validate(files: &[PathBuf]) -> Result<ExitCode> {
     let mut refused = false;
-    for path in scenarios {
-        match Scenario::load(path, &Overrides::default()) {
-            Ok(scenario) => say(&format!(
-                "{}: valid ({} models, {} trials)",
-                path.display(),
-                scenario.models.len(),
-                scenario.trials
-            ))?,
+    for path in files {
+        match validate_one(path) {
+            Ok(content) => say(&format!("{}: valid ({content})", path.display()))?,
             Err(error) => {
                 refused = true;
                 eprintln!("error: {error}");
@@ -296,8 +293,20 @@ fn validate(scenarios: &[PathBuf]) -> Result<ExitCode> {
     Ok(if refused { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS })
 }
 
-fn print_schema() -> Result<ExitCode> {
-    say(&serde_json::to_string_pretty(&scenario::schema())?)?;
+/// What a scenario or a study holds.
+fn validate_one(path: &Path) -> Result<String, StudyError> {
+    Ok(if study::is_study(path)? {
+        let study = study::Study::load(path, StudyOverrides::default())?;
+        format!("study, {} models, {} repeats", study.models().len(), study.repeats())
+    } else {
+        let scenario = Scenario::load(path, &Overrides::default())?;
+        format!("{} models, {} trials", scenario.models.len(), scenario.trials)
+    })
+}
+
+fn print_schema(study: bool) -> Result<ExitCode> {
+    let schema = if study { study::schema() } else { scenario::schema() };
+    say(&serde_json::to_string_pretty(&schema)?)?;
     Ok(ExitCode::SUCCESS)
 }
 
