@@ -32,6 +32,11 @@ pub enum Command {
     },
     /// Print the JSON Schema of scenario files, for editors
     Schema,
+    /// List the effects: named ways in which a simulated world can differ from the nominal one; or tell all about one
+    Effects {
+        /// Which one
+        name: Option<String>,
+    },
     /// Write one simulated drive of a scenario as a measured log (ROS 2 bag or CARMEN log)
     Simulate(Simulate),
     /// Build an occupancy grid map (ROS `map_server` format) from a log with reference poses

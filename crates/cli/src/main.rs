@@ -1,4 +1,4 @@
-//! The `locsim` command: runs scenarios, checks them, simulates logs, builds maps, measures speed.
+//! The `locsim` command: runs scenarios, checks them, lists effects, simulates logs, builds maps, measures speed.
 
 mod arguments;
 mod progress;
@@ -15,6 +15,7 @@ use anyhow::{Context, Result};
 use clap::{CommandFactory, Parser};
 use locsim_dataset::{LogOptions, McapTopics};
 use locsim_lab::bench;
+use locsim_lab::effects;
 use locsim_lab::report::terminal_table;
 use locsim_lab::run::{self, Recorder, RunError, RunOptions};
 use locsim_lab::scenario::{self, Overrides, Scenario};
@@ -38,6 +39,7 @@ fn main() -> ExitCode {
         Command::BenchRegression(arguments) => bench_regression(arguments),
         Command::Validate { scenarios } => validate(scenarios),
         Command::Schema => print_schema(),
+        Command::Effects { name } => effects(name.as_deref()),
         Command::Simulate(arguments) => simulate(arguments),
         Command::Map(arguments) => map(arguments),
         Command::Bench(arguments) => bench(arguments),
@@ -257,6 +259,14 @@ fn validate(scenarios: &[PathBuf]) -> Result<ExitCode> {
 
 fn print_schema() -> Result<ExitCode> {
     say(&serde_json::to_string_pretty(&scenario::schema())?)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn effects(name: Option<&str>) -> Result<ExitCode> {
+    match name {
+        None => say(&format!("{}\n`locsim effects NAME` tells more.", effects::table()))?,
+        Some(name) => say(&effects::page(name)?)?,
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,6 +1,7 @@
 //! YAML scenarios, runs, tables, figures and reports.
 
 pub mod bench;
+pub mod effects;
 pub mod palette;
 pub mod report;
 pub mod results;

@@ -22,6 +22,16 @@ pub(crate) fn is_angle(parameter: &Parameter) -> bool {
     parameter.unit.starts_with("rad")
 }
 
+/// The unit of a value as it stands in files; `None` for a pure number.
+pub(crate) fn unit(parameter: &Parameter) -> Option<&'static str> {
+    match parameter.unit {
+        "1" => None,
+        "rad" => Some("deg"),
+        "rad/m" => Some("deg/m"),
+        unit => Some(unit),
+    }
+}
+
 /// A value as it stands in files.
 pub(crate) fn in_file(parameter: &Parameter, value: f64) -> f64 {
     if is_angle(parameter) { value.to_degrees() } else { value }
@@ -85,4 +95,67 @@ fn word(text: &str) -> String {
         && !reserved.contains(&text.to_ascii_lowercase().as_str());
     // A JSON string is a YAML string in quotes.
     if plain { text.to_owned() } else { serde_json::Value::from(text).to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+
+    use super::*;
+    use crate::scenario::tests::{parse, text};
+    use crate::scenario::{Scenario, Source};
+
+    fn effects(scenario: Scenario) -> Vec<Effect> {
+        let Source::Simulation(simulation) = scenario.source else { panic!() };
+        simulation.effects
+    }
+
+    /// A scenario that lists these entries.
+    fn scenario(entries: &str) -> String {
+        let indented: String = entries.lines().map(|line| format!("  {line}\n")).collect();
+        format!("{}effects:\n{indented}", text("minimal.yaml"))
+    }
+
+    /// Every effect of the fixture, which has all kinds. Angles are off by the rounding of degrees.
+    #[test]
+    fn an_effect_that_is_written_is_read_back() {
+        let written = effects(parse(&text("simulation.yaml")).unwrap());
+        let kinds =
+            EffectKind::ALL.into_iter().filter(|kind| !written.iter().any(|effect| effect.kind == *kind));
+        assert_eq!(kinds.collect::<Vec<_>>(), []);
+        for effect in written {
+            let named = (effect.kind == EffectKind::Glass).then_some("outline/0");
+            for name in [None, named] {
+                let read = effects(parse(&scenario(&effect_yaml(&effect, name))).unwrap());
+                assert_eq!(read.len(), 1);
+                assert_eq!(read[0].kind, effect.kind);
+                for (a, b) in read[0].values.iter().zip(&effect.values) {
+                    assert!((a - b).abs() <= 1e-15 * b.abs(), "{}: {a} {b}", effect.kind);
+                }
+                let south = vec![[DVec2::ZERO, DVec2::new(20.0, 0.0)]];
+                assert_eq!(read[0].place, if name.is_some() { south } else { effect.place.clone() });
+            }
+        }
+    }
+
+    #[test]
+    fn effects_are_written_as_people_write_them() {
+        let stretch = |x: f64| [DVec2::new(x, -0.0), DVec2::new(x, 1.5)];
+        let glass = Effect::new(EffectKind::Glass, vec![0.3], vec![stretch(1.0), stretch(2.0)]).unwrap();
+        assert_eq!(effect_yaml(&glass, Some("north-3")), "- {name: glass, wall: north-3, p: 0.3}");
+        assert_eq!(effect_yaml(&glass, Some("3")), "- {name: glass, wall: \"3\", p: 0.3}");
+        assert_eq!(effect_yaml(&glass, Some("No")), "- {name: glass, wall: \"No\", p: 0.3}");
+        assert_eq!(effect_yaml(&glass, Some("a: \"b\"")), "- {name: glass, wall: \"a: \\\"b\\\"\", p: 0.3}");
+        assert_eq!(
+            effect_yaml(&glass, None),
+            "- {name: glass, from_m: [1, 0], to_m: [1, 1.5], p: 0.3}\n\
+             - {name: glass, from_m: [2, 0], to_m: [2, 1.5], p: 0.3}"
+        );
+        let yaw = Effect::new(EffectKind::MountYaw, vec![std::f64::consts::FRAC_PI_2], vec![]).unwrap();
+        assert_eq!(effect_yaml(&yaw, None), "- {name: mount_yaw, yaw_deg: 90}");
+        assert_eq!(
+            effect_yaml(&Effect::neutral(EffectKind::MountOffset, vec![]), None),
+            "- {name: mount_offset, x_m: 0, y_m: 0}"
+        );
+    }
 }

@@ -3,7 +3,7 @@
 
 pub(crate) mod check;
 mod digest;
-mod effect;
+pub(crate) mod effect;
 pub(crate) mod error;
 mod form;
 pub(crate) mod locate;

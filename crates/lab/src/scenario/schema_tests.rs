@@ -128,6 +128,10 @@ fn the_schema_refuses_what_doesnt_fit() {
         ("  - classic", "  - clasic"),
         ("bin_deg: 5", "bin_degrees: 5"),
         ("{lost_share: {max: 0}}", "{lost_share: 0}"),
+        ("name: range_bias", "name: range_bais"),
+        ("p: 0.05", "k: 0.05"),
+        ("radius_m: 0.2", "radius_m: wide"),
+        (", radius_m: 0.2", ""),
     ] {
         let text = edited(&text("simulation.yaml"), from, to);
         assert!(!fits(&schema, &schema, &json_of(&text), &mut BTreeSet::new()), "{from} -> {to}");
@@ -176,8 +180,11 @@ fn every_documented_default_is_the_default() {
     );
     let adaptive = edited(&minimal, "particles: 1000", "particles: {kld: {min: 10, max: 20}}");
     let log = edited(&text("log.yaml"), "  map_resolution_m: 0.1\n", "");
+    let effects = "effects: [{name: mount_offset}, {name: incidence_dropout, p: 0.5, angle_deg: 60}, \
+                   {name: range_dropout, p: 0.1}, {name: warmup_drift, bias_m: 0.1}]";
+    let affected = format!("{minimal}{effects}");
     let mut seen = BTreeSet::new();
-    for text in [minimal, waypoints, adaptive, log] {
+    for text in [minimal, waypoints, adaptive, log, affected] {
         let mut explicit = json_of(&text);
         fill(&schema, &schema, &mut explicit, &mut seen);
         // JSON is YAML.

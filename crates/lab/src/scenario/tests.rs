@@ -4,8 +4,10 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use glam::DVec2;
 use locsim_core::Pose2;
 use locsim_dataset::McapTopics;
+use locsim_world::effect::EffectKind;
 use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath,
 };
@@ -152,6 +154,30 @@ pub(super) fn bag() -> String {
 }
 
 #[test]
+fn effects_arrive_in_si_units_and_on_their_walls() {
+    let scenario = parse(&text("simulation.yaml")).unwrap();
+    let Source::Simulation(Simulation { effects, .. }) = &scenario.source else { panic!() };
+    let find = |kind| effects.iter().filter(|effect| effect.kind == kind).collect::<Vec<_>>();
+    let point = DVec2::new;
+    let degrees = f64::to_radians;
+    assert_eq!(find(EffectKind::IncidenceDropout)[0].values, [0.5, degrees(60.0), degrees(5.0)]);
+    assert_eq!(find(EffectKind::SectorOcclusion)[0].values, [degrees(170.0), degrees(-170.0), 0.3, 0.5]);
+    assert_eq!(find(EffectKind::OdomImbalance)[0].values, [degrees(1.0)]);
+    assert_eq!(find(EffectKind::MissingObject)[0].values, [15.0, 3.5, 0.2]);
+    let glass = find(EffectKind::Glass);
+    assert_eq!(glass[0].place, [[point(20.0, 4.0), point(0.0, 4.0)]], "the wall outline/2");
+    assert_eq!(glass[1].place, [[point(4.0, 0.0), point(6.5, 0.0)]]);
+    assert_eq!((glass[0].values[0], glass[1].values[0]), (0.3, 0.6));
+    let left_out = "effects: [{name: mount_offset, y_m: 0.1}, {name: warmup_drift, bias_m: 0.1}]";
+    let scenario = parse(&format!("{}{left_out}", text("minimal.yaml"))).unwrap();
+    let Source::Simulation(Simulation { effects, .. }) = &scenario.source else { panic!() };
+    assert_eq!(
+        (effects[0].values.as_slice(), effects[1].values.as_slice()),
+        (&[0.0, 0.1][..], &[0.1, 60.0][..])
+    );
+}
+
+#[test]
 fn a_log_is_read_with_its_parts() {
     let scenario = parse(&text("log.yaml")).unwrap();
     assert_eq!(scenario.name, "x", "the file's name");
@@ -231,6 +257,8 @@ fn the_hash_sees_what_changes_results_and_nothing_else() {
         ("seed: 7", "seed: 8"),
         ("[0.2, 0.6]", "[0.2, 0.7]"),
         ("beams: 12", "beams: 13"),
+        ("p: 0.6", "p: 0.7"),
+        ("wall: outline/2", "wall: outline/0"),
         ("exponent: 0.5", "exponent: 0.6"),
         ("file: map.yaml", "file: grid.yaml"),
         ("file: fitted.model", "file: map.yaml"),
@@ -387,6 +415,36 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ("interval in percent", "log.yaml", "[0.75, 1.0]", "[75, 100]"),
     ("localizing on two parts", "log.yaml", "[[0.75, 1.0]]", "[[0.75, 0.8], [0.9, 1.0]]"),
     ("localizing on training scans", "log.yaml", "[0.75, 1.0]", "[0.7, 1.0]"),
+    ("unknown effect", "simulation.yaml", "name: range_bias", "name: range_bais"),
+    ("effect without a name", "simulation.yaml", "{name: heavy_tail, p: 0.05}", "{p: 0.05}"),
+    ("effect, a word", "simulation.yaml", "{name: heavy_tail, p: 0.05}", "heavy_tail"),
+    ("key of another effect", "simulation.yaml", "p: 0.05", "k: 0.05"),
+    ("key of no effect", "simulation.yaml", "wall: outline/2", "wal: outline/2"),
+    ("parameter of an effect missing", "simulation.yaml", ", radius_m: 0.2", ""),
+    ("parameter, a word", "simulation.yaml", "p: 0.05", "p: often"),
+    ("probability above one", "simulation.yaml", "p: 0.05", "p: 1.05"),
+    ("angle of an effect", "simulation.yaml", "angle_deg: 60", "angle_deg: 100"),
+    ("angle in radians", "simulation.yaml", "yaw_deg: -1.5", "yaw_rad: -0.02"),
+    ("unknown wall", "simulation.yaml", "outline/2", "outline/4"),
+    ("wall and ends", "simulation.yaml", "outline/2", "outline/2, to_m: [1, 1]"),
+    ("no place", "simulation.yaml", "wall: outline/2, ", ""),
+    ("half a place", "simulation.yaml", "to_m: [6.5, 0], ", ""),
+    ("place without length", "simulation.yaml", "to_m: [6.5, 0]", "to_m: [4, 0]"),
+    ("place of an effect without one", "simulation.yaml", "p: 0.05", "p: 0.05, wall: outline/2"),
+    ("wall of an image", "simulation.yaml", "{file: map.yaml}", "{file: grid.yaml}"),
+    (
+        "effect that can be there once",
+        "simulation.yaml",
+        "{name: heavy_tail, p: 0.05}",
+        "{name: wheel_slip, p: 0, share: 0}",
+    ),
+    (
+        "effect of blocks without any",
+        "minimal.yaml",
+        "blocks: {per_metre_of_wall: 0.5, length_m: [0.2, 0.6], width_m: [0.2, 0.6]}",
+        "effects: [{name: block_density, factor: 2}]",
+    ),
+    ("effects on a log", "log.yaml", "seed: 1", "seed: 1\neffects: [{name: range_bias, bias_m: 0.02}]"),
     (
         "several at once",
         "simulation.yaml",

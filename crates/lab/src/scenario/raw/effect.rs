@@ -9,7 +9,7 @@ use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
-use crate::scenario::effect::{default, in_file, is_angle, key, keys};
+use crate::scenario::effect::{default, in_file, key, keys, unit};
 
 /// An effect with its numbers in the units of the file, by key; which belong to it is checked later, as the name may
 /// stand after them.
@@ -136,11 +136,7 @@ fn schema_of(kind: EffectKind) -> Value {
     }
     for parameter in kind.parameters() {
         let [lo, hi] = [parameter.lo, parameter.hi].map(|limit| in_file(parameter, limit));
-        let unit = match parameter.unit {
-            "1" => String::new(),
-            unit if is_angle(parameter) => format!(" ({})", unit.replace("rad", "deg")),
-            unit => format!(" ({unit})"),
-        };
+        let unit = unit(parameter).map(|unit| format!(" ({unit})")).unwrap_or_default();
         let mut number = serde_json::json!({
             "type": "number", "minimum": lo, "maximum": hi,
             "description": format!("Parameter of `{kind}`{unit}, {lo} to {hi}."),
