@@ -43,6 +43,8 @@ pub enum Command {
     },
     /// Write one simulated drive of a scenario as a measured log (ROS 2 bag or CARMEN log)
     Simulate(Simulate),
+    /// Find where a measured log and a simulated scenario disagree, name the effect that the scenario lacks, and add it
+    Gap(Gap),
     /// Build an occupancy grid map (ROS `map_server` format) from a log with reference poses
     Map(Map),
     /// Measure speed and accuracy on a folder of fixed work, beside targets and other programs
@@ -176,6 +178,13 @@ pub struct Map {
     /// Use only this share of the log, for example 0.0,0.5
     #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 1.0])]
     pub share: Vec<f64>,
+    #[command(flatten)]
+    pub log_options: LogOptions,
+}
+
+/// How to read a log.
+#[derive(Debug, Args)]
+pub struct LogOptions {
     /// Readings at or above this count as no return [m; default: the log's own]
     #[arg(long)]
     pub max_range: Option<f64>,
@@ -188,6 +197,52 @@ pub struct Map {
     /// The bag's topic of reference poses [default: /reference or `/ground_truth`]
     #[arg(long, value_name = "TOPIC")]
     pub reference_topic: Option<String>,
+}
+
+/// `locsim gap`.
+#[derive(Debug, Args)]
+pub struct Gap {
+    /// The scenario: a simulation of the robot as it is thought to be
+    #[arg(required_unless_present = "explain")]
+    pub scenario: Option<PathBuf>,
+    /// The measured log, with reference poses: a ROS 2 bag (`.mcap`) or a CARMEN log (`.log`, `.log.gz`)
+    #[arg(long, required_unless_present = "explain")]
+    pub log: Option<PathBuf>,
+    /// Results folder
+    #[arg(long, required_unless_present = "explain")]
+    pub out: Option<PathBuf>,
+    /// Simulated logs behind a p-value, at least 19; its least value is 1 / (replicates + 1)
+    #[arg(long, default_value_t = 999)]
+    pub replicates: u32,
+    /// Seed, instead of the scenario's
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Worker threads; results don't depend on it [default: all cores]
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// The most scans of the log that are looked at
+    #[arg(long, default_value_t = 600)]
+    pub scans: usize,
+    /// The most beams of a scan that are looked at, evenly spread
+    #[arg(long, default_value_t = 72)]
+    pub beams: usize,
+    /// Effects that are left out of the library, separated by commas
+    #[arg(long, value_name = "EFFECT", value_delimiter = ',')]
+    pub without: Vec<String>,
+    /// Don't run the particle filter with the old and the new simulator
+    #[arg(long)]
+    pub no_filter: bool,
+    #[command(flatten)]
+    pub log_options: LogOptions,
+    /// Print nothing but errors (and, with --json, the outcome)
+    #[arg(long)]
+    pub quiet: bool,
+    /// Print gap.json instead of the short answer
+    #[arg(long)]
+    pub json: bool,
+    /// Only say what an effect is, what gives it away and what it is confused with
+    #[arg(long, value_name = "EFFECT", exclusive = true)]
+    pub explain: Option<String>,
 }
 
 /// `locsim bench`.

@@ -15,13 +15,14 @@ use anyhow::{Context, Result};
 use clap::{CommandFactory, Parser};
 use locsim_dataset::{LogOptions, McapTopics};
 use locsim_lab::bench;
+use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyError, GapStudyOptions};
 use locsim_lab::effects;
 use locsim_lab::gap_bench::{self, GapBenchError, GapBenchOptions};
 use locsim_lab::report::terminal_table;
 use locsim_lab::run::{self, Recorder, RunError, RunOptions};
 use locsim_lab::scenario::{self, Overrides, Scenario};
 
-use arguments::{Arguments, Bench, Command, Map, Record, Run, Simulate};
+use arguments::{Arguments, Bench, Command, Gap, Map, Record, Run, Simulate};
 use locsim_lab::study::{self, StudyError, StudyOptions, StudyOverrides};
 use progress::Bars;
 
@@ -29,6 +30,8 @@ use progress::Bars;
 const MISSED: u8 = 1;
 /// Bad input.
 const BAD_INPUT: u8 = 2;
+/// Fewer simulated logs than this can't tell a chance of 5 %.
+const LEAST_REPLICATES: u32 = 19;
 /// Stopped by the user, as shells report it.
 const INTERRUPTED: u8 = 130;
 
@@ -42,6 +45,7 @@ fn main() -> ExitCode {
         Command::Schema { study } => print_schema(*study),
         Command::Effects { name } => effects(name.as_deref()),
         Command::Simulate(arguments) => simulate(arguments),
+        Command::Gap(arguments) => gap(arguments),
         Command::Map(arguments) => map(arguments),
         Command::Bench(arguments) => bench(arguments),
         Command::GapBench(arguments) => run_gap_bench(arguments),
@@ -54,7 +58,8 @@ fn main() -> ExitCode {
         eprintln!("error: {}", explain(&error));
         let interrupted = matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }))
             || matches!(error.downcast_ref(), Some(StudyError::Interrupted))
-            || error.downcast_ref::<GapBenchError>().is_some_and(GapBenchError::is_interruption);
+            || error.downcast_ref::<GapBenchError>().is_some_and(GapBenchError::is_interruption)
+            || error.downcast_ref().is_some_and(GapStudyError::is_interruption);
         ExitCode::from(if interrupted { INTERRUPTED } else { BAD_INPUT })
     })
 }
@@ -332,6 +337,89 @@ fn simulate(arguments: &Simulate) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+fn log_options(arguments: &arguments::LogOptions) -> LogOptions {
+    LogOptions {
+        max_range_m: arguments.max_range.map(|max| max as f32),
+        topics: McapTopics {
+            scan: arguments.scan_topic.clone(),
+            odometry: arguments.odometry_topic.clone(),
+            reference: arguments.reference_topic.clone(),
+        },
+    }
+}
+
+fn gap(arguments: &Gap) -> Result<ExitCode> {
+    if let Some(name) = &arguments.explain {
+        say(&effects::page(name)?)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let (Some(scenario), Some(log), Some(out)) = (&arguments.scenario, &arguments.log, &arguments.out) else {
+        anyhow::bail!("a scenario, --log and --out are needed");
+    };
+    anyhow::ensure!(
+        arguments.replicates >= LEAST_REPLICATES,
+        "--replicates: {} is not allowed; a whole number from {LEAST_REPLICATES}",
+        arguments.replicates
+    );
+    for (option, value) in [("--scans", arguments.scans), ("--beams", arguments.beams)] {
+        anyhow::ensure!(value > 0, "{option}: 0 is not allowed; a whole number from 1");
+    }
+    let kinds = arguments.without.iter().map(|name| name.parse());
+    let settings = GapSettings {
+        replicates: arguments.replicates,
+        seed: arguments.seed,
+        scans: arguments.scans,
+        beams: arguments.beams,
+        without: kinds.collect::<Result<_, _>>().context("--without")?,
+        log: log_options(&arguments.log_options),
+    };
+    let study = GapStudy::load(scenario, log, settings)?;
+    use_threads(arguments.threads)?;
+    let interrupted = on_interrupt()?;
+    #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
+    let start = Instant::now();
+    let clock = || start.elapsed();
+    let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
+    let options = GapStudyOptions {
+        out: out.clone(),
+        command: gap_command_line(arguments, &study),
+        filter: !arguments.no_filter,
+        clock: &clock,
+        progress: &bars,
+        interrupted: &interrupted,
+    };
+    let outcome = gap::run(&study, &options)?;
+    if arguments.json {
+        say(&serde_json::to_string_pretty(&outcome)?)?;
+    } else if !arguments.quiet {
+        say(&gap::answer(&outcome))?;
+        say(&format!("Results in {} (open report.html; scenario.yaml runs as it is)", out.display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The command that repeats a search.
+fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
+    let path = |path: &Option<PathBuf>| path.as_deref().unwrap_or(Path::new("")).display().to_string();
+    let mut command = format!(
+        "locsim gap {} --log {} --out {} --replicates {} --seed {} --scans {} --beams {}",
+        path(&arguments.scenario),
+        path(&arguments.log),
+        path(&arguments.out),
+        arguments.replicates,
+        study.seed(),
+        arguments.scans,
+        arguments.beams
+    );
+    if !arguments.without.is_empty() {
+        command += &format!(" --without {}", arguments.without.join(","));
+    }
+    if arguments.no_filter {
+        command += " --no-filter";
+    }
+    command
+}
+
 fn map(arguments: &Map) -> Result<ExitCode> {
     let &[from, to] = arguments.share.as_slice() else {
         anyhow::bail!("--share: two numbers are needed, for example 0.0,0.5");
@@ -340,14 +428,7 @@ fn map(arguments: &Map) -> Result<ExitCode> {
         0.0 <= from && from < to && to <= 1.0,
         "--share: {from},{to} is not allowed; 0 <= from < to <= 1"
     );
-    let options = LogOptions {
-        max_range_m: arguments.max_range.map(|max| max as f32),
-        topics: McapTopics {
-            scan: arguments.scan_topic.clone(),
-            odometry: arguments.odometry_topic.clone(),
-            reference: arguments.reference_topic.clone(),
-        },
-    };
+    let options = log_options(&arguments.log_options);
     let (grid, summary) = run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, &options)?;
     let named_yaml = arguments.out.extension().is_some_and(|extension| extension == "yaml");
     let stem = if named_yaml { arguments.out.with_extension("") } else { arguments.out.clone() };

@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod effects;
+pub mod gap;
 pub mod gap_bench;
 pub mod palette;
 pub mod report;

@@ -8,8 +8,9 @@ use std::path::{Path, PathBuf};
 use super::RunError;
 use crate::results::Trial;
 
-/// Names of the files by which a results folder is known as ours: a run leaves the first, a study the second.
-const MARKS: [&str; 2] = ["summary.json", "results.json"];
+/// Names of the files by which a results folder is known as ours: a run leaves the first, a study the second, a search
+/// for what a simulation lacks the third.
+const MARKS: [&str; 3] = ["summary.json", "results.json", "gap.json"];
 
 /// Name of the file by which a partial folder is known as ours, and that says of which run it is.
 const FINGERPRINT: &str = "fingerprint";

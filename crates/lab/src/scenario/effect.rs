@@ -58,10 +58,19 @@ pub(crate) fn keys(kind: EffectKind) -> impl Iterator<Item = &'static str> {
 /// The place is that of the wall called `surface_name`, if there is one; otherwise each of its stretches gets an entry,
 /// on a line of its own, with its ends.
 pub fn effect_yaml(effect: &Effect, surface_name: Option<&str>) -> String {
+    effect_yaml_with(effect, surface_name, &|_, value| value)
+}
+
+/// [`effect_yaml`] with values that `shown` rounds, as they stand in the file.
+pub(crate) fn effect_yaml_with(
+    effect: &Effect,
+    surface_name: Option<&str>,
+    shown: &dyn Fn(&Parameter, f64) -> f64,
+) -> String {
     let mut values = String::new();
     for (parameter, &value) in effect.kind.parameters().iter().zip(&effect.values) {
         // 0 without a sign, as people write it.
-        let value = in_file(parameter, value) + 0.0;
+        let value = shown(parameter, in_file(parameter, value)) + 0.0;
         let _ = write!(values, ", {}: {value}", key(parameter));
     }
     let entry = |place: &str| format!("- {{name: {}{place}{values}}}", effect.kind);

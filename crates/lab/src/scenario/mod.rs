@@ -45,7 +45,12 @@ impl Scenario {
     /// [`ScenarioError`] with everything that is wrong: file, line, key path, value and what is allowed.
     pub fn load(path: &Path, overrides: &Overrides) -> Result<Self, ScenarioError> {
         let text = yaml::read(path)?;
-        Self::parse(path, &text, overrides, &|name| std::env::var(name).ok())
+        Self::parse_text(path, &text, overrides)
+    }
+
+    /// [`Scenario::load`] of a text that was read from `path`.
+    pub(crate) fn parse_text(path: &Path, text: &str, overrides: &Overrides) -> Result<Self, ScenarioError> {
+        Self::parse(path, text, overrides, &|name| std::env::var(name).ok())
     }
 
     /// [`Scenario::load`] of a text that was read from `path`, with an environment of the caller's.

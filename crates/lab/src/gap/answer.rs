@@ -1,0 +1,223 @@
+//! What was found, in a few sentences for people: angles in degrees, numbers with the digits that they are worth.
+
+use locsim_gap::{Covariate, Deviation, Estimate, Named, Outcome, Region, Verdict};
+use locsim_world::effect::{EffectKind, Parameter};
+
+use crate::scenario::effect::{in_file, key, unit};
+
+/// The short answer: the verdict, what is named and how sure that is, how much of the gap it closes, what it does to a
+/// filter.
+pub fn answer(outcome: &Outcome) -> String {
+    sentences(outcome).join("\n")
+}
+
+pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
+    let mut text: Vec<String> = outcome.effects.iter().map(told).collect();
+    text.extend(outcome.effects.iter().filter_map(doubt));
+    let p = p_value(outcome.detection.p);
+    match outcome.verdict {
+        Verdict::None => {
+            text.push(format!("Nothing is off: the log looks like the scenario's simulations (p = {p})."));
+        }
+        Verdict::Underpowered => text.push(format!(
+            "Nothing was found (p = {p}), but most effects of a typical strength would not have been found in this log \
+             either: {}. More scans, or a path with more variety, would show them.",
+            blind(outcome).join(", ")
+        )),
+        Verdict::Unexplained => text.push(format!(
+            "Something is off (p = {p}), and no effect of the library explains it{}.",
+            worst(&outcome.regions, false)
+        )),
+        Verdict::PartlyExplained => text.push(format!(
+            "That is not all: something else is still off (p = {}){}.",
+            p_value(outcome.detection_after.p),
+            worst(&outcome.regions, true)
+        )),
+        Verdict::Named | Verdict::Ambiguous => {}
+    }
+    if !outcome.effects.is_empty() {
+        text.push(gap(outcome));
+    }
+    text.extend(filter(outcome));
+    text
+}
+
+/// An effect with its numbers: "Far surfaces often send nothing back: `range_dropout`, p = 0.42 [0.38, 0.46]."
+pub(super) fn told(named: &Named) -> String {
+    let sentence = named.name.sentence().trim_end_matches('.');
+    let place: Vec<String> = named
+        .place
+        .iter()
+        .map(|[a, b]| format!(" between ({:.2}, {:.2}) and ({:.2}, {:.2}) m", a[0], a[1], b[0], b[1]))
+        .collect();
+    format!("{sentence}: {}{}, {}.", named.name, place.join(" and"), numbers(named).join(", "))
+}
+
+/// The numbers of an effect with their intervals.
+pub(super) fn numbers(named: &Named) -> Vec<String> {
+    let number = |parameter: &Parameter| {
+        let number = named.params.get(parameter.name)?;
+        let [value, lo, hi] = [number.value, number.lo, number.hi].map(|value| in_file(parameter, value));
+        let unit = unit(parameter).map(|unit| format!(" {unit}")).unwrap_or_default();
+        Some(format!("{} = {}{unit}", label(parameter), with_interval(&Estimate { value, lo, hi }, 1.0)))
+    };
+    named.name.parameters().iter().filter_map(number).collect()
+}
+
+/// The name of a parameter without its unit.
+pub(super) fn label(parameter: &Parameter) -> String {
+    let mut name = key(parameter);
+    for suffix in ["_per_m", "_m", "_deg", "_secs"] {
+        name = name.strip_suffix(suffix).unwrap_or(name);
+    }
+    name.replace('_', " ")
+}
+
+/// What else an effect may be, and what would tell.
+fn doubt(named: &Named) -> Option<String> {
+    let others: Vec<&str> = others(named).map(EffectKind::name).collect();
+    if others.is_empty() {
+        return None;
+    }
+    let split = named.split_by.map(|split| format!(" To tell: {split}.")).unwrap_or_default();
+    Some(format!("Instead of {} it may as well be {}.{split}", named.name, others.join(" or ")))
+}
+
+/// The candidates beside the one that is named.
+pub(super) fn others(named: &Named) -> impl Iterator<Item = EffectKind> + '_ {
+    named.candidates.iter().copied().filter(|other| *other != named.name)
+}
+
+/// How far the gap closes. Its two ends are what all effects gain on held-out scans, and what is left to gain.
+fn gap(outcome: &Outcome) -> String {
+    let gap = &outcome.gap;
+    let [closed, lo, hi] = [gap.closed.value, gap.closed.lo, gap.closed.hi].map(|share| 100.0 * share);
+    format!(
+        "Held-out gap {:.2} -> {:.2} nats per scan: {closed:.0} % closed [{lo:.0}, {hi:.0}]. Range errors {:.1} -> {:.1} mm \
+         from the simulation's, floor {:.1} mm.",
+        gap.gained_nats_per_scan + gap.remaining_nats_per_scan,
+        gap.remaining_nats_per_scan,
+        gap.before.w1_mm,
+        gap.after.w1_mm,
+        gap.floor.w1_mm
+    )
+}
+
+fn filter(outcome: &Outcome) -> Option<String> {
+    let filter = outcome.filter.as_ref()?;
+    let [before, after] = [filter.before, filter.after].map(|side| side.position_rmse_m);
+    Some(format!(
+        "Filter error {} -> {} m (position RMSE on the log).",
+        with_interval(&before, 1.0),
+        with_interval(&after, 1.0)
+    ))
+}
+
+/// The region that is farthest off, as the end of a sentence.
+fn worst(regions: &[Region], remaining: bool) -> String {
+    let off = regions.iter().filter(|region| region.remains || !remaining);
+    let worst = off.max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()));
+    worst.map(|region| format!("; farthest off: {}", region_text(region))).unwrap_or_default()
+}
+
+/// Typical effects that the log would not have shown.
+fn blind(outcome: &Outcome) -> Vec<&'static str> {
+    outcome.detectable.iter().filter(|d| d.value > d.typical).map(|d| d.name.name()).collect()
+}
+
+/// Where and how: "incidence 60 to 75 deg: too many missing returns".
+pub(super) fn region_text(region: &Region) -> String {
+    format!("{}: {}", place_text(region), deviation_text(region))
+}
+
+/// Where a region is.
+pub(super) fn place_text(region: &Region) -> String {
+    if let Some([x0, y0, x1, y1]) = region.place {
+        return format!("walls at x {x0:.1} to {x1:.1} m, y {y0:.1} to {y1:.1} m");
+    }
+    span(region.covariate, region.lo, region.hi)
+}
+
+/// What is off in a region.
+pub(super) fn deviation_text(region: &Region) -> &'static str {
+    match (region.deviation, region.z > 0.0) {
+        (Deviation::Mean, true) => "readings too long",
+        (Deviation::Mean, false) => "readings too short",
+        (Deviation::Spread, true) => "readings spread too much",
+        (Deviation::Spread, false) => "readings spread too little",
+        (Deviation::Short, true) => "too many readings of something in front",
+        (Deviation::Short, false) => "too few readings of something in front",
+        (Deviation::NoReturn, true) => "too many missing returns",
+        (Deviation::NoReturn, false) => "too few missing returns",
+    }
+}
+
+/// A part of a covariate: "range 3.0 to 4.0 m".
+pub(super) fn span(covariate: Covariate, lo: f64, hi: f64) -> String {
+    let (name, unit, degrees) = match covariate {
+        Covariate::Range => ("range", "m", false),
+        Covariate::Incidence => ("incidence", "deg", true),
+        Covariate::Bearing => ("bearing", "deg", true),
+        Covariate::Place => ("place", "", false),
+        Covariate::Time => ("time", "s", false),
+        Covariate::Speed => ("speed", "m/s", false),
+        Covariate::TurnRate => ("turn rate", "deg/s", true),
+        Covariate::Jump => ("range jump to a neighbour", "m", false),
+        Covariate::BearingByTurnRate => ("bearing in turns", "deg", true),
+    };
+    let in_unit = |value: f64| if degrees { value.to_degrees() } else { value };
+    let [lo, hi] = [lo, hi].map(in_unit);
+    let shown = |value: f64| {
+        let decimals = if value.abs() >= 30.0 { 0 } else if (hi - lo).abs() > 0.3 { 1 } else { 2 };
+        format!("{:.decimals$}", value + 0.0)
+    };
+    match (lo.is_finite(), hi.is_finite()) {
+        (true, true) => format!("{name} {} to {} {unit}", shown(lo), shown(hi)),
+        (true, false) => format!("{name} above {} {unit}", shown(lo)),
+        (false, true) => format!("{name} below {} {unit}", shown(hi)),
+        (false, false) => format!("any {name}"),
+    }
+}
+
+/// "0.42 [0.38, 0.46]", all times `scale`.
+pub(super) fn with_interval(estimate: &Estimate, scale: f64) -> String {
+    let [value, lo, hi] = [estimate.value, estimate.lo, estimate.hi].map(|value| value * scale);
+    let decimals = decimals(lo, hi);
+    // 0 without a sign.
+    let shown = |value: f64| {
+        let text = format!("{value:.decimals$}");
+        if text.trim_matches(['-', '0', '.']).is_empty() { text.trim_start_matches('-').to_owned() } else { text }
+    };
+    format!("{} [{}, {}]", shown(value), shown(lo), shown(hi))
+}
+
+/// Decimals with which an interval has one or two digits.
+pub(super) fn decimals(lo: f64, hi: f64) -> usize {
+    let width = (hi - lo).abs();
+    if width > 0.0 && width.is_finite() { (0.3 - width.log10()).ceil().clamp(0.0, 6.0) as usize } else { 3 }
+}
+
+/// A chance with two digits.
+pub(super) fn p_value(p: f64) -> String {
+    if p < 0.001 { format!("{p:.1e}") } else if p < 0.0995 { format!("{p:.3}") } else { format!("{p:.2}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_the_digits_that_their_intervals_are_worth() {
+        let shown = |value: f64, lo: f64, hi: f64| with_interval(&Estimate { value, lo, hi }, 1.0);
+        assert_eq!(shown(0.4217, 0.3812, 0.4622), "0.42 [0.38, 0.46]");
+        assert_eq!(shown(61.23, 58.9, 63.4), "61 [59, 63]");
+        assert_eq!(shown(-0.000_1, -0.04, 0.04), "0.00 [-0.04, 0.04]");
+        assert_eq!(shown(2.0, 2.0, 2.0), "2.000 [2.000, 2.000]");
+    }
+
+    #[test]
+    fn spans_are_told_in_degrees() {
+        assert_eq!(span(Covariate::Incidence, 1.0, f64::INFINITY), "incidence above 57 deg");
+        assert_eq!(span(Covariate::Range, 3.0, 4.5), "range 3.0 to 4.5 m");
+    }
+}

@@ -1,0 +1,323 @@
+//! The scenario's text with the effects that it lacks: a person's comments and order stay as they are.
+
+use std::fmt::Write;
+use std::ops::Range;
+use std::path::{Component, Path, PathBuf};
+
+use locsim_gap::{Named, Outcome};
+use locsim_world::effect::{Effect, EffectKind, Parameter};
+use saphyr_parser::{Event, Parser};
+use similar::TextDiff;
+
+use super::{GapStudy, GapStudyError};
+use crate::run::RunError;
+use crate::scenario::effect::{effect_yaml_with, in_file, key, unit};
+use crate::scenario::{Overrides, Scenario, Source};
+
+/// An entry of the list `effects`: comment lines and lines of YAML, neither with indentation.
+struct Entry {
+    comments: Vec<String>,
+    lines: Vec<String>,
+}
+
+/// The scenario with the effects of `outcome`, to be read from the folder `out`.
+pub(super) fn scenario_with(study: &GapStudy, outcome: &Outcome, out: &Path) -> Result<String, GapStudyError> {
+    let entries: Vec<Entry> = outcome.effects.iter().map(|named| entry(study, named)).collect();
+    let text = grown(&study.text, &entries);
+    let out = out_folder(out)?;
+    Ok(moved(&text, &study.scenario.file, &out))
+}
+
+/// The unified diff between two texts.
+pub(super) fn diff(old: &str, new: &str, old_name: &str, new_name: &str) -> String {
+    TextDiff::from_lines(old, new).unified_diff().context_radius(2).header(old_name, new_name).to_string()
+}
+
+/// Whether an effect can be added to a scenario's text.
+pub(super) fn can_grow(file: &Path, text: &str) -> bool {
+    let count = |text: &str| {
+        Scenario::parse_text(file, text, &Overrides::default()).ok().map(|scenario| match scenario.source {
+            Source::Simulation(simulation) => simulation.effects.len(),
+            Source::Log(_) => 0,
+        })
+    };
+    let neutral = Effect::neutral(EffectKind::RangeBias, Vec::new());
+    let lines = vec![effect_yaml_with(&neutral, None, &|_, value| value)];
+    let entry = || Entry { comments: vec!["a comment".to_owned()], lines: lines.clone() };
+    let grown = grown(text, &[entry(), entry()]);
+    matches!((count(text), count(&grown)), (Some(before), Some(after)) if after == before + 2)
+}
+
+/// One effect as an entry with what is known of it.
+fn entry(study: &GapStudy, named: &Named) -> Entry {
+    let kind = named.name;
+    let evidence = &named.evidence;
+    let mut comments = vec![
+        format!("Found by `locsim gap` in {}: {}", study.log.display(), kind.sentence()),
+        format!(
+            "{}; {:.1} nats [{:.1}, {:.1}] gained on held-out scans, p = {}.",
+            numbers(named),
+            evidence.gain_nats.value,
+            evidence.gain_nats.lo,
+            evidence.gain_nats.hi,
+            super::answer::p_value(evidence.p),
+        ),
+    ];
+    let others: Vec<&str> = named.candidates.iter().filter(|&&other| other != kind).map(|other| other.name()).collect();
+    if !others.is_empty() {
+        comments.push(format!("The log doesn't tell it from {}.", others.join(", ")));
+    }
+    let rounded = |parameter: &Parameter, value: f64| round_to_interval(named, parameter, value);
+    let lines = effect_yaml_with(&named.effect, None, &rounded).lines().map(str::to_owned).collect();
+    Entry { comments, lines }
+}
+
+/// `p 0.42 [0.38, 0.46], angle_deg 61 [59, 63]`: the numbers of an effect as files write them.
+fn numbers(named: &Named) -> String {
+    let number = |parameter: &Parameter| {
+        let Some(number) = named.params.get(parameter.name) else { return String::new() };
+        let [value, lo, hi] = [number.value, number.lo, number.hi].map(|value| in_file(parameter, value));
+        let decimals = super::answer::decimals(lo, hi);
+        let unit = unit(parameter).map(|unit| format!(" {unit}")).unwrap_or_default();
+        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]{unit}", key(parameter))
+    };
+    named.name.parameters().iter().map(number).collect::<Vec<_>>().join(", ")
+}
+
+/// A value as it stands in files, with as many digits as its interval is worth.
+fn round_to_interval(named: &Named, parameter: &Parameter, value: f64) -> f64 {
+    let [least, most] = [parameter.lo, parameter.hi].map(|limit| in_file(parameter, limit));
+    let Some(number) = named.params.get(parameter.name) else { return value };
+    // A hundredth of the interval.
+    let decimals = super::answer::decimals(in_file(parameter, number.lo), in_file(parameter, number.hi)) + 1;
+    let scale = 10_f64.powi(decimals as i32);
+    ((value * scale).round() / scale).clamp(least, most)
+}
+
+/// Where a list `effects` is in a text.
+enum List {
+    /// None.
+    Absent,
+    /// Entries on lines of their own, with this indentation; the last one ends before this byte.
+    Block { indent: usize, end: usize },
+    /// In brackets; the closing one is at this byte.
+    Flow { close: usize, empty: bool },
+}
+
+/// A text with entries appended to its list `effects`, or with such a list.
+fn grown(text: &str, entries: &[Entry]) -> String {
+    if entries.is_empty() {
+        return text.to_owned();
+    }
+    match find_list(text) {
+        List::Absent => {
+            let mut text = with_final_newline(text);
+            text.push_str("effects:\n");
+            text + &block(entries, 2)
+        }
+        List::Block { indent, end } => {
+            let (before, after) = text.split_at(end);
+            let mut text = with_final_newline(before);
+            text.push_str(&block(entries, indent));
+            text + after
+        }
+        List::Flow { close, empty } => {
+            let (before, after) = text.split_at(close);
+            let mut text = before.trim_end().to_owned();
+            if !empty && !text.ends_with(',') {
+                text.push(',');
+            }
+            for entry in entries {
+                for comment in &entry.comments {
+                    let _ = write!(text, "\n  # {comment}");
+                }
+                for line in &entry.lines {
+                    let _ = write!(text, "\n  {},", line.trim_start_matches("- "));
+                }
+            }
+            text.pop();
+            text + "\n" + after
+        }
+    }
+}
+
+fn block(entries: &[Entry], indent: usize) -> String {
+    let mut text = String::new();
+    for entry in entries {
+        for comment in &entry.comments {
+            let _ = writeln!(text, "{:indent$}# {comment}", "");
+        }
+        for line in &entry.lines {
+            let _ = writeln!(text, "{:indent$}{line}", "");
+        }
+    }
+    text
+}
+
+fn with_final_newline(text: &str) -> String {
+    let end = if text.is_empty() || text.ends_with('\n') { "" } else { "\n" };
+    format!("{text}{end}")
+}
+
+/// The nodes of a YAML text that are asked for, with the bytes where they stand.
+fn find_list(text: &str) -> List {
+    let mut found = List::Absent;
+    let mut end_of_last = 0;
+    let mut inside = false;
+    let mut count = 0;
+    let mut start = (0, 0);
+    walk(text, &mut |path, event, bytes, column| match event {
+        Event::SequenceStart(..) if path == "effects" => {
+            inside = true;
+            start = (bytes.start, column);
+        }
+        Event::SequenceEnd if path == "effects" => {
+            inside = false;
+            found = if text[start.0..].starts_with('[') {
+                List::Flow { close: text[..bytes.end].rfind(']').unwrap_or(bytes.end), empty: count == 0 }
+            } else {
+                List::Block { indent: start.1, end: end_of_line(text, end_of_last) }
+            };
+        }
+        _ if inside => {
+            count += 1;
+            if !matches!(event, Event::MappingEnd | Event::SequenceEnd) || bytes.start < bytes.end {
+                end_of_last = end_of_last.max(bytes.end);
+            }
+        }
+        _ => {}
+    });
+    found
+}
+
+/// The byte after the end of the line that holds a byte.
+fn end_of_line(text: &str, byte: usize) -> usize {
+    text[byte..].find('\n').map_or(text.len(), |line| byte + line + 1)
+}
+
+/// Tells every event of a text with the path of the node that it belongs to, its bytes and its column.
+fn walk(text: &str, tell: &mut dyn FnMut(&str, &Event<'_>, Range<usize>, usize)) {
+    // Byte of each character, as the parser counts characters.
+    let bytes: Vec<usize> = text.char_indices().map(|(byte, _)| byte).chain([text.len()]).collect();
+    let byte = |index: usize| bytes[index.min(bytes.len() - 1)];
+    // Open collections: path, the key whose value comes next, index of the next element.
+    let mut open: Vec<(String, Option<Option<String>>, usize)> = Vec::new();
+    for (event, span) in Parser::new_from_str(text).map_while(Result::ok) {
+        let range = byte(span.start.index())..byte(span.end.index());
+        let column = span.start.col();
+        match &event {
+            Event::MappingEnd | Event::SequenceEnd => {
+                let path = open.pop().map(|(path, ..)| path).unwrap_or_default();
+                tell(&path, &event, range, column);
+            }
+            Event::Scalar(..) | Event::Alias(_) | Event::MappingStart(..) | Event::SequenceStart(..) => {
+                let path = match open.last_mut() {
+                    None => String::new(),
+                    Some((path, None, next)) => {
+                        *next += 1;
+                        format!("{path}[{}]", *next - 1)
+                    }
+                    Some((path, Some(key), _)) => match key.take() {
+                        Some(key) => crate::scenario::locate::join(path, &key),
+                        None => {
+                            if let Event::Scalar(word, ..) = &event {
+                                *key = Some(word.to_string());
+                            }
+                            continue;
+                        }
+                    },
+                };
+                tell(&path, &event, range, column);
+                match &event {
+                    Event::MappingStart(..) => open.push((path, Some(None), 0)),
+                    Event::SequenceStart(..) => open.push((path, None, 0)),
+                    _ => {}
+                }
+            }
+            Event::DocumentEnd => break,
+            _ => {}
+        }
+    }
+}
+
+/// The text with the files that it names relative to `to` instead of to the folder of `file`.
+fn moved(text: &str, file: &Path, to: &Path) -> String {
+    let from = file.parent().unwrap_or(Path::new(""));
+    let mut places: Vec<(Range<usize>, String)> = Vec::new();
+    walk(text, &mut |path, event, bytes, _| {
+        let Event::Scalar(word, ..) = event else { return };
+        let is_file = path == "map.file" || (path.starts_with("models[") && path.ends_with("].file"));
+        // An absolute path, or one from the environment, holds everywhere.
+        if !is_file || word.starts_with("${") || Path::new(&**word).is_absolute() {
+            return;
+        }
+        if let Ok(target) = from.join(&**word).canonicalize() {
+            places.push((bytes, relative(&target, to).display().to_string()));
+        }
+    });
+    let mut text = text.to_owned();
+    for (bytes, path) in places.into_iter().rev() {
+        let plain = path.chars().all(|c| c.is_ascii_alphanumeric() || "-_/.".contains(c));
+        // A JSON string is a YAML string in quotes.
+        let path = if plain { path } else { serde_json::Value::from(path).to_string() };
+        text.replace_range(bytes, &path);
+    }
+    text
+}
+
+/// A path from the folder `from` to `target`, both absolute; `target` itself where they share no folder.
+fn relative(target: &Path, from: &Path) -> PathBuf {
+    let shared = target.components().zip(from.components()).take_while(|(a, b)| a == b).count();
+    if shared <= 1 {
+        return target.to_owned();
+    }
+    let up = from.components().skip(shared).map(|_| Component::ParentDir);
+    up.chain(target.components().skip(shared)).collect()
+}
+
+/// The results folder, which need not be there yet, without links.
+fn out_folder(out: &Path) -> Result<PathBuf, GapStudyError> {
+    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent = parent.canonicalize().map_err(RunError::file(parent))?;
+    Ok(parent.join(out.file_name().unwrap_or_default()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entries() -> Vec<Entry> {
+        vec![Entry { comments: vec!["why".to_owned()], lines: vec!["- {name: heavy_tail, p: 0.1}".to_owned()] }]
+    }
+
+    #[test]
+    fn an_entry_is_appended_however_the_list_is_written() {
+        for (text, expected) in [
+            ("a: 1\n", "a: 1\neffects:\n  # why\n  - {name: heavy_tail, p: 0.1}\n"),
+            ("a: 1 # end", "a: 1 # end\neffects:\n  # why\n  - {name: heavy_tail, p: 0.1}\n"),
+            (
+                "effects: # all\n- {b: 1} # first\n- c: 2\n  d: [3]\n# then\nz: 1\n",
+                "effects: # all\n- {b: 1} # first\n- c: 2\n  d: [3]\n# why\n- {name: heavy_tail, p: 0.1}\n# then\nz: 1\n",
+            ),
+            (
+                "effects:\n    - {b: 1}\n\nz: 1\n",
+                "effects:\n    - {b: 1}\n    # why\n    - {name: heavy_tail, p: 0.1}\n\nz: 1\n",
+            ),
+            ("effects: []\nz: 1\n", "effects: [\n  # why\n  {name: heavy_tail, p: 0.1}\n]\nz: 1\n"),
+            (
+                "a: [ä]\neffects: [{b: 1}] # x\nz: 1\n",
+                "a: [ä]\neffects: [{b: 1},\n  # why\n  {name: heavy_tail, p: 0.1}\n] # x\nz: 1\n",
+            ),
+        ] {
+            assert_eq!(grown(text, &entries()), expected);
+        }
+    }
+
+    #[test]
+    fn a_path_leads_from_one_folder_to_another() {
+        let path = |target: &str, from: &str| relative(Path::new(target), Path::new(from)).display().to_string();
+        assert_eq!(path("/a/maps/m.yaml", "/a/b/found"), "../../maps/m.yaml");
+        assert_eq!(path("/a/b/m.yaml", "/a/b"), "m.yaml");
+        assert_eq!(path("/maps/m.yaml", "/a/b"), "/maps/m.yaml");
+    }
+}

@@ -1,0 +1,300 @@
+//! `locsim gap`: holds a measured log against a simulated scenario with [`locsim_gap`], and writes what was found: the
+//! scenario with the effect that it lacks, and a report that says why.
+
+mod answer;
+mod edit;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use locsim_core::{Drive, Laser, Pose2, wrap_angle};
+use locsim_dataset::{DatasetError, LogOptions, read_log};
+use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded};
+use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::raycast::ExactRangeMap;
+use locsim_world::simulation::Simulator;
+use thiserror::Error;
+
+pub use answer::answer;
+
+use crate::report::{ReportError, save};
+use crate::run::{Progress, RunError, Store};
+use crate::scenario::{Overrides, Problem, Scenario, ScenarioError, Simulation, Source, load_map};
+use crate::yaml;
+
+/// Bearings of log and scenario that differ by more than this are of other beams \[rad\].
+const SAME_BEARING_RAD: f64 = 2e-3;
+
+/// Mounts that differ by less than this are the same \[m\] and \[rad\]: logs round.
+const SAME_MOUNT: f64 = 2e-3;
+
+/// Why a log could not be held against a scenario.
+#[derive(Debug, Error)]
+pub enum GapStudyError {
+    /// The scenario or its map is refused.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// The log can't be read.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The log doesn't fit the scenario.
+    #[error("{log}: {what}")]
+    Log {
+        /// The log.
+        log: PathBuf,
+        /// What is wrong and what is needed.
+        what: String,
+    },
+    /// A search that can't be done, or was stopped.
+    #[error(transparent)]
+    Gap(#[from] GapError),
+    /// The results folder, or the filter.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The report could not be written.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+}
+
+impl GapStudyError {
+    /// Whether the user stopped it.
+    pub fn is_interruption(&self) -> bool {
+        matches!(self, Self::Gap(GapError::Interrupted))
+    }
+}
+
+/// What of the log is looked at, and how.
+#[derive(Clone, Debug)]
+pub struct GapSettings {
+    /// Simulated logs behind a p-value.
+    pub replicates: u32,
+    /// Seed; `None` for the scenario's.
+    pub seed: Option<u64>,
+    /// The most scans that are looked at.
+    pub scans: usize,
+    /// The most beams of a scan that are looked at.
+    pub beams: usize,
+    /// Effects that aren't thought of.
+    pub without: Vec<EffectKind>,
+    /// How to read the log.
+    pub log: LogOptions,
+}
+
+/// A measured log and the scenario that it is held against, read and checked.
+pub struct GapStudy {
+    /// The scenario.
+    scenario: Scenario,
+    /// Its text.
+    text: String,
+    log: PathBuf,
+    map: Arc<ExactRangeMap>,
+    /// The log with the scenario's laser mount.
+    drive: Drive,
+    recorded: Recorded,
+    settings: GapSettings,
+    /// Remarks on the log.
+    notes: Vec<String>,
+}
+
+/// How to do it.
+pub struct GapStudyOptions<'a> {
+    /// The results folder.
+    pub out: PathBuf,
+    /// The command that repeats it, for the report.
+    pub command: String,
+    /// Whether to run the filter with the old and the new simulator.
+    pub filter: bool,
+    /// Monotonic time since any fixed moment.
+    pub clock: &'a (dyn Fn() -> Duration + Sync),
+    /// Who is told how far it is.
+    pub progress: &'a dyn Progress,
+    /// Set from outside to stop.
+    pub interrupted: &'a AtomicBool,
+}
+
+impl GapStudy {
+    /// Reads and checks the scenario and the log.
+    ///
+    /// # Errors
+    /// [`GapStudyError`]: what is wrong with the scenario, its map or the log, or that they are of different lasers.
+    pub fn load(scenario: &Path, log: &Path, settings: GapSettings) -> Result<Self, GapStudyError> {
+        let file = scenario;
+        let text = yaml::read(file)?;
+        let scenario = Scenario::load(file, &Overrides { seed: settings.seed, ..Overrides::default() })?;
+        let refuse = |key: &str, message: &str| {
+            let problem = Problem { line: None, key: key.to_owned(), message: message.to_owned() };
+            ScenarioError::Invalid { file: file.to_owned(), problems: vec![problem] }
+        };
+        let Source::Simulation(simulation) = &scenario.source else {
+            return Err(refuse("log", "a measured log has no simulation that could lack something; `robot` and `laser` are needed").into());
+        };
+        // Now, as an error after the search would come late.
+        if !edit::can_grow(file, &text) {
+            let message = "an effect could not be added; write `effects` as a list with an entry on each line";
+            return Err(refuse("effects", message).into());
+        }
+        let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
+        let (drive, summary) = read_log(log, &settings.log)?;
+        let mut notes = vec![summary.to_string()];
+        let drive = with_mount(drive, simulation.laser.mount, &mut notes);
+        let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
+        let simulator = Simulator::new(Arc::clone(&map), None, simulation.laser, effects).map_err(GapError::from)?;
+        let refuse = |what: String| GapStudyError::Log { log: log.to_owned(), what };
+        same_beams(&drive.laser, simulator.laser().laser()).map_err(refuse)?;
+        let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
+        let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
+        let recorded = Recorded::new(&drive, settings.scans, settings.beams, free).map_err(|error| {
+            refuse(match references {
+                0 => "no scan has a reference pose, and without one nothing can be compared; a CARMEN log has them in \
+                      TRUEPOS lines, a bag in a topic of its own"
+                    .to_owned(),
+                _ => error.to_string(),
+            })
+        })?;
+        let outside = drive.steps.iter().filter(|s| s.reference.is_some_and(|pose| !free(&pose))).count();
+        if outside > 0 {
+            notes.push(format!("{outside} scans were left out: their reference pose is not in the map's free space."));
+        }
+        Ok(Self { text, log: log.to_owned(), map, drive, recorded, settings, notes, scenario })
+    }
+
+    fn simulation(&self) -> &Simulation {
+        match &self.scenario.source {
+            Source::Simulation(simulation) => simulation,
+            Source::Log(_) => unreachable!("load refuses measured logs"),
+        }
+    }
+
+    /// The seed that everything random derives from.
+    pub fn seed(&self) -> u64 {
+        self.scenario.seed
+    }
+
+    /// The scenario as it simulates now.
+    fn nominal(&self) -> Result<Nominal, GapError> {
+        let Simulation { laser, blocks, robot, effects, .. } = self.simulation();
+        let effects = Effects::new(effects.clone())?;
+        Nominal::new(Arc::clone(&self.map), *laser, *blocks, robot.odometry_noise, effects, self.scenario.seed)
+    }
+}
+
+/// Holds the log against the scenario and writes the results folder, which is made beside its place and renamed when
+/// complete.
+///
+/// # Errors
+/// [`GapStudyError`]; earlier results at `options.out` are then untouched.
+pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapStudyError> {
+    let store = Store::open(&options.out, &study.scenario.content_hash()?, false)?;
+    let written = find(study, options).and_then(|outcome| {
+        options.progress.stage("writing the report", 1);
+        write(store.folder(), study, &outcome, options)?;
+        Ok(outcome)
+    });
+    let outcome = written.inspect_err(|_| store.discard_if_empty())?;
+    store.finish()?;
+    options.progress.finish();
+    Ok(outcome)
+}
+
+fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapStudyError> {
+    let began = (options.clock)();
+    options.progress.stage("integrating over blocks", 1);
+    let nominal = study.nominal()?;
+    options.progress.advance(1);
+    let search = GapOptions {
+        replicates: study.settings.replicates,
+        without: study.settings.without.clone(),
+        seed: study.scenario.seed,
+        ..GapOptions::default()
+    };
+    let told = Told(options.progress);
+    let mut outcome = locsim_gap::find(&nominal, &study.recorded, &search, &told, options.interrupted)?;
+    outcome.notes.splice(0..0, study.notes.iter().cloned());
+    outcome.seconds = (options.clock)().saturating_sub(began).as_secs_f64();
+    Ok(outcome)
+}
+
+/// Writes everything into `folder`.
+fn write(
+    folder: &Path,
+    study: &GapStudy,
+    outcome: &Outcome,
+    options: &GapStudyOptions<'_>,
+) -> Result<(), GapStudyError> {
+    let json = serde_json::to_string_pretty(outcome).map_err(ReportError::from)?;
+    save(&folder.join("gap.json"), format!("{json}\n").as_bytes())?;
+    let scenario = edit::scenario_with(study, outcome, &options.out)?;
+    save(&folder.join("scenario.yaml"), scenario.as_bytes())?;
+    let old = study.scenario.file.display().to_string();
+    let diff = edit::diff(&study.text, &scenario, &old, &options.out.join("scenario.yaml").display().to_string());
+    save(&folder.join("scenario.diff"), diff.as_bytes())?;
+    Ok(())
+}
+
+/// The drive with the laser where the scenario has it: a log may not know, and the scenario is what is in question.
+fn with_mount(drive: Drive, mount: Pose2, notes: &mut Vec<String>) -> Drive {
+    let logged = drive.laser.base_from_laser();
+    let apart = logged.relative_to(&mount);
+    if apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT {
+        let place = |pose: Pose2| format!("({:.3} m, {:.3} m, {:.1} deg)", pose.x, pose.y, pose.theta.to_degrees());
+        notes.push(format!(
+            "The log has the laser at {} on the robot; the scenario's {} is used.",
+            place(logged),
+            place(mount)
+        ));
+    }
+    let laser = Laser::new(
+        drive.laser.bearings().to_vec(),
+        drive.laser.beam_times_secs().to_vec(),
+        drive.laser.min_range(),
+        drive.laser.max_range(),
+        mount,
+    );
+    match laser {
+        Ok(laser) => Drive { laser, ..drive },
+        Err(_) => drive,
+    }
+}
+
+/// Whether the beams of a log are those of a scenario.
+fn same_beams(log: &Laser, scenario: &Laser) -> Result<(), String> {
+    let (n, m) = (log.beam_count(), scenario.beam_count());
+    if n != m {
+        return Err(format!("{n} beams per scan don't fit the scenario's laser; its laser.beams is {m}"));
+    }
+    let (range, max) = (log.max_range(), scenario.max_range());
+    if (range - max).abs() > 1e-3 * max {
+        return Err(format!(
+            "a maximum range of {range} m doesn't fit the scenario's laser; its laser.max_range_m is {max}"
+        ));
+    }
+    let differs = |(a, b): (&f32, &f32)| wrap_angle(f64::from(a - b)).abs() > SAME_BEARING_RAD;
+    if let Some(beam) = log.bearings().iter().zip(scenario.bearings()).position(differs) {
+        let [ours, theirs] = [log, scenario].map(|laser| f64::from(laser.bearings()[beam]).to_degrees());
+        return Err(format!(
+            "beam {beam} points to {ours:.2} deg, the scenario's to {theirs:.2} deg; its laser.field_of_view_deg and \
+             laser.mount must be those of the log"
+        ));
+    }
+    Ok(())
+}
+
+/// Hands on the search's progress.
+struct Told<'a>(&'a dyn Progress);
+
+impl locsim_gap::Progress for Told<'_> {
+    fn stage(&self, name: &str, ticks: u64) {
+        self.0.stage(name, ticks);
+    }
+
+    fn advance(&self, ticks: u64) {
+        self.0.advance(ticks);
+    }
+}
+
+/// The effects of an outcome in the order in which they were named.
+fn effects_of(outcome: &Outcome) -> Vec<Effect> {
+    outcome.effects.iter().map(|named| named.effect.clone()).collect()
+}
