@@ -274,6 +274,9 @@ pub struct GapBench {
     /// Everything random derives from it: tune on one seed, score on another
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Begin no log after so many minutes, and score what is done; the same command goes on
+    #[arg(long)]
+    pub minutes: Option<u64>,
     /// Folder for logs, truths, findings and the report; what it holds already isn't run again
     #[arg(long, default_value = "results/gap-bench")]
     pub out: PathBuf,

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::{CommandFactory, Parser};
@@ -138,6 +138,7 @@ fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
         clock: &clock,
         progress: &bars,
         interrupted: &interrupted,
+        no_later: arguments.minutes.map(|minutes| Duration::from_secs(60 * minutes)),
     };
     let score = gap_bench::run(&options)?;
     std::fs::write(arguments.out.join("report.md"), gap_bench::report(&score))?;
@@ -147,7 +148,7 @@ fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
         say(&json)?;
     } else if !arguments.quiet {
         say(&gap_bench::table(&score))?;
-        say(&format!("{} logs; report in {}", score.runs, arguments.out.join("report.md").display()))?;
+        say(&format!("{} of {} logs; report in {}", score.runs, score.planned, arguments.out.join("report.md").display()))?;
     }
     Ok(ExitCode::SUCCESS)
 }

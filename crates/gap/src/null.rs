@@ -123,20 +123,12 @@ pub(crate) struct Null {
     pub p_library: f64,
     pub p_omnibus: f64,
     pub p: f64,
-    /// The largest statistic of each replicate, ascending.
-    largest: Vec<f64>,
+    /// What a score of an effect has to exceed to be found at 1 % (standard deviations).
+    pub threshold: f64,
     /// Standard deviation of each statistic among the replicates.
     pub spread: Vec<f64>,
     /// Nuisances of the replicates and what else the caller asked for.
     pub fits: Vec<Fitted>,
-}
-
-impl Null {
-    /// What the largest standardized statistic of a log without effects exceeds with this probability.
-    pub fn threshold(&self, probability: f64) -> f64 {
-        let above = (probability * self.largest.len() as f64).ceil() as usize;
-        self.largest.get(self.largest.len().saturating_sub(above.max(1))).copied().unwrap_or(f64::INFINITY)
-    }
 }
 
 /// Runs the replicates and ranks the log among them.
@@ -173,17 +165,25 @@ pub(crate) fn compare(
     Ok(rank(dictionary, &own, &statistics, fits))
 }
 
+/// By how many standard deviations of its largest statistic a group of statistics has to stand out more than the effects
+/// that act on many beams: places and cells are many, and there is one false-alarm rate for all.
+const HANDICAP: [f64; GROUPS] = [0.0, 0.8, 0.8];
+const GROUPS: usize = 3;
+
 fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves>], fits: Vec<Fitted>) -> Null {
     let count = others.len() + 1;
     let (mut z, mut halves) = (vec![0.0; own.len()], vec![[0.0; 2]; own.len()]);
     let mut spreads = vec![0.0; own.len()];
-    // largest of library and of cells, of each replicate, the log last
-    let mut largest = vec![[0.0_f64; 2]; count];
+    // The largest of each group, of each replicate, the log last.
+    let mut largest = vec![[0.0_f64; GROUPS]; count];
     for i in 0..own.len() {
-        let group = usize::from(i >= dictionary.first_cell());
-        // A count that hardly ever happens has no spread to go by.
-        let least = if dictionary.is_count(i) { 1.0 } else { 1e-18 };
-        let both = |v: &Halves| v[0] + v[1];
+        let group = dictionary.group(i);
+        // Counts by their roots, whose variance doesn't depend on the mean (Anscombe 1948) and is at most about 1 by
+        // chance; of a count that hardly ever happens it is less, and would make a single event stand out.
+        let is_count = dictionary.is_count(i);
+        let least = if is_count { 1.0 } else { 1e-9 };
+        let number = |value: f64| if is_count { 2.0 * (value.max(0.0) + 0.375).sqrt() } else { value };
+        let both = |v: &Halves| number(v[0] + v[1]);
         // For the ranks the log counts as one of them, so that all are alike where the simulator is right.
         let values = || others.iter().map(|other| both(&other[i])).chain([both(&own[i])]);
         let (mean, spread) = moments(values(), least);
@@ -194,20 +194,31 @@ fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves>], fits: V
         z[i] = (both(&own[i]) - mean) / spread;
         spreads[i] = spread;
         for half in 0..2 {
-            let (mean, spread) = moments(others.iter().map(|other| other[i][half]), least);
-            halves[i][half] = (own[i][half] - mean) / spread;
+            let (mean, spread) = moments(others.iter().map(|other| number(other[i][half])), least);
+            halves[i][half] = (number(own[i][half]) - mean) / spread;
         }
     }
-    let p_of = |of: &dyn Fn(&[f64; 2]) -> f64| {
+    // Each group in units of its own largest statistic's spread, less its handicap.
+    let scales: Vec<(f64, f64)> =
+        (0..GROUPS).map(|g| moments(largest.iter().map(|t| t[g]), 1e-9)).collect();
+    for t in &mut largest {
+        for g in 0..GROUPS {
+            t[g] = (t[g] - scales[g].0) / scales[g].1 - HANDICAP[g];
+        }
+    }
+    let p_of = |of: &dyn Fn(&[f64; GROUPS]) -> f64| {
         let mine = of(&largest[count - 1]);
         largest.iter().filter(|other| of(other) >= mine).count() as f64 / count as f64
     };
-    let p_library = p_of(&|t| t[0]);
-    let p_omnibus = p_of(&|t| t[1]);
-    let p = p_of(&|t| t[0].max(t[1]));
-    let mut all: Vec<f64> = largest[..count - 1].iter().map(|t| t[0].max(t[1])).collect();
-    all.sort_by(f64::total_cmp);
-    Null { z, halves, p_library, p_omnibus, p, largest: all, spread: spreads, fits }
+    let p_library = p_of(&|t| t[0].max(t[1]));
+    let p_omnibus = p_of(&|t| t[2]);
+    let all = |t: &[f64; GROUPS]| t.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let p = p_of(&all);
+    let mut sorted: Vec<f64> = largest[..count - 1].iter().map(all).collect();
+    sorted.sort_by(f64::total_cmp);
+    let above = ((0.01 * sorted.len() as f64).ceil() as usize).max(1);
+    let threshold = scales[0].0 + scales[0].1 * (sorted[sorted.len() - above] + HANDICAP[0]);
+    Null { z, halves, p_library, p_omnibus, p, threshold, spread: spreads, fits }
 }
 
 /// Mean and standard deviation; `least` is added to the variance.
@@ -215,7 +226,7 @@ fn moments(values: impl Iterator<Item = f64> + Clone, least: f64) -> (f64, f64) 
     let count = values.clone().count() as f64;
     let mean = values.clone().sum::<f64>() / count;
     let variance = values.map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
-    (mean, (variance + least).sqrt())
+    (mean, variance.max(least).sqrt())
 }
 
 /// How long blocks stay in a log: the policy under which neighbouring scans share as many short readings.

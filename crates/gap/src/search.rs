@@ -703,7 +703,7 @@ fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) -> V
 
 /// Strengths that reach the threshold with 90 % probability: a score's spread is the square root of its information.
 fn detectable(round: &Round<'_>) -> Vec<Detectable> {
-    let threshold = round.null.threshold(0.01) + 1.2816;
+    let threshold = round.null.threshold + 1.2816;
     let mut out: Vec<Detectable> = Vec::new();
     for (i, aim) in round.dictionary.aims.iter().enumerate() {
         let Aim::Effect(kind, hint) = aim else { continue };

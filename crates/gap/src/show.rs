@@ -237,6 +237,10 @@ pub(crate) fn histograms(comparison: &Comparison<'_>, pits: &[BeamPit]) -> Vec<P
 impl Dictionary {
     /// The beams of an omnibus cell.
     fn beams_in(&self, index: usize) -> Vec<u32> {
+        let Aim::Cell(cell) = &self.aims[index] else { return Vec::new() };
+        if matches!(cell.covariate, Covariate::Scan | Covariate::Pit) {
+            return (0..self.cells_of_beams().len() as u32).collect();
+        }
         let first = index - (index - self.first_cell()) % 4;
         (0..self.cells_of_beams().len() as u32)
             .filter(|&i| self.cells_of_beams()[i as usize].contains(&(first as u32)))

@@ -53,6 +53,10 @@ pub enum Covariate {
     Jump,
     /// Bearing, by turn rate.
     BearingByTurnRate,
+    /// Each scan as a whole: how much scans differ, by what their beams share.
+    Scan,
+    /// Every beam: the PIT's tenths, from `lo` to `hi`.
+    Pit,
 }
 
 /// What is off in a cell.
@@ -67,6 +71,8 @@ pub enum Deviation {
     Short,
     /// Share of missing returns.
     NoReturn,
+    /// Share of readings whose PIT lies in this tenth.
+    Share,
 }
 
 /// A cell of the omnibus search.
@@ -130,6 +136,7 @@ pub(crate) struct Dictionary {
     odometry: usize,
     patterns: usize,
     cells: usize,
+    whole: usize,
     cell_of: Vec<[u32; COVARIATES]>,
     jumps: Vec<Option<[f64; 2]>>,
 }
@@ -377,6 +384,8 @@ impl Dictionary {
                     Covariate::Speed => interval(&speed_edges),
                     Covariate::TurnRate => interval(&turn_edges),
                     Covariate::Jump => interval(&jump_edges),
+                    // These have cells of their own.
+                    Covariate::Scan | Covariate::Pit => (0.0, 0.0),
                     Covariate::BearingByTurnRate => {
                         let i = i / (coarse_turn.len() - 1);
                         (coarse_bearing[i], coarse_bearing[i + 1])
@@ -389,6 +398,16 @@ impl Dictionary {
                     push(&mut aims, &mut counts, Aim::Cell(Cell { covariate, lo, hi, place, deviation }), count);
                 }
             }
+        }
+        let whole = aims.len();
+        for deviation in [Deviation::Mean, Deviation::Short, Deviation::NoReturn] {
+            let cell = Cell { covariate: Covariate::Scan, lo: 0.0, hi: 0.0, place: None, deviation };
+            push(&mut aims, &mut counts, Aim::Cell(cell), false);
+        }
+        for tenth in 0..10 {
+            let (lo, hi) = (0.1 * f64::from(tenth), 0.1 * f64::from(tenth + 1));
+            let cell = Cell { covariate: Covariate::Pit, lo, hi, place: None, deviation: Deviation::Share };
+            push(&mut aims, &mut counts, Aim::Cell(cell), false);
         }
         let cell_of = (0..n)
             .map(|i| {
@@ -428,6 +447,7 @@ impl Dictionary {
             odometry,
             patterns,
             cells,
+            whole,
             cell_of,
             jumps,
         }
@@ -440,6 +460,18 @@ impl Dictionary {
     /// Index of the first omnibus cell; the library's directions come before.
     pub fn first_cell(&self) -> usize {
         self.cells
+    }
+
+    /// Statistics that are ranked among themselves: 0 for the scores of effects that act on many beams, 1 for those that
+    /// act in one of many places, 2 for the cells.
+    pub fn group(&self, index: usize) -> usize {
+        if index >= self.cells {
+            2
+        } else if self.is_score(index) || (self.odometry..self.patterns + 3).contains(&index) || index == self.mixed || index == self.depth {
+            0
+        } else {
+            1
+        }
     }
 
     /// Whether a statistic counts rare events.
@@ -472,6 +504,7 @@ impl Dictionary {
         let max = comparison.nominal.laser.max_range_m;
         let mut scores: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; n]);
         let mut depth = [[0.0; 2]; 2];
+        let mut whole = vec![[0.0_f64; 3]; views.scans()];
         comparison.for_each_reading(views, effects, fitted, |scan, i, density, shift, z, terms| {
             let half = (scan / BLOCK) % 2;
             let beam = &views.beams[i];
@@ -547,6 +580,10 @@ impl Dictionary {
             };
             let missing = f64::from(u8::from(!is_return && beam.range() < max));
             let values = [u - 0.5, (u - 0.5).powi(2) - 1.0 / 12.0, terms.short, missing];
+            for (sum, value) in whole[scan].iter_mut().zip([values[0], values[2], values[3]]) {
+                *sum += value;
+            }
+            out[self.whole + 3 + ((10.0 * u) as usize).min(9)][half] += 1.0;
             for &cell in &self.cell_of[i] {
                 if cell != u32::MAX {
                     for (v, value) in values.iter().enumerate() {
@@ -555,6 +592,12 @@ impl Dictionary {
                 }
             }
         });
+        for (i, of_scan) in whole.windows(2).enumerate() {
+            for kind in 0..3 {
+                // What changes from scan to scan; what stays is for other cells.
+                out[self.whole + kind][(i / BLOCK) % 2] += (of_scan[1][kind] - of_scan[0][kind]).powi(2);
+            }
+        }
         for (score, index, weights) in &self.dense {
             let scores = &scores[*score as usize];
             for scan in 0..views.scans() {

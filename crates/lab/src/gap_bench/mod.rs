@@ -97,6 +97,8 @@ pub struct GapBenchOptions<'a> {
     pub progress: &'a dyn Progress,
     /// Set to stop after the log at hand.
     pub interrupted: &'a AtomicBool,
+    /// No log is begun later than this; what is done is scored, and the next run goes on.
+    pub no_later: Option<Duration>,
 }
 
 /// What is true of a log.
@@ -221,6 +223,9 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
             found.join(format!("{}.json", case.id)),
         );
         if !(answer.exists() && truth.exists()) {
+            if options.no_later.is_some_and(|end| (options.clock)() > end) {
+                break;
+            }
             hide(&world, case, &log, &truth)?;
             let finding = search(&world.nominal, &log, case, options)?;
             save(&answer, &finding)?;
@@ -233,12 +238,14 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
     Ok(Score::new(
         cases
             .iter()
+            .filter(|case| found.join(format!("{}.json", case.id)).exists())
             .map(|case| {
                 let truth = read(&truths.join(format!("{}.json", case.id)))?;
                 let found = read(&found.join(format!("{}.json", case.id)))?;
                 Ok((truth, found))
             })
             .collect::<Result<_, GapBenchError>>()?,
+        cases.len(),
         options.replicates,
         options.seed,
     ))

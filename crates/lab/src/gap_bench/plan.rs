@@ -262,5 +262,10 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
             add(Group::Removed, format!("removed-{kind}"), 100.0, 0, &hidden, vec![kind]);
         }
     }
-    cases
+    // In an order of chance, so that a part of the suite is a sample of it.
+    let draw = Draw::new(seed, Stage::Trial, 99);
+    let mut order: Vec<(u64, Case)> =
+        cases.into_iter().enumerate().map(|(i, case)| (draw.seed(i as u32), case)).collect();
+    order.sort_by_key(|(key, _)| *key);
+    order.into_iter().map(|(_, case)| case).collect()
 }

@@ -79,6 +79,8 @@ pub struct Score {
     pub seconds_per_log: f64,
     /// Number of logs.
     pub runs: usize,
+    /// Number of logs that the suite has at this size.
+    pub planned: usize,
     /// Simulated logs behind each p-value.
     pub replicates: u32,
     /// Everything random derives from it.
@@ -98,7 +100,7 @@ fn is_found(found: &FoundFile) -> bool {
 }
 
 impl Score {
-    pub(super) fn new(all: Vec<(TruthFile, FoundFile)>, replicates: u32, seed: u64) -> Self {
+    pub(super) fn new(all: Vec<(TruthFile, FoundFile)>, planned: usize, replicates: u32, seed: u64) -> Self {
         let of = |group: Group| all.iter().filter(move |(truth, _)| truth.group == group);
         let first_is_right = |(truth, found): &(TruthFile, FoundFile)| found.effects.first() == truth.effects.first();
         let mut regimes: Vec<String> = of(Group::Null).map(|(truth, _)| truth.regime.clone()).collect();
@@ -178,6 +180,7 @@ impl Score {
             filter_recovered: None,
             seconds_per_log: mean(all.iter().map(|(_, found)| found.seconds)).unwrap_or(0.0),
             runs: all.len(),
+            planned,
             replicates,
             seed,
             all,

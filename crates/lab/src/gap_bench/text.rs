@@ -65,9 +65,10 @@ pub fn table(score: &Score) -> String {
 /// The whole report: table, confusion matrix, every log.
 pub fn report(score: &Score) -> String {
     let mut text = format!(
-        "# Hidden-effect suite\n\n{} logs, {} simulated logs behind each p-value, seed {}. Shares with 95 % intervals \
+        "# Hidden-effect suite\n\n{} of {} logs, {} simulated logs behind each p-value, seed {}. Shares with 95 % intervals \
          (Clopper and Pearson).\n\n{}\n",
         score.runs,
+        score.planned,
         score.replicates,
         score.seed,
         table(score),
