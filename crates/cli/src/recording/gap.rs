@@ -38,7 +38,7 @@ pub fn record(study: &GapStudy, outcome: &Outcome, file: &Path) -> anyhow::Resul
     // Wall-clock timelines mean nothing for a replay.
     stream.set_log_time_enabled(false);
     stream.set_log_tick_enabled(false);
-    let scans = Scans { study, outcome };
+    let scans = Scans { study, outcome, expected: study.expected_ends() };
     log_static(&stream, &walls, &scans)?;
     let recorded = study.recorded();
     let driven: Vec<[f32; 2]> = recorded.poses.iter().map(pose_point).collect();
@@ -104,7 +104,7 @@ fn log_static(
         &rerun::TextDocument::from_markdown(format!(
             "{found}\n\n\
              - white: reference path and pose\n\
-             - points: where the readings of the whole drive end; rays: the scan of this moment\n\
+             - points: where the readings of the whole drive end, or should have ended; rays: the scan of this moment\n\
              - red: shorter than the simulation expected, grey: as expected, blue: longer, or lost (PIT from 0 to 1)\n"
         )),
     )
@@ -114,6 +114,8 @@ fn log_static(
 struct Scans<'a> {
     study: &'a GapStudy,
     outcome: &'a Outcome,
+    /// Where each beam would end in the world as it is mapped.
+    expected: Vec<Option<[f64; 2]>>,
 }
 
 impl Scans<'_> {
@@ -154,13 +156,18 @@ impl Scans<'_> {
         rerun::LineStrips2D::new(rays).with_colors(colors).with_radii([rerun::Radius::new_ui_points(0.7)])
     }
 
-    /// The ends of all readings of the drive.
+    /// The ends of all readings of the drive; of lost ones, if that is improbable, where they should have ended.
     fn all(&self, side: usize) -> rerun::Points2D {
         let scans = self.study.recorded().scans();
         let ends = (0..scans).flat_map(|scan| {
-            self.beams(scan, side).filter(move |&(i, ..)| self.returned(scan, i)).map(|(_, beam, pit)| (beam.endpoint, pit))
+            self.beams(scan, side).filter_map(move |(i, beam, pit)| {
+                let expected = || self.expected[scan * self.outcome.beams + i].map(point);
+                let lost = || expected().filter(|_| !CENTRAL.contains(&pit));
+                let end = if self.returned(scan, i) { Some(beam.endpoint) } else { lost() };
+                end.map(|end| (end, by_pit(pit)))
+            })
         });
-        let (ends, colors): (Vec<_>, Vec<_>) = ends.map(|(end, pit)| (end, by_pit(pit))).unzip();
+        let (ends, colors): (Vec<_>, Vec<_>) = ends.unzip();
         rerun::Points2D::new(ends).with_colors(colors).with_radii([rerun::Radius::new_ui_points(1.2)])
     }
 

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use locsim_core::{Hits, Particles, RangeMap};
 use locsim_gap::{BeamPit, Outcome, PitHistogram};
 use plotters::prelude::{Circle, Color, PathElement, RGBColor, Rectangle, Text};
 
@@ -17,11 +16,11 @@ use crate::report::figures::geometry::{Point, Window, join};
 use crate::report::figures::map::{LEFT, MARGINS, MapPanel, aspect};
 
 /// Side of a cell of wall \[m\].
-const CELL_M: f64 = 0.12;
+const CELL_M: f64 = 0.25;
 /// Fewer readings in a cell say nothing.
-const LEAST_READINGS: u32 = 8;
+const LEAST_READINGS: u32 = 20;
 /// A mean PIT this far from the middle has the full colour.
-const FULL: f64 = 0.25;
+const FULL: f64 = 0.12;
 /// Readings that are shorter than expected, as expected, and longer: legible for the colour-blind.
 const SHORT: RGBColor = RGBColor(0xc2, 0x3b, 0x22);
 const EXPECTED: RGBColor = RGBColor(0xe6, 0xe6, 0xe6);
@@ -70,22 +69,11 @@ pub(super) fn all(study: &GapStudy, outcome: &Outcome) -> Result<Vec<Figure>, Re
 
 /// Mean PIT of readings by the piece of wall that their beams should end on: place, nominal, with the effects.
 fn by_wall(study: &GapStudy, outcome: &Outcome) -> Vec<(Point, [f64; 2])> {
-    let recorded = &study.recorded;
-    let laser = &recorded.laser;
-    let poses: Particles = recorded.poses.iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
-    let mut hits = Hits::default();
-    study.map.cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
     let mut cells: BTreeMap<[i64; 2], (u32, [f64; 4])> = BTreeMap::new();
-    for (i, pit) in outcome.beam_pits.iter().enumerate() {
-        let (pose, bearing) = (poses.get(i / outcome.beams), laser.bearings()[i % outcome.beams]);
-        let range = f64::from(hits.range[i]);
-        if !pit.before.is_finite() || !pit.after.is_finite() || hits.range[i] >= laser.max_range() {
-            continue;
-        }
-        let direction = pose.theta + f64::from(bearing);
-        let (x, y) = (pose.x + range * direction.cos(), pose.y + range * direction.sin());
-        let cell = cells.entry([x, y].map(|v| (v / CELL_M).floor() as i64)).or_default();
+    for (pit, end) in outcome.beam_pits.iter().zip(study.expected_ends()) {
         let BeamPit { before, after, .. } = *pit;
+        let Some([x, y]) = end.filter(|_| before.is_finite() && after.is_finite()) else { continue };
+        let cell = cells.entry([x, y].map(|v| (v / CELL_M).floor() as i64)).or_default();
         cell.0 += 1;
         for (sum, value) in cell.1.iter_mut().zip([x, y, f64::from(before), f64::from(after)]) {
             *sum += value;
@@ -125,7 +113,7 @@ fn map(study: &GapStudy, outcome: &Outcome) -> Result<String, DrawError> {
             panel.map(&join(&walls), &[])?;
             panel.line(&path, line(RGBColor(0xaa, 0xaa, 0xaa), 1.0))?;
             for (place, pits) in &cells {
-                panel.dot(*place, 3.0, by_pit(pits[side]).filled())?;
+                panel.dot(*place, 4.5, by_pit(pits[side]).filled())?;
             }
         }
         Ok(())

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use locsim_core::{Drive, DriveStep, Laser, Pose2, wrap_angle};
+use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, wrap_angle};
 use locsim_dataset::{DatasetError, LogOptions, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Recorded};
 use locsim_world::effect::{EffectKind, Effects};
@@ -149,7 +149,7 @@ impl GapStudy {
         }
         let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
         let (drive, summary) = read_log(log, &settings.log)?;
-        let mut notes = vec![summary.to_string()];
+        let mut notes = vec![summary.to_string().replace('\n', "; ")];
         let drive = with_mount(drive, simulation.laser.mount, &mut notes);
         let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
         let simulator = Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects).map_err(GapError::from)?;
@@ -187,6 +187,22 @@ impl GapStudy {
     /// The part of the log that is looked at.
     pub fn recorded(&self) -> &Recorded {
         &self.recorded
+    }
+
+    /// Where each beam would end in the world as it is mapped \[m\], \[scan\]\[beam\]; `None` where that is too far.
+    pub fn expected_ends(&self) -> Vec<Option<[f64; 2]>> {
+        let Recorded { laser, poses, .. } = &self.recorded;
+        let poses: Particles = poses.iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
+        let mut hits = Hits::default();
+        self.map.cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
+        let beams = laser.beam_count();
+        let end = |(i, &range): (usize, &f32)| {
+            let pose = poses.get(i / beams);
+            let direction = pose.theta + f64::from(laser.bearings()[i % beams]);
+            let range = (range < laser.max_range()).then_some(f64::from(range))?;
+            Some([pose.x + range * direction.cos(), pose.y + range * direction.sin()])
+        };
+        hits.range.iter().enumerate().map(end).collect()
     }
 
     /// Wall segments of the map \[m\].
@@ -242,8 +258,7 @@ fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapS
     let usual = GapOptions::default();
     let search = GapOptions {
         replicates,
-        // The least p-value that so many simulations can give.
-        false_alarm: usual.false_alarm.max(1.0 / (f64::from(replicates) + 1.0)),
+        false_alarm: false_alarm(replicates),
         without: study.settings.without.clone(),
         seed: study.scenario.seed,
         ..usual
@@ -263,6 +278,11 @@ fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapS
     outcome.notes.splice(0..0, study.notes.iter().cloned());
     outcome.seconds = (options.clock)().saturating_sub(began).as_secs_f64();
     Ok(outcome)
+}
+
+/// The chance of a false alarm: the usual one, or the least p-value that so many simulations can give.
+fn false_alarm(replicates: u32) -> f64 {
+    GapOptions::default().false_alarm.max(1.0 / (f64::from(replicates) + 1.0))
 }
 
 /// Writes everything into `folder`.

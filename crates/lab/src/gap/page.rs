@@ -17,6 +17,9 @@ use crate::scenario::effect::{in_file, key, unit};
 
 const MARKDOWN: &str = include_str!("templates/gap.md.j2");
 
+/// Regions in the table; gap.json has all.
+const SHOWN_REGIONS: usize = 12;
+
 /// A figure as the template names it.
 #[derive(Serialize)]
 struct FigureLink<'a> {
@@ -105,7 +108,9 @@ fn markdown(
         regions_table => (!outcome.regions.is_empty()).then(|| regions_table(outcome).to_markdown()),
         rivals_table => (!outcome.rivals.is_empty()).then(|| rivals_table(outcome).to_markdown()),
         gap_table => gap_table(outcome).to_markdown(),
-        closed => answer::with_interval(&outcome.gap.closed, 100.0),
+        closed => answer::closed(outcome),
+        more_regions => outcome.regions.len().saturating_sub(SHOWN_REGIONS),
+        false_alarm => significant(super::false_alarm(outcome.detection.replicates)),
         filter_table => filter_table(outcome).map(|table| table.to_markdown()),
         detectable_table => detectable_table(outcome).to_markdown(),
         blocks => fixed(nuisances.block_density, 2),
@@ -153,7 +158,7 @@ fn detection_table(outcome: &Outcome) -> TextTable {
 }
 
 fn regions_table(outcome: &Outcome) -> TextTable {
-    let rows = outcome.regions.iter().map(|region| {
+    let rows = outcome.regions.iter().take(SHOWN_REGIONS).map(|region| {
         [
             answer::place_text(region),
             answer::deviation_text(region).to_owned(),
@@ -178,7 +183,7 @@ fn rivals_table(outcome: &Outcome) -> TextTable {
             format!("{}. {}", rival.round, rival.name),
             values.collect::<Vec<_>>().join(", "),
             answer::with_interval(&rival.gain_nats, 1.0),
-            answer::with_interval(&rival.behind_nats, 1.0),
+            if rival.behind_nats.value == 0.0 { text::NONE.to_owned() } else { answer::with_interval(&rival.behind_nats, 1.0) },
         ]
     });
     TextTable::new(["round and effect", "fitted", "gain [nats]", "behind the named one [nats]"], rows)
