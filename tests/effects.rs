@@ -15,7 +15,9 @@ fn with_effects(effects: &str) -> String {
 fn the_list_names_every_effect_with_its_parameters() {
     let folder = Folder::new();
     let list = output(&folder.locsim("effects").success());
-    for words in ["range_bias", "bias_m [m]", "angle_deg [deg]", "turn_deg_per_m [deg/m]", "wheel_slip", "wall, p"] {
+    for words in
+        ["range_bias", "bias_m [m]", "angle_deg [deg]", "turn_deg_per_m [deg/m]", "wheel_slip", "wall, p"]
+    {
         assert!(list.contains(words), "{words} is not in\n{list}");
     }
     assert!(list.lines().all(|line| line.chars().count() <= 110), "{list}");
@@ -29,7 +31,7 @@ fn the_page_of_an_effect_says_what_it_is_and_what_looks_like_it() {
         page,
         "incidence_dropout (beam)\n\n\
          Slanted walls often send nothing back.\n\n\
-         definition      P(no return) = p / (1 + exp(-(alpha - angle_rad) / width_rad)), on walls\n\
+         definition      P(no return) = p / (1 + exp(-(alpha - angle_deg) / width_deg)), on walls\n\
          gives it away   missing returns that set in at an incidence\n\
          looks like      range_dropout, glass\n\n\
          p               0 to 1, such as 0.5\n\
@@ -81,10 +83,19 @@ fn a_run_localizes_in_the_world_with_effects() {
 fn effects_that_make_no_sense_are_refused() {
     let folder = Folder::new();
     for (effects, message) in [
-        ("{name: glas, p: 0.5}", "s.yaml:12: effects[0].name: `glas` is not allowed; did you mean `glass`? allowed: range_bias,"),
+        (
+            "{name: glas, p: 0.5}",
+            "s.yaml:12: effects[0].name: `glas` is not allowed; did you mean `glass`? allowed: range_bias,",
+        ),
         ("{name: heavy_tail, p: 2}", "s.yaml:12: effects[0].p: 2 is not allowed; a number from 0 to 1"),
-        ("{name: heavy_tail, share: 1}", "s.yaml:12: effects[0].share: `share` is not a key of `heavy_tail`; allowed: name, p"),
-        ("{name: glass, p: 1, wall: room/9}", "s.yaml:12: effects[0].wall: `room/9` is not a wall of the map; did you mean `room/0`?"),
+        (
+            "{name: heavy_tail, share: 1}",
+            "s.yaml:12: effects[0].share: `share` is not a key of `heavy_tail`; allowed: name, p",
+        ),
+        (
+            "{name: glass, p: 1, wall: room/9}",
+            "s.yaml:12: effects[0].wall: `room/9` is not a wall of the map; did you mean `room/0`?",
+        ),
     ] {
         folder.write("s.yaml", with_effects(effects));
         folder.locsim("run s.yaml").code(2).stdout(is_empty()).stderr(contains(message));

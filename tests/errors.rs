@@ -41,7 +41,7 @@ fn keys_types_and_values_of_a_scenario() {
             "  particles: 100",
             "  partcles: 100",
             "s.yaml:15: filter.partcles: `partcles` is not a key; did you mean `particles`? allowed: particles, motion, \
-             resampler, resample, injection, start, beams, estimate, regularization",
+             resampler, resample, injection, start, beams, estimate, regularization, annealing",
         ),
         ("seed: 3", "seed: three", "s.yaml:3: seed: \"three\" is not allowed; a whole number, not negative"),
         (

@@ -187,6 +187,19 @@ fn a_study_that_is_wrong_is_refused_with_line_and_key() {
 }
 
 #[test]
+fn validate_and_schema_know_studies() {
+    let folder = Folder::new();
+    folder.write("lawn.yaml", GRASS);
+    let valid = folder.locsim("validate lawn.yaml").success();
+    assert!(output(&valid).contains("lawn.yaml: valid (study, 2 models, 3 repeats)"), "{}", output(&valid));
+    folder.write("lawn.yaml", edited(GRASS, "rail_m: 0.5", "rail_m: -1"));
+    folder.locsim("validate lawn.yaml").code(2).stderr(contains("lawn.yaml:6: sensor.grass.rail_m: -1"));
+    folder.locsim("validate absent.yaml").code(2).stderr(contains("absent.yaml"));
+    let schema: Value = serde_json::from_str(&output(&folder.locsim("schema --study").success())).unwrap();
+    assert!(schema["properties"]["sensor"].is_object() && schema["properties"]["robot"].is_null());
+}
+
+#[test]
 fn a_study_that_is_refused_does_not_keep_the_others_from_running() {
     let folder = Folder::new();
     folder.write("lawn.yaml", GRASS);

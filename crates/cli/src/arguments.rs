@@ -24,14 +24,18 @@ pub enum Command {
     Study(Study),
     /// Measure distribution regression on its fixed task: times, risks, agreement with the dense product
     BenchRegression(BenchRegression),
-    /// Check scenarios without running them
+    /// Check scenarios and studies without running them
     Validate {
-        /// Scenario files
+        /// Scenario and study files
         #[arg(required = true)]
         scenarios: Vec<PathBuf>,
     },
     /// Print the JSON Schema of scenario files, for editors
-    Schema,
+    Schema {
+        /// Of study files instead
+        #[arg(long)]
+        study: bool,
+    },
     /// List the effects: named ways in which a simulated world can differ from the nominal one; or tell all about one
     Effects {
         /// Which one
@@ -45,6 +49,8 @@ pub enum Command {
     Map(Map),
     /// Measure speed and accuracy on a folder of fixed work, beside targets and other programs
     Bench(Bench),
+    /// Run the hidden-effect suite: how often and how well `gap` finds what is hidden in simulated logs
+    GapBench(GapBench),
     /// Print a shell's completion script
     Completions {
         /// The shell
@@ -257,4 +263,47 @@ pub struct Bench {
     /// No progress bars
     #[arg(long)]
     pub quiet: bool,
+}
+
+/// `locsim gap-bench`.
+#[derive(Debug, Args)]
+pub struct GapBench {
+    /// The nominal scenario
+    #[arg(default_value = "scenarios/gap/nominal.yaml")]
+    pub scenario: PathBuf,
+    /// How much: small (minutes), medium (an hour on two cores), full (a day)
+    #[arg(long, value_enum, default_value_t = Size::Small)]
+    pub size: Size,
+    /// Everything random derives from it: tune on one seed, score on another
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Folder for logs, truths, findings and the report; what it holds already isn't run again
+    #[arg(long, default_value = "results/gap-bench")]
+    pub out: PathBuf,
+    /// Simulated logs behind each p-value
+    #[arg(long, default_value_t = 199, value_parser = clap::value_parser!(u32).range(99..))]
+    pub replicates: u32,
+    /// The most scans of a log
+    #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..))]
+    pub scans: u32,
+    /// Worker threads; results don't depend on it [default: all cores]
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Print nothing but errors (and, with --json, the figures)
+    #[arg(long)]
+    pub quiet: bool,
+    /// Print the figures as JSON instead of the table
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// How much of the suite is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Size {
+    /// Minutes
+    Small,
+    /// An hour on two cores
+    Medium,
+    /// A day
+    Full,
 }

@@ -17,6 +17,7 @@ use locsim_dataset::{LogOptions, McapTopics};
 use locsim_lab::bench;
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyError, GapStudyOptions};
 use locsim_lab::effects;
+use locsim_lab::gap_bench::{self, GapBenchError, GapBenchOptions};
 use locsim_lab::report::terminal_table;
 use locsim_lab::run::{self, Recorder, RunError, RunOptions};
 use locsim_lab::scenario::{self, Overrides, Scenario};
@@ -41,12 +42,13 @@ fn main() -> ExitCode {
         Command::Study(arguments) => run_studies(arguments),
         Command::BenchRegression(arguments) => bench_regression(arguments),
         Command::Validate { scenarios } => validate(scenarios),
-        Command::Schema => print_schema(),
+        Command::Schema { study } => print_schema(*study),
         Command::Effects { name } => effects(name.as_deref()),
         Command::Simulate(arguments) => simulate(arguments),
         Command::Gap(arguments) => gap(arguments),
         Command::Map(arguments) => map(arguments),
         Command::Bench(arguments) => bench(arguments),
+        Command::GapBench(arguments) => run_gap_bench(arguments),
         Command::Completions { shell } => {
             clap_complete::generate(*shell, &mut Arguments::command(), "locsim", &mut std::io::stdout());
             Ok(ExitCode::SUCCESS)
@@ -56,6 +58,7 @@ fn main() -> ExitCode {
         eprintln!("error: {}", explain(&error));
         let interrupted = matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }))
             || matches!(error.downcast_ref(), Some(StudyError::Interrupted))
+            || error.downcast_ref::<GapBenchError>().is_some_and(GapBenchError::is_interruption)
             || error.downcast_ref().is_some_and(GapStudyError::is_interruption);
         ExitCode::from(if interrupted { INTERRUPTED } else { BAD_INPUT })
     })
@@ -111,6 +114,42 @@ fn run(arguments: &Run) -> Result<ExitCode> {
         eprintln!("missed: {missed}");
     }
     Ok(if outcome.missed.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(MISSED) })
+}
+
+/// Runs what of the suite hasn't been run, and prints its table.
+fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
+    use_threads(arguments.threads)?;
+    let interrupted = on_interrupt()?;
+    #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
+    let start = Instant::now();
+    let clock = || start.elapsed();
+    let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
+    let options = GapBenchOptions {
+        scenario: arguments.scenario.clone(),
+        out: arguments.out.clone(),
+        size: match arguments.size {
+            arguments::Size::Small => gap_bench::Size::Small,
+            arguments::Size::Medium => gap_bench::Size::Medium,
+            arguments::Size::Full => gap_bench::Size::Full,
+        },
+        seed: arguments.seed,
+        replicates: arguments.replicates,
+        scans: arguments.scans as usize,
+        clock: &clock,
+        progress: &bars,
+        interrupted: &interrupted,
+    };
+    let score = gap_bench::run(&options)?;
+    std::fs::write(arguments.out.join("report.md"), gap_bench::report(&score))?;
+    let json = serde_json::to_string_pretty(&score)?;
+    std::fs::write(arguments.out.join("score.json"), &json)?;
+    if arguments.json {
+        say(&json)?;
+    } else if !arguments.quiet {
+        say(&gap_bench::table(&score))?;
+        say(&format!("{} logs; report in {}", score.runs, arguments.out.join("report.md").display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Limits the worker threads.
@@ -187,8 +226,8 @@ fn bench_regression(arguments: &arguments::BenchRegression) -> Result<ExitCode> 
         say(&format!(
             "200 queries [ms]: faithful {:.3}, on two threads {:.3}, registered {:.3}\n\
              one density from a table [ns]: {:.2}\n\
-             risk, gauss [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
-             risk, mixed [mm]: faithful {:.3}, registered {:.3}, p_reg {:.3}\n\
+             risk, gauss [mm]: faithful {:.3}, registered {:.3} (by {}), p_reg {:.3}\n\
+             risk, mixed [mm]: faithful {:.3}, registered {:.3} (by {}), p_reg {:.3}\n\
              largest difference from the dense product: {:.1e}",
             ms.faithful,
             ms.faithful_2_threads,
@@ -196,9 +235,11 @@ fn bench_regression(arguments: &arguments::BenchRegression) -> Result<ExitCode> 
             report.density_ns,
             gauss.faithful,
             gauss.registered,
+            report.registered_by.gauss,
             gauss.p_reg,
             mixed.faithful,
             mixed.registered,
+            report.registered_by.mixed,
             mixed.p_reg,
             report.max_abs_diff_from_dense
         ))?;
@@ -243,16 +284,11 @@ fn recorder(record: Record, scenario: &str) -> Option<Box<Recorder<'static>>> {
     }
 }
 
-fn validate(scenarios: &[PathBuf]) -> Result<ExitCode> {
+fn validate(files: &[PathBuf]) -> Result<ExitCode> {
     let mut refused = false;
-    for path in scenarios {
-        match Scenario::load(path, &Overrides::default()) {
-            Ok(scenario) => say(&format!(
-                "{}: valid ({} models, {} trials)",
-                path.display(),
-                scenario.models.len(),
-                scenario.trials
-            ))?,
+    for path in files {
+        match validate_one(path) {
+            Ok(content) => say(&format!("{}: valid ({content})", path.display()))?,
             Err(error) => {
                 refused = true;
                 eprintln!("error: {error}");
@@ -262,8 +298,20 @@ fn validate(scenarios: &[PathBuf]) -> Result<ExitCode> {
     Ok(if refused { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS })
 }
 
-fn print_schema() -> Result<ExitCode> {
-    say(&serde_json::to_string_pretty(&scenario::schema())?)?;
+/// What a scenario or a study holds.
+fn validate_one(path: &Path) -> Result<String, StudyError> {
+    Ok(if study::is_study(path)? {
+        let study = study::Study::load(path, StudyOverrides::default())?;
+        format!("study, {} models, {} repeats", study.models().len(), study.repeats())
+    } else {
+        let scenario = Scenario::load(path, &Overrides::default())?;
+        format!("{} models, {} trials", scenario.models.len(), scenario.trials)
+    })
+}
+
+fn print_schema(study: bool) -> Result<ExitCode> {
+    let schema = if study { study::schema() } else { scenario::schema() };
+    say(&serde_json::to_string_pretty(&schema)?)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -46,6 +46,13 @@ impl Particles {
         self.theta.push(pose.theta);
     }
 
+    /// Makes room for `n` poses in all.
+    pub fn reserve(&mut self, n: usize) {
+        for values in [&mut self.x, &mut self.y, &mut self.theta] {
+            values.reserve_exact(n.saturating_sub(values.len()));
+        }
+    }
+
     /// Makes the length `n`; new poses are at the origin.
     pub fn resize(&mut self, n: usize) {
         self.x.resize(n, 0.0);

@@ -1,11 +1,10 @@
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::np_reg::deposit;
-use crate::point_share::{PointShare, without_points};
+use crate::point_share::{PointShare, regress_apart, without_points};
 use crate::{
     Alignment, ConditionalDistribution, Dataset, Degree, Error, LocalRegression, Outcomes, Regressor,
-    Scratch, Smoother, Support, Weighting,
+    Scratch, Support, Weighting,
 };
 
 /// Local Frechet regression of distributions in the Wasserstein space (Petersen and Mueller 2019), with its
@@ -69,27 +68,19 @@ impl Regressor for FrechetOptions {
     type Model = Frechet;
 
     fn fit(&self, data: &Dataset) -> Result<Frechet, Error> {
-        self.outcomes.validate()?;
         if self.quantiles == 0 {
             return Err(Error::Empty { what: "the quantiles" });
         }
-        Smoother::new(data, &self.weighting)?;
-        let rest = without_points(data, &self.outcomes)?;
-        let targets: Vec<Vec<f64>> = (0..rest.len())
-            .into_par_iter()
-            .map(|i| {
-                let affine = self.alignment.at(rest.state(i))?;
-                let mut aligned: Vec<f64> = rest.observations(i).iter().map(|&z| affine.align(z)).collect();
-                aligned.sort_by(f64::total_cmp);
-                let levels = (0..self.quantiles).map(|k| (k as f64 + 0.5) / self.quantiles as f64);
-                Ok(levels.map(|level| sample_quantile(&aligned, level)).collect())
-            })
-            .collect::<Result<_, Error>>()?;
-        Ok(Frechet {
-            quantiles: LocalRegression::fit(rest.states(), &targets.concat(), &self.weighting, self.degree)?,
-            points: PointShare::fit(data, &self.outcomes, &self.weighting, self.degree)?,
-            options: self.clone(),
-        })
+        let Self { outcomes, weighting, degree, .. } = self;
+        let rest = without_points(data, outcomes, weighting)?;
+        let (quantiles, points) = regress_apart(data, &rest, outcomes, weighting, *degree, |i| {
+            let affine = self.alignment.at(rest.state(i))?;
+            let mut aligned: Vec<f64> = rest.observations(i).iter().map(|&z| affine.align(z)).collect();
+            aligned.sort_by(f64::total_cmp);
+            let levels = (0..self.quantiles).map(|k| (k as f64 + 0.5) / self.quantiles as f64);
+            Ok(levels.map(|level| sample_quantile(&aligned, level)).collect())
+        })?;
+        Ok(Frechet { options: self.clone(), quantiles, points })
     }
 
     fn outcomes(&self) -> Outcomes {

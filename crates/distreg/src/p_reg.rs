@@ -3,7 +3,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::positive;
 use crate::family::{Family, Parameters};
-use crate::point_share::{PointShare, without_points};
+use crate::point_share::{PointShare, regress_apart, without_points};
 use crate::{
     Alignment, ConditionalDistribution, Dataset, Degree, Error, LocalRegression, Outcomes, Regressor,
     Scratch, Smoother, Support, Weighting,
@@ -74,28 +74,20 @@ impl Regressor for PRegOptions {
     type Model = PReg;
 
     fn fit(&self, data: &Dataset) -> Result<PReg, Error> {
-        self.outcomes.validate()?;
         positive("the smallest sigma", self.smallest_sigma)?;
-        Smoother::new(data, &self.weighting)?;
-        let rest = without_points(data, &self.outcomes)?;
+        let Self { outcomes, weighting, degree, .. } = self;
+        let rest = without_points(data, outcomes, weighting)?;
         let enough = (0..rest.len()).all(|i| rest.observations(i).len() >= self.least_observations);
         let pooled = if enough { None } else { Some(self.pooled(&rest)?) };
         let observations = pooled.as_ref().unwrap_or(&rest);
-        let targets: Vec<Vec<f64>> = (0..rest.len())
-            .into_par_iter()
-            .map(|i| {
-                let z = observations.observations(i);
-                let parameters = self.family.estimate(z, self.outcomes.grid.lo, self.smallest_sigma);
-                let mut values = Vec::with_capacity(self.family.values());
-                self.family.encode(&parameters, z.len(), self.alignment.at(rest.state(i))?, &mut values);
-                Ok(values)
-            })
-            .collect::<Result<_, Error>>()?;
-        Ok(PReg {
-            parameters: LocalRegression::fit(rest.states(), &targets.concat(), &self.weighting, self.degree)?,
-            points: PointShare::fit(data, &self.outcomes, &self.weighting, self.degree)?,
-            options: self.clone(),
-        })
+        let (parameters, points) = regress_apart(data, &rest, outcomes, weighting, *degree, |i| {
+            let z = observations.observations(i);
+            let parameters = self.family.estimate(z, outcomes.grid.lo, self.smallest_sigma);
+            let mut values = Vec::with_capacity(self.family.values());
+            self.family.encode(&parameters, z.len(), self.alignment.at(rest.state(i))?, &mut values);
+            Ok(values)
+        })?;
+        Ok(PReg { options: self.clone(), parameters, points })
     }
 
     fn outcomes(&self) -> Outcomes {

@@ -1,9 +1,10 @@
 //! The point mass of methods that treat it apart from the rest: its share is regressed as one number, and the rest
 //! is learned from the other observations.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::{Dataset, Degree, Error, LocalRegression, Outcomes, Weighting};
+use crate::{Dataset, Degree, Error, LocalRegression, Outcomes, Smoother, Weighting};
 
 /// Regression of the point mass's share on the state.
 ///
@@ -54,11 +55,37 @@ impl PointShare {
     }
 }
 
+/// Regresses `values` of each state of `rest` ([`without_points`] of `data`), and the point mass's share apart from them.
+///
+/// # Errors
+/// Those of `values` and of [`LocalRegression::fit`].
+pub(crate) fn regress_apart(
+    data: &Dataset,
+    rest: &Dataset,
+    outcomes: &Outcomes,
+    weighting: &Weighting,
+    degree: Degree,
+    values: impl Fn(usize) -> Result<Vec<f64>, Error> + Send + Sync,
+) -> Result<(LocalRegression, PointShare), Error> {
+    let values: Vec<Vec<f64>> = (0..rest.len()).into_par_iter().map(values).collect::<Result<_, Error>>()?;
+    Ok((
+        LocalRegression::fit(rest.states(), &values.concat(), weighting, degree)?,
+        PointShare::fit(data, outcomes, weighting, degree)?,
+    ))
+}
+
 /// The states with an observation other than the point mass, and only those observations.
 ///
 /// # Errors
-/// If there are none.
-pub(crate) fn without_points(data: &Dataset, outcomes: &Outcomes) -> Result<Dataset, Error> {
+/// If there are none, or if outcomes or weighting are invalid.
+pub(crate) fn without_points(
+    data: &Dataset,
+    outcomes: &Outcomes,
+    weighting: &Weighting,
+) -> Result<Dataset, Error> {
+    outcomes.validate()?;
+    // Of all the data: what is wrong with them is said before what is wrong with a part.
+    Smoother::new(data, weighting)?;
     let mut rest = Dataset::new(data.dim());
     for i in 0..data.len() {
         let z: Vec<f64> = data.observations(i).iter().copied().filter(|&z| !outcomes.is_point(z)).collect();

@@ -27,6 +27,16 @@ pub enum GapError {
         "the nominal laser has no noise: no reading of a real one has a density under it; set laser.noise.sigma_m"
     )]
     NoNoise,
+    /// A hidden drive needs a pose for each time.
+    #[error(
+        "a drive needs at least two poses, each with a later time than the one before; got {poses} poses and {secs} times"
+    )]
+    Truth {
+        /// How many times there are.
+        secs: usize,
+        /// How many poses there are.
+        poses: usize,
+    },
     /// An option is out of its range.
     #[error("{option} must be {allowed}; got {value}")]
     Option {

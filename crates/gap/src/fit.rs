@@ -3,7 +3,7 @@
 use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
 use glam::DVec2;
-use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::effect::{Effect, EffectKind, Parameter};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::hypothesis::{Comparison, Fitted};
@@ -74,6 +74,16 @@ pub(crate) struct Search<'c, 'a> {
     pub given: &'c [Effect],
     /// The log under those.
     pub without: &'c Fitted,
+    /// Where evaluations with the effect begin: nuisances and errors of the reference.
+    pub start: &'c Fitted,
+}
+
+/// Whether an effect moves whole scans, as errors of the reference do.
+fn moves_scans(kind: EffectKind) -> bool {
+    matches!(
+        kind,
+        EffectKind::MountYaw | EffectKind::MountOffset | EffectKind::TimeOffset | EffectKind::MotionSkew
+    )
 }
 
 impl Search<'_, '_> {
@@ -87,33 +97,51 @@ impl Search<'_, '_> {
             }
         }
         match best {
+            Some((_, effect)) if moves_scans(kind) => {
+                // Errors of the reference that were fitted without the effect have taken some of it in.
+                let refitted = self.refitted(&effect)?;
+                let anew = Search { start: &refitted, ..*self };
+                let start = Start { values: effect.values.clone(), place: effect.place.clone() };
+                let (_, effect) = anew.maximize(kind, &start)?;
+                let refitted = anew.refitted(&effect)?;
+                let anew = Search { start: &refitted, ..*self };
+                let gains = anew.evaluate(&effect)?.total() > self.without.total() + 0.2;
+                Ok(if gains { Some(anew.assess(effect)?) } else { None })
+            }
             Some((value, effect)) if value > self.without.total() + 0.2 => Ok(Some(self.assess(effect)?)),
             _ => Ok(None),
         }
     }
 
     fn evaluate(&self, effect: &Effect) -> Result<Fitted, GapError> {
+        self.comparison.evaluate(&self.with(effect), self.start, 1)
+    }
+
+    fn with(&self, effect: &Effect) -> Vec<Effect> {
         let mut effects = self.given.to_vec();
         effects.push(effect.clone());
-        self.comparison.evaluate(&effects, self.without, 1)
+        effects
+    }
+
+    /// The nuisances fitted with this effect.
+    fn refitted(&self, effect: &Effect) -> Result<Fitted, GapError> {
+        self.comparison.refit(&self.with(effect), self.start, 12)
     }
 
     fn maximize(&self, kind: EffectKind, start: &Start) -> Result<(f64, Effect), GapError> {
         let parameters = kind.parameters();
-        let scales: Vec<f64> = parameters
-            .iter()
-            .zip(&start.values)
-            .map(|(parameter, &value)| {
-                let away = (value - parameter.neutral).abs().max(0.3 * (parameter.start - parameter.neutral).abs());
-                if away > 0.0 { away } else { 0.05 * (parameter.hi - parameter.lo) }
-            })
-            .collect();
+        let scales: Vec<f64> = parameters.iter().zip(&start.values).enumerate().map(|(i, (p, &value))| scale(kind, i, p, value)).collect();
         let problem = Problem { search: self, kind, start, scales: &scales };
         let origin = vec![0.0; scales.len()];
+        if kind == EffectKind::Quantization {
+            // A step is right or it isn't.
+            let effect = problem.effect(&origin)?;
+            return Ok((self.evaluate(&effect)?.total(), effect));
+        }
         let mut simplex = vec![origin.clone()];
         for axis in 0..origin.len() {
             let mut corner = origin.clone();
-            corner[axis] = if axis == 0 { -0.7 } else { 0.35 };
+            corner[axis] = if axis == 0 { -0.7 } else { 0.4 };
             simplex.push(corner);
         }
         let steps = STEPS_PER_NUMBER * scales.len() as u64;
@@ -142,6 +170,11 @@ impl Search<'_, '_> {
         let fitted = self.evaluate(&effect)?;
         let with = blocks(&fitted.scans);
         let without = blocks(&self.without.scans);
+        if effect.kind == EffectKind::Quantization {
+            let gains = with.iter().zip(&without).map(|(a, b)| a - b).collect();
+            let intervals = vec![[effect.values[0]; 2]];
+            return Ok(Candidate { effect, gains, intervals });
+        }
         let numbers = effect.values.len();
         let parameters = effect.kind.parameters();
         let total = fitted.total();
@@ -232,6 +265,22 @@ impl Search<'_, '_> {
     }
 }
 
+/// How far a search goes at first in a number that starts at `value`.
+fn scale(kind: EffectKind, number: usize, parameter: &Parameter, value: f64) -> f64 {
+    match (kind, number) {
+        // Where something is has no neutral value.
+        (EffectKind::MissingObject, 0 | 1) => return 0.15,
+        (EffectKind::SectorOcclusion, 0 | 1) => return 0.05,
+        _ => {}
+    }
+    if parameter.lo >= 0.0 {
+        // The least value it starts from.
+        return 1e-3 * (parameter.start - parameter.lo).abs().max(1e-3);
+    }
+    let away = (value - parameter.neutral).abs().max(0.3 * (parameter.start - parameter.neutral).abs());
+    if away > 0.0 { away } else { 0.05 * (parameter.hi - parameter.lo) }
+}
+
 /// The search's objective: numbers in units of their start's distance from neutral, about the start.
 struct Problem<'s, 'c, 'a> {
     search: &'s Search<'c, 'a>,
@@ -250,7 +299,13 @@ impl Problem<'_, '_, '_> {
             .zip(self.scales)
             .zip(&self.start.values)
             .map(|(((parameter, number), scale), start)| {
-                (start + number * scale).clamp(parameter.lo, parameter.hi)
+                // What can't be negative is searched by its logarithm: at 0 the likelihood has an edge.
+                let value = if parameter.lo >= 0.0 {
+                    start.max(*scale) * number.exp()
+                } else {
+                    start + number * scale
+                };
+                value.clamp(parameter.lo, parameter.hi)
             })
             .collect();
         Ok(Effect::new(self.kind, values, self.start.place.clone())?)

@@ -8,7 +8,7 @@ use locsim_world::effect::{Effect, EffectKind, Effects};
 
 use crate::likelihood::{Density, Terms};
 use crate::odometry::{OdometryError, log_likelihoods};
-use crate::pose_error::{Information, PoseError, fit, smooth};
+use crate::pose_error::{Information, PoseError, fit, pattern_gain, smooth};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
@@ -37,6 +37,9 @@ pub(crate) struct Fitted {
     pub corrections: Vec<DVec3>,
     /// Log likelihood of each scan with the odometry since the one before (nats).
     pub scans: Vec<f64>,
+    /// What a turned laser, a displaced one and a late stamp would gain, each with errors of the reference of its own
+    /// (nats); see [`pattern_gain`].
+    pub pattern_gains: [f64; 3],
 }
 
 impl Fitted {
@@ -77,6 +80,12 @@ impl<'a> Comparison<'a> {
         self.nominal.effects_with(more)
     }
 
+    /// Where an evaluation with these nuisances begins.
+    pub fn start(&self, nuisances: &Nuisances) -> Fitted {
+        let n = self.recorded.scans();
+        Fitted { nuisances: *nuisances, corrections: vec![DVec3::ZERO; n], scans: vec![0.0; n], pattern_gains: [0.0; 3] }
+    }
+
     /// The log likelihood with `more` effects. `start` gives the nuisances and the reference's errors to begin with;
     /// the density of blocks and the errors are profiled, `iterations` times.
     pub fn evaluate(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
@@ -102,8 +111,10 @@ impl<'a> Comparison<'a> {
             self.update(&mut fitted, &pass);
         }
         let pass = self.pass(views, effects, &fitted);
-        fitted.scans = pass.log_likelihood;
-        self.add_prior(&mut fitted);
+        self.add_prior(&mut fitted, &pass.information);
+        for (scan, likelihood) in fitted.scans.iter_mut().zip(&pass.log_likelihood) {
+            *scan += likelihood;
+        }
         let track = self.corrected(&fitted.corrections);
         let odometry = log_likelihoods(
             self.nominal,
@@ -125,9 +136,7 @@ impl<'a> Comparison<'a> {
 
     /// Fits all nuisances to the log under these effects, which this comparison's views are of.
     pub fn fit_nuisances_with(&self, effects: &Effects, start: &Nuisances, iterations: usize) -> Fitted {
-        let n = self.recorded.scans();
-        let mut fitted =
-            Fitted { nuisances: *start, corrections: vec![DVec3::ZERO; n], scans: vec![0.0; n] };
+        let mut fitted = self.start(start);
         // A process to start from that may be found to be none.
         let mut process = if start.pose_error.is_none() {
             PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 }
@@ -147,6 +156,10 @@ impl<'a> Comparison<'a> {
             } else {
                 fitted.corrections.fill(DVec3::ZERO);
             }
+            let error = fitted.nuisances.pose_error;
+            fitted.pattern_gains = self
+                .patterns()
+                .map(|patterns| pattern_gain(&error, &self.recorded.secs, &pass.information, &patterns, iterations));
         }
         fitted.nuisances.odometry_error = OdometryError::fit(
             self.nominal,
@@ -155,6 +168,35 @@ impl<'a> Comparison<'a> {
             &self.recorded.odometry,
         );
         self.evaluate_views(&self.views, effects, &fitted, 0)
+    }
+
+    /// How poses seem off by a turned laser, a displaced one, a late stamp.
+    fn patterns(&self) -> [Vec<Vec<DVec3>>; 3] {
+        let poses = &self.recorded.poses;
+        let mount = self.recorded.laser.base_from_laser().position();
+        let velocities = self.recorded.velocities();
+        let ahead = |turn: f64| -> Vec<DVec3> {
+            poses.iter().map(|p| glam::DVec2::from_angle(p.theta + turn).extend(0.0)).collect()
+        };
+        // The laser turns about itself, the robot about its centre.
+        let yaw = poses
+            .iter()
+            .map(|p| (-glam::DVec2::from_angle(p.theta).rotate(mount).perp()).extend(1.0))
+            .collect();
+        let motion = velocities.iter().map(|v| DVec3::from_array(*v)).collect();
+        [vec![yaw], vec![ahead(0.0), ahead(0.5 * std::f64::consts::PI)], vec![motion]]
+    }
+
+    /// Fits the nuisances anew with more effects.
+    pub fn refit(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
+        let effects = self.effects(more)?;
+        let views = if more.iter().any(|effect| changes_views(effect.kind)) {
+            Arc::new(Views::new(self.nominal, self.recorded, &effects))
+        } else {
+            Arc::clone(&self.views)
+        };
+        let other = Comparison { nominal: self.nominal, recorded: self.recorded, views };
+        Ok(other.fit_nuisances_with(&effects, &start.nuisances, iterations))
     }
 
     /// Reference poses with their errors taken off.
@@ -175,6 +217,12 @@ impl<'a> Comparison<'a> {
             laser: &self.nominal.laser,
             effects,
             blocks: fitted.nuisances.block_density,
+            depth: effects
+                .list()
+                .iter()
+                .filter(|effect| effect.kind == EffectKind::BlockDepth)
+                .map(|effect| effect.values[0])
+                .product(),
         };
         let max = self.nominal.laser.max_range_m;
         for scan in 0..views.scans() {
@@ -231,12 +279,15 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    /// The log density of the corrections, scan by scan.
-    fn add_prior(&self, fitted: &mut Fitted) {
+    /// The log density of the corrections, scan by scan, with the volume of what they may be (Laplace's method), so that
+    /// processes can be compared.
+    fn add_prior(&self, fitted: &mut Fitted, information: &[Information]) {
         let process = fitted.nuisances.pose_error;
+        fitted.scans.fill(0.0);
         if process.is_none() {
             return;
         }
+        fitted.scans = smooth(&process, &self.recorded.secs, information).log_volume;
         let inverse = process.covariance().inverse();
         for i in 0..fitted.scans.len() {
             let here = fitted.corrections[i];

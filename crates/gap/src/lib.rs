@@ -8,6 +8,7 @@
 
 mod error;
 mod fit;
+pub mod hidden;
 mod hypothesis;
 mod likelihood;
 mod nominal;
@@ -19,6 +20,7 @@ mod recorded;
 mod search;
 mod show;
 mod statistics;
+mod strength;
 mod views;
 
 pub use error::GapError;
@@ -33,3 +35,4 @@ pub use pose_error::PoseError;
 pub use recorded::Recorded;
 pub use search::{GapOptions, Progress, find};
 pub use statistics::{Cell, Covariate, Deviation};
+pub use strength::{information, oracle_power, with_information};

@@ -13,7 +13,7 @@ use crate::{GapError, Recorded};
 /// Entries that an obstruction table may have (400 MB).
 const MOST_ENTRIES: f64 = 1e8;
 /// Sampled blocks of an obstruction table.
-const SAMPLED_BLOCKS: u32 = 50_000;
+const SAMPLED_BLOCKS: u32 = 20_000;
 
 /// The simulator that a log is held against.
 #[derive(Clone)]

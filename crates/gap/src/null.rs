@@ -31,14 +31,23 @@ pub(crate) struct Replay<'a> {
     /// Effects beyond the nominal ones.
     pub effects: &'a [Effect],
     pub nuisances: Nuisances,
+    pub blocks: BlockTruth,
+}
+
+/// What is true of unmapped blocks where the fit to a log says what it says.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BlockTruth {
     pub resample: BlockResampling,
+    /// True density over fitted density: readings of blocks right in front of walls are taken for the walls.
+    pub density_over_fit: f64,
 }
 
 impl Replay<'_> {
     /// One simulated log.
     pub fn simulate(&self, seed: u64) -> Result<Recorded, GapError> {
         let effects = self.nominal.effects_with(self.effects)?;
-        let blocks = Nuisance { density: self.nuisances.block_density, resample: self.resample };
+        let density = self.nuisances.block_density * self.blocks.density_over_fit;
+        let blocks = Nuisance { density, resample: self.blocks.resample };
         let simulator = self.nominal.simulator(&effects, blocks)?;
         let truth = self.true_poses(seed);
         let readings = simulator.scan_along(&self.recorded.secs, &truth, seed);
@@ -215,8 +224,17 @@ pub(crate) fn fit_persistence(
     recorded: &Recorded,
     fitted: &Fitted,
     seed: u64,
-) -> Result<BlockResampling, GapError> {
-    let Some(blocks) = nominal.blocks else { return Ok(BlockResampling::EachObservation) };
+) -> Result<BlockTruth, GapError> {
+    let Some(blocks) = nominal.blocks else {
+        return Ok(BlockTruth { resample: BlockResampling::EachObservation, density_over_fit: 1.0 });
+    };
+    let replay = |resample| Replay {
+        nominal,
+        recorded,
+        effects: &[],
+        nuisances: fitted.nuisances,
+        blocks: BlockTruth { resample, density_over_fit: 1.0 },
+    };
     let shared = |recorded: &Recorded| -> f64 {
         let comparison = Comparison::new(nominal, recorded);
         shared_shorts(&comparison, fitted)
@@ -236,8 +254,7 @@ pub(crate) fn fit_persistence(
     let distances = policies
         .iter()
         .map(|&resample| {
-            let replay =
-                Replay { nominal, recorded, effects: &[], nuisances: fitted.nuisances, resample };
+            let replay = replay(resample);
             let mean = (0..3)
                 .map(|i| Ok(shared(&replay.simulate(draw.seed(i))?)))
                 .sum::<Result<f64, GapError>>()?
@@ -248,7 +265,18 @@ pub(crate) fn fit_persistence(
         })
         .collect::<Result<Vec<f64>, GapError>>()?;
     let best = (0..policies.len()).min_by(|&a, &b| distances[a].total_cmp(&distances[b])).unwrap_or(0);
-    Ok(policies[best])
+    let resample = policies[best];
+    let replay = replay(resample);
+    let ratios = (0..12)
+        .into_par_iter()
+        .map(|i| {
+            let simulated = replay.simulate(draw.seed(100 + i))?;
+            let refitted = Comparison::new(nominal, &simulated).fit_nuisances(&fitted.nuisances, 4);
+            Ok(refitted.nuisances.block_density)
+        })
+        .collect::<Result<Vec<f64>, GapError>>()?;
+    let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+    Ok(BlockTruth { resample, density_over_fit: (fitted.nuisances.block_density / mean).clamp(0.5, 2.0) })
 }
 
 /// Share of short readings after which the same beam's next reading is short by as much, within 0.3 m.

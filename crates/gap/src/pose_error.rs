@@ -63,6 +63,8 @@ pub(crate) struct Smoothed {
     with_previous: Vec<DMat3>,
     /// Log evidence of the scans (nats), up to what doesn't depend on the process.
     pub log_evidence: f64,
+    /// Part of it that is the volume of each scan's errors after the scan in that before it (nats).
+    pub log_volume: Vec<f64>,
 }
 
 /// Kalman filter and Rauch-Tung-Striebel smoother.
@@ -71,7 +73,7 @@ pub(crate) fn smooth(process: &PoseError, secs: &[f64], scans: &[Information]) -
     let stationary = process.covariance();
     let (mut predicted_mean, mut predicted) = (vec![DVec3::ZERO; n], vec![stationary; n]);
     let (mut mean, mut covariance) = (vec![DVec3::ZERO; n], vec![stationary; n]);
-    let mut log_evidence = 0.0;
+    let (mut log_evidence, mut log_volume) = (0.0, vec![0.0; n]);
     for i in 0..n {
         if i > 0 {
             let phi = process.correlation(secs[i] - secs[i - 1]);
@@ -83,7 +85,9 @@ pub(crate) fn smooth(process: &PoseError, secs: &[f64], scans: &[Information]) -
         covariance[i] = posterior.inverse();
         let vector = prior * predicted_mean[i] + scans[i].vector;
         mean[i] = covariance[i] * vector;
-        log_evidence += 0.5 * (covariance[i].determinant().max(1e-300) / predicted[i].determinant().max(1e-300)).ln()
+        log_volume[i] =
+            0.5 * (covariance[i].determinant().max(1e-300) / predicted[i].determinant().max(1e-300)).ln();
+        log_evidence += log_volume[i]
             + 0.5 * (vector.dot(mean[i]) - predicted_mean[i].dot(prior * predicted_mean[i]));
     }
     let mut with_previous = vec![DMat3::ZERO; n];
@@ -95,7 +99,7 @@ pub(crate) fn smooth(process: &PoseError, secs: &[f64], scans: &[Information]) -
         mean[i] += gain * (later_mean - predicted_mean[i + 1]);
         covariance[i] += gain * (later - predicted[i + 1]) * gain.transpose();
     }
-    Smoothed { mean, covariance, with_previous, log_evidence }
+    Smoothed { mean, covariance, with_previous, log_evidence, log_volume }
 }
 
 /// Estimates the process by expectation maximization, about the mean of the errors: a constant error is no
@@ -127,4 +131,73 @@ pub(crate) fn fit(start: PoseError, secs: &[f64], scans: &[Information], iterati
         };
     }
     process
+}
+
+/// What a constant error along a known pattern gains (nats): the reference's poses are off by `patterns[p][scan]` times
+/// a number for each pattern, on top of errors of the process. The process is fitted with and without.
+///
+/// A displaced laser, a turned one and a late stamp all move whole scans; a process of errors that is fitted first
+/// would take them in.
+pub(crate) fn pattern_gain(
+    without: &PoseError,
+    secs: &[f64],
+    scans: &[Information],
+    patterns: &[Vec<DVec3>],
+    iterations: usize,
+) -> f64 {
+    let base = evidence_of(without, secs, scans).max(0.0);
+    // Generalized least squares without a process, then alternately with it.
+    let mut process = PoseError::NONE;
+    let mut moved = scans.to_vec();
+    let mut best = f64::NEG_INFINITY;
+    for round in 0..2 {
+        let numbers = regress(&process, secs, scans, patterns);
+        let mut explained = 0.0;
+        for (i, (moved, scan)) in moved.iter_mut().zip(scans).enumerate() {
+            let shift: DVec3 = patterns.iter().zip(&numbers).map(|(p, number)| *number * p[i]).sum();
+            moved.vector = scan.vector - scan.matrix * shift;
+            explained += shift.dot(scan.vector) - 0.5 * shift.dot(scan.matrix * shift);
+        }
+        best = best.max(explained + evidence_of(&process, secs, &moved).max(0.0));
+        if round == 0 {
+            let start = if without.is_none() {
+                PoseError { sigma_m: 0.003, sigma_rad: 0.001, correlation_secs: 2.0 }
+            } else {
+                *without
+            };
+            process = fit(start, secs, &moved, iterations);
+        }
+    }
+    best - base
+}
+
+fn evidence_of(process: &PoseError, secs: &[f64], scans: &[Information]) -> f64 {
+    if process.is_none() { 0.0 } else { smooth(process, secs, scans).log_evidence }
+}
+
+/// The patterns' numbers by least squares, whitened by the process scan by scan.
+fn regress(process: &PoseError, secs: &[f64], scans: &[Information], patterns: &[Vec<DVec3>]) -> Vec<f64> {
+    // What the process leaves of each pattern and of the data.
+    let left = |vectors: &dyn Fn(usize) -> DVec3| -> Vec<DVec3> {
+        let as_data: Vec<Information> =
+            scans.iter().enumerate().map(|(i, s)| Information { matrix: s.matrix, vector: vectors(i) }).collect();
+        if process.is_none() {
+            return as_data.iter().map(|s| s.vector).collect();
+        }
+        let mean = smooth(process, secs, &as_data).mean;
+        as_data.iter().zip(mean).map(|(s, mean)| s.vector - s.matrix * mean).collect()
+    };
+    let data = left(&|i| scans[i].vector);
+    let whitened: Vec<Vec<DVec3>> = patterns.iter().map(|p| left(&|i| scans[i].matrix * p[i])).collect();
+    let dot = |a: &[DVec3], b: &[DVec3]| a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum::<f64>();
+    match patterns {
+        [a] => vec![dot(a, &data) / dot(a, &whitened[0]).max(1e-300)],
+        [a, b] => {
+            let (aa, ab, bb) = (dot(a, &whitened[0]), dot(a, &whitened[1]), dot(b, &whitened[1]));
+            let (ad, bd) = (dot(a, &data), dot(b, &data));
+            let determinant = (aa * bb - ab * ab).max(1e-12 * aa * bb).max(1e-300);
+            vec![(bb * ad - ab * bd) / determinant, (aa * bd - ab * ad) / determinant]
+        }
+        _ => Vec::new(),
+    }
 }

@@ -10,9 +10,9 @@ use locsim_world::simulation::BlockResampling;
 use rand::RngExt;
 use rayon::prelude::*;
 
-use crate::fit::{Candidate, Search, Start, sum_error};
+use crate::fit::{Candidate, Search, Start, blocks, sum_error};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::null::{Null, Replay, compare, fit_persistence};
+use crate::null::{BlockTruth, Null, Replay, compare, fit_persistence};
 use crate::outcome::{
     Detectable, Detection, Estimate, Evidence, Gap, Named, Number, Outcome, Rival, Verdict,
 };
@@ -81,9 +81,9 @@ pub fn find(
     progress.stage("fitting blocks and reference", 1);
     let comparison = Comparison::new(nominal, recorded);
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-    let resample = fit_persistence(nominal, recorded, &fitted, options.seed)?;
+    let blocks = fit_persistence(nominal, recorded, &fitted, options.seed)?;
     progress.advance(1);
-    let state = State { nominal, recorded, options, progress, stop, resample };
+    let state = State { nominal, recorded, options, progress, stop, blocks };
     let first = state.round(Vec::new(), fitted.nuisances)?;
     let mut rounds = vec![first];
     let mut named: Vec<Named> = Vec::new();
@@ -113,6 +113,11 @@ pub fn find(
     }
     if named.len() > 1 {
         state.refit_jointly(&mut named, &rounds[rounds.len() - 1])?;
+    }
+    // Deeper blocks also stand in the way of more beams.
+    let deeper = named.iter().any(|named| named.name == EffectKind::BlockDepth);
+    if !deeper && !options.without.contains(&EffectKind::BlockDensity) {
+        named.extend(state.block_density(&rounds[0], &rounds[rounds.len() - 1])?);
     }
     let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
     let still_off = after.null.p <= options.false_alarm;
@@ -154,7 +159,7 @@ pub fn find(
         detectable,
         nuisances: before.fitted.nuisances,
         pit,
-        notes: notes(nominal, resample),
+        notes: notes(nominal, blocks.resample),
         scans: recorded.scans(),
         beams: recorded.beams(),
         seed: options.seed,
@@ -169,7 +174,7 @@ struct State<'a> {
     options: &'a GapOptions,
     progress: &'a dyn Progress,
     stop: &'a AtomicBool,
-    resample: BlockResampling,
+    blocks: BlockTruth,
 }
 
 impl<'a> State<'a> {
@@ -190,7 +195,7 @@ impl<'a> State<'a> {
             recorded: self.recorded,
             effects: &effects,
             nuisances: fitted.nuisances,
-            resample: self.resample,
+            blocks: self.blocks,
         };
         let seed = Draw::new(self.options.seed, Stage::Trial, 9).seed(effects.len() as u32);
         let tick = || self.progress.advance(1);
@@ -223,7 +228,7 @@ impl<'a> State<'a> {
         self.progress.stage("fitting effects", starts.len() as u64);
         // The comparison of the nominal world: effects given so far are part of each hypothesis.
         let comparison = Comparison::new(self.nominal, self.recorded);
-        let search = Search { comparison: &comparison, given: &round.effects, without: &round.fitted };
+        let search = Search { comparison: &comparison, given: &round.effects, without: &round.fitted, start: &round.fitted };
         let fits = starts
             .par_iter()
             .map(|(kind, starts)| {
@@ -243,7 +248,8 @@ impl<'a> State<'a> {
         let mut best: Vec<(EffectKind, f64, Vec<(f64, usize)>)> = Vec::new();
         for (i, aim) in round.dictionary.aims.iter().enumerate() {
             let Aim::Effect(kind, _) = aim else { continue };
-            if self.options.without.contains(kind) {
+            // The density of blocks is fitted along with everything else; see `block_density`.
+            if self.options.without.contains(kind) || *kind == EffectKind::BlockDensity {
                 continue;
             }
             let z = round.null.z[i];
@@ -257,6 +263,9 @@ impl<'a> State<'a> {
         }
         best.sort_by(|a, b| b.1.total_cmp(&a.1));
         best.truncate(count);
+        // An effect whose own direction is hardly off can't be what moves others this far.
+        let least = best.first().map_or(0.0, |(_, z, _)| (0.25 * z).clamp(2.0, 4.0));
+        best.retain(|(_, z, _)| *z >= least);
         best.into_iter()
             .map(|(kind, _, mut all)| {
                 all.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
@@ -376,6 +385,53 @@ impl<'a> State<'a> {
         start
     }
 
+    /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
+    /// where simulated logs say that it can't be chance.
+    fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
+        let logs: Vec<f64> =
+            last.null.fits.iter().map(|fit| fit.nuisances.block_density.ln()).collect();
+        let mean = logs.iter().sum::<f64>() / logs.len() as f64;
+        let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
+        let truth = (last.fitted.nuisances.block_density * self.blocks.density_over_fit).ln();
+        let z = truth / error;
+        // As rare as one false alarm among all effects.
+        let p = statrs::function::erf::erfc(z.abs() / std::f64::consts::SQRT_2);
+        if self.nominal.blocks.is_none() || !error.is_finite() || p > 0.1 * self.options.false_alarm {
+            return Ok(None);
+        }
+        let kind = EffectKind::BlockDensity;
+        let parameter = &kind.parameters()[0];
+        let effect = Effect::new(kind, vec![truth.exp().clamp(parameter.lo, parameter.hi)], Vec::new())?;
+        let mut nominal = first.fitted.clone();
+        nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
+        let without = first.comparison.evaluate(&[], &nominal, 0)?;
+        let gains: Vec<f64> = blocks(&first.fitted.scans)
+            .iter()
+            .zip(blocks(&without.scans))
+            .map(|(with, without)| with - without)
+            .collect();
+        let gain_nats = gain(&gains);
+        let number = Number {
+            value: truth.exp(),
+            lo: (truth - 1.96 * error).exp(),
+            hi: (truth + 1.96 * error).exp(),
+            unit: parameter.unit,
+        };
+        Ok(Some(Named {
+            name: kind,
+            candidates: vec![kind],
+            params: [(parameter.name, number)].into(),
+            place: Vec::new(),
+            evidence: Evidence {
+                gain_nats,
+                gain_nats_per_scan: gain_nats.value / self.recorded.scans() as f64,
+                p,
+            },
+            split_by: None,
+            effect,
+        }))
+    }
+
     /// With all effects at once, the numbers of each are fitted anew, the others as they are.
     fn refit_jointly(&self, named: &mut [Named], last: &Round<'a>) -> Result<(), GapError> {
         let comparison = Comparison::new(self.nominal, self.recorded);
@@ -383,7 +439,7 @@ impl<'a> State<'a> {
             let given: Vec<Effect> =
                 named.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, named)| named.effect.clone()).collect();
             let without = comparison.evaluate(&given, &last.fitted, 1)?;
-            let search = Search { comparison: &comparison, given: &given, without: &without };
+            let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
             let effect = &named[i].effect;
             let start = Start { values: effect.values.clone(), place: effect.place.clone() };
             if let Some(candidate) = search.fit(effect.kind, &[start])? {
@@ -402,7 +458,7 @@ impl<'a> State<'a> {
             recorded: self.recorded,
             effects: &round.effects,
             nuisances: round.fitted.nuisances,
-            resample: self.resample,
+            blocks: self.blocks,
         };
         let draw = Draw::new(self.options.seed, Stage::Trial, 10);
         (0..8).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()

@@ -128,6 +128,7 @@ pub(crate) struct Dictionary {
     depth: usize,
     density: usize,
     odometry: usize,
+    patterns: usize,
     cells: usize,
     cell_of: Vec<[u32; COVARIATES]>,
     jumps: Vec<Option<[f64; 2]>>,
@@ -278,6 +279,10 @@ impl Dictionary {
         for kind in [E::OdomDistanceScale, E::OdomTurnScale, E::OdomImbalance, E::WheelSlip] {
             push(&mut aims, &mut counts, Aim::Effect(kind, Hint::None), false);
         }
+        let patterns = aims.len();
+        for kind in [E::MountYaw, E::MountOffset, E::TimeOffset] {
+            push(&mut aims, &mut counts, Aim::Effect(kind, Hint::None), false);
+        }
         // Where unmapped objects can be seen: along the beams, up to their ends.
         let mut objects = HashMap::new();
         for (i, beam) in views.beams.iter().enumerate() {
@@ -421,6 +426,7 @@ impl Dictionary {
             depth,
             density,
             odometry,
+            patterns,
             cells,
             cell_of,
             jumps,
@@ -507,19 +513,20 @@ impl Dictionary {
                 };
                 out[self.glass + wall][half] += g(through);
             }
-            if is_return && terms.short > 0.01 {
+            // Things in front may stand where no block does.
+            let in_front = is_return && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1);
+            if in_front {
                 let heading = comparison.recorded.poses[scan].theta + beam.view.bearing;
                 let back = beam.view.range - z;
                 let end = beam.view.endpoint;
                 let cell = cell_at(end.x - back * heading.cos(), end.y - back * heading.sin(), OBJECT_CELL_M);
                 if let Some(&index) = self.objects.get(&cell) {
-                    out[index][half] += terms.short;
+                    out[index][half] += 1.0;
                 }
                 depth[0][half] += terms.short * (beam.range() - z);
                 depth[1][half] += terms.short;
             }
-            // A body-fixed thing in front can stand where no block does.
-            if is_return && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1) {
+            if in_front {
                 let range = (z / SECTOR_RANGE_M) as usize;
                 if range < self.sector_ranges {
                     let index = self.sector + usize::from(self.sector_of[i % k]) * self.sector_ranges + range;
@@ -559,6 +566,10 @@ impl Dictionary {
         for half in 0..2 {
             out[self.depth][half] = depth[0][half] / (depth[1][half] + 1.0);
             out[self.density][half] = 0.5 * fitted.nuisances.block_density.ln();
+        }
+        for (p, gain) in fitted.pattern_gains.iter().enumerate() {
+            // Of the log as a whole; as a signed root, which is spread more evenly than a gain.
+            out[self.patterns + p] = [0.5 * (2.0 * gain.max(0.0)).sqrt(); 2];
         }
         let track = comparison.corrected(&fitted.corrections);
         let all = increments(comparison.nominal, effects, &track, &comparison.recorded.odometry);

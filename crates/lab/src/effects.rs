@@ -16,6 +16,8 @@ pub fn table() -> String {
     let mut table = Table::new();
     table.load_style(UTF8_HORIZONTAL_ONLY);
     table.set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH);
+    // Rules between rows only cost lines.
+    table.style_mut().row_separator = comfy_table::LineStyle::none();
     table.set_header(["effect", "what it is", "parameters"]);
     for kind in EffectKind::ALL {
         let place = kind.has_place().then(|| "wall".to_owned());
@@ -26,7 +28,7 @@ pub fn table() -> String {
         let parameters: Vec<String> = place.into_iter().chain(numbers).collect();
         table.add_row([kind.name().to_owned(), kind.sentence().to_owned(), parameters.join(", ")]);
     }
-    table.to_string()
+    table.trim_fmt()
 }
 
 /// All there is to say of one effect.
@@ -36,7 +38,11 @@ pub fn table() -> String {
 pub fn page(name: &str) -> Result<String, EffectError> {
     let kind: EffectKind = name.parse()?;
     let mut text = format!("{kind} ({})\n\n{}\n\n", kind.site().name(), kind.sentence());
-    let _ = writeln!(text, "definition      {}", kind.formula());
+    // By the names that scenarios use.
+    let formula = kind.parameters().iter().fold(kind.formula().to_owned(), |formula, parameter| {
+        formula.replace(parameter.name, key(parameter))
+    });
+    let _ = writeln!(text, "definition      {formula}");
     let _ = writeln!(text, "gives it away   {}", kind.signature());
     let others: Vec<&str> = kind.confused_with().iter().map(|other| other.name()).collect();
     let _ = writeln!(text, "looks like      {}\n", others.join(", "));

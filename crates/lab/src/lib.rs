@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod effects;
 pub mod gap;
+pub mod gap_bench;
 pub mod palette;
 pub mod report;
 pub mod results;

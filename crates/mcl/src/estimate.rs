@@ -225,13 +225,17 @@ impl Clusters {
         for i in 0..cells.len() {
             let top = top(cells, i as u32);
             cells[top as usize].cluster_weight += cells[i].weight;
+            // A shorter way for those that pass here, and one step for each particle below.
+            cells[i].uphill = top;
         }
         let best = (0..cells.len())
             .reduce(|best, i| if cells[i].cluster_weight > cells[best].cluster_weight { i } else { best })?;
         member_weights.clear();
         let weight_of_cell = cell_of_particle.iter().zip(weights.linear());
-        member_weights
-            .extend(weight_of_cell.map(|(cell, w)| if top(cells, *cell) == best as u32 { *w } else { 0.0 }));
+        member_weights.extend(
+            weight_of_cell
+                .map(|(cell, w)| if cells[*cell as usize].uphill == best as u32 { *w } else { 0.0 }),
+        );
         let heaviest = (0..member_weights.len())
             .reduce(|best, i| if member_weights[i] > member_weights[best] { i } else { best })?;
         Some(Cluster {
@@ -245,12 +249,16 @@ impl Clusters {
         self.cell_of_key.clear();
         self.cells.clear();
         self.cell_of_particle.clear();
+        let mut cell = 0;
         for (pose, &weight) in particles.iter().zip(weights.linear()) {
             let key = self.bins.key(&pose);
-            let next = self.cells.len() as u32;
-            let cell = *self.cell_of_key.entry(key).or_insert(next);
-            if cell == next {
-                self.cells.push(Cell { key, weight: 0.0, uphill: next, cluster_weight: 0.0 });
+            // Copies of one ancestor are neighbours in the set, and mostly share a bin: no look-up for them.
+            if self.cells.get(cell as usize).is_none_or(|cell| cell.key != key) {
+                let next = self.cells.len() as u32;
+                cell = *self.cell_of_key.entry(key).or_insert(next);
+                if cell == next {
+                    self.cells.push(Cell { key, weight: 0.0, uphill: next, cluster_weight: 0.0 });
+                }
             }
             self.cells[cell as usize].weight += weight;
             self.cell_of_particle.push(cell);

@@ -398,6 +398,9 @@ impl Filter {
             &Draw::new(self.seeds.ancestors, Stage::Resample, self.step),
             &mut self.ancestors,
         );
+        // Random particles are appended; without room for them the first one would double the set's memory.
+        self.ancestors.reserve_exact(injected);
+        self.next.reserve(count);
         self.next.gather(&self.particles, &self.ancestors);
         if let Some(Regularization { sigma_m, sigma_rad }) = self.options.regularization {
             let draw = Draw::new(self.seeds.jitter, Stage::Resample, self.step);

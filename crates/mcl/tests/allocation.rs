@@ -89,19 +89,9 @@ impl SensorModel for Tabled {
     }
 }
 
-/// Runs `steps` in a pool of two threads with a function that does a number of steps of a filter. All options are
-/// on but those that change the number of particles or keep a history.
-fn with_filter<R: Send>(
-    particles: usize,
-    ancestry: bool,
-    model: &dyn SensorModel,
-    run: impl FnOnce(&mut dyn FnMut(usize)) -> R + Send,
-) -> R {
-    let room = Room { width: 6.0, depth: 4.0 };
-    let bearings = (0..12).map(|i| i as f32 * 0.5).collect();
-    let laser = Laser::new(bearings, vec![0.0; 12], 0.0, 50.0, Pose2::IDENTITY).unwrap();
-    let scan = Scan { ranges: vec![2.0; 12] };
-    let options = FilterOptions {
+/// All options but those that change the number of particles; a history if `ancestry`.
+fn options(particles: usize, ancestry: bool) -> FilterOptions {
+    FilterOptions {
         particles: ParticleCount::Fixed(particles),
         motion: Arc::new(OdometryMotion::new([0.02; 4]).unwrap()),
         resampler: Arc::new(Systematic),
@@ -112,7 +102,21 @@ fn with_filter<R: Send>(
         clusters: Some(PoseBins::new(1000.0, 7.0).unwrap()),
         annealing: None,
         ancestry,
-    };
+    }
+}
+
+/// Runs `steps` in a pool of two threads with a function that does a number of steps of a filter.
+fn with_filter<R: Send>(
+    particles: usize,
+    ancestry: bool,
+    model: &dyn SensorModel,
+    run: impl FnOnce(&mut dyn FnMut(usize)) -> R + Send,
+) -> R {
+    let room = Room { width: 6.0, depth: 4.0 };
+    let bearings = (0..12).map(|i| i as f32 * 0.5).collect();
+    let laser = Laser::new(bearings, vec![0.0; 12], 0.0, 50.0, Pose2::IDENTITY).unwrap();
+    let scan = Scan { ranges: vec![2.0; 12] };
+    let options = options(particles, ancestry);
     let start = Start::Tracking { pose: Pose2::new(3.0, 2.0, 0.0), sigma_m: 0.3, sigma_rad: 0.3 };
     let input = StepInput { odometry: Pose2::new(0.01, 0.0, 0.1), laser: &laser, scan: &scan };
     rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap().install(|| {
@@ -143,6 +147,34 @@ fn most_bytes(particles: usize, ancestry: bool) -> usize {
     MOST_BYTES_IN_USE.load(Ordering::Relaxed) - before
 }
 
+/// The most bytes in use as above, of a filter that first resamples when it injects random particles.
+fn most_bytes_of_injection(particles: usize) -> usize {
+    let room = Room { width: 6.0, depth: 4.0 };
+    let bearings = (0..12).map(|i| i as f32 * 0.5).collect();
+    let laser = Laser::new(bearings, vec![0.0; 12], 0.0, 50.0, Pose2::IDENTITY).unwrap();
+    let options = FilterOptions {
+        trigger: ResampleTrigger::EffectiveShareBelow(0.0),
+        // A fifth of the set is random.
+        injection: Some(InjectionOptions { alpha_slow: 0.01, alpha_fast: 0.2 }),
+        ..options(particles, false)
+    };
+    let start = Start::Tracking { pose: Pose2::new(3.0, 2.0, 0.0), sigma_m: 0.3, sigma_rad: 0.3 };
+    rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap().install(|| {
+        let before = BYTES_IN_USE.load(Ordering::Relaxed);
+        MOST_BYTES_IN_USE.store(before, Ordering::Relaxed);
+        let mut filter = Filter::new(options, &start, &room, 1).unwrap();
+        let mut step = |range: f32| {
+            let scan = Scan { ranges: vec![range; 12] };
+            let input = StepInput { odometry: Pose2::IDENTITY, laser: &laser, scan: &scan };
+            filter.step(&input, &room, &GAUSSIAN).unwrap()
+        };
+        assert!(!step(2.0).resampled);
+        let injected = step(20.0).injected;
+        assert!((particles / 6..particles / 4).contains(&injected), "{injected}");
+        MOST_BYTES_IN_USE.load(Ordering::Relaxed) - before
+    })
+}
+
 /// One test, so that no other thread allocates meanwhile; the history is the negative control.
 #[test]
 fn a_warm_step_allocates_nothing_and_a_particle_takes_100_bytes_unless_it_has_a_history() {
@@ -154,6 +186,8 @@ fn a_warm_step_allocates_nothing_and_a_particle_takes_100_bytes_unless_it_has_a_
     let per_particle = |ancestry| (most_bytes(many, ancestry) - most_bytes(few, ancestry)) / (many - few);
     let without = per_particle(false);
     assert!((76..=100).contains(&without), "{without} bytes");
+    let injecting = (most_bytes_of_injection(many) - most_bytes_of_injection(few)) / (many - few);
+    assert!((76..=100).contains(&injecting), "{injecting} bytes where random particles are injected");
     let with = per_particle(true);
     assert!(with > 150, "{with} bytes");
 }

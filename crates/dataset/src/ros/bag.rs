@@ -27,6 +27,9 @@ pub struct Channel {
     pub encoding: String,
 }
 
+/// A channel with one of its messages, or announced without.
+type Told<'a> = (&'a Channel, Option<&'a [u8]>);
+
 /// Hands every message of a file to `visit`, in the file's order. Channels are announced with `None`, some of them
 /// more than once.
 ///
@@ -88,11 +91,7 @@ struct Channels {
 
 impl Channels {
     /// Takes in a record; returns what it is to be told of.
-    fn take<'a>(
-        &'a mut self,
-        opcode: u8,
-        body: &'a [u8],
-    ) -> Result<Option<(&'a Channel, Option<&'a [u8]>)>, String> {
+    fn take<'a>(&'a mut self, opcode: u8, body: &'a [u8]) -> Result<Option<Told<'a>>, String> {
         if ![op::SCHEMA, op::CHANNEL, op::MESSAGE].contains(&opcode) {
             return Ok(None);
         }

@@ -282,6 +282,20 @@ fn compressed_chunks_are_unpacked() {
             assert_eq!(drive, plain, "{compression}");
         }
     }
+    for compression in ["", "lz4", "zstd"] {
+        // The chunk's unpacked size and check sum, behind the magic, the header, a record's start and two times.
+        let size = MAGIC.len() + 9 + 8 + 9 + 16;
+        for (place, part) in
+            [(size, "unpacks to another number of bytes"), (size + 8, "check sum of a chunk is wrong")]
+        {
+            for change in [1, 2, 3] {
+                let mut bytes = packed(&records, compression, true);
+                bytes[place] ^= change;
+                let message = read_bytes(&bytes, &McapOptions::default()).unwrap_err().to_string();
+                assert!(message.contains(part), "{compression}: {message}");
+            }
+        }
+    }
     let odd = read_bytes(&packed(&records, "xz", true), &McapOptions::default()).unwrap_err().to_string();
     assert!(odd.contains("chunks compressed with `xz`; allowed: lz4, zstd, none"), "{odd}");
 }

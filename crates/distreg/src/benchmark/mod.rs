@@ -39,6 +39,8 @@ pub struct Report {
     pub density_ns: f64,
     /// Risk of each method \[mm\]: mean histogram match with the truth at the queries.
     pub risk_mm: RiskMm,
+    /// What the registered method of each truth registers by; cross-validation on the training states chose it.
+    pub registered_by: RegisteredBy,
     /// Largest difference of any predicted mass from the dense f64 product.
     pub max_abs_diff_from_dense: f64,
     /// What cross-validation chose: a line per truth and method.
@@ -70,11 +72,39 @@ pub struct RiskMm {
 pub struct MethodRisk {
     /// NP-REG as published.
     pub faithful: f64,
-    /// NP-REG, registered: of z - r, or of residuals of location and scale, whichever has the smaller
-    /// cross-validated risk on the training states.
+    /// NP-REG, registered by the [`Registration`] that the report's `registered_by` names.
     pub registered: f64,
     /// P-REG with a Gaussian, as published.
     pub p_reg: f64,
+}
+
+/// What registered NP-REG makes of observations before it compares them between states.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Registration {
+    /// z - r.
+    #[default]
+    Range,
+    /// (z - m(x)) / s(x) with a learned location m and scale s.
+    LocationAndScale,
+}
+
+impl std::fmt::Display for Registration {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Range => "z - r",
+            Self::LocationAndScale => "location and scale",
+        })
+    }
+}
+
+/// The registration of each truth.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RegisteredBy {
+    /// [`Truth::Gauss`].
+    pub gauss: Registration,
+    /// [`Truth::Mixed`].
+    pub mixed: Registration,
 }
 
 /// NP-REG as published: histograms, Gaussian kernel, mean.
@@ -149,6 +179,7 @@ pub fn run(clock: &dyn Fn() -> Duration) -> Result<Report, BenchmarkError> {
         predict_ms: PredictMs::default(),
         density_ns: f64::INFINITY,
         risk_mm: RiskMm::default(),
+        registered_by: RegisteredBy::default(),
         max_abs_diff_from_dense: 0.0,
         chosen: Vec::new(),
     };
@@ -174,7 +205,13 @@ pub fn run(clock: &dyn Fn() -> Duration) -> Result<Report, BenchmarkError> {
         let by_place =
             search(&task, &FEW_FACTORS, [0.8, 0.2], |h| standardized(outcomes, &place.candidate, h))?;
         report.note(truth, "registered by location and scale", &by_place);
-        let (model, difference): (Box<dyn ConditionalDistribution>, f64) = if by_range.score < by_place.score
+        let registration = if by_range.score < by_place.score {
+            Registration::Range
+        } else {
+            Registration::LocationAndScale
+        };
+        let (model, difference): (Box<dyn ConditionalDistribution>, f64) = if registration
+            == Registration::Range
         {
             let model = registered(outcomes, &by_range.candidate).fit(&task.train)?;
             let difference = difference_of_np_reg(&model, &task, &model.predict_batch(&task.queries)?)?;
@@ -195,8 +232,8 @@ pub fn run(clock: &dyn Fn() -> Duration) -> Result<Report, BenchmarkError> {
         let model = p_reg(outcomes, &chosen.candidate).fit(&task.train)?;
         risk.p_reg = task.risk(&model.predict_batch(&task.queries)?);
         match truth {
-            Truth::Gauss => report.risk_mm.gauss = risk,
-            Truth::Mixed => report.risk_mm.mixed = risk,
+            Truth::Gauss => (report.risk_mm.gauss, report.registered_by.gauss) = (risk, registration),
+            Truth::Mixed => (report.risk_mm.mixed, report.registered_by.mixed) = (risk, registration),
         }
     }
     Ok(report)

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use locsim_core::{Drive, Pose2, wrap_angle};
 use locsim_mcl::{
-    Filter, FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, PoseBins, Regularization,
-    ResampleTrigger, Resampler, Residual, Start, StepInput, StepOutcome, Stratified, Systematic,
-    VelocityMotion,
+    AnnealingOptions, Filter, FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, PoseBins,
+    Regularization, ResampleTrigger, Resampler, Residual, Start, StepInput, StepOutcome, Stratified,
+    Systematic, VelocityMotion,
 };
 
 use super::RunError;
@@ -193,7 +193,14 @@ pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<Fil
         clusters: (settings.estimate == Estimate::DensestCluster)
             .then(|| PoseBins::new(bins.0, bins.1))
             .transpose()?,
-        annealing: None,
+        annealing: settings.annealing.map(|annealing| AnnealingOptions {
+            candidates: annealing.candidates as usize,
+            effective_share: annealing.effective_share,
+            moves: annealing.moves as usize,
+            sigma_m: annealing.step.sigma_m,
+            sigma_rad: annealing.step.sigma_rad,
+            gathered_m: annealing.gathered_m,
+        }),
         ancestry,
     })
 }

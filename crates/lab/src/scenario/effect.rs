@@ -121,8 +121,8 @@ mod tests {
 
     /// A scenario that lists these entries.
     fn scenario(entries: &str) -> String {
-        let indented: String = entries.lines().map(|line| format!("  {line}\n")).collect();
-        format!("{}effects:\n{indented}", text("minimal.yaml"))
+        let indented = entries.replace("\n-", "\n  -");
+        format!("{}effects:\n  {indented}\n", text("minimal.yaml"))
     }
 
     /// Every effect of the fixture, which has all kinds. Angles are off by the rounding of degrees.

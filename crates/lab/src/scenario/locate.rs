@@ -95,6 +95,11 @@ impl Locations {
         }
     }
 
+    /// Whether the text has the key at this path.
+    pub(crate) fn has(&self, key: &str) -> bool {
+        self.lines.contains_key(key)
+    }
+
     /// Keys that stand twice in one map.
     pub(crate) fn duplicates(&self) -> &[Problem] {
         &self.duplicates

@@ -10,7 +10,7 @@ pub(crate) mod locate;
 mod map_file;
 mod raw;
 #[cfg(test)]
-mod schema_tests;
+pub(crate) mod schema_tests;
 #[cfg(test)]
 mod tests;
 mod validate;

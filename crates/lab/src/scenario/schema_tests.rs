@@ -10,7 +10,7 @@ use super::*;
 use crate::results::TrainingRow;
 use crate::summary::{AngularError, Errors as ErrorSummary, Kept, LinearError, ModelSummary};
 
-fn json_of(yaml: &str) -> Value {
+pub(crate) fn json_of(yaml: &str) -> Value {
     yaml::parse(Path::new("x.yaml"), yaml).unwrap().0
 }
 
@@ -24,7 +24,7 @@ fn resolved<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
 
 /// Whether a value fits a schema, by the keywords that ours uses; `seen` collects the property schemas that were
 /// matched, by address.
-fn fits(root: &Value, schema: &Value, value: &Value, seen: &mut BTreeSet<usize>) -> bool {
+pub(crate) fn fits(root: &Value, schema: &Value, value: &Value, seen: &mut BTreeSet<usize>) -> bool {
     let schema = resolved(root, schema);
     if let Some(choices) = schema["oneOf"].as_array().or(schema["anyOf"].as_array()) {
         return choices.iter().any(|choice| fits(root, choice, value, seen));
@@ -96,16 +96,21 @@ fn the_schema_accepts_what_is_accepted_and_knows_every_key() {
     for text in fixtures().into_iter().chain(shipped) {
         assert!(fits(&schema, &schema, &json_of(&text), &mut seen), "{text}");
     }
+    assert_every_key_seen(&schema, &seen, 80);
+}
+
+/// Every key, more than `least` of them, is among those seen, and is described.
+pub(crate) fn assert_every_key_seen(schema: &Value, seen: &BTreeSet<usize>, least: usize) {
     let mut all = Vec::new();
-    properties(&schema, &mut all);
-    assert!(all.len() > 80, "{}", all.len());
+    properties(schema, &mut all);
+    assert!(all.len() > least, "{}", all.len());
     for (name, property) in all {
         assert!(
             seen.contains(&(std::ptr::from_ref(property) as usize)),
             "no fixture has `{name}`: {property}"
         );
         let described =
-            property["description"].as_str().or(resolved(&schema, property)["description"].as_str());
+            property["description"].as_str().or(resolved(schema, property)["description"].as_str());
         let variant = property["type"] != Value::Null || property["$ref"] != Value::Null;
         assert!(described.is_some() || variant, "`{name}` has no description");
     }
@@ -179,12 +184,13 @@ fn every_documented_default_is_the_default() {
         "    waypoints: {points_m: [[1, 2], [2, 2]], speed_m_s: 1, turn_rate_deg_s: 45}",
     );
     let adaptive = edited(&minimal, "particles: 1000", "particles: {kld: {min: 10, max: 20}}");
+    let annealed = edited(&minimal, "particles: 1000", "particles: 1000\n  annealing: {}");
     let log = edited(&text("log.yaml"), "  map_resolution_m: 0.1\n", "");
     let effects = "effects: [{name: mount_offset}, {name: incidence_dropout, p: 0.5, angle_deg: 60}, \
                    {name: range_dropout, p: 0.1}, {name: warmup_drift, bias_m: 0.1}]";
     let affected = format!("{minimal}{effects}");
     let mut seen = BTreeSet::new();
-    for text in [minimal, waypoints, adaptive, log, affected] {
+    for text in [minimal, waypoints, adaptive, annealed, log, affected] {
         let mut explicit = json_of(&text);
         fill(&schema, &schema, &mut explicit, &mut seen);
         // JSON is YAML.

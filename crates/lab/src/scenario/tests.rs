@@ -129,6 +129,13 @@ fn every_key_arrives_in_si_units_and_radians() {
             beams: Some(12),
             estimate: Estimate::MostLikelyTrajectory,
             regularization: Spread { sigma_m: 0.01, sigma_rad: degrees(0.5) },
+            annealing: Some(Annealing {
+                candidates: 4000,
+                effective_share: 0.8,
+                moves: 6,
+                step: Spread { sigma_m: 0.02, sigma_rad: degrees(1.0) },
+                gathered_m: 0.3,
+            }),
         }
     );
     assert_eq!(scenario.errors, Errors { frame: ErrorFrame::Robot, lost_m: 1.5 });
@@ -260,11 +267,15 @@ fn the_hash_sees_what_changes_results_and_nothing_else() {
         ("p: 0.6", "p: 0.7"),
         ("wall: outline/2", "wall: outline/0"),
         ("exponent: 0.5", "exponent: 0.6"),
-        ("file: map.yaml", "file: grid.yaml"),
         ("file: fitted.model", "file: map.yaml"),
     ] {
         assert_ne!(hash(from, to), original, "{from} -> {to}");
     }
+    // Without walls that are named, which an image doesn't have.
+    let nameless: Vec<&str> = simulation.lines().filter(|line| !line.contains("wall: outline")).collect();
+    let nameless = nameless.join("\n");
+    let hash = |text: &str| parse(text).unwrap().content_hash().unwrap();
+    assert_ne!(hash(&edited(&nameless, "file: map.yaml", "file: grid.yaml")), hash(&nameless));
 }
 
 #[test]
@@ -332,6 +343,10 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ("value for a lone word", "simulation.yaml", "{each_scan_n: 5}", "{never: 5}"),
     ("injection, a word", "simulation.yaml", "{alpha_slow: 0.001, alpha_fast: 0.1}", "no"),
     ("injection, slow above fast", "simulation.yaml", "alpha_slow: 0.001", "alpha_slow: 0.5"),
+    ("annealing, a word", "minimal.yaml", "particles: 1000", "particles: 1000\n  annealing: yes"),
+    ("annealing, a key", "simulation.yaml", "gathered_m: 0.3", "gatherd_m: 0.3"),
+    ("annealing, all effective", "simulation.yaml", "effective_share: 0.8", "effective_share: 1"),
+    ("annealing, no moves", "simulation.yaml", "moves: 6", "moves: 0"),
     ("name", "simulation.yaml", "name: everything", "name: all of it"),
     ("zero trials", "simulation.yaml", "trials: 20", "trials: 0"),
     ("table key with exact casts", "simulation.yaml", "method: table", "method: exact"),

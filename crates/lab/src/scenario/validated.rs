@@ -65,6 +65,7 @@ pub enum RayCast {
 
 /// Where scans and odometry come from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[expect(clippy::large_enum_variant, reason = "there is one of it in a scenario")]
 pub enum Source {
     /// A simulated drive per trial.
     Simulation(Simulation),
@@ -250,6 +251,8 @@ pub struct Filter {
     pub estimate: Estimate,
     /// Jitter added after resampling (regularized particle filter); zero for none.
     pub regularization: Spread,
+    /// How scans are taken in while the particles are spread; `None` for all at once as always.
+    pub annealing: Option<Annealing>,
 }
 
 /// How many particles the filter keeps.
@@ -314,6 +317,21 @@ pub struct Injection {
     pub alpha_slow: f64,
     /// Decay rate of the short-term average, at most 1.
     pub alpha_fast: f64,
+}
+
+/// Scans taken in by small powers of their likelihood, with Metropolis moves between them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Annealing {
+    /// Particles of a global start.
+    pub candidates: u32,
+    /// Share of the particles that each power leaves effective, in (0, 1).
+    pub effective_share: f64,
+    /// Moves of each particle after each power.
+    pub moves: u32,
+    /// Standard deviation of a move under the whole likelihood.
+    pub step: Spread,
+    /// Scans are annealed until positions have this standard deviation (m), and again from five times it.
+    pub gathered_m: f64,
 }
 
 /// Where particles start.

@@ -82,6 +82,16 @@ fn clearly_below(a: &ModelRisk, b: &ModelRisk, place: usize) -> bool {
     a.risk.hi[place] < b.risk.lo[place]
 }
 
+/// N from which on `a` has less risk than `b`: where the curves, straight between logarithms, cross for the last time.
+/// `None` if `a` isn't the lower one at the largest N, or is at every N.
+fn crossing(a: &ModelRisk, b: &ModelRisk) -> Option<f64> {
+    let ahead = |place: usize| (b.risk.mean[place] / a.risk.mean[place]).ln();
+    let after = (0..a.risk.at.len()).rev().take_while(|&place| ahead(place) > 0.0).last()?;
+    let before = after.checked_sub(1)?;
+    let (from, to) = (a.risk.at[before].ln(), a.risk.at[after].ln());
+    Some((from + (to - from) * -ahead(before) / (ahead(after) - ahead(before))).exp())
+}
+
 fn at_sizes(a: &ModelRisk, b: &ModelRisk) -> String {
     let n = &a.risk.at;
     let end = n.len() - 1;
@@ -226,8 +236,8 @@ fn nonparametric_wins(condition: &ConditionResults) -> Option<Claim> {
     let lower = clearly_below(np, p, end);
     let (fall_p, fall_np) = (exponent(p), exponent(np));
     let shapes = fall_p > FLAT && fall_np < FLAT;
-    let crossing = (0..=end).find(|&place| np.risk.mean[place] < p.risk.mean[place]);
-    let crossing = match crossing {
+    let first = (0..=end).find(|&place| np.risk.mean[place] < p.risk.mean[place]);
+    let lower_from = match first {
         Some(0) => "NP-REG is lower at every N".to_owned(),
         Some(place) => format!("NP-REG is lower from N = {} on", p.risk.at[place]),
         None => "P-REG is lower at every N".to_owned(),
@@ -240,6 +250,16 @@ fn nonparametric_wins(condition: &ConditionResults) -> Option<Claim> {
     if !everywhere {
         reason += " With few states the blur of smoothing over the probe's place outweighs that, which the paper's figure \
                    doesn't show: how many states are few depends on the length of the axis, which it doesn't give.";
+        if let (Some(n), Some(span)) = (crossing(np, p), condition.spans.first()) {
+            let (apart, fewest) = (1000.0 * span / n, p.risk.at[0]);
+            reason += &format!(
+                " The curves cross at N = {n:.0}, where states are {} mm apart on an axis of {} mm; N = {fewest} states are as \
+                 close on an axis of {} mm.",
+                significant(apart),
+                significant(1000.0 * span),
+                significant(apart * fewest)
+            );
+        }
     }
     let place = np.risk.at.len() - 1;
     let registered = of(condition, Model::NpRegRegistered).map_or_else(String::new, |r| {
@@ -256,7 +276,7 @@ fn nonparametric_wins(condition: &ConditionResults) -> Option<Claim> {
         ours: "risk",
         paper: "NP-REG has the lower risk and keeps improving with N; P-REG flattens early.",
         finding: format!(
-            "NP-REG {} for P-REG; {crossing}. Over the upper half of the sizes NP-REG falls as N^{}, P-REG as \
+            "NP-REG {} for P-REG; {lower_from}. Over the upper half of the sizes NP-REG falls as N^{}, P-REG as \
              N^{}.{registered}",
             at_sizes(np, p),
             fixed(fall_np, 2),
@@ -269,6 +289,17 @@ fn nonparametric_wins(condition: &ConditionResults) -> Option<Claim> {
 
 fn metal_disturbs(still: &ConditionResults, disturbed: &ConditionResults) -> Claim {
     let (quiet, noisy) = (still.not_gaussian_share, disturbed.not_gaussian_share);
+    let mut reason =
+        "The metal's induced dipole adds to the field by where the hand is. The hand rests at the ends of its sweep and is away \
+         for a part of the time, and each makes a mode; far from the hand the modes merge in the noise."
+            .to_owned();
+    if let Some([from, to]) = disturbed.gaussian_between {
+        let [from, to] = [from, to].map(|position| significant(1000.0 * position));
+        reason += &format!(
+            " With the forceps, every state that passes as Gaussian lies {from} to {to} mm from the transmitter, where its own \
+             field is strongest."
+        );
+    }
     Claim {
         figure: "Fig. 6",
         ours: "observations",
@@ -279,9 +310,7 @@ fn metal_disturbs(still: &ConditionResults, disturbed: &ConditionResults) -> Cla
             percent(noisy)
         ),
         verdict: Verdict::of(quiet <= MOSTLY, noisy >= 1.0 - MOSTLY),
-        reason: "The metal's induced dipole adds to the field by where the hand is. The hand rests at the ends of its sweep and \
-                 is away for a part of the time, and each makes a mode; far from the hand the modes merge in the noise."
-            .to_owned(),
+        reason,
     }
 }
 
@@ -298,6 +327,15 @@ fn samples(
     let relative = |model: &ModelRisk| last(&model.risk.mean) / own;
     let list: Vec<String> =
         condition.risks.iter().map(|r| format!("`{}` {}", r.model, significant(relative(r)))).collect();
+    let falls = exponent(np);
+    let needed = (relative(np) > LIKE && falls < FLAT).then(|| {
+        format!(
+            " NP-REG as published falls as N^{} and is that near where states are so dense that its blur is small: at this rate \
+             from about N = {:.0} on.",
+            fixed(falls, 2),
+            last(&np.risk.at) * (relative(np) / LIKE).powf(-1.0 / falls)
+        )
+    });
     Some(Claim {
         figure,
         ours: "predictions",
@@ -312,7 +350,8 @@ fn samples(
         verdict: verdict(relative(p), relative(np)),
         reason: format!(
             "A prediction counts as like the observed where its risk is at most {LIKE} times that of measuring at the test \
-             state itself. Below 1, smoothing over states saves observations."
+             state itself. Below 1, smoothing over states saves observations.{}",
+            needed.unwrap_or_default()
         ),
     })
 }
@@ -416,6 +455,8 @@ mod tests {
             condition: "disturbed".to_owned(),
             not_gaussian_share: 0.0,
             not_gaussian_observations: 1000.0,
+            gaussian_between: None,
+            spans: vec![0.1],
             loss_against_observations: None,
             risks: vec![model("p_reg", p_reg), model("np_reg", np_reg)],
             pooled_risk: Curve { at: vec![30.0, 120.0, 480.0], mean: vec![100.0; 3], ..Curve::default() },
@@ -423,6 +464,16 @@ mod tests {
             thinning: None,
             roughness: None,
         }
+    }
+
+    #[test]
+    fn curves_cross_where_logarithms_do() {
+        let model = |risks| model("np_reg", risks);
+        let flat = model([2.0; 3]);
+        assert!((crossing(&model([4.0, 1.0, 0.5]), &flat).unwrap() - 60.0).abs() < 1e-9);
+        assert!((crossing(&model([1.0, 4.0, 1.0]), &flat).unwrap() - 240.0).abs() < 1e-9, "the last time");
+        assert_eq!(crossing(&model([1.0; 3]), &flat), None, "lower everywhere");
+        assert_eq!(crossing(&model([1.0, 1.0, 4.0]), &flat), None, "not lower in the end");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The figures of a study.
 
 use distreg::Distribution;
-use plotters::prelude::{Circle, Color, PathElement, Polygon, RGBColor, Text};
+use plotters::prelude::{Circle, Color, PathElement, Polygon, RGBColor};
 
 use super::experiment::{Extra, Sample, Samples};
 use super::results::{Curve, Results};
@@ -11,7 +11,7 @@ use crate::palette;
 use crate::report::ReportError;
 use crate::report::figures::Figure;
 use crate::report::figures::canvas::{
-    Area, Axis, Chart, DrawError, Drawn, HEADING, INK, Mark, UNKNOWN, chart, figure, line, px, text,
+    Area, Axis, Chart, DrawError, Drawn, INK, Mark, UNKNOWN, chart, figure, heading, line, px,
 };
 
 /// Steps of a drawn distribution.
@@ -165,8 +165,7 @@ fn panel(
     // A line that towers over what it predicts may leave the panel.
     let top = 1.08 * highest(std::slice::from_ref(&shape)).max(0.6 * highest(&curves));
     let (left, right) = (shape[0].0, shape[shape.len() - 1].0);
-    area.draw(&Text::new(title.to_owned(), (px(LEFT), px(8.0)), text(HEADING, INK)))?;
-    let (_, below) = area.split_vertically(px(24.0));
+    let below = heading(area, title, LEFT)?;
     let x = Axis::linear(&format!("z [{}]", unit.name), left, right, 4.0);
     let y = Axis::linear(&format!("density [1/{}]", unit.name), 0.0, top, 4.0);
     let mut chart = chart(&below, &x, &y, LEFT)?;
@@ -375,8 +374,7 @@ fn risk(study: &Study, results: &Results) -> Result<String, DrawError> {
                 shown.iter().flat_map(|c| c.lo.iter().chain(&c.hi)).chain(&references.mean).chain(&own),
             );
             let (first, last) = extremes(condition.pooled_risk.at.iter());
-            cell.draw(&Text::new(condition.condition.clone(), (px(LEFT), px(8.0)), text(HEADING, INK)))?;
-            let (_, below) = cell.split_vertically(px(24.0));
+            let below = heading(cell, &condition.condition, LEFT)?;
             let x = Axis::logarithmic("training states N", first, last);
             let label =
                 if by_crps { format!("CRPS [{}]", study.setup.unit.name) } else { "risk [bins]".to_owned() };
@@ -414,8 +412,7 @@ fn budget(results: &Results) -> Result<String, DrawError> {
     });
     figure("Risk against a budget of training states", &legend, 360.0, |area| {
         for (cell, (title, curves)) in area.split_evenly((1, found.len())).iter().zip(&found) {
-            cell.draw(&Text::new(title.clone(), (px(LEFT), px(8.0)), text(HEADING, INK)))?;
-            let (_, below) = cell.split_vertically(px(24.0));
+            let below = heading(cell, title, LEFT)?;
             let (first, last) = extremes(curves[0].1.at.iter());
             let (lowest, highest) = extremes(curves.iter().flat_map(|(_, c)| c.lo.iter().chain(&c.hi)));
             let x = Axis::logarithmic("training states", first, last);

@@ -10,6 +10,8 @@ mod model;
 mod page;
 mod raw;
 mod results;
+#[cfg(test)]
+mod schema_tests;
 mod sensor;
 mod validate;
 
@@ -26,6 +28,7 @@ use crate::report::ReportError;
 use crate::run::{Progress, RunError, Store};
 use crate::scenario::ScenarioError;
 use crate::scenario::check::Checker;
+use crate::scenario::locate::Locations;
 use crate::yaml;
 use sensor::Setup;
 
@@ -139,7 +142,30 @@ impl Study {
     }
 }
 
+/// Whether the file at `path` is a study and not a scenario: only studies have the key `sensor`.
+///
+/// # Errors
+/// [`ScenarioError::Read`] where the file can't be read.
+pub fn is_study(path: &Path) -> Result<bool, ScenarioError> {
+    Ok(Locations::of(&yaml::read(path)?).has("sensor"))
+}
+
+/// The JSON Schema of study files.
+pub fn schema() -> serde_json::Value {
+    schemars::schema_for!(raw::RawStudy).to_value()
+}
+
 impl Study {
+    /// The models under comparison.
+    pub fn models(&self) -> &[Model] {
+        &self.models
+    }
+
+    /// Number of repeats.
+    pub fn repeats(&self) -> u32 {
+        self.repeats
+    }
+
     /// The command that repeats it.
     pub fn command(&self) -> String {
         let quick = if self.quick { " --quick" } else { "" };

@@ -5,6 +5,7 @@ use distreg::{
     FrechetOptions, Kernel, NpRegOptions, PRegOptions, Regressor, Weighting, crps, grid_search, histogram,
     histogram_match,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::sensor::Setup;
@@ -17,7 +18,7 @@ const LEAST_OBSERVATIONS: usize = 20;
 const MOST_QUANTILES: usize = 100;
 
 /// A model under comparison.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Model {
     /// Procedure 1 with a Gaussian, as published.
@@ -33,7 +34,7 @@ pub enum Model {
 }
 
 /// What cross-validation makes small.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Criterion {
     /// The paper's loss against the histogram of a held-out state's observations. It wants repeated observations.
@@ -56,20 +57,27 @@ impl Model {
     }
 
     /// What it is, for reports.
-    pub(super) fn describe(self) -> &'static str {
-        match self {
+    pub(super) fn describe(self, setup: &Setup) -> String {
+        let text = match self {
             Self::PReg => {
                 "a Gaussian whose mean and deviation are regressed on the state (the paper's procedure 1)"
             }
             Self::PRegTwoGaussians => "the same with two Gaussians",
             Self::NpReg => "histograms smoothed over states (the paper's procedure 2, as published)",
             Self::NpRegRegistered => {
-                "the same on observations relative to the state coordinate that they follow"
+                let name = |d: usize| &setup.coordinates[d].0;
+                let aligned = match setup.alignment.unwrap_or_default() {
+                    Alignment::Identity => "z".to_owned(),
+                    Alignment::Shift { state_dim } => format!("z - `{}`", name(state_dim)),
+                    Alignment::Scale { state_dim } => format!("z / `{}`", name(state_dim)),
+                };
+                return format!("the same with histograms of {aligned}, at every state and N of this study");
             }
             Self::Frechet => {
                 "quantile functions regressed on the state by local planes (Petersen and Müller 2019)"
             }
-        }
+        };
+        text.to_owned()
     }
 
     /// Whether it needs a state coordinate that the observation follows.

@@ -89,7 +89,8 @@ fn markdown(
         .iter()
         .map(|c| (c.condition.clone(), risk_table(study, c).to_markdown()))
         .collect();
-    let models: Vec<(&str, &str)> = study.models.iter().map(|m| (m.as_str(), m.describe())).collect();
+    let models: Vec<(&str, String)> =
+        study.models.iter().map(|m| (m.as_str(), m.describe(&study.setup))).collect();
     let page = context! {
         title => text::escape(&results.study),
         description => text::escape(&study.description),

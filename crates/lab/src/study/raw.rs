@@ -2,13 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use serde::Deserialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::{Criterion, Model};
 
 /// An experiment of distribution regression: a sensor, training data of growing size, models tuned alike.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(title = "locsim study")]
 pub struct RawStudy {
     /// Name of the results: letters, digits, `-` and `_`. Default: the file's name without `.yaml`.
     pub name: Option<String>,
@@ -50,7 +52,7 @@ pub struct RawStudy {
 }
 
 /// Where observations come from.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RawSensor {
     /// A planar laser in a mapped room.
@@ -66,7 +68,7 @@ pub enum RawSensor {
 }
 
 /// A planar laser in a mapped room.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawLaser {
     /// The map's file.
@@ -88,7 +90,7 @@ pub struct RawLaser {
 }
 
 /// A magnetic field sensor near metal.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawFieldSensor {
     /// The probe's places on the transmitter's axis, `[lo, hi]` (m).
@@ -106,7 +108,7 @@ pub struct RawFieldSensor {
 }
 
 /// A metal object that is waved near the probe.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawForceps {
     /// Radius of the sphere that has the same induced dipole (m).
@@ -122,7 +124,7 @@ pub struct RawForceps {
 }
 
 /// A laser on a rail that looks into grass.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawGrass {
     /// Length of the rail (m).
@@ -146,7 +148,7 @@ pub struct RawGrass {
 }
 
 /// A measured lidar that stood still.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawStaticLidar {
     /// One scan per line, one range (m) per ray, `inf` without a return.
@@ -162,7 +164,7 @@ pub struct RawStaticLidar {
 }
 
 /// A table of states and observations.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawTable {
     /// CSV with a line of names; the last column is the observation, those before it are the state.
@@ -178,7 +180,7 @@ pub struct RawTable {
 }
 
 /// What the observation follows.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RawAlignment {
     /// z minus this state column varies little.

@@ -63,6 +63,12 @@ pub struct ConditionResults {
     pub not_gaussian_share: f64,
     /// Observations behind each of these tests, on average.
     pub not_gaussian_observations: f64,
+    /// Smallest and largest first coordinate of the test states, of all repeats, that the test doesn't tell from a Gaussian;
+    /// absent where it tells all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gaussian_between: Option<[f64; 2]>,
+    /// Span of each state coordinate over the largest training set, mean over repeats.
+    pub spans: Vec<f64>,
     /// Loss of a histogram of M observations against M (Fig. 7).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub loss_against_observations: Option<LossAgainstObservations>,
@@ -122,7 +128,8 @@ pub struct ModelRisk {
     pub crps: Curve,
     /// Median over repeats of the bandwidth chosen for each state coordinate, at each N.
     pub bandwidths: Vec<Vec<f64>>,
-    /// Share of repeats in which a chosen bandwidth was the first or the last of its list, at each N.
+    /// Share of repeats in which a chosen bandwidth was the first or the last of its list, at each N. A last one of ten spans
+    /// of its coordinate and more is no end: the coordinate then doesn't count.
     pub at_end_share: Vec<f64>,
     /// Risk relative to the first model's, at each N, with 95 % bootstrap intervals over repeats (paired).
     pub ratio: Vec<f64>,

@@ -117,7 +117,7 @@ impl Effects {
                 radius_m: effect.values[2],
             })
             .collect();
-        Ok(Self { order, objects, needs, list })
+        Ok(Self { list, order, objects, needs })
     }
 
     /// The effects as they were given.
@@ -268,10 +268,10 @@ impl Effects {
                 // One or the other, or both.
                 (EffectKind::HeavyTail, &[p]) => tail += p - tail * p,
                 (EffectKind::Quantization, &[step]) => step_m = step.max(step_m),
-                (EffectKind::SectorOcclusion, &[from, to, at, p]) => {
-                    if at < range && is_between(view.bearing, from, to) {
-                        alternatives.push(p, Alternative::Near { mean: at, sigma: nominal_sigma(at) });
-                    }
+                (EffectKind::SectorOcclusion, &[from, to, at, p])
+                    if at < range && is_between(view.bearing, from, to) =>
+                {
+                    alternatives.push(p, Alternative::Near { mean: at, sigma: nominal_sigma(at) });
                 }
                 (EffectKind::Crosstalk, &[p, share]) => {
                     alternatives.push(p * burst(i, share), Alternative::Between { lo: 0.0, hi: max });

@@ -243,6 +243,31 @@ fn a_missing_object_stands_in_the_way() {
     assert!(seen > 20, "{seen}");
 }
 
+/// Effects of walls act on a missing object by its own incidence, and not those of the place behind it.
+#[test]
+fn a_missing_object_is_a_wall_of_its_own() {
+    let laser = LaserOptions { beams: 1, ..laser_options() };
+    let disc = || Effect::new(EffectKind::MissingObject, vec![3.0, 2.0, 0.5], vec![]).unwrap();
+    let list = vec![
+        disc(),
+        Effect::new(EffectKind::IncidenceDropout, vec![1.0, 0.8, 0.001], vec![]).unwrap(),
+        Effect::new(EffectKind::MovedWall, vec![1.0], vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]])
+            .unwrap(),
+    ];
+    let simulator = Simulator::new(room_map(), None, laser, effects(list)).unwrap();
+    let reading = |y: f64| f64::from(simulator.observe(&Pose2::new(1.0, y, 0.0), 1, 0)[0]);
+    assert!((reading(2.0) - 1.5).abs() < 1e-6, "the disc's middle");
+    assert_eq!(reading(2.45), 8.0, "its edge, at an incidence of 64 deg");
+    assert!((reading(3.0) - 6.0).abs() < 1e-6, "past it, the wall that has moved");
+
+    let east = vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]];
+    let list = vec![disc(), Effect::new(EffectKind::Glass, vec![1.0], east).unwrap()];
+    let simulator = Simulator::new(room_map(), None, laser, effects(list)).unwrap();
+    let reading = |y: f64| f64::from(simulator.observe(&Pose2::new(1.0, y, 0.0), 1, 0)[0]);
+    assert!((reading(2.0) - 1.5).abs() < 1e-6, "the disc isn't of glass");
+    assert_eq!(reading(3.0), 8.0, "past it, through the glass");
+}
+
 /// Behind a wall of glass stands what stands there; a wall that has moved nearer hides the blocks behind it.
 #[test]
 fn glass_shows_what_is_behind_and_a_moved_wall_hides_what_is_before() {

@@ -229,6 +229,12 @@ impl Axis {
         (self.lo, self.hi)
     }
 
+    /// Room right of a panel for the half of the last tick's label that stands beyond it (px).
+    fn overhang(&self) -> f64 {
+        let widest = self.ticks.last().map_or(0.0, |(_, label)| text_width(label, LABEL));
+        (0.5 * widest + 4.0).max(18.0)
+    }
+
     /// Room that its tick labels and its title need below a panel (px).
     fn height(&self) -> f64 {
         let labelled = self.ticks.iter().any(|(_, label)| !label.is_empty());
@@ -279,11 +285,19 @@ impl ValueFormatter<f64> for Axis {
     }
 }
 
+/// The title of a panel from `left` (px) on, farther left where it would be cut off at the right. Gives the area beneath it.
+pub fn heading<'a>(area: &Area<'a>, title: &str, left: f64) -> Result<Area<'a>, DrawError> {
+    let width = f64::from(area.dim_in_pixel().0) / f64::from(UNITS);
+    let place = left.min(width - text_width(title, HEADING) - 4.0).max(0.0);
+    area.draw(&Text::new(title.to_owned(), (px(place), px(8.0)), text(HEADING, INK)))?;
+    Ok(area.split_vertically(px(24.0)).1)
+}
+
 /// A panel with a light grid. `left` is the room for the labels of the y axis (px).
 pub fn chart<'a, 'b>(area: &'a Area<'b>, x: &Axis, y: &Axis, left: f64) -> Result<Chart<'a, 'b>, DrawError> {
     let mut chart = ChartBuilder::on(area)
         .margin_top(px(8.0))
-        .margin_right(px(18.0))
+        .margin_right(px(x.overhang()))
         // The backend sets the axis title on the very edge of its area.
         .margin_left(px(EDGE))
         .x_label_area_size(px(x.height()))
@@ -317,6 +331,40 @@ mod tests {
         );
         assert_eq!(labels(Axis::logarithmic("", 45.0, 220.0)), ["50", "60", "80", "100", "200"]);
         assert_eq!(labels(Axis::logarithmic("", 0.001, 100.0)), ["0.001", "0.01", "0.1", "1", "10", "100"]);
+    }
+
+    /// A label of the last tick is centred on the panel's right end.
+    #[test]
+    fn the_last_label_has_room() {
+        let beyond = |hi: f64| 0.5 * text_width(&format!("{hi}"), LABEL);
+        for hi in [10.0, 1e4, 1e7, 1e11] {
+            let room = Axis::logarithmic("", 1.0, hi).overhang();
+            assert!(room > beyond(hi) && room < beyond(hi) + 20.0, "{room} at {hi}");
+        }
+    }
+
+    #[test]
+    fn a_title_stays_in_its_panel() {
+        let places = |title: &str| {
+            let svg = figure("", &[], 100.0, |area| {
+                for cell in area.split_evenly((1, 3)) {
+                    heading(&cell, title, 74.0)?;
+                }
+                Ok(())
+            });
+            // Left ends of the titles (px).
+            let svg = svg.unwrap();
+            let texts = svg.split("<text ").filter(|text| text.contains(title));
+            texts
+                .map(|text| text.split('"').nth(1).unwrap().parse::<f64>().unwrap() / 4.0)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(places("short title"), [74.0, 394.0, 714.0]);
+        let long = "laser: range 2.437 m, incidence 0.865 rad";
+        let width = text_width(long, HEADING);
+        for (place, left) in places(long).into_iter().zip([0.0, 320.0, 640.0]) {
+            assert!(place >= left && place + width <= left + 320.0, "{place}");
+        }
     }
 
     #[test]

@@ -33,6 +33,10 @@ pub struct RawFilter {
     /// Gaussian jitter added after resampling (regularized particle filter).
     #[serde(default)]
     pub regularization: RawSpread,
+    /// `none`, or scans taken in by small powers of their likelihood while the particles are spread (Del Moral, Doucet and
+    /// Jasra 2006), for a global start; costs some hundred weighings of the particles for each such scan.
+    #[serde(default = "default::annealing")]
+    pub annealing: Form<NotAnnealed, RawAnnealing>,
 }
 
 /// A whole number.
@@ -134,6 +138,49 @@ pub struct RawInjection {
     pub alpha_slow: f64,
     /// Decay rate of the short-term average likelihood.
     pub alpha_fast: f64,
+}
+
+/// The word `none`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NotAnnealed {
+    /// None.
+    None,
+}
+
+impl Short for NotAnnealed {
+    const FORMS: &'static [&'static str] = &[
+        "none",
+        "{candidates: ..., effective_share: ..., moves: ..., sigma_m: ..., sigma_deg: ..., gathered_m: ...}",
+    ];
+
+    fn from_word(word: &str) -> Option<Self> {
+        (word == "none").then_some(Self::None)
+    }
+}
+
+/// Annealed scans; `{}` for all defaults, which suit a laser of some tens of beams with noise of one to some centimetres.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawAnnealing {
+    /// Particles of a global start, 1 to 10000000; fewer as soon as the first scan tells them apart.
+    #[serde(default = "default::annealing_candidates")]
+    pub candidates: u64,
+    /// Each power is the largest that leaves this share of the particles effective, above 0 and below 1.
+    #[serde(default = "default::annealing_effective_share")]
+    pub effective_share: f64,
+    /// Metropolis moves of each particle after each power, 1 to 1000.
+    #[serde(default = "default::annealing_moves")]
+    pub moves: u64,
+    /// Standard deviation of a move along x and along y under the whole likelihood (m), at least 0.
+    #[serde(default = "default::annealing_sigma_m")]
+    pub sigma_m: f64,
+    /// The same of the heading (deg), at least 0.
+    #[serde(default = "default::annealing_sigma_deg")]
+    pub sigma_deg: f64,
+    /// Scans are annealed until positions have this standard deviation (m), and again from five times it; at least 0.
+    #[serde(default = "default::annealing_gathered_m")]
+    pub gathered_m: f64,
 }
 
 /// Where particles start.

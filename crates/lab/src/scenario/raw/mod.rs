@@ -227,7 +227,7 @@ impl<'de> Deserialize<'de> for RawBounds {
 
 /// Values of keys that are absent, where they aren't zero or a type's own default.
 pub mod default {
-    use super::{Form, No, RawInjection};
+    use super::{Form, No, NotAnnealed, RawAnnealing, RawInjection};
 
     pub const CELL_M: f64 = 0.1;
     pub const MEMORY_MB: u64 = 512;
@@ -248,6 +248,34 @@ pub mod default {
 
     pub fn injection() -> Form<No, RawInjection> {
         Form::Short(No::None)
+    }
+
+    pub fn annealing() -> Form<NotAnnealed, RawAnnealing> {
+        Form::Short(NotAnnealed::None)
+    }
+
+    pub fn annealing_candidates() -> u64 {
+        20_000
+    }
+
+    pub fn annealing_effective_share() -> f64 {
+        0.9
+    }
+
+    pub fn annealing_moves() -> u64 {
+        12
+    }
+
+    pub fn annealing_sigma_m() -> f64 {
+        0.01
+    }
+
+    pub fn annealing_sigma_deg() -> f64 {
+        0.3
+    }
+
+    pub fn annealing_gathered_m() -> f64 {
+        0.2
     }
 
     pub fn kld_error() -> f64 {

@@ -4,10 +4,10 @@ use crate::scenario::check::Checker;
 use crate::scenario::form::Form;
 use crate::scenario::locate::join;
 use crate::scenario::raw::{
-    Count, MotionModelName, No, RawAdaptive, RawFilter, RawInjection, RawKld, RawLaser, RawMotion,
-    RawResample, RawSpread, RawStart,
+    Count, MotionModelName, No, NotAnnealed, RawAdaptive, RawAnnealing, RawFilter, RawInjection, RawKld,
+    RawLaser, RawMotion, RawResample, RawSpread, RawStart,
 };
-use crate::scenario::{Filter, Injection, Motion, ParticleCount, ResampleWhen, Spread, Start};
+use crate::scenario::{Annealing, Filter, Injection, Motion, ParticleCount, ResampleWhen, Spread, Start};
 
 pub(super) fn filter(check: &mut Checker<'_>, raw: &RawFilter, laser: Option<&RawLaser>) -> Filter {
     let laser_beams = laser.and_then(|laser| u32::try_from(laser.beams).ok());
@@ -41,6 +41,10 @@ pub(super) fn filter(check: &mut Checker<'_>, raw: &RawFilter, laser: Option<&Ra
         beams: beams(check, "filter.beams", raw.beams, laser_beams),
         estimate: raw.estimate,
         regularization: spread(check, "filter.regularization", raw.regularization),
+        annealing: match raw.annealing {
+            Form::Short(NotAnnealed::None) => None,
+            Form::Full(raw) => Some(annealing(check, raw)),
+        },
     }
 }
 
@@ -87,6 +91,18 @@ fn injection(check: &mut Checker<'_>, raw: RawInjection) -> Injection {
         format!("{slow} is not allowed; below `alpha_fast`, which is {fast}")
     });
     Injection { alpha_slow, alpha_fast }
+}
+
+fn annealing(check: &mut Checker<'_>, raw: RawAnnealing) -> Annealing {
+    let key = |key| join("filter.annealing", key);
+    let share = check.number(&key("effective_share"), raw.effective_share, Between(0.0, 1.0));
+    Annealing {
+        candidates: check.count(&key("candidates"), raw.candidates, 1, MAX_PARTICLES),
+        effective_share: share,
+        moves: check.count(&key("moves"), raw.moves, 1, 1000),
+        step: spread(check, "filter.annealing", RawSpread { sigma_m: raw.sigma_m, sigma_deg: raw.sigma_deg }),
+        gathered_m: check.number(&key("gathered_m"), raw.gathered_m, AtLeast(0.0)),
+    }
 }
 
 fn spread(check: &mut Checker<'_>, key: &str, raw: RawSpread) -> Spread {

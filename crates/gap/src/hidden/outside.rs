@@ -1,0 +1,156 @@
+use std::f64::consts::TAU;
+
+use locsim_core::Drive;
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+use serde::Serialize;
+
+use super::HiddenDrive;
+use super::beam::Change;
+
+/// Period of the bias \[s\].
+const PERIOD_SECS: f64 = 7.0;
+/// Radius of the sunlit region \[m\].
+const SUNLIT_M: f64 = 2.5;
+/// Height of the laser over the floor \[m\].
+const HEIGHT_M: f64 = 0.25;
+/// How far ahead it meets the floor at a steady speed, as a share of the maximum range.
+const FLOOR_SHARE: f64 = 0.6;
+/// Share by which its pitch grows and shrinks, at the acceleration from which on it does so no further \[m/s^2\].
+const PITCHING: (f64, f64) = (0.3, 2.0);
+
+/// An effect that no stage of the library describes, and what its strength is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outside {
+    /// All returns are off by A sin(2 pi t / 7 s); A \[m\].
+    PeriodicBias,
+    /// Returns are off by A sin(2 beta) at bearing beta, as by a mirror that wobbles; A \[m\].
+    BearingBias,
+    /// Sunlight on one part of the map, around where the robot is halfway: noise of a standard deviation that grows from
+    /// 0 at 2.5 m from there to A in the middle is added; A \[m\].
+    BackgroundLight,
+    /// One kind of surface (those called `door...`; without any, every third) reads short by A; A \[m\].
+    SurfaceBias,
+    /// All returns of a scan are off alike, by a normal of standard deviation A; A \[m\].
+    SharedScanJitter,
+    /// The noise is lognormal, shifted and scaled to the same mean and variance; the shape s \[1\], the standard
+    /// deviation of the logarithm.
+    LogNormalNoise,
+    /// With p a return is read at twice its range, where that isn't beyond the maximum range; p \[1\].
+    DoubleReturn,
+    /// The laser looks at the floor ahead: with p a beam that gets there returns from it. The robot pitches as it
+    /// brakes and speeds up, and the floor gets nearer and farther; p \[1\].
+    FloorHit,
+}
+
+impl Outside {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::PeriodicBias,
+        Self::BearingBias,
+        Self::BackgroundLight,
+        Self::SurfaceBias,
+        Self::SharedScanJitter,
+        Self::LogNormalNoise,
+        Self::DoubleReturn,
+        Self::FloorHit,
+    ];
+
+    /// The name used in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PeriodicBias => "periodic_bias",
+            Self::BearingBias => "bearing_bias",
+            Self::BackgroundLight => "background_light",
+            Self::SurfaceBias => "surface_bias",
+            Self::SharedScanJitter => "shared_scan_jitter",
+            Self::LogNormalNoise => "log_normal_noise",
+            Self::DoubleReturn => "double_return",
+            Self::FloorHit => "floor_hit",
+        }
+    }
+}
+
+/// The drive with an effect of this strength in it.
+pub(super) fn record(hidden: &HiddenDrive<'_>, kind: Outside, strength: f64) -> Drive {
+    match kind {
+        Outside::PeriodicBias => {
+            hidden.with_readings(|beam, _| Change::Shift(strength * (TAU * beam.secs / PERIOD_SECS).sin()))
+        }
+        Outside::BearingBias => {
+            hidden.with_readings(|beam, _| Change::Shift(strength * (2.0 * beam.bearing).sin()))
+        }
+        Outside::BackgroundLight => {
+            let center = hidden.truth.poses[hidden.scans() / 2].position();
+            hidden.with_readings(|beam, chance| {
+                let share = (1.0 - beam.endpoint().distance(center) / SUNLIT_M).max(0.0);
+                let normal: f64 = StandardNormal.sample(chance);
+                Change::Shift(strength * share * normal)
+            })
+        }
+        Outside::SurfaceBias => {
+            let names = hidden.nominal.map.geometry().surface_names();
+            let is_door = |name: &String| name.starts_with("door");
+            let any_door = names.iter().any(is_door);
+            let short: Vec<bool> = names
+                .iter()
+                .enumerate()
+                .map(|(i, name)| if any_door { is_door(name) } else { i.is_multiple_of(3) })
+                .collect();
+            hidden.with_readings(|beam, _| {
+                let is_short = beam.is_wall() && beam.surface.is_some_and(|surface| short[surface as usize]);
+                if is_short { Change::Shift(-strength) } else { Change::None }
+            })
+        }
+        Outside::SharedScanJitter => {
+            let offsets: Vec<f64> = (0..hidden.scans()).map(|scan| strength * hidden.normal(scan)).collect();
+            hidden.with_readings(|beam, _| Change::Shift(offsets[beam.scan]))
+        }
+        Outside::LogNormalNoise => hidden.with_readings(|beam, _| {
+            if !beam.is_wall() || strength == 0.0 {
+                return Change::None;
+            }
+            let sigma = hidden.sigma(beam.range);
+            let normal = (beam.reading - beam.range) / sigma;
+            // exp(s n) less its mean exp(s^2 / 2), over its standard deviation.
+            let square = strength * strength;
+            let skewed = (strength * normal - 0.5 * square).exp_m1() / square.exp_m1().sqrt();
+            Change::Shift(sigma * (skewed - normal))
+        }),
+        Outside::DoubleReturn => {
+            let max = hidden.max_range();
+            hidden.with_readings(move |beam, chance| {
+                let twice = chance.random::<f64>() < strength && 2.0 * beam.reading < max;
+                if twice { Change::Value(2.0 * beam.reading) } else { Change::None }
+            })
+        }
+        Outside::FloorHit => {
+            let level = (HEIGHT_M / (FLOOR_SHARE * hidden.max_range())).atan();
+            let pitches: Vec<f64> = accelerations(hidden)
+                .into_iter()
+                .map(|acceleration| {
+                    let (share, most) = PITCHING;
+                    level * (1.0 - share * (acceleration / most).clamp(-1.0, 1.0))
+                })
+                .collect();
+            let mount = hidden.nominal.laser.mount.theta;
+            hidden.with_readings(move |beam, chance| {
+                let floor = HEIGHT_M / (pitches[beam.scan] * (beam.bearing + mount).cos()).tan();
+                let hit = chance.random::<f64>() < strength && floor > 0.0 && floor < beam.reading;
+                if hit { Change::Return(floor) } else { Change::None }
+            })
+        }
+    }
+}
+
+/// Acceleration forward at each scan \[m/s^2\].
+fn accelerations(hidden: &HiddenDrive<'_>) -> Vec<f64> {
+    let (secs, speeds) = (&hidden.truth.secs, hidden.truth.speeds());
+    let at = |i: usize| match i {
+        0 => 0.0,
+        i if i < speeds.len() => 2.0 * (speeds[i] - speeds[i - 1]) / (secs[i + 1] - secs[i - 1]),
+        _ => 0.0,
+    };
+    (0..hidden.scans()).map(at).collect()
+}

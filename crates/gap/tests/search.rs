@@ -1,0 +1,164 @@
+//! The search as a whole, on short logs of a small room.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use glam::DVec2;
+use locsim_core::Pose2;
+use locsim_gap::hidden::{Regime, Truth, record_library};
+use locsim_gap::{
+    GapError, GapOptions, Nominal, Outcome, Recorded, Verdict, find, information, oracle_power,
+    with_information,
+};
+use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::map::{Polyline, VectorMap};
+use locsim_world::raycast::ExactRangeMap;
+use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, OdometryNoise};
+
+fn nominal() -> Nominal {
+    let outline = Polyline {
+        points_m: vec![[0.0, 0.0], [7.0, 0.0], [7.0, 3.0], [4.0, 3.0], [4.0, 4.0], [0.0, 4.0]],
+        ..Polyline::default()
+    };
+    let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
+    let laser = LaserOptions {
+        rate_hz: 10.0,
+        beams: 24,
+        field_of_view_rad: std::f64::consts::TAU,
+        min_range_m: 0.05,
+        max_range_m: 6.0,
+        resolution_m: 0.001,
+        sigma_m: 0.01,
+        sigma_per_m: 0.0,
+        mount: Pose2::new(0.1, 0.0, 0.0),
+        scan_secs: 0.0,
+    };
+    let blocks = BlockOptions {
+        per_metre_of_wall: 0.3,
+        length_m: [0.15, 0.35],
+        width_m: [0.1, 0.25],
+        yaw_rad: [-0.5, 0.5],
+        wall_distance_m: [0.0, 0.2],
+        resample: BlockResampling::EachObservation,
+        speed_m_s: [0.0; 2],
+        clearance_m: 0.35,
+    };
+    let own = vec![
+        Effect::new(EffectKind::RangeDropout, vec![0.01, 0.0], Vec::new()).unwrap(),
+        Effect::new(EffectKind::Crosstalk, vec![0.005, 1.0], Vec::new()).unwrap(),
+    ];
+    let odometry = OdometryNoise::new([0.02, 0.005, 0.01, 0.005]).unwrap();
+    let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
+    Nominal::new(map, laser, Some(blocks), odometry, Effects::new(own).unwrap(), 1).unwrap()
+}
+
+/// A loop through the room, speeding up and slowing down.
+fn truth(scans: u32) -> Truth {
+    let poses = (0..scans).map(|i| {
+        let t = 0.1 * f64::from(i) + 0.3 * (0.05 * f64::from(i)).sin();
+        let position = DVec2::new(2.6 + 1.5 * (0.25 * t).cos(), 1.9 + 0.7 * (0.25 * t).sin());
+        let ahead = DVec2::new(-1.5 * (0.25 * t).sin(), 0.7 * (0.25 * t).cos());
+        Pose2::new(position.x, position.y, ahead.to_angle())
+    });
+    Truth::new((0..scans).map(|i| 0.1 * f64::from(i)).collect(), poses.collect()).unwrap()
+}
+
+fn log(nominal: &Nominal, effects: &[Effect], regime: Regime, seed: u64) -> Recorded {
+    let drive = record_library(nominal, &truth(160), effects, regime, seed).unwrap();
+    Recorded::new(&drive, 600, 72, |_| true).unwrap()
+}
+
+fn search(nominal: &Nominal, recorded: &Recorded, without: Vec<EffectKind>) -> Outcome {
+    let options = GapOptions { replicates: 199, without, seed: 5, ..GapOptions::default() };
+    find(nominal, recorded, &options, &(), &AtomicBool::new(false)).unwrap()
+}
+
+fn effect(kind: EffectKind, values: &[f64]) -> Effect {
+    Effect::new(kind, values.to_vec(), Vec::new()).unwrap()
+}
+
+#[test]
+fn nothing_is_found_where_nothing_is_hidden() {
+    let nominal = nominal();
+    for regime in [Regime::default(), Regime { persistent_blocks: true, pose_error: Some(Regime::POSE_ERROR) }] {
+        let outcome = search(&nominal, &log(&nominal, &[], regime, 11), Vec::new());
+        assert!(matches!(outcome.verdict, Verdict::None | Verdict::Underpowered), "{:?}", outcome.detection);
+        assert!(outcome.effects.is_empty());
+    }
+}
+
+/// Strengths of information 150 and more, which the best test misses once in 10^20 logs.
+#[test]
+fn a_hidden_effect_is_named_with_its_number() {
+    let nominal = nominal();
+    for (kind, values) in [
+        (EffectKind::RangeScale, vec![0.005]),
+        (EffectKind::HeavyTail, vec![0.1]),
+        (EffectKind::IncidenceDropout, vec![0.3, 0.8, 0.08]),
+        (EffectKind::OdomDistanceScale, vec![0.1]),
+    ] {
+        let hidden = effect(kind, &values);
+        let outcome = search(&nominal, &log(&nominal, std::slice::from_ref(&hidden), Regime::default(), 3), Vec::new());
+        assert_eq!(outcome.effects.first().map(|named| named.name), Some(kind), "{:?}", outcome.rivals);
+        let named = &outcome.effects[0];
+        let number = named.params[kind.parameters()[0].name];
+        // Four half-widths of the interval: 1e-14 if it is normal.
+        let half = 0.5 * (number.hi - number.lo);
+        assert!((number.value - values[0]).abs() < 4.0 * half, "{kind}: {number:?}");
+        assert!(half < 0.6 * values[0].abs(), "{kind}: an interval that says nothing: {number:?}");
+        assert!(outcome.gap.closed.value > 0.7 && outcome.detection.p <= 0.01, "{kind}: {:?}", outcome.gap);
+    }
+}
+
+/// A log whose effect was taken out of the library is off, and isn't explained away.
+#[test]
+fn what_the_library_lacks_is_not_explained() {
+    let nominal = nominal();
+    let hidden = effect(EffectKind::SectorOcclusion, &[0.3, 1.2, 0.5, 0.3]);
+    let recorded = log(&nominal, &[hidden], Regime::default(), 4);
+    let outcome = search(&nominal, &recorded, vec![EffectKind::SectorOcclusion, EffectKind::MissingObject]);
+    assert!(
+        matches!(outcome.verdict, Verdict::Unexplained | Verdict::PartlyExplained),
+        "{:?} {:?}",
+        outcome.verdict,
+        outcome.effects
+    );
+    assert!(!outcome.regions.is_empty());
+}
+
+#[test]
+fn the_same_seed_finds_the_same_on_any_number_of_threads() {
+    let nominal = nominal();
+    let hidden = effect(EffectKind::MountYaw, &[0.004]);
+    let recorded = log(&nominal, &[hidden], Regime::default(), 6);
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| search(&nominal, &recorded, Vec::new()))
+    };
+    assert_eq!(on(1), on(2));
+}
+
+#[test]
+fn a_search_can_be_stopped() {
+    let nominal = nominal();
+    let recorded = log(&nominal, &[], Regime::default(), 7);
+    let stopped = find(&nominal, &recorded, &GapOptions::default(), &(), &AtomicBool::new(true));
+    assert!(matches!(stopped, Err(GapError::Interrupted)));
+}
+
+/// The information of a bias of the readings is that of a normal mean where nothing else is uncertain, and a strength
+/// that is asked for has it. Six logs of information 100: a standard error of 2 sqrt(100 / 6) = 8.
+#[test]
+fn strengths_have_the_information_that_is_asked_for() {
+    let nominal = nominal();
+    let recorded = log(&nominal, &[], Regime::default(), 8);
+    let bias = effect(EffectKind::RangeBias, &[0.005]);
+    let regime = Regime::default();
+    let strong = with_information(&nominal, &recorded, &bias, 0, 100.0, &regime, 9).unwrap();
+    let found = information(&nominal, &recorded, &strong, &regime, 10).unwrap();
+    assert!((found - 100.0).abs() < 50.0, "{found}");
+    // 160 scans of 24 beams, about nine of ten on walls, sigma 1 cm.
+    let normal = (strong.values[0] / 0.01).powi(2) * 160.0 * 24.0;
+    assert!((0.6 * normal..1.2 * normal).contains(&found), "{found} of {normal}");
+    assert!((oracle_power(13.03, 0.01) - 0.9).abs() < 0.003);
+}

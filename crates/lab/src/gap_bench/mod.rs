@@ -1,0 +1,356 @@
+//! The hidden-effect suite: logs in which an effect is hidden, the search that doesn't know, and a score.
+//!
+//! Logs and truths are written to folders of their own. The search reads a log and the nominal scenario; the score reads
+//! truths and findings afterwards. Whatever is done is kept, and a run that was interrupted goes on where it stopped.
+
+mod plan;
+mod score;
+mod text;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use locsim_core::{Draw, Drive, Stage};
+use locsim_dataset::{DatasetError, LogOptions, read_log, write_log};
+use locsim_gap::hidden::{Truth, record_library, record_other, record_outside};
+use locsim_gap::{GapError, GapOptions, Nominal, Number, Outcome, Recorded, Verdict, find, with_information};
+use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::raycast::ExactRangeMap;
+use locsim_world::simulation::{Simulator, simulate_drive};
+use serde::{Deserialize, Serialize};
+
+pub use plan::Size;
+pub use score::Score;
+pub use text::{report, table};
+
+use crate::run::Progress;
+use crate::scenario::{Overrides, Scenario, ScenarioError, Source, load_map};
+use plan::{Case, Group, Hidden, REGIMES, plan};
+
+/// Why the suite could not be run.
+#[derive(Debug, thiserror::Error)]
+pub enum GapBenchError {
+    /// The scenario is refused.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// Its map is.
+    #[error(transparent)]
+    Map(#[from] locsim_world::map::MapError),
+    /// A search failed.
+    #[error(transparent)]
+    Gap(#[from] GapError),
+    /// A log could not be written or read.
+    #[error(transparent)]
+    Log(#[from] DatasetError),
+    /// Another file.
+    #[error("{path}: {source}")]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What happened.
+        source: std::io::Error,
+    },
+    /// A file of the suite's own is damaged.
+    #[error("{path}: {source}; remove it, and it will be made anew")]
+    Json {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong.
+        source: serde_json::Error,
+    },
+    /// The scenario is of a measured log.
+    #[error("{0}: the suite needs a simulated scenario, with `robot` and `laser`")]
+    NotSimulated(PathBuf),
+    /// The folder holds another suite.
+    #[error("{0}: holds a suite of another size, seed or scenario; choose another folder")]
+    Other(PathBuf),
+}
+
+impl GapBenchError {
+    /// Whether the caller asked to stop.
+    pub fn is_interruption(&self) -> bool {
+        matches!(self, Self::Gap(GapError::Interrupted))
+    }
+}
+
+/// How the suite is run.
+pub struct GapBenchOptions<'a> {
+    /// The nominal scenario.
+    pub scenario: PathBuf,
+    /// Where logs, truths and findings go.
+    pub out: PathBuf,
+    /// How much.
+    pub size: Size,
+    /// Everything random derives from it.
+    pub seed: u64,
+    /// Simulated logs behind each p-value.
+    pub replicates: u32,
+    /// The most scans of a log.
+    pub scans: usize,
+    /// The caller's clock.
+    pub clock: &'a (dyn Fn() -> Duration + Sync),
+    /// Is told how far it is.
+    pub progress: &'a dyn Progress,
+    /// Set to stop after the log at hand.
+    pub interrupted: &'a AtomicBool,
+}
+
+/// What is true of a log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TruthFile {
+    /// What the log is in the suite for.
+    pub group: Group,
+    /// Information of each effect.
+    pub lambda: f64,
+    /// Name of the regime.
+    pub regime: String,
+    /// Names of the effects.
+    pub effects: Vec<String>,
+    /// Their numbers.
+    pub values: Vec<BTreeMap<String, f64>>,
+    /// Of each, the number that is its strength.
+    pub strength: Vec<String>,
+    /// Stages taken out of the library.
+    pub without: Vec<String>,
+}
+
+/// What the search found in a log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FoundFile {
+    /// The verdict.
+    pub verdict: String,
+    /// Names, in order.
+    pub effects: Vec<String>,
+    /// Of each, the set that can't be told apart.
+    pub candidates: Vec<Vec<String>>,
+    /// Of each, value and interval of its numbers.
+    pub numbers: Vec<BTreeMap<String, [f64; 3]>>,
+    /// Global p-value.
+    pub p: f64,
+    /// The same with the named effects.
+    pub p_after: f64,
+    /// Share of the gap closed, with its interval.
+    pub closed: [f64; 3],
+    /// Time \[s\].
+    pub seconds: f64,
+}
+
+impl FoundFile {
+    fn of(outcome: &Outcome, seconds: f64) -> Self {
+        let triple = |n: &Number| [n.value, n.lo, n.hi];
+        let verdict = match outcome.verdict {
+            Verdict::None => "none",
+            Verdict::Named => "named",
+            Verdict::Ambiguous => "ambiguous",
+            Verdict::PartlyExplained => "partly_explained",
+            Verdict::Unexplained => "unexplained",
+            Verdict::Underpowered => "underpowered",
+        };
+        Self {
+            verdict: verdict.to_owned(),
+            effects: outcome.effects.iter().map(|e| e.name.name().to_owned()).collect(),
+            candidates: outcome
+                .effects
+                .iter()
+                .map(|e| e.candidates.iter().map(|kind| kind.name().to_owned()).collect())
+                .collect(),
+            numbers: outcome
+                .effects
+                .iter()
+                .map(|e| e.params.iter().map(|(name, n)| ((*name).to_owned(), triple(n))).collect())
+                .collect(),
+            p: outcome.detection.p,
+            p_after: outcome.detection_after.p,
+            closed: [outcome.gap.closed.value, outcome.gap.closed.lo, outcome.gap.closed.hi],
+            seconds,
+        }
+    }
+}
+
+/// The world that hidden data come from, and that the search takes as nominal.
+struct World {
+    nominal: Nominal,
+    drive: Drive,
+}
+
+impl World {
+    fn load(options: &GapBenchOptions<'_>) -> Result<Self, GapBenchError> {
+        let scenario = Scenario::load(&options.scenario, &Overrides::default())?;
+        let Source::Simulation(simulation) = &scenario.source else {
+            return Err(GapBenchError::NotSimulated(options.scenario.clone()));
+        };
+        let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
+        let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
+        let odometry = simulation.robot.odometry_noise;
+        let simulator = Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects.clone())
+            .map_err(GapError::from)?;
+        let mut drive = simulate_drive(&simulator, &simulation.robot, options.seed).map_err(GapError::from)?.drive;
+        drive.steps.truncate(options.scans);
+        let nominal = Nominal::new(map, simulation.laser, simulation.blocks, odometry, effects, options.seed)?;
+        Ok(Self { nominal, drive })
+    }
+}
+
+/// Runs what of the suite hasn't been run, and scores all of it.
+///
+/// # Errors
+/// [`GapBenchError`]; what was done is kept.
+pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
+    let [logs, truths, found] = ["logs", "truth", "found"].map(|name| options.out.join(name));
+    for folder in [&logs, &truths, &found] {
+        fs::create_dir_all(folder).map_err(|source| GapBenchError::File { path: folder.clone(), source })?;
+    }
+    options.progress.stage("integrating over blocks", 1);
+    let world = World::load(options)?;
+    options.progress.advance(1);
+    same_suite(options, &world)?;
+    let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
+    let cases = plan(options.size, options.seed, &world.nominal.map, &poses);
+    options.progress.stage("hidden effects", cases.len() as u64);
+    for case in &cases {
+        if options.interrupted.load(Ordering::Relaxed) {
+            return Err(GapError::Interrupted.into());
+        }
+        let (log, truth, answer) = (
+            logs.join(format!("{}.mcap", case.id)),
+            truths.join(format!("{}.json", case.id)),
+            found.join(format!("{}.json", case.id)),
+        );
+        if !(answer.exists() && truth.exists()) {
+            hide(&world, case, &log, &truth)?;
+            let finding = search(&world.nominal, &log, case, options)?;
+            save(&answer, &finding)?;
+            // A log is made again from its seed where it is asked for.
+            let _ = fs::remove_file(&log);
+        }
+        options.progress.advance(1);
+    }
+    options.progress.finish();
+    Ok(Score::new(
+        cases
+            .iter()
+            .map(|case| {
+                let truth = read(&truths.join(format!("{}.json", case.id)))?;
+                let found = read(&found.join(format!("{}.json", case.id)))?;
+                Ok((truth, found))
+            })
+            .collect::<Result<_, GapBenchError>>()?,
+        options.replicates,
+        options.seed,
+    ))
+}
+
+/// Refuses a folder that holds findings of other settings.
+fn same_suite(options: &GapBenchOptions<'_>, world: &World) -> Result<(), GapBenchError> {
+    let path = options.out.join("suite.json");
+    let mark = serde_json::json!({
+        "size": options.size, "seed": options.seed, "replicates": options.replicates,
+        "scans": world.drive.steps.len(), "beams": world.drive.laser.beam_count(),
+    });
+    match fs::read_to_string(&path) {
+        Ok(text) => {
+            let known: serde_json::Value = serde_json::from_str(&text)
+                .map_err(|source| GapBenchError::Json { path, source })?;
+            if known == mark { Ok(()) } else { Err(GapBenchError::Other(options.out.clone())) }
+        }
+        Err(_) => save(&path, &mark),
+    }
+}
+
+/// Makes a log with something hidden in it.
+fn hide(world: &World, case: &Case, log: &Path, truth: &Path) -> Result<(), GapBenchError> {
+    let World { nominal, drive } = world;
+    let regime = REGIMES[case.regime].1;
+    let template = Recorded::new(drive, usize::MAX, usize::MAX, |_| true)?;
+    let path = Truth::of(drive)?;
+    let strong = |effect: &Effect, index: usize| {
+        with_information(nominal, &template, effect, index, case.lambda, &regime, case.seed)
+    };
+    let mut strength = Vec::new();
+    let (effects, recorded) = match &case.hidden {
+        Hidden::Library(list) => {
+            let mut effects = Vec::new();
+            for (effect, index) in list {
+                effects.push(strong(effect, *index)?);
+                strength.push(effect.kind.parameters()[*index].name.to_owned());
+            }
+            let recorded = record_library(nominal, &path, &effects, regime, case.seed)?;
+            (effects, recorded)
+        }
+        Hidden::Other(form, effect, index) => {
+            let effect = strong(effect, *index)?;
+            strength.push(effect.kind.parameters()[*index].name.to_owned());
+            let recorded =
+                record_other(nominal, &path, *form, &effect.values, &effect.place, regime, case.seed)?;
+            (vec![effect], recorded)
+        }
+        Hidden::Outside(kind, amount) => {
+            let recorded = record_outside(nominal, &path, *kind, *amount, regime, case.seed)?;
+            (Vec::new(), recorded)
+        }
+    };
+    let mut names: Vec<String> = effects.iter().map(|effect| effect.kind.name().to_owned()).collect();
+    if let Hidden::Outside(kind, _) = &case.hidden {
+        names.push(kind.name().to_owned());
+    }
+    let numbers = |effect: &Effect| {
+        let parameters = effect.kind.parameters().iter().zip(&effect.values);
+        parameters.map(|(parameter, value)| (parameter.name.to_owned(), *value)).collect()
+    };
+    let file = TruthFile {
+        group: case.group,
+        lambda: case.lambda,
+        regime: REGIMES[case.regime].0.to_owned(),
+        effects: names,
+        values: effects.iter().map(numbers).collect(),
+        strength,
+        without: case.without.iter().map(|kind| kind.name().to_owned()).collect(),
+    };
+    save(truth, &file)?;
+    write_log(log, &recorded)?;
+    Ok(())
+}
+
+/// Reads a log and searches it; of the case it is told which stages the library lacks, and nothing else.
+fn search(
+    nominal: &Nominal,
+    log: &Path,
+    case: &Case,
+    options: &GapBenchOptions<'_>,
+) -> Result<FoundFile, GapBenchError> {
+    let (drive, _) = read_log(log, &LogOptions::default())?;
+    let recorded = Recorded::new(&drive, usize::MAX, usize::MAX, |_| true)?;
+    let settings = GapOptions {
+        replicates: options.replicates,
+        without: case.without.clone(),
+        seed: Draw::new(case.seed, Stage::Trial, 200).seed(0),
+        ..GapOptions::default()
+    };
+    let began = (options.clock)();
+    let outcome = find(nominal, &recorded, &settings, &(), options.interrupted)?;
+    Ok(FoundFile::of(&outcome, (options.clock)().saturating_sub(began).as_secs_f64()))
+}
+
+fn save(path: &Path, value: &impl Serialize) -> Result<(), GapBenchError> {
+    let json = |source| GapBenchError::Json { path: path.to_owned(), source };
+    let file = |source| GapBenchError::File { path: path.to_owned(), source };
+    let text = serde_json::to_string_pretty(value).map_err(json)?;
+    let partial = path.with_extension("partial");
+    fs::write(&partial, text).map_err(file)?;
+    fs::rename(&partial, path).map_err(file)
+}
+
+fn read<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<T, GapBenchError> {
+    let text = fs::read_to_string(path)
+        .map_err(|source| GapBenchError::File { path: path.to_owned(), source })?;
+    serde_json::from_str(&text).map_err(|source| GapBenchError::Json { path: path.to_owned(), source })
+}
+
+/// Names of the whole library, for the confusion matrix.
+fn library() -> Vec<&'static str> {
+    EffectKind::ALL.iter().map(|kind| kind.name()).collect()
+}

@@ -1,0 +1,266 @@
+use std::f64::consts::TAU;
+
+use glam::DVec2;
+use locsim_core::{Draw, Pose2, Stage};
+use locsim_gap::hidden::{OtherForm, Outside, Regime};
+use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::raycast::ExactRangeMap;
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+/// How much of the suite is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Size {
+    /// Nulls, each effect once, two other forms, one outside the library: minutes.
+    Small,
+    /// Every row of the table: within an hour on two cores.
+    Medium,
+    /// As many logs as the figures' intervals ask for: a day.
+    Full,
+}
+
+/// What a log is in the suite for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Group {
+    /// Nothing is hidden.
+    Null,
+    /// One effect of the library, in the library's form.
+    Same,
+    /// One effect of the library, in another form.
+    Other,
+    /// Two effects.
+    Pair,
+    /// An effect that isn't in the library.
+    Outside,
+    /// An effect whose stage is taken out of the library.
+    Removed,
+}
+
+/// What is hidden, before its strength is set.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Hidden {
+    Library(Vec<(Effect, usize)>),
+    Other(OtherForm, Effect, usize),
+    Outside(Outside, f64),
+}
+
+/// One log of the suite.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Case {
+    /// Names its files.
+    pub id: String,
+    pub group: Group,
+    pub lambda: f64,
+    pub regime: usize,
+    pub hidden: Hidden,
+    pub without: Vec<EffectKind>,
+    pub seed: u64,
+}
+
+/// The regimes, in the order of their numbers.
+pub const REGIMES: [(&str, Regime); 4] = [
+    ("resampled_exact", Regime { persistent_blocks: false, pose_error: None }),
+    ("persistent_exact", Regime { persistent_blocks: true, pose_error: None }),
+    ("resampled_autocorrelated", Regime { persistent_blocks: false, pose_error: Some(Regime::POSE_ERROR) }),
+    ("persistent_autocorrelated", Regime { persistent_blocks: true, pose_error: Some(Regime::POSE_ERROR) }),
+];
+
+/// Kinds whose strength is set by information. Quantization has none: any step can be seen. The density of blocks is
+/// a nuisance of every hypothesis.
+const REGULAR: [EffectKind; 24] = [
+    EffectKind::RangeBias,
+    EffectKind::RangeScale,
+    EffectKind::IncidenceBias,
+    EffectKind::RangeNoise,
+    EffectKind::IncidenceNoise,
+    EffectKind::HeavyTail,
+    EffectKind::IncidenceDropout,
+    EffectKind::RangeDropout,
+    EffectKind::MixedPixels,
+    EffectKind::Glass,
+    EffectKind::MovedWall,
+    EffectKind::MissingObject,
+    EffectKind::MountYaw,
+    EffectKind::MountOffset,
+    EffectKind::TimeOffset,
+    EffectKind::MotionSkew,
+    EffectKind::WarmupDrift,
+    EffectKind::SectorOcclusion,
+    EffectKind::Crosstalk,
+    EffectKind::BlockDepth,
+    EffectKind::OdomDistanceScale,
+    EffectKind::OdomTurnScale,
+    EffectKind::OdomImbalance,
+    EffectKind::WheelSlip,
+];
+
+/// Pairs that have little to do with each other.
+const PAIRS: [(EffectKind, EffectKind); 8] = [
+    (EffectKind::RangeBias, EffectKind::IncidenceDropout),
+    (EffectKind::MountYaw, EffectKind::HeavyTail),
+    (EffectKind::TimeOffset, EffectKind::Glass),
+    (EffectKind::RangeNoise, EffectKind::OdomDistanceScale),
+    (EffectKind::SectorOcclusion, EffectKind::RangeScale),
+    (EffectKind::MovedWall, EffectKind::Crosstalk),
+    (EffectKind::RangeDropout, EffectKind::MountOffset),
+    (EffectKind::MissingObject, EffectKind::IncidenceNoise),
+];
+
+/// Strengths of effects outside the library that can be seen well, in their own units.
+const OUTSIDE: [(Outside, f64); 8] = [
+    (Outside::PeriodicBias, 0.004),
+    (Outside::BearingBias, 0.003),
+    (Outside::BackgroundLight, 0.02),
+    (Outside::SurfaceBias, 0.008),
+    (Outside::SharedScanJitter, 0.006),
+    (Outside::LogNormalNoise, 0.7),
+    (Outside::DoubleReturn, 0.02),
+    (Outside::FloorHit, 0.08),
+];
+
+/// A typical effect of a kind, somewhere in the world, and which of its numbers is its strength.
+fn typical(kind: EffectKind, map: &ExactRangeMap, poses: &[Pose2], draw: &Draw) -> (Effect, usize) {
+    let mut rng = draw.item(0);
+    let mut values: Vec<f64> = kind.parameters().iter().map(|parameter| parameter.start).collect();
+    let mut place = Vec::new();
+    let mut index = 0;
+    match kind {
+        EffectKind::IncidenceDropout => (values[0], values[1], values[2]) = (0.05, 0.9 + 0.3 * rng.random::<f64>(), 0.08),
+        EffectKind::RangeDropout => (values[0], values[1]) = (0.05, 4.0),
+        EffectKind::WarmupDrift => (values[0], values[1]) = (0.003, 15.0),
+        EffectKind::SectorOcclusion => {
+            let from = -3.0 + 5.0 * rng.random::<f64>();
+            values = vec![from, from + 0.35, 0.3 + 0.4 * rng.random::<f64>(), 0.05];
+            index = 3;
+        }
+        EffectKind::Crosstalk => (values[0], values[1]) = (0.05, 0.3),
+        EffectKind::WheelSlip => (values[0], values[1]) = (0.05, 0.5),
+        EffectKind::MountOffset => (values[0], values[1]) = (0.003, 0.0),
+        EffectKind::Glass | EffectKind::MovedWall => {
+            // A stretch that the robot passes by.
+            let pose = poses[(rng.random::<f64>() * poses.len() as f64) as usize % poses.len()];
+            let side = DVec2::from_angle(if rng.random::<bool>() { 0.5 } else { -0.5 } * std::f64::consts::PI);
+            if let Some(stretch) = wall_at(map, pose.position(), side, 2.0) {
+                place.push(stretch);
+            }
+            if kind == EffectKind::MovedWall {
+                values[0] = 0.005;
+            }
+        }
+        EffectKind::MissingObject => {
+            // Beside the path, in free space.
+            for _ in 0..200 {
+                let pose = poses[(rng.random::<f64>() * poses.len() as f64) as usize % poses.len()];
+                let at = pose.position()
+                    + (0.8 + 0.6 * rng.random::<f64>()) * DVec2::from_angle(TAU * rng.random::<f64>());
+                let clear = poses.iter().all(|p| p.position().distance(at) > 0.6);
+                if clear && map.geometry().is_free(at.x, at.y) {
+                    (values[0], values[1]) = (at.x, at.y);
+                    break;
+                }
+            }
+            values[2] = 0.05;
+            index = 2;
+        }
+        _ => {}
+    }
+    let two_sided = kind.parameters()[index].lo < kind.parameters()[index].neutral;
+    if two_sided && rng.random::<bool>() {
+        values[index] = 2.0 * kind.parameters()[index].neutral - values[index];
+    }
+    (Effect { kind, values, place }, index)
+}
+
+/// The stretch of a wall, at most so long \[m\], around where a ray meets it.
+fn wall_at(map: &ExactRangeMap, from: DVec2, direction: DVec2, length: f64) -> Option<[DVec2; 2]> {
+    let hit = map.cast_ray(from, direction, 50.0)?;
+    let at = from + hit.range * direction;
+    let near = |[a, b]: &[DVec2; 2]| {
+        let along = (*b - *a).normalize();
+        let t = (at - *a).dot(along).clamp(0.0, a.distance(*b));
+        (*a + t * along).distance(at) < 1e-3
+    };
+    let [a, b] = *map.geometry().segments().iter().find(|segment| near(segment))?;
+    let along = (b - a).normalize();
+    let middle = (at - a).dot(along);
+    let (lo, hi) = ((middle - 0.5 * length).max(0.0), (middle + 0.5 * length).min(a.distance(b)));
+    Some([a + lo * along, a + hi * along])
+}
+
+/// All logs of a size, the ones that answer most first.
+pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<Case> {
+    let (nulls, repeats, lambdas, other_lambdas): (u32, u32, &[f64], &[f64]) = match size {
+        Size::Small => (1, 1, &[100.0], &[]),
+        Size::Medium => (5, 1, &[25.0, 50.0, 100.0], &[50.0, 100.0]),
+        Size::Full => (200, 8, &[25.0, 50.0, 100.0], &[25.0, 50.0, 100.0]),
+    };
+    let mut cases = Vec::new();
+    let mut add = |group: Group, name: String, lambda: f64, regime: usize, hidden: &dyn Fn(&Draw) -> Hidden, without: Vec<EffectKind>| {
+        let number = cases.len() as u32;
+        let draw = Draw::new(seed, Stage::Trial, 100 + number);
+        let id = format!("{number:04}-{name}");
+        cases.push(Case { id, group, lambda, regime, hidden: hidden(&draw), without, seed: draw.seed(1) });
+    };
+    let regimes = if size == Size::Small { 2 } else { REGIMES.len() };
+    for round in 0..nulls {
+        for regime in 0..regimes {
+            let name = format!("null-{}-{round}", REGIMES[regime].0);
+            add(Group::Null, name, 0.0, regime, &|_| Hidden::Library(Vec::new()), Vec::new());
+        }
+    }
+    for repeat in 0..repeats {
+        for (i, kind) in REGULAR.into_iter().enumerate() {
+            for &lambda in lambdas {
+                // Regimes in turn, exact references more often.
+                let regime = if size == Size::Small { 0 } else { [0, 2, 0, 1][(i + repeat as usize) % 4] };
+                let name = format!("{kind}-{lambda}");
+                let hidden = |draw: &Draw| Hidden::Library(vec![typical(kind, map, poses, draw)]);
+                add(Group::Same, name, lambda, regime, &hidden, Vec::new());
+            }
+        }
+        let forms: &[OtherForm] = if size == Size::Small {
+            &[OtherForm::IncidenceBias, OtherForm::HeavyTail]
+        } else {
+            &OtherForm::ALL
+        };
+        for (i, &form) in forms.iter().enumerate() {
+            for &lambda in if size == Size::Small { lambdas } else { other_lambdas } {
+                let regime = if size == Size::Small { 0 } else { [0, 2, 0, 1][(i + repeat as usize) % 4] };
+                let name = format!("other-{}-{lambda}", form.kind());
+                let hidden = |draw: &Draw| {
+                    let (effect, index) = typical(form.kind(), map, poses, draw);
+                    Hidden::Other(form, effect, index)
+                };
+                add(Group::Other, name, lambda, regime, &hidden, Vec::new());
+            }
+        }
+        let outside = if size == Size::Small { &OUTSIDE[6..7] } else { &OUTSIDE[..] };
+        for &(kind, strength) in outside {
+            let name = format!("outside-{}", kind.name());
+            add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());
+        }
+        if size == Size::Small {
+            continue;
+        }
+        for (a, b) in PAIRS {
+            let hidden = |draw: &Draw| {
+                Hidden::Library(vec![typical(a, map, poses, draw), typical(b, map, poses, &draw.at(50_000))])
+            };
+            add(Group::Pair, format!("pair-{a}-{b}"), 100.0, 0, &hidden, Vec::new());
+        }
+        for kind in [
+            EffectKind::IncidenceDropout,
+            EffectKind::Glass,
+            EffectKind::SectorOcclusion,
+            EffectKind::HeavyTail,
+            EffectKind::MissingObject,
+            EffectKind::OdomDistanceScale,
+        ] {
+            let hidden = |draw: &Draw| Hidden::Library(vec![typical(kind, map, poses, draw)]);
+            add(Group::Removed, format!("removed-{kind}"), 100.0, 0, &hidden, vec![kind]);
+        }
+    }
+    cases
+}

@@ -1,0 +1,138 @@
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use super::library;
+use super::plan::Group;
+use super::score::{Score, Share};
+
+fn share(share: &Share) -> String {
+    match (share.value, share.interval) {
+        (Some(value), Some(interval)) => {
+            format!("{value:.2} [{:.2}, {:.2}] ({} of {})", interval.lo, interval.hi, share.count, share.of)
+        }
+        _ => "-".to_owned(),
+    }
+}
+
+fn number(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"))
+}
+
+/// The suite's table, as Markdown: each figure beside what is excellent and what is good.
+pub fn table(score: &Score) -> String {
+    let mut rows: Vec<[String; 4]> = Vec::new();
+    let mut row = |metric: String, value: String, excellent: &str, good: &str| {
+        rows.push([metric, value, excellent.to_owned(), good.to_owned()]);
+    };
+    for (regime, alarms) in &score.false_alarm {
+        row(format!("false alarms at 1 %, {}", regime.replace('_', " blocks, poses ")), share(alarms), "<= 0.02", "<= 0.04");
+    }
+    for (lambda, forms) in &score.top1 {
+        let (excellent, good) = match lambda.as_str() {
+            "25" => ([".93", ".85"], [".85", ".70"]),
+            "50" => ([".97", ".95"], [".90", ".85"]),
+            _ => (["-", "-"], ["-", "-"]),
+        };
+        row(format!("first name right, lambda = {lambda}, same form"), share(&forms.same), excellent[0], good[0]);
+        row(format!("first name right, lambda = {lambda}, other form"), share(&forms.other), excellent[1], good[1]);
+    }
+    for (lambda, (found, oracle)) in &score.found {
+        row(
+            format!("anything found, lambda = {lambda}, same form (oracle {oracle:.3})"),
+            share(found),
+            "-",
+            "-",
+        );
+    }
+    row("truth within the reported set, where something is named".to_owned(), share(&score.in_set), ">= .98", ">= .93");
+    row("mean size of the set".to_owned(), number(score.set_size), "<= 1.3", "<= 2");
+    row("95 % intervals cover the truth".to_owned(), share(&score.coverage), ".93 to .97", ".90 to .98");
+    row("standard deviation over Cramer-Rao".to_owned(), number(score.sd_over_bound), "<= 1.15", "<= 1.5");
+    row("gap closed, mean lower bound, lambda = 100, same form".to_owned(), number(score.closed_lo.same), ">= .90", ">= .80");
+    row("gap closed, mean lower bound, lambda = 100, other form".to_owned(), number(score.closed_lo.other), ">= .75", ">= .50");
+    row("two effects both named".to_owned(), share(&score.two_named), ">= .85", ">= .70");
+    row("outside the library: flagged".to_owned(), share(&score.outside.flagged), ">= .90", ">= .75");
+    row("outside the library: wrongly named".to_owned(), share(&score.outside.named), "<= .05", "<= .15");
+    row("filter error caused by the effect, recovered".to_owned(), number(score.filter_recovered), ">= .80", ">= .50");
+    row("time per log [s]".to_owned(), format!("{:.0}", score.seconds_per_log), "<= 60", "<= 600");
+    let mut text = "| metric | measured | excellent | good |\n| --- | --- | --- | --- |\n".to_owned();
+    for [metric, value, excellent, good] in rows {
+        let _ = writeln!(text, "| {metric} | {value} | {excellent} | {good} |");
+    }
+    text
+}
+
+/// The whole report: table, confusion matrix, every log.
+pub fn report(score: &Score) -> String {
+    let mut text = format!(
+        "# Hidden-effect suite\n\n{} logs, {} simulated logs behind each p-value, seed {}. Shares with 95 % intervals \
+         (Clopper and Pearson).\n\n{}\n",
+        score.runs,
+        score.replicates,
+        score.seed,
+        table(score),
+    );
+    text += "## Confusion\n\nRows: what was hidden (one effect; same form and others together). Columns: the first name given. Numbers \
+             of logs.\n\n";
+    let mut matrix: BTreeMap<&str, BTreeMap<&str, u32>> = BTreeMap::new();
+    for (truth, found) in &score.all {
+        if matches!(truth.group, Group::Same | Group::Other) {
+            let given = match (found.effects.first(), found.verdict.as_str()) {
+                (Some(name), _) => name.as_str(),
+                (None, "unexplained") => "unexplained",
+                _ => "nothing",
+            };
+            *matrix.entry(&truth.effects[0]).or_default().entry(given).or_default() += 1;
+        }
+    }
+    let order = library();
+    text += "| hidden | right | others |\n| --- | --- | --- |\n";
+    for name in order {
+        let Some(row) = matrix.get(name) else { continue };
+        let total: u32 = row.values().sum();
+        let right = row.get(name).copied().unwrap_or(0);
+        let others: Vec<String> =
+            row.iter().filter(|(given, _)| **given != name).map(|(given, n)| format!("{given} {n}")).collect();
+        let _ = writeln!(text, "| {name} | {right} of {total} | {} |", others.join(", "));
+    }
+    let worst = matrix
+        .iter()
+        .map(|(name, row)| {
+            let total: u32 = row.values().sum();
+            (*name, f64::from(row.get(name).copied().unwrap_or(0)) / f64::from(total))
+        })
+        .min_by(|a, b| a.1.total_cmp(&b.1));
+    if let Some((name, share)) = worst {
+        let _ = writeln!(text, "\nThe worst effect is `{name}`: named first in {:.0} % of its logs.", 100.0 * share);
+    }
+    text += "\n## Every log\n\n| group | regime | lambda | hidden | verdict | named | p | p after | closed | s |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n";
+    for (truth, found) in &score.all {
+        let hidden: Vec<String> = truth
+            .effects
+            .iter()
+            .enumerate()
+            .map(|(i, name)| match (truth.strength.get(i), truth.values.get(i)) {
+                (Some(strength), Some(values)) => format!("{name} {strength} {:.4}", values[strength]),
+                _ => name.clone(),
+            })
+            .collect();
+        let named: Vec<String> = found.candidates.iter().map(|set| set.join("/")).collect();
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | {} | {} | {} | {:.3} | {:.3} | {:.2} [{:.2}, {:.2}] | {:.0} |",
+            serde_json::to_value(truth.group).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default(),
+            truth.regime,
+            truth.lambda,
+            hidden.join(", "),
+            found.verdict,
+            named.join(", "),
+            found.p,
+            found.p_after,
+            found.closed[0],
+            found.closed[1],
+            found.closed[2],
+            found.seconds,
+        );
+    }
+    text
+}
