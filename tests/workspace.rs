@@ -8,16 +8,25 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Each crate of the workspace and the crates of the workspace that it may use.
-const LAYERS: [(&str, &[&str]); 8] = [
+const LAYERS: [(&str, &[&str]); 9] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
     ("locsim-sensor", &["distreg", "locsim-core"]),
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
+    ("locsim-gap", &["locsim-core", "locsim-mcl", "locsim-sensor", "locsim-world"]),
     (
         "locsim-lab",
-        &["distreg", "locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"],
+        &[
+            "distreg",
+            "locsim-core",
+            "locsim-dataset",
+            "locsim-gap",
+            "locsim-mcl",
+            "locsim-sensor",
+            "locsim-world",
+        ],
     ),
     (
         "locsim",
@@ -25,6 +34,7 @@ const LAYERS: [(&str, &[&str]); 8] = [
             "distreg",
             "locsim-core",
             "locsim-dataset",
+            "locsim-gap",
             "locsim-lab",
             "locsim-mcl",
             "locsim-sensor",
@@ -35,7 +45,7 @@ const LAYERS: [(&str, &[&str]); 8] = [
 
 /// Dependencies that one crate keeps to itself, and the place in its sources (a file or a folder) that names them.
 const KEPT: [(&str, &str, &str); 3] = [
-    ("rerun", "locsim", "crates/cli/src/recording.rs"),
+    ("rerun", "locsim", "crates/cli/src/recording"),
     ("serde_yaml", "locsim-lab", "crates/lab/src/yaml.rs"),
     ("parry2d-f64", "locsim-world", "crates/world/src/raycast"),
 ];

@@ -234,6 +234,9 @@ pub struct Gap {
     pub no_filter: bool,
     #[command(flatten)]
     pub log_options: LogOptions,
+    /// Where range tables are kept between runs [default: `locsim` in the user's cache folder]
+    #[arg(long, env = "LOCSIM_CACHE", value_name = "FOLDER", hide_env_values = true)]
+    pub cache: Option<PathBuf>,
     /// Print nothing but errors (and, with --json, the outcome)
     #[arg(long)]
     pub quiet: bool,

@@ -381,6 +381,7 @@ fn gap(arguments: &Gap) -> Result<ExitCode> {
     let start = Instant::now();
     let clock = || start.elapsed();
     let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
+    let cache = arguments.cache.clone().or_else(users_cache);
     let options = GapStudyOptions {
         out: out.clone(),
         command: gap_command_line(arguments, &study),
@@ -388,6 +389,10 @@ fn gap(arguments: &Gap) -> Result<ExitCode> {
         clock: &clock,
         progress: &bars,
         interrupted: &interrupted,
+        cache: cache.as_deref(),
+        recorder: Some(&|study, outcome, folder| {
+            Ok(recording::record_gap(study, outcome, &folder.join("gap.rrd"))?)
+        }),
     };
     let outcome = gap::run(&study, &options)?;
     if arguments.json {

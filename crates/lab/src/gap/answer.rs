@@ -3,6 +3,7 @@
 use locsim_gap::{Covariate, Deviation, Estimate, Named, Outcome, Region, Verdict};
 use locsim_world::effect::{EffectKind, Parameter};
 
+use crate::report::text::fixed;
 use crate::scenario::effect::{in_file, key, unit};
 
 /// The short answer: the verdict, what is named and how sure that is, how much of the gap it closes, what it does to a
@@ -75,7 +76,7 @@ pub(super) fn label(parameter: &Parameter) -> String {
 
 /// What else an effect may be, and what would tell.
 fn doubt(named: &Named) -> Option<String> {
-    let others: Vec<&str> = others(named).map(EffectKind::name).collect();
+    let others: Vec<_> = others(named).map(EffectKind::name).collect();
     if others.is_empty() {
         return None;
     }
@@ -91,16 +92,23 @@ pub(super) fn others(named: &Named) -> impl Iterator<Item = EffectKind> + '_ {
 /// How far the gap closes. Its two ends are what all effects gain on held-out scans, and what is left to gain.
 fn gap(outcome: &Outcome) -> String {
     let gap = &outcome.gap;
-    let [closed, lo, hi] = [gap.closed.value, gap.closed.lo, gap.closed.hi].map(|share| 100.0 * share);
     format!(
-        "Held-out gap {:.2} -> {:.2} nats per scan: {closed:.0} % closed [{lo:.0}, {hi:.0}]. Range errors {:.1} -> {:.1} mm \
+        "Held-out gap {:.2} -> {:.2} nats per scan: {}. Range errors {:.1} -> {:.1} mm \
          from the simulation's, floor {:.1} mm.",
         gap.gained_nats_per_scan + gap.remaining_nats_per_scan,
         gap.remaining_nats_per_scan,
+        closed(outcome),
         gap.before.w1_mm,
         gap.after.w1_mm,
         gap.floor.w1_mm
     )
+}
+
+/// "94 % closed [91, 97]".
+pub(super) fn closed(outcome: &Outcome) -> String {
+    let closed = outcome.gap.closed;
+    let [value, lo, hi] = [closed.value, closed.lo, closed.hi].map(|share| fixed(100.0 * share, 0));
+    format!("{value} % closed [{lo}, {hi}]")
 }
 
 fn filter(outcome: &Outcome) -> Option<String> {
@@ -167,11 +175,11 @@ pub(super) fn span(covariate: Covariate, lo: f64, hi: f64) -> String {
     };
     let in_unit = |value: f64| if degrees { value.to_degrees() } else { value };
     let [lo, hi] = [lo, hi].map(in_unit);
-    let shown = |value: f64| {
-        let decimals = if value.abs() >= 30.0 { 0 } else if (hi - lo).abs() > 0.3 { 1 } else { 2 };
-        format!("{:.decimals$}", value + 0.0)
-    };
+    let largest = [lo, hi].into_iter().filter(|end| end.is_finite()).fold(0.0_f64, |most, end| most.max(end.abs()));
+    let decimals = if largest >= 30.0 { 0 } else if (hi - lo).abs() > 0.3 { 1 } else { 2 };
+    let shown = |value: f64| fixed(value, decimals);
     match (lo.is_finite(), hi.is_finite()) {
+        (true, true) if shown(lo) == shown(hi) => format!("{name} about {} {unit}", shown(lo)),
         (true, true) => format!("{name} {} to {} {unit}", shown(lo), shown(hi)),
         (true, false) => format!("{name} above {} {unit}", shown(lo)),
         (false, true) => format!("{name} below {} {unit}", shown(hi)),
@@ -183,12 +191,8 @@ pub(super) fn span(covariate: Covariate, lo: f64, hi: f64) -> String {
 pub(super) fn with_interval(estimate: &Estimate, scale: f64) -> String {
     let [value, lo, hi] = [estimate.value, estimate.lo, estimate.hi].map(|value| value * scale);
     let decimals = decimals(lo, hi);
-    // 0 without a sign.
-    let shown = |value: f64| {
-        let text = format!("{value:.decimals$}");
-        if text.trim_matches(['-', '0', '.']).is_empty() { text.trim_start_matches('-').to_owned() } else { text }
-    };
-    format!("{} [{}, {}]", shown(value), shown(lo), shown(hi))
+    let [value, lo, hi] = [value, lo, hi].map(|value| fixed(value, decimals));
+    format!("{value} [{lo}, {hi}]")
 }
 
 /// Decimals with which an interval has one or two digits.
@@ -199,7 +203,11 @@ pub(super) fn decimals(lo: f64, hi: f64) -> usize {
 
 /// A chance with two digits.
 pub(super) fn p_value(p: f64) -> String {
-    if p < 0.001 { format!("{p:.1e}") } else if p < 0.0995 { format!("{p:.3}") } else { format!("{p:.2}") }
+    if p < 1e-6 {
+        "below 1e-6".to_owned()
+    } else if p < 0.001 {
+        format!("{p:.1e}")
+    } else if p < 0.0995 { format!("{p:.3}") } else { format!("{p:.2}") }
 }
 
 #[cfg(test)]
@@ -219,5 +227,6 @@ mod tests {
     fn spans_are_told_in_degrees() {
         assert_eq!(span(Covariate::Incidence, 1.0, f64::INFINITY), "incidence above 57 deg");
         assert_eq!(span(Covariate::Range, 3.0, 4.5), "range 3.0 to 4.5 m");
+        assert_eq!(span(Covariate::Speed, 0.7, 0.7001), "speed about 0.70 m/s");
     }
 }

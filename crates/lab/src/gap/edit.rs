@@ -11,7 +11,7 @@ use similar::TextDiff;
 
 use super::{GapStudy, GapStudyError};
 use crate::run::RunError;
-use crate::scenario::effect::{effect_yaml_with, in_file, key, unit};
+use crate::scenario::effect::{effect_yaml_with, in_file, key};
 use crate::scenario::{Overrides, Scenario, Source};
 
 /// An entry of the list `effects`: comment lines and lines of YAML, neither with indentation.
@@ -52,18 +52,17 @@ pub(super) fn can_grow(file: &Path, text: &str) -> bool {
 fn entry(study: &GapStudy, named: &Named) -> Entry {
     let kind = named.name;
     let evidence = &named.evidence;
+    let log = study.log.file_name().unwrap_or_default().to_string_lossy();
     let mut comments = vec![
-        format!("Found by `locsim gap` in {}: {}", study.log.display(), kind.sentence()),
+        format!("Found in {log} by `locsim gap`: {}", kind.sentence()),
+        format!("{}.", numbers(named)),
         format!(
-            "{}; {:.1} nats [{:.1}, {:.1}] gained on held-out scans, p = {}.",
-            numbers(named),
-            evidence.gain_nats.value,
-            evidence.gain_nats.lo,
-            evidence.gain_nats.hi,
+            "It gains {} nats on held-out scans; chance of a false alarm {}.",
+            super::answer::with_interval(&evidence.gain_nats, 1.0),
             super::answer::p_value(evidence.p),
         ),
     ];
-    let others: Vec<&str> = named.candidates.iter().filter(|&&other| other != kind).map(|other| other.name()).collect();
+    let others: Vec<&str> = super::answer::others(named).map(EffectKind::name).collect();
     if !others.is_empty() {
         comments.push(format!("The log doesn't tell it from {}.", others.join(", ")));
     }
@@ -78,8 +77,7 @@ fn numbers(named: &Named) -> String {
         let Some(number) = named.params.get(parameter.name) else { return String::new() };
         let [value, lo, hi] = [number.value, number.lo, number.hi].map(|value| in_file(parameter, value));
         let decimals = super::answer::decimals(lo, hi);
-        let unit = unit(parameter).map(|unit| format!(" {unit}")).unwrap_or_default();
-        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]{unit}", key(parameter))
+        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", key(parameter))
     };
     named.name.parameters().iter().map(number).collect::<Vec<_>>().join(", ")
 }

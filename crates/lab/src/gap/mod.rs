@@ -3,21 +3,25 @@
 
 mod answer;
 mod edit;
+mod figures;
+mod filter;
+mod page;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use locsim_core::{Drive, Laser, Pose2, wrap_angle};
+use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, wrap_angle};
 use locsim_dataset::{DatasetError, LogOptions, read_log};
-use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded};
-use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_gap::{GapError, GapOptions, Nominal, Recorded};
+use locsim_world::effect::{EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::Simulator;
 use thiserror::Error;
 
 pub use answer::answer;
+pub use locsim_gap::{BeamPit, Outcome};
 
 use crate::report::{ReportError, save};
 use crate::run::{Progress, RunError, Store};
@@ -112,7 +116,15 @@ pub struct GapStudyOptions<'a> {
     pub progress: &'a dyn Progress,
     /// Set from outside to stop.
     pub interrupted: &'a AtomicBool,
+    /// Where range tables are kept between runs, if anywhere.
+    pub cache: Option<&'a Path>,
+    /// Who records the drive, if anyone.
+    pub recorder: Option<&'a GapRecorder<'a>>,
 }
+
+/// Writes a recording into a results folder.
+pub type GapRecorder<'a> =
+    dyn Fn(&GapStudy, &Outcome, &Path) -> Result<(), Box<dyn std::error::Error + Send + Sync>> + Sync + 'a;
 
 impl GapStudy {
     /// Reads and checks the scenario and the log.
@@ -137,10 +149,10 @@ impl GapStudy {
         }
         let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
         let (drive, summary) = read_log(log, &settings.log)?;
-        let mut notes = vec![summary.to_string()];
+        let mut notes = vec![summary.to_string().replace('\n', "; ")];
         let drive = with_mount(drive, simulation.laser.mount, &mut notes);
         let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
-        let simulator = Simulator::new(Arc::clone(&map), None, simulation.laser, effects).map_err(GapError::from)?;
+        let simulator = Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects).map_err(GapError::from)?;
         let refuse = |what: String| GapStudyError::Log { log: log.to_owned(), what };
         same_beams(&drive.laser, simulator.laser().laser()).map_err(refuse)?;
         let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
@@ -167,9 +179,46 @@ impl GapStudy {
         }
     }
 
+    /// The scenario's name.
+    pub fn name(&self) -> &str {
+        &self.scenario.name
+    }
+
+    /// The part of the log that is looked at.
+    pub fn recorded(&self) -> &Recorded {
+        &self.recorded
+    }
+
+    /// Where each beam would end in the world as it is mapped \[m\], \[scan\]\[beam\]; `None` where that is too far.
+    pub fn expected_ends(&self) -> Vec<Option<[f64; 2]>> {
+        let Recorded { laser, poses, .. } = &self.recorded;
+        let poses: Particles = poses.iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
+        let mut hits = Hits::default();
+        self.map.cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
+        let beams = laser.beam_count();
+        let end = |(i, &range): (usize, &f32)| {
+            let pose = poses.get(i / beams);
+            let direction = pose.theta + f64::from(laser.bearings()[i % beams]);
+            let range = (range < laser.max_range()).then_some(f64::from(range))?;
+            Some([pose.x + range * direction.cos(), pose.y + range * direction.sin()])
+        };
+        hits.range.iter().enumerate().map(end).collect()
+    }
+
+    /// Wall segments of the map \[m\].
+    pub fn walls(&self) -> Vec<[[f64; 2]; 2]> {
+        self.map.geometry().segments().iter().map(|wall| wall.map(|end| end.to_array())).collect()
+    }
+
     /// The seed that everything random derives from.
     pub fn seed(&self) -> u64 {
         self.scenario.seed
+    }
+
+    /// Scans that can be compared: those with a reference pose in the map's free space.
+    fn usable_steps(&self) -> impl Iterator<Item = &DriveStep> {
+        let free = |pose: Pose2| self.map.geometry().is_free(pose.x, pose.y);
+        self.drive.steps.iter().filter(move |step| step.reference.is_some_and(free))
     }
 
     /// The scenario as it simulates now.
@@ -193,8 +242,10 @@ pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, G
         Ok(outcome)
     });
     let outcome = written.inspect_err(|_| store.discard_if_empty())?;
+    let recorded = options.recorder.map_or(Ok(()), |recorder| recorder(study, &outcome, store.folder()));
     store.finish()?;
     options.progress.finish();
+    recorded.map_err(|source| RunError::Recording { out: options.out.clone(), source })?;
     Ok(outcome)
 }
 
@@ -203,17 +254,35 @@ fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapS
     options.progress.stage("integrating over blocks", 1);
     let nominal = study.nominal()?;
     options.progress.advance(1);
+    let replicates = study.settings.replicates;
+    let usual = GapOptions::default();
     let search = GapOptions {
-        replicates: study.settings.replicates,
+        replicates,
+        false_alarm: false_alarm(replicates),
         without: study.settings.without.clone(),
         seed: study.scenario.seed,
-        ..GapOptions::default()
+        ..usual
     };
     let told = Told(options.progress);
     let mut outcome = locsim_gap::find(&nominal, &study.recorded, &search, &told, options.interrupted)?;
+    if options.filter {
+        outcome.filter = filter::filter_gap(study, &outcome, options)?;
+    }
+    if search.false_alarm > GapOptions::default().false_alarm {
+        outcome.notes.push(format!(
+            "{replicates} simulated logs tell no chance below {:.0} %: the chance of a false alarm is that, instead of 1 %. \
+             999 replicates are the default.",
+            100.0 * search.false_alarm
+        ));
+    }
     outcome.notes.splice(0..0, study.notes.iter().cloned());
     outcome.seconds = (options.clock)().saturating_sub(began).as_secs_f64();
     Ok(outcome)
+}
+
+/// The chance of a false alarm: the usual one, or the least p-value that so many simulations can give.
+fn false_alarm(replicates: u32) -> f64 {
+    GapOptions::default().false_alarm.max(1.0 / (f64::from(replicates) + 1.0))
 }
 
 /// Writes everything into `folder`.
@@ -230,7 +299,7 @@ fn write(
     let old = study.scenario.file.display().to_string();
     let diff = edit::diff(&study.text, &scenario, &old, &options.out.join("scenario.yaml").display().to_string());
     save(&folder.join("scenario.diff"), diff.as_bytes())?;
-    Ok(())
+    Ok(page::write(folder, study, outcome, &diff, &options.command)?)
 }
 
 /// The drive with the laser where the scenario has it: a log may not know, and the scenario is what is in question.
@@ -292,9 +361,4 @@ impl locsim_gap::Progress for Told<'_> {
     fn advance(&self, ticks: u64) {
         self.0.advance(ticks);
     }
-}
-
-/// The effects of an outcome in the order in which they were named.
-fn effects_of(outcome: &Outcome) -> Vec<Effect> {
-    outcome.effects.iter().map(|named| named.effect.clone()).collect()
 }

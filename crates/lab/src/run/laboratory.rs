@@ -51,7 +51,8 @@ pub struct Place {
 }
 
 impl Place {
-    fn new(
+    /// Prepares a map; a range table can take seconds, unless `cache` has it.
+    pub fn new(
         geometry: Geometry,
         ray_cast: RayCast,
         cache: Option<&Path>,

@@ -28,6 +28,7 @@ use crate::summary::Summary;
 use detail::Detail;
 use laboratory::{Laboratory, TrialDrive};
 pub(crate) use store::Store;
+pub(crate) use trial::options as filter_options;
 
 /// Told how far a run is; `()` listens to nothing.
 pub trait Progress: Sync {

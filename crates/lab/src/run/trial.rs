@@ -150,7 +150,8 @@ fn start(settings: &scenario::Filter, truth: Pose2) -> Start {
     }
 }
 
-fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions, RunError> {
+/// The filter that a scenario describes.
+pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions, RunError> {
     let motion: Arc<dyn MotionModel> = match settings.motion {
         Motion::Odometry(alpha) => Arc::new(OdometryMotion::new(alpha)?),
         Motion::Velocity(alpha) => Arc::new(VelocityMotion::new(alpha)?),

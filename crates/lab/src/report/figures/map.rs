@@ -12,9 +12,9 @@ use crate::results::{DetailedModel, DetailedStep, DetailedTrial};
 use crate::statistics::quantile;
 
 /// Room for the labels of the y axis (px).
-const LEFT: f64 = 74.0;
+pub const LEFT: f64 = 74.0;
 /// What [`chart`] leaves at the right, at the top and below a labelled x axis (px).
-const MARGINS: (f64, f64, f64) = (18.0, 8.0, 46.0);
+pub const MARGINS: (f64, f64, f64) = (18.0, 8.0, 46.0);
 /// Colour of dead reckoning.
 const DEAD_RECKONING: RGBColor = RGBColor(0x99, 0x99, 0x99);
 /// Colour of the true path: drawn broad, under the others.
@@ -23,19 +23,21 @@ const TRUTH: RGBColor = RGBColor(0xf2, 0xd6, 0x30);
 const PARTICLES: usize = 500;
 
 /// A map in a panel, everything clipped to its window.
-struct MapPanel<'a, 'b> {
+pub struct MapPanel<'a, 'b> {
     chart: Chart<'a, 'b>,
     window: Window,
 }
 
 impl<'a, 'b> MapPanel<'a, 'b> {
-    fn new(area: &'a Area<'b>, window: Window, ticks: [f64; 2]) -> Result<Self, DrawError> {
+    /// The window, with about so many ticks on x and y.
+    pub fn new(area: &'a Area<'b>, window: Window, ticks: [f64; 2]) -> Result<Self, DrawError> {
         let x = Axis::linear("x [m]", window.lo[0], window.hi[0], ticks[0]);
         let y = Axis::linear("y [m]", window.lo[1], window.hi[1], ticks[1]);
         Ok(Self { chart: chart(area, &x, &y, LEFT)?, window })
     }
 
-    fn line(&mut self, points: &[Point], style: ShapeStyle) -> Drawn {
+    /// The part of a polyline that shows.
+    pub fn line(&mut self, points: &[Point], style: ShapeStyle) -> Drawn {
         for part in self.window.clip_line(points) {
             let points = part.into_iter().map(|[x, y]| (x, y)).collect::<Vec<_>>();
             self.chart.draw_series([PathElement::new(points, style)])?;
@@ -52,14 +54,16 @@ impl<'a, 'b> MapPanel<'a, 'b> {
         Ok(())
     }
 
-    fn dot(&mut self, point: Point, radius_px: f64, style: ShapeStyle) -> Drawn {
+    /// A circle, if its middle shows.
+    pub fn dot(&mut self, point: Point, radius_px: f64, style: ShapeStyle) -> Drawn {
         if self.window.contains(point) {
             self.chart.draw_series([Circle::new((point[0], point[1]), px(radius_px), style)])?;
         }
         Ok(())
     }
 
-    fn map(&mut self, walls: &[Vec<Point>], blocks: &[[Point; 4]]) -> Drawn {
+    /// Walls, and blocks under them.
+    pub fn map(&mut self, walls: &[Vec<Point>], blocks: &[[Point; 4]]) -> Drawn {
         for block in blocks {
             self.area(block, UNKNOWN)?;
         }
@@ -82,7 +86,7 @@ fn points(poses: impl IntoIterator<Item = Pose2>) -> Vec<Point> {
 }
 
 /// Width over height of the plot in an area of this size (px).
-fn aspect(width: f64, height: f64) -> f64 {
+pub fn aspect(width: f64, height: f64) -> f64 {
     let (right, top, below) = MARGINS;
     (width - LEFT - right) / (height - top - below)
 }

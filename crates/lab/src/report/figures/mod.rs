@@ -3,8 +3,8 @@
 pub(crate) mod canvas;
 mod density;
 mod errors;
-mod geometry;
-mod map;
+pub(crate) mod geometry;
+pub(crate) mod map;
 
 use std::sync::Arc;
 

@@ -1,7 +1,10 @@
-//! Turns one trial in full into a rerun recording with a prepared layout. The only module that names rerun.
+//! Turns one trial in full, or a search for what a simulation lacks, into a rerun recording with a prepared layout. The
+//! only module that names rerun.
 //!
 //! Rerun's 2D view has y down; the entity `world` carries a transform that flips it, so every logged
 //! coordinate stays in the map frame (x forward, y left) and y points up on the screen.
+
+mod gap;
 
 use std::path::Path;
 
@@ -14,6 +17,8 @@ use rerun::blueprint::{
     components::{PanelState, PlayState},
 };
 use rerun::{RecordingStream, RecordingStreamBuilder, RecordingStreamResult};
+
+pub use gap::record as record_gap;
 
 /// Where a recording goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,15 +68,23 @@ pub fn record(trial: &DetailedTrial, scenario: &str, sink: Sink<'_>) -> anyhow::
     Ok(stream.flush_blocking()?)
 }
 
+/// Whether a map is so much wider than high that maps belong above each other.
+fn is_wide(walls: &[[[f64; 2]; 2]]) -> bool {
+    let spread = |axis: usize| {
+        let values = walls.iter().flatten().map(|p| p[axis]);
+        values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)
+    };
+    spread(0) > 2.5 * spread(1)
+}
+
+/// Turns y up on the screen.
+fn upright() -> rerun::Transform3D {
+    rerun::Transform3D::from_scale([1.0, -1.0, 1.0])
+}
+
 /// Maps to the left, one per model; time series and the beam's density to the right.
 fn layout(trial: &DetailedTrial) -> Blueprint {
-    let wide = {
-        let spread = |axis: usize| {
-            let values = trial.walls.iter().flatten().map(|p| p[axis]);
-            values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)
-        };
-        spread(0) > 2.5 * spread(1)
-    };
+    let wide = is_wide(&trial.walls);
     let maps = trial.models.iter().map(|model| {
         let shared = ["map", "blocks", "truth", "odometry"].map(|part| format!("/world/{part}/**"));
         Spatial2DView::new(&model.name)
@@ -110,7 +123,7 @@ fn layout(trial: &DetailedTrial) -> Blueprint {
 }
 
 fn log_static(stream: &RecordingStream, trial: &DetailedTrial) -> RecordingStreamResult<()> {
-    stream.log_static("world", &rerun::Transform3D::from_scale([1.0, -1.0, 1.0]))?;
+    stream.log_static("world", &upright())?;
     let walls = trial.walls.iter().map(|wall| wall.map(point));
     stream.log_static(
         "world/map",

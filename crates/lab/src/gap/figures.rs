@@ -1,0 +1,206 @@
+//! The figures of a search's report.
+
+use std::collections::BTreeMap;
+
+use locsim_gap::{BeamPit, Outcome, PitHistogram};
+use plotters::prelude::{Circle, Color, PathElement, RGBColor, Rectangle, Text};
+
+use super::{GapStudy, answer};
+use crate::palette;
+use crate::report::ReportError;
+use crate::report::figures::Figure;
+use crate::report::figures::canvas::{
+    Axis, DrawError, HEADING, INK, LABEL, Mark, WIDTH, chart, figure, line, px, text, text_width,
+};
+use crate::report::figures::geometry::{Point, Window, join};
+use crate::report::figures::map::{LEFT, MARGINS, MapPanel, aspect};
+
+/// Side of a cell of wall \[m\].
+const CELL_M: f64 = 0.25;
+/// Fewer readings in a cell say nothing.
+const LEAST_READINGS: u32 = 20;
+/// A mean PIT this far from the middle has the full colour.
+const FULL: f64 = 0.12;
+/// Readings that are shorter than expected, as expected, and longer: legible for the colour-blind.
+const SHORT: RGBColor = RGBColor(0xc2, 0x3b, 0x22);
+const EXPECTED: RGBColor = RGBColor(0xe6, 0xe6, 0xe6);
+const LONG: RGBColor = RGBColor(0x1f, 0x5f, 0xb4);
+
+/// Colour of the nominal simulator, and of the one with the effects.
+fn sides() -> [RGBColor; 2] {
+    [0, 1].map(|side| {
+        let [red, green, blue] = palette::rgb(side);
+        RGBColor(red, green, blue)
+    })
+}
+
+/// Every figure that the outcome has something for.
+pub(super) fn all(study: &GapStudy, outcome: &Outcome) -> Result<Vec<Figure>, ReportError> {
+    let figure = |name, caption: &str, svg: Result<String, DrawError>| -> Result<Figure, ReportError> {
+        let svg = svg.map_err(|error| ReportError::Figure { name, reason: error.to_string() })?;
+        Ok(Figure { name, caption: caption.to_owned(), svg })
+    };
+    let mut figures = vec![
+        figure(
+            "map",
+            "Where readings are off. Each mark is a piece of wall, coloured by the mean PIT of the readings of beams that \
+             should end there: red where they are shorter than the simulation expects, blue where they are longer or \
+             missing, grey where they are as expected. Line: the reference path.",
+            map(study, outcome),
+        )?,
+        figure(
+            "pit",
+            "PIT histograms over fifths of each covariate: the share of readings in each tenth of what the simulation \
+             expects. A simulation that is right has a tenth in each (grey line); a slope tells of readings that are too \
+             long or too short, a bowl of readings that spread too much, a tower at the right of missing returns.",
+            histograms(outcome),
+        )?,
+    ];
+    if !outcome.rivals.is_empty() {
+        figures.push(figure(
+            "rivals",
+            "Log score that each effect gains on scans that its numbers were not fitted to, with 95 % intervals over \
+             blocks of scans. The first of each round is the best.",
+            rivals(outcome),
+        )?);
+    }
+    Ok(figures)
+}
+
+/// Mean PIT of readings by the piece of wall that their beams should end on: place, nominal, with the effects.
+fn by_wall(study: &GapStudy, outcome: &Outcome) -> Vec<(Point, [f64; 2])> {
+    let mut cells: BTreeMap<[i64; 2], (u32, [f64; 4])> = BTreeMap::new();
+    for (pit, end) in outcome.beam_pits.iter().zip(study.expected_ends()) {
+        let BeamPit { before, after, .. } = *pit;
+        let Some([x, y]) = end.filter(|_| before.is_finite() && after.is_finite()) else { continue };
+        let cell = cells.entry([x, y].map(|v| (v / CELL_M).floor() as i64)).or_default();
+        cell.0 += 1;
+        for (sum, value) in cell.1.iter_mut().zip([x, y, f64::from(before), f64::from(after)]) {
+            *sum += value;
+        }
+    }
+    let kept = cells.into_values().filter(|(count, _)| *count >= LEAST_READINGS);
+    kept.map(|(count, sums)| {
+        let [x, y, before, after] = sums.map(|sum| sum / f64::from(count));
+        ([x, y], [before, after])
+    })
+    .collect()
+}
+
+fn map(study: &GapStudy, outcome: &Outcome) -> Result<String, DrawError> {
+    let walls = study.walls();
+    let bounds = Window::around(walls.iter().flatten());
+    let (right, top, below) = MARGINS;
+    let [width, height] = bounds.size();
+    let plot_width = f64::from(WIDTH) - LEFT - right;
+    let panel = (plot_width * 1.06 * height / width.max(1e-9)).clamp(130.0, 560.0) + top + below;
+    let title = 22.0;
+    let window = bounds.with_aspect(aspect(f64::from(WIDTH), panel));
+    let cells = by_wall(study, outcome);
+    let path: Vec<Point> = study.recorded.poses.iter().map(|pose| [pose.x, pose.y]).collect();
+    let legend = [
+        ("shorter than expected".to_owned(), Mark::Dot(SHORT)),
+        ("as expected".to_owned(), Mark::Dot(EXPECTED)),
+        ("longer, or missing".to_owned(), Mark::Dot(LONG)),
+    ];
+    let panels: &[&str] =
+        if outcome.effects.is_empty() { &["Scenario as it is"] } else { &["Scenario as it is", "With the named effects"] };
+    figure("What is off, and where", &legend, panels.len() as f64 * (panel + title), |area| {
+        for (side, (name, area)) in panels.iter().zip(area.split_evenly((panels.len(), 1))).enumerate() {
+            area.draw(&Text::new((*name).to_owned(), (px(LEFT), px(4.0)), text(HEADING, INK)))?;
+            let (_, below) = area.split_vertically(px(title));
+            let mut panel = MapPanel::new(&below, window, [10.0, panel / 60.0])?;
+            panel.map(&join(&walls), &[])?;
+            panel.line(&path, line(RGBColor(0xaa, 0xaa, 0xaa), 1.0))?;
+            for (place, pits) in &cells {
+                panel.dot(*place, 4.5, by_pit(pits[side]).filled())?;
+            }
+        }
+        Ok(())
+    })
+}
+
+/// The colour of a mean PIT.
+fn by_pit(pit: f64) -> RGBColor {
+    let off = ((pit - 0.5) / FULL).clamp(-1.0, 1.0);
+    let to = if off < 0.0 { SHORT } else { LONG };
+    let mix = |from: u8, to: u8| (f64::from(from) + off.abs() * (f64::from(to) - f64::from(from))).round() as u8;
+    RGBColor(mix(EXPECTED.0, to.0), mix(EXPECTED.1, to.1), mix(EXPECTED.2, to.2))
+}
+
+fn histograms(outcome: &Outcome) -> Result<String, DrawError> {
+    // One row for each covariate.
+    let mut rows: Vec<Vec<&PitHistogram>> = Vec::new();
+    for histogram in &outcome.pit {
+        match rows.last_mut() {
+            Some(row) if row[0].covariate == histogram.covariate => row.push(histogram),
+            _ => rows.push(vec![histogram]),
+        }
+    }
+    let [before, after] = sides();
+    let named = !outcome.effects.is_empty();
+    let mut legend = vec![("scenario as it is".to_owned(), Mark::Area(before))];
+    if named {
+        legend.push(("with the named effects".to_owned(), Mark::Line(after)));
+    }
+    let row_height = 112.0;
+    figure("PIT histograms", &legend, rows.len() as f64 * row_height, |area| {
+        for (row, area) in rows.iter().zip(area.split_evenly((rows.len(), 1))) {
+            let most = row.iter().flat_map(|h| h.before.iter().chain(&h.after)).copied().fold(0.2, f64::max);
+            let y = Axis::linear("", 0.0, 1.05 * most, 3.0);
+            for (i, (histogram, area)) in row.iter().zip(area.split_evenly((1, row.len()))).enumerate() {
+                let name = answer::span(histogram.covariate, histogram.lo, histogram.hi);
+                area.draw(&Text::new(name, (px(44.0), px(2.0)), text(LABEL - 1.0, INK)))?;
+                let (_, below) = area.split_vertically(px(14.0));
+                let x = Axis::linear("", 0.0, 1.0, 2.0).unlabelled();
+                let y = if i == 0 { y.clone() } else { y.clone().unlabelled() };
+                let mut chart = chart(&below, &x, &y, 44.0)?;
+                let tenth = |i: usize| i as f64 / 10.0;
+                let bars = histogram.before.iter().enumerate().map(|(i, &share)| {
+                    Rectangle::new([(tenth(i), 0.0), (tenth(i + 1), share)], before.mix(0.45).filled())
+                });
+                chart.draw_series(bars)?;
+                chart.draw_series([PathElement::new(
+                    vec![(0.0, 0.1), (1.0, 0.1)],
+                    line(RGBColor(0x77, 0x77, 0x77), 1.0),
+                )])?;
+                if named {
+                    let steps = histogram.after.iter().enumerate();
+                    let outline: Vec<(f64, f64)> =
+                        steps.flat_map(|(i, &share)| [(tenth(i), share), (tenth(i + 1), share)]).collect();
+                    chart.draw_series([PathElement::new(outline, line(after, 2.0))])?;
+                }
+            }
+        }
+        Ok(())
+    })
+}
+
+fn rivals(outcome: &Outcome) -> Result<String, DrawError> {
+    let labels: Vec<String> =
+        outcome.rivals.iter().map(|rival| format!("{}. {}", rival.round, rival.name)).collect();
+    let gains = outcome.rivals.iter().map(|rival| rival.gain_nats);
+    let lo = gains.clone().map(|gain| gain.lo).fold(0.0, f64::min);
+    let hi = gains.clone().map(|gain| gain.hi).fold(1.0, f64::max);
+    let left = labels.iter().map(|label| text_width(label, LABEL)).fold(0.0, f64::max) + 28.0;
+    let named: Vec<bool> = outcome
+        .rivals
+        .iter()
+        .map(|rival| outcome.effects.get(rival.round - 1).is_some_and(|named| named.name == rival.name))
+        .collect();
+    let [_, color] = sides();
+    let plain = RGBColor(0x77, 0x77, 0x77);
+    let legend = [("named".to_owned(), Mark::Dot(color)), ("tried".to_owned(), Mark::Dot(plain))];
+    let height = 64.0 + 24.0 * labels.len() as f64;
+    figure("What each effect explains", &legend, height, |area| {
+        let room = 0.03 * (hi - lo);
+        let x = Axis::linear("log score gained on held-out scans [nats]", lo.max(-hi) - room, hi + room, 8.0);
+        let mut chart = chart(area, &x, &Axis::rows(&labels), left)?;
+        for (i, (gain, named)) in gains.zip(named).enumerate() {
+            let (y, color) = (-(i as f64), if named { color } else { plain });
+            chart.draw_series([PathElement::new(vec![(gain.lo, y), (gain.hi, y)], line(color, 2.0))])?;
+            chart.draw_series([Circle::new((gain.value, y), px(4.5), color.filled())])?;
+        }
+        Ok(())
+    })
+}

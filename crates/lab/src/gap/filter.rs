@@ -1,0 +1,323 @@
+//! What the gap does to a particle filter: the measured log, localized on with a sensor model learnt from the old and
+//! from the new simulator.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use locsim_core::{Draw, Drive, DriveStep, Laser, Pose2, RangeMap, Scan, Stage};
+use locsim_gap::{Estimate, FilterError, FilterGap, GapError, Outcome};
+use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Start, StepInput};
+use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::simulation::Simulator;
+use rayon::prelude::*;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use super::{GapStudy, GapStudyError, GapStudyOptions};
+use crate::run::laboratory::{Place, free_poses};
+use crate::run::training::{ScanData, Surroundings, TrainedModel, train};
+use crate::run::{RunError, filter_options};
+use crate::scenario::{self, Model, ModelName, Motion, RayCast, Spread, load_map};
+
+/// Particles.
+const PARTICLES: usize = 500;
+/// Seeds of the filter, the same for both sides.
+const SEEDS: u32 = 8;
+/// Training poses, observations of each and beams of an observation, at the most: enough for a sensor model.
+const TRAINING: (u32, u32, usize) = (120, 60, 36);
+/// Beams that the filter uses where the scenario doesn't say.
+const FILTER_BEAMS: usize = 24;
+/// Where a scenario starts globally, its filter starts here all the same: what is compared is tracking.
+const START: Spread = Spread { sigma_m: 0.1, sigma_rad: 0.05 };
+
+/// A log as a filter gets it, and how its estimates become poses at the scans' stamps.
+struct Corrected {
+    drive: Drive,
+    /// `base_at_estimate_from_base_at_stamp` of each scan.
+    to_stamp: Vec<Pose2>,
+}
+
+/// Localizes on the log under both simulators; `None` where no effect was named.
+///
+/// What a person would correct is corrected in the new one: the laser's mount, the odometry's scales, stamps, a
+/// drift of the readings. All else is learnt from its simulated scans.
+pub(super) fn filter_gap(
+    study: &GapStudy,
+    outcome: &Outcome,
+    options: &GapStudyOptions<'_>,
+) -> Result<Option<FilterGap>, GapStudyError> {
+    if outcome.effects.is_empty() {
+        return Ok(None);
+    }
+    let simulation = study.simulation();
+    let map = load_map(&simulation.map)?.geometry;
+    let unusable = |source| RunError::Map { path: simulation.map.clone(), source };
+    let place = Place::new(map, study.scenario.ray_cast, options.cache, options.progress).map_err(unusable)?;
+    let named: Vec<Effect> = outcome.effects.iter().map(|named| named.effect.clone()).collect();
+    let (correctable, learnt): (Vec<Effect>, Vec<Effect>) = named.into_iter().partition(|e| is_correctable(e.kind));
+    let old = trained(study, &place, Vec::new(), options)?;
+    // The same simulator gives the same model.
+    let new = if learnt.is_empty() { None } else { Some(trained(study, &place, learnt, options)?) };
+    let plain = corrected(study, &Effects::none());
+    let mended = corrected(study, &Effects::new(correctable).map_err(GapError::from)?);
+    options.progress.stage("localizing on the log", u64::from(2 * SEEDS));
+    let run = |log: &Corrected, model: &TrainedModel| -> Result<Vec<f64>, GapStudyError> {
+        let errors = (0..SEEDS).into_par_iter().map(|seed| {
+            if options.interrupted.load(Ordering::Relaxed) {
+                return Err(GapError::Interrupted.into());
+            }
+            let seed = Draw::new(study.scenario.seed, Stage::Trial, 8).seed(seed);
+            let error = rmse(study, log, model, &*place.ranges, seed);
+            options.progress.advance(1);
+            error
+        });
+        errors.collect()
+    };
+    let before = run(&plain, &old)?;
+    let after = run(&mended, new.as_ref().unwrap_or(&old))?;
+    let change: Vec<f64> = after.iter().zip(&before).map(|(after, before)| after - before).collect();
+    Ok(Some(FilterGap {
+        before: FilterError { position_rmse_m: mean(&before) },
+        after: FilterError { position_rmse_m: mean(&after) },
+        change_m: mean(&change),
+    }))
+}
+
+/// Whether one would correct an effect rather than learn it.
+fn is_correctable(kind: EffectKind) -> bool {
+    matches!(
+        kind,
+        EffectKind::MountYaw
+            | EffectKind::MountOffset
+            | EffectKind::TimeOffset
+            | EffectKind::WarmupDrift
+            | EffectKind::OdomDistanceScale
+            | EffectKind::OdomTurnScale
+            | EffectKind::OdomImbalance
+    )
+}
+
+/// `np_reg_registered`, learnt from scans that are simulated with more effects.
+fn trained(
+    study: &GapStudy,
+    place: &Place,
+    more: Vec<Effect>,
+    options: &GapStudyOptions<'_>,
+) -> Result<TrainedModel, GapStudyError> {
+    let simulation = study.simulation();
+    let training = &study.scenario.training;
+    let effects = Effects::new([simulation.effects.clone(), more].concat()).map_err(GapError::from)?;
+    let simulator = Simulator::new(Arc::clone(&place.exact), simulation.blocks, simulation.laser, effects)
+        .map_err(GapError::from)?;
+    let (most_poses, most_observations, most_beams) = TRAINING;
+    let seed = Draw::new(study.scenario.seed, Stage::Trial, 8).seed(u32::MAX);
+    let poses = free_poses(place, training.poses.min(most_poses), seed);
+    let observations = training.observations.min(most_observations);
+    options.progress.stage("simulating training scans", 1);
+    let readings = simulator.observe_many(poses.view(), observations, seed);
+    options.progress.advance(1);
+    let laser = simulator.laser().laser();
+    let beams = training.beams.map_or(most_beams, |beams| (beams as usize).min(most_beams));
+    let (thinned, kept) = laser.thinned(beams);
+    let scans = readings
+        .chunks(observations as usize * laser.beam_count())
+        .map(|pose| {
+            let scans = pose.chunks(laser.beam_count());
+            scans.map(|ranges| kept.iter().map(|&beam| ranges[beam]).collect()).collect()
+        })
+        .collect();
+    let data = ScanData { laser: thinned, poses: poses.iter().collect(), scans, run: 1 };
+    let surroundings = Surroundings {
+        map: Arc::<_>::clone(&place.exact) as Arc<dyn RangeMap>,
+        distance: Arc::clone(&place.distance),
+        oracle: None,
+        tables: (study.scenario.ray_cast != RayCast::Exact).then(|| place.endpoints()),
+    };
+    let name = ModelName::NpRegRegistered;
+    let model = Model { name, label: name.to_string(), floor: None, exponent: None, file: None };
+    let share = training.held_out_share;
+    let beams = Some(filter_beams(study));
+    let mut models = train(&[model], &data, &surroundings, share, beams, seed, options.progress)?;
+    // One model in, one out.
+    Ok(models.remove(0))
+}
+
+fn filter_beams(study: &GapStudy) -> usize {
+    let beams = study.scenario.filter.beams.map_or(FILTER_BEAMS, |beams| beams as usize);
+    beams.min(study.drive.laser.beam_count())
+}
+
+/// The scans that the search looked at, with these effects taken out of mount, odometry, stamps and readings.
+fn corrected(study: &GapStudy, effects: &Effects) -> Corrected {
+    let steps = study.usable_steps().take(study.settings.scans);
+    let drive = Drive { laser: study.drive.laser.clone(), steps: steps.cloned().collect() };
+    let drive = drive.with_beams(filter_beams(study));
+    let laser = &drive.laser;
+    let mount = effects.laser_mount(laser.base_from_laser());
+    let laser = Laser::new(
+        laser.bearings().to_vec(),
+        laser.beam_times_secs().to_vec(),
+        laser.min_range(),
+        laser.max_range(),
+        mount,
+    )
+    .unwrap_or_else(|_| laser.clone());
+    let value = |kind: EffectKind, i: usize| {
+        effects.list().iter().filter(|effect| effect.kind == kind).map(|effect| effect.values[i]).sum::<f64>()
+    };
+    let scales = [EffectKind::OdomDistanceScale, EffectKind::OdomTurnScale, EffectKind::OdomImbalance];
+    let track = unscaled(&drive.steps, scales.map(|kind| value(kind, 0)));
+    let delay = value(EffectKind::TimeOffset, 0);
+    let stamps: Vec<f64> = drive.steps.iter().map(|step| step.stamp_secs).collect();
+    let first = stamps.first().copied().unwrap_or(0.0);
+    let drift = |secs: f64| {
+        let drifts = effects.list().iter().filter(|effect| effect.kind == EffectKind::WarmupDrift);
+        drifts.map(|effect| effect.values[0] * (-secs / effect.values[1]).exp()).sum::<f64>() as f32
+    };
+    let max = laser.max_range();
+    let (steps, to_stamp) = drive
+        .steps
+        .iter()
+        .enumerate()
+        .map(|(i, step)| {
+            let odometry = if delay == 0.0 { track[i] } else { at_time(&stamps, &track, stamps[i] + delay) };
+            let drift = drift(step.stamp_secs - first);
+            let mend = |range: &f32| if *range < max { (range - drift).clamp(0.0, max) } else { *range };
+            let ranges = step.scan.ranges.iter().map(mend).collect();
+            let step = DriveStep { odometry, scan: Scan { ranges }, ..step.clone() };
+            (step, track[i].relative_to(&odometry))
+        })
+        .unzip();
+    Corrected { drive: Drive { laser, steps }, to_stamp }
+}
+
+/// The odometry's track without the errors \[distance scale, turn scale, turn per metre\] of its increments.
+fn unscaled(steps: &[DriveStep], [scale, turn_scale, turn_per_m]: [f64; 3]) -> Vec<Pose2> {
+    let mut track: Vec<Pose2> = Vec::with_capacity(steps.len());
+    for (i, step) in steps.iter().enumerate() {
+        let pose = match track.last() {
+            None => step.odometry,
+            // Exactly as it was, where there is nothing to take out.
+            Some(_) if [scale, turn_scale, turn_per_m] == [0.0; 3] => step.odometry,
+            Some(last) => {
+                let read = step.odometry.relative_to(&steps[i - 1].odometry);
+                let (x, y) = (read.x / (1.0 + scale), read.y / (1.0 + scale));
+                let distance = x.hypot(y).copysign(x);
+                let turn = (read.theta - turn_per_m * distance) / (1.0 + turn_scale);
+                last.compose(&Pose2::new(x, y, turn))
+            }
+        };
+        track.push(pose);
+    }
+    track
+}
+
+/// A track at any time: along the motion between two poses, and on with it beyond the ends.
+fn at_time(stamps: &[f64], track: &[Pose2], secs: f64) -> Pose2 {
+    if track.len() < 2 {
+        return track[0];
+    }
+    let after = stamps.partition_point(|&stamp| stamp <= secs).clamp(1, track.len() - 1);
+    let (from, to) = (&track[after - 1], &track[after]);
+    let share = (secs - stamps[after - 1]) / (stamps[after] - stamps[after - 1]).max(1e-9);
+    let step = to.relative_to(from);
+    from.compose(&Pose2::new(share * step.x, share * step.y, share * step.theta))
+}
+
+/// Root mean square distance between a filter's weighted mean and the reference \[m\].
+fn rmse(
+    study: &GapStudy,
+    log: &Corrected,
+    model: &TrainedModel,
+    map: &dyn RangeMap,
+    seed: u64,
+) -> Result<f64, GapStudyError> {
+    let settings = &study.scenario.filter;
+    let alpha = match (study.simulation().robot.odometry_noise.alpha(), settings.motion) {
+        // Odometry without any noise is a simulation's; a filter needs some.
+        (alpha, Motion::Odometry(own)) if alpha == [0.0; 4] => own,
+        (alpha, _) => alpha,
+    };
+    let spread = match settings.start {
+        scenario::Start::Tracking(spread) => spread,
+        scenario::Start::Global => START,
+    };
+    let options = FilterOptions {
+        particles: ParticleCount::Fixed(PARTICLES),
+        motion: Arc::new(OdometryMotion::new(alpha).map_err(RunError::from)?),
+        ..filter_options(settings, false)?
+    };
+    let reference = |step: &DriveStep| step.reference.unwrap_or(Pose2::IDENTITY);
+    let pose = reference(&log.drive.steps[0]).compose(&log.to_stamp[0].inverse());
+    let start = Start::Tracking { pose, sigma_m: spread.sigma_m, sigma_rad: spread.sigma_rad };
+    let mut filter = Filter::new(options, &start, map, seed).map_err(RunError::from)?;
+    let mut squares = 0.0;
+    for (i, step) in log.drive.steps.iter().enumerate() {
+        let odometry = log.drive.odometry_increment(i);
+        let input = StepInput { odometry, laser: &log.drive.laser, scan: &step.scan };
+        let outcome = filter.step(&input, map, &*model.tempered).map_err(RunError::from)?;
+        let estimate = outcome.estimates.weighted_mean.pose.compose(&log.to_stamp[i]);
+        squares += estimate.position().distance_squared(reference(step).position());
+    }
+    Ok((squares / log.drive.steps.len() as f64).sqrt())
+}
+
+/// A mean with the 95 % interval of Student's t.
+fn mean(values: &[f64]) -> Estimate {
+    let n = values.len() as f64;
+    let value = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|v| (v - value).powi(2)).sum::<f64>() / (n - 1.0);
+    let quantile = StudentsT::new(0.0, 1.0, n - 1.0).map_or(f64::NAN, |t| t.inverse_cdf(0.975));
+    let half = quantile * (variance / n).sqrt();
+    Estimate { value, lo: value - half, hi: value + half }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_effects_do_to_the_odometry_is_undone() {
+        let kinds = [
+            (EffectKind::OdomDistanceScale, 0.05),
+            (EffectKind::OdomTurnScale, -0.03),
+            (EffectKind::OdomImbalance, 0.1),
+        ];
+        let list = kinds.map(|(kind, value)| Effect::new(kind, vec![value], Vec::new()).unwrap());
+        let effects = Effects::new(list.to_vec()).unwrap();
+        let motions = [Pose2::new(0.2, 0.01, 0.1), Pose2::new(-0.1, 0.0, -0.4), Pose2::new(0.0, 0.0, 0.3)];
+        let (mut truth, mut read) = (vec![Pose2::IDENTITY], vec![Pose2::IDENTITY]);
+        for motion in &motions {
+            truth.push(truth[truth.len() - 1].compose(motion));
+            read.push(read[read.len() - 1].compose(&effects.odometry(motion).mean));
+        }
+        let step = |odometry: &Pose2| DriveStep {
+            stamp_secs: 0.0,
+            odometry: *odometry,
+            reference: None,
+            scan: Scan::default(),
+        };
+        let steps: Vec<DriveStep> = read.iter().map(step).collect();
+        let mended = unscaled(&steps, kinds.map(|(_, value)| value));
+        for (a, b) in mended.iter().zip(&truth) {
+            assert!(a.position().distance(b.position()) < 1e-12 && (a.theta - b.theta).abs() < 1e-12, "{a:?} {b:?}");
+        }
+        assert!(read[3].position().distance(truth[3].position()) > 1e-3, "the control");
+    }
+
+    #[test]
+    fn a_track_is_met_between_and_beyond_its_poses() {
+        let track = [Pose2::IDENTITY, Pose2::new(1.0, 0.0, 0.0), Pose2::new(3.0, 0.0, 0.0)];
+        let stamps = [0.0, 1.0, 2.0];
+        for (secs, x) in [(0.5, 0.5), (1.0, 1.0), (1.25, 1.5), (2.5, 4.0), (-0.5, -0.5)] {
+            assert!((at_time(&stamps, &track, secs).x - x).abs() < 1e-12, "{secs}");
+        }
+    }
+
+    /// Of 1, 2, 3: mean 2, standard error 1 / sqrt(3), and Student's t of two degrees of freedom 4.3027.
+    #[test]
+    fn a_mean_has_the_interval_of_student() {
+        let mean = mean(&[1.0, 2.0, 3.0]);
+        assert!((mean.value - 2.0).abs() < 1e-12);
+        assert!((mean.hi - 2.0 - 4.302_653 / 3.0_f64.sqrt()).abs() < 1e-5, "{}", mean.hi);
+    }
+}

@@ -1,0 +1,232 @@
+//! The report of a search: what disagrees and where, why this effect and not another, what remains.
+
+use std::fs;
+use std::path::Path;
+
+use locsim_gap::{Outcome, Verdict};
+use minijinja::syntax::SyntaxConfig;
+use minijinja::value::Serde;
+use minijinja::{Environment, context};
+use serde::Serialize;
+
+use super::{GapStudy, answer, figures};
+use crate::report::figures::{Figure, Rasterizer};
+use crate::report::text::{self, TextTable, fixed, significant};
+use crate::report::{ReportError, page, save};
+use crate::scenario::effect::{in_file, key, unit};
+
+const MARKDOWN: &str = include_str!("templates/gap.md.j2");
+
+/// Regions in the table; gap.json has all.
+const SHOWN_REGIONS: usize = 12;
+
+/// A figure as the template names it.
+#[derive(Serialize)]
+struct FigureLink<'a> {
+    name: &'a str,
+    caption: &'a str,
+    path: String,
+}
+
+/// An effect as the template names it.
+#[derive(Serialize)]
+struct NamedText {
+    name: &'static str,
+    sentence: &'static str,
+    formula: &'static str,
+    signature: &'static str,
+    numbers: String,
+    gain: String,
+    p: String,
+    others: Vec<&'static str>,
+    split_by: Option<&'static str>,
+}
+
+/// Writes `figures/`, `report.md` and `report.html` into `folder`. `diff` is between the scenario and the one with the
+/// effects.
+pub(super) fn write(
+    folder: &Path,
+    study: &GapStudy,
+    outcome: &Outcome,
+    diff: &str,
+    command: &str,
+) -> Result<(), ReportError> {
+    let pictures = folder.join("figures");
+    fs::create_dir_all(&pictures).map_err(|source| ReportError::Io { path: pictures.clone(), source })?;
+    let figures = figures::all(study, outcome)?;
+    let rasterizer = Rasterizer::new();
+    for figure in &figures {
+        save(&pictures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
+        save(&pictures.join(format!("{}.png", figure.name)), &rasterizer.png(figure)?)?;
+    }
+    let markdown = markdown(study, outcome, &figures, diff, command)?;
+    save(&folder.join("report.md"), markdown.as_bytes())?;
+    save(&folder.join("report.html"), page::html(&title(study), &markdown, &figures)?.as_bytes())
+}
+
+fn title(study: &GapStudy) -> String {
+    let log = study.log.file_name().unwrap_or_default().to_string_lossy();
+    format!("{log} against {}", study.scenario.name)
+}
+
+fn markdown(
+    study: &GapStudy,
+    outcome: &Outcome,
+    figures: &[Figure],
+    diff: &str,
+    command: &str,
+) -> Result<String, ReportError> {
+    let mut environment = Environment::new();
+    environment.set_syntax(SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build()?);
+    environment.add_template("gap.md", MARKDOWN)?;
+    let link = |name: &str| {
+        let figure = figures.iter().find(|figure| figure.name == name)?;
+        Some(Serde(FigureLink { name: figure.name, caption: &figure.caption, path: figure.path() }))
+    };
+    let named: Vec<NamedText> = outcome.effects.iter().map(named_text).collect();
+    let answers: Vec<String> = answer::sentences(outcome).iter().map(|line| text::escape(line)).collect();
+    let nuisances = &outcome.nuisances;
+    let page = context! {
+        title => text::escape(&title(study)),
+        description => text::escape(&study.scenario.description),
+        log => text::escape(&study.log.display().to_string()),
+        scenario => text::escape(&study.scenario.file.display().to_string()),
+        scans => outcome.scans,
+        beams => outcome.beams,
+        seed => outcome.seed,
+        replicates => outcome.detection.replicates,
+        seconds => fixed(outcome.seconds, 1),
+        verdict => Serde(outcome.verdict),
+        answers => answers,
+        named => Serde(named),
+        still_off => matches!(outcome.verdict, Verdict::PartlyExplained | Verdict::Unexplained),
+        remaining => remaining(outcome),
+        map => link("map"),
+        pit => link("pit"),
+        rivals => link("rivals"),
+        detection_table => detection_table(outcome).to_markdown(),
+        regions_table => (!outcome.regions.is_empty()).then(|| regions_table(outcome).to_markdown()),
+        rivals_table => (!outcome.rivals.is_empty()).then(|| rivals_table(outcome).to_markdown()),
+        gap_table => gap_table(outcome).to_markdown(),
+        closed => answer::closed(outcome),
+        more_regions => outcome.regions.len().saturating_sub(SHOWN_REGIONS),
+        false_alarm => significant(super::false_alarm(outcome.detection.replicates)),
+        filter_table => filter_table(outcome).map(|table| table.to_markdown()),
+        detectable_table => detectable_table(outcome).to_markdown(),
+        blocks => fixed(nuisances.block_density, 2),
+        pose_mm => fixed(1e3 * nuisances.pose_error.sigma_m, 1),
+        pose_deg => fixed(nuisances.pose_error.sigma_rad.to_degrees(), 2),
+        pose_secs => fixed(nuisances.pose_error.correlation_secs, 1),
+        odometry_mm => fixed(1e3 * nuisances.odometry_error.sigma_m, 1),
+        odometry_deg => fixed(nuisances.odometry_error.sigma_rad.to_degrees(), 2),
+        notes => outcome.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
+        command => command.trim(),
+        diff => diff.trim_end(),
+        fence => page::fence(&[diff, command]),
+    };
+    Ok(environment.get_template("gap.md")?.render(page)?)
+}
+
+fn named_text(named: &locsim_gap::Named) -> NamedText {
+    NamedText {
+        name: named.name.name(),
+        sentence: named.name.sentence(),
+        formula: named.name.formula(),
+        signature: named.name.signature(),
+        numbers: answer::numbers(named).join(", "),
+        gain: answer::with_interval(&named.evidence.gain_nats, 1.0),
+        p: answer::p_value(named.evidence.p),
+        others: answer::others(named).map(|other| other.name()).collect(),
+        split_by: named.split_by,
+    }
+}
+
+/// Regions that are still off with the named effects.
+fn remaining(outcome: &Outcome) -> Vec<String> {
+    outcome.regions.iter().filter(|region| region.remains).map(answer::region_text).collect()
+}
+
+fn detection_table(outcome: &Outcome) -> TextTable {
+    let row = |name: &str, detection: &locsim_gap::Detection| {
+        [name.to_owned(), answer::p_value(detection.p_library), answer::p_value(detection.p_omnibus), answer::p_value(detection.p)]
+    };
+    let mut rows = vec![row("scenario as it is", &outcome.detection)];
+    if !outcome.effects.is_empty() {
+        rows.push(row("with the named effects", &outcome.detection_after));
+    }
+    TextTable::new(["simulator", "p, effects of the library", "p, PIT anywhere", "p, both"], rows)
+}
+
+fn regions_table(outcome: &Outcome) -> TextTable {
+    let rows = outcome.regions.iter().take(SHOWN_REGIONS).map(|region| {
+        [
+            answer::place_text(region),
+            answer::deviation_text(region).to_owned(),
+            fixed(region.z, 1),
+            fixed(region.w1_mm, 1),
+            fixed(region.nats, 1),
+            answer::p_value(region.q),
+            if region.remains { "yes" } else { "no" }.to_owned(),
+        ]
+    });
+    TextTable::new(["where", "what is off", "z", "W1 [mm]", "nats", "q", "still off"], rows)
+}
+
+fn rivals_table(outcome: &Outcome) -> TextTable {
+    let rows = outcome.rivals.iter().map(|rival| {
+        let values = rival.name.parameters().iter().filter_map(|parameter| {
+            let number = rival.params.get(parameter.name)?;
+            let unit = unit(parameter).map(|unit| format!(" {unit}")).unwrap_or_default();
+            Some(format!("{} {}{unit}", answer::label(parameter), significant(in_file(parameter, number.value))))
+        });
+        [
+            format!("{}. {}", rival.round, rival.name),
+            values.collect::<Vec<_>>().join(", "),
+            answer::with_interval(&rival.gain_nats, 1.0),
+            if rival.behind_nats.value == 0.0 { text::NONE.to_owned() } else { answer::with_interval(&rival.behind_nats, 1.0) },
+        ]
+    });
+    TextTable::new(["round and effect", "fitted", "gain [nats]", "behind the named one [nats]"], rows)
+}
+
+fn gap_table(outcome: &Outcome) -> TextTable {
+    let gap = &outcome.gap;
+    let row = |name: &str, side: &locsim_gap::Distance| {
+        [name.to_owned(), fixed(side.log_score_nats_per_scan, 2), fixed(side.w1_mm, 2)]
+    };
+    let rows = [
+        row("scenario as it is", &gap.before),
+        row("with the named effects", &gap.after),
+        row("simulation against simulation", &gap.floor),
+    ];
+    TextTable::new(["simulator", "log score [nats per scan]", "W1 of range errors [mm]"], rows)
+}
+
+fn filter_table(outcome: &Outcome) -> Option<TextTable> {
+    let filter = outcome.filter.as_ref()?;
+    let rows = [
+        ("scenario as it is", &filter.before.position_rmse_m),
+        ("with the named effects", &filter.after.position_rmse_m),
+        ("change", &filter.change_m),
+    ];
+    let row = |(name, estimate): (&str, &locsim_gap::Estimate)| [name.to_owned(), answer::with_interval(estimate, 1.0)];
+    Some(TextTable::new(["simulator", "position RMSE [m]"], rows.map(row)))
+}
+
+fn detectable_table(outcome: &Outcome) -> TextTable {
+    let rows = outcome.detectable.iter().map(|detectable| {
+        let parameter = detectable.name.parameters().iter().find(|parameter| parameter.name == detectable.parameter);
+        let shown = |value: f64| {
+            let value = parameter.map_or(value, |parameter| in_file(parameter, value));
+            let unit = parameter.and_then(unit).map(|unit| format!(" {unit}")).unwrap_or_default();
+            format!("{}{unit}", significant(value))
+        };
+        [
+            detectable.name.name().to_owned(),
+            parameter.map_or(detectable.parameter, key).to_owned(),
+            shown(detectable.value),
+            shown(detectable.typical),
+        ]
+    });
+    TextTable::new(["effect", "number", "found in 9 of 10 logs", "typical"], rows)
+}

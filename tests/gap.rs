@@ -1,0 +1,140 @@
+//! `locsim gap` as a user types it: a log of a robot that differs from what its scenario says.
+
+mod common;
+
+use std::path::Path;
+
+use common::{Folder, edited, output};
+use predicates::prelude::PredicateBooleanExt;
+use predicates::str::{contains, is_empty};
+use serde_json::Value;
+
+/// The nominal scenario: the room, two rounds in it.
+const NOMINAL: &str = "\
+# As the developers think it is.
+name: nominal
+seed: 3
+trials: 1
+map: {file: maps/room.yaml}
+blocks: {per_metre_of_wall: 0.2, length_m: [0.1, 0.2], width_m: [0.1, 0.2], wall_distance_m: [0.0, 0.1]}
+robot:
+  path: {waypoints: {points_m: [[0.6, 0.6], [2.6, 0.8], [2.2, 1.1], [0.7, 1.2], [0.6, 0.6]], speed_m_s: 0.6, turn_rate_deg_s: 60}}
+  odometry_noise: {alpha: [0.02, 0.005, 0.01, 0.005]}
+laser: {rate_hz: 6, beams: 24, max_range_m: 5, resolution_m: 0.001, noise: {sigma_m: 0.01}}
+effects: # what a laser does anyway
+  - {name: range_dropout, p: 0.005, exponent: 0}
+training: {poses: 24, observations: 24}
+models: [classic]
+filter:
+  particles: 100
+  motion: {model: odometry, alpha: [0.05, 0.02, 0.05, 0.01]}
+  start: {tracking: {sigma_m: 0.05, sigma_deg: 2}}
+  beams: 12
+";
+
+/// What the real robot has besides.
+const HIDDEN: &str = "  - {name: range_bias, bias_m: 0.04}\ntraining:";
+
+/// A folder with the nominal scenario, and with the log of a robot whose readings are too long.
+fn folder() -> Folder {
+    let folder = Folder::new();
+    std::fs::create_dir(folder.path("maps")).unwrap();
+    std::fs::rename(folder.path("room.yaml"), folder.path("maps/room.yaml")).unwrap();
+    folder.write("nominal.yaml", NOMINAL);
+    folder.write("hidden.yaml", edited(NOMINAL, "training:", HIDDEN));
+    folder.locsim("simulate hidden.yaml --seed 11 --out measured.log").success();
+    folder
+}
+
+#[test]
+fn the_missing_effect_is_named_and_added() {
+    let folder = folder();
+    let line = "gap nominal.yaml --log measured.log --out results/found --replicates 29";
+    let call = folder.locsim(&format!("{line} --json")).success();
+    let outcome: Value = serde_json::from_str(&output(&call)).unwrap();
+    assert_eq!(outcome["effects"][0]["name"], "range_bias", "{outcome:#}");
+    let bias = &outcome["effects"][0]["params"]["bias_m"];
+    let number = |value: &Value| value.as_f64().unwrap();
+    assert!((number(&bias["value"]) - 0.04).abs() < 0.01, "{bias}");
+    assert_eq!(bias["unit"], "m");
+    assert!(number(&outcome["gap"]["closed"]["value"]) > 0.8, "{}", outcome["gap"]);
+    assert!(number(&outcome["filter"]["after"]["position_rmse_m"]["value"]) > 0.0);
+    let saved: Value = serde_json::from_slice(&folder.read("results/found/gap.json")).unwrap();
+    assert_eq!(saved, outcome);
+
+    for name in ["report.md", "report.html", "gap.rrd", "figures/map.svg", "figures/pit.png", "figures/rivals.svg"] {
+        assert!(folder.path("results/found").join(name).is_file(), "{name}");
+    }
+    let text = String::from_utf8(folder.read("results/found/scenario.yaml")).unwrap();
+    assert!(text.starts_with("# As the developers think it is.\n"), "{text}");
+    assert!(text.contains("map: {file: ../../maps/room.yaml}") && text.contains("- {name: range_bias, bias_m: 0.0"));
+    let diff = String::from_utf8(folder.read("results/found/scenario.diff")).unwrap();
+    assert!(diff.lines().filter(|line| line.starts_with(['+', '-'])).count() < 10, "{diff}");
+    assert!(!Path::new(&folder.path("results/found.partial")).exists());
+
+    // It is a scenario like another.
+    folder.locsim("validate results/found/scenario.yaml").success();
+    folder.locsim("simulate results/found/scenario.yaml --out again.log").success();
+    folder.locsim("run results/found/scenario.yaml --record none --quiet --out ran").success();
+    // And what the log is held against next lacks nothing.
+    let again = "gap results/found/scenario.yaml --log measured.log --out again --replicates 29 --no-filter --json";
+    let again: Value = serde_json::from_str(&output(&folder.locsim(again).success())).unwrap();
+    assert_eq!(again["effects"], serde_json::json!([]), "{again:#}");
+    assert_eq!(again["filter"], Value::Null);
+}
+
+#[test]
+fn the_answer_is_for_people_and_an_effect_can_be_left_out() {
+    let folder = folder();
+    let line = "gap nominal.yaml --log measured.log --out found --replicates 19 --no-filter";
+    let answer = output(&folder.locsim(line).success());
+    for words in ["Every return is too long", "range_bias, bias = 0.0", "% closed [", "Results in found"] {
+        assert!(answer.contains(words), "{words} is not in\n{answer}");
+    }
+    folder.locsim(&format!("{line} --quiet --without range_bias")).success().stdout(is_empty());
+    let outcome: Value = serde_json::from_slice(&folder.read("found/gap.json")).unwrap();
+    assert!(outcome["rivals"].as_array().unwrap().iter().all(|rival| rival["name"] != "range_bias"));
+}
+
+#[test]
+fn what_does_not_fit_is_refused_and_earlier_results_stay() {
+    let folder = folder();
+    std::fs::create_dir(folder.path("found")).unwrap();
+    folder.write("found/gap.json", "{}");
+    let refused = |line: &str, message: &str| {
+        folder.locsim(line).code(2).stdout(is_empty()).stderr(contains(message));
+    };
+    let with = |name: &str, from: &str, to: &str| folder.write(name, edited(NOMINAL, from, to));
+    with("beams.yaml", "beams: 24", "beams: 36");
+    with("range.yaml", "max_range_m: 5", "max_range_m: 6");
+    with("view.yaml", "beams: 24", "beams: 24, field_of_view_deg: 270");
+    with("exact.yaml", "noise: {sigma_m: 0.01}", "noise: {sigma_m: 0}");
+    let gap = |scenario: &str, rest: &str| format!("gap {scenario} --log measured.log --out found {rest}");
+    refused(&gap("beams.yaml", ""), "measured.log: 24 beams per scan don't fit the scenario's laser; its laser.beams is 36");
+    refused(&gap("range.yaml", ""), "measured.log: a maximum range of 5 m doesn't fit");
+    refused(&gap("view.yaml", ""), "measured.log: beam 0 points to");
+    refused(&gap("exact.yaml", ""), "the nominal laser has no noise");
+    refused(&gap("nominal.yaml", "--without glas"), "\"glas\" is not an effect; one of range_bias");
+    refused(&gap("nominal.yaml", "--replicates 5"), "--replicates: 5 is not allowed; a whole number from 19");
+    refused(&gap("nominal.yaml", "--beams 0"), "--beams: 0 is not allowed");
+    refused("gap nominal.yaml --log missing.log --out found", "missing.log");
+    refused("gap nominal.yaml --log measured.log", "--out");
+    let without_reference: String = String::from_utf8(folder.read("measured.log"))
+        .unwrap()
+        .lines()
+        .filter(|line| !line.starts_with("TRUEPOS"))
+        .map(|line| format!("{line}\n"))
+        .collect();
+    folder.write("blind.log", without_reference);
+    refused("gap nominal.yaml --log blind.log --out found", "blind.log: no scan has a reference pose");
+    assert_eq!(folder.read("found/gap.json"), b"{}");
+    assert!(!folder.path("found.partial").exists());
+}
+
+#[test]
+fn an_effect_is_explained_as_in_the_list() {
+    let folder = Folder::new();
+    let page = output(&folder.locsim("effects glass").success());
+    folder.locsim("gap --explain glass").success().stdout(contains(page.trim_end()));
+    folder.locsim("gap --explain glas").code(2).stdout(is_empty()).stderr(contains("not an effect").and(contains("glass")));
+}
