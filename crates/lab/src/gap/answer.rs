@@ -143,12 +143,22 @@ pub(super) fn place_text(region: &Region) -> String {
     if let Some([x0, y0, x1, y1]) = region.place {
         return format!("walls at x {x0:.1} to {x1:.1} m, y {y0:.1} to {y1:.1} m");
     }
-    span(region.covariate, region.lo, region.hi)
+    match region.covariate {
+        Covariate::Scan => "scans as a whole".to_owned(),
+        Covariate::Pit => format!("all beams, PIT {:.1} to {:.1}", region.lo, region.hi),
+        covariate => span(covariate, region.lo, region.hi),
+    }
 }
 
 /// What is off in a region.
 pub(super) fn deviation_text(region: &Region) -> &'static str {
-    match (region.deviation, region.z > 0.0) {
+    let more = region.z > 0.0;
+    if region.covariate == Covariate::Scan {
+        return if more { "neighbouring scans differ too much" } else { "neighbouring scans differ too little" };
+    }
+    match (region.deviation, more) {
+        (Deviation::Share, true) => "too many readings",
+        (Deviation::Share, false) => "too few readings",
         (Deviation::Mean, true) => "readings too long",
         (Deviation::Mean, false) => "readings too short",
         (Deviation::Spread, true) => "readings spread too much",
@@ -172,6 +182,8 @@ pub(super) fn span(covariate: Covariate, lo: f64, hi: f64) -> String {
         Covariate::TurnRate => ("turn rate", "deg/s", true),
         Covariate::Jump => ("range jump to a neighbour", "m", false),
         Covariate::BearingByTurnRate => ("bearing in turns", "deg", true),
+        Covariate::Scan => ("scan", "", false),
+        Covariate::Pit => ("PIT", "", false),
     };
     let in_unit = |value: f64| if degrees { value.to_degrees() } else { value };
     let [lo, hi] = [lo, hi].map(in_unit);
