@@ -117,6 +117,19 @@ impl Search<'_, '_> {
         self.comparison.evaluate(&self.with(effect), self.start, 1)
     }
 
+    /// While searching, nuisances that an effect has nothing to do with stay where they are.
+    fn evaluate_roughly(&self, effect: &Effect) -> Result<f64, GapError> {
+        let of_blocks = matches!(
+            effect.kind,
+            EffectKind::BlockDepth
+                | EffectKind::Crosstalk
+                | EffectKind::MissingObject
+                | EffectKind::SectorOcclusion
+        );
+        let stay = self.start.nuisances.pose_error.is_none() && !of_blocks;
+        Ok(self.comparison.evaluate(&self.with(effect), self.start, u32::from(!stay) as usize)?.total())
+    }
+
     fn with(&self, effect: &Effect) -> Vec<Effect> {
         let mut effects = self.given.to_vec();
         effects.push(effect.clone());
@@ -136,7 +149,7 @@ impl Search<'_, '_> {
         if kind == EffectKind::Quantization {
             // A step is right or it isn't.
             let effect = problem.effect(&origin)?;
-            return Ok((self.evaluate(&effect)?.total(), effect));
+            return Ok((self.evaluate_roughly(&effect)?, effect));
         }
         let mut simplex = vec![origin.clone()];
         for axis in 0..origin.len() {
@@ -317,8 +330,7 @@ impl CostFunction for &Problem<'_, '_, '_> {
     type Output = f64;
 
     fn cost(&self, numbers: &Vec<f64>) -> Result<f64, argmin::core::Error> {
-        let fitted = self.search.evaluate(&self.effect(numbers)?)?;
-        let total = fitted.total();
+        let total = self.search.evaluate_roughly(&self.effect(numbers)?)?;
         Ok(if total.is_finite() { -total } else { f64::MAX })
     }
 }

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use locsim_core::{Draw, Drive, Stage};
@@ -21,6 +21,7 @@ use locsim_gap::{GapError, GapOptions, Nominal, Number, Outcome, Recorded, Verdi
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{Simulator, simulate_drive};
+use rayon::{ThreadPoolBuildError, ThreadPoolBuilder};
 use serde::{Deserialize, Serialize};
 
 pub use plan::Size;
@@ -62,6 +63,9 @@ pub enum GapBenchError {
         /// What is wrong.
         source: serde_json::Error,
     },
+    /// The machine gives no thread.
+    #[error(transparent)]
+    Threads(#[from] ThreadPoolBuildError),
     /// The scenario is of a measured log.
     #[error("{0}: the suite needs a simulated scenario, with `robot` and `laser`")]
     NotSimulated(PathBuf),
@@ -213,27 +217,40 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
     let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
     let cases = plan(options.size, options.seed, &world.nominal.map, &poses);
     options.progress.stage("hidden effects", cases.len() as u64);
-    for case in &cases {
-        if options.interrupted.load(Ordering::Relaxed) {
-            return Err(GapError::Interrupted.into());
-        }
-        let (log, truth, answer) = (
-            logs.join(format!("{}.mcap", case.id)),
-            truths.join(format!("{}.json", case.id)),
-            found.join(format!("{}.json", case.id)),
-        );
-        if !(answer.exists() && truth.exists()) {
-            if options.no_later.is_some_and(|end| (options.clock)() > end) {
-                break;
+    // Logs side by side, each on one thread: nothing waits for anything.
+    let next = AtomicUsize::new(0);
+    let work = || -> Result<(), GapBenchError> {
+        let pool = ThreadPoolBuilder::new().num_threads(1).build()?;
+        while let Some(case) = cases.get(next.fetch_add(1, Ordering::Relaxed)) {
+            if options.interrupted.load(Ordering::Relaxed) {
+                return Err(GapError::Interrupted.into());
             }
-            hide(&world, case, &log, &truth)?;
-            let finding = search(&world.nominal, &log, case, options)?;
-            save(&answer, &finding)?;
-            // A log is made again from its seed where it is asked for.
-            let _ = fs::remove_file(&log);
+            let (log, truth, answer) = (
+                logs.join(format!("{}.mcap", case.id)),
+                truths.join(format!("{}.json", case.id)),
+                found.join(format!("{}.json", case.id)),
+            );
+            if !(answer.exists() && truth.exists()) {
+                if options.no_later.is_some_and(|end| (options.clock)() > end) {
+                    break;
+                }
+                pool.install(|| hide(&world, case, &log, &truth))?;
+                let finding = pool.install(|| search(&world.nominal, &log, case, options))?;
+                save(&answer, &finding)?;
+                // A log is made again from its seed where it is asked for.
+                let _ = fs::remove_file(&log);
+            }
+            options.progress.advance(1);
         }
-        options.progress.advance(1);
-    }
+        Ok(())
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..rayon::current_num_threads()).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().try_for_each(|worker| match worker.join() {
+            Ok(done) => done,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
+    })?;
     options.progress.finish();
     Ok(Score::new(
         cases
