@@ -21,7 +21,11 @@ struct Entry {
 }
 
 /// The scenario with the effects of `outcome`, to be read from the folder `out`.
-pub(super) fn scenario_with(study: &GapStudy, outcome: &Outcome, out: &Path) -> Result<String, GapStudyError> {
+pub(super) fn scenario_with(
+    study: &GapStudy,
+    outcome: &Outcome,
+    out: &Path,
+) -> Result<String, GapStudyError> {
     let entries: Vec<Entry> = outcome.effects.iter().map(|named| entry(study, named)).collect();
     let text = grown(&study.text, &entries);
     let out = out_folder(out)?;
@@ -285,7 +289,10 @@ mod tests {
     use super::*;
 
     fn entries() -> Vec<Entry> {
-        vec![Entry { comments: vec!["why".to_owned()], lines: vec!["- {name: heavy_tail, p: 0.1}".to_owned()] }]
+        vec![Entry {
+            comments: vec!["why".to_owned()],
+            lines: vec!["- {name: heavy_tail, p: 0.1}".to_owned()],
+        }]
     }
 
     #[test]
@@ -313,7 +320,8 @@ mod tests {
 
     #[test]
     fn a_path_leads_from_one_folder_to_another() {
-        let path = |target: &str, from: &str| relative(Path::new(target), Path::new(from)).display().to_string();
+        let path =
+            |target: &str, from: &str| relative(Path::new(target), Path::new(from)).display().to_string();
         assert_eq!(path("/a/maps/m.yaml", "/a/b/found"), "../../maps/m.yaml");
         assert_eq!(path("/a/b/m.yaml", "/a/b"), "m.yaml");
         assert_eq!(path("/maps/m.yaml", "/a/b"), "/maps/m.yaml");
