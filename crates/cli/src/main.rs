@@ -417,7 +417,8 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
         arguments.beams
     );
     if !arguments.without.is_empty() {
-        command += &format!(" --without {}", arguments.without.join(","));
+        command += " --without ";
+        command += &arguments.without.join(",");
     }
     if arguments.no_filter {
         command += " --no-filter";

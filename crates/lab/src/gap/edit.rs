@@ -198,7 +198,7 @@ fn end_of_line(text: &str, byte: usize) -> usize {
 }
 
 /// Tells every event of a text with the path of the node that it belongs to, its bytes and its column.
-fn walk(text: &str, tell: &mut dyn FnMut(&str, &Event<'_>, Range<usize>, usize)) {
+fn walk(text: &str, tell: &mut impl FnMut(&str, &Event<'_>, Range<usize>, usize)) {
     // Byte of each character, as the parser counts characters.
     let bytes: Vec<usize> = text.char_indices().map(|(byte, _)| byte).chain([text.len()]).collect();
     let byte = |index: usize| bytes[index.min(bytes.len() - 1)];
@@ -219,15 +219,15 @@ fn walk(text: &str, tell: &mut dyn FnMut(&str, &Event<'_>, Range<usize>, usize))
                         *next += 1;
                         format!("{path}[{}]", *next - 1)
                     }
-                    Some((path, Some(key), _)) => match key.take() {
-                        Some(key) => crate::scenario::locate::join(path, &key),
-                        None => {
+                    Some((path, Some(key), _)) => {
+                        let Some(name) = key.take() else {
                             if let Event::Scalar(word, ..) = &event {
                                 *key = Some(word.to_string());
                             }
                             continue;
-                        }
-                    },
+                        };
+                        crate::scenario::locate::join(path, &name)
+                    }
                 };
                 tell(&path, &event, range, column);
                 match &event {

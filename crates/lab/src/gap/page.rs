@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use locsim_gap::{Outcome, Verdict};
+use locsim_world::effect::EffectKind;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
@@ -136,7 +137,7 @@ fn named_text(named: &locsim_gap::Named) -> NamedText {
         numbers: answer::numbers(named).join(", "),
         gain: answer::with_interval(&named.evidence.gain_nats, 1.0),
         p: answer::p_value(named.evidence.p),
-        others: answer::others(named).map(|other| other.name()).collect(),
+        others: answer::others(named).map(EffectKind::name).collect(),
         split_by: named.split_by,
     }
 }
