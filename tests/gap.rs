@@ -62,12 +62,17 @@ fn the_missing_effect_is_named_and_added() {
     let saved: Value = serde_json::from_slice(&folder.read("results/found/gap.json")).unwrap();
     assert_eq!(saved, outcome);
 
-    for name in ["report.md", "report.html", "gap.rrd", "figures/map.svg", "figures/pit.png", "figures/rivals.svg"] {
+    for name in
+        ["report.md", "report.html", "gap.rrd", "figures/map.svg", "figures/pit.png", "figures/rivals.svg"]
+    {
         assert!(folder.path("results/found").join(name).is_file(), "{name}");
     }
     let text = String::from_utf8(folder.read("results/found/scenario.yaml")).unwrap();
     assert!(text.starts_with("# As the developers think it is.\n"), "{text}");
-    assert!(text.contains("map: {file: ../../maps/room.yaml}") && text.contains("- {name: range_bias, bias_m: 0.0"));
+    assert!(
+        text.contains("map: {file: ../../maps/room.yaml}")
+            && text.contains("- {name: range_bias, bias_m: 0.0")
+    );
     let diff = String::from_utf8(folder.read("results/found/scenario.diff")).unwrap();
     assert!(diff.lines().filter(|line| line.starts_with(['+', '-'])).count() < 10, "{diff}");
     assert!(!Path::new(&folder.path("results/found.partial")).exists());
@@ -77,7 +82,8 @@ fn the_missing_effect_is_named_and_added() {
     folder.locsim("simulate results/found/scenario.yaml --out again.log").success();
     folder.locsim("run results/found/scenario.yaml --record none --quiet --out ran").success();
     // And what the log is held against next lacks nothing.
-    let again = "gap results/found/scenario.yaml --log measured.log --out again --replicates 29 --no-filter --json";
+    let again =
+        "gap results/found/scenario.yaml --log measured.log --out again --replicates 29 --no-filter --json";
     let again: Value = serde_json::from_str(&output(&folder.locsim(again).success())).unwrap();
     assert_eq!(again["effects"], serde_json::json!([]), "{again:#}");
     assert_eq!(again["filter"], Value::Null);
@@ -110,7 +116,10 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     with("view.yaml", "beams: 24", "beams: 24, field_of_view_deg: 270");
     with("exact.yaml", "noise: {sigma_m: 0.01}", "noise: {sigma_m: 0}");
     let gap = |scenario: &str, rest: &str| format!("gap {scenario} --log measured.log --out found {rest}");
-    refused(&gap("beams.yaml", ""), "measured.log: 24 beams per scan don't fit the scenario's laser; its laser.beams is 36");
+    refused(
+        &gap("beams.yaml", ""),
+        "measured.log: 24 beams per scan don't fit the scenario's laser; its laser.beams is 36",
+    );
     refused(&gap("range.yaml", ""), "measured.log: a maximum range of 5 m doesn't fit");
     refused(&gap("view.yaml", ""), "measured.log: beam 0 points to");
     refused(&gap("exact.yaml", ""), "the nominal laser has no noise");
@@ -136,5 +145,9 @@ fn an_effect_is_explained_as_in_the_list() {
     let folder = Folder::new();
     let page = output(&folder.locsim("effects glass").success());
     folder.locsim("gap --explain glass").success().stdout(contains(page.trim_end()));
-    folder.locsim("gap --explain glas").code(2).stdout(is_empty()).stderr(contains("not an effect").and(contains("glass")));
+    folder
+        .locsim("gap --explain glas")
+        .code(2)
+        .stdout(is_empty())
+        .stderr(contains("not an effect").and(contains("glass")));
 }

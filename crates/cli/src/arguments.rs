@@ -244,7 +244,7 @@ pub struct Gap {
     #[arg(long)]
     pub json: bool,
     /// Only say what an effect is, what gives it away and what it is confused with
-    #[arg(long, value_name = "EFFECT", exclusive = true)]
+    #[arg(long, value_name = "EFFECT", conflicts_with_all = ["scenario", "log", "out"])]
     pub explain: Option<String>,
 }
 

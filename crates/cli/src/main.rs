@@ -15,8 +15,8 @@ use anyhow::{Context, Result};
 use clap::{CommandFactory, Parser};
 use locsim_dataset::{LogOptions, McapTopics};
 use locsim_lab::bench;
-use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyError, GapStudyOptions};
 use locsim_lab::effects;
+use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyError, GapStudyOptions};
 use locsim_lab::gap_bench::{self, GapBenchError, GapBenchOptions};
 use locsim_lab::report::terminal_table;
 use locsim_lab::run::{self, Recorder, RunError, RunOptions};
@@ -418,7 +418,8 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
         arguments.beams
     );
     if !arguments.without.is_empty() {
-        command += &format!(" --without {}", arguments.without.join(","));
+        command += " --without ";
+        command += &arguments.without.join(",");
     }
     if arguments.no_filter {
         command += " --no-filter";

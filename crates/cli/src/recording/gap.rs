@@ -62,7 +62,9 @@ fn layout(walls: &[[[f64; 2]; 2]]) -> Blueprint {
     let maps = SIDES.map(|(name, title)| {
         Spatial2DView::new(title)
             .with_origin("/world")
-            .with_contents(["/world/map/**", "/world/robot/**", &format!("/world/{name}/**")].map(str::to_owned))
+            .with_contents(
+                ["/world/map/**", "/world/robot/**", &format!("/world/{name}/**")].map(str::to_owned),
+            )
             .into()
     });
     let maps = Grid::new(maps).with_grid_columns(if wide { 1 } else { 2 });

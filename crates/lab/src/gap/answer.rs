@@ -187,8 +187,15 @@ pub(super) fn span(covariate: Covariate, lo: f64, hi: f64) -> String {
     };
     let in_unit = |value: f64| if degrees { value.to_degrees() } else { value };
     let [lo, hi] = [lo, hi].map(in_unit);
-    let largest = [lo, hi].into_iter().filter(|end| end.is_finite()).fold(0.0_f64, |most, end| most.max(end.abs()));
-    let decimals = if largest >= 30.0 { 0 } else if (hi - lo).abs() > 0.3 { 1 } else { 2 };
+    let largest =
+        [lo, hi].into_iter().filter(|end| end.is_finite()).fold(0.0_f64, |most, end| most.max(end.abs()));
+    let decimals = if largest >= 30.0 {
+        0
+    } else if (hi - lo).abs() > 0.3 {
+        1
+    } else {
+        2
+    };
     let shown = |value: f64| fixed(value, decimals);
     match (lo.is_finite(), hi.is_finite()) {
         (true, true) if shown(lo) == shown(hi) => format!("{name} about {} {unit}", shown(lo)),
@@ -219,7 +226,11 @@ pub(super) fn p_value(p: f64) -> String {
         "below 1e-6".to_owned()
     } else if p < 0.001 {
         format!("{p:.1e}")
-    } else if p < 0.0995 { format!("{p:.3}") } else { format!("{p:.2}") }
+    } else if p < 0.0995 {
+        format!("{p:.3}")
+    } else {
+        format!("{p:.2}")
+    }
 }
 
 #[cfg(test)]

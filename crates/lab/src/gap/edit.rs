@@ -21,7 +21,11 @@ struct Entry {
 }
 
 /// The scenario with the effects of `outcome`, to be read from the folder `out`.
-pub(super) fn scenario_with(study: &GapStudy, outcome: &Outcome, out: &Path) -> Result<String, GapStudyError> {
+pub(super) fn scenario_with(
+    study: &GapStudy,
+    outcome: &Outcome,
+    out: &Path,
+) -> Result<String, GapStudyError> {
     let entries: Vec<Entry> = outcome.effects.iter().map(|named| entry(study, named)).collect();
     let text = grown(&study.text, &entries);
     let out = out_folder(out)?;
@@ -194,7 +198,7 @@ fn end_of_line(text: &str, byte: usize) -> usize {
 }
 
 /// Tells every event of a text with the path of the node that it belongs to, its bytes and its column.
-fn walk(text: &str, tell: &mut dyn FnMut(&str, &Event<'_>, Range<usize>, usize)) {
+fn walk(text: &str, tell: &mut impl FnMut(&str, &Event<'_>, Range<usize>, usize)) {
     // Byte of each character, as the parser counts characters.
     let bytes: Vec<usize> = text.char_indices().map(|(byte, _)| byte).chain([text.len()]).collect();
     let byte = |index: usize| bytes[index.min(bytes.len() - 1)];
@@ -215,15 +219,15 @@ fn walk(text: &str, tell: &mut dyn FnMut(&str, &Event<'_>, Range<usize>, usize))
                         *next += 1;
                         format!("{path}[{}]", *next - 1)
                     }
-                    Some((path, Some(key), _)) => match key.take() {
-                        Some(key) => crate::scenario::locate::join(path, &key),
-                        None => {
+                    Some((path, Some(key), _)) => {
+                        let Some(name) = key.take() else {
                             if let Event::Scalar(word, ..) = &event {
                                 *key = Some(word.to_string());
                             }
                             continue;
-                        }
-                    },
+                        };
+                        crate::scenario::locate::join(path, &name)
+                    }
                 };
                 tell(&path, &event, range, column);
                 match &event {
@@ -285,7 +289,10 @@ mod tests {
     use super::*;
 
     fn entries() -> Vec<Entry> {
-        vec![Entry { comments: vec!["why".to_owned()], lines: vec!["- {name: heavy_tail, p: 0.1}".to_owned()] }]
+        vec![Entry {
+            comments: vec!["why".to_owned()],
+            lines: vec!["- {name: heavy_tail, p: 0.1}".to_owned()],
+        }]
     }
 
     #[test]
@@ -313,7 +320,8 @@ mod tests {
 
     #[test]
     fn a_path_leads_from_one_folder_to_another() {
-        let path = |target: &str, from: &str| relative(Path::new(target), Path::new(from)).display().to_string();
+        let path =
+            |target: &str, from: &str| relative(Path::new(target), Path::new(from)).display().to_string();
         assert_eq!(path("/a/maps/m.yaml", "/a/b/found"), "../../maps/m.yaml");
         assert_eq!(path("/a/b/m.yaml", "/a/b"), "m.yaml");
         assert_eq!(path("/maps/m.yaml", "/a/b"), "/maps/m.yaml");

@@ -103,8 +103,11 @@ fn map(study: &GapStudy, outcome: &Outcome) -> Result<String, DrawError> {
         ("as expected".to_owned(), Mark::Dot(EXPECTED)),
         ("longer, or missing".to_owned(), Mark::Dot(LONG)),
     ];
-    let panels: &[&str] =
-        if outcome.effects.is_empty() { &["Scenario as it is"] } else { &["Scenario as it is", "With the named effects"] };
+    let panels: &[&str] = if outcome.effects.is_empty() {
+        &["Scenario as it is"]
+    } else {
+        &["Scenario as it is", "With the named effects"]
+    };
     figure("What is off, and where", &legend, panels.len() as f64 * (panel + title), |area| {
         for (side, (name, area)) in panels.iter().zip(area.split_evenly((panels.len(), 1))).enumerate() {
             area.draw(&Text::new((*name).to_owned(), (px(LEFT), px(4.0)), text(HEADING, INK)))?;
@@ -124,7 +127,8 @@ fn map(study: &GapStudy, outcome: &Outcome) -> Result<String, DrawError> {
 fn by_pit(pit: f64) -> RGBColor {
     let off = ((pit - 0.5) / FULL).clamp(-1.0, 1.0);
     let to = if off < 0.0 { SHORT } else { LONG };
-    let mix = |from: u8, to: u8| (f64::from(from) + off.abs() * (f64::from(to) - f64::from(from))).round() as u8;
+    let mix =
+        |from: u8, to: u8| (f64::from(from) + off.abs() * (f64::from(to) - f64::from(from))).round() as u8;
     RGBColor(mix(EXPECTED.0, to.0), mix(EXPECTED.1, to.1), mix(EXPECTED.2, to.2))
 }
 

@@ -51,9 +51,11 @@ pub(super) fn filter_gap(
     let simulation = study.simulation();
     let map = load_map(&simulation.map)?.geometry;
     let unusable = |source| RunError::Map { path: simulation.map.clone(), source };
-    let place = Place::new(map, study.scenario.ray_cast, options.cache, options.progress).map_err(unusable)?;
+    let place =
+        Place::new(map, study.scenario.ray_cast, options.cache, options.progress).map_err(unusable)?;
     let named: Vec<Effect> = outcome.effects.iter().map(|named| named.effect.clone()).collect();
-    let (correctable, learnt): (Vec<Effect>, Vec<Effect>) = named.into_iter().partition(|e| is_correctable(e.kind));
+    let (correctable, learnt): (Vec<Effect>, Vec<Effect>) =
+        named.into_iter().partition(|e| is_correctable(e.kind));
     let old = trained(study, &place, Vec::new(), options)?;
     // The same simulator gives the same model.
     let new = if learnt.is_empty() { None } else { Some(trained(study, &place, learnt, options)?) };
@@ -299,7 +301,10 @@ mod tests {
         let steps: Vec<DriveStep> = read.iter().map(step).collect();
         let mended = unscaled(&steps, kinds.map(|(_, value)| value));
         for (a, b) in mended.iter().zip(&truth) {
-            assert!(a.position().distance(b.position()) < 1e-12 && (a.theta - b.theta).abs() < 1e-12, "{a:?} {b:?}");
+            assert!(
+                a.position().distance(b.position()) < 1e-12 && (a.theta - b.theta).abs() < 1e-12,
+                "{a:?} {b:?}"
+            );
         }
         assert!(read[3].position().distance(truth[3].position()) > 1e-3, "the control");
     }

@@ -140,11 +140,16 @@ impl GapStudy {
             ScenarioError::Invalid { file: file.to_owned(), problems: vec![problem] }
         };
         let Source::Simulation(simulation) = &scenario.source else {
-            return Err(refuse("log", "a measured log has no simulation that could lack something; `robot` and `laser` are needed").into());
+            return Err(refuse(
+                "log",
+                "a measured log has no simulation that could lack something; `robot` and `laser` are needed",
+            )
+            .into());
         };
         // Now, as an error after the search would come late.
         if !edit::can_grow(file, &text) {
-            let message = "an effect could not be added; write `effects` as a list with an entry on each line";
+            let message =
+                "an effect could not be added; write `effects` as a list with an entry on each line";
             return Err(refuse("effects", message).into());
         }
         let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
@@ -152,7 +157,8 @@ impl GapStudy {
         let mut notes = vec![summary.to_string().replace('\n', "; ")];
         let drive = with_mount(drive, simulation.laser.mount, &mut notes);
         let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
-        let simulator = Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects).map_err(GapError::from)?;
+        let simulator = Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects)
+            .map_err(GapError::from)?;
         let refuse = |what: String| GapStudyError::Log { log: log.to_owned(), what };
         same_beams(&drive.laser, simulator.laser().laser()).map_err(refuse)?;
         let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
@@ -167,7 +173,9 @@ impl GapStudy {
         })?;
         let outside = drive.steps.iter().filter(|s| s.reference.is_some_and(|pose| !free(&pose))).count();
         if outside > 0 {
-            notes.push(format!("{outside} scans were left out: their reference pose is not in the map's free space."));
+            notes.push(format!(
+                "{outside} scans were left out: their reference pose is not in the map's free space."
+            ));
         }
         Ok(Self { text, log: log.to_owned(), map, drive, recorded, settings, notes, scenario })
     }
@@ -225,7 +233,14 @@ impl GapStudy {
     fn nominal(&self) -> Result<Nominal, GapError> {
         let Simulation { laser, blocks, robot, effects, .. } = self.simulation();
         let effects = Effects::new(effects.clone())?;
-        Nominal::new(Arc::clone(&self.map), *laser, *blocks, robot.odometry_noise, effects, self.scenario.seed)
+        Nominal::new(
+            Arc::clone(&self.map),
+            *laser,
+            *blocks,
+            robot.odometry_noise,
+            effects,
+            self.scenario.seed,
+        )
     }
 }
 
@@ -297,7 +312,8 @@ fn write(
     let scenario = edit::scenario_with(study, outcome, &options.out)?;
     save(&folder.join("scenario.yaml"), scenario.as_bytes())?;
     let old = study.scenario.file.display().to_string();
-    let diff = edit::diff(&study.text, &scenario, &old, &options.out.join("scenario.yaml").display().to_string());
+    let diff =
+        edit::diff(&study.text, &scenario, &old, &options.out.join("scenario.yaml").display().to_string());
     save(&folder.join("scenario.diff"), diff.as_bytes())?;
     Ok(page::write(folder, study, outcome, &diff, &options.command)?)
 }
@@ -307,7 +323,8 @@ fn with_mount(drive: Drive, mount: Pose2, notes: &mut Vec<String>) -> Drive {
     let logged = drive.laser.base_from_laser();
     let apart = logged.relative_to(&mount);
     if apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT {
-        let place = |pose: Pose2| format!("({:.3} m, {:.3} m, {:.1} deg)", pose.x, pose.y, pose.theta.to_degrees());
+        let place =
+            |pose: Pose2| format!("({:.3} m, {:.3} m, {:.1} deg)", pose.x, pose.y, pose.theta.to_degrees());
         notes.push(format!(
             "The log has the laser at {} on the robot; the scenario's {} is used.",
             place(logged),

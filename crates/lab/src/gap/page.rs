@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use locsim_gap::{Outcome, Verdict};
+use locsim_world::effect::EffectKind;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
@@ -136,7 +137,7 @@ fn named_text(named: &locsim_gap::Named) -> NamedText {
         numbers: answer::numbers(named).join(", "),
         gain: answer::with_interval(&named.evidence.gain_nats, 1.0),
         p: answer::p_value(named.evidence.p),
-        others: answer::others(named).map(|other| other.name()).collect(),
+        others: answer::others(named).map(EffectKind::name).collect(),
         split_by: named.split_by,
     }
 }
@@ -148,7 +149,12 @@ fn remaining(outcome: &Outcome) -> Vec<String> {
 
 fn detection_table(outcome: &Outcome) -> TextTable {
     let row = |name: &str, detection: &locsim_gap::Detection| {
-        [name.to_owned(), answer::p_value(detection.p_library), answer::p_value(detection.p_omnibus), answer::p_value(detection.p)]
+        [
+            name.to_owned(),
+            answer::p_value(detection.p_library),
+            answer::p_value(detection.p_omnibus),
+            answer::p_value(detection.p),
+        ]
     };
     let mut rows = vec![row("scenario as it is", &outcome.detection)];
     if !outcome.effects.is_empty() {
@@ -177,13 +183,21 @@ fn rivals_table(outcome: &Outcome) -> TextTable {
         let values = rival.name.parameters().iter().filter_map(|parameter| {
             let number = rival.params.get(parameter.name)?;
             let unit = unit(parameter).map(|unit| format!(" {unit}")).unwrap_or_default();
-            Some(format!("{} {}{unit}", answer::label(parameter), significant(in_file(parameter, number.value))))
+            Some(format!(
+                "{} {}{unit}",
+                answer::label(parameter),
+                significant(in_file(parameter, number.value))
+            ))
         });
         [
             format!("{}. {}", rival.round, rival.name),
             values.collect::<Vec<_>>().join(", "),
             answer::with_interval(&rival.gain_nats, 1.0),
-            if rival.behind_nats.value == 0.0 { text::NONE.to_owned() } else { answer::with_interval(&rival.behind_nats, 1.0) },
+            if rival.behind_nats.value == 0.0 {
+                text::NONE.to_owned()
+            } else {
+                answer::with_interval(&rival.behind_nats, 1.0)
+            },
         ]
     });
     TextTable::new(["round and effect", "fitted", "gain [nats]", "behind the named one [nats]"], rows)
@@ -209,13 +223,16 @@ fn filter_table(outcome: &Outcome) -> Option<TextTable> {
         ("with the named effects", &filter.after.position_rmse_m),
         ("change", &filter.change_m),
     ];
-    let row = |(name, estimate): (&str, &locsim_gap::Estimate)| [name.to_owned(), answer::with_interval(estimate, 1.0)];
+    let row = |(name, estimate): (&str, &locsim_gap::Estimate)| {
+        [name.to_owned(), answer::with_interval(estimate, 1.0)]
+    };
     Some(TextTable::new(["simulator", "position RMSE [m]"], rows.map(row)))
 }
 
 fn detectable_table(outcome: &Outcome) -> TextTable {
     let rows = outcome.detectable.iter().map(|detectable| {
-        let parameter = detectable.name.parameters().iter().find(|parameter| parameter.name == detectable.parameter);
+        let parameter =
+            detectable.name.parameters().iter().find(|parameter| parameter.name == detectable.parameter);
         let shown = |value: f64| {
             let value = parameter.map_or(value, |parameter| in_file(parameter, value));
             let unit = parameter.and_then(unit).map(|unit| format!(" {unit}")).unwrap_or_default();
