@@ -38,7 +38,10 @@ pub(crate) fn fits(root: &Value, schema: &Value, value: &Value, seen: &mut BTree
         _ => panic!("no type: {schema}"),
     };
     kinds.into_iter().any(|kind| match (kind, value) {
-        ("null", Value::Null) | ("string", Value::String(_)) | ("number", Value::Number(_)) => true,
+        ("null", Value::Null)
+        | ("boolean", Value::Bool(_))
+        | ("string", Value::String(_))
+        | ("number", Value::Number(_)) => true,
         ("integer", Value::Number(number)) => number.is_u64(),
         ("array", Value::Array(items)) => {
             let length = items.len() as u64;

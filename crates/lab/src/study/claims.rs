@@ -1,5 +1,7 @@
 //! The paper's statements beside the findings. Verdicts and their words follow from the numbers.
 
+use std::fmt::Write;
+
 use super::results::{Claim, ConditionResults, LossAgainstObservations, ModelRisk, Results, Verdict};
 use super::{Kind, Model, Study};
 use crate::report::text::{fixed, percent, significant};
@@ -252,7 +254,8 @@ fn nonparametric_wins(condition: &ConditionResults) -> Option<Claim> {
                    doesn't show: how many states are few depends on the length of the axis, which it doesn't give.";
         if let (Some(n), Some(span)) = (crossing(np, p), condition.spans.first()) {
             let (apart, fewest) = (1000.0 * span / n, p.risk.at[0]);
-            reason += &format!(
+            let _ = write!(
+                reason,
                 " The curves cross at N = {n:.0}, where states are {} mm apart on an axis of {} mm; N = {fewest} states are as \
                  close on an axis of {} mm.",
                 significant(apart),
@@ -295,7 +298,8 @@ fn metal_disturbs(still: &ConditionResults, disturbed: &ConditionResults) -> Cla
             .to_owned();
     if let Some([from, to]) = disturbed.gaussian_between {
         let [from, to] = [from, to].map(|position| significant(1000.0 * position));
-        reason += &format!(
+        let _ = write!(
+            reason,
             " With the forceps, every state that passes as Gaussian lies {from} to {to} mm from the transmitter, where its own \
              field is strongest."
         );
@@ -331,7 +335,7 @@ fn samples(
     let needed = (relative(np) > LIKE && falls < FLAT).then(|| {
         format!(
             " NP-REG as published falls as N^{} and is that near where states are so dense that its blur is small: at this rate \
-             from about N = {:.0} on.",
+             not before N = {:.0}.",
             fixed(falls, 2),
             last(&np.risk.at) * (relative(np) / LIKE).powf(-1.0 / falls)
         )
