@@ -148,7 +148,12 @@ fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
         say(&json)?;
     } else if !arguments.quiet {
         say(&gap_bench::table(&score))?;
-        say(&format!("{} of {} logs; report in {}", score.runs, score.planned, arguments.out.join("report.md").display()))?;
+        say(&format!(
+            "{} of {} logs; report in {}",
+            score.runs,
+            score.planned,
+            arguments.out.join("report.md").display()
+        ))?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -6,9 +6,9 @@ use glam::DVec2;
 use locsim_world::effect::{Effect, EffectKind, Parameter};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
+use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::BLOCK;
-use crate::GapError;
 
 /// Steps of the simplex search for each number.
 const STEPS_PER_NUMBER: u64 = 22;
@@ -143,7 +143,12 @@ impl Search<'_, '_> {
 
     fn maximize(&self, kind: EffectKind, start: &Start) -> Result<(f64, Effect), GapError> {
         let parameters = kind.parameters();
-        let scales: Vec<f64> = parameters.iter().zip(&start.values).enumerate().map(|(i, (p, &value))| scale(kind, i, p, value)).collect();
+        let scales: Vec<f64> = parameters
+            .iter()
+            .zip(&start.values)
+            .enumerate()
+            .map(|(i, (p, &value))| scale(kind, i, p, value))
+            .collect();
         let problem = Problem { search: self, kind, start, scales: &scales };
         let origin = vec![0.0; scales.len()];
         if kind == EffectKind::Quantization {
@@ -158,13 +163,11 @@ impl Search<'_, '_> {
             simplex.push(corner);
         }
         let steps = STEPS_PER_NUMBER * scales.len() as u64;
-        let solver = NelderMead::new(simplex)
-            .with_sd_tolerance(TOLERANCE_NATS)
-            .map_err(|_| GapError::Option { option: "tolerance", value: TOLERANCE_NATS, allowed: "positive" })?;
-        let result = Executor::new(&problem, solver)
-            .timer(false)
-            .configure(|state| state.max_iters(steps))
-            .run();
+        let solver = NelderMead::new(simplex).with_sd_tolerance(TOLERANCE_NATS).map_err(|_| {
+            GapError::Option { option: "tolerance", value: TOLERANCE_NATS, allowed: "positive" }
+        })?;
+        let result =
+            Executor::new(&problem, solver).timer(false).configure(|state| state.max_iters(steps)).run();
         match result {
             Ok(result) => {
                 let best = result.state.best_param.unwrap_or(origin);
@@ -205,7 +208,8 @@ impl Search<'_, '_> {
         for i in 0..numbers {
             let (lo, hi) = (parameters[i].lo, parameters[i].hi);
             let room = (hi - effect.values[i]).min(effect.values[i] - lo);
-            let mut step = 0.1 * (effect.values[i] - parameters[i].neutral).abs().max(0.2 * parameters[i].start.abs());
+            let mut step =
+                0.1 * (effect.values[i] - parameters[i].neutral).abs().max(0.2 * parameters[i].start.abs());
             step = step.max(1e-6 * (hi - lo));
             for _ in 0..3 {
                 let bounded = if room > 0.0 { step.min(room) } else { step };
@@ -261,13 +265,13 @@ impl Search<'_, '_> {
         let intervals = (0..numbers)
             .map(|i| {
                 let row = &inverse[i];
-                let projected = (0..count).map(|b| {
-                    row.iter().zip(&gradient).map(|(r, g)| r * g[b]).sum::<f64>()
-                });
+                let projected =
+                    (0..count).map(|b| row.iter().zip(&gradient).map(|(r, g)| r * g[b]).sum::<f64>());
                 let sandwich = projected.map(|p| p * p).sum::<f64>() * count as f64 / degrees;
                 let error = sandwich.max(0.0).sqrt();
                 let curvature = inverse[i][i].max(0.0).sqrt();
-                let half = (quantile * (0.5 * (error * error + curvature * curvature)).sqrt()).max(1.96 * 0.8 * curvature);
+                let half = (quantile * (0.5 * (error * error + curvature * curvature)).sqrt())
+                    .max(1.96 * 0.8 * curvature);
                 [
                     (effect.values[i] - half).max(parameters[i].lo),
                     (effect.values[i] + half).min(parameters[i].hi),

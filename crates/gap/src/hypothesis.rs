@@ -83,7 +83,12 @@ impl<'a> Comparison<'a> {
     /// Where an evaluation with these nuisances begins.
     pub fn start(&self, nuisances: &Nuisances) -> Fitted {
         let n = self.recorded.scans();
-        Fitted { nuisances: *nuisances, corrections: vec![DVec3::ZERO; n], scans: vec![0.0; n], pattern_gains: [0.0; 3] }
+        Fitted {
+            nuisances: *nuisances,
+            corrections: vec![DVec3::ZERO; n],
+            scans: vec![0.0; n],
+            pattern_gains: [0.0; 3],
+        }
     }
 
     /// The log likelihood with `more` effects. `start` gives the nuisances and the reference's errors to begin with;
@@ -157,9 +162,9 @@ impl<'a> Comparison<'a> {
                 fitted.corrections.fill(DVec3::ZERO);
             }
             let error = fitted.nuisances.pose_error;
-            fitted.pattern_gains = self
-                .patterns()
-                .map(|patterns| pattern_gain(&error, &self.recorded.secs, &pass.information, &patterns, iterations));
+            fitted.pattern_gains = self.patterns().map(|patterns| {
+                pattern_gain(&error, &self.recorded.secs, &pass.information, &patterns, iterations)
+            });
         }
         fitted.nuisances.odometry_error = OdometryError::fit(
             self.nominal,
@@ -258,11 +263,8 @@ impl<'a> Comparison<'a> {
                 pass.information[scan].add(weight, beam.jacobian, terms.error + shift);
             }
             pass.shorts += terms.short;
-            pass.exposure -= if terms.short > 0.5 {
-                beam.survival_at(z).0.max(1e-12).ln()
-            } else {
-                beam.log_clear
-            };
+            pass.exposure -=
+                if terms.short > 0.5 { beam.survival_at(z).0.max(1e-12).ln() } else { beam.log_clear };
         });
         pass
     }

@@ -201,7 +201,8 @@ impl Density<'_> {
         let mut cdf = clear
             * law_cdf(&wall, &|law| {
                 let [tail, factor] = law.tail;
-                let one = |sigma: f64| if law.mean.is_finite() { normal_cdf((z - law.mean) / sigma) } else { 0.0 };
+                let one =
+                    |sigma: f64| if law.mean.is_finite() { normal_cdf((z - law.mean) / sigma) } else { 0.0 };
                 if tail > 0.0 {
                     (1.0 - tail) * one(law.sigma) + tail * one(factor * law.sigma)
                 } else {
@@ -209,7 +210,8 @@ impl Density<'_> {
                 }
             });
         if clear < 1.0 {
-            let survival = self.survival_at(beam, (z - shift).min(range)).0.max(1e-12).powf(self.blocks).max(clear);
+            let survival =
+                self.survival_at(beam, (z - shift).min(range)).0.max(1e-12).powf(self.blocks).max(clear);
             let share = ((1.0 - survival) / (1.0 - clear)).clamp(0.0, 1.0);
             let object = self.effects.law(self.laser, &beam.view, Met::Object, z.min(range));
             cdf += (1.0 - clear) * law_cdf(&object, &|_| share);

@@ -154,7 +154,8 @@ pub(crate) fn compare(
                 return Err(GapError::Interrupted);
             }
             let recorded = replay.simulate(draw.seed(i))?;
-            let other = Comparison { nominal: comparison.nominal, recorded: &recorded, views: Arc::clone(views) };
+            let other =
+                Comparison { nominal: comparison.nominal, recorded: &recorded, views: Arc::clone(views) };
             let fitted = other.fit_nuisances_with(&effects, &replay.nuisances, REFIT);
             let statistics = dictionary.of(&other, &effects, views, &fitted, &pit_draw(draw.seed(i)));
             tick();
@@ -199,8 +200,7 @@ fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves>], fits: V
         }
     }
     // Each group in units of its own largest statistic's spread, less its handicap.
-    let scales: Vec<(f64, f64)> =
-        (0..GROUPS).map(|g| moments(largest.iter().map(|t| t[g]), 1e-9)).collect();
+    let scales: Vec<(f64, f64)> = (0..GROUPS).map(|g| moments(largest.iter().map(|t| t[g]), 1e-9)).collect();
     for t in &mut largest {
         for g in 0..GROUPS {
             t[g] = (t[g] - scales[g].0) / scales[g].1 - HANDICAP[g];
@@ -266,10 +266,9 @@ pub(crate) fn fit_persistence(
         .iter()
         .map(|&resample| {
             let replay = replay(resample);
-            let mean = (0..3)
-                .map(|i| Ok(shared(&replay.simulate(draw.seed(i))?)))
-                .sum::<Result<f64, GapError>>()?
-                / 3.0;
+            let mean =
+                (0..3).map(|i| Ok(shared(&replay.simulate(draw.seed(i))?))).sum::<Result<f64, GapError>>()?
+                    / 3.0;
             // The nominal policy is kept where it is as good.
             let handicap = if resample == blocks.resample { 0.0 } else { 0.03 };
             Ok((mean - own).abs() + handicap)

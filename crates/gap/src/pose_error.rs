@@ -87,8 +87,8 @@ pub(crate) fn smooth(process: &PoseError, secs: &[f64], scans: &[Information]) -
         mean[i] = covariance[i] * vector;
         log_volume[i] =
             0.5 * (covariance[i].determinant().max(1e-300) / predicted[i].determinant().max(1e-300)).ln();
-        log_evidence += log_volume[i]
-            + 0.5 * (vector.dot(mean[i]) - predicted_mean[i].dot(prior * predicted_mean[i]));
+        log_evidence +=
+            log_volume[i] + 0.5 * (vector.dot(mean[i]) - predicted_mean[i].dot(prior * predicted_mean[i]));
     }
     let mut with_previous = vec![DMat3::ZERO; n];
     for i in (0..n.saturating_sub(1)).rev() {
@@ -179,8 +179,11 @@ fn evidence_of(process: &PoseError, secs: &[f64], scans: &[Information]) -> f64 
 fn regress(process: &PoseError, secs: &[f64], scans: &[Information], patterns: &[Vec<DVec3>]) -> Vec<f64> {
     // What the process leaves of each pattern and of the data.
     let left = |vectors: &dyn Fn(usize) -> DVec3| -> Vec<DVec3> {
-        let as_data: Vec<Information> =
-            scans.iter().enumerate().map(|(i, s)| Information { matrix: s.matrix, vector: vectors(i) }).collect();
+        let as_data: Vec<Information> = scans
+            .iter()
+            .enumerate()
+            .map(|(i, s)| Information { matrix: s.matrix, vector: vectors(i) })
+            .collect();
         if process.is_none() {
             return as_data.iter().map(|s| s.vector).collect();
         }

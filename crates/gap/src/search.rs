@@ -40,7 +40,14 @@ pub struct GapOptions {
 
 impl Default for GapOptions {
     fn default() -> Self {
-        Self { replicates: 999, false_alarm: 0.01, most_effects: 3, fitted_kinds: 10, without: Vec::new(), seed: 0 }
+        Self {
+            replicates: 999,
+            false_alarm: 0.01,
+            most_effects: 3,
+            fitted_kinds: 10,
+            without: Vec::new(),
+            seed: 0,
+        }
     }
 }
 
@@ -104,15 +111,28 @@ pub fn find(
             break;
         };
         rivals.extend(compare_rivals(&candidates, &candidates[best], rounds.len()));
-        named.push(name(&candidates, best, round.null.p, recorded.scans()));
         gains.push(candidates[best].gains.clone());
-        let mut effects = round.effects.clone();
-        effects.push(candidates[best].effect.clone());
+        let more = name(&candidates, best, round.null.p, recorded.scans());
+        match named.iter().position(|known| adds_up(&known.effect, &more.effect)) {
+            Some(known) if rounds.len() > 2 * options.most_effects => {
+                // It doesn't settle.
+                named[known].effect = sum_of(&named[known].effect, &more.effect)?;
+                break;
+            }
+            Some(known) => {
+                named[known].effect = sum_of(&named[known].effect, &more.effect)?;
+                state.refit(&mut named, known, &round.fitted)?;
+            }
+            None => named.push(more),
+        }
+        let effects: Vec<Effect> = named.iter().map(|named| named.effect.clone()).collect();
         let next = state.round(effects, round.fitted.nuisances)?;
         rounds.push(next);
     }
     if named.len() > 1 {
-        state.refit_jointly(&mut named, &rounds[rounds.len() - 1])?;
+        for i in 0..named.len() {
+            state.refit(&mut named, i, &rounds[rounds.len() - 1].fitted)?;
+        }
     }
     // Deeper blocks also stand in the way of more beams.
     let deeper = named.iter().any(|named| named.name == EffectKind::BlockDepth);
@@ -130,7 +150,11 @@ pub fn find(
     };
     let detectable = detectable(before);
     let blind = detectable.iter().filter(|d| d.value > d.typical).count();
-    let verdict = if verdict == Verdict::None && 2 * blind > detectable.len() { Verdict::Underpowered } else { verdict };
+    let verdict = if verdict == Verdict::None && 2 * blind > detectable.len() {
+        Verdict::Underpowered
+    } else {
+        verdict
+    };
     progress.stage("measuring the gap", 1);
     let (old, new) = (state.replay(before)?, state.replay(after)?);
     let side = [before, after].map(|round| Side { dictionary: &round.dictionary, null: &round.null });
@@ -228,7 +252,12 @@ impl<'a> State<'a> {
         self.progress.stage("fitting effects", starts.len() as u64);
         // The comparison of the nominal world: effects given so far are part of each hypothesis.
         let comparison = Comparison::new(self.nominal, self.recorded);
-        let search = Search { comparison: &comparison, given: &round.effects, without: &round.fitted, start: &round.fitted };
+        let search = Search {
+            comparison: &comparison,
+            given: &round.effects,
+            without: &round.fitted,
+            start: &round.fitted,
+        };
         let fits = starts
             .par_iter()
             .map(|(kind, starts)| {
@@ -388,8 +417,7 @@ impl<'a> State<'a> {
     /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
     /// where simulated logs say that it can't be chance.
     fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
-        let logs: Vec<f64> =
-            last.null.fits.iter().map(|fit| fit.nuisances.block_density.ln()).collect();
+        let logs: Vec<f64> = last.null.fits.iter().map(|fit| fit.nuisances.block_density.ln()).collect();
         let mean = logs.iter().sum::<f64>() / logs.len() as f64;
         let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
         let truth = (last.fitted.nuisances.block_density * self.blocks.density_over_fit).ln();
@@ -432,21 +460,21 @@ impl<'a> State<'a> {
         }))
     }
 
-    /// With all effects at once, the numbers of each are fitted anew, the others as they are.
-    fn refit_jointly(&self, named: &mut [Named], last: &Round<'a>) -> Result<(), GapError> {
+    /// Fits the numbers of one effect anew, the others as they are.
+    fn refit(&self, named: &mut [Named], index: usize, start: &Fitted) -> Result<(), GapError> {
         let comparison = Comparison::new(self.nominal, self.recorded);
-        for i in 0..named.len() {
-            let given: Vec<Effect> =
-                named.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, named)| named.effect.clone()).collect();
-            let without = comparison.evaluate(&given, &last.fitted, 1)?;
-            let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
-            let effect = &named[i].effect;
-            let start = Start { values: effect.values.clone(), place: effect.place.clone() };
-            if let Some(candidate) = search.fit(effect.kind, &[start])? {
-                named[i].params = numbers(&candidate);
-                named[i].evidence.gain_nats = gain(&candidate.gains);
-                named[i].effect = candidate.effect;
-            }
+        let others = named.iter().enumerate().filter(|(i, _)| *i != index);
+        let given: Vec<Effect> = others.map(|(_, named)| named.effect.clone()).collect();
+        let without = comparison.evaluate(&given, start, 1)?;
+        let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
+        let effect = &named[index].effect;
+        let from = Start { values: effect.values.clone(), place: effect.place.clone() };
+        if let Some(candidate) = search.fit(effect.kind, &[from])? {
+            let named = &mut named[index];
+            named.params = numbers(&candidate);
+            named.evidence.gain_nats = gain(&candidate.gains);
+            named.evidence.gain_nats_per_scan = named.evidence.gain_nats.value / self.recorded.scans() as f64;
+            named.effect = candidate.effect;
         }
         Ok(())
     }
@@ -504,8 +532,12 @@ impl<'a> State<'a> {
             Estimate { value: share(total(&gained), total(&rest)), lo: shares[25], hi: shares[974] }
         };
         let view = &before.comparison.views;
-        let floor = after.null.fits.iter().map(Fitted::total).sum::<f64>() / after.null.fits.len().max(1) as f64;
-        let score = |total: f64, w1_mm: f64| crate::outcome::Distance { log_score_nats_per_scan: total / scans, w1_mm };
+        let floor =
+            after.null.fits.iter().map(Fitted::total).sum::<f64>() / after.null.fits.len().max(1) as f64;
+        let score = |total: f64, w1_mm: f64| crate::outcome::Distance {
+            log_score_nats_per_scan: total / scans,
+            w1_mm,
+        };
         Gap {
             before: score(before.fitted.total(), distance(view, self.recorded, old)),
             after: score(after.fitted.total(), distance(view, self.recorded, new)),
@@ -515,6 +547,24 @@ impl<'a> State<'a> {
             closed,
         }
     }
+}
+
+/// Whether two effects are one that was fitted in two steps: a strong one first comes out too weak.
+fn adds_up(known: &Effect, more: &Effect) -> bool {
+    let somewhere = matches!(known.kind, EffectKind::MissingObject | EffectKind::SectorOcclusion);
+    known.kind == more.kind && known.place == more.place && !somewhere
+}
+
+/// Both as one: strengths add up, other numbers are the stronger one's.
+fn sum_of(known: &Effect, more: &Effect) -> Result<Effect, GapError> {
+    let parameters = known.kind.parameters();
+    let count = if known.kind == EffectKind::MountOffset { 2 } else { 1 };
+    let mut values = known.values.clone();
+    for i in 0..count {
+        let parameter = &parameters[i];
+        values[i] = (known.values[i] + more.values[i] - parameter.neutral).clamp(parameter.lo, parameter.hi);
+    }
+    Ok(Effect::new(known.kind, values, known.place.clone())?)
 }
 
 /// Stretches of wall whose statistics are farthest off, neighbours joined.
@@ -539,7 +589,11 @@ fn walls(round: &Round<'_>, all: &[(f64, usize)], most: usize) -> Vec<(f64, [DVe
             for &(other, j) in all {
                 let Some(neighbour) = cell(j) else { continue };
                 let touches = (neighbour[0] - x).abs() <= 1 && (neighbour[1] - y).abs() <= 1;
-                if touches && other.signum() == z.signum() && other.abs() > strong.max(3.0) && !cells.contains(&neighbour) {
+                if touches
+                    && other.signum() == z.signum()
+                    && other.abs() > strong.max(3.0)
+                    && !cells.contains(&neighbour)
+                {
                     cells.push(neighbour);
                 }
             }
@@ -552,9 +606,7 @@ fn walls(round: &Round<'_>, all: &[(f64, usize)], most: usize) -> Vec<(f64, [DVe
             .beams
             .iter()
             .map(|beam| beam.view.endpoint)
-            .filter(|p| {
-                cells.contains(&crate::statistics::cell_at(p.x, p.y, WALL_CELL_M))
-            })
+            .filter(|p| cells.contains(&crate::statistics::cell_at(p.x, p.y, WALL_CELL_M)))
             .collect();
         if let Some(stretch) = line_through(&points) {
             out.push((z, stretch));
@@ -620,7 +672,9 @@ fn numbers(candidate: &Candidate) -> std::collections::BTreeMap<&'static str, Nu
     let effect = &candidate.effect;
     let parameters = effect.kind.parameters().iter().zip(&effect.values).zip(&candidate.intervals);
     parameters
-        .map(|((parameter, &value), &[lo, hi])| (parameter.name, Number { value, lo, hi, unit: parameter.unit }))
+        .map(|((parameter, &value), &[lo, hi])| {
+            (parameter.name, Number { value, lo, hi, unit: parameter.unit })
+        })
         .collect()
 }
 
@@ -667,7 +721,9 @@ fn split_by(set: &[EffectKind]) -> Option<&'static str> {
     if set.len() < 2 {
         None
     } else if has(&[E::TimeOffset, E::MountOffset, E::MotionSkew]) {
-        Some("drive the same stretch forward and in reverse: an error of time changes its sign, a displaced laser doesn't")
+        Some(
+            "drive the same stretch forward and in reverse: an error of time changes its sign, a displaced laser doesn't",
+        )
     } else if has(&[E::OdomImbalance, E::MountYaw, E::OdomTurnScale]) {
         Some("turn in place both ways, and drive straight: only one of them shows in each")
     } else if has(&[E::RangeBias, E::RangeScale]) {
@@ -714,7 +770,13 @@ fn detectable(round: &Round<'_>) -> Vec<Detectable> {
         let value = threshold / round.null.spread[i];
         if value.is_finite() && out.iter().all(|known| known.name != *kind) {
             let typical = (parameter.start - parameter.neutral).abs();
-            out.push(Detectable { name: *kind, parameter: parameter.name, value, unit: parameter.unit, typical });
+            out.push(Detectable {
+                name: *kind,
+                parameter: parameter.name,
+                value,
+                unit: parameter.unit,
+                typical,
+            });
         }
     }
     out

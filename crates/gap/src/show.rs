@@ -156,25 +156,30 @@ pub(crate) fn pits(
         [(before, fitted_before, &nominal.effects, true), (after, fitted_after, &all, false)]
     {
         let max = nominal.laser.max_range_m;
-        comparison.for_each_reading(&comparison.views, effects, fitted, |scan, i, density, shift, z, terms| {
-            let beam = &comparison.views.beams[i];
-            let u = if z < max {
-                density.cdf(beam, shift, z)
-            } else {
-                1.0 - terms.density.min(1.0) * draw.at(scan as u32).item(i as u32).random::<f64>()
-            };
-            if is_before {
-                out[i].before = u as f32;
-                out[i].residual = (z - (beam.range() + shift).min(max)).clamp(-1.0, 1.0) as f32;
-                let view = &beam.view;
-                let laser = recorded.poses[scan].compose(&recorded.laser.base_from_laser());
-                let direction = glam::DVec2::from_angle(laser.theta + view.bearing);
-                let end = laser.position() + z * direction;
-                out[i].endpoint = [end.x as f32, end.y as f32];
-            } else {
-                out[i].after = u as f32;
-            }
-        });
+        comparison.for_each_reading(
+            &comparison.views,
+            effects,
+            fitted,
+            |scan, i, density, shift, z, terms| {
+                let beam = &comparison.views.beams[i];
+                let u = if z < max {
+                    density.cdf(beam, shift, z)
+                } else {
+                    1.0 - terms.density.min(1.0) * draw.at(scan as u32).item(i as u32).random::<f64>()
+                };
+                if is_before {
+                    out[i].before = u as f32;
+                    out[i].residual = (z - (beam.range() + shift).min(max)).clamp(-1.0, 1.0) as f32;
+                    let view = &beam.view;
+                    let laser = recorded.poses[scan].compose(&recorded.laser.base_from_laser());
+                    let direction = glam::DVec2::from_angle(laser.theta + view.bearing);
+                    let end = laser.position() + z * direction;
+                    out[i].endpoint = [end.x as f32, end.y as f32];
+                } else {
+                    out[i].after = u as f32;
+                }
+            },
+        );
     }
     Ok(out)
 }

@@ -173,8 +173,7 @@ fn even(lo: f64, hi: f64, bins: usize) -> Vec<f64> {
 fn quantile_edges(values: &[f64], bins: usize) -> Vec<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let mut edges: Vec<f64> =
-        (0..=bins).map(|i| sorted[(i * (sorted.len() - 1)) / bins]).collect();
+    let mut edges: Vec<f64> = (0..=bins).map(|i| sorted[(i * (sorted.len() - 1)) / bins]).collect();
     edges.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
     if edges.len() < 2 {
         edges = vec![edges[0] - 0.5, edges[0] + 0.5];
@@ -192,7 +191,12 @@ impl Dictionary {
         let mut aims = Vec::new();
         let mut counts = Vec::new();
         let mut dense: Vec<(Score, usize, Vec<f32>)> = Vec::new();
-        let mut add = |aims: &mut Vec<Aim>, counts: &mut Vec<bool>, kind, hint, score, weight: &dyn Fn(usize) -> f64| {
+        let mut add = |aims: &mut Vec<Aim>,
+                       counts: &mut Vec<bool>,
+                       kind,
+                       hint,
+                       score,
+                       weight: &dyn Fn(usize) -> f64| {
             dense.push((score, aims.len(), (0..n).map(|i| weight(i) as f32).collect()));
             aims.push(Aim::Effect(kind, hint));
             counts.push(false);
@@ -214,10 +218,16 @@ impl Dictionary {
         let (a, c) = (&mut aims, &mut counts);
         add(a, c, E::RangeBias, Hint::None, Score::Location, &|_| 1.0);
         add(a, c, E::RangeScale, Hint::None, Score::Location, &|i| beam(i).range());
-        add(a, c, E::IncidenceBias, Hint::None, Score::Location, &|i| tangent_squared(beam(i).view.incidence));
+        add(a, c, E::IncidenceBias, Hint::None, Score::Location, &|i| {
+            tangent_squared(beam(i).view.incidence)
+        });
         add(a, c, E::MountYaw, Hint::None, Score::Location, &|i| beam(i).jacobian[2]);
-        add(a, c, E::MountOffset, Hint::Values(vec![(0, 0.02), (1, 0.0)]), Score::Location, &|i| along(i, 0.0));
-        add(a, c, E::MountOffset, Hint::Values(vec![(0, 0.0), (1, 0.02)]), Score::Location, &|i| along(i, 0.5 * PI));
+        add(a, c, E::MountOffset, Hint::Values(vec![(0, 0.02), (1, 0.0)]), Score::Location, &|i| {
+            along(i, 0.0)
+        });
+        add(a, c, E::MountOffset, Hint::Values(vec![(0, 0.0), (1, 0.02)]), Score::Location, &|i| {
+            along(i, 0.5 * PI)
+        });
         add(a, c, E::TimeOffset, Hint::None, Score::Location, &drift);
         add(a, c, E::MotionSkew, Hint::None, Score::Location, &|i| drift(i) * sweep(i));
         for tau in WARM_UP_SECS {
@@ -238,7 +248,9 @@ impl Dictionary {
         }
         for exponent in DROPOUT_EXPONENTS {
             let hint = Hint::Values(vec![(1, exponent)]);
-            add(a, c, E::RangeDropout, hint, Score::NoReturn, &|i| (beam(i).range() / max).min(1.0).powf(exponent));
+            add(a, c, E::RangeDropout, hint, Score::NoReturn, &|i| {
+                (beam(i).range() / max).min(1.0).powf(exponent)
+            });
         }
         add(a, c, E::Crosstalk, Hint::None, Score::Uniform, &|_| 1.0);
 
@@ -277,7 +289,12 @@ impl Dictionary {
         let steps = aims.len();
         for step in STEPS_M {
             for _ in 0..2 {
-                push(&mut aims, &mut counts, Aim::Effect(E::Quantization, Hint::Values(vec![(0, step)])), false);
+                push(
+                    &mut aims,
+                    &mut counts,
+                    Aim::Effect(E::Quantization, Hint::Values(vec![(0, step)])),
+                    false,
+                );
             }
         }
         let depth = push(&mut aims, &mut counts, Aim::Effect(E::BlockDepth, Hint::None), false);
@@ -333,7 +350,8 @@ impl Dictionary {
         let jump_size = |i: usize| jumps[i].map_or(0.0, |[near, far]| far - near);
         let speed = |i: usize| velocities[scan(i)][0].hypot(velocities[scan(i)][1]);
         let turn = |i: usize| velocities[scan(i)][2];
-        let per_scan = |of: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..views.scans()).map(|s| of(s * k)).collect() };
+        let per_scan =
+            |of: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..views.scans()).map(|s| of(s * k)).collect() };
         let range_edges = even(0.0, max, 12);
         let incidence_edges = even(0.0, 0.5 * PI, 9);
         let bearing_edges = even(first, last + 1e-6, 24);
@@ -395,7 +413,12 @@ impl Dictionary {
                     .then(|| wall_order[i].map(|c| f64::from(c) * WALL_CELL_M));
                 for deviation in [Deviation::Mean, Deviation::Spread, Deviation::Short, Deviation::NoReturn] {
                     let count = matches!(deviation, Deviation::Short | Deviation::NoReturn);
-                    push(&mut aims, &mut counts, Aim::Cell(Cell { covariate, lo, hi, place, deviation }), count);
+                    push(
+                        &mut aims,
+                        &mut counts,
+                        Aim::Cell(Cell { covariate, lo, hi, place, deviation }),
+                        count,
+                    );
                 }
             }
         }
@@ -467,7 +490,11 @@ impl Dictionary {
     pub fn group(&self, index: usize) -> usize {
         if index >= self.cells {
             2
-        } else if self.is_score(index) || (self.odometry..self.patterns + 3).contains(&index) || index == self.mixed || index == self.depth {
+        } else if self.is_score(index)
+            || (self.odometry..self.patterns + 3).contains(&index)
+            || index == self.mixed
+            || index == self.depth
+        {
             0
         } else {
             1
@@ -535,10 +562,12 @@ impl Dictionary {
             let wall = self.wall[i];
             if wall != u32::MAX {
                 let wall = wall as usize;
-                out[self.moved_wall + wall][half] += f64::from(scores[0][i]) / beam.view.incidence.cos().max(0.17);
+                out[self.moved_wall + wall][half] +=
+                    f64::from(scores[0][i]) / beam.view.incidence.cos().max(0.17);
                 let through = if is_return {
                     let sigma = comparison.nominal.laser.sigma_m;
-                    let far = beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, max));
+                    let far =
+                        beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, max));
                     // What stands behind is often not on the map.
                     0.5 * far + if z > beam.range() + shift + 5.0 * sigma { 0.5 / max } else { 0.0 }
                 } else {
@@ -624,7 +653,8 @@ impl Dictionary {
             out[self.odometry + 1][half] += turn * dtheta;
             out[self.odometry + 2][half] += turn * ds;
             // Slips lengthen only.
-            out[self.odometry + 3][half] += f64::from(u8::from(distance * ds > 0.0)) * (distance * ds).powi(2);
+            out[self.odometry + 3][half] +=
+                f64::from(u8::from(distance * ds > 0.0)) * (distance * ds).powi(2);
         }
         debug_assert!(self.walls <= self.len());
         out

@@ -80,7 +80,9 @@ fn effect(kind: EffectKind, values: &[f64]) -> Effect {
 #[test]
 fn nothing_is_found_where_nothing_is_hidden() {
     let nominal = nominal();
-    for regime in [Regime::default(), Regime { persistent_blocks: true, pose_error: Some(Regime::POSE_ERROR) }] {
+    for regime in
+        [Regime::default(), Regime { persistent_blocks: true, pose_error: Some(Regime::POSE_ERROR) }]
+    {
         let outcome = search(&nominal, &log(&nominal, &[], regime, 11), Vec::new());
         assert!(matches!(outcome.verdict, Verdict::None | Verdict::Underpowered), "{:?}", outcome.detection);
         assert!(outcome.effects.is_empty());
@@ -98,7 +100,8 @@ fn a_hidden_effect_is_named_with_its_number() {
         (EffectKind::OdomDistanceScale, vec![0.1]),
     ] {
         let hidden = effect(kind, &values);
-        let outcome = search(&nominal, &log(&nominal, std::slice::from_ref(&hidden), Regime::default(), 3), Vec::new());
+        let outcome =
+            search(&nominal, &log(&nominal, std::slice::from_ref(&hidden), Regime::default(), 3), Vec::new());
         assert_eq!(outcome.effects.first().map(|named| named.name), Some(kind), "{:?}", outcome.rivals);
         let named = &outcome.effects[0];
         let number = named.params[kind.parameters()[0].name];

@@ -3,7 +3,7 @@ use std::sync::{Arc, LazyLock};
 
 use locsim_core::Laser;
 use locsim_world::effect::EffectKind;
-use locsim_world::map::VectorMap;
+use locsim_world::map::{NamedEdges, Polyline, VectorMap, Wall};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{BlockOptions, LaserOptions, OdometryNoise, Robot, RobotPath, simulate_drive};
 
@@ -17,14 +17,15 @@ const NORTH: [DVec2; 2] = [DVec2::new(6.0, 4.0), DVec2::new(0.0, 4.0)];
 
 /// A room with a door recess and a thin wall that hides part of the east end, some blocks and dropouts.
 static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
-    let map: VectorMap = serde_yaml::from_str(
-        "outline:
-  points_m: [[0, 0], [2, 0], [2, -0.4], [3, -0.4], [3, 0], [6, 0], [6, 4], [0, 4]]
-  surfaces: [{name: door, edges: [2]}]
-walls: [{name: screen, from_m: [5, 1.0], to_m: [5, 2.0]}]
-",
-    )
-    .unwrap();
+    let corners =
+        [[0.0, 0.0], [2.0, 0.0], [2.0, -0.4], [3.0, -0.4], [3.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]];
+    let outline = Polyline {
+        points_m: corners.to_vec(),
+        surfaces: vec![NamedEdges { name: "door".to_owned(), edges: vec![2] }],
+        ..Polyline::default()
+    };
+    let screen = Wall { name: "screen".to_owned(), from_m: [5.0, 1.0], to_m: [5.0, 2.0] };
+    let map = VectorMap { outline, obstacles: Vec::new(), walls: vec![screen] };
     let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
     let laser = LaserOptions {
         rate_hz: 10.0,

@@ -154,7 +154,11 @@ pub(super) fn place_text(region: &Region) -> String {
 pub(super) fn deviation_text(region: &Region) -> &'static str {
     let more = region.z > 0.0;
     if region.covariate == Covariate::Scan {
-        return if more { "neighbouring scans differ too much" } else { "neighbouring scans differ too little" };
+        return if more {
+            "neighbouring scans differ too much"
+        } else {
+            "neighbouring scans differ too little"
+        };
     }
     match (region.deviation, more) {
         (Deviation::Share, true) => "too many readings",

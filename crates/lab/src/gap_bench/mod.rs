@@ -192,11 +192,14 @@ impl World {
         let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
         let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
         let odometry = simulation.robot.odometry_noise;
-        let simulator = Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects.clone())
-            .map_err(GapError::from)?;
-        let mut drive = simulate_drive(&simulator, &simulation.robot, options.seed).map_err(GapError::from)?.drive;
+        let simulator =
+            Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects.clone())
+                .map_err(GapError::from)?;
+        let mut drive =
+            simulate_drive(&simulator, &simulation.robot, options.seed).map_err(GapError::from)?.drive;
         drive.steps.truncate(options.scans);
-        let nominal = Nominal::new(map, simulation.laser, simulation.blocks, odometry, effects, options.seed)?;
+        let nominal =
+            Nominal::new(map, simulation.laser, simulation.blocks, odometry, effects, options.seed)?;
         Ok(Self { nominal, drive })
     }
 }
@@ -277,8 +280,8 @@ fn same_suite(options: &GapBenchOptions<'_>, world: &World) -> Result<(), GapBen
     });
     match fs::read_to_string(&path) {
         Ok(text) => {
-            let known: serde_json::Value = serde_json::from_str(&text)
-                .map_err(|source| GapBenchError::Json { path, source })?;
+            let known: serde_json::Value =
+                serde_json::from_str(&text).map_err(|source| GapBenchError::Json { path, source })?;
             if known == mark { Ok(()) } else { Err(GapBenchError::Other(options.out.clone())) }
         }
         Err(_) => save(&path, &mark),
@@ -369,8 +372,8 @@ fn save(path: &Path, value: &impl Serialize) -> Result<(), GapBenchError> {
 }
 
 fn read<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<T, GapBenchError> {
-    let text = fs::read_to_string(path)
-        .map_err(|source| GapBenchError::File { path: path.to_owned(), source })?;
+    let text =
+        fs::read_to_string(path).map_err(|source| GapBenchError::File { path: path.to_owned(), source })?;
     serde_json::from_str(&text).map_err(|source| GapBenchError::Json { path: path.to_owned(), source })
 }
 

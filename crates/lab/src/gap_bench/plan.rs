@@ -127,7 +127,9 @@ fn typical(kind: EffectKind, map: &ExactRangeMap, poses: &[Pose2], draw: &Draw) 
     let mut place = Vec::new();
     let mut index = 0;
     match kind {
-        EffectKind::IncidenceDropout => (values[0], values[1], values[2]) = (0.05, 0.9 + 0.3 * rng.random::<f64>(), 0.08),
+        EffectKind::IncidenceDropout => {
+            (values[0], values[1], values[2]) = (0.05, 0.9 + 0.3 * rng.random::<f64>(), 0.08)
+        }
         EffectKind::RangeDropout => (values[0], values[1]) = (0.05, 4.0),
         EffectKind::WarmupDrift => (values[0], values[1]) = (0.003, 15.0),
         EffectKind::SectorOcclusion => {
@@ -141,7 +143,8 @@ fn typical(kind: EffectKind, map: &ExactRangeMap, poses: &[Pose2], draw: &Draw) 
         EffectKind::Glass | EffectKind::MovedWall => {
             // A stretch that the robot passes by.
             let pose = poses[(rng.random::<f64>() * poses.len() as f64) as usize % poses.len()];
-            let side = DVec2::from_angle(if rng.random::<bool>() { 0.5 } else { -0.5 } * std::f64::consts::PI);
+            let side =
+                DVec2::from_angle(if rng.random::<bool>() { 0.5 } else { -0.5 } * std::f64::consts::PI);
             if let Some(stretch) = wall_at(map, pose.position(), side, 2.0) {
                 place.push(stretch);
             }
@@ -197,7 +200,12 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
         Size::Full => (200, 8, &[25.0, 50.0, 100.0], &[25.0, 50.0, 100.0]),
     };
     let mut cases = Vec::new();
-    let mut add = |group: Group, name: String, lambda: f64, regime: usize, hidden: &dyn Fn(&Draw) -> Hidden, without: Vec<EffectKind>| {
+    let mut add = |group: Group,
+                   name: String,
+                   lambda: f64,
+                   regime: usize,
+                   hidden: &dyn Fn(&Draw) -> Hidden,
+                   without: Vec<EffectKind>| {
         let number = cases.len() as u32;
         let draw = Draw::new(seed, Stage::Trial, 100 + number);
         let id = format!("{number:04}-{name}");

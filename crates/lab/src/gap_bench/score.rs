@@ -102,7 +102,8 @@ fn is_found(found: &FoundFile) -> bool {
 impl Score {
     pub(super) fn new(all: Vec<(TruthFile, FoundFile)>, planned: usize, replicates: u32, seed: u64) -> Self {
         let of = |group: Group| all.iter().filter(move |(truth, _)| truth.group == group);
-        let first_is_right = |(truth, found): &(TruthFile, FoundFile)| found.effects.first() == truth.effects.first();
+        let first_is_right =
+            |(truth, found): &(TruthFile, FoundFile)| found.effects.first() == truth.effects.first();
         let mut regimes: Vec<String> = of(Group::Null).map(|(truth, _)| truth.regime.clone()).collect();
         regimes.sort();
         regimes.dedup();
@@ -110,7 +111,9 @@ impl Score {
             .into_iter()
             .map(|regime| {
                 let share = Share::of(
-                    of(Group::Null).filter(|(truth, _)| truth.regime == regime).map(|(_, found)| is_found(found)),
+                    of(Group::Null)
+                        .filter(|(truth, _)| truth.regime == regime)
+                        .map(|(_, found)| is_found(found)),
                 );
                 (regime, share)
             })
@@ -156,10 +159,13 @@ impl Score {
         let strongest = lambdas.last().copied().unwrap_or(0.0);
         let closed = |group: Group| mean(at(strongest, group).map(|(_, found)| found.closed[1]));
         let two_named = Share::of(
-            of(Group::Pair).map(|(truth, found)| truth.effects.iter().all(|name| found.effects.contains(name))),
+            of(Group::Pair)
+                .map(|(truth, found)| truth.effects.iter().all(|name| found.effects.contains(name))),
         );
-        let outside = || all.iter().filter(|(truth, _)| matches!(truth.group, Group::Outside | Group::Removed));
-        let flagged = |found: &FoundFile| matches!(found.verdict.as_str(), "unexplained" | "partly_explained");
+        let outside =
+            || all.iter().filter(|(truth, _)| matches!(truth.group, Group::Outside | Group::Removed));
+        let flagged =
+            |found: &FoundFile| matches!(found.verdict.as_str(), "unexplained" | "partly_explained");
         let outside = OutsideScore {
             flagged: Share::of(outside().map(|(_, found)| flagged(found))),
             named: Share::of(

@@ -25,7 +25,12 @@ pub fn table(score: &Score) -> String {
         rows.push([metric, value, excellent.to_owned(), good.to_owned()]);
     };
     for (regime, alarms) in &score.false_alarm {
-        row(format!("false alarms at 1 %, {}", regime.replace('_', " blocks, poses ")), share(alarms), "<= 0.02", "<= 0.04");
+        row(
+            format!("false alarms at 1 %, {}", regime.replace('_', " blocks, poses ")),
+            share(alarms),
+            "<= 0.02",
+            "<= 0.04",
+        );
     }
     for (lambda, forms) in &score.top1 {
         let (excellent, good) = match lambda.as_str() {
@@ -33,8 +38,18 @@ pub fn table(score: &Score) -> String {
             "50" => ([".97", ".95"], [".90", ".85"]),
             _ => (["-", "-"], ["-", "-"]),
         };
-        row(format!("first name right, lambda = {lambda}, same form"), share(&forms.same), excellent[0], good[0]);
-        row(format!("first name right, lambda = {lambda}, other form"), share(&forms.other), excellent[1], good[1]);
+        row(
+            format!("first name right, lambda = {lambda}, same form"),
+            share(&forms.same),
+            excellent[0],
+            good[0],
+        );
+        row(
+            format!("first name right, lambda = {lambda}, other form"),
+            share(&forms.other),
+            excellent[1],
+            good[1],
+        );
     }
     for (lambda, (found, oracle)) in &score.found {
         row(
@@ -44,17 +59,42 @@ pub fn table(score: &Score) -> String {
             "-",
         );
     }
-    row("truth within the reported set, where something is named".to_owned(), share(&score.in_set), ">= .98", ">= .93");
+    row(
+        "truth within the reported set, where something is named".to_owned(),
+        share(&score.in_set),
+        ">= .98",
+        ">= .93",
+    );
     row("mean size of the set".to_owned(), number(score.set_size), "<= 1.3", "<= 2");
     row("95 % intervals cover the truth".to_owned(), share(&score.coverage), ".93 to .97", ".90 to .98");
     row("standard deviation over Cramer-Rao".to_owned(), number(score.sd_over_bound), "<= 1.15", "<= 1.5");
-    row("gap closed, mean lower bound, lambda = 100, same form".to_owned(), number(score.closed_lo.same), ">= .90", ">= .80");
-    row("gap closed, mean lower bound, lambda = 100, other form".to_owned(), number(score.closed_lo.other), ">= .75", ">= .50");
+    row(
+        "gap closed, mean lower bound, lambda = 100, same form".to_owned(),
+        number(score.closed_lo.same),
+        ">= .90",
+        ">= .80",
+    );
+    row(
+        "gap closed, mean lower bound, lambda = 100, other form".to_owned(),
+        number(score.closed_lo.other),
+        ">= .75",
+        ">= .50",
+    );
     row("two effects both named".to_owned(), share(&score.two_named), ">= .85", ">= .70");
     row("outside the library: flagged".to_owned(), share(&score.outside.flagged), ">= .90", ">= .75");
     row("outside the library: wrongly named".to_owned(), share(&score.outside.named), "<= .05", "<= .15");
-    row("filter error caused by the effect, recovered".to_owned(), number(score.filter_recovered), ">= .80", ">= .50");
-    row("time per log on one core [s] (asked for on two)".to_owned(), format!("{:.0}", score.seconds_per_log), "<= 60", "<= 600");
+    row(
+        "filter error caused by the effect, recovered".to_owned(),
+        number(score.filter_recovered),
+        ">= .80",
+        ">= .50",
+    );
+    row(
+        "time per log on one core [s] (asked for on two)".to_owned(),
+        format!("{:.0}", score.seconds_per_log),
+        "<= 60",
+        "<= 600",
+    );
     let mut text = "| metric | measured | excellent | good |\n| --- | --- | --- | --- |\n".to_owned();
     for [metric, value, excellent, good] in rows {
         let _ = writeln!(text, "| {metric} | {value} | {excellent} | {good} |");
@@ -92,8 +132,11 @@ pub fn report(score: &Score) -> String {
         let Some(row) = matrix.get(name) else { continue };
         let total: u32 = row.values().sum();
         let right = row.get(name).copied().unwrap_or(0);
-        let others: Vec<String> =
-            row.iter().filter(|(given, _)| **given != name).map(|(given, n)| format!("{given} {n}")).collect();
+        let others: Vec<String> = row
+            .iter()
+            .filter(|(given, _)| **given != name)
+            .map(|(given, n)| format!("{given} {n}"))
+            .collect();
         let _ = writeln!(text, "| {name} | {right} of {total} | {} |", others.join(", "));
     }
     let worst = matrix
@@ -104,7 +147,11 @@ pub fn report(score: &Score) -> String {
         })
         .min_by(|a, b| a.1.total_cmp(&b.1));
     if let Some((name, share)) = worst {
-        let _ = writeln!(text, "\nThe worst effect is `{name}`: named first in {:.0} % of its logs.", 100.0 * share);
+        let _ = writeln!(
+            text,
+            "\nThe worst effect is `{name}`: named first in {:.0} % of its logs.",
+            100.0 * share
+        );
     }
     text += "\n## Every log\n\n| group | regime | lambda | hidden | verdict | named | p | p after | closed | s |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n";
     for (truth, found) in &score.all {
@@ -121,7 +168,10 @@ pub fn report(score: &Score) -> String {
         let _ = writeln!(
             text,
             "| {} | {} | {} | {} | {} | {} | {:.3} | {:.3} | {:.2} [{:.2}, {:.2}] | {:.0} |",
-            serde_json::to_value(truth.group).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default(),
+            serde_json::to_value(truth.group)
+                .ok()
+                .and_then(|v| v.as_str().map(str::to_owned))
+                .unwrap_or_default(),
             truth.regime,
             truth.lambda,
             hidden.join(", "),
