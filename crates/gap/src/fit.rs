@@ -51,7 +51,7 @@ pub(crate) fn sum_error(blocks: &[f64]) -> f64 {
 pub(crate) fn blocks(scans: &[f64]) -> Vec<f64> {
     let mut blocks: Vec<f64> = scans.chunks(BLOCK).map(|block| block.iter().sum()).collect();
     // A last block of few scans goes with the one before.
-    if scans.len() % BLOCK != 0 && blocks.len() > 1 {
+    if !scans.len().is_multiple_of(BLOCK) && blocks.len() > 1 {
         let last = blocks.pop().unwrap_or(0.0);
         if let Some(previous) = blocks.last_mut() {
             *previous += last;

@@ -132,6 +132,7 @@ pub(crate) struct Null {
 }
 
 /// Runs the replicates and ranks the log among them.
+#[expect(clippy::too_many_arguments, reason = "one call, and each is a thing of its own")]
 pub(crate) fn compare(
     replay: &Replay<'_>,
     comparison: &Comparison<'_>,

@@ -270,6 +270,7 @@ pub struct Outcome {
     pub beam_pits: Vec<BeamPit>,
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
 fn name<S: Serializer>(kind: &EffectKind, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(kind.name())
 }

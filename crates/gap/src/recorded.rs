@@ -76,7 +76,7 @@ impl Recorded {
     /// The same drive with other readings and odometry: what a simulation of it gives.
     #[must_use]
     pub fn with(&self, readings: Vec<f32>, odometry: Vec<Pose2>) -> Self {
-        Self { readings, odometry, ..self.clone() }
+        Self { odometry, readings, ..self.clone() }
     }
 
     /// Velocity of the robot at each scan in the map frame \[m/s, m/s, rad/s\]: from the neighbours' poses.

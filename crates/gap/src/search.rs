@@ -274,7 +274,7 @@ impl<'a> State<'a> {
 
     /// Kinds with where their fits start, the most promising first.
     fn starts(&self, round: &Round<'a>, count: usize) -> Vec<(EffectKind, Vec<Start>)> {
-        let mut best: Vec<(EffectKind, f64, Vec<(f64, usize)>)> = Vec::new();
+        let mut best: Vec<(EffectKind, f64, Directions)> = Vec::new();
         for (i, aim) in round.dictionary.aims.iter().enumerate() {
             let Aim::Effect(kind, _) = aim else { continue };
             // The density of blocks is fitted along with everything else; see `block_density`.
@@ -548,6 +548,9 @@ impl<'a> State<'a> {
         }
     }
 }
+
+/// Directions of a kind of effect: how far the log is off, and the index of the statistic.
+type Directions = Vec<(f64, usize)>;
 
 /// Whether two effects are one that was fitted in two steps: a strong one first comes out too weak.
 fn adds_up(known: &Effect, more: &Effect) -> bool {

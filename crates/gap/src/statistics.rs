@@ -9,6 +9,7 @@ use std::f64::consts::{PI, TAU};
 
 use locsim_core::{Draw, Stage};
 use locsim_world::effect::EffectKind;
+use locsim_world::effect::EffectKind as E;
 use rand::RngExt;
 
 use crate::hypothesis::{Comparison, Fitted};
@@ -201,7 +202,6 @@ impl Dictionary {
             aims.push(Aim::Effect(kind, hint));
             counts.push(false);
         };
-        use EffectKind as E;
         let beam = |i: usize| &views.beams[i];
         let scan = |i: usize| i / k;
         let secs = |i: usize| recorded.secs[scan(i)];
@@ -488,16 +488,14 @@ impl Dictionary {
     /// Statistics that are ranked among themselves: 0 for the scores of effects that act on many beams, 1 for those that
     /// act in one of many places, 2 for the cells.
     pub fn group(&self, index: usize) -> usize {
-        if index >= self.cells {
-            2
-        } else if self.is_score(index)
+        let is_wide = self.is_score(index)
             || (self.odometry..self.patterns + 3).contains(&index)
             || index == self.mixed
-            || index == self.depth
-        {
-            0
-        } else {
-            1
+            || index == self.depth;
+        match (index >= self.cells, is_wide) {
+            (true, _) => 2,
+            (false, true) => 0,
+            (false, false) => 1,
         }
     }
 

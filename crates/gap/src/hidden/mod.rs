@@ -139,7 +139,7 @@ pub fn record_other(
 ) -> Result<Drive, GapError> {
     Effect::new(form.kind(), values.to_vec(), place.to_vec())?;
     let hidden = HiddenDrive::new(nominal, truth, regime, seed)?;
-    other::record(&hidden, form, values, place)
+    Ok(other::record(&hidden, form, values, place))
 }
 
 /// A drive with `kind` in it; what `strength` is, [`Outside`] says.

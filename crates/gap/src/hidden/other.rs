@@ -9,7 +9,6 @@ use serde::Serialize;
 
 use super::beam::{Beam, Change, is_in_sector};
 use super::{HiddenDrive, Truth, WHOLE_SCAN};
-use crate::GapError;
 
 /// A beam ends on a stretch of wall if it ends no farther from it than this \[m\].
 const NEAR_PLACE_M: f64 = 0.1;
@@ -134,11 +133,11 @@ pub(super) fn record(
     form: OtherForm,
     values: &[f64],
     place: &[[DVec2; 2]],
-) -> Result<Drive, GapError> {
+) -> Drive {
     let max = hidden.max_range();
     let value = |i: usize| values[i];
     let theta = value(0);
-    Ok(match form {
+    match form {
         OtherForm::RangeBias => hidden.with_readings(|beam, _| {
             Change::Shift(theta * if beam.index.is_multiple_of(2) { 1.2 } else { 0.8 })
         }),
@@ -256,7 +255,7 @@ pub(super) fn record(
             let scale = value(1) * (2.0 / PI).sqrt() / (2.0 * 3_f64.sqrt() / PI);
             [if slips { scale * student_t(&mut chance).abs() } else { 0.0 }, 0.0]
         }),
-    })
+    }
 }
 
 /// 2 (1 / cos(alpha) - 1): about tan^2(alpha) where alpha is small.
