@@ -128,13 +128,9 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     refused(&gap("nominal.yaml", "--beams 0"), "--beams: 0 is not allowed");
     refused("gap nominal.yaml --log missing.log --out found", "missing.log");
     refused("gap nominal.yaml --log measured.log", "--out");
-    let without_reference: String = String::from_utf8(folder.read("measured.log"))
-        .unwrap()
-        .lines()
-        .filter(|line| !line.starts_with("TRUEPOS"))
-        .map(|line| format!("{line}\n"))
-        .collect();
-    folder.write("blind.log", without_reference);
+    let text = String::from_utf8(folder.read("measured.log")).unwrap();
+    let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("TRUEPOS")).collect();
+    folder.write("blind.log", lines.join("\n") + "\n");
     refused("gap nominal.yaml --log blind.log --out found", "blind.log: no scan has a reference pose");
     assert_eq!(folder.read("found/gap.json"), b"{}");
     assert!(!folder.path("found.partial").exists());

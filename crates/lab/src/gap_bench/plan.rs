@@ -128,7 +128,7 @@ fn typical(kind: EffectKind, map: &ExactRangeMap, poses: &[Pose2], draw: &Draw) 
     let mut index = 0;
     match kind {
         EffectKind::IncidenceDropout => {
-            (values[0], values[1], values[2]) = (0.05, 0.9 + 0.3 * rng.random::<f64>(), 0.08)
+            (values[0], values[1], values[2]) = (0.05, 0.9 + 0.3 * rng.random::<f64>(), 0.08);
         }
         EffectKind::RangeDropout => (values[0], values[1]) = (0.05, 4.0),
         EffectKind::WarmupDrift => (values[0], values[1]) = (0.003, 15.0),
@@ -213,8 +213,8 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
     };
     let regimes = if size == Size::Small { 2 } else { REGIMES.len() };
     for round in 0..nulls {
-        for regime in 0..regimes {
-            let name = format!("null-{}-{round}", REGIMES[regime].0);
+        for (regime, (regime_name, _)) in REGIMES.iter().enumerate().take(regimes) {
+            let name = format!("null-{regime_name}-{round}");
             add(Group::Null, name, 0.0, regime, &|_| Hidden::Library(Vec::new()), Vec::new());
         }
     }

@@ -65,7 +65,6 @@ pub enum RayCast {
 
 /// Where scans and odometry come from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-#[expect(clippy::large_enum_variant, reason = "there is one of it in a scenario")]
 pub enum Source {
     /// A simulated drive per trial.
     Simulation(Simulation),
