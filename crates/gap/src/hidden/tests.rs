@@ -71,7 +71,6 @@ fn values(form: OtherForm, strong: bool) -> Vec<f64> {
     let on = |value: f64| if strong { value } else { 0.0 };
     match form {
         OtherForm::IncidenceBias => vec![on(0.05)],
-        OtherForm::RangeBias => vec![on(0.1)],
         OtherForm::HeavyTail | OtherForm::Glass | OtherForm::MixedPixels => vec![on(0.6)],
         OtherForm::IncidenceDropout => vec![on(0.8), FRAC_PI_3, 0.05],
         OtherForm::RangeDropout => vec![on(0.9), 4.0],
@@ -83,9 +82,8 @@ fn values(form: OtherForm, strong: bool) -> Vec<f64> {
         OtherForm::SectorOcclusion => vec![2.9, -2.9, 0.3, on(0.7)],
         OtherForm::Crosstalk => vec![on(0.9), 0.3],
         OtherForm::MotionSkew => vec![on(0.5)],
-        OtherForm::RangeScale => vec![on(0.1)],
-        OtherForm::TimeOffset => vec![on(0.2)],
-        OtherForm::OdomDistanceScale | OtherForm::OdomImbalance => vec![on(0.2)],
+        OtherForm::RangeBias | OtherForm::RangeScale => vec![on(0.1)],
+        OtherForm::TimeOffset | OtherForm::OdomDistanceScale | OtherForm::OdomImbalance => vec![on(0.2)],
         OtherForm::WheelSlip => vec![on(0.3), 0.5],
     }
 }
