@@ -117,6 +117,6 @@ pub(crate) fn standardized(increment: &Increment, error: &OdometryError) -> [f64
     let extra = [error.sigma_m, error.sigma_rad];
     std::array::from_fn(|axis| {
         let variance = increment.variance[axis] + extra[axis].powi(2) + LEAST[axis].powi(2);
-        (increment.error[axis] / variance.sqrt()).clamp(-CUT, CUT) / variance.sqrt()
+        (increment.error[axis] / variance.sqrt()).clamp(-CUT, CUT)
     })
 }

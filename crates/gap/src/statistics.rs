@@ -643,19 +643,47 @@ impl Dictionary {
         }
         let track = comparison.corrected(&fitted.corrections);
         let all = increments(comparison.nominal, effects, &track, &comparison.recorded.odometry);
+        // Correlations, so that they don't depend on how large the reference's errors are taken to be.
+        let mut sums = [[Correlation::default(); 4]; 2];
         for (scan, increment) in all.iter().enumerate() {
-            let half = (scan / BLOCK) % 2;
             let [distance, turn] = standardized(increment, &fitted.nuisances.odometry_error);
             let [ds, dtheta] = increment.truth;
-            out[self.odometry][half] += distance * ds;
-            out[self.odometry + 1][half] += turn * dtheta;
-            out[self.odometry + 2][half] += turn * ds;
-            // Slips lengthen only.
-            out[self.odometry + 3][half] +=
-                f64::from(u8::from(distance * ds > 0.0)) * (distance * ds).powi(2);
+            let [scale, turn_scale, imbalance, slip] = &mut sums[(scan / BLOCK) % 2];
+            scale.add(distance, ds);
+            turn_scale.add(turn, dtheta);
+            imbalance.add(turn, ds);
+            // Slips lengthen only, and now and then.
+            slip.add(distance * distance.abs(), ds.signum());
+        }
+        for (half, sums) in sums.iter().enumerate() {
+            for (i, correlation) in sums.iter().enumerate() {
+                out[self.odometry + i][half] = correlation.value();
+            }
         }
         debug_assert!(self.walls <= self.len());
         out
+    }
+}
+
+/// Correlation of two numbers about zero, times the root of how many there are.
+#[derive(Clone, Copy, Default)]
+struct Correlation {
+    xy: f64,
+    xx: f64,
+    yy: f64,
+    count: f64,
+}
+
+impl Correlation {
+    fn add(&mut self, x: f64, y: f64) {
+        self.xy += x * y;
+        self.xx += x * x;
+        self.yy += y * y;
+        self.count += 1.0;
+    }
+
+    fn value(&self) -> f64 {
+        self.xy / (self.xx * self.yy).sqrt().max(1e-300) * self.count.sqrt()
     }
 }
 

@@ -161,24 +161,31 @@ fn with_final_newline(text: &str) -> String {
     format!("{text}{end}")
 }
 
+/// Spaces before the line in which a byte stands: a list may be no deeper than its key, where its parser's column is that of the
+/// first entry's content.
+fn indent_at(text: &str, byte: usize) -> usize {
+    let line = text[..byte].rfind('\n').map_or(0, |end| end + 1);
+    text[line..].len() - text[line..].trim_start_matches(' ').len()
+}
+
 /// The nodes of a YAML text that are asked for, with the bytes where they stand.
 fn find_list(text: &str) -> List {
     let mut found = List::Absent;
     let mut end_of_last = 0;
     let mut inside = false;
     let mut count = 0;
-    let mut start = (0, 0);
-    walk(text, &mut |path, event, bytes, column| match event {
+    let mut start = 0;
+    walk(text, &mut |path, event, bytes, _| match event {
         Event::SequenceStart(..) if path == "effects" => {
             inside = true;
-            start = (bytes.start, column);
+            start = bytes.start;
         }
         Event::SequenceEnd if path == "effects" => {
             inside = false;
-            found = if text[start.0..].starts_with('[') {
+            found = if text[start..].starts_with('[') {
                 List::Flow { close: text[..bytes.end].rfind(']').unwrap_or(bytes.end), empty: count == 0 }
             } else {
-                List::Block { indent: start.1, end: end_of_line(text, end_of_last) }
+                List::Block { indent: indent_at(text, start), end: end_of_line(text, end_of_last) }
             };
         }
         _ if inside => {
