@@ -155,10 +155,10 @@ impl GapStudy {
         let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
         let (drive, summary) = read_log(log, &settings.log)?;
         let mut notes = vec![summary.to_string().replace('\n', "; ")];
-        let drive = with_mount(drive, simulation.laser.mount, &mut notes);
         let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
         let simulator = Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects)
             .map_err(GapError::from)?;
+        let drive = with_mount(drive, simulator.laser().laser(), &mut notes);
         let refuse = |what: String| GapStudyError::Log { log: log.to_owned(), what };
         same_beams(&drive.laser, simulator.laser().laser()).map_err(refuse)?;
         let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
@@ -319,10 +319,24 @@ fn write(
 }
 
 /// The drive with the laser where the scenario has it: a log may not know, and the scenario is what is in question.
-fn with_mount(drive: Drive, mount: Pose2, notes: &mut Vec<String>) -> Drive {
+///
+/// A laser of bearings from -90 to 89 degrees is also one from -89.5 to 89.5 degrees that is turned by half a degree: where log
+/// and scenario agree on where beams point on the robot, the log's bearings become the scenario's.
+fn with_mount(drive: Drive, scenario: &Laser, notes: &mut Vec<String>) -> Drive {
+    let mount = scenario.base_from_laser();
     let logged = drive.laser.base_from_laser();
+    let turned = wrap_angle(logged.theta - mount.theta);
+    let points = |bearing: Option<&f32>| bearing.map_or(f64::NAN, |&bearing| f64::from(bearing));
+    let first = wrap_angle(points(drive.laser.bearings().first()) + turned);
+    let same_directions = turned.abs() > SAME_MOUNT
+        && wrap_angle(first - points(scenario.bearings().first())).abs() < SAME_MOUNT;
+    let bearings: Vec<f32> = if same_directions {
+        drive.laser.bearings().iter().map(|&bearing| (f64::from(bearing) + turned) as f32).collect()
+    } else {
+        drive.laser.bearings().to_vec()
+    };
     let apart = logged.relative_to(&mount);
-    if apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT {
+    if !same_directions && (apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT) {
         let place =
             |pose: Pose2| format!("({:.3} m, {:.3} m, {:.1} deg)", pose.x, pose.y, pose.theta.to_degrees());
         notes.push(format!(
@@ -332,7 +346,7 @@ fn with_mount(drive: Drive, mount: Pose2, notes: &mut Vec<String>) -> Drive {
         ));
     }
     let laser = Laser::new(
-        drive.laser.bearings().to_vec(),
+        bearings,
         drive.laser.beam_times_secs().to_vec(),
         drive.laser.min_range(),
         drive.laser.max_range(),
