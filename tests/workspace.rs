@@ -15,7 +15,7 @@ const LAYERS: [(&str, &[&str]); 9] = [
     ("locsim-sensor", &["distreg", "locsim-core"]),
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
-    ("locsim-gap", &["locsim-core", "locsim-mcl", "locsim-sensor", "locsim-world"]),
+    ("locsim-gap", &["locsim-core", "locsim-world"]),
     (
         "locsim-lab",
         &[

@@ -53,12 +53,6 @@ pub enum GapError {
     /// An effect out of its bounds.
     #[error(transparent)]
     Effect(#[from] locsim_world::effect::EffectError),
-    /// A sensor model could not be fitted to simulated scans.
-    #[error(transparent)]
-    Sensor(#[from] locsim_sensor::SensorError),
-    /// A filter gave up.
-    #[error(transparent)]
-    Filter(#[from] locsim_mcl::FilterError),
     /// The caller asked to stop.
     #[error("interrupted")]
     Interrupted,

@@ -81,7 +81,7 @@ impl Nominal {
     }
 
     /// The simulator with more effects, as many blocks as `blocks` says and blocks that stay for so many scans.
-    pub(crate) fn simulator(&self, effects: &Effects, blocks: Nuisance) -> Result<Simulator, GapError> {
+    pub(crate) fn simulator(&self, effects: &Effects, blocks: BlockPolicy) -> Result<Simulator, GapError> {
         let options = self.blocks.map(|nominal| BlockOptions {
             per_metre_of_wall: nominal.per_metre_of_wall * blocks.density,
             resample: blocks.resample,
@@ -118,7 +118,7 @@ impl Nominal {
 
 /// What a simulation of the log needs to know of unmapped blocks besides the nominal options, fitted to the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Nuisance {
+pub struct BlockPolicy {
     /// Factor on their density.
     pub density: f64,
     /// When they take new places.

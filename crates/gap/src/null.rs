@@ -17,7 +17,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::nominal::Nuisance;
+use crate::nominal::BlockPolicy;
 use crate::statistics::{Dictionary, Halves, OBJECT_CELL_M, cell_at, pit_draw};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
@@ -48,7 +48,7 @@ impl Replay<'_> {
     pub fn simulate(&self, seed: u64) -> Result<Recorded, GapError> {
         let effects = self.nominal.effects_with(self.effects)?;
         let density = self.nuisances.block_density * self.blocks.density_over_fit;
-        let blocks = Nuisance { density, resample: self.blocks.resample };
+        let blocks = BlockPolicy { density, resample: self.blocks.resample };
         let simulator = self.nominal.simulator(&effects, blocks)?;
         let truth = self.true_poses(seed);
         let readings = simulator.scan_along(&self.recorded.secs, &truth, seed);

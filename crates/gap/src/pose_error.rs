@@ -204,3 +204,38 @@ fn regress(process: &PoseError, secs: &[f64], scans: &[Information], patterns: &
         _ => Vec::new(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The mean maximizes the joint log density of errors and scans: its gradient, written out, vanishes.
+    #[test]
+    fn the_smoothed_errors_are_the_most_likely_ones() {
+        let process = PoseError { sigma_m: 0.02, sigma_rad: 0.005, correlation_secs: 0.7 };
+        let secs: Vec<f64> = (0..9).map(|i| 0.1 * f64::from(i) + 0.02 * f64::from(i % 3)).collect();
+        let scans: Vec<Information> = (0..9)
+            .map(|i| {
+                let mut information = Information::default();
+                for beam in 0..4 {
+                    let angle = f64::from(i) + 1.3 * f64::from(beam);
+                    let error = 0.01 * (3.0 * angle).sin();
+                    information.add(1e4, [angle.cos(), angle.sin(), 2.0 * (2.0 * angle).cos()], error);
+                }
+                information
+            })
+            .collect();
+        let mean = smooth(&process, &secs, &scans).mean;
+        let inverse = process.covariance().inverse();
+        let phi = |i: usize| process.correlation(secs[i] - secs[i - 1]);
+        let innovation = |i: usize| {
+            if i == 0 { mean[0] } else { (mean[i] - phi(i) * mean[i - 1]) / (1.0 - phi(i) * phi(i)) }
+        };
+        for i in 0..scans.len() {
+            let later = if i + 1 < scans.len() { phi(i + 1) * innovation(i + 1) } else { DVec3::ZERO };
+            let data = scans[i].vector - scans[i].matrix * mean[i];
+            let gradient = data - inverse * (innovation(i) - later);
+            assert!(gradient.length() < 1e-6 * scans[i].vector.length(), "{i}: {gradient}");
+        }
+    }
+}

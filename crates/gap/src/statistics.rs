@@ -123,7 +123,6 @@ pub(crate) struct Dictionary {
     // weights of the dense directions, by score
     dense: Vec<(Score, usize, Vec<f32>)>,
     wall: Vec<u32>,
-    walls: usize,
     moved_wall: usize,
     glass: usize,
     objects: HashMap<[i32; 2], usize>,
@@ -456,7 +455,6 @@ impl Dictionary {
             counts,
             dense,
             wall,
-            walls,
             moved_wall,
             glass,
             objects,
@@ -660,7 +658,6 @@ impl Dictionary {
                 out[self.odometry + i][half] = correlation.value();
             }
         }
-        debug_assert!(self.walls <= self.len());
         out
     }
 }

@@ -27,7 +27,7 @@ use rayon::prelude::*;
 pub use other::OtherForm;
 pub use outside::Outside;
 
-use crate::nominal::Nuisance;
+use crate::nominal::BlockPolicy;
 use crate::{GapError, Nominal, PoseError};
 use beam::{Beam, Change, Sweep};
 
@@ -119,7 +119,7 @@ impl Regime {
             Some(blocks) if !self.persistent_blocks => blocks.resample,
             _ => BlockResampling::Never,
         };
-        nominal.simulator(effects, Nuisance { density: 1.0, resample })
+        nominal.simulator(effects, BlockPolicy { density: 1.0, resample })
     }
 }
 

@@ -1,0 +1,141 @@
+//! Which effect is named, and which can't be told from it.
+
+use std::collections::BTreeMap;
+
+use locsim_world::effect::{Effect, EffectKind};
+
+use crate::GapError;
+use crate::fit::{Candidate, sum_error};
+use crate::outcome::{Estimate, Evidence, Named, Number, Rival};
+
+/// Whether two effects are one that was fitted in two steps: a strong one first comes out too weak.
+pub fn adds_up(known: &Effect, more: &Effect) -> bool {
+    let somewhere = matches!(known.kind, EffectKind::MissingObject | EffectKind::SectorOcclusion);
+    known.kind == more.kind && known.place == more.place && !somewhere
+}
+
+/// Both as one: strengths add up, other numbers are the stronger one's.
+pub fn sum_of(known: &Effect, more: &Effect) -> Result<Effect, GapError> {
+    let parameters = known.kind.parameters();
+    let count = if known.kind == EffectKind::MountOffset { 2 } else { 1 };
+    let mut values = known.values.clone();
+    for i in 0..count {
+        let parameter = &parameters[i];
+        values[i] = (known.values[i] + more.values[i] - parameter.neutral).clamp(parameter.lo, parameter.hi);
+    }
+    Ok(Effect::new(known.kind, values, known.place.clone())?)
+}
+
+/// The candidate that is named: it gains surely, most of all, or within one standard error of that with fewer numbers.
+pub fn choose(candidates: &[Candidate]) -> Option<usize> {
+    let sure = |c: &Candidate| c.gain() > 2.0 && c.gain() - 1.645 * c.gain_error() > 0.0;
+    let most = (0..candidates.len())
+        .filter(|&i| sure(&candidates[i]))
+        .max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain()))?;
+    let simpler = (0..candidates.len()).filter(|&i| i != most && sure(&candidates[i])).filter(|&i| {
+        let (behind, error) = behind(&candidates[most], &candidates[i]);
+        let fewer = candidates[i].effect.values.len() < candidates[most].effect.values.len();
+        fewer && behind < error
+    });
+    simpler.min_by_key(|&i| candidates[i].effect.values.len()).or(Some(most))
+}
+
+/// By how much a candidate is behind another, with the standard error over blocks (nats).
+fn behind(best: &Candidate, other: &Candidate) -> (f64, f64) {
+    let difference: Vec<f64> = best.gains.iter().zip(&other.gains).map(|(a, b)| a - b).collect();
+    (difference.iter().sum(), sum_error(&difference))
+}
+
+pub fn gain(blocks: &[f64]) -> Estimate {
+    let (value, error) = (blocks.iter().sum::<f64>(), sum_error(blocks));
+    Estimate { value, lo: value - 1.96 * error, hi: value + 1.96 * error }
+}
+
+pub fn numbers(candidate: &Candidate) -> BTreeMap<&'static str, Number> {
+    let effect = &candidate.effect;
+    let parameters = effect.kind.parameters().iter().zip(&effect.values).zip(&candidate.intervals);
+    parameters
+        .map(|((parameter, &value), &[lo, hi])| {
+            (parameter.name, Number { value, lo, hi, unit: parameter.unit })
+        })
+        .collect()
+}
+
+/// Candidates that can't be told from the best: what they are behind isn't sure.
+fn equivalent(candidates: &[Candidate], best: usize) -> Vec<EffectKind> {
+    let mut set = vec![candidates[best].kind()];
+    for (i, other) in candidates.iter().enumerate() {
+        let (behind, error) = behind(&candidates[best], other);
+        let sure = other.gain() - 1.645 * other.gain_error() > 0.0;
+        if i != best && sure && behind < 1.3 * error && !is_same(&candidates[best], other) {
+            set.push(other.kind());
+        }
+    }
+    set
+}
+
+/// Whether an effect with more numbers has become the best one: a drift that doesn't end is a bias, a loss from any angle on
+/// one at any range.
+fn is_same(best: &Candidate, other: &Candidate) -> bool {
+    let (behind, error) = behind(best, other);
+    let more = other.effect.values.len() > best.effect.values.len();
+    more && behind > -2.0 && error < 0.25 * best.gain_error()
+}
+
+pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Named {
+    let candidate = &candidates[best];
+    let set = equivalent(candidates, best);
+    let gain_nats = gain(&candidate.gains);
+    Named {
+        name: candidate.kind(),
+        split_by: split_by(&set),
+        candidates: set,
+        params: numbers(candidate),
+        place: candidate.effect.place.iter().map(|stretch| stretch.map(|end| end.to_array())).collect(),
+        evidence: Evidence { gain_nats, gain_nats_per_scan: gain_nats.value / scans as f64, p },
+        effect: candidate.effect.clone(),
+    }
+}
+
+/// What would tell effects apart that look alike on this log.
+fn split_by(set: &[EffectKind]) -> Option<&'static str> {
+    use EffectKind as E;
+    let has = |kinds: &[EffectKind]| set.iter().filter(|kind| kinds.contains(kind)).count() >= 2;
+    if set.len() < 2 {
+        None
+    } else if has(&[E::TimeOffset, E::MountOffset, E::MotionSkew]) {
+        Some(
+            "drive the same stretch forward and in reverse: an error of time changes its sign, a displaced laser doesn't",
+        )
+    } else if has(&[E::OdomImbalance, E::MountYaw, E::OdomTurnScale]) {
+        Some("turn in place both ways, and drive straight: only one of them shows in each")
+    } else if has(&[E::RangeBias, E::RangeScale]) {
+        Some("take scans over a wider span of ranges: a bias stays, a scale grows")
+    } else if has(&[E::RangeBias, E::WarmupDrift]) {
+        Some("go on after the sensor has warmed up: a drift dies away, a bias stays")
+    } else if has(&[E::IncidenceDropout, E::RangeDropout]) {
+        Some("see walls at right angles from far away, and slanted ones from near")
+    } else if has(&[E::MissingObject, E::SectorOcclusion]) {
+        Some("turn the robot on the spot: what is on the robot turns along")
+    } else {
+        Some("see the same places again from other sides and distances")
+    }
+}
+
+pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) -> Vec<Rival> {
+    let mut rivals: Vec<Rival> = candidates
+        .iter()
+        .map(|candidate| {
+            let (value, error) = behind(best, candidate);
+            Rival {
+                round,
+                name: candidate.kind(),
+                params: numbers(candidate),
+                gain_nats: gain(&candidate.gains),
+                behind_nats: Estimate { value, lo: value - 1.96 * error, hi: value + 1.96 * error },
+            }
+        })
+        .collect();
+    rivals.sort_by(|a, b| b.gain_nats.value.total_cmp(&a.gain_nats.value));
+    rivals
+}
