@@ -30,6 +30,18 @@ impl Candidate {
         self.gains.iter().sum()
     }
 
+    /// Counts no more than `most` nats of the gain. A score of z standard deviations of simulated logs is worth about z^2 / 2
+    /// nats; what is gained far beyond that, simulated logs without the effect gain too, as beams at edges do that an
+    /// error of the reference moves across.
+    pub fn limit(&mut self, most: f64) {
+        let gain = self.gain();
+        if gain > most {
+            for block in &mut self.gains {
+                *block *= most / gain;
+            }
+        }
+    }
+
     /// Standard error of the gain, over blocks.
     pub fn gain_error(&self) -> f64 {
         sum_error(&self.gains)
@@ -145,6 +157,7 @@ impl Search<'_, '_> {
         let parameters = kind.parameters();
         let scales: Vec<f64> = parameters
             .iter()
+            .take(fitted_numbers(kind))
             .zip(&start.values)
             .enumerate()
             .map(|(i, (p, &value))| scale(kind, i, p, value))
@@ -191,7 +204,7 @@ impl Search<'_, '_> {
             let intervals = vec![[effect.values[0]; 2]];
             return Ok(Candidate { effect, gains, intervals });
         }
-        let numbers = effect.values.len();
+        let numbers = fitted_numbers(effect.kind);
         let parameters = effect.kind.parameters();
         let total = fitted.total();
         let moved = |changes: &[(usize, f64)]| -> Result<Vec<f64>, GapError> {
@@ -277,9 +290,16 @@ impl Search<'_, '_> {
                     (effect.values[i] + half).min(parameters[i].hi),
                 ]
             })
+            .chain(effect.values[numbers..].iter().map(|&value| [value; 2]))
             .collect();
         Ok(Candidate { effect, gains, intervals })
     }
+}
+
+/// How many of an effect's numbers are fitted; those after keep their start. Single readings tell of bursts only how
+/// likely they are times the share of time that they take.
+pub(crate) fn fitted_numbers(kind: EffectKind) -> usize {
+    if kind == EffectKind::Crosstalk { 1 } else { kind.parameters().len() }
 }
 
 /// How far a search goes at first in a number that starts at `value`.
@@ -295,7 +315,9 @@ fn scale(kind: EffectKind, number: usize, parameter: &Parameter, value: f64) -> 
         return 1e-3 * (parameter.start - parameter.lo).abs().max(1e-3);
     }
     let away = (value - parameter.neutral).abs().max(0.3 * (parameter.start - parameter.neutral).abs());
-    if away > 0.0 { away } else { 0.05 * (parameter.hi - parameter.lo) }
+    // Towards the neutral value first, on either side of it.
+    let away = if value < parameter.neutral { -away } else { away };
+    if away == 0.0 { 0.05 * (parameter.hi - parameter.lo) } else { away }
 }
 
 /// The search's objective: numbers in units of their start's distance from neutral, about the start.
@@ -312,8 +334,8 @@ impl Problem<'_, '_, '_> {
             .kind
             .parameters()
             .iter()
-            .zip(numbers)
-            .zip(self.scales)
+            .zip(numbers.iter().chain(std::iter::repeat(&0.0)))
+            .zip(self.scales.iter().chain(std::iter::repeat(&0.0)))
             .zip(&self.start.values)
             .map(|(((parameter, number), scale), start)| {
                 // What can't be negative is searched by its logarithm: at 0 the likelihood has an edge.
@@ -344,7 +366,7 @@ fn quadratic(matrix: &[Vec<f64>], v: &[f64]) -> f64 {
 }
 
 /// Inverse of a small positive definite matrix (Gauss and Jordan); a ridge where it isn't.
-fn invert(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
+pub(crate) fn invert(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let n = matrix.len();
     // Scaled to ones on the diagonal, so that units don't matter.
     let scale: Vec<f64> = (0..n).map(|i| matrix[i][i].max(1e-300).sqrt()).collect();

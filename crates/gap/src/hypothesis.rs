@@ -8,7 +8,7 @@ use locsim_world::effect::{Effect, EffectKind, Effects};
 
 use crate::likelihood::{Density, Terms};
 use crate::odometry::{OdometryError, log_likelihoods};
-use crate::pose_error::{Information, PoseError, fit, pattern_gain, smooth};
+use crate::pose_error::{Information, PoseError, fit, pattern_score, smooth, without_patterns};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
@@ -37,9 +37,9 @@ pub(crate) struct Fitted {
     pub corrections: Vec<DVec3>,
     /// Log likelihood of each scan with the odometry since the one before (nats).
     pub scans: Vec<f64>,
-    /// What a turned laser, a displaced one and a late stamp would gain, each with errors of the reference of its own
-    /// (nats); see [`pattern_gain`].
-    pub pattern_gains: [f64; 3],
+    /// How surely all poses are off as by a turned laser, one that is displaced to the front, one to the left, and a late
+    /// stamp (standard deviations), where they err at all; see [`pattern_score`].
+    pub pattern_scores: [f64; 4],
 }
 
 impl Fitted {
@@ -55,6 +55,11 @@ pub(crate) struct Comparison<'a> {
     /// The views from the nominal mount at the nominal times.
     pub views: Arc<Views<'a>>,
 }
+
+/// The most steps in which errors of the reference are found, as readings depend on them linearly in each; they end where
+/// no error changes by more than this \[m\], a radian counting as 3 m.
+const CORRECTIONS: usize = 8;
+const CORRECTED_M: f64 = 0.001;
 
 /// Whether an effect changes where beams come from or what stands in their way, so that they are cast anew.
 pub(crate) fn changes_views(kind: EffectKind) -> bool {
@@ -87,7 +92,7 @@ impl<'a> Comparison<'a> {
             nuisances: *nuisances,
             corrections: vec![DVec3::ZERO; n],
             scans: vec![0.0; n],
-            pattern_gains: [0.0; 3],
+            pattern_scores: [0.0; 4],
         }
     }
 
@@ -103,7 +108,8 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    fn evaluate_views(
+    /// The same by views that were cast before, of a world with these effects.
+    pub fn evaluate_views(
         &self,
         views: &Views<'_>,
         effects: &Effects,
@@ -148,23 +154,34 @@ impl<'a> Comparison<'a> {
         } else {
             start.pose_error
         };
-        for _ in 0..2 {
+        let patterns = self.patterns();
+        for round in 0..CORRECTIONS {
             let pass = self.pass(&self.views, effects, &fitted);
             fitted.nuisances.pose_error = PoseError::NONE;
             self.update(&mut fitted, &pass);
-            process = fit(process, &self.recorded.secs, &pass.information, iterations);
-            let smoothed = smooth(&process, &self.recorded.secs, &pass.information);
+            // What is constant is a laser mounted otherwise or a late stamp rather than an error of the reference.
+            let rest = without_patterns(&pass.information, &patterns);
+            process = fit(process, &self.recorded.secs, &rest, iterations);
             // Three parameters have to earn their keep.
-            if smoothed.log_evidence > 6.0 {
+            let corrections = if smooth(&process, &self.recorded.secs, &rest).log_evidence > 6.0 {
                 fitted.nuisances.pose_error = process;
-                fitted.corrections = smoothed.mean;
+                smooth(&process, &self.recorded.secs, &pass.information).mean
             } else {
-                fitted.corrections.fill(DVec3::ZERO);
+                vec![DVec3::ZERO; fitted.corrections.len()]
+            };
+            let change = |(a, b): (&DVec3, &DVec3)| ((*a - *b) * DVec3::new(1.0, 1.0, 3.0)).length();
+            let changed = corrections.iter().zip(&fitted.corrections).map(change).fold(0.0, f64::max);
+            fitted.corrections = corrections;
+            let is_last = round + 1 == CORRECTIONS || round > 0 && changed < CORRECTED_M;
+            if is_last && !fitted.nuisances.pose_error.is_none() {
+                let error = fitted.nuisances.pose_error;
+                fitted.pattern_scores = patterns
+                    .each_ref()
+                    .map(|pattern| pattern_score(&error, &self.recorded.secs, &pass.information, pattern));
             }
-            let error = fitted.nuisances.pose_error;
-            fitted.pattern_gains = self.patterns().map(|patterns| {
-                pattern_gain(&error, &self.recorded.secs, &pass.information, &patterns, iterations)
-            });
+            if is_last {
+                break;
+            }
         }
         fitted.nuisances.odometry_error = OdometryError::fit(
             self.nominal,
@@ -175,8 +192,8 @@ impl<'a> Comparison<'a> {
         self.evaluate_views(&self.views, effects, &fitted, 0)
     }
 
-    /// How poses seem off by a turned laser, a displaced one, a late stamp.
-    fn patterns(&self) -> [Vec<Vec<DVec3>>; 3] {
+    /// How poses seem off by a turned laser, one displaced to the front, one to the left, a late stamp.
+    fn patterns(&self) -> [Vec<DVec3>; 4] {
         let poses = &self.recorded.poses;
         let mount = self.recorded.laser.base_from_laser().position();
         let velocities = self.recorded.velocities();
@@ -189,7 +206,7 @@ impl<'a> Comparison<'a> {
             .map(|p| (-glam::DVec2::from_angle(p.theta).rotate(mount).perp()).extend(1.0))
             .collect();
         let motion = velocities.iter().map(|v| DVec3::from_array(*v)).collect();
-        [vec![yaw], vec![ahead(0.0), ahead(0.5 * std::f64::consts::PI)], vec![motion]]
+        [yaw, ahead(0.0), ahead(0.5 * std::f64::consts::PI), motion]
     }
 
     /// Fits the nuisances anew with more effects.

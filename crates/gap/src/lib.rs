@@ -28,11 +28,11 @@ pub use hypothesis::Nuisances;
 pub use nominal::Nominal;
 pub use odometry::OdometryError;
 pub use outcome::{
-    BeamPit, Detectable, Detection, Distance, Estimate, Evidence, FilterError, FilterGap, Gap, Named, Number,
-    Outcome, PitHistogram, Region, Rival, Verdict,
+    BeamPit, Detectable, Detection, Direction, Distance, Estimate, Evidence, FilterError, FilterGap, Gap,
+    Named, Number, Outcome, PitHistogram, Region, Rival, Verdict,
 };
 pub use pose_error::PoseError;
 pub use recorded::Recorded;
 pub use search::{GapOptions, Progress, find};
 pub use statistics::{Cell, Covariate, Deviation};
-pub use strength::{information, oracle_power, with_information};
+pub use strength::{Strength, oracle_power};

@@ -222,8 +222,7 @@ impl Density<'_> {
     /// Density of a reading in which a beam that is not blocked reads by `other` instead, relative to that by the
     /// hypothesis, less 1: the score of a contamination.
     pub fn contamination(terms: &Terms, other: f64) -> f64 {
-        const MOST: f64 = 100.0;
-        (terms.clear * (other - terms.clear_density) / terms.density).min(MOST)
+        terms.clear * (other - terms.clear_density) / terms.density
     }
 }
 

@@ -1,7 +1,7 @@
 //! Increments of the odometry against those of the reference.
 
 use locsim_core::Pose2;
-use locsim_world::effect::{Effects, Slip};
+use locsim_world::effect::Effects;
 
 use crate::likelihood::normal_density;
 use crate::{Nominal, Recorded};
@@ -84,39 +84,48 @@ pub(crate) fn log_likelihoods(
     track: &[Pose2],
     odometry: &[Pose2],
 ) -> Vec<f64> {
-    let extra = [error.sigma_m, error.sigma_rad];
-    let slips = effects.odometry(&Pose2::new(1.0, 0.0, 0.0)).slip;
+    let slip = effects.odometry(&Pose2::new(1.0, 0.0, 0.0)).slip;
     increments(nominal, effects, track, odometry)
         .iter()
         .map(|increment| {
-            let density = |axis: usize, error: f64, wider: f64| {
-                let variance = increment.variance[axis] + extra[axis].powi(2) + wider + LEAST[axis].powi(2);
-                let sigma = variance.sqrt();
-                let t = error / sigma;
-                let (share, factor) = WIDE;
-                ((1.0 - share) * normal_density(t) + share * normal_density(t / factor) / factor) / sigma
-            };
-            let Slip { p, share } = slips;
-            let plain = density(0, increment.error[0], 0.0);
-            let distance = if p > 0.0 && share > 0.0 {
-                // A half-normal slip, as a normal of its mean and variance.
-                let scale = share * increment.truth[0].abs();
-                let mean = (2.0 / std::f64::consts::PI).sqrt() * scale * increment.truth[0].signum();
-                let spread = (1.0 - 2.0 / std::f64::consts::PI) * scale * scale;
-                (1.0 - p) * plain + p * density(0, increment.error[0] - mean, spread)
+            let plain = density(increment, error, 0, 0.0, 0.0);
+            let distance = if slip.p > 0.0 && slip.share > 0.0 {
+                (1.0 - slip.p) * plain + slip.p * slipped(increment, error, slip.share)
             } else {
                 plain
             };
-            distance.max(1e-300).ln() + density(1, increment.error[1], 0.0).max(1e-300).ln()
+            distance.max(1e-300).ln() + density(increment, error, 1, 0.0, 0.0).max(1e-300).ln()
         })
         .collect()
 }
 
+/// Density of the error of a distance (`axis` 0) or a turn (1) that is `mean` more than usual, with so much more variance.
+fn density(increment: &Increment, error: &OdometryError, axis: usize, mean: f64, more: f64) -> f64 {
+    let sigma = (deviation(increment, error, axis).powi(2) + more).sqrt();
+    let t = (increment.error[axis] - mean) / sigma;
+    let (share, factor) = WIDE;
+    ((1.0 - share) * normal_density(t) + share * normal_density(t / factor) / factor) / sigma
+}
+
+/// The same of a distance with a half-normal slip, as a normal of its mean and variance.
+fn slipped(increment: &Increment, error: &OdometryError, share: f64) -> f64 {
+    let scale = share * increment.truth[0].abs();
+    let mean = (2.0 / std::f64::consts::PI).sqrt() * scale * increment.truth[0].signum();
+    density(increment, error, 0, mean, (1.0 - 2.0 / std::f64::consts::PI) * scale * scale)
+}
+
+/// Standard deviation of the error of a distance \[m\] or a turn \[rad\].
+pub(crate) fn deviation(increment: &Increment, error: &OdometryError, axis: usize) -> f64 {
+    let extra = [error.sigma_m, error.sigma_rad][axis];
+    (increment.variance[axis] + extra * extra + LEAST[axis].powi(2)).sqrt()
+}
+
 /// Errors in standard deviations, cut where they say nothing more.
 pub(crate) fn standardized(increment: &Increment, error: &OdometryError) -> [f64; 2] {
-    let extra = [error.sigma_m, error.sigma_rad];
-    std::array::from_fn(|axis| {
-        let variance = increment.variance[axis] + extra[axis].powi(2) + LEAST[axis].powi(2);
-        (increment.error[axis] / variance.sqrt()).clamp(-CUT, CUT)
-    })
+    std::array::from_fn(|axis| (increment.error[axis] / deviation(increment, error, axis)).clamp(-CUT, CUT))
+}
+
+/// How much more likely a distance is of a slip than without one, less 1.
+pub(crate) fn slip_ratio(increment: &Increment, error: &OdometryError, share: f64) -> f64 {
+    slipped(increment, error, share) / density(increment, error, 0, 0.0, 0.0).max(1e-300) - 1.0
 }

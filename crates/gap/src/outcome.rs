@@ -199,6 +199,16 @@ pub struct Detectable {
     pub typical: f64,
 }
 
+/// How far a log is off in the directions of an effect.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Direction {
+    /// Effect.
+    #[serde(serialize_with = "name")]
+    pub name: EffectKind,
+    /// The farthest of its statistics, in standard deviations of simulated logs.
+    pub z: f64,
+}
+
 /// PIT histograms over the bins of a covariate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PitHistogram {
@@ -251,6 +261,10 @@ pub struct Outcome {
     pub rivals: Vec<Rival>,
     /// What would have been found.
     pub detectable: Vec<Detectable>,
+    /// How far the log is off in every effect's direction, before any is added.
+    pub directions: Vec<Direction>,
+    /// What one of many beams has to exceed there to be found.
+    pub threshold: f64,
     /// What was fitted besides: blocks, errors of the reference.
     pub nuisances: Nuisances,
     /// PIT histograms.

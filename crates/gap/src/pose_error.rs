@@ -3,6 +3,7 @@
 //! Beams of one scan share the error of its pose, and neighbouring scans share some of it. The error of x, y (one
 //! standard deviation for both) and of the heading is a first-order autoregressive process, in the map frame.
 
+use crate::fit::invert;
 use glam::{DMat3, DVec3};
 
 /// A first-order autoregressive process for the error of a pose.
@@ -133,51 +134,36 @@ pub(crate) fn fit(start: PoseError, secs: &[f64], scans: &[Information], iterati
     process
 }
 
-/// What a constant error along a known pattern gains (nats): the reference's poses are off by `patterns[p][scan]` times
-/// a number for each pattern, on top of errors of the process. The process is fitted with and without.
+/// What scans say once the multiples of patterns that fit them best are taken off, by least squares.
+pub(crate) fn without_patterns(scans: &[Information], patterns: &[Vec<DVec3>]) -> Vec<Information> {
+    let sum = |of: &dyn Fn(usize) -> f64| (0..scans.len()).map(of).sum::<f64>();
+    let normal: Vec<Vec<f64>> = patterns
+        .iter()
+        .map(|a| patterns.iter().map(|b| sum(&|i| a[i].dot(scans[i].matrix * b[i]))).collect())
+        .collect();
+    let data: Vec<f64> = patterns.iter().map(|a| sum(&|i| a[i].dot(scans[i].vector))).collect();
+    let inverse = invert(&normal);
+    let numbers = inverse.iter().map(|row| row.iter().zip(&data).map(|(a, b)| a * b).sum::<f64>());
+    let numbers: Vec<f64> = numbers.collect();
+    let shift = |i: usize| patterns.iter().zip(&numbers).map(|(p, number)| *number * p[i]).sum::<DVec3>();
+    scans
+        .iter()
+        .enumerate()
+        .map(|(i, scan)| Information { matrix: scan.matrix, vector: scan.vector - scan.matrix * shift(i) })
+        .collect()
+}
+
+/// How surely the reference's poses are off along a known pattern, `pattern[scan]` times a constant, on top of errors of
+/// the process: the score of that constant in its own standard deviations.
 ///
-/// A displaced laser, a turned one and a late stamp all move whole scans; a process of errors that is fitted first
-/// would take them in.
-pub(crate) fn pattern_gain(
-    without: &PoseError,
+/// A displaced laser, a turned one and a late stamp all move whole scans; errors that are fitted first would take them in.
+pub(crate) fn pattern_score(
+    process: &PoseError,
     secs: &[f64],
     scans: &[Information],
-    patterns: &[Vec<DVec3>],
-    iterations: usize,
+    pattern: &[DVec3],
 ) -> f64 {
-    let base = evidence_of(without, secs, scans).max(0.0);
-    // Generalized least squares without a process, then alternately with it.
-    let mut process = PoseError::NONE;
-    let mut moved = scans.to_vec();
-    let mut best = f64::NEG_INFINITY;
-    for round in 0..2 {
-        let numbers = regress(&process, secs, scans, patterns);
-        let mut explained = 0.0;
-        for (i, (moved, scan)) in moved.iter_mut().zip(scans).enumerate() {
-            let shift: DVec3 = patterns.iter().zip(&numbers).map(|(p, number)| *number * p[i]).sum();
-            moved.vector = scan.vector - scan.matrix * shift;
-            explained += shift.dot(scan.vector) - 0.5 * shift.dot(scan.matrix * shift);
-        }
-        best = best.max(explained + evidence_of(&process, secs, &moved).max(0.0));
-        if round == 0 {
-            let start = if without.is_none() {
-                PoseError { sigma_m: 0.003, sigma_rad: 0.001, correlation_secs: 2.0 }
-            } else {
-                *without
-            };
-            process = fit(start, secs, &moved, iterations);
-        }
-    }
-    best - base
-}
-
-fn evidence_of(process: &PoseError, secs: &[f64], scans: &[Information]) -> f64 {
-    if process.is_none() { 0.0 } else { smooth(process, secs, scans).log_evidence }
-}
-
-/// The patterns' numbers by least squares, whitened by the process scan by scan.
-fn regress(process: &PoseError, secs: &[f64], scans: &[Information], patterns: &[Vec<DVec3>]) -> Vec<f64> {
-    // What the process leaves of each pattern and of the data.
+    // What the process leaves of a vector of data.
     let left = |vectors: &dyn Fn(usize) -> DVec3| -> Vec<DVec3> {
         let as_data: Vec<Information> = scans
             .iter()
@@ -190,24 +176,30 @@ fn regress(process: &PoseError, secs: &[f64], scans: &[Information], patterns: &
         let mean = smooth(process, secs, &as_data).mean;
         as_data.iter().zip(mean).map(|(s, mean)| s.vector - s.matrix * mean).collect()
     };
-    let data = left(&|i| scans[i].vector);
-    let whitened: Vec<Vec<DVec3>> = patterns.iter().map(|p| left(&|i| scans[i].matrix * p[i])).collect();
-    let dot = |a: &[DVec3], b: &[DVec3]| a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum::<f64>();
-    match patterns {
-        [a] => vec![dot(a, &data) / dot(a, &whitened[0]).max(1e-300)],
-        [a, b] => {
-            let (aa, ab, bb) = (dot(a, &whitened[0]), dot(a, &whitened[1]), dot(b, &whitened[1]));
-            let (ad, bd) = (dot(a, &data), dot(b, &data));
-            let determinant = (aa * bb - ab * ab).max(1e-12 * aa * bb).max(1e-300);
-            vec![(bb * ad - ab * bd) / determinant, (aa * bd - ab * ad) / determinant]
-        }
-        _ => Vec::new(),
-    }
+    let along = |left: Vec<DVec3>| pattern.iter().zip(left).map(|(p, l)| p.dot(l)).sum::<f64>();
+    along(left(&|i| scans[i].vector)) / along(left(&|i| scans[i].matrix * pattern[i])).max(1e-300).sqrt()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What patterns say alone is taken off to the last bit, and what is across them stays.
+    #[test]
+    fn patterns_are_taken_off() {
+        let matrix = DMat3::from_diagonal(DVec3::new(4.0, 9.0, 100.0));
+        let pattern: Vec<DVec3> = (0..6).map(|i| DVec3::new(1.0, 0.5 * f64::from(i), 0.1)).collect();
+        let other: Vec<DVec3> = (0..6).map(|i| DVec3::new(0.0, 0.0, f64::from(i % 2))).collect();
+        let along = |i: usize| 0.03 * pattern[i] - 0.2 * other[i];
+        let scans: Vec<Information> =
+            (0..6).map(|i| Information { matrix, vector: matrix * along(i) }).collect();
+        for rest in without_patterns(&scans, &[pattern.clone(), other.clone()]) {
+            assert!(rest.vector.length() < 1e-9, "{}", rest.vector);
+        }
+        let rest = without_patterns(&scans, std::slice::from_ref(&pattern));
+        let score: f64 = pattern.iter().zip(&rest).map(|(p, rest)| p.dot(rest.vector)).sum();
+        assert!(score.abs() < 1e-9 && rest[1].vector.length() > 1.0, "{score}");
+    }
 
     /// The mean maximizes the joint log density of errors and scans: its gradient, written out, vanishes.
     #[test]

@@ -4,30 +4,33 @@
 //! All of them are plain numbers without a distribution of their own; they get one from simulated logs, see
 //! [`crate::null`].
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::f64::consts::{PI, TAU};
 
+use glam::DVec2;
 use locsim_core::{Draw, Stage};
 use locsim_world::effect::EffectKind;
 use locsim_world::effect::EffectKind as E;
 use rand::RngExt;
 
 use crate::hypothesis::{Comparison, Fitted};
-use crate::likelihood::{Density, near_density, normal_density};
-use crate::odometry::{increments, standardized};
-use crate::views::jumps;
+use crate::likelihood::{Density, Terms, near_density, normal_density};
+use crate::odometry::{deviation, increments, slip_ratio, standardized};
+use crate::views::{Beam, jumps};
 
 /// Side of a cell of the map in which endpoints are counted \[m\]: walls, and unmapped objects.
 pub(crate) const WALL_CELL_M: f64 = 1.0;
 pub(crate) const OBJECT_CELL_M: f64 = 0.25;
 /// Bins of a sector: over bearing, and of its range \[m\].
 const SECTORS: usize = 24;
-const SECTOR_RANGE_M: f64 = 0.25;
+pub(crate) const SECTOR_RANGE_M: f64 = 0.25;
 /// Steps of a quantization that are looked for \[m\].
 const STEPS_M: [f64; 7] = [0.002, 0.003, 0.005, 0.01, 0.02, 0.025, 0.05];
 /// Angles from which, and ranges over whose power, returns may be lost.
 const DROPOUT_ANGLES_DEG: [f64; 5] = [30.0, 45.0, 60.0, 70.0, 80.0];
 const DROPOUT_EXPONENTS: [f64; 5] = [0.0, 1.0, 2.0, 4.0, 8.0];
+/// Blocks can stand where their density along a beam is more than this \[1/m\].
+const LEAST_HAZARD: f64 = 1e-4;
 const WARM_UP_SECS: [f64; 4] = [5.0, 20.0, 60.0, 150.0];
 /// Consecutive scans that are held out, located and drawn together \[scans\].
 pub(crate) const BLOCK: usize = 20;
@@ -105,9 +108,9 @@ pub(crate) enum Hint {
     None,
     /// Value of a parameter other than the strength, by index.
     Values(Vec<(usize, f64)>),
-    /// A cell of walls.
-    Wall([i32; 2]),
-    /// A cell of free space.
+    /// A cell of walls, or two neighbours; twice the same for one.
+    Wall([[i32; 2]; 2]),
+    /// Four cells of free space; the one with the least numbers.
     Object([i32; 2]),
 }
 
@@ -120,15 +123,27 @@ pub(crate) struct Dictionary {
     pub aims: Vec<Aim>,
     /// A count of rare events rather than a sum of scores.
     counts: Vec<bool>,
-    // weights of the dense directions, by score
-    dense: Vec<(Score, usize, Vec<f32>)>,
+    dense: Vec<Dense>,
+    /// Maximum range \[m\].
+    max: f64,
     wall: Vec<u32>,
+    wall_cells: HashMap<[i32; 2], u32>,
+    /// Neighbouring cells of walls.
+    wall_pairs: Vec<[u32; 2]>,
+    /// Share of a contamination of each cell.
+    wall_share: Vec<f64>,
     moved_wall: usize,
     glass: usize,
-    objects: HashMap<[i32; 2], usize>,
+    /// Index of each cell of free space, and the cells of each statistic.
+    objects: HashMap<[i32; 2], u32>,
+    object_windows: Vec<[u32; 4]>,
+    /// Whether unmapped blocks can stand there.
+    among_blocks: Vec<bool>,
+    first_object: usize,
     sector: usize,
     sector_ranges: usize,
     sector_of: Vec<u16>,
+    mixed_share: f64,
     steps: usize,
     mixed: usize,
     depth: usize,
@@ -143,6 +158,16 @@ pub(crate) struct Dictionary {
 
 const COVARIATES: usize = 9;
 
+/// A direction in which every beam has a weight.
+#[derive(Clone)]
+struct Dense {
+    score: Score,
+    index: usize,
+    weights: Vec<f32>,
+    /// For contaminations: their share.
+    share: f32,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Score {
     Location,
@@ -154,6 +179,34 @@ enum Score {
 
 pub(crate) fn cell_at(x: f64, y: f64, side: f64) -> [i32; 2] {
     [(x / side).floor() as i32, (y / side).floor() as i32]
+}
+
+/// Maps have walls at round numbers; cells of walls have their borders elsewhere, or rounding would share a wall out.
+const WALL_BORDER_M: f64 = 0.37;
+
+/// The cell of a point of a wall.
+pub(crate) fn wall_cell(point: DVec2) -> [i32; 2] {
+    cell_at(point.x + WALL_BORDER_M, point.y + WALL_BORDER_M, WALL_CELL_M)
+}
+
+/// Lower corner of a cell of walls \[m\].
+fn wall_corner(cell: [i32; 2]) -> [f64; 2] {
+    cell.map(|c| f64::from(c) * WALL_CELL_M - WALL_BORDER_M)
+}
+
+/// About as many events of a kind can just be told from chance: scores of contaminations are best for so many.
+const EVENTS: f64 = 15.0;
+
+/// The share at which a contamination of so many beams can just be told from chance.
+fn just_seen(beams: f64) -> f64 {
+    (EVENTS / beams.max(1.0)).min(0.3)
+}
+
+/// Derivative of a log density by the share of a contamination, at `share`; `ratio` is the contamination's density over
+/// the hypothesis's, less 1. At a share of 0 it would be the ratio itself, which a single reading can make huge.
+#[inline]
+fn contaminated(ratio: f64, share: f64) -> f64 {
+    ratio / (1.0 + share * ratio)
 }
 
 pub(crate) fn tangent_squared(incidence: f64) -> f64 {
@@ -190,14 +243,21 @@ impl Dictionary {
         let velocities = recorded.velocities();
         let mut aims = Vec::new();
         let mut counts = Vec::new();
-        let mut dense: Vec<(Score, usize, Vec<f32>)> = Vec::new();
+        let mut dense: Vec<Dense> = Vec::new();
         let mut add = |aims: &mut Vec<Aim>,
                        counts: &mut Vec<bool>,
                        kind,
                        hint,
                        score,
                        weight: &dyn Fn(usize) -> f64| {
-            dense.push((score, aims.len(), (0..n).map(|i| weight(i) as f32).collect()));
+            let weights: Vec<f32> = (0..n).map(|i| weight(i) as f32).collect();
+            let share = match score {
+                Score::Location | Score::Scale => 0.0,
+                Score::NoReturn | Score::Uniform | Score::Tail => {
+                    just_seen(weights.iter().copied().map(f64::from).sum())
+                }
+            };
+            dense.push(Dense { score, index: aims.len(), weights, share: share as f32 });
             aims.push(Aim::Effect(kind, hint));
             counts.push(false);
         };
@@ -268,7 +328,7 @@ impl Dictionary {
                 if beam.view.range >= max {
                     return u32::MAX;
                 }
-                let cell = cell_at(beam.view.endpoint.x, beam.view.endpoint.y, WALL_CELL_M);
+                let cell = wall_cell(beam.view.endpoint);
                 *wall_cells.entry(cell).or_insert_with(|| {
                     wall_order.push(cell);
                     wall_order.len() as u32 - 1
@@ -276,14 +336,27 @@ impl Dictionary {
             })
             .collect();
         let walls = wall_order.len();
-        let moved_wall = aims.len();
-        for &cell in &wall_order {
-            push(&mut aims, &mut counts, Aim::Effect(E::MovedWall, Hint::Wall(cell)), false);
+        let mut wall_pairs = Vec::new();
+        for (i, &[x, y]) in wall_order.iter().enumerate() {
+            for neighbour in [[x + 1, y], [x, y + 1]] {
+                wall_pairs.extend(wall_cells.get(&neighbour).map(|&j| [i as u32, j]));
+            }
         }
-        let glass = aims.len();
-        for &cell in &wall_order {
-            push(&mut aims, &mut counts, Aim::Effect(E::Glass, Hint::Wall(cell)), false);
+        let mut wall_share = vec![0.0; walls];
+        for &cell in wall.iter().filter(|&&cell| cell != u32::MAX) {
+            wall_share[cell as usize] += 1.0;
         }
+        for share in &mut wall_share {
+            *share = just_seen(*share);
+        }
+        let [moved_wall, glass] = [E::MovedWall, E::Glass].map(|kind| {
+            let first = aims.len();
+            let pairs = wall_pairs.iter().map(|pair| pair.map(|i| wall_order[i as usize]));
+            for cells in wall_order.iter().map(|&cell| [cell; 2]).chain(pairs) {
+                push(&mut aims, &mut counts, Aim::Effect(kind, Hint::Wall(cells)), false);
+            }
+            first
+        });
         let mixed = push(&mut aims, &mut counts, Aim::Effect(E::MixedPixels, Hint::None), false);
         let steps = aims.len();
         for step in STEPS_M {
@@ -303,11 +376,17 @@ impl Dictionary {
             push(&mut aims, &mut counts, Aim::Effect(kind, Hint::None), false);
         }
         let patterns = aims.len();
-        for kind in [E::MountYaw, E::MountOffset, E::TimeOffset] {
-            push(&mut aims, &mut counts, Aim::Effect(kind, Hint::None), false);
+        for (kind, hint) in [
+            (E::MountYaw, Hint::None),
+            (E::MountOffset, Hint::Values(vec![(0, 0.02), (1, 0.0)])),
+            (E::MountOffset, Hint::Values(vec![(0, 0.0), (1, 0.02)])),
+            (E::TimeOffset, Hint::None),
+        ] {
+            push(&mut aims, &mut counts, Aim::Effect(kind, hint), false);
         }
         // Where unmapped objects can be seen: along the beams, up to their ends.
         let mut objects = HashMap::new();
+        let mut block_cells = HashSet::new();
         for (i, beam) in views.beams.iter().enumerate() {
             let heading = recorded.poses[scan(i)].theta + beam.view.bearing;
             let range = beam.view.range.min(max);
@@ -316,25 +395,37 @@ impl Dictionary {
             while back < range {
                 let from_end = beam.view.range - (range - back);
                 let (x, y) = (end.x - from_end * heading.cos(), end.y - from_end * heading.sin());
-                objects.entry(cell_at(x, y, OBJECT_CELL_M)).or_insert(usize::MAX);
+                let cell = cell_at(x, y, OBJECT_CELL_M);
+                objects.entry(cell).or_insert(0);
+                if beam.survival_at(back).1 > LEAST_HAZARD {
+                    block_cells.insert(cell);
+                }
                 back += OBJECT_CELL_M;
             }
         }
         let mut order: Vec<[i32; 2]> = objects.keys().copied().collect();
         order.sort_unstable();
-        for cell in order {
-            let index = push(&mut aims, &mut counts, Aim::Effect(E::MissingObject, Hint::Object(cell)), true);
-            objects.insert(cell, index);
+        for (i, cell) in order.iter().enumerate() {
+            objects.insert(*cell, i as u32);
+        }
+        // Overlapping windows of four cells: what stands on a border isn't shared out.
+        let first_object = aims.len();
+        let (mut object_windows, mut among_blocks) = (Vec::new(), Vec::new());
+        for &[x, y] in &order {
+            let window = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
+            among_blocks.push(window.iter().any(|cell| block_cells.contains(cell)));
+            object_windows.push(window.map(|cell| objects.get(&cell).copied().unwrap_or(u32::MAX)));
+            push(&mut aims, &mut counts, Aim::Effect(E::MissingObject, Hint::Object([x, y])), true);
         }
         let sector_ranges = (max / SECTOR_RANGE_M).ceil().min(24.0) as usize;
         let sector = aims.len();
         let (first, last) = (f64::from(bearings[0]), f64::from(bearings[k - 1]));
         let width = (last - first) / SECTORS as f64;
-        for s in 0..SECTORS {
-            for r in 0..sector_ranges {
+        for s in 0..SECTORS - 1 {
+            for r in 0..sector_ranges - 1 {
                 let from = first + s as f64 * width;
-                let range = (r as f64 + 0.5) * SECTOR_RANGE_M;
-                let hint = Hint::Values(vec![(0, from), (1, from + width), (2, range)]);
+                let range = (r as f64 + 1.0) * SECTOR_RANGE_M;
+                let hint = Hint::Values(vec![(0, from), (1, from + 2.0 * width), (2, range)]);
                 push(&mut aims, &mut counts, Aim::Effect(E::SectorOcclusion, hint), true);
             }
         }
@@ -346,6 +437,7 @@ impl Dictionary {
         // omnibus cells
         let jumps: Vec<Option<[f64; 2]>> =
             (0..views.scans()).flat_map(|s| jumps(comparison.nominal, recorded, s)).collect();
+        let mixed_share = just_seen(jumps.iter().flatten().count() as f64);
         let jump_size = |i: usize| jumps[i].map_or(0.0, |[near, far]| far - near);
         let speed = |i: usize| velocities[scan(i)][0].hypot(velocities[scan(i)][1]);
         let turn = |i: usize| velocities[scan(i)][2];
@@ -408,8 +500,7 @@ impl Dictionary {
                         (coarse_bearing[i], coarse_bearing[i + 1])
                     }
                 };
-                let place = (covariate == Covariate::Place)
-                    .then(|| wall_order[i].map(|c| f64::from(c) * WALL_CELL_M));
+                let place = (covariate == Covariate::Place).then(|| wall_corner(wall_order[i]));
                 for deviation in [Deviation::Mean, Deviation::Spread, Deviation::Short, Deviation::NoReturn] {
                     let count = matches!(deviation, Deviation::Short | Deviation::NoReturn);
                     push(
@@ -454,13 +545,21 @@ impl Dictionary {
             aims,
             counts,
             dense,
+            max,
             wall,
+            wall_cells,
+            wall_pairs,
+            wall_share,
             moved_wall,
             glass,
             objects,
+            object_windows,
+            among_blocks,
+            first_object,
             sector,
             sector_ranges,
             sector_of,
+            mixed_share,
             steps,
             mixed,
             depth,
@@ -484,17 +583,35 @@ impl Dictionary {
     }
 
     /// Statistics that are ranked among themselves: 0 for the scores of effects that act on many beams, 1 for those that
-    /// act in one of many places, 2 for the cells.
+    /// act in one of many places, 2 for the cells, 3 for objects where unmapped blocks can stand: where those stay, each
+    /// looks like an object.
     pub fn group(&self, index: usize) -> usize {
         let is_wide = self.is_score(index)
-            || (self.odometry..self.patterns + 3).contains(&index)
+            || (self.odometry..self.patterns + 4).contains(&index)
             || index == self.mixed
             || index == self.depth;
-        match (index >= self.cells, is_wide) {
-            (true, _) => 2,
-            (false, true) => 0,
-            (false, false) => 1,
+        let windows = self.first_object..self.first_object + self.object_windows.len();
+        if index >= self.cells {
+            2
+        } else if is_wide {
+            0
+        } else if windows.contains(&index) && self.among_blocks[index - self.first_object] {
+            3
+        } else {
+            1
         }
+    }
+
+    /// How far a statistic at `z` standard deviations speaks for what it looks for: a share can't be negative.
+    pub fn off(&self, index: usize, z: f64) -> f64 {
+        match self.aims[index] {
+            Aim::Effect(kind, _) if is_one_sided(kind) => z,
+            _ => z.abs(),
+        }
+    }
+
+    fn moves_scans(&self, index: usize) -> bool {
+        matches!(self.aims[index], Aim::Effect(E::MountYaw | E::MountOffset | E::TimeOffset, _))
     }
 
     /// Whether a statistic counts rare events.
@@ -504,12 +621,35 @@ impl Dictionary {
 
     /// Whether a statistic is the score of an effect's first number: its spread is the root of its information.
     pub fn is_score(&self, index: usize) -> bool {
-        self.dense.iter().any(|(_, dense, _)| *dense == index)
+        self.dense.iter().any(|dense| dense.index == index)
     }
 
     /// The omnibus cells of each beam: the index of the first of four statistics.
     pub fn cells_of_beams(&self) -> &[[u32; COVARIATES]] {
         &self.cell_of
+    }
+
+    /// Whether a reading is of something in front of what the map has there.
+    pub fn is_in_front(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> bool {
+        z < self.max && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1)
+    }
+
+    /// What a reading says of the share of beams that a wall lets through.
+    pub fn glass_score(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> f64 {
+        let wall = self.wall_cells.get(&wall_cell(beam.view.endpoint));
+        wall.map_or(0.0, |&wall| self.glass_score_of(wall as usize, beam, shift, z, terms))
+    }
+
+    fn glass_score_of(&self, wall: usize, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> f64 {
+        let through = if z < self.max {
+            let sigma = terms.sigma.min(0.1);
+            let far = beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, self.max));
+            // What stands behind is often not on the map.
+            0.5 * far + if z > beam.range() + shift + 5.0 * sigma { 0.5 / self.max } else { 0.0 }
+        } else {
+            0.5
+        };
+        contaminated(Density::contamination(terms, through), self.wall_share[wall])
     }
 
     /// All statistics of a log.
@@ -527,6 +667,8 @@ impl Dictionary {
         let max = comparison.nominal.laser.max_range_m;
         let mut scores: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; n]);
         let mut depth = [[0.0; 2]; 2];
+        let mut in_cells = vec![[0.0; 2]; self.objects.len()];
+        let mut in_sectors = vec![[0.0; 2]; SECTORS * self.sector_ranges];
         let mut whole = vec![[0.0_f64; 3]; views.scans()];
         comparison.for_each_reading(views, effects, fitted, |scan, i, density, shift, z, terms| {
             let half = (scan / BLOCK) % 2;
@@ -550,36 +692,29 @@ impl Dictionary {
                 }
             }
             let uniform = if is_return { 1.0 / max } else { 0.0 };
-            scores[3][i] = ((uniform / terms.density) - 1.0).min(100.0) as f32;
+            scores[3][i] = ((uniform / terms.density) - 1.0) as f32;
             if let Some([near, far]) = self.jumps[i] {
                 let inside = is_return && (near..far).contains(&z);
-                out[self.mixed][half] += g(if inside { 1.0 / (far - near) } else { 0.0 });
+                let ratio = g(if inside { 1.0 / (far - near) } else { 0.0 });
+                out[self.mixed][half] += contaminated(ratio, self.mixed_share);
             }
             let wall = self.wall[i];
             if wall != u32::MAX {
                 let wall = wall as usize;
-                out[self.moved_wall + wall][half] +=
-                    f64::from(scores[0][i]) / beam.view.incidence.cos().max(0.17);
-                let through = if is_return {
-                    let sigma = comparison.nominal.laser.sigma_m;
-                    let far =
-                        beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, max));
-                    // What stands behind is often not on the map.
-                    0.5 * far + if z > beam.range() + shift + 5.0 * sigma { 0.5 / max } else { 0.0 }
-                } else {
-                    0.5
-                };
-                out[self.glass + wall][half] += g(through);
+                if is_return {
+                    out[self.moved_wall + wall][half] += moved_wall_score(beam, &terms);
+                }
+                out[self.glass + wall][half] += self.glass_score_of(wall, beam, shift, z, &terms);
             }
             // Things in front may stand where no block does.
-            let in_front = is_return && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1);
+            let in_front = self.is_in_front(beam, shift, z, &terms);
             if in_front {
                 let heading = comparison.recorded.poses[scan].theta + beam.view.bearing;
                 let back = beam.view.range - z;
                 let end = beam.view.endpoint;
                 let cell = cell_at(end.x - back * heading.cos(), end.y - back * heading.sin(), OBJECT_CELL_M);
                 if let Some(&index) = self.objects.get(&cell) {
-                    out[index][half] += 1.0;
+                    in_cells[index as usize][half] += 1.0;
                 }
                 depth[0][half] += terms.short * (beam.range() - z);
                 depth[1][half] += terms.short;
@@ -587,13 +722,11 @@ impl Dictionary {
             if in_front {
                 let range = (z / SECTOR_RANGE_M) as usize;
                 if range < self.sector_ranges {
-                    let index = self.sector + usize::from(self.sector_of[i % k]) * self.sector_ranges + range;
-                    out[index][half] += 1.0;
+                    in_sectors[usize::from(self.sector_of[i % k]) * self.sector_ranges + range][half] += 1.0;
                 }
             }
             if is_return {
-                for (s, step) in STEPS_M.iter().enumerate() {
-                    let (sin, cos) = (TAU * z / step).sin_cos();
+                for (s, [cos, sin]) in phases(z).into_iter().enumerate() {
                     out[self.steps + 2 * s][half] += cos;
                     out[self.steps + 2 * s + 1][half] += sin;
                 }
@@ -623,35 +756,72 @@ impl Dictionary {
                 out[self.whole + kind][(i / BLOCK) % 2] += (of_scan[1][kind] - of_scan[0][kind]).powi(2);
             }
         }
-        for (score, index, weights) in &self.dense {
+        for Dense { score, index, weights, share } in &self.dense {
+            // Fitted errors of the reference take in what moves whole scans; the patterns look for it in the errors.
+            if self.moves_scans(*index) && !fitted.nuisances.pose_error.is_none() {
+                continue;
+            }
             let scores = &scores[*score as usize];
             for scan in 0..views.scans() {
                 let beams = scan * k..(scan + 1) * k;
-                let sum: f32 = scores[beams.clone()].iter().zip(&weights[beams]).map(|(s, w)| s * w).sum();
+                let pairs = scores[beams.clone()].iter().zip(&weights[beams]).map(|(s, w)| s * w);
+                let sum: f32 = if *share > 0.0 {
+                    pairs.map(|ratio| ratio / (1.0 + share * ratio)).sum()
+                } else {
+                    pairs.sum()
+                };
                 out[*index][(scan / BLOCK) % 2] += f64::from(sum);
+            }
+        }
+        let walls = self.wall_share.len();
+        for first in [self.moved_wall, self.glass] {
+            for (p, pair) in self.wall_pairs.iter().enumerate() {
+                out[first + walls + p] =
+                    std::array::from_fn(|half| pair.iter().map(|&i| out[first + i as usize][half]).sum());
+            }
+        }
+        for (window, cells) in self.object_windows.iter().enumerate() {
+            for &cell in cells.iter().filter(|&&cell| cell != u32::MAX) {
+                for half in 0..2 {
+                    out[self.first_object + window][half] += in_cells[cell as usize][half];
+                }
+            }
+        }
+        let ranges = self.sector_ranges;
+        for s in 0..SECTORS - 1 {
+            for r in 0..ranges - 1 {
+                let corner = s * ranges + r;
+                let window = [corner, corner + 1, corner + ranges, corner + ranges + 1];
+                out[self.sector + s * (ranges - 1) + r] =
+                    std::array::from_fn(|half| window.iter().map(|&i| in_sectors[i][half]).sum());
             }
         }
         for half in 0..2 {
             out[self.depth][half] = depth[0][half] / (depth[1][half] + 1.0);
             out[self.density][half] = 0.5 * fitted.nuisances.block_density.ln();
         }
-        for (p, gain) in fitted.pattern_gains.iter().enumerate() {
-            // Of the log as a whole; as a signed root, which is spread more evenly than a gain.
-            out[self.patterns + p] = [0.5 * (2.0 * gain.max(0.0)).sqrt(); 2];
+        for (p, score) in fitted.pattern_scores.iter().enumerate() {
+            // Of the log as a whole.
+            out[self.patterns + p] = [0.5 * score; 2];
         }
         let track = comparison.corrected(&fitted.corrections);
         let all = increments(comparison.nominal, effects, &track, &comparison.recorded.odometry);
         // Correlations, so that they don't depend on how large the reference's errors are taken to be.
+        let slip_share = E::WheelSlip.parameters()[1].start;
         let mut sums = [[Correlation::default(); 4]; 2];
         for (scan, increment) in all.iter().enumerate() {
             let [distance, turn] = standardized(increment, &fitted.nuisances.odometry_error);
             let [ds, dtheta] = increment.truth;
+            let error = &fitted.nuisances.odometry_error;
+            let [of_distance, of_turn] = [0, 1].map(|axis| deviation(increment, error, axis));
             let [scale, turn_scale, imbalance, slip] = &mut sums[(scan / BLOCK) % 2];
-            scale.add(distance, ds);
-            turn_scale.add(turn, dtheta);
-            imbalance.add(turn, ds);
-            // Slips lengthen only, and now and then.
-            slip.add(distance * distance.abs(), ds.signum());
+            scale.add(distance, ds / of_distance);
+            turn_scale.add(turn, dtheta / of_turn);
+            imbalance.add(turn, ds / of_turn);
+            slip.add(
+                contaminated(slip_ratio(increment, error, slip_share), just_seen(all.len() as f64)),
+                1.0,
+            );
         }
         for (half, sums) in sums.iter().enumerate() {
             for (i, correlation) in sums.iter().enumerate() {
@@ -660,6 +830,38 @@ impl Dictionary {
         }
         out
     }
+}
+
+/// Cosine and sine of 2 pi z over each of [`STEPS_M`]: all but one are powers of one complex number.
+fn phases(z: f64) -> [[f64; 2]; STEPS_M.len()] {
+    let phase = |step: f64| {
+        let (sin, cos) = (TAU * z / step).sin_cos();
+        [cos, sin]
+    };
+    let times = |[a, b]: [f64; 2], [c, d]: [f64; 2]| [a * c - b * d, a * d + b * c];
+    let square = |a| times(a, a);
+    let tenth = phase(0.1);
+    let of_50 = square(tenth);
+    let of_25 = square(of_50);
+    let of_20 = times(of_25, tenth);
+    let of_10 = square(of_20);
+    let of_5 = square(of_10);
+    let of_2 = times(square(of_5), of_10);
+    [of_2, phase(0.003), of_5, of_10, of_20, of_25, of_50]
+}
+
+/// Whether an effect can act in one direction only.
+fn is_one_sided(kind: EffectKind) -> bool {
+    let strength = &kind.parameters()[0];
+    strength.lo >= strength.neutral || matches!(kind, E::MissingObject | E::SectorOcclusion)
+}
+
+/// What a reading says of how far a wall is moved.
+pub(crate) fn moved_wall_score(beam: &Beam<'_>, terms: &Terms) -> f64 {
+    if terms.sigma.is_infinite() {
+        return 0.0;
+    }
+    terms.hit * terms.error / terms.sigma.powi(2) / beam.view.incidence.cos().max(0.17)
 }
 
 /// Correlation of two numbers about zero, times the root of how many there are.
@@ -687,4 +889,31 @@ impl Correlation {
 /// The draws that randomize the PIT of missing returns.
 pub(crate) fn pit_draw(seed: u64) -> Draw {
     Draw::new(seed, Stage::Bootstrap, 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn phases_are_those_of_the_steps() {
+        for z in [0.0, 0.4567, 3.21, 7.999] {
+            for (step, [cos, sin]) in STEPS_M.into_iter().zip(phases(z)) {
+                let angle = TAU * z / step;
+                assert!((cos - angle.cos()).abs() < 1e-9 && (sin - angle.sin()).abs() < 1e-9, "{z} {step}");
+            }
+        }
+    }
+
+    /// At the share itself the score's mean is 0: sum of q ratio / (1 + share ratio) over two outcomes of probability
+    /// q = p (1 + share ratio), p those of the hypothesis.
+    #[test]
+    fn the_score_of_a_contamination_has_no_mean_at_its_share() {
+        let (p, share) = ([0.9, 0.1], 0.05);
+        // Under the contamination alone: 0.2 and 0.8.
+        let ratios = [0.2 / 0.9 - 1.0, 0.8 / 0.1 - 1.0];
+        let mean: f64 =
+            p.iter().zip(ratios).map(|(p, r)| p * (1.0 + share * r) * contaminated(r, share)).sum();
+        assert!(mean.abs() < 1e-12, "{mean}");
+    }
 }

@@ -1,10 +1,17 @@
-//! How strong an effect is, as information: lambda = 2 E\[log likelihood ratio\] of the truth against the best nominal
-//! world, nuisances fitted in both. For a regular effect of strength theta that is theta^2 times its Fisher information.
-//! The best possible test, which knows the effect, finds it with probability Phi(sqrt(lambda) - 2.33) at a false-alarm
-//! rate of 1 %.
+//! How strong an effect is, as information: lambda = (E1\[S\] - E0\[S\])^2 / Var\[S\], where S is the log likelihood ratio
+//! of the effect at its true strength against the best nominal world, nuisances fitted in both, and E1, E0 are over logs with
+//! and without it.
+//!
+//! For independent readings and a regular effect of strength theta that is theta^2 times its Fisher information. Readings of
+//! a log share blocks and errors of the reference, though: the variance is taken over whole simulated logs, not summed over
+//! readings (Godambe's information instead of Fisher's), and a rare event counts by how often it happens, not by how
+//! impossible it is without the effect. The best possible test, which knows the effect, finds it with probability
+//! Phi(sqrt(lambda) - 2.33) at a false-alarm rate of 1 %.
+
+use std::sync::Arc;
 
 use locsim_core::{Draw, Stage};
-use locsim_world::effect::Effect;
+use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::simulation::BlockResampling;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -12,84 +19,152 @@ use statrs::distribution::{ContinuousCDF, Normal};
 use crate::hidden::Regime;
 use crate::hypothesis::{Comparison, Nuisances};
 use crate::null::{BlockTruth, Replay};
+use crate::views::Views;
 use crate::{GapError, Nominal, PoseError, Recorded};
 
-/// Simulated logs behind an expectation.
-const LOGS: u32 = 6;
+/// Simulated logs with the effect behind an expectation, and as many without.
+const LOGS: u32 = 16;
 /// Steps of the search for a strength.
 const STEPS: u32 = 5;
+/// Whoever knows where to look sees a thread by a single reading; an object is no thinner than this.
+const LEAST_RADIUS_M: f64 = 0.02;
+/// The search ends at an information this close to what is asked for, as a factor.
+const CLOSE: f64 = 1.1;
 
-fn nuisances(regime: &Regime) -> Nuisances {
-    Nuisances { pose_error: regime.pose_error.unwrap_or(PoseError::NONE), ..Nuisances::default() }
+/// Simulated logs along recorded poses, to tell how strong effects are there.
+pub struct Strength<'a> {
+    nominal: &'a Nominal,
+    recorded: &'a Recorded,
+    regime: Regime,
+    draw: Draw,
+    views: Arc<Views<'a>>,
+    /// Logs without an effect and their log likelihoods.
+    nothing: Vec<(Recorded, f64)>,
 }
 
-/// lambda of an effect in logs along the recorded poses.
-///
-/// # Errors
-/// As the simulator's.
-pub fn information(
-    nominal: &Nominal,
-    recorded: &Recorded,
-    effect: &Effect,
-    regime: &Regime,
-    seed: u64,
-) -> Result<f64, GapError> {
-    let resample =
-        if regime.persistent_blocks { BlockResampling::Never } else { BlockResampling::EachObservation };
-    let effects = std::slice::from_ref(effect);
-    let replay = Replay {
-        nominal,
-        recorded,
-        effects,
-        nuisances: nuisances(regime),
-        blocks: BlockTruth { resample, density_over_fit: 1.0 },
-    };
-    let draw = Draw::new(seed, Stage::Trial, 11);
-    let ratios = (0..LOGS)
-        .into_par_iter()
-        .map(|i| {
-            let simulated = replay.simulate(draw.seed(i))?;
-            let comparison = Comparison::new(nominal, &simulated);
-            let start = comparison.start(&nuisances(regime));
-            let without = comparison.evaluate(&[], &start, 2)?.total();
-            let with = comparison.evaluate(effects, &start, 2)?.total();
-            Ok(2.0 * (with - without))
-        })
-        .collect::<Result<Vec<f64>, GapError>>()?;
-    Ok(ratios.iter().sum::<f64>() / f64::from(LOGS))
-}
-
-/// The strength of an effect whose information is `lambda`: number `index` of `effect` is scaled about its neutral value.
-///
-/// # Errors
-/// As the simulator's.
-pub fn with_information(
-    nominal: &Nominal,
-    recorded: &Recorded,
-    effect: &Effect,
-    index: usize,
-    lambda: f64,
-    regime: &Regime,
-    seed: u64,
-) -> Result<Effect, GapError> {
-    let parameter = &effect.kind.parameters()[index];
-    let scaled = |factor: f64| -> Effect {
-        let mut scaled = effect.clone();
-        let away = factor * (effect.values[index] - parameter.neutral);
-        scaled.values[index] = (parameter.neutral + away).clamp(parameter.lo, parameter.hi);
-        scaled
-    };
-    let mut factor: f64 = 1.0;
-    for _ in 0..STEPS {
-        let now = information(nominal, recorded, &scaled(factor), regime, seed)?;
-        // Somewhere between a shift, whose information is quadratic, and a rare event, whose is linear.
-        let step = (lambda / now.max(0.02 * lambda)).powf(0.6).clamp(0.05, 8.0);
-        factor *= step;
-        if (step - 1.0).abs() < 0.05 {
-            break;
-        }
+impl<'a> Strength<'a> {
+    /// Simulates logs without an effect.
+    ///
+    /// # Errors
+    /// As the simulator's.
+    pub fn new(
+        nominal: &'a Nominal,
+        recorded: &'a Recorded,
+        regime: Regime,
+        seed: u64,
+    ) -> Result<Self, GapError> {
+        let draw = Draw::new(seed, Stage::Trial, 11);
+        let views = Arc::new(Views::new(nominal, recorded, &nominal.effects));
+        let mut strength = Self { nominal, recorded, regime, draw, views, nothing: Vec::new() };
+        strength.nothing = (0..LOGS)
+            .into_par_iter()
+            .map(|i| {
+                let log = strength.simulate(&[], LOGS + i)?;
+                let total = strength.log_likelihood(&log, &nominal.effects, &strength.views);
+                Ok((log, total))
+            })
+            .collect::<Result<_, GapError>>()?;
+        Ok(strength)
     }
-    Ok(scaled(factor))
+
+    fn nuisances(&self) -> Nuisances {
+        Nuisances { pose_error: self.regime.pose_error.unwrap_or(PoseError::NONE), ..Nuisances::default() }
+    }
+
+    fn simulate(&self, effects: &[Effect], number: u32) -> Result<Recorded, GapError> {
+        let resample = if self.regime.persistent_blocks {
+            BlockResampling::Never
+        } else {
+            self.nominal.blocks.map_or(BlockResampling::EachObservation, |blocks| blocks.resample)
+        };
+        let replay = Replay {
+            nominal: self.nominal,
+            recorded: self.recorded,
+            effects,
+            nuisances: self.nuisances(),
+            blocks: BlockTruth { resample, density_over_fit: 1.0 },
+        };
+        replay.simulate(self.draw.seed(number))
+    }
+
+    fn log_likelihood(&self, log: &Recorded, effects: &Effects, views: &Views<'_>) -> f64 {
+        let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(&self.views) };
+        let start = comparison.start(&self.nuisances());
+        comparison.evaluate_views(views, effects, &start, 2).total()
+    }
+
+    /// lambda of an effect.
+    ///
+    /// # Errors
+    /// As the simulator's.
+    pub fn information(&self, effect: &Effect) -> Result<f64, GapError> {
+        let effects = &[evenly_spread(effect)];
+        let all = self.nominal.effects_with(effects)?;
+        let views = Views::new(self.nominal, self.recorded, &all);
+        let ratio = |log: &Recorded, without: f64| self.log_likelihood(log, &all, &views) - without;
+        let with = (0..LOGS)
+            .into_par_iter()
+            .map(|i| {
+                let log = self.simulate(effects, i)?;
+                Ok(ratio(&log, self.log_likelihood(&log, &self.nominal.effects, &self.views)))
+            })
+            .collect::<Result<Vec<f64>, GapError>>()?;
+        let nothing = self.nothing.par_iter().map(|(log, without)| ratio(log, *without));
+        let nothing = nothing.collect::<Vec<f64>>();
+        let moments = |ratios: &[f64]| {
+            let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+            let squares = ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>();
+            (mean, squares / (ratios.len() as f64 - 1.0))
+        };
+        let ((mean, variance), (mean_without, variance_without)) = (moments(&with), moments(&nothing));
+        // Of an effect that is lost in rounding neither mean nor variance says anything.
+        Ok((mean - mean_without).max(0.0).powi(2) / (0.5 * (variance + variance_without)).max(1e-6))
+    }
+
+    /// The strength of an effect whose information is `lambda`: number `index` of `effect` is scaled about its neutral
+    /// value. An object has at least a radius of 2 cm, and then more information.
+    ///
+    /// # Errors
+    /// As the simulator's.
+    pub fn with_information(&self, effect: &Effect, index: usize, lambda: f64) -> Result<Effect, GapError> {
+        let parameter = &effect.kind.parameters()[index];
+        let scaled = |factor: f64| -> Effect {
+            let mut scaled = effect.clone();
+            let away = factor * (effect.values[index] - parameter.neutral);
+            let least = if effect.kind == EffectKind::MissingObject { LEAST_RADIUS_M } else { parameter.lo };
+            scaled.values[index] = (parameter.neutral + away).clamp(least, parameter.hi);
+            scaled
+        };
+        // Secants in logarithms: information grows with a power of the strength, 1 for rare events, 2 for a shift.
+        let mut tried: Vec<(f64, f64)> = Vec::new();
+        let mut factor: f64 = 1.0;
+        for _ in 0..STEPS {
+            let now = self.information(&scaled(factor))?.max(1e-3 * lambda);
+            let off = (lambda / now).ln();
+            tried.push((factor.ln(), off));
+            if off.abs() < CLOSE.ln() {
+                break;
+            }
+            let power = match tried[..] {
+                [.., (a, before), (b, now)] if (a - b).abs() > 1e-9 => {
+                    ((before - now) / (b - a)).clamp(0.7, 2.5)
+                }
+                _ => 1.6,
+            };
+            factor *= (off / power).exp().clamp(0.05, 8.0);
+        }
+        let nearest = tried.iter().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+        Ok(scaled(nearest.map_or(1.0, |(factor, _)| factor.exp())))
+    }
+}
+
+/// An effect that comes in bursts as one that doesn't: how many bursts a log has is chance, and would count as noise.
+fn evenly_spread(effect: &Effect) -> Effect {
+    let mut spread = effect.clone();
+    if effect.kind == EffectKind::Crosstalk {
+        spread.values = vec![effect.values[0] * effect.values[1], 1.0];
+    }
+    spread
 }
 
 /// Power of the best test at a false-alarm rate.

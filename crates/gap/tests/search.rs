@@ -6,10 +6,7 @@ use std::sync::atomic::AtomicBool;
 use glam::DVec2;
 use locsim_core::Pose2;
 use locsim_gap::hidden::{Regime, Truth, record_library};
-use locsim_gap::{
-    GapError, GapOptions, Nominal, Outcome, Recorded, Verdict, find, information, oracle_power,
-    with_information,
-};
+use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find, oracle_power};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::map::{Polyline, VectorMap};
 use locsim_world::raycast::ExactRangeMap;
@@ -157,8 +154,9 @@ fn strengths_have_the_information_that_is_asked_for() {
     let recorded = log(&nominal, &[], Regime::default(), 8);
     let bias = effect(EffectKind::RangeBias, &[0.005]);
     let regime = Regime::default();
-    let strong = with_information(&nominal, &recorded, &bias, 0, 100.0, &regime, 9).unwrap();
-    let found = information(&nominal, &recorded, &strong, &regime, 10).unwrap();
+    let strength = |seed| Strength::new(&nominal, &recorded, regime, seed).unwrap();
+    let strong = strength(9).with_information(&bias, 0, 100.0).unwrap();
+    let found = strength(10).information(&strong).unwrap();
     assert!((found - 100.0).abs() < 50.0, "{found}");
     // 160 scans of 24 beams, about nine of ten on walls, sigma 1 cm.
     let normal = (strong.values[0] / 0.01).powi(2) * 160.0 * 24.0;

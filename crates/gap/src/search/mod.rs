@@ -1,6 +1,7 @@
 //! The search: detect, locate, name, add, and stop when nothing is off any more.
 
 mod naming;
+mod precision;
 mod starts;
 
 use std::sync::Arc;
@@ -17,7 +18,9 @@ use naming::{adds_up, choose, compare_rivals, gain, name, numbers, sum_of};
 use crate::fit::{Candidate, Search, Start, blocks};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::null::{BlockTruth, Null, Replay, compare, fit_persistence};
-use crate::outcome::{Detectable, Detection, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict};
+use crate::outcome::{
+    Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
+};
 use crate::show::{Side, distance, histograms, locate, pits};
 use crate::statistics::{Aim, Dictionary, Hint};
 use crate::views::Views;
@@ -52,6 +55,14 @@ impl Default for GapOptions {
         }
     }
 }
+
+/// An effect can be named if its own direction is off as only in this share of logs without anything some direction is.
+const FAR_OFF: f64 = 0.1;
+/// The same for what may be left when nothing is off any more.
+const SOMEWHAT_OFF: f64 = 0.5;
+
+/// A score so many standard deviations off is of something strong.
+const BEYOND_DOUBT: f64 = 10.0;
 
 /// Is told how far a search is.
 pub trait Progress: Sync {
@@ -105,8 +116,8 @@ pub fn find(
         if !off && named.is_empty() {
             break;
         }
-        let count = if off { options.fitted_kinds } else { 3 };
-        let candidates = state.candidates(round, count)?;
+        let (count, chance) = if off { (options.fitted_kinds, FAR_OFF) } else { (3, SOMEWHAT_OFF) };
+        let candidates = state.candidates(round, count, chance)?;
         let accepted = if off && named.len() < options.most_effects { choose(&candidates) } else { None };
         let Some(best) = accepted else {
             remaining = candidates.into_iter().max_by(|a, b| a.gain().total_cmp(&b.gain()));
@@ -135,6 +146,9 @@ pub fn find(
         for i in 0..named.len() {
             state.refit(&mut named, i, &rounds[rounds.len() - 1].fitted)?;
         }
+    }
+    if !named.is_empty() {
+        state.make_precise(&mut named, &rounds[rounds.len() - 1])?;
     }
     // Deeper blocks also stand in the way of more beams.
     let deeper = named.iter().any(|named| named.name == EffectKind::BlockDepth);
@@ -176,13 +190,15 @@ pub fn find(
     Ok(Outcome {
         verdict,
         effects: named,
-        detection: state.detection(&before.null),
-        detection_after: state.detection(&after.null),
+        detection: detection(&before.null),
+        detection_after: detection(&after.null),
         regions,
         gap,
         filter: None,
         rivals,
         detectable,
+        directions: directions(before),
+        threshold: before.null.threshold,
         nuisances: before.fitted.nuisances,
         pit,
         notes: notes(nominal, blocks.resample),
@@ -224,7 +240,7 @@ impl<'a> State<'a> {
             blocks: self.blocks,
         };
         let seed = Draw::new(self.options.seed, Stage::Trial, 9).seed(effects.len() as u32);
-        let tick = || self.progress.advance(1);
+        let tick = |ticks| self.progress.advance(ticks);
         let null = compare(
             &replay,
             &comparison,
@@ -239,25 +255,18 @@ impl<'a> State<'a> {
         Ok(Round { effects, comparison, fitted, dictionary, null })
     }
 
-    fn detection(&self, null: &Null) -> Detection {
-        Detection {
-            p_library: null.p_library,
-            p_omnibus: null.p_omnibus,
-            p: null.p,
-            replicates: self.options.replicates,
-        }
-    }
-
     /// Fits the kinds of effect whose statistics are farthest off.
-    fn candidates(&self, round: &Round<'a>, count: usize) -> Result<Vec<Candidate>, GapError> {
-        let starts = self.starts(round, count);
+    fn candidates(&self, round: &Round<'a>, count: usize, chance: f64) -> Result<Vec<Candidate>, GapError> {
+        let starts = self.starts(round, count, chance);
         self.progress.stage("fitting effects", starts.len() as u64);
         // The comparison of the nominal world: effects given so far are part of each hypothesis.
         let comparison = Comparison::new(self.nominal, self.recorded);
+        // As far along as with the effect.
+        let without = comparison.evaluate(&round.effects, &round.fitted, 1)?;
         let search = Search {
             comparison: &comparison,
             given: &round.effects,
-            without: &round.fitted,
+            without: &without,
             start: &round.fitted,
         };
         let fits = starts
@@ -271,7 +280,19 @@ impl<'a> State<'a> {
                 fit
             })
             .collect::<Result<Vec<_>, _>>()?;
-        Ok(fits.into_iter().flatten().collect())
+        let mut candidates: Vec<Candidate> = fits.into_iter().flatten().collect();
+        for candidate in &mut candidates {
+            let own = round.dictionary.aims.iter().zip(&round.null.z).enumerate();
+            let off = own
+                .filter(|(_, (aim, _))| matches!(aim, Aim::Effect(kind, _) if *kind == candidate.kind()))
+                .map(|(i, (_, z))| round.dictionary.off(i, *z))
+                .fold(0.0, f64::max);
+            // A fit can be far better than its score where the effect is strong.
+            if off < BEYOND_DOUBT {
+                candidate.limit(off * off);
+            }
+        }
+        Ok(candidates)
     }
 
     /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
@@ -415,7 +436,7 @@ fn detectable(round: &Round<'_>) -> Vec<Detectable> {
     let mut out: Vec<Detectable> = Vec::new();
     for (i, aim) in round.dictionary.aims.iter().enumerate() {
         let Aim::Effect(kind, hint) = aim else { continue };
-        if !round.dictionary.is_score(i) || *hint != Hint::None {
+        if !round.dictionary.is_score(i) || *hint != Hint::None || round.null.spread[i] < 1e-3 {
             continue;
         }
         let parameter = &kind.parameters()[0];
@@ -429,6 +450,29 @@ fn detectable(round: &Round<'_>) -> Vec<Detectable> {
                 unit: parameter.unit,
                 typical,
             });
+        }
+    }
+    out
+}
+
+fn detection(null: &Null) -> Detection {
+    Detection {
+        p_library: null.p_library,
+        p_omnibus: null.p_omnibus,
+        p: null.p,
+        replicates: null.fits.len() as u32,
+    }
+}
+
+/// The farthest statistic of each effect, with its sign.
+fn directions(round: &Round<'_>) -> Vec<Direction> {
+    let mut out: Vec<Direction> = Vec::new();
+    for (aim, &z) in round.dictionary.aims.iter().zip(&round.null.z) {
+        let Aim::Effect(kind, _) = aim else { continue };
+        match out.iter_mut().find(|direction| direction.name == *kind) {
+            Some(known) if known.z.abs() < z.abs() => known.z = z,
+            Some(_) => {}
+            None => out.push(Direction { name: *kind, z }),
         }
     }
     out

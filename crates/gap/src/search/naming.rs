@@ -27,8 +27,9 @@ pub fn sum_of(known: &Effect, more: &Effect) -> Result<Effect, GapError> {
 }
 
 /// The candidate that is named: it gains surely, most of all, or within one standard error of that with fewer numbers.
+/// Surely is by one standard error: that something is there, the simulated logs have said.
 pub fn choose(candidates: &[Candidate]) -> Option<usize> {
-    let sure = |c: &Candidate| c.gain() > 2.0 && c.gain() - 1.645 * c.gain_error() > 0.0;
+    let sure = |c: &Candidate| c.gain() > 2.0 && c.gain() - c.gain_error() > 0.0;
     let most = (0..candidates.len())
         .filter(|&i| sure(&candidates[i]))
         .max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain()))?;

@@ -5,14 +5,19 @@ use locsim_world::effect::EffectKind;
 
 use super::{Round, State};
 use crate::fit::Start;
-use crate::statistics::{Aim, Hint, OBJECT_CELL_M, WALL_CELL_M, cell_at};
+use crate::likelihood::Terms;
+use crate::statistics::{Aim, Hint, OBJECT_CELL_M, SECTOR_RANGE_M, cell_at, moved_wall_score, wall_cell};
+use crate::views::Beam;
 
 /// Directions of a kind of effect: how far the log is off, and the index of the statistic.
 type Directions = Vec<(f64, usize)>;
 
 impl<'a> State<'a> {
-    /// Kinds with where their fits start, the most promising first.
-    pub fn starts(&self, round: &Round<'a>, count: usize) -> Vec<(EffectKind, Vec<Start>)> {
+    /// Kinds with where their fits start, the most promising first: those whose own direction is as far off as `chance`
+    /// of all logs without anything are in some direction. Unmapped blocks that stay look like missing objects, in every
+    /// such log.
+    pub fn starts(&self, round: &Round<'a>, count: usize, chance: f64) -> Vec<(EffectKind, Vec<Start>)> {
+        let least = round.null.weight_at(chance);
         let mut best: Vec<(EffectKind, f64, Directions)> = Vec::new();
         for (i, aim) in round.dictionary.aims.iter().enumerate() {
             let Aim::Effect(kind, _) = aim else { continue };
@@ -23,20 +28,19 @@ impl<'a> State<'a> {
             let z = round.null.z[i];
             match best.iter_mut().find(|(known, ..)| known == kind) {
                 Some((_, largest, all)) => {
-                    *largest = largest.max(z.abs());
+                    *largest = largest.max(round.null.weight[i]);
                     all.push((z, i));
                 }
-                None => best.push((*kind, z.abs(), vec![(z, i)])),
+                None => best.push((*kind, round.null.weight[i], vec![(z, i)])),
             }
         }
         best.sort_by(|a, b| b.1.total_cmp(&a.1));
         best.truncate(count);
-        // An effect whose own direction is hardly off can't be what moves others this far.
-        let least = best.first().map_or(0.0, |(_, z, _)| (0.25 * z).clamp(2.0, 4.0));
-        best.retain(|(_, z, _)| *z >= least);
+        best.retain(|(_, weight, _)| *weight >= least);
         best.into_iter()
             .map(|(kind, _, mut all)| {
-                all.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
+                let off = |&(z, i): &(f64, usize)| round.dictionary.off(i, z);
+                all.sort_by(|a, b| off(b).total_cmp(&off(a)));
                 let starts = self.starts_of(kind, &all, round);
                 (kind, starts)
             })
@@ -72,23 +76,23 @@ impl<'a> State<'a> {
                 }
                 vec![Start { values, place: Vec::new() }]
             }
-            EffectKind::Glass | EffectKind::MovedWall => walls(round, all, 2)
+            EffectKind::Glass | EffectKind::MovedWall => walls(round, kind, all, 2)
                 .into_iter()
-                .map(|(z, stretch)| Start { values: signed(typical.clone(), z), place: vec![stretch] })
+                .flat_map(|(value, stretch)| {
+                    // A wall that is moved far has no score: a typical strength is tried as well.
+                    [vec![value], signed(typical.clone(), value)]
+                        .map(|values| Start { values, place: vec![stretch] })
+                })
                 .collect(),
             EffectKind::MissingObject => all
                 .iter()
                 .filter(|(z, _)| *z > 0.0)
                 .take(3)
                 .filter_map(|&(_, i)| match hint(i) {
-                    Hint::Object([x, y]) => Some(Start {
-                        values: vec![
-                            (f64::from(x) + 0.5) * OBJECT_CELL_M,
-                            (f64::from(y) + 0.5) * OBJECT_CELL_M,
-                            0.15,
-                        ],
-                        place: Vec::new(),
-                    }),
+                    Hint::Object(cell) => {
+                        let at = object_at(round, cell);
+                        Some(Start { values: vec![at.x, at.y, 0.05], place: Vec::new() })
+                    }
                     _ => None,
                 })
                 .collect(),
@@ -124,108 +128,174 @@ impl<'a> State<'a> {
             }
             _ => None,
         };
-        let Some([mut from, mut to, range]) = values(index) else { return typical.to_vec() };
-        for (i, &z) in round.null.z.iter().enumerate().take(round.dictionary.first_cell()) {
-            if let Some([a, b, r]) = values(i) {
-                let joins = (r - range).abs() < 1e-9 && z > 4.0;
-                if joins && (a - to).abs() < 1e-6 {
-                    to = b;
-                } else if joins && (b - from).abs() < 1e-6 {
-                    from = a;
-                }
-            }
-        }
-        // Where exactly readings of it lie.
+        let Some([from, to, range]) = values(index) else { return typical.to_vec() };
+        // Where exactly readings of it lie: the tenth of a metre that holds most of them.
         let readings = &self.recorded.readings;
         let k = self.recorded.beams();
-        let bearings = self.recorded.laser.bearings();
+        let bearings: Vec<f64> = self.recorded.laser.bearings().iter().map(|&b| f64::from(b)).collect();
         let mut near: Vec<f64> = readings
             .iter()
             .enumerate()
-            .filter(|(i, _)| (from..=to).contains(&f64::from(bearings[i % k])))
+            .filter(|(i, _)| (from..=to).contains(&bearings[i % k]))
             .map(|(_, &z)| f64::from(z))
-            .filter(|z| (z - range).abs() <= 0.2)
+            .filter(|z| (z - range).abs() <= SECTOR_RANGE_M)
             .collect();
         near.sort_by(f64::total_cmp);
-        let at = near.get(near.len() / 2).copied().unwrap_or(range);
-        let mut start = vec![from, to, at, 0.3];
+        let held =
+            |&from: &f64| near.partition_point(|z| *z < from + 0.1) - near.partition_point(|z| *z < from);
+        let densest = near.iter().copied().max_by_key(held).map_or(range, |z| z + 0.05);
+        // The bearings at which there are more such readings than elsewhere (Kulldorff's scan statistic, 1997).
+        let mut counts = vec![0.0; k];
+        for (i, &z) in readings.iter().enumerate() {
+            if (f64::from(z) - densest).abs() < 0.1 {
+                counts[i % k] += 1.0;
+            }
+        }
+        let inside = |b: usize| (from - 0.3..=to + 0.3).contains(&bearings[b]);
+        let outside: Vec<f64> = (0..k).filter(|&b| !inside(b)).map(|b| counts[b]).collect();
+        let usual = (outside.iter().sum::<f64>() / outside.len().max(1) as f64).max(0.2);
+        let mut best = (0.0, from, to);
+        for a in (0..k).filter(|&b| inside(b)) {
+            let mut sum = 0.0;
+            for b in (a..k).take_while(|&b| inside(b)) {
+                sum += counts[b];
+                let expected = usual * (b - a + 1) as f64;
+                if sum > expected {
+                    let gain = sum * (sum / expected).ln() - (sum - expected);
+                    if gain > best.0 {
+                        let half = 0.5 * (bearings[(a + 1).min(k - 1)] - bearings[a]).abs();
+                        best = (gain, bearings[a] - half, bearings[b] + half);
+                    }
+                }
+            }
+        }
+        let (_, from, to) = best;
+        let at = densest;
+        let mut start = vec![from, to, at, 0.05];
         start.truncate(typical.len());
         start
     }
 }
 
-/// Stretches of wall whose statistics are farthest off, neighbours joined.
-fn walls(round: &Round<'_>, all: &[(f64, usize)], most: usize) -> Vec<(f64, [DVec2; 2])> {
-    let cell = |i: usize| match round.dictionary.aims[i] {
-        Aim::Effect(_, Hint::Wall(cell)) => Some(cell),
+/// Where readings in front lie in a window of free space.
+fn object_at(round: &Round<'_>, [x, y]: [i32; 2]) -> DVec2 {
+    let mut points = Vec::new();
+    each_reading(round, |beam, heading, shift, z, terms| {
+        if round.dictionary.is_in_front(beam, shift, z, terms) {
+            let point = beam.view.endpoint - (beam.view.range - z) * DVec2::from_angle(heading);
+            let [i, j] = cell_at(point.x, point.y, OBJECT_CELL_M);
+            if (x..=x + 1).contains(&i) && (y..=y + 1).contains(&j) {
+                points.push(point);
+            }
+        }
+    });
+    // Of those the middle of the ones that lie together.
+    let near = |p: &DVec2| points.iter().filter(|q| p.distance(**q) < 0.1).count();
+    let Some(centre) = points.iter().copied().max_by_key(near) else {
+        return DVec2::new(f64::from(x + 1), f64::from(y + 1)) * OBJECT_CELL_M;
+    };
+    let close: Vec<DVec2> = points.iter().copied().filter(|p| p.distance(centre) < 0.1).collect();
+    close.iter().sum::<DVec2>() / close.len() as f64
+}
+
+/// Every reading with its beam and the beam's heading.
+fn each_reading(round: &Round<'_>, mut visit: impl FnMut(&Beam<'_>, f64, f64, f64, &Terms)) {
+    let comparison = &round.comparison;
+    let Ok(effects) = comparison.effects(&round.effects) else { return };
+    comparison.for_each_reading(&comparison.views, &effects, &round.fitted, |scan, i, _, shift, z, terms| {
+        let beam = &comparison.views.beams[i];
+        visit(beam, comparison.recorded.poses[scan].theta + beam.view.bearing, shift, z, &terms);
+    });
+}
+
+/// Length of the bins into which a wall is cut \[m\], how far a stretch is looked for on both sides, and its least length.
+const STRETCH_BIN_M: f64 = 0.1;
+const STRETCH_REACH_M: f64 = 4.0;
+const STRETCH_LEAST_M: f64 = 0.3;
+
+/// Stretches of wall whose statistics are farthest off: on the wall through the cells that are, the interval over which the
+/// score is largest for its information, with the strength that it has there.
+fn walls(round: &Round<'_>, kind: EffectKind, all: &[(f64, usize)], most: usize) -> Vec<(f64, [DVec2; 2])> {
+    let cells = |i: usize| match round.dictionary.aims[i] {
+        Aim::Effect(_, Hint::Wall(cells)) => Some(cells),
         _ => None,
     };
     let mut used: Vec<[i32; 2]> = Vec::new();
     let mut out = Vec::new();
     for &(z, i) in all {
-        let Some(seed) = cell(i).filter(|seed| !used.contains(seed)) else { continue };
         if out.len() == most {
             break;
         }
-        // Neighbouring cells that are off the same way.
-        let strong = 0.35 * z.abs();
-        let mut cells = vec![seed];
-        let mut next = 0;
-        while next < cells.len() {
-            let [x, y] = cells[next];
-            for &(other, j) in all {
-                let Some(neighbour) = cell(j) else { continue };
-                let touches = (neighbour[0] - x).abs() <= 1 && (neighbour[1] - y).abs() <= 1;
-                if touches
-                    && other.signum() == z.signum()
-                    && other.abs() > strong.max(3.0)
-                    && !cells.contains(&neighbour)
-                {
-                    cells.push(neighbour);
-                }
-            }
-            next += 1;
-        }
-        used.extend(&cells);
+        let Some(seeds) = cells(i).filter(|seeds| !seeds.iter().any(|seed| used.contains(seed))) else {
+            continue;
+        };
         let points: Vec<DVec2> = round
             .comparison
             .views
             .beams
             .iter()
             .map(|beam| beam.view.endpoint)
-            .filter(|p| cells.contains(&cell_at(p.x, p.y, WALL_CELL_M)))
+            .filter(|p| seeds.contains(&wall_cell(*p)))
             .collect();
-        if let Some(stretch) = line_through(&points) {
-            out.push((z, stretch));
+        let Some((middle, along)) = line_through(&points) else { continue };
+        let bins = (2.0 * STRETCH_REACH_M / STRETCH_BIN_M) as usize;
+        let mut score = vec![0.0; bins];
+        let mut information = vec![0.0; bins];
+        each_reading(round, |beam, _, shift, reading, terms| {
+            let from_middle = beam.view.endpoint - middle;
+            if along.perp_dot(from_middle).abs() > 0.05 {
+                return;
+            }
+            let bin = (along.dot(from_middle) + STRETCH_REACH_M) / STRETCH_BIN_M;
+            if bin < 0.0 || bin as usize >= bins {
+                return;
+            }
+            let value = if kind == EffectKind::Glass {
+                round.dictionary.glass_score(beam, shift, reading, terms)
+            } else {
+                moved_wall_score(beam, terms)
+            };
+            score[bin as usize] += value;
+            information[bin as usize] += value * value;
+        });
+        let mut best = (0.0, 0, 0);
+        for from in 0..bins {
+            let (mut s, mut v) = (0.0, 0.0);
+            for to in from..bins {
+                s += score[to];
+                v += information[to];
+                let long = (to - from + 1) as f64 * STRETCH_BIN_M >= STRETCH_LEAST_M;
+                let gain = if v > 0.0 { s * s / v } else { 0.0 };
+                if long && information[from] > 0.0 && information[to] > 0.0 && s * z > 0.0 && gain > best.0 {
+                    best = (gain, from, to + 1);
+                }
+            }
+        }
+        used.extend(&seeds);
+        if best.0 > 0.0 {
+            // The score's own estimate.
+            let [s, v] = [&score, &information].map(|of| of[best.1..best.2].iter().sum::<f64>());
+            let at = |bin: usize| middle + (bin as f64 * STRETCH_BIN_M - STRETCH_REACH_M) * along;
+            out.push((s / v, [at(best.1), at(best.2)]));
         }
     }
     out
 }
 
-/// The stretch along the direction in which points spread most.
-fn line_through(points: &[DVec2]) -> Option<[DVec2; 2]> {
-    let n = points.len() as f64;
-    if points.len() < 3 {
-        return None;
+/// The wall that most of some points lie on: a point of it, and its direction. Recesses and corners have other walls in the
+/// same cells.
+fn line_through(points: &[DVec2]) -> Option<(DVec2, DVec2)> {
+    const MOST: usize = 60;
+    let few: Vec<DVec2> = points.iter().copied().step_by(points.len().div_ceil(MOST).max(1)).collect();
+    let mut best: Option<(usize, DVec2, DVec2)> = None;
+    for (i, &a) in few.iter().enumerate() {
+        for &b in few[i + 1..].iter().filter(|b| a.distance(**b) > 0.2) {
+            let along = (b - a).normalize();
+            let on_it = few.iter().filter(|p| along.perp_dot(**p - a).abs() < 0.03).count();
+            if best.is_none_or(|(most, ..)| on_it > most) {
+                best = Some((on_it, 0.5 * (a + b), along));
+            }
+        }
     }
-    // Medians, as a recess or a corner may lie in the same cells.
-    let mean = points.iter().sum::<DVec2>() / n;
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-    for p in points {
-        let d = *p - mean;
-        (xx, xy, yy) = (xx + d.x * d.x, xy + d.x * d.y, yy + d.y * d.y);
-    }
-    let direction = DVec2::from_angle(0.5 * (2.0 * xy).atan2(xx - yy));
-    let mut across: Vec<f64> = points.iter().map(|p| direction.perp_dot(*p - mean)).collect();
-    across.sort_by(f64::total_cmp);
-    let offset = across[across.len() / 2];
-    let along: Vec<f64> = points
-        .iter()
-        .filter(|p| (direction.perp_dot(**p - mean) - offset).abs() < 0.1)
-        .map(|p| direction.dot(*p - mean))
-        .collect();
-    let lo = along.iter().copied().fold(f64::INFINITY, f64::min);
-    let hi = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let at = |along: f64| mean + along * direction + offset * direction.perp();
-    (hi - lo > 0.05).then(|| [at(lo), at(hi)])
+    best.map(|(_, middle, along)| (middle, along))
 }

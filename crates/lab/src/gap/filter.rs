@@ -1,8 +1,9 @@
 //! What the gap does to a particle filter: the measured log, localized on with a sensor model learnt from the old and
 //! from the new simulator.
 
+use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::{Draw, Drive, DriveStep, Laser, Pose2, RangeMap, Scan, Stage};
 use locsim_gap::{Estimate, FilterError, FilterGap, GapError, Outcome};
@@ -15,7 +16,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::{GapStudy, GapStudyError, GapStudyOptions};
 use crate::run::laboratory::{Place, free_poses};
 use crate::run::training::{ScanData, Surroundings, TrainedModel, train};
-use crate::run::{RunError, filter_options};
+use crate::run::{Progress, RunError, filter_options};
 use crate::scenario::{self, Model, ModelName, Motion, RayCast, Spread, load_map};
 
 /// Particles.
@@ -36,10 +37,62 @@ struct Corrected {
     to_stamp: Vec<Pose2>,
 }
 
+/// A filter that localizes on a study's log, with a sensor model learnt from one simulator or another.
+pub(crate) struct FilterOnLog<'a> {
+    study: &'a GapStudy,
+    progress: &'a dyn Progress,
+    interrupted: &'a AtomicBool,
+    place: Place,
+    /// Learnt from the nominal simulator.
+    nominal: TrainedModel,
+}
+
+impl<'a> FilterOnLog<'a> {
+    /// Learns the nominal simulator's sensor model.
+    pub(crate) fn new(
+        study: &'a GapStudy,
+        cache: Option<&Path>,
+        progress: &'a dyn Progress,
+        interrupted: &'a AtomicBool,
+    ) -> Result<Self, GapStudyError> {
+        let simulation = study.simulation();
+        let map = load_map(&simulation.map)?.geometry;
+        let unusable = |source| RunError::Map { path: simulation.map.clone(), source };
+        let place = Place::new(map, study.scenario.ray_cast, cache, progress).map_err(unusable)?;
+        let nominal = trained(study, &place, Vec::new(), progress)?;
+        Ok(Self { study, progress, interrupted, place, nominal })
+    }
+
+    /// Position error \[m\] of each seed of the filter under the simulator with these effects.
+    ///
+    /// What a person would correct is corrected: the laser's mount, the odometry's scales, stamps, a drift of the readings.
+    /// All else is learnt from scans that are simulated with it.
+    pub(crate) fn errors(&self, effects: Vec<Effect>) -> Result<Vec<f64>, GapStudyError> {
+        let (correctable, learnt): (Vec<Effect>, Vec<Effect>) =
+            effects.into_iter().partition(|e| is_correctable(e.kind));
+        // The same simulator gives the same model.
+        let model = if learnt.is_empty() {
+            None
+        } else {
+            Some(trained(self.study, &self.place, learnt, self.progress)?)
+        };
+        let model = model.as_ref().unwrap_or(&self.nominal);
+        let log = corrected(self.study, &Effects::new(correctable).map_err(GapError::from)?);
+        self.progress.stage("localizing on the log", u64::from(SEEDS));
+        let errors = (0..SEEDS).into_par_iter().map(|seed| {
+            if self.interrupted.load(Ordering::Relaxed) {
+                return Err(GapError::Interrupted.into());
+            }
+            let seed = Draw::new(self.study.scenario.seed, Stage::Trial, 8).seed(seed);
+            let error = rmse(self.study, &log, model, &*self.place.ranges, seed);
+            self.progress.advance(1);
+            error
+        });
+        errors.collect()
+    }
+}
+
 /// Localizes on the log under both simulators; `None` where no effect was named.
-///
-/// What a person would correct is corrected in the new one: the laser's mount, the odometry's scales, stamps, a
-/// drift of the readings. All else is learnt from its simulated scans.
 pub(super) fn filter_gap(
     study: &GapStudy,
     outcome: &Outcome,
@@ -48,34 +101,9 @@ pub(super) fn filter_gap(
     if outcome.effects.is_empty() {
         return Ok(None);
     }
-    let simulation = study.simulation();
-    let map = load_map(&simulation.map)?.geometry;
-    let unusable = |source| RunError::Map { path: simulation.map.clone(), source };
-    let place =
-        Place::new(map, study.scenario.ray_cast, options.cache, options.progress).map_err(unusable)?;
-    let named: Vec<Effect> = outcome.effects.iter().map(|named| named.effect.clone()).collect();
-    let (correctable, learnt): (Vec<Effect>, Vec<Effect>) =
-        named.into_iter().partition(|e| is_correctable(e.kind));
-    let old = trained(study, &place, Vec::new(), options)?;
-    // The same simulator gives the same model.
-    let new = if learnt.is_empty() { None } else { Some(trained(study, &place, learnt, options)?) };
-    let plain = corrected(study, &Effects::none());
-    let mended = corrected(study, &Effects::new(correctable).map_err(GapError::from)?);
-    options.progress.stage("localizing on the log", u64::from(2 * SEEDS));
-    let run = |log: &Corrected, model: &TrainedModel| -> Result<Vec<f64>, GapStudyError> {
-        let errors = (0..SEEDS).into_par_iter().map(|seed| {
-            if options.interrupted.load(Ordering::Relaxed) {
-                return Err(GapError::Interrupted.into());
-            }
-            let seed = Draw::new(study.scenario.seed, Stage::Trial, 8).seed(seed);
-            let error = rmse(study, log, model, &*place.ranges, seed);
-            options.progress.advance(1);
-            error
-        });
-        errors.collect()
-    };
-    let before = run(&plain, &old)?;
-    let after = run(&mended, new.as_ref().unwrap_or(&old))?;
+    let filter = FilterOnLog::new(study, options.cache, options.progress, options.interrupted)?;
+    let before = filter.errors(Vec::new())?;
+    let after = filter.errors(outcome.effects.iter().map(|named| named.effect.clone()).collect())?;
     let change: Vec<f64> = after.iter().zip(&before).map(|(after, before)| after - before).collect();
     Ok(Some(FilterGap {
         before: FilterError { position_rmse_m: mean(&before) },
@@ -103,7 +131,7 @@ fn trained(
     study: &GapStudy,
     place: &Place,
     more: Vec<Effect>,
-    options: &GapStudyOptions<'_>,
+    progress: &dyn Progress,
 ) -> Result<TrainedModel, GapStudyError> {
     let simulation = study.simulation();
     let training = &study.scenario.training;
@@ -114,9 +142,9 @@ fn trained(
     let seed = Draw::new(study.scenario.seed, Stage::Trial, 8).seed(u32::MAX);
     let poses = free_poses(place, training.poses.min(most_poses), seed);
     let observations = training.observations.min(most_observations);
-    options.progress.stage("simulating training scans", 1);
+    progress.stage("simulating training scans", 1);
     let readings = simulator.observe_many(poses.view(), observations, seed);
-    options.progress.advance(1);
+    progress.advance(1);
     let laser = simulator.laser().laser();
     let beams = training.beams.map_or(most_beams, |beams| (beams as usize).min(most_beams));
     let (thinned, kept) = laser.thinned(beams);
@@ -138,7 +166,7 @@ fn trained(
     let model = Model { name, label: name.to_string(), floor: None, exponent: None, file: None };
     let share = training.held_out_share;
     let beams = Some(filter_beams(study));
-    let mut models = train(&[model], &data, &surroundings, share, beams, seed, options.progress)?;
+    let mut models = train(&[model], &data, &surroundings, share, beams, seed, progress)?;
     // One model in, one out.
     Ok(models.remove(0))
 }

@@ -23,6 +23,8 @@ use thiserror::Error;
 pub use answer::answer;
 pub use locsim_gap::{BeamPit, Outcome};
 
+pub(crate) use filter::FilterOnLog;
+
 use crate::report::{ReportError, save};
 use crate::run::{Progress, RunError, Store};
 use crate::scenario::{Overrides, Problem, Scenario, ScenarioError, Simulation, Source, load_map};

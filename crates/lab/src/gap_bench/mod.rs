@@ -17,7 +17,7 @@ use std::time::Duration;
 use locsim_core::{Draw, Drive, Stage};
 use locsim_dataset::{DatasetError, LogOptions, read_log, write_log};
 use locsim_gap::hidden::{Truth, record_library, record_other, record_outside};
-use locsim_gap::{GapError, GapOptions, Nominal, Number, Outcome, Recorded, Verdict, find, with_information};
+use locsim_gap::{GapError, GapOptions, Nominal, Number, Outcome, Recorded, Strength, Verdict, find};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{Simulator, simulate_drive};
@@ -28,6 +28,7 @@ pub use plan::Size;
 pub use score::Score;
 pub use text::{report, table};
 
+use crate::gap::{FilterOnLog, GapSettings, GapStudy, GapStudyError};
 use crate::run::Progress;
 use crate::scenario::{Overrides, Scenario, ScenarioError, Source, load_map};
 use plan::{Case, Group, Hidden, REGIMES, plan};
@@ -44,6 +45,9 @@ pub enum GapBenchError {
     /// A search failed.
     #[error(transparent)]
     Gap(#[from] GapError),
+    /// A filter could not be run.
+    #[error(transparent)]
+    Study(#[from] GapStudyError),
     /// A log could not be written or read.
     #[error(transparent)]
     Log(#[from] DatasetError),
@@ -141,8 +145,29 @@ pub struct FoundFile {
     pub p_after: f64,
     /// Share of the gap closed, with its interval.
     pub closed: [f64; 3],
+    /// How far the log is off in every effect's direction, in standard deviations.
+    pub directions: BTreeMap<String, f64>,
+    /// What one of many beams has to exceed there to be found.
+    pub threshold: f64,
     /// Time \[s\].
     pub seconds: f64,
+    /// What it did to a filter, where that was looked at.
+    #[serde(default)]
+    pub filter: Option<FilterFile>,
+    /// The effects themselves.
+    #[serde(skip)]
+    named: Vec<Effect>,
+}
+
+/// Position error of a filter on a log \[m\], over its seeds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FilterFile {
+    /// With the nominal simulator.
+    pub before_m: f64,
+    /// With the named effects.
+    pub after_m: f64,
+    /// With the hidden effect itself.
+    pub with_truth_m: f64,
 }
 
 impl FoundFile {
@@ -172,7 +197,11 @@ impl FoundFile {
             p: outcome.detection.p,
             p_after: outcome.detection_after.p,
             closed: [outcome.gap.closed.value, outcome.gap.closed.lo, outcome.gap.closed.hi],
+            directions: outcome.directions.iter().map(|d| (d.name.name().to_owned(), d.z)).collect(),
+            threshold: outcome.threshold,
             seconds,
+            filter: None,
+            named: outcome.effects.iter().map(|named| named.effect.clone()).collect(),
         }
     }
 }
@@ -217,8 +246,16 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
     let world = World::load(options)?;
     options.progress.advance(1);
     same_suite(options, &world)?;
+    let template = Recorded::new(&world.drive, usize::MAX, usize::MAX, |_| true)?;
+    let strengths = REGIMES
+        .iter()
+        .map(|(_, regime)| Strength::new(&world.nominal, &template, *regime, options.seed))
+        .collect::<Result<Vec<_>, GapError>>()?;
     let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
-    let cases = plan(options.size, options.seed, &world.nominal.map, &poses);
+    let mut cases = plan(options.size, options.seed, &world.nominal.map, &poses);
+    if let Ok(only) = std::env::var("GAP_ONLY") {
+        cases.retain(|case| only.split(',').any(|part| case.id.contains(part)));
+    }
     options.progress.stage("hidden effects", cases.len() as u64);
     // Logs side by side, each on one thread: nothing waits for anything.
     let next = AtomicUsize::new(0);
@@ -237,8 +274,11 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
                 if options.no_later.is_some_and(|end| (options.clock)() > end) {
                     break;
                 }
-                pool.install(|| hide(&world, case, &log, &truth))?;
-                let finding = pool.install(|| search(&world.nominal, &log, case, options))?;
+                pool.install(|| hide(&world, &strengths[case.regime], case, &log, &truth))?;
+                let mut finding = pool.install(|| search(&world.nominal, &log, case, options))?;
+                if let Hidden::Given(effect) = &case.hidden {
+                    finding.filter = Some(pool.install(|| localize(&log, effect, &finding, options))?);
+                }
                 save(&answer, &finding)?;
                 // A log is made again from its seed where it is asked for.
                 let _ = fs::remove_file(&log);
@@ -289,14 +329,17 @@ fn same_suite(options: &GapBenchOptions<'_>, world: &World) -> Result<(), GapBen
 }
 
 /// Makes a log with something hidden in it.
-fn hide(world: &World, case: &Case, log: &Path, truth: &Path) -> Result<(), GapBenchError> {
+fn hide(
+    world: &World,
+    strength_of: &Strength<'_>,
+    case: &Case,
+    log: &Path,
+    truth: &Path,
+) -> Result<(), GapBenchError> {
     let World { nominal, drive } = world;
     let regime = REGIMES[case.regime].1;
-    let template = Recorded::new(drive, usize::MAX, usize::MAX, |_| true)?;
     let path = Truth::of(drive)?;
-    let strong = |effect: &Effect, index: usize| {
-        with_information(nominal, &template, effect, index, case.lambda, &regime, case.seed)
-    };
+    let strong = |effect: &Effect, index: usize| strength_of.with_information(effect, index, case.lambda);
     let mut strength = Vec::new();
     let (effects, recorded) = match &case.hidden {
         Hidden::Library(list) => {
@@ -307,6 +350,10 @@ fn hide(world: &World, case: &Case, log: &Path, truth: &Path) -> Result<(), GapB
             }
             let recorded = record_library(nominal, &path, &effects, regime, case.seed)?;
             (effects, recorded)
+        }
+        Hidden::Given(effect) => {
+            let recorded = record_library(nominal, &path, std::slice::from_ref(effect), regime, case.seed)?;
+            (vec![effect.clone()], recorded)
         }
         Hidden::Other(form, effect, index) => {
             let effect = strong(effect, *index)?;
@@ -339,6 +386,9 @@ fn hide(world: &World, case: &Case, log: &Path, truth: &Path) -> Result<(), GapB
     };
     save(truth, &file)?;
     write_log(log, &recorded)?;
+    if std::env::var("GAP_DEBUG").is_ok() {
+        eprintln!("== {} {:?} {:?}", case.id, REGIMES[case.regime].0, effects);
+    }
     Ok(())
 }
 
@@ -360,6 +410,34 @@ fn search(
     let began = (options.clock)();
     let outcome = find(nominal, &recorded, &settings, &(), options.interrupted)?;
     Ok(FoundFile::of(&outcome, (options.clock)().saturating_sub(began).as_secs_f64()))
+}
+
+/// What the effect does to a filter, and how much of it the named effects take away.
+fn localize(
+    log: &Path,
+    truth: &Effect,
+    finding: &FoundFile,
+    options: &GapBenchOptions<'_>,
+) -> Result<FilterFile, GapBenchError> {
+    let settings = GapSettings {
+        replicates: options.replicates,
+        seed: None,
+        scans: options.scans,
+        beams: usize::MAX,
+        without: Vec::new(),
+        log: LogOptions::default(),
+    };
+    let study = GapStudy::load(&options.scenario, log, settings)?;
+    let filter = FilterOnLog::new(&study, None, &(), options.interrupted)?;
+    let mean = |effects: Vec<Effect>| -> Result<f64, GapBenchError> {
+        let errors = filter.errors(effects)?;
+        Ok(errors.iter().sum::<f64>() / errors.len() as f64)
+    };
+    Ok(FilterFile {
+        before_m: mean(Vec::new())?,
+        after_m: mean(finding.named.clone())?,
+        with_truth_m: mean(vec![truth.clone()])?,
+    })
 }
 
 fn save(path: &Path, value: &impl Serialize) -> Result<(), GapBenchError> {

@@ -36,12 +36,16 @@ pub enum Group {
     Outside,
     /// An effect whose stage is taken out of the library.
     Removed,
+    /// An effect strong enough to mislead a filter.
+    Filter,
 }
 
 /// What is hidden, before its strength is set.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Hidden {
     Library(Vec<(Effect, usize)>),
+    /// One that is as strong as it is.
+    Given(Effect),
     Other(OtherForm, Effect, usize),
     Outside(Outside, f64),
 }
@@ -120,6 +124,15 @@ const OUTSIDE: [(Outside, f64); 8] = [
     (Outside::FloorHit, 0.08),
 ];
 
+/// Effects that mislead a filter, with their strengths.
+const MISLEADING: [(EffectKind, f64); 5] = [
+    (EffectKind::RangeBias, 0.06),
+    (EffectKind::MountYaw, 0.04),
+    (EffectKind::MountOffset, 0.1),
+    (EffectKind::TimeOffset, 0.15),
+    (EffectKind::OdomImbalance, 0.15),
+];
+
 /// A typical effect of a kind, somewhere in the world, and which of its numbers is its strength.
 fn typical(kind: EffectKind, map: &ExactRangeMap, poses: &[Pose2], draw: &Draw) -> (Effect, usize) {
     let mut rng = draw.item(0);
@@ -137,7 +150,7 @@ fn typical(kind: EffectKind, map: &ExactRangeMap, poses: &[Pose2], draw: &Draw) 
             values = vec![from, from + 0.35, 0.3 + 0.4 * rng.random::<f64>(), 0.05];
             index = 3;
         }
-        EffectKind::Crosstalk => (values[0], values[1]) = (0.05, 0.3),
+        EffectKind::Crosstalk => values[0] = 0.05,
         EffectKind::WheelSlip => (values[0], values[1]) = (0.05, 0.5),
         EffectKind::MountOffset => (values[0], values[1]) = (0.003, 0.0),
         EffectKind::Glass | EffectKind::MovedWall => {
@@ -257,6 +270,15 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
                 Hidden::Library(vec![typical(a, map, poses, draw), typical(b, map, poses, &draw.at(50_000))])
             };
             add(Group::Pair, format!("pair-{a}-{b}"), 100.0, 0, &hidden, Vec::new());
+        }
+        for (kind, strength) in MISLEADING {
+            let hidden = |draw: &Draw| {
+                let (mut effect, index) = typical(kind, map, poses, draw);
+                let neutral = kind.parameters()[index].neutral;
+                effect.values[index] = neutral + strength.copysign(effect.values[index] - neutral);
+                Hidden::Given(effect)
+            };
+            add(Group::Filter, format!("filter-{kind}"), 0.0, 0, &hidden, Vec::new());
         }
         for kind in [
             EffectKind::IncidenceDropout,

@@ -95,6 +95,9 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
+/// An effect that costs a filter less than this isn't harmful \[m\].
+const LEAST_HARM_M: f64 = 0.002;
+
 fn is_found(found: &FoundFile) -> bool {
     !matches!(found.verdict.as_str(), "none" | "underpowered")
 }
@@ -183,7 +186,12 @@ impl Score {
             closed_lo: Forms { same: closed(Group::Same), other: closed(Group::Other) },
             two_named,
             outside,
-            filter_recovered: None,
+            filter_recovered: mean(all.iter().filter_map(|(_, found)| {
+                let filter = found.filter?;
+                let caused = filter.before_m - filter.with_truth_m;
+                // What does no harm can't be taken away.
+                (caused > LEAST_HARM_M).then(|| (filter.before_m - filter.after_m) / caused)
+            })),
             seconds_per_log: mean(all.iter().map(|(_, found)| found.seconds)).unwrap_or(0.0),
             runs: all.len(),
             planned,
