@@ -98,9 +98,18 @@ fn moves_scans(kind: EffectKind) -> bool {
     )
 }
 
+/// Whether an effect moves readings, so that fitted errors of the reference take some of it in.
+fn moves_readings(kind: EffectKind) -> bool {
+    matches!(
+        kind,
+        EffectKind::RangeBias | EffectKind::RangeScale | EffectKind::IncidenceBias | EffectKind::WarmupDrift
+    )
+}
+
 impl Search<'_, '_> {
     /// The best fit over several starts; `None` where nothing is gained.
     pub fn fit(&self, kind: EffectKind, starts: &[Start]) -> Result<Option<Candidate>, GapError> {
+        let errs = !self.start.nuisances.pose_error.is_none();
         let mut best: Option<(f64, Effect)> = None;
         for start in starts {
             let (value, effect) = self.maximize(kind, start)?;
@@ -109,7 +118,7 @@ impl Search<'_, '_> {
             }
         }
         match best {
-            Some((_, effect)) if moves_scans(kind) => {
+            Some((_, effect)) if moves_scans(kind) || moves_readings(kind) && errs => {
                 // Errors of the reference that were fitted without the effect have taken some of it in.
                 let refitted = self.refitted(&effect)?;
                 let anew = Search { start: &refitted, ..*self };

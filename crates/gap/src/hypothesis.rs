@@ -58,7 +58,7 @@ pub(crate) struct Comparison<'a> {
 
 /// The most steps in which errors of the reference are found, as readings depend on them linearly in each; they end where
 /// no error changes by more than this \[m\], a radian counting as 3 m.
-const CORRECTIONS: usize = 8;
+pub(crate) const CORRECTIONS: usize = 8;
 const CORRECTED_M: f64 = 0.001;
 
 /// Whether an effect changes where beams come from or what stands in their way, so that they are cast anew.

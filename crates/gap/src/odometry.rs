@@ -125,7 +125,11 @@ pub(crate) fn standardized(increment: &Increment, error: &OdometryError) -> [f64
     std::array::from_fn(|axis| (increment.error[axis] / deviation(increment, error, axis)).clamp(-CUT, CUT))
 }
 
-/// How much more likely a distance is of a slip than without one, less 1.
-pub(crate) fn slip_ratio(increment: &Increment, error: &OdometryError, share: f64) -> f64 {
-    slipped(increment, error, share) / density(increment, error, 0, 0.0, 0.0).max(1e-300) - 1.0
+/// How much more likely a distance is of a slip than without one, less 1; and the same if it erred by as much the other way.
+/// Slips only lengthen: the two differ, however large the errors are that make no difference between them.
+pub(crate) fn slip_ratios(increment: &Increment, error: &OdometryError, share: f64) -> [f64; 2] {
+    let mirrored = Increment { error: increment.error.map(|e| -e), ..*increment };
+    [increment, &mirrored].map(|increment| {
+        slipped(increment, error, share) / density(increment, error, 0, 0.0, 0.0).max(1e-300) - 1.0
+    })
 }

@@ -17,8 +17,8 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::hidden::Regime;
-use crate::hypothesis::{Comparison, Nuisances};
-use crate::null::{BlockTruth, Replay};
+use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
+use crate::replay::{BlockTruth, Replay};
 use crate::views::Views;
 use crate::{GapError, Nominal, PoseError, Recorded};
 
@@ -90,7 +90,8 @@ impl<'a> Strength<'a> {
     fn log_likelihood(&self, log: &Recorded, effects: &Effects, views: &Views<'_>) -> f64 {
         let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(&self.views) };
         let start = comparison.start(&self.nuisances());
-        comparison.evaluate_views(views, effects, &start, 2).total()
+        let iterations = if start.nuisances.pose_error.is_none() { 2 } else { CORRECTIONS };
+        comparison.evaluate_views(views, effects, &start, iterations).total()
     }
 
     /// lambda of an effect.

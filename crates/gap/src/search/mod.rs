@@ -17,10 +17,11 @@ use naming::{adds_up, choose, compare_rivals, gain, name, numbers, sum_of};
 
 use crate::fit::{Candidate, Search, Start, blocks};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::null::{BlockTruth, Null, Replay, compare, fit_persistence};
+use crate::null::{Null, compare};
 use crate::outcome::{
     Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
 };
+use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::show::{Side, distance, histograms, locate, pits};
 use crate::statistics::{Aim, Dictionary, Hint};
 use crate::views::Views;

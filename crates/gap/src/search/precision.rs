@@ -11,8 +11,9 @@ use super::{Round, State};
 use crate::GapError;
 use crate::fit::{fitted_numbers, invert};
 use crate::hypothesis::{Comparison, changes_views};
-use crate::null::{REFIT, Replay};
+use crate::null::REFIT;
 use crate::outcome::{Named, Number};
+use crate::replay::Replay;
 use crate::views::Views;
 
 /// Simulated logs.
@@ -43,12 +44,14 @@ impl<'a> State<'a> {
         self.progress.stage("making numbers precise", named.len() as u64);
         for (index, named) in named.iter_mut().enumerate() {
             let kind = effects[index].kind;
+            let least = bound(&effects[index], named.evidence.gain_nats.value);
             let numbers: Vec<(usize, f64)> = smooth_numbers(kind)
                 .filter_map(|i| {
                     let parameter = &kind.parameters()[i];
                     let number = named.params.get(parameter.name)?;
                     let room = (parameter.hi - number.value).min(number.value - parameter.lo);
-                    let step = (0.5 * (number.hi - number.lo) / 1.96).min(room);
+                    let least = if strengths(kind).contains(&i) { least } else { 0.0 };
+                    let step = (0.5 * (number.hi - number.lo) / 1.96).max(least).min(room);
                     (step > 0.0).then_some((i, step))
                 })
                 .collect();
@@ -120,6 +123,24 @@ fn smooth_numbers(kind: EffectKind) -> impl Iterator<Item = usize> {
         fitted_numbers(kind)
     };
     first..end
+}
+
+/// The numbers of an effect that say how strong it is.
+fn strengths(kind: EffectKind) -> std::ops::Range<usize> {
+    match kind {
+        EffectKind::MountOffset => 0..2,
+        EffectKind::MissingObject => 2..3,
+        EffectKind::SectorOcclusion => 3..4,
+        _ => 0..1,
+    }
+}
+
+/// About the bound of Cramer and Rao on the error of an effect's strength, by what it gains: half its information. Over
+/// less, beams that come over edges make the likelihood rough.
+fn bound(effect: &Effect, gain: f64) -> f64 {
+    let away = |i: usize| effect.values[i] - effect.kind.parameters()[i].neutral;
+    let away = strengths(effect.kind).map(|i| away(i).powi(2)).sum::<f64>().sqrt();
+    away / (2.0 * gain.max(2.0)).sqrt()
 }
 
 /// How far each number's fit is from the truth in each log, as \[number\]\[log\], by log likelihoods \[log\]\[itself, each number

@@ -252,10 +252,7 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
         .map(|(_, regime)| Strength::new(&world.nominal, &template, *regime, options.seed))
         .collect::<Result<Vec<_>, GapError>>()?;
     let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
-    let mut cases = plan(options.size, options.seed, &world.nominal.map, &poses);
-    if let Ok(only) = std::env::var("GAP_ONLY") {
-        cases.retain(|case| only.split(',').any(|part| case.id.contains(part)));
-    }
+    let cases = plan(options.size, options.seed, &world.nominal.map, &poses);
     options.progress.stage("hidden effects", cases.len() as u64);
     // Logs side by side, each on one thread: nothing waits for anything.
     let next = AtomicUsize::new(0);
@@ -386,9 +383,6 @@ fn hide(
     };
     save(truth, &file)?;
     write_log(log, &recorded)?;
-    if std::env::var("GAP_DEBUG").is_ok() {
-        eprintln!("== {} {:?} {:?}", case.id, REGIMES[case.regime].0, effects);
-    }
     Ok(())
 }
 

@@ -209,7 +209,7 @@ fn wall_at(map: &ExactRangeMap, from: DVec2, direction: DVec2, length: f64) -> O
 pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<Case> {
     let (nulls, repeats, lambdas, other_lambdas): (u32, u32, &[f64], &[f64]) = match size {
         Size::Small => (1, 1, &[100.0], &[]),
-        Size::Medium => (5, 1, &[25.0, 50.0, 100.0], &[50.0, 100.0]),
+        Size::Medium => (8, 1, &[25.0, 50.0, 100.0], &[25.0, 50.0, 100.0]),
         Size::Full => (200, 8, &[25.0, 50.0, 100.0], &[25.0, 50.0, 100.0]),
     };
     let mut cases = Vec::new();
@@ -257,7 +257,7 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
                 add(Group::Other, name, lambda, regime, &hidden, Vec::new());
             }
         }
-        let outside = if size == Size::Small { &OUTSIDE[6..7] } else { &OUTSIDE[..] };
+        let outside = if size == Size::Small { &OUTSIDE[4..5] } else { &OUTSIDE[..] };
         for &(kind, strength) in outside {
             let name = format!("outside-{}", kind.name());
             add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());

@@ -1,216 +1,75 @@
-//! What is looked at in a log: a statistic for each direction in which the library's effects would move it, and the PIT
-//! (probability integral transform) of its readings over bins of what a beam is.
-//!
-//! All of them are plain numbers without a distribution of their own; they get one from simulated logs, see
-//! [`crate::null`].
-
 use std::collections::{HashMap, HashSet};
 use std::f64::consts::{PI, TAU};
 
-use glam::DVec2;
-use locsim_core::{Draw, Stage};
 use locsim_world::effect::EffectKind;
 use locsim_world::effect::EffectKind as E;
-use rand::RngExt;
 
-use crate::hypothesis::{Comparison, Fitted};
-use crate::likelihood::{Density, Terms, near_density, normal_density};
-use crate::odometry::{deviation, increments, slip_ratio, standardized};
-use crate::views::{Beam, jumps};
-
-/// Side of a cell of the map in which endpoints are counted \[m\]: walls, and unmapped objects.
-pub(crate) const WALL_CELL_M: f64 = 1.0;
-pub(crate) const OBJECT_CELL_M: f64 = 0.25;
-/// Bins of a sector: over bearing, and of its range \[m\].
-const SECTORS: usize = 24;
-pub(crate) const SECTOR_RANGE_M: f64 = 0.25;
-/// Steps of a quantization that are looked for \[m\].
-const STEPS_M: [f64; 7] = [0.002, 0.003, 0.005, 0.01, 0.02, 0.025, 0.05];
-/// Angles from which, and ranges over whose power, returns may be lost.
-const DROPOUT_ANGLES_DEG: [f64; 5] = [30.0, 45.0, 60.0, 70.0, 80.0];
-const DROPOUT_EXPONENTS: [f64; 5] = [0.0, 1.0, 2.0, 4.0, 8.0];
-/// Blocks can stand where their density along a beam is more than this \[1/m\].
-const LEAST_HAZARD: f64 = 1e-4;
-const WARM_UP_SECS: [f64; 4] = [5.0, 20.0, 60.0, 150.0];
-/// Consecutive scans that are held out, located and drawn together \[scans\].
-pub(crate) const BLOCK: usize = 20;
-
-/// A covariate of the omnibus search.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Covariate {
-    /// Nominal range \[m\].
-    Range,
-    /// Incidence \[rad\].
-    Incidence,
-    /// Bearing in the laser's frame \[rad\].
-    Bearing,
-    /// A square of the map in which the beam ends; see [`Cell::place`].
-    Place,
-    /// Time since the first scan \[s\].
-    Time,
-    /// The robot's speed \[m/s\].
-    Speed,
-    /// The robot's turn rate \[rad/s\].
-    TurnRate,
-    /// Range jump to a neighbour beam \[m\].
-    Jump,
-    /// Bearing, by turn rate.
-    BearingByTurnRate,
-    /// Each scan as a whole: how much scans differ, by what their beams share.
-    Scan,
-    /// Every beam: the PIT's tenths, from `lo` to `hi`.
-    Pit,
-}
-
-/// What is off in a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Deviation {
-    /// Readings are too long or too short on average (mean of the PIT).
-    Mean,
-    /// Readings spread too much or too little (variance of the PIT).
-    Spread,
-    /// Share of readings of something unmapped in front.
-    Short,
-    /// Share of missing returns.
-    NoReturn,
-    /// Share of readings whose PIT lies in this tenth.
-    Share,
-}
-
-/// A cell of the omnibus search.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Cell {
-    /// Over what.
-    pub covariate: Covariate,
-    /// From, in the covariate's unit.
-    pub lo: f64,
-    /// To.
-    pub hi: f64,
-    /// Lower corner of the square, for [`Covariate::Place`] \[m\].
-    pub place: Option<[f64; 2]>,
-    /// What is off.
-    pub deviation: Deviation,
-}
-
-/// What a statistic looks for.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Aim {
-    /// An effect; the numbers start its fit: values, or a cell of the map.
-    Effect(EffectKind, Hint),
-    Cell(Cell),
-}
-
-/// Where a fit of an effect can start.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Hint {
-    None,
-    /// Value of a parameter other than the strength, by index.
-    Values(Vec<(usize, f64)>),
-    /// A cell of walls, or two neighbours; twice the same for one.
-    Wall([[i32; 2]; 2]),
-    /// Four cells of free space; the one with the least numbers.
-    Object([i32; 2]),
-}
-
-/// One number of a log, in two halves: alternating blocks of scans.
-pub(crate) type Halves = [f64; 2];
+use super::{
+    Aim, Cell, Covariate, DROPOUT_ANGLES_DEG, DROPOUT_EXPONENTS, Deviation, Hint, LEAST_HAZARD,
+    OBJECT_CELL_M, SECTOR_RANGE_M, SECTORS, STEPS_M, WARM_UP_SECS, cell_at, just_seen, tangent_squared,
+    wall_cell, wall_corner,
+};
+use crate::hypothesis::Comparison;
+use crate::views::jumps;
 
 /// Statistic of what, in which log.
 #[derive(Clone)]
 pub(crate) struct Dictionary {
     pub aims: Vec<Aim>,
     /// A count of rare events rather than a sum of scores.
-    counts: Vec<bool>,
-    dense: Vec<Dense>,
+    pub(super) counts: Vec<bool>,
+    pub(super) dense: Vec<Dense>,
     /// Maximum range \[m\].
-    max: f64,
-    wall: Vec<u32>,
-    wall_cells: HashMap<[i32; 2], u32>,
+    pub(super) max: f64,
+    pub(super) wall: Vec<u32>,
+    pub(super) wall_cells: HashMap<[i32; 2], u32>,
     /// Neighbouring cells of walls.
-    wall_pairs: Vec<[u32; 2]>,
+    pub(super) wall_pairs: Vec<[u32; 2]>,
     /// Share of a contamination of each cell.
-    wall_share: Vec<f64>,
-    moved_wall: usize,
-    glass: usize,
+    pub(super) wall_share: Vec<f64>,
+    pub(super) moved_wall: usize,
+    pub(super) glass: usize,
     /// Index of each cell of free space, and the cells of each statistic.
-    objects: HashMap<[i32; 2], u32>,
-    object_windows: Vec<[u32; 4]>,
+    pub(super) objects: HashMap<[i32; 2], u32>,
+    pub(super) object_windows: Vec<[u32; 4]>,
     /// Whether unmapped blocks can stand there.
-    among_blocks: Vec<bool>,
-    first_object: usize,
-    sector: usize,
-    sector_ranges: usize,
-    sector_of: Vec<u16>,
-    mixed_share: f64,
-    steps: usize,
-    mixed: usize,
-    depth: usize,
-    density: usize,
-    odometry: usize,
-    patterns: usize,
-    cells: usize,
-    whole: usize,
-    cell_of: Vec<[u32; COVARIATES]>,
-    jumps: Vec<Option<[f64; 2]>>,
+    pub(super) among_blocks: Vec<bool>,
+    pub(super) first_object: usize,
+    pub(super) sector: usize,
+    pub(super) sector_ranges: usize,
+    pub(super) sector_of: Vec<u16>,
+    pub(super) mixed_share: f64,
+    pub(super) steps: usize,
+    pub(super) mixed: usize,
+    pub(super) depth: usize,
+    pub(super) density: usize,
+    pub(super) odometry: usize,
+    pub(super) patterns: usize,
+    pub(super) cells: usize,
+    pub(super) whole: usize,
+    pub(super) cell_of: Vec<[u32; COVARIATES]>,
+    pub(super) jumps: Vec<Option<[f64; 2]>>,
 }
 
-const COVARIATES: usize = 9;
+pub(super) const COVARIATES: usize = 9;
 
 /// A direction in which every beam has a weight.
 #[derive(Clone)]
-struct Dense {
-    score: Score,
-    index: usize,
-    weights: Vec<f32>,
+pub(super) struct Dense {
+    pub(super) score: Score,
+    pub(super) index: usize,
+    pub(super) weights: Vec<f32>,
     /// For contaminations: their share.
-    share: f32,
+    pub(super) share: f32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Score {
+pub(super) enum Score {
     Location,
     Scale,
     NoReturn,
     Uniform,
     Tail,
-}
-
-pub(crate) fn cell_at(x: f64, y: f64, side: f64) -> [i32; 2] {
-    [(x / side).floor() as i32, (y / side).floor() as i32]
-}
-
-/// Maps have walls at round numbers; cells of walls have their borders elsewhere, or rounding would share a wall out.
-const WALL_BORDER_M: f64 = 0.37;
-
-/// The cell of a point of a wall.
-pub(crate) fn wall_cell(point: DVec2) -> [i32; 2] {
-    cell_at(point.x + WALL_BORDER_M, point.y + WALL_BORDER_M, WALL_CELL_M)
-}
-
-/// Lower corner of a cell of walls \[m\].
-fn wall_corner(cell: [i32; 2]) -> [f64; 2] {
-    cell.map(|c| f64::from(c) * WALL_CELL_M - WALL_BORDER_M)
-}
-
-/// About as many events of a kind can just be told from chance: scores of contaminations are best for so many.
-const EVENTS: f64 = 15.0;
-
-/// The share at which a contamination of so many beams can just be told from chance.
-fn just_seen(beams: f64) -> f64 {
-    (EVENTS / beams.max(1.0)).min(0.3)
-}
-
-/// Derivative of a log density by the share of a contamination, at `share`; `ratio` is the contamination's density over
-/// the hypothesis's, less 1. At a share of 0 it would be the ratio itself, which a single reading can make huge.
-#[inline]
-fn contaminated(ratio: f64, share: f64) -> f64 {
-    ratio / (1.0 + share * ratio)
-}
-
-pub(crate) fn tangent_squared(incidence: f64) -> f64 {
-    incidence.min(80.0_f64.to_radians()).tan().powi(2)
 }
 
 /// The bin of a value between edges; values beyond go to the ends.
@@ -610,7 +469,7 @@ impl Dictionary {
         }
     }
 
-    fn moves_scans(&self, index: usize) -> bool {
+    pub(super) fn moves_scans(&self, index: usize) -> bool {
         matches!(self.aims[index], Aim::Effect(E::MountYaw | E::MountOffset | E::TimeOffset, _))
     }
 
@@ -628,292 +487,10 @@ impl Dictionary {
     pub fn cells_of_beams(&self) -> &[[u32; COVARIATES]] {
         &self.cell_of
     }
-
-    /// Whether a reading is of something in front of what the map has there.
-    pub fn is_in_front(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> bool {
-        z < self.max && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1)
-    }
-
-    /// What a reading says of the share of beams that a wall lets through.
-    pub fn glass_score(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> f64 {
-        let wall = self.wall_cells.get(&wall_cell(beam.view.endpoint));
-        wall.map_or(0.0, |&wall| self.glass_score_of(wall as usize, beam, shift, z, terms))
-    }
-
-    fn glass_score_of(&self, wall: usize, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> f64 {
-        let through = if z < self.max {
-            let sigma = terms.sigma.min(0.1);
-            let far = beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, self.max));
-            // What stands behind is often not on the map.
-            0.5 * far + if z > beam.range() + shift + 5.0 * sigma { 0.5 / self.max } else { 0.0 }
-        } else {
-            0.5
-        };
-        contaminated(Density::contamination(terms, through), self.wall_share[wall])
-    }
-
-    /// All statistics of a log.
-    pub fn of(
-        &self,
-        comparison: &Comparison<'_>,
-        effects: &locsim_world::effect::Effects,
-        views: &crate::views::Views<'_>,
-        fitted: &Fitted,
-        pit: &Draw,
-    ) -> Vec<Halves> {
-        let mut out = vec![[0.0; 2]; self.len()];
-        let n = views.beams.len();
-        let k = views.per_scan;
-        let max = comparison.nominal.laser.max_range_m;
-        let mut scores: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; n]);
-        let mut depth = [[0.0; 2]; 2];
-        let mut in_cells = vec![[0.0; 2]; self.objects.len()];
-        let mut in_sectors = vec![[0.0; 2]; SECTORS * self.sector_ranges];
-        let mut whole = vec![[0.0_f64; 3]; views.scans()];
-        comparison.for_each_reading(views, effects, fitted, |scan, i, density, shift, z, terms| {
-            let half = (scan / BLOCK) % 2;
-            let beam = &views.beams[i];
-            let is_return = z < max;
-            let t = terms.error / terms.sigma;
-            let g = |other| Density::contamination(&terms, other);
-            if is_return {
-                scores[0][i] = (terms.hit * terms.error / terms.sigma.powi(2)) as f32;
-                scores[1][i] = (terms.hit * (t * t - 1.0)) as f32;
-            }
-            if beam.range() < max {
-                scores[2][i] = g(f64::from(u8::from(!is_return))) as f32;
-                let tail = if is_return && terms.hit > 0.0 || terms.sigma.is_finite() {
-                    normal_density(t / 5.0) / (5.0 * terms.sigma)
-                } else {
-                    0.0
-                };
-                if is_return {
-                    scores[4][i] = g(tail) as f32;
-                }
-            }
-            let uniform = if is_return { 1.0 / max } else { 0.0 };
-            scores[3][i] = ((uniform / terms.density) - 1.0) as f32;
-            if let Some([near, far]) = self.jumps[i] {
-                let inside = is_return && (near..far).contains(&z);
-                let ratio = g(if inside { 1.0 / (far - near) } else { 0.0 });
-                out[self.mixed][half] += contaminated(ratio, self.mixed_share);
-            }
-            let wall = self.wall[i];
-            if wall != u32::MAX {
-                let wall = wall as usize;
-                if is_return {
-                    out[self.moved_wall + wall][half] += moved_wall_score(beam, &terms);
-                }
-                out[self.glass + wall][half] += self.glass_score_of(wall, beam, shift, z, &terms);
-            }
-            // Things in front may stand where no block does.
-            let in_front = self.is_in_front(beam, shift, z, &terms);
-            if in_front {
-                let heading = comparison.recorded.poses[scan].theta + beam.view.bearing;
-                let back = beam.view.range - z;
-                let end = beam.view.endpoint;
-                let cell = cell_at(end.x - back * heading.cos(), end.y - back * heading.sin(), OBJECT_CELL_M);
-                if let Some(&index) = self.objects.get(&cell) {
-                    in_cells[index as usize][half] += 1.0;
-                }
-                depth[0][half] += terms.short * (beam.range() - z);
-                depth[1][half] += terms.short;
-            }
-            if in_front {
-                let range = (z / SECTOR_RANGE_M) as usize;
-                if range < self.sector_ranges {
-                    in_sectors[usize::from(self.sector_of[i % k]) * self.sector_ranges + range][half] += 1.0;
-                }
-            }
-            if is_return {
-                for (s, [cos, sin]) in phases(z).into_iter().enumerate() {
-                    out[self.steps + 2 * s][half] += cos;
-                    out[self.steps + 2 * s + 1][half] += sin;
-                }
-            }
-            let u = if is_return {
-                density.cdf(beam, shift, z)
-            } else {
-                1.0 - terms.density.min(1.0) * pit.at(scan as u32).item(i as u32).random::<f64>()
-            };
-            let missing = f64::from(u8::from(!is_return && beam.range() < max));
-            let values = [u - 0.5, (u - 0.5).powi(2) - 1.0 / 12.0, terms.short, missing];
-            for (sum, value) in whole[scan].iter_mut().zip([values[0], values[2], values[3]]) {
-                *sum += value;
-            }
-            out[self.whole + 3 + ((10.0 * u) as usize).min(9)][half] += 1.0;
-            for &cell in &self.cell_of[i] {
-                if cell != u32::MAX {
-                    for (v, value) in values.iter().enumerate() {
-                        out[cell as usize + v][half] += value;
-                    }
-                }
-            }
-        });
-        for (i, of_scan) in whole.windows(2).enumerate() {
-            for kind in 0..3 {
-                // What changes from scan to scan; what stays is for other cells.
-                out[self.whole + kind][(i / BLOCK) % 2] += (of_scan[1][kind] - of_scan[0][kind]).powi(2);
-            }
-        }
-        for Dense { score, index, weights, share } in &self.dense {
-            // Fitted errors of the reference take in what moves whole scans; the patterns look for it in the errors.
-            if self.moves_scans(*index) && !fitted.nuisances.pose_error.is_none() {
-                continue;
-            }
-            let scores = &scores[*score as usize];
-            for scan in 0..views.scans() {
-                let beams = scan * k..(scan + 1) * k;
-                let pairs = scores[beams.clone()].iter().zip(&weights[beams]).map(|(s, w)| s * w);
-                let sum: f32 = if *share > 0.0 {
-                    pairs.map(|ratio| ratio / (1.0 + share * ratio)).sum()
-                } else {
-                    pairs.sum()
-                };
-                out[*index][(scan / BLOCK) % 2] += f64::from(sum);
-            }
-        }
-        let walls = self.wall_share.len();
-        for first in [self.moved_wall, self.glass] {
-            for (p, pair) in self.wall_pairs.iter().enumerate() {
-                out[first + walls + p] =
-                    std::array::from_fn(|half| pair.iter().map(|&i| out[first + i as usize][half]).sum());
-            }
-        }
-        for (window, cells) in self.object_windows.iter().enumerate() {
-            for &cell in cells.iter().filter(|&&cell| cell != u32::MAX) {
-                for half in 0..2 {
-                    out[self.first_object + window][half] += in_cells[cell as usize][half];
-                }
-            }
-        }
-        let ranges = self.sector_ranges;
-        for s in 0..SECTORS - 1 {
-            for r in 0..ranges - 1 {
-                let corner = s * ranges + r;
-                let window = [corner, corner + 1, corner + ranges, corner + ranges + 1];
-                out[self.sector + s * (ranges - 1) + r] =
-                    std::array::from_fn(|half| window.iter().map(|&i| in_sectors[i][half]).sum());
-            }
-        }
-        for half in 0..2 {
-            out[self.depth][half] = depth[0][half] / (depth[1][half] + 1.0);
-            out[self.density][half] = 0.5 * fitted.nuisances.block_density.ln();
-        }
-        for (p, score) in fitted.pattern_scores.iter().enumerate() {
-            // Of the log as a whole.
-            out[self.patterns + p] = [0.5 * score; 2];
-        }
-        let track = comparison.corrected(&fitted.corrections);
-        let all = increments(comparison.nominal, effects, &track, &comparison.recorded.odometry);
-        // Correlations, so that they don't depend on how large the reference's errors are taken to be.
-        let slip_share = E::WheelSlip.parameters()[1].start;
-        let mut sums = [[Correlation::default(); 4]; 2];
-        for (scan, increment) in all.iter().enumerate() {
-            let [distance, turn] = standardized(increment, &fitted.nuisances.odometry_error);
-            let [ds, dtheta] = increment.truth;
-            let error = &fitted.nuisances.odometry_error;
-            let [of_distance, of_turn] = [0, 1].map(|axis| deviation(increment, error, axis));
-            let [scale, turn_scale, imbalance, slip] = &mut sums[(scan / BLOCK) % 2];
-            scale.add(distance, ds / of_distance);
-            turn_scale.add(turn, dtheta / of_turn);
-            imbalance.add(turn, ds / of_turn);
-            slip.add(
-                contaminated(slip_ratio(increment, error, slip_share), just_seen(all.len() as f64)),
-                1.0,
-            );
-        }
-        for (half, sums) in sums.iter().enumerate() {
-            for (i, correlation) in sums.iter().enumerate() {
-                out[self.odometry + i][half] = correlation.value();
-            }
-        }
-        out
-    }
-}
-
-/// Cosine and sine of 2 pi z over each of [`STEPS_M`]: all but one are powers of one complex number.
-fn phases(z: f64) -> [[f64; 2]; STEPS_M.len()] {
-    let phase = |step: f64| {
-        let (sin, cos) = (TAU * z / step).sin_cos();
-        [cos, sin]
-    };
-    let times = |[a, b]: [f64; 2], [c, d]: [f64; 2]| [a * c - b * d, a * d + b * c];
-    let square = |a| times(a, a);
-    let tenth = phase(0.1);
-    let of_50 = square(tenth);
-    let of_25 = square(of_50);
-    let of_20 = times(of_25, tenth);
-    let of_10 = square(of_20);
-    let of_5 = square(of_10);
-    let of_2 = times(square(of_5), of_10);
-    [of_2, phase(0.003), of_5, of_10, of_20, of_25, of_50]
 }
 
 /// Whether an effect can act in one direction only.
 fn is_one_sided(kind: EffectKind) -> bool {
     let strength = &kind.parameters()[0];
     strength.lo >= strength.neutral || matches!(kind, E::MissingObject | E::SectorOcclusion)
-}
-
-/// What a reading says of how far a wall is moved.
-pub(crate) fn moved_wall_score(beam: &Beam<'_>, terms: &Terms) -> f64 {
-    if terms.sigma.is_infinite() {
-        return 0.0;
-    }
-    terms.hit * terms.error / terms.sigma.powi(2) / beam.view.incidence.cos().max(0.17)
-}
-
-/// Correlation of two numbers about zero, times the root of how many there are.
-#[derive(Clone, Copy, Default)]
-struct Correlation {
-    xy: f64,
-    xx: f64,
-    yy: f64,
-    count: f64,
-}
-
-impl Correlation {
-    fn add(&mut self, x: f64, y: f64) {
-        self.xy += x * y;
-        self.xx += x * x;
-        self.yy += y * y;
-        self.count += 1.0;
-    }
-
-    fn value(&self) -> f64 {
-        self.xy / (self.xx * self.yy).sqrt().max(1e-300) * self.count.sqrt()
-    }
-}
-
-/// The draws that randomize the PIT of missing returns.
-pub(crate) fn pit_draw(seed: u64) -> Draw {
-    Draw::new(seed, Stage::Bootstrap, 0)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn phases_are_those_of_the_steps() {
-        for z in [0.0, 0.4567, 3.21, 7.999] {
-            for (step, [cos, sin]) in STEPS_M.into_iter().zip(phases(z)) {
-                let angle = TAU * z / step;
-                assert!((cos - angle.cos()).abs() < 1e-9 && (sin - angle.sin()).abs() < 1e-9, "{z} {step}");
-            }
-        }
-    }
-
-    /// At the share itself the score's mean is 0: sum of q ratio / (1 + share ratio) over two outcomes of probability
-    /// q = p (1 + share ratio), p those of the hypothesis.
-    #[test]
-    fn the_score_of_a_contamination_has_no_mean_at_its_share() {
-        let (p, share) = ([0.9, 0.1], 0.05);
-        // Under the contamination alone: 0.2 and 0.8.
-        let ratios = [0.2 / 0.9 - 1.0, 0.8 / 0.1 - 1.0];
-        let mean: f64 =
-            p.iter().zip(ratios).map(|(p, r)| p * (1.0 + share * r) * contaminated(r, share)).sum();
-        assert!(mean.abs() < 1e-12, "{mean}");
-    }
 }

@@ -1,0 +1,226 @@
+//! A log's statistics ranked among those of replicates: standardized, in groups, under one false-alarm rate.
+
+use crate::null::Null;
+use crate::statistics::{Dictionary, Halves};
+
+/// How the false-alarm rate is shared out among groups of statistics: effects that act on many beams, effects at one of
+/// many places, cells, objects among blocks. Each gets its share however many statistics it has.
+const SHARES: [f64; GROUPS] = [0.6, 0.2, 0.15, 0.05];
+const GROUPS: usize = 4;
+
+pub(crate) fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves>]) -> Null {
+    let count = others.len() + 1;
+    let (mut z, mut halves) = (vec![0.0; own.len()], vec![[0.0; 2]; own.len()]);
+    let mut spreads = vec![0.0; own.len()];
+    // The largest of each group, of each replicate, the log last.
+    let mut largest = vec![[0.0_f64; GROUPS]; count];
+    let mut values = vec![0.0; count];
+    for i in 0..own.len() {
+        let group = dictionary.group(i);
+        // Counts by their roots, whose variance doesn't depend on the mean (Anscombe 1948) and is at most about 1 by
+        // chance; of a count that hardly ever happens it is less, and would make a single event stand out.
+        let is_count = dictionary.is_count(i);
+        let number = |value: f64| if is_count { 2.0 * (value.max(0.0) + 0.375).sqrt() } else { value };
+        for half in 0..2 {
+            let replicates = others.iter().map(|other| number(other[i][half]));
+            halves[i][half] = Moments::of(replicates).normal(number(own[i][half]), is_count);
+        }
+        for (value, log) in values.iter_mut().zip(others.iter().map(|other| &other[i]).chain([&own[i]])) {
+            *value = number(log[0] + log[1]);
+        }
+        // Each by what all others say, so that log and replicates are alike where the simulator is right.
+        let all = Moments::of(values.iter().copied());
+        for (value, largest) in values.iter().zip(&mut largest) {
+            let normal = all.without(*value).normal(*value, is_count);
+            largest[group] = largest[group].max(dictionary.off(i, normal));
+        }
+        let rest = all.without(values[count - 1]);
+        z[i] = rest.normal(values[count - 1], is_count);
+        spreads[i] = rest.variance().sqrt();
+    }
+    // Each group's largest as a p-value over the group's share, as a logarithm.
+    let tails: Vec<Tail> = (0..GROUPS).map(|g| Tail::of(largest.iter().map(|t| t[g]))).collect();
+    let weighed: Vec<[f64; GROUPS]> = largest
+        .iter()
+        .map(|t| std::array::from_fn(|g| tails[g].minus_log_p(t[g]) + SHARES[g].ln()))
+        .collect();
+    let p_of = |of: &dyn Fn(&[f64; GROUPS]) -> f64| {
+        let mine = of(&weighed[count - 1]);
+        weighed.iter().filter(|other| of(other) >= mine).count() as f64 / count as f64
+    };
+    let p_library = p_of(&|t| t[0].max(t[1]).max(t[3]));
+    let p_omnibus = p_of(&|t| t[2]);
+    let all = |t: &[f64; GROUPS]| t.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let p = p_of(&all);
+    let mut sorted: Vec<f64> = weighed[..count - 1].iter().map(all).collect();
+    sorted.sort_by(f64::total_cmp);
+    let above = ((0.01 * sorted.len() as f64).ceil() as usize).max(1);
+    let weight = (0..own.len())
+        .map(|i| {
+            let group = dictionary.group(i);
+            tails[group].minus_log_p(dictionary.off(i, z[i])) + SHARES[group].ln()
+        })
+        .collect();
+    let threshold = tails[0].at(sorted[sorted.len() - above] - SHARES[0].ln());
+    Null {
+        z,
+        halves,
+        p_library,
+        p_omnibus,
+        p,
+        weight,
+        largest: sorted,
+        threshold,
+        spread: spreads,
+        fits: Vec::new(),
+    }
+}
+
+/// The upper tail of a sample: exponential beyond its ninth decile.
+struct Tail {
+    decile: f64,
+    scale: f64,
+    sorted: Vec<f64>,
+}
+
+impl Tail {
+    fn of(values: impl Iterator<Item = f64>) -> Self {
+        let mut sorted: Vec<f64> = values.collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |share: f64| sorted[((share * sorted.len() as f64) as usize).min(sorted.len() - 1)];
+        let (decile, high) = (at(0.9), at(0.98));
+        Self { decile, scale: ((high - decile) / 5.0_f64.ln()).max(1e-3), sorted }
+    }
+
+    /// Minus the logarithm of the chance of a value as large.
+    fn minus_log_p(&self, value: f64) -> f64 {
+        if value > self.decile {
+            return 10.0_f64.ln() + (value - self.decile) / self.scale;
+        }
+        let above = self.sorted.len() - self.sorted.partition_point(|v| *v < value);
+        -(above as f64 / self.sorted.len() as f64).ln()
+    }
+
+    /// The value of a chance below a tenth.
+    fn at(&self, minus_log_p: f64) -> f64 {
+        self.decile + (minus_log_p - 10.0_f64.ln()).max(0.0) * self.scale
+    }
+}
+
+/// The first three moments of a sample, as sums about its first value.
+#[derive(Clone, Copy, Default)]
+struct Moments {
+    about: f64,
+    count: f64,
+    sums: [f64; 3],
+}
+
+impl Moments {
+    fn of(mut values: impl Iterator<Item = f64>) -> Self {
+        let about = values.next().unwrap_or(0.0);
+        let mut all = Self { about, count: 1.0, sums: [0.0; 3] };
+        for value in values {
+            all.add(value, 1.0);
+        }
+        all
+    }
+
+    fn add(&mut self, value: f64, times: f64) {
+        let x = value - self.about;
+        for (sum, power) in self.sums.iter_mut().zip([x, x * x, x * x * x]) {
+            *sum += times * power;
+        }
+        self.count += times;
+    }
+
+    /// The sample less one of its values.
+    fn without(mut self, value: f64) -> Self {
+        self.add(value, -1.0);
+        self
+    }
+
+    fn mean(&self) -> f64 {
+        self.about + self.sums[0] / self.count
+    }
+
+    fn variance(&self) -> f64 {
+        let mean = self.sums[0] / self.count;
+        ((self.sums[1] - self.count * mean * mean) / (self.count - 1.0).max(1.0)).max(0.0)
+    }
+
+    fn skewness(&self) -> f64 {
+        let [a, b, c] = self.sums.map(|sum| sum / self.count);
+        let variance = b - a * a;
+        if variance <= 1e-12 * b.abs() {
+            0.0
+        } else {
+            (c - 3.0 * a * b + 2.0 * a.powi(3)) / variance.powf(1.5)
+        }
+    }
+
+    /// A value as a standard normal number, if the sample is of a shifted gamma distribution (Pearson's type III; the
+    /// cube root of Wilson and Hilferty 1931): sums of rare contributions are skewed, and would be taken for
+    /// discoveries. Roots of counts are as good as normal, with a variance of 1 or more where they happen at all.
+    fn normal(&self, value: f64, is_count: bool) -> f64 {
+        if is_count {
+            return (value - self.mean()) / self.variance().max(1.0).sqrt();
+        }
+        let t = (value - self.mean()) / self.variance().max(1e-9).sqrt();
+        let skewness = self.skewness().clamp(-MOST_SKEWED, MOST_SKEWED);
+        // Only the heavy side: how light the other one is, so few logs can't say.
+        if skewness.abs() < LEAST_SKEWED || t * skewness < 0.0 {
+            return t;
+        }
+        let shape = 4.0 / (skewness * skewness);
+        let ratio = (1.0 + t * skewness.signum() / shape.sqrt()).max(0.0);
+        skewness.signum() * 3.0 * shape.sqrt() * (ratio.cbrt() - 1.0 + 1.0 / (9.0 * shape))
+    }
+}
+
+/// A sample's skewness counts as no more than this, and as none below that: of 200 numbers its error is 0.17.
+const MOST_SKEWED: f64 = 2.0;
+const LEAST_SKEWED: f64 = 0.25;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use statrs::distribution::{ContinuousCDF, Gamma, Normal};
+
+    /// Quantiles of a gamma distribution of shape 4, skewness 1, become those of a normal one on its heavy side.
+    #[test]
+    fn skewed_sums_become_normal() {
+        let gamma = Gamma::new(4.0, 0.5).unwrap();
+        let normal = Normal::new(0.0, 1.0).unwrap();
+        let sample = (0..20_000).map(|i| gamma.inverse_cdf((f64::from(i) + 0.5) / 20_000.0));
+        let moments = Moments::of(sample);
+        for p in [0.9, 0.99, 0.999, 0.9999] {
+            let (z, plain) = (moments.normal(gamma.inverse_cdf(p), false), normal.inverse_cdf(p));
+            assert!((z - plain).abs() < 0.05, "{p}: {z} for {plain}");
+        }
+        // Mirrored, the heavy side is the other one.
+        let mirrored = (0..20_000).map(|i| -gamma.inverse_cdf((f64::from(i) + 0.5) / 20_000.0));
+        let z = Moments::of(mirrored).normal(-gamma.inverse_cdf(0.999), false);
+        assert!((z - normal.inverse_cdf(0.001)).abs() < 0.05, "{z}");
+    }
+
+    #[test]
+    fn a_sample_without_a_value_is_the_rest() {
+        let values = [3.0, 8.5, -1.0, 4.25, 0.5];
+        let rest = Moments::of(values[1..].iter().copied());
+        let without = Moments::of(values.iter().copied()).without(3.0);
+        assert!((rest.mean() - without.mean()).abs() < 1e-12);
+        assert!((rest.variance() - without.variance()).abs() < 1e-12);
+        assert!((rest.skewness() - without.skewness()).abs() < 1e-12);
+    }
+
+    /// Of an exponential sample the tail goes on as it is.
+    #[test]
+    fn a_tail_is_continued() {
+        let sample = (0..1000).map(|i| -((f64::from(i) + 0.5) / 1000.0).ln());
+        let tail = Tail::of(sample);
+        for minus_log_p in [0.5, 2.0, 4.0, 8.0] {
+            assert!((tail.minus_log_p(minus_log_p) - minus_log_p).abs() < 0.03 * minus_log_p + 0.02);
+        }
+        assert!((tail.at(tail.minus_log_p(6.0)) - 6.0).abs() < 1e-9);
+    }
+}

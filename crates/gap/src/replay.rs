@@ -1,0 +1,202 @@
+//! Simulated logs along the recorded poses, with blocks that stay as long as the log's and a reference that errs as its.
+
+use std::collections::HashSet;
+
+use locsim_core::{Draw, Pose2, Stage};
+use locsim_world::effect::Effect;
+use locsim_world::simulation::BlockResampling;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+
+use crate::hypothesis::{Comparison, Fitted, Nuisances};
+use crate::nominal::BlockPolicy;
+use crate::statistics::{OBJECT_CELL_M, cell_at};
+use crate::{GapError, Nominal, Recorded};
+
+/// A fitted simulator: it can replay the log.
+pub(crate) struct Replay<'a> {
+    pub nominal: &'a Nominal,
+    pub recorded: &'a Recorded,
+    /// Effects beyond the nominal ones.
+    pub effects: &'a [Effect],
+    pub nuisances: Nuisances,
+    pub blocks: BlockTruth,
+}
+
+/// What is true of unmapped blocks where the fit to a log says what it says.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BlockTruth {
+    pub resample: BlockResampling,
+    /// True density over fitted density: readings of blocks right in front of walls are taken for the walls.
+    pub density_over_fit: f64,
+}
+
+impl Replay<'_> {
+    /// One simulated log.
+    pub fn simulate(&self, seed: u64) -> Result<Recorded, GapError> {
+        let effects = self.nominal.effects_with(self.effects)?;
+        let density = self.nuisances.block_density * self.blocks.density_over_fit;
+        let blocks = BlockPolicy { density, resample: self.blocks.resample };
+        let simulator = self.nominal.simulator(&effects, blocks)?;
+        let truth = self.true_poses(seed);
+        let readings = simulator.scan_along(&self.recorded.secs, &truth, seed);
+        let all = self.recorded.all_bearings.len();
+        let readings = if all == self.recorded.beams() {
+            readings
+        } else {
+            let scans = readings.chunks(all);
+            scans.flat_map(|scan| self.recorded.kept.iter().map(|&beam| scan[beam])).collect()
+        };
+        let noise = &self.nominal.odometry;
+        let odometry = locsim_world::simulation::odometry_along(&truth, noise, &effects, seed);
+        Ok(self.recorded.with(readings, self.with_odometry_error(&odometry, seed)))
+    }
+
+    /// True poses of a log whose reference is the recorded one.
+    fn true_poses(&self, seed: u64) -> Vec<Pose2> {
+        let process = self.nuisances.pose_error;
+        let poses = &self.recorded.poses;
+        if process.is_none() {
+            return poses.clone();
+        }
+        let mut error = [0.0; 3];
+        let sigma = [process.sigma_m, process.sigma_m, process.sigma_rad];
+        (0..poses.len())
+            .map(|i| {
+                let mut rng = Draw::new(seed, Stage::Path, i as u32).item(1);
+                let phi = if i == 0 {
+                    0.0
+                } else {
+                    process.correlation(self.recorded.secs[i] - self.recorded.secs[i - 1])
+                };
+                for (error, sigma) in error.iter_mut().zip(sigma) {
+                    let normal: f64 = StandardNormal.sample(&mut rng);
+                    *error = phi * *error + (1.0 - phi * phi).sqrt() * sigma * normal;
+                }
+                Pose2::new(poses[i].x + error[0], poses[i].y + error[1], poses[i].theta + error[2])
+            })
+            .collect()
+    }
+
+    /// Increments with the error that the scenario's noise doesn't explain.
+    fn with_odometry_error(&self, odometry: &[Pose2], seed: u64) -> Vec<Pose2> {
+        let error = self.nuisances.odometry_error;
+        let mut pose = Pose2::IDENTITY;
+        let mut track = vec![pose];
+        for (i, pair) in odometry.windows(2).enumerate() {
+            let mut rng = Draw::new(seed, Stage::Odometry, i as u32).item(2);
+            let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+            let step = pair[1].relative_to(&pair[0]);
+            let stretch = error.sigma_m * normal();
+            let along = step.position().normalize_or_zero();
+            let turn = error.sigma_rad * normal();
+            let step = Pose2::new(
+                step.x + stretch * if along.x == 0.0 && along.y == 0.0 { 1.0 } else { along.x },
+                step.y + stretch * along.y,
+                step.theta + turn,
+            );
+            pose = pose.compose(&step);
+            track.push(pose);
+        }
+        track
+    }
+}
+
+/// How long blocks stay in a log: the policy under which neighbouring scans share as many short readings.
+pub(crate) fn fit_persistence(
+    nominal: &Nominal,
+    recorded: &Recorded,
+    fitted: &Fitted,
+    seed: u64,
+) -> Result<BlockTruth, GapError> {
+    let Some(blocks) = nominal.blocks else {
+        return Ok(BlockTruth { resample: BlockResampling::EachObservation, density_over_fit: 1.0 });
+    };
+    let replay = |resample| Replay {
+        nominal,
+        recorded,
+        effects: &[],
+        nuisances: fitted.nuisances,
+        blocks: BlockTruth { resample, density_over_fit: 1.0 },
+    };
+    let shared = |recorded: &Recorded| shared_shorts(&Comparison::new(nominal, recorded), fitted);
+    let own = shared(recorded);
+    let mut policies = vec![
+        BlockResampling::EachObservation,
+        BlockResampling::EachScanN(3),
+        BlockResampling::EachScanN(10),
+        BlockResampling::EachScanN(40),
+        BlockResampling::Never,
+    ];
+    if !policies.contains(&blocks.resample) {
+        policies.push(blocks.resample);
+    }
+    let draw = Draw::new(seed, Stage::Trial, 8);
+    let distances = policies
+        .iter()
+        .map(|&resample| {
+            let replay = replay(resample);
+            let logs = (0..6)
+                .into_par_iter()
+                .map(|i| Ok(shared(&replay.simulate(draw.seed(i))?)))
+                .collect::<Result<Vec<_>, GapError>>()?;
+            let distance = (0..LAGS.len()).map(|lag| {
+                let mean = logs.iter().map(|log| log[lag]).sum::<f64>() / logs.len() as f64;
+                (mean - own[lag]).abs()
+            });
+            // The nominal policy is kept where it is as good.
+            let handicap = if resample == blocks.resample { 0.0 } else { 0.02 };
+            Ok(distance.sum::<f64>() + handicap)
+        })
+        .collect::<Result<Vec<f64>, GapError>>()?;
+    let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
+    // Of those that are about as good the one under which blocks stay longest: it takes least for a discovery.
+    let resample = policies
+        .iter()
+        .zip(&distances)
+        .filter(|(_, distance)| **distance <= 1.3 * least + 0.02)
+        .map(|(policy, _)| *policy)
+        .max_by_key(|policy| match policy {
+            BlockResampling::EachObservation => 1,
+            BlockResampling::EachScanN(scans) => *scans,
+            BlockResampling::Never => u32::MAX,
+        })
+        .unwrap_or(blocks.resample);
+    let replay = replay(resample);
+    let ratios = (0..12)
+        .into_par_iter()
+        .map(|i| {
+            let simulated = replay.simulate(draw.seed(100 + i))?;
+            let refitted = Comparison::new(nominal, &simulated).fit_nuisances(&fitted.nuisances, 4);
+            Ok(refitted.nuisances.block_density)
+        })
+        .collect::<Result<Vec<f64>, GapError>>()?;
+    let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+    Ok(BlockTruth { resample, density_over_fit: (fitted.nuisances.block_density / mean).clamp(0.5, 2.0) })
+}
+
+/// Numbers of scans after which blocks are looked for where they were.
+const LAGS: [usize; 4] = [1, 4, 16, 64];
+
+/// Share of cells of the map with a short reading in a scan that have one again so many scans later.
+fn shared_shorts(comparison: &Comparison<'_>, fitted: &Fitted) -> [f64; LAGS.len()] {
+    let mut cells = vec![HashSet::new(); comparison.views.scans()];
+    let effects = &comparison.nominal.effects;
+    comparison.for_each_reading(&comparison.views, effects, fitted, |scan, i, _, _, z, terms| {
+        if terms.short > 0.5 {
+            let beam = &comparison.views.beams[i];
+            let heading = comparison.recorded.poses[scan].theta + beam.view.bearing;
+            let back = beam.view.range - z;
+            let end = beam.view.endpoint;
+            let (x, y) = (end.x - back * heading.cos(), end.y - back * heading.sin());
+            cells[scan].insert(cell_at(x, y, OBJECT_CELL_M));
+        }
+    });
+    LAGS.map(|lag| {
+        let pairs = cells.iter().zip(cells.iter().skip(lag));
+        let (both, all) = pairs.fold((0, 1), |(both, all), (here, later)| {
+            (both + here.intersection(later).count(), all + here.len())
+        });
+        both as f64 / f64::from(all as u32)
+    })
+}

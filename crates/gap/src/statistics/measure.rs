@@ -1,0 +1,295 @@
+//! The statistics of a log.
+
+use std::f64::consts::TAU;
+
+use locsim_core::Draw;
+use locsim_world::effect::EffectKind as E;
+use rand::RngExt;
+
+use super::dictionary::{Dense, Dictionary};
+use super::{
+    BLOCK, Halves, OBJECT_CELL_M, SECTOR_RANGE_M, SECTORS, STEPS_M, cell_at, contaminated, just_seen,
+    wall_cell,
+};
+use crate::hypothesis::{Comparison, Fitted};
+use crate::likelihood::{Density, Terms, near_density, normal_density};
+use crate::odometry::{deviation, increments, slip_ratios, standardized};
+use crate::views::Beam;
+
+impl Dictionary {
+    /// Whether a reading is of something in front of what the map has there.
+    pub fn is_in_front(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> bool {
+        z < self.max && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1)
+    }
+
+    /// What a reading says of the share of beams that a wall lets through.
+    pub fn glass_score(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> f64 {
+        let wall = self.wall_cells.get(&wall_cell(beam.view.endpoint));
+        wall.map_or(0.0, |&wall| self.glass_score_of(wall as usize, beam, shift, z, terms))
+    }
+
+    fn glass_score_of(&self, wall: usize, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> f64 {
+        let through = if z < self.max {
+            let sigma = terms.sigma.min(0.1);
+            let far = beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, self.max));
+            // What stands behind is often not on the map.
+            0.5 * far + if z > beam.range() + shift + 5.0 * sigma { 0.5 / self.max } else { 0.0 }
+        } else {
+            0.5
+        };
+        contaminated(Density::contamination(terms, through), self.wall_share[wall])
+    }
+
+    /// All statistics of a log.
+    pub fn of(
+        &self,
+        comparison: &Comparison<'_>,
+        effects: &locsim_world::effect::Effects,
+        views: &crate::views::Views<'_>,
+        fitted: &Fitted,
+        pit: &Draw,
+    ) -> Vec<Halves> {
+        let mut out = vec![[0.0; 2]; self.len()];
+        let n = views.beams.len();
+        let k = views.per_scan;
+        let max = comparison.nominal.laser.max_range_m;
+        let mut scores: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; n]);
+        let mut depth = [[0.0; 2]; 2];
+        let mut in_cells = vec![[0.0; 2]; self.objects.len()];
+        let mut in_sectors = vec![[0.0; 2]; SECTORS * self.sector_ranges];
+        let mut whole = vec![[0.0_f64; 3]; views.scans()];
+        comparison.for_each_reading(views, effects, fitted, |scan, i, density, shift, z, terms| {
+            let half = (scan / BLOCK) % 2;
+            let beam = &views.beams[i];
+            let is_return = z < max;
+            let t = terms.error / terms.sigma;
+            let g = |other| Density::contamination(&terms, other);
+            if is_return {
+                scores[0][i] = (terms.hit * terms.error / terms.sigma.powi(2)) as f32;
+                scores[1][i] = (terms.hit * (t * t - 1.0)) as f32;
+            }
+            if beam.range() < max {
+                scores[2][i] = g(f64::from(u8::from(!is_return))) as f32;
+                let tail = if is_return && terms.hit > 0.0 || terms.sigma.is_finite() {
+                    normal_density(t / 5.0) / (5.0 * terms.sigma)
+                } else {
+                    0.0
+                };
+                if is_return {
+                    scores[4][i] = g(tail) as f32;
+                }
+            }
+            let uniform = if is_return { 1.0 / max } else { 0.0 };
+            scores[3][i] = ((uniform / terms.density) - 1.0) as f32;
+            if let Some([near, far]) = self.jumps[i] {
+                let inside = is_return && (near..far).contains(&z);
+                let ratio = g(if inside { 1.0 / (far - near) } else { 0.0 });
+                out[self.mixed][half] += contaminated(ratio, self.mixed_share);
+            }
+            let wall = self.wall[i];
+            if wall != u32::MAX {
+                let wall = wall as usize;
+                if is_return {
+                    out[self.moved_wall + wall][half] += moved_wall_score(beam, &terms);
+                }
+                out[self.glass + wall][half] += self.glass_score_of(wall, beam, shift, z, &terms);
+            }
+            // Things in front may stand where no block does.
+            let in_front = self.is_in_front(beam, shift, z, &terms);
+            if in_front {
+                let heading = comparison.recorded.poses[scan].theta + beam.view.bearing;
+                let back = beam.view.range - z;
+                let end = beam.view.endpoint;
+                let cell = cell_at(end.x - back * heading.cos(), end.y - back * heading.sin(), OBJECT_CELL_M);
+                if let Some(&index) = self.objects.get(&cell) {
+                    in_cells[index as usize][half] += 1.0;
+                }
+                depth[0][half] += terms.short * (beam.range() - z);
+                depth[1][half] += terms.short;
+            }
+            if in_front {
+                let range = (z / SECTOR_RANGE_M) as usize;
+                if range < self.sector_ranges {
+                    in_sectors[usize::from(self.sector_of[i % k]) * self.sector_ranges + range][half] += 1.0;
+                }
+            }
+            if is_return {
+                for (s, [cos, sin]) in phases(z).into_iter().enumerate() {
+                    out[self.steps + 2 * s][half] += cos;
+                    out[self.steps + 2 * s + 1][half] += sin;
+                }
+            }
+            let u = if is_return {
+                density.cdf(beam, shift, z)
+            } else {
+                1.0 - terms.density.min(1.0) * pit.at(scan as u32).item(i as u32).random::<f64>()
+            };
+            let missing = f64::from(u8::from(!is_return && beam.range() < max));
+            let values = [u - 0.5, (u - 0.5).powi(2) - 1.0 / 12.0, terms.short, missing];
+            for (sum, value) in whole[scan].iter_mut().zip([values[0], values[2], values[3]]) {
+                *sum += value;
+            }
+            out[self.whole + 3 + ((10.0 * u) as usize).min(9)][half] += 1.0;
+            for &cell in &self.cell_of[i] {
+                if cell != u32::MAX {
+                    for (v, value) in values.iter().enumerate() {
+                        out[cell as usize + v][half] += value;
+                    }
+                }
+            }
+        });
+        for (i, of_scan) in whole.windows(2).enumerate() {
+            for kind in 0..3 {
+                // What changes from scan to scan; what stays is for other cells.
+                out[self.whole + kind][(i / BLOCK) % 2] += (of_scan[1][kind] - of_scan[0][kind]).powi(2);
+            }
+        }
+        for Dense { score, index, weights, share } in &self.dense {
+            // Fitted errors of the reference take in what moves whole scans; the patterns look for it in the errors.
+            if self.moves_scans(*index) && !fitted.nuisances.pose_error.is_none() {
+                continue;
+            }
+            let scores = &scores[*score as usize];
+            for scan in 0..views.scans() {
+                let beams = scan * k..(scan + 1) * k;
+                let pairs = scores[beams.clone()].iter().zip(&weights[beams]).map(|(s, w)| s * w);
+                let sum: f32 = if *share > 0.0 {
+                    pairs.map(|ratio| ratio / (1.0 + share * ratio)).sum()
+                } else {
+                    pairs.sum()
+                };
+                out[*index][(scan / BLOCK) % 2] += f64::from(sum);
+            }
+        }
+        let walls = self.wall_share.len();
+        for first in [self.moved_wall, self.glass] {
+            for (p, pair) in self.wall_pairs.iter().enumerate() {
+                out[first + walls + p] =
+                    std::array::from_fn(|half| pair.iter().map(|&i| out[first + i as usize][half]).sum());
+            }
+        }
+        for (window, cells) in self.object_windows.iter().enumerate() {
+            for &cell in cells.iter().filter(|&&cell| cell != u32::MAX) {
+                for half in 0..2 {
+                    out[self.first_object + window][half] += in_cells[cell as usize][half];
+                }
+            }
+        }
+        let ranges = self.sector_ranges;
+        for s in 0..SECTORS - 1 {
+            for r in 0..ranges - 1 {
+                let corner = s * ranges + r;
+                let window = [corner, corner + 1, corner + ranges, corner + ranges + 1];
+                out[self.sector + s * (ranges - 1) + r] =
+                    std::array::from_fn(|half| window.iter().map(|&i| in_sectors[i][half]).sum());
+            }
+        }
+        for half in 0..2 {
+            out[self.depth][half] = depth[0][half] / (depth[1][half] + 1.0);
+            out[self.density][half] = 0.5 * fitted.nuisances.block_density.ln();
+        }
+        for (p, score) in fitted.pattern_scores.iter().enumerate() {
+            // Of the log as a whole.
+            out[self.patterns + p] = [0.5 * score; 2];
+        }
+        let track = comparison.corrected(&fitted.corrections);
+        let all = increments(comparison.nominal, effects, &track, &comparison.recorded.odometry);
+        // Correlations, so that they don't depend on how large the reference's errors are taken to be.
+        let slip_share = E::WheelSlip.parameters()[1].start;
+        let mut sums = [[Correlation::default(); 4]; 2];
+        for (scan, increment) in all.iter().enumerate() {
+            let [distance, turn] = standardized(increment, &fitted.nuisances.odometry_error);
+            let [ds, dtheta] = increment.truth;
+            let error = &fitted.nuisances.odometry_error;
+            let [of_distance, of_turn] = [0, 1].map(|axis| deviation(increment, error, axis));
+            let [scale, turn_scale, imbalance, slip] = &mut sums[(scan / BLOCK) % 2];
+            scale.add(distance, ds / of_distance);
+            turn_scale.add(turn, dtheta / of_turn);
+            imbalance.add(turn, ds / of_turn);
+            let seen = just_seen(all.len() as f64);
+            let [longer, shorter] = slip_ratios(increment, error, slip_share).map(|r| contaminated(r, seen));
+            slip.add(longer - shorter, 1.0);
+        }
+        for (half, sums) in sums.iter().enumerate() {
+            for (i, correlation) in sums.iter().enumerate() {
+                out[self.odometry + i][half] = correlation.value();
+            }
+        }
+        out
+    }
+}
+
+/// Cosine and sine of 2 pi z over each of [`STEPS_M`]: all but one are powers of one complex number.
+fn phases(z: f64) -> [[f64; 2]; STEPS_M.len()] {
+    let phase = |step: f64| {
+        let (sin, cos) = (TAU * z / step).sin_cos();
+        [cos, sin]
+    };
+    let times = |[a, b]: [f64; 2], [c, d]: [f64; 2]| [a * c - b * d, a * d + b * c];
+    let square = |a| times(a, a);
+    let tenth = phase(0.1);
+    let of_50 = square(tenth);
+    let of_25 = square(of_50);
+    let of_20 = times(of_25, tenth);
+    let of_10 = square(of_20);
+    let of_5 = square(of_10);
+    let of_2 = times(square(of_5), of_10);
+    [of_2, phase(0.003), of_5, of_10, of_20, of_25, of_50]
+}
+
+/// What a reading says of how far a wall is moved.
+pub(crate) fn moved_wall_score(beam: &Beam<'_>, terms: &Terms) -> f64 {
+    if terms.sigma.is_infinite() {
+        return 0.0;
+    }
+    terms.hit * terms.error / terms.sigma.powi(2) / beam.view.incidence.cos().max(0.17)
+}
+
+/// Correlation of two numbers about zero, times the root of how many there are.
+#[derive(Clone, Copy, Default)]
+struct Correlation {
+    xy: f64,
+    xx: f64,
+    yy: f64,
+    count: f64,
+}
+
+impl Correlation {
+    fn add(&mut self, x: f64, y: f64) {
+        self.xy += x * y;
+        self.xx += x * x;
+        self.yy += y * y;
+        self.count += 1.0;
+    }
+
+    fn value(&self) -> f64 {
+        self.xy / (self.xx * self.yy).sqrt().max(1e-300) * self.count.sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn phases_are_those_of_the_steps() {
+        for z in [0.0, 0.4567, 3.21, 7.999] {
+            for (step, [cos, sin]) in STEPS_M.into_iter().zip(phases(z)) {
+                let angle = TAU * z / step;
+                assert!((cos - angle.cos()).abs() < 1e-9 && (sin - angle.sin()).abs() < 1e-9, "{z} {step}");
+            }
+        }
+    }
+
+    /// At the share itself the score's mean is 0: sum of q ratio / (1 + share ratio) over two outcomes of probability
+    /// q = p (1 + share ratio), p those of the hypothesis.
+    #[test]
+    fn the_score_of_a_contamination_has_no_mean_at_its_share() {
+        let (p, share) = ([0.9, 0.1], 0.05);
+        // Under the contamination alone: 0.2 and 0.8.
+        let ratios = [0.2 / 0.9 - 1.0, 0.8 / 0.1 - 1.0];
+        let mean: f64 =
+            p.iter().zip(ratios).map(|(p, r)| p * (1.0 + share * r) * contaminated(r, share)).sum();
+        assert!(mean.abs() < 1e-12, "{mean}");
+    }
+}
