@@ -165,7 +165,7 @@ fn a_measured_log_is_explained_for_the_most_part() {
     };
     std::fs::create_dir(folder.path("maps")).unwrap();
     let log = log.display();
-    call(format!("map {log} --out maps/intel --resolution 0.05 --max-range 40 --share 0.3,1.0 --quiet"));
+    call(format!("map {log} --out maps/intel --resolution 0.05 --max-range 40 --share 0.3,1.0"));
     let found = call(format!(
         "gap {scenario} --log {log} --max-range 40 --replicates 99 --scans 120 --beams 36 --no-filter --out found --json"
     ));

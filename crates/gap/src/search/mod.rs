@@ -13,7 +13,7 @@ use locsim_world::simulation::BlockResampling;
 use rand::RngExt;
 use rayon::prelude::*;
 
-use naming::{adds_up, choose, compare_rivals, gain, name, numbers, sum_of};
+use naming::{adds_up, choose, compare_rivals, gain, is_sure, name, numbers, sum_of};
 
 use crate::fit::{Candidate, Search, Start, blocks};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
@@ -144,8 +144,21 @@ pub fn find(
         rounds.push(next);
     }
     if named.len() > 1 {
-        for i in 0..named.len() {
-            state.refit(&mut named, i, &rounds[rounds.len() - 1].fitted)?;
+        // What one was named for, a later one may explain: a strong yaw looks like noise at first.
+        let count = named.len();
+        let mut i = 0;
+        while i < named.len() {
+            let fitted = &rounds[rounds.len() - 1].fitted;
+            if state.refit(&mut named, i, fitted)? || named.len() == 1 {
+                i += 1;
+            } else {
+                named.remove(i);
+            }
+        }
+        if named.len() < count {
+            let effects: Vec<Effect> = named.iter().map(|named| named.effect.clone()).collect();
+            let next = state.round(effects, rounds[rounds.len() - 1].fitted.nuisances)?;
+            rounds.push(next);
         }
     }
     if !named.is_empty() {
@@ -342,8 +355,8 @@ impl<'a> State<'a> {
         }))
     }
 
-    /// Fits the numbers of one effect anew, the others as they are.
-    fn refit(&self, named: &mut [Named], index: usize, start: &Fitted) -> Result<(), GapError> {
+    /// Fits the numbers of one effect anew, the others as they are; whether it still surely gains.
+    fn refit(&self, named: &mut [Named], index: usize, start: &Fitted) -> Result<bool, GapError> {
         let comparison = Comparison::new(self.nominal, self.recorded);
         let others = named.iter().enumerate().filter(|(i, _)| *i != index);
         let given: Vec<Effect> = others.map(|(_, named)| named.effect.clone()).collect();
@@ -351,14 +364,16 @@ impl<'a> State<'a> {
         let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
         let effect = &named[index].effect;
         let from = Start { values: effect.values.clone(), place: effect.place.clone() };
-        if let Some(candidate) = search.fit(effect.kind, &[from])? {
+        let fit = search.fit(effect.kind, &[from])?;
+        let gains = fit.as_ref().is_some_and(is_sure);
+        if let Some(candidate) = fit {
             let named = &mut named[index];
             named.params = numbers(&candidate);
             named.evidence.gain_nats = gain(&candidate.gains);
             named.evidence.gain_nats_per_scan = named.evidence.gain_nats.value / self.recorded.scans() as f64;
             named.effect = candidate.effect;
         }
-        Ok(())
+        Ok(gains)
     }
 
     /// Some simulated logs of a round.

@@ -26,14 +26,18 @@ pub fn sum_of(known: &Effect, more: &Effect) -> Result<Effect, GapError> {
     Ok(Effect::new(known.kind, values, known.place.clone())?)
 }
 
+/// Whether a candidate gains surely.
+pub fn is_sure(candidate: &Candidate) -> bool {
+    candidate.gain() > 2.0 && candidate.gain() - candidate.gain_error() > 0.0
+}
+
 /// The candidate that is named: it gains surely, most of all, or within one standard error of that with fewer numbers.
 /// Surely is by one standard error: that something is there, the simulated logs have said.
 pub fn choose(candidates: &[Candidate]) -> Option<usize> {
-    let sure = |c: &Candidate| c.gain() > 2.0 && c.gain() - c.gain_error() > 0.0;
     let most = (0..candidates.len())
-        .filter(|&i| sure(&candidates[i]))
+        .filter(|&i| is_sure(&candidates[i]))
         .max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain()))?;
-    let simpler = (0..candidates.len()).filter(|&i| i != most && sure(&candidates[i])).filter(|&i| {
+    let simpler = (0..candidates.len()).filter(|&i| i != most && is_sure(&candidates[i])).filter(|&i| {
         let (behind, error) = behind(&candidates[most], &candidates[i]);
         let fewer = candidates[i].effect.values.len() < candidates[most].effect.values.len();
         fewer && behind < error

@@ -8,13 +8,13 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Round, State};
-use crate::GapError;
 use crate::fit::{fitted_numbers, invert};
 use crate::hypothesis::{Comparison, changes_views};
 use crate::null::REFIT;
 use crate::outcome::{Named, Number};
 use crate::replay::Replay;
 use crate::views::Views;
+use crate::{GapError, Recorded};
 
 /// Simulated logs.
 const LOGS: u32 = 24;
@@ -49,54 +49,31 @@ impl<'a> State<'a> {
                 .filter_map(|i| {
                     let parameter = &kind.parameters()[i];
                     let number = named.params.get(parameter.name)?;
-                    let room = (parameter.hi - number.value).min(number.value - parameter.lo);
+                    let room = room(&effects[index], i);
                     let least = if strengths(kind).contains(&i) { least } else { 0.0 };
                     let step = (0.5 * (number.hi - number.lo) / 1.96).max(least).min(room);
                     (step > 0.0).then_some((i, step))
                 })
                 .collect();
-            // The hypothesis itself, each number up and down, and each two up.
-            let mut changes: Vec<Vec<(usize, f64)>> = vec![Vec::new()];
-            for &(i, step) in &numbers {
-                changes.extend([vec![(i, step)], vec![(i, -step)]]);
+            // Where steps are too small for a likelihood that is rough, larger ones.
+            let mut shifts = None;
+            for factor in [1.0, 3.0, 9.0] {
+                let numbers: Vec<(usize, f64)> = numbers
+                    .iter()
+                    .map(|&(i, step)| (i, (factor * step).min(room(&effects[index], i))))
+                    .collect();
+                let totals = self.totals(&effects, index, &numbers, &logs, &views, round)?;
+                let steps: Vec<f64> = numbers.iter().map(|(_, step)| *step).collect();
+                shifts = newton_steps(&totals, &steps);
+                if shifts.is_some() {
+                    break;
+                }
             }
-            for (n, &a) in numbers.iter().enumerate() {
-                changes.extend(numbers[..n].iter().map(|&b| vec![a, b]));
-            }
-            let variants = changes
-                .iter()
-                .map(|changes| {
-                    let mut effects = effects.clone();
-                    for &(i, change) in changes {
-                        effects[index].values[i] += change;
-                    }
-                    let all = self.nominal.effects_with(&effects)?;
-                    let own = changes_views(kind) && !changes.is_empty();
-                    let views = if own {
-                        Arc::new(Views::new(self.nominal, self.recorded, &all))
-                    } else {
-                        Arc::clone(&views)
-                    };
-                    Ok((all, views))
-                })
-                .collect::<Result<Vec<_>, GapError>>()?;
-            let totals: Vec<Vec<f64>> = logs
-                .par_iter()
-                .map(|log| {
-                    let views = Arc::clone(&views);
-                    let comparison = Comparison { nominal: self.nominal, recorded: log, views };
-                    let start = comparison.fit_nuisances_with(&all, &round.fitted.nuisances, REFIT);
-                    let total = |(effects, views): &(_, Arc<Views<'_>>)| {
-                        comparison.evaluate_views(views, effects, &start, 1).total()
-                    };
-                    variants.iter().map(total).collect()
-                })
-                .collect();
-            let steps: Vec<f64> = numbers.iter().map(|(_, step)| *step).collect();
-            if let Some(shifts) = newton_steps(&totals, &steps) {
+            if let Some(shifts) = shifts {
                 for ((i, _), shifts) in numbers.iter().zip(shifts) {
                     let parameter = &kind.parameters()[*i];
-                    let number = corrected(named.effect.values[*i], &shifts, parameter.unit);
+                    let number =
+                        corrected(named.effect.values[*i], parameter.neutral, &shifts, parameter.unit);
                     let within = |value: f64| value.clamp(parameter.lo, parameter.hi);
                     let number = Number {
                         value: within(number.value),
@@ -112,6 +89,60 @@ impl<'a> State<'a> {
         }
         Ok(())
     }
+
+    /// Log likelihood of each log, as \[log\]\[variant\]: of the effects themselves, of each number of one of them a step up
+    /// and down, and of each two up.
+    fn totals(
+        &self,
+        effects: &[Effect],
+        index: usize,
+        numbers: &[(usize, f64)],
+        logs: &[Recorded],
+        views: &Arc<Views<'a>>,
+        round: &Round<'a>,
+    ) -> Result<Vec<Vec<f64>>, GapError> {
+        let mut changes: Vec<Vec<(usize, f64)>> = vec![Vec::new()];
+        for &(i, step) in numbers {
+            changes.extend([vec![(i, step)], vec![(i, -step)]]);
+        }
+        for (n, &a) in numbers.iter().enumerate() {
+            changes.extend(numbers[..n].iter().map(|&b| vec![a, b]));
+        }
+        let variants = changes
+            .iter()
+            .map(|changes| {
+                let mut effects = effects.to_vec();
+                let Effect { kind, values, .. } = &mut effects[index];
+                for &(i, change) in changes {
+                    // A step to the edge may be rounded beyond it.
+                    let parameter = &kind.parameters()[i];
+                    values[i] = (values[i] + change).clamp(parameter.lo, parameter.hi);
+                }
+                let all = self.nominal.effects_with(&effects)?;
+                let views = if changes_views(effects[index].kind) && !changes.is_empty() {
+                    Arc::new(Views::new(self.nominal, self.recorded, &all))
+                } else {
+                    Arc::clone(views)
+                };
+                Ok((all, views))
+            })
+            .collect::<Result<Vec<_>, GapError>>()?;
+        let of_log = |log: &Recorded| {
+            let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(views) };
+            let start = comparison.fit_nuisances_with(&variants[0].0, &round.fitted.nuisances, REFIT);
+            let total = |(effects, views): &(_, Arc<Views<'_>>)| {
+                comparison.evaluate_views(views, effects, &start, 1).total()
+            };
+            variants.iter().map(total).collect()
+        };
+        Ok(logs.par_iter().map(of_log).collect())
+    }
+}
+
+/// How far a number of an effect can go either way.
+fn room(effect: &Effect, number: usize) -> f64 {
+    let (parameter, value) = (&effect.kind.parameters()[number], effect.values[number]);
+    (parameter.hi - value).min(value - parameter.lo)
 }
 
 /// Numbers in which the likelihood is smooth: not where something is, beam by beam.
@@ -172,14 +203,22 @@ fn newton_steps(totals: &[Vec<f64>], steps: &[f64]) -> Option<Vec<Vec<f64>>> {
     Some(inverse.iter().map(|row| totals.iter().map(|t| step(row, t)).collect()).collect())
 }
 
-/// A fitted value less its bias, with the 95 % interval of its spread.
-fn corrected(value: f64, shifts: &[f64], unit: &'static str) -> Number {
+/// A fitted value less its bias, with the 95 % interval of its spread. A bias that would take away most of it is beyond what
+/// a Newton step can say: then the value stays, and the bias is part of its uncertainty.
+fn corrected(value: f64, neutral: f64, shifts: &[f64], unit: &'static str) -> Number {
     let n = shifts.len() as f64;
     let bias = shifts.iter().sum::<f64>() / n;
     let variance = shifts.iter().map(|shift| (shift - bias).powi(2)).sum::<f64>() / (n - 1.0);
     let quantile = StudentsT::new(0.0, 1.0, n - 1.0).map_or(1.96, |t| t.inverse_cdf(0.975));
-    let half = quantile * (variance * (1.0 + 1.0 / n)).sqrt();
-    let value = value - bias;
+    let mut variance = variance * (1.0 + 1.0 / n);
+    let (away, left) = (value - neutral, value - bias - neutral);
+    let value = if left * away.signum() > 0.3 * away.abs() {
+        value - bias
+    } else {
+        variance += bias * bias;
+        value
+    };
+    let half = quantile * variance.sqrt();
     Number { value, lo: value - half, hi: value + half, unit }
 }
 
@@ -218,8 +257,10 @@ mod tests {
     /// Steps of 1, 2, 3 from the truth: a bias of 2 and a spread of 1.
     #[test]
     fn a_bias_is_taken_off() {
-        let number = corrected(10.0, &[1.0, 2.0, 3.0], "m");
+        let number = corrected(10.0, 0.0, &[1.0, 2.0, 3.0], "m");
         assert!((number.value - 8.0).abs() < 1e-12);
         assert!((number.hi - 8.0 - 4.302_653 * (4.0_f64 / 3.0).sqrt()).abs() < 1e-5, "{}", number.hi);
+        let doubtful = corrected(2.5, 0.0, &[1.0, 2.0, 3.0], "m");
+        assert!((doubtful.value - 2.5).abs() < 1e-12 && doubtful.lo < 0.0 && doubtful.hi > 5.0);
     }
 }
