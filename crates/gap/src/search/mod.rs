@@ -315,7 +315,10 @@ impl<'a> State<'a> {
         let logs: Vec<f64> = last.null.fits.iter().map(|fit| fit.nuisances.block_density.ln()).collect();
         let mean = logs.iter().sum::<f64>() / logs.len() as f64;
         let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
-        let truth = (last.fitted.nuisances.block_density * self.blocks.density_over_fit).ln();
+        // The fit's bias by the last round's own simulated logs: the first one's is of a world without the effects.
+        let fitted = last.fitted.nuisances.block_density.ln();
+        let simulated = fitted + self.blocks.density_over_fit.ln();
+        let truth = fitted + simulated - mean;
         let z = truth / error;
         // As rare as one false alarm among all effects.
         let p = statrs::function::erf::erfc(z.abs() / std::f64::consts::SQRT_2);
