@@ -1,6 +1,7 @@
 //! Simulated logs along the recorded poses, with blocks that stay as long as the log's and a reference that errs as its.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 
 use locsim_core::{Draw, Pose2, Stage};
 use locsim_world::effect::Effect;
@@ -11,6 +12,7 @@ use rayon::prelude::*;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::nominal::BlockPolicy;
 use crate::statistics::{OBJECT_CELL_M, cell_at};
+use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
 /// A fitted simulator: it can replay the log.
@@ -173,6 +175,38 @@ pub(crate) fn fit_persistence(
         .collect::<Result<Vec<f64>, GapError>>()?;
     let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
     Ok(BlockTruth { resample, density_over_fit: (fitted.nuisances.block_density / mean).clamp(0.5, 2.0) })
+}
+
+impl BlockTruth {
+    /// The same blocks in a world with effects, in which the fit of their density may be biased otherwise.
+    pub fn in_world(
+        self,
+        nominal: &Nominal,
+        recorded: &Recorded,
+        views: &Arc<Views<'_>>,
+        effects: &[Effect],
+        fitted: &Fitted,
+        seed: u64,
+    ) -> Result<Self, GapError> {
+        if nominal.blocks.is_none() || effects.is_empty() {
+            return Ok(self);
+        }
+        let all = nominal.effects_with(effects)?;
+        let replay = Replay { nominal, recorded, effects, nuisances: fitted.nuisances, blocks: self };
+        let draw = Draw::new(seed, Stage::Trial, 13);
+        let densities = (0..12)
+            .into_par_iter()
+            .map(|i| {
+                let simulated = replay.simulate(draw.seed(i))?;
+                let comparison = Comparison { nominal, recorded: &simulated, views: Arc::clone(views) };
+                let refitted = comparison.fit_nuisances_with(&all, &fitted.nuisances, 4);
+                Ok(refitted.nuisances.block_density)
+            })
+            .collect::<Result<Vec<f64>, GapError>>()?;
+        let mean = densities.iter().sum::<f64>() / densities.len() as f64;
+        let simulated = fitted.nuisances.block_density * self.density_over_fit;
+        Ok(Self { density_over_fit: (simulated / mean).clamp(0.5, 2.0), ..self })
+    }
 }
 
 /// Numbers of scans after which blocks are looked for where they were.

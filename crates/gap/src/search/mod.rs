@@ -83,6 +83,7 @@ struct Round<'a> {
     effects: Vec<Effect>,
     comparison: Comparison<'a>,
     fitted: Fitted,
+    blocks: BlockTruth,
     dictionary: Dictionary,
     null: Null,
 }
@@ -240,6 +241,9 @@ impl<'a> State<'a> {
         let views = Arc::new(Views::new(self.nominal, self.recorded, &all));
         let comparison = Comparison { nominal: self.nominal, recorded: self.recorded, views };
         let fitted = comparison.fit_nuisances_with(&all, &nuisances, 20);
+        let seed = Draw::new(self.options.seed, Stage::Trial, 9).seed(effects.len() as u32);
+        let blocks =
+            self.blocks.in_world(self.nominal, self.recorded, &comparison.views, &effects, &fitted, seed)?;
         let dictionary = Dictionary::new(&comparison);
         let replicates = self.options.replicates;
         self.progress.stage(
@@ -251,9 +255,8 @@ impl<'a> State<'a> {
             recorded: self.recorded,
             effects: &effects,
             nuisances: fitted.nuisances,
-            blocks: self.blocks,
+            blocks,
         };
-        let seed = Draw::new(self.options.seed, Stage::Trial, 9).seed(effects.len() as u32);
         let tick = |ticks| self.progress.advance(ticks);
         let null = compare(
             &replay,
@@ -266,7 +269,7 @@ impl<'a> State<'a> {
             self.stop,
             &tick,
         )?;
-        Ok(Round { effects, comparison, fitted, dictionary, null })
+        Ok(Round { effects, comparison, fitted, blocks, dictionary, null })
     }
 
     /// Fits the kinds of effect whose statistics are farthest off.
@@ -317,7 +320,7 @@ impl<'a> State<'a> {
         let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
         // The fit's bias by the last round's own simulated logs: the first one's is of a world without the effects.
         let fitted = last.fitted.nuisances.block_density.ln();
-        let simulated = fitted + self.blocks.density_over_fit.ln();
+        let simulated = fitted + last.blocks.density_over_fit.ln();
         let truth = fitted + simulated - mean;
         let z = truth / error;
         // As rare as one false alarm among all effects.
@@ -386,7 +389,7 @@ impl<'a> State<'a> {
             recorded: self.recorded,
             effects: &round.effects,
             nuisances: round.fitted.nuisances,
-            blocks: self.blocks,
+            blocks: round.blocks,
         };
         let draw = Draw::new(self.options.seed, Stage::Trial, 10);
         (0..8).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()

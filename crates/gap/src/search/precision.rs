@@ -32,7 +32,7 @@ impl<'a> State<'a> {
             recorded: self.recorded,
             effects: &effects,
             nuisances: round.fitted.nuisances,
-            blocks: self.blocks,
+            blocks: round.blocks,
         };
         let draw = Draw::new(self.options.seed, Stage::Trial, 12);
         let logs = (0..LOGS)
