@@ -104,7 +104,8 @@ impl Replay<'_> {
     }
 }
 
-/// How long blocks stay in a log: the policy under which neighbouring scans share as many short readings.
+/// How long blocks stay in a log: the policy under which neighbouring scans share as many short readings. The bias of their
+/// density is left out; see [`BlockTruth::in_world`].
 pub(crate) fn fit_persistence(
     nominal: &Nominal,
     recorded: &Recorded,
@@ -164,21 +165,11 @@ pub(crate) fn fit_persistence(
             BlockResampling::Never => u32::MAX,
         })
         .unwrap_or(blocks.resample);
-    let replay = replay(resample);
-    let ratios = (0..12)
-        .into_par_iter()
-        .map(|i| {
-            let simulated = replay.simulate(draw.seed(100 + i))?;
-            let refitted = Comparison::new(nominal, &simulated).fit_nuisances(&fitted.nuisances, 4);
-            Ok(refitted.nuisances.block_density)
-        })
-        .collect::<Result<Vec<f64>, GapError>>()?;
-    let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
-    Ok(BlockTruth { resample, density_over_fit: (fitted.nuisances.block_density / mean).clamp(0.5, 2.0) })
+    Ok(BlockTruth { resample, density_over_fit: 1.0 })
 }
 
 impl BlockTruth {
-    /// The same blocks in a world with effects, in which the fit of their density may be biased otherwise.
+    /// The same blocks with the bias that the fit of their density has in a world with these effects, by simulated logs.
     pub fn in_world(
         self,
         nominal: &Nominal,
@@ -188,7 +179,7 @@ impl BlockTruth {
         fitted: &Fitted,
         seed: u64,
     ) -> Result<Self, GapError> {
-        if nominal.blocks.is_none() || effects.is_empty() {
+        if nominal.blocks.is_none() {
             return Ok(self);
         }
         let all = nominal.effects_with(effects)?;
