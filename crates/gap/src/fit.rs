@@ -23,6 +23,8 @@ pub(crate) struct Candidate {
     pub gains: Vec<f64>,
     /// 95 % interval of each number.
     pub intervals: Vec<[f64; 2]>,
+    /// Whether simulated logs say that the log is off in the effect's own direction, whatever else is looked at.
+    pub is_beyond_chance: bool,
 }
 
 impl Candidate {
@@ -148,7 +150,8 @@ impl Search<'_, '_> {
                 | EffectKind::SectorOcclusion
         );
         let stay = self.start.nuisances.pose_error.is_none() && !of_blocks;
-        Ok(self.comparison.evaluate(&self.with(effect), self.start, u32::from(!stay) as usize)?.total())
+        let fitted = self.comparison.evaluate(&self.with(effect), self.start, u32::from(!stay) as usize)?;
+        Ok(fitted.total() + log_prior(effect))
     }
 
     fn with(&self, effect: &Effect) -> Vec<Effect> {
@@ -162,17 +165,36 @@ impl Search<'_, '_> {
         self.comparison.refit(&self.with(effect), self.start, 12)
     }
 
+    /// The most likely numbers near a start: of a shape that isn't known well the strength first, or a strength that is far
+    /// off drives the shape to where it makes up for it.
     fn maximize(&self, kind: EffectKind, start: &Start) -> Result<(f64, Effect), GapError> {
+        if vague_numbers(kind).next().is_none() {
+            return self.maximize_over(kind, start, fitted_numbers(kind));
+        }
+        let (_, effect) = self.maximize_over(kind, start, 1)?;
+        let start = Start { values: effect.values, place: effect.place };
+        self.maximize_over(kind, &start, fitted_numbers(kind))
+    }
+
+    /// The same over the first so many numbers.
+    fn maximize_over(
+        &self,
+        kind: EffectKind,
+        start: &Start,
+        numbers: usize,
+    ) -> Result<(f64, Effect), GapError> {
         let parameters = kind.parameters();
         let scales: Vec<f64> = parameters
             .iter()
-            .take(fitted_numbers(kind))
+            .take(numbers)
             .zip(&start.values)
             .enumerate()
             .map(|(i, (p, &value))| scale(kind, i, p, value))
             .collect();
         let problem = Problem { search: self, kind, start, scales: &scales };
         let origin = vec![0.0; scales.len()];
+        // What can't be together is refused here; within the solver it would be a panic.
+        self.comparison.effects(&self.with(&problem.effect(&origin)?))?;
         if kind == EffectKind::Quantization {
             // A step is right or it isn't.
             let effect = problem.effect(&origin)?;
@@ -211,7 +233,7 @@ impl Search<'_, '_> {
         if effect.kind == EffectKind::Quantization {
             let gains = with.iter().zip(&without).map(|(a, b)| a - b).collect();
             let intervals = vec![[effect.values[0]; 2]];
-            return Ok(Candidate { effect, gains, intervals });
+            return Ok(Candidate { effect, gains, intervals, is_beyond_chance: false });
         }
         let numbers = fitted_numbers(effect.kind);
         let parameters = effect.kind.parameters();
@@ -221,7 +243,13 @@ impl Search<'_, '_> {
             for &(i, change) in changes {
                 other.values[i] = (other.values[i] + change).clamp(parameters[i].lo, parameters[i].hi);
             }
-            Ok(blocks(&self.evaluate(&other)?.scans))
+            let mut moved = blocks(&self.evaluate(&other)?.scans);
+            // What is typical holds for the log as a whole: each block has its share of it.
+            let typical = (log_prior(&other) - log_prior(&effect)) / moved.len() as f64;
+            for block in &mut moved {
+                *block += typical;
+            }
+            Ok(moved)
         };
         // A step that changes the likelihood by about half a nat.
         let mut steps = vec![0.0; numbers];
@@ -301,8 +329,66 @@ impl Search<'_, '_> {
             })
             .chain(effect.values[numbers..].iter().map(|&value| [value; 2]))
             .collect();
-        Ok(Candidate { effect, gains, intervals })
+        Ok(Candidate { effect, gains, intervals, is_beyond_chance: false })
     }
+}
+
+/// A number that a log may tell next to nothing about while another one of the effect makes up for it: a slow onset of losses
+/// at a steep angle is a fast one at a flatter angle.
+struct Vague {
+    number: usize,
+    /// Its logarithm, after this is added to it, is spread evenly; `None`: the number itself.
+    logarithm_of_more: Option<f64>,
+    /// Standard deviation about the typical value, of the number or the logarithm.
+    spread: f64,
+}
+
+impl Vague {
+    fn on_its_scale(&self, value: f64) -> f64 {
+        self.logarithm_of_more.map_or(value, |more| (value + more).max(1e-6).ln())
+    }
+
+    /// Log density of a value about another one that is `deviations` farther, up to a constant.
+    fn log_density(&self, value: f64, about: f64, deviations: f64) -> f64 {
+        let away = (self.on_its_scale(value) - self.on_its_scale(about)) / self.spread;
+        -0.5 * (away - deviations).powi(2)
+    }
+}
+
+/// The most vague numbers of an effect.
+pub(crate) const VAGUE: usize = 2;
+
+/// The vague numbers of an effect; typical are the values that fits start from.
+fn vague_numbers(kind: EffectKind) -> impl Iterator<Item = Vague> {
+    let log = |number, more, spread| Some(Vague { number, logarithm_of_more: Some(more), spread });
+    let numbers: [Option<Vague>; VAGUE] = match kind {
+        EffectKind::IncidenceDropout => {
+            [Some(Vague { number: 1, logarithm_of_more: None, spread: 0.25 }), log(2, 0.0, 0.7)]
+        }
+        EffectKind::RangeDropout => [log(1, 1.0, 0.7), None],
+        EffectKind::WarmupDrift => [log(1, 0.0, 1.5), None],
+        EffectKind::WheelSlip => [log(1, 0.0, 1.0), None],
+        _ => [None, None],
+    };
+    numbers.into_iter().flatten()
+}
+
+/// Log density of an effect's vague numbers about what is typical, up to a constant.
+fn log_prior(effect: &Effect) -> f64 {
+    let parameters = effect.kind.parameters();
+    vague_numbers(effect.kind)
+        .map(|vague| vague.log_density(effect.values[vague.number], parameters[vague.number].start, 0.0))
+        .sum()
+}
+
+/// The same as if what is typical had been told by chance: so many deviations from the effect `about`.
+pub(crate) fn log_prior_by_chance(effect: &Effect, about: &Effect, deviations: [f64; VAGUE]) -> f64 {
+    vague_numbers(effect.kind)
+        .zip(deviations)
+        .map(|(vague, deviations)| {
+            vague.log_density(effect.values[vague.number], about.values[vague.number], deviations)
+        })
+        .sum()
 }
 
 /// How many of an effect's numbers are fitted; those after keep their start. Single readings tell of bursts only how
@@ -420,5 +506,30 @@ pub(crate) fn invert(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
             return right;
         }
         ridge = if ridge == 0.0 { 0.01 } else { 2.0 * ridge };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dropout(width: f64) -> Effect {
+        Effect::new(EffectKind::IncidenceDropout, vec![0.1, 1.2, width], Vec::new()).unwrap()
+    }
+
+    /// Half and twice what is typical are as far from it; effects without a vague number have no prior.
+    #[test]
+    fn a_vague_number_is_drawn_to_what_is_typical() {
+        let typical = EffectKind::IncidenceDropout.parameters()[2].start;
+        let [at, half, twice] = [1.0, 0.5, 2.0].map(|factor| log_prior(&dropout(factor * typical)));
+        assert!(at.abs() < 1e-12 && (half - twice).abs() < 1e-12, "{at} {half} {twice}");
+        assert!((half + 0.5 * (2.0_f64.ln() / 0.7).powi(2)).abs() < 1e-12, "{half}");
+        let bias = Effect::new(EffectKind::RangeBias, vec![0.5], Vec::new()).unwrap();
+        assert!(log_prior(&bias).abs() < 1e-12);
+        // Told by chance, it is drawn to where chance says: here a factor of e^0.7 above.
+        let about = dropout(0.1);
+        let moved = dropout(0.1 * 0.7_f64.exp());
+        assert!(log_prior_by_chance(&moved, &about, [0.0, 1.0]).abs() < 1e-12);
+        assert!((log_prior_by_chance(&about, &about, [0.0, 1.0]) + 0.5).abs() < 1e-12);
     }
 }

@@ -46,6 +46,12 @@ pub(crate) struct Null {
 }
 
 impl Null {
+    /// Whether the log is so far beyond all replicates that more of them would not make it a log without anything.
+    pub fn is_clearly_off(&self) -> bool {
+        let own = self.weight.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        matches!(self.largest[..], [.., most] if own > most + FARTHER)
+    }
+
     /// The weight that the largest of a log without anything exceeds with this chance.
     pub fn weight_at(&self, chance: f64) -> f64 {
         let rank = ((1.0 - chance) * self.largest.len() as f64) as usize;
@@ -92,14 +98,16 @@ pub(crate) fn compare(
         }
         begun = end;
         let null = rank(dictionary, &own, &statistics);
-        if begun == replicates || null.p > CLEARLY_NOTHING {
+        if begun == replicates || null.p > CLEARLY_NOTHING || null.is_clearly_off() {
             tick(u64::from(replicates - begun));
             return Ok(Null { fits, ..null });
         }
     }
 }
 
-/// After so many replicates a log that is off no more than this share of them is left alone: that more of them would make
-/// it a discovery is as good as impossible, and only what all of them say is one (Besag and Clifford 1991).
+/// After so many replicates those are spared that can't change the answer (Besag and Clifford 1991): of a log that more than
+/// this share of them exceed, and of one that is beyond all of them by so many nats, which e^-3 of the one log in 200 are
+/// that is beyond all of them by chance.
 const FIRST_LOOK: u32 = 199;
 const CLEARLY_NOTHING: f64 = 0.1;
+const FARTHER: f64 = 3.0;

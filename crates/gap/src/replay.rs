@@ -55,7 +55,7 @@ impl Replay<'_> {
     }
 
     /// True poses of a log whose reference is the recorded one.
-    fn true_poses(&self, seed: u64) -> Vec<Pose2> {
+    pub fn true_poses(&self, seed: u64) -> Vec<Pose2> {
         let process = self.nuisances.pose_error;
         let poses = &self.recorded.poses;
         if process.is_none() {

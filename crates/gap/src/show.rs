@@ -10,7 +10,7 @@ use statrs::function::erf::erfc;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::null::Null;
 use crate::outcome::{BeamPit, PitHistogram, Region};
-use crate::statistics::{Aim, Cell, Covariate, Dictionary, WALL_CELL_M, pit_draw};
+use crate::statistics::{Aim, Cell, Covariate, Deviation, Dictionary, WALL_CELL_M, pit_draw};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
@@ -243,10 +243,10 @@ impl Dictionary {
     /// The beams of an omnibus cell.
     fn beams_in(&self, index: usize) -> Vec<u32> {
         let Aim::Cell(cell) = &self.aims[index] else { return Vec::new() };
-        if matches!(cell.covariate, Covariate::Scan | Covariate::Pit) {
+        if matches!(cell.covariate, Covariate::Scan | Covariate::Pit | Covariate::Ratio) {
             return (0..self.cells_of_beams().len() as u32).collect();
         }
-        let first = index - (index - self.first_cell()) % 4;
+        let first = index - (index - self.first_cell()) % Deviation::OF_BINS.len();
         (0..self.cells_of_beams().len() as u32)
             .filter(|&i| self.cells_of_beams()[i as usize].contains(&(first as u32)))
             .collect()

@@ -16,7 +16,7 @@ use locsim_world::simulation::BlockResampling;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::hidden::Regime;
+use crate::hidden::{OtherForm, Regime, Truth, record_other};
 use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
 use crate::replay::{BlockTruth, Replay};
 use crate::views::Views;
@@ -71,20 +71,23 @@ impl<'a> Strength<'a> {
         Nuisances { pose_error: self.regime.pose_error.unwrap_or(PoseError::NONE), ..Nuisances::default() }
     }
 
-    fn simulate(&self, effects: &[Effect], number: u32) -> Result<Recorded, GapError> {
+    fn replay<'r>(&'r self, effects: &'r [Effect]) -> Replay<'r> {
         let resample = if self.regime.persistent_blocks {
             BlockResampling::Never
         } else {
             self.nominal.blocks.map_or(BlockResampling::EachObservation, |blocks| blocks.resample)
         };
-        let replay = Replay {
+        Replay {
             nominal: self.nominal,
             recorded: self.recorded,
             effects,
             nuisances: self.nuisances(),
             blocks: BlockTruth { resample, density_over_fit: 1.0 },
-        };
-        replay.simulate(self.draw.seed(number))
+        }
+    }
+
+    fn simulate(&self, effects: &[Effect], number: u32) -> Result<Recorded, GapError> {
+        self.replay(effects).simulate(self.draw.seed(number))
     }
 
     fn log_likelihood(&self, log: &Recorded, effects: &Effects, views: &Views<'_>) -> f64 {
@@ -94,11 +97,28 @@ impl<'a> Strength<'a> {
         comparison.evaluate_views(views, effects, &start, iterations).total()
     }
 
-    /// lambda of an effect.
+    /// A simulated log with an effect in another form than the library's.
+    fn simulate_other(&self, form: OtherForm, effect: &Effect, number: u32) -> Result<Recorded, GapError> {
+        let seed = self.draw.seed(number);
+        let truth = Truth::new(self.recorded.secs.clone(), self.replay(&[]).true_poses(seed))?;
+        // The error of the reference is in the true poses already.
+        let regime = Regime { pose_error: None, ..self.regime };
+        let drive = record_other(self.nominal, &truth, form, &effect.values, &effect.place, regime, seed)?;
+        let readings = drive
+            .steps
+            .iter()
+            .flat_map(|step| self.recorded.kept.iter().map(|&beam| step.scan.ranges[beam]))
+            .collect();
+        let odometry = drive.steps.iter().map(|step| step.odometry).collect();
+        Ok(self.recorded.with(readings, odometry))
+    }
+
+    /// lambda of an effect; in another form than the library's, lambda in the direction of the library's, which is the
+    /// information that a test has that takes the effect to be as the library says.
     ///
     /// # Errors
     /// As the simulator's.
-    pub fn information(&self, effect: &Effect) -> Result<f64, GapError> {
+    pub fn information(&self, effect: &Effect, form: Option<OtherForm>) -> Result<f64, GapError> {
         let effects = &[evenly_spread(effect)];
         let all = self.nominal.effects_with(effects)?;
         let views = Views::new(self.nominal, self.recorded, &all);
@@ -106,7 +126,10 @@ impl<'a> Strength<'a> {
         let with = (0..LOGS)
             .into_par_iter()
             .map(|i| {
-                let log = self.simulate(effects, i)?;
+                let log = match form {
+                    Some(form) => self.simulate_other(form, &effects[0], i)?,
+                    None => self.simulate(effects, i)?,
+                };
                 Ok(ratio(&log, self.log_likelihood(&log, &self.nominal.effects, &self.views)))
             })
             .collect::<Result<Vec<f64>, GapError>>()?;
@@ -119,7 +142,7 @@ impl<'a> Strength<'a> {
         };
         let ((mean, variance), (mean_without, variance_without)) = (moments(&with), moments(&nothing));
         // Of an effect that is lost in rounding neither mean nor variance says anything.
-        Ok((mean - mean_without).max(0.0).powi(2) / (0.5 * (variance + variance_without)).max(1e-6))
+        Ok((mean - mean_without).powi(2) / (0.5 * (variance + variance_without)).max(1e-6))
     }
 
     /// The strength of an effect whose information is `lambda`: number `index` of `effect` is scaled about its neutral
@@ -127,7 +150,13 @@ impl<'a> Strength<'a> {
     ///
     /// # Errors
     /// As the simulator's.
-    pub fn with_information(&self, effect: &Effect, index: usize, lambda: f64) -> Result<Effect, GapError> {
+    pub fn with_information(
+        &self,
+        effect: &Effect,
+        index: usize,
+        form: Option<OtherForm>,
+        lambda: f64,
+    ) -> Result<Effect, GapError> {
         let parameter = &effect.kind.parameters()[index];
         let scaled = |factor: f64| -> Effect {
             let mut scaled = effect.clone();
@@ -140,7 +169,7 @@ impl<'a> Strength<'a> {
         let mut tried: Vec<(f64, f64)> = Vec::new();
         let mut factor: f64 = 1.0;
         for _ in 0..STEPS {
-            let now = self.information(&scaled(factor))?.max(1e-3 * lambda);
+            let now = self.information(&scaled(factor), form)?.max(1e-3 * lambda);
             let off = (lambda / now).ln();
             tried.push((factor.ln(), off));
             if off.abs() < CLOSE.ln() {

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use glam::DVec2;
 use locsim_core::Pose2;
-use locsim_gap::hidden::{Regime, Truth, record_library};
+use locsim_gap::hidden::{OtherForm, Regime, Truth, record_library};
 use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find, oracle_power};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::map::{Polyline, VectorMap};
@@ -13,6 +13,11 @@ use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, OdometryNoise};
 
 fn nominal() -> Nominal {
+    nominal_with(Vec::new())
+}
+
+/// A room whose laser loses and invents a few readings, with more effects.
+fn nominal_with(more: Vec<Effect>) -> Nominal {
     let outline = Polyline {
         points_m: vec![[0.0, 0.0], [7.0, 0.0], [7.0, 3.0], [4.0, 3.0], [4.0, 4.0], [0.0, 4.0]],
         ..Polyline::default()
@@ -40,10 +45,9 @@ fn nominal() -> Nominal {
         speed_m_s: [0.0; 2],
         clearance_m: 0.35,
     };
-    let own = vec![
-        Effect::new(EffectKind::RangeDropout, vec![0.01, 0.0], Vec::new()).unwrap(),
-        Effect::new(EffectKind::Crosstalk, vec![0.005, 1.0], Vec::new()).unwrap(),
-    ];
+    let mut own =
+        vec![effect(EffectKind::RangeDropout, &[0.01, 0.0]), effect(EffectKind::Crosstalk, &[0.005, 1.0])];
+    own.extend(more);
     let odometry = OdometryNoise::new([0.02, 0.005, 0.01, 0.005]).unwrap();
     let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
     Nominal::new(map, laser, Some(blocks), odometry, Effects::new(own).unwrap(), 1).unwrap()
@@ -110,6 +114,18 @@ fn a_hidden_effect_is_named_with_its_number() {
     }
 }
 
+/// A world has one way of slipping: where the simulator has it already, distances that are too long are something else.
+#[test]
+fn slips_are_not_named_twice() {
+    let nominal = nominal_with(vec![effect(EffectKind::WheelSlip, &[0.05, 0.5])]);
+    let hidden = effect(EffectKind::OdomDistanceScale, &[0.15]);
+    let outcome = search(&nominal, &log(&nominal, &[hidden], Regime::default(), 3), Vec::new());
+    let slips = outcome.directions.iter().find(|direction| direction.name == EffectKind::WheelSlip).unwrap();
+    assert!(slips.z > 4.0, "the log is off as by slips: {}", slips.z);
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert_eq!(names, [EffectKind::OdomDistanceScale]);
+}
+
 /// A log whose effect was taken out of the library is off, and isn't explained away.
 #[test]
 fn what_the_library_lacks_is_not_explained() {
@@ -155,11 +171,29 @@ fn strengths_have_the_information_that_is_asked_for() {
     let bias = effect(EffectKind::RangeBias, &[0.005]);
     let regime = Regime::default();
     let strength = |seed| Strength::new(&nominal, &recorded, regime, seed).unwrap();
-    let strong = strength(9).with_information(&bias, 0, 100.0).unwrap();
-    let found = strength(10).information(&strong).unwrap();
+    let strong = strength(9).with_information(&bias, 0, None, 100.0).unwrap();
+    let found = strength(10).information(&strong, None).unwrap();
     assert!((found - 100.0).abs() < 50.0, "{found}");
     // 160 scans of 24 beams, about nine of ten on walls, sigma 1 cm.
     let normal = (strong.values[0] / 0.01).powi(2) * 160.0 * 24.0;
     assert!((0.6 * normal..1.2 * normal).contains(&found), "{found} of {normal}");
     assert!((oracle_power(13.03, 0.01) - 0.9).abs() < 0.003);
+}
+
+/// In another form an effect has the information of that form: a scale of distances that holds forward only is the same on a
+/// drive forward, and a bias that grows less with the incidence is less.
+#[test]
+fn another_form_has_its_own_information() {
+    let nominal = nominal();
+    let recorded = log(&nominal, &[], Regime::default(), 8);
+    let strength = Strength::new(&nominal, &recorded, Regime::default(), 9).unwrap();
+    let ratio = |kind, value, form| {
+        let effect = effect(kind, &[value]);
+        let [own, other] = [None, Some(form)].map(|form| strength.information(&effect, form).unwrap());
+        other / own
+    };
+    let scale = ratio(EffectKind::OdomDistanceScale, 0.05, OtherForm::OdomDistanceScale);
+    assert!((0.9..1.1).contains(&scale), "{scale}");
+    let bias = ratio(EffectKind::IncidenceBias, 0.002, OtherForm::IncidenceBias);
+    assert!((0.05..0.7).contains(&bias), "{bias}");
 }

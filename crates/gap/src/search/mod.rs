@@ -19,7 +19,7 @@ use crate::fit::{Candidate, Search, Start, blocks};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::null::{Null, compare};
 use crate::outcome::{
-    Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
+    Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Rival, Verdict,
 };
 use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::show::{Side, distance, histograms, locate, pits};
@@ -61,6 +61,10 @@ impl Default for GapOptions {
 const FAR_OFF: f64 = 0.1;
 /// The same for what may be left when nothing is off any more.
 const SOMEWHAT_OFF: f64 = 0.5;
+
+/// So many of the first round's effects are tried alone where several were named, after a glance at so many simulated logs.
+const TRIED_ALONE: usize = 9;
+const GLANCE: u32 = 19;
 
 /// A score so many standard deviations off is of something strong.
 const BEYOND_DOUBT: f64 = 10.0;
@@ -106,123 +110,47 @@ pub fn find(
     let blocks = fit_persistence(nominal, recorded, &fitted, options.seed)?;
     progress.advance(1);
     let state = State { nominal, recorded, options, progress, stop, blocks };
-    let first = state.round(Vec::new(), fitted.nuisances)?;
-    let mut rounds = vec![first];
-    let mut named: Vec<Named> = Vec::new();
-    let mut rivals = Vec::new();
-    let mut gains: Vec<Vec<f64>> = Vec::new();
-    let mut remaining: Option<Candidate> = None;
-    loop {
-        let round = &rounds[rounds.len() - 1];
-        let off = round.null.p <= options.false_alarm;
-        if !off && named.is_empty() {
-            break;
-        }
-        let (count, chance) = if off { (options.fitted_kinds, FAR_OFF) } else { (3, SOMEWHAT_OFF) };
-        let candidates = state.candidates(round, count, chance)?;
-        let accepted = if off && named.len() < options.most_effects { choose(&candidates) } else { None };
-        let Some(best) = accepted else {
-            remaining = candidates.into_iter().max_by(|a, b| a.gain().total_cmp(&b.gain()));
-            break;
-        };
-        rivals.extend(compare_rivals(&candidates, &candidates[best], rounds.len()));
-        gains.push(candidates[best].gains.clone());
-        let more = name(&candidates, best, round.null.p, recorded.scans());
-        match named.iter().position(|known| adds_up(&known.effect, &more.effect)) {
-            Some(known) if rounds.len() > 2 * options.most_effects => {
-                // It doesn't settle.
-                named[known].effect = sum_of(&named[known].effect, &more.effect)?;
-                break;
-            }
-            Some(known) => {
-                named[known].effect = sum_of(&named[known].effect, &more.effect)?;
-                state.refit(&mut named, known, &round.fitted)?;
-            }
-            None => named.push(more),
-        }
-        let effects: Vec<Effect> = named.iter().map(|named| named.effect.clone()).collect();
-        let next = state.round(effects, round.fitted.nuisances)?;
-        rounds.push(next);
-    }
-    if named.len() > 1 {
-        // What one was named for, a later one may explain: a strong yaw looks like noise at first.
-        let count = named.len();
-        let mut i = 0;
-        while i < named.len() {
-            let fitted = &rounds[rounds.len() - 1].fitted;
-            if state.refit(&mut named, i, fitted)? || named.len() == 1 {
-                i += 1;
-            } else {
-                named.remove(i);
-            }
-        }
-        if named.len() < count {
-            let effects: Vec<Effect> = named.iter().map(|named| named.effect.clone()).collect();
-            let next = state.round(effects, rounds[rounds.len() - 1].fitted.nuisances)?;
-            rounds.push(next);
-        }
-    }
-    if !named.is_empty() {
-        state.make_precise(&mut named, &rounds[rounds.len() - 1])?;
+    let mut path = state.name_effects(state.round(Vec::new(), fitted.nuisances, options.replicates)?)?;
+    state.delete(&mut path)?;
+    state.simplify(&mut path)?;
+    if !path.named.is_empty() {
+        state.make_precise(&mut path.named, &path.rounds[path.rounds.len() - 1])?;
     }
     // Deeper blocks also stand in the way of more beams.
-    let deeper = named.iter().any(|named| named.name == EffectKind::BlockDepth);
+    let deeper = path.named.iter().any(|named| named.name == EffectKind::BlockDepth);
     if !deeper && !options.without.contains(&EffectKind::BlockDensity) {
-        named.extend(state.block_density(&rounds[0], &rounds[rounds.len() - 1])?);
+        let more = state.block_density(path.first(), path.last())?;
+        path.named.extend(more);
     }
-    let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
-    let still_off = after.null.p <= options.false_alarm;
-    let verdict = match (named.is_empty(), still_off) {
-        (true, true) => Verdict::Unexplained,
-        (true, false) => Verdict::None,
-        (false, true) => Verdict::PartlyExplained,
-        (false, false) if named.iter().any(|named| named.candidates.len() > 1) => Verdict::Ambiguous,
-        (false, false) => Verdict::Named,
-    };
-    let detectable = detectable(before);
-    let blind = detectable.iter().filter(|d| d.value > d.typical).count();
-    let verdict = if verdict == Verdict::None && 2 * blind > detectable.len() {
-        Verdict::Underpowered
-    } else {
-        verdict
-    };
-    progress.stage("measuring the gap", 1);
-    let (old, new) = (state.replay(before)?, state.replay(after)?);
-    let side = [before, after].map(|round| Side { dictionary: &round.dictionary, null: &round.null });
-    let regions = locate(&side[0], &side[1], &before.comparison.views, recorded, &old);
-    let gap = state.gap(before, after, &gains, remaining.as_ref(), &old, &new);
-    let beam_pits = pits(
-        &before.comparison,
-        &before.fitted,
-        &after.comparison,
-        &after.fitted,
-        nominal,
-        &after.effects,
-        options.seed,
-    )?;
-    let pit = histograms(&before.comparison, &beam_pits);
-    progress.advance(1);
-    Ok(Outcome {
-        verdict,
-        effects: named,
-        detection: detection(&before.null),
-        detection_after: detection(&after.null),
-        regions,
-        gap,
-        filter: None,
-        rivals,
-        detectable,
-        directions: directions(before),
-        threshold: before.null.threshold,
-        nuisances: before.fitted.nuisances,
-        pit,
-        notes: notes(nominal, blocks.resample),
-        scans: recorded.scans(),
-        beams: recorded.beams(),
-        seed: options.seed,
-        seconds: 0.0,
-        beam_pits,
-    })
+    state.outcome(path)
+}
+
+/// The way from the nominal world to the named effects.
+struct Path<'a> {
+    /// The nominal world first, the one with all effects last.
+    rounds: Vec<Round<'a>>,
+    named: Vec<Named>,
+    /// What the first round's fits were.
+    first_fits: Vec<Candidate>,
+    rivals: Vec<Rival>,
+    /// What each round's choice gained, block by block.
+    gains: Vec<Vec<f64>>,
+    /// What would gain most on top.
+    remaining: Option<Candidate>,
+}
+
+impl<'a> Path<'a> {
+    fn first(&self) -> &Round<'a> {
+        &self.rounds[0]
+    }
+
+    fn last(&self) -> &Round<'a> {
+        &self.rounds[self.rounds.len() - 1]
+    }
+
+    fn effects(&self) -> Vec<Effect> {
+        self.named.iter().map(|named| named.effect.clone()).collect()
+    }
 }
 
 struct State<'a> {
@@ -235,8 +163,183 @@ struct State<'a> {
 }
 
 impl<'a> State<'a> {
+    /// Names the effect that gains most, adds it, and looks again, until nothing is off or nothing surely gains.
+    fn name_effects(&self, first: Round<'a>) -> Result<Path<'a>, GapError> {
+        let options = self.options;
+        let mut path = Path {
+            rounds: vec![first],
+            named: Vec::new(),
+            first_fits: Vec::new(),
+            rivals: Vec::new(),
+            gains: Vec::new(),
+            remaining: None,
+        };
+        loop {
+            let round = path.last();
+            let off = round.null.p <= options.false_alarm;
+            if !off && path.named.is_empty() {
+                break;
+            }
+            let (count, chance) = if off { (options.fitted_kinds, FAR_OFF) } else { (3, SOMEWHAT_OFF) };
+            let candidates = self.candidates(round, count, chance)?;
+            let accepted =
+                if off && path.named.len() < options.most_effects { choose(&candidates) } else { None };
+            let most = |a: &&Candidate, b: &&Candidate| a.gain().total_cmp(&b.gain());
+            let Some(best) = accepted else {
+                if let Some(best) = candidates.iter().max_by(most).filter(|_| off) {
+                    path.rivals.extend(compare_rivals(&candidates, best, path.rounds.len()));
+                }
+                path.remaining = candidates.into_iter().max_by(|a, b| a.gain().total_cmp(&b.gain()));
+                break;
+            };
+            let (p, fitted) = (round.null.p, round.fitted.clone());
+            path.rivals.extend(compare_rivals(&candidates, &candidates[best], path.rounds.len()));
+            path.gains.push(candidates[best].gains.clone());
+            let more = name(&candidates, best, p, self.recorded.scans());
+            if path.rounds.len() == 1 {
+                path.first_fits = candidates;
+            }
+            match path.named.iter().position(|known| adds_up(&known.effect, &more.effect)) {
+                Some(known) => {
+                    path.named[known].effect = sum_of(&path.named[known].effect, &more.effect)?;
+                    if path.rounds.len() > 2 * options.most_effects {
+                        // It doesn't settle.
+                        break;
+                    }
+                    self.refit(&mut path.named, known, &fitted)?;
+                }
+                None => path.named.push(more),
+            }
+            let next = self.round(path.effects(), fitted.nuisances, options.replicates)?;
+            path.rounds.push(next);
+        }
+        Ok(path)
+    }
+
+    /// What an effect was named for, a later one may explain: a strong yaw looks like noise at first.
+    fn delete(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        if path.named.len() < 2 {
+            return Ok(());
+        }
+        let count = path.named.len();
+        let mut i = 0;
+        while i < path.named.len() {
+            let fitted = &path.rounds[path.rounds.len() - 1].fitted;
+            if self.refit(&mut path.named, i, fitted)? || path.named.len() == 1 {
+                i += 1;
+            } else {
+                path.named.remove(i);
+            }
+        }
+        if path.named.len() < count {
+            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
+            path.rounds.push(next);
+        }
+        Ok(())
+    }
+
+    /// One effect that explains everything alone is better than several, even if others gain more one by one: unmapped blocks
+    /// that are deeper than expected and stay look like a missing object each.
+    fn simplify(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        if path.named.len() < 2 {
+            return Ok(());
+        }
+        let mut alone: Vec<usize> =
+            (0..path.first_fits.len()).filter(|&i| is_sure(&path.first_fits[i])).collect();
+        alone.sort_by(|&a, &b| path.first_fits[b].gain().total_cmp(&path.first_fits[a].gain()));
+        for &i in alone.iter().take(TRIED_ALONE) {
+            let (effects, nuisances) =
+                (vec![path.first_fits[i].effect.clone()], path.first().fitted.nuisances);
+            // Most are far from it, which few simulated logs can say.
+            if self.round(effects.clone(), nuisances, GLANCE)?.null.is_clearly_off() {
+                continue;
+            }
+            let round = self.round(effects, nuisances, self.options.replicates)?;
+            if round.null.p <= self.options.false_alarm {
+                continue;
+            }
+            let mut named = name(&path.first_fits, i, path.first().null.p, self.recorded.scans());
+            // Those that gain as much don't explain everything, or weren't tried.
+            (named.candidates, named.split_by) = (vec![named.name], None);
+            path.gains = vec![path.first_fits[i].gains.clone()];
+            path.named = vec![named];
+            path.rounds.truncate(1);
+            path.remaining = self
+                .candidates(&round, 3, SOMEWHAT_OFF)?
+                .into_iter()
+                .max_by(|a, b| a.gain().total_cmp(&b.gain()));
+            path.rounds.push(round);
+            break;
+        }
+        Ok(())
+    }
+
+    /// What is told of it all.
+    fn outcome(&self, path: Path<'a>) -> Result<Outcome, GapError> {
+        let State { nominal, recorded, options, .. } = *self;
+        let Path { rounds, named, rivals, gains, remaining, .. } = path;
+        let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
+        let still_off = after.null.p <= options.false_alarm;
+        let verdict = match (named.is_empty(), still_off) {
+            (true, true) => Verdict::Unexplained,
+            (true, false) => Verdict::None,
+            (false, true) => Verdict::PartlyExplained,
+            (false, false) if named.iter().any(|named| named.candidates.len() > 1) => Verdict::Ambiguous,
+            (false, false) => Verdict::Named,
+        };
+        let detectable = detectable(before);
+        let blind = detectable.iter().filter(|d| d.value > d.typical).count();
+        let verdict = if verdict == Verdict::None && 2 * blind > detectable.len() {
+            Verdict::Underpowered
+        } else {
+            verdict
+        };
+        self.progress.stage("measuring the gap", 1);
+        let (old, new) = (self.replay(before)?, self.replay(after)?);
+        let side = [before, after].map(|round| Side { dictionary: &round.dictionary, null: &round.null });
+        let regions = locate(&side[0], &side[1], &before.comparison.views, recorded, &old);
+        let gap = self.gap(before, after, &gains, remaining.as_ref(), &old, &new);
+        let beam_pits = pits(
+            &before.comparison,
+            &before.fitted,
+            &after.comparison,
+            &after.fitted,
+            nominal,
+            &after.effects,
+            options.seed,
+        )?;
+        let pit = histograms(&before.comparison, &beam_pits);
+        self.progress.advance(1);
+        Ok(Outcome {
+            verdict,
+            effects: named,
+            detection: detection(&before.null),
+            detection_after: detection(&after.null),
+            regions,
+            gap,
+            filter: None,
+            rivals,
+            detectable,
+            directions: directions(before),
+            threshold: before.null.threshold,
+            nuisances: before.fitted.nuisances,
+            pit,
+            notes: notes(nominal, self.blocks.resample),
+            scans: recorded.scans(),
+            beams: recorded.beams(),
+            seed: options.seed,
+            seconds: 0.0,
+            beam_pits,
+        })
+    }
+
     /// Fits the nuisances under these effects and simulates logs with them.
-    fn round(&self, effects: Vec<Effect>, nuisances: Nuisances) -> Result<Round<'a>, GapError> {
+    fn round(
+        &self,
+        effects: Vec<Effect>,
+        nuisances: Nuisances,
+        replicates: u32,
+    ) -> Result<Round<'a>, GapError> {
         let all = self.nominal.effects_with(&effects)?;
         let views = Arc::new(Views::new(self.nominal, self.recorded, &all));
         let comparison = Comparison { nominal: self.nominal, recorded: self.recorded, views };
@@ -245,7 +348,6 @@ impl<'a> State<'a> {
         let blocks =
             self.blocks.in_world(self.nominal, self.recorded, &comparison.views, &effects, &fitted, seed)?;
         let dictionary = Dictionary::new(&comparison);
-        let replicates = self.options.replicates;
         self.progress.stage(
             if effects.is_empty() { "simulating the nominal world" } else { "simulating with the effects" },
             u64::from(replicates),
@@ -298,15 +400,21 @@ impl<'a> State<'a> {
             })
             .collect::<Result<Vec<_>, _>>()?;
         let mut candidates: Vec<Candidate> = fits.into_iter().flatten().collect();
+        let beyond_chance = round.null.weight_at(self.options.false_alarm);
         for candidate in &mut candidates {
-            let own = round.dictionary.aims.iter().zip(&round.null.z).enumerate();
-            let off = own
-                .filter(|(_, (aim, _))| matches!(aim, Aim::Effect(kind, _) if *kind == candidate.kind()))
-                .map(|(i, (_, z))| round.dictionary.off(i, *z))
-                .fold(0.0, f64::max);
+            let is_own =
+                |(_, aim): &(usize, &Aim)| matches!(aim, Aim::Effect(kind, _) if *kind == candidate.kind());
+            let own = || round.dictionary.aims.iter().enumerate().filter(is_own).map(|(i, _)| i);
+            let off = own().map(|i| round.dictionary.off(i, round.null.z[i])).fold(0.0, f64::max);
+            let weight = own().map(|i| round.null.weight[i]).fold(f64::NEG_INFINITY, f64::max);
+            candidate.is_beyond_chance = weight >= beyond_chance;
             // A fit can be far better than its score where the effect is strong.
             if off < BEYOND_DOUBT {
                 candidate.limit(off * off);
+            }
+            // Many standard deviations are nothing where statistics are clumped, as objects among resting blocks.
+            if !candidate.is_beyond_chance {
+                candidate.limit(2.0 * weight.max(0.0));
             }
         }
         Ok(candidates)

@@ -26,13 +26,14 @@ pub fn sum_of(known: &Effect, more: &Effect) -> Result<Effect, GapError> {
     Ok(Effect::new(known.kind, values, known.place.clone())?)
 }
 
-/// Whether a candidate gains surely.
+/// Whether a candidate gains surely: by a standard error, that something is there the simulated logs have said; by half of
+/// one, where they have said so of this effect. The gain of a few rare events is never surer than their number.
 pub fn is_sure(candidate: &Candidate) -> bool {
-    candidate.gain() > 2.0 && candidate.gain() - candidate.gain_error() > 0.0
+    let errors = if candidate.is_beyond_chance { 0.5 } else { 1.0 };
+    candidate.gain() > 2.0 && candidate.gain() - errors * candidate.gain_error() > 0.0
 }
 
 /// The candidate that is named: it gains surely, most of all, or within one standard error of that with fewer numbers.
-/// Surely is by one standard error: that something is there, the simulated logs have said.
 pub fn choose(candidates: &[Candidate]) -> Option<usize> {
     let most = (0..candidates.len())
         .filter(|&i| is_sure(&candidates[i]))
@@ -143,4 +144,28 @@ pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) 
         .collect();
     rivals.sort_by(|a, b| b.gain_nats.value.total_cmp(&a.gain_nats.value));
     rivals
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Four blocks of 3, 0, 0 and 3 nats: 6 with an error of sqrt(12).
+    #[test]
+    fn a_gain_is_surer_where_simulated_logs_have_said_so() {
+        let bias = Effect::new(EffectKind::RangeBias, vec![0.01], Vec::new()).unwrap();
+        let candidate = |gains: Vec<f64>, is_beyond_chance| Candidate {
+            effect: bias.clone(),
+            gains,
+            intervals: Vec::new(),
+            is_beyond_chance,
+        };
+        assert!((gain(&[3.0, 0.0, 0.0, 3.0]).value - 6.0).abs() < 1e-12);
+        assert!((sum_error(&[3.0, 0.0, 0.0, 3.0]) - 12.0_f64.sqrt()).abs() < 1e-12);
+        assert!(is_sure(&candidate(vec![3.0, 0.0, 0.0, 3.0], false)));
+        // 3 with an error of 3: only where the effect's own direction is off.
+        assert!(!is_sure(&candidate(vec![3.0, 0.0, 0.0, 0.0], false)));
+        assert!(is_sure(&candidate(vec![3.0, 0.0, 0.0, 0.0], true)));
+        assert!(!is_sure(&candidate(vec![0.5; 4], true)));
+    }
 }

@@ -4,11 +4,12 @@ use std::sync::Arc;
 
 use locsim_core::{Draw, Stage};
 use locsim_world::effect::{Effect, EffectKind};
+use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Round, State};
-use crate::fit::{fitted_numbers, invert};
+use crate::fit::{VAGUE, fitted_numbers, invert, log_prior_by_chance};
 use crate::hypothesis::{Comparison, changes_views};
 use crate::null::REFIT;
 use crate::outcome::{Named, Number};
@@ -124,18 +125,22 @@ impl<'a> State<'a> {
                 } else {
                     Arc::clone(views)
                 };
-                Ok((all, views))
+                Ok((all, views, effects.swap_remove(index)))
             })
             .collect::<Result<Vec<_>, GapError>>()?;
-        let of_log = |log: &Recorded| {
+        let chance = Draw::new(self.options.seed, Stage::Trial, 14);
+        let of_log = |(number, log): (usize, &Recorded)| {
             let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(views) };
             let start = comparison.fit_nuisances_with(&variants[0].0, &round.fitted.nuisances, REFIT);
-            let total = |(effects, views): &(_, Arc<Views<'_>>)| {
-                comparison.evaluate_views(views, effects, &start, 1).total()
+            let mut chance = chance.item(number as u32);
+            let typical: [f64; VAGUE] = std::array::from_fn(|_| StandardNormal.sample(&mut chance));
+            let total = |(all, views, effect): &(_, Arc<Views<'_>>, Effect)| {
+                let likelihood = comparison.evaluate_views(views, all, &start, 1).total();
+                likelihood + log_prior_by_chance(effect, &effects[index], typical)
             };
             variants.iter().map(total).collect()
         };
-        Ok(logs.par_iter().map(of_log).collect())
+        Ok(logs.par_iter().enumerate().map(of_log).collect())
     }
 }
 
@@ -203,16 +208,17 @@ fn newton_steps(totals: &[Vec<f64>], steps: &[f64]) -> Option<Vec<Vec<f64>>> {
     Some(inverse.iter().map(|row| totals.iter().map(|t| step(row, t)).collect()).collect())
 }
 
-/// A fitted value less its bias, with the 95 % interval of its spread. A bias that would take away most of it is beyond what
-/// a Newton step can say: then the value stays, and the bias is part of its uncertainty.
+/// A fitted value less its bias, with the 95 % interval of its spread. A bias that would take away most of it, or
+/// that is large and surely so, is beyond what a Newton step can say: then the value stays, and the bias is part of its uncertainty.
 fn corrected(value: f64, neutral: f64, shifts: &[f64], unit: &'static str) -> Number {
     let n = shifts.len() as f64;
     let bias = shifts.iter().sum::<f64>() / n;
-    let variance = shifts.iter().map(|shift| (shift - bias).powi(2)).sum::<f64>() / (n - 1.0);
+    let spread = shifts.iter().map(|shift| (shift - bias).powi(2)).sum::<f64>() / (n - 1.0);
     let quantile = StudentsT::new(0.0, 1.0, n - 1.0).map_or(1.96, |t| t.inverse_cdf(0.975));
-    let mut variance = variance * (1.0 + 1.0 / n);
-    let (away, left) = (value - neutral, value - bias - neutral);
-    let value = if left * away.signum() > 0.3 * away.abs() {
+    let mut variance = spread * (1.0 + 1.0 / n);
+    let (away, left) = ((value - neutral).abs(), (value - bias - neutral) * (value - neutral).signum());
+    let is_plausible = left > 0.3 * away && (left < 1.3 * away || bias.abs() < 2.0 * spread.sqrt());
+    let value = if is_plausible {
         value - bias
     } else {
         variance += bias * bias;

@@ -18,11 +18,19 @@ impl<'a> State<'a> {
     /// such log.
     pub fn starts(&self, round: &Round<'a>, count: usize, chance: f64) -> Vec<(EffectKind, Vec<Start>)> {
         let least = round.null.weight_at(chance);
+        let is_there = |kind: EffectKind| {
+            let mut all = self.nominal.effects.list().iter().chain(&round.effects);
+            all.any(|effect| effect.kind == kind)
+        };
         let mut best: Vec<(EffectKind, f64, Directions)> = Vec::new();
         for (i, aim) in round.dictionary.aims.iter().enumerate() {
             let Aim::Effect(kind, _) = aim else { continue };
             // The density of blocks is fitted along with everything else; see `block_density`.
             if self.options.without.contains(kind) || *kind == EffectKind::BlockDensity {
+                continue;
+            }
+            // A world has one way of slipping.
+            if *kind == EffectKind::WheelSlip && is_there(*kind) {
                 continue;
             }
             let z = round.null.z[i];

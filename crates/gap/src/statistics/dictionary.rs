@@ -5,9 +5,9 @@ use locsim_world::effect::EffectKind;
 use locsim_world::effect::EffectKind as E;
 
 use super::{
-    Aim, Cell, Covariate, DROPOUT_ANGLES_DEG, DROPOUT_EXPONENTS, Deviation, Hint, LEAST_HAZARD,
-    OBJECT_CELL_M, SECTOR_RANGE_M, SECTORS, STEPS_M, WARM_UP_SECS, cell_at, just_seen, tangent_squared,
-    wall_cell, wall_corner,
+    Aim, Cell, Covariate, DROPOUT_ANGLES_DEG, DROPOUT_EXPONENTS, Deviation, Hint, LEAST_RISK, OBJECT_CELL_M,
+    RATIO_BIN, RATIO_BINS, SECTOR_RANGE_M, SECTORS, SLIP_SHARES, STEPS_M, WARM_UP_SECS, cell_at, just_seen,
+    tangent_squared, wall_cell, wall_corner,
 };
 use crate::hypothesis::Comparison;
 use crate::views::jumps;
@@ -47,11 +47,14 @@ pub(crate) struct Dictionary {
     pub(super) patterns: usize,
     pub(super) cells: usize,
     pub(super) whole: usize,
+    pub(super) ratios: usize,
     pub(super) cell_of: Vec<[u32; COVARIATES]>,
     pub(super) jumps: Vec<Option<[f64; 2]>>,
 }
 
 pub(super) const COVARIATES: usize = 9;
+/// Where the last bin of ratios ends.
+const MOST_RATIO: f64 = 1000.0;
 
 /// A direction in which every beam has a weight.
 #[derive(Clone)]
@@ -231,8 +234,12 @@ impl Dictionary {
         let depth = push(&mut aims, &mut counts, Aim::Effect(E::BlockDepth, Hint::None), false);
         let density = push(&mut aims, &mut counts, Aim::Effect(E::BlockDensity, Hint::None), false);
         let odometry = aims.len();
-        for kind in [E::OdomDistanceScale, E::OdomTurnScale, E::OdomImbalance, E::WheelSlip] {
+        for kind in [E::OdomDistanceScale, E::OdomTurnScale, E::OdomImbalance] {
             push(&mut aims, &mut counts, Aim::Effect(kind, Hint::None), false);
+        }
+        for share in SLIP_SHARES {
+            let hint = Hint::Values(vec![(1, share)]);
+            push(&mut aims, &mut counts, Aim::Effect(E::WheelSlip, hint), false);
         }
         let patterns = aims.len();
         for (kind, hint) in [
@@ -256,7 +263,8 @@ impl Dictionary {
                 let (x, y) = (end.x - from_end * heading.cos(), end.y - from_end * heading.sin());
                 let cell = cell_at(x, y, OBJECT_CELL_M);
                 objects.entry(cell).or_insert(0);
-                if beam.survival_at(back).1 > LEAST_HAZARD {
+                let clear_at = |range: f64| beam.survival_at(range).0;
+                if clear_at(back - 0.5 * OBJECT_CELL_M) - clear_at(back + 0.5 * OBJECT_CELL_M) > LEAST_RISK {
                     block_cells.insert(cell);
                 }
                 back += OBJECT_CELL_M;
@@ -272,7 +280,9 @@ impl Dictionary {
         let (mut object_windows, mut among_blocks) = (Vec::new(), Vec::new());
         for &[x, y] in &order {
             let window = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
-            among_blocks.push(window.iter().any(|cell| block_cells.contains(cell)));
+            // A cell more on every side: few of the blocks that the risks were sampled with reach as far as they can.
+            let is_near = |i: i32| block_cells.contains(&[x - 1 + i % 4, y - 1 + i / 4]);
+            among_blocks.push((0..16).any(is_near));
             object_windows.push(window.map(|cell| objects.get(&cell).copied().unwrap_or(u32::MAX)));
             push(&mut aims, &mut counts, Aim::Effect(E::MissingObject, Hint::Object([x, y])), true);
         }
@@ -353,15 +363,15 @@ impl Dictionary {
                     Covariate::TurnRate => interval(&turn_edges),
                     Covariate::Jump => interval(&jump_edges),
                     // These have cells of their own.
-                    Covariate::Scan | Covariate::Pit => (0.0, 0.0),
+                    Covariate::Scan | Covariate::Pit | Covariate::Ratio => (0.0, 0.0),
                     Covariate::BearingByTurnRate => {
                         let i = i / (coarse_turn.len() - 1);
                         (coarse_bearing[i], coarse_bearing[i + 1])
                     }
                 };
                 let place = (covariate == Covariate::Place).then(|| wall_corner(wall_order[i]));
-                for deviation in [Deviation::Mean, Deviation::Spread, Deviation::Short, Deviation::NoReturn] {
-                    let count = matches!(deviation, Deviation::Short | Deviation::NoReturn);
+                for deviation in Deviation::OF_BINS {
+                    let count = matches!(deviation, Deviation::Short | Deviation::NoReturn | Deviation::Long);
                     push(
                         &mut aims,
                         &mut counts,
@@ -381,6 +391,13 @@ impl Dictionary {
             let cell = Cell { covariate: Covariate::Pit, lo, hi, place: None, deviation: Deviation::Share };
             push(&mut aims, &mut counts, Aim::Cell(cell), false);
         }
+        let ratios = aims.len();
+        for i in 0..RATIO_BINS {
+            let lo = i as f64 * RATIO_BIN;
+            let hi = if i + 1 == RATIO_BINS { MOST_RATIO } else { lo + RATIO_BIN };
+            let cell = Cell { covariate: Covariate::Ratio, lo, hi, place: None, deviation: Deviation::Share };
+            push(&mut aims, &mut counts, Aim::Cell(cell), true);
+        }
         let cell_of = (0..n)
             .map(|i| {
                 let turns = coarse_turn.len() - 1;
@@ -396,7 +413,11 @@ impl Dictionary {
                     bin(&coarse_bearing, beam(i).view.bearing) * turns + bin(&coarse_turn, turn(i)),
                 ];
                 std::array::from_fn(|c| {
-                    if bins[c] == usize::MAX { u32::MAX } else { (cells + 4 * (starts[c] + bins[c])) as u32 }
+                    if bins[c] == usize::MAX {
+                        u32::MAX
+                    } else {
+                        (cells + Deviation::OF_BINS.len() * (starts[c] + bins[c])) as u32
+                    }
                 })
             })
             .collect();
@@ -427,6 +448,7 @@ impl Dictionary {
             patterns,
             cells,
             whole,
+            ratios,
             cell_of,
             jumps,
         }
@@ -483,7 +505,7 @@ impl Dictionary {
         self.dense.iter().any(|dense| dense.index == index)
     }
 
-    /// The omnibus cells of each beam: the index of the first of four statistics.
+    /// The omnibus cells of each beam: the index of the first of its statistics.
     pub fn cells_of_beams(&self) -> &[[u32; COVARIATES]] {
         &self.cell_of
     }

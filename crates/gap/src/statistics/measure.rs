@@ -3,13 +3,12 @@
 use std::f64::consts::TAU;
 
 use locsim_core::Draw;
-use locsim_world::effect::EffectKind as E;
 use rand::RngExt;
 
 use super::dictionary::{Dense, Dictionary};
 use super::{
-    BLOCK, Halves, OBJECT_CELL_M, SECTOR_RANGE_M, SECTORS, STEPS_M, cell_at, contaminated, just_seen,
-    wall_cell,
+    BLOCK, Halves, OBJECT_CELL_M, RATIO_BIN, RATIO_BINS, SECTOR_RANGE_M, SECTORS, SLIP_SHARES, STEPS_M,
+    cell_at, contaminated, just_seen, wall_cell,
 };
 use crate::hypothesis::{Comparison, Fitted};
 use crate::likelihood::{Density, Terms, near_density, normal_density};
@@ -20,6 +19,11 @@ impl Dictionary {
     /// Whether a reading is of something in front of what the map has there.
     pub fn is_in_front(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> bool {
         z < self.max && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1)
+    }
+
+    /// Whether a reading is of something behind what the map has there.
+    fn is_behind(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> bool {
+        z < self.max && z > beam.range() + shift + 5.0 * terms.sigma.min(0.1)
     }
 
     /// What a reading says of the share of beams that a wall lets through.
@@ -33,7 +37,7 @@ impl Dictionary {
             let sigma = terms.sigma.min(0.1);
             let far = beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, self.max));
             // What stands behind is often not on the map.
-            0.5 * far + if z > beam.range() + shift + 5.0 * sigma { 0.5 / self.max } else { 0.0 }
+            0.5 * far + if self.is_behind(beam, shift, z, terms) { 0.5 / self.max } else { 0.0 }
         } else {
             0.5
         };
@@ -125,7 +129,13 @@ impl Dictionary {
                 1.0 - terms.density.min(1.0) * pit.at(scan as u32).item(i as u32).random::<f64>()
             };
             let missing = f64::from(u8::from(!is_return && beam.range() < max));
-            let values = [u - 0.5, (u - 0.5).powi(2) - 1.0 / 12.0, terms.short, missing];
+            let beyond = is_return && self.is_behind(beam, shift, z, &terms);
+            let long = f64::from(u8::from(beyond));
+            let values = [u - 0.5, (u - 0.5).powi(2) - 1.0 / 12.0, terms.short, missing, long];
+            if is_return && (in_front || beyond) {
+                let bin = (z / ((beam.range() + shift) * RATIO_BIN)) as usize;
+                out[self.ratios + bin.min(RATIO_BINS - 1)][half] += 1.0;
+            }
             for (sum, value) in whole[scan].iter_mut().zip([values[0], values[2], values[3]]) {
                 *sum += value;
             }
@@ -195,20 +205,22 @@ impl Dictionary {
         let track = comparison.corrected(&fitted.corrections);
         let all = increments(comparison.nominal, effects, &track, &comparison.recorded.odometry);
         // Correlations, so that they don't depend on how large the reference's errors are taken to be.
-        let slip_share = E::WheelSlip.parameters()[1].start;
-        let mut sums = [[Correlation::default(); 4]; 2];
+        let seen = just_seen(all.len() as f64);
+        let mut sums = [[Correlation::default(); 3]; 2];
         for (scan, increment) in all.iter().enumerate() {
             let [distance, turn] = standardized(increment, &fitted.nuisances.odometry_error);
             let [ds, dtheta] = increment.truth;
             let error = &fitted.nuisances.odometry_error;
             let [of_distance, of_turn] = [0, 1].map(|axis| deviation(increment, error, axis));
-            let [scale, turn_scale, imbalance, slip] = &mut sums[(scan / BLOCK) % 2];
+            let half = (scan / BLOCK) % 2;
+            let [scale, turn_scale, imbalance] = &mut sums[half];
             scale.add(distance, ds / of_distance);
             turn_scale.add(turn, dtheta / of_turn);
             imbalance.add(turn, ds / of_turn);
-            let seen = just_seen(all.len() as f64);
-            let [longer, shorter] = slip_ratios(increment, error, slip_share).map(|r| contaminated(r, seen));
-            slip.add(longer - shorter, 1.0);
+            for (i, share) in SLIP_SHARES.into_iter().enumerate() {
+                let [longer, shorter] = slip_ratios(increment, error, share).map(|r| contaminated(r, seen));
+                out[self.odometry + sums[half].len() + i][half] += longer - shorter;
+            }
         }
         for (half, sums) in sums.iter().enumerate() {
             for (i, correlation) in sums.iter().enumerate() {

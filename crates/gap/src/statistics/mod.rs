@@ -25,9 +25,14 @@ const STEPS_M: [f64; 7] = [0.002, 0.003, 0.005, 0.01, 0.02, 0.025, 0.05];
 /// Angles from which, and ranges over whose power, returns may be lost.
 const DROPOUT_ANGLES_DEG: [f64; 5] = [30.0, 45.0, 60.0, 70.0, 80.0];
 const DROPOUT_EXPONENTS: [f64; 5] = [0.0, 1.0, 2.0, 4.0, 8.0];
-/// Blocks can stand where their density along a beam is more than this \[1/m\].
-const LEAST_HAZARD: f64 = 1e-4;
+/// Blocks can stand where they stop more than this share of beams in a cell's length.
+const LEAST_RISK: f64 = 1e-6;
+/// Shares by which slipping wheels may turn farther than the robot gets.
+const SLIP_SHARES: [f64; 2] = [0.2, 0.5];
 const WARM_UP_SECS: [f64; 4] = [5.0, 20.0, 60.0, 150.0];
+/// Bins of the ratio of a reading to the nominal range: of this width, up to this number of them.
+const RATIO_BIN: f64 = 0.1;
+const RATIO_BINS: usize = 31;
 /// Consecutive scans that are held out, located and drawn together \[scans\].
 pub(crate) const BLOCK: usize = 20;
 
@@ -57,6 +62,8 @@ pub enum Covariate {
     Scan,
     /// Every beam: the PIT's tenths, from `lo` to `hi`.
     Pit,
+    /// Reading over nominal range, of readings that are not of the surface \[1\].
+    Ratio,
 }
 
 /// What is off in a cell.
@@ -71,8 +78,15 @@ pub enum Deviation {
     Short,
     /// Share of missing returns.
     NoReturn,
-    /// Share of readings whose PIT lies in this tenth.
+    /// Share of readings of something behind what the map has there.
+    Long,
+    /// Share of readings that lie in this bin.
     Share,
+}
+
+impl Deviation {
+    /// Those that every bin of a covariate has a cell for, in the order of their statistics.
+    pub(crate) const OF_BINS: [Self; 5] = [Self::Mean, Self::Spread, Self::Short, Self::NoReturn, Self::Long];
 }
 
 /// A cell of the omnibus search.

@@ -169,6 +169,8 @@ pub(super) fn deviation_text(region: &Region) -> &'static str {
         (Deviation::Spread, false) => "readings spread too little",
         (Deviation::Short, true) => "too many readings of something in front",
         (Deviation::Short, false) => "too few readings of something in front",
+        (Deviation::Long, true) => "too many readings of something behind",
+        (Deviation::Long, false) => "too few readings of something behind",
         (Deviation::NoReturn, true) => "too many missing returns",
         (Deviation::NoReturn, false) => "too few missing returns",
     }
@@ -188,6 +190,7 @@ pub(super) fn span(covariate: Covariate, lo: f64, hi: f64) -> String {
         Covariate::BearingByTurnRate => ("bearing in turns", "deg", true),
         Covariate::Scan => ("scan", "", false),
         Covariate::Pit => ("PIT", "", false),
+        Covariate::Ratio => ("reading over nominal range", "", false),
     };
     let in_unit = |value: f64| if degrees { value.to_degrees() } else { value };
     let [lo, hi] = [lo, hi].map(in_unit);

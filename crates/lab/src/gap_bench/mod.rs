@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use locsim_core::{Draw, Drive, Stage};
 use locsim_dataset::{DatasetError, LogOptions, read_log, write_log};
-use locsim_gap::hidden::{Truth, record_library, record_other, record_outside};
+use locsim_gap::hidden::{OtherForm, Truth, record_library, record_other, record_outside};
 use locsim_gap::{GapError, GapOptions, Nominal, Number, Outcome, Recorded, Strength, Verdict, find};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
@@ -336,13 +336,15 @@ fn hide(
     let World { nominal, drive } = world;
     let regime = REGIMES[case.regime].1;
     let path = Truth::of(drive)?;
-    let strong = |effect: &Effect, index: usize| strength_of.with_information(effect, index, case.lambda);
+    let strong = |effect: &Effect, index: usize, form: Option<OtherForm>| {
+        strength_of.with_information(effect, index, form, case.lambda)
+    };
     let mut strength = Vec::new();
     let (effects, recorded) = match &case.hidden {
         Hidden::Library(list) => {
             let mut effects = Vec::new();
             for (effect, index) in list {
-                effects.push(strong(effect, *index)?);
+                effects.push(strong(effect, *index, None)?);
                 strength.push(effect.kind.parameters()[*index].name.to_owned());
             }
             let recorded = record_library(nominal, &path, &effects, regime, case.seed)?;
@@ -353,7 +355,7 @@ fn hide(
             (vec![effect.clone()], recorded)
         }
         Hidden::Other(form, effect, index) => {
-            let effect = strong(effect, *index)?;
+            let effect = strong(effect, *index, Some(*form))?;
             strength.push(effect.kind.parameters()[*index].name.to_owned());
             let recorded =
                 record_other(nominal, &path, *form, &effect.values, &effect.place, regime, case.seed)?;

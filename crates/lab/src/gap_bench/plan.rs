@@ -182,7 +182,9 @@ fn typical(kind: EffectKind, map: &ExactRangeMap, poses: &[Pose2], draw: &Draw) 
         }
         _ => {}
     }
-    let two_sided = kind.parameters()[index].lo < kind.parameters()[index].neutral;
+    // Blocks can be many times deeper, but no flatter than nothing.
+    let two_sided =
+        kind != EffectKind::BlockDepth && kind.parameters()[index].lo < kind.parameters()[index].neutral;
     if two_sided && rng.random::<bool>() {
         values[index] = 2.0 * kind.parameters()[index].neutral - values[index];
     }

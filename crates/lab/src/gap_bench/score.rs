@@ -102,6 +102,12 @@ fn is_found(found: &FoundFile) -> bool {
     !matches!(found.verdict.as_str(), "none" | "underpowered")
 }
 
+/// The first effect's strength, and what was found of it with its interval.
+pub(super) fn strength(truth: &TruthFile, found: &FoundFile) -> Option<(f64, [f64; 3])> {
+    let name = truth.strength.first()?;
+    Some((*truth.values.first()?.get(name)?, *found.numbers.first()?.get(name)?))
+}
+
 impl Score {
     pub(super) fn new(all: Vec<(TruthFile, FoundFile)>, planned: usize, replicates: u32, seed: u64) -> Self {
         let of = |group: Group| all.iter().filter(move |(truth, _)| truth.group == group);
@@ -144,10 +150,6 @@ impl Score {
         let in_set = Share::of(named().map(|(truth, found)| found.candidates[0].contains(&truth.effects[0])));
         let set_size = mean(named().map(|(_, found)| found.candidates[0].len() as f64));
         let right = || of(Group::Same).filter(|run| first_is_right(run));
-        let strength = |truth: &TruthFile, found: &FoundFile| -> Option<(f64, [f64; 3])> {
-            let name = truth.strength.first()?;
-            Some((*truth.values.first()?.get(name)?, *found.numbers.first()?.get(name)?))
-        };
         let coverage = Share::of(
             right()
                 .filter_map(|(truth, found)| strength(truth, found))

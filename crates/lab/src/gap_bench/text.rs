@@ -3,7 +3,7 @@ use std::fmt::Write;
 
 use super::library;
 use super::plan::Group;
-use super::score::{Score, Share};
+use super::score::{Score, Share, strength};
 
 fn share(share: &Share) -> String {
     match (share.value, share.interval) {
@@ -102,19 +102,104 @@ pub fn table(score: &Score) -> String {
     text
 }
 
-/// The whole report: table, confusion matrix, every log.
+/// The whole report: table, how good directions and numbers are, filters, confusion matrix, every log.
 pub fn report(score: &Score) -> String {
-    let mut text = format!(
+    format!(
         "# Hidden-effect suite\n\n{} of {} logs, {} simulated logs behind each p-value, seed {}. Shares with 95 % intervals \
-         (Clopper and Pearson).\n\n{}\n",
+         (Clopper and Pearson).\n\n{}\n{}{}{}{}{}",
         score.runs,
         score.planned,
         score.replicates,
         score.seed,
         table(score),
-    );
-    text += "## Confusion\n\nRows: what was hidden (one effect; same form and others together). Columns: the first name given. Numbers \
-             of logs.\n\n";
+        directions(score),
+        numbers(score),
+        filters(score),
+        confusion(score),
+        every_log(score),
+    )
+}
+
+/// How far logs are off in the direction of what is hidden, for what the best test has there.
+fn directions(score: &Score) -> String {
+    let mut efficiency: BTreeMap<&str, [Vec<f64>; 2]> = BTreeMap::new();
+    for (truth, found) in &score.all {
+        let form = match truth.group {
+            Group::Same => 0,
+            Group::Other => 1,
+            _ => continue,
+        };
+        if let Some(z) = found.directions.get(&truth.effects[0]) {
+            efficiency.entry(&truth.effects[0]).or_default()[form].push(z.abs() / truth.lambda.sqrt());
+        }
+    }
+    let mut text = "## Directions\n\nThe farthest of an effect's own statistics, in standard deviations of simulated logs, over \
+                    sqrt(lambda): 1 is what the best test has, or more, where it is the farthest of several. Means, and numbers of \
+                    logs.\n\n| effect | same form | other form |\n| --- | --- | --- |\n"
+        .to_owned();
+    let cell = |ratios: &Vec<f64>| match ratios.len() {
+        0 => "-".to_owned(),
+        n => format!("{:.2} ({n})", ratios.iter().sum::<f64>() / n as f64),
+    };
+    for (name, [same, other]) in efficiency {
+        let _ = writeln!(text, "| {name} | {} | {} |", cell(&same), cell(&other));
+    }
+    text.push('\n');
+    text
+}
+
+/// The strengths of effects in the library's form that were named, beside the true ones.
+fn numbers(score: &Score) -> String {
+    let mut text = "## Numbers\n\nStrengths of rightly named effects in the library's form; errors in units of the bound of Cramer \
+                    and Rao, strength / sqrt(lambda).\n\n| effect | lambda | true | found | error / bound | covered |\n| --- | --- \
+                    | --- | --- | --- | --- |\n"
+        .to_owned();
+    for (truth, found) in &score.all {
+        if truth.group != Group::Same || found.effects.first() != truth.effects.first() {
+            continue;
+        }
+        let Some((value, [estimate, lo, hi])) = strength(truth, found) else { continue };
+        let _ = writeln!(
+            text,
+            "| {} | {} | {value:.5} | {estimate:.5} [{lo:.5}, {hi:.5}] | {:.1} | {} |",
+            truth.effects[0],
+            truth.lambda,
+            (estimate - value) / value.abs() * truth.lambda.sqrt(),
+            if (lo..=hi).contains(&value) { "yes" } else { "no" },
+        );
+    }
+    text.push('\n');
+    text
+}
+
+/// Position errors of filters on logs with an effect that misleads them.
+fn filters(score: &Score) -> String {
+    let mut text = "## Filters\n\nPosition error of a filter (root mean square) whose models know the nominal simulator, the one \
+                    with the named effects, and the one with the hidden effect.\n\n| effect | named | before [m] | with the named \
+                    effects [m] | with the hidden effect [m] |\n| --- | --- | --- | --- | --- |\n"
+        .to_owned();
+    for (truth, found) in &score.all {
+        if let Some(filter) = &found.filter {
+            let _ = writeln!(
+                text,
+                "| {} | {} | {:.4} | {:.4} | {:.4} |",
+                truth.effects.join(", "),
+                found.effects.join(", "),
+                filter.before_m,
+                filter.after_m,
+                filter.with_truth_m,
+            );
+        }
+    }
+    text.push('\n');
+    text
+}
+
+/// What was hidden against what was named.
+fn confusion(score: &Score) -> String {
+    let mut text = "## Confusion\n\nRows: what was hidden (one effect; same form and others together). Columns: the first name given. Numbers \
+             of logs.\n\n"
+        .to_owned();
     let mut matrix: BTreeMap<&str, BTreeMap<&str, u32>> = BTreeMap::new();
     for (truth, found) in &score.all {
         if matches!(truth.group, Group::Same | Group::Other) {
@@ -153,7 +238,14 @@ pub fn report(score: &Score) -> String {
             100.0 * share
         );
     }
-    text += "\n## Every log\n\n| group | regime | lambda | hidden | verdict | named | p | p after | closed | s |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n";
+    text.push('\n');
+    text
+}
+
+/// One row for each log.
+fn every_log(score: &Score) -> String {
+    let mut text = "## Every log\n\n| group | regime | lambda | hidden | verdict | named | p | p after | closed | s |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
+        .to_owned();
     for (truth, found) in &score.all {
         let hidden: Vec<String> = truth
             .effects
