@@ -1,29 +1,24 @@
 //! The search: detect, locate, name, add, and stop when nothing is off any more.
 
 mod naming;
+mod path;
 mod precision;
 mod starts;
+mod telling;
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use locsim_core::{Draw, Stage};
 use locsim_world::effect::{Effect, EffectKind};
-use locsim_world::simulation::BlockResampling;
-use rand::RngExt;
 use rayon::prelude::*;
 
-use naming::{adds_up, choose, compare_rivals, gain, is_sure, name, numbers, sum_of};
-
-use crate::fit::{Candidate, Search, Start, blocks};
+use crate::fit::{Candidate, Search};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::null::{Null, compare};
-use crate::outcome::{
-    Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Rival, Verdict,
-};
+use crate::outcome::Outcome;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
-use crate::show::{Side, distance, histograms, locate, pits};
-use crate::statistics::{Aim, Dictionary, Hint};
+use crate::statistics::{Aim, Dictionary};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
@@ -61,10 +56,6 @@ impl Default for GapOptions {
 const FAR_OFF: f64 = 0.1;
 /// The same for what may be left when nothing is off any more.
 const SOMEWHAT_OFF: f64 = 0.5;
-
-/// So many of the first round's effects are tried alone where several were named, after a glance at so many simulated logs.
-const TRIED_ALONE: usize = 9;
-const GLANCE: u32 = 19;
 
 /// A score so many standard deviations off is of something strong.
 const BEYOND_DOUBT: f64 = 10.0;
@@ -125,34 +116,6 @@ pub fn find(
     state.outcome(path)
 }
 
-/// The way from the nominal world to the named effects.
-struct Path<'a> {
-    /// The nominal world first, the one with all effects last.
-    rounds: Vec<Round<'a>>,
-    named: Vec<Named>,
-    /// What the first round's fits were.
-    first_fits: Vec<Candidate>,
-    rivals: Vec<Rival>,
-    /// What each round's choice gained, block by block.
-    gains: Vec<Vec<f64>>,
-    /// What would gain most on top.
-    remaining: Option<Candidate>,
-}
-
-impl<'a> Path<'a> {
-    fn first(&self) -> &Round<'a> {
-        &self.rounds[0]
-    }
-
-    fn last(&self) -> &Round<'a> {
-        &self.rounds[self.rounds.len() - 1]
-    }
-
-    fn effects(&self) -> Vec<Effect> {
-        self.named.iter().map(|named| named.effect.clone()).collect()
-    }
-}
-
 struct State<'a> {
     nominal: &'a Nominal,
     recorded: &'a Recorded,
@@ -163,176 +126,6 @@ struct State<'a> {
 }
 
 impl<'a> State<'a> {
-    /// Names the effect that gains most, adds it, and looks again, until nothing is off or nothing surely gains.
-    fn name_effects(&self, first: Round<'a>) -> Result<Path<'a>, GapError> {
-        let options = self.options;
-        let mut path = Path {
-            rounds: vec![first],
-            named: Vec::new(),
-            first_fits: Vec::new(),
-            rivals: Vec::new(),
-            gains: Vec::new(),
-            remaining: None,
-        };
-        loop {
-            let round = path.last();
-            let off = round.null.p <= options.false_alarm;
-            if !off && path.named.is_empty() {
-                break;
-            }
-            let (count, chance) = if off { (options.fitted_kinds, FAR_OFF) } else { (3, SOMEWHAT_OFF) };
-            let candidates = self.candidates(round, count, chance)?;
-            let accepted =
-                if off && path.named.len() < options.most_effects { choose(&candidates) } else { None };
-            let most = |a: &&Candidate, b: &&Candidate| a.gain().total_cmp(&b.gain());
-            let Some(best) = accepted else {
-                if let Some(best) = candidates.iter().max_by(most).filter(|_| off) {
-                    path.rivals.extend(compare_rivals(&candidates, best, path.rounds.len()));
-                }
-                path.remaining = candidates.into_iter().max_by(|a, b| a.gain().total_cmp(&b.gain()));
-                break;
-            };
-            let (p, fitted) = (round.null.p, round.fitted.clone());
-            path.rivals.extend(compare_rivals(&candidates, &candidates[best], path.rounds.len()));
-            path.gains.push(candidates[best].gains.clone());
-            let more = name(&candidates, best, p, self.recorded.scans());
-            if path.rounds.len() == 1 {
-                path.first_fits = candidates;
-            }
-            match path.named.iter().position(|known| adds_up(&known.effect, &more.effect)) {
-                Some(known) => {
-                    path.named[known].effect = sum_of(&path.named[known].effect, &more.effect)?;
-                    if path.rounds.len() > 2 * options.most_effects {
-                        // It doesn't settle.
-                        break;
-                    }
-                    self.refit(&mut path.named, known, &fitted)?;
-                }
-                None => path.named.push(more),
-            }
-            let next = self.round(path.effects(), fitted.nuisances, options.replicates)?;
-            path.rounds.push(next);
-        }
-        Ok(path)
-    }
-
-    /// What an effect was named for, a later one may explain: a strong yaw looks like noise at first.
-    fn delete(&self, path: &mut Path<'a>) -> Result<(), GapError> {
-        if path.named.len() < 2 {
-            return Ok(());
-        }
-        let count = path.named.len();
-        let mut i = 0;
-        while i < path.named.len() {
-            let fitted = &path.rounds[path.rounds.len() - 1].fitted;
-            if self.refit(&mut path.named, i, fitted)? || path.named.len() == 1 {
-                i += 1;
-            } else {
-                path.named.remove(i);
-            }
-        }
-        if path.named.len() < count {
-            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
-            path.rounds.push(next);
-        }
-        Ok(())
-    }
-
-    /// One effect that explains everything alone is better than several, even if others gain more one by one: unmapped blocks
-    /// that are deeper than expected and stay look like a missing object each.
-    fn simplify(&self, path: &mut Path<'a>) -> Result<(), GapError> {
-        if path.named.len() < 2 {
-            return Ok(());
-        }
-        let mut alone: Vec<usize> =
-            (0..path.first_fits.len()).filter(|&i| is_sure(&path.first_fits[i])).collect();
-        alone.sort_by(|&a, &b| path.first_fits[b].gain().total_cmp(&path.first_fits[a].gain()));
-        for &i in alone.iter().take(TRIED_ALONE) {
-            let (effects, nuisances) =
-                (vec![path.first_fits[i].effect.clone()], path.first().fitted.nuisances);
-            // Most are far from it, which few simulated logs can say.
-            if self.round(effects.clone(), nuisances, GLANCE)?.null.is_clearly_off() {
-                continue;
-            }
-            let round = self.round(effects, nuisances, self.options.replicates)?;
-            if round.null.p <= self.options.false_alarm {
-                continue;
-            }
-            let mut named = name(&path.first_fits, i, path.first().null.p, self.recorded.scans());
-            // Those that gain as much don't explain everything, or weren't tried.
-            (named.candidates, named.split_by) = (vec![named.name], None);
-            path.gains = vec![path.first_fits[i].gains.clone()];
-            path.named = vec![named];
-            path.rounds.truncate(1);
-            path.remaining = self
-                .candidates(&round, 3, SOMEWHAT_OFF)?
-                .into_iter()
-                .max_by(|a, b| a.gain().total_cmp(&b.gain()));
-            path.rounds.push(round);
-            break;
-        }
-        Ok(())
-    }
-
-    /// What is told of it all.
-    fn outcome(&self, path: Path<'a>) -> Result<Outcome, GapError> {
-        let State { nominal, recorded, options, .. } = *self;
-        let Path { rounds, named, rivals, gains, remaining, .. } = path;
-        let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
-        let still_off = after.null.p <= options.false_alarm;
-        let verdict = match (named.is_empty(), still_off) {
-            (true, true) => Verdict::Unexplained,
-            (true, false) => Verdict::None,
-            (false, true) => Verdict::PartlyExplained,
-            (false, false) if named.iter().any(|named| named.candidates.len() > 1) => Verdict::Ambiguous,
-            (false, false) => Verdict::Named,
-        };
-        let detectable = detectable(before);
-        let blind = detectable.iter().filter(|d| d.value > d.typical).count();
-        let verdict = if verdict == Verdict::None && 2 * blind > detectable.len() {
-            Verdict::Underpowered
-        } else {
-            verdict
-        };
-        self.progress.stage("measuring the gap", 1);
-        let (old, new) = (self.replay(before)?, self.replay(after)?);
-        let side = [before, after].map(|round| Side { dictionary: &round.dictionary, null: &round.null });
-        let regions = locate(&side[0], &side[1], &before.comparison.views, recorded, &old);
-        let gap = self.gap(before, after, &gains, remaining.as_ref(), &old, &new);
-        let beam_pits = pits(
-            &before.comparison,
-            &before.fitted,
-            &after.comparison,
-            &after.fitted,
-            nominal,
-            &after.effects,
-            options.seed,
-        )?;
-        let pit = histograms(&before.comparison, &beam_pits);
-        self.progress.advance(1);
-        Ok(Outcome {
-            verdict,
-            effects: named,
-            detection: detection(&before.null),
-            detection_after: detection(&after.null),
-            regions,
-            gap,
-            filter: None,
-            rivals,
-            detectable,
-            directions: directions(before),
-            threshold: before.null.threshold,
-            nuisances: before.fitted.nuisances,
-            pit,
-            notes: notes(nominal, self.blocks.resample),
-            scans: recorded.scans(),
-            beams: recorded.beams(),
-            seed: options.seed,
-            seconds: 0.0,
-            beam_pits,
-        })
-    }
-
     /// Fits the nuisances under these effects and simulates logs with them.
     fn round(
         &self,
@@ -419,206 +212,4 @@ impl<'a> State<'a> {
         }
         Ok(candidates)
     }
-
-    /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
-    /// where simulated logs say that it can't be chance.
-    fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
-        let logs: Vec<f64> = last.null.fits.iter().map(|fit| fit.nuisances.block_density.ln()).collect();
-        let mean = logs.iter().sum::<f64>() / logs.len() as f64;
-        let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
-        // The fit's bias by the last round's own simulated logs: the first one's is of a world without the effects.
-        let fitted = last.fitted.nuisances.block_density.ln();
-        let simulated = fitted + last.blocks.density_over_fit.ln();
-        let truth = fitted + simulated - mean;
-        let z = truth / error;
-        // As rare as one false alarm among all effects.
-        let p = statrs::function::erf::erfc(z.abs() / std::f64::consts::SQRT_2);
-        if self.nominal.blocks.is_none() || !error.is_finite() || p > 0.1 * self.options.false_alarm {
-            return Ok(None);
-        }
-        let kind = EffectKind::BlockDensity;
-        let parameter = &kind.parameters()[0];
-        let effect = Effect::new(kind, vec![truth.exp().clamp(parameter.lo, parameter.hi)], Vec::new())?;
-        let mut nominal = first.fitted.clone();
-        nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
-        let without = first.comparison.evaluate(&[], &nominal, 0)?;
-        let gains: Vec<f64> = blocks(&first.fitted.scans)
-            .iter()
-            .zip(blocks(&without.scans))
-            .map(|(with, without)| with - without)
-            .collect();
-        let gain_nats = gain(&gains);
-        let number = Number {
-            value: truth.exp(),
-            lo: (truth - 1.96 * error).exp(),
-            hi: (truth + 1.96 * error).exp(),
-            unit: parameter.unit,
-        };
-        Ok(Some(Named {
-            name: kind,
-            candidates: vec![kind],
-            params: [(parameter.name, number)].into(),
-            place: Vec::new(),
-            evidence: Evidence {
-                gain_nats,
-                gain_nats_per_scan: gain_nats.value / self.recorded.scans() as f64,
-                p,
-            },
-            split_by: None,
-            effect,
-        }))
-    }
-
-    /// Fits the numbers of one effect anew, the others as they are; whether it still surely gains.
-    fn refit(&self, named: &mut [Named], index: usize, start: &Fitted) -> Result<bool, GapError> {
-        let comparison = Comparison::new(self.nominal, self.recorded);
-        let others = named.iter().enumerate().filter(|(i, _)| *i != index);
-        let given: Vec<Effect> = others.map(|(_, named)| named.effect.clone()).collect();
-        let without = comparison.evaluate(&given, start, 1)?;
-        let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
-        let effect = &named[index].effect;
-        let from = Start { values: effect.values.clone(), place: effect.place.clone() };
-        let fit = search.fit(effect.kind, &[from])?;
-        let gains = fit.as_ref().is_some_and(is_sure);
-        if let Some(candidate) = fit {
-            let named = &mut named[index];
-            named.params = numbers(&candidate);
-            named.evidence.gain_nats = gain(&candidate.gains);
-            named.evidence.gain_nats_per_scan = named.evidence.gain_nats.value / self.recorded.scans() as f64;
-            named.effect = candidate.effect;
-        }
-        Ok(gains)
-    }
-
-    /// Some simulated logs of a round.
-    fn replay(&self, round: &Round<'a>) -> Result<Vec<Recorded>, GapError> {
-        let replay = Replay {
-            nominal: self.nominal,
-            recorded: self.recorded,
-            effects: &round.effects,
-            nuisances: round.fitted.nuisances,
-            blocks: round.blocks,
-        };
-        let draw = Draw::new(self.options.seed, Stage::Trial, 10);
-        (0..8).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
-    }
-
-    fn gap(
-        &self,
-        before: &Round<'a>,
-        after: &Round<'a>,
-        gains: &[Vec<f64>],
-        remaining: Option<&Candidate>,
-        old: &[Recorded],
-        new: &[Recorded],
-    ) -> Gap {
-        let scans = self.recorded.scans() as f64;
-        let blocks = gains.first().map_or(0, Vec::len);
-        let gained: Vec<f64> = (0..blocks).map(|b| gains.iter().map(|g| g[b]).sum()).collect();
-        let rest: Vec<f64> = match remaining {
-            Some(candidate) if candidate.gain() > 0.0 => candidate.gains.clone(),
-            _ => vec![0.0; blocks.max(1)],
-        };
-        let share = |gained: f64, rest: f64| {
-            if gained <= 0.0 { 0.0 } else { gained / (gained + rest.max(0.0)) }
-        };
-        let total = |values: &[f64]| values.iter().sum::<f64>();
-        let closed = if gained.is_empty() {
-            Estimate { value: 0.0, lo: 0.0, hi: 0.0 }
-        } else {
-            let draw = Draw::new(self.options.seed, Stage::Bootstrap, 3);
-            let mut shares: Vec<f64> = (0..1000)
-                .map(|i| {
-                    let mut rng = draw.item(i);
-                    let (mut a, mut b) = (0.0, 0.0);
-                    for _ in 0..blocks {
-                        let block = rng.random_range(0..blocks);
-                        a += gained[block];
-                        b += rest[block.min(rest.len() - 1)];
-                    }
-                    share(a, b)
-                })
-                .collect();
-            shares.sort_by(f64::total_cmp);
-            Estimate { value: share(total(&gained), total(&rest)), lo: shares[25], hi: shares[974] }
-        };
-        let view = &before.comparison.views;
-        let floor =
-            after.null.fits.iter().map(Fitted::total).sum::<f64>() / after.null.fits.len().max(1) as f64;
-        let score = |total: f64, w1_mm: f64| crate::outcome::Distance {
-            log_score_nats_per_scan: total / scans,
-            w1_mm,
-        };
-        Gap {
-            before: score(before.fitted.total(), distance(view, self.recorded, old)),
-            after: score(after.fitted.total(), distance(view, self.recorded, new)),
-            floor: score(floor, distance(view, &new[0], &new[1..])),
-            gained_nats_per_scan: total(&gained) / scans,
-            remaining_nats_per_scan: total(&rest).max(0.0) / scans,
-            closed,
-        }
-    }
-}
-
-/// Strengths that reach the threshold with 90 % probability: a score's spread is the square root of its information.
-fn detectable(round: &Round<'_>) -> Vec<Detectable> {
-    let threshold = round.null.threshold + 1.2816;
-    let mut out: Vec<Detectable> = Vec::new();
-    for (i, aim) in round.dictionary.aims.iter().enumerate() {
-        let Aim::Effect(kind, hint) = aim else { continue };
-        if !round.dictionary.is_score(i) || *hint != Hint::None || round.null.spread[i] < 1e-3 {
-            continue;
-        }
-        let parameter = &kind.parameters()[0];
-        let value = threshold / round.null.spread[i];
-        if value.is_finite() && out.iter().all(|known| known.name != *kind) {
-            let typical = (parameter.start - parameter.neutral).abs();
-            out.push(Detectable {
-                name: *kind,
-                parameter: parameter.name,
-                value,
-                unit: parameter.unit,
-                typical,
-            });
-        }
-    }
-    out
-}
-
-fn detection(null: &Null) -> Detection {
-    Detection {
-        p_library: null.p_library,
-        p_omnibus: null.p_omnibus,
-        p: null.p,
-        replicates: null.fits.len() as u32,
-    }
-}
-
-/// The farthest statistic of each effect, with its sign.
-fn directions(round: &Round<'_>) -> Vec<Direction> {
-    let mut out: Vec<Direction> = Vec::new();
-    for (aim, &z) in round.dictionary.aims.iter().zip(&round.null.z) {
-        let Aim::Effect(kind, _) = aim else { continue };
-        match out.iter_mut().find(|direction| direction.name == *kind) {
-            Some(known) if known.z.abs() < z.abs() => known.z = z,
-            Some(_) => {}
-            None => out.push(Direction { name: *kind, z }),
-        }
-    }
-    out
-}
-
-fn notes(nominal: &Nominal, resample: BlockResampling) -> Vec<String> {
-    let mut notes = vec![
-        "A constant yaw of the laser's mount and a constant error of the reference's heading can't be told apart from \
-         scans alone."
-            .to_owned(),
-    ];
-    if let Some(blocks) = nominal.blocks.filter(|blocks| blocks.resample != resample) {
-        notes.push(format!(
-            "Unmapped blocks stay otherwise than the scenario says ({:?} instead of {:?}).",
-            resample, blocks.resample
-        ));
-    }
-    notes
 }

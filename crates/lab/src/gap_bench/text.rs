@@ -18,6 +18,11 @@ fn number(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"))
 }
 
+/// Four decimals, or three digits of what is too small for them.
+fn digits(value: f64) -> String {
+    if value != 0.0 && value.abs() < 0.01 { format!("{value:.2e}") } else { format!("{value:.4}") }
+}
+
 /// The suite's table, as Markdown: each figure beside what is excellent and what is good.
 pub fn table(score: &Score) -> String {
     let mut rows: Vec<[String; 4]> = Vec::new();
@@ -161,9 +166,13 @@ fn numbers(score: &Score) -> String {
         let Some((value, [estimate, lo, hi])) = strength(truth, found) else { continue };
         let _ = writeln!(
             text,
-            "| {} | {} | {value:.5} | {estimate:.5} [{lo:.5}, {hi:.5}] | {:.1} | {} |",
+            "| {} | {} | {} | {} [{}, {}] | {:.1} | {} |",
             truth.effects[0],
             truth.lambda,
+            digits(value),
+            digits(estimate),
+            digits(lo),
+            digits(hi),
             (estimate - value) / value.abs() * truth.lambda.sqrt(),
             if (lo..=hi).contains(&value) { "yes" } else { "no" },
         );
@@ -252,7 +261,7 @@ fn every_log(score: &Score) -> String {
             .iter()
             .enumerate()
             .map(|(i, name)| match (truth.strength.get(i), truth.values.get(i)) {
-                (Some(strength), Some(values)) => format!("{name} {strength} {:.4}", values[strength]),
+                (Some(strength), Some(values)) => format!("{name} {strength} {}", digits(values[strength])),
                 _ => name.clone(),
             })
             .collect();

@@ -1,0 +1,189 @@
+//! From the nominal world to the named effects: one at a time, then what is needless is taken away.
+
+use locsim_world::effect::Effect;
+
+use super::naming::{adds_up, choose, compare_rivals, gain, is_sure, name, numbers, sum_of};
+use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
+use crate::GapError;
+use crate::fit::{Candidate, Search, Start};
+use crate::hypothesis::{Comparison, Fitted};
+use crate::outcome::{Named, Rival};
+
+/// So many of the first round's effects are tried alone where several were named, after a glance at so many simulated logs.
+const TRIED_ALONE: usize = 9;
+const GLANCE: u32 = 19;
+
+/// The way from the nominal world to the named effects.
+pub struct Path<'a> {
+    /// The nominal world first, the one with all effects last.
+    pub rounds: Vec<Round<'a>>,
+    pub named: Vec<Named>,
+    /// What the first round's fits were, and which was chosen.
+    first_fits: Vec<Candidate>,
+    first_choice: usize,
+    pub rivals: Vec<Rival>,
+    /// What each round's choice gained, block by block.
+    pub gains: Vec<Vec<f64>>,
+    /// What would gain most on top.
+    pub remaining: Option<Candidate>,
+    /// What people should know of the choice.
+    pub note: Option<String>,
+}
+
+impl<'a> Path<'a> {
+    pub fn first(&self) -> &Round<'a> {
+        &self.rounds[0]
+    }
+
+    pub fn last(&self) -> &Round<'a> {
+        &self.rounds[self.rounds.len() - 1]
+    }
+
+    fn effects(&self) -> Vec<Effect> {
+        self.named.iter().map(|named| named.effect.clone()).collect()
+    }
+}
+
+impl<'a> State<'a> {
+    /// Names the effect that gains most, adds it, and looks again, until nothing is off or nothing surely gains.
+    pub fn name_effects(&self, first: Round<'a>) -> Result<Path<'a>, GapError> {
+        let options = self.options;
+        let mut path = Path {
+            rounds: vec![first],
+            named: Vec::new(),
+            first_fits: Vec::new(),
+            first_choice: 0,
+            rivals: Vec::new(),
+            gains: Vec::new(),
+            remaining: None,
+            note: None,
+        };
+        loop {
+            let round = path.last();
+            let off = round.null.p <= options.false_alarm;
+            if !off && path.named.is_empty() {
+                break;
+            }
+            let (count, chance) = if off { (options.fitted_kinds, FAR_OFF) } else { (3, SOMEWHAT_OFF) };
+            let candidates = self.candidates(round, count, chance)?;
+            let accepted =
+                if off && path.named.len() < options.most_effects { choose(&candidates) } else { None };
+            let most = |a: &&Candidate, b: &&Candidate| a.gain().total_cmp(&b.gain());
+            let Some(best) = accepted else {
+                if let Some(best) = candidates.iter().max_by(most).filter(|_| off) {
+                    path.rivals.extend(compare_rivals(&candidates, best, path.rounds.len()));
+                }
+                path.remaining = candidates.into_iter().max_by(|a, b| a.gain().total_cmp(&b.gain()));
+                break;
+            };
+            let (p, fitted) = (round.null.p, round.fitted.clone());
+            path.rivals.extend(compare_rivals(&candidates, &candidates[best], path.rounds.len()));
+            path.gains.push(candidates[best].gains.clone());
+            let more = name(&candidates, best, p, self.recorded.scans());
+            if path.rounds.len() == 1 {
+                (path.first_fits, path.first_choice) = (candidates, best);
+            }
+            match path.named.iter().position(|known| adds_up(&known.effect, &more.effect)) {
+                Some(known) => {
+                    path.named[known].effect = sum_of(&path.named[known].effect, &more.effect)?;
+                    if path.rounds.len() > 2 * options.most_effects {
+                        // It doesn't settle.
+                        break;
+                    }
+                    self.refit(&mut path.named, known, &fitted)?;
+                }
+                None => path.named.push(more),
+            }
+            let next = self.round(path.effects(), fitted.nuisances, options.replicates)?;
+            path.rounds.push(next);
+        }
+        Ok(path)
+    }
+
+    /// What an effect was named for, a later one may explain: a strong yaw looks like noise at first.
+    pub fn delete(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        if path.named.len() < 2 {
+            return Ok(());
+        }
+        let count = path.named.len();
+        let mut i = 0;
+        while i < path.named.len() {
+            let fitted = &path.rounds[path.rounds.len() - 1].fitted;
+            if self.refit(&mut path.named, i, fitted)? || path.named.len() == 1 {
+                i += 1;
+            } else {
+                path.named.remove(i);
+            }
+        }
+        if path.named.len() < count {
+            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
+            path.rounds.push(next);
+        }
+        Ok(())
+    }
+
+    /// One effect that explains everything alone is better than several, even if others gain more one by one: unmapped blocks
+    /// that are deeper than expected and stay look like a missing object each.
+    pub fn simplify(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        if path.named.len() < 2 {
+            return Ok(());
+        }
+        // Of the first choice it is known that it doesn't.
+        let mut alone: Vec<usize> = (0..path.first_fits.len())
+            .filter(|&i| i != path.first_choice && is_sure(&path.first_fits[i]))
+            .collect();
+        alone.sort_by(|&a, &b| path.first_fits[b].gain().total_cmp(&path.first_fits[a].gain()));
+        for &i in alone.iter().take(TRIED_ALONE) {
+            let (effects, nuisances) =
+                (vec![path.first_fits[i].effect.clone()], path.first().fitted.nuisances);
+            // Most are far from it, which few simulated logs can say.
+            if self.round(effects.clone(), nuisances, GLANCE)?.null.is_clearly_off() {
+                continue;
+            }
+            let round = self.round(effects, nuisances, self.options.replicates)?;
+            if round.null.p <= self.options.false_alarm {
+                continue;
+            }
+            let mut named = name(&path.first_fits, i, path.first().null.p, self.recorded.scans());
+            // Those that gain as much don't explain everything, or weren't tried.
+            (named.candidates, named.split_by) = (vec![named.name], None);
+            path.note = Some(format!(
+                "{} was named first and gains more, but leaves something off; {} alone leaves nothing.",
+                path.first_fits[path.first_choice].kind(),
+                named.name,
+            ));
+            path.rivals = compare_rivals(&path.first_fits, &path.first_fits[i], 1);
+            path.gains = vec![path.first_fits[i].gains.clone()];
+            path.named = vec![named];
+            path.rounds.truncate(1);
+            path.remaining = self
+                .candidates(&round, 3, SOMEWHAT_OFF)?
+                .into_iter()
+                .max_by(|a, b| a.gain().total_cmp(&b.gain()));
+            path.rounds.push(round);
+            break;
+        }
+        Ok(())
+    }
+
+    /// Fits the numbers of one effect anew, the others as they are; whether it still surely gains.
+    fn refit(&self, named: &mut [Named], index: usize, start: &Fitted) -> Result<bool, GapError> {
+        let comparison = Comparison::new(self.nominal, self.recorded);
+        let others = named.iter().enumerate().filter(|(i, _)| *i != index);
+        let given: Vec<Effect> = others.map(|(_, named)| named.effect.clone()).collect();
+        let without = comparison.evaluate(&given, start, 1)?;
+        let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
+        let effect = &named[index].effect;
+        let from = Start { values: effect.values.clone(), place: effect.place.clone() };
+        let fit = search.fit(effect.kind, &[from])?;
+        let gains = fit.as_ref().is_some_and(is_sure);
+        if let Some(candidate) = fit {
+            let named = &mut named[index];
+            named.params = numbers(&candidate);
+            named.evidence.gain_nats = gain(&candidate.gains);
+            named.evidence.gain_nats_per_scan = named.evidence.gain_nats.value / self.recorded.scans() as f64;
+            named.effect = candidate.effect;
+        }
+        Ok(gains)
+    }
+}

@@ -1,0 +1,263 @@
+//! What is told of a search.
+
+use locsim_core::{Draw, Stage};
+use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::simulation::BlockResampling;
+use rand::RngExt;
+use rayon::prelude::*;
+
+use super::naming::gain;
+use super::path::Path;
+use super::{Round, State};
+use crate::fit::{Candidate, blocks};
+use crate::hypothesis::Fitted;
+use crate::null::Null;
+use crate::outcome::{
+    Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
+};
+use crate::replay::Replay;
+use crate::show::{Side, distance, histograms, locate, pits};
+use crate::statistics::{Aim, Hint};
+use crate::{GapError, Nominal, Recorded};
+
+impl<'a> State<'a> {
+    /// What is told of it all.
+    pub fn outcome(&self, path: Path<'a>) -> Result<Outcome, GapError> {
+        let State { nominal, recorded, options, .. } = *self;
+        let Path { rounds, named, rivals, gains, remaining, note, .. } = path;
+        let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
+        let still_off = after.null.p <= options.false_alarm;
+        let verdict = match (named.is_empty(), still_off) {
+            (true, true) => Verdict::Unexplained,
+            (true, false) => Verdict::None,
+            (false, true) => Verdict::PartlyExplained,
+            (false, false) if named.iter().any(|named| named.candidates.len() > 1) => Verdict::Ambiguous,
+            (false, false) => Verdict::Named,
+        };
+        let detectable = detectable(before);
+        let blind = detectable.iter().filter(|d| d.value > d.typical).count();
+        let verdict = if verdict == Verdict::None && 2 * blind > detectable.len() {
+            Verdict::Underpowered
+        } else {
+            verdict
+        };
+        self.progress.stage("measuring the gap", 1);
+        let (old, new) = (self.replay(before)?, self.replay(after)?);
+        let side = [before, after].map(|round| Side { dictionary: &round.dictionary, null: &round.null });
+        let regions = locate(&side[0], &side[1], &before.comparison.views, recorded, &old);
+        let gap = self.gap(before, after, &gains, remaining.as_ref(), &old, &new);
+        let beam_pits = pits(
+            &before.comparison,
+            &before.fitted,
+            &after.comparison,
+            &after.fitted,
+            nominal,
+            &after.effects,
+            options.seed,
+        )?;
+        let pit = histograms(&before.comparison, &beam_pits);
+        self.progress.advance(1);
+        Ok(Outcome {
+            verdict,
+            effects: named,
+            detection: detection(&before.null),
+            detection_after: detection(&after.null),
+            regions,
+            gap,
+            filter: None,
+            rivals,
+            detectable,
+            directions: directions(before),
+            threshold: before.null.threshold,
+            nuisances: before.fitted.nuisances,
+            pit,
+            notes: notes(nominal, self.blocks.resample).into_iter().chain(note).collect(),
+            scans: recorded.scans(),
+            beams: recorded.beams(),
+            seed: options.seed,
+            seconds: 0.0,
+            beam_pits,
+        })
+    }
+
+    /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
+    /// where simulated logs say that it can't be chance.
+    pub fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
+        let logs: Vec<f64> = last.null.fits.iter().map(|fit| fit.nuisances.block_density.ln()).collect();
+        let mean = logs.iter().sum::<f64>() / logs.len() as f64;
+        let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
+        // The fit's bias by the last round's own simulated logs: the first one's is of a world without the effects.
+        let fitted = last.fitted.nuisances.block_density.ln();
+        let simulated = fitted + last.blocks.density_over_fit.ln();
+        let truth = fitted + simulated - mean;
+        let z = truth / error;
+        // As rare as one false alarm among all effects.
+        let p = statrs::function::erf::erfc(z.abs() / std::f64::consts::SQRT_2);
+        if self.nominal.blocks.is_none() || !error.is_finite() || p > 0.1 * self.options.false_alarm {
+            return Ok(None);
+        }
+        let kind = EffectKind::BlockDensity;
+        let parameter = &kind.parameters()[0];
+        let effect = Effect::new(kind, vec![truth.exp().clamp(parameter.lo, parameter.hi)], Vec::new())?;
+        let mut nominal = first.fitted.clone();
+        nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
+        let without = first.comparison.evaluate(&[], &nominal, 0)?;
+        let gains: Vec<f64> = blocks(&first.fitted.scans)
+            .iter()
+            .zip(blocks(&without.scans))
+            .map(|(with, without)| with - without)
+            .collect();
+        let gain_nats = gain(&gains);
+        let number = Number {
+            value: truth.exp(),
+            lo: (truth - 1.96 * error).exp(),
+            hi: (truth + 1.96 * error).exp(),
+            unit: parameter.unit,
+        };
+        Ok(Some(Named {
+            name: kind,
+            candidates: vec![kind],
+            params: [(parameter.name, number)].into(),
+            place: Vec::new(),
+            evidence: Evidence {
+                gain_nats,
+                gain_nats_per_scan: gain_nats.value / self.recorded.scans() as f64,
+                p,
+            },
+            split_by: None,
+            effect,
+        }))
+    }
+
+    /// Some simulated logs of a round.
+    fn replay(&self, round: &Round<'a>) -> Result<Vec<Recorded>, GapError> {
+        let replay = Replay {
+            nominal: self.nominal,
+            recorded: self.recorded,
+            effects: &round.effects,
+            nuisances: round.fitted.nuisances,
+            blocks: round.blocks,
+        };
+        let draw = Draw::new(self.options.seed, Stage::Trial, 10);
+        (0..8).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
+    }
+
+    fn gap(
+        &self,
+        before: &Round<'a>,
+        after: &Round<'a>,
+        gains: &[Vec<f64>],
+        remaining: Option<&Candidate>,
+        old: &[Recorded],
+        new: &[Recorded],
+    ) -> Gap {
+        let scans = self.recorded.scans() as f64;
+        let blocks = gains.first().map_or(0, Vec::len);
+        let gained: Vec<f64> = (0..blocks).map(|b| gains.iter().map(|g| g[b]).sum()).collect();
+        let rest: Vec<f64> = match remaining {
+            Some(candidate) if candidate.gain() > 0.0 => candidate.gains.clone(),
+            _ => vec![0.0; blocks.max(1)],
+        };
+        let share = |gained: f64, rest: f64| {
+            if gained <= 0.0 { 0.0 } else { gained / (gained + rest.max(0.0)) }
+        };
+        let total = |values: &[f64]| values.iter().sum::<f64>();
+        let closed = if gained.is_empty() {
+            Estimate { value: 0.0, lo: 0.0, hi: 0.0 }
+        } else {
+            let draw = Draw::new(self.options.seed, Stage::Bootstrap, 3);
+            let mut shares: Vec<f64> = (0..1000)
+                .map(|i| {
+                    let mut rng = draw.item(i);
+                    let (mut a, mut b) = (0.0, 0.0);
+                    for _ in 0..blocks {
+                        let block = rng.random_range(0..blocks);
+                        a += gained[block];
+                        b += rest[block.min(rest.len() - 1)];
+                    }
+                    share(a, b)
+                })
+                .collect();
+            shares.sort_by(f64::total_cmp);
+            Estimate { value: share(total(&gained), total(&rest)), lo: shares[25], hi: shares[974] }
+        };
+        let view = &before.comparison.views;
+        let floor =
+            after.null.fits.iter().map(Fitted::total).sum::<f64>() / after.null.fits.len().max(1) as f64;
+        let score = |total: f64, w1_mm: f64| crate::outcome::Distance {
+            log_score_nats_per_scan: total / scans,
+            w1_mm,
+        };
+        Gap {
+            before: score(before.fitted.total(), distance(view, self.recorded, old)),
+            after: score(after.fitted.total(), distance(view, self.recorded, new)),
+            floor: score(floor, distance(view, &new[0], &new[1..])),
+            gained_nats_per_scan: total(&gained) / scans,
+            remaining_nats_per_scan: total(&rest).max(0.0) / scans,
+            closed,
+        }
+    }
+}
+
+/// Strengths that reach the threshold with 90 % probability: a score's spread is the square root of its information.
+fn detectable(round: &Round<'_>) -> Vec<Detectable> {
+    let threshold = round.null.threshold + 1.2816;
+    let mut out: Vec<Detectable> = Vec::new();
+    for (i, aim) in round.dictionary.aims.iter().enumerate() {
+        let Aim::Effect(kind, hint) = aim else { continue };
+        if !round.dictionary.is_score(i) || *hint != Hint::None || round.null.spread[i] < 1e-3 {
+            continue;
+        }
+        let parameter = &kind.parameters()[0];
+        let value = threshold / round.null.spread[i];
+        if value.is_finite() && out.iter().all(|known| known.name != *kind) {
+            let typical = (parameter.start - parameter.neutral).abs();
+            out.push(Detectable {
+                name: *kind,
+                parameter: parameter.name,
+                value,
+                unit: parameter.unit,
+                typical,
+            });
+        }
+    }
+    out
+}
+
+fn detection(null: &Null) -> Detection {
+    Detection {
+        p_library: null.p_library,
+        p_omnibus: null.p_omnibus,
+        p: null.p,
+        replicates: null.fits.len() as u32,
+    }
+}
+
+/// The farthest statistic of each effect, with its sign.
+fn directions(round: &Round<'_>) -> Vec<Direction> {
+    let mut out: Vec<Direction> = Vec::new();
+    for (aim, &z) in round.dictionary.aims.iter().zip(&round.null.z) {
+        let Aim::Effect(kind, _) = aim else { continue };
+        match out.iter_mut().find(|direction| direction.name == *kind) {
+            Some(known) if known.z.abs() < z.abs() => known.z = z,
+            Some(_) => {}
+            None => out.push(Direction { name: *kind, z }),
+        }
+    }
+    out
+}
+
+fn notes(nominal: &Nominal, resample: BlockResampling) -> Vec<String> {
+    let mut notes = vec![
+        "A constant yaw of the laser's mount and a constant error of the reference's heading can't be told apart from \
+         scans alone."
+            .to_owned(),
+    ];
+    if let Some(blocks) = nominal.blocks.filter(|blocks| blocks.resample != resample) {
+        notes.push(format!(
+            "Unmapped blocks stay otherwise than the scenario says ({:?} instead of {:?}).",
+            resample, blocks.resample
+        ));
+    }
+    notes
+}
