@@ -12,6 +12,9 @@ use crate::outcome::{Named, Rival};
 /// So many of the first round's effects are tried alone where several were named, after a glance at so many simulated logs.
 const TRIED_ALONE: usize = 9;
 const GLANCE: u32 = 19;
+/// With one alone the log must not be farther off than so many of the simulated ones: at the false-alarm rate itself one
+/// outlier among a hundred of them would do.
+const EXPLAINED: f64 = 0.05;
 
 /// The way from the nominal world to the named effects.
 pub struct Path<'a> {
@@ -141,7 +144,7 @@ impl<'a> State<'a> {
                 continue;
             }
             let round = self.round(effects, nuisances, self.options.replicates)?;
-            if round.null.p <= self.options.false_alarm {
+            if round.null.p <= EXPLAINED {
                 continue;
             }
             let mut named = name(&path.first_fits, i, path.first().null.p, self.recorded.scans());

@@ -19,6 +19,8 @@ use crate::{GapError, Recorded};
 
 /// Simulated logs.
 const LOGS: u32 = 24;
+/// An interval so many times as wide as the fit's own is none.
+const MOST_WIDENED: f64 = 5.0;
 
 impl<'a> State<'a> {
     /// Takes its bias off each number, and gives it the interval of its spread, by what the fit makes of logs that are
@@ -73,8 +75,13 @@ impl<'a> State<'a> {
             if let Some(shifts) = shifts {
                 for ((i, _), shifts) in numbers.iter().zip(shifts) {
                     let parameter = &kind.parameters()[*i];
+                    let fit = named.params[parameter.name];
                     let number =
                         corrected(named.effect.values[*i], parameter.neutral, &shifts, parameter.unit);
+                    if number.hi - number.lo > MOST_WIDENED * (fit.hi - fit.lo) {
+                        // The information is as good as singular, and steps lead anywhere.
+                        continue;
+                    }
                     let within = |value: f64| value.clamp(parameter.lo, parameter.hi);
                     let number = Number {
                         value: within(number.value),
@@ -209,7 +216,7 @@ fn newton_steps(totals: &[Vec<f64>], steps: &[f64]) -> Option<Vec<Vec<f64>>> {
 }
 
 /// A fitted value less its bias, with the 95 % interval of its spread. A bias that would take away most of it, or
-/// that is large and surely so, is beyond what a Newton step can say: then the value stays, and the bias is part of its uncertainty.
+/// add as much, is beyond what a Newton step can say: then the value stays, and the bias is part of its uncertainty.
 fn corrected(value: f64, neutral: f64, shifts: &[f64], unit: &'static str) -> Number {
     let n = shifts.len() as f64;
     let bias = shifts.iter().sum::<f64>() / n;
@@ -217,7 +224,7 @@ fn corrected(value: f64, neutral: f64, shifts: &[f64], unit: &'static str) -> Nu
     let quantile = StudentsT::new(0.0, 1.0, n - 1.0).map_or(1.96, |t| t.inverse_cdf(0.975));
     let mut variance = spread * (1.0 + 1.0 / n);
     let (away, left) = ((value - neutral).abs(), (value - bias - neutral) * (value - neutral).signum());
-    let is_plausible = left > 0.3 * away && (left < 1.3 * away || bias.abs() < 2.0 * spread.sqrt());
+    let is_plausible = left > 0.3 * away && left < 1.7 * away;
     let value = if is_plausible {
         value - bias
     } else {
