@@ -76,17 +76,21 @@ impl<'a> State<'a> {
                 for ((i, _), shifts) in numbers.iter().zip(shifts) {
                     let parameter = &kind.parameters()[*i];
                     let fit = named.params[parameter.name];
-                    let number =
+                    let least = if strengths(kind).contains(i) { 1.96 * least } else { 0.0 };
+                    let half_of = |number: &Number| 0.5 * (number.hi - number.lo);
+                    let mut number =
                         corrected(named.effect.values[*i], parameter.neutral, &shifts, parameter.unit);
-                    if number.hi - number.lo > MOST_WIDENED * (fit.hi - fit.lo) {
+                    if half_of(&number) > MOST_WIDENED * half_of(&fit).max(least) {
                         // The information is as good as singular, and steps lead anywhere.
-                        continue;
+                        number = fit;
                     }
+                    // No number is surer than by its bound, however steep a rough likelihood is here or there.
+                    let half = half_of(&number).max(least);
                     let within = |value: f64| value.clamp(parameter.lo, parameter.hi);
                     let number = Number {
                         value: within(number.value),
-                        lo: within(number.lo),
-                        hi: within(number.hi),
+                        lo: within(number.value - half),
+                        hi: within(number.value + half),
                         ..number
                     };
                     named.effect.values[*i] = number.value;
