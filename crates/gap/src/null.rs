@@ -111,3 +111,26 @@ pub(crate) fn compare(
 const FIRST_LOOK: u32 = 199;
 const CLEARLY_NOTHING: f64 = 0.1;
 const FARTHER: f64 = 3.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_is_clearly_off_beyond_all_replicates_and_more() {
+        let of = |own: f64| Null {
+            z: Vec::new(),
+            halves: Vec::new(),
+            p_library: 0.0,
+            p_omnibus: 0.0,
+            p: 0.0,
+            weight: vec![0.1, own],
+            largest: vec![1.0, 2.0],
+            threshold: 0.0,
+            spread: Vec::new(),
+            fits: Vec::new(),
+        };
+        assert!(of(2.1 + FARTHER).is_clearly_off());
+        assert!(!of(1.9 + FARTHER).is_clearly_off());
+    }
+}

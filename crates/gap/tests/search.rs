@@ -126,6 +126,17 @@ fn slips_are_not_named_twice() {
     assert_eq!(names, [EffectKind::OdomDistanceScale]);
 }
 
+/// A strongly turned laser looks like noise and like objects, too.
+#[test]
+fn a_strong_effect_is_named_alone() {
+    let nominal = nominal();
+    let hidden = effect(EffectKind::MountYaw, &[0.04]);
+    let outcome = search(&nominal, &log(&nominal, &[hidden], Regime::default(), 3), Vec::new());
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert_eq!(names, [EffectKind::MountYaw], "{:?}", outcome.notes);
+    assert_eq!(outcome.verdict, Verdict::Named);
+}
+
 /// A log whose effect was taken out of the library is off, and isn't explained away.
 #[test]
 fn what_the_library_lacks_is_not_explained() {

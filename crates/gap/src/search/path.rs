@@ -16,6 +16,10 @@ const GLANCE: u32 = 19;
 /// outlier among a hundred of them would do.
 const EXPLAINED: f64 = 0.05;
 
+fn most_gaining(candidates: &[Candidate]) -> Option<Candidate> {
+    candidates.iter().max_by(|a, b| a.gain().total_cmp(&b.gain())).cloned()
+}
+
 /// The way from the nominal world to the named effects.
 pub struct Path<'a> {
     /// The nominal world first, the one with all effects last.
@@ -71,12 +75,12 @@ impl<'a> State<'a> {
             let candidates = self.candidates(round, count, chance)?;
             let accepted =
                 if off && path.named.len() < options.most_effects { choose(&candidates) } else { None };
-            let most = |a: &&Candidate, b: &&Candidate| a.gain().total_cmp(&b.gain());
             let Some(best) = accepted else {
-                if let Some(best) = candidates.iter().max_by(most).filter(|_| off) {
-                    path.rivals.extend(compare_rivals(&candidates, best, path.rounds.len()));
+                let rest = most_gaining(&candidates);
+                if let Some(most) = rest.as_ref().filter(|_| off) {
+                    path.rivals.extend(compare_rivals(&candidates, most, path.rounds.len()));
                 }
-                path.remaining = candidates.into_iter().max_by(|a, b| a.gain().total_cmp(&b.gain()));
+                path.remaining = rest;
                 break;
             };
             let (p, fitted) = (round.null.p, round.fitted.clone());
@@ -151,7 +155,7 @@ impl<'a> State<'a> {
             // Those that gain as much don't explain everything, or weren't tried.
             (named.candidates, named.split_by) = (vec![named.name], None);
             path.note = Some(format!(
-                "{} was named first and gains more, but leaves something off; {} alone leaves nothing.",
+                "{} was named first, but leaves something off; {} alone explains the log.",
                 path.first_fits[path.first_choice].kind(),
                 named.name,
             ));
@@ -159,10 +163,7 @@ impl<'a> State<'a> {
             path.gains = vec![path.first_fits[i].gains.clone()];
             path.named = vec![named];
             path.rounds.truncate(1);
-            path.remaining = self
-                .candidates(&round, 3, SOMEWHAT_OFF)?
-                .into_iter()
-                .max_by(|a, b| a.gain().total_cmp(&b.gain()));
+            path.remaining = most_gaining(&self.candidates(&round, 3, SOMEWHAT_OFF)?);
             path.rounds.push(round);
             break;
         }
