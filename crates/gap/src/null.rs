@@ -74,7 +74,7 @@ pub(crate) fn compare(
 ) -> Result<Null, GapError> {
     let effects = replay.nominal.effects_with(replay.effects)?;
     let pit = pit_draw(seed);
-    let own = dictionary.of(comparison, &effects, views, fitted, &pit);
+    let own = dictionary.of(comparison, &effects, views, fitted, &replay.nuisances, &pit);
     let draw = Draw::new(seed, Stage::Trial, 7);
     let one = |i: u32| {
         if stop.load(Ordering::Relaxed) {
@@ -83,7 +83,8 @@ pub(crate) fn compare(
         let recorded = replay.simulate(draw.seed(i))?;
         let other = Comparison { nominal: comparison.nominal, recorded: &recorded, views: Arc::clone(views) };
         let fitted = other.fit_nuisances_with(&effects, &replay.nuisances, REFIT);
-        let statistics = dictionary.of(&other, &effects, views, &fitted, &pit_draw(draw.seed(i)));
+        let pit = pit_draw(draw.seed(i));
+        let statistics = dictionary.of(&other, &effects, views, &fitted, &replay.nuisances, &pit);
         tick(1);
         Ok((statistics, fitted))
     };

@@ -76,10 +76,15 @@ pub(crate) fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves
     }
 }
 
-/// The upper tail of a sample: exponential beyond its ninth decile.
+/// The upper tail of a sample: a generalized Pareto distribution over its last tenth, by probability-weighted moments
+/// (Hosking and Wallis 1987) of all but the largest value, which is the log's where the log is off. Never lighter than
+/// an exponential: one group's outliers taken for impossible would raise what all groups have to exceed.
 struct Tail {
-    decile: f64,
+    /// Where the tail begins, and minus the logarithm of the share of the sample beyond.
+    begin: f64,
+    minus_log_share: f64,
     scale: f64,
+    shape: f64,
     sorted: Vec<f64>,
 }
 
@@ -87,25 +92,45 @@ impl Tail {
     fn of(values: impl Iterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = values.collect();
         sorted.sort_by(f64::total_cmp);
-        let at = |share: f64| sorted[((share * sorted.len() as f64) as usize).min(sorted.len() - 1)];
-        let (decile, high) = (at(0.9), at(0.98));
-        Self { decile, scale: ((high - decile) / 5.0_f64.ln()).max(1e-3), sorted }
+        let beyond = (sorted.len() / 10).max(FEWEST).min(sorted.len() - 1);
+        let first = sorted.len() - beyond;
+        let begin = sorted[first - 1];
+        let high = &sorted[first..sorted.len() - usize::from(beyond > 1)];
+        let (mut mean, mut weighed) = (0.0, 0.0);
+        for (i, value) in high.iter().enumerate() {
+            let excess = (value - begin) / high.len() as f64;
+            mean += excess;
+            weighed += excess * (1.0 - (i as f64 + 0.65) / beyond as f64);
+        }
+        let shape = (2.0 - mean / (mean - 2.0 * weighed).max(1e-9)).clamp(0.0, HEAVIEST);
+        let minus_log_share = (sorted.len() as f64 / beyond as f64).ln();
+        Self { begin, minus_log_share, scale: (mean * (1.0 - shape)).max(1e-3), shape, sorted }
     }
 
     /// Minus the logarithm of the chance of a value as large.
     fn minus_log_p(&self, value: f64) -> f64 {
-        if value > self.decile {
-            return 10.0_f64.ln() + (value - self.decile) / self.scale;
+        if value > self.begin {
+            let excess = (value - self.begin) / self.scale;
+            let beyond = if self.shape < LIGHT { excess } else { (self.shape * excess).ln_1p() / self.shape };
+            return self.minus_log_share + beyond;
         }
         let above = self.sorted.len() - self.sorted.partition_point(|v| *v < value);
         -(above as f64 / self.sorted.len() as f64).ln()
     }
 
-    /// The value of a chance below a tenth.
+    /// The value of so small a chance.
     fn at(&self, minus_log_p: f64) -> f64 {
-        self.decile + (minus_log_p - 10.0_f64.ln()).max(0.0) * self.scale
+        let beyond = (minus_log_p - self.minus_log_share).max(0.0);
+        let excess = if self.shape < LIGHT { beyond } else { (self.shape * beyond).exp_m1() / self.shape };
+        self.begin + excess * self.scale
     }
 }
+
+/// A tail is fitted to no fewer values, of small samples to more than a tenth.
+const FEWEST: usize = 10;
+/// The largest shape of a tail, with which it still has a mean and just no variance; below the other one it is exponential.
+const HEAVIEST: f64 = 0.5;
+const LIGHT: f64 = 1e-6;
 
 /// The first three moments of a sample, as sums about its first value.
 #[derive(Clone, Copy, Default)]
@@ -213,14 +238,28 @@ mod tests {
         assert!((rest.skewness() - without.skewness()).abs() < 1e-12);
     }
 
-    /// Of an exponential sample the tail goes on as it is.
+    /// Of an exponential sample, and of one with a heavy tail (shape 0.3), the tail goes on as it is.
     #[test]
     fn a_tail_is_continued() {
-        let sample = (0..1000).map(|i| -((f64::from(i) + 0.5) / 1000.0).ln());
-        let tail = Tail::of(sample);
-        for minus_log_p in [0.5, 2.0, 4.0, 8.0] {
-            assert!((tail.minus_log_p(minus_log_p) - minus_log_p).abs() < 0.03 * minus_log_p + 0.02);
+        for shape in [0.0, 0.3] {
+            let quantile = |beyond: f64| if shape > 0.0 { (shape * beyond).exp_m1() / shape } else { beyond };
+            let tail = Tail::of((0..20_000).map(|i| quantile(-((f64::from(i) + 0.5) / 20_000.0).ln())));
+            for beyond in [0.5, 2.0, 4.0, 8.0] {
+                let minus_log_p = tail.minus_log_p(quantile(beyond));
+                assert!(
+                    (minus_log_p - beyond).abs() < 0.04 * beyond + 0.02,
+                    "{shape}: {minus_log_p} for {beyond}"
+                );
+            }
+            assert!((tail.at(tail.minus_log_p(6.0)) - 6.0).abs() < 1e-9);
         }
-        assert!((tail.at(tail.minus_log_p(6.0)) - 6.0).abs() < 1e-9);
+    }
+
+    /// A few outliers among the statistics of one group don't make what another group has to exceed absurd.
+    #[test]
+    fn outliers_are_not_impossible() {
+        let sample =
+            (0..400).map(|i| if i < 5 { 10.0 + f64::from(i) } else { -((f64::from(i) + 0.5) / 400.0).ln() });
+        assert!(Tail::of(sample).minus_log_p(12.0) < 7.5);
     }
 }

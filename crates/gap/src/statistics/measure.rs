@@ -10,7 +10,7 @@ use super::{
     BLOCK, Halves, OBJECT_CELL_M, RATIO_BIN, RATIO_BINS, SECTOR_RANGE_M, SECTORS, SLIP_SHARES, STEPS_M,
     cell_at, contaminated, just_seen, wall_cell,
 };
-use crate::hypothesis::{Comparison, Fitted};
+use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::likelihood::{Density, Terms, near_density, normal_density};
 use crate::odometry::{deviation, increments, slip_ratios, standardized};
 use crate::views::Beam;
@@ -44,13 +44,16 @@ impl Dictionary {
         contaminated(Density::contamination(terms, through), self.wall_share[wall])
     }
 
-    /// All statistics of a log.
+    /// All statistics of a log, `fitted` to it. Which ones are looked at is the `hypothesis`'s to say, for the log and its
+    /// replicates alike: where a replicate's errors of the reference happen to be found to be none, or to be some, a
+    /// statistic that only it has would be an outlier among them.
     pub fn of(
         &self,
         comparison: &Comparison<'_>,
         effects: &locsim_world::effect::Effects,
         views: &crate::views::Views<'_>,
         fitted: &Fitted,
+        hypothesis: &Nuisances,
         pit: &Draw,
     ) -> Vec<Halves> {
         let mut out = vec![[0.0; 2]; self.len()];
@@ -156,7 +159,7 @@ impl Dictionary {
         }
         for Dense { score, index, weights, share } in &self.dense {
             // Fitted errors of the reference take in what moves whole scans; the patterns look for it in the errors.
-            if self.moves_scans(*index) && !fitted.nuisances.pose_error.is_none() {
+            if self.moves_scans(*index) && !hypothesis.pose_error.is_none() {
                 continue;
             }
             let scores = &scores[*score as usize];
@@ -198,7 +201,9 @@ impl Dictionary {
             out[self.depth][half] = depth[0][half] / (depth[1][half] + 1.0);
             out[self.density][half] = 0.5 * fitted.nuisances.block_density.ln();
         }
-        for (p, score) in fitted.pattern_scores.iter().enumerate() {
+        for (p, score) in
+            fitted.pattern_scores.iter().enumerate().filter(|_| !hypothesis.pose_error.is_none())
+        {
             // Of the log as a whole.
             out[self.patterns + p] = [0.5 * score; 2];
         }
