@@ -53,7 +53,7 @@ pub(crate) struct Comparison<'a> {
     pub nominal: &'a Nominal,
     pub recorded: &'a Recorded,
     /// The views from the nominal mount at the nominal times.
-    pub views: Arc<Views<'a>>,
+    pub views: Arc<Views>,
 }
 
 /// The most steps in which errors of the reference are found, as readings depend on them linearly in each; they end where
@@ -111,7 +111,7 @@ impl<'a> Comparison<'a> {
     /// The same by views that were cast before, of a world with these effects.
     pub fn evaluate_views(
         &self,
-        views: &Views<'_>,
+        views: &Views,
         effects: &Effects,
         start: &Fitted,
         iterations: usize,
@@ -147,6 +147,11 @@ impl<'a> Comparison<'a> {
 
     /// Fits all nuisances to the log under these effects, which this comparison's views are of.
     pub fn fit_nuisances_with(&self, effects: &Effects, start: &Nuisances, iterations: usize) -> Fitted {
+        self.evaluate_views(&self.views, effects, &self.find_nuisances(effects, start, iterations), 0)
+    }
+
+    /// The same without the log likelihood of the scans, which takes one more look at all readings.
+    pub fn find_nuisances(&self, effects: &Effects, start: &Nuisances, iterations: usize) -> Fitted {
         let mut fitted = self.start(start);
         // A process to start from that may be found to be none.
         let mut process = if start.pose_error.is_none() {
@@ -189,7 +194,7 @@ impl<'a> Comparison<'a> {
             &self.corrected(&fitted.corrections),
             &self.recorded.odometry,
         );
-        self.evaluate_views(&self.views, effects, &fitted, 0)
+        fitted
     }
 
     /// How poses seem off by a turned laser, one displaced to the front, one to the left, a late stamp.
@@ -230,7 +235,7 @@ impl<'a> Comparison<'a> {
     /// The terms of every usable reading under the effects, with beam index.
     pub fn for_each_reading(
         &self,
-        views: &Views<'_>,
+        views: &Views,
         effects: &Effects,
         fitted: &Fitted,
         mut visit: impl FnMut(usize, usize, &Density<'_>, f64, f64, Terms),
@@ -262,7 +267,7 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    fn pass(&self, views: &Views<'_>, effects: &Effects, fitted: &Fitted) -> Pass {
+    fn pass(&self, views: &Views, effects: &Effects, fitted: &Fitted) -> Pass {
         let n = views.scans();
         let mut pass = Pass {
             log_likelihood: vec![0.0; n],

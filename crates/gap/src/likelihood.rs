@@ -108,7 +108,7 @@ pub(crate) struct Density<'a> {
 
 impl Density<'_> {
     /// What a reading `z` says; `shift` is added to the range of what stands there \[m\].
-    pub fn terms(&self, beam: &Beam<'_>, shift: f64, z: f64) -> Terms {
+    pub fn terms(&self, beam: &Beam, shift: f64, z: f64) -> Terms {
         let max = self.laser.max_range_m;
         let wall = self.wall_law(beam, shift);
         let range = beam.range() + shift;
@@ -145,7 +145,7 @@ impl Density<'_> {
 
     /// Probability that no block stands within `range` metres, and the density \[1/m\] of one there: deeper blocks as
     /// nominal ones seen from nearer to the wall.
-    fn survival_at(&self, beam: &Beam<'_>, range: f64) -> (f64, f64) {
+    fn survival_at(&self, beam: &Beam, range: f64) -> (f64, f64) {
         if self.depth == 1.0 {
             return beam.survival_at(range);
         }
@@ -155,7 +155,7 @@ impl Density<'_> {
     }
 
     /// The law of a beam that no block is in the way of.
-    fn wall_law(&self, beam: &Beam<'_>, shift: f64) -> ReadingLaw {
+    fn wall_law(&self, beam: &Beam, shift: f64) -> ReadingLaw {
         let range = beam.range() + shift;
         let view = BeamView { range: beam.view.range + shift, ..beam.view };
         self.effects.law(self.laser, &view, Met::Wall, range)
@@ -175,7 +175,7 @@ impl Density<'_> {
 
     /// Density of a reading that has nothing to do with the block that stands in the way, and the probability that the
     /// reading is of the block.
-    fn object_alternatives(&self, beam: &Beam<'_>, z: f64) -> (f64, f64) {
+    fn object_alternatives(&self, beam: &Beam, z: f64) -> (f64, f64) {
         if self.effects.is_empty() {
             return (0.0, 1.0);
         }
@@ -185,7 +185,7 @@ impl Density<'_> {
     }
 
     /// P(reading <= z), for z below the maximum range.
-    pub fn cdf(&self, beam: &Beam<'_>, shift: f64, z: f64) -> f64 {
+    pub fn cdf(&self, beam: &Beam, shift: f64, z: f64) -> f64 {
         let range = beam.range() + shift;
         let law_cdf = |law: &ReadingLaw, below: &dyn Fn(&ReadingLaw) -> f64| {
             let (mut cdf, mut rest) = (0.0, 1.0);

@@ -13,7 +13,7 @@ use locsim_core::{Draw, Stage};
 use rayon::prelude::*;
 
 use crate::GapError;
-use crate::hypothesis::{Comparison, Fitted};
+use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::rank::rank;
 use crate::replay::Replay;
 use crate::statistics::{Dictionary, Halves, pit_draw};
@@ -41,8 +41,10 @@ pub(crate) struct Null {
     pub threshold: f64,
     /// Standard deviation of each statistic among the replicates.
     pub spread: Vec<f64>,
-    /// Nuisances of the replicates and what else the caller asked for.
-    pub fits: Vec<Fitted>,
+    /// Nuisances that were found in the replicates.
+    pub nuisances: Vec<Nuisances>,
+    /// Log likelihood of some of the replicates (nats).
+    pub log_likelihoods: Vec<f64>,
 }
 
 impl Null {
@@ -64,7 +66,7 @@ impl Null {
 pub(crate) fn compare(
     replay: &Replay<'_>,
     comparison: &Comparison<'_>,
-    views: &Arc<Views<'_>>,
+    views: &Arc<Views>,
     dictionary: &Dictionary,
     fitted: &Fitted,
     replicates: u32,
@@ -82,29 +84,35 @@ pub(crate) fn compare(
         }
         let recorded = replay.simulate(draw.seed(i))?;
         let other = Comparison { nominal: comparison.nominal, recorded: &recorded, views: Arc::clone(views) };
-        let fitted = other.fit_nuisances_with(&effects, &replay.nuisances, REFIT);
+        let fitted = other.find_nuisances(&effects, &replay.nuisances, REFIT);
         let pit = pit_draw(draw.seed(i));
         let statistics = dictionary.of(&other, &effects, views, &fitted, &replay.nuisances, &pit);
+        let likelihood =
+            (i < WITH_LIKELIHOOD).then(|| other.evaluate_views(views, &effects, &fitted, 0).total());
         tick(1);
-        Ok((statistics, fitted))
+        Ok((statistics, fitted.nuisances, likelihood))
     };
-    let (mut statistics, mut fits) = (Vec::new(), Vec::new());
+    let (mut statistics, mut nuisances, mut log_likelihoods) = (Vec::new(), Vec::new(), Vec::new());
     let mut begun = 0;
     loop {
         let end = if begun == 0 { replicates.min(FIRST_LOOK) } else { replicates };
         let more = (begun..end).into_par_iter().map(one).collect::<Result<Vec<_>, GapError>>()?;
-        for (of_log, fitted) in more {
+        for (of_log, found, likelihood) in more {
             statistics.push(of_log);
-            fits.push(fitted);
+            nuisances.push(found);
+            log_likelihoods.extend(likelihood);
         }
         begun = end;
         let null = rank(dictionary, &own, &statistics);
         if begun == replicates || null.p > CLEARLY_NOTHING || null.is_clearly_off() {
             tick(u64::from(replicates - begun));
-            return Ok(Null { fits, ..null });
+            return Ok(Null { nuisances, log_likelihoods, ..null });
         }
     }
 }
+
+/// Replicates whose log likelihood is found, for a mean: its error is an eighth of what logs differ by.
+const WITH_LIKELIHOOD: u32 = 64;
 
 /// After so many replicates those are spared that can't change the answer (Besag and Clifford 1991): of a log that more than
 /// this share of them exceed, and of one that is beyond all of them by so many nats, which e^-3 of the one log in 200 are
@@ -129,7 +137,8 @@ mod tests {
             largest: vec![1.0, 2.0],
             threshold: 0.0,
             spread: Vec::new(),
-            fits: Vec::new(),
+            nuisances: Vec::new(),
+            log_likelihoods: Vec::new(),
         };
         assert!(of(2.1 + FARTHER).is_clearly_off());
         assert!(!of(1.9 + FARTHER).is_clearly_off());

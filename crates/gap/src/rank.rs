@@ -72,7 +72,8 @@ pub(crate) fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves
         largest: sorted,
         threshold,
         spread: spreads,
-        fits: Vec::new(),
+        nuisances: Vec::new(),
+        log_likelihoods: Vec::new(),
     }
 }
 

@@ -174,7 +174,7 @@ impl BlockTruth {
         self,
         nominal: &Nominal,
         recorded: &Recorded,
-        views: &Arc<Views<'_>>,
+        views: &Arc<Views>,
         effects: &[Effect],
         fitted: &Fitted,
         seed: u64,
@@ -190,7 +190,7 @@ impl BlockTruth {
             .map(|i| {
                 let simulated = replay.simulate(draw.seed(i))?;
                 let comparison = Comparison { nominal, recorded: &simulated, views: Arc::clone(views) };
-                let refitted = comparison.fit_nuisances_with(&all, &fitted.nuisances, 4);
+                let refitted = comparison.find_nuisances(&all, &fitted.nuisances, 4);
                 Ok(refitted.nuisances.block_density)
             })
             .collect::<Result<Vec<f64>, GapError>>()?;

@@ -38,7 +38,7 @@ pub(crate) struct Side<'r> {
 pub(crate) fn locate(
     before: &Side<'_>,
     after: &Side<'_>,
-    views: &Views<'_>,
+    views: &Views,
     recorded: &Recorded,
     simulated: &[Recorded],
 ) -> Vec<Region> {
@@ -90,13 +90,13 @@ pub(crate) fn locate(
 }
 
 /// Wasserstein-1 distance of range errors between a log and simulated ones \[mm\].
-pub(crate) fn distance(views: &Views<'_>, recorded: &Recorded, simulated: &[Recorded]) -> f64 {
+pub(crate) fn distance(views: &Views, recorded: &Recorded, simulated: &[Recorded]) -> f64 {
     let all: Vec<u32> = (0..views.beams.len() as u32).collect();
     distance_of(&all, views, recorded, simulated)
 }
 
 /// The same over some beams.
-fn distance_of(beams: &[u32], views: &Views<'_>, recorded: &Recorded, simulated: &[Recorded]) -> f64 {
+fn distance_of(beams: &[u32], views: &Views, recorded: &Recorded, simulated: &[Recorded]) -> f64 {
     let max = recorded.laser.max_range();
     let errors = |log: &Recorded| -> Vec<f64> {
         beams

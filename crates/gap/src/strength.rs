@@ -37,7 +37,7 @@ pub struct Strength<'a> {
     recorded: &'a Recorded,
     regime: Regime,
     draw: Draw,
-    views: Arc<Views<'a>>,
+    views: Arc<Views>,
     /// Logs without an effect and their log likelihoods.
     nothing: Vec<(Recorded, f64)>,
 }
@@ -90,7 +90,7 @@ impl<'a> Strength<'a> {
         self.replay(effects).simulate(self.draw.seed(number))
     }
 
-    fn log_likelihood(&self, log: &Recorded, effects: &Effects, views: &Views<'_>) -> f64 {
+    fn log_likelihood(&self, log: &Recorded, effects: &Effects, views: &Views) -> f64 {
         let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(&self.views) };
         let start = comparison.start(&self.nuisances());
         let iterations = if start.nuisances.pose_error.is_none() { 2 } else { CORRECTIONS };

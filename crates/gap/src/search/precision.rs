@@ -110,7 +110,7 @@ impl<'a> State<'a> {
         index: usize,
         numbers: &[(usize, f64)],
         logs: &[Recorded],
-        views: &Arc<Views<'a>>,
+        views: &Arc<Views>,
         round: &Round<'a>,
     ) -> Result<Vec<Vec<f64>>, GapError> {
         let mut changes: Vec<Vec<(usize, f64)>> = vec![Vec::new()];
@@ -142,10 +142,10 @@ impl<'a> State<'a> {
         let chance = Draw::new(self.options.seed, Stage::Trial, 14);
         let of_log = |(number, log): (usize, &Recorded)| {
             let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(views) };
-            let start = comparison.fit_nuisances_with(&variants[0].0, &round.fitted.nuisances, REFIT);
+            let start = comparison.find_nuisances(&variants[0].0, &round.fitted.nuisances, REFIT);
             let mut chance = chance.item(number as u32);
             let typical: [f64; VAGUE] = std::array::from_fn(|_| StandardNormal.sample(&mut chance));
-            let total = |(all, views, effect): &(_, Arc<Views<'_>>, Effect)| {
+            let total = |(all, views, effect): &(_, Arc<Views>, Effect)| {
                 let likelihood = comparison.evaluate_views(views, all, &start, 1).total();
                 likelihood + log_prior_by_chance(effect, &effects[index], typical)
             };

@@ -207,7 +207,7 @@ fn object_at(round: &Round<'_>, [x, y]: [i32; 2]) -> DVec2 {
 }
 
 /// Every reading with its beam and the beam's heading.
-fn each_reading(round: &Round<'_>, mut visit: impl FnMut(&Beam<'_>, f64, f64, f64, &Terms)) {
+fn each_reading(round: &Round<'_>, mut visit: impl FnMut(&Beam, f64, f64, f64, &Terms)) {
     let comparison = &round.comparison;
     let Ok(effects) = comparison.effects(&round.effects) else { return };
     comparison.for_each_reading(&comparison.views, &effects, &round.fitted, |scan, i, _, shift, z, terms| {

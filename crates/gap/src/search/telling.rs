@@ -10,7 +10,6 @@ use super::naming::gain;
 use super::path::Path;
 use super::{Round, State};
 use crate::fit::{Candidate, blocks};
-use crate::hypothesis::Fitted;
 use crate::null::Null;
 use crate::outcome::{
     Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
@@ -83,7 +82,7 @@ impl<'a> State<'a> {
     /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
     /// where simulated logs say that it can't be chance.
     pub fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
-        let logs: Vec<f64> = last.null.fits.iter().map(|fit| fit.nuisances.block_density.ln()).collect();
+        let logs: Vec<f64> = last.null.nuisances.iter().map(|found| found.block_density.ln()).collect();
         let mean = logs.iter().sum::<f64>() / logs.len() as f64;
         let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
         // The fit's bias by the last round's own simulated logs: the first one's is of a world without the effects.
@@ -182,8 +181,8 @@ impl<'a> State<'a> {
             Estimate { value: share(total(&gained), total(&rest)), lo: shares[25], hi: shares[974] }
         };
         let view = &before.comparison.views;
-        let floor =
-            after.null.fits.iter().map(Fitted::total).sum::<f64>() / after.null.fits.len().max(1) as f64;
+        let typical = &after.null.log_likelihoods;
+        let floor = typical.iter().sum::<f64>() / typical.len().max(1) as f64;
         let score = |total: f64, w1_mm: f64| crate::outcome::Distance {
             log_score_nats_per_scan: total / scans,
             w1_mm,
@@ -229,7 +228,7 @@ fn detection(null: &Null) -> Detection {
         p_library: null.p_library,
         p_omnibus: null.p_omnibus,
         p: null.p,
-        replicates: null.fits.len() as u32,
+        replicates: null.nuisances.len() as u32,
     }
 }
 

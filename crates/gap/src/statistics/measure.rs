@@ -17,22 +17,22 @@ use crate::views::Beam;
 
 impl Dictionary {
     /// Whether a reading is of something in front of what the map has there.
-    pub fn is_in_front(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> bool {
+    pub fn is_in_front(&self, beam: &Beam, shift: f64, z: f64, terms: &Terms) -> bool {
         z < self.max && z < beam.range() + shift - 4.0 * terms.sigma.min(0.1)
     }
 
     /// Whether a reading is of something behind what the map has there.
-    fn is_behind(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> bool {
+    fn is_behind(&self, beam: &Beam, shift: f64, z: f64, terms: &Terms) -> bool {
         z < self.max && z > beam.range() + shift + 5.0 * terms.sigma.min(0.1)
     }
 
     /// What a reading says of the share of beams that a wall lets through.
-    pub fn glass_score(&self, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> f64 {
+    pub fn glass_score(&self, beam: &Beam, shift: f64, z: f64, terms: &Terms) -> f64 {
         let wall = self.wall_cells.get(&wall_cell(beam.view.endpoint));
         wall.map_or(0.0, |&wall| self.glass_score_of(wall as usize, beam, shift, z, terms))
     }
 
-    fn glass_score_of(&self, wall: usize, beam: &Beam<'_>, shift: f64, z: f64, terms: &Terms) -> f64 {
+    fn glass_score_of(&self, wall: usize, beam: &Beam, shift: f64, z: f64, terms: &Terms) -> f64 {
         let through = if z < self.max {
             let sigma = terms.sigma.min(0.1);
             let far = beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, self.max));
@@ -51,7 +51,7 @@ impl Dictionary {
         &self,
         comparison: &Comparison<'_>,
         effects: &locsim_world::effect::Effects,
-        views: &crate::views::Views<'_>,
+        views: &crate::views::Views,
         fitted: &Fitted,
         hypothesis: &Nuisances,
         pit: &Draw,
@@ -255,7 +255,7 @@ fn phases(z: f64) -> [[f64; 2]; STEPS_M.len()] {
 }
 
 /// What a reading says of how far a wall is moved.
-pub(crate) fn moved_wall_score(beam: &Beam<'_>, terms: &Terms) -> f64 {
+pub(crate) fn moved_wall_score(beam: &Beam, terms: &Terms) -> f64 {
     if terms.sigma.is_infinite() {
         return 0.0;
     }

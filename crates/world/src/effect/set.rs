@@ -249,7 +249,7 @@ impl Effects {
         let max = f64::from(laser.max_range_m as f32);
         let returns = range < max;
         let tan_squared =
-            if met == Met::Wall { view.incidence.min(MAX_INCIDENCE_RAD).tan().powi(2) } else { 0.0 };
+            || if met == Met::Wall { view.incidence.min(MAX_INCIDENCE_RAD).tan().powi(2) } else { 0.0 };
 
         let (mut scale, mut bias) = (1.0, 0.0);
         let (mut wall_bias, mut wall_sigma) = (0.0, 1.0);
@@ -262,9 +262,9 @@ impl Effects {
                 (EffectKind::RangeBias, &[b]) => bias += b,
                 (EffectKind::RangeScale, &[k]) => scale += k,
                 (EffectKind::WarmupDrift, &[b, tau]) => bias += b * (-view.secs / tau).exp(),
-                (EffectKind::IncidenceBias, &[b]) => wall_bias += b * tan_squared,
+                (EffectKind::IncidenceBias, &[b]) => wall_bias += b * tan_squared(),
                 (EffectKind::RangeNoise, &[c]) => growth += c,
-                (EffectKind::IncidenceNoise, &[c]) => wall_sigma += c * tan_squared,
+                (EffectKind::IncidenceNoise, &[c]) => wall_sigma += c * tan_squared(),
                 // One or the other, or both.
                 (EffectKind::HeavyTail, &[p]) => tail += p - tail * p,
                 (EffectKind::Quantization, &[step]) => step_m = step.max(step_m),
