@@ -25,6 +25,8 @@ pub(crate) struct Candidate {
     pub intervals: Vec<[f64; 2]>,
     /// Whether simulated logs say that the log is off in the effect's own direction, whatever else is looked at.
     pub is_beyond_chance: bool,
+    /// See [`crate::outcome::Evidence::score`].
+    pub score: Option<f64>,
 }
 
 impl Candidate {
@@ -233,7 +235,7 @@ impl Search<'_, '_> {
         if effect.kind == EffectKind::Quantization {
             let gains = with.iter().zip(&without).map(|(a, b)| a - b).collect();
             let intervals = vec![[effect.values[0]; 2]];
-            return Ok(Candidate { effect, gains, intervals, is_beyond_chance: false });
+            return Ok(Candidate { effect, gains, intervals, is_beyond_chance: false, score: None });
         }
         let numbers = fitted_numbers(effect.kind);
         let parameters = effect.kind.parameters();
@@ -329,7 +331,7 @@ impl Search<'_, '_> {
             })
             .chain(effect.values[numbers..].iter().map(|&value| [value; 2]))
             .collect();
-        Ok(Candidate { effect, gains, intervals, is_beyond_chance: false })
+        Ok(Candidate { effect, gains, intervals, is_beyond_chance: false, score: None })
     }
 }
 

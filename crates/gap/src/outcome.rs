@@ -57,6 +57,9 @@ pub struct Evidence {
     pub gain_nats: Estimate,
     /// The same per scan.
     pub gain_nats_per_scan: f64,
+    /// Score of its strength, or how deep blocks seem to be, in the world in which it was named (standard deviations of
+    /// simulated logs); none where what gives an effect away is at one place of many.
+    pub score: Option<f64>,
     /// Chance that a log without any effect looks as much off as this one did before this effect was added.
     pub p: f64,
 }

@@ -1,7 +1,7 @@
 use std::f64::consts::{FRAC_PI_3, PI, TAU};
 
 use glam::DVec2;
-use locsim_core::{Drive, Pose2};
+use locsim_core::{Drive, Pose2, wrap_angle};
 use locsim_world::effect::EffectKind;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, Exp1, StandardNormal};
@@ -59,7 +59,7 @@ pub enum OtherForm {
     SectorOcclusion,
     /// Bursts that begin at any time and last an exponential time; readings of a triangular distribution.
     Crosstalk,
-    /// A sweep that starts in front instead of at the back: bearings are taken in \[0, 2 pi), the middle is the back.
+    /// A mirror that turns unevenly, fastest at the back: T sin(beta / 2) / 2.
     MotionSkew,
     /// k r (0.7 + 0.6 r / R).
     RangeScale,
@@ -230,7 +230,7 @@ pub(super) fn record(
             })
         }
         OtherForm::MotionSkew => hidden.with_readings(|beam, _| {
-            let secs = beam.secs + theta * (beam.bearing.rem_euclid(TAU) / TAU - 0.5);
+            let secs = beam.secs + theta * 0.5 * (0.5 * wrap_angle(beam.bearing)).sin();
             let (origin, direction) = hidden.ray(&hidden.truth.pose_at(secs), beam.bearing);
             beam.standing_at(hidden.cast(origin, direction).map_or(f64::INFINITY, |hit| hit.range))
         }),

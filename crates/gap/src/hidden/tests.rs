@@ -1,7 +1,7 @@
 use std::f64::consts::{FRAC_PI_3, TAU};
 use std::sync::{Arc, LazyLock};
 
-use locsim_core::Laser;
+use locsim_core::{Laser, wrap_angle};
 use locsim_world::effect::EffectKind;
 use locsim_world::map::{NamedEdges, Polyline, VectorMap, Wall};
 use locsim_world::raycast::ExactRangeMap;
@@ -414,7 +414,7 @@ fn other_clocks_are_off_as_they_say() {
     for form in [OtherForm::MotionSkew, OtherForm::TimeOffset] {
         let drive = other(form, true, Regime::default());
         let late = |pair: &Pair| match form {
-            OtherForm::MotionSkew => 0.5 * (pair.bearing.rem_euclid(TAU) / TAU - 0.5),
+            OtherForm::MotionSkew => 0.25 * (0.5 * wrap_angle(pair.bearing)).sin(),
             _ => 0.2,
         };
         let miss = |pair: &Pair, secs: f64| {

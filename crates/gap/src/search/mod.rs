@@ -200,9 +200,13 @@ impl<'a> State<'a> {
             let own = || round.dictionary.aims.iter().enumerate().filter(is_own).map(|(i, _)| i);
             let off = own().map(|i| round.dictionary.off(i, round.null.z[i])).fold(0.0, f64::max);
             let weight = own().map(|i| round.null.weight[i]).fold(f64::NEG_INFINITY, f64::max);
+            let has_score =
+                own().any(|i| round.dictionary.is_score(i)) || candidate.kind() == EffectKind::BlockDepth;
             candidate.is_beyond_chance = weight >= beyond_chance;
-            // A fit can be far better than its score where the effect is strong.
-            if off < BEYOND_DOUBT {
+            candidate.score = has_score.then_some(off);
+            // A fit can be far better than its score where the effect is strong. Deeper blocks have none, only how deep
+            // blocks seem to be: readings where nominal ones can't stand say far more.
+            if off < BEYOND_DOUBT && candidate.kind() != EffectKind::BlockDepth {
                 candidate.limit(off * off);
             }
             // Many standard deviations are nothing where statistics are clumped, as objects among resting blocks.

@@ -98,7 +98,12 @@ pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Name
         candidates: set,
         params: numbers(candidate),
         place: candidate.effect.place.iter().map(|stretch| stretch.map(|end| end.to_array())).collect(),
-        evidence: Evidence { gain_nats, gain_nats_per_scan: gain_nats.value / scans as f64, p },
+        evidence: Evidence {
+            gain_nats,
+            gain_nats_per_scan: gain_nats.value / scans as f64,
+            score: candidate.score,
+            p,
+        },
         effect: candidate.effect.clone(),
     }
 }
@@ -159,6 +164,7 @@ mod tests {
             gains,
             intervals: Vec::new(),
             is_beyond_chance,
+            score: None,
         };
         assert!((gain(&[3.0, 0.0, 0.0, 3.0]).value - 6.0).abs() < 1e-12);
         assert!((sum_error(&[3.0, 0.0, 0.0, 3.0]) - 12.0_f64.sqrt()).abs() < 1e-12);

@@ -12,7 +12,7 @@ use super::{Round, State};
 use crate::fit::{VAGUE, fitted_numbers, invert, log_prior_by_chance};
 use crate::hypothesis::{Comparison, changes_views};
 use crate::null::REFIT;
-use crate::outcome::{Named, Number};
+use crate::outcome::{Evidence, Named, Number};
 use crate::replay::Replay;
 use crate::views::Views;
 use crate::{GapError, Recorded};
@@ -47,7 +47,7 @@ impl<'a> State<'a> {
         self.progress.stage("making numbers precise", named.len() as u64);
         for (index, named) in named.iter_mut().enumerate() {
             let kind = effects[index].kind;
-            let least = bound(&effects[index], named.evidence.gain_nats.value);
+            let least = bound(&effects[index], &named.evidence);
             let numbers: Vec<(usize, f64)> = smooth_numbers(kind)
                 .filter_map(|i| {
                     let parameter = &kind.parameters()[i];
@@ -182,12 +182,15 @@ fn strengths(kind: EffectKind) -> std::ops::Range<usize> {
     }
 }
 
-/// About the bound of Cramer and Rao on the error of an effect's strength, by what it gains: half its information. Over
-/// less, beams that come over edges make the likelihood rough.
-fn bound(effect: &Effect, gain: f64) -> f64 {
+/// About the bound of Cramer and Rao on the error of an effect's strength: by what it gains, half its information, or by its
+/// score among simulated logs, the root of it, which beams that come over edges don't raise as they raise the gain. Over
+/// less, those beams make the likelihood rough.
+fn bound(effect: &Effect, evidence: &Evidence) -> f64 {
+    let by_gain = 2.0 * evidence.gain_nats.value;
+    let information = evidence.score.map_or(by_gain, |score| by_gain.min(score * score));
     let away = |i: usize| effect.values[i] - effect.kind.parameters()[i].neutral;
     let away = strengths(effect.kind).map(|i| away(i).powi(2)).sum::<f64>().sqrt();
-    away / (2.0 * gain.max(2.0)).sqrt()
+    away / information.max(4.0).sqrt()
 }
 
 /// How far each number's fit is from the truth in each log, as \[number\]\[log\], by log likelihoods \[log\]\[itself, each number
@@ -242,6 +245,7 @@ fn corrected(value: f64, neutral: f64, shifts: &[f64], unit: &'static str) -> Nu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::outcome::Estimate;
 
     /// Of a quadratic log likelihood the step leads to the maximum.
     #[test]
@@ -269,6 +273,21 @@ mod tests {
         let upside_down: Vec<Vec<f64>> =
             totals.iter().map(|t| t.iter().map(|value| -value).collect()).collect();
         assert!(newton_steps(&upside_down, &[sx, sy]).is_none());
+    }
+
+    /// A bias of 2 cm that gains 50 nats, or has a score of 10 standard deviations, is known to 2 mm; a gain that is larger
+    /// than the score allows counts for no more.
+    #[test]
+    fn the_bound_is_that_of_the_gain_or_of_the_score() {
+        let bias = Effect::new(EffectKind::RangeBias, vec![0.02], Vec::new()).unwrap();
+        let by = |gain: f64, score| {
+            let gain_nats = Estimate { value: gain, lo: gain, hi: gain };
+            bound(&bias, &Evidence { gain_nats, gain_nats_per_scan: 0.0, score, p: 0.01 })
+        };
+        assert!((by(50.0, None) - 0.002).abs() < 1e-12);
+        assert!((by(800.0, Some(10.0)) - 0.002).abs() < 1e-12);
+        assert!((by(50.0, Some(40.0)) - 0.002).abs() < 1e-12);
+        assert!((by(0.0, Some(0.0)) - 0.01).abs() < 1e-12);
     }
 
     /// Steps of 1, 2, 3 from the truth: a bias of 2 and a spread of 1.

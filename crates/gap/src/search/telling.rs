@@ -121,6 +121,7 @@ impl<'a> State<'a> {
             evidence: Evidence {
                 gain_nats,
                 gain_nats_per_scan: gain_nats.value / self.recorded.scans() as f64,
+                score: None,
                 p,
             },
             split_by: None,

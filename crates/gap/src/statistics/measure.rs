@@ -111,8 +111,9 @@ impl Dictionary {
                 if let Some(&index) = self.objects.get(&cell) {
                     in_cells[index as usize][half] += 1.0;
                 }
-                depth[0][half] += terms.short * (beam.range() - z);
-                depth[1][half] += terms.short;
+                // Whether blocks can stand there as the hypothesis has them is just what is asked.
+                depth[0][half] += (beam.range() - z).min(DEEPEST_M);
+                depth[1][half] += 1.0;
             }
             if in_front {
                 let range = (z / SECTOR_RANGE_M) as usize;
@@ -235,6 +236,9 @@ impl Dictionary {
         out
     }
 }
+
+/// Readings farther in front of a wall are hardly of blocks \[m\].
+const DEEPEST_M: f64 = 1.5;
 
 /// Cosine and sine of 2 pi z over each of [`STEPS_M`]: all but one are powers of one complex number.
 fn phases(z: f64) -> [[f64; 2]; STEPS_M.len()] {
