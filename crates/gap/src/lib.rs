@@ -8,6 +8,8 @@
 
 mod error;
 mod fit;
+#[cfg(test)]
+mod fixtures;
 pub mod hidden;
 mod hypothesis;
 mod likelihood;

@@ -114,7 +114,7 @@ impl Regime {
     /// An error that is common, of 1 cm and 0.003 rad, kept up for 2 s.
     pub const POSE_ERROR: PoseError = PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 };
 
-    fn simulator(self, nominal: &Nominal, effects: &Effects) -> Result<Simulator, GapError> {
+    pub(crate) fn simulator(self, nominal: &Nominal, effects: &Effects) -> Result<Simulator, GapError> {
         let resample = match nominal.blocks {
             Some(blocks) if !self.persistent_blocks => blocks.resample,
             _ => BlockResampling::Never,

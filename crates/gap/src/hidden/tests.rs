@@ -1,70 +1,12 @@
 use std::f64::consts::{FRAC_PI_3, TAU};
-use std::sync::{Arc, LazyLock};
 
 use locsim_core::{Laser, wrap_angle};
-use locsim_world::effect::EffectKind;
-use locsim_world::map::{NamedEdges, Polyline, VectorMap, Wall};
-use locsim_world::raycast::ExactRangeMap;
-use locsim_world::simulation::{BlockOptions, LaserOptions, OdometryNoise, Robot, RobotPath, simulate_drive};
 
 use super::*;
+use crate::fixtures::{DRIVE, MAX_M, NOMINAL, SEED, SIGMA_M, TRUTH};
 
-const SIGMA_M: f64 = 0.01;
-const MAX_M: f64 = 5.0;
-const SEED: u64 = 5;
 /// The north wall, which the robot sees from the south.
 const NORTH: [DVec2; 2] = [DVec2::new(6.0, 4.0), DVec2::new(0.0, 4.0)];
-
-/// A room with a door recess and a thin wall that hides part of the east end, some blocks and dropouts.
-static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
-    let corners =
-        [[0.0, 0.0], [2.0, 0.0], [2.0, -0.4], [3.0, -0.4], [3.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]];
-    let outline = Polyline {
-        points_m: corners.to_vec(),
-        surfaces: vec![NamedEdges { name: "door".to_owned(), edges: vec![2] }],
-        ..Polyline::default()
-    };
-    let screen = Wall { name: "screen".to_owned(), from_m: [5.0, 1.0], to_m: [5.0, 2.0] };
-    let map = VectorMap { outline, obstacles: Vec::new(), walls: vec![screen] };
-    let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
-    let laser = LaserOptions {
-        rate_hz: 10.0,
-        beams: 72,
-        field_of_view_rad: TAU,
-        min_range_m: 0.05,
-        max_range_m: MAX_M,
-        resolution_m: 0.001,
-        sigma_m: SIGMA_M,
-        sigma_per_m: 0.0,
-        mount: Pose2::new(0.1, 0.0, 0.0),
-        scan_secs: 0.0,
-    };
-    let blocks = BlockOptions {
-        per_metre_of_wall: 0.3,
-        length_m: [0.15, 0.35],
-        width_m: [0.1, 0.25],
-        yaw_rad: [-0.5, 0.5],
-        wall_distance_m: [0.1, 0.3],
-        resample: BlockResampling::EachObservation,
-        speed_m_s: [0.0; 2],
-        clearance_m: 0.35,
-    };
-    let dropout = Effect::new(EffectKind::RangeDropout, vec![0.02, 0.0], vec![]).unwrap();
-    let odometry = OdometryNoise::new([0.02, 0.005, 0.01, 0.005]).unwrap();
-    let effects = Effects::new(vec![dropout]).unwrap();
-    Nominal::new(map, laser, Some(blocks), odometry, effects, 1).unwrap()
-});
-static DRIVE: LazyLock<Drive> = LazyLock::new(|| {
-    let path = RobotPath::Waypoints {
-        points_m: vec![[1.0, 1.0], [4.2, 1.2], [4.0, 3.0], [1.2, 2.6]],
-        speed_m_s: 0.6,
-        turn_rate_rad_s: 0.8,
-    };
-    let robot = Robot { path, start_jitter_m: 0.0, odometry_noise: NOMINAL.odometry };
-    let simulator = Regime::default().simulator(&NOMINAL, &NOMINAL.effects).unwrap();
-    simulate_drive(&simulator, &robot, SEED).unwrap().drive
-});
-static TRUTH: LazyLock<Truth> = LazyLock::new(|| Truth::of(&DRIVE).unwrap());
 
 /// Values of an effect that is strong, or as good as none.
 fn values(form: OtherForm, strong: bool) -> Vec<f64> {

@@ -191,3 +191,71 @@ impl<'a> State<'a> {
         Ok(gains)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use locsim_world::effect::EffectKind;
+
+    use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::Nuisances;
+    use crate::replay::fit_persistence;
+    use crate::search::GapOptions;
+
+    /// Noise and a tail were named for a turned laser: tried alone, it takes their place. Where it wasn't among the first
+    /// fits, nothing else does, and they stay.
+    #[test]
+    fn one_effect_that_explains_all_takes_the_place_of_several() {
+        let yaw = Effect::new(EffectKind::MountYaw, vec![0.02], Vec::new()).unwrap();
+        let drive = record_library(&NOMINAL, &TRUTH, &[yaw], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 100, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 39, seed: 5, ..GapOptions::default() };
+        let comparison = Comparison::new(&NOMINAL, &recorded);
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let blocks = fit_persistence(&NOMINAL, &recorded, &fitted, options.seed).unwrap();
+        let stop = AtomicBool::new(false);
+        let state = State {
+            nominal: &NOMINAL,
+            recorded: &recorded,
+            options: &options,
+            progress: &(),
+            stop: &stop,
+            blocks,
+        };
+        let first = || state.round(Vec::new(), fitted.nuisances, options.replicates).unwrap();
+        let fits = state.candidates(&first(), options.fitted_kinds, FAR_OFF).unwrap();
+        let at = |kind| fits.iter().position(|fit| fit.kind() == kind).unwrap();
+        let wrong = [EffectKind::IncidenceNoise, EffectKind::HeavyTail];
+        assert!(
+            is_sure(&fits[at(EffectKind::MountYaw)]) && wrong.iter().all(|&kind| is_sure(&fits[at(kind)]))
+        );
+        let path = |fits: Vec<Candidate>| {
+            let at = |kind| fits.iter().position(|fit| fit.kind() == kind).unwrap();
+            Path {
+                rounds: vec![first()],
+                named: wrong.iter().map(|&kind| name(&fits, at(kind), 0.01, recorded.scans())).collect(),
+                first_choice: at(wrong[0]),
+                first_fits: fits,
+                rivals: Vec::new(),
+                gains: Vec::new(),
+                remaining: None,
+                note: None,
+            }
+        };
+        let names = |path: &Path<'_>| path.named.iter().map(|named| named.name).collect::<Vec<_>>();
+
+        let mut with = path(fits.clone());
+        state.simplify(&mut with).unwrap();
+        assert_eq!(names(&with), [EffectKind::MountYaw]);
+        assert!(with.note.is_some() && with.rounds.len() == 2);
+
+        let mut without = path(fits.into_iter().filter(|fit| fit.kind() != EffectKind::MountYaw).collect());
+        state.simplify(&mut without).unwrap();
+        assert_eq!(names(&without), wrong);
+        assert!(without.note.is_none());
+    }
+}

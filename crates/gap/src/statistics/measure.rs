@@ -290,7 +290,39 @@ impl Correlation {
 
 #[cfg(test)]
 mod tests {
+    use locsim_world::effect::EffectKind;
+
     use super::*;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::statistics::{Aim, pit_draw};
+    use crate::{PoseError, Recorded};
+
+    /// Whether a displaced laser is looked for in the readings or in the errors of the reference is the same for a log and for
+    /// all replicates, whatever errors are found in each.
+    #[test]
+    fn what_is_looked_at_is_the_hypothesis_s_to_say() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 2).unwrap();
+        let recorded = Recorded::new(&drive, 60, 24, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded);
+        let dictionary = Dictionary::new(&comparison);
+        let errors = [PoseError::NONE, Regime::POSE_ERROR];
+        let nuisances = errors.map(|pose_error| Nuisances { pose_error, ..Nuisances::default() });
+        let offset = |aim: &Aim| matches!(aim, Aim::Effect(EffectKind::MountOffset, _));
+        let looked_at = |found: &Nuisances, hypothesis: &Nuisances| {
+            let mut fitted = comparison.start(found);
+            fitted.pattern_scores = [3.0; 4];
+            let (views, effects) = (&comparison.views, &NOMINAL.effects);
+            let all = dictionary.of(&comparison, effects, views, &fitted, hypothesis, &pit_draw(1));
+            let of_offset = dictionary.aims.iter().zip(all).filter(|(aim, _)| offset(aim));
+            of_offset.map(|(_, halves)| halves != [0.0; 2]).collect::<Vec<_>>()
+        };
+        for found in &nuisances {
+            // Along x and along y: in the readings, then in the errors.
+            assert_eq!(looked_at(found, &nuisances[0]), [true, true, false, false]);
+            assert_eq!(looked_at(found, &nuisances[1]), [false, false, true, true]);
+        }
+    }
 
     #[test]
     fn phases_are_those_of_the_steps() {
