@@ -256,6 +256,15 @@ mod tests {
         }
     }
 
+    /// Of 20 logs, too, one that is far beyond the others is far beyond them: it is no part of what their tail is taken from.
+    #[test]
+    fn a_glance_shows_what_is_far_off() {
+        let own = 12.0;
+        let sample: Vec<f64> = (0..19).map(|i| -((f64::from(i) + 0.5) / 19.0).ln()).chain([own]).collect();
+        let tail = Tail::of(sample.iter().copied());
+        assert!(tail.minus_log_p(own) > tail.minus_log_p(sample[0]) + 6.0);
+    }
+
     /// A few outliers among the statistics of one group don't make what another group has to exceed absurd.
     #[test]
     fn outliers_are_not_impossible() {

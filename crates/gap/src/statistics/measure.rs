@@ -290,13 +290,31 @@ impl Correlation {
 
 #[cfg(test)]
 mod tests {
-    use locsim_world::effect::EffectKind;
+    use locsim_world::effect::{Effect, EffectKind};
 
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
     use crate::statistics::{Aim, pit_draw};
     use crate::{PoseError, Recorded};
+
+    /// Blocks three times as deep seem more than twice as deep, though nominal ones can't stand where most of them are seen.
+    #[test]
+    fn deep_blocks_are_seen_where_nominal_ones_cannot_stand() {
+        let depth = |factor: f64| {
+            let deeper = Effect::new(EffectKind::BlockDepth, vec![factor], Vec::new()).unwrap();
+            let drive = record_library(&NOMINAL, &TRUTH, &[deeper], Regime::default(), 2).unwrap();
+            let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded);
+            let dictionary = Dictionary::new(&comparison);
+            let (fitted, none) = (comparison.start(&Nuisances::default()), Nuisances::default());
+            let (views, effects) = (&comparison.views, &NOMINAL.effects);
+            let all = dictionary.of(&comparison, effects, views, &fitted, &none, &pit_draw(1));
+            all[dictionary.depth].iter().sum::<f64>()
+        };
+        let (nominal, deep) = (depth(1.0), depth(3.0));
+        assert!(deep > 2.0 * nominal, "{nominal} {deep}");
+    }
 
     /// Whether a displaced laser is looked for in the readings or in the errors of the reference is the same for a log and for
     /// all replicates, whatever errors are found in each.
