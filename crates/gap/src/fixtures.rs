@@ -54,7 +54,7 @@ pub(crate) static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
     let dropout = Effect::new(EffectKind::RangeDropout, vec![0.02, 0.0], vec![]).unwrap();
     let odometry = OdometryNoise::new([0.02, 0.005, 0.01, 0.005]).unwrap();
     let effects = Effects::new(vec![dropout]).unwrap();
-    Nominal::new(map, laser, Some(blocks), odometry, effects, 1).unwrap()
+    Nominal::new(map, laser, Some(blocks), odometry, effects).unwrap()
 });
 pub(crate) static DRIVE: LazyLock<Drive> = LazyLock::new(|| {
     let path = RobotPath::Waypoints {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use locsim_core::Pose2;
-use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::effect::{Effect, Effects};
 
 use crate::likelihood::{Density, Terms};
 use crate::odometry::{OdometryError, log_likelihoods};
@@ -52,7 +52,7 @@ impl Fitted {
 pub(crate) struct Comparison<'a> {
     pub nominal: &'a Nominal,
     pub recorded: &'a Recorded,
-    /// The views from the nominal mount at the nominal times.
+    /// What its beams see in the nominal world or in one with more effects, where most hypotheses are of that one.
     pub views: Arc<Views>,
 }
 
@@ -61,23 +61,30 @@ pub(crate) struct Comparison<'a> {
 pub(crate) const CORRECTIONS: usize = 8;
 const CORRECTED_M: f64 = 0.001;
 
-/// Whether an effect changes where beams come from or what stands in their way, so that they are cast anew.
-pub(crate) fn changes_views(kind: EffectKind) -> bool {
-    matches!(
-        kind,
-        EffectKind::MountYaw
-            | EffectKind::MountOffset
-            | EffectKind::TimeOffset
-            | EffectKind::MotionSkew
-            | EffectKind::MissingObject
-            | EffectKind::Glass
-            | EffectKind::MixedPixels
-    )
-}
-
 impl<'a> Comparison<'a> {
-    pub fn new(nominal: &'a Nominal, recorded: &'a Recorded) -> Self {
-        Self { nominal, recorded, views: Arc::new(Views::new(nominal, recorded, &nominal.effects)) }
+    /// # Errors
+    /// As [`Views::new`].
+    pub fn new(nominal: &'a Nominal, recorded: &'a Recorded) -> Result<Self, GapError> {
+        Ok(Self { nominal, recorded, views: Arc::new(Views::new(nominal, recorded, &nominal.effects)?) })
+    }
+
+    /// The same views for another log of the same poses.
+    pub fn of(&self, recorded: &'a Recorded) -> Self {
+        Self { nominal: self.nominal, recorded, views: Arc::clone(&self.views) }
+    }
+
+    /// The log's views in a world with these effects.
+    pub fn views_with(&self, effects: &Effects) -> Result<Arc<Views>, GapError> {
+        if self.views.are_of(effects) {
+            Ok(Arc::clone(&self.views))
+        } else {
+            Ok(Arc::new(self.views.with(self.nominal, self.recorded, effects)?))
+        }
+    }
+
+    /// The log against a world with these effects.
+    pub fn in_world(&self, effects: &Effects) -> Result<Self, GapError> {
+        Ok(Self { nominal: self.nominal, recorded: self.recorded, views: self.views_with(effects)? })
     }
 
     /// Effects of the nominal world and more.
@@ -100,12 +107,7 @@ impl<'a> Comparison<'a> {
     /// the density of blocks and the errors are profiled, `iterations` times.
     pub fn evaluate(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
         let effects = self.effects(more)?;
-        if more.iter().any(|effect| changes_views(effect.kind)) {
-            let views = Views::new(self.nominal, self.recorded, &effects);
-            Ok(self.evaluate_views(&views, &effects, start, iterations))
-        } else {
-            Ok(self.evaluate_views(&self.views, &effects, start, iterations))
-        }
+        Ok(self.evaluate_views(&*self.views_with(&effects)?, &effects, start, iterations))
     }
 
     /// The same by views that were cast before, of a world with these effects.
@@ -217,13 +219,7 @@ impl<'a> Comparison<'a> {
     /// Fits the nuisances anew with more effects.
     pub fn refit(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
         let effects = self.effects(more)?;
-        let views = if more.iter().any(|effect| changes_views(effect.kind)) {
-            Arc::new(Views::new(self.nominal, self.recorded, &effects))
-        } else {
-            Arc::clone(&self.views)
-        };
-        let other = Comparison { nominal: self.nominal, recorded: self.recorded, views };
-        Ok(other.fit_nuisances_with(&effects, &start.nuisances, iterations))
+        Ok(self.in_world(&effects)?.fit_nuisances_with(&effects, &start.nuisances, iterations))
     }
 
     /// Reference poses with their errors taken off.
@@ -240,17 +236,7 @@ impl<'a> Comparison<'a> {
         fitted: &Fitted,
         mut visit: impl FnMut(usize, usize, &Density<'_>, f64, f64, Terms),
     ) {
-        let density = Density {
-            laser: &self.nominal.laser,
-            effects,
-            blocks: fitted.nuisances.block_density,
-            depth: effects
-                .list()
-                .iter()
-                .filter(|effect| effect.kind == EffectKind::BlockDepth)
-                .map(|effect| effect.values[0])
-                .product(),
-        };
+        let density = Density { laser: &self.nominal.laser, effects, blocks: fitted.nuisances.block_density };
         let max = self.nominal.laser.max_range_m;
         for scan in 0..views.scans() {
             let correction = fitted.corrections[scan];

@@ -102,8 +102,6 @@ pub(crate) struct Density<'a> {
     pub effects: &'a Effects,
     /// Factor on the density of blocks.
     pub blocks: f64,
-    /// Factor on how far they stand out from walls.
-    pub depth: f64,
 }
 
 impl Density<'_> {
@@ -122,7 +120,7 @@ impl Density<'_> {
             let (others, rest) = self.object_alternatives(beam, z);
             density += (1.0 - clear) * others;
             if z < max && z < range {
-                let (survival, hazard) = self.survival_at(beam, z - shift);
+                let (survival, hazard) = beam.survival_at(z - shift);
                 if hazard > 0.0 {
                     short = rest * self.blocks * survival.max(1e-12).powf(self.blocks - 1.0) * hazard;
                 }
@@ -141,17 +139,6 @@ impl Density<'_> {
             error: if is_return { z - wall.mean } else { 0.0 },
             sigma: if is_return { wall.sigma } else { f64::INFINITY },
         }
-    }
-
-    /// Probability that no block stands within `range` metres, and the density \[1/m\] of one there: deeper blocks as
-    /// nominal ones seen from nearer to the wall.
-    fn survival_at(&self, beam: &Beam, range: f64) -> (f64, f64) {
-        if self.depth == 1.0 {
-            return beam.survival_at(range);
-        }
-        let wall = beam.range().min(self.laser.max_range_m);
-        let (survival, hazard) = beam.survival_at(wall - (wall - range) / self.depth);
-        (survival, hazard / self.depth)
     }
 
     /// The law of a beam that no block is in the way of.
@@ -210,8 +197,7 @@ impl Density<'_> {
                 }
             });
         if clear < 1.0 {
-            let survival =
-                self.survival_at(beam, (z - shift).min(range)).0.max(1e-12).powf(self.blocks).max(clear);
+            let survival = beam.survival_at((z - shift).min(range)).0.max(1e-12).powf(self.blocks).max(clear);
             let share = ((1.0 - survival) / (1.0 - clear)).clamp(0.0, 1.0);
             let object = self.effects.law(self.laser, &beam.view, Met::Object, z.min(range));
             cdf += (1.0 - clear) * law_cdf(&object, &|_| share);

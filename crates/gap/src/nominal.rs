@@ -1,19 +1,12 @@
 use std::sync::Arc;
 
-use locsim_core::{Obstructions, Survival};
 use locsim_world::effect::{Effect, Effects};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{
-    BlockOptions, BlockResampling, LaserOptions, ObstructionOptions, ObstructionTable, OdometryNoise,
-    Simulator,
+    BlockIntegral, BlockModel, BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Simulator,
 };
 
 use crate::{GapError, Recorded};
-
-/// Entries that an obstruction table may have (400 MB).
-const MOST_ENTRIES: f64 = 1e8;
-/// Sampled blocks of an obstruction table.
-const SAMPLED_BLOCKS: u32 = 20_000;
 
 /// The simulator that a log is held against.
 #[derive(Clone)]
@@ -28,12 +21,12 @@ pub struct Nominal {
     pub odometry: OdometryNoise,
     /// Effects that it has already.
     pub effects: Effects,
-    /// How likely blocks stand in a beam's way.
-    obstructions: Arc<dyn Obstructions>,
+    /// What may be expected of its blocks.
+    integral: Option<Arc<BlockIntegral>>,
 }
 
 impl Nominal {
-    /// Prepares a simulator; integrating over its blocks takes some seconds.
+    /// Prepares a simulator.
     ///
     /// # Errors
     /// [`GapError::NoNoise`] for a laser without noise, [`GapError::Simulation`] for options out of range.
@@ -43,41 +36,36 @@ impl Nominal {
         blocks: Option<BlockOptions>,
         odometry: OdometryNoise,
         effects: Effects,
-        seed: u64,
     ) -> Result<Self, GapError> {
         if laser.sigma_m <= 0.0 {
             return Err(GapError::NoNoise);
         }
         let blocks = blocks.filter(|blocks| blocks.per_metre_of_wall > 0.0);
-        let simulator = Simulator::new(Arc::clone(&map), blocks, laser, effects.clone())?;
-        let obstructions: Arc<dyn Obstructions> = match simulator.blocks() {
-            None => Arc::new(NothingInTheWay),
-            Some(model) => {
-                let [x0, y0, x1, y1] = map.geometry().bounds();
-                let range = laser.max_range_m;
-                let mut options = ObstructionOptions {
-                    cell_m: 0.15,
-                    headings: 120,
-                    bin_m: 0.05,
-                    max_range_m: range,
-                    samples: SAMPLED_BLOCKS,
-                };
-                let entries = |o: &ObstructionOptions| {
-                    (x1 - x0) * (y1 - y0) / o.cell_m.powi(2) * f64::from(o.headings) * range / o.bin_m
-                };
-                while entries(&options) > MOST_ENTRIES {
-                    options.cell_m *= 1.25;
-                    options.bin_m = (options.bin_m * 1.1).min(0.1);
-                }
-                Arc::new(ObstructionTable::new(model, &map, &options, seed)?)
-            }
-        };
-        Ok(Self { map, laser, blocks, odometry, effects, obstructions })
+        // Refuses what can't be simulated.
+        Simulator::new(Arc::clone(&map), blocks, laser, effects.clone())?;
+        let mut nominal = Self { map, laser, blocks, odometry, effects, integral: None };
+        nominal.integral = nominal.integrate_over(nominal.blocks_with(&nominal.effects).as_ref())?;
+        Ok(nominal)
     }
 
-    /// How likely blocks stand in a beam's way.
-    pub(crate) fn obstructions(&self) -> &dyn Obstructions {
-        &*self.obstructions
+    /// The blocks of its world with these effects.
+    pub(crate) fn blocks_with(&self, effects: &Effects) -> Option<BlockOptions> {
+        self.blocks.map(|blocks| effects.blocks(blocks))
+    }
+
+    /// What may be expected of these blocks.
+    pub(crate) fn integral_over(
+        &self,
+        blocks: Option<&BlockOptions>,
+    ) -> Result<Option<Arc<BlockIntegral>>, GapError> {
+        let own = self.integral.as_ref().map(|integral| integral.model().options());
+        if blocks == own { Ok(self.integral.clone()) } else { self.integrate_over(blocks) }
+    }
+
+    fn integrate_over(&self, blocks: Option<&BlockOptions>) -> Result<Option<Arc<BlockIntegral>>, GapError> {
+        let Some(blocks) = blocks else { return Ok(None) };
+        let model = BlockModel::new(*blocks, self.map.geometry())?;
+        Ok(Some(Arc::new(BlockIntegral::new(&model))))
     }
 
     /// The simulator with more effects, as many blocks as `blocks` says and blocks that stay for so many scans.
@@ -123,17 +111,4 @@ pub struct BlockPolicy {
     pub density: f64,
     /// When they take new places.
     pub resample: BlockResampling,
-}
-
-/// A world that is as mapped.
-struct NothingInTheWay;
-
-impl Obstructions for NothingInTheWay {
-    fn bin_m(&self) -> f32 {
-        1.0
-    }
-
-    fn survival(&self, _x: f64, _y: f64, _heading: f64, _range: f32) -> Survival<'_> {
-        Survival { probability: &[1.0], start_m: 0.0 }
-    }
 }

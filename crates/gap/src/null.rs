@@ -6,7 +6,6 @@
 //! rate holds for all of them together: the largest standardized statistic of the log is ranked among those of the
 //! replicates (max-T; Westfall and Young 1993).
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::{Draw, Stage};
@@ -17,7 +16,6 @@ use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::rank::rank;
 use crate::replay::Replay;
 use crate::statistics::{Dictionary, Halves, pit_draw};
-use crate::views::Views;
 
 /// Expectation maximization steps of a replicate, which starts at the fitted process.
 pub(crate) const REFIT: usize = 4;
@@ -66,7 +64,6 @@ impl Null {
 pub(crate) fn compare(
     replay: &Replay<'_>,
     comparison: &Comparison<'_>,
-    views: &Arc<Views>,
     dictionary: &Dictionary,
     fitted: &Fitted,
     replicates: u32,
@@ -76,19 +73,19 @@ pub(crate) fn compare(
 ) -> Result<Null, GapError> {
     let effects = replay.nominal.effects_with(replay.effects)?;
     let pit = pit_draw(seed);
-    let own = dictionary.of(comparison, &effects, views, fitted, &replay.nuisances, &pit);
+    let own = dictionary.of(comparison, &effects, fitted, &replay.nuisances, &pit);
     let draw = Draw::new(seed, Stage::Trial, 7);
     let one = |i: u32| {
         if stop.load(Ordering::Relaxed) {
             return Err(GapError::Interrupted);
         }
         let recorded = replay.simulate(draw.seed(i))?;
-        let other = Comparison { nominal: comparison.nominal, recorded: &recorded, views: Arc::clone(views) };
+        let other = comparison.of(&recorded);
         let fitted = other.find_nuisances(&effects, &replay.nuisances, REFIT);
         let pit = pit_draw(draw.seed(i));
-        let statistics = dictionary.of(&other, &effects, views, &fitted, &replay.nuisances, &pit);
+        let statistics = dictionary.of(&other, &effects, &fitted, &replay.nuisances, &pit);
         let likelihood =
-            (i < WITH_LIKELIHOOD).then(|| other.evaluate_views(views, &effects, &fitted, 0).total());
+            (i < WITH_LIKELIHOOD).then(|| other.evaluate_views(&other.views, &effects, &fitted, 0).total());
         tick(1);
         Ok((statistics, fitted.nuisances, likelihood))
     };

@@ -1,7 +1,6 @@
 //! Simulated logs along the recorded poses, with blocks that stay as long as the log's and a reference that errs as its.
 
 use std::collections::HashSet;
-use std::sync::Arc;
 
 use locsim_core::{Draw, Pose2, Stage};
 use locsim_world::effect::Effect;
@@ -12,7 +11,6 @@ use rayon::prelude::*;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::nominal::BlockPolicy;
 use crate::statistics::{OBJECT_CELL_M, cell_at};
-use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
 /// A fitted simulator: it can replay the log.
@@ -107,11 +105,11 @@ impl Replay<'_> {
 /// How long blocks stay in a log: the policy under which neighbouring scans share as many short readings. The bias of their
 /// density is left out; see [`BlockTruth::in_world`].
 pub(crate) fn fit_persistence(
-    nominal: &Nominal,
-    recorded: &Recorded,
+    comparison: &Comparison<'_>,
     fitted: &Fitted,
     seed: u64,
 ) -> Result<BlockTruth, GapError> {
+    let (nominal, recorded) = (comparison.nominal, comparison.recorded);
     let Some(blocks) = nominal.blocks else {
         return Ok(BlockTruth { resample: BlockResampling::EachObservation, density_over_fit: 1.0 });
     };
@@ -122,7 +120,7 @@ pub(crate) fn fit_persistence(
         nuisances: fitted.nuisances,
         blocks: BlockTruth { resample, density_over_fit: 1.0 },
     };
-    let shared = |recorded: &Recorded| shared_shorts(&Comparison::new(nominal, recorded), fitted);
+    let shared = |recorded: &Recorded| shared_shorts(&comparison.of(recorded), fitted);
     let own = shared(recorded);
     let mut policies = vec![
         BlockResampling::EachObservation,
@@ -172,13 +170,12 @@ impl BlockTruth {
     /// The same blocks with the bias that the fit of their density has in a world with these effects, by simulated logs.
     pub fn in_world(
         self,
-        nominal: &Nominal,
-        recorded: &Recorded,
-        views: &Arc<Views>,
+        comparison: &Comparison<'_>,
         effects: &[Effect],
         fitted: &Fitted,
         seed: u64,
     ) -> Result<Self, GapError> {
+        let (nominal, recorded) = (comparison.nominal, comparison.recorded);
         if nominal.blocks.is_none() {
             return Ok(self);
         }
@@ -189,8 +186,7 @@ impl BlockTruth {
             .into_par_iter()
             .map(|i| {
                 let simulated = replay.simulate(draw.seed(i))?;
-                let comparison = Comparison { nominal, recorded: &simulated, views: Arc::clone(views) };
-                let refitted = comparison.find_nuisances(&all, &fitted.nuisances, 4);
+                let refitted = comparison.of(&simulated).find_nuisances(&all, &fitted.nuisances, 4);
                 Ok(refitted.nuisances.block_density)
             })
             .collect::<Result<Vec<f64>, GapError>>()?;

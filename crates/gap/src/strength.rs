@@ -54,7 +54,7 @@ impl<'a> Strength<'a> {
         seed: u64,
     ) -> Result<Self, GapError> {
         let draw = Draw::new(seed, Stage::Trial, 11);
-        let views = Arc::new(Views::new(nominal, recorded, &nominal.effects));
+        let views = Arc::new(Views::new(nominal, recorded, &nominal.effects)?);
         let mut strength = Self { nominal, recorded, regime, draw, views, nothing: Vec::new() };
         strength.nothing = (0..LOGS)
             .into_par_iter()
@@ -121,7 +121,7 @@ impl<'a> Strength<'a> {
     pub fn information(&self, effect: &Effect, form: Option<OtherForm>) -> Result<f64, GapError> {
         let effects = &[evenly_spread(effect)];
         let all = self.nominal.effects_with(effects)?;
-        let views = Views::new(self.nominal, self.recorded, &all);
+        let views = self.views.with(self.nominal, self.recorded, &all)?;
         let ratio = |log: &Recorded, without: f64| self.log_likelihood(log, &all, &views) - without;
         let with = (0..LOGS)
             .into_par_iter()

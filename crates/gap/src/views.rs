@@ -1,12 +1,21 @@
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use glam::DVec2;
-use locsim_core::{CAST_REACH, Pose2, Survival};
-use locsim_world::effect::{BeamView, Disc, Effects, jump_at};
+use locsim_core::{CAST_REACH, Pose2};
+use locsim_world::effect::{BeamView, Effect, EffectKind, Effects, jump_at};
+use locsim_world::simulation::BlockIntegral;
 use rayon::prelude::*;
 
-use crate::{Nominal, Recorded};
+use crate::{GapError, Nominal, Recorded};
 
+/// Distance between two ranges at which it is known how likely a beam gets so far among blocks \[m\].
+const BIN_M: f64 = 0.05;
+const PER_BIN: f64 = 1.0 / BIN_M;
+/// Blocks are looked for so far beyond what a beam ends at \[m\]: as seen by a beam from nearby, that may be a little farther.
+const BEYOND_M: f64 = 0.3;
+/// Beams of one scan and bearing whose ends are as near to each other as this have the same blocks in their way \[m\].
+const SAME_END_M: f64 = 0.1;
 /// A ray is turned by this to see how its range changes with the heading \[rad\].
 const TURN: f64 = 1e-5;
 /// Beams more grazing than this count as this: the linear dependence on the pose ends there (cosine).
@@ -28,19 +37,19 @@ pub(crate) struct Beam {
 }
 
 impl Beam {
-    /// Probability that no block stands within `range` metres, and the density \[1/m\] of one there, of nominal blocks.
+    /// Probability that no block stands within `range` metres, and the density \[1/m\] of one there.
     #[inline]
     pub fn survival_at(&self, range: f64) -> (f64, f64) {
-        let Reach { start_m, bin_m, first, probability } = &self.survival;
-        let at = ((range - start_m) / bin_m).max(0.0);
-        let i = at as usize;
-        if i < *first {
+        let Reach { start_m, probability } = &self.survival;
+        let at = (range - start_m) / BIN_M;
+        if at < 0.0 {
             return (1.0, 0.0);
         }
-        match probability.get(i - first..) {
+        let i = at as usize;
+        match probability.get(i..) {
             Some(&[a, b, ..]) => {
                 let (a, b) = (f64::from(a), f64::from(b));
-                (a + (at - i as f64) * (b - a), (a - b) / bin_m)
+                (a + (at - i as f64) * (b - a), (a - b) / BIN_M)
             }
             _ => (probability.last().map_or(1.0, |&last| f64::from(last)), 0.0),
         }
@@ -52,27 +61,57 @@ impl Beam {
     }
 }
 
-/// A ray's survival where it changes: a short copy, so that those of neighbouring beams lie side by side. In the world's
-/// table each look at one is a look at memory that isn't in the cache.
+/// How far a beam gets among unmapped blocks.
 #[derive(Clone, Debug)]
 struct Reach {
-    /// Entry `i` of the whole is the probability that no block stands within `start_m + i * bin_m`.
+    /// Entry `i` of the probabilities is that no block stands within `start_m + i * BIN_M`; it is 1 before the first, and the
+    /// last holds beyond.
     start_m: f64,
-    bin_m: f64,
-    /// Entries up to this one are 1.
-    first: usize,
-    /// Those from there on; the last holds beyond.
-    probability: Box<[f32]>,
+    probability: Arc<[f32]>,
 }
 
 impl Reach {
-    fn new(survival: Survival<'_>, bin_m: f64) -> Self {
-        let all = survival.probability;
-        let first = all.iter().position(|&p| p < 1.0).unwrap_or(all.len()).saturating_sub(1);
-        let last = all.last().copied().unwrap_or(1.0);
-        // Never increasing: what follows the first of the last value is the same.
-        let end = (all.iter().position(|&p| p == last).unwrap_or(0) + 1).max(first);
-        Self { start_m: f64::from(survival.start_m), bin_m, first, probability: all[first..end].into() }
+    /// That of a ray up to `limit` metres, away from a robot at `robot`; `counts` is for use inside.
+    fn new(
+        blocks: &BlockIntegral,
+        origin: DVec2,
+        direction: DVec2,
+        robot: DVec2,
+        limit: f64,
+        counts: &mut Vec<f64>,
+    ) -> Self {
+        counts.clear();
+        counts.resize((limit * PER_BIN) as usize + 1, 0.0);
+        blocks.stretches(origin, direction, robot, limit, |near, far, count| {
+            let (first, last) = ((near * PER_BIN) as usize, (far * PER_BIN) as usize);
+            if first == last {
+                counts[first] += count;
+                return;
+            }
+            let per_bin = count / (far - near);
+            for (i, sum) in counts[first..=last].iter_mut().enumerate() {
+                let from = (first + i) as f64 * BIN_M;
+                *sum += per_bin * (far.min(from + BIN_M) - near.max(from));
+            }
+        });
+        let Some(first) = counts.iter().position(|&count| count > 0.0) else { return Self::clear() };
+        let last = counts.iter().rposition(|&count| count > 0.0).unwrap_or(first);
+        let mut met = 0.0;
+        let probability = std::iter::once(1.0).chain(counts[first..=last].iter().map(|count| {
+            met += count;
+            (-met).exp() as f32
+        }));
+        Self { start_m: first as f64 * BIN_M, probability: probability.collect() }
+    }
+
+    /// That of a beam without blocks.
+    fn clear() -> Self {
+        Self { start_m: 0.0, probability: Arc::new([]) }
+    }
+
+    /// That of a beam nearby which ends at the same surface, farther away by `farther`: blocks stand by walls.
+    fn moved(&self, farther: f64) -> Self {
+        Self { start_m: self.start_m + farther, probability: Arc::clone(&self.probability) }
     }
 }
 
@@ -81,17 +120,71 @@ impl Reach {
 pub(crate) struct Views {
     pub beams: Vec<Beam>,
     pub per_scan: usize,
+    /// The effects that shape them.
+    shaped_by: Vec<Effect>,
+    /// The blocks that may be in their way.
+    blocks: Option<Arc<BlockIntegral>>,
+}
+
+/// Whether an effect changes where beams come from or what stands in their way, so that they are cast anew.
+fn shapes_views(kind: EffectKind) -> bool {
+    matches!(
+        kind,
+        EffectKind::MountYaw
+            | EffectKind::MountOffset
+            | EffectKind::TimeOffset
+            | EffectKind::MotionSkew
+            | EffectKind::MissingObject
+            | EffectKind::Glass
+            | EffectKind::MixedPixels
+            | EffectKind::BlockDepth
+    )
 }
 
 impl Views {
     /// Casts every beam from where the effects put the laser at the beam's own time.
-    pub fn new(nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Self {
-        let per_scan = recorded.beams();
+    ///
+    /// # Errors
+    /// [`GapError::Simulation`] for blocks that can't be.
+    pub fn new(nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Result<Self, GapError> {
+        let blocks = nominal.integral_over(nominal.blocks_with(effects).as_ref())?;
+        Ok(Self::cast(nominal, recorded, effects, blocks, None))
+    }
+
+    /// Whether the world looks the same with these effects.
+    pub fn are_of(&self, effects: &Effects) -> bool {
+        effects.list().iter().filter(|effect| shapes_views(effect.kind)).eq(&self.shaped_by)
+    }
+
+    /// The same log's with other effects: what may be in the way of a beam that ends where it did is known.
+    ///
+    /// # Errors
+    /// As [`Views::new`].
+    pub fn with(&self, nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Result<Self, GapError> {
+        let blocks = nominal.blocks_with(effects);
+        if blocks.as_ref() == self.blocks.as_ref().map(|blocks| blocks.model().options()) {
+            Ok(Self::cast(nominal, recorded, effects, self.blocks.clone(), Some(self)))
+        } else {
+            Self::new(nominal, recorded, effects)
+        }
+    }
+
+    fn cast(
+        nominal: &Nominal,
+        recorded: &Recorded,
+        effects: &Effects,
+        blocks: Option<Arc<BlockIntegral>>,
+        nearby: Option<&Self>,
+    ) -> Self {
+        let mount = effects.laser_mount(recorded.laser.base_from_laser());
+        let max = f64::from(recorded.laser.max_range());
+        let caster = Caster { nominal, recorded, effects, mount, max, blocks: blocks.as_deref() };
         let beams = (0..recorded.scans())
             .into_par_iter()
-            .flat_map_iter(|scan| scan_views(nominal, recorded, effects, scan))
+            .flat_map_iter(|scan| caster.scan(scan, nearby.map(|views| views.scan(scan))))
             .collect();
-        Self { beams, per_scan }
+        let shaped_by = effects.list().iter().filter(|effect| shapes_views(effect.kind)).cloned().collect();
+        Self { beams, per_scan: recorded.beams(), shaped_by, blocks }
     }
 
     pub fn scans(&self) -> usize {
@@ -103,90 +196,96 @@ impl Views {
     }
 }
 
-fn scan_views(nominal: &Nominal, recorded: &Recorded, effects: &Effects, scan: usize) -> Vec<Beam> {
-    let laser = &recorded.laser;
-    let mount = effects.laser_mount(laser.base_from_laser());
-    let stamp = recorded.secs[scan];
-    let needs = effects.needs();
-    let max = f64::from(laser.max_range());
-    let mut beams: Vec<Beam> = laser
-        .bearings()
-        .iter()
-        .zip(laser.beam_times_secs())
-        .map(|(&bearing, &offset)| {
-            let bearing = f64::from(bearing);
-            let secs = effects.beam_secs(bearing, stamp + f64::from(offset));
-            let base = if secs == stamp { recorded.poses[scan] } else { recorded.pose_at(secs) };
-            beam(nominal, &base, &mount, bearing, stamp, effects.objects(), needs.behind, max)
-        })
-        .collect();
-    if needs.jump {
-        for (beam, jump) in beams.iter_mut().zip(jumps(nominal, recorded, scan)) {
-            beam.view.jump = jump;
-        }
-    }
-    beams
+/// Casts a log's beams.
+struct Caster<'a> {
+    nominal: &'a Nominal,
+    recorded: &'a Recorded,
+    effects: &'a Effects,
+    /// Pose of the laser on the robot.
+    mount: Pose2,
+    /// Maximum range \[m\].
+    max: f64,
+    blocks: Option<&'a BlockIntegral>,
 }
 
-#[expect(clippy::too_many_arguments, reason = "one call, and each is a thing of its own")]
-fn beam(
-    nominal: &Nominal,
-    base: &Pose2,
-    mount: &Pose2,
-    bearing: f64,
-    secs: f64,
-    objects: &[Disc],
-    behind: bool,
-    max: f64,
-) -> Beam {
-    let map = &nominal.map;
-    let laser = base.compose(mount);
-    let (origin, heading) = (laser.position(), laser.theta + bearing);
-    let direction = DVec2::from_angle(heading);
-    let reach = f64::from(CAST_REACH) * max;
-    let hit = map.cast_ray(origin, direction, reach);
-    let range = hit.map_or(reach, |hit| hit.range);
-    let incidence = hit.map_or(0.0, |hit| hit.incidence);
-    let jacobian = hit.map_or([0.0; 3], |hit| {
-        // On which side of the normal the ray comes in: does it get longer when it turns left?
-        let longer = map
-            .cast_ray(origin, DVec2::from_angle(heading + TURN), reach)
-            .is_some_and(|turned| turned.surface == hit.surface && turned.range > range);
-        let signed = if longer { incidence } else { -incidence };
-        let normal = -DVec2::from_angle(heading - signed);
-        let cosine = incidence.cos().max(GRAZING);
-        let with_position = normal / cosine;
-        let lever = DVec2::from_angle(base.theta).rotate(mount.position()).perp();
-        let with_heading = range * signed.sin() / cosine + with_position.dot(lever);
-        [with_position.x, with_position.y, with_heading]
-    });
-    let obstructions = nominal.obstructions();
-    let survival = obstructions.survival(origin.x, origin.y, heading.rem_euclid(TAU), range as f32);
-    let object = objects.iter().filter_map(|disc| disc.first_hit(origin, direction, range)).reduce(f64::min);
-    let behind = if behind && hit.is_some() {
-        let start = range + 1e-6;
-        map.cast_ray(origin + start * direction, direction, max - start).map(|next| start + next.range)
-    } else {
-        None
-    };
-    let view = BeamView {
-        secs,
-        bearing,
-        range,
-        incidence,
-        endpoint: origin + range * direction,
-        jump: None,
-        behind,
-    };
-    let mut beam = Beam {
-        view,
-        object,
-        jacobian,
-        survival: Reach::new(survival, f64::from(obstructions.bin_m())),
-        log_clear: 0.0,
-    };
-    beam.log_clear = beam.survival_at(beam.range().min(max)).0.max(1e-12).ln();
-    beam
+impl Caster<'_> {
+    fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<Beam> {
+        let laser = &self.recorded.laser;
+        let stamp = self.recorded.secs[scan];
+        let mut counts = Vec::new();
+        let mut beams: Vec<Beam> = laser
+            .bearings()
+            .iter()
+            .zip(laser.beam_times_secs())
+            .enumerate()
+            .map(|(i, (&bearing, &offset))| {
+                let bearing = f64::from(bearing);
+                let secs = self.effects.beam_secs(bearing, stamp + f64::from(offset));
+                let base =
+                    if secs == stamp { self.recorded.poses[scan] } else { self.recorded.pose_at(secs) };
+                self.beam(&base, bearing, stamp, nearby.map(|beams| &beams[i]), &mut counts)
+            })
+            .collect();
+        if self.effects.needs().jump {
+            for (beam, jump) in beams.iter_mut().zip(jumps(self.nominal, self.recorded, scan)) {
+                beam.view.jump = jump;
+            }
+        }
+        beams
+    }
+
+    fn beam(
+        &self,
+        base: &Pose2,
+        bearing: f64,
+        secs: f64,
+        nearby: Option<&Beam>,
+        counts: &mut Vec<f64>,
+    ) -> Beam {
+        let (map, max) = (&self.nominal.map, self.max);
+        let laser = base.compose(&self.mount);
+        let (origin, heading) = (laser.position(), laser.theta + bearing);
+        let direction = DVec2::from_angle(heading);
+        let reach = f64::from(CAST_REACH) * max;
+        let hit = map.cast_ray(origin, direction, reach);
+        let range = hit.map_or(reach, |hit| hit.range);
+        let incidence = hit.map_or(0.0, |hit| hit.incidence);
+        let jacobian = hit.map_or([0.0; 3], |hit| {
+            // On which side of the normal the ray comes in: does it get longer when it turns left?
+            let longer = map
+                .cast_ray(origin, DVec2::from_angle(heading + TURN), reach)
+                .is_some_and(|turned| turned.surface == hit.surface && turned.range > range);
+            let signed = if longer { incidence } else { -incidence };
+            let normal = -DVec2::from_angle(heading - signed);
+            let cosine = incidence.cos().max(GRAZING);
+            let with_position = normal / cosine;
+            let lever = DVec2::from_angle(base.theta).rotate(self.mount.position()).perp();
+            let with_heading = range * signed.sin() / cosine + with_position.dot(lever);
+            [with_position.x, with_position.y, with_heading]
+        });
+        let discs = self.effects.objects().iter();
+        let object = discs.filter_map(|disc| disc.first_hit(origin, direction, range)).reduce(f64::min);
+        let behind = if self.effects.needs().behind && hit.is_some() {
+            let start = range + 1e-6;
+            map.cast_ray(origin + start * direction, direction, max - start).map(|next| start + next.range)
+        } else {
+            None
+        };
+        let endpoint = origin + range * direction;
+        let is_near = |other: &&Beam| other.view.endpoint.distance(endpoint) < SAME_END_M;
+        let survival = match (self.blocks, nearby.filter(is_near)) {
+            (None, _) => Reach::clear(),
+            (_, Some(other)) => other.survival.moved(range - other.view.range),
+            (Some(blocks), None) => {
+                let limit = range.min(max) + BEYOND_M;
+                Reach::new(blocks, origin, direction, base.position(), limit, counts)
+            }
+        };
+        let view = BeamView { secs, bearing, range, incidence, endpoint, jump: None, behind };
+        let mut beam = Beam { view, object, jacobian, survival, log_clear: 0.0 };
+        beam.log_clear = beam.survival_at(beam.range().min(max)).0.max(1e-12).ln();
+        beam
+    }
 }
 
 /// The range jumps between neighbouring beams of the full scan, at the beams that are looked at.
@@ -208,49 +307,62 @@ pub(crate) fn jumps(nominal: &Nominal, recorded: &Recorded, scan: usize) -> Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
 
-    /// What is kept of a ray's survival says the same as the whole, to the last bit.
+    /// A laser that is 1 cm off has about the same in its way: what a beam nearby has is as good as what it has itself, and a
+    /// beam that comes to end elsewhere has its own.
     #[test]
-    fn a_short_copy_says_the_same() {
-        let whole = |p: &[f32], start_m: f64, bin_m: f64, range: f64| {
-            let at = ((range - start_m) / bin_m).max(0.0);
-            let i = at as usize;
-            let p: Vec<f64> = p.iter().map(|&p| f64::from(p)).collect();
-            match p.get(i..i + 2) {
-                Some(&[a, b]) => (a + (at - i as f64) * (b - a), (a - b) / bin_m),
-                _ => (p[p.len() - 1], 0.0),
-            }
+    fn what_is_in_the_way_of_a_beam_nearby_is_in_its_way() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 2).unwrap();
+        let recorded = Recorded::new(&drive, 40, 72, |_| true).unwrap();
+        let offset = |by: f64| {
+            let offset = Effect::new(EffectKind::MountOffset, vec![by, by], Vec::new()).unwrap();
+            NOMINAL.effects_with(&[offset]).unwrap()
         };
-        let rays: [&[f32]; 5] = [
-            &[1.0, 1.0, 1.0, 0.9, 0.7, 0.7, 0.6, 0.6, 0.6],
-            &[1.0; 6],
-            &[1.0],
-            &[1.0, 0.5, 0.5],
-            &[0.8, 0.4, 0.3],
-        ];
-        for ray in rays {
-            let survival = Survival { probability: ray, start_m: -0.03 };
-            let view = BeamView {
-                secs: 0.0,
-                bearing: 0.0,
-                range: 1.0,
-                incidence: 0.0,
-                endpoint: DVec2::ZERO,
-                jump: None,
-                behind: None,
-            };
-            let beam = Beam {
-                view,
-                object: None,
-                jacobian: [0.0; 3],
-                survival: Reach::new(survival, 0.1),
-                log_clear: 0.0,
-            };
-            for i in -2..60 {
-                let range = 0.02 * f64::from(i);
-                let start_m = f64::from(survival.start_m);
-                assert_eq!(beam.survival_at(range), whole(ray, start_m, 0.1, range), "{ray:?} {range}");
-            }
+        let nominal = Views::new(&NOMINAL, &recorded, &NOMINAL.effects).unwrap();
+        assert!(nominal.are_of(&NOMINAL.effects) && !nominal.are_of(&offset(0.01)));
+        let compare = |by: f64| {
+            let views = nominal.with(&NOMINAL, &recorded, &offset(by)).unwrap();
+            let own = Views::new(&NOMINAL, &recorded, &offset(by)).unwrap();
+            let differences: Vec<(f64, bool)> = views
+                .beams
+                .iter()
+                .zip(&own.beams)
+                .zip(&nominal.beams)
+                .map(|((one, own), nominal)| {
+                    assert_eq!(one.view, own.view);
+                    let moved = own.view.endpoint.distance(nominal.view.endpoint);
+                    ((one.log_clear - own.log_clear).abs(), moved > SAME_END_M)
+                })
+                .collect();
+            differences
+        };
+        let near = compare(0.01);
+        let mean = near.iter().map(|(difference, _)| difference).sum::<f64>() / near.len() as f64;
+        assert!(mean < 0.003, "{mean}");
+        assert!(near.iter().any(|(_, moved)| *moved));
+        for (difference, _) in near.iter().chain(&compare(0.3)).filter(|(_, moved)| *moved) {
+            assert_eq!(*difference, 0.0);
         }
+    }
+
+    /// Blocks of a world in which they are deeper are looked for anew.
+    #[test]
+    fn deeper_blocks_are_in_the_way_of_more_beams() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 2).unwrap();
+        let recorded = Recorded::new(&drive, 40, 72, |_| true).unwrap();
+        let deeper = Effect::new(EffectKind::BlockDepth, vec![2.0], Vec::new()).unwrap();
+        let effects = NOMINAL.effects_with(&[deeper]).unwrap();
+        let nominal = Views::new(&NOMINAL, &recorded, &NOMINAL.effects).unwrap();
+        let views = nominal.with(&NOMINAL, &recorded, &effects).unwrap();
+        let clear = |views: &Views| views.beams.iter().map(|beam| beam.log_clear).sum::<f64>();
+        assert!(clear(&views) < 1.1 * clear(&nominal), "{} {}", clear(&views), clear(&nominal));
+        // Nominal ones don't reach 0.7 m into the room.
+        let far_out = |views: &Views| -> f64 {
+            let straight = views.beams.iter().filter(|beam| beam.view.incidence < 0.3);
+            straight.map(|beam| beam.survival_at(beam.view.range - 0.75).1).sum()
+        };
+        assert!(far_out(&views) > 10.0 * far_out(&nominal), "{} {}", far_out(&views), far_out(&nominal));
     }
 }

@@ -50,7 +50,7 @@ fn nominal_with(more: Vec<Effect>) -> Nominal {
     own.extend(more);
     let odometry = OdometryNoise::new([0.02, 0.005, 0.01, 0.005]).unwrap();
     let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
-    Nominal::new(map, laser, Some(blocks), odometry, Effects::new(own).unwrap(), 1).unwrap()
+    Nominal::new(map, laser, Some(blocks), odometry, Effects::new(own).unwrap()).unwrap()
 }
 
 /// A loop through the room, speeding up and slowing down.

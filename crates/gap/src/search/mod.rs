@@ -6,7 +6,6 @@ mod precision;
 mod starts;
 mod telling;
 
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use locsim_core::{Draw, Stage};
@@ -19,7 +18,6 @@ use crate::null::{Null, compare};
 use crate::outcome::Outcome;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::statistics::{Aim, Dictionary};
-use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
 /// How a search is run.
@@ -96,11 +94,11 @@ pub fn find(
 ) -> Result<Outcome, GapError> {
     nominal.check(recorded)?;
     progress.stage("fitting blocks and reference", 1);
-    let comparison = Comparison::new(nominal, recorded);
+    let comparison = Comparison::new(nominal, recorded)?;
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-    let blocks = fit_persistence(nominal, recorded, &fitted, options.seed)?;
+    let blocks = fit_persistence(&comparison, &fitted, options.seed)?;
     progress.advance(1);
-    let state = State { nominal, recorded, options, progress, stop, blocks };
+    let state = State { nominal, recorded, comparison, options, progress, stop, blocks };
     let mut path = state.name_effects(state.round(Vec::new(), fitted.nuisances, options.replicates)?)?;
     state.delete(&mut path)?;
     state.simplify(&mut path)?;
@@ -119,6 +117,8 @@ pub fn find(
 struct State<'a> {
     nominal: &'a Nominal,
     recorded: &'a Recorded,
+    /// The log against the nominal world.
+    comparison: Comparison<'a>,
     options: &'a GapOptions,
     progress: &'a dyn Progress,
     stop: &'a AtomicBool,
@@ -134,12 +134,10 @@ impl<'a> State<'a> {
         replicates: u32,
     ) -> Result<Round<'a>, GapError> {
         let all = self.nominal.effects_with(&effects)?;
-        let views = Arc::new(Views::new(self.nominal, self.recorded, &all));
-        let comparison = Comparison { nominal: self.nominal, recorded: self.recorded, views };
+        let comparison = self.comparison.in_world(&all)?;
         let fitted = comparison.fit_nuisances_with(&all, &nuisances, 20);
         let seed = Draw::new(self.options.seed, Stage::Trial, 9).seed(effects.len() as u32);
-        let blocks =
-            self.blocks.in_world(self.nominal, self.recorded, &comparison.views, &effects, &fitted, seed)?;
+        let blocks = self.blocks.in_world(&comparison, &effects, &fitted, seed)?;
         let dictionary = Dictionary::new(&comparison);
         self.progress.stage(
             if effects.is_empty() { "simulating the nominal world" } else { "simulating with the effects" },
@@ -153,17 +151,7 @@ impl<'a> State<'a> {
             blocks,
         };
         let tick = |ticks| self.progress.advance(ticks);
-        let null = compare(
-            &replay,
-            &comparison,
-            &comparison.views,
-            &dictionary,
-            &fitted,
-            replicates,
-            seed,
-            self.stop,
-            &tick,
-        )?;
+        let null = compare(&replay, &comparison, &dictionary, &fitted, replicates, seed, self.stop, &tick)?;
         Ok(Round { effects, comparison, fitted, blocks, dictionary, null })
     }
 
@@ -171,12 +159,10 @@ impl<'a> State<'a> {
     fn candidates(&self, round: &Round<'a>, count: usize, chance: f64) -> Result<Vec<Candidate>, GapError> {
         let starts = self.starts(round, count, chance);
         self.progress.stage("fitting effects", starts.len() as u64);
-        // The comparison of the nominal world: effects given so far are part of each hypothesis.
-        let comparison = Comparison::new(self.nominal, self.recorded);
         // As far along as with the effect.
-        let without = comparison.evaluate(&round.effects, &round.fitted, 1)?;
+        let without = round.comparison.evaluate(&round.effects, &round.fitted, 1)?;
         let search = Search {
-            comparison: &comparison,
+            comparison: &round.comparison,
             given: &round.effects,
             without: &without,
             start: &round.fitted,

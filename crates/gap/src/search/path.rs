@@ -6,7 +6,7 @@ use super::naming::{adds_up, choose, compare_rivals, gain, is_sure, name, number
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
 use crate::GapError;
 use crate::fit::{Candidate, Search, Start};
-use crate::hypothesis::{Comparison, Fitted};
+use crate::hypothesis::Fitted;
 use crate::outcome::{Named, Rival};
 
 /// So many of the first round's effects are tried alone where several were named, after a glance at so many simulated logs.
@@ -172,9 +172,9 @@ impl<'a> State<'a> {
 
     /// Fits the numbers of one effect anew, the others as they are; whether it still surely gains.
     fn refit(&self, named: &mut [Named], index: usize, start: &Fitted) -> Result<bool, GapError> {
-        let comparison = Comparison::new(self.nominal, self.recorded);
         let others = named.iter().enumerate().filter(|(i, _)| *i != index);
         let given: Vec<Effect> = others.map(|(_, named)| named.effect.clone()).collect();
+        let comparison = self.comparison.in_world(&self.nominal.effects_with(&given)?)?;
         let without = comparison.evaluate(&given, start, 1)?;
         let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
         let effect = &named[index].effect;
@@ -202,7 +202,7 @@ mod tests {
     use crate::Recorded;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::Nuisances;
+    use crate::hypothesis::{Comparison, Nuisances};
     use crate::replay::fit_persistence;
     use crate::search::GapOptions;
 
@@ -214,13 +214,14 @@ mod tests {
         let drive = record_library(&NOMINAL, &TRUTH, &[yaw], Regime::default(), 3).unwrap();
         let recorded = Recorded::new(&drive, 100, 72, |_| true).unwrap();
         let options = GapOptions { replicates: 39, seed: 5, ..GapOptions::default() };
-        let comparison = Comparison::new(&NOMINAL, &recorded);
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-        let blocks = fit_persistence(&NOMINAL, &recorded, &fitted, options.seed).unwrap();
+        let blocks = fit_persistence(&comparison, &fitted, options.seed).unwrap();
         let stop = AtomicBool::new(false);
         let state = State {
             nominal: &NOMINAL,
             recorded: &recorded,
+            comparison,
             options: &options,
             progress: &(),
             stop: &stop,

@@ -10,7 +10,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Round, State};
 use crate::fit::{VAGUE, fitted_numbers, invert, log_prior_by_chance};
-use crate::hypothesis::{Comparison, changes_views};
+use crate::hypothesis::Comparison;
 use crate::null::REFIT;
 use crate::outcome::{Evidence, Named, Number};
 use crate::replay::Replay;
@@ -43,7 +43,7 @@ impl<'a> State<'a> {
             .map(|i| replay.simulate(draw.seed(i)))
             .collect::<Result<Vec<_>, GapError>>()?;
         let all = self.nominal.effects_with(&effects)?;
-        let views = Arc::new(Views::new(self.nominal, self.recorded, &all));
+        let views = self.comparison.views_with(&all)?;
         self.progress.stage("making numbers precise", named.len() as u64);
         for (index, named) in named.iter_mut().enumerate() {
             let kind = effects[index].kind;
@@ -131,10 +131,10 @@ impl<'a> State<'a> {
                     values[i] = (values[i] + change).clamp(parameter.lo, parameter.hi);
                 }
                 let all = self.nominal.effects_with(&effects)?;
-                let views = if changes_views(effects[index].kind) && !changes.is_empty() {
-                    Arc::new(Views::new(self.nominal, self.recorded, &all))
-                } else {
+                let views = if views.are_of(&all) {
                     Arc::clone(views)
+                } else {
+                    Arc::new(views.with(self.nominal, self.recorded, &all)?)
                 };
                 Ok((all, views, effects.swap_remove(index)))
             })

@@ -51,12 +51,12 @@ impl Dictionary {
         &self,
         comparison: &Comparison<'_>,
         effects: &locsim_world::effect::Effects,
-        views: &crate::views::Views,
         fitted: &Fitted,
         hypothesis: &Nuisances,
         pit: &Draw,
     ) -> Vec<Halves> {
         let mut out = vec![[0.0; 2]; self.len()];
+        let views = &*comparison.views;
         let n = views.beams.len();
         let k = views.per_scan;
         let max = comparison.nominal.laser.max_range_m;
@@ -305,11 +305,10 @@ mod tests {
             let deeper = Effect::new(EffectKind::BlockDepth, vec![factor], Vec::new()).unwrap();
             let drive = record_library(&NOMINAL, &TRUTH, &[deeper], Regime::default(), 2).unwrap();
             let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
-            let comparison = Comparison::new(&NOMINAL, &recorded);
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
             let dictionary = Dictionary::new(&comparison);
             let (fitted, none) = (comparison.start(&Nuisances::default()), Nuisances::default());
-            let (views, effects) = (&comparison.views, &NOMINAL.effects);
-            let all = dictionary.of(&comparison, effects, views, &fitted, &none, &pit_draw(1));
+            let all = dictionary.of(&comparison, &NOMINAL.effects, &fitted, &none, &pit_draw(1));
             all[dictionary.depth].iter().sum::<f64>()
         };
         let (nominal, deep) = (depth(1.0), depth(3.0));
@@ -322,7 +321,7 @@ mod tests {
     fn what_is_looked_at_is_the_hypothesis_s_to_say() {
         let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 2).unwrap();
         let recorded = Recorded::new(&drive, 60, 24, |_| true).unwrap();
-        let comparison = Comparison::new(&NOMINAL, &recorded);
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
         let dictionary = Dictionary::new(&comparison);
         let errors = [PoseError::NONE, Regime::POSE_ERROR];
         let nuisances = errors.map(|pose_error| Nuisances { pose_error, ..Nuisances::default() });
@@ -330,8 +329,7 @@ mod tests {
         let looked_at = |found: &Nuisances, hypothesis: &Nuisances| {
             let mut fitted = comparison.start(found);
             fitted.pattern_scores = [3.0; 4];
-            let (views, effects) = (&comparison.views, &NOMINAL.effects);
-            let all = dictionary.of(&comparison, effects, views, &fitted, hypothesis, &pit_draw(1));
+            let all = dictionary.of(&comparison, &NOMINAL.effects, &fitted, hypothesis, &pit_draw(1));
             let of_offset = dictionary.aims.iter().zip(all).filter(|(aim, _)| offset(aim));
             of_offset.map(|(_, halves)| halves != [0.0; 2]).collect::<Vec<_>>()
         };

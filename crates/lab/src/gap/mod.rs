@@ -235,14 +235,7 @@ impl GapStudy {
     fn nominal(&self) -> Result<Nominal, GapError> {
         let Simulation { laser, blocks, robot, effects, .. } = self.simulation();
         let effects = Effects::new(effects.clone())?;
-        Nominal::new(
-            Arc::clone(&self.map),
-            *laser,
-            *blocks,
-            robot.odometry_noise,
-            effects,
-            self.scenario.seed,
-        )
+        Nominal::new(Arc::clone(&self.map), *laser, *blocks, robot.odometry_noise, effects)
     }
 }
 

@@ -227,8 +227,7 @@ impl World {
         let mut drive =
             simulate_drive(&simulator, &simulation.robot, options.seed).map_err(GapError::from)?.drive;
         drive.steps.truncate(options.scans);
-        let nominal =
-            Nominal::new(map, simulation.laser, simulation.blocks, odometry, effects, options.seed)?;
+        let nominal = Nominal::new(map, simulation.laser, simulation.blocks, odometry, effects)?;
         Ok(Self { nominal, drive })
     }
 }

@@ -205,27 +205,41 @@ impl BlockModel {
 
     /// A block of random shape at `position` \[m\] along the wall faces.
     pub(super) fn place(&self, position: f64, rng: &mut impl Rng) -> Placement {
-        let mut uniform = |[lo, hi]: [f64; 2]| lo + (hi - lo) * rng.random::<f64>();
-        let half = 0.5 * DVec2::new(uniform(self.options.length_m), uniform(self.options.width_m));
-        let yaw = DVec2::from_angle(uniform(self.options.yaw_rad));
-        let gap = uniform(self.options.wall_distance_m);
+        let shape = [(); 4].map(|()| rng.random::<f64>());
         // The last draws; those of a block that stands are never asked for.
-        let speed = if self.options.speed_m_s[1] > 0.0 {
-            let speed = uniform(self.options.speed_m_s);
+        let [slowest, fastest] = self.options.speed_m_s;
+        let speed = if fastest > 0.0 {
+            let speed = slowest + (fastest - slowest) * rng.random::<f64>();
             if rng.random::<bool>() { speed } else { -speed }
         } else {
             0.0
         };
         let i = self.ends.partition_point(|&end| end <= position).min(self.faces.len() - 1);
         let face = self.faces[i];
+        let position = (position - (self.ends[i] - face.length)).clamp(0.0, face.length);
+        Placement { speed, ..self.place_at(face, position, shape) }
+    }
+
+    /// A block at `position` \[m\] along a face, which stands; its shape is that of four numbers from 0 to 1.
+    pub(super) fn place_at(&self, face: Face, position: f64, shape: [f64; 4]) -> Placement {
+        let between = |[lo, hi]: [f64; 2], share: f64| lo + (hi - lo) * share;
+        let [length, width, yaw, gap] = shape;
+        let options = &self.options;
+        let half = 0.5 * DVec2::new(between(options.length_m, length), between(options.width_m, width));
+        let yaw = DVec2::from_angle(between(options.yaw_rad, yaw));
         Placement {
             face,
-            position: (position - (self.ends[i] - face.length)).clamp(0.0, face.length),
-            offset: gap + half.x * yaw.y.abs() + half.y * yaw.x.abs(),
+            position,
+            offset: between(options.wall_distance_m, gap) + half.x * yaw.y.abs() + half.y * yaw.x.abs(),
             axis: yaw.rotate(face.along),
             half,
-            speed,
+            speed: 0.0,
         }
+    }
+
+    /// The wall faces that blocks stand at.
+    pub(super) fn faces(&self) -> &[Face] {
+        &self.faces
     }
 
     /// Whether a block leaves the robot at `robot` \[m\] its clearance.

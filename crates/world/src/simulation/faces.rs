@@ -20,6 +20,11 @@ pub(super) struct Face {
     pub length: f64,
 }
 
+impl Face {
+    /// A metre of wall along x, with free space on its left.
+    pub const UNIT: Self = Self { start: DVec2::ZERO, along: DVec2::X, inward: DVec2::Y, length: 1.0 };
+}
+
 /// Every side of every wall that borders free space. A thin wall with free space on both sides has two faces;
 /// a wall that borders it only in part has a face there.
 pub(super) fn faces_of(geometry: &Geometry) -> Vec<Face> {

@@ -2,14 +2,15 @@
 //!
 //! A [`Simulator`] puts them together. [`simulate_drive`] records a drive; [`Simulator::observe_many`]
 //! gathers repeated readings at given poses, to learn sensor models from; [`Simulator::scan_along`] repeats the scans of
-//! a recorded drive; [`ObstructionTable`] knows how
-//! likely a block stands in a beam's way, for the oracle.
+//! a recorded drive; [`ObstructionTable`] knows how likely a block stands in a beam's way, for the oracle, and
+//! [`BlockIntegral`] for any ray.
 //!
 //! Every draw is keyed by (seed, stage, step, item), see [`locsim_core::Draw`]: the same seed gives the same
 //! drive on any number of threads.
 
 #[cfg(test)]
 mod affected;
+mod block_integral;
 mod blocks;
 mod drive;
 mod error;
@@ -25,6 +26,7 @@ mod recorded;
 mod rectangle;
 mod view;
 
+pub use block_integral::BlockIntegral;
 pub use blocks::{Block, BlockModel, BlockOptions, BlockResampling};
 pub use drive::{Robot, SimulatedDrive, odometry_along, simulate_drive};
 pub use error::SimulationError;
