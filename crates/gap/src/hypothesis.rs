@@ -52,7 +52,8 @@ impl Fitted {
 pub(crate) struct Comparison<'a> {
     pub nominal: &'a Nominal,
     pub recorded: &'a Recorded,
-    /// What its beams see in the nominal world or in one with more effects, where most hypotheses are of that one.
+    /// What its beams see in the world that hypotheses are about, or begin at: the nominal one, or one with effects that are named
+    /// already.
     pub views: Arc<Views>,
 }
 
@@ -73,7 +74,7 @@ impl<'a> Comparison<'a> {
         Self { nominal: self.nominal, recorded, views: Arc::clone(&self.views) }
     }
 
-    /// The log's views in a world with these effects.
+    /// The log's views in a world with these effects, while they are fitted; see [`Views::with`].
     pub fn views_with(&self, effects: &Effects) -> Result<Arc<Views>, GapError> {
         if self.views.are_of(effects) {
             Ok(Arc::clone(&self.views))
@@ -84,7 +85,12 @@ impl<'a> Comparison<'a> {
 
     /// The log against a world with these effects.
     pub fn in_world(&self, effects: &Effects) -> Result<Self, GapError> {
-        Ok(Self { nominal: self.nominal, recorded: self.recorded, views: self.views_with(effects)? })
+        let views = if self.views.are_of(effects) {
+            Arc::clone(&self.views)
+        } else {
+            Arc::new(Views::new(self.nominal, self.recorded, effects)?)
+        };
+        Ok(Self { nominal: self.nominal, recorded: self.recorded, views })
     }
 
     /// Effects of the nominal world and more.

@@ -41,11 +41,9 @@ impl Nominal {
             return Err(GapError::NoNoise);
         }
         let blocks = blocks.filter(|blocks| blocks.per_metre_of_wall > 0.0);
-        // Refuses what can't be simulated.
-        Simulator::new(Arc::clone(&map), blocks, laser, effects.clone())?;
-        let mut nominal = Self { map, laser, blocks, odometry, effects, integral: None };
-        nominal.integral = nominal.integrate_over(nominal.blocks_with(&nominal.effects).as_ref())?;
-        Ok(nominal)
+        let simulator = Simulator::new(Arc::clone(&map), blocks, laser, effects.clone())?;
+        let integral = simulator.blocks().map(|model| Arc::new(BlockIntegral::new(model)));
+        Ok(Self { map, laser, blocks, odometry, effects, integral })
     }
 
     /// The blocks of its world with these effects.
@@ -58,11 +56,9 @@ impl Nominal {
         &self,
         blocks: Option<&BlockOptions>,
     ) -> Result<Option<Arc<BlockIntegral>>, GapError> {
-        let own = self.integral.as_ref().map(|integral| integral.model().options());
-        if blocks == own { Ok(self.integral.clone()) } else { self.integrate_over(blocks) }
-    }
-
-    fn integrate_over(&self, blocks: Option<&BlockOptions>) -> Result<Option<Arc<BlockIntegral>>, GapError> {
+        if blocks == self.integral.as_ref().map(|integral| integral.model().options()) {
+            return Ok(self.integral.clone());
+        }
         let Some(blocks) = blocks else { return Ok(None) };
         let model = BlockModel::new(*blocks, self.map.geometry())?;
         Ok(Some(Arc::new(BlockIntegral::new(&model))))

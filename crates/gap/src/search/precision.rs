@@ -26,8 +26,8 @@ impl<'a> State<'a> {
     /// Takes its bias off each number, and gives it the interval of its spread, by what the fit makes of logs that are
     /// simulated with the effects (parametric bootstrap; a Newton step stands for a fit).
     ///
-    /// The density of a reading is composite and not exact: blocks come from a table, beams share them. What that does to a
-    /// number, it does in simulated logs, too.
+    /// The density of a reading is composite: beams share blocks, of which it knows nothing. What that does to a number, it does
+    /// in simulated logs, too.
     pub fn make_precise(&self, named: &mut [Named], round: &Round<'a>) -> Result<(), GapError> {
         let effects: Vec<Effect> = named.iter().map(|named| named.effect.clone()).collect();
         let replay = Replay {
@@ -43,7 +43,7 @@ impl<'a> State<'a> {
             .map(|i| replay.simulate(draw.seed(i)))
             .collect::<Result<Vec<_>, GapError>>()?;
         let all = self.nominal.effects_with(&effects)?;
-        let views = self.comparison.views_with(&all)?;
+        let views = round.comparison.views_with(&all)?;
         self.progress.stage("making numbers precise", named.len() as u64);
         for (index, named) in named.iter_mut().enumerate() {
             let kind = effects[index].kind;

@@ -280,7 +280,7 @@ impl Dictionary {
         let (mut object_windows, mut among_blocks) = (Vec::new(), Vec::new());
         for &[x, y] in &order {
             let window = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
-            // A cell more on every side: few of the blocks that the risks were sampled with reach as far as they can.
+            // A cell more on every side: few of the shapes that risks are summed over reach as far as they can.
             let is_near = |i: i32| block_cells.contains(&[x - 1 + i % 4, y - 1 + i / 4]);
             among_blocks.push((0..16).any(is_near));
             object_windows.push(window.map(|cell| objects.get(&cell).copied().unwrap_or(u32::MAX)));

@@ -6,7 +6,7 @@ use super::faces::Face;
 /// Shapes of blocks that an integral is summed over.
 const SHAPES: u32 = 128;
 
-/// The expected number of unmapped blocks on a ray, for any ray.
+/// The expected number of unmapped blocks on a ray, for any ray that begins outside of blocks.
 ///
 /// As blocks are a Poisson process, the probability that none stands on a ray within s is exp(-Lambda(s)), where Lambda(s) is
 /// the expected number of blocks that the ray meets within s: an integral over the shapes of blocks and their places along
@@ -28,7 +28,9 @@ pub struct BlockIntegral {
 /// A block at the beginning of a face, in coordinates along the face and away from it.
 #[derive(Clone, Copy, Debug)]
 struct Shape {
-    center: DVec2,
+    /// Distance of the centre from the wall \[m\].
+    offset: f64,
+    /// Radius of the circle through the corners \[m\].
     radius: f64,
     /// Corners, counter-clockwise.
     x: [f64; 4],
@@ -57,12 +59,12 @@ impl BlockIntegral {
             depth_m = corners.iter().map(|corner| corner.y).fold(depth_m, f64::max);
             diameter_m = diameter_m.max(2.0 * radius);
             let (x, y) = (corners.map(|corner| corner.x), corners.map(|corner| corner.y));
-            shapes[0].push(Shape { center, radius, x, y });
+            shapes[0].push(Shape { offset: center.y, radius, x, y });
             // Turned the other way, seen from the face; still counter-clockwise.
             let (mut x, mut y) = (x.map(|x| -x), y);
             x.reverse();
             y.reverse();
-            shapes[1].push(Shape { center, radius, x, y });
+            shapes[1].push(Shape { offset: center.y, radius, x, y });
         }
         let density = model.options().per_metre_of_wall / f64::from(SHAPES);
         Self { model: model.clone(), shapes, depth_m, diameter_m, density }
@@ -102,7 +104,7 @@ impl BlockIntegral {
                     let at = |place: f64| begin + (place - from) / (to - from) * (end - begin);
                     let mut add = |from: f64, to: f64, a: f64, b: f64| {
                         if to > from {
-                            met(a.min(b), a.max(b), self.density * (to - from));
+                            met(a.min(b).max(0.0), a.max(b).min(limit), self.density * (to - from));
                         }
                     };
                     match too_near {
@@ -146,7 +148,7 @@ impl Shape {
         let [ranges, places] = self.met_at(ray);
         for i in 0..4 {
             let j = (i + 1) % 4;
-            // Corners go counter-clockwise: so do the places of sides that the ray comes out of again, where it climbs.
+            // Corners go counter-clockwise: along a side at which the ray comes in, places decrease where it climbs.
             if (places[j] - places[i]) * ray.per_climb >= 0.0 {
                 continue;
             }
@@ -177,7 +179,7 @@ impl Shape {
     /// with a margin of so much, which has rounded corners.
     #[inline]
     fn too_near(&self, robot: DVec2, clearance: f64) -> Option<[f64; 2]> {
-        if (robot.y - self.center.y).abs() > clearance + self.radius {
+        if (robot.y - self.offset).abs() > clearance + self.radius {
             return None;
         }
         let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -311,6 +313,36 @@ mod tests {
         }
     }
 
+    /// In a mirror, where left faces are right ones, a mirrored ray meets as many blocks that are turned the other way.
+    #[test]
+    fn a_mirrored_world_has_the_same_integral() {
+        let all = |hand: f64| {
+            let corner = |[x, y]: [f64; 2]| [hand * x, y];
+            let points_m = [[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]].map(corner).to_vec();
+            let outline = Polyline { points_m, ..Polyline::default() };
+            let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() }.to_geometry().unwrap();
+            let options = BlockOptions { yaw_rad: [hand * 0.7; 2], ..block_options() };
+            let integral = BlockIntegral::new(&BlockModel::new(options, &map).unwrap());
+            let mirrored = |v: DVec2| DVec2::new(hand * v.x, v.y);
+            let mut sums = Vec::new();
+            for i in 0..30 {
+                let origin = mirrored(DVec2::new(0.5 + 0.17 * f64::from(i), 0.6 + 0.08 * f64::from(i)));
+                let direction = mirrored(DVec2::from_angle(0.9 * f64::from(i)));
+                let mut sum = [0.0; 3];
+                integral.stretches(origin, direction, origin, 3.0, |near, far, count| {
+                    sum = [sum[0] + count, sum[1] + count * near, sum[2] + count * far];
+                });
+                sums.push(sum);
+            }
+            sums
+        };
+        let (left, right) = (all(1.0), all(-1.0));
+        for (left, right) in left.iter().flatten().zip(right.iter().flatten()) {
+            assert!((left - right).abs() < 1e-9, "{left} {right}");
+        }
+        assert!(left.iter().map(|sum| sum[0]).sum::<f64>() > 1.0);
+    }
+
     #[test]
     fn no_blocks_are_on_no_ray() {
         let none = BlockOptions { per_metre_of_wall: 0.0, ..block_options() };
@@ -321,7 +353,7 @@ mod tests {
     /// Any two of the four numbers come about equally often in each sixteenth of their square.
     #[test]
     fn the_sequence_fills_the_cube() {
-        for (a, b) in [(0, 1), (0, 2), (1, 3), (2, 3)] {
+        for (a, b) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
             let mut cells = [0; 16];
             for i in 0..SHAPES {
                 let point = low_discrepancy(i);
