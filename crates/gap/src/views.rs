@@ -18,6 +18,10 @@ const BEYOND_M: f64 = 0.3;
 /// While an effect is fitted, beams of one scan and bearing whose ends are as near to each other as this count as having the
 /// same blocks in their way \[m\].
 const SAME_END_M: f64 = 0.1;
+/// The same for long beams, as seen from the laser \[rad\].
+const SAME_TURN_RAD: f64 = 0.02;
+/// A map of more faces than this is one of a grid's cells.
+const MANY_FACES: usize = 500;
 /// A ray is turned by this to see how its range changes with the heading \[rad\].
 const TURN: f64 = 1e-5;
 /// Beams more grazing than this count as this: the linear dependence on the pose ends there (cosine).
@@ -42,8 +46,8 @@ impl Beam {
     /// Probability that no block stands within `range` metres, and the density \[1/m\] of one there.
     #[inline]
     pub fn survival_at(&self, range: f64) -> (f64, f64) {
-        let Survival { start_m, probability } = &self.survival;
-        let at = (range - start_m) / BIN_M;
+        let Survival { start_m, bin_m, probability } = &self.survival;
+        let at = (range - start_m) / bin_m;
         if at < 0.0 {
             return (1.0, 0.0);
         }
@@ -51,7 +55,7 @@ impl Beam {
         match probability.get(i..) {
             Some(&[a, b, ..]) => {
                 let (a, b) = (f64::from(a), f64::from(b));
-                (a + (at - i as f64) * (b - a), (a - b) / BIN_M)
+                (a + (at - i as f64) * (b - a), (a - b) / bin_m)
             }
             _ => (probability.last().map_or(1.0, |&last| f64::from(last)), 0.0),
         }
@@ -66,9 +70,10 @@ impl Beam {
 /// How far a beam gets among unmapped blocks.
 #[derive(Clone, Debug)]
 struct Survival {
-    /// Entry `i` of the probabilities is that no block stands within `start_m + i * BIN_M`; it is 1 before the first, and the
+    /// Entry `i` of the probabilities is that no block stands within `start_m + i * bin_m`; it is 1 before the first, and the
     /// last holds beyond.
     start_m: f64,
+    bin_m: f64,
     probability: Arc<[f32]>,
 }
 
@@ -103,17 +108,19 @@ impl Survival {
             met += count;
             (-met).exp() as f32
         }));
-        Self { start_m: first as f64 * BIN_M, probability: probability.collect() }
+        Self { start_m: first as f64 * BIN_M, bin_m: BIN_M, probability: probability.collect() }
     }
 
     /// That of a beam without blocks.
     fn clear() -> Self {
-        Self { start_m: 0.0, probability: Arc::new([]) }
+        Self { start_m: 0.0, bin_m: BIN_M, probability: Arc::new([]) }
     }
 
-    /// That of a beam which ends nearby, farther away by `farther`: blocks stand by walls.
-    fn moved(&self, farther: f64) -> Self {
-        Self { start_m: self.start_m + farther, probability: Arc::clone(&self.probability) }
+    /// That of a beam which ends nearby, at `to` metres instead of `from`, among blocks that are `deeper` times as deep: blocks
+    /// stand by walls.
+    fn moved(&self, from: f64, to: f64, deeper: f64) -> Self {
+        let start_m = to - deeper * (from - self.start_m);
+        Self { start_m, bin_m: deeper * self.bin_m, probability: Arc::clone(&self.probability) }
     }
 }
 
@@ -166,11 +173,11 @@ impl Views {
     /// As [`Views::new`].
     pub fn with(&self, nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Result<Self, GapError> {
         let blocks = nominal.blocks_with(effects);
-        if blocks.as_ref() == self.blocks.as_ref().map(|blocks| blocks.model().options()) {
-            Ok(Self::cast(nominal, recorded, effects, self.blocks.clone(), Some(self)))
-        } else {
-            Self::new(nominal, recorded, effects)
-        }
+        let same = blocks.as_ref() == self.blocks.as_ref().map(|blocks| blocks.model().options());
+        let blocks = if same { self.blocks.clone() } else { nominal.integral_over(blocks.as_ref())? };
+        // Of many faces an integral takes long: then deeper blocks are these ones, stretched away from their walls.
+        let is_quick = blocks.as_ref().is_none_or(|blocks| blocks.model().face_count() > MANY_FACES);
+        Ok(Self::cast(nominal, recorded, effects, blocks, (same || is_quick).then_some(self)))
     }
 
     fn cast(
@@ -182,7 +189,14 @@ impl Views {
     ) -> Self {
         let mount = effects.laser_mount(recorded.laser.base_from_laser());
         let max = f64::from(recorded.laser.max_range());
-        let caster = Caster { nominal, recorded, effects, mount, max, blocks: blocks.as_deref() };
+        let depth = |list: &mut dyn Iterator<Item = &Effect>| -> f64 {
+            list.filter(|effect| effect.kind == EffectKind::BlockDepth)
+                .map(|effect| effect.values[0])
+                .product()
+        };
+        let before = nearby.map_or(1.0, |views| depth(&mut views.shaped_by.iter()));
+        let deeper = depth(&mut effects.list().iter()) / before;
+        let caster = Caster { nominal, recorded, effects, mount, max, blocks: blocks.as_deref(), deeper };
         let beams = (0..recorded.scans())
             .into_par_iter()
             .flat_map_iter(|scan| caster.scan(scan, nearby.map(|views| views.scan(scan))))
@@ -210,6 +224,8 @@ struct Caster<'a> {
     /// Maximum range \[m\].
     max: f64,
     blocks: Option<&'a BlockIntegral>,
+    /// How much deeper blocks are than those that views nearby are of.
+    deeper: f64,
 }
 
 impl Caster<'_> {
@@ -280,11 +296,13 @@ impl Caster<'_> {
         };
         let endpoint = origin + range * direction;
         let is_near = |other: &&Beam| {
-            other.view.endpoint.distance(endpoint) < SAME_END_M && (other.view.range - range).abs() < BEYOND_M
+            let ends_near = other.view.endpoint.distance(endpoint) < SAME_END_M.max(SAME_TURN_RAD * range);
+            let both_are_open = hit.is_none() && other.view.range >= reach;
+            both_are_open || ends_near && (other.view.range - range).abs() < BEYOND_M
         };
         let survival = match (self.blocks, nearby.filter(is_near)) {
             (None, _) => Survival::clear(),
-            (_, Some(other)) => other.survival.moved(range - other.view.range),
+            (_, Some(other)) => other.survival.moved(other.view.range.min(reach), range, self.deeper),
             (Some(blocks), None) => {
                 let limit = range.min(max) + BEYOND_M;
                 Survival::new(blocks, origin, direction, robot, limit, counts)

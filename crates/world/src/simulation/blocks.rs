@@ -237,6 +237,11 @@ impl BlockModel {
         }
     }
 
+    /// How many wall faces there are that blocks stand at.
+    pub fn face_count(&self) -> usize {
+        self.faces.len()
+    }
+
     /// The wall faces that blocks stand at.
     pub(super) fn faces(&self) -> &[Face] {
         &self.faces
