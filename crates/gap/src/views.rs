@@ -151,6 +151,11 @@ fn shapes_views(kind: EffectKind) -> bool {
     )
 }
 
+/// Whether the blocks are those of a grid's map, whose faces are of a cell each.
+fn has_many_faces(blocks: &BlockIntegral) -> bool {
+    blocks.model().face_count() > MANY_FACES
+}
+
 impl Views {
     /// Casts every beam from where the effects put the laser at the beam's own time.
     ///
@@ -175,9 +180,10 @@ impl Views {
         let blocks = nominal.blocks_with(effects);
         let same = blocks.as_ref() == self.blocks.as_ref().map(|blocks| blocks.model().options());
         let blocks = if same { self.blocks.clone() } else { nominal.integral_over(blocks.as_ref())? };
-        // Of many faces an integral takes long: then deeper blocks are these ones, stretched away from their walls.
-        let is_quick = blocks.as_ref().is_none_or(|blocks| blocks.model().face_count() > MANY_FACES);
-        Ok(Self::cast(nominal, recorded, effects, blocks, (same || is_quick).then_some(self)))
+        // Of many faces an integral takes long: then every beam takes over what is known, and deeper blocks are these ones,
+        // stretched away from their walls.
+        let is_slow = blocks.as_ref().is_some_and(|blocks| has_many_faces(blocks));
+        Ok(Self::cast(nominal, recorded, effects, blocks, (same || is_slow).then_some(self)))
     }
 
     fn cast(
@@ -298,7 +304,8 @@ impl Caster<'_> {
         let is_near = |other: &&Beam| {
             let ends_near = other.view.endpoint.distance(endpoint) < SAME_END_M.max(SAME_TURN_RAD * range);
             let both_are_open = hit.is_none() && other.view.range >= reach;
-            both_are_open || ends_near && (other.view.range - range).abs() < BEYOND_M
+            let is_slow = self.blocks.is_some_and(has_many_faces);
+            is_slow || both_are_open || ends_near && (other.view.range - range).abs() < BEYOND_M
         };
         let survival = match (self.blocks, nearby.filter(is_near)) {
             (None, _) => Survival::clear(),
