@@ -303,9 +303,13 @@ impl Caster<'_> {
         let endpoint = origin + range * direction;
         let is_near = |other: &&Beam| {
             let ends_near = other.view.endpoint.distance(endpoint) < SAME_END_M.max(SAME_TURN_RAD * range);
-            let both_are_open = hit.is_none() && other.view.range >= reach;
+            let other_is_open = other.view.range >= reach;
+            // An open beam has no wall to align the other's blocks at.
+            if hit.is_none() || other_is_open {
+                return hit.is_none() && other_is_open;
+            }
             let is_slow = self.blocks.is_some_and(has_many_faces);
-            is_slow || both_are_open || ends_near && (other.view.range - range).abs() < BEYOND_M
+            is_slow || ends_near && (other.view.range - range).abs() < BEYOND_M
         };
         let survival = match (self.blocks, nearby.filter(is_near)) {
             (None, _) => Survival::clear(),
@@ -413,6 +417,15 @@ mod tests {
                 );
             }
         }
+    }
+
+    /// What is half a metre before a wall at 3 m is a metre before one at 4 m, among blocks twice as deep.
+    #[test]
+    fn what_is_taken_over_is_aligned_at_the_wall_and_stretched_away_from_it() {
+        let near = Survival { start_m: 2.5, bin_m: 0.25, probability: [1.0, 0.75, 0.5].into() };
+        let far = near.moved(3.0, 4.0, 2.0);
+        assert_eq!((far.start_m, far.bin_m), (3.0, 0.5));
+        assert!(Arc::ptr_eq(&far.probability, &near.probability));
     }
 
     /// Blocks of a world in which they are deeper are looked for anew.
