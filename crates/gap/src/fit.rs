@@ -171,11 +171,11 @@ impl Search<'_, '_> {
     /// off drives the shape to where it makes up for it.
     fn maximize(&self, kind: EffectKind, start: &Start) -> Result<(f64, Effect), GapError> {
         if vague_numbers(kind).next().is_none() {
-            return self.maximize_over(kind, start, fitted_numbers(kind));
+            return self.maximize_over(kind, start, kind.parameters().len());
         }
         let (_, effect) = self.maximize_over(kind, start, 1)?;
         let start = Start { values: effect.values, place: effect.place };
-        self.maximize_over(kind, &start, fitted_numbers(kind))
+        self.maximize_over(kind, &start, kind.parameters().len())
     }
 
     /// The same over the first so many numbers.
@@ -237,8 +237,8 @@ impl Search<'_, '_> {
             let intervals = vec![[effect.values[0]; 2]];
             return Ok(Candidate { effect, gains, intervals, is_beyond_chance: false, score: None });
         }
-        let numbers = fitted_numbers(effect.kind);
         let parameters = effect.kind.parameters();
+        let numbers = parameters.len();
         let total = fitted.total();
         let moved = |changes: &[(usize, f64)]| -> Result<Vec<f64>, GapError> {
             let mut other = effect.clone();
@@ -329,7 +329,6 @@ impl Search<'_, '_> {
                     (effect.values[i] + half).min(parameters[i].hi),
                 ]
             })
-            .chain(effect.values[numbers..].iter().map(|&value| [value; 2]))
             .collect();
         Ok(Candidate { effect, gains, intervals, is_beyond_chance: false, score: None })
     }
@@ -369,7 +368,7 @@ fn vague_numbers(kind: EffectKind) -> impl Iterator<Item = Vague> {
         }
         EffectKind::RangeDropout => [log(1, 1.0, 0.7), None],
         EffectKind::WarmupDrift => [log(1, 0.0, 1.5), None],
-        EffectKind::WheelSlip => [log(1, 0.0, 1.0), None],
+        EffectKind::WheelSlip | EffectKind::Crosstalk => [log(1, 0.0, 1.0), None],
         _ => [None, None],
     };
     numbers.into_iter().flatten()
@@ -391,12 +390,6 @@ pub(crate) fn log_prior_by_chance(effect: &Effect, about: &Effect, deviations: [
             vague.log_density(effect.values[vague.number], about.values[vague.number], deviations)
         })
         .sum()
-}
-
-/// How many of an effect's numbers are fitted; those after keep their start. Single readings tell of bursts only how
-/// likely they are times the share of time that they take.
-pub(crate) fn fitted_numbers(kind: EffectKind) -> usize {
-    if kind == EffectKind::Crosstalk { 1 } else { kind.parameters().len() }
 }
 
 /// How far a search goes at first in a number that starts at `value`.

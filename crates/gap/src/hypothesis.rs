@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use locsim_core::Pose2;
-use locsim_world::effect::{Effect, Effects};
+use locsim_world::effect::{Effect, EffectKind, Effects, burst_window};
 
 use crate::likelihood::{Density, Terms};
 use crate::odometry::{OdometryError, log_likelihoods};
@@ -131,7 +131,13 @@ impl<'a> Comparison<'a> {
         }
         let pass = self.pass(views, effects, &fitted);
         self.add_prior(&mut fitted, &pass.information);
-        for (scan, likelihood) in fitted.scans.iter_mut().zip(&pass.log_likelihood) {
+        let by_bursts = Bursts::of(effects).map(|bursts| {
+            let [with, without] =
+                [&bursts.on, &bursts.off].map(|effects| self.pass(views, effects, &fitted).log_likelihood);
+            bursts.log_likelihood(&self.recorded.secs, &with, &without)
+        });
+        let likelihoods = by_bursts.as_ref().unwrap_or(&pass.log_likelihood);
+        for (scan, likelihood) in fitted.scans.iter_mut().zip(likelihoods) {
             *scan += likelihood;
         }
         let track = self.corrected(&fitted.corrections);
@@ -318,6 +324,60 @@ impl<'a> Comparison<'a> {
     }
 }
 
+/// Bursts of crosstalk, which fall on all readings of a window of time or on none: together those say far more surely than one by
+/// one when there was one.
+struct Bursts {
+    /// The effects in a burst, and without one.
+    on: Effects,
+    off: Effects,
+    /// Share of the windows that one falls on.
+    share: f64,
+}
+
+impl Bursts {
+    /// Those of these effects; `None` of none, and of several, whose readings are taken one by one.
+    fn of(effects: &Effects) -> Option<Self> {
+        let comes_and_goes = |effect: &&Effect| {
+            effect.kind == EffectKind::Crosstalk
+                && effect.values[0] > 0.0
+                && (f64::MIN_POSITIVE..1.0).contains(&effect.values[1])
+        };
+        let mut all = effects.list().iter().filter(comes_and_goes);
+        let (Some(burst), None) = (all.next(), all.next()) else { return None };
+        let with = |values: Vec<f64>| {
+            let list = effects.list().iter().map(|effect| {
+                let values = if effect == burst { values.clone() } else { effect.values.clone() };
+                Effect { values, ..effect.clone() }
+            });
+            Effects::new(list.collect()).ok()
+        };
+        Some(Self {
+            on: with(vec![burst.values[0], 1.0])?,
+            off: with(vec![0.0, 1.0])?,
+            share: burst.values[1],
+        })
+    }
+
+    /// Log likelihood of each scan, given those before it of its window, by those with a burst and without (nats).
+    fn log_likelihood(&self, secs: &[f64], with: &[f64], without: &[f64]) -> Vec<f64> {
+        let prior = [self.share.ln(), (-self.share).ln_1p()];
+        let (mut window, mut log_weights) = (None, prior);
+        let add = |[a, b]: [f64; 2]| a.max(b) + (-(a - b).abs()).exp().ln_1p();
+        secs.iter()
+            .zip(with)
+            .zip(without)
+            .map(|((&secs, with), without)| {
+                if window != Some(burst_window(secs)) {
+                    (window, log_weights) = (Some(burst_window(secs)), prior);
+                }
+                let before = add(log_weights);
+                log_weights = [log_weights[0] + with, log_weights[1] + without];
+                add(log_weights) - before
+            })
+            .collect()
+    }
+}
+
 /// One look at all readings.
 struct Pass {
     log_likelihood: Vec<f64>,
@@ -326,4 +386,39 @@ struct Pass {
     shorts: f64,
     /// How many the nominal density expects where beams could have met one.
     exposure: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn crosstalk(p: f64, share: f64) -> Effect {
+        Effect::new(EffectKind::Crosstalk, vec![p, share], Vec::new()).unwrap()
+    }
+
+    /// Two windows of two scans and one: each is with a burst or without, as a whole.
+    #[test]
+    fn a_burst_falls_on_all_scans_of_a_window_or_on_none() {
+        let bursts = Bursts::of(&Effects::new(vec![crosstalk(0.1, 0.2)]).unwrap()).unwrap();
+        let (with, without): ([f64; 3], [f64; 3]) = ([-3.0, -2.0, -40.0], [-8.0, -1.0, -30.0]);
+        let scans = bursts.log_likelihood(&[0.3, 0.9, 1.1], &with, &without);
+        let first = (0.2 * (-5.0_f64).exp() + 0.8 * (-9.0_f64).exp()).ln();
+        let second = (0.2 * (-40.0_f64).exp() + 0.8 * (-30.0_f64).exp()).ln();
+        assert!(
+            (scans[0] + scans[1] - first).abs() < 1e-12 && (scans[2] - second).abs() < 1e-12,
+            "{scans:?}"
+        );
+        assert!((scans[0] - (0.2 * (-3.0_f64).exp() + 0.8 * (-8.0_f64).exp()).ln()).abs() < 1e-12);
+    }
+
+    /// Crosstalk that never ends has no bursts, beside which those of another one are known.
+    #[test]
+    fn what_never_ends_has_no_bursts() {
+        let of = |list: Vec<Effect>| Bursts::of(&Effects::new(list).unwrap());
+        assert!(of(vec![crosstalk(0.1, 1.0)]).is_none());
+        let both = of(vec![crosstalk(0.003, 1.0), crosstalk(0.1, 0.2)]).unwrap();
+        assert_eq!(both.on.list(), [crosstalk(0.003, 1.0), crosstalk(0.1, 1.0)]);
+        assert_eq!(both.off.list(), [crosstalk(0.003, 1.0), crosstalk(0.0, 1.0)]);
+        assert!(of(vec![crosstalk(0.1, 0.5), crosstalk(0.1, 0.2)]).is_none());
+    }
 }

@@ -24,6 +24,8 @@ use crate::{GapError, Nominal, PoseError, Recorded};
 
 /// Simulated logs with the effect behind an expectation, and as many without.
 const LOGS: u32 = 16;
+/// Simulated logs behind a bound on errors: its own error is a seventh.
+const LOGS_OF_BOUND: u32 = 24;
 /// Steps of the search for a strength.
 const STEPS: u32 = 5;
 /// Whoever knows where to look sees a thread by a single reading; an object is no thinner than this.
@@ -186,6 +188,55 @@ impl<'a> Strength<'a> {
         let nearest = tried.iter().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
         Ok(scaled(nearest.map_or(1.0, |(factor, _)| factor.exp())))
     }
+
+    /// The least standard deviation of an unbiased estimate of number `index` of an effect in the library's form (Cramer and Rao),
+    /// about what it is, of information `lambda`: the spread of the score from log to log over the log likelihood's
+    /// curvature (Godambe 1960), other numbers known.
+    ///
+    /// Strength over sqrt(lambda) is that of a shift. Of rare events lambda says how surely they are told from nothing, and
+    /// their number, which is chance, bounds how well their probability can be known: it is up to sqrt(2) of that.
+    /// `None` of an object, whose outline is between the beams that just meet it and those that just don't: that is no
+    /// regular number, and has no such bound.
+    ///
+    /// # Errors
+    /// As the simulator's.
+    pub fn least_error(&self, effect: &Effect, index: usize, lambda: f64) -> Result<Option<f64>, GapError> {
+        if effect.kind == EffectKind::MissingObject {
+            return Ok(None);
+        }
+        let parameter = &effect.kind.parameters()[index];
+        let value = effect.values[index];
+        let room = (parameter.hi - value).min(value - parameter.lo).max(1e-3 * value.abs());
+        let step = ((value - parameter.neutral).abs() / lambda.sqrt()).min(room);
+        let variants = [-step, 0.0, step]
+            .map(|up| {
+                let all = self.nominal.effects_with(&[stronger(effect, index, up)])?;
+                let views = self.views.with(self.nominal, self.recorded, &all)?;
+                Ok((all, views))
+            })
+            .into_iter()
+            .collect::<Result<Vec<_>, GapError>>()?;
+        let derivatives = (0..LOGS_OF_BOUND)
+            .into_par_iter()
+            .map(|i| {
+                let log = self.simulate(&[stronger(effect, index, 0.0)], 2 * LOGS + i)?;
+                let all: Vec<f64> =
+                    variants.iter().map(|(all, views)| self.log_likelihood(&log, all, views)).collect();
+                Ok([(all[2] - all[0]) / (2.0 * step), (2.0 * all[1] - all[0] - all[2]) / (step * step)])
+            })
+            .collect::<Result<Vec<[f64; 2]>, GapError>>()?;
+        let n = derivatives.len() as f64;
+        let [score, curvature] = [0, 1].map(|d| derivatives.iter().map(|of_log| of_log[d]).sum::<f64>() / n);
+        let variance = derivatives.iter().map(|[s, _]| (s - score).powi(2)).sum::<f64>() / (n - 1.0);
+        Ok((curvature > 0.0).then(|| variance.sqrt() / curvature))
+    }
+}
+
+/// An effect with its strength `up` higher.
+fn stronger(effect: &Effect, index: usize, up: f64) -> Effect {
+    let mut other = effect.clone();
+    other.values[index] += up;
+    evenly_spread(&other)
 }
 
 /// An effect that comes in bursts as one that doesn't: how many bursts a log has is chance, and would count as noise.

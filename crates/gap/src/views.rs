@@ -211,6 +211,11 @@ impl Views {
         Self { beams, per_scan: recorded.beams(), shaped_by, blocks }
     }
 
+    /// Whether an unmapped block may stand in an upright square around `center` with sides of twice `half` \[m\].
+    pub fn may_have_blocks_in(&self, center: DVec2, half: f64) -> bool {
+        self.blocks.as_ref().is_some_and(|blocks| blocks.model().may_stand_in(center, half))
+    }
+
     pub fn scans(&self) -> usize {
         self.beams.len() / self.per_scan
     }

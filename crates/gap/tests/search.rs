@@ -208,3 +208,49 @@ fn another_form_has_its_own_information() {
     let bias = ratio(EffectKind::IncidenceBias, 0.002, OtherForm::IncidenceBias);
     assert!((0.05..0.7).contains(&bias), "{bias}");
 }
+
+/// The bound on a bias is the error of a mean, sigma / sqrt(n), as is its strength over sqrt(lambda); that on a share of lost
+/// returns is the error of their number: 1 in 100 is lost anyway, 1 in 20 more. Of 24 logs a bound's own error is 0.15.
+#[test]
+fn the_least_error_is_that_of_a_mean_and_of_a_number_of_events() {
+    let nominal = nominal();
+    let recorded = log(&nominal, &[], Regime::default(), 8);
+    let strength = Strength::new(&nominal, &recorded, Regime::default(), 9).unwrap();
+    let readings: f64 = 160.0 * 24.0;
+    for (kind, values, expected) in [
+        (EffectKind::RangeBias, vec![0.003], 0.01 / readings.sqrt()),
+        (EffectKind::RangeDropout, vec![0.05, 0.0], (0.06 * 0.94 / readings).sqrt()),
+    ] {
+        let effect = effect(kind, &values);
+        let lambda = strength.information(&effect, None).unwrap();
+        let found = strength.least_error(&effect, 0, lambda).unwrap().unwrap();
+        assert!((0.6 * expected..1.6 * expected).contains(&found), "{kind}: {found} for {expected}");
+    }
+}
+
+/// A rod in the middle of the room is named where it is, though blocks that stay are seen more often, each in one place, too.
+#[test]
+fn an_object_is_named_among_blocks_that_stay() {
+    let nominal = nominal();
+    let hidden = effect(EffectKind::MissingObject, &[2.6, 1.9, 0.03]);
+    let regime = Regime { persistent_blocks: true, pose_error: None };
+    let outcome = search(&nominal, &log(&nominal, &[hidden], regime, 3), Vec::new());
+    let first = outcome.effects.first().expect("something is named");
+    assert_eq!(first.name, EffectKind::MissingObject, "{:?}", outcome.rivals);
+    let at = DVec2::new(first.params["x_m"].value, first.params["y_m"].value);
+    assert!(at.distance(DVec2::new(2.6, 1.9)) < 0.1, "{at}");
+}
+
+/// How many bursts fall on a log is chance; how many readings are random in them, and in which share of the time, is told apart.
+#[test]
+fn bursts_of_crosstalk_are_seen_as_bursts() {
+    let nominal = nominal();
+    let hidden = effect(EffectKind::Crosstalk, &[0.2, 0.4]);
+    let outcome = search(&nominal, &log(&nominal, &[hidden], Regime::default(), 3), Vec::new());
+    let first = outcome.effects.first().expect("something is named");
+    assert_eq!(first.name, EffectKind::Crosstalk, "{:?}", outcome.rivals);
+    let [p, share] = ["p", "share"].map(|name| first.params[name]);
+    let half = |number: locsim_gap::Number| 0.5 * (number.hi - number.lo);
+    assert!((p.value - 0.2).abs() < 4.0 * half(p) && half(p) < 0.06, "{p:?}");
+    assert!((share.value - 0.4).abs() < 4.0 * half(share) && half(share) < 0.35, "{share:?}");
+}

@@ -6,6 +6,7 @@ mod precision;
 mod starts;
 mod telling;
 
+use std::cmp::Ordering;
 use std::sync::atomic::AtomicBool;
 
 use locsim_core::{Draw, Stage};
@@ -79,6 +80,26 @@ struct Round<'a> {
     blocks: BlockTruth,
     dictionary: Dictionary,
     null: Null,
+}
+
+impl Round<'_> {
+    /// Statistics of a kind of effect, by index.
+    fn own(&self, kind: EffectKind) -> impl Iterator<Item = usize> {
+        let aims = self.dictionary.aims.iter().enumerate();
+        aims.filter(move |(_, aim)| matches!(aim, Aim::Effect(own, _) if *own == kind)).map(|(i, _)| i)
+    }
+
+    /// How much a statistic says: its weight, and where that is the same, how far it is off.
+    fn says(&self, a: usize, b: usize) -> Ordering {
+        let off = |i: usize| self.dictionary.off(i, self.null.z[i]);
+        self.null.weight[a].total_cmp(&self.null.weight[b]).then(off(a).total_cmp(&off(b)))
+    }
+
+    /// The statistic of a kind that says most: among blocks that stay, things are many standard deviations off that say less than
+    /// others elsewhere.
+    fn farthest(&self, kind: EffectKind) -> Option<usize> {
+        self.own(kind).max_by(|&a, &b| self.says(a, b))
+    }
 }
 
 /// Finds where a log and a simulator disagree, and why.
@@ -181,13 +202,11 @@ impl<'a> State<'a> {
         let mut candidates: Vec<Candidate> = fits.into_iter().flatten().collect();
         let beyond_chance = round.null.weight_at(self.options.false_alarm);
         for candidate in &mut candidates {
-            let is_own =
-                |(_, aim): &(usize, &Aim)| matches!(aim, Aim::Effect(kind, _) if *kind == candidate.kind());
-            let own = || round.dictionary.aims.iter().enumerate().filter(is_own).map(|(i, _)| i);
-            let off = own().map(|i| round.dictionary.off(i, round.null.z[i])).fold(0.0, f64::max);
-            let weight = own().map(|i| round.null.weight[i]).fold(f64::NEG_INFINITY, f64::max);
-            let has_score =
-                own().any(|i| round.dictionary.is_score(i)) || candidate.kind() == EffectKind::BlockDepth;
+            let (off, weight) = round.farthest(candidate.kind()).map_or((0.0, f64::NEG_INFINITY), |i| {
+                (round.dictionary.off(i, round.null.z[i]), round.null.weight[i])
+            });
+            let has_score = round.own(candidate.kind()).any(|i| round.dictionary.is_score(i))
+                || candidate.kind() == EffectKind::BlockDepth;
             candidate.is_beyond_chance = weight >= beyond_chance;
             candidate.score = has_score.then_some(off);
             // A fit can be far better than its score where the effect is strong. Deeper blocks have none, only how deep

@@ -33,18 +33,24 @@ pub fn is_sure(candidate: &Candidate) -> bool {
     candidate.gain() > 2.0 && candidate.gain() - errors * candidate.gain_error() > 0.0
 }
 
-/// The candidate that is named: it gains surely, most of all, or within one standard error of that with fewer numbers.
+/// The candidate that is named: it gains surely, most of all, or within one standard error of that with fewer numbers, or within
+/// what more numbers gain by chance.
 pub fn choose(candidates: &[Candidate]) -> Option<usize> {
     let most = (0..candidates.len())
         .filter(|&i| is_sure(&candidates[i]))
         .max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain()))?;
+    let numbers = |i: usize| candidates[i].effect.values.len();
     let simpler = (0..candidates.len()).filter(|&i| i != most && is_sure(&candidates[i])).filter(|&i| {
         let (behind, error) = behind(&candidates[most], &candidates[i]);
-        let fewer = candidates[i].effect.values.len() < candidates[most].effect.values.len();
-        fewer && behind < error
+        let more = numbers(most).saturating_sub(numbers(i));
+        more > 0 && behind < error.max(BY_CHANCE * more as f64)
     });
-    simpler.min_by_key(|&i| candidates[i].effect.values.len()).or(Some(most))
+    simpler.min_by_key(|&i| numbers(i)).or(Some(most))
 }
+
+/// What a number that isn't needed gains by chance, at most, in 19 of 20 logs (nats; half the quantile of chi squared). Of effects of
+/// which one becomes the other, as slipping wheels that always slip a scale, the difference between blocks says nothing.
+const BY_CHANCE: f64 = 1.92;
 
 /// By how much a candidate is behind another, with the standard error over blocks (nats).
 fn behind(best: &Candidate, other: &Candidate) -> (f64, f64) {
@@ -173,5 +179,25 @@ mod tests {
         assert!(!is_sure(&candidate(vec![3.0, 0.0, 0.0, 0.0], false)));
         assert!(is_sure(&candidate(vec![3.0, 0.0, 0.0, 0.0], true)));
         assert!(!is_sure(&candidate(vec![0.5; 4], true)));
+    }
+
+    /// Slipping wheels that always slip a scale are a scale, and gain a little more in each block alike: a second number has to gain
+    /// more than it does by chance.
+    #[test]
+    fn a_number_that_gains_as_by_chance_is_spared() {
+        let candidate = |kind, values, gain: f64| Candidate {
+            effect: Effect::new(kind, values, Vec::new()).unwrap(),
+            gains: vec![gain / 10.0; 10],
+            intervals: Vec::new(),
+            is_beyond_chance: true,
+            score: None,
+        };
+        let scale = candidate(EffectKind::OdomDistanceScale, vec![0.04], 20.0);
+        let slip = |gain| candidate(EffectKind::WheelSlip, vec![0.9, 0.05], gain);
+        assert_eq!(choose(&[slip(21.8), scale.clone()]), Some(1));
+        assert_eq!(choose(&[slip(22.2), scale.clone()]), Some(0));
+        // One with as many numbers is no simpler.
+        let other = candidate(EffectKind::OdomTurnScale, vec![0.04], 21.0);
+        assert_eq!(choose(&[scale, other]), Some(1));
     }
 }

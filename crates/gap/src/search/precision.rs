@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Round, State};
-use crate::fit::{VAGUE, fitted_numbers, invert, log_prior_by_chance};
+use crate::fit::{VAGUE, invert, log_prior_by_chance};
 use crate::hypothesis::Comparison;
 use crate::null::REFIT;
 use crate::outcome::{Evidence, Named, Number};
@@ -167,7 +167,7 @@ fn smooth_numbers(kind: EffectKind) -> impl Iterator<Item = usize> {
     let end = if matches!(kind, EffectKind::Quantization | EffectKind::BlockDensity) {
         0
     } else {
-        fitted_numbers(kind)
+        kind.parameters().len()
     };
     first..end
 }

@@ -47,8 +47,10 @@ impl<'a> State<'a> {
         best.retain(|(_, weight, _)| *weight >= least);
         best.into_iter()
             .map(|(kind, _, mut all)| {
-                let off = |&(z, i): &(f64, usize)| round.dictionary.off(i, z);
-                all.sort_by(|a, b| off(b).total_cmp(&off(a)));
+                all.sort_by(|a, b| round.says(b.1, a.1));
+                // Places among blocks are no starts where others say more.
+                let group = round.dictionary.group(all[0].1);
+                all.retain(|(_, i)| round.dictionary.group(*i) == group);
                 let starts = self.starts_of(kind, &all, round);
                 (kind, starts)
             })

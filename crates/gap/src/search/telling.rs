@@ -233,15 +233,13 @@ fn detection(null: &Null) -> Detection {
     }
 }
 
-/// The farthest statistic of each effect, with its sign.
+/// The statistic of each effect that says most, with its sign.
 fn directions(round: &Round<'_>) -> Vec<Direction> {
     let mut out: Vec<Direction> = Vec::new();
-    for (aim, &z) in round.dictionary.aims.iter().zip(&round.null.z) {
-        let Aim::Effect(kind, _) = aim else { continue };
-        match out.iter_mut().find(|direction| direction.name == *kind) {
-            Some(known) if known.z.abs() < z.abs() => known.z = z,
-            Some(_) => {}
-            None => out.push(Direction { name: *kind, z }),
+    for aim in &round.dictionary.aims {
+        let Aim::Effect(kind, _) = *aim else { continue };
+        if out.iter().all(|known| known.name != kind) {
+            out.extend(round.farthest(kind).map(|i| Direction { name: kind, z: round.null.z[i] }));
         }
     }
     out

@@ -1,13 +1,14 @@
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
 
+use glam::DVec2;
 use locsim_world::effect::EffectKind;
 use locsim_world::effect::EffectKind as E;
 
 use super::{
-    Aim, Cell, Covariate, DROPOUT_ANGLES_DEG, DROPOUT_EXPONENTS, Deviation, Hint, LEAST_RISK, OBJECT_CELL_M,
-    RATIO_BIN, RATIO_BINS, SECTOR_RANGE_M, SECTORS, SLIP_SHARES, STEPS_M, WARM_UP_SECS, cell_at, just_seen,
-    tangent_squared, wall_cell, wall_corner,
+    Aim, Cell, Covariate, DROPOUT_ANGLES_DEG, DROPOUT_EXPONENTS, Deviation, Hint, OBJECT_CELL_M, RATIO_BIN,
+    RATIO_BINS, READINGS_ERR_M, SECTOR_RANGE_M, SECTORS, SLIP_SHARES, STEPS_M, WARM_UP_SECS, cell_at,
+    just_seen, tangent_squared, wall_cell, wall_corner,
 };
 use crate::hypothesis::Comparison;
 use crate::views::jumps;
@@ -252,7 +253,6 @@ impl Dictionary {
         }
         // Where unmapped objects can be seen: along the beams, up to their ends.
         let mut objects = HashMap::new();
-        let mut block_cells = HashSet::new();
         for (i, beam) in views.beams.iter().enumerate() {
             let heading = recorded.poses[scan(i)].theta + beam.view.bearing;
             let range = beam.view.range.min(max);
@@ -261,12 +261,7 @@ impl Dictionary {
             while back < range {
                 let from_end = beam.view.range - (range - back);
                 let (x, y) = (end.x - from_end * heading.cos(), end.y - from_end * heading.sin());
-                let cell = cell_at(x, y, OBJECT_CELL_M);
-                objects.entry(cell).or_insert(0);
-                let clear_at = |range: f64| beam.survival_at(range).0;
-                if clear_at(back - 0.5 * OBJECT_CELL_M) - clear_at(back + 0.5 * OBJECT_CELL_M) > LEAST_RISK {
-                    block_cells.insert(cell);
-                }
+                objects.entry(cell_at(x, y, OBJECT_CELL_M)).or_insert(0);
                 back += OBJECT_CELL_M;
             }
         }
@@ -280,9 +275,8 @@ impl Dictionary {
         let (mut object_windows, mut among_blocks) = (Vec::new(), Vec::new());
         for &[x, y] in &order {
             let window = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
-            // A cell more on every side: few of the shapes that risks are summed over reach as far as they can.
-            let is_near = |i: i32| block_cells.contains(&[x - 1 + i % 4, y - 1 + i / 4]);
-            among_blocks.push((0..16).any(is_near));
+            let center = OBJECT_CELL_M * DVec2::new(f64::from(x + 1), f64::from(y + 1));
+            among_blocks.push(views.may_have_blocks_in(center, OBJECT_CELL_M + READINGS_ERR_M));
             object_windows.push(window.map(|cell| objects.get(&cell).copied().unwrap_or(u32::MAX)));
             push(&mut aims, &mut counts, Aim::Effect(E::MissingObject, Hint::Object([x, y])), true);
         }

@@ -1,5 +1,6 @@
 //! The statistics of a log.
 
+use std::collections::HashSet;
 use std::f64::consts::TAU;
 
 use locsim_core::Draw;
@@ -63,6 +64,7 @@ impl Dictionary {
         let mut scores: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; n]);
         let mut depth = [[0.0; 2]; 2];
         let mut in_cells = vec![[0.0; 2]; self.objects.len()];
+        let mut places_of_sectors = HashSet::new();
         let mut in_sectors = vec![[0.0; 2]; SECTORS * self.sector_ranges];
         let mut whole = vec![[0.0_f64; 3]; views.scans()];
         comparison.for_each_reading(views, effects, fitted, |scan, i, density, shift, z, terms| {
@@ -111,15 +113,17 @@ impl Dictionary {
                 if let Some(&index) = self.objects.get(&cell) {
                     in_cells[index as usize][half] += 1.0;
                 }
+                // What is seen at one place of the map again and again isn't on the robot.
+                let range = (z / SECTOR_RANGE_M) as usize;
+                if range < self.sector_ranges {
+                    let bin = usize::from(self.sector_of[i % k]) * self.sector_ranges + range;
+                    if places_of_sectors.insert((bin, half, cell)) {
+                        in_sectors[bin][half] += 1.0;
+                    }
+                }
                 // Whether blocks can stand there as the hypothesis has them is just what is asked.
                 depth[0][half] += (beam.range() - z).min(DEEPEST_M);
                 depth[1][half] += 1.0;
-            }
-            if in_front {
-                let range = (z / SECTOR_RANGE_M) as usize;
-                if range < self.sector_ranges {
-                    in_sectors[usize::from(self.sector_of[i % k]) * self.sector_ranges + range][half] += 1.0;
-                }
             }
             if is_return {
                 for (s, [cos, sin]) in phases(z).into_iter().enumerate() {
@@ -295,7 +299,7 @@ mod tests {
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
-    use crate::statistics::{Aim, pit_draw};
+    use crate::statistics::{Aim, Hint, pit_draw};
     use crate::{PoseError, Recorded};
 
     /// Blocks three times as deep seem more than twice as deep, though nominal ones can't stand where most of them are seen.
@@ -313,6 +317,33 @@ mod tests {
         };
         let (nominal, deep) = (depth(1.0), depth(3.0));
         assert!(deep > 2.0 * nominal, "{nominal} {deep}");
+    }
+
+    /// What stands in the room is seen at one place of it many times, at one bearing and range from the robot few times; what stands
+    /// on the robot the other way round.
+    #[test]
+    fn what_stands_in_the_room_is_not_on_the_robot() {
+        let most = |kind, values: &[f64], looked_for: EffectKind| {
+            let effect = Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
+            let regime = Regime { persistent_blocks: true, pose_error: None };
+            let drive = record_library(&NOMINAL, &TRUTH, &[effect], regime, 2).unwrap();
+            let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let dictionary = Dictionary::new(&comparison);
+            let (fitted, none) = (comparison.start(&Nuisances::default()), Nuisances::default());
+            let all = dictionary.of(&comparison, &NOMINAL.effects, &fitted, &none, &pit_draw(1));
+            let own = dictionary.aims.iter().zip(&all).filter(
+                |(aim, _)| matches!(aim, Aim::Effect(kind, Hint::Object(_) | Hint::Values(_)) if *kind == looked_for),
+            );
+            own.map(|(_, halves)| halves.iter().sum::<f64>()).fold(0.0, f64::max)
+        };
+        let post = [2.6, 2.0, 0.05];
+        let [seen, as_sector] = [EffectKind::MissingObject, EffectKind::SectorOcclusion]
+            .map(|looked_for| most(EffectKind::MissingObject, &post, looked_for));
+        assert!(as_sector < 0.2 * seen && seen > 100.0, "{as_sector} {seen}");
+        let cable = [0.4, 0.8, 0.3, 0.2];
+        let seen = most(EffectKind::SectorOcclusion, &cable, EffectKind::SectorOcclusion);
+        assert!(seen > 3.0 * as_sector, "{as_sector} {seen}");
     }
 
     /// Whether a displaced laser is looked for in the readings or in the errors of the reference is the same for a log and for

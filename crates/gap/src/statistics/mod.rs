@@ -25,8 +25,8 @@ const STEPS_M: [f64; 7] = [0.002, 0.003, 0.005, 0.01, 0.02, 0.025, 0.05];
 /// Angles from which, and ranges over whose power, returns may be lost.
 const DROPOUT_ANGLES_DEG: [f64; 5] = [30.0, 45.0, 60.0, 70.0, 80.0];
 const DROPOUT_EXPONENTS: [f64; 5] = [0.0, 1.0, 2.0, 4.0, 8.0];
-/// Blocks can stand where they stop more than this share of beams in a cell's length.
-const LEAST_RISK: f64 = 1e-6;
+/// Readings of blocks lie outside of them by no more than this, as noise and errors of the reference have it \[m\].
+const READINGS_ERR_M: f64 = 0.1;
 /// Shares by which slipping wheels may turn farther than the robot gets.
 const SLIP_SHARES: [f64; 2] = [0.2, 0.5];
 const WARM_UP_SECS: [f64; 4] = [5.0, 20.0, 60.0, 150.0];

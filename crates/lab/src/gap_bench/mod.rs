@@ -124,6 +124,9 @@ pub struct TruthFile {
     pub values: Vec<BTreeMap<String, f64>>,
     /// Of each, the number that is its strength.
     pub strength: Vec<String>,
+    /// The least standard deviation of an estimate of the strength of one effect in the library's form.
+    #[serde(default)]
+    pub least_error: Option<f64>,
     /// Stages taken out of the library.
     pub without: Vec<String>,
 }
@@ -270,6 +273,9 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
                 if options.no_later.is_some_and(|end| (options.clock)() > end) {
                     break;
                 }
+                if std::env::var_os("GAP_DUMP").is_some() {
+                    eprintln!("CASE {}", case.id);
+                }
                 pool.install(|| hide(&world, &strengths[case.regime], case, &log, &truth))?;
                 let mut finding = pool.install(|| search(&world.nominal, &log, case, options))?;
                 if let Hidden::Given(effect) = &case.hidden {
@@ -373,6 +379,12 @@ fn hide(
         let parameters = effect.kind.parameters().iter().zip(&effect.values);
         parameters.map(|(parameter, value)| (parameter.name.to_owned(), *value)).collect()
     };
+    let least_error = match &case.hidden {
+        Hidden::Library(list) if case.group == Group::Same => {
+            strength_of.least_error(&effects[0], list[0].1, case.lambda)?
+        }
+        _ => None,
+    };
     let file = TruthFile {
         group: case.group,
         lambda: case.lambda,
@@ -380,6 +392,7 @@ fn hide(
         effects: names,
         values: effects.iter().map(numbers).collect(),
         strength,
+        least_error,
         without: case.without.iter().map(|kind| kind.name().to_owned()).collect(),
     };
     save(truth, &file)?;

@@ -157,8 +157,7 @@ impl Score {
         );
         let squares = right().filter_map(|(truth, found)| {
             let (value, [estimate, ..]) = strength(truth, found)?;
-            // A strength theta of information lambda has a bound of theta / sqrt(lambda).
-            Some((estimate - value).powi(2) / value.powi(2) * truth.lambda)
+            Some(((estimate - value) / truth.least_error?).powi(2))
         });
         let sd_over_bound = mean(squares).map(f64::sqrt);
         let strongest = lambdas.last().copied().unwrap_or(0.0);

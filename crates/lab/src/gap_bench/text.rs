@@ -156,24 +156,28 @@ fn directions(score: &Score) -> String {
 /// The strengths of effects in the library's form that were named, beside the true ones.
 fn numbers(score: &Score) -> String {
     let mut text = "## Numbers\n\nStrengths of rightly named effects in the library's form; errors in units of the bound of Cramer \
-                    and Rao, strength / sqrt(lambda).\n\n| effect | lambda | true | found | error / bound | covered |\n| --- | --- \
-                    | --- | --- | --- | --- |\n"
+                    and Rao at the true strength.\n\n| effect | lambda | true | found | bound | error / bound | covered |\n| --- | --- \
+                    | --- | --- | --- | --- | --- |\n"
         .to_owned();
     for (truth, found) in &score.all {
         if truth.group != Group::Same || found.effects.first() != truth.effects.first() {
             continue;
         }
-        let Some((value, [estimate, lo, hi])) = strength(truth, found) else { continue };
+        let (Some((value, [estimate, lo, hi])), Some(bound)) = (strength(truth, found), truth.least_error)
+        else {
+            continue;
+        };
         let _ = writeln!(
             text,
-            "| {} | {} | {} | {} [{}, {}] | {:.1} | {} |",
+            "| {} | {} | {} | {} [{}, {}] | {} | {:.1} | {} |",
             truth.effects[0],
             truth.lambda,
             digits(value),
             digits(estimate),
             digits(lo),
             digits(hi),
-            (estimate - value) / value.abs() * truth.lambda.sqrt(),
+            digits(bound),
+            (estimate - value) / bound,
             if (lo..=hi).contains(&value) { "yes" } else { "no" },
         );
     }

@@ -1,5 +1,6 @@
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 
+use arrayvec::ArrayVec;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use statrs::function::erf::erfc;
@@ -24,7 +25,7 @@ const MAX_ALTERNATIVES: usize = 12;
 ///
 /// A reading that isn't usable tells nothing, so density and distribution function are those of a usable one:
 /// conditioned on not being below the minimum range.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ReadingLaw {
     /// Mean of the return \[m\]; infinite where nothing is met.
     pub mean: f64,
@@ -64,17 +65,8 @@ pub enum Alternative {
 }
 
 /// Alternatives with their probabilities, in the order in which they are tried; a list of fixed capacity.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Alternatives {
-    items: [(f64, Alternative); MAX_ALTERNATIVES],
-    len: usize,
-}
-
-impl Default for Alternatives {
-    fn default() -> Self {
-        Self { items: [(0.0, Alternative::NoReturn); MAX_ALTERNATIVES], len: 0 }
-    }
-}
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Alternatives(ArrayVec<(f64, Alternative), MAX_ALTERNATIVES>);
 
 impl Alternatives {
     /// Refuses more alternatives than there is room for.
@@ -86,14 +78,13 @@ impl Alternatives {
     /// Adds what is tried after all others; nothing for a probability of 0.
     pub(super) fn push(&mut self, probability: f64, alternative: Alternative) {
         if probability > 0.0 {
-            self.items[self.len] = (probability, alternative);
-            self.len += 1;
+            self.0.push((probability, alternative));
         }
     }
 
     /// Probability of each, given that none before it came true, and what it is.
     pub fn as_slice(&self) -> &[(f64, Alternative)] {
-        &self.items[..self.len]
+        &self.0
     }
 }
 

@@ -23,8 +23,8 @@ pub use kind::{EffectKind, Parameter, Site};
 pub(crate) use law::as_read;
 pub use law::{Alternative, Alternatives, ReadingLaw, TAIL_FACTOR};
 pub use odometry::{OdometryLaw, Slip};
-pub use set::{BeamView, Effects, JUMP_M, Met, Needs, PLACE_REACH_M, jump_at};
-pub(crate) use set::{burst, burst_window, slip_draw};
+pub use set::{BeamView, Effects, JUMP_M, Met, Needs, PLACE_REACH_M, burst_window, jump_at};
+pub(crate) use set::{burst, slip_draw};
 
 /// One effect with its numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -254,7 +254,16 @@ impl Effects {
         let (mut scale, mut bias) = (1.0, 0.0);
         let (mut wall_bias, mut wall_sigma) = (0.0, 1.0);
         let (mut growth, mut tail, mut step_m) = (0.0, 0.0, laser.resolution_m);
-        let mut alternatives = Alternatives::default();
+        let mut reading = ReadingLaw {
+            mean: f64::INFINITY,
+            sigma: 0.0,
+            tail: [0.0, TAIL_FACTOR],
+            alternatives: Alternatives::default(),
+            step_m: laser.resolution_m,
+            min_m: f64::from(laser.min_range_m as f32),
+            max_m: max,
+        };
+        let alternatives = &mut reading.alternatives;
         let nominal_sigma = |r: f64| laser.sigma_m + laser.sigma_per_m * r;
         for &i in &self.order {
             let Effect { kind, values, place } = &self.list[i];
@@ -299,26 +308,18 @@ impl Effects {
                 _ => {}
             }
         }
-        let (mean, sigma) = if returns {
-            (scale * range + (bias + wall_bias), (nominal_sigma(range) + growth * range * range) * wall_sigma)
-        } else {
-            (f64::INFINITY, 0.0)
-        };
-        ReadingLaw {
-            mean,
-            sigma,
-            tail: [tail, TAIL_FACTOR],
-            alternatives,
-            step_m,
-            min_m: f64::from(laser.min_range_m as f32),
-            max_m: max,
+        if returns {
+            reading.mean = scale * range + (bias + wall_bias);
+            reading.sigma = (nominal_sigma(range) + growth * range * range) * wall_sigma;
         }
+        reading.tail[0] = tail;
+        reading.step_m = step_m;
+        reading
     }
 }
 
-/// Which window of [`BURST_SECS`] a time \[s\] falls into; times before the start, of beams that are early, into the
-/// first.
-pub(crate) fn burst_window(secs: f64) -> u32 {
+/// Which window of bursts, of 1 s each, a time \[s\] falls into; times before the start, of beams that are early, into the first.
+pub fn burst_window(secs: f64) -> u32 {
     (secs / BURST_SECS) as u32
 }
 

@@ -170,9 +170,9 @@ fn every_law_integrates_to_one_and_samples_agree_with_it() {
                 let law = effects.law(&laser(resolution_m), &view, met, range);
                 let nominal = Effects::none().law(&laser(resolution_m), &view, met, range);
                 check_density(&name, &law);
-                let d = distance_from(|_| law, &samples(&law, n));
+                let d = distance_from(|_| law.clone(), &samples(&law, n));
                 assert!(d < 1.0, "{name}: {d}");
-                told_apart |= distance_from(|_| law, &samples(&nominal, 4000)) > 1.0;
+                told_apart |= distance_from(|_| law.clone(), &samples(&nominal, 4000)) > 1.0;
             }
             // Negative control: samples of the nominal world, under every effect that changes readings.
             let shapes_readings = matches!(kind.site(), Site::Beam)
@@ -193,7 +193,7 @@ fn two_effects_together_agree_with_their_density() {
                 continue;
             }
             let law = effects(&[a, b]).law(&laser(0.0), &view, met, range);
-            let d = distance_from(|_| law, &samples(&law, 1000));
+            let d = distance_from(|_| law.clone(), &samples(&law, 1000));
             assert!(d < 1.0, "{a}, {b}: {d}");
             let other_way = effects(&[b, a]).law(&laser(0.0), &view, met, range);
             if a != b {
@@ -203,7 +203,7 @@ fn two_effects_together_agree_with_their_density() {
     }
     let all = effects(&EffectKind::ALL).law(&laser(0.0), &view, met, range);
     check_density("all", &all);
-    assert!(distance_from(|_| all, &samples(&all, 4000)) < 1.0);
+    assert!(distance_from(|_| all.clone(), &samples(&all, 4000)) < 1.0);
 }
 
 #[test]

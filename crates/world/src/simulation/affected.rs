@@ -153,7 +153,7 @@ fn simulated_readings_have_the_law_of_their_beam() {
             let distance = |(beam, view): (usize, &BeamView)| {
                 let law = effects.law(simulator.laser().options(), view, Met::Wall, view.range);
                 let readings: Vec<f32> = observed.iter().map(|scan| scan[beam]).collect();
-                distance_from(|_| law, &readings)
+                distance_from(|_| law.clone(), &readings)
             };
             views.iter().enumerate().map(distance).fold(0.0, f64::max)
         };

@@ -247,6 +247,22 @@ impl BlockModel {
         &self.faces
     }
 
+    /// Whether part of a block may stand in an upright square around `center` with sides of twice `half` \[m\]. Where this
+    /// says no, none ever does.
+    pub fn may_stand_in(&self, center: DVec2, half: f64) -> bool {
+        let BlockOptions { length_m: [_, length], width_m: [_, width], wall_distance_m: [_, gap], .. } =
+            self.options;
+        let diameter = length.hypot(width);
+        self.faces.iter().any(|face| {
+            let from_start = center - face.start;
+            let (at, out) = (from_start.dot(face.along), from_start.dot(face.inward));
+            // The square's own extent along the face, and as much away from it.
+            let extent = half * (face.along.x.abs() + face.along.y.abs());
+            (-extent..=gap + diameter + extent).contains(&out)
+                && (-0.5 * diameter - extent..=face.length + 0.5 * diameter + extent).contains(&at)
+        })
+    }
+
     /// Whether a block leaves the robot at `robot` \[m\] its clearance.
     pub(super) fn is_clear(&self, block: &Rectangle, robot: DVec2) -> bool {
         block.distance_to(robot) > self.options.clearance_m
@@ -329,6 +345,22 @@ mod tests {
                 assert!((f64::from(count) - expected).abs() < Z_1E6 * expected.sqrt(), "{count} {expected}");
             }
         }
+    }
+
+    /// Where a corner of a block ever is, blocks may stand; in the middle of the room and behind its walls, none may.
+    #[test]
+    fn blocks_stand_only_where_they_may() {
+        let model = model(block_options());
+        let corners =
+            (0..500).flat_map(|step| model.blocks_at(3, step, 0.0, FAR)).flat_map(|block| block.corners);
+        for corner in corners {
+            assert!(model.may_stand_in(corner, 0.0), "{corner}");
+        }
+        // A gap of 0.5 m and a diameter of 0.72 m from the south wall.
+        for (y, half, may) in [(1.2, 0.0, true), (1.25, 0.0, false), (1.25, 0.1, true), (1.4, 0.1, false)] {
+            assert_eq!(model.may_stand_in(DVec2::new(3.0, y), half), may, "{y} {half}");
+        }
+        assert!(!model.may_stand_in(DVec2::new(3.0, -2.0), 0.2));
     }
 
     proptest! {
