@@ -325,7 +325,7 @@ impl<'a> Comparison<'a> {
 }
 
 /// Bursts of crosstalk, which fall on all readings of a window of time or on none: together those say far more surely than one by
-/// one when there was one.
+/// one when there was one. A scan is of the window of its stamp, also where its beams take time.
 struct Bursts {
     /// The effects in a burst, and without one.
     on: Effects,
@@ -335,27 +335,20 @@ struct Bursts {
 }
 
 impl Bursts {
-    /// Those of these effects; `None` of none, and of several, whose readings are taken one by one.
+    /// Those of these effects; `None` of none. Of several, the readings of all but the first are taken one by one.
     fn of(effects: &Effects) -> Option<Self> {
-        let comes_and_goes = |effect: &&Effect| {
-            effect.kind == EffectKind::Crosstalk
-                && effect.values[0] > 0.0
-                && (f64::MIN_POSITIVE..1.0).contains(&effect.values[1])
+        let comes_and_goes = |effect: &Effect| {
+            let [p, share] = effect.values[..] else { return false };
+            effect.kind == EffectKind::Crosstalk && p > 0.0 && share > 0.0 && share < 1.0
         };
-        let mut all = effects.list().iter().filter(comes_and_goes);
-        let (Some(burst), None) = (all.next(), all.next()) else { return None };
-        let with = |values: Vec<f64>| {
-            let list = effects.list().iter().map(|effect| {
-                let values = if effect == burst { values.clone() } else { effect.values.clone() };
-                Effect { values, ..effect.clone() }
-            });
-            Effects::new(list.collect()).ok()
+        let at = effects.list().iter().position(comes_and_goes)?;
+        let with = |values: [f64; 2]| {
+            let mut list = effects.list().to_vec();
+            list[at].values = values.to_vec();
+            Effects::new(list).ok()
         };
-        Some(Self {
-            on: with(vec![burst.values[0], 1.0])?,
-            off: with(vec![0.0, 1.0])?,
-            share: burst.values[1],
-        })
+        let [p, share] = effects.list()[at].values[..] else { return None };
+        Some(Self { on: with([p, 1.0])?, off: with([0.0, 1.0])?, share })
     }
 
     /// Log likelihood of each scan, given those before it of its window, by those with a burst and without (nats).
@@ -419,6 +412,7 @@ mod tests {
         let both = of(vec![crosstalk(0.003, 1.0), crosstalk(0.1, 0.2)]).unwrap();
         assert_eq!(both.on.list(), [crosstalk(0.003, 1.0), crosstalk(0.1, 1.0)]);
         assert_eq!(both.off.list(), [crosstalk(0.003, 1.0), crosstalk(0.0, 1.0)]);
-        assert!(of(vec![crosstalk(0.1, 0.5), crosstalk(0.1, 0.2)]).is_none());
+        let two = of(vec![crosstalk(0.1, 0.5), crosstalk(0.1, 0.2)]).unwrap();
+        assert_eq!(two.on.list(), [crosstalk(0.1, 1.0), crosstalk(0.1, 0.2)]);
     }
 }

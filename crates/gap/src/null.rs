@@ -92,8 +92,8 @@ pub(crate) fn compare(
     let (mut statistics, mut nuisances, mut log_likelihoods) = (Vec::new(), Vec::new(), Vec::new());
     let mut begun = 0;
     // Of a world with effects the question is whether anything is left; of the nominal one also what would have been seen.
-    let looks = [if replay.effects.is_empty() { FIRST_LOOK } else { GLANCE }, FIRST_LOOK, replicates];
-    for end in looks.map(|look| look.min(replicates)) {
+    let mut end = if replay.effects.is_empty() { FIRST_LOOK } else { EARLIEST_LOOK }.min(replicates);
+    loop {
         let more = (begun..end).into_par_iter().map(one).collect::<Result<Vec<_>, GapError>>()?;
         for (of_log, found, likelihood) in more {
             statistics.push(of_log);
@@ -101,20 +101,17 @@ pub(crate) fn compare(
             log_likelihoods.extend(likelihood);
         }
         begun = end;
-        if begun == replicates {
-            break;
-        }
         let null = rank(dictionary, &own, &statistics);
         let is_clear = match begun {
-            GLANCE => null.p > NOTHING_AT_A_GLANCE,
+            EARLIEST_LOOK => null.p > NOTHING_SO_EARLY,
             _ => null.p > CLEARLY_NOTHING || null.is_clearly_off(),
         };
-        if is_clear {
-            break;
+        if begun == replicates || is_clear {
+            tick(u64::from(replicates - begun));
+            return Ok(Null { nuisances, log_likelihoods, ..null });
         }
+        end = if begun < FIRST_LOOK { FIRST_LOOK.min(replicates) } else { replicates };
     }
-    tick(u64::from(replicates - begun));
-    Ok(Null { nuisances, log_likelihoods, ..rank(dictionary, &own, &statistics) })
 }
 
 /// Replicates whose log likelihood is found, for a mean: its error is an eighth of what logs differ by.
@@ -124,10 +121,10 @@ const WITH_LIKELIHOOD: u32 = 64;
 /// this share of them exceed, and of one that is beyond all of them by so many nats, which e^-3 of the one log in 200 are
 /// that is beyond all of them by chance.
 ///
-/// Before that, after a glance, those of a log that is in the middle of them.
+/// Earlier still, in a world with effects, those of a log that is in the middle of them.
 const FIRST_LOOK: u32 = 199;
-const GLANCE: u32 = 59;
-const NOTHING_AT_A_GLANCE: f64 = 0.3;
+const EARLIEST_LOOK: u32 = 59;
+const NOTHING_SO_EARLY: f64 = 0.3;
 const CLEARLY_NOTHING: f64 = 0.1;
 const FARTHER: f64 = 3.0;
 

@@ -191,12 +191,13 @@ impl<'a> Strength<'a> {
 
     /// The least standard deviation of an unbiased estimate of number `index` of an effect in the library's form (Cramer and Rao),
     /// about what it is, of information `lambda`: the spread of the score from log to log over the log likelihood's
-    /// curvature (Godambe 1960), other numbers known.
+    /// curvature (Godambe 1960), other numbers known. The log likelihood is that of the search, in which beams that share a
+    /// block count as if they didn't: where blocks stay, the bound of the best likelihood may be less.
     ///
     /// Strength over sqrt(lambda) is that of a shift. Of rare events lambda says how surely they are told from nothing, and
     /// their number, which is chance, bounds how well their probability can be known: it is up to sqrt(2) of that.
     /// `None` of an object, whose outline is between the beams that just meet it and those that just don't: that is no
-    /// regular number, and has no such bound.
+    /// regular number, and has no such bound; nor has one at the edge of what is allowed.
     ///
     /// # Errors
     /// As the simulator's.
@@ -206,8 +207,12 @@ impl<'a> Strength<'a> {
         }
         let parameter = &effect.kind.parameters()[index];
         let value = effect.values[index];
-        let room = (parameter.hi - value).min(value - parameter.lo).max(1e-3 * value.abs());
-        let step = ((value - parameter.neutral).abs() / lambda.sqrt()).min(room);
+        let room = (parameter.hi - value).min(value - parameter.lo);
+        let step = ((value - parameter.neutral).abs() / lambda.sqrt()).min(0.99 * room);
+        // At the edge of what is allowed there is no step up or down.
+        if step <= 0.0 {
+            return Ok(None);
+        }
         let variants = [-step, 0.0, step]
             .map(|up| {
                 let all = self.nominal.effects_with(&[stronger(effect, index, up)])?;

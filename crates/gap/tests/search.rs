@@ -224,7 +224,8 @@ fn the_least_error_is_that_of_a_mean_and_of_a_number_of_events() {
         let effect = effect(kind, &values);
         let lambda = strength.information(&effect, None).unwrap();
         let found = strength.least_error(&effect, 0, lambda).unwrap().unwrap();
-        assert!((0.6 * expected..1.6 * expected).contains(&found), "{kind}: {found} for {expected}");
+        // Strength over sqrt(lambda) is 0.77 times what is expected of the share.
+        assert!((0.8 * expected..1.25 * expected).contains(&found), "{kind}: {found} for {expected}");
     }
 }
 
@@ -251,6 +252,7 @@ fn bursts_of_crosstalk_are_seen_as_bursts() {
     assert_eq!(first.name, EffectKind::Crosstalk, "{:?}", outcome.rivals);
     let [p, share] = ["p", "share"].map(|name| first.params[name]);
     let half = |number: locsim_gap::Number| 0.5 * (number.hi - number.lo);
-    assert!((p.value - 0.2).abs() < 4.0 * half(p) && half(p) < 0.06, "{p:?}");
-    assert!((share.value - 0.4).abs() < 4.0 * half(share) && half(share) < 0.35, "{share:?}");
+    // In a burst some 2,000 readings; of 16 seconds a share of 0.4 has an error of 0.12.
+    assert!((p.value - 0.2).abs() < 0.05 && half(p) < 0.06, "{p:?}");
+    assert!((share.value - 0.4).abs() < 0.37 && (0.1..0.35).contains(&half(share)), "{share:?}");
 }

@@ -97,7 +97,7 @@ impl Round<'_> {
 
     /// The statistic of a kind that says most: among blocks that stay, things are many standard deviations off that say less than
     /// others elsewhere.
-    fn farthest(&self, kind: EffectKind) -> Option<usize> {
+    fn most_telling(&self, kind: EffectKind) -> Option<usize> {
         self.own(kind).max_by(|&a, &b| self.says(a, b))
     }
 }
@@ -202,7 +202,7 @@ impl<'a> State<'a> {
         let mut candidates: Vec<Candidate> = fits.into_iter().flatten().collect();
         let beyond_chance = round.null.weight_at(self.options.false_alarm);
         for candidate in &mut candidates {
-            let (off, weight) = round.farthest(candidate.kind()).map_or((0.0, f64::NEG_INFINITY), |i| {
+            let (off, weight) = round.most_telling(candidate.kind()).map_or((0.0, f64::NEG_INFINITY), |i| {
                 (round.dictionary.off(i, round.null.z[i]), round.null.weight[i])
             });
             let has_score = round.own(candidate.kind()).any(|i| round.dictionary.is_score(i))

@@ -45,11 +45,13 @@ pub fn choose(candidates: &[Candidate]) -> Option<usize> {
         let more = numbers(most).saturating_sub(numbers(i));
         more > 0 && behind < error.max(BY_CHANCE * more as f64)
     });
-    simpler.min_by_key(|&i| numbers(i)).or(Some(most))
+    let gain = |i: usize| candidates[i].gain();
+    simpler.min_by(|&a, &b| numbers(a).cmp(&numbers(b)).then(gain(b).total_cmp(&gain(a)))).or(Some(most))
 }
 
-/// What a number that isn't needed gains by chance, at most, in 19 of 20 logs (nats; half the quantile of chi squared). Of effects of
-/// which one becomes the other, as slipping wheels that always slip a scale, the difference between blocks says nothing.
+/// So much more has each further number to gain (nats): a convention, half the quantile of chi squared that a number which isn't
+/// needed exceeds in 1 of 20 fits. Of effects of which one becomes the other, as slipping wheels that always slip a scale, the
+/// difference between blocks, from which the standard error is, says nothing.
 const BY_CHANCE: f64 = 1.92;
 
 /// By how much a candidate is behind another, with the standard error over blocks (nats).

@@ -5,6 +5,7 @@ use locsim_world::effect::{Effect, EffectKind};
 use locsim_world::simulation::BlockResampling;
 use rand::RngExt;
 use rayon::prelude::*;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::naming::gain;
 use super::path::Path;
@@ -89,9 +90,10 @@ impl<'a> State<'a> {
         let fitted = last.fitted.nuisances.block_density.ln();
         let simulated = fitted + last.blocks.density_over_fit.ln();
         let truth = fitted + simulated - mean;
-        let z = truth / error;
-        // As rare as one false alarm among all effects.
-        let p = statrs::function::erf::erfc(z.abs() / std::f64::consts::SQRT_2);
+        // As rare as one false alarm among all effects, with mean and spread of so few logs.
+        let n = logs.len() as f64;
+        let t = truth / (error * (1.0 + 1.0 / n).sqrt());
+        let p = StudentsT::new(0.0, 1.0, n - 1.0).map_or(1.0, |student| 2.0 * student.sf(t.abs()));
         if self.nominal.blocks.is_none() || !error.is_finite() || p > 0.1 * self.options.false_alarm {
             return Ok(None);
         }
@@ -239,7 +241,7 @@ fn directions(round: &Round<'_>) -> Vec<Direction> {
     for aim in &round.dictionary.aims {
         let Aim::Effect(kind, _) = *aim else { continue };
         if out.iter().all(|known| known.name != kind) {
-            out.extend(round.farthest(kind).map(|i| Direction { name: kind, z: round.null.z[i] }));
+            out.extend(round.most_telling(kind).map(|i| Direction { name: kind, z: round.null.z[i] }));
         }
     }
     out

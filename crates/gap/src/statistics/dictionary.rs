@@ -272,11 +272,12 @@ impl Dictionary {
         }
         // Overlapping windows of four cells: what stands on a border isn't shared out.
         let first_object = aims.len();
+        let readings_err = READINGS_ERR_M.max(5.0 * comparison.nominal.laser.sigma_m);
         let (mut object_windows, mut among_blocks) = (Vec::new(), Vec::new());
         for &[x, y] in &order {
             let window = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
             let center = OBJECT_CELL_M * DVec2::new(f64::from(x + 1), f64::from(y + 1));
-            among_blocks.push(views.may_have_blocks_in(center, OBJECT_CELL_M + READINGS_ERR_M));
+            among_blocks.push(views.may_have_blocks_in(center, OBJECT_CELL_M + readings_err));
             object_windows.push(window.map(|cell| objects.get(&cell).copied().unwrap_or(u32::MAX)));
             push(&mut aims, &mut counts, Aim::Effect(E::MissingObject, Hint::Object([x, y])), true);
         }

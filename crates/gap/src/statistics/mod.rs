@@ -25,7 +25,8 @@ const STEPS_M: [f64; 7] = [0.002, 0.003, 0.005, 0.01, 0.02, 0.025, 0.05];
 /// Angles from which, and ranges over whose power, returns may be lost.
 const DROPOUT_ANGLES_DEG: [f64; 5] = [30.0, 45.0, 60.0, 70.0, 80.0];
 const DROPOUT_EXPONENTS: [f64; 5] = [0.0, 1.0, 2.0, 4.0, 8.0];
-/// Readings of blocks lie outside of them by no more than this, as noise and errors of the reference have it \[m\].
+/// Readings of blocks lie outside of them by this as noise and errors of the reference have it, or by five standard deviations of a
+/// laser that has more noise \[m\].
 const READINGS_ERR_M: f64 = 0.1;
 /// Shares by which slipping wheels may turn farther than the robot gets.
 const SLIP_SHARES: [f64; 2] = [0.2, 0.5];

@@ -124,8 +124,7 @@ pub struct TruthFile {
     pub values: Vec<BTreeMap<String, f64>>,
     /// Of each, the number that is its strength.
     pub strength: Vec<String>,
-    /// The least standard deviation of an estimate of the strength of one effect in the library's form.
-    #[serde(default)]
+    /// The least standard deviation of an estimate of the strength of one effect in the library's form; none of an object.
     pub least_error: Option<f64>,
     /// Stages taken out of the library.
     pub without: Vec<String>,
@@ -273,9 +272,6 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
                 if options.no_later.is_some_and(|end| (options.clock)() > end) {
                     break;
                 }
-                if std::env::var_os("GAP_DUMP").is_some() {
-                    eprintln!("CASE {}", case.id);
-                }
                 pool.install(|| hide(&world, &strengths[case.regime], case, &log, &truth))?;
                 let mut finding = pool.install(|| search(&world.nominal, &log, case, options))?;
                 if let Hidden::Given(effect) = &case.hidden {
@@ -313,11 +309,14 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
     ))
 }
 
+/// Of the suite's files; those of another one are of no use.
+const FORMAT: u32 = 2;
+
 /// Refuses a folder that holds findings of other settings.
 fn same_suite(options: &GapBenchOptions<'_>, world: &World) -> Result<(), GapBenchError> {
     let path = options.out.join("suite.json");
     let mark = serde_json::json!({
-        "size": options.size, "seed": options.seed, "replicates": options.replicates,
+        "format": FORMAT, "size": options.size, "seed": options.seed, "replicates": options.replicates,
         "scans": world.drive.steps.len(), "beams": world.drive.laser.beam_count(),
     });
     match fs::read_to_string(&path) {

@@ -67,6 +67,8 @@ pub struct Score {
     pub coverage: Share,
     /// Standard deviation of strengths over the Cramer-Rao bound, of right names in the library's form.
     pub sd_over_bound: Option<f64>,
+    /// The same over strength / sqrt(lambda), the bound of a shift.
+    pub sd_over_strength: Option<f64>,
     /// Mean lower bound of the closed share at the greatest information.
     pub closed_lo: Forms<Option<f64>>,
     /// Share of pairs both of whose effects were named.
@@ -160,6 +162,11 @@ impl Score {
             Some(((estimate - value) / truth.least_error?).powi(2))
         });
         let sd_over_bound = mean(squares).map(f64::sqrt);
+        let of_strength = right().filter_map(|(truth, found)| {
+            let (value, [estimate, ..]) = strength(truth, found)?;
+            Some((estimate / value - 1.0).powi(2) * truth.lambda)
+        });
+        let sd_over_strength = mean(of_strength).map(f64::sqrt);
         let strongest = lambdas.last().copied().unwrap_or(0.0);
         let closed = |group: Group| mean(at(strongest, group).map(|(_, found)| found.closed[1]));
         let two_named = Share::of(
@@ -184,6 +191,7 @@ impl Score {
             set_size,
             coverage,
             sd_over_bound,
+            sd_over_strength,
             closed_lo: Forms { same: closed(Group::Same), other: closed(Group::Other) },
             two_named,
             outside,

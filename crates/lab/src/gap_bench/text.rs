@@ -74,6 +74,12 @@ pub fn table(score: &Score) -> String {
     row("95 % intervals cover the truth".to_owned(), share(&score.coverage), ".93 to .97", ".90 to .98");
     row("standard deviation over Cramer-Rao".to_owned(), number(score.sd_over_bound), "<= 1.15", "<= 1.5");
     row(
+        "the same over strength / sqrt(lambda), objects, too".to_owned(),
+        number(score.sd_over_strength),
+        "-",
+        "-",
+    );
+    row(
         "gap closed, mean lower bound, lambda = 100, same form".to_owned(),
         number(score.closed_lo.same),
         ">= .90",
@@ -138,8 +144,8 @@ fn directions(score: &Score) -> String {
             efficiency.entry(&truth.effects[0]).or_default()[form].push(z.abs() / truth.lambda.sqrt());
         }
     }
-    let mut text = "## Directions\n\nThe farthest of an effect's own statistics, in standard deviations of simulated logs, over \
-                    sqrt(lambda): 1 is what the best test has, or more, where it is the farthest of several. Means, and numbers of \
+    let mut text = "## Directions\n\nThat of an effect's own statistics which says most, in standard deviations of simulated logs, over \
+                    sqrt(lambda): 1 is what the best test has, or more, where it is the most of several. Means, and numbers of \
                     logs.\n\n| effect | same form | other form |\n| --- | --- | --- |\n"
         .to_owned();
     let cell = |ratios: &Vec<f64>| match ratios.len() {
@@ -156,28 +162,27 @@ fn directions(score: &Score) -> String {
 /// The strengths of effects in the library's form that were named, beside the true ones.
 fn numbers(score: &Score) -> String {
     let mut text = "## Numbers\n\nStrengths of rightly named effects in the library's form; errors in units of the bound of Cramer \
-                    and Rao at the true strength.\n\n| effect | lambda | true | found | bound | error / bound | covered |\n| --- | --- \
+                    and Rao at the true strength (spread of the score from log to log over the curvature of the log likelihood).\n\n| effect | lambda | true | found | bound | error / bound | covered |\n| --- | --- \
                     | --- | --- | --- | --- | --- |\n"
         .to_owned();
     for (truth, found) in &score.all {
         if truth.group != Group::Same || found.effects.first() != truth.effects.first() {
             continue;
         }
-        let (Some((value, [estimate, lo, hi])), Some(bound)) = (strength(truth, found), truth.least_error)
-        else {
-            continue;
+        let Some((value, [estimate, lo, hi])) = strength(truth, found) else { continue };
+        let [bound, error] = match truth.least_error {
+            Some(bound) => [digits(bound), format!("{:.1}", (estimate - value) / bound)],
+            None => ["-", "-"].map(str::to_owned),
         };
         let _ = writeln!(
             text,
-            "| {} | {} | {} | {} [{}, {}] | {} | {:.1} | {} |",
+            "| {} | {} | {} | {} [{}, {}] | {bound} | {error} | {} |",
             truth.effects[0],
             truth.lambda,
             digits(value),
             digits(estimate),
             digits(lo),
             digits(hi),
-            digits(bound),
-            (estimate - value) / bound,
             if (lo..=hi).contains(&value) { "yes" } else { "no" },
         );
     }
