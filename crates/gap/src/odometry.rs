@@ -3,7 +3,7 @@
 use locsim_core::Pose2;
 use locsim_world::effect::Effects;
 
-use crate::likelihood::normal_density;
+use crate::likelihood::{normal_cdf, normal_density};
 use crate::{Nominal, Recorded};
 
 /// Least standard deviation of an increment's distance \[m\] and turn \[rad\].
@@ -88,30 +88,34 @@ pub(crate) fn log_likelihoods(
     increments(nominal, effects, track, odometry)
         .iter()
         .map(|increment| {
-            let plain = density(increment, error, 0, 0.0, 0.0);
+            let plain = density(increment, error, 0);
             let distance = if slip.p > 0.0 && slip.share > 0.0 {
                 (1.0 - slip.p) * plain + slip.p * slipped(increment, error, slip.share)
             } else {
                 plain
             };
-            distance.max(1e-300).ln() + density(increment, error, 1, 0.0, 0.0).max(1e-300).ln()
+            distance.max(1e-300).ln() + density(increment, error, 1).max(1e-300).ln()
         })
         .collect()
 }
 
-/// Density of the error of a distance (`axis` 0) or a turn (1) that is `mean` more than usual, with so much more variance.
-fn density(increment: &Increment, error: &OdometryError, axis: usize, mean: f64, more: f64) -> f64 {
-    let sigma = (deviation(increment, error, axis).powi(2) + more).sqrt();
-    let t = (increment.error[axis] - mean) / sigma;
-    let (share, factor) = WIDE;
+/// Density of the error of a distance (`axis` 0) or a turn (1) where nothing slips.
+fn density(increment: &Increment, error: &OdometryError, axis: usize) -> f64 {
+    let (sigma, (share, factor)) = (deviation(increment, error, axis), WIDE);
+    let t = increment.error[axis] / sigma;
     ((1.0 - share) * normal_density(t) + share * normal_density(t / factor) / factor) / sigma
 }
 
-/// The same of a distance with a half-normal slip, as a normal of its mean and variance.
+/// The same of a distance with a half-normal slip: the sum of a normal and a half-normal number is skew normal (Azzalini 1985).
 fn slipped(increment: &Increment, error: &OdometryError, share: f64) -> f64 {
-    let scale = share * increment.truth[0].abs();
-    let mean = (2.0 / std::f64::consts::PI).sqrt() * scale * increment.truth[0].signum();
-    density(increment, error, 0, mean, (1.0 - 2.0 / std::f64::consts::PI) * scale * scale)
+    let (sigma, (wide, factor)) = (deviation(increment, error, 0), WIDE);
+    let slip = share * increment.truth[0].abs();
+    let longer = increment.error[0] * increment.truth[0].signum();
+    let skew_normal = |sigma: f64| {
+        let scale = sigma.hypot(slip);
+        2.0 * normal_density(longer / scale) * normal_cdf(slip / sigma * longer / scale) / scale
+    };
+    (1.0 - wide) * skew_normal(sigma) + wide * skew_normal(factor * sigma)
 }
 
 /// Standard deviation of the error of a distance \[m\] or a turn \[rad\].
@@ -129,7 +133,34 @@ pub(crate) fn standardized(increment: &Increment, error: &OdometryError) -> [f64
 /// Slips only lengthen: the two differ, however large the errors are that make no difference between them.
 pub(crate) fn slip_ratios(increment: &Increment, error: &OdometryError, share: f64) -> [f64; 2] {
     let mirrored = Increment { error: increment.error.map(|e| -e), ..*increment };
-    [increment, &mirrored].map(|increment| {
-        slipped(increment, error, share) / density(increment, error, 0, 0.0, 0.0).max(1e-300) - 1.0
-    })
+    [increment, &mirrored]
+        .map(|increment| slipped(increment, error, share) / density(increment, error, 0).max(1e-300) - 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The density of a slipped distance has a whole of 1, and a mean that is longer by that of the slip, forward and in reverse.
+    #[test]
+    fn a_slip_lengthens_as_the_simulator_s_does() {
+        let error = OdometryError { sigma_m: 0.004, sigma_rad: 0.0 };
+        for truth in [0.07, -0.07] {
+            let step = 1e-4;
+            let (mut whole, mut mean) = (0.0, 0.0);
+            for i in -4000..4000 {
+                let off = step * (f64::from(i) + 0.5);
+                let increment =
+                    Increment { truth: [truth, 0.0], error: [off, 0.0], variance: [0.003 * 0.003, 0.0] };
+                let share = step * slipped(&increment, &error, 0.5);
+                whole += share;
+                mean += share * off;
+            }
+            let expected = 0.5 * truth * (2.0 / std::f64::consts::PI).sqrt();
+            assert!(
+                (whole - 1.0).abs() < 1e-6 && (mean - expected).abs() < 1e-6,
+                "{whole} {mean} {expected}"
+            );
+        }
+    }
 }

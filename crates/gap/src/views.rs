@@ -1,3 +1,4 @@
+use std::collections::HashSet;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
@@ -211,9 +212,9 @@ impl Views {
         Self { beams, per_scan: recorded.beams(), shaped_by, blocks }
     }
 
-    /// Whether an unmapped block may stand in an upright square around `center` with sides of twice `half` \[m\].
-    pub fn may_have_blocks_in(&self, center: DVec2, half: f64) -> bool {
-        self.blocks.as_ref().is_some_and(|blocks| blocks.model().may_stand_in(center, half))
+    /// The points of a lattice near which unmapped blocks may stand; see [`locsim_world::simulation::BlockModel::lattice_in_reach`].
+    pub fn blocks_in_reach(&self, side: f64, half: f64) -> HashSet<[i32; 2]> {
+        self.blocks.as_ref().map_or_else(HashSet::new, |blocks| blocks.model().lattice_in_reach(side, half))
     }
 
     pub fn scans(&self) -> usize {

@@ -1,7 +1,6 @@
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
 
-use glam::DVec2;
 use locsim_world::effect::EffectKind;
 use locsim_world::effect::EffectKind as E;
 
@@ -273,11 +272,12 @@ impl Dictionary {
         // Overlapping windows of four cells: what stands on a border isn't shared out.
         let first_object = aims.len();
         let readings_err = READINGS_ERR_M.max(5.0 * comparison.nominal.laser.sigma_m);
+        // Of windows around points of a lattice.
+        let reach = views.blocks_in_reach(OBJECT_CELL_M, OBJECT_CELL_M + readings_err);
         let (mut object_windows, mut among_blocks) = (Vec::new(), Vec::new());
         for &[x, y] in &order {
             let window = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
-            let center = OBJECT_CELL_M * DVec2::new(f64::from(x + 1), f64::from(y + 1));
-            among_blocks.push(views.may_have_blocks_in(center, OBJECT_CELL_M + readings_err));
+            among_blocks.push(reach.contains(&[x + 1, y + 1]));
             object_windows.push(window.map(|cell| objects.get(&cell).copied().unwrap_or(u32::MAX)));
             push(&mut aims, &mut counts, Aim::Effect(E::MissingObject, Hint::Object([x, y])), true);
         }

@@ -1,3 +1,5 @@
+use std::collections::HashSet;
+
 use glam::DVec2;
 use locsim_core::{Draw, Stage};
 use rand::{Rng, RngExt};
@@ -247,20 +249,33 @@ impl BlockModel {
         &self.faces
     }
 
-    /// Whether part of a block may stand in an upright square around `center` with sides of twice `half` \[m\]. Where this
-    /// says no, none ever does.
-    pub fn may_stand_in(&self, center: DVec2, half: f64) -> bool {
+    /// The points of a lattice of `side` \[m\], as multiples of it, with part of a block perhaps in the upright square around them
+    /// whose sides are twice `half` \[m\]. Around all others no block ever stands.
+    pub fn lattice_in_reach(&self, side: f64, half: f64) -> HashSet<[i32; 2]> {
         let BlockOptions { length_m: [_, length], width_m: [_, width], wall_distance_m: [_, gap], .. } =
             self.options;
         let diameter = length.hypot(width);
-        self.faces.iter().any(|face| {
-            let from_start = center - face.start;
-            let (at, out) = (from_start.dot(face.along), from_start.dot(face.inward));
+        let mut points = HashSet::new();
+        for face in &self.faces {
             // The square's own extent along the face, and as much away from it.
             let extent = half * (face.along.x.abs() + face.along.y.abs());
-            (-extent..=gap + diameter + extent).contains(&out)
-                && (-0.5 * diameter - extent..=face.length + 0.5 * diameter + extent).contains(&at)
-        })
+            let (before, out) = (0.5 * diameter + extent, gap + diameter + extent);
+            let [a, b] = [-before, face.length + before].map(|at| face.start + at * face.along);
+            let corners = [-extent, out].map(|out| [a, b].map(|at| at + out * face.inward));
+            let all = corners.as_flattened();
+            let lower = all.iter().copied().reduce(DVec2::min).unwrap_or(a) / side;
+            let upper = all.iter().copied().reduce(DVec2::max).unwrap_or(a) / side;
+            for x in lower.x.ceil() as i32..=upper.x.floor() as i32 {
+                for y in lower.y.ceil() as i32..=upper.y.floor() as i32 {
+                    let from_start = side * DVec2::new(f64::from(x), f64::from(y)) - face.start;
+                    let (at, away) = (from_start.dot(face.along), from_start.dot(face.inward));
+                    if (-extent..=out).contains(&away) && (-before..=face.length + before).contains(&at) {
+                        points.insert([x, y]);
+                    }
+                }
+            }
+        }
+        points
     }
 
     /// Whether a block leaves the robot at `robot` \[m\] its clearance.
@@ -351,16 +366,17 @@ mod tests {
     #[test]
     fn blocks_stand_only_where_they_may() {
         let model = model(block_options());
+        let (side, half) = (0.05, 0.03);
+        let reach = model.lattice_in_reach(side, half);
         let corners =
             (0..500).flat_map(|step| model.blocks_at(3, step, 0.0, FAR)).flat_map(|block| block.corners);
         for corner in corners {
-            assert!(model.may_stand_in(corner, 0.0), "{corner}");
+            assert!(reach.contains(&(corner / side).to_array().map(|at| at.round() as i32)), "{corner}");
         }
-        // A gap of 0.5 m and a diameter of 0.72 m from the south wall.
-        for (y, half, may) in [(1.2, 0.0, true), (1.25, 0.0, false), (1.25, 0.1, true), (1.4, 0.1, false)] {
-            assert_eq!(model.may_stand_in(DVec2::new(3.0, y), half), may, "{y} {half}");
+        // A gap of 0.5 m, a diameter of 0.72 m and half of a square from the south wall at x = 3 m.
+        for (y, may) in [(0.0, true), (1.2, true), (1.3, false), (2.0, false), (-0.05, false)] {
+            assert_eq!(reach.contains(&[60, (y / side).round() as i32]), may, "{y}");
         }
-        assert!(!model.may_stand_in(DVec2::new(3.0, -2.0), 0.2));
     }
 
     proptest! {
