@@ -209,8 +209,8 @@ fn another_form_has_its_own_information() {
     assert!((0.05..0.7).contains(&bias), "{bias}");
 }
 
-/// The bound on a bias is the error of a mean, sigma / sqrt(n), as is its strength over sqrt(lambda); that on a share of lost
-/// returns is the error of their number: 1 in 100 is lost anyway, 1 in 20 more. Of 24 logs a bound's own error is 0.15.
+/// The least error of a bias is that of a mean, sigma / sqrt(n), as is its strength over sqrt(lambda); that of a share of lost
+/// returns is the error of their number: 1 in 100 is lost anyway, 1 in 20 more. Of 24 logs a least error's own error is 0.15.
 #[test]
 fn the_least_error_is_that_of_a_mean_and_of_a_number_of_events() {
     let nominal = nominal();

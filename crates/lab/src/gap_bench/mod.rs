@@ -124,7 +124,7 @@ pub struct TruthFile {
     pub values: Vec<BTreeMap<String, f64>>,
     /// Of each, the number that is its strength.
     pub strength: Vec<String>,
-    /// The least standard deviation of an estimate of the strength of one effect in the library's form; none of an object.
+    /// The least error of an estimate of the strength of one effect in the library's form, see [`Strength::least_error`].
     pub least_error: Option<f64>,
     /// Stages taken out of the library.
     pub without: Vec<String>,
@@ -310,7 +310,7 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
 }
 
 /// Of the suite's files; those of another one are of no use.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 /// Refuses a folder that holds findings of other settings.
 fn same_suite(options: &GapBenchOptions<'_>, world: &World) -> Result<(), GapBenchError> {

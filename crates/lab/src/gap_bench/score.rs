@@ -65,7 +65,8 @@ pub struct Score {
     pub set_size: Option<f64>,
     /// Share of 95 % intervals of strengths that cover the truth, of right names in the library's form.
     pub coverage: Share,
-    /// Standard deviation of strengths over the Cramer-Rao bound, of right names in the library's form.
+    /// Error of strengths (root of the mean square) over [`Strength::least_error`](locsim_gap::Strength::least_error), the bound of
+    /// Cramer and Rao where that exists, of right names in the library's form.
     pub sd_over_bound: Option<f64>,
     /// The same over strength / sqrt(lambda), the bound of a shift.
     pub sd_over_strength: Option<f64>,

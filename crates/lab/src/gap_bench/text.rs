@@ -161,8 +161,9 @@ fn directions(score: &Score) -> String {
 
 /// The strengths of effects in the library's form that were named, beside the true ones.
 fn numbers(score: &Score) -> String {
-    let mut text = "## Numbers\n\nStrengths of rightly named effects in the library's form; errors in units of the bound of Cramer \
-                    and Rao at the true strength (spread of the score from log to log over the curvature of the log likelihood).\n\n| effect | lambda | true | found | bound | error / bound | covered |\n| --- | --- \
+    let mut text = "## Numbers\n\nStrengths of rightly named effects in the library's form; errors in units of the least \
+                    possible one about the true strength, which is the bound of Cramer and Rao where that exists (error of Pitman's \
+                    estimate, the mean of the likelihood, in simulated logs).\n\n| effect | lambda | true | found | bound | error / bound | covered |\n| --- | --- \
                     | --- | --- | --- | --- | --- |\n"
         .to_owned();
     for (truth, found) in &score.all {
