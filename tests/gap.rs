@@ -97,7 +97,11 @@ fn the_answer_is_for_people_and_an_effect_can_be_left_out() {
     for words in ["Every return is too long", "range_bias, bias = 0.0", "% closed [", "Results in found"] {
         assert!(answer.contains(words), "{words} is not in\n{answer}");
     }
-    folder.locsim(&format!("{line} --quiet --without range_bias")).success().stdout(is_empty());
+    let rest = "--without range_bias --no-filter --max-range 5";
+    let line = line.replace("--no-filter", rest);
+    folder.locsim(&format!("{line} --quiet")).success().stdout(is_empty());
+    let report = String::from_utf8(folder.read("found/report.md")).unwrap();
+    assert!(report.contains(rest), "the command that repeats it isn't in\n{report}");
     let outcome: Value = serde_json::from_slice(&folder.read("found/gap.json")).unwrap();
     assert!(outcome["rivals"].as_array().unwrap().iter().all(|rival| rival["name"] != "range_bias"));
 }

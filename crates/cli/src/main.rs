@@ -429,6 +429,17 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
     if arguments.no_filter {
         command += " --no-filter";
     }
+    let arguments::LogOptions { max_range, scan_topic, odometry_topic, reference_topic } =
+        &arguments.log_options;
+    if let Some(max) = max_range {
+        command += &format!(" --max-range {max}");
+    }
+    for (name, topic) in [("scan", scan_topic), ("odometry", odometry_topic), ("reference", reference_topic)]
+    {
+        if let Some(topic) = topic {
+            command += &format!(" --{name}-topic {topic}");
+        }
+    }
     command
 }
 

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::rank::rank;
+use crate::rank::{GROUPS, rank};
 use crate::replay::Replay;
 use crate::statistics::{Dictionary, Halves, pit_draw};
 
@@ -35,8 +35,8 @@ pub(crate) struct Null {
     pub weight: Vec<f64>,
     /// The largest weight of each replicate, in order.
     pub largest: Vec<f64>,
-    /// What a score of an effect has to exceed to be found at 1 % (standard deviations).
-    pub threshold: f64,
+    /// What a statistic of each group has to exceed to be found at 1 % (standard deviations).
+    pub thresholds: [f64; GROUPS],
     /// Standard deviation of each statistic among the replicates.
     pub spread: Vec<f64>,
     /// Nuisances that were found in the replicates.
@@ -142,7 +142,7 @@ mod tests {
             p: 0.0,
             weight: vec![0.1, own],
             largest: vec![1.0, 2.0],
-            threshold: 0.0,
+            thresholds: [0.0; GROUPS],
             spread: Vec::new(),
             nuisances: Vec::new(),
             log_likelihoods: Vec::new(),

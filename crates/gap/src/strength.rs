@@ -28,10 +28,13 @@ const LOGS: u32 = 16;
 const LOGS_OF_BOUND: u32 = 24;
 /// A likelihood is known at values so far from each other, and so many on either side of the true one (strength over
 /// sqrt(lambda)).
-const GRID: f64 = 0.5;
-const GRID_STEPS: i32 = 6;
-/// Steps of the search for a strength.
-const STEPS: u32 = 5;
+const GRID: f64 = 0.75;
+const GRID_STEPS: i32 = 4;
+/// Steps of the search for a strength, with a few logs until it is near, and with all.
+const STEPS: u32 = 4;
+const FEW_LOGS: u32 = 6;
+/// So near as a factor are few logs as good as all.
+const NEAR: f64 = 1.6;
 /// Whoever knows where to look sees a thread by a single reading; an object is no thinner than this.
 const LEAST_RADIUS_M: f64 = 0.02;
 /// The search ends at an information this close to what is asked for, as a factor.
@@ -125,11 +128,16 @@ impl<'a> Strength<'a> {
     /// # Errors
     /// As the simulator's.
     pub fn information(&self, effect: &Effect, form: Option<OtherForm>) -> Result<f64, GapError> {
+        self.information_by(effect, form, LOGS)
+    }
+
+    /// The same by so many logs with the effect and as many without.
+    fn information_by(&self, effect: &Effect, form: Option<OtherForm>, logs: u32) -> Result<f64, GapError> {
         let effects = &[evenly_spread(effect)];
         let all = self.nominal.effects_with(effects)?;
         let views = self.views.with(self.nominal, self.recorded, &all)?;
         let ratio = |log: &Recorded, without: f64| self.log_likelihood(log, &all, &views) - without;
-        let with = (0..LOGS)
+        let with = (0..logs)
             .into_par_iter()
             .map(|i| {
                 let log = match form {
@@ -139,7 +147,7 @@ impl<'a> Strength<'a> {
                 Ok(ratio(&log, self.log_likelihood(&log, &self.nominal.effects, &self.views)))
             })
             .collect::<Result<Vec<f64>, GapError>>()?;
-        let nothing = self.nothing.par_iter().map(|(log, without)| ratio(log, *without));
+        let nothing = self.nothing[..logs as usize].par_iter().map(|(log, without)| ratio(log, *without));
         let nothing = nothing.collect::<Vec<f64>>();
         let moments = |ratios: &[f64]| {
             let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
@@ -172,22 +180,32 @@ impl<'a> Strength<'a> {
             scaled
         };
         // Secants in logarithms: information grows with a power of the strength, 1 for rare events, 2 for a shift.
+        let (mut factor, mut power) = (1.0_f64, 1.6);
         let mut tried: Vec<(f64, f64)> = Vec::new();
-        let mut factor: f64 = 1.0;
-        for _ in 0..STEPS {
-            let now = self.information(&scaled(factor), form)?.max(1e-3 * lambda);
-            let off = (lambda / now).ln();
-            tried.push((factor.ln(), off));
-            if off.abs() < CLOSE.ln() {
-                break;
-            }
-            let power = match tried[..] {
-                [.., (a, before), (b, now)] if (a - b).abs() > 1e-9 => {
-                    ((before - now) / (b - a)).clamp(0.7, 2.5)
+        for (logs, close) in [(FEW_LOGS, NEAR), (LOGS, CLOSE)] {
+            tried.clear();
+            for _ in 0..STEPS {
+                let stronger = scaled(factor);
+                // At the edge of what is allowed nothing changes any more.
+                if tried.last().is_some_and(|(before, _)| scaled(before.exp()) == stronger) {
+                    break;
                 }
-                _ => 1.6,
-            };
-            factor *= (off / power).exp().clamp(0.05, 8.0);
+                let now = self.information_by(&stronger, form, logs)?.max(1e-3 * lambda);
+                let off = (lambda / now).ln();
+                tried.push((factor.ln(), off));
+                if let [.., (a, before), (b, now)] = tried[..]
+                    && (a - b).abs() > 1e-9
+                {
+                    power = ((before - now) / (b - a)).clamp(0.7, 2.5);
+                }
+                let is_close = off.abs() < close.ln();
+                if !is_close || logs < LOGS {
+                    factor *= (off / power).exp().clamp(0.05, 8.0);
+                }
+                if is_close {
+                    break;
+                }
+            }
         }
         let nearest = tried.iter().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
         Ok(scaled(nearest.map_or(1.0, |(factor, _)| factor.exp())))

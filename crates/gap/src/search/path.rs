@@ -71,8 +71,7 @@ impl<'a> State<'a> {
             if !off && path.named.is_empty() {
                 break;
             }
-            let (count, chance) = if off { (options.fitted_kinds, FAR_OFF) } else { (3, SOMEWHAT_OFF) };
-            let candidates = self.candidates(round, count, chance)?;
+            let candidates = self.candidates_of(round)?;
             let accepted =
                 if off && path.named.len() < options.most_effects { choose(&candidates) } else { None };
             let Some(best) = accepted else {
@@ -124,9 +123,19 @@ impl<'a> State<'a> {
         }
         if path.named.len() < count {
             let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
+            path.remaining = most_gaining(&self.candidates_of(&next)?);
             path.rounds.push(next);
         }
         Ok(())
+    }
+
+    /// Fits what a round leaves off, or the few kinds that may still gain something where nothing is.
+    fn candidates_of(&self, round: &Round<'a>) -> Result<Vec<Candidate>, GapError> {
+        if round.null.p <= self.options.false_alarm {
+            self.candidates(round, self.options.fitted_kinds, FAR_OFF)
+        } else {
+            self.candidates(round, 3, SOMEWHAT_OFF)
+        }
     }
 
     /// One effect that explains everything alone is better than several, even if others gain more one by one: unmapped blocks
@@ -163,7 +172,7 @@ impl<'a> State<'a> {
             path.gains = vec![path.first_fits[i].gains.clone()];
             path.named = vec![named];
             path.rounds.truncate(1);
-            path.remaining = most_gaining(&self.candidates(&round, 3, SOMEWHAT_OFF)?);
+            path.remaining = most_gaining(&self.candidates_of(&round)?);
             path.rounds.push(round);
             break;
         }

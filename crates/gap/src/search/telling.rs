@@ -68,7 +68,7 @@ impl<'a> State<'a> {
             rivals,
             detectable,
             directions: directions(before),
-            threshold: before.null.threshold,
+            threshold: before.null.thresholds[0],
             nuisances: before.fitted.nuisances,
             pit,
             notes: notes(nominal, self.blocks.resample).into_iter().chain(note).collect(),
@@ -203,7 +203,6 @@ impl<'a> State<'a> {
 
 /// Strengths that reach the threshold with 90 % probability: a score's spread is the square root of its information.
 fn detectable(round: &Round<'_>) -> Vec<Detectable> {
-    let threshold = round.null.threshold + 1.2816;
     let mut out: Vec<Detectable> = Vec::new();
     for (i, aim) in round.dictionary.aims.iter().enumerate() {
         let Aim::Effect(kind, hint) = aim else { continue };
@@ -211,6 +210,7 @@ fn detectable(round: &Round<'_>) -> Vec<Detectable> {
             continue;
         }
         let parameter = &kind.parameters()[0];
+        let threshold = round.null.thresholds[round.dictionary.group(i)] + 1.2816;
         let value = threshold / round.null.spread[i];
         if value.is_finite() && out.iter().all(|known| known.name != *kind) {
             let typical = (parameter.start - parameter.neutral).abs();

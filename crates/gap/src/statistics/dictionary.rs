@@ -460,12 +460,17 @@ impl Dictionary {
 
     /// Statistics that are ranked among themselves: 0 for the scores of effects that act on many beams, 1 for those that
     /// act in one of many places, 2 for the cells, 3 for objects where unmapped blocks can stand: where those stay, each
-    /// looks like an object.
+    /// looks like an object; 4 for shares of readings that are not of the wall or lost, and what blocks do to those: where
+    /// blocks stay, such readings come in crowds, and the largest of these statistics is now and then far beyond what is
+    /// usual.
     pub fn group(&self, index: usize) -> usize {
-        let is_wide = self.is_score(index)
-            || (self.odometry..self.patterns + 4).contains(&index)
-            || index == self.mixed
-            || index == self.depth;
+        let is_share = |dense: &Dense| {
+            dense.index == index && matches!(dense.score, Score::NoReturn | Score::Uniform | Score::Tail)
+        };
+        if index == self.mixed || index == self.depth || self.dense.iter().any(is_share) {
+            return 4;
+        }
+        let is_wide = self.is_score(index) || (self.odometry..self.patterns + 4).contains(&index);
         let windows = self.first_object..self.first_object + self.object_windows.len();
         if index >= self.cells {
             2
