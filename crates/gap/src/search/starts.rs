@@ -223,13 +223,14 @@ const STRETCH_BIN_M: f64 = 0.1;
 const STRETCH_REACH_M: f64 = 4.0;
 const STRETCH_LEAST_M: f64 = 0.3;
 
-/// Stretches of wall whose statistics are farthest off: on the wall through the cells that are, the interval over which the
+/// Stretches of wall whose statistics are farthest off: on a wall through the cells that are, the interval over which the
 /// score is largest for its information, with the strength that it has there.
 fn walls(round: &Round<'_>, kind: EffectKind, all: &[(f64, usize)], most: usize) -> Vec<(f64, [DVec2; 2])> {
     let cells = |i: usize| match round.dictionary.aims[i] {
         Aim::Effect(_, Hint::Wall(cells)) => Some(cells),
         _ => None,
     };
+    let max = round.comparison.nominal.laser.max_range_m;
     let mut used: Vec<[i32; 2]> = Vec::new();
     let mut out = Vec::new();
     for &(z, i) in all {
@@ -244,56 +245,100 @@ fn walls(round: &Round<'_>, kind: EffectKind, all: &[(f64, usize)], most: usize)
             .views
             .beams
             .iter()
+            .filter(|beam| beam.view.range < max)
             .map(|beam| beam.view.endpoint)
             .filter(|p| seeds.contains(&wall_cell(*p)))
             .collect();
-        let Some((middle, along)) = line_through(&points) else { continue };
-        let bins = (2.0 * STRETCH_REACH_M / STRETCH_BIN_M) as usize;
-        let mut score = vec![0.0; bins];
-        let mut information = vec![0.0; bins];
-        each_reading(round, |beam, _, shift, reading, terms| {
-            let from_middle = beam.view.endpoint - middle;
-            if along.perp_dot(from_middle).abs() > 0.05 {
-                return;
-            }
-            let bin = (along.dot(from_middle) + STRETCH_REACH_M) / STRETCH_BIN_M;
-            if bin < 0.0 || bin as usize >= bins {
-                return;
-            }
-            let value = if kind == EffectKind::Glass {
-                round.dictionary.glass_score(beam, shift, reading, terms)
-            } else {
-                moved_wall_score(beam, terms)
-            };
-            score[bin as usize] += value;
-            information[bin as usize] += value * value;
-        });
-        let mut best = (0.0, 0, 0);
-        for from in 0..bins {
-            let (mut s, mut v) = (0.0, 0.0);
-            for to in from..bins {
-                s += score[to];
-                v += information[to];
-                let long = (to - from + 1) as f64 * STRETCH_BIN_M >= STRETCH_LEAST_M;
-                let gain = if v > 0.0 { s * s / v } else { 0.0 };
-                if long && information[from] > 0.0 && information[to] > 0.0 && s * z > 0.0 && gain > best.0 {
-                    best = (gain, from, to + 1);
-                }
-            }
-        }
         used.extend(&seeds);
-        if best.0 > 0.0 {
-            // The score's own estimate.
-            let [s, v] = [&score, &information].map(|of| of[best.1..best.2].iter().sum::<f64>());
-            let at = |bin: usize| middle + (bin as f64 * STRETCH_BIN_M - STRETCH_REACH_M) * along;
-            out.push((s / v, [at(best.1), at(best.2)]));
+        let stretches = lines_through(points).into_iter().filter_map(|line| stretch(round, kind, line, z));
+        if let Some((_, value, ends)) = stretches.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            out.push((value, ends));
         }
     }
     out
 }
 
-/// The wall that most of some points lie on: a point of it, and its direction. Recesses and corners have other walls in the
-/// same cells.
+/// Shares of beams that a stretch may let through.
+const GLASS_SHARES: [f64; 5] = [0.01, 0.03, 0.1, 0.3, 0.8];
+
+/// The stretch of a wall through a point that says most for the effect, in the direction of `z`: by how many nats, its
+/// strength, its ends.
+fn stretch(
+    round: &Round<'_>,
+    kind: EffectKind,
+    (middle, along): (DVec2, DVec2),
+    z: f64,
+) -> Option<(f64, f64, [DVec2; 2])> {
+    let bins = (2.0 * STRETCH_REACH_M / STRETCH_BIN_M) as usize;
+    let mut readings = vec![0_usize; bins];
+    // Of a moved wall the score and its information, of glass the gain of each share: few events are no normal numbers.
+    let mut sums = vec![[0.0; GLASS_SHARES.len()]; bins];
+    each_reading(round, |beam, _, shift, reading, terms| {
+        let from_middle = beam.view.endpoint - middle;
+        if along.perp_dot(from_middle).abs() > 0.05 {
+            return;
+        }
+        let bin = (along.dot(from_middle) + STRETCH_REACH_M) / STRETCH_BIN_M;
+        if bin < 0.0 || bin as usize >= bins {
+            return;
+        }
+        readings[bin as usize] += 1;
+        let sums = &mut sums[bin as usize];
+        if kind == EffectKind::Glass {
+            let ratio = round.dictionary.glass_ratio(beam, shift, reading, terms);
+            for (sum, share) in sums.iter_mut().zip(GLASS_SHARES) {
+                *sum += (share * ratio).ln_1p();
+            }
+        } else {
+            let score = moved_wall_score(beam, terms);
+            sums[0] += score;
+            sums[1] += score * score;
+        }
+    });
+    let mut best: Option<(f64, f64, [usize; 2])> = None;
+    for from in (0..bins).filter(|&bin| readings[bin] > 0) {
+        let mut total = [0.0; GLASS_SHARES.len()];
+        for to in from..bins {
+            for (total, sum) in total.iter_mut().zip(sums[to]) {
+                *total += sum;
+            }
+            if readings[to] == 0 || (to - from + 1) as f64 * STRETCH_BIN_M < STRETCH_LEAST_M {
+                continue;
+            }
+            let (gain, strength) = if kind == EffectKind::Glass {
+                let gains = total.into_iter().zip(GLASS_SHARES);
+                gains.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0))
+            } else {
+                // The score's own estimate.
+                let [score, information, ..] = total;
+                let is_right = score * z > 0.0;
+                if is_right { (0.5 * score * score / information, score / information) } else { (0.0, 0.0) }
+            };
+            if gain > best.map_or(0.0, |(most, ..)| most) {
+                best = Some((gain, strength, [from, to + 1]));
+            }
+        }
+    }
+    let at = |bin: usize| middle + (bin as f64 * STRETCH_BIN_M - STRETCH_REACH_M) * along;
+    best.map(|(gain, strength, ends)| (gain, strength, ends.map(at)))
+}
+
+/// The most walls that are looked at in two cells.
+const WALLS: usize = 3;
+
+/// The walls that some points lie on, the one with most of them first: recesses and corners have several in the same cells.
+fn lines_through(mut points: Vec<DVec2>) -> Vec<(DVec2, DVec2)> {
+    let mut lines = Vec::new();
+    while lines.len() < WALLS
+        && let Some((middle, along)) = line_through(&points)
+    {
+        lines.push((middle, along));
+        points.retain(|p| along.perp_dot(*p - middle).abs() >= 0.03);
+    }
+    lines
+}
+
+/// The wall that most of some points lie on: a point of it, and its direction.
 fn line_through(points: &[DVec2]) -> Option<(DVec2, DVec2)> {
     const MOST: usize = 60;
     let few: Vec<DVec2> = points.iter().copied().step_by(points.len().div_ceil(MOST).max(1)).collect();
@@ -308,4 +353,32 @@ fn line_through(points: &[DVec2]) -> Option<(DVec2, DVec2)> {
         }
     }
     best.map(|(_, middle, along)| (middle, along))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use locsim_world::effect::Effect;
+
+    use super::*;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::search::GapOptions;
+    use crate::{Recorded, find};
+
+    /// Most of the wall in the cells of a recess isn't in the recess, and a few beams that go through are no normal numbers.
+    #[test]
+    fn a_pane_in_a_recess_is_named() {
+        let pane = [DVec2::new(2.0, -0.4), DVec2::new(3.0, -0.4)];
+        let glass = Effect::new(EffectKind::Glass, vec![0.1], vec![pane]).unwrap();
+        let drive = record_library(&NOMINAL, &TRUTH, &[glass], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
+        let outcome = find(&NOMINAL, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
+        let first = outcome.effects.first().expect("something is named");
+        assert_eq!(first.name, EffectKind::Glass, "{:?}", outcome.rivals);
+        let ends = first.place[0];
+        assert!(ends.iter().all(|end| (end[1] + 0.4).abs() < 0.06), "{ends:?}");
+    }
 }

@@ -22,7 +22,6 @@ pub(crate) struct Dictionary {
     /// Maximum range \[m\].
     pub(super) max: f64,
     pub(super) wall: Vec<u32>,
-    pub(super) wall_cells: HashMap<[i32; 2], u32>,
     /// Neighbouring cells of walls.
     pub(super) wall_pairs: Vec<[u32; 2]>,
     /// Share of a contamination of each cell.
@@ -422,7 +421,6 @@ impl Dictionary {
             dense,
             max,
             wall,
-            wall_cells,
             wall_pairs,
             wall_share,
             moved_wall,

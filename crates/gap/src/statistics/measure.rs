@@ -9,7 +9,7 @@ use rand::RngExt;
 use super::dictionary::{Dense, Dictionary};
 use super::{
     BLOCK, Halves, OBJECT_CELL_M, RATIO_BIN, RATIO_BINS, SECTOR_RANGE_M, SECTORS, SLIP_SHARES, STEPS_M,
-    cell_at, contaminated, just_seen, wall_cell,
+    cell_at, contaminated, just_seen,
 };
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::likelihood::{Density, Terms, near_density, normal_density};
@@ -27,13 +27,8 @@ impl Dictionary {
         z < self.max && z > beam.range() + shift + 5.0 * terms.sigma.min(0.1)
     }
 
-    /// What a reading says of the share of beams that a wall lets through.
-    pub fn glass_score(&self, beam: &Beam, shift: f64, z: f64, terms: &Terms) -> f64 {
-        let wall = self.wall_cells.get(&wall_cell(beam.view.endpoint));
-        wall.map_or(0.0, |&wall| self.glass_score_of(wall as usize, beam, shift, z, terms))
-    }
-
-    fn glass_score_of(&self, wall: usize, beam: &Beam, shift: f64, z: f64, terms: &Terms) -> f64 {
+    /// Density of a reading of a beam that its wall lets through, relative to what it is, less 1.
+    pub fn glass_ratio(&self, beam: &Beam, shift: f64, z: f64, terms: &Terms) -> f64 {
         let through = if z < self.max {
             let sigma = terms.sigma.min(0.1);
             let far = beam.view.behind.map_or(0.0, |behind| near_density(z, behind + shift, sigma, self.max));
@@ -42,7 +37,7 @@ impl Dictionary {
         } else {
             0.5
         };
-        contaminated(Density::contamination(terms, through), self.wall_share[wall])
+        Density::contamination(terms, through)
     }
 
     /// All statistics of a log, `fitted` to it. Which ones are looked at is the `hypothesis`'s to say, for the log and its
@@ -101,7 +96,8 @@ impl Dictionary {
                 if is_return {
                     out[self.moved_wall + wall][half] += moved_wall_score(beam, &terms);
                 }
-                out[self.glass + wall][half] += self.glass_score_of(wall, beam, shift, z, &terms);
+                out[self.glass + wall][half] +=
+                    contaminated(self.glass_ratio(beam, shift, z, &terms), self.wall_share[wall]);
             }
             // Things in front may stand where no block does.
             let in_front = self.is_in_front(beam, shift, z, &terms);
