@@ -432,12 +432,17 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
     let arguments::LogOptions { max_range, scan_topic, odometry_topic, reference_topic } =
         &arguments.log_options;
     if let Some(max) = max_range {
-        command += &format!(" --max-range {max}");
+        command += " --max-range ";
+        command += &max.to_string();
     }
-    for (name, topic) in [("scan", scan_topic), ("odometry", odometry_topic), ("reference", reference_topic)]
-    {
+    for (option, topic) in [
+        (" --scan-topic ", scan_topic),
+        (" --odometry-topic ", odometry_topic),
+        (" --reference-topic ", reference_topic),
+    ] {
         if let Some(topic) = topic {
-            command += &format!(" --{name}-topic {topic}");
+            command += option;
+            command += topic;
         }
     }
     command

@@ -367,7 +367,25 @@ mod tests {
     use crate::search::GapOptions;
     use crate::{Recorded, find};
 
-    /// Most of the wall in the cells of a recess isn't in the recess, and a few beams that go through are no normal numbers.
+    /// A recess, its side, and the wall beside it share cells: each is a wall to look at, the one with most beams first.
+    #[test]
+    fn cells_have_several_walls() {
+        let on = |from: [f64; 2], to: [f64; 2], count: usize| {
+            let at = move |i: usize| DVec2::from(from).lerp(DVec2::from(to), i as f64 / count as f64);
+            (0..count).map(at)
+        };
+        let side = on([1.0, 0.04], [1.0, 0.4], 20);
+        let points = on([0.0, 0.0], [1.0, 0.0], 60).chain(side).chain(on([1.04, 0.4], [2.0, 0.4], 40));
+        let lines = lines_through(points.collect());
+        let expected = [(DVec2::ZERO, DVec2::X), (DVec2::new(1.5, 0.4), DVec2::X), (DVec2::X, DVec2::Y)];
+        assert_eq!(lines.len(), expected.len(), "{lines:?}");
+        for ((middle, along), (point, direction)) in lines.into_iter().zip(expected) {
+            assert!(along.perp_dot(direction).abs() < 0.05, "{along} for {direction}");
+            assert!(direction.perp_dot(middle - point).abs() < 0.03, "{middle} for {point}");
+        }
+    }
+
+    /// Among the walls of a recess the one that lets a few beams through is found.
     #[test]
     fn a_pane_in_a_recess_is_named() {
         let pane = [DVec2::new(2.0, -0.4), DVec2::new(3.0, -0.4)];
