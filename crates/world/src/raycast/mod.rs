@@ -1,6 +1,7 @@
 //! Ray casts into a map, exact and from a table, and distances to its walls.
 
 mod batch;
+mod boxes;
 mod build;
 mod cache;
 mod distance;
@@ -9,6 +10,7 @@ mod segment;
 mod sight;
 mod table;
 
+pub(crate) use boxes::Boxes;
 pub use distance::DistanceGrid;
 pub use exact::{BEHIND_M, ExactRangeMap, RayHit};
 pub(crate) use segment::distance_to;

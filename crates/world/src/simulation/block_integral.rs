@@ -1,9 +1,8 @@
 use glam::DVec2;
-use parry2d_f64::bounding_volume::Aabb;
-use parry2d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
 
 use super::BlockModel;
 use super::faces::Face;
+use crate::raycast::Boxes;
 
 /// Shapes of blocks that an integral is summed over.
 const SHAPES: u32 = 128;
@@ -11,8 +10,6 @@ const SHAPES: u32 = 128;
 const FACE_M: f64 = 1.0;
 /// So many shapes stand at each face at least.
 const LEAST_SHAPES: usize = 8;
-/// Boxes around what blocks of a face reach are wider by this, so that rounding doesn't decide whether a ray meets them \[m\].
-const MARGIN_M: f64 = 1e-6;
 
 /// The expected number of unmapped blocks on a ray, for any ray that begins outside of blocks.
 ///
@@ -33,7 +30,7 @@ pub struct BlockIntegral {
     /// Blocks of one shape per metre of wall \[1/m\].
     density: f64,
     /// Boxes around what the blocks of each face reach: a grid's map has many thousand faces.
-    reach: Bvh,
+    reach: Boxes,
 }
 
 /// A block at the beginning of a face, in coordinates along the face and away from it.
@@ -78,9 +75,7 @@ impl BlockIntegral {
             shapes[1].push(Shape { offset: center.y, radius, x, y });
         }
         let density = model.options().per_metre_of_wall / f64::from(SHAPES);
-        let boxes: Vec<Aabb> =
-            model.faces().iter().map(|face| box_around(face, diameter_m, depth_m)).collect();
-        let reach = Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes);
+        let reach = Boxes::new(model.faces().iter().map(|face| box_around(face, diameter_m, depth_m)));
         Self { model: model.clone(), shapes, depth_m, diameter_m, density, reach }
     }
 
@@ -104,15 +99,8 @@ impl BlockIntegral {
             return;
         }
         let clearance = self.model.options().clearance_m;
-        let inverse = direction.recip();
-        let is_met = |node: &BvhNode| {
-            let (a, b) = ((node.mins() - origin) * inverse, (node.maxs() - origin) * inverse);
-            a.min(b).max_element().max(0.0) <= a.max(b).min_element().min(limit)
-        };
-        let mut faces: Vec<u32> = self.reach.leaves(is_met).collect();
         // In their own order, whatever the tree's, so that sums are the same.
-        faces.sort_unstable();
-        for number in faces.into_iter().map(|face| face as usize) {
+        for number in self.reach.met_by(origin, direction, limit) {
             let face = &self.model.faces()[number];
             let local = |v: DVec2| DVec2::new(v.dot(face.along), v.dot(face.inward));
             let (start, step) = (local(origin - face.start), local(direction));
@@ -172,14 +160,15 @@ impl BlockIntegral {
     }
 }
 
-/// A box around a face's blocks, whose diameter and reach are at most these.
-fn box_around(face: &Face, diameter_m: f64, depth_m: f64) -> Aabb {
+/// Lower and upper corner of a box around a face's blocks, whose diameter and reach are at most these.
+fn box_around(face: &Face, diameter_m: f64, depth_m: f64) -> [DVec2; 2] {
     let at = |along: f64, inward: f64| face.start + along * face.along + inward * face.inward;
     let (from, to) = (-diameter_m, face.length + diameter_m);
     let corners = [at(from, 0.0), at(to, 0.0), at(from, depth_m), at(to, depth_m)];
-    let lo = corners.into_iter().fold(DVec2::INFINITY, DVec2::min) - DVec2::splat(MARGIN_M);
-    let hi = corners.into_iter().fold(DVec2::NEG_INFINITY, DVec2::max) + DVec2::splat(MARGIN_M);
-    Aabb::new(lo, hi)
+    [
+        corners.into_iter().fold(DVec2::INFINITY, DVec2::min),
+        corners.into_iter().fold(DVec2::NEG_INFINITY, DVec2::max),
+    ]
 }
 
 impl Shape {
