@@ -13,9 +13,9 @@ use rayon::prelude::*;
 
 use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::rank::{GROUPS, rank};
+use crate::rank::rank;
 use crate::replay::Replay;
-use crate::statistics::{Dictionary, Halves, pit_draw};
+use crate::statistics::{Dictionary, Group, Halves, pit_draw};
 
 /// Expectation maximization steps of a replicate, which starts at the fitted process.
 pub(crate) const REFIT: usize = 4;
@@ -36,7 +36,7 @@ pub(crate) struct Null {
     /// The largest weight of each replicate, in order.
     pub largest: Vec<f64>,
     /// What a statistic of each group has to exceed to be found at 1 % (standard deviations).
-    pub thresholds: [f64; GROUPS],
+    pub thresholds: [f64; Group::COUNT],
     /// Standard deviation of each statistic among the replicates.
     pub spread: Vec<f64>,
     /// Nuisances that were found in the replicates.
@@ -142,7 +142,7 @@ mod tests {
             p: 0.0,
             weight: vec![0.1, own],
             largest: vec![1.0, 2.0],
-            thresholds: [0.0; GROUPS],
+            thresholds: [0.0; Group::COUNT],
             spread: Vec::new(),
             nuisances: Vec::new(),
             log_likelihoods: Vec::new(),

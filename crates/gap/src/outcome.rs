@@ -266,7 +266,7 @@ pub struct Outcome {
     pub detectable: Vec<Detectable>,
     /// How far the log is off in every effect's direction, before any is added.
     pub directions: Vec<Direction>,
-    /// What one of many beams has to exceed there to be found.
+    /// What that of an effect which shifts or spreads readings, or is in the odometry, has to exceed to be found.
     pub threshold: f64,
     /// What was fitted besides: blocks, errors of the reference.
     pub nuisances: Nuisances,

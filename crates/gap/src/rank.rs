@@ -1,25 +1,21 @@
 //! A log's statistics ranked among those of replicates: standardized, in groups, under one false-alarm rate.
 
 use crate::null::Null;
-use crate::statistics::{Dictionary, Halves};
+use crate::statistics::{Dictionary, Group, Halves};
 
-/// How the false-alarm rate is shared out among groups of statistics: effects that act on many beams, effects at one of
-/// many places, cells, objects among blocks, shares of readings. Each gets its share however many statistics it has, and one whose
-/// largest is now and then far off doesn't raise what the others have to exceed.
-const SHARES: [f64; GROUPS] = [0.4, 0.2, 0.15, 0.05, 0.2];
-pub(crate) const GROUPS: usize = 5;
-/// The cells' group.
-const CELLS: usize = 2;
+/// How the false-alarm rate is shared out among the groups of statistics, in their order. Each gets its share however many
+/// statistics it has, and one whose largest is now and then far off doesn't raise what the others have to exceed.
+const SHARES: [f64; Group::COUNT] = [0.4, 0.2, 0.15, 0.05, 0.2];
 
 pub(crate) fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves>]) -> Null {
     let count = others.len() + 1;
     let (mut z, mut halves) = (vec![0.0; own.len()], vec![[0.0; 2]; own.len()]);
     let mut spreads = vec![0.0; own.len()];
     // The largest of each group, of each replicate, the log last.
-    let mut largest = vec![[0.0_f64; GROUPS]; count];
+    let mut largest = vec![[0.0_f64; Group::COUNT]; count];
     let mut values = vec![0.0; count];
     for i in 0..own.len() {
-        let group = dictionary.group(i);
+        let group = dictionary.group(i) as usize;
         // Counts by their roots, whose variance doesn't depend on the mean (Anscombe 1948) and is at most about 1 by
         // chance; of a count that hardly ever happens it is less, and would make a single event stand out.
         let is_count = dictionary.is_count(i);
@@ -42,28 +38,29 @@ pub(crate) fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves
         spreads[i] = rest.variance().sqrt();
     }
     // Each group's largest as a p-value over the group's share, as a logarithm.
-    let tails: Vec<Tail> = (0..GROUPS).map(|g| Tail::of(largest.iter().map(|t| t[g]))).collect();
-    let weighed: Vec<[f64; GROUPS]> = largest
+    let tails: Vec<Tail> = (0..Group::COUNT).map(|g| Tail::of(largest.iter().map(|t| t[g]))).collect();
+    let weighed: Vec<[f64; Group::COUNT]> = largest
         .iter()
         .map(|t| std::array::from_fn(|g| tails[g].minus_log_p(t[g]) + SHARES[g].ln()))
         .collect();
-    let p_of = |of: &dyn Fn(&[f64; GROUPS]) -> f64| {
+    let p_of = |of: &dyn Fn(&[f64; Group::COUNT]) -> f64| {
         let mine = of(&weighed[count - 1]);
         weighed.iter().filter(|other| of(other) >= mine).count() as f64 / count as f64
     };
-    let largest_of = |t: &[f64; GROUPS], is_in: &dyn Fn(usize) -> bool| {
-        (0..GROUPS).filter(|&g| is_in(g)).map(|g| t[g]).fold(f64::NEG_INFINITY, f64::max)
-    };
-    let all = |t: &[f64; GROUPS]| largest_of(t, &|_| true);
-    let p_library = p_of(&|t| largest_of(t, &|g| g != CELLS));
-    let p_omnibus = p_of(&|t| t[CELLS]);
+    let all = |t: &[f64; Group::COUNT]| t.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let p_library = p_of(&|t| {
+        let mut library = *t;
+        library[Group::Cells as usize] = f64::NEG_INFINITY;
+        all(&library)
+    });
+    let p_omnibus = p_of(&|t| t[Group::Cells as usize]);
     let p = p_of(&all);
     let mut sorted: Vec<f64> = weighed[..count - 1].iter().map(all).collect();
     sorted.sort_by(f64::total_cmp);
     let above = ((0.01 * sorted.len() as f64).ceil() as usize).max(1);
     let weight = (0..own.len())
         .map(|i| {
-            let group = dictionary.group(i);
+            let group = dictionary.group(i) as usize;
             tails[group].minus_log_p(dictionary.off(i, z[i])) + SHARES[group].ln()
         })
         .collect();

@@ -17,7 +17,7 @@ use crate::outcome::{
 };
 use crate::replay::Replay;
 use crate::show::{Side, distance, histograms, locate, pits};
-use crate::statistics::{Aim, Hint};
+use crate::statistics::{Aim, Group, Hint};
 use crate::{GapError, Nominal, Recorded};
 
 impl<'a> State<'a> {
@@ -68,7 +68,7 @@ impl<'a> State<'a> {
             rivals,
             detectable,
             directions: directions(before),
-            threshold: before.null.thresholds[0],
+            threshold: before.null.thresholds[Group::Wide as usize],
             nuisances: before.fitted.nuisances,
             pit,
             notes: notes(nominal, self.blocks.resample).into_iter().chain(note).collect(),
@@ -210,7 +210,7 @@ fn detectable(round: &Round<'_>) -> Vec<Detectable> {
             continue;
         }
         let parameter = &kind.parameters()[0];
-        let threshold = round.null.thresholds[round.dictionary.group(i)] + 1.2816;
+        let threshold = round.null.thresholds[round.dictionary.group(i) as usize] + 1.2816;
         let value = threshold / round.null.spread[i];
         if value.is_finite() && out.iter().all(|known| known.name != *kind) {
             let typical = (parameter.start - parameter.neutral).abs();

@@ -51,6 +51,26 @@ pub(crate) struct Dictionary {
     pub(super) jumps: Vec<Option<[f64; 2]>>,
 }
 
+/// Statistics that are ranked among themselves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Group {
+    /// Scores of effects that shift or spread many readings, or are in the odometry.
+    Wide,
+    /// Effects in one of many places or sectors.
+    Places,
+    /// The omnibus cells.
+    Cells,
+    /// Objects where unmapped blocks can stand: where those stay, each looks like an object.
+    AmongBlocks,
+    /// Shares of readings that are lost or not of the wall, and how deep blocks are: where blocks stay, such readings come in
+    /// crowds, and the largest of these statistics is now and then far beyond what is usual.
+    Shares,
+}
+
+impl Group {
+    pub const COUNT: usize = 5;
+}
+
 pub(super) const COVARIATES: usize = 9;
 /// Where the last bin of ratios ends.
 const MOST_RATIO: f64 = 1000.0;
@@ -456,28 +476,24 @@ impl Dictionary {
         self.cells
     }
 
-    /// Statistics that are ranked among themselves: 0 for the scores of effects that act on many beams, 1 for those that
-    /// act in one of many places, 2 for the cells, 3 for objects where unmapped blocks can stand: where those stay, each
-    /// looks like an object; 4 for shares of readings that are not of the wall or lost, and what blocks do to those: where
-    /// blocks stay, such readings come in crowds, and the largest of these statistics is now and then far beyond what is
-    /// usual.
-    pub fn group(&self, index: usize) -> usize {
+    /// What a statistic is ranked among.
+    pub fn group(&self, index: usize) -> Group {
         let is_share = |dense: &Dense| {
             dense.index == index && matches!(dense.score, Score::NoReturn | Score::Uniform | Score::Tail)
         };
         if index == self.mixed || index == self.depth || self.dense.iter().any(is_share) {
-            return 4;
+            return Group::Shares;
         }
         let is_wide = self.is_score(index) || (self.odometry..self.patterns + 4).contains(&index);
         let windows = self.first_object..self.first_object + self.object_windows.len();
         if index >= self.cells {
-            2
+            Group::Cells
         } else if is_wide {
-            0
+            Group::Wide
         } else if windows.contains(&index) && self.among_blocks[index - self.first_object] {
-            3
+            Group::AmongBlocks
         } else {
-            1
+            Group::Places
         }
     }
 

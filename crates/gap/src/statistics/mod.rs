@@ -11,7 +11,7 @@ use glam::DVec2;
 use locsim_core::{Draw, Stage};
 use locsim_world::effect::EffectKind;
 
-pub(crate) use dictionary::Dictionary;
+pub(crate) use dictionary::{Dictionary, Group};
 pub(crate) use measure::moved_wall_score;
 
 /// Side of a cell of the map in which endpoints are counted \[m\]: walls, and unmapped objects.

@@ -149,7 +149,7 @@ pub struct FoundFile {
     pub closed: [f64; 3],
     /// How far the log is off in every effect's direction, in standard deviations.
     pub directions: BTreeMap<String, f64>,
-    /// What one of many beams has to exceed there to be found.
+    /// What that of an effect which shifts or spreads readings, or is in the odometry, has to exceed to be found.
     pub threshold: f64,
     /// Time \[s\].
     pub seconds: f64,

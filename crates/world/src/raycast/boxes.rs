@@ -22,14 +22,22 @@ impl Boxes {
     /// Numbers of the boxes that a ray from `origin` along the unit vector `direction` meets within `limit` metres, in order.
     pub fn met_by(&self, origin: DVec2, direction: DVec2, limit: f64) -> Vec<usize> {
         let inverse = direction.recip();
-        let is_met = |node: &BvhNode| {
-            let (a, b) = ((node.mins() - origin) * inverse, (node.maxs() - origin) * inverse);
-            a.min(b).max_element().max(0.0) <= a.max(b).min_element().min(limit)
-        };
+        let is_met = |node: &BvhNode| entry(node, origin, inverse, limit).is_some();
         let mut met: Vec<usize> = self.tree.leaves(is_met).map(|leaf| leaf as usize).collect();
         met.sort_unstable();
         met
     }
+}
+
+/// Where a ray enters a box within `limit` metres (slab method; `BvhNode::cast_ray` does the same with divisions at every
+/// box). `inverse` is of its direction, infinite for rays along an axis: zero times infinity then comes only of a ray on the very edge
+/// of a box, and boxes are wider than what is in them.
+#[inline]
+pub(super) fn entry(node: &BvhNode, origin: DVec2, inverse: DVec2, limit: f64) -> Option<f64> {
+    let (a, b) = ((node.mins() - origin) * inverse, (node.maxs() - origin) * inverse);
+    let enter = a.min(b).max_element().max(0.0);
+    let leave = a.max(b).min_element().min(limit);
+    (enter <= leave).then_some(enter)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@ use locsim_core::{Hits, NO_SURFACE, Poses, RangeMap};
 use parry2d_f64::partitioning::{Bvh, BvhNode};
 
 use super::batch::cast_batch;
+use super::boxes::entry;
 use super::segment::{angle, incidence, range_to, tree_over};
 use crate::map::Geometry;
 
@@ -99,16 +100,8 @@ impl ExactRangeMap {
         max_range: f64,
     ) -> Option<(usize, f64)> {
         let segments = self.geometry.segments();
-        // Infinite for rays along an axis. Zero times infinity then comes only of a ray on the very edge of a box,
-        // where it meets nothing anyway: see `tree_over`.
         let inverse = direction.recip();
-        // Where the ray enters a box (slab method). `Bvh::cast_ray` does the same with divisions at every box.
-        let enter = |node: &BvhNode, nearest: f64| {
-            let (a, b) = ((node.mins() - origin) * inverse, (node.maxs() - origin) * inverse);
-            let enter = a.min(b).max_element().max(0.0);
-            let leave = a.max(b).min_element().min(nearest);
-            if enter <= leave { enter } else { f64::MAX }
-        };
+        let enter = |node: &BvhNode, nearest: f64| entry(node, origin, inverse, nearest).unwrap_or(f64::MAX);
         let (leaf, range) = self
             .tree
             .find_best(max_range, enter, |leaf, _| range_to(&segments[leaf as usize], origin, direction))?;
