@@ -310,7 +310,7 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
 }
 
 /// Of the suite's files; those of another one are of no use.
-const FORMAT: u32 = 4;
+const FORMAT: u32 = 5;
 
 /// Refuses a folder that holds findings of other settings.
 fn same_suite(options: &GapBenchOptions<'_>, world: &World) -> Result<(), GapBenchError> {
