@@ -210,10 +210,10 @@ fn wall_at(map: &ExactRangeMap, from: DVec2, direction: DVec2, length: f64) -> O
 
 /// All logs of a size, the ones that answer most first.
 pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<Case> {
-    let (nulls, repeats, lambdas, other_lambdas): (u32, u32, &[f64], &[f64]) = match size {
-        Size::Small => (1, 1, &[100.0], &[]),
-        Size::Medium => (6, 1, &[25.0, 50.0, 100.0], &[25.0, 50.0, 100.0]),
-        Size::Full => (200, 8, &[25.0, 50.0, 100.0], &[25.0, 50.0, 100.0]),
+    let (nulls, repeats, lambdas): (u32, u32, &[f64]) = match size {
+        Size::Small => (1, 1, &[100.0]),
+        Size::Medium => (6, 1, &[25.0, 50.0, 100.0]),
+        Size::Full => (200, 8, &[25.0, 50.0, 100.0]),
     };
     // Two kinds in turn, as regimes alternate from one kind to the next.
     let is_asked = |i: usize, lambda: f64| {
@@ -254,7 +254,6 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
             &OtherForm::ALL
         };
         for (i, &form) in forms.iter().enumerate() {
-            let lambdas = if size == Size::Small { lambdas } else { other_lambdas };
             for &lambda in lambdas.iter().filter(|lambda| is_asked(i, **lambda)) {
                 let regime = if size == Size::Small { 0 } else { [0, 2, 0, 1][(i + repeat as usize) % 4] };
                 let name = format!("other-{}-{lambda}", form.kind());
