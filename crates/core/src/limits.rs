@@ -1,0 +1,186 @@
+//! How much an input may cost. Every limit of locsim is here; `docs/LIMITS.md` lists them for users.
+//!
+//! A reader asks for its limit with [`Limits::current`] before it allocates, and refuses what is above it with
+//! [`Limits::refusal`], which names the option that raises it.
+
+use std::str::FromStr;
+use std::sync::OnceLock;
+
+use thiserror::Error;
+
+/// Collections of a YAML file may be nested this deep.
+pub const YAML_DEPTH: usize = 64;
+
+/// A log may always unpack to this many times its own size: scans as text shrink to a quarter or an eighth.
+pub const UNPACKING_FACTOR: u64 = 20;
+
+/// Worker threads for each core of the machine, at the most.
+pub const THREADS_PER_CORE: usize = 4;
+
+/// An error quotes this many characters of a value, at the most.
+pub const QUOTED_CHARACTERS: usize = 80;
+
+/// One row of [`Limits::TABLE`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limit {
+    /// The name that `--limit NAME=VALUE` takes.
+    pub name: &'static str,
+    /// The value without that option.
+    pub default: u64,
+    /// What is counted.
+    pub what: &'static str,
+}
+
+macro_rules! limits {
+    ($($(#[doc = $doc:literal])+ $name:ident = $default:expr, $what:literal;)+) => {
+        /// Limits on what is read, which the command line can change: `--limit NAME=VALUE`.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub struct Limits {
+            $($(#[doc = $doc])+ pub $name: u64,)+
+        }
+
+        impl Limits {
+            /// What holds unless [`Limits::set`] was called.
+            pub const DEFAULT: Self = Self { $($name: $default,)+ };
+
+            /// Name, default and meaning of each limit.
+            pub const TABLE: &'static [Limit] =
+                &[$(Limit { name: stringify!($name), default: $default, what: $what },)+];
+
+            fn slot(&mut self, name: &str) -> Option<&mut u64> {
+                match name {
+                    $(stringify!($name) => Some(&mut self.$name),)+
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
+limits! {
+    /// Bytes of a YAML file: a scenario, a study, a map.
+    yaml_bytes = 8 << 20, "bytes of a YAML file";
+    /// Values in a YAML file, those that aliases repeat counted each time.
+    yaml_values = 500_000, "values in a YAML file, repeated ones counted each time";
+    /// Pixels of a map's image, told by its header before it is read.
+    map_pixels = 1 << 26, "pixels of a map's image";
+    /// Wall segments of a map.
+    map_segments = 1_000_000, "wall segments of a map";
+    /// Bytes that a small compressed log may unpack to; a larger one may unpack to [`UNPACKING_FACTOR`] times its size.
+    log_unpacked_bytes = 1 << 29, "bytes that a compressed log unpacks to";
+    /// Readings of a log, all scans together; each takes 4 bytes.
+    log_readings = 1 << 27, "range readings of a log";
+    /// Bytes of a file of a fitted sensor model.
+    model_bytes = 1 << 28, "bytes of a sensor model's file";
+    /// Bytes of a table of comma-separated values.
+    table_bytes = 1 << 28, "bytes of a table of comma-separated values";
+    /// Bytes of the folder in which range tables are kept; the ones not used for longest go first.
+    cache_bytes = 1 << 30, "bytes of the cache of range tables";
+    /// Bytes of memory that a run may need by its estimate; 0 for what the machine has.
+    memory_bytes = 0, "bytes of memory that a run may need by its estimate, 0 for what the machine has";
+}
+
+static CURRENT: OnceLock<Limits> = OnceLock::new();
+
+/// A `--limit` that isn't understood.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum LimitError {
+    /// It isn't `NAME=VALUE` with a whole number.
+    #[error("--limit: `{0}` is not allowed; NAME=VALUE with a whole number, such as map_pixels=400000000")]
+    Form(String),
+    /// There is no such limit.
+    #[error("--limit: `{name}` is not a limit; allowed: {}", names())]
+    Name {
+        /// The name given.
+        name: String,
+    },
+}
+
+fn names() -> String {
+    Limits::TABLE.iter().map(|limit| limit.name).collect::<Vec<_>>().join(", ")
+}
+
+impl Limits {
+    /// The limits of this process.
+    pub fn current() -> &'static Self {
+        CURRENT.get().unwrap_or(&Self::DEFAULT)
+    }
+
+    /// Makes these the limits of this process. The first call counts; it belongs at a program's start.
+    pub fn set(self) {
+        // A second call changes nothing, so that no reader sees two limits.
+        let _ = CURRENT.set(self);
+    }
+
+    /// These limits with the changes of a list of `NAME=VALUE`.
+    ///
+    /// # Errors
+    /// [`LimitError`] for a name that is no limit and a value that is no whole number.
+    pub fn with<'a>(mut self, changes: impl IntoIterator<Item = &'a str>) -> Result<Self, LimitError> {
+        for change in changes {
+            let form = || LimitError::Form(quoted(change));
+            let (name, value) = change.split_once('=').ok_or_else(form)?;
+            let value = u64::from_str(value).map_err(|_| form())?;
+            *self.slot(name).ok_or_else(|| LimitError::Name { name: quoted(name) })? = value;
+        }
+        Ok(self)
+    }
+
+    /// What an error says of an input that is above a limit: "found; at most N, `--limit NAME=VALUE` raises it".
+    ///
+    /// # Panics
+    /// There is no limit of this name.
+    pub fn refusal(&self, name: &str, found: u64) -> String {
+        let limit = *self.clone().slot(name).expect("a name of the table");
+        let what = Self::TABLE.iter().find(|row| row.name == name).map_or("", |row| row.what);
+        format!("{found} {what} are not allowed; at most {limit} (`--limit {name}={found}` raises it)")
+    }
+}
+
+/// A value as an error quotes it: control characters escaped, cut after [`QUOTED_CHARACTERS`].
+pub fn quoted(value: &str) -> String {
+    let mut quoted = String::new();
+    let mut characters = value.chars();
+    for character in characters.by_ref().take(QUOTED_CHARACTERS) {
+        if character.is_control() {
+            quoted.extend(character.escape_default());
+        } else {
+            quoted.push(character);
+        }
+    }
+    if characters.next().is_some() {
+        quoted.push_str("..");
+    }
+    quoted
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_is_changed_by_its_name() {
+        let limits = Limits::DEFAULT.with(["map_pixels=7", "log_readings=9"]).unwrap();
+        assert_eq!((limits.map_pixels, limits.log_readings), (7, 9));
+        assert_eq!(limits.yaml_bytes, Limits::DEFAULT.yaml_bytes);
+        assert_eq!(
+            limits.refusal("map_pixels", 8),
+            "8 pixels of a map's image are not allowed; at most 7 (`--limit map_pixels=8` raises it)"
+        );
+    }
+
+    #[test]
+    fn what_is_no_limit_is_refused() {
+        for form in ["map_pixels", "map_pixels=", "map_pixels=-1", "map_pixels=1e9"] {
+            assert_eq!(Limits::DEFAULT.with([form]), Err(LimitError::Form(form.to_owned())));
+        }
+        let error = Limits::DEFAULT.with(["pixels=1"]).unwrap_err().to_string();
+        assert!(error.contains("`pixels`") && error.contains("map_pixels, "), "{error}");
+    }
+
+    #[test]
+    fn a_quoted_value_is_short_and_on_one_line() {
+        assert_eq!(quoted("a\nb\u{1b}"), "a\\nb\\u{1b}");
+        assert_eq!(quoted(&"x".repeat(81)), format!("{}..", "x".repeat(80)));
+    }
+}

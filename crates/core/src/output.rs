@@ -1,0 +1,155 @@
+//! The one way in which files are written: a temporary neighbour, synchronized, then renamed.
+//!
+//! A reader never sees half a file, a failure leaves what was there before, and [`Output::check`] keeps a command from
+//! writing over what it reads or what somebody else wrote.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use same_file::Handle;
+use thiserror::Error;
+
+/// How the names of temporary files begin and end; a kill leaves one behind at the most.
+pub const TEMPORARY: [&str; 2] = [".locsim-", ".tmp"];
+
+/// Why a file isn't written.
+#[derive(Debug, Error)]
+pub enum OutputError {
+    /// The command reads it.
+    #[error("--out: {} is not allowed; this command reads it", path.display())]
+    Input {
+        /// The file.
+        path: PathBuf,
+    },
+    /// It is there already.
+    #[error("--out: {} is not allowed; it exists (--force replaces it)", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// It is a folder, a device or the like.
+    #[error("--out: {} is not allowed; it is no file", path.display())]
+    NoFile {
+        /// What is there.
+        path: PathBuf,
+    },
+    /// The system can't.
+    #[error("{}: cannot be written: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+/// A file that a command is asked to write.
+#[derive(Clone, Copy, Debug)]
+pub struct Output<'a> {
+    /// Where.
+    pub path: &'a Path,
+    /// Whether a file that is there may be replaced.
+    pub force: bool,
+    /// What the command reads.
+    pub inputs: &'a [PathBuf],
+}
+
+impl Output<'_> {
+    /// Whether the file may be written. Nothing is touched.
+    ///
+    /// # Errors
+    /// [`OutputError`] for one of the inputs (under whatever name), for something that is no file, and for a file that is
+    /// there, unless it is to be replaced.
+    pub fn check(&self) -> Result<(), OutputError> {
+        let path = || self.path.to_owned();
+        let Ok(found) = fs::metadata(self.path) else { return Ok(()) };
+        if !found.is_file() {
+            return Err(OutputError::NoFile { path: path() });
+        }
+        if let Ok(handle) = Handle::from_path(self.path)
+            && self.inputs.iter().any(|input| Handle::from_path(input).is_ok_and(|input| input == handle))
+        {
+            return Err(OutputError::Input { path: path() });
+        }
+        if self.force { Ok(()) } else { Err(OutputError::Exists { path: path() }) }
+    }
+
+    /// [`Output::check`], then [`write_file`].
+    ///
+    /// # Errors
+    /// [`OutputError`].
+    pub fn write(&self, bytes: &[u8]) -> Result<(), OutputError> {
+        self.check()?;
+        write_file(self.path, |file| file.write_all(bytes))
+            .map_err(|source| OutputError::Write { path: self.path.to_owned(), source })
+    }
+}
+
+/// Writes a whole file through `body`, in the place of one that is there.
+///
+/// # Errors
+/// What the system or `body` says; the file is then as it was.
+pub fn write_file(path: &Path, body: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let [prefix, suffix] = TEMPORARY;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(prefix).suffix(suffix);
+    // As other programs create files: for all whom the user's mask allows.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut file = BufWriter::new(builder.tempfile_in(folder)?);
+    body(&mut file)?;
+    let file = file.into_inner()?;
+    file.as_file().sync_all()?;
+    file.persist(path).map(|_: File| ()).map_err(|error| error.error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_leaves_what_was_there_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        write_file(&path, |file| file.write_all(b"old")).unwrap();
+        let failed = write_file(&path, |file| {
+            file.write_all(b"new")?;
+            Err(io::Error::other("full"))
+        });
+        assert_eq!(failed.unwrap_err().to_string(), "full");
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn an_input_is_known_under_every_name_and_never_written_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::write(at("input"), "precious").unwrap();
+        fs::hard_link(at("input"), at("hard")).unwrap();
+        std::os::unix::fs::symlink(at("input"), at("soft")).unwrap();
+        for name in ["input", "hard", "soft", "./input"] {
+            let path = at(name);
+            let output = Output { path: &path, force: true, inputs: &[at("missing"), at("input")] };
+            assert!(matches!(output.write(b"x"), Err(OutputError::Input { .. })), "{name}");
+        }
+        assert_eq!(fs::read(at("input")).unwrap(), b"precious");
+    }
+
+    #[test]
+    fn what_is_there_is_replaced_only_when_asked_for_and_only_if_it_is_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        let output = |force| Output { path: &path, force, inputs: &[] };
+        output(false).write(b"1").unwrap();
+        assert!(matches!(output(false).write(b"2"), Err(OutputError::Exists { .. })));
+        assert_eq!(fs::read(&path).unwrap(), b"1");
+        output(true).write(b"3").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"3");
+        let folder = Output { path: folder.path(), force: true, inputs: &[] };
+        assert!(matches!(folder.write(b"4"), Err(OutputError::NoFile { .. })));
+    }
+}
