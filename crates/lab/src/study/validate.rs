@@ -214,6 +214,7 @@ fn simulated(
         alignment,
         conditions,
         rays: Vec::new(),
+        files: Vec::new(),
         note: None,
     })
 }
@@ -233,7 +234,9 @@ fn laser(check: &mut Checker<'_>, raw: RawLaser) -> Prepare {
     let sigma_per_m2 = check.number(&key("sigma_per_m2"), raw.sigma_per_m2, AtLeast(0.0));
     let sigma_per_tan = check.number(&key("sigma_per_tan_m"), raw.sigma_per_tan_m, AtLeast(0.0));
     Box::new(move || {
-        let geometry = load_map(&map)?.geometry;
+        let loaded = load_map(&map)?;
+        let files = [map.clone()].into_iter().chain(loaded.image).collect();
+        let geometry = loaded.geometry;
         let path: Vec<DVec2> = raw.path_m.iter().copied().map(DVec2::from_array).collect();
         if let Some(outside) = path.iter().find(|p| !geometry.is_free(p.x, p.y)) {
             let what =
@@ -242,12 +245,13 @@ fn laser(check: &mut Checker<'_>, raw: RawLaser) -> Prepare {
         }
         let map = ExactRangeMap::new(geometry);
         let sensor = PlanarLaser { map, path, beams, values, sigma, sigma_per_m2, sigma_per_tan };
-        simulated(
+        let setup = simulated(
             &[("range_m", METRES), ("incidence_rad", "rad")],
             values,
             Some(Alignment::Shift { state_dim: 0 }),
             vec![Condition { label: "laser".to_owned(), source: Source::Simulated(Box::new(sensor)) }],
-        )
+        )?;
+        Ok(Setup { files, ..setup })
     })
 }
 
@@ -340,6 +344,7 @@ fn static_lidar(check: &mut Checker<'_>, raw: &RawStaticLidar) -> Prepare {
             100.0 * lidar.no_return_share
         ));
         setup.rays = lidar.rays;
+        setup.files = vec![file];
         Ok(setup)
     })
 }
@@ -379,6 +384,7 @@ fn table(check: &mut Checker<'_>, raw: RawTable) -> Prepare {
             note: Some(describe(&data)),
             conditions: vec![Condition { label: "table".to_owned(), source: Source::Recorded(data) }],
             rays: Vec::new(),
+            files: vec![file.clone()],
         })
     })
 }
