@@ -1,11 +1,12 @@
+use std::io::Write;
 use std::path::Path;
 
 use locsim_core::Drive;
 
-use crate::{
-    CarmenOptions, DatasetError, LogSummary, McapOptions, McapTopics, read_carmen, read_mcap, write_carmen,
-    write_mcap,
-};
+use crate::carmen::encode_carmen;
+use crate::output::write_whole;
+use crate::ros::encode_mcap;
+use crate::{CarmenOptions, DatasetError, LogSummary, McapOptions, McapTopics, read_carmen, read_mcap};
 
 /// The formats of measured logs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,13 +51,23 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary)
     }
 }
 
-/// Writes a drive in the format that the file's name tells: [`write_mcap`] or [`write_carmen`].
+/// Writes a drive in the format that the file's name tells: [`write_mcap`](crate::write_mcap) or
+/// [`write_carmen`](crate::write_carmen).
 ///
 /// # Errors
 /// Those of the format's writer.
 pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
+    write_whole(path, |out| encode_log(path, drive, out))
+}
+
+/// Writes the bytes of the file that [`write_log`] writes to `out`; `path` tells the format and whether they are
+/// compressed, and is for messages.
+///
+/// # Errors
+/// Those of the format's writer.
+pub fn encode_log(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
     match LogFormat::of(path) {
-        LogFormat::Mcap => write_mcap(path, drive),
-        LogFormat::Carmen => write_carmen(path, drive),
+        LogFormat::Mcap => encode_mcap(path, drive, out),
+        LogFormat::Carmen => encode_carmen(path, drive, out),
     }
 }

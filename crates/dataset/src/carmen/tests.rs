@@ -17,7 +17,7 @@ fn read_text(text: &str) -> Result<(Drive, LogSummary), DatasetError> {
 }
 
 fn read_with(text: &str, options: &CarmenOptions) -> Result<(Drive, LogSummary), DatasetError> {
-    read(Path::new("test.log"), Cursor::new(text.as_bytes()), options)
+    read(Path::new("test.log"), Cursor::new(text.as_bytes()), options, &Limits::DEFAULT)
 }
 
 fn near(a: &Pose2, b: &Pose2) -> bool {
@@ -388,7 +388,7 @@ proptest! {
 
     #[test]
     fn no_bytes_make_the_reader_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
-        let _ = read(Path::new("test.log"), Cursor::new(&bytes), &CarmenOptions::default());
+        let _ = read(Path::new("test.log"), Cursor::new(&bytes), &CarmenOptions::default(), &Limits::DEFAULT);
     }
 
     #[test]

@@ -1,17 +1,17 @@
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::path::Path;
 
 use locsim_core::{Drive, Pose2};
 use mcap::records::MessageHeader;
-use mcap::{McapResult, WriteOptions, Writer};
+use mcap::{McapResult, WriteOptions};
 
 use super::messages::{
     Header, LaserScan, Message, Odometry, Pose, PoseWithCovariance, TfMessage, Time, TransformStamped,
     TwistWithCovariance, encode,
 };
 use crate::DatasetError;
-use crate::output::{evenly_spaced, write_whole};
+use crate::output::{encoded, evenly_spaced, write_whole};
 
 /// Frames of REP-105.
 const MAP: &str = "map";
@@ -31,6 +31,11 @@ const LASER: &str = "laser";
 /// The drive has no scan, bearings or beam times that aren't evenly spaced (the first beam at the stamp), values that
 /// no log may hold, or times before 0 or from 2^31 - 1 s on; the file can't be written.
 pub fn write_mcap(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
+    write_whole(path, |out| encode_mcap(path, drive, out))
+}
+
+/// Writes the bytes of the file to `out`; `path` is for messages.
+pub fn encode_mcap(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
     let (beams, times) = evenly_spaced(path, drive)?;
     let stamps = drive.steps.iter().enumerate().map(|(i, step)| {
         Time::from_secs(step.stamp_secs).ok_or_else(|| DatasetError::Unwritable {
@@ -41,7 +46,7 @@ pub fn write_mcap(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
     let stamps = stamps.collect::<Result<Vec<_>, _>>()?;
     let bytes = bag(drive, &stamps, beams.step as f32, times.step as f32)
         .map_err(|error| DatasetError::Unwritable { path: path.to_owned(), reason: error.to_string() })?;
-    write_whole(path, |out| out.write_all(&bytes))
+    encoded(path, out, |out| out.write_all(&bytes))
 }
 
 /// The bytes of the file.
@@ -95,7 +100,7 @@ fn bag(drive: &Drive, stamps: &[Time], angle_increment: f32, time_increment: f32
 
 /// A bag in the making.
 struct Bag {
-    writer: Writer<Cursor<Vec<u8>>>,
+    writer: mcap::Writer<Cursor<Vec<u8>>>,
     /// Number of each topic's channel, and how many messages it has.
     channels: BTreeMap<&'static str, (u16, u32)>,
 }
