@@ -18,6 +18,8 @@ mod summary;
 mod tum;
 
 #[cfg(test)]
+mod mutations;
+#[cfg(test)]
 mod test_drives;
 
 pub use carmen::{CarmenLaser, CarmenOptions, read_carmen, write_carmen};

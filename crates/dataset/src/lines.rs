@@ -71,7 +71,7 @@ impl<'a, R: BufRead> Lines<'a, R> {
 /// One line that isn't blank. Bytes that aren't UTF-8 have become replacement characters.
 pub struct Line<'a> {
     path: &'a Path,
-    pub number: usize,
+    number: usize,
     text: Cow<'a, str>,
 }
 
@@ -81,6 +81,11 @@ impl Line<'_> {
         let mut rest = self.text.split_ascii_whitespace();
         let keyword = rest.next().unwrap_or_default();
         Fields { path: self.path, line: self.number, keyword, rest }
+    }
+
+    /// The error for a line that is one too many.
+    pub fn refuse(&self, reason: String) -> DatasetError {
+        DatasetError::Refused { path: self.path.to_owned(), line: Some(self.number), reason }
     }
 
     /// The line's fields where the format has no keywords; errors then call the line by `name`.
@@ -161,11 +166,6 @@ impl<'a> Fields<'a> {
     pub fn pose(&mut self, of: &str) -> Result<Pose2, DatasetError> {
         let [x, y, theta] = ["x", "y", "theta"].map(|axis| self.number(&format!("{of} {axis}")));
         Ok(Pose2::new(x?, y?, theta?))
-    }
-
-    /// The error for a line that is one too many.
-    pub fn refuse_line(&self, reason: String) -> DatasetError {
-        DatasetError::Refused { path: self.path.to_owned(), line: Some(self.line), reason }
     }
 
     /// The error for a field whose value isn't allowed.

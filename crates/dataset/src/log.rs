@@ -2,11 +2,12 @@ use std::io::Write;
 use std::path::Path;
 
 use locsim_core::Drive;
+use locsim_core::limits::Limits;
 
-use crate::carmen::encode_carmen;
+use crate::carmen::{self, encode_carmen};
 use crate::output::write_whole;
-use crate::ros::encode_mcap;
-use crate::{CarmenOptions, DatasetError, LogSummary, McapOptions, McapTopics, read_carmen, read_mcap};
+use crate::ros::{self, encode_mcap};
+use crate::{CarmenOptions, DatasetError, LogSummary, McapOptions, McapTopics};
 
 /// The formats of measured logs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,11 +35,16 @@ pub struct LogOptions {
     pub topics: McapTopics,
 }
 
-/// Reads a log in the format that its name tells: [`read_mcap`] or [`read_carmen`].
+/// Reads a log in the format that its name tells: [`read_mcap`](crate::read_mcap) or
+/// [`read_carmen`](crate::read_carmen).
 ///
 /// # Errors
 /// Those of the format's reader; topics are named for a CARMEN log.
 pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary), DatasetError> {
+    read(path, options, Limits::current())
+}
+
+pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
     let LogOptions { max_range_m, topics } = options.clone();
     match LogFormat::of(path) {
         LogFormat::Carmen if topics != McapTopics::default() => Err(DatasetError::Topic {
@@ -46,8 +52,12 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary)
             reason: "a topic is named; allowed: topics of a bag, a file named `.mcap`".to_owned(),
             found: "a CARMEN log".to_owned(),
         }),
-        LogFormat::Mcap => read_mcap(path, &McapOptions { topics, max_range_m, ..McapOptions::default() }),
-        LogFormat::Carmen => read_carmen(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }),
+        LogFormat::Mcap => {
+            ros::read(path, &McapOptions { topics, max_range_m, ..McapOptions::default() }, limits)
+        }
+        LogFormat::Carmen => {
+            carmen::read(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }, limits)
+        }
     }
 }
 

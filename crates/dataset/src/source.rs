@@ -123,3 +123,102 @@ impl<R: Read, A: BorrowMut<Allowance>> Read for Counted<R, A> {
         Ok(read)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+    use std::io::Write;
+
+    use flate2::Compression;
+    use flate2::write::GzEncoder;
+
+    use crate::{CarmenOptions, LogOptions, read_carmen, read_log};
+
+    const SCAN: &str = "FLASER 1 1 0 0 0 0 0 0 1 h 1\n";
+
+    fn zipped(bytes: &[u8]) -> Vec<u8> {
+        let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+        encoder.write_all(bytes).unwrap();
+        encoder.finish().unwrap()
+    }
+
+    fn refused(name: &str, bytes: &[u8]) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        fs::write(&path, bytes).unwrap();
+        let error = read_log(&path, &LogOptions::default()).unwrap_err();
+        assert!(matches!(error, DatasetError::NotALog { .. }), "{error}");
+        error.to_string()
+    }
+
+    #[test]
+    fn what_is_no_log_is_known_by_content() {
+        let png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x03\x20\0\0\x02\x58\x08\x02\0\0\0";
+        let wide: Vec<u8> = SCAN.encode_utf16().flat_map(u16::to_le_bytes).collect();
+        for (name, bytes, part) in [
+            (
+                "bag.db3",
+                &b"SQLite format 3\0\x10\0\x01\x01\0"[..],
+                "a SQLite file, as rosbag2 writes them; allowed: MCAP",
+            ),
+            ("bag.mcap", b"SQLite format 3\0\x10\0\x01\x01\0", "a SQLite file"),
+            ("old.bag", b"#ROSBAG V2.0\nE\0\0\0", "a bag of ROS 1"),
+            ("bag.mcap.zstd", b"\x28\xb5\x2f\xfd\x04", "compressed with zstd; allowed: what `zstd -d`"),
+            ("bag.mcap", b"\x28\xb5\x2f\xfd\x04", "compressed with zstd"),
+            ("bag.mcap", &zipped(MAGIC), "compressed with gzip; allowed for a bag: what `gunzip`"),
+            (
+                "bag.mcap.gz",
+                &zipped(MAGIC),
+                "a bag in MCAP; allowed: one that isn't compressed as a whole, named `.mcap`",
+            ),
+            ("bag", MAGIC, "a bag in MCAP"),
+            ("map.log", png, "a binary file; allowed: a text log"),
+            ("map.log.gz", &zipped(png), "a binary file"),
+            ("wide.log", &wide, "a binary file"),
+        ] {
+            let message = refused(name, bytes);
+            assert!(message.contains(part) && !message.contains(char::is_control), "{name}: {message}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        for path in [folder.path().to_owned(), folder.path().join("bag.mcap")] {
+            fs::create_dir_all(&path).unwrap();
+            let message = read_log(&path, &LogOptions::default()).unwrap_err().to_string();
+            assert!(
+                message.ends_with("this is a folder; allowed: a text log, or a bag in one MCAP file"),
+                "{message}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_byte_order_mark_hides_no_scan() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.log");
+        fs::write(&path, format!("\u{feff}{SCAN}")).unwrap();
+        assert_eq!(read_carmen(&path, &CarmenOptions::default()).unwrap().0.steps.len(), 1);
+    }
+
+    /// A compressed log may unpack to the limit, or to twenty times its size; one that isn't compressed is never too large.
+    #[test]
+    fn a_log_unpacks_to_so_much_and_no_more() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.log");
+        let read = |bytes: &[u8], limit: u64| {
+            fs::write(&path, bytes).unwrap();
+            let limits = Limits { log_unpacked_bytes: limit, ..Limits::DEFAULT };
+            crate::log::read(&path, &LogOptions::default(), &limits).map(|(drive, _)| drive.steps.len())
+        };
+        let text = SCAN.repeat(5000);
+        let (packed, length) = (zipped(text.as_bytes()), text.len() as u64);
+        assert!(packed.len() as u64 * UNPACKING_FACTOR < length);
+        assert_eq!(read(&packed, length).unwrap(), 5000);
+        let message = read(&packed, length - 1).unwrap_err().to_string();
+        for part in ["a.log:", "bytes that a compressed log unpacks to", "--limit log_unpacked_bytes="] {
+            assert!(message.contains(part), "{message}");
+        }
+        assert_eq!(read(text.as_bytes(), 1).unwrap(), 5000);
+        // Twelve scans shrink to a tenth or so.
+        assert_eq!(read(&zipped(SCAN.repeat(12).as_bytes()), 1).unwrap(), 12);
+    }
+}

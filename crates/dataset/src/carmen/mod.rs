@@ -78,12 +78,19 @@ pub struct CarmenOptions {
 /// The file can't be read, is empty or no text, or costs more than the [`Limits`] allow; it ends inside a line; a line of a known keyword has the wrong number
 /// of fields or a field that isn't allowed; scans differ in their beams; no scan of the laser is there.
 pub fn read_carmen(path: &Path, options: &CarmenOptions) -> Result<(Drive, LogSummary), DatasetError> {
-    let limits = Limits::current();
-    read(path, open_text(path, limits)?, options, limits)
+    read(path, options, Limits::current())
 }
 
-/// [`read_carmen`] from any source; `path` is for messages.
-fn read(
+pub fn read(
+    path: &Path,
+    options: &CarmenOptions,
+    limits: &Limits,
+) -> Result<(Drive, LogSummary), DatasetError> {
+    read_from(path, open_text(path, limits)?, options, limits)
+}
+
+/// [`read`] from any source; `path` is for messages.
+fn read_from(
     path: &Path,
     reader: impl BufRead,
     options: &CarmenOptions,

@@ -153,10 +153,6 @@ pub fn parse<R: BufRead>(
             trailer(&mut fields)?;
             log.true_pose_lines += 1;
         } else if is_scan(old) || is_scan(new) {
-            readings += READINGS_PER_SCAN + log.scans.first().map_or(0, |scan| scan.ranges.len() as u64);
-            if readings > limits.log_readings {
-                return Err(fields.refuse_line(Limits::refusal_above("log_readings", limits.log_readings)));
-            }
             let first_count = log.scans.first().map(|scan| scan.ranges.len());
             let (layout, scan) = if keyword == old {
                 log.keyword = old;
@@ -166,6 +162,10 @@ pub fn parse<R: BufRead>(
                 let (layout, scan) = new_scan(fields, first_count, log.layout, &between)?;
                 (Some(layout), scan)
             };
+            readings += READINGS_PER_SCAN + scan.ranges.len() as u64;
+            if readings > limits.log_readings {
+                return Err(line.refuse(Limits::refusal_above("log_readings", limits.log_readings)));
+            }
             log.layout = log.layout.or(layout);
             log.scans.push(scan);
             between = Between::default();

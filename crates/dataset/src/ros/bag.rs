@@ -47,7 +47,7 @@ impl<'a> Content<'a> {
     /// Why they can't be had.
     pub fn bytes(self) -> Result<&'a [u8], String> {
         held(self.stream, self.length, self.buffer).map_err(|stop| match stop {
-            Stop::Damaged(reason) => reason,
+            Stop::Damaged(reason) | Stop::Large(reason) => reason,
             Stop::Io(error) => error.to_string(),
             Stop::Refused(error) => error.to_string(),
         })
@@ -60,6 +60,8 @@ enum Stop {
     Io(io::Error),
     /// The file's content is wrong.
     Damaged(String),
+    /// Something is larger than in any log.
+    Large(String),
     /// The visitor doesn't want to go on.
     Refused(DatasetError),
 }
@@ -92,6 +94,7 @@ impl Stop {
             }
             Self::Io(error) => DatasetError::Mcap { path, reason: error.to_string() },
             Self::Damaged(reason) => DatasetError::Mcap { path, reason },
+            Self::Large(reason) => DatasetError::Refused { path, line: None, reason },
             Self::Refused(error) => error,
         }
     }
@@ -272,7 +275,7 @@ fn skip<R: Read>(body: &mut io::Take<R>) -> Result<(), Stop> {
 /// Reads a whole record into the buffer.
 fn held<'a>(stream: &mut dyn Read, length: u64, buffer: &'a mut Vec<u8>) -> Result<&'a [u8], Stop> {
     if length > LARGEST_RECORD {
-        return Err(Stop::Damaged(format!("a record has {length} bytes; allowed: at most {LARGEST_RECORD}")));
+        return Err(Stop::Large(format!("a record has {length} bytes; allowed: at most {LARGEST_RECORD}")));
     }
     buffer.clear();
     stream.take(length).read_to_end(buffer)?;
@@ -317,7 +320,7 @@ impl Channels {
     fn take(&mut self, opcode: u8, body: &[u8]) -> Result<Option<&Channel>, Stop> {
         let short = |name: String| match name.len() {
             0..=LONGEST_NAME => Ok(name),
-            length => Err(Stop::Damaged(format!(
+            length => Err(Stop::Large(format!(
                 "the name `{}` has {length} bytes; allowed: at most {LONGEST_NAME}",
                 quoted(&name)
             ))),

@@ -16,6 +16,7 @@ use serde::Serialize;
 
 use crate::{DatasetError, LogSummary};
 
+pub use read::read;
 pub use write::{encode_mcap, write_mcap};
 
 /// What the topics of a bag are called.
@@ -65,8 +66,8 @@ pub struct McapOptions {
 /// to be chosen; a message can't be decoded or has values that aren't allowed; the laser changes or scans out of the
 /// plane; no scan has odometry.
 pub fn read_mcap(path: &Path, options: &McapOptions) -> Result<(Drive, LogSummary), DatasetError> {
-    read::read(path, options, Limits::current())
+    read(path, options, Limits::current())
 }
 
 #[cfg(test)]
-mod tests;
+pub mod tests;

@@ -3,8 +3,8 @@ use std::io::{Cursor, Write};
 use std::path::Path;
 
 use locsim_core::{Drive, Pose2};
-use mcap::records::MessageHeader;
-use mcap::{McapResult, WriteOptions};
+use mcap::records::{MessageHeader, op};
+use mcap::{MAGIC, McapResult, WriteOptions};
 
 use super::messages::{
     Header, LaserScan, Message, Odometry, Pose, PoseWithCovariance, TfMessage, Time, TransformStamped,
@@ -95,7 +95,35 @@ fn bag(drive: &Drive, stamps: &[Time], angle_increment: f32, time_increment: f32
         bag.write("/scan", stamp, &scan)?;
     }
     bag.writer.finish()?;
-    Ok(bag.writer.into_inner().into_inner())
+    let mut bytes = bag.writer.into_inner().into_inner();
+    let summary = mcap::read::footer(&bytes)?.summary_start as usize;
+    order(&mut bytes[summary..]);
+    Ok(bytes)
+}
+
+/// Puts the schemas and channels of a summary in the order of their numbers. The library has them in that of a hash
+/// map, which differs from run to run.
+fn order(summary: &mut [u8]) {
+    // The summary ends with the footer, which ends with a check sum, and the magic.
+    let (footer, sum) = (9 + 20 + MAGIC.len(), 4 + MAGIC.len());
+    let mut records = Vec::new();
+    let mut rest = &summary[..summary.len() - footer];
+    while let Some((start, _)) = rest.split_first_chunk::<9>() {
+        let length = u64::from_le_bytes(start[1..].try_into().unwrap_or_default());
+        let (record, behind) = rest.split_at(9 + length as usize);
+        records.push(record);
+        rest = behind;
+    }
+    for kind in records.chunk_by_mut(|a, b| a[0] == b[0]) {
+        if [op::SCHEMA, op::CHANNEL].contains(&kind[0][0]) {
+            kind.sort_by_key(|record| [record[10], record[9]]);
+        }
+    }
+    let ordered = records.concat();
+    summary[..ordered.len()].copy_from_slice(&ordered);
+    let summed = summary.len() - sum;
+    let sum = crc32fast::hash(&summary[..summed]);
+    summary[summed..summed + 4].copy_from_slice(&sum.to_le_bytes());
 }
 
 /// A bag in the making.
