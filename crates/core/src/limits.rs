@@ -74,6 +74,8 @@ limits! {
     log_unpacked_bytes = 1 << 29, "bytes that a compressed log unpacks to";
     /// Readings of a log, all scans together; each takes 4 bytes.
     log_readings = 1 << 27, "range readings of a log";
+    /// Blocks around the robot in all scans of a simulated drive together; each takes 80 bytes.
+    drive_blocks = 5_000_000, "unmapped blocks in all scans of a simulated drive";
     /// Bytes of a file of a fitted sensor model.
     model_bytes = 1 << 26, "bytes of a sensor model's file";
     /// Bytes of a table of comma-separated values.
