@@ -75,14 +75,20 @@ limits! {
     map_pixels = 1 << 26, "pixels of a map's image";
     /// Wall segments of a map.
     map_segments = 1_000_000, "wall segments of a map";
+    /// Corners of a vector map's outline and obstacles together, which decide what is free space.
+    map_corners = 20_000, "corners of a vector map's outline and obstacles";
+    /// Cells of a grid over a map, such as that of the distances to its walls.
+    grid_cells = 100_000_000, "cells of a grid over a map";
     /// Bytes that a small compressed log may unpack to; a larger one may unpack to [`UNPACKING_FACTOR`] times its size.
     log_unpacked_bytes = 1 << 29, "bytes that a compressed log unpacks to";
     /// Readings of a log, all scans together, and [`READINGS_PER_SCAN`] for each scan; each takes 4 bytes.
     log_readings = 1 << 27, "range readings of a log (100 more for each scan)";
     /// Lines of a text log, and messages of a bag that are read; each takes up to 40 bytes.
     log_messages = 1 << 23, "lines of a text log or messages read from a bag";
+    /// Blocks around the robot in all scans of a simulated drive together; each takes 80 bytes.
+    drive_blocks = 5_000_000, "unmapped blocks in all scans of a simulated drive";
     /// Bytes of a file of a fitted sensor model.
-    model_bytes = 1 << 28, "bytes of a sensor model's file";
+    model_bytes = 1 << 26, "bytes of a sensor model's file";
     /// Bytes of a table of comma-separated values.
     table_bytes = 1 << 28, "bytes of a table of comma-separated values";
     /// Bytes of the folder in which range tables are kept; the ones not used for longest go first.

@@ -93,7 +93,7 @@ pub fn sweep(
     }
     progress.stage("sweep over maps", MAPS_M.len() as u64);
     for sides in MAPS_M {
-        let exact = ExactRangeMap::new(office(sides)?.to_geometry());
+        let exact = ExactRangeMap::new(office(sides)?.to_geometry()?);
         let table = table::build(&exact, clock, &())?;
         let truth = Pose2::new(0.5 * sides[0], 0.5 * CORRIDOR_M, 0.35);
         let seen = seen_from(workload, &exact, truth, beams, 10_000)?;

@@ -206,7 +206,7 @@ impl<'a> Laboratory<'a> {
                 let options = MappingOptions { resolution_m: *resolution_m, ..MappingOptions::default() };
                 let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(&log.file))?;
                 progress.advance(1);
-                grid.to_geometry()
+                grid.to_geometry().map_err(unusable(&log.file))?
             }
         };
         let place = Place::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;

@@ -26,15 +26,20 @@ impl DistanceGrid {
     pub fn new(geometry: &Geometry, cell_m: f64, max_m: f64) -> Result<Self, MapError> {
         let max_m = max_m.max(0.0);
         let [x0, y0, x1, y1] = geometry.bounds();
-        let frame = CellFrame::covering([x0 - max_m, y0 - max_m, x1 + max_m, y1 + max_m], cell_m, 1)?;
+        let frame = CellFrame::covering([x0 - max_m, y0 - max_m, x1 + max_m, y1 + max_m], cell_m)?;
         let tree = tree_over(geometry.segments());
-        let distances = (0..frame.rows * frame.columns)
-            .into_par_iter()
-            .map(|i| {
-                let centre = frame.half_cell(2 * (i % frame.columns) + 1, 2 * (i / frame.columns) + 1);
-                nearest(geometry, &tree, DVec2::from_array(centre), max_m) as f32
-            })
-            .collect();
+        let mut distances = vec![0.0; frame.rows * frame.columns];
+        distances.par_chunks_mut(frame.columns).enumerate().for_each(|(row, distances)| {
+            let mut last = max_m;
+            for (column, out) in distances.iter_mut().enumerate() {
+                let centre = DVec2::from_array(frame.half_cell(2 * column + 1, 2 * row + 1));
+                // No farther than from the cell before, by a little more than a cell.
+                let most = max_m.min((last + cell_m) * (1.0 + 1e-9) + 1e-9);
+                let found = nearest(geometry, &tree, centre, most);
+                last = found.or_else(|| nearest(geometry, &tree, centre, max_m)).unwrap_or(max_m);
+                *out = last as f32;
+            }
+        });
         Ok(Self { frame, distances, max_m: max_m as f32 })
     }
 }
@@ -56,8 +61,8 @@ impl DistanceMap for DistanceGrid {
     }
 }
 
-/// Distance from a point to the nearest segment, at most `max_m` \[m\].
-fn nearest(geometry: &Geometry, tree: &Bvh, point: DVec2, max_m: f64) -> f64 {
+/// Distance from a point to the nearest segment \[m\], if there is one nearer than `max_m`.
+fn nearest(geometry: &Geometry, tree: &Bvh, point: DVec2, max_m: f64) -> Option<f64> {
     let segments = geometry.segments();
     tree.find_best(
         max_m,
@@ -67,5 +72,5 @@ fn nearest(geometry: &Geometry, tree: &Bvh, point: DVec2, max_m: f64) -> f64 {
         },
         |leaf, _| Some(distance_to(&segments[leaf as usize], point)),
     )
-    .map_or(max_m, |(_, distance)| distance)
+    .map(|(_, distance)| distance)
 }
