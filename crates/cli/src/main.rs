@@ -482,8 +482,9 @@ fn map(arguments: &Map) -> Result<ExitCode> {
     let options = log_options(&arguments.log_options);
     let (grid, summary) = run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, &options)?;
     // The image first: without the other file, no map is there yet.
-    image_file.write(&grid.image_bytes(ImageFormat::Pgm))?;
-    yaml_file.write(grid.map_file(name).to_yaml().as_bytes())?;
+    let [pgm, description] = run::map_files(&grid, name);
+    image_file.write(&pgm)?;
+    yaml_file.write(&description)?;
     say(&summary.to_string())?;
     say(&format!(
         "{}: {} x {} cells of {} m",

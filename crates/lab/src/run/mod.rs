@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 pub use bounds::MissedBound;
 pub use error::RunError;
-pub use laboratory::{map_from_log, simulate_trial};
+pub use laboratory::{map_files, map_from_log, simulate_trial};
 
 use crate::report::{self, ReportContext};
 use crate::results::{DetailedTrial, RunResults, Trial};

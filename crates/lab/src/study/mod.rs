@@ -28,7 +28,6 @@ use crate::report::ReportError;
 use crate::run::Progress;
 use crate::scenario::ScenarioError;
 use crate::scenario::check::Checker;
-use crate::scenario::locate::Locations;
 use crate::store::{Request, Store, StoreError};
 use crate::yaml;
 use sensor::Setup;
@@ -152,7 +151,7 @@ impl Study {
 /// # Errors
 /// [`ScenarioError::Read`] where the file can't be read.
 pub fn is_study(path: &Path) -> Result<bool, ScenarioError> {
-    Ok(Locations::of(&yaml::read(path)?).has("sensor"))
+    Ok(yaml::has_key(&yaml::read(path)?, "sensor"))
 }
 
 /// The JSON Schema of study files.
