@@ -17,7 +17,7 @@ pub const UNPACKING_FACTOR: u64 = 20;
 /// A scan's poses and times take as much memory as this many readings; each scan of a log counts so many more.
 pub const READINGS_PER_SCAN: u64 = 100;
 
-/// No coordinate (m), angle (rad) or duration (s) that is read is larger: beyond it arithmetic loses the millimetres.
+/// No coordinate (m), angle (rad) or duration (s) that is read is larger; nothing on Earth needs more.
 pub const COORDINATE: f64 = 1e9;
 
 /// No time (s) that is read is larger: beyond it neighbouring times are too far apart.
@@ -193,6 +193,10 @@ mod tests {
         assert_eq!(
             limits.refusal("map_pixels", 8),
             "8 pixels of a map's image are not allowed; at most 7 (`--limit map_pixels=8` raises it)"
+        );
+        assert_eq!(
+            Limits::refusal_above("map_pixels", 7),
+            "more than 7 pixels of a map's image are not allowed (`--limit map_pixels=14` allows twice as many)"
         );
     }
 

@@ -15,8 +15,9 @@ pub fn checked(path: &Path, laser: Result<Laser, LaserError>) -> Result<Laser, D
         ("time of a beam", laser.beam_times_secs()),
         ("mount", &[mount.x as f32, mount.y as f32, mount.theta as f32]),
     ];
+    let sound = |value: &&f32| (0.0..=COORDINATE).contains(&f64::from(value.abs()));
     for (name, values) in values {
-        if let Some(value) = values.iter().find(|value| !(f64::from(value.abs()) <= COORDINATE)) {
+        if let Some(value) = values.iter().find(|value| !sound(value)) {
             let reason = format!("{name} is {value}; allowed: a finite number up to {COORDINATE:e}");
             return Err(DatasetError::Refused { path: path.to_owned(), line: None, reason });
         }

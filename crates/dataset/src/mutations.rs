@@ -130,7 +130,7 @@ fn carmen(numbers: &mut Numbers) -> Vec<u8> {
     }
     let mut lines: Vec<Vec<String>> =
         text.lines().map(|line| line.split(' ').map(str::to_owned).collect()).collect();
-    for _ in 0..1 + numbers.below(4) {
+    for _ in 0..=numbers.below(4) {
         let at = numbers.below(lines.len());
         let change = numbers.below(8);
         let Some(line) = lines.get_mut(at) else { break };
@@ -189,7 +189,7 @@ fn mcap(numbers: &mut Numbers) -> Vec<u8> {
         records.push((start[0], behind[..length].to_vec(), length as u64));
         rest = &behind[length..];
     }
-    for _ in 0..1 + numbers.below(4) {
+    for _ in 0..=numbers.below(4) {
         let at = numbers.below(records.len());
         let change = numbers.below(8);
         let Some((opcode, body, length)) = records.get_mut(at) else { break };

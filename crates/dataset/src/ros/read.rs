@@ -284,7 +284,7 @@ impl Messages {
                 }
             }
         }
-        if !(f64::from(scan.time_increment).abs() <= COORDINATE) {
+        if !(0.0..=COORDINATE).contains(&f64::from(scan.time_increment.abs())) {
             let found = scan.time_increment;
             return Err(format!("time_increment is {found}; allowed: a finite number up to {COORDINATE:e}"));
         }

@@ -757,7 +757,7 @@ fn a_written_summary_is_in_order_and_its_check_sum_right() {
             _ => {}
         }
     }
-    assert_eq!((schemas, channels), (vec![1, 2, 3], vec![0, 1, 2, 3]));
+    assert_eq!((schemas, channels), (vec![1, 2, 3], vec![1, 2, 3, 4]));
 }
 
 #[test]
