@@ -74,7 +74,7 @@ limits! {
     /// Pixels of a map's image, told by its header before it is read.
     map_pixels = 1 << 26, "pixels of a map's image";
     /// Wall segments of a map.
-    map_segments = 1_000_000, "wall segments of a map";
+    map_segments = 500_000, "wall segments of a map";
     /// Corners of a vector map's outline and obstacles together, which decide what is free space.
     map_corners = 20_000, "corners of a vector map's outline and obstacles";
     /// Cells of a grid over a map, such as that of the distances to its walls.

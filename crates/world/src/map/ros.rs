@@ -67,6 +67,7 @@ impl OccupancyMapFile {
             DynamicImage::ImageLuma16(image) => self.read_pixels(image, sixteen_bits),
             DynamicImage::ImageLumaA16(image) => self.read_pixels(image, sixteen_bits),
             DynamicImage::ImageRgb16(image) => self.read_pixels(image, sixteen_bits),
+            DynamicImage::ImageRgba16(image) => self.read_pixels(image, sixteen_bits),
             image => self.read_pixels(&image.to_rgba16(), sixteen_bits),
         }
     }

@@ -402,7 +402,7 @@ fn more_walls_than_allowed_are_counted_and_refused() {
     let cells = (0..side * side).map(|i| if (i / side + i) % 2 == 0 { Free } else { Occupied }).collect();
     let grid = OccupancyGrid::new(side, side, 0.05, Pose2::IDENTITY, cells, vec![0.5; side * side]).unwrap();
     let error = grid.to_geometry().unwrap_err().to_string();
-    assert!(error.starts_with("1280000 wall segments of a map are not allowed; at most 1000000"), "{error}");
+    assert!(error.starts_with("1280000 wall segments of a map are not allowed; at most 500000"), "{error}");
     let mut map = square();
     map.walls = vec![map.walls[0].clone(); 1_000_000];
     let error = map.to_geometry().unwrap_err().to_string();
