@@ -156,7 +156,9 @@ fn the_number_of_threads_changes_no_bit_of_the_results() {
 fn seed_trials_and_models_of_the_command_line_change_just_what_they_say() {
     let folder = Folder::new();
     let steps = |options: &str| {
-        folder.locsim(&format!("run room-run.yaml --out o --force --quiet --record none {options}")).success();
+        folder
+            .locsim(&format!("run room-run.yaml --out o --force --quiet --record none {options}"))
+            .success();
         folder.read("o/steps.csv")
     };
     let plain = steps("");
@@ -353,7 +355,10 @@ mod interrupted {
 
         let kept = trials_kept(&folder);
         assert!((3..120).contains(&kept), "{kept}");
-        assert!(message.contains(&format!("{kept} ")) && message.contains("; add --resume to go on"), "{message}");
+        assert!(
+            message.contains(&format!("{kept} ")) && message.contains("; add --resume to go on"),
+            "{message}"
+        );
         assert_eq!(files(&folder.path("o")), whole, "earlier results stay as they were");
 
         // Neither a new run nor one of something else takes them away.

@@ -108,7 +108,10 @@ fn a_study_says_what_holds_and_leaves_every_documented_file() {
     assert_eq!(folder.read("results/lawn/results.json"), found[Path::new("results.json")]);
     folder.locsim("study lawn.yaml").code(2).stderr(contains("it isn't empty"));
     folder.write("results/lawn/notes.txt", "precious");
-    folder.locsim("study lawn.yaml --force").code(2).stderr(contains("results/lawn/notes.txt isn't as locsim wrote it"));
+    folder
+        .locsim("study lawn.yaml --force")
+        .code(2)
+        .stderr(contains("results/lawn/notes.txt isn't as locsim wrote it"));
     assert_eq!(folder.read("results/lawn/notes.txt"), b"precious");
 }
 

@@ -22,7 +22,8 @@ pub struct Arguments {
 
 /// The limits with their defaults.
 fn limit_help() -> String {
-    let mut help = "Changes a limit on what may be read; may be given more than once. The limits:\n".to_owned();
+    let mut help =
+        "Changes a limit on what may be read; may be given more than once. The limits:\n".to_owned();
     for Limit { name, default, what } in Limits::TABLE {
         let _ = write!(help, "\n  {name}={default}\n      {what}");
     }

@@ -320,7 +320,9 @@ fn validate_one(path: &Path) -> Result<String, StudyError> {
         format!("study, {} models, {} repeats", study.models().len(), study.repeats())
     } else {
         let scenario = Scenario::load(path, &Overrides::default())?;
-        format!("{} models, {} trials", scenario.models.len(), scenario.trials)
+        let threads = rayon::current_num_threads();
+        let cost = run::CostEstimate::of(&scenario, threads).in_words(threads);
+        format!("{} models, {} trials; {cost}", scenario.models.len(), scenario.trials)
     })
 }
 
@@ -502,9 +504,10 @@ fn bench(arguments: &Bench) -> Result<ExitCode> {
     let clock = || start.elapsed();
     let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
     let force = arguments.force;
-    let sweeps = arguments.sweeps.as_deref().map(|out| {
-        Store::open(&Request { out, kind: "sweeps", fingerprint: "", resume: false, force })
-    });
+    let sweeps = arguments
+        .sweeps
+        .as_deref()
+        .map(|out| Store::open(&Request { out, kind: "sweeps", fingerprint: "", resume: false, force }));
     let sweeps = sweeps.transpose()?;
     let bench = bench::Bench::prepare(&arguments.folder, &clock, &bars)?;
     let report = bench.run(&clock, &bars)?;

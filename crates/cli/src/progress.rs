@@ -52,6 +52,12 @@ impl Progress for Bars {
     }
 
     fn note(&self, text: &str) {
+        if !self.quiet {
+            self.with_bar(|bar| bar.suspend(|| complain(text)));
+        }
+    }
+
+    fn warn(&self, text: &str) {
         self.with_bar(|bar| bar.suspend(|| complain(&format!("note: {text}"))));
     }
 }

@@ -245,8 +245,7 @@ impl<'de> Deserializer<'de> for Node<'de> {
                 }
             }
             Value::Map(entries) => {
-                let entries =
-                    entries.iter().map(|Entry { key, value, .. }| (Key(key), Node(value.value())));
+                let entries = entries.iter().map(|Entry { key, value, .. }| (Key(key), Node(value.value())));
                 visitor.visit_map(MapDeserializer::new(entries))
             }
             Value::Shared(node) => Node(node.value()).deserialize_any(visitor),

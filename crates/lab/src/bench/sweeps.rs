@@ -198,8 +198,13 @@ fn office([width_m, height_m]: [f64; 2]) -> Result<OccupancyGrid, BenchError> {
 
 fn write(report: &SweepReport, folder: &Folder) -> Result<(), BenchError> {
     let json = serde_json::to_string_pretty(report).map_err(ReportError::from)?;
-    folder.write("sweeps.json", (json + "
-").as_bytes())?;
+    folder.write(
+        "sweeps.json",
+        (json
+            + "
+")
+        .as_bytes(),
+    )?;
     let figures =
         figures(report).map_err(|error| ReportError::Figure { name: "sweeps", reason: error.to_string() })?;
     let rasterizer = Rasterizer::new();

@@ -10,9 +10,9 @@ use saphyr_parser::{Event, Parser};
 use similar::TextDiff;
 
 use super::{GapStudy, GapStudyError};
-use crate::store::StoreError;
 use crate::scenario::effect::{effect_yaml_with, in_file, key};
 use crate::scenario::{Overrides, Scenario, Source};
+use crate::store::StoreError;
 
 /// An entry of the list `effects`: comment lines and lines of YAML, neither with indentation.
 struct Entry {
@@ -287,9 +287,8 @@ fn relative(target: &Path, from: &Path) -> PathBuf {
 /// The results folder, which need not be there yet, without links.
 fn out_folder(out: &Path) -> Result<PathBuf, GapStudyError> {
     let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let parent = parent
-        .canonicalize()
-        .map_err(|source| StoreError::File { path: parent.to_owned(), source })?;
+    let parent =
+        parent.canonicalize().map_err(|source| StoreError::File { path: parent.to_owned(), source })?;
     Ok(parent.join(out.file_name().unwrap_or_default()))
 }
 

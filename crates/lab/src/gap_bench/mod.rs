@@ -279,8 +279,7 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
     })?;
     options.progress.finish();
     let scored = cases.iter().filter_map(|case| suite.done(case, options.progress).transpose());
-    let score =
-        Score::new(scored.collect::<Result<_, _>>()?, cases.len(), options.replicates, options.seed);
+    let score = Score::new(scored.collect::<Result<_, _>>()?, cases.len(), options.replicates, options.seed);
     suite.folder.write(REPORT, text::report(&score).as_bytes())?;
     suite.folder.write(SCORE, serde_json::to_string_pretty(&score)?.as_bytes())?;
     Ok(score)
@@ -337,7 +336,7 @@ impl Suite {
             Some((serde_json::from_slice(&truth).ok()?, serde_json::from_slice(&found).ok()?))
         });
         if both.is_none() && self.folder.path().join(found_file(case)).exists() {
-            progress.note(&format!("{} was done, but its files are damaged; it is done again", case.id));
+            progress.warn(&format!("{} was done, but its files are damaged; it is done again", case.id));
         }
         Ok(both)
     }

@@ -122,9 +122,7 @@ pub fn csv(batch: &RecordBatch) -> Result<Vec<u8>, ReportError> {
     for row in 0..batch.num_rows() {
         writer.write_record(batch.columns().iter().map(|column| cell(column, row)))?;
     }
-    writer
-        .into_inner()
-        .map_err(|error| ReportError::Csv(error.into_error().into()))
+    writer.into_inner().map_err(|error| ReportError::Csv(error.into_error().into()))
 }
 
 fn cell(column: &ArrayRef, row: usize) -> String {

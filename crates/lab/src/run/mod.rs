@@ -3,6 +3,7 @@
 mod bounds;
 mod detail;
 mod error;
+mod estimate;
 pub(crate) mod laboratory;
 pub(crate) mod training;
 mod trial;
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 
 pub use bounds::MissedBound;
 pub use error::RunError;
+pub use estimate::Estimate as CostEstimate;
 pub use laboratory::{map_files, map_from_log, simulate_trial};
 
 use crate::report::{self, ReportContext};
@@ -37,8 +39,10 @@ pub trait Progress: Sync {
     fn advance(&self, _n: u64) {}
     /// All stages are done.
     fn finish(&self) {}
-    /// Something that the user should know and that changes no result.
+    /// Something that the user may want to know and that changes no result.
     fn note(&self, _text: &str) {}
+    /// Something that the user should know, asked for or not.
+    fn warn(&self, _text: &str) {}
 }
 
 impl Progress for () {}
@@ -89,6 +93,10 @@ pub struct Outcome {
 /// [`RunError`]; earlier results at `options.out` are then untouched, save with [`RunError::Recording`], when the new
 /// ones are complete.
 pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, RunError> {
+    let threads = rayon::current_num_threads();
+    let cost = CostEstimate::of(scenario, threads);
+    cost.check(scenario)?;
+    options.progress.note(&format!("{}: {}", scenario.name, cost.in_words(threads)));
     // Read now, or the report could quote what was edited while trials ran.
     let text = yaml::read(&scenario.file)?;
     let fingerprint = scenario.content_hash()?;
@@ -205,7 +213,7 @@ fn kept_trial(
         }
         Part::Whole(_) | Part::Damaged => {}
     }
-    progress.note(&format!("trial {number} was kept, but its file is damaged; it is run again"));
+    progress.warn(&format!("trial {number} was kept, but its file is damaged; it is run again"));
     None
 }
 

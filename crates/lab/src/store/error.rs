@@ -21,6 +21,16 @@ pub enum StoreError {
         /// The results folder.
         out: PathBuf,
     },
+    /// Work can't go on there: it is of something else.
+    #[error(
+        "--out: {} is not allowed; it holds something other than this suite with its scenario, size, seed and options. \
+         Name another folder",
+        out.display()
+    )]
+    OtherWork {
+        /// The folder.
+        out: PathBuf,
+    },
     /// Something that locsim didn't write, or that was changed since, would have to be removed.
     #[error(
         "--out: {} is not allowed; {} isn't as locsim wrote it, and stays. Move it away, or name another folder",

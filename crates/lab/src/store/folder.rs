@@ -38,14 +38,14 @@ impl Folder {
     /// stays.
     ///
     /// # Errors
-    /// [`StoreError::NotEmpty`] for a folder of something else, and [`StoreError::File`].
+    /// [`StoreError::OtherWork`] for a folder of something else, and [`StoreError::File`].
     pub(crate) fn go_on(root: &Path, kind: &str, fingerprint: &str) -> Result<Self, StoreError> {
         match Manifest::read(&root.join(MANIFEST))? {
             Some(found) if found.kind == kind && found.fingerprint == fingerprint => {
                 Ok(Self { root: root.to_owned(), manifest: Mutex::new(found) })
             }
             None if is_empty(root) => Self::create(root, Manifest::new(kind, fingerprint)),
-            _ => Err(StoreError::NotEmpty { out: root.to_owned() }),
+            _ => Err(StoreError::OtherWork { out: root.to_owned() }),
         }
     }
 
@@ -134,6 +134,5 @@ impl Folder {
 
 /// Whether nothing is in a folder but perhaps the lock of whoever asks.
 fn is_empty(root: &Path) -> bool {
-    fs::read_dir(root)
-        .map_or(true, |entries| entries.flatten().all(|entry| entry.file_name() == super::LOCK))
+    fs::read_dir(root).map_or(true, |entries| entries.flatten().all(|entry| entry.file_name() == super::LOCK))
 }

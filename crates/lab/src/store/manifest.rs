@@ -102,7 +102,8 @@ impl Manifest {
         };
         let Some(manifest) = Self::read(&folder.join(MANIFEST))? else {
             // The first in the order of names, so that the message is the same each time.
-            let mut names = entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>();
+            let mut names =
+                entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>();
             return Ok(match &mut names {
                 Ok(names) => names.drain(..).min().map_or(State::Empty, State::Foreign),
                 Err(_) => State::Foreign(folder.to_owned()),

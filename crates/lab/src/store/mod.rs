@@ -270,8 +270,8 @@ fn allowed(places: &Places, request: &Request<'_>) -> Result<bool, StoreError> {
         return Ok(true);
     }
     // Only its clearing away was interrupted.
-    let finished = !places.results().exists()
-        && earlier.is_some_and(|earlier| earlier.fingerprint == work.fingerprint);
+    let finished =
+        !places.results().exists() && earlier.is_some_and(|earlier| earlier.fingerprint == work.fingerprint);
     if parts > 0 && !finished && !force {
         let partial = places.partial.clone();
         return Err(if resume {

@@ -123,7 +123,10 @@ fn a_file_that_was_changed_since_stays_and_one_that_is_gone_is_no_matter() {
     place.results("{}");
     place.write("out/figures/rmse.svg", "<svg>drawn by hand</svg>");
     let refused = place.open_as("a", false, true).unwrap_err();
-    assert!(matches!(&refused, StoreError::Foreign { found, .. } if found.ends_with("rmse.svg")), "{refused}");
+    assert!(
+        matches!(&refused, StoreError::Foreign { found, .. } if found.ends_with("rmse.svg")),
+        "{refused}"
+    );
     fs::remove_file(place.at("out/figures/rmse.svg")).unwrap();
     place.results("new");
     assert_eq!(place.read("out/summary.json"), "new");
@@ -151,7 +154,10 @@ fn what_came_into_the_folder_meanwhile_stays_and_the_work_can_be_resumed() {
     store.parts().save(0, &1).unwrap();
     place.write("out/notes.txt", "precious");
     assert!(matches!(store.finish(), Err(StoreError::Foreign { found, .. }) if found.ends_with("notes.txt")));
-    assert_eq!((place.read("out/notes.txt"), place.read("out/summary.json")), ("precious".into(), "old".into()));
+    assert_eq!(
+        (place.read("out/notes.txt"), place.read("out/summary.json")),
+        ("precious".into(), "old".into())
+    );
     fs::remove_file(place.at("out/notes.txt")).unwrap();
     let store = place.open_as("b", true, false).unwrap();
     assert_eq!(store.parts().load(0), Part::Whole(1));

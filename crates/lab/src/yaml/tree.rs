@@ -197,7 +197,8 @@ impl Reader<'_> {
         let limits = self.limits;
         let depth = self.open.len() + size.height;
         if depth > YAML_DEPTH {
-            let message = format!("{depth} collections within each other are not allowed; at most {YAML_DEPTH}");
+            let message =
+                format!("{depth} collections within each other are not allowed; at most {YAML_DEPTH}");
             return Err(self.problem(line, message));
         }
         for (name, found, most) in [
@@ -436,9 +437,13 @@ mod tests {
         assert!(read(&nested(64), &Limits::DEFAULT).is_ok());
         assert_eq!(
             refused(&nested(65)),
-            format!("1: {}: 65 collections within each other are not allowed; at most 64", quoted(&"[0]".repeat(64)))
+            format!(
+                "1: {}: 65 collections within each other are not allowed; at most 64",
+                quoted(&"[0]".repeat(64))
+            )
         );
-        let aliased = |depth| format!("- &a {}\n- {}*a{}\n", nested(30), "[".repeat(depth), "]".repeat(depth));
+        let aliased =
+            |depth| format!("- &a {}\n- {}*a{}\n", nested(30), "[".repeat(depth), "]".repeat(depth));
         assert!(read(&aliased(33), &Limits::DEFAULT).is_ok());
         assert!(refused(&aliased(34)).contains("65 collections within each other"));
     }

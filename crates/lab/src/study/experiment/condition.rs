@@ -8,9 +8,9 @@ use super::loss_against_observations::needed;
 use super::repeat::{Repeat, ends, run_repeat};
 use super::roughness::roughness;
 use crate::statistics::{Bootstrap, quantile};
+use crate::store::{Part, Parts};
 use crate::study::results::{ConditionResults, Curve, ModelRisk, Thinning};
 use crate::study::sensor::Source;
-use crate::store::{Part, Parts};
 use crate::study::{Study, StudyError, StudyOptions};
 
 /// Part numbers of a condition: repeats are fewer.
@@ -33,7 +33,7 @@ fn kept_repeat(
         Part::Missing => {}
         Part::Damaged => options
             .progress
-            .note(&format!("repeat {repeat} was kept, but its file is damaged; it is done again")),
+            .warn(&format!("repeat {repeat} was kept, but its file is damaged; it is done again")),
     }
     let done = run_repeat(study, number, repeat, options)?;
     parts.save(part, &done)?;

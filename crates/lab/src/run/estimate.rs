@@ -1,0 +1,232 @@
+//! What a run will cost, from its scenario alone, so that one that the machine can't hold is refused before it starts.
+
+use locsim_core::limits::Limits;
+use locsim_world::simulation::Trajectory;
+use serde::de::IgnoredAny;
+use sysinfo::{MemoryRefreshKind, RefreshKind, System};
+
+use super::RunError;
+use crate::scenario::{
+    Estimate as PoseEstimate, ModelName, ParticleCount, Problem, RayCast, Scenario, ScenarioError, Source,
+};
+use crate::yaml;
+
+/// Bytes of a training reading in all the forms that it has at once: as scanned, in the training set, as the list of
+/// readings and beams that a mixture is fitted to (40 bytes).
+const BYTES_OF_TRAINING_READING: f64 = 56.0;
+/// Bytes of a scan's own bookkeeping.
+const BYTES_OF_SCAN: f64 = 48.0;
+/// Bytes of a training state: a beam at a pose, in the whole set and in its two parts.
+const BYTES_OF_STATE: f64 = 128.0;
+/// Bytes of a particle in a filter; docs/ARCHITECTURE.md counts them.
+const BYTES_OF_PARTICLE: f64 = 88.0;
+/// Bytes of a particle's pose and parent, kept for each step where trajectories are wanted.
+const BYTES_OF_ANCESTOR: f64 = 36.0;
+/// Bytes of a row of results, in all the forms that a report makes of it.
+const BYTES_OF_ROW: f64 = 1500.0;
+/// Bytes of the program itself, its tables and figures.
+const BYTES_OF_PROGRAM: f64 = 150e6;
+
+/// Seconds for a particle and a beam: from the table, by exact casts, and for the oracle, which integrates.
+const SECONDS_PER_BEAM: [f64; 3] = [7e-9, 120e-9, 120e-9];
+/// Seconds for a simulated training reading, and to train one model on it.
+const SECONDS_PER_READING: [f64; 2] = [0.5e-6, 2e-6];
+/// Seconds to train a model and to draw its figures, whatever the data.
+const SECONDS_PER_MODEL: f64 = 1.5;
+
+/// What a run will cost, roughly.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Estimate {
+    /// Memory \[bytes\], at most.
+    pub memory_bytes: f64,
+    /// Processor time \[s\]; `None` on a measured log, whose length isn't known before it is read.
+    pub cpu_secs: Option<f64>,
+    /// The keys that most of the memory is due to, and how much.
+    largest: (&'static str, f64),
+}
+
+impl Estimate {
+    /// The estimate for a scenario whose trials run on so many threads.
+    pub fn of(scenario: &Scenario, threads: usize) -> Self {
+        let threads = threads as f64;
+        let trials = f64::from(scenario.trials);
+        let models = scenario.models.len() as f64;
+        let training = &scenario.training;
+        let (poses, observations) = (f64::from(training.poses), f64::from(training.observations));
+        let simulated = match &scenario.source {
+            Source::Simulation(simulation) => Some(simulation),
+            Source::Log(_) => None,
+        };
+        // A log says how many beams it has only when it is read; most have fewer.
+        let beams = simulated.map_or(360.0, |simulation| f64::from(simulation.laser.beams));
+        let training_beams = training.beams.map_or(beams, f64::from).min(beams);
+        let filter_beams = scenario.filter.beams.map_or(beams, f64::from).min(beams);
+        let steps = simulated.and_then(|simulation| {
+            let path = Trajectory::new(&simulation.robot.path).ok()?;
+            Some((path.duration_secs() * simulation.laser.rate_hz).floor() + 1.0)
+        });
+        let particles = match scenario.filter.particles {
+            ParticleCount::Fixed(count) => f64::from(count),
+            ParticleCount::Kld { max, .. } => f64::from(max),
+        };
+        let candidates = scenario.filter.annealing.map_or(0.0, |annealing| f64::from(annealing.candidates));
+
+        let readings = poses * observations * training_beams;
+        let trajectories = match scenario.filter.estimate {
+            PoseEstimate::MostLikelyTrajectory => threads,
+            // The recorded trial alone.
+            _ => 1.0,
+        };
+        let memory = [
+            (
+                "training.poses x training.observations",
+                poses * observations * (4.0 * beams + BYTES_OF_SCAN)
+                    + readings * BYTES_OF_TRAINING_READING
+                    + poses * training_beams * BYTES_OF_STATE,
+            ),
+            (
+                "filter.particles",
+                particles.max(candidates) * BYTES_OF_PARTICLE * threads
+                    + trajectories * particles * steps.unwrap_or(0.0) * BYTES_OF_ANCESTOR,
+            ),
+            ("trials", trials * models * steps.unwrap_or(0.0) * BYTES_OF_ROW),
+            ("laser.rate_hz x laser.beams", (threads + 1.0) * steps.unwrap_or(0.0) * 4.0 * beams),
+            (
+                "ray_cast.memory_mb",
+                match scenario.ray_cast {
+                    RayCast::Table { memory_mb, .. } => f64::from(memory_mb) * f64::from(1 << 20),
+                    RayCast::Exact => 0.0,
+                },
+            ),
+        ];
+        let cpu_secs = steps.map(|steps| {
+            let [table, exact, oracle] = SECONDS_PER_BEAM;
+            let cast = if scenario.ray_cast == RayCast::Exact { exact } else { table };
+            let of_beam = |name| if name == ModelName::Oracle { cast + oracle } else { cast };
+            let beam: f64 = scenario.models.iter().map(|model| of_beam(model.name)).sum();
+            let [observe, train] = SECONDS_PER_READING;
+            trials * steps * particles * filter_beams * beam
+                + poses * observations * beams * observe
+                + models * (readings * train + SECONDS_PER_MODEL)
+        });
+        let largest = memory.into_iter().fold(("", 0.0), |a, b| if b.1 > a.1 { b } else { a });
+        let memory_bytes = BYTES_OF_PROGRAM + memory.iter().map(|(_, bytes)| bytes).sum::<f64>();
+        Self { memory_bytes, cpu_secs, largest }
+    }
+
+    /// Refuses a run that needs more memory than there is.
+    ///
+    /// # Errors
+    /// [`RunError::Scenario`] with the keys to lower.
+    pub fn check(&self, scenario: &Scenario) -> Result<(), RunError> {
+        let limit = Limits::current().memory_bytes;
+        let (available, of) =
+            if limit > 0 { (limit as f64, "the limit is") } else { (free_memory(), "this machine has") };
+        if self.memory_bytes <= available {
+            return Ok(());
+        }
+        let (keys, bytes) = self.largest;
+        let message = format!(
+            "the run needs {} of memory, {} of it because of {keys}, which has to be lowered; {of} {} \
+             (`--limit memory_bytes={:.0}` runs it all the same)",
+            size(self.memory_bytes),
+            size(bytes),
+            size(available),
+            self.memory_bytes.ceil()
+        );
+        let key = keys.split(' ').next().unwrap_or_default().to_owned();
+        let text = yaml::read(&scenario.file)?;
+        let (IgnoredAny, locations) = yaml::parse(&scenario.file, &text)?;
+        let problem = Problem { line: locations.line(&key), key, message };
+        Err(ScenarioError::Invalid { file: scenario.file.clone(), problems: vec![problem] }.into())
+    }
+
+    /// The estimate in words, for a run on so many threads.
+    pub fn in_words(&self, threads: usize) -> String {
+        let memory = format!("at most {} of memory", size(self.memory_bytes));
+        match self.cpu_secs {
+            Some(secs) => format!("about {}, {memory}", duration(secs / threads as f64)),
+            None => memory,
+        }
+    }
+}
+
+/// Memory that a process can still get \[bytes\]: the machine's, or its control group's.
+fn free_memory() -> f64 {
+    let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
+    let system = System::new_with_specifics(memory);
+    let machine = system.available_memory();
+    system.cgroup_limits().map_or(machine, |group| machine.min(group.free_memory)) as f64
+}
+
+/// Bytes as people say them.
+fn size(bytes: f64) -> String {
+    let units = ["B", "kB", "MB", "GB", "TB", "PB", "EB"];
+    let step = ((bytes.max(1.0).log10() / 3.0) as usize).min(units.len() - 1);
+    let value = bytes / 1000_f64.powi(step as i32);
+    if value < 10.0 { format!("{value:.1} {}", units[step]) } else { format!("{value:.0} {}", units[step]) }
+}
+
+/// A time as people say it.
+fn duration(secs: f64) -> String {
+    let (value, unit) = match secs {
+        ..60.0 => (secs, "s"),
+        ..3600.0 => (secs / 60.0, "min"),
+        ..86400.0 => (secs / 3600.0, "h"),
+        _ => (secs / 86400.0, "days"),
+    };
+    if value < 10.0 { format!("{value:.1} {unit}") } else { format!("{value:.0} {unit}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Overrides;
+
+    fn shipped(from: &str, to: &str) -> (tempfile::TempDir, Scenario) {
+        let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../");
+        let text = std::fs::read_to_string(format!("{root}scenarios/table2.yaml")).unwrap();
+        assert!(text.contains(from));
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("s.yaml");
+        let text = text.replace(from, to).replace("../maps/", &format!("{root}maps/"));
+        std::fs::write(&file, text).unwrap();
+        let scenario = Scenario::load(&file, &Overrides::default()).unwrap();
+        (folder, scenario)
+    }
+
+    #[test]
+    fn a_run_that_no_machine_can_hold_is_refused_with_the_key_to_lower() {
+        let training = "training: {poses: 150, observations: 100";
+        for (from, to, key) in [
+            (training, "training: {poses: 1000000, observations: 100000", "training.poses"),
+            ("particles: 1000", "particles: 10000000", "filter.particles"),
+            ("trials: 200", "trials: 1000000", "trials"),
+        ] {
+            let (_folder, scenario) = shipped(from, to);
+            let refused = Estimate::of(&scenario, 8).check(&scenario).unwrap_err().to_string();
+            assert!(refused.contains(&format!(": {key}: the run needs ")), "{refused}");
+            let line = std::fs::read_to_string(&scenario.file)
+                .unwrap()
+                .lines()
+                .position(|line| line.contains(to))
+                .unwrap();
+            assert!(refused.contains(&format!("s.yaml:{}: ", line + 1)), "{refused}");
+        }
+    }
+
+    #[test]
+    fn the_shipped_experiment_costs_a_minute_and_less_than_a_gigabyte() {
+        let (_folder, scenario) = shipped("trials: 200", "trials: 200");
+        let cost = Estimate::of(&scenario, 2);
+        // A minute on two cores, as the README says.
+        assert!((60.0..240.0).contains(&cost.cpu_secs.unwrap()), "{cost:?}");
+        assert!(cost.memory_bytes < 1e9 && cost.check(&scenario).is_ok(), "{cost:?}");
+    }
+
+    #[test]
+    fn sizes_and_times_are_said_as_people_do() {
+        assert_eq!([0.0, 999.0, 4.8e12, 150e6].map(size), ["0.0 B", "999 B", "4.8 TB", "150 MB"]);
+        assert_eq!([2.0, 90.0, 7200.0, 1e7].map(duration), ["2.0 s", "1.5 min", "2.0 h", "116 days"]);
+    }
+}
