@@ -17,6 +17,9 @@ const HEADER: usize = 8 + 4 + blake3::OUT_LEN;
 
 impl FittedModel {
     /// The content of a model file.
+    ///
+    /// # Panics
+    /// Never: every model has a form in CBOR, and memory takes every byte.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut body = Vec::new();
         ciborium::into_writer(self, &mut body).expect("memory takes every byte");

@@ -26,7 +26,9 @@ pub(crate) fn check(model: &dyn SensorModel, max_range: f32) -> Result<(), Strin
             let nominal = share * max_range;
             let totals = OneBeam { model, max_range, nominal, incidence }.totals();
             // Not true of NaN either.
-            if let Some(total) = totals.into_iter().find(|total| !((total - 1.0).abs() <= TOLERANCE)) {
+            if let Some(total) =
+                totals.into_iter().find(|total| !(1.0 - TOLERANCE..=1.0 + TOLERANCE).contains(total))
+            {
                 return Err(format!(
                     "the density integrates to {total}, not to 1 (nominal range {nominal} m, incidence {incidence} rad)"
                 ));
