@@ -63,7 +63,13 @@ const CASES: [Case; 5] = [
         other: "--resolution 0.05",
         resume: "",
     },
-    Case { line: "simulate long.yaml", out: "long.mcap", results: &["long.mcap"], other: "--seed 4", resume: "" },
+    Case {
+        line: "simulate long.yaml",
+        out: "long.mcap",
+        results: &["long.mcap"],
+        other: "--seed 4",
+        resume: "",
+    },
 ];
 
 const STUDY: &str = "\
@@ -92,7 +98,8 @@ repeats: 3
 
 /// A simulation whose readings are too long, and the one in which they aren't.
 fn scenarios() -> [String; 3] {
-    let noisy = edited(SCENARIO, "training:", "effects: [{name: range_dropout, p: 0.005, exponent: 0}]\ntraining:");
+    let noisy =
+        edited(SCENARIO, "training:", "effects: [{name: range_dropout, p: 0.005, exponent: 0}]\ntraining:");
     let noisy = edited(&noisy, "rate_hz: 5, beams: 12", "rate_hz: 20, beams: 24");
     let hidden = edited(&noisy, "exponent: 0}]", "exponent: 0}, {name: range_bias, bias_m: 0.04}]");
     let long = edited(&noisy, "rate_hz: 20, beams: 24", "rate_hz: 500, beams: 360");
@@ -231,7 +238,10 @@ fn a_killed_command_is_repeated_as_if_nothing_had_happened() {
 
             // A command that has nothing to go on with is told to replace what it finished.
             let go_on = if resume.is_empty() { "--force" } else { resume };
-            succeeds(&folder, &there(&format!("{line} {force} {go_on}").replace("--force --force", "--force")));
+            succeeds(
+                &folder,
+                &there(&format!("{line} {force} {go_on}").replace("--force --force", "--force")),
+            );
             assert!(content(&folder, results) == new, "{place}: results differ");
         }
     }

@@ -28,10 +28,7 @@ const LAYERS: [(&str, &[&str]); 10] = [
             "locsim-world",
         ],
     ),
-    (
-        "locsim-fuzz",
-        &["locsim-core", "locsim-dataset", "locsim-lab", "locsim-sensor", "locsim-world"],
-    ),
+    ("locsim-fuzz", &["locsim-core", "locsim-dataset", "locsim-lab", "locsim-sensor", "locsim-world"]),
     (
         "locsim",
         &[

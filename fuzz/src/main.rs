@@ -182,7 +182,9 @@ impl Watch {
             thread::sleep(Duration::from_millis(20));
             let began = self.began.load(Ordering::Relaxed);
             let waited = now() - self.start;
-            if began > 0 && waited.saturating_sub(Duration::from_millis(began)).as_secs_f64() > self.most.most_seconds {
+            if began > 0
+                && waited.saturating_sub(Duration::from_millis(began)).as_secs_f64() > self.most.most_seconds
+            {
                 self.fail(&format!("more than {} s", self.most.most_seconds));
             }
             self.check_memory();
@@ -306,7 +308,10 @@ fn try_all(arguments: &Try) -> ExitCode {
     let jobs = arguments.jobs.unwrap_or_else(|| thread::available_parallelism().map_or(1, usize::from));
     let seconds = arguments.seconds * jobs as u64 / targets.len() as u64;
     let scratch = tempfile::Builder::new().prefix("locsim-fuzz-").tempdir().expect("a temporary folder");
-    println!("{:<12} {:>9} {:>9} {:>9}  most memory       most time", "target", "inputs", "accepted", "failures");
+    println!(
+        "{:<12} {:>9} {:>9} {:>9}  most memory       most time",
+        "target", "inputs", "accepted", "failures"
+    );
     let next = AtomicUsize::new(0);
     let all = Mutex::new((0, 0, Vec::new()));
     thread::scope(|scope| {
@@ -386,7 +391,10 @@ fn try_target(target: &Target, arguments: &Try, seconds: u64, scratch: &Path) ->
 
 /// The place and the words of a panic, or what else a worker said last.
 fn what_happened(text: &str) -> Option<String> {
-    let start = text.find("panicked at ").or_else(|| text.find("too much: ")).or_else(|| text.find("memory allocation"))?;
+    let start = text
+        .find("panicked at ")
+        .or_else(|| text.find("too much: "))
+        .or_else(|| text.find("memory allocation"))?;
     Some(text[start..].lines().take(3).collect::<Vec<_>>().join("\n  "))
 }
 

@@ -9,67 +9,293 @@ use crate::{Form, Target};
 
 /// Words of scenarios.
 pub const SCENARIO_WORDS: &[&str] = &[
-    "name", "seed", "trials", "map: {file: room.yaml}", "map: {file: grid.yaml}", "ray_cast", "method: exact", "cell_m",
-    "memory_mb", "blocks", "per_metre_of_wall", "resample: {each_scan_n: 5}", "speed_m_s", "waypoints", "points_m",
-    "velocity_profile", "segments", "laser", "beams", "rate_hz", "max_range_m", "resolution_m", "training", "poses",
-    "observations", "held_out_share", "models", "oracle", "np_reg", "{name: classic, file: fitted.model}", "filter",
-    "particles: {kld: {min: 1, max: 100}}", "annealing", "candidates", "moves", "start: global", "expect", "effects",
-    "{name: glass, wall: room/0, p: 0.3}", "{name: moved_wall, from_m: [0, 0], to_m: [1, 0], distance_m: 0.1}",
-    "log: {file: drive.log}", "log: {file: drive.mcap}", "map_scans", "${LOCSIM_DATA}", "${HOME}", "../",
+    "name",
+    "seed",
+    "trials",
+    "map: {file: room.yaml}",
+    "map: {file: grid.yaml}",
+    "ray_cast",
+    "method: exact",
+    "cell_m",
+    "memory_mb",
+    "blocks",
+    "per_metre_of_wall",
+    "resample: {each_scan_n: 5}",
+    "speed_m_s",
+    "waypoints",
+    "points_m",
+    "velocity_profile",
+    "segments",
+    "laser",
+    "beams",
+    "rate_hz",
+    "max_range_m",
+    "resolution_m",
+    "training",
+    "poses",
+    "observations",
+    "held_out_share",
+    "models",
+    "oracle",
+    "np_reg",
+    "{name: classic, file: fitted.model}",
+    "filter",
+    "particles: {kld: {min: 1, max: 100}}",
+    "annealing",
+    "candidates",
+    "moves",
+    "start: global",
+    "expect",
+    "effects",
+    "{name: glass, wall: room/0, p: 0.3}",
+    "{name: moved_wall, from_m: [0, 0], to_m: [1, 0], distance_m: 0.1}",
+    "log: {file: drive.log}",
+    "log: {file: drive.mcap}",
+    "map_scans",
+    "${LOCSIM_DATA}",
+    "${HOME}",
+    "../",
 ];
 /// Words of studies.
 pub const STUDY_WORDS: &[&str] = &[
-    "sensor", "laser", "field_sensor", "forceps", "grass", "static_lidar", "table", "file: readings.csv",
-    "file: scans.csv", "map: room.yaml", "values", "resolution", "point_mass_at", "align: {shift: x}", "criterion: crps",
-    "states", "counts", "bandwidths", "thinning: true", "repeats", "folds", "test_states", "truth_observations",
-    "observations", "frechet", "np_reg_registered", "beams", "blades_per_m2", "resolution_m", "map_scans",
+    "sensor",
+    "laser",
+    "field_sensor",
+    "forceps",
+    "grass",
+    "static_lidar",
+    "table",
+    "file: readings.csv",
+    "file: scans.csv",
+    "map: room.yaml",
+    "values",
+    "resolution",
+    "point_mass_at",
+    "align: {shift: x}",
+    "criterion: crps",
+    "states",
+    "counts",
+    "bandwidths",
+    "thinning: true",
+    "repeats",
+    "folds",
+    "test_states",
+    "truth_observations",
+    "observations",
+    "frechet",
+    "np_reg_registered",
+    "beams",
+    "blades_per_m2",
+    "resolution_m",
+    "map_scans",
 ];
 /// Words of vector maps.
 pub const MAP_WORDS: &[&str] = &[
-    "outline", "points_m", "surfaces", "edges", "obstacles", "walls", "from_m", "to_m", "name", "image: grid.pgm",
-    "resolution: 0.1", "origin: [0, 0, 0]", "mode: raw", "negate: 1", "occupied_thresh: 0.65", "free_thresh: 0.2",
-    "[0, 0]", "[1e300, 1]", "[.nan, 1]",
+    "outline",
+    "points_m",
+    "surfaces",
+    "edges",
+    "obstacles",
+    "walls",
+    "from_m",
+    "to_m",
+    "name",
+    "image: grid.pgm",
+    "resolution: 0.1",
+    "origin: [0, 0, 0]",
+    "mode: raw",
+    "negate: 1",
+    "occupied_thresh: 0.65",
+    "free_thresh: 0.2",
+    "[0, 0]",
+    "[1e300, 1]",
+    "[.nan, 1]",
 ];
 /// Words of images.
-pub const IMAGE_WORDS: &[&str] =
-    &["P1", "P2", "P3", "P4", "P5", "P6", "P7", "PF", "# c\n", "\n65535\n", "IHDR", "IDAT", "IEND", "PLTE", "tRNS", "acTL"];
+pub const IMAGE_WORDS: &[&str] = &[
+    "P1",
+    "P2",
+    "P3",
+    "P4",
+    "P5",
+    "P6",
+    "P7",
+    "PF",
+    "# c\n",
+    "\n65535\n",
+    "IHDR",
+    "IDAT",
+    "IEND",
+    "PLTE",
+    "tRNS",
+    "acTL",
+];
 /// Words of CARMEN logs.
 pub const CARMEN_WORDS: &[&str] = &[
-    "FLASER", "RLASER", "ODOM", "ROBOTLASER1", "RAWLASER1", "TRUEPOS", "PARAM", "PARAM laser_max_range ",
-    "PARAM robot_front_laser_max ", "PARAM laser_front_laser_resolution ", "PARAM laser_front_laser_fov ", "SYNC",
-    "MARKER", "# ", "\n", " nohost ", "FLASER 4294967295 ", "FLASER 1000000000 1 1",
+    "FLASER",
+    "RLASER",
+    "ODOM",
+    "ROBOTLASER1",
+    "RAWLASER1",
+    "TRUEPOS",
+    "PARAM",
+    "PARAM laser_max_range ",
+    "PARAM robot_front_laser_max ",
+    "PARAM laser_front_laser_resolution ",
+    "PARAM laser_front_laser_fov ",
+    "SYNC",
+    "MARKER",
+    "# ",
+    "\n",
+    " nohost ",
+    "FLASER 4294967295 ",
+    "FLASER 1000000000 1 1",
 ];
 /// Words of bags.
 pub const BAG_WORDS: &[&str] = &[
-    "\u{89}MCAP0\r\n", "lz4", "zstd", "bz2", "cdr", "ros2msg", "json", "/scan", "/odom", "/tf", "/reference",
-    "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage",
-    "SQLite format 3\0", "CREATE TABLE messages", "CREATE TABLE topics", "base_link", "laser", "map",
+    "\u{89}MCAP0\r\n",
+    "lz4",
+    "zstd",
+    "bz2",
+    "cdr",
+    "ros2msg",
+    "json",
+    "/scan",
+    "/odom",
+    "/tf",
+    "/reference",
+    "sensor_msgs/msg/LaserScan",
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "tf2_msgs/msg/TFMessage",
+    "SQLite format 3\0",
+    "CREATE TABLE messages",
+    "CREATE TABLE topics",
+    "base_link",
+    "laser",
+    "map",
 ];
 /// Words of model files and of kept trials.
 pub const MODEL_WORDS: &[&str] = &[
-    "kind", "max_range", "chosen", "form", "Mixture", "Field", "Normal", "Histogram", "parts", "weights", "grid", "cells",
-    "axis", "origin", "quantum", "ends", "log_density", "below", "classic", "p_reg", "np_reg_registered", "trial", "steps",
+    "kind",
+    "max_range",
+    "chosen",
+    "form",
+    "Mixture",
+    "Field",
+    "Normal",
+    "Histogram",
+    "parts",
+    "weights",
+    "grid",
+    "cells",
+    "axis",
+    "origin",
+    "quantum",
+    "ends",
+    "log_density",
+    "below",
+    "classic",
+    "p_reg",
+    "np_reg_registered",
+    "trial",
+    "steps",
 ];
 /// Words of a benchmark's files.
 pub const WORKLOAD_WORDS: &[&str] = &[
-    "true_pose", "max_range_m", "n_beams", "n_particles", "sigma_xy", "odom_delta_fullstep", "alphas", "sigma_hit",
-    "lambda_short", "angle_rad", "range_m", "gt_x", "odom_theta", "r0", "step", "P5\n", "[1e300, 0, 0]", "resolution: 1e-9",
+    "true_pose",
+    "max_range_m",
+    "n_beams",
+    "n_particles",
+    "sigma_xy",
+    "odom_delta_fullstep",
+    "alphas",
+    "sigma_hit",
+    "lambda_short",
+    "angle_rad",
+    "range_m",
+    "gt_x",
+    "odom_theta",
+    "r0",
+    "step",
+    "P5\n",
+    "[1e300, 0, 0]",
+    "resolution: 1e-9",
 ];
 /// Words of tables.
-pub const TABLE_WORDS: &[&str] = &[",", "\"", "\"\"", "#", "\r\n", ";", "inf", "NaN", "x,z\n", "1e400", "0x1p3"];
+pub const TABLE_WORDS: &[&str] =
+    &[",", "\"", "\"\"", "#", "\r\n", ";", "inf", "NaN", "x,z\n", "1e400", "0x1p3"];
 
 /// Numbers that readers are surprised by.
 const NUMBERS: [&str; 34] = [
-    "0", "-0", "-1", "1", "2", "0.5", "1e-300", "1e-12", "1e-6", "1e6", "1e9", "1e18", "1e300", "-1e300", "1e400", "nan",
-    ".nan", "inf", ".inf", "-.inf", "255", "65536", "2147483648", "4294967295", "4294967296", "9007199254740993",
-    "9223372036854775807", "9223372036854775808", "-9223372036854775809", "18446744073709551615", "18446744073709551616",
-    "99999999999999999999999999999999999999999999", "", "null",
+    "0",
+    "-0",
+    "-1",
+    "1",
+    "2",
+    "0.5",
+    "1e-300",
+    "1e-12",
+    "1e-6",
+    "1e6",
+    "1e9",
+    "1e18",
+    "1e300",
+    "-1e300",
+    "1e400",
+    "nan",
+    ".nan",
+    "inf",
+    ".inf",
+    "-.inf",
+    "255",
+    "65536",
+    "2147483648",
+    "4294967295",
+    "4294967296",
+    "9007199254740993",
+    "9223372036854775807",
+    "9223372036854775808",
+    "-9223372036854775809",
+    "18446744073709551615",
+    "18446744073709551616",
+    "99999999999999999999999999999999999999999999",
+    "",
+    "null",
 ];
 
 /// What stands in YAML and means more than it says.
 const YAML: [&str; 30] = [
-    "&a ", "*a", "*b", "<<: *a\n", "!!binary ", "!!float ", "!x ", "---\n", "...\n", "%YAML 1.2\n", "? ", ": ", "- ",
-    "[", "]", "{", "}", "[[", "]]", "|\n", ">-\n", "'", "\"", "#", "\u{feff}", "\t", "\r", "\0", "~", "\\x",
+    "&a ",
+    "*a",
+    "*b",
+    "<<: *a\n",
+    "!!binary ",
+    "!!float ",
+    "!x ",
+    "---\n",
+    "...\n",
+    "%YAML 1.2\n",
+    "? ",
+    ": ",
+    "- ",
+    "[",
+    "]",
+    "{",
+    "}",
+    "[[",
+    "]]",
+    "|\n",
+    ">-\n",
+    "'",
+    "\"",
+    "#",
+    "\u{feff}",
+    "\t",
+    "\r",
+    "\0",
+    "~",
+    "\\x",
 ];
 
 /// The size of an input at the most \[bytes\].
@@ -152,7 +378,11 @@ impl Mutation<'_> {
     /// Repeats a part, now and then so often that its cost shows.
     fn repeat(&mut self, data: &mut Vec<u8>) {
         let part = data[self.run(data)].to_vec();
-        let times = if self.random.random_bool(0.02) { MOST_BYTES / 8 / part.len().max(1) } else { 1 + self.below(4) };
+        let times = if self.random.random_bool(0.02) {
+            MOST_BYTES / 8 / part.len().max(1)
+        } else {
+            1 + self.below(4)
+        };
         let at = self.below(data.len() + 1);
         data.splice(at..at, part.repeat(times));
     }
@@ -206,14 +436,17 @@ impl Mutation<'_> {
         let part = |byte: &u8| byte.is_ascii_digit() || b".-+".contains(byte);
         let from = self.below(data.len());
         let Some(start) = data[from..].iter().position(part).map(|at| from + at) else { return };
-        let end = data[start..].iter().position(|byte| !part(byte)).map_or(data.len(), |length| start + length);
+        let end =
+            data[start..].iter().position(|byte| !part(byte)).map_or(data.len(), |length| start + length);
         let new = *NUMBERS.choose(&mut self.random).expect("a number");
         data.splice(start..end, new.bytes());
     }
 
     /// A length or a number in bytes becomes another one.
     fn length(&mut self, data: &mut [u8]) {
-        let edge = [0, 1, 0x7f, 0x80, 0xff, 0x7fff, 0xffff, 0x7fff_ffff, 0xffff_ffff, 1 << 32, 1 << 40, 1 << 62, !0][self.below(13)];
+        let edge =
+            [0, 1, 0x7f, 0x80, 0xff, 0x7fff, 0xffff, 0x7fff_ffff, 0xffff_ffff, 1 << 32, 1 << 40, 1 << 62, !0]
+                [self.below(13)];
         let near: u64 = data.len() as u64;
         let float = [f64::NAN, f64::INFINITY, -1.0, 1e300, 1e-300, 0.0][self.below(6)];
         let single = (float as f32).to_bits();
@@ -244,9 +477,13 @@ impl Mutation<'_> {
     /// Collections in collections, now and then very deep.
     fn nest(&mut self, data: &mut Vec<u8>) {
         let depth = if self.random.random_bool(0.05) { 40_000 } else { 1 + self.below(80) };
-        let [open, close] = [["[", "]"], ["{a: ", "}"], ["[", ""], ["- ", ""], ["[*a, ", "]"], ["? ", ""]][self.below(6)];
+        let [open, close] =
+            [["[", "]"], ["{a: ", "}"], ["[", ""], ["- ", ""], ["[*a, ", "]"], ["? ", ""]][self.below(6)];
         let at = self.word_start(data).start;
-        let end = data[at..].iter().position(|byte| b",\n]}".contains(byte)).map_or(data.len(), |length| at + length);
+        let end = data[at..]
+            .iter()
+            .position(|byte| b",\n]}".contains(byte))
+            .map_or(data.len(), |length| at + length);
         data.splice(end..end, close.repeat(depth).into_bytes());
         data.splice(at..at, open.repeat(depth).into_bytes());
     }
@@ -262,7 +499,13 @@ impl Mutation<'_> {
             1 => drop(data.splice(start..start, line)),
             2 => drop(data.splice(start..start, *b"  ")),
             _ => {
-                let anchor = [b"a: &a ".to_vec(), line, b"b: [".to_vec(), b"*a, ".repeat(1 + self.below(200)), b"]\n".to_vec()];
+                let anchor = [
+                    b"a: &a ".to_vec(),
+                    line,
+                    b"b: [".to_vec(),
+                    b"*a, ".repeat(1 + self.below(200)),
+                    b"]\n".to_vec(),
+                ];
                 drop(data.splice(start..start, anchor.concat()));
             }
         }

@@ -305,7 +305,8 @@ pub fn workload(data: &[u8]) -> Outcome {
     let (&which, data) = data.split_first().unwrap_or((&b'0', &[]));
     for (i, (name, content)) in WORK.into_iter().enumerate() {
         let chosen = usize::from(which.wrapping_sub(b'0')) % WORK.len() == i;
-        fs::write(folder.join(name), if chosen { data } else { content }).expect("a file in the temporary folder");
+        fs::write(folder.join(name), if chosen { data } else { content })
+            .expect("a file in the temporary folder");
     }
     Workload::read(&folder).map(drop).map_err(refused)
 }
@@ -353,4 +354,5 @@ pub fn range_table(data: &[u8]) -> Outcome {
     Ok(())
 }
 
-const TABLE_OPTIONS: RangeTableOptions = RangeTableOptions { cell_m: 0.4, most_bytes: 1 << 20, tolerance_m: 0.01 };
+const TABLE_OPTIONS: RangeTableOptions =
+    RangeTableOptions { cell_m: 0.4, most_bytes: 1 << 20, tolerance_m: 0.01 };

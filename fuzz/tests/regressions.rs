@@ -67,7 +67,9 @@ impl Cases {
         let right = call.status.success()
             && match expect {
                 Accepted => said.contains("\naccepted\n"),
-                Refused(words) => said.contains("\nrefused: ") && words.iter().all(|word| said.contains(word)),
+                Refused(words) => {
+                    said.contains("\nrefused: ") && words.iter().all(|word| said.contains(word))
+                }
             };
         if !right {
             let wanted = match expect {
@@ -85,7 +87,12 @@ impl Cases {
 impl Drop for Cases {
     fn drop(&mut self) {
         if !std::thread::panicking() {
-            assert!(self.failures.is_empty(), "{} failures\n{}", self.failures.len(), self.failures.join("\n\n"));
+            assert!(
+                self.failures.is_empty(),
+                "{} failures\n{}",
+                self.failures.len(),
+                self.failures.join("\n\n")
+            );
         }
     }
 }
@@ -112,8 +119,11 @@ fn every_seed_is_accepted() {
 #[test]
 fn what_failed_once_is_as_expected() {
     let expected = fs::read_to_string(folder("regressions/expected.txt")).unwrap();
-    let expected: BTreeMap<&str, &str> =
-        expected.lines().filter(|line| !line.starts_with('#')).filter_map(|line| line.split_once(": ")).collect();
+    let expected: BTreeMap<&str, &str> = expected
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .filter_map(|line| line.split_once(": "))
+        .collect();
     let mut cases = Cases::new();
     let mut found = 0;
     for target in fs::read_dir(folder("regressions")).unwrap().map(Result::unwrap) {
@@ -150,7 +160,13 @@ fn yaml_that_costs_the_machine_is_refused_at_once() {
                 cases.check(target, &format!("{name}-{size}.yaml"), text.as_bytes(), YAML, &Refused(&["64"]));
             }
             let inside = format!("{scenario}expect: {text}\n");
-            cases.check("yaml", &format!("in-{name}-{size}.yaml"), inside.as_bytes(), YAML, &Refused(&["64"]));
+            cases.check(
+                "yaml",
+                &format!("in-{name}-{size}.yaml"),
+                inside.as_bytes(),
+                YAML,
+                &Refused(&["64"]),
+            );
         }
     }
     // A text of 100 kB that 100,000 aliases repeat.
@@ -162,7 +178,13 @@ fn yaml_that_costs_the_machine_is_refused_at_once() {
         text += &format!("a{i}: &a{i} [*a{before}, *a{before}, *a{before}, *a{before}, *a{before}]\n");
     }
     cases.check("yaml", "laughs.yaml", text.as_bytes(), YAML, &Refused(&["yaml_"]));
-    cases.check("yaml", "values.yaml", format!("a: [{}]", "1,".repeat(600_000)).as_bytes(), INPUT, &Refused(&["yaml_values"]));
+    cases.check(
+        "yaml",
+        "values.yaml",
+        format!("a: [{}]", "1,".repeat(600_000)).as_bytes(),
+        INPUT,
+        &Refused(&["yaml_values"]),
+    );
     let large = format!("{scenario}# {}\n", "x".repeat(9 << 20));
     cases.check("yaml", "large.yaml", large.as_bytes(), YAML, &Refused(&["yaml_bytes"]));
     // What people write is nested less.
@@ -182,7 +204,13 @@ fn numbers_and_bytes_that_yaml_has_no_place_for_are_told() {
         let text = String::from_utf8(office.clone()).unwrap();
         let line = text.lines().find(|line| line.starts_with("seed:")).unwrap();
         let text = text.replace(line, &format!("seed: {number}"));
-        cases.check("yaml", &format!("seed{number}.yaml"), text.as_bytes(), YAML, &Refused(&["seed", "whole number"]));
+        cases.check(
+            "yaml",
+            &format!("seed{number}.yaml"),
+            text.as_bytes(),
+            YAML,
+            &Refused(&["seed", "whole number"]),
+        );
     }
     for bytes in [&b"\xff\xfe"[..], b"a: \x00", b"a: \xc3\x28"] {
         cases.check("yaml", "bytes.yaml", bytes, YAML, &Refused(&["input.yaml"]));
@@ -218,7 +246,13 @@ fn an_image_is_refused_by_its_header() {
     // Refused without unpacking it.
     cases.check("map_image", "large.png", &large, (100_000_000, 1.0), &Refused(&["map_pixels"]));
     for size in ["20000 20000", "4294967295 4294967295", "99999999999999999999 1"] {
-        cases.check("map_image", "lie.pgm", format!("P5\n{size}\n255\n").as_bytes(), YAML, &Refused(&["image"]));
+        cases.check(
+            "map_image",
+            "lie.pgm",
+            format!("P5\n{size}\n255\n").as_bytes(),
+            YAML,
+            &Refused(&["image"]),
+        );
     }
     cases.check("map_image", "small.png", &png(200, 100), INPUT, &Accepted);
     // Everything that the limit lets through fits.
@@ -242,9 +276,17 @@ fn a_log_that_unpacks_to_too_much_is_refused() {
     let mut cases = Cases::new();
     const PART: usize = 1 << 20;
     let comments = "# nothing\n".repeat(PART / 10);
-    for (name, part) in [("zeros", vec![0; PART]), ("blanks", vec![b' '; PART]), ("comments", comments.into_bytes())] {
+    for (name, part) in
+        [("zeros", vec![0; PART]), ("blanks", vec![b' '; PART]), ("comments", comments.into_bytes())]
+    {
         let bomb = gzip(&part, UNPACKED / PART);
-        cases.check("carmen", &format!("{name}.log.gz"), &bomb, (300_000_000, 10.0), &Refused(&["input.log"]));
+        cases.check(
+            "carmen",
+            &format!("{name}.log.gz"),
+            &bomb,
+            (300_000_000, 10.0),
+            &Refused(&["input.log"]),
+        );
         cases.check("tum", &format!("{name}.tum.gz"), &bomb, (300_000_000, 10.0), &Refused(&["input.tum"]));
     }
     let count = b"FLASER 4294967295 1 1 1\n";
@@ -282,14 +324,27 @@ fn a_bag_that_unpacks_to_too_much_is_refused() {
     let mut lz4 = lz4_flex::frame::FrameEncoder::new(Vec::new());
     lz4.write_all(&part).unwrap();
     let lz4 = lz4.finish().unwrap();
-    let zstd = ruzstd::encoding::compress_to_vec(part.as_slice(), ruzstd::encoding::CompressionLevel::Fastest);
+    let zstd =
+        ruzstd::encoding::compress_to_vec(part.as_slice(), ruzstd::encoding::CompressionLevel::Fastest);
     for (compression, chunk) in [("lz4", &lz4), ("zstd", &zstd)] {
         let (size, chunks) = (part.len(), UNPACKED / part.len());
         let bomb = bag(compression, size as u64, chunk, chunks);
-        cases.check("mcap", &format!("{compression}.mcap"), &bomb, (300_000_000, 10.0), &Refused(&["input.mcap"]));
+        cases.check(
+            "mcap",
+            &format!("{compression}.mcap"),
+            &bomb,
+            (300_000_000, 10.0),
+            &Refused(&["input.mcap"]),
+        );
         for size in [0, 1, 1 << 29, 1 << 40, u64::MAX] {
             let lie = bag(compression, size, chunk, 1);
-            cases.check("mcap", &format!("{compression}-{size}.mcap"), &lie, (100_000_000, 10.0), &Refused(&["input.mcap"]));
+            cases.check(
+                "mcap",
+                &format!("{compression}-{size}.mcap"),
+                &lie,
+                (100_000_000, 10.0),
+                &Refused(&["input.mcap"]),
+            );
         }
     }
 }
@@ -316,9 +371,7 @@ fn a_model_is_checked_field_by_field() {
     let mut cases = Cases::new();
     let number = |value: f64| move |node: &mut Value| *node = Value::Float(value);
     let whole = |value: u64| move |node: &mut Value| *node = Value::Integer(value.into());
-    let every = |value: f64| {
-        move |node: &mut Value| node.as_array_mut().unwrap().fill(Value::Float(value))
-    };
+    let every = |value: f64| move |node: &mut Value| node.as_array_mut().unwrap().fill(Value::Float(value));
     let longer = |times: usize| {
         move |node: &mut Value| {
             let list = node.as_array_mut().unwrap();
@@ -335,7 +388,10 @@ fn a_model_is_checked_field_by_field() {
     }
     for value in [0.0, -1.0, f64::NAN, 1e30] {
         refused("max_range", model("np_reg", &["form", "Histogram", "max_range"], number(value)));
-        refused("quantum", model("np_reg_registered", &["form", "Histogram", "axis", "quantum"], number(value)));
+        refused(
+            "quantum",
+            model("np_reg_registered", &["form", "Histogram", "axis", "quantum"], number(value)),
+        );
         refused("reach", model("p_reg", &["form", "Normal", "grid", "reach"], number(value)));
         refused("sigma", model("classic", &["form", "Mixture", "sigma_m"], number(value)));
         refused("field", model("likelihood_field", &["form", "Field", "sigma_m"], number(value)));
@@ -343,7 +399,9 @@ fn a_model_is_checked_field_by_field() {
     for value in [0, 1 << 32, 1 << 62, u64::MAX] {
         refused("ranges", model("p_reg", &["form", "Normal", "grid", "ranges"], whole(value)));
         refused("angles", model("np_reg", &["form", "Histogram", "grid", "incidences"], whole(value)));
-        let last = move |node: &mut Value| *node.as_array_mut().unwrap().last_mut().unwrap() = Value::Integer(value.into());
+        let last = move |node: &mut Value| {
+            *node.as_array_mut().unwrap().last_mut().unwrap() = Value::Integer(value.into())
+        };
         refused("ends", model("np_reg_registered", &["form", "Histogram", "axis", "ends"], last));
     }
     for times in [0, 2] {
