@@ -68,7 +68,7 @@ fn a_run_localizes_in_the_world_with_effects() {
     let folder = Folder::new();
     let rmse = |text: &str| {
         folder.write("s.yaml", text);
-        let call = folder.locsim("run s.yaml --trials 1 --models classic --record none --json").success();
+        let call = folder.locsim("run s.yaml --trials 1 --models classic --record none --json --force").success();
         let summary: Value = serde_json::from_str(&output(&call)).unwrap();
         summary["models"]["classic"]["position_rmse_m"].as_f64().unwrap()
     };

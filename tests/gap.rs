@@ -99,7 +99,7 @@ fn the_answer_is_for_people_and_an_effect_can_be_left_out() {
     }
     let rest = "--without range_bias --no-filter --max-range 5";
     let line = line.replace("--no-filter", rest);
-    folder.locsim(&format!("{line} --quiet")).success().stdout(is_empty());
+    folder.locsim(&format!("{line} --quiet --force")).success().stdout(is_empty());
     let report = String::from_utf8(folder.read("found/report.md")).unwrap();
     assert!(report.contains(rest), "the command that repeats it isn't in\n{report}");
     let outcome: Value = serde_json::from_slice(&folder.read("found/gap.json")).unwrap();
@@ -126,7 +126,9 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     );
     refused(&gap("range.yaml", ""), "measured.log: a maximum range of 5 m doesn't fit");
     refused(&gap("view.yaml", ""), "measured.log: beam 0 points to");
-    refused(&gap("exact.yaml", ""), "the nominal laser has no noise");
+    refused(&gap("exact.yaml", "").replace("found", "new"), "the nominal laser has no noise");
+    refused(&gap("nominal.yaml", ""), "--out: found is not allowed; it isn't empty");
+    refused(&gap("nominal.yaml", "--force"), "found/gap.json isn't as locsim wrote it, and stays");
     refused(&gap("nominal.yaml", "--without glas"), "\"glas\" is not an effect; one of range_bias");
     refused(&gap("nominal.yaml", "--replicates 5"), "--replicates: 5 is not allowed; a whole number from 19");
     refused(&gap("nominal.yaml", "--beams 0"), "--beams: 0 is not allowed");
@@ -137,7 +139,7 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     folder.write("blind.log", lines.join("\n") + "\n");
     refused("gap nominal.yaml --log blind.log --out found", "blind.log: no scan has a reference pose");
     assert_eq!(folder.read("found/gap.json"), b"{}");
-    assert!(!folder.path("found.partial").exists());
+    assert!(!folder.path("found.partial").exists() && !folder.path("new.partial").exists());
 }
 
 #[test]

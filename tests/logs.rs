@@ -115,7 +115,7 @@ fn a_ros_bag_is_written_mapped_and_localized_on() {
 fn a_log_depends_on_seed_and_trial_alone() {
     let folder = Folder::new();
     let log = |options: &str| {
-        folder.locsim(&format!("simulate room-run.yaml --out o.log {options}")).success();
+        folder.locsim(&format!("simulate room-run.yaml --out o.log --force {options}")).success();
         folder.read("o.log")
     };
     let plain = log("");

@@ -156,7 +156,7 @@ fn the_number_of_threads_changes_no_bit_of_the_results() {
 fn seed_trials_and_models_of_the_command_line_change_just_what_they_say() {
     let folder = Folder::new();
     let steps = |options: &str| {
-        folder.locsim(&format!("run room-run.yaml --out o --quiet --record none {options}")).success();
+        folder.locsim(&format!("run room-run.yaml --out o --force --quiet --record none {options}")).success();
         folder.read("o/steps.csv")
     };
     let plain = steps("");
@@ -195,7 +195,7 @@ fn json_prints_the_summary_quiet_prints_nothing_and_no_recording_is_left_when_no
     assert!(folder.path("results/room/summary.json").exists(), "the default folder has the scenario's name");
 
     folder
-        .locsim(&format!("run room-run.yaml --out b {options}"))
+        .locsim(&format!("run room-run.yaml --out b {options} --force"))
         .success()
         .stdout(contains("recording.rrd").not());
     assert!(!folder.path("b/recording.rrd").exists());
@@ -270,9 +270,9 @@ fn a_saved_model_gives_the_same_trials_as_fitting_it() {
     }
 
     // The file is what counts: a model of other data gives other trials.
-    folder.locsim("run room-run.yaml --out fitted --seed 4 --quiet --record none").success();
-    folder.locsim("run saved.yaml --out saved --quiet --record none").success();
-    folder.locsim("run room-run.yaml --out fitted --quiet --record none").success();
+    folder.locsim("run room-run.yaml --out fitted --seed 4 --force --quiet --record none").success();
+    folder.locsim("run saved.yaml --out saved --force --quiet --record none").success();
+    folder.locsim("run room-run.yaml --out fitted --force --quiet --record none").success();
     assert_ne!(folder.read("fitted/trials.csv"), folder.read("saved/trials.csv"));
 }
 
@@ -295,10 +295,12 @@ fn bad_input_and_a_folder_of_someone_else_change_nothing() {
     fs::create_dir(folder.path("thesis")).unwrap();
     folder.write("thesis/thesis.tex", "precious");
     for place in ["thesis", "thesis/thesis.tex", ".", ".."] {
-        folder
-            .locsim(&format!("run room-run.yaml --models classic --out {place}"))
-            .code(2)
-            .stderr(contains(format!("--out: {place} is not allowed; a new folder")));
+        for option in ["", "--force", "--resume"] {
+            folder
+                .locsim(&format!("run room-run.yaml --models classic --out {place} {option}"))
+                .code(2)
+                .stderr(contains(format!("--out: {place} is not allowed; ")));
+        }
     }
     assert_eq!(
         files(&folder.path("thesis")),
@@ -318,9 +320,9 @@ mod interrupted {
     const LONG: &str = "run long.yaml --models classic --record none --quiet --out o";
 
     fn trials_kept(folder: &Folder) -> usize {
-        let Ok(entries) = fs::read_dir(folder.path("o.partial/unfinished")) else { return 0 };
+        let Ok(entries) = fs::read_dir(folder.path("o.partial/parts")) else { return 0 };
         let paths = entries.map(|entry| entry.unwrap().path());
-        paths.filter(|path| path.extension().is_some_and(|extension| extension == "cbor")).count()
+        paths.filter(|path| path.extension().is_some_and(|extension| extension == "part")).count()
     }
 
     #[test]
@@ -332,7 +334,7 @@ mod interrupted {
         let whole = files(&folder.path("o"));
 
         let child = Command::new(env!("CARGO_BIN_EXE_locsim"))
-            .args(LONG.split(' ').chain(["--threads", "1"]))
+            .args(LONG.split(' ').chain(["--threads", "1", "--force"]))
             .current_dir(folder.path("."))
             .stderr(Stdio::piped())
             .spawn()
@@ -351,24 +353,24 @@ mod interrupted {
 
         let kept = trials_kept(&folder);
         assert!((3..120).contains(&kept), "{kept}");
-        assert_eq!(
-            message,
-            format!("error: interrupted after {kept} of 120 trials; add --resume to go on\n")
-        );
+        assert!(message.contains(&format!("{kept} ")) && message.contains("; add --resume to go on"), "{message}");
         assert_eq!(files(&folder.path("o")), whole, "earlier results stay as they were");
 
-        // Kept trials are taken as they are, not run again: one put in the place of another is found there.
-        let swapped = folder.path("swapped.partial/unfinished");
-        fs::create_dir_all(&swapped).unwrap();
-        folder.write("swapped.partial/fingerprint", folder.read("o.partial/fingerprint"));
-        folder
-            .write("swapped.partial/unfinished/000001.cbor", folder.read("o.partial/unfinished/000000.cbor"));
-        let elsewhere = edited(LONG, "--out o", "--out swapped --resume --trials 2");
-        folder.locsim(&elsewhere).success();
-        let [first, second] = rows(&folder.read("swapped/trials.csv"), |_| true).try_into().unwrap();
-        assert_eq!(first, second);
+        // Neither a new run nor one of something else takes them away.
+        folder.locsim(LONG).code(2).stderr(contains("it isn't empty"));
+        folder.locsim(&format!("{LONG} --resume --seed 9")).code(2).stderr(contains("it isn't empty"));
+        assert_eq!(trials_kept(&folder), kept);
 
-        folder.locsim(&format!("{LONG} --resume")).success();
+        // A kept trial with a flipped bit is run again, and that is said.
+        let part = "o.partial/parts/000001.part";
+        let mut bytes = folder.read(part);
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        folder.write(part, bytes);
+        folder
+            .locsim(&format!("{LONG} --resume"))
+            .success()
+            .stderr("note: trial 1 was kept, but its file is damaged; it is run again\n");
         let resumed = files(&folder.path("o"));
         for name in ["steps.csv", "steps.parquet", "trials.csv", "trials.parquet"] {
             assert!(resumed[name] == whole[name], "{name} differs from that of an uninterrupted run");

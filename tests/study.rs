@@ -104,9 +104,12 @@ fn a_study_says_what_holds_and_leaves_every_documented_file() {
     assert_eq!(fs::read_dir(folder.path("results")).unwrap().count(), 1, "nothing but the results is left");
 
     // Once more in the same place, then something else in it.
-    folder.locsim("study lawn.yaml --quiet").success().stdout(is_empty());
-    fs::remove_file(folder.path("results/lawn/results.json")).unwrap();
-    folder.locsim("study lawn.yaml").code(2).stderr(contains("is not allowed; a new folder"));
+    folder.locsim("study lawn.yaml --quiet --force").success().stdout(is_empty());
+    assert_eq!(folder.read("results/lawn/results.json"), found[Path::new("results.json")]);
+    folder.locsim("study lawn.yaml").code(2).stderr(contains("it isn't empty"));
+    folder.write("results/lawn/notes.txt", "precious");
+    folder.locsim("study lawn.yaml --force").code(2).stderr(contains("results/lawn/notes.txt isn't as locsim wrote it"));
+    assert_eq!(folder.read("results/lawn/notes.txt"), b"precious");
 }
 
 #[test]

@@ -45,9 +45,8 @@ const LAYERS: [(&str, &[&str]); 10] = [
 ];
 
 /// Dependencies that one crate keeps to itself, and the place in its sources (a file or a folder) that names them.
-const KEPT: [(&str, &str, &str); 3] = [
+const KEPT: [(&str, &str, &str); 2] = [
     ("rerun", "locsim", "crates/cli/src/recording"),
-    ("serde_yaml", "locsim-lab", "crates/lab/src/yaml.rs"),
     ("parry2d-f64", "locsim-world", "crates/world/src/raycast"),
 ];
 
@@ -93,7 +92,7 @@ fn crates_use_only_the_layers_below_them() {
 }
 
 #[test]
-fn one_crate_each_knows_rerun_yaml_and_parry() {
+fn one_crate_each_knows_rerun_and_parry() {
     let found = dependencies();
     for (kept, owner, _) in KEPT {
         let users: Vec<_> = found.iter().filter(|(_, used)| used.iter().any(|name| name == kept)).collect();

@@ -1,8 +1,10 @@
 //! What a user can type.
 
+use std::fmt::Write;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use locsim_core::limits::{Limit, Limits};
 
 /// A laboratory for particle-filter localization with range sensors.
 ///
@@ -10,9 +12,28 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 #[derive(Debug, Parser)]
 #[command(name = "locsim", version, max_term_width = 110)]
 pub struct Arguments {
+    /// Changes a limit on what may be read, such as `map_pixels=400000000`; may be given more than once
+    #[arg(long, global = true, value_name = "NAME=VALUE", long_help = limit_help())]
+    pub limit: Vec<String>,
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
+}
+
+/// The limits with their defaults.
+fn limit_help() -> String {
+    let mut help = "Changes a limit on what may be read; may be given more than once. The limits:\n".to_owned();
+    for Limit { name, default, what } in Limits::TABLE {
+        let _ = write!(help, "\n  {name}={default}\n      {what}");
+    }
+    help
+}
+
+/// A whole number from 0 on; clap's own message of a number that is too large or negative doesn't say what is allowed.
+fn whole<T: TryFrom<u64> + Copy>(text: &str) -> Result<T, String> {
+    let most = if size_of::<T>() == 4 { u64::from(u32::MAX) } else { u64::MAX };
+    let refused = || format!("a whole number from 0 to {most} is allowed");
+    text.parse::<u64>().ok().and_then(|value| T::try_from(value).ok()).ok_or_else(refused)
 }
 
 /// The subcommands.
@@ -67,13 +88,13 @@ pub struct Run {
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Number of trials, instead of the scenario's
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>)]
     pub trials: Option<u32>,
     /// Seed, instead of the scenario's
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
-    /// Worker threads; results don't depend on it [default: all cores]
-    #[arg(long)]
+    /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub threads: Option<usize>,
     /// Only these models of the scenario, separated by commas
     #[arg(long, value_delimiter = ',')]
@@ -81,9 +102,12 @@ pub struct Run {
     /// Where the recording of one trial goes: a file in the results folder, a running viewer, a new viewer
     #[arg(long, value_enum, default_value_t = Record::File)]
     pub record: Record,
-    /// Go on with an interrupted run of the same scenario instead of starting again
+    /// Go on with an interrupted run of the same scenario
     #[arg(long)]
     pub resume: bool,
+    /// Replace earlier results of locsim, and what an interrupted run has kept; nothing else is ever touched
+    #[arg(long, conflicts_with = "resume")]
+    pub force: bool,
     /// Where range tables are kept between runs [default: `locsim` in the user's cache folder]
     #[arg(long, env = "LOCSIM_CACHE", value_name = "FOLDER", hide_env_values = true)]
     pub cache: Option<PathBuf>,
@@ -118,17 +142,23 @@ pub struct Study {
     #[arg(long, default_value = "results")]
     pub out: PathBuf,
     /// Number of repeats, instead of the study's
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>)]
     pub repeats: Option<u32>,
     /// Seed, instead of the study's
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
-    /// Worker threads; results don't depend on it [default: all cores]
-    #[arg(long)]
+    /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub threads: Option<usize>,
     /// Two repeats on little data, to see whether everything works
     #[arg(long)]
     pub quick: bool,
+    /// Go on with an interrupted study
+    #[arg(long)]
+    pub resume: bool,
+    /// Replace earlier results of locsim, and what an interrupted study has kept; nothing else is ever touched
+    #[arg(long, conflicts_with = "resume")]
+    pub force: bool,
     /// Print nothing but errors (and, with --json, the results)
     #[arg(long)]
     pub quiet: bool,
@@ -156,11 +186,14 @@ pub struct Simulate {
     /// The log to write: a ROS 2 bag (`.mcap`) or a CARMEN log (`.log`, `.log.gz`)
     #[arg(long)]
     pub out: PathBuf,
+    /// Replace the log if it is there
+    #[arg(long)]
+    pub force: bool,
     /// Which trial of the scenario to write
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true, value_parser = whole::<u32>)]
     pub trial: u32,
     /// Seed, instead of the scenario's
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
 }
 
@@ -172,6 +205,9 @@ pub struct Map {
     /// The map to write: OUT.yaml and OUT.pgm
     #[arg(long)]
     pub out: PathBuf,
+    /// Replace the map if it is there
+    #[arg(long)]
+    pub force: bool,
     /// Cell size \[m\]
     #[arg(long, default_value_t = 0.05)]
     pub resolution: f64,
@@ -211,20 +247,23 @@ pub struct Gap {
     /// Results folder
     #[arg(long, required_unless_present = "explain")]
     pub out: Option<PathBuf>,
+    /// Replace earlier results of locsim; nothing else is ever touched
+    #[arg(long)]
+    pub force: bool,
     /// Simulated logs behind a p-value, at least 19; its least value is 1 / (replicates + 1)
-    #[arg(long, default_value_t = 999)]
+    #[arg(long, default_value_t = 999, allow_negative_numbers = true, value_parser = whole::<u32>)]
     pub replicates: u32,
     /// Seed, instead of the scenario's
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
-    /// Worker threads; results don't depend on it [default: all cores]
-    #[arg(long)]
+    /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub threads: Option<usize>,
     /// The most scans of the log that are looked at
-    #[arg(long, default_value_t = 600)]
+    #[arg(long, default_value_t = 600, allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub scans: usize,
     /// The most beams of a scan that are looked at, evenly spread
-    #[arg(long, default_value_t = 72)]
+    #[arg(long, default_value_t = 72, allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub beams: usize,
     /// Effects that are left out of the library, separated by commas
     #[arg(long, value_name = "EFFECT", value_delimiter = ',')]
@@ -260,6 +299,9 @@ pub struct Bench {
     /// folder (some minutes)
     #[arg(long)]
     pub sweeps: Option<PathBuf>,
+    /// Replace earlier sweeps of locsim there; nothing else is ever touched
+    #[arg(long)]
+    pub force: bool,
     /// No progress bars
     #[arg(long)]
     pub quiet: bool,
@@ -275,10 +317,10 @@ pub struct GapBench {
     #[arg(long, value_enum, default_value_t = Size::Small)]
     pub size: Size,
     /// Everything random derives from it: tune on one seed, score on another
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: u64,
     /// Begin no log after so many minutes, and score what is done; the same command goes on
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub minutes: Option<u64>,
     /// Folder for logs, truths, findings and the report; what it holds already isn't run again
     #[arg(long, default_value = "results/gap-bench")]
@@ -289,8 +331,8 @@ pub struct GapBench {
     /// The most scans of a log
     #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..))]
     pub scans: u32,
-    /// Worker threads; results don't depend on it [default: all cores]
-    #[arg(long)]
+    /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub threads: Option<usize>,
     /// Print nothing but errors (and, with --json, the figures)
     #[arg(long)]

@@ -1,18 +1,20 @@
 //! The `locsim` command: runs scenarios, checks them, lists effects, simulates logs, builds maps, measures speed.
 
 mod arguments;
+mod interrupt;
 mod progress;
 mod recording;
+mod terminal;
 
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::{CommandFactory, Parser};
+use locsim_core::limits::{Limits, THREADS_PER_CORE};
+use locsim_core::output::Output;
 use locsim_dataset::{LogOptions, McapTopics};
 use locsim_lab::bench;
 use locsim_lab::effects;
@@ -23,8 +25,11 @@ use locsim_lab::run::{self, Recorder, RunError, RunOptions};
 use locsim_lab::scenario::{self, Overrides, Scenario};
 
 use arguments::{Arguments, Bench, Command, Gap, Map, Record, Run, Simulate};
+use interrupt::Interrupt;
+use locsim_lab::store::{Request, Store};
 use locsim_lab::study::{self, StudyError, StudyOptions, StudyOverrides};
 use progress::Bars;
+use terminal::{complain, say};
 
 /// A bound that the scenario declares was missed.
 const MISSED: u8 = 1;
@@ -37,7 +42,23 @@ const INTERRUPTED: u8 = 130;
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let done = match &arguments.command {
+    let limits = Limits::DEFAULT.with(arguments.limit.iter().map(String::as_str));
+    let done = limits.map_err(anyhow::Error::from).and_then(|limits| {
+        limits.set();
+        obey(&arguments.command)
+    });
+    done.unwrap_or_else(|error| {
+        complain(&format!("error: {}", explain(&error)));
+        let interrupted = matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }))
+            || matches!(error.downcast_ref(), Some(StudyError::Interrupted))
+            || error.downcast_ref::<GapBenchError>().is_some_and(GapBenchError::is_interruption)
+            || error.downcast_ref().is_some_and(GapStudyError::is_interruption);
+        ExitCode::from(if interrupted { INTERRUPTED } else { BAD_INPUT })
+    })
+}
+
+fn obey(command: &Command) -> Result<ExitCode> {
+    match command {
         Command::Run(arguments) => run(arguments),
         Command::Study(arguments) => run_studies(arguments),
         Command::BenchRegression(arguments) => bench_regression(arguments),
@@ -50,18 +71,12 @@ fn main() -> ExitCode {
         Command::Bench(arguments) => bench(arguments),
         Command::GapBench(arguments) => run_gap_bench(arguments),
         Command::Completions { shell } => {
-            clap_complete::generate(*shell, &mut Arguments::command(), "locsim", &mut std::io::stdout());
+            let mut script = Vec::new();
+            clap_complete::generate(*shell, &mut Arguments::command(), "locsim", &mut script);
+            say(&String::from_utf8(script)?)?;
             Ok(ExitCode::SUCCESS)
         }
-    };
-    done.unwrap_or_else(|error| {
-        eprintln!("error: {}", explain(&error));
-        let interrupted = matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }))
-            || matches!(error.downcast_ref(), Some(StudyError::Interrupted))
-            || error.downcast_ref::<GapBenchError>().is_some_and(GapBenchError::is_interruption)
-            || error.downcast_ref().is_some_and(GapStudyError::is_interruption);
-        ExitCode::from(if interrupted { INTERRUPTED } else { BAD_INPUT })
-    })
+    }
 }
 
 /// An error with its causes; a cause that the message quotes already isn't said again.
@@ -80,7 +95,7 @@ fn run(arguments: &Run) -> Result<ExitCode> {
         Overrides { trials: arguments.trials, seed: arguments.seed, models: arguments.models.clone() };
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     use_threads(arguments.threads)?;
-    let interrupted = on_interrupt()?;
+    let interrupt = Interrupt::listen()?;
     #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
     let start = Instant::now();
     let clock = || start.elapsed();
@@ -91,27 +106,29 @@ fn run(arguments: &Run) -> Result<ExitCode> {
     let options = RunOptions {
         out: out.clone(),
         resume: arguments.resume,
+        force: arguments.force,
         command: command_line(arguments, &scenario),
         clock: &clock,
         progress: &bars,
-        interrupted: &interrupted,
+        interrupted: interrupt.flag(),
         cache: cache.as_deref(),
         recorder: recorder.as_deref(),
     };
+    interrupt.work_on(&out, "trials");
     let outcome = run::run(&scenario, &options)?;
     if arguments.json {
         say(&serde_json::to_string_pretty(&outcome.summary)?)?;
     } else if !arguments.quiet {
         say(&terminal_table(&outcome.summary))?;
         let replay = if arguments.record == Record::File {
-            format!("; `rerun {}` replays", out.join("recording.rrd").display())
+            format!("; `rerun {}` replays", out.join(run::RECORDING).display())
         } else {
             String::new()
         };
         say(&format!("Results in {} (open report.html{replay})", out.display()))?;
     }
     for missed in &outcome.missed {
-        eprintln!("missed: {missed}");
+        complain(&format!("missed: {missed}"));
     }
     Ok(if outcome.missed.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(MISSED) })
 }
@@ -119,7 +136,7 @@ fn run(arguments: &Run) -> Result<ExitCode> {
 /// Runs what of the suite hasn't been run, and prints its table.
 fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
     use_threads(arguments.threads)?;
-    let interrupted = on_interrupt()?;
+    let interrupt = Interrupt::listen()?;
     #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
     let start = Instant::now();
     let clock = || start.elapsed();
@@ -137,22 +154,19 @@ fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
         scans: arguments.scans as usize,
         clock: &clock,
         progress: &bars,
-        interrupted: &interrupted,
+        interrupted: interrupt.flag(),
         no_later: arguments.minutes.map(|minutes| Duration::from_secs(60 * minutes)),
     };
     let score = gap_bench::run(&options)?;
-    std::fs::write(arguments.out.join("report.md"), gap_bench::report(&score))?;
-    let json = serde_json::to_string_pretty(&score)?;
-    std::fs::write(arguments.out.join("score.json"), &json)?;
     if arguments.json {
-        say(&json)?;
+        say(&serde_json::to_string_pretty(&score)?)?;
     } else if !arguments.quiet {
         say(&gap_bench::table(&score))?;
         say(&format!(
             "{} of {} logs; report in {}",
             score.runs,
             score.planned,
-            arguments.out.join("report.md").display()
+            arguments.out.join(gap_bench::REPORT).display()
         ))?;
     }
     Ok(ExitCode::SUCCESS)
@@ -161,25 +175,14 @@ fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
 /// Limits the worker threads.
 fn use_threads(threads: Option<usize>) -> Result<()> {
     if let Some(threads) = threads {
-        anyhow::ensure!(threads > 0, "--threads: 0 is not allowed; a whole number from 1");
+        let most = THREADS_PER_CORE * std::thread::available_parallelism().map_or(1, usize::from);
+        anyhow::ensure!(
+            (1..=most).contains(&threads),
+            "--threads: {threads} is not allowed; a whole number from 1 to {most}, {THREADS_PER_CORE} for each core"
+        );
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     }
     Ok(())
-}
-
-/// What an interrupt sets.
-fn on_interrupt() -> Result<Arc<AtomicBool>> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    ctrlc::set_handler({
-        let interrupted = Arc::clone(&interrupted);
-        move || {
-            // A second interrupt means "now".
-            if interrupted.swap(true, Ordering::Relaxed) {
-                std::process::exit(i32::from(INTERRUPTED));
-            }
-        }
-    })?;
-    Ok(interrupted)
 }
 
 /// Runs every study that can be read; one that can't doesn't keep the others from running.
@@ -187,7 +190,7 @@ fn run_studies(arguments: &arguments::Study) -> Result<ExitCode> {
     let overrides =
         StudyOverrides { repeats: arguments.repeats, seed: arguments.seed, quick: arguments.quick };
     use_threads(arguments.threads)?;
-    let interrupted = on_interrupt()?;
+    let interrupt = Interrupt::listen()?;
     let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
     let mut refused = false;
     for path in &arguments.studies {
@@ -195,12 +198,19 @@ fn run_studies(arguments: &arguments::Study) -> Result<ExitCode> {
             Ok(study) => study,
             Err(error) => {
                 refused = true;
-                eprintln!("error: {error}");
+                complain(&format!("error: {error}"));
                 continue;
             }
         };
         let out = arguments.out.join(&study.name);
-        let options = StudyOptions { out: out.clone(), progress: &bars, interrupted: &interrupted };
+        let options = StudyOptions {
+            out: out.clone(),
+            resume: arguments.resume,
+            force: arguments.force,
+            progress: &bars,
+            interrupted: interrupt.flag(),
+        };
+        interrupt.work_on(&out, "repeats");
         let results = study::run(&study, &options)?;
         if arguments.json {
             say(&serde_json::to_string(&results)?)?;
@@ -277,9 +287,8 @@ fn recorder(record: Record, scenario: &str) -> Option<Box<Recorder<'static>>> {
     let scenario = scenario.to_owned();
     match record {
         Record::None => None,
-        Record::File => Some(Box::new(move |trial, folder| {
-            let path = folder.join("recording.rrd");
-            Ok(recording::record(trial, &scenario, recording::Sink::File(&path))?)
+        Record::File => Some(Box::new(move |trial, path| {
+            Ok(recording::record(trial, &scenario, recording::Sink::File(path))?)
         })),
         Record::Connect => {
             Some(Box::new(move |trial, _| Ok(recording::record(trial, &scenario, recording::Sink::Connect)?)))
@@ -297,7 +306,7 @@ fn validate(files: &[PathBuf]) -> Result<ExitCode> {
             Ok(content) => say(&format!("{}: valid ({content})", path.display()))?,
             Err(error) => {
                 refused = true;
-                eprintln!("error: {error}");
+                complain(&format!("error: {error}"));
             }
         }
     }
@@ -332,6 +341,7 @@ fn effects(name: Option<&str>) -> Result<ExitCode> {
 fn simulate(arguments: &Simulate) -> Result<ExitCode> {
     let overrides = Overrides { seed: arguments.seed, ..Overrides::default() };
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
+    Output { path: &arguments.out, force: arguments.force, inputs: &scenario.inputs()? }.check()?;
     let drive = run::simulate_trial(&scenario, arguments.trial)?;
     locsim_dataset::write_log(&arguments.out, &drive)?;
     say(&format!(
@@ -381,7 +391,7 @@ fn gap(arguments: &Gap) -> Result<ExitCode> {
     };
     let study = GapStudy::load(scenario, log, settings)?;
     use_threads(arguments.threads)?;
-    let interrupted = on_interrupt()?;
+    let interrupt = Interrupt::listen()?;
     #[expect(clippy::disallowed_methods, reason = "the binary is where time is taken")]
     let start = Instant::now();
     let clock = || start.elapsed();
@@ -389,15 +399,14 @@ fn gap(arguments: &Gap) -> Result<ExitCode> {
     let cache = arguments.cache.clone().or_else(users_cache);
     let options = GapStudyOptions {
         out: out.clone(),
+        force: arguments.force,
         command: gap_command_line(arguments, &study),
         filter: !arguments.no_filter,
         clock: &clock,
         progress: &bars,
-        interrupted: &interrupted,
+        interrupted: interrupt.flag(),
         cache: cache.as_deref(),
-        recorder: Some(&|study, outcome, folder| {
-            Ok(recording::record_gap(study, outcome, &folder.join("gap.rrd"))?)
-        }),
+        recorder: Some(&|study, outcome, path| Ok(recording::record_gap(study, outcome, path)?)),
     };
     let outcome = gap::run(&study, &options)?;
     if arguments.json {
@@ -456,8 +465,6 @@ fn map(arguments: &Map) -> Result<ExitCode> {
         0.0 <= from && from < to && to <= 1.0,
         "--share: {from},{to} is not allowed; 0 <= from < to <= 1"
     );
-    let options = log_options(&arguments.log_options);
-    let (grid, summary) = run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, &options)?;
     let named_yaml = arguments.out.extension().is_some_and(|extension| extension == "yaml");
     let stem = if named_yaml { arguments.out.with_extension("") } else { arguments.out.clone() };
     // Appended: what follows a dot in a name such as `floor-0.05` is no extension.
@@ -466,9 +473,18 @@ fn map(arguments: &Map) -> Result<ExitCode> {
         name.push(extension);
         PathBuf::from(name)
     });
-    grid.write_image(&image)?;
     let name = image.file_name().map(Path::new).context("--out needs a file name")?;
-    std::fs::write(&yaml, grid.map_file(name).to_yaml()).with_context(|| yaml.display().to_string())?;
+    let inputs = [arguments.log.clone()];
+    let [image_file, yaml_file] =
+        [&image, &yaml].map(|path| Output { path, force: arguments.force, inputs: &inputs });
+    image_file.check()?;
+    yaml_file.check()?;
+    let options = log_options(&arguments.log_options);
+    let (grid, summary) = run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, &options)?;
+    // The image first: without the other file, no map is there yet.
+    let [pgm, description] = run::map_files(&grid, name);
+    image_file.write(&pgm)?;
+    yaml_file.write(&description)?;
     say(&summary.to_string())?;
     say(&format!(
         "{}: {} x {} cells of {} m",
@@ -485,10 +501,15 @@ fn bench(arguments: &Bench) -> Result<ExitCode> {
     let start = Instant::now();
     let clock = || start.elapsed();
     let bars = Bars::new(arguments.quiet || !std::io::stderr().is_terminal());
+    let force = arguments.force;
+    let sweeps = arguments.sweeps.as_deref().map(|out| {
+        Store::open(&Request { out, kind: "sweeps", fingerprint: "", resume: false, force })
+    });
+    let sweeps = sweeps.transpose()?;
     let bench = bench::Bench::prepare(&arguments.folder, &clock, &bars)?;
     let report = bench.run(&clock, &bars)?;
-    if let Some(out) = &arguments.sweeps {
-        bench::sweep(&bench, out, &clock, &bars)?;
+    if let Some(store) = sweeps {
+        bench::sweep(&bench, store, &clock, &bars)?;
     }
     say(&if arguments.json {
         serde_json::to_string_pretty(&report)?
@@ -496,12 +517,4 @@ fn bench(arguments: &Bench) -> Result<ExitCode> {
         bench::terminal_text(&report)
     })?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// Prints a line; a reader that closes the pipe early (`| head`) is no error.
-fn say(text: &str) -> Result<()> {
-    match writeln!(std::io::stdout(), "{}", text.trim_end()) {
-        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        other => other.context("standard output"),
-    }
 }

@@ -5,6 +5,8 @@ use std::sync::Mutex;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use locsim_lab::run::Progress;
 
+use crate::terminal::complain;
+
 /// One bar, made anew for each stage of a run.
 pub struct Bars {
     quiet: bool,
@@ -47,5 +49,9 @@ impl Progress for Bars {
 
     fn finish(&self) {
         self.with_bar(|bar| bar.finish_and_clear());
+    }
+
+    fn note(&self, text: &str) {
+        self.with_bar(|bar| bar.suspend(|| complain(&format!("note: {text}"))));
     }
 }

@@ -14,6 +14,15 @@ pub const YAML_DEPTH: usize = 64;
 /// A log may always unpack to this many times its own size: scans as text shrink to a quarter or an eighth.
 pub const UNPACKING_FACTOR: u64 = 20;
 
+/// A scan's poses and times take as much memory as this many readings; each scan of a log counts so many more.
+pub const READINGS_PER_SCAN: u64 = 100;
+
+/// No coordinate (m), angle (rad) or duration (s) that is read is larger; nothing on Earth needs more.
+pub const COORDINATE: f64 = 1e9;
+
+/// No time (s) that is read is larger: beyond it neighbouring times are too far apart.
+pub const STAMP_SECS: f64 = 1e12;
+
 /// Worker threads for each core of the machine, at the most.
 pub const THREADS_PER_CORE: usize = 4;
 
@@ -65,13 +74,21 @@ limits! {
     /// Pixels of a map's image, told by its header before it is read.
     map_pixels = 1 << 26, "pixels of a map's image";
     /// Wall segments of a map.
-    map_segments = 1_000_000, "wall segments of a map";
+    map_segments = 500_000, "wall segments of a map";
+    /// Corners of a vector map's outline and obstacles together, which decide what is free space.
+    map_corners = 20_000, "corners of a vector map's outline and obstacles";
+    /// Cells of a grid over a map, such as that of the distances to its walls.
+    grid_cells = 100_000_000, "cells of a grid over a map";
     /// Bytes that a small compressed log may unpack to; a larger one may unpack to [`UNPACKING_FACTOR`] times its size.
     log_unpacked_bytes = 1 << 29, "bytes that a compressed log unpacks to";
-    /// Readings of a log, all scans together; each takes 4 bytes.
-    log_readings = 1 << 27, "range readings of a log";
+    /// Readings of a log, all scans together, and [`READINGS_PER_SCAN`] for each scan; each takes 4 bytes.
+    log_readings = 1 << 27, "range readings of a log (100 more for each scan)";
+    /// Lines of a text log, and messages of a bag that are read; each takes up to 40 bytes.
+    log_messages = 1 << 23, "lines of a text log or messages read from a bag";
+    /// Blocks around the robot in all scans of a simulated drive together; each takes 80 bytes.
+    drive_blocks = 5_000_000, "unmapped blocks in all scans of a simulated drive";
     /// Bytes of a file of a fitted sensor model.
-    model_bytes = 1 << 28, "bytes of a sensor model's file";
+    model_bytes = 1 << 26, "bytes of a sensor model's file";
     /// Bytes of a table of comma-separated values.
     table_bytes = 1 << 28, "bytes of a table of comma-separated values";
     /// Bytes of the folder in which range tables are kept; the ones not used for longest go first.
@@ -135,6 +152,16 @@ impl Limits {
         let what = Self::TABLE.iter().find(|row| row.name == name).map_or("", |row| row.what);
         format!("{found} {what} are not allowed; at most {limit} (`--limit {name}={found}` raises it)")
     }
+
+    /// [`Limits::refusal`] where reading stops at the first too many, so that nobody knows how many there are.
+    ///
+    /// # Panics
+    /// There is no limit of this name.
+    pub fn refusal_above(name: &str, allowed: u64) -> String {
+        let limit = Self::TABLE.iter().find(|row| row.name == name).expect("a name of the table");
+        let (what, more) = (limit.what, allowed.saturating_mul(2));
+        format!("more than {allowed} {what} are not allowed (`--limit {name}={more}` allows twice as many)")
+    }
 }
 
 /// A value as an error quotes it: control characters escaped, cut after [`QUOTED_CHARACTERS`].
@@ -166,6 +193,10 @@ mod tests {
         assert_eq!(
             limits.refusal("map_pixels", 8),
             "8 pixels of a map's image are not allowed; at most 7 (`--limit map_pixels=8` raises it)"
+        );
+        assert_eq!(
+            Limits::refusal_above("map_pixels", 7),
+            "more than 7 pixels of a map's image are not allowed (`--limit map_pixels=14` allows twice as many)"
         );
     }
 

@@ -98,11 +98,17 @@ pub fn write_file(path: &Path, body: impl FnOnce(&mut dyn Write) -> io::Result<(
     // As other programs create files: for all whom the user's mask allows.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = BufWriter::new(builder.tempfile_in(folder)?);
+    let mut file = BufWriter::new(builder.tempfile_in(folder).map_err(without_path)?);
     body(&mut file)?;
     let file = file.into_inner()?;
     file.as_file().sync_all()?;
     file.persist(path).map(|_: File| ()).map_err(|error| error.error)
+}
+
+/// What the system says, without the temporary file's name, which means nothing to a user.
+fn without_path(error: io::Error) -> io::Error {
+    let system = error.get_ref().and_then(|error| error.source()?.downcast_ref::<io::Error>());
+    system.and_then(io::Error::raw_os_error).map_or(error, io::Error::from_raw_os_error)
 }
 
 #[cfg(test)]
@@ -121,6 +127,13 @@ mod tests {
         assert_eq!(failed.unwrap_err().to_string(), "full");
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_folder_that_is_not_there_is_told_as_the_system_tells_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = write_file(&folder.path().join("none/a"), |_| Ok(())).unwrap_err();
+        assert_eq!(error.to_string(), fs::read(folder.path().join("none/a")).unwrap_err().to_string());
     }
 
     #[cfg(unix)]

@@ -25,6 +25,24 @@ pub enum DatasetError {
         /// What the system or the decompressor says.
         source: io::Error,
     },
+    /// The file is no log, by its first bytes.
+    #[error("{}: this is {found}", path.display())]
+    NotALog {
+        /// The file.
+        path: PathBuf,
+        /// What it is, and what is allowed.
+        found: &'static str,
+    },
+    /// The log costs more than the limits allow, or holds what no log may hold.
+    #[error("{}{}: {reason}", path.display(), line.map(|line| format!(":{line}")).unwrap_or_default())]
+    Refused {
+        /// The file.
+        path: PathBuf,
+        /// The line, where the file is a text.
+        line: Option<usize>,
+        /// What is wrong, and what is allowed.
+        reason: String,
+    },
     /// The file holds nothing, or nothing but blank lines and comments.
     #[error("{}: the file is empty", path.display())]
     Empty {

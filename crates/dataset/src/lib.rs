@@ -3,24 +3,28 @@
 //! [`read_log`] and [`write_log`] choose the format by the file's name. [`read_mcap`] and [`write_mcap`] exchange
 //! bags with ROS 2. [`read_carmen`] reads what the Radish repository and its mirrors hold; [`write_carmen`] writes a
 //! drive so that [`read_carmen`] returns it again. [`read_tum`] and [`write_tum`] exchange trajectories with `evo`.
-//! Text files may be compressed with gzip: readers look at the content, writers at the name.
+//! [`encode_log`] and [`encode_tum`] give the same bytes to any [`Write`](std::io::Write). Text files may be compressed with gzip: readers look at the content, writers at the name.
 
 mod carmen;
 mod error;
+mod laser;
 mod lines;
 mod log;
 mod output;
 mod quaternion;
 mod ros;
+mod source;
 mod summary;
 mod tum;
 
+#[cfg(test)]
+mod mutations;
 #[cfg(test)]
 mod test_drives;
 
 pub use carmen::{CarmenLaser, CarmenOptions, read_carmen, write_carmen};
 pub use error::DatasetError;
-pub use log::{LogFormat, LogOptions, read_log, write_log};
+pub use log::{LogFormat, LogOptions, encode_log, read_log, write_log};
 pub use ros::{McapOptions, McapTopics, read_mcap, write_mcap};
 pub use summary::{LogKind, LogSummary, OdometrySource};
-pub use tum::{StampedPose, odometry_trajectory, read_tum, reference_trajectory, write_tum};
+pub use tum::{StampedPose, encode_tum, odometry_trajectory, read_tum, reference_trajectory, write_tum};

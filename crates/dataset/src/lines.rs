@@ -1,39 +1,29 @@
 use std::borrow::Cow;
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, Read};
 use std::path::Path;
 use std::str::{FromStr, SplitAsciiWhitespace};
 
-use flate2::bufread::MultiGzDecoder;
 use locsim_core::Pose2;
+use locsim_core::limits::{COORDINATE, Limits, STAMP_SECS, quoted};
 
 use crate::DatasetError;
 
 /// No line of a log is longer: a scan of 1000 beams takes about 10 kB.
 const LONGEST_LINE: usize = 1 << 20;
 
-/// Opens a file, decompressing it when it starts with the magic number of gzip (RFC 1952).
-pub fn open(path: &Path) -> Result<Box<dyn BufRead>, DatasetError> {
-    let failed = |source| DatasetError::Open { path: path.to_owned(), source };
-    let mut file = BufReader::new(File::open(path).map_err(failed)?);
-    if file.fill_buf().map_err(failed)?.starts_with(&[0x1f, 0x8b]) {
-        Ok(Box::new(BufReader::with_capacity(1 << 16, MultiGzDecoder::new(file))))
-    } else {
-        Ok(Box::new(file))
-    }
-}
-
 /// Reads a text file line by line into one buffer.
 pub struct Lines<'a, R> {
     path: &'a Path,
+    /// So many lines may be read.
+    allowed: u64,
     reader: R,
     number: usize,
     buffer: Vec<u8>,
 }
 
 impl<'a, R: BufRead> Lines<'a, R> {
-    pub fn new(path: &'a Path, reader: R) -> Self {
-        Self { path, reader, number: 0, buffer: Vec::new() }
+    pub fn new(path: &'a Path, reader: R, limits: &Limits) -> Self {
+        Self { path, allowed: limits.log_messages, reader, number: 0, buffer: Vec::new() }
     }
 
     /// The next line that isn't blank; `None` at the end.
@@ -46,6 +36,14 @@ impl<'a, R: BufRead> Lines<'a, R> {
             )?;
             if self.buffer.is_empty() {
                 return Ok(None);
+            }
+            if self.number as u64 > self.allowed {
+                let reason = Limits::refusal_above("log_messages", self.allowed);
+                return Err(DatasetError::Refused {
+                    path: self.path.to_owned(),
+                    line: Some(self.number),
+                    reason,
+                });
             }
             if self.buffer.len() == LONGEST_LINE && !self.buffer.ends_with(b"\n") {
                 return Err(DatasetError::LongLine {
@@ -65,7 +63,7 @@ impl<'a, R: BufRead> Lines<'a, R> {
         Err(DatasetError::CutOff {
             path: self.path.to_owned(),
             line: self.number,
-            keyword: line.fields().keyword.into(),
+            keyword: quoted(line.fields().keyword).into(),
         })
     }
 }
@@ -73,7 +71,7 @@ impl<'a, R: BufRead> Lines<'a, R> {
 /// One line that isn't blank. Bytes that aren't UTF-8 have become replacement characters.
 pub struct Line<'a> {
     path: &'a Path,
-    pub number: usize,
+    number: usize,
     text: Cow<'a, str>,
 }
 
@@ -83,6 +81,11 @@ impl Line<'_> {
         let mut rest = self.text.split_ascii_whitespace();
         let keyword = rest.next().unwrap_or_default();
         Fields { path: self.path, line: self.number, keyword, rest }
+    }
+
+    /// The error for a line that is one too many.
+    pub fn refuse(&self, reason: String) -> DatasetError {
+        DatasetError::Refused { path: self.path.to_owned(), line: Some(self.number), reason }
     }
 
     /// The line's fields where the format has no keywords; errors then call the line by `name`.
@@ -140,15 +143,28 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// The next field as a finite number.
+    /// The next field as a finite number up to a bound, of either sign.
+    fn number_up_to(&mut self, bound: f64, field: &str) -> Result<f64, DatasetError> {
+        let word = self.word();
+        match word.parse::<f64>() {
+            Ok(value) if value.abs() <= bound => Ok(value),
+            _ => Err(self.refuse(field, word, &format!("a finite number up to {bound:e}"))),
+        }
+    }
+
+    /// The next field as a number of which arithmetic is sound: a coordinate, an angle, a speed.
     pub fn number(&mut self, field: &str) -> Result<f64, DatasetError> {
-        self.value(field, "a finite number", f64::is_finite)
+        self.number_up_to(COORDINATE, field)
+    }
+
+    /// The next field as a time (s).
+    pub fn stamp(&mut self, field: &str) -> Result<f64, DatasetError> {
+        self.number_up_to(STAMP_SECS, field)
     }
 
     /// The next three fields as a pose (m, m, rad).
     pub fn pose(&mut self, of: &str) -> Result<Pose2, DatasetError> {
-        let [x, y, theta] = ["x", "y", "theta"]
-            .map(|axis| self.value(&format!("{of} {axis}"), "a finite number", f64::is_finite));
+        let [x, y, theta] = ["x", "y", "theta"].map(|axis| self.number(&format!("{of} {axis}")));
         Ok(Pose2::new(x?, y?, theta?))
     }
 
@@ -159,7 +175,7 @@ impl<'a> Fields<'a> {
             line: self.line,
             keyword: self.keyword.into(),
             field: field.into(),
-            value: value.chars().take(40).collect(),
+            value: quoted(value).into(),
             allowed: allowed.into(),
         }
     }

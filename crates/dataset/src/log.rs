@@ -1,11 +1,13 @@
+use std::io::Write;
 use std::path::Path;
 
 use locsim_core::Drive;
+use locsim_core::limits::Limits;
 
-use crate::{
-    CarmenOptions, DatasetError, LogSummary, McapOptions, McapTopics, read_carmen, read_mcap, write_carmen,
-    write_mcap,
-};
+use crate::carmen::{self, encode_carmen};
+use crate::output::write_whole;
+use crate::ros::{self, encode_mcap};
+use crate::{CarmenOptions, DatasetError, LogSummary, McapOptions, McapTopics};
 
 /// The formats of measured logs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,11 +35,16 @@ pub struct LogOptions {
     pub topics: McapTopics,
 }
 
-/// Reads a log in the format that its name tells: [`read_mcap`] or [`read_carmen`].
+/// Reads a log in the format that its name tells: [`read_mcap`](crate::read_mcap) or
+/// [`read_carmen`](crate::read_carmen).
 ///
 /// # Errors
 /// Those of the format's reader; topics are named for a CARMEN log.
 pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary), DatasetError> {
+    read(path, options, Limits::current())
+}
+
+pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
     let LogOptions { max_range_m, topics } = options.clone();
     match LogFormat::of(path) {
         LogFormat::Carmen if topics != McapTopics::default() => Err(DatasetError::Topic {
@@ -45,18 +52,32 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary)
             reason: "a topic is named; allowed: topics of a bag, a file named `.mcap`".to_owned(),
             found: "a CARMEN log".to_owned(),
         }),
-        LogFormat::Mcap => read_mcap(path, &McapOptions { topics, max_range_m, ..McapOptions::default() }),
-        LogFormat::Carmen => read_carmen(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }),
+        LogFormat::Mcap => {
+            ros::read(path, &McapOptions { topics, max_range_m, ..McapOptions::default() }, limits)
+        }
+        LogFormat::Carmen => {
+            carmen::read(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }, limits)
+        }
     }
 }
 
-/// Writes a drive in the format that the file's name tells: [`write_mcap`] or [`write_carmen`].
+/// Writes a drive in the format that the file's name tells: [`write_mcap`](crate::write_mcap) or
+/// [`write_carmen`](crate::write_carmen).
 ///
 /// # Errors
 /// Those of the format's writer.
 pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
+    write_whole(path, |out| encode_log(path, drive, out))
+}
+
+/// Writes the bytes of the file that [`write_log`] writes to `out`; `path` tells the format and whether they are
+/// compressed, and is for messages.
+///
+/// # Errors
+/// Those of the format's writer.
+pub fn encode_log(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
     match LogFormat::of(path) {
-        LogFormat::Mcap => write_mcap(path, drive),
-        LogFormat::Carmen => write_carmen(path, drive),
+        LogFormat::Mcap => encode_mcap(path, drive, out),
+        LogFormat::Carmen => encode_carmen(path, drive, out),
     }
 }

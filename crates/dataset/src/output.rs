@@ -1,51 +1,41 @@
-use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use locsim_core::Drive;
+use locsim_core::output::write_file;
 
 use crate::DatasetError;
 use crate::carmen::Beams;
 
-/// Writes a whole file through `body`, compressed when the name ends in `.gz`.
-///
-/// The text goes to a neighbour named `<name>.partial`, which takes the file's place when it is complete: a
-/// reader never sees half a file, and a failure leaves what was there before.
+/// Writes a whole file through `body`, in the place of one that is there.
 pub fn write_whole(
     path: &Path,
-    body: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    body: impl FnOnce(&mut dyn Write) -> Result<(), DatasetError>,
 ) -> Result<(), DatasetError> {
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
-    let partial = Path::new(&partial);
-    write_to(partial, path.extension().is_some_and(|e| e == "gz"), body)
-        .and_then(|()| fs::rename(partial, path))
-        .map_err(|source| {
-            // Nothing may be there to remove; the first failure is the one to report.
-            let _ = fs::remove_file(partial);
-            DatasetError::Write { path: path.to_owned(), source }
-        })
+    write_file(path, |file| body(file).map_err(io::Error::other)).map_err(|error| {
+        error
+            .downcast::<DatasetError>()
+            .unwrap_or_else(|source| DatasetError::Write { path: path.to_owned(), source })
+    })
 }
 
-fn write_to(
+/// Writes what `body` writes, compressed when the name of the file ends in `.gz`.
+pub fn encoded(
     path: &Path,
-    compress: bool,
+    out: &mut dyn Write,
     body: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-) -> io::Result<()> {
-    let file = BufWriter::new(File::create(path)?);
-    let file = if compress {
-        // Buffered on the outside too: the encoder works on blocks, the body writes words.
-        let mut encoder = BufWriter::new(GzEncoder::new(file, Compression::default()));
-        body(&mut encoder)?;
-        encoder.into_inner()?.finish()?
+) -> Result<(), DatasetError> {
+    let written = if path.extension().is_some_and(|extension| extension == "gz") {
+        // Buffered on the outside: the encoder works on blocks, the body writes words.
+        let mut encoder = BufWriter::new(GzEncoder::new(out, Compression::default()));
+        body(&mut encoder)
+            .and_then(|()| encoder.into_inner().map_err(io::IntoInnerError::into_error)?.finish().map(|_| ()))
     } else {
-        let mut file = file;
-        body(&mut file)?;
-        file
+        body(out)
     };
-    file.into_inner()?.sync_all()
+    written.map_err(|source| DatasetError::Write { path: path.to_owned(), source })
 }
 
 /// Bearings (rad) and times (s) of a drive's beams, where both are evenly spaced and the drive can be written.

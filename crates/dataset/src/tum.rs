@@ -1,11 +1,14 @@
+use std::io::Write;
 use std::path::Path;
 
+use locsim_core::limits::Limits;
 use locsim_core::{Drive, Pose2};
 
 use crate::DatasetError;
-use crate::lines::{self, Lines};
-use crate::output::write_whole;
+use crate::lines::Lines;
+use crate::output::{encoded, write_whole};
 use crate::quaternion::heading;
+use crate::source::open_text;
 
 /// A pose with its time: one line of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,10 +39,11 @@ pub fn odometry_trajectory(drive: &Drive) -> Vec<StampedPose> {
 /// The pose is projected to the plane: tz, roll and pitch are dropped.
 ///
 /// # Errors
-/// The file can't be read, has no pose or ends inside a line; a line doesn't have eight finite numbers, or its
+/// The file can't be read, has no pose, costs more than the [`Limits`] allow or ends inside a line; a line doesn't have eight finite numbers, or its
 /// quaternion isn't one of unit length (to 1 %).
 pub fn read_tum(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
-    let mut lines = Lines::new(path, lines::open(path)?);
+    let limits = Limits::current();
+    let mut lines = Lines::new(path, open_text(path, limits)?, limits);
     let mut trajectory = Vec::new();
     while let Some(line) = lines.next()? {
         let mut fields = line.fields_of("pose");
@@ -47,11 +51,12 @@ pub fn read_tum(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
             continue;
         }
         fields.expect_remaining(8, 0, "(timestamp tx ty tz qx qy qz qw)")?;
-        let mut v = [0.0; 8];
-        for (v, name) in v.iter_mut().zip(["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]) {
+        let stamp_secs = fields.stamp("timestamp")?;
+        let mut v = [0.0; 7];
+        for (v, name) in v.iter_mut().zip(["tx", "ty", "tz", "qx", "qy", "qz", "qw"]) {
             *v = fields.number(name)?;
         }
-        let [stamp_secs, x, y, _, qx, qy, qz, qw] = v;
+        let [x, y, _, qx, qy, qz, qw] = v;
         let theta = heading([qx, qy, qz, qw]).map_err(|length| {
             fields.refuse("length of the quaternion", &length.to_string(), "0.99 to 1.01")
         })?;
@@ -69,6 +74,15 @@ pub fn read_tum(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
 /// # Errors
 /// The trajectory is empty or holds a number that isn't finite; the file can't be written.
 pub fn write_tum(path: &Path, trajectory: &[StampedPose]) -> Result<(), DatasetError> {
+    write_whole(path, |out| encode_tum(path, trajectory, out))
+}
+
+/// Writes the bytes of the file that [`write_tum`] writes to `out`; `path` tells whether they are compressed, and is
+/// for messages.
+///
+/// # Errors
+/// Those of [`write_tum`].
+pub fn encode_tum(path: &Path, trajectory: &[StampedPose], out: &mut dyn Write) -> Result<(), DatasetError> {
     let unwritable =
         |reason: &str| DatasetError::Unwritable { path: path.to_owned(), reason: reason.to_owned() };
     if trajectory.is_empty() {
@@ -77,7 +91,7 @@ pub fn write_tum(path: &Path, trajectory: &[StampedPose]) -> Result<(), DatasetE
     if !trajectory.iter().all(|p| p.stamp_secs.is_finite() && p.pose.is_finite()) {
         return Err(unwritable("a pose or its time is not finite; allowed: finite numbers"));
     }
-    write_whole(path, |out| {
+    encoded(path, out, |out| {
         writeln!(out, "# timestamp tx ty tz qx qy qz qw")?;
         for StampedPose { stamp_secs, pose } in trajectory {
             let (qz, qw) = (0.5 * pose.theta).sin_cos();

@@ -10,6 +10,7 @@ pub mod results;
 pub mod run;
 pub mod scenario;
 pub mod statistics;
+pub mod store;
 pub mod study;
 pub mod summary;
 mod yaml;

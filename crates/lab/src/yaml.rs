@@ -1,49 +1,81 @@
 //! YAML files into typed values, with errors that name file, line, key path, value and what is allowed.
 //!
-//! The one module that names `serde_yaml`. That crate reads the text; the typed value is then made from its
-//! tree by [`Node`], whose errors keep what serde knows (the unknown key, the allowed ones) instead of a
-//! finished sentence.
+//! [`tree`] reads the text within limits; the typed value is then made from it by [`Node`], whose errors keep what serde
+//! knows (the unknown key, the allowed ones) instead of a finished sentence.
+
+pub(crate) mod tree;
 
 use std::fmt;
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
+use locsim_core::limits::{Limits, quoted};
 use serde::de::value::{MapDeserializer, SeqDeserializer};
 use serde::de::{self, DeserializeOwned, DeserializeSeed, Deserializer, Expected, Unexpected, Visitor};
 use serde::de::{IntoDeserializer, value::StrDeserializer};
-use serde_yaml::Value;
 
 use crate::scenario::error::unknown_word;
 use crate::scenario::locate::{Locations, join};
 use crate::scenario::{Problem, ScenarioError};
+use tree::{Entry, Value};
 
-/// The text of a file.
+/// How texts begin that aren't in UTF-8; the longer marks first, as one begins like a shorter one.
+const OTHER_ENCODINGS: [(&[u8], &str); 4] = [
+    (&[0xff, 0xfe, 0, 0], "UTF-32"),
+    (&[0, 0, 0xfe, 0xff], "UTF-32"),
+    (&[0xff, 0xfe], "UTF-16"),
+    (&[0xfe, 0xff], "UTF-16"),
+];
+
+/// How a text in UTF-8 may begin.
+const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
+
+/// The text of a file, without a byte-order mark. No more is read than the limit allows, also from what has no end.
 pub(crate) fn read(path: &Path) -> Result<String, ScenarioError> {
-    std::fs::read_to_string(path).map_err(|source| ScenarioError::Read { path: path.to_owned(), source })
+    let limits = Limits::current();
+    let most = limits.yaml_bytes;
+    let mut bytes = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(most.saturating_add(1)).read_to_end(&mut bytes))
+        .map_err(|source| ScenarioError::Read { path: path.to_owned(), source })?;
+    let invalid = |line, message| ScenarioError::Invalid {
+        file: path.to_owned(),
+        problems: vec![Problem { line, key: String::new(), message }],
+    };
+    if bytes.len() as u64 > most {
+        // A pipe or a device doesn't tell how much there is.
+        let size = std::fs::metadata(path).map_or(0, |found| found.len()).max(bytes.len() as u64);
+        return Err(invalid(None, limits.refusal("yaml_bytes", size)));
+    }
+    if let Some((_, encoding)) = OTHER_ENCODINGS.iter().find(|(mark, _)| bytes.starts_with(mark)) {
+        return Err(invalid(None, format!("a text in {encoding} is not allowed; save it as UTF-8")));
+    }
+    if bytes.starts_with(BYTE_ORDER_MARK) {
+        bytes.drain(..BYTE_ORDER_MARK.len());
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        let bytes = error.as_bytes();
+        let message = format!("the byte 0x{:02x} is not allowed; text in UTF-8", bytes[at]);
+        invalid(Some(tree::line_at(bytes, at)), message)
+    })
 }
 
 /// Makes a value from a text that was read from `path`, and tells where its keys stand. An enum is written as its
 /// variant's name, or as a map with that one key.
 ///
 /// # Errors
-/// [`ScenarioError`] when the text isn't YAML, holds a key twice, or doesn't fit `T`.
+/// [`ScenarioError`] when the text isn't YAML, holds a key twice, is above a limit, or doesn't fit `T`.
 pub(crate) fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<(T, Locations), ScenarioError> {
     let invalid = |problems| ScenarioError::Invalid { file: path.to_owned(), problems };
-    let locations = Locations::of(text);
-    if !locations.duplicates().is_empty() {
-        return Err(invalid(locations.duplicates().to_vec()));
+    let empty = || invalid(vec![Problem::of_file("the file is empty; a map of keys is needed")]);
+    let root = tree::read(text, Limits::current()).map_err(invalid)?.ok_or_else(empty)?;
+    if *root.value() == Value::Null {
+        return Err(empty());
     }
-    let tree: Value = serde_yaml::from_str(text).map_err(|error| {
-        let message = error.to_string();
-        // The line is already told.
-        let what = message.split(" at line ").next().unwrap_or_default();
-        let line = error.location().map(|at| at.line());
-        invalid(vec![Problem { line, key: String::new(), message: format!("not readable as YAML: {what}") }])
-    })?;
-    if tree.is_null() {
-        let message = "the file is empty; a map of keys is needed".to_owned();
-        return Err(invalid(vec![Problem { line: None, key: String::new(), message }]));
-    }
-    let value = serde_path_to_error::deserialize(Node(&tree)).map_err(|error| {
+    let locations = Locations::new(root);
+    let value = serde_path_to_error::deserialize(Node(locations.root().value())).map_err(|error| {
         let mut key =
             if error.path().iter().next().is_none() { String::new() } else { error.path().to_string() };
         if let Mismatch::MissingKey { key: missing } = error.inner() {
@@ -52,6 +84,15 @@ pub(crate) fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<(T, 
         invalid(vec![Problem { line: locations.line(&key), message: error.inner().to_string(), key }])
     })?;
     Ok((value, locations))
+}
+
+/// Whether a text is YAML and a map with this key.
+pub(crate) fn has_key(text: &str, key: &str) -> bool {
+    let root = tree::read(text, Limits::current()).ok().flatten();
+    root.is_some_and(|root| match root.value() {
+        Value::Map(entries) => entries.iter().any(|entry| *entry.key == *key),
+        _ => false,
+    })
 }
 
 /// Why a tree doesn't fit a type.
@@ -85,7 +126,7 @@ impl Mismatch {
             Unexpected::Unsigned(value) => value.to_string(),
             Unexpected::Signed(value) => value.to_string(),
             Unexpected::Float(value) => format!("{value:?}"),
-            Unexpected::Str(value) => format!("{value:?}"),
+            Unexpected::Str(value) => format!("\"{}\"", quoted(value)),
             Unexpected::Unit | Unexpected::Option => "no value".to_owned(),
             Unexpected::Seq => "a list".to_owned(),
             Unexpected::Map => "a map".to_owned(),
@@ -98,7 +139,10 @@ impl Mismatch {
 /// Serde's names of Rust types in words of the file.
 fn plain_words(expected: &str) -> String {
     match expected {
-        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, not negative".to_owned(),
+        "u8" => whole_numbers_to(u8::MAX.into()),
+        "u16" => whole_numbers_to(u16::MAX.into()),
+        "u32" => whole_numbers_to(u32::MAX.into()),
+        "u64" | "usize" => whole_numbers_to(u64::MAX),
         "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number".to_owned(),
         "f32" | "f64" => "a number".to_owned(),
         "a string" => "text (in quotes where it looks like a number)".to_owned(),
@@ -106,6 +150,10 @@ fn plain_words(expected: &str) -> String {
         other if other.starts_with("struct ") => "a map of keys".to_owned(),
         other => other.replace("an array of length", "a list of length"),
     }
+}
+
+fn whole_numbers_to(most: u64) -> String {
+    format!("a whole number from 0 to {most}")
 }
 
 impl de::Error for Mismatch {
@@ -141,7 +189,7 @@ impl de::Error for Mismatch {
     }
 }
 
-/// A tree as a serde deserializer.
+/// A value of a tree as a serde deserializer.
 #[derive(Clone, Copy)]
 struct Node<'de>(&'de Value);
 
@@ -157,10 +205,12 @@ impl<'de> IntoDeserializer<'de, Mismatch> for Node<'de> {
 fn scalar_text(value: &Value) -> Option<String> {
     match value {
         Value::Bool(value) => Some(value.to_string()),
-        Value::Number(value) => Some(value.to_string()),
-        Value::String(value) => Some(value.clone()),
+        Value::Unsigned(value) => Some(value.to_string()),
+        Value::Negative(value) => Some(value.to_string()),
+        Value::Float(_, text) | Value::Text(text) => Some(text.to_string()),
         Value::Null => Some("null".to_owned()),
-        Value::Sequence(_) | Value::Mapping(_) | Value::Tagged(_) => None,
+        Value::List(_) | Value::Map(_) => None,
+        Value::Shared(node) => scalar_text(node.value()),
     }
 }
 
@@ -171,18 +221,16 @@ impl<'de> Deserializer<'de> for Node<'de> {
         match self.0 {
             Value::Null => visitor.visit_unit(),
             Value::Bool(value) => visitor.visit_bool(*value),
-            Value::Number(number) => {
-                if let Some(value) = number.as_u64() {
-                    visitor.visit_u64(value)
-                } else if let Some(value) = number.as_i64() {
-                    visitor.visit_i64(value)
-                } else {
-                    visitor.visit_f64(number.as_f64().unwrap_or(f64::NAN))
-                }
-            }
-            Value::String(value) => visitor.visit_borrowed_str(value),
-            Value::Sequence(list) => {
-                let mut items = SeqDeserializer::new(list.iter().map(Node));
+            Value::Unsigned(value) => visitor.visit_u64(*value),
+            Value::Negative(value) => visitor.visit_i64(*value),
+            Value::Float(value, written) => visitor.visit_f64(*value).map_err(|error| match error {
+                // As it is written: a whole number may be too large to be one.
+                Mismatch::Value { allowed, .. } => Mismatch::Value { found: quoted(written), allowed },
+                other => other,
+            }),
+            Value::Text(value) => visitor.visit_borrowed_str(value),
+            Value::List(list) => {
+                let mut items = SeqDeserializer::new(list.iter().map(|item| Node(item.value())));
                 let value = visitor.visit_seq(&mut items)?;
                 match items.end() {
                     Ok(()) => Ok(value),
@@ -196,19 +244,17 @@ impl<'de> Deserializer<'de> for Node<'de> {
                     Err(other) => Err(other),
                 }
             }
-            Value::Mapping(map) => {
-                let entries = map.iter().map(|(key, value)| (Key(key), Node(value)));
+            Value::Map(entries) => {
+                let entries =
+                    entries.iter().map(|Entry { key, value, .. }| (Key(key), Node(value.value())));
                 visitor.visit_map(MapDeserializer::new(entries))
             }
-            Value::Tagged(tagged) => Err(Mismatch::Value {
-                found: format!("the YAML tag {}", tagged.tag),
-                allowed: "a value without a tag".to_owned(),
-            }),
+            Value::Shared(node) => Node(node.value()).deserialize_any(visitor),
         }
     }
 
     fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Mismatch> {
-        if self.0.is_null() { visitor.visit_none() } else { visitor.visit_some(self) }
+        if *self.0 == Value::Null { visitor.visit_none() } else { visitor.visit_some(self) }
     }
 
     fn deserialize_newtype_struct<V: Visitor<'de>>(
@@ -227,7 +273,7 @@ impl<'de> Deserializer<'de> for Node<'de> {
         visitor: V,
     ) -> Result<V::Value, Mismatch> {
         match self.0 {
-            Value::Sequence(_) => Err(Mismatch::value(Unexpected::Seq, &visitor)),
+            Value::List(_) => Err(Mismatch::value(Unexpected::Seq, &visitor)),
             _ => self.deserialize_any(visitor),
         }
     }
@@ -239,9 +285,8 @@ impl<'de> Deserializer<'de> for Node<'de> {
         visitor: V,
     ) -> Result<V::Value, Mismatch> {
         let (word, content) = match self.0 {
-            Value::Mapping(map) if map.len() == 1 => {
-                let entry = map.iter().next();
-                (entry.and_then(|(key, _)| scalar_text(key)), entry.map(|(_, value)| value))
+            Value::Map(entries) if let [Entry { key, value, .. }] = entries.as_slice() => {
+                (Some(key.to_string()), Some(value.value()))
             }
             Value::Null => (None, None),
             other => (scalar_text(other), None),
@@ -249,7 +294,7 @@ impl<'de> Deserializer<'de> for Node<'de> {
         let Some(word) = word else {
             let found = match self.0 {
                 Value::Null => "no value".to_owned(),
-                Value::Mapping(map) => format!("a map with {} keys", map.len()),
+                Value::Map(entries) => format!("a map with {} keys", entries.len()),
                 _ => "a list".to_owned(),
             };
             return Err(Mismatch::Value { found, allowed: format!("one of {}", variants.join(", ")) });
@@ -269,7 +314,7 @@ impl<'de> Deserializer<'de> for Node<'de> {
 
 /// A map key: always taken as text, or a number would count as the index of a field.
 #[derive(Clone, Copy)]
-struct Key<'de>(&'de Value);
+struct Key<'de>(&'de str);
 
 impl<'de> IntoDeserializer<'de, Mismatch> for Key<'de> {
     type Deserializer = Self;
@@ -283,11 +328,7 @@ impl<'de> Deserializer<'de> for Key<'de> {
     type Error = Mismatch;
 
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Mismatch> {
-        let text = scalar_text(self.0).ok_or_else(|| Mismatch::Value {
-            found: "a map or list as a key".to_owned(),
-            allowed: "a word".to_owned(),
-        })?;
-        visitor.visit_string(text)
+        visitor.visit_borrowed_str(self.0)
     }
 
     serde::forward_to_deserialize_any! {
@@ -305,8 +346,8 @@ struct Choice<'de> {
 impl<'de> Choice<'de> {
     fn content(&self) -> Result<Node<'de>, Mismatch> {
         self.content.map(Node).ok_or_else(|| Mismatch::Value {
-            found: format!("`{}` without a value", self.word),
-            allowed: format!("write {{{}: ...}}", self.word),
+            found: format!("`{}` without a value", quoted(&self.word)),
+            allowed: format!("write {{{}: ...}}", quoted(&self.word)),
         })
     }
 }
@@ -328,7 +369,7 @@ impl<'de> de::VariantAccess<'de> for Choice<'de> {
         match self.content {
             None => Ok(()),
             Some(_) => Err(Mismatch::Value {
-                found: format!("a value for `{}`", self.word),
+                found: format!("a value for `{}`", quoted(&self.word)),
                 allowed: "it stands alone".to_owned(),
             }),
         }

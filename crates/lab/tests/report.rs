@@ -8,11 +8,12 @@ use std::sync::Arc;
 use arrow::array::{Array, AsArray};
 use arrow::datatypes::{DataType, Float64Type, UInt32Type, UInt64Type};
 use locsim_core::{Draw, Drive, DriveStep, Laser, Pose2, Scan, Stage};
-use locsim_lab::report::{ReportContext, ReportError, terminal_table, write};
+use locsim_lab::report::{ReportContext, terminal_table, write};
 use locsim_lab::results::{
     BeamProbe, DetailedModel, DetailedStep, DetailedTrial, ModelTrial, RunResults, StepRow, TrainingRow,
     Trial,
 };
+use locsim_lab::store::{Folder, StoreError};
 use locsim_lab::summary::{Summary, SummaryError};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
@@ -215,7 +216,7 @@ fn context() -> ReportContext {
 }
 
 fn full_report(dir: &Path) -> Summary {
-    write(dir, &results(&ALL, 30), Some(&detail(&ALL)), &context()).unwrap()
+    write(&Folder::new(dir).unwrap(), &results(&ALL, 30), Some(&detail(&ALL)), &context()).unwrap()
 }
 
 #[test]
@@ -231,7 +232,7 @@ fn a_run_on_a_real_log_has_no_paper_and_no_ratios() {
     let mut results = results(&[1, 5], 1);
     results.description.clear();
     let context = ReportContext { simulated: false, notes: vec![], ..context() };
-    write(dir.path(), &results, None, &context).unwrap();
+    write(&Folder::new(dir.path()).unwrap(), &results, None, &context).unwrap();
     let report = fs::read_to_string(dir.path().join("report.md")).unwrap();
     assert!(!report.contains("Beside the paper") && !report.contains("true pose"));
     insta::assert_snapshot!("real_log_report", report);
@@ -375,7 +376,7 @@ fn results_that_make_no_sense_are_refused() {
 fn parquet_and_csv_hold_the_same_table() {
     let dir = tempfile::tempdir().unwrap();
     let results = results(&[0, 5], 3);
-    write(dir.path(), &results, None, &context()).unwrap();
+    write(&Folder::new(dir.path()).unwrap(), &results, None, &context()).unwrap();
     for (name, expected_rows) in [("steps", 2 * 3 * STEPS as usize), ("trials", 2 * 3)] {
         let file = fs::File::open(dir.path().join(format!("{name}.parquet"))).unwrap();
         let reader = ParquetRecordBatchReaderBuilder::try_new(file).unwrap();
@@ -488,6 +489,6 @@ fn a_folder_that_cannot_be_written_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("taken");
     fs::write(&file, "").unwrap();
-    let error = write(&file, &results(&[0], 2), None, &context()).unwrap_err();
-    assert!(matches!(&error, ReportError::Io { .. }) && error.to_string().contains("taken"), "{error}");
+    let error = Folder::new(&file).unwrap_err();
+    assert!(matches!(&error, StoreError::File { .. }) && error.to_string().contains("taken"), "{error}");
 }

@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+/// An axis has at most this many quanta, half a millimetre each over 10 km either way and as much again.
+const MOST_QUANTA: u32 = 1 << 26;
+
 /// Bins of different widths, each a whole number of quanta, found through a table in constant time.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(try_from = "Parts", into = "Parts")]
@@ -12,6 +15,7 @@ pub(crate) struct Axis {
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Parts {
     /// Lower end \[m\].
     origin: f32,
@@ -28,19 +32,33 @@ impl From<Axis> for Parts {
 }
 
 impl TryFrom<Parts> for Axis {
-    type Error = &'static str;
+    type Error = String;
 
     fn try_from(parts: Parts) -> Result<Self, Self::Error> {
-        let ascending = parts.ends.first().is_some_and(|&e| e > 0) && parts.ends.is_sorted_by(|a, b| a < b);
-        let sound = parts.origin.is_finite() && parts.quantum.is_finite() && parts.quantum > 0.0;
-        if !(ascending && sound && u16::try_from(parts.ends.len()).is_ok()) {
-            return Err("bins are out of order");
+        let Parts { origin, quantum, ends } = &parts;
+        if !(origin.is_finite() && quantum.is_finite() && *quantum > 0.0) {
+            return Err(format!("bins from {origin} m on in quanta of {quantum} m are not allowed"));
+        }
+        if u16::try_from(ends.len()).is_err() {
+            return Err(format!("{} bins are not allowed; at most {}", ends.len(), u16::MAX));
+        }
+        if !(ends.first().is_some_and(|&e| e > 0) && ends.is_sorted_by(|a, b| a < b)) {
+            return Err("bins are out of order".to_owned());
+        }
+        if let Some(last) = ends.last().filter(|last| **last > MOST_QUANTA) {
+            return Err(format!("bins up to quantum {last} are not allowed; at most {MOST_QUANTA}"));
         }
         let mut bin_of = Vec::new();
         for (bin, &end) in parts.ends.iter().enumerate() {
             bin_of.resize(end as usize, bin as u16);
         }
-        Ok(Self { parts, bin_of })
+        let axis = Self { parts, bin_of };
+        // Ends are sums in f32, which may swallow a quantum.
+        let lengthy = |bin: usize| axis.width(bin) > 0.0 && axis.width(bin).is_finite();
+        match (0..axis.bins()).find(|&bin| !lengthy(bin)) {
+            Some(bin) => Err(format!("bin {bin} is {} m wide, which is not allowed", axis.width(bin))),
+            None => Ok(axis),
+        }
     }
 }
 

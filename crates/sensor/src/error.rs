@@ -84,6 +84,14 @@ pub enum SensorError {
         /// What the system said.
         source: io::Error,
     },
+    /// A model file is larger than the limit.
+    #[error("{path}: {refusal}", path = path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// What is allowed.
+        refusal: String,
+    },
     /// A file is not a sensor model of ours.
     #[error("{path} is not a locsim sensor model", path = .0.display())]
     Foreign(PathBuf),
@@ -97,7 +105,7 @@ pub enum SensorError {
         /// Version this program writes and reads.
         known: u32,
     },
-    /// A file is cut short or altered.
+    /// A file is cut short or altered, or holds what is no model.
     #[error("{path} is damaged: {what}", path = path.display())]
     Damaged {
         /// The file.

@@ -8,6 +8,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use crate::beam::{cdfs, log_densities, samples};
+use crate::mixture::{check_sigma, check_weights};
 use crate::normal;
 use crate::{ModelKind, SensorError, TrainingSet};
 
@@ -17,8 +18,15 @@ const STEPS: usize = 2048;
 /// Most rounds of expectation maximization.
 const ROUNDS: usize = 300;
 
+/// No deviation below this \[m\] is believed.
+const LEAST_SIGMA: f64 = 1e-3;
+
+/// Neither part is ever quite certain.
+const LEAST_WEIGHT: f64 = 1e-6;
+
 /// Parameters of the likelihood field (Probabilistic Robotics, table 6.3): what a file keeps.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct FieldParameters {
     /// Weights of the Gaussian and of the uniform part; they sum to 1.
     z_hit: f32,
@@ -62,9 +70,9 @@ impl FieldParameters {
                 hits += share;
                 squares += share * d * d;
             }
-            // never quite certain, so that no share above is 0 / 0
-            z_hit = (hits / n).clamp(1e-6, 1.0 - 1e-6);
-            let before = std::mem::replace(&mut sigma, (squares / hits.max(1e-9)).sqrt().max(1e-3));
+            // so that no share above is 0 / 0
+            z_hit = (hits / n).clamp(LEAST_WEIGHT, 1.0 - LEAST_WEIGHT);
+            let before = std::mem::replace(&mut sigma, (squares / hits.max(1e-9)).sqrt().max(LEAST_SIGMA));
             if (sigma - before).abs() < 1e-9 {
                 break;
             }
@@ -77,6 +85,19 @@ impl FieldParameters {
             z_max: z_max as f32,
             sigma_m: sigma as f32,
         })
+    }
+
+    /// Whether a fit could have given them.
+    pub fn check(&self) -> Result<(), String> {
+        check_weights(&[("z_hit", self.z_hit), ("z_rand", self.z_rand)])?;
+        // The score divides by what is left of both: the uniform part, and the readings below the maximum range.
+        if f64::from(self.z_rand) < 0.5 * LEAST_WEIGHT || !(0.0..1.0).contains(&self.z_max) {
+            return Err(format!(
+                "z_rand {} and z_max {} are not allowed; above 0, and from 0 to below 1",
+                self.z_rand, self.z_max
+            ));
+        }
+        check_sigma(self.sigma_m, LEAST_SIGMA)
     }
 
     pub fn chosen(&self) -> BTreeMap<String, f64> {

@@ -1,9 +1,11 @@
 //! Fitting, and what a fit gives.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use locsim_core::{DistanceMap, SensorModel};
+use locsim_core::limits::quoted;
+use locsim_core::{CAST_REACH, DistanceMap, SensorModel};
 use serde::{Deserialize, Serialize};
 
 use crate::field::{FieldParameters, LikelihoodField};
@@ -11,7 +13,7 @@ use crate::histogram::HistogramTable;
 use crate::mixture::BeamMixture;
 use crate::np_reg;
 use crate::p_reg::{self, NormalTable};
-use crate::{ModelKind, SensorError, TrainingSet};
+use crate::{ModelKind, SensorError, TrainingSet, total};
 
 /// What fitting may need beside the data.
 #[derive(Clone, Default)]
@@ -20,9 +22,27 @@ pub struct FitOptions {
     pub distance_map: Option<Arc<dyn DistanceMap>>,
 }
 
+/// Maximum ranges \[m\] that a model file may name.
+const MAX_RANGES_M: RangeInclusive<f32> = 1e-3..=1e6;
+
+/// A model file names at most this many chosen values, by names of at most so many letters.
+const MOST_CHOSEN: usize = 32;
+const MOST_LETTERS: usize = 64;
+
 /// A model fitted to data: parameters or tables that can be saved, loaded and turned into a [`SensorModel`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(try_from = "Unchecked")]
 pub struct FittedModel {
+    kind: ModelKind,
+    max_range: f32,
+    chosen: BTreeMap<String, f64>,
+    form: Form,
+}
+
+/// A model as a file says it is.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Unchecked {
     kind: ModelKind,
     max_range: f32,
     chosen: BTreeMap<String, f64>,
@@ -35,6 +55,81 @@ enum Form {
     Field(FieldParameters),
     Normal(NormalTable),
     Histogram(HistogramTable),
+}
+
+impl TryFrom<Unchecked> for FittedModel {
+    type Error = String;
+
+    fn try_from(Unchecked { kind, max_range, chosen, form }: Unchecked) -> Result<Self, String> {
+        if !MAX_RANGES_M.contains(&max_range) {
+            let (least, most) = MAX_RANGES_M.into_inner();
+            return Err(format!("maximum range {max_range} m is not allowed; from {least} m to {most} m"));
+        }
+        check_chosen(&chosen)?;
+        form.check(kind, max_range)?;
+        Ok(Self { kind, max_range, chosen, form })
+    }
+}
+
+/// Chosen values stand in tables and reports.
+fn check_chosen(chosen: &BTreeMap<String, f64>) -> Result<(), String> {
+    if chosen.len() > MOST_CHOSEN {
+        return Err(format!("{} chosen values are not allowed; at most {MOST_CHOSEN}", chosen.len()));
+    }
+    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    for (name, value) in chosen {
+        if name.is_empty() || name.len() > MOST_LETTERS || !name.chars().all(plain) {
+            return Err(format!(
+                "`{}` is not allowed as the name of a chosen value; a-z, 0-9 and _, at most {MOST_LETTERS}",
+                quoted(name)
+            ));
+        }
+        // A score of a model that holds a held-out reading impossible is plus infinity.
+        if value.is_nan() || *value == f64::NEG_INFINITY {
+            return Err(format!("{value} is not allowed as the chosen value `{name}`"));
+        }
+    }
+    Ok(())
+}
+
+impl Form {
+    /// Whether it is a model of this kind for this sensor, and its density integrates to 1 if it should.
+    fn check(&self, kind: ModelKind, max_range: f32) -> Result<(), String> {
+        use ModelKind::{BeamMixture, Classic, LikelihoodField, NpReg, NpRegRegistered, PReg};
+        let (kinds, kind_within): (&[_], _) = match self {
+            Self::Mixture(mixture) => (&[Classic, BeamMixture], mixture.kind()),
+            Self::Field(_) => (&[LikelihoodField], LikelihoodField),
+            Self::Normal(_) => (&[PReg], PReg),
+            Self::Histogram(table) => (&[NpReg, NpRegRegistered], table.kind()),
+        };
+        if kind != kind_within || !kinds.contains(&kind) {
+            return Err(format!("it says it is {kind}, and holds the form of {}", kinds[0]));
+        }
+        let cast_range = if kind == NpRegRegistered { CAST_REACH * max_range } else { max_range };
+        let same = |found: f32, expected: f32| {
+            if found == expected {
+                Ok(())
+            } else {
+                Err(format!("its table reaches to {found} m, not to {expected} m"))
+            }
+        };
+        match self {
+            Self::Mixture(mixture) => {
+                mixture.check()?;
+                total::check(mixture, max_range)
+            }
+            Self::Field(parameters) => parameters.check(),
+            Self::Normal(table) => {
+                same(table.reach(), cast_range)?;
+                total::check(table, max_range)
+            }
+            Self::Histogram(table) => {
+                same(table.max_range(), max_range)?;
+                same(table.reach(), cast_range)?;
+                total::check(table, max_range)
+            }
+        }
+    }
 }
 
 /// Fits a model of `kind` to `train`; `held_out` decides between bandwidths, where the model has any.

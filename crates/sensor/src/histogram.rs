@@ -28,8 +28,12 @@ pub(crate) struct HistogramTable {
     open_no_return: f32,
 }
 
+/// The masses of a cell are rounded to f32 one by one, so that their sum may be above 1 by this much.
+const MASS_TOLERANCE: f64 = 1e-6;
+
 /// What a file keeps.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct Parts {
     pub kind: ModelKind,
     /// Maximum range of the sensor \[m\].
@@ -47,19 +51,19 @@ impl From<HistogramTable> for Parts {
 }
 
 impl TryFrom<Parts> for HistogramTable {
-    type Error = &'static str;
+    type Error = String;
 
     fn try_from(parts: Parts) -> Result<Self, Self::Error> {
         let bins = parts.axis.bins();
         let grid = &parts.grid;
-        if grid.ranges == 0 || grid.incidences == 0 || !(grid.reach > 0.0 && grid.reach.is_finite()) {
-            return Err("the state grid is empty");
-        }
-        if grid.cells().checked_mul(bins) != Some(parts.mass.len()) {
-            return Err("the number of bin masses doesn't match the grid");
-        }
-        if parts.mass.iter().any(|m| !(0.0..=1.0).contains(m)) {
-            return Err("a bin mass isn't a probability");
+        grid.holds(parts.mass.len(), bins)?;
+        if let Some(i) = parts.mass.iter().position(|m| !(0.0..=1.0).contains(m)) {
+            return Err(format!(
+                "mass {} of bin {} of cell {} is no probability",
+                parts.mass[i],
+                i % bins,
+                i / bins
+            ));
         }
         let widths: Vec<f32> = (0..bins).map(|bin| parts.axis.width(bin)).collect();
         let mut log_density = vec![0.0; parts.mass.len()];
@@ -73,6 +77,12 @@ impl TryFrom<Parts> for HistogramTable {
                 below[bin + 1] = sum as f32;
             }
         });
+        let total = |mass: &[f32]| mass.iter().map(|m| f64::from(*m)).sum::<f64>();
+        let heavy = |mass: &[f32]| total(mass) > 1.0 + MASS_TOLERANCE;
+        if let Some(cell) = parts.mass.chunks(bins).position(heavy) {
+            let total = total(&parts.mass[cell * bins..][..bins]);
+            return Err(format!("the masses of cell {cell} sum to {total}, more than 1"));
+        }
         let mut table = Self { parts, log_density, below, open_no_return: 0.0 };
         let (max_range, nominal) = (table.parts.max_range, table.parts.grid.reach);
         let open = Beam { pose: 0, bearing: 0, range: max_range, nominal, incidence: 0.0, max_range };
@@ -82,6 +92,21 @@ impl TryFrom<Parts> for HistogramTable {
 }
 
 impl HistogramTable {
+    /// Which model this is.
+    pub fn kind(&self) -> ModelKind {
+        self.parts.kind
+    }
+
+    /// Maximum range of the sensor \[m\].
+    pub fn max_range(&self) -> f32 {
+        self.parts.max_range
+    }
+
+    /// Nominal range up to which there are cells \[m\].
+    pub fn reach(&self) -> f32 {
+        self.parts.grid.reach
+    }
+
     /// The observation that a reading is, on this beam \[m\].
     #[inline]
     fn observation(&self, z: f32, beam: &Beam) -> f32 {

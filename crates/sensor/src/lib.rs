@@ -32,6 +32,7 @@ mod p_reg;
 mod prepared;
 mod state_grid;
 mod tempered;
+mod total;
 mod training;
 
 #[cfg(test)]

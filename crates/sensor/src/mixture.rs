@@ -20,6 +20,15 @@ const RANDOM: usize = 3;
 /// wall.
 const SHORTEST: f32 = 1e-3;
 
+/// No deviation below this \[m\] is believed.
+const LEAST_SIGMA: f64 = 1e-4;
+
+/// A rate above this \[1/m\] is not believed.
+const MOST_LAMBDA: f64 = 1e3;
+
+/// Weights are sums of shares in f32, each off by 1e-7 at most; so far their sum may be from 1.
+const WEIGHT_TOLERANCE: f64 = 1e-5;
+
 /// Expectation maximization stops when the mean log likelihood gains less than this \[nats\], or after so
 /// many rounds.
 const TOLERANCE: f64 = 1e-7;
@@ -40,6 +49,7 @@ const ROUNDS: usize = 500;
 /// floor on the density ([`crate::Tempered`]) makes that model usable with a sensor that fails to see
 /// surfaces.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct BeamMixture {
     kind: ModelKind,
     /// Weights of hit, short, max and random; they sum to 1.
@@ -106,11 +116,12 @@ impl BeamMixture {
         let n = readings.len() as f64;
         self.weights = counts.map(|count| (count / n) as f32);
         if hits > 0.0 {
-            self.sigma_m = ((residual / hits).sqrt() as f32).max(1e-4);
+            self.sigma_m = ((residual / hits).sqrt() as f32).max(LEAST_SIGMA as f32);
         }
         if curvature < 0.0 {
-            self.lambda_per_m =
-                (lambda - slope / curvature).clamp(lambda / 4.0, lambda * 4.0).clamp(1e-3, 1e3) as f32;
+            self.lambda_per_m = (lambda - slope / curvature)
+                .clamp(lambda / 4.0, lambda * 4.0)
+                .clamp(1e-3, MOST_LAMBDA) as f32;
         }
         log_likelihood / n
     }
@@ -144,6 +155,28 @@ impl BeamMixture {
         } else {
             self.hit(beam).log_density(self.weights[HIT], z)
         }
+    }
+
+    /// Whether a fit could have given it.
+    pub fn check(&self) -> Result<(), String> {
+        let [hit, short, max, random] = self.weights;
+        check_weights(&[("hit", hit), ("short", short), ("max", max), ("random", random)])?;
+        if self.kind == ModelKind::Classic && (max, random) != (0.0, 0.0) {
+            return Err(format!(
+                "weights {max} of max and {random} of random are not allowed in {}",
+                self.kind
+            ));
+        }
+        check_sigma(self.sigma_m, LEAST_SIGMA)?;
+        if self.lambda_per_m > 0.0 && f64::from(self.lambda_per_m) <= MOST_LAMBDA {
+            return Ok(());
+        }
+        Err(format!("lambda {} per m is not allowed; above 0, at most {MOST_LAMBDA}", self.lambda_per_m))
+    }
+
+    /// Which model this is.
+    pub fn kind(&self) -> ModelKind {
+        self.kind
     }
 
     pub fn chosen(&self) -> BTreeMap<String, f64> {
@@ -197,6 +230,27 @@ impl SensorModel for BeamMixture {
             }
         });
     }
+}
+
+/// Whether weights are shares of 1.
+pub(crate) fn check_weights(weights: &[(&str, f32)]) -> Result<(), String> {
+    if let Some((name, weight)) = weights.iter().find(|(_, weight)| !(0.0..=1.0).contains(weight)) {
+        return Err(format!("weight {weight} of {name} is not allowed; from 0 to 1"));
+    }
+    let sum: f64 = weights.iter().map(|(_, weight)| f64::from(*weight)).sum();
+    if (sum - 1.0).abs() <= WEIGHT_TOLERANCE {
+        Ok(())
+    } else {
+        Err(format!("the weights sum to {sum}, not to 1"))
+    }
+}
+
+/// Whether a standard deviation \[m\] is finite and at least `least`.
+pub(crate) fn check_sigma(sigma_m: f32, least: f64) -> Result<(), String> {
+    if sigma_m >= least as f32 && sigma_m.is_finite() {
+        return Ok(());
+    }
+    Err(format!("sigma {sigma_m} m is not allowed; at least {least}"))
 }
 
 /// Where expectation maximization starts: sigma from the median distance to the nominal range, which blocked

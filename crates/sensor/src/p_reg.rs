@@ -26,6 +26,10 @@ const INCIDENCES: [f64; 4] = [0.05, 0.1, 0.25, 0.6];
 /// No deviation below this \[m\] is believed.
 const LEAST_SIGMA: f64 = 1e-3;
 
+/// A Gaussian's mean is at most this many deviations below 0. Further away so little of it is left above 0 (less than
+/// 3e-5) that neither f32 can tell it nor a draw finds it.
+const MOST_CUT: f32 = 4.0;
+
 /// The prepared form of `p_reg`: for each cell of (r, alpha) a Gaussian around an offset from the beam's
 /// exact nominal range (cut at 0, censored at the maximum range) and the probability of no return.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -33,12 +37,14 @@ const LEAST_SIGMA: f64 = 1e-3;
 pub(crate) struct NormalTable(Parts);
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Parts {
     grid: StateGrid,
     cells: Vec<Cell>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Cell {
     /// Mean of z - r over readings below the maximum range \[m\].
     offset_m: f32,
@@ -55,29 +61,33 @@ impl From<NormalTable> for Parts {
 }
 
 impl TryFrom<Parts> for NormalTable {
-    type Error = &'static str;
+    type Error = String;
 
     fn try_from(parts: Parts) -> Result<Self, Self::Error> {
+        parts.grid.holds(parts.cells.len(), 1)?;
         let sound = |c: &Cell| {
             c.offset_m.is_finite()
-                && c.sigma_m > 0.0
+                && c.sigma_m >= LEAST_SIGMA as f32
                 && c.sigma_m.is_finite()
                 && (0.0..=1.0).contains(&c.no_return)
         };
-        if parts.grid.ranges == 0 || parts.grid.incidences == 0 || parts.cells.len() != parts.grid.cells() {
-            return Err("the number of cells doesn't match the grid");
+        match parts.cells.iter().position(|cell| !sound(cell)) {
+            Some(i) => Err(format!("the parameters of cell {i} are no distribution: {:?}", parts.cells[i])),
+            None => Ok(Self(parts)),
         }
-        if !parts.cells.iter().all(sound) {
-            return Err("a cell's parameters are no distribution");
-        }
-        Ok(Self(parts))
     }
 }
 
 impl NormalTable {
+    /// Nominal range up to which there are cells \[m\].
+    pub fn reach(&self) -> f32 {
+        self.0.grid.reach
+    }
+
     fn cell(&self, beam: &Beam) -> (RangeNormal, f32) {
         let cell = self.0.cells[self.0.grid.cell(beam)];
-        (RangeNormal { mean: beam.range + cell.offset_m, sigma: cell.sigma_m }, cell.no_return)
+        let mean = (beam.range + cell.offset_m).max(-MOST_CUT * cell.sigma_m);
+        (RangeNormal { mean, sigma: cell.sigma_m }, cell.no_return)
     }
 }
 

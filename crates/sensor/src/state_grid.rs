@@ -11,6 +11,7 @@ use crate::beam::Beam;
 /// A prepared model answers with what it knows of the cell a beam falls into. Cells are small against the
 /// bandwidths, so that what is lost between a state and its cell's centre is small too.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct StateGrid {
     /// Nominal ranges from 0 to here \[m\] have cells; a beam that reaches it is open.
     pub reach: f32,
@@ -19,6 +20,23 @@ pub(crate) struct StateGrid {
 }
 
 impl StateGrid {
+    /// Whether there are values for just the cells of this grid, `per_cell` each.
+    pub fn holds(&self, values: usize, per_cell: usize) -> Result<(), String> {
+        let Self { reach, ranges, incidences } = *self;
+        if !(reach > 0.0 && reach.is_finite()) {
+            return Err(format!("a state grid that reaches to {reach} m is not allowed"));
+        }
+        let mapped = ranges.checked_mul(incidences).filter(|&mapped| mapped > 0);
+        let expected = mapped.and_then(|mapped| mapped.checked_add(1)?.checked_mul(per_cell));
+        if expected == Some(values) {
+            return Ok(());
+        }
+        Err(format!(
+            "a number of {values} values doesn't match the grid of {ranges} ranges x {incidences} incidences and one \
+             more, with {per_cell} values each"
+        ))
+    }
+
     /// Cells with a mapped surface; the cell of open beams has this index.
     pub fn mapped(&self) -> usize {
         self.ranges * self.incidences

@@ -2,6 +2,7 @@
 
 mod densities;
 mod files;
+mod hostile;
 mod learning;
 mod prepared;
 pub(crate) mod simulated;

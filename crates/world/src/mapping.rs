@@ -1,9 +1,10 @@
 //! Occupancy grid mapping with known poses (Probabilistic Robotics, tables 9.1 and 9.2).
 
 use glam::DVec2;
+use locsim_core::limits::Limits;
 use locsim_core::{Drive, Pose2};
 
-use crate::map::{Cell, CellFrame, MapError, OccupancyGrid};
+use crate::map::{Cell, CellFrame, FARTHEST_M, MapError, OccupancyGrid};
 
 /// How scans become a map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,15 +60,21 @@ pub fn occupancy_from_drive(
     steps: &[usize],
     options: &MappingOptions,
 ) -> Result<OccupancyGrid, MapError> {
-    let scans: Vec<Vec<Beam>> = steps.iter().map(|&step| beams_of(drive, step, options)).collect();
-    let frame = frame_around(&scans, options).ok_or(MapError::NoReference { steps: steps.len() })??;
+    // Not kept: a long log has beams for gigabytes.
+    let scans = || steps.iter().map(|&step| beams_of(drive, step, options));
+    let frame = frame_around(scans(), options).ok_or(MapError::NoReference { steps: steps.len() })??;
+    let limits = Limits::current();
+    let cells = (frame.columns * frame.rows) as u64;
+    if cells > limits.map_pixels {
+        return Err(MapError::TooMany(limits.refusal("map_pixels", cells)));
+    }
     let log_odds = |p: f64| (p / (1.0 - p)).ln();
     let hit = log_odds(options.occupied_if_hit);
     let passed = log_odds(options.occupied_if_passed);
     let mut evidence = vec![0.0_f64; frame.columns * frame.rows];
     // The last scan that counted in each cell; scans are numbered from 1.
     let mut counted = vec![0_u32; evidence.len()];
-    for (scan, beams) in (1..).zip(&scans) {
+    for (scan, beams) in (1..).zip(scans()) {
         let mut count = |[column, row]: [usize; 2], weight: f64| {
             let cell = row * frame.columns + column;
             if counted[cell] != scan {
@@ -78,15 +85,15 @@ pub fn occupancy_from_drive(
         for beam in beams.iter().filter(|beam| beam.hit) {
             count(frame.cell_of(beam.end), hit);
         }
-        for beam in beams {
+        for beam in &beams {
             for cell in frame.cells_between(beam.start, beam.end) {
                 count(cell, passed);
             }
         }
     }
-    let probability = |log_odds: f64| 1.0 / (1.0 + (-log_odds).exp());
-    let occupancy: Vec<f64> = evidence.into_iter().map(probability).collect();
-    let classify = |&p: &f64| {
+    drop(counted);
+    let probability = |log_odds: &f64| 1.0 / (1.0 + (-log_odds).exp());
+    let classify = |p: f64| {
         if p > OCCUPIED_ABOVE {
             Cell::Occupied
         } else if p < FREE_BELOW {
@@ -100,8 +107,8 @@ pub fn occupancy_from_drive(
         frame.rows,
         options.resolution_m,
         Pose2::new(frame.x0, frame.y0, 0.0),
-        occupancy.iter().map(classify).collect(),
-        occupancy.iter().map(|&p| p as f32).collect(),
+        evidence.iter().map(probability).map(classify).collect(),
+        evidence.iter().map(probability).map(|p| p as f32).collect(),
     )
 }
 
@@ -140,14 +147,19 @@ fn beams_of(drive: &Drive, step: usize, options: &MappingOptions) -> Vec<Beam> {
 }
 
 /// Cells around every beam; `None` if there is none.
-fn frame_around(scans: &[Vec<Beam>], options: &MappingOptions) -> Option<Result<CellFrame, MapError>> {
+fn frame_around(
+    scans: impl Iterator<Item = Vec<Beam>>,
+    options: &MappingOptions,
+) -> Option<Result<CellFrame, MapError>> {
     let (lower, upper) = scans
-        .iter()
         .flatten()
         .map(|beam| (beam.start.min(beam.end), beam.start.max(beam.end)))
         .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
     // A whole cell at least, so that no point is on the outermost edge.
     let margin = options.margin_m.max(options.resolution_m);
+    if lower.abs().max(upper.abs()).max_element() > FARTHEST_M {
+        return Some(Err(MapError::Origin([lower.x, lower.y, 0.0])));
+    }
     let bounds = [lower.x - margin, lower.y - margin, upper.x + margin, upper.y + margin];
-    Some(CellFrame::covering(bounds, options.resolution_m, 1))
+    Some(CellFrame::covering(bounds, options.resolution_m))
 }

@@ -6,6 +6,7 @@ use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan, circular_mean, wrap_angl
 use super::beams::Beams;
 use super::parse::{Log, ScanLine};
 use super::{CarmenLaser, CarmenOptions};
+use crate::laser::checked;
 use crate::{DatasetError, LogKind, LogSummary, OdometrySource};
 
 /// Where the SICK LMS in centimetre mode begins to count error codes instead of distances (m).
@@ -229,8 +230,7 @@ fn laser(log: &Log, options: &CarmenOptions, mount: Pose2, path: &Path) -> Resul
     let min_range = options.min_range_m.unwrap_or_else(|| params.min_range.unwrap_or(0.0) as f32);
     let interval = params.beam_interval.unwrap_or(0.0);
     let beam_times = (0..n).map(|i| (i as f64 * interval) as f32).collect();
-    Laser::new(beams.bearings(n), beam_times, min_range, max_range, mount)
-        .map_err(|source| DatasetError::Laser { path: path.to_owned(), source })
+    checked(path, Laser::new(beams.bearings(n), beam_times, min_range, max_range, mount))
 }
 
 /// Makes the scans' times never decrease.

@@ -12,12 +12,14 @@ use std::io::BufRead;
 use std::path::Path;
 
 use locsim_core::Drive;
+use locsim_core::limits::Limits;
 
-use crate::lines::{self, Lines};
+use crate::lines::Lines;
+use crate::source::open_text;
 use crate::{DatasetError, LogSummary};
 
 pub use beams::Beams;
-pub use write::write_carmen;
+pub use write::{encode_carmen, write_carmen};
 
 /// Which of a robot's lasers to read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -73,19 +75,28 @@ pub struct CarmenOptions {
 ///   leaps (a clock that was set or wrapped) continues from the scan before.
 ///
 /// # Errors
-/// The file can't be read or is empty; it ends inside a line; a line of a known keyword has the wrong number
+/// The file can't be read, is empty or no text, or costs more than the [`Limits`] allow; it ends inside a line; a line of a known keyword has the wrong number
 /// of fields or a field that isn't allowed; scans differ in their beams; no scan of the laser is there.
 pub fn read_carmen(path: &Path, options: &CarmenOptions) -> Result<(Drive, LogSummary), DatasetError> {
-    read(path, lines::open(path)?, options)
+    read(path, options, Limits::current())
 }
 
-/// [`read_carmen`] from any source; `path` is for messages.
-fn read(
+pub fn read(
+    path: &Path,
+    options: &CarmenOptions,
+    limits: &Limits,
+) -> Result<(Drive, LogSummary), DatasetError> {
+    read_from(path, open_text(path, limits)?, options, limits)
+}
+
+/// [`read`] from any source; `path` is for messages.
+fn read_from(
     path: &Path,
     reader: impl BufRead,
     options: &CarmenOptions,
+    limits: &Limits,
 ) -> Result<(Drive, LogSummary), DatasetError> {
-    let log = parse::parse(Lines::new(path, reader), options.laser, path)?;
+    let log = parse::parse(Lines::new(path, reader, limits), options.laser, limits, path)?;
     assemble::assemble(log, options, path)
 }
 

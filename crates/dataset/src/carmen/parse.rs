@@ -3,11 +3,15 @@ use std::io::BufRead;
 use std::path::Path;
 
 use locsim_core::Pose2;
+use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN};
 
 use super::CarmenLaser;
 use super::beams::Beams;
 use crate::DatasetError;
 use crate::lines::{Fields, Lines};
+
+/// Unknown keywords that are counted by name, at the most; logs have few.
+const MOST_KEYWORDS: usize = 100;
 
 /// Every message ends with `ipc_timestamp hostname logger_timestamp`.
 const TRAILER: usize = 3;
@@ -107,6 +111,7 @@ impl Params {
 pub fn parse<R: BufRead>(
     mut lines: Lines<'_, R>,
     laser: CarmenLaser,
+    limits: &Limits,
     path: &Path,
 ) -> Result<Log, DatasetError> {
     let [old, new] = laser.keywords();
@@ -120,7 +125,7 @@ pub fn parse<R: BufRead>(
         skipped: BTreeMap::new(),
         first_odometry: None,
     };
-    let mut params = 0;
+    let (mut params, mut readings) = (0, 0);
     let mut between = Between::default();
     while let Some(line) = lines.next()? {
         let mut fields = line.fields();
@@ -157,11 +162,15 @@ pub fn parse<R: BufRead>(
                 let (layout, scan) = new_scan(fields, first_count, log.layout, &between)?;
                 (Some(layout), scan)
             };
+            readings += READINGS_PER_SCAN + scan.ranges.len() as u64;
+            if readings > limits.log_readings {
+                return Err(line.refuse(Limits::refusal_above("log_readings", limits.log_readings)));
+            }
             log.layout = log.layout.or(layout);
             log.scans.push(scan);
             between = Between::default();
         } else {
-            *log.skipped.entry(counted_as(keyword)).or_default() += 1;
+            count(&mut log.skipped, keyword);
         }
     }
     if !log.scans.is_empty() {
@@ -185,22 +194,29 @@ pub fn parse<R: BufRead>(
     })
 }
 
-/// Under which name an unknown line is counted; what doesn't look like a keyword shares one name.
-fn counted_as(keyword: &str) -> String {
-    if keyword.starts_with('#') {
-        "#".to_owned()
+/// Counts an unknown line; what doesn't look like a keyword shares one name, as do more keywords than any log has.
+fn count(skipped: &mut BTreeMap<String, usize>, keyword: &str) {
+    let name = if keyword.starts_with('#') {
+        "#"
     } else if keyword.len() <= 32 && keyword.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_') {
-        keyword.to_owned()
+        keyword
     } else {
-        "(no keyword)".to_owned()
+        "(no keyword)"
+    };
+    let name = if skipped.len() < MOST_KEYWORDS || skipped.contains_key(name) { name } else { "(others)" };
+    match skipped.get_mut(name) {
+        Some(count) => *count += 1,
+        None => {
+            skipped.insert(name.to_owned(), 1);
+        }
     }
 }
 
 /// The time of a message (s), from the fields that end it.
 fn trailer(fields: &mut Fields<'_>) -> Result<f64, DatasetError> {
-    let stamp_secs = fields.number("ipc_timestamp")?;
+    let stamp_secs = fields.stamp("ipc_timestamp")?;
     fields.word();
-    fields.number("logger_timestamp")?;
+    fields.stamp("logger_timestamp")?;
     Ok(stamp_secs)
 }
 
@@ -230,7 +246,7 @@ fn new_scan(
     fields.number("laser_type")?;
     let start = fields.number("start_angle")?;
     let field_of_view =
-        fields.value("field_of_view", "0 or more radians", |v: f64| v >= 0.0 && v.is_finite())?;
+        fields.value("field_of_view", "0 or more radians", |v: f64| (0.0..=COORDINATE).contains(&v))?;
     let resolution = fields.number("angular_resolution")?;
     let max_range = fields.value("maximum_range", "more than 0 m", |v: f32| v > 0.0 && v.is_finite())?;
     fields.number("accuracy")?;

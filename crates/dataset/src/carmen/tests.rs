@@ -10,14 +10,14 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::test_drives::{bits, drive};
-use crate::{LogKind, OdometrySource};
+use crate::{LogKind, OdometrySource, encode_log, write_log};
 
 fn read_text(text: &str) -> Result<(Drive, LogSummary), DatasetError> {
     read_with(text, &CarmenOptions::default())
 }
 
 fn read_with(text: &str, options: &CarmenOptions) -> Result<(Drive, LogSummary), DatasetError> {
-    read(Path::new("test.log"), Cursor::new(text.as_bytes()), options)
+    read_from(Path::new("test.log"), Cursor::new(text.as_bytes()), options, &Limits::DEFAULT)
 }
 
 fn near(a: &Pose2, b: &Pose2) -> bool {
@@ -357,6 +357,106 @@ fn what_does_not_fit_into_a_log_is_refused() {
     assert_eq!(names, ["drive.log"]);
 }
 
+#[test]
+fn a_log_costs_so_much_and_no_more() {
+    let scan = "FLASER 50 ".to_owned() + &"1 ".repeat(50) + "0 0 0 0 0 0 1 h 1\n";
+    let read = |text: &str, limits: &Limits| {
+        let text = Cursor::new(text.as_bytes().to_vec());
+        let result = read_from(Path::new("test.log"), text, &CarmenOptions::default(), limits);
+        result.map(|(drive, _)| drive.steps.len()).map_err(|error| error.to_string())
+    };
+    let ten = scan.repeat(10);
+    // Each scan counts for a hundred readings more.
+    let readings = |log_readings| Limits { log_readings, ..Limits::DEFAULT };
+    assert_eq!(read(&ten, &readings(1500)), Ok(10));
+    assert_eq!(
+        read(&ten, &readings(1499)).unwrap_err(),
+        "test.log:10: more than 1499 range readings of a log (100 more for each scan) are not allowed \
+         (`--limit log_readings=2998` allows twice as many)"
+    );
+    let lines = |log_messages| Limits { log_messages, ..Limits::DEFAULT };
+    let text = format!("\n# nothing\n{scan}");
+    assert_eq!(read(&text, &lines(3)), Ok(1));
+    let message = read(&text, &lines(2)).unwrap_err();
+    assert!(message.starts_with("test.log:3: more than 2 lines of a text log"), "{message}");
+}
+
+#[test]
+fn unknown_keywords_are_counted_up_to_a_hundred() {
+    let mut text = "WORD005 2\n".to_owned();
+    for i in 0..1000 {
+        writeln!(text, "WORD{i:03} 1").unwrap();
+    }
+    let (_, summary) = read_text(&(text + &raw_log())).unwrap();
+    assert_eq!(summary.skipped.len(), 101);
+    assert_eq!(
+        (summary.skipped["WORD005"], summary.skipped["WORD099"], summary.skipped["(others)"]),
+        (2, 1, 900)
+    );
+}
+
+#[test]
+fn numbers_that_arithmetic_cannot_bear_are_refused() {
+    let robot = "ROBOTLASER1 0 -1 1 1 30 0.01 0 2 1 2 0 0 0 0 0 0 0 0 0 0 0 0 9 h 9\n";
+    for (text, part) in [
+        ("ODOM 1e300 0 0 0 0 0 0 h 0\n".to_owned(), "robot x is `1e300`; allowed: a finite number up to 1e9"),
+        ("FLASER 1 1 0 0 0 0 -1.1e9 0 1 h 1\n".into(), "robot y is `-1.1e9`"),
+        ("FLASER 1 1 0 0 1e10 0 0 0 1 h 1\n".into(), "laser theta is `1e10`"),
+        (
+            "FLASER 1 1 0 0 0 0 0 0 1e13 h 1\n".into(),
+            "ipc_timestamp is `1e13`; allowed: a finite number up to 1e12",
+        ),
+        ("PARAM robot_frontlaser_offset 1e300 h 0\n".into(), "robot_frontlaser_offset is `1e300`"),
+        (robot.replace("-1 1 1 30", "-1 1e300 1e300 30"), "field_of_view is `1e300`"),
+        (
+            robot.replace(" 30 ", " 1e30 "),
+            "maximum range is 1000000000000000000000000000000; allowed: a finite",
+        ),
+        (format!("PARAM {} 1e9 h 0\n{robot}", parse::BEAM_INTERVAL), ""),
+        (
+            format!(
+                "PARAM {} 1e8 h 0\nFLASER 12{} 0 0 0 0 0 0 1 h 1\n",
+                parse::BEAM_INTERVAL,
+                " 1".repeat(12)
+            ),
+            "time of a beam is 1100000000; allowed",
+        ),
+    ] {
+        match read_text(&text) {
+            Ok(_) => assert_eq!(part, ""),
+            Err(error) => assert!(!part.is_empty() && error.to_string().contains(part), "{error}"),
+        }
+    }
+}
+
+#[test]
+fn an_error_holds_no_control_characters_and_is_short() {
+    for text in [
+        format!("\u{1b}[2J{}", "x".repeat(1000)),
+        format!("FLASER \u{1b}[2J{}\n", "x".repeat(1000)),
+        format!("\u{7}{} 1\n", "x".repeat(1000)),
+    ] {
+        let message = read_text(&text).unwrap_err().to_string();
+        assert!(message.len() < 300 && !message.contains(char::is_control), "{message:?}");
+    }
+}
+
+/// Nobody's file is in the way of the temporary one.
+#[test]
+fn a_neighbour_of_the_file_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    let (drive, _) = read_text(&raw_log()).unwrap();
+    for name in ["a.log", "a.log.gz", "a.mcap"] {
+        let (path, neighbour) = (folder.path().join(name), folder.path().join(format!("{name}.partial")));
+        fs::write(&neighbour, "precious").unwrap();
+        write_log(&path, &drive).unwrap();
+        assert_eq!(fs::read(&neighbour).unwrap(), b"precious");
+        let mut bytes = Vec::new();
+        encode_log(&path, &drive, &mut bytes).unwrap();
+        assert!(fs::read(&path).unwrap() == bytes, "{name}");
+    }
+}
+
 proptest! {
     #[test]
     fn a_written_drive_reads_back(drive in drive(), compressed in any::<bool>()) {
@@ -388,7 +488,7 @@ proptest! {
 
     #[test]
     fn no_bytes_make_the_reader_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
-        let _ = read(Path::new("test.log"), Cursor::new(&bytes), &CarmenOptions::default());
+        let _ = read_from(Path::new("test.log"), Cursor::new(&bytes), &CarmenOptions::default(), &Limits::DEFAULT);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use locsim_core::{Drive, Pose2};
 use super::beams::Beams;
 use super::parse::{BEAM_INTERVAL, MIN_RANGE};
 use crate::DatasetError;
-use crate::output::{evenly_spaced, write_whole};
+use crate::output::{encoded, evenly_spaced, write_whole};
 
 /// Writes a drive as a CARMEN log that [`read_carmen`](super::read_carmen) turns into the same drive, and that
 /// programs for CARMEN logs read: PARAM lines with the laser's mount, then for each scan ODOM, TRUEPOS where
@@ -21,8 +21,13 @@ use crate::output::{evenly_spaced, write_whole};
 /// The drive has no scan, bearings or beam times that aren't evenly spaced (the first beam at the stamp), or
 /// values that no log may hold; the file can't be written.
 pub fn write_carmen(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
+    write_whole(path, |out| encode_carmen(path, drive, out))
+}
+
+/// Writes the bytes of the file to `out`; `path` tells whether they are compressed.
+pub fn encode_carmen(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
     let (beams, times) = evenly_spaced(path, drive)?;
-    write_whole(path, |out| body(out, drive, beams, times.step))
+    encoded(path, out, |out| body(out, drive, beams, times.step))
 }
 
 fn body(out: &mut dyn Write, drive: &Drive, beams: Beams, beam_interval: f64) -> io::Result<()> {

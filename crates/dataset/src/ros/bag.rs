@@ -1,21 +1,27 @@
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, BufRead, BufReader, ErrorKind, Read};
 use std::path::Path;
 
+use crc32fast::Hasher;
+use locsim_core::limits::{Limits, quoted};
 use lz4_flex::frame::FrameDecoder;
-use mcap::parse_record;
 use mcap::records::{Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{MAGIC, McapError, parse_record};
 use ruzstd::decoding::StreamingDecoder;
 
 use crate::DatasetError;
+use crate::source::{Allowance, Counted, READ_AHEAD, open_bag};
 
-/// So much of the file is read at once.
-const READ_AHEAD: usize = 1 << 16;
+/// Bytes of a record that is held in memory, at the most: of a message that is read, a channel, a schema. A scan of a
+/// million beams has half of that.
+pub const LARGEST_RECORD: u64 = 1 << 24;
 
-/// No chunk unpacks to more than this; rosbag2 writes chunks of 1 MB.
-const LARGEST_CHUNK: u64 = 1 << 30;
+/// Bytes of the name of a topic, a type, a frame or an encoding, at the most; DDS allows 256.
+pub const LONGEST_NAME: usize = 1000;
+
+/// Bytes of a message before its content: channel, sequence number, two times.
+const MESSAGE_HEADER: usize = 2 + 4 + 8 + 8;
 
 /// What a message belongs to.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -27,59 +33,279 @@ pub struct Channel {
     pub encoding: String,
 }
 
-/// A channel with one of its messages, or announced without.
-type Told<'a> = (&'a Channel, Option<&'a [u8]>);
+/// The content of a message, not yet read.
+pub struct Content<'a> {
+    stream: &'a mut dyn Read,
+    length: u64,
+    buffer: &'a mut Vec<u8>,
+}
 
-/// Hands every message of a file to `visit`, in the file's order. Channels are announced with `None`, some of them
-/// more than once.
-///
-/// Every length and check sum is looked at before it is relied on, so that a damaged file is refused.
-pub fn visit_messages(
-    path: &Path,
-    mut visit: impl FnMut(&Channel, Option<&[u8]>) -> Result<(), DatasetError>,
-) -> Result<(), DatasetError> {
-    let open = |path: &Path| -> io::Result<(File, u64)> {
-        let file = File::open(path)?;
-        let length = file.metadata()?.len();
-        Ok((file, length))
-    };
-    let (mut file, length) =
-        open(path).map_err(|source| DatasetError::Open { path: path.to_owned(), source })?;
-    let damaged = |reason: String| DatasetError::Mcap { path: path.to_owned(), reason };
-    // Chunks are unpacked below: the library's way into them relies on lengths inside.
-    let options = LinearReaderOptions::default()
-        .with_emit_chunks(true)
-        .with_validate_data_section_crc(true)
-        .with_record_length_limit(length as usize);
-    let mut reader = LinearReader::new_with_options(options);
-    let mut channels = Channels::default();
-    while let Some(event) = reader.next_event() {
-        match event.map_err(|error| damaged(error.to_string()))? {
-            LinearReadEvent::ReadRequest(needed) => {
-                let read = file.read(reader.insert(needed.max(READ_AHEAD)));
-                let read = read.map_err(|error| damaged(error.to_string()))?;
-                reader.notify_read(read);
+impl<'a> Content<'a> {
+    /// The bytes.
+    ///
+    /// # Errors
+    /// Why they can't be had.
+    pub fn bytes(self) -> Result<&'a [u8], String> {
+        held(self.stream, self.length, self.buffer).map_err(|stop| match stop {
+            Stop::Damaged(reason) | Stop::Large(reason) => reason,
+            Stop::Io(error) => error.to_string(),
+            Stop::Refused(error) => error.to_string(),
+        })
+    }
+}
+
+/// Why a visit ends early.
+enum Stop {
+    /// The file can't be read on, or unpacks to too much.
+    Io(io::Error),
+    /// The file's content is wrong.
+    Damaged(String),
+    /// Something is larger than in any log.
+    Large(String),
+    /// The visitor doesn't want to go on.
+    Refused(DatasetError),
+}
+
+impl From<io::Error> for Stop {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+impl From<McapError> for Stop {
+    fn from(error: McapError) -> Self {
+        Self::Damaged(error.to_string())
+    }
+}
+
+impl Stop {
+    fn damaged(reason: impl Into<String>) -> Self {
+        Self::Damaged(reason.into())
+    }
+
+    fn about(self, path: &Path) -> DatasetError {
+        let path = path.to_owned();
+        match self {
+            Self::Io(error) if error.kind() == ErrorKind::FileTooLarge => {
+                DatasetError::Refused { path, line: None, reason: error.to_string() }
             }
-            LinearReadEvent::Record { opcode: op::CHUNK, data } => {
-                let records = unpacked(data).map_err(damaged)?;
-                let mut rest = records.as_slice();
-                while !rest.is_empty() {
-                    let (opcode, body);
-                    (opcode, body, rest) = first_record(rest)
-                        .ok_or_else(|| damaged("a record is longer than its chunk".to_owned()))?;
-                    if let Some((channel, message)) = channels.take(opcode, body).map_err(damaged)? {
-                        visit(channel, message)?;
-                    }
-                }
+            Self::Io(error) if error.kind() == ErrorKind::UnexpectedEof => {
+                DatasetError::Mcap { path, reason: McapError::UnexpectedEof.to_string() }
             }
-            LinearReadEvent::Record { opcode, data } => {
-                if let Some((channel, message)) = channels.take(opcode, data).map_err(damaged)? {
-                    visit(channel, message)?;
-                }
-            }
+            Self::Io(error) => DatasetError::Mcap { path, reason: error.to_string() },
+            Self::Damaged(reason) => DatasetError::Mcap { path, reason },
+            Self::Large(reason) => DatasetError::Refused { path, line: None, reason },
+            Self::Refused(error) => error,
         }
     }
-    Ok(())
+}
+
+/// Hands every message of a file to `visit`, in the file's order, and skips what `visit` doesn't read. Channels are
+/// announced with `None`, some of them more than once.
+///
+/// The file is read in a stream, and at most one of its records is in memory. Damage may show only after a message was
+/// visited: what a message holds counts once the whole file was visited.
+pub fn visit_messages(
+    path: &Path,
+    limits: &Limits,
+    visit: impl FnMut(&Channel, Option<Content<'_>>) -> Result<(), DatasetError>,
+) -> Result<(), DatasetError> {
+    let (file, length) = open_bag(path)?;
+    let mut allowance = Allowance::of(length, limits);
+    let mut visitor = Visitor { visit, channels: Channels::default(), buffer: Vec::new() };
+    visitor.file(&mut Summed::new(file), &mut allowance).map_err(|stop| stop.about(path))
+}
+
+struct Visitor<F> {
+    visit: F,
+    /// The channels announced so far.
+    channels: Channels,
+    /// Holds one record at a time.
+    buffer: Vec<u8>,
+}
+
+impl<F: FnMut(&Channel, Option<Content<'_>>) -> Result<(), DatasetError>> Visitor<F> {
+    fn file(&mut self, file: &mut Summed<BufReader<File>>, allowance: &mut Allowance) -> Result<(), Stop> {
+        magic(file)?;
+        let mut complete = false;
+        loop {
+            let sum = file.sum.clone();
+            let (opcode, length) = start_of_record(file)?;
+            let mut body = file.take(length);
+            match opcode {
+                op::FOOTER if complete => {
+                    skip(&mut body)?;
+                    return magic(file);
+                }
+                op::FOOTER => return Err(Stop::damaged("the data have no end")),
+                op::DATA_END => {
+                    complete = true;
+                    let [saved] = words(&mut body)?.map(u32::from_le_bytes);
+                    let calculated = sum.finalize();
+                    // Sum 0 is none.
+                    if saved != 0 && saved != calculated {
+                        return Err(McapError::BadDataCrc { saved, calculated }.into());
+                    }
+                }
+                op::CHUNK => {
+                    let visited = self.chunk(&mut body, allowance);
+                    if matches!(visited, Err(Stop::Damaged(_))) && file.stream.fill_buf()?.is_empty() {
+                        return Err(McapError::UnexpectedEof.into());
+                    }
+                    visited?;
+                    continue;
+                }
+                _ => self.record(opcode, length, &mut body)?,
+            }
+            skip(&mut body)?;
+        }
+    }
+
+    fn chunk(&mut self, chunk: &mut io::Take<impl Read>, allowance: &mut Allowance) -> Result<(), Stop> {
+        // The times of the first and the last message come before it.
+        let [_, _, size] = words(chunk)?.map(u64::from_le_bytes);
+        let [sum, name] = words(chunk)?.map(u32::from_le_bytes);
+        if name as usize > LONGEST_NAME {
+            return Err(Stop::Damaged(format!(
+                "the name of a compression has {name} bytes; allowed: {LONGEST_NAME}"
+            )));
+        }
+        let mut compression = vec![0; name as usize];
+        chunk.read_exact(&mut compression)?;
+        let [packed] = words(chunk)?.map(u64::from_le_bytes);
+        if packed > chunk.limit() {
+            return Err(McapError::BadChunkLength { header: packed, available: chunk.limit() }.into());
+        }
+        let mut packed = chunk.take(packed);
+        let unpackable = |error: io::Error| Stop::Damaged(format!("a chunk can't be unpacked: {error}"));
+        let records: &mut dyn Read = match compression.as_slice() {
+            b"" => &mut packed,
+            b"lz4" => &mut Counted { packed: FrameDecoder::new(packed), allowance },
+            b"zstd" => {
+                let packed =
+                    StreamingDecoder::new(packed).map_err(|error| unpackable(io::Error::other(error)))?;
+                &mut Counted { packed, allowance }
+            }
+            other => {
+                let other = quoted(&String::from_utf8_lossy(other));
+                return Err(Stop::Damaged(format!(
+                    "chunks compressed with `{other}`; allowed: lz4, zstd, none"
+                )));
+            }
+        };
+        let mut records = BufReader::with_capacity(READ_AHEAD, Summed::new(records));
+        self.records(&mut records).map_err(|stop| match stop {
+            Stop::Io(error) if error.kind() == ErrorKind::UnexpectedEof => {
+                Stop::damaged("a record is longer than its chunk")
+            }
+            Stop::Io(error) if error.kind() != ErrorKind::FileTooLarge => unpackable(error),
+            stop => stop,
+        })?;
+        let Summed { sum: calculated, length, .. } = records.into_inner();
+        if length != size {
+            return Err(Stop::Damaged(format!("a chunk of {size} bytes unpacks to another number of bytes")));
+        }
+        // Sum 0 is none.
+        if sum != 0 && sum != calculated.finalize() {
+            return Err(Stop::damaged("the check sum of a chunk is wrong"));
+        }
+        skip(chunk)
+    }
+
+    /// Visits the records of a chunk.
+    fn records(&mut self, records: &mut impl BufRead) -> Result<(), Stop> {
+        while !records.fill_buf()?.is_empty() {
+            let (opcode, length) = start_of_record(records)?;
+            let mut body = records.take(length);
+            self.record(opcode, length, &mut body)?;
+            skip(&mut body)?;
+        }
+        Ok(())
+    }
+
+    /// Visits a record that isn't one of the container's own; may leave some of it.
+    fn record(&mut self, opcode: u8, length: u64, body: &mut dyn Read) -> Result<(), Stop> {
+        let Self { visit, channels, buffer } = self;
+        match opcode {
+            op::SCHEMA | op::CHANNEL => match channels.take(opcode, held(body, length, buffer)?)? {
+                Some(channel) => visit(channel, None).map_err(Stop::Refused),
+                None => Ok(()),
+            },
+            op::MESSAGE => {
+                let mut header = [0; MESSAGE_HEADER];
+                body.read_exact(&mut header)?;
+                let [id, ..] = [[header[0], header[1]]].map(u16::from_le_bytes);
+                let channel = channels.channels.get(&id);
+                let channel =
+                    channel.ok_or_else(|| Stop::Damaged(format!("a message of unknown channel {id}")))?;
+                let content = Content { stream: body, length: length - MESSAGE_HEADER as u64, buffer };
+                visit(channel, Some(content)).map_err(Stop::Refused)
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+fn magic(file: &mut impl Read) -> Result<(), Stop> {
+    let mut magic = [0; MAGIC.len()];
+    file.read_exact(&mut magic)?;
+    if magic == MAGIC { Ok(()) } else { Err(McapError::BadMagic.into()) }
+}
+
+/// The next numbers, byte by byte.
+fn words<const SIZE: usize, const N: usize>(stream: &mut impl Read) -> io::Result<[[u8; SIZE]; N]> {
+    let mut words = [[0; SIZE]; N];
+    stream.read_exact(words.as_flattened_mut())?;
+    Ok(words)
+}
+
+/// Kind and length of the next record.
+fn start_of_record(stream: &mut impl Read) -> io::Result<(u8, u64)> {
+    let [[opcode]] = words(stream)?;
+    let [length] = words(stream)?.map(u64::from_le_bytes);
+    Ok((opcode, length))
+}
+
+/// Skips what is left of a record.
+fn skip<R: Read>(body: &mut io::Take<R>) -> Result<(), Stop> {
+    io::copy(body, &mut io::sink())?;
+    if body.limit() == 0 { Ok(()) } else { Err(io::Error::from(ErrorKind::UnexpectedEof).into()) }
+}
+
+/// Reads a whole record into the buffer.
+fn held<'a>(stream: &mut dyn Read, length: u64, buffer: &'a mut Vec<u8>) -> Result<&'a [u8], Stop> {
+    if length > LARGEST_RECORD {
+        return Err(Stop::Large(format!("a record has {length} bytes; allowed: at most {LARGEST_RECORD}")));
+    }
+    buffer.clear();
+    stream.take(length).read_to_end(buffer)?;
+    if buffer.len() as u64 == length {
+        Ok(buffer)
+    } else {
+        Err(io::Error::from(ErrorKind::UnexpectedEof).into())
+    }
+}
+
+/// Reads from a stream and keeps the check sum and the number of its bytes.
+struct Summed<R> {
+    stream: R,
+    sum: Hasher,
+    length: u64,
+}
+
+impl<R> Summed<R> {
+    fn new(stream: R) -> Self {
+        Self { stream, sum: Hasher::new(), length: 0 }
+    }
+}
+
+impl<R: Read> Read for Summed<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.stream.read(buffer)?;
+        self.sum.update(&buffer[..read]);
+        self.length += read as u64;
+        Ok(read)
+    }
 }
 
 /// The channels announced so far.
@@ -90,72 +316,28 @@ struct Channels {
 }
 
 impl Channels {
-    /// Takes in a record; returns what it is to be told of.
-    fn take<'a>(&'a mut self, opcode: u8, body: &'a [u8]) -> Result<Option<Told<'a>>, String> {
-        if ![op::SCHEMA, op::CHANNEL, op::MESSAGE].contains(&opcode) {
-            return Ok(None);
-        }
-        match parse_record(opcode, body).map_err(|error| error.to_string())? {
+    /// Takes in a schema or a channel; returns the channel.
+    fn take(&mut self, opcode: u8, body: &[u8]) -> Result<Option<&Channel>, Stop> {
+        let short = |name: String| match name.len() {
+            0..=LONGEST_NAME => Ok(name),
+            length => Err(Stop::Large(format!(
+                "the name `{}` has {length} bytes; allowed: at most {LONGEST_NAME}",
+                quoted(&name)
+            ))),
+        };
+        match parse_record(opcode, body)? {
             Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name);
+                self.schemas.insert(header.id, short(header.name)?);
                 Ok(None)
             }
             Record::Channel(record) => {
                 // Schema 0 is none.
                 let schema = self.schemas.get(&record.schema_id).cloned().unwrap_or_default();
-                let channel = Channel { topic: record.topic, schema, encoding: record.message_encoding };
-                self.channels.insert(record.id, channel);
-                Ok(Some((&self.channels[&record.id], None)))
-            }
-            Record::Message { header, .. } => {
-                let id = header.channel_id;
-                let channel =
-                    self.channels.get(&id).ok_or_else(|| format!("a message of unknown channel {id}"))?;
-                // Behind channel, sequence number, and two times.
-                Ok(Some((channel, body.get(2 + 4 + 8 + 8..))))
+                let (topic, encoding) = (short(record.topic)?, short(record.message_encoding)?);
+                self.channels.insert(record.id, Channel { topic, schema, encoding });
+                Ok(self.channels.get(&record.id))
             }
             _ => Ok(None),
         }
     }
-}
-
-/// The records of a chunk, one behind the other.
-fn unpacked(chunk: &[u8]) -> Result<Vec<u8>, String> {
-    let Record::Chunk { header, data } = parse_record(op::CHUNK, chunk).map_err(|error| error.to_string())?
-    else {
-        return Err("a chunk that is none".to_owned());
-    };
-    let (size, packed) = (header.uncompressed_size, data.as_ref());
-    if size > LARGEST_CHUNK {
-        return Err(format!("a chunk of {size} bytes; allowed: {LARGEST_CHUNK}"));
-    }
-    // One byte more would be found out.
-    let limit = size + 1;
-    let mut records = Vec::new();
-    let read = match header.compression.as_str() {
-        "" => packed.take(limit).read_to_end(&mut records),
-        "lz4" => FrameDecoder::new(packed).take(limit).read_to_end(&mut records),
-        "zstd" => StreamingDecoder::new(packed)
-            .map_err(io::Error::other)
-            .and_then(|decoder| decoder.take(limit).read_to_end(&mut records)),
-        other => return Err(format!("chunks compressed with `{other}`; allowed: lz4, zstd, none")),
-    };
-    read.map_err(|error| format!("a chunk can't be unpacked: {error}"))?;
-    if records.len() as u64 != size {
-        return Err(format!("a chunk of {size} bytes unpacks to another number of bytes"));
-    }
-    let sum = header.uncompressed_crc;
-    // Sum 0 is none.
-    if sum != 0 && sum != crc32fast::hash(&records) {
-        return Err("the check sum of a chunk is wrong".to_owned());
-    }
-    Ok(records)
-}
-
-/// Splits off the first record: its kind, its content, and what follows. `None` where it isn't whole.
-fn first_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
-    let (&opcode, rest) = records.split_first()?;
-    let (length, rest) = rest.split_first_chunk()?;
-    let (body, rest) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
-    Some((opcode, body, rest))
 }

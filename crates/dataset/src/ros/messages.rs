@@ -1,6 +1,7 @@
 //! The messages of ROS 2 that a drive is made of: fields in the order of their definitions, which is that of CDR.
 
 use locsim_core::Pose2;
+use locsim_core::limits::{COORDINATE, quoted};
 use re_cdr::{BigEndian, LittleEndian};
 use serde::{Deserialize, Serialize};
 
@@ -89,11 +90,11 @@ impl Pose {
     /// The pose projected to the plane.
     ///
     /// # Errors
-    /// What isn't allowed: numbers that aren't finite, a quaternion that isn't of unit length.
+    /// What isn't allowed: numbers that aren't finite or too large, a quaternion that isn't of unit length.
     pub fn projected(&self) -> Result<Pose2, String> {
         let Self { position: Vector3 { x, y, z }, orientation: q } = self;
-        if ![x, y, z].iter().all(|v| v.is_finite()) {
-            return Err(format!("position is ({x}, {y}, {z}); allowed: finite numbers"));
+        if ![x, y, z].iter().all(|v| v.abs() <= COORDINATE) {
+            return Err(format!("position is ({x}, {y}, {z}); allowed: finite numbers up to {COORDINATE:e}"));
         }
         let theta = heading([q.x, q.y, q.z, q.w])
             .map_err(|length| format!("length of the quaternion is {length}; allowed: 0.99 to 1.01"))?;
@@ -182,7 +183,8 @@ pub fn decode<'a, T: Deserialize<'a>>(data: &'a [u8]) -> Result<T, String> {
     } else {
         re_cdr::from_bytes::<T, LittleEndian>(body)
     };
-    read.map(|(message, _)| message).map_err(|error| format!("not a message of its type: {error}"))
+    read.map(|(message, _)| message)
+        .map_err(|error| format!("not a message of its type: {}", quoted(&error.to_string())))
 }
 
 /// Encodes a message in CDR, little endian.

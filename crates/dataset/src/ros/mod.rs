@@ -10,12 +10,14 @@ mod write;
 
 use std::path::Path;
 
+use locsim_core::limits::Limits;
 use locsim_core::{Drive, Pose2};
 use serde::Serialize;
 
 use crate::{DatasetError, LogSummary};
 
-pub use write::write_mcap;
+pub use read::read;
+pub use write::{encode_mcap, write_mcap};
 
 /// What the topics of a bag are called.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -60,12 +62,12 @@ pub struct McapOptions {
 ///   its bearings mirrored.
 ///
 /// # Errors
-/// The file can't be read, isn't a complete MCAP file or is damaged; a topic is missing or one of several would have
+/// The file can't be read, isn't a complete MCAP file or is damaged, or costs more than the [`Limits`] allow; a topic is missing or one of several would have
 /// to be chosen; a message can't be decoded or has values that aren't allowed; the laser changes or scans out of the
 /// plane; no scan has odometry.
 pub fn read_mcap(path: &Path, options: &McapOptions) -> Result<(Drive, LogSummary), DatasetError> {
-    read::read(path, options)
+    read(path, options, Limits::current())
 }
 
 #[cfg(test)]
-mod tests;
+pub mod tests;

@@ -2,14 +2,16 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use glam::{DAffine3, DQuat, DVec3};
-use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan, wrap_angle};
+use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
+use locsim_core::{Drive, DriveStep, Laser, LaserError, Pose2, Scan, wrap_angle};
 
 use super::McapOptions;
-use super::bag::{Channel, visit_messages};
+use super::bag::{Channel, LONGEST_NAME, visit_messages};
 use super::messages::{
     LaserScan, Message, Odometry, Pose, PoseStamped, TfMessage, TransformStamped, decode, secs,
 };
 use super::topics::{Chosen, Topics};
+use crate::laser::checked;
 use crate::{DatasetError, LogKind, LogSummary, OdometrySource};
 
 /// A topic's messages may be logged out of order by this much (ns); further back, the clock was set.
@@ -18,22 +20,27 @@ const OUT_OF_ORDER: i64 = 1_000_000_000;
 /// A laser that scans in the plane has its axis this near to the vertical: the cosine of 10 degrees.
 const UPRIGHT: f64 = 0.985;
 
+/// Frames that static transforms tell of, at the most; robots have hundreds.
+const MOST_FRAMES: usize = 10_000;
+
 /// What a drive's base is called, after the odometry's own name for it (REP-105).
 const BASE_FRAMES: [&str; 2] = ["base_link", "base_footprint"];
 
-pub fn read(path: &Path, options: &McapOptions) -> Result<(Drive, LogSummary), DatasetError> {
-    let topics = Topics::of(path)?;
+pub fn read(
+    path: &Path,
+    options: &McapOptions,
+    limits: &Limits,
+) -> Result<(Drive, LogSummary), DatasetError> {
+    let topics = Topics::of(path, limits)?;
     let chosen = topics.choose(&options.topics)?;
-    let messages = Messages::read(path, &chosen)?;
+    let messages = Messages::read(path, &chosen, limits)?;
     let mount = messages.mount(options.base_from_laser).map_err(|reason| DatasetError::Message {
         path: path.to_owned(),
-        topic: chosen.scan.topic.clone(),
+        topic: quoted(&chosen.scan.topic),
         number: 1,
         reason,
     })?;
-    let laser = messages
-        .laser(&mount, options)
-        .map_err(|source| DatasetError::Laser { path: path.to_owned(), source })?;
+    let laser = checked(path, messages.laser(&mount, options))?;
 
     let (max, min) = (laser.max_range(), laser.min_range());
     let scans = messages.scans.items.len();
@@ -83,14 +90,14 @@ pub fn read(path: &Path, options: &McapOptions) -> Result<(Drive, LogSummary), D
         no_return_share: no_return as f64 / readings,
         unusable_share: unusable as f64 / readings,
         longest_return_m: longest,
-        scan_source: chosen.scan.topic,
+        scan_source: quoted(&chosen.scan.topic),
     };
     Ok((Drive { laser, steps }, summary))
 }
 
 /// Where everything was found, in words.
 fn evidence(chosen: &Chosen, topics: &Topics<'_>, mount: &Mount) -> String {
-    let of = |channel: &Channel| format!("{} ({} messages)", channel.topic, topics.count(channel));
+    let of = |channel: &Channel| format!("{} ({} messages)", quoted(&channel.topic), topics.count(channel));
     let reference = chosen.reference.as_ref().map_or("no topic".to_owned(), of);
     let mut evidence = format!(
         "scans from {}, odometry from {}, reference from {reference}; {}",
@@ -170,6 +177,8 @@ struct Messages {
     /// The first scan, without readings.
     first: Option<LaserScan>,
     scans: Stamped<Vec<f32>>,
+    /// What the scans take of the limit on readings.
+    readings: u64,
     time_increments_secs: f64,
     odometry: Stamped<Pose2>,
     base_frame: String,
@@ -179,11 +188,12 @@ struct Messages {
 }
 
 impl Messages {
-    fn read(path: &Path, chosen: &Chosen) -> Result<Self, DatasetError> {
+    fn read(path: &Path, chosen: &Chosen, limits: &Limits) -> Result<Self, DatasetError> {
         let mut read = Self::default();
         let mut numbers = BTreeMap::<Channel, usize>::new();
-        visit_messages(path, |channel, message| {
-            let Some(data) = message else { return Ok(()) };
+        let mut messages = 0;
+        visit_messages(path, limits, |channel, message| {
+            let Some(content) = message else { return Ok(()) };
             let reference = chosen.reference.as_ref();
             let chosen_ones =
                 [Some(&chosen.scan), Some(&chosen.odometry), reference, chosen.transforms.as_ref()];
@@ -192,9 +202,14 @@ impl Messages {
             }
             let number = numbers.entry(channel.clone()).or_default();
             *number += 1;
-            let mut take = || {
+            messages += 1;
+            let take = || {
+                if messages > limits.log_messages {
+                    return Err(Limits::refusal_above("log_messages", limits.log_messages));
+                }
+                let data = content.bytes()?;
                 if *channel == chosen.scan {
-                    read.scan(decode(data)?)?;
+                    read.scan(decode(data)?, limits)?;
                 }
                 if *channel == chosen.odometry {
                     let odometry: Odometry = decode(data)?;
@@ -223,7 +238,7 @@ impl Messages {
             let taken: Result<(), String> = take();
             taken.map_err(|reason| DatasetError::Message {
                 path: path.to_owned(),
-                topic: channel.topic.clone(),
+                topic: quoted(&channel.topic),
                 number: *number,
                 reason,
             })
@@ -234,8 +249,14 @@ impl Messages {
         Ok(read)
     }
 
-    fn scan(&mut self, mut scan: LaserScan) -> Result<(), String> {
-        let ranges = std::mem::take(&mut scan.ranges);
+    fn scan(&mut self, mut scan: LaserScan, limits: &Limits) -> Result<(), String> {
+        let mut ranges = std::mem::take(&mut scan.ranges);
+        ranges.shrink_to_fit();
+        scan.intensities = Vec::new();
+        self.readings += ranges.len() as u64 + READINGS_PER_SCAN;
+        if self.readings > limits.log_readings {
+            return Err(Limits::refusal_above("log_readings", limits.log_readings));
+        }
         if ranges.is_empty() {
             return Err("the scan has no ranges; allowed: at least one".to_owned());
         }
@@ -248,7 +269,7 @@ impl Messages {
                 ));
             }
             if scan.header.frame_id != first.header.frame_id {
-                let (found, allowed) = (&scan.header.frame_id, &first.header.frame_id);
+                let (found, allowed) = (quoted(&scan.header.frame_id), quoted(&first.header.frame_id));
                 return Err(format!("frame_id is `{found}`; allowed: `{allowed}`, as in the first"));
             }
             for (field, found, allowed) in [
@@ -263,8 +284,9 @@ impl Messages {
                 }
             }
         }
-        if !scan.time_increment.is_finite() {
-            return Err(format!("time_increment is {}; allowed: a finite number", scan.time_increment));
+        if !(0.0..=COORDINATE).contains(&f64::from(scan.time_increment.abs())) {
+            let found = scan.time_increment;
+            return Err(format!("time_increment is {found}; allowed: a finite number up to {COORDINATE:e}"));
         }
         self.time_increments_secs += f64::from(scan.time_increment);
         self.scans.push(scan.header.stamp.nanos(), ranges)?;
@@ -274,6 +296,15 @@ impl Messages {
 
     fn transform(&mut self, stamped: TransformStamped) -> Result<(), String> {
         let TransformStamped { header, child_frame_id, transform } = stamped;
+        for frame in [&header.frame_id, &child_frame_id] {
+            if frame.len() > LONGEST_NAME {
+                let (frame, length) = (quoted(frame), frame.len());
+                return Err(format!("frame `{frame}` has {length} bytes; allowed: at most {LONGEST_NAME}"));
+            }
+        }
+        if self.transforms.len() == MOST_FRAMES {
+            return Err(format!("more than {MOST_FRAMES} frames; allowed: at most so many"));
+        }
         transform.projected()?;
         let Pose { position: p, orientation: q } = transform;
         let rotation = DQuat::from_xyzw(q.x, q.y, q.z, q.w).normalize();
@@ -306,11 +337,13 @@ impl Messages {
         let known = bases.iter().find_map(|base| Some((base, above.get(base)?)));
         let Some((base, base_from_laser)) = known.filter(|(base, _)| !base.is_empty()) else {
             let evidence = format!(
-                "the laser is taken to be at the base's origin, as no static transform leads from `{laser}` to `{}`",
-                if bases[0].is_empty() { link } else { bases[0] }
+                "the laser is taken to be at the base's origin, as no static transform leads from `{}` to `{}`",
+                quoted(laser),
+                quoted(if bases[0].is_empty() { link } else { bases[0] })
             );
             return found(Pose2::IDENTITY, false, evidence);
         };
+        let (laser, base) = (quoted(laser), quoted(base));
         let (forward, axis) = (base_from_laser.matrix3.x_axis, base_from_laser.matrix3.z_axis);
         if axis.z.abs() < UPRIGHT {
             let tilt = axis.z.acos().to_degrees();
@@ -329,8 +362,8 @@ impl Messages {
     }
 
     /// The laser that the scans describe.
-    fn laser(&self, mount: &Mount, options: &McapOptions) -> Result<Laser, locsim_core::LaserError> {
-        let first = self.first.as_ref().ok_or(locsim_core::LaserError::NoBeams)?;
+    fn laser(&self, mount: &Mount, options: &McapOptions) -> Result<Laser, LaserError> {
+        let first = self.first.as_ref().ok_or(LaserError::NoBeams)?;
         let beams = self.scans.items.first().map_or(0, |(_, ranges)| ranges.len());
         let side = if mount.mirrored { -1.0 } else { 1.0 };
         let interval = self.time_increments_secs / self.scans.items.len() as f64;

@@ -17,6 +17,7 @@ use super::messages::{
 use super::*;
 use crate::test_drives::{bits, drive};
 use crate::{LogFormat, LogKind, LogOptions, read_log, write_log};
+use locsim_core::limits::UNPACKING_FACTOR;
 use locsim_core::wrap_angle;
 
 impl Message for PoseStamped {
@@ -39,6 +40,11 @@ impl Bag {
 
     fn raw(mut self, topic: &str, schema: &str, encoding: &str, data: &[u8]) -> Self {
         self.messages.push((topic.into(), schema.into(), encoding.into(), data.into()));
+        self
+    }
+
+    fn without(mut self, topic: &str) -> Self {
+        self.messages.retain(|(name, ..)| name != topic);
         self
     }
 
@@ -216,7 +222,7 @@ fn summary_length(bytes: &[u8]) -> usize {
 }
 
 /// The records in the chunks of a file.
-fn records_of(bytes: &[u8]) -> Vec<u8> {
+pub fn records_of(bytes: &[u8]) -> Vec<u8> {
     let mut records = Vec::new();
     for record in mcap::read::LinearReader::new(bytes).unwrap() {
         if let Record::Chunk { data, .. } = record.unwrap() {
@@ -227,7 +233,7 @@ fn records_of(bytes: &[u8]) -> Vec<u8> {
 }
 
 /// A file of one chunk, without summary.
-fn packed(records: &[u8], compression: &str, sums: bool) -> Vec<u8> {
+pub fn packed(records: &[u8], compression: &str, sums: bool) -> Vec<u8> {
     let data = match compression {
         "lz4" => {
             let mut encoder = FrameEncoder::new(Vec::new());
@@ -576,9 +582,190 @@ fn errors_name_file_topic_message_value_and_what_is_allowed() {
     let missing = read_mcap(&folder.path().join("no.mcap"), &McapOptions::default()).unwrap_err();
     assert!(matches!(missing, DatasetError::Open { .. }), "{missing}");
     let directory = read_mcap(folder.path(), &McapOptions::default()).unwrap_err();
-    assert!(matches!(directory, DatasetError::Mcap { .. }), "{directory}");
+    assert!(matches!(directory, DatasetError::NotALog { .. }), "{directory}");
     let text = read_bytes(b"# CARMEN Logfile\n", &McapOptions::default()).unwrap_err().to_string();
     assert!(text.contains("not a complete MCAP file: Bad magic number"), "{text}");
+}
+
+fn refused(bytes: &[u8], limits: &Limits) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.mcap");
+    fs::write(&path, bytes).unwrap();
+    let message = read(&path, &McapOptions::default(), limits).unwrap_err().to_string();
+    assert!(message.len() < 4000 && !message.contains(char::is_control), "{message:?}");
+    message
+}
+
+#[test]
+fn a_bag_unpacks_to_so_much_and_no_more() {
+    let plain = plain();
+    let mut records = records_of(&plain.bytes());
+    // An attachment of zeros.
+    records.push(op::ATTACHMENT);
+    records.extend(1_000_000_u64.to_le_bytes());
+    records.extend(vec![0; 1_000_000]);
+    let size = records.len() as u64;
+    for packing in ["lz4", "zstd"] {
+        let bytes = packed(&records, packing, true);
+        assert!(bytes.len() as u64 * UNPACKING_FACTOR < size);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("test.mcap");
+        fs::write(&path, &bytes).unwrap();
+        let limits = |log_unpacked_bytes| Limits { log_unpacked_bytes, ..Limits::DEFAULT };
+        assert!(read(&path, &McapOptions::default(), &limits(size)).is_ok());
+        let message = refused(&bytes, &limits(size - 1));
+        let part = format!(
+            "more than {} bytes that a compressed log unpacks to are not allowed (`--limit",
+            size - 1
+        );
+        assert!(message.contains(&part), "{message}");
+    }
+    // Several chunks count together, and bytes that aren't compressed don't count.
+    let chunk = |packing: &str| {
+        let file = packed(&records, packing, true);
+        let end = file.len() - (9 + 4) - (9 + 20) - MAGIC.len();
+        (file[..end].to_vec(), file[end..].to_vec())
+    };
+    let limits = Limits { log_unpacked_bytes: size, ..Limits::DEFAULT };
+    let ((mut twice, end), start) = (chunk("lz4"), MAGIC.len() + 9 + 8);
+    twice.extend_from_within(start..);
+    let message = refused(&[&twice[..], &end].concat(), &limits);
+    assert!(message.contains("bytes that a compressed log unpacks to"), "{message}");
+    let (plain, end) = chunk("");
+    let message = refused(&[&plain[..], &plain[start..], &end].concat(), &limits);
+    assert!(message.contains("after one of 3 s"), "{message}");
+}
+
+#[test]
+fn a_bag_costs_so_much_and_no_more() {
+    let bytes = plain().bytes();
+    // Three scans of five beams, each counting for a hundred readings more; five messages.
+    for (limits, message) in [
+        (
+            Limits { log_readings: 314, ..Limits::DEFAULT },
+            "/scan: message 3: more than 314 range readings of a log (100 more for each scan) are not allowed \
+             (`--limit log_readings=628` allows twice as many)",
+        ),
+        (
+            Limits { log_messages: 4, ..Limits::DEFAULT },
+            "/scan: message 3: more than 4 lines of a text log or messages read from a bag are not allowed \
+             (`--limit log_messages=8` allows twice as many)",
+        ),
+    ] {
+        let found = refused(&bytes, &limits);
+        assert!(found.ends_with(message), "{found}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.mcap");
+    fs::write(&path, &bytes).unwrap();
+    let limits = Limits { log_readings: 315, log_messages: 5, ..Limits::DEFAULT };
+    assert!(read(&path, &McapOptions::default(), &limits).is_ok());
+}
+
+#[test]
+fn names_channels_and_frames_are_limited() {
+    let pose = transform("base_link", "x", [0.0; 3], [0.0, 0.0, 0.0, 1.0]);
+    let mut frames = pose.clone();
+    frames.transforms = (0..10_001)
+        .map(|i| TransformStamped { child_frame_id: format!("frame{i}"), ..pose.transforms[0].clone() })
+        .collect();
+    let mut long = pose.clone();
+    long.transforms[0].header.frame_id = "\u{1b}".repeat(1001);
+    let channels = |count: usize| {
+        (0..count).fold(plain(), |bag, i| bag.raw(&format!("/\u{1b}{i}"), "std_msgs/msg/String", "cdr", &[]))
+    };
+    for (bag, part) in [
+        (plain().raw(&"\u{1b}".repeat(1001), "", "cdr", &[]), "..` has 1001 bytes; allowed: at most 1000"),
+        (plain().raw("/a", &"\u{1b}".repeat(1001), "cdr", &[]), "has 1001 bytes; allowed: at most 1000"),
+        (plain().add("/tf_static", &long), "/tf_static: message 1: frame `\\u{1b}"),
+        (plain().add("/tf_static", &frames), "more than 10000 frames"),
+        (channels(10_000), "more than 10000 channels"),
+        (channels(30).without("/scan"), "/\\u{1b}1 (std_msgs/msg/String, 1 messages)"),
+        (channels(30).without("/scan"), ", 11 more"),
+    ] {
+        let message = refused(&bag.bytes(), &Limits::DEFAULT);
+        assert!(message.contains(part), "{message}");
+    }
+}
+
+#[test]
+fn a_record_that_is_skipped_may_be_of_any_length() {
+    let large = vec![0; (super::bag::LARGEST_RECORD + 1) as usize];
+    let (expected, _) = plain().read(&McapOptions::default()).unwrap();
+    let image = plain().raw("/image", "sensor_msgs/msg/Image", "cdr", &large);
+    assert_eq!(image.read(&McapOptions::default()).unwrap().0, expected);
+    let scan = plain().raw("/scan", LaserScan::TYPE, "cdr", &large);
+    let message = refused(&scan.bytes(), &Limits::DEFAULT);
+    assert!(
+        message.ends_with("/scan: message 4: a record has 16777217 bytes; allowed: at most 16777216"),
+        "{message}"
+    );
+}
+
+#[test]
+fn numbers_that_arithmetic_cannot_bear_are_refused() {
+    let scan_with = |change: &dyn Fn(&mut LaserScan)| {
+        let mut scan = scan(1.0, &[1.0; 5]);
+        change(&mut scan);
+        Bag::default().add("/odom", &odometry(1.0, &Pose2::IDENTITY)).add("/scan", &scan)
+    };
+    let far = Pose2 { x: 1e300, ..Pose2::IDENTITY };
+    let claims = {
+        let mut whole = encode(&scan(1.0, &[1.0; 5])).unwrap();
+        let count = whole.len() - 2 * (4 + 5 * 4);
+        whole[count..count + 4].copy_from_slice(&[0xff; 4]);
+        Bag::default()
+            .raw("/scan", LaserScan::TYPE, "cdr", &whole)
+            .add("/odom", &odometry(1.0, &Pose2::IDENTITY))
+    };
+    for (bag, part) in [
+        (plain().add("/odom", &odometry(3.0, &far)), "/odom: message 3: position is (1"),
+        (plain().add("/reference", &odometry(3.0, &far)), "allowed: finite numbers up to 1e9"),
+        (
+            plain().add("/tf_static", &transform("a", "b", [0.0, 0.0, 1e10], [0.0, 0.0, 0.0, 1.0])),
+            "/tf_static",
+        ),
+        (scan_with(&|scan| scan.angle_increment = 1e30), "bearing of a beam is 1"),
+        (scan_with(&|scan| scan.angle_min = f32::NAN), "bearing 0 of the laser is not finite"),
+        (scan_with(&|scan| scan.time_increment = 1e10), "time_increment is 10000000000; allowed"),
+        (scan_with(&|scan| scan.time_increment = 9e8), "time of a beam is 1800000000; allowed"),
+        (scan_with(&|scan| scan.range_max = f32::MAX), "maximum range is 34028"),
+        (claims, "not a message of its type: sequence length 4294967295 exceeds"),
+    ] {
+        let message = refused(&bag.bytes(), &Limits::DEFAULT);
+        assert!(message.contains(part), "{message}");
+    }
+}
+
+/// The summary's records are put in order after the library wrote them.
+#[test]
+fn a_written_summary_is_in_order_and_its_check_sum_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.mcap");
+    let (drive, _) = plain().read(&McapOptions::default()).unwrap();
+    write_mcap(&path, &drive).unwrap();
+    let bytes = fs::read(&path).unwrap();
+    let footer = mcap::read::footer(&bytes).unwrap();
+    let summed = bytes.len() - MAGIC.len() - 4;
+    let summary = &bytes[footer.summary_start as usize..summed];
+    assert_eq!(footer.summary_crc, crc32fast::hash(summary));
+    let (mut schemas, mut channels) = (Vec::new(), Vec::new());
+    for record in mcap::read::LinearReader::sans_magic(&summary[..summary.len() - 9 - 16]) {
+        match record.unwrap() {
+            Record::Schema { header, .. } => schemas.push(header.id),
+            Record::Channel(channel) => channels.push(channel.id),
+            _ => {}
+        }
+    }
+    assert_eq!((schemas, channels), (vec![1, 2, 3], vec![1, 2, 3, 4]));
+}
+
+#[test]
+fn data_without_an_end_are_refused() {
+    let bytes = packed(&records_of(&plain().bytes()), "", true);
+    let end = bytes.len() - (9 + 4) - (9 + 20) - MAGIC.len();
+    let message = refused(&[&bytes[..end], &bytes[end + 9 + 4..]].concat(), &Limits::DEFAULT);
+    assert!(message.contains("not a complete MCAP file: the data have no end"), "{message}");
 }
 
 #[test]

@@ -1,6 +1,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use locsim_core::limits::{Limits, quoted};
+
 use super::McapTopics;
 use super::bag::{Channel, visit_messages};
 use super::messages::{LaserScan, Message, Odometry, TfMessage};
@@ -8,6 +10,12 @@ use crate::DatasetError;
 
 /// The type of a reference topic that isn't odometry.
 pub const POSE_STAMPED: &str = "geometry_msgs/msg/PoseStamped";
+
+/// Channels of a bag, at the most; robots have hundreds.
+const MOST_CHANNELS: usize = 10_000;
+
+/// An error lists so many topics.
+const LISTED: usize = 20;
 
 /// Where the transforms are that don't change.
 const TF_STATIC: &str = "/tf_static";
@@ -46,11 +54,16 @@ const TRANSFORMS: Role = Role { name: "transforms", defaults: &[TF_STATIC], type
 
 impl<'a> Topics<'a> {
     /// Counts the messages of a file.
-    pub fn of(path: &'a Path) -> Result<Self, DatasetError> {
+    pub fn of(path: &'a Path, limits: &Limits) -> Result<Self, DatasetError> {
         let mut counts = BTreeMap::new();
-        visit_messages(path, |channel, message| {
+        visit_messages(path, limits, |channel, message| {
+            let channels = counts.len();
             let count = match counts.get_mut(channel) {
                 Some(count) => count,
+                None if channels == MOST_CHANNELS => {
+                    let reason = format!("more than {MOST_CHANNELS} channels; allowed: at most so many");
+                    return Err(DatasetError::Refused { path: path.to_owned(), line: None, reason });
+                }
                 None => counts.entry(channel.clone()).or_default(),
             };
             *count += usize::from(message.is_some());
@@ -85,7 +98,7 @@ impl<'a> Topics<'a> {
         ];
         let mut skipped = BTreeMap::new();
         for (channel, count) in self.counts.iter().filter(|(channel, _)| !read.contains(&Some(channel))) {
-            *skipped.entry(channel.topic.clone()).or_default() += count;
+            *skipped.entry(quoted(&channel.topic)).or_default() += count;
         }
         skipped
     }
@@ -99,10 +112,11 @@ impl<'a> Topics<'a> {
         match names.iter().find_map(of_name) {
             Some(channel) if channel.encoding == "cdr" => Ok(Some(channel.clone())),
             Some(Channel { topic, encoding, .. }) => {
+                let (topic, encoding) = (quoted(topic), quoted(encoding));
                 Err(self.refuse(format!("messages of {topic} are encoded as `{encoding}`; allowed: `cdr`")))
             }
             None => wanted.map_or(Ok(None), |name| {
-                let (role, types) = (role.name, role.types.join(" or "));
+                let (role, name, types) = (role.name, quoted(name), role.types.join(" or "));
                 Err(self.refuse(format!("{role} topic `{name}` isn't there with messages of type {types}")))
             }),
         }
@@ -126,7 +140,8 @@ impl<'a> Topics<'a> {
             .collect();
         let (name, default, types) = (role.name, role.defaults[0], role.types[0]);
         if let [topic] = candidates[..] {
-            guessed.push(format!("{topic} is taken for {name} as the only topic of its type"));
+            let quoted = quoted(topic);
+            guessed.push(format!("{quoted} is taken for {name} as the only topic of its type"));
             return Ok(self.named(role, Some(topic))?.unwrap_or_default());
         }
         let among = if candidates.is_empty() { "no" } else { "no single" };
@@ -147,10 +162,12 @@ impl<'a> Topics<'a> {
 
     fn refuse(&self, reason: String) -> DatasetError {
         let found = self.counts.iter().map(|(channel, count)| {
-            let Channel { topic, schema, .. } = channel;
-            format!("{topic} ({schema}, {count} messages)")
+            format!("{} ({}, {count} messages)", quoted(&channel.topic), quoted(&channel.schema))
         });
-        let found: Vec<_> = found.collect();
+        let mut found: Vec<_> = found.take(LISTED).collect();
+        if self.counts.len() > LISTED {
+            found.push(format!("{} more", self.counts.len() - LISTED));
+        }
         let found = if found.is_empty() { "no topic".to_owned() } else { found.join(", ") };
         DatasetError::Topic { path: self.path.to_owned(), reason, found }
     }

@@ -1,17 +1,17 @@
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::path::Path;
 
 use locsim_core::{Drive, Pose2};
-use mcap::records::MessageHeader;
-use mcap::{McapResult, WriteOptions, Writer};
+use mcap::records::{MessageHeader, op};
+use mcap::{MAGIC, McapResult, WriteOptions};
 
 use super::messages::{
     Header, LaserScan, Message, Odometry, Pose, PoseWithCovariance, TfMessage, Time, TransformStamped,
     TwistWithCovariance, encode,
 };
 use crate::DatasetError;
-use crate::output::{evenly_spaced, write_whole};
+use crate::output::{encoded, evenly_spaced, write_whole};
 
 /// Frames of REP-105.
 const MAP: &str = "map";
@@ -31,6 +31,11 @@ const LASER: &str = "laser";
 /// The drive has no scan, bearings or beam times that aren't evenly spaced (the first beam at the stamp), values that
 /// no log may hold, or times before 0 or from 2^31 - 1 s on; the file can't be written.
 pub fn write_mcap(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
+    write_whole(path, |out| encode_mcap(path, drive, out))
+}
+
+/// Writes the bytes of the file to `out`; `path` is for messages.
+pub fn encode_mcap(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
     let (beams, times) = evenly_spaced(path, drive)?;
     let stamps = drive.steps.iter().enumerate().map(|(i, step)| {
         Time::from_secs(step.stamp_secs).ok_or_else(|| DatasetError::Unwritable {
@@ -41,7 +46,7 @@ pub fn write_mcap(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
     let stamps = stamps.collect::<Result<Vec<_>, _>>()?;
     let bytes = bag(drive, &stamps, beams.step as f32, times.step as f32)
         .map_err(|error| DatasetError::Unwritable { path: path.to_owned(), reason: error.to_string() })?;
-    write_whole(path, |out| out.write_all(&bytes))
+    encoded(path, out, |out| out.write_all(&bytes))
 }
 
 /// The bytes of the file.
@@ -90,12 +95,40 @@ fn bag(drive: &Drive, stamps: &[Time], angle_increment: f32, time_increment: f32
         bag.write("/scan", stamp, &scan)?;
     }
     bag.writer.finish()?;
-    Ok(bag.writer.into_inner().into_inner())
+    let mut bytes = bag.writer.into_inner().into_inner();
+    let summary = mcap::read::footer(&bytes)?.summary_start as usize;
+    order(&mut bytes[summary..]);
+    Ok(bytes)
+}
+
+/// Puts the schemas and channels of a summary in the order of their numbers. The library has them in that of a hash
+/// map, which differs from run to run.
+fn order(summary: &mut [u8]) {
+    // The summary ends with the footer, which ends with a check sum, and the magic.
+    let (footer, sum) = (9 + 20 + MAGIC.len(), 4 + MAGIC.len());
+    let mut records = Vec::new();
+    let mut rest = &summary[..summary.len() - footer];
+    while let Some((start, _)) = rest.split_first_chunk::<9>() {
+        let length = u64::from_le_bytes(start[1..].try_into().unwrap_or_default());
+        let (record, behind) = rest.split_at(9 + length as usize);
+        records.push(record);
+        rest = behind;
+    }
+    for kind in records.chunk_by_mut(|a, b| a[0] == b[0]) {
+        if [op::SCHEMA, op::CHANNEL].contains(&kind[0][0]) {
+            kind.sort_by_key(|record| [record[10], record[9]]);
+        }
+    }
+    let ordered = records.concat();
+    summary[..ordered.len()].copy_from_slice(&ordered);
+    let summed = summary.len() - sum;
+    let sum = crc32fast::hash(&summary[..summed]);
+    summary[summed..summed + 4].copy_from_slice(&sum.to_le_bytes());
 }
 
 /// A bag in the making.
 struct Bag {
-    writer: Writer<Cursor<Vec<u8>>>,
+    writer: mcap::Writer<Cursor<Vec<u8>>>,
     /// Number of each topic's channel, and how many messages it has.
     channels: BTreeMap<&'static str, (u16, u32)>,
 }

@@ -61,6 +61,9 @@ pub enum BenchError {
     /// Threads could not be started.
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
+    /// The folder for figures can't be used.
+    #[error(transparent)]
+    Store(#[from] crate::store::StoreError),
     /// A figure could not be drawn.
     #[error(transparent)]
     Figure(#[from] ReportError),

@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn the_walk_ends_within_two_cells_of_the_exact_cast() {
         let grid = room();
-        let exact = ExactRangeMap::new(grid.to_geometry());
+        let exact = ExactRangeMap::new(grid.to_geometry().unwrap());
         for i in 0..200 {
             let t = f64::from(i);
             let inside = Pose2::new(0.6 + 3.0 * (0.37 * t).fract(), 0.5 + 1.2 * (0.61 * t).fract(), t);

@@ -1,8 +1,6 @@
 //! Cost against the number of particles, of beams, of threads, and the size of the map.
 
 use std::f64::consts::TAU;
-use std::fs;
-use std::path::Path;
 
 use locsim_core::{Draw, Hits, Laser, Particles, Pose2, RangeMap, Scan, Stage};
 use locsim_world::map::{Cell, OccupancyGrid};
@@ -18,6 +16,7 @@ use crate::report::ReportError;
 use crate::report::figures::canvas::{Axis, DrawError, Mark, chart, figure, line, model_color};
 use crate::report::figures::{Figure, Rasterizer};
 use crate::run::Progress;
+use crate::store::{Folder, Store};
 
 /// Particles of the first sweep.
 const PARTICLES: [usize; 5] = [1_000, 10_000, 100_000, 1_000_000, 10_000_000];
@@ -65,13 +64,13 @@ pub struct SweepReport {
     pub maps: Vec<Cost>,
 }
 
-/// Runs every sweep and writes `sweeps.json` and the figures (`.svg`, `.png`) into `out`, which is made if it's missing.
+/// Runs every sweep and leaves `sweeps.json` and the figures (`.svg`, `.png`) in the results folder of `store`.
 ///
 /// # Errors
 /// [`BenchError`] when a filter gives up or a file can't be written.
 pub fn sweep(
     bench: &Bench,
-    out: &Path,
+    store: Store,
     clock: Clock<'_>,
     progress: &dyn Progress,
 ) -> Result<SweepReport, BenchError> {
@@ -94,7 +93,7 @@ pub fn sweep(
     }
     progress.stage("sweep over maps", MAPS_M.len() as u64);
     for sides in MAPS_M {
-        let exact = ExactRangeMap::new(office(sides)?.to_geometry());
+        let exact = ExactRangeMap::new(office(sides)?.to_geometry()?);
         let table = table::build(&exact, clock, &())?;
         let truth = Pose2::new(0.5 * sides[0], 0.5 * CORRIDOR_M, 0.35);
         let seen = seen_from(workload, &exact, truth, beams, 10_000)?;
@@ -108,7 +107,8 @@ pub fn sweep(
         progress.advance(1);
     }
     progress.finish();
-    write(&report, out)?;
+    write(&report, store.folder())?;
+    store.finish()?;
     Ok(report)
 }
 
@@ -196,20 +196,16 @@ fn office([width_m, height_m]: [f64; 2]) -> Result<OccupancyGrid, BenchError> {
     Ok(OccupancyGrid::new(columns, rows, MAP_CELL_M, Pose2::IDENTITY, cells, occupancy)?)
 }
 
-fn write(report: &SweepReport, out: &Path) -> Result<(), BenchError> {
-    fs::create_dir_all(out).map_err(BenchError::system(out))?;
-    let save = |name: String, bytes: &[u8]| {
-        let path = out.join(name);
-        fs::write(&path, bytes).map_err(BenchError::system(path))
-    };
+fn write(report: &SweepReport, folder: &Folder) -> Result<(), BenchError> {
     let json = serde_json::to_string_pretty(report).map_err(ReportError::from)?;
-    save("sweeps.json".to_owned(), (json + "\n").as_bytes())?;
+    folder.write("sweeps.json", (json + "
+").as_bytes())?;
+    let figures =
+        figures(report).map_err(|error| ReportError::Figure { name: "sweeps", reason: error.to_string() })?;
     let rasterizer = Rasterizer::new();
-    for figure in
-        figures(report).map_err(|error| ReportError::Figure { name: "sweeps", reason: error.to_string() })?
-    {
-        save(format!("{}.svg", figure.name), figure.svg.as_bytes())?;
-        save(format!("{}.png", figure.name), &rasterizer.png(&figure)?)?;
+    for figure in &figures {
+        folder.write(&format!("{}.svg", figure.name), figure.svg.as_bytes())?;
+        folder.write(&format!("{}.png", figure.name), &rasterizer.png(figure)?)?;
     }
     Ok(())
 }

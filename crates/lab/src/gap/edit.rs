@@ -10,7 +10,7 @@ use saphyr_parser::{Event, Parser};
 use similar::TextDiff;
 
 use super::{GapStudy, GapStudyError};
-use crate::run::RunError;
+use crate::store::StoreError;
 use crate::scenario::effect::{effect_yaml_with, in_file, key};
 use crate::scenario::{Overrides, Scenario, Source};
 
@@ -287,7 +287,9 @@ fn relative(target: &Path, from: &Path) -> PathBuf {
 /// The results folder, which need not be there yet, without links.
 fn out_folder(out: &Path) -> Result<PathBuf, GapStudyError> {
     let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let parent = parent.canonicalize().map_err(RunError::file(parent))?;
+    let parent = parent
+        .canonicalize()
+        .map_err(|source| StoreError::File { path: parent.to_owned(), source })?;
     Ok(parent.join(out.file_name().unwrap_or_default()))
 }
 

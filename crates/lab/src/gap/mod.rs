@@ -25,9 +25,10 @@ pub use locsim_gap::{BeamPit, Outcome};
 
 pub(crate) use filter::FilterOnLog;
 
-use crate::report::{ReportError, save};
-use crate::run::{Progress, RunError, Store};
+use crate::report::ReportError;
+use crate::run::{Progress, RunError};
 use crate::scenario::{Overrides, Problem, Scenario, ScenarioError, Simulation, Source, load_map};
+use crate::store::{Folder, Request, Store, StoreError};
 use crate::yaml;
 
 /// Bearings of log and scenario that differ by more than this are of other beams \[rad\].
@@ -56,9 +57,12 @@ pub enum GapStudyError {
     /// A search that can't be done, or was stopped.
     #[error(transparent)]
     Gap(#[from] GapError),
-    /// The results folder, or the filter.
+    /// The filter or the recording failed.
     #[error(transparent)]
     Run(#[from] RunError),
+    /// The results folder can't be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// The report could not be written.
     #[error(transparent)]
     Report(#[from] ReportError),
@@ -108,6 +112,8 @@ pub struct GapStudy {
 pub struct GapStudyOptions<'a> {
     /// The results folder.
     pub out: PathBuf,
+    /// Whether earlier results there may be replaced.
+    pub force: bool,
     /// The command that repeats it, for the report.
     pub command: String,
     /// Whether to run the filter with the old and the new simulator.
@@ -124,7 +130,10 @@ pub struct GapStudyOptions<'a> {
     pub recorder: Option<&'a GapRecorder<'a>>,
 }
 
-/// Writes a recording into a results folder.
+/// The recording's name in the results folder.
+pub const RECORDING: &str = "gap.rrd";
+
+/// Writes a recording to this path.
 pub type GapRecorder<'a> =
     dyn Fn(&GapStudy, &Outcome, &Path) -> Result<(), Box<dyn std::error::Error + Send + Sync>> + Sync + 'a;
 
@@ -245,14 +254,27 @@ impl GapStudy {
 /// # Errors
 /// [`GapStudyError`]; earlier results at `options.out` are then untouched.
 pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapStudyError> {
-    let store = Store::open(&options.out, &study.scenario.content_hash()?, false)?;
+    let GapStudyOptions { out, force, .. } = options;
+    let fingerprint = study.scenario.content_hash()?;
+    // A search has no parts that could be kept.
+    let request = Request { out, kind: "gap", fingerprint: &fingerprint, resume: false, force: *force };
+    let store = Store::open(&request)?;
     let written = find(study, options).and_then(|outcome| {
         options.progress.stage("writing the report", 1);
         write(store.folder(), study, &outcome, options)?;
         Ok(outcome)
     });
-    let outcome = written.inspect_err(|_| store.discard_if_empty())?;
-    let recorded = options.recorder.map_or(Ok(()), |recorder| recorder(study, &outcome, store.folder()));
+    let outcome = match written {
+        Ok(outcome) => outcome,
+        Err(error) => {
+            store.discard_if_empty();
+            return Err(error);
+        }
+    };
+    let recorded = match options.recorder {
+        Some(recorder) => recorder(study, &outcome, &store.folder().claim(RECORDING)?),
+        None => Ok(()),
+    };
     store.finish()?;
     options.progress.finish();
     recorded.map_err(|source| RunError::Recording { out: options.out.clone(), source })?;
@@ -297,19 +319,19 @@ fn false_alarm(replicates: u32) -> f64 {
 
 /// Writes everything into `folder`.
 fn write(
-    folder: &Path,
+    folder: &Folder,
     study: &GapStudy,
     outcome: &Outcome,
     options: &GapStudyOptions<'_>,
 ) -> Result<(), GapStudyError> {
     let json = serde_json::to_string_pretty(outcome).map_err(ReportError::from)?;
-    save(&folder.join("gap.json"), format!("{json}\n").as_bytes())?;
+    folder.write("gap.json", format!("{json}\n").as_bytes())?;
     let scenario = edit::scenario_with(study, outcome, &options.out)?;
-    save(&folder.join("scenario.yaml"), scenario.as_bytes())?;
+    folder.write("scenario.yaml", scenario.as_bytes())?;
     let old = study.scenario.file.display().to_string();
     let diff =
         edit::diff(&study.text, &scenario, &old, &options.out.join("scenario.yaml").display().to_string());
-    save(&folder.join("scenario.diff"), diff.as_bytes())?;
+    folder.write("scenario.diff", diff.as_bytes())?;
     Ok(page::write(folder, study, outcome, &diff, &options.command)?)
 }
 

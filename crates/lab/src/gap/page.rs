@@ -1,8 +1,5 @@
 //! The report of a search: what disagrees and where, why this effect and not another, what remains.
 
-use std::fs;
-use std::path::Path;
-
 use locsim_gap::{Outcome, Verdict};
 use locsim_world::effect::EffectKind;
 use minijinja::syntax::SyntaxConfig;
@@ -11,10 +8,11 @@ use minijinja::{Environment, context};
 use serde::Serialize;
 
 use super::{GapStudy, answer, figures};
-use crate::report::figures::{Figure, Rasterizer};
+use crate::report::figures::Figure;
 use crate::report::text::{self, TextTable, fixed, significant};
-use crate::report::{ReportError, page, save};
+use crate::report::{ReportError, page, write_figures};
 use crate::scenario::effect::{in_file, key, unit};
+use crate::store::Folder;
 
 const MARKDOWN: &str = include_str!("templates/gap.md.j2");
 
@@ -46,23 +44,17 @@ struct NamedText {
 /// Writes `figures/`, `report.md` and `report.html` into `folder`. `diff` is between the scenario and the one with the
 /// effects.
 pub(super) fn write(
-    folder: &Path,
+    folder: &Folder,
     study: &GapStudy,
     outcome: &Outcome,
     diff: &str,
     command: &str,
 ) -> Result<(), ReportError> {
-    let pictures = folder.join("figures");
-    fs::create_dir_all(&pictures).map_err(|source| ReportError::Io { path: pictures.clone(), source })?;
     let figures = figures::all(study, outcome)?;
-    let rasterizer = Rasterizer::new();
-    for figure in &figures {
-        save(&pictures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
-        save(&pictures.join(format!("{}.png", figure.name)), &rasterizer.png(figure)?)?;
-    }
+    write_figures(folder, &figures)?;
     let markdown = markdown(study, outcome, &figures, diff, command)?;
-    save(&folder.join("report.md"), markdown.as_bytes())?;
-    save(&folder.join("report.html"), page::html(&title(study), &markdown, &figures)?.as_bytes())
+    folder.write("report.md", markdown.as_bytes())?;
+    Ok(folder.write("report.html", page::html(&title(study), &markdown, &figures)?.as_bytes())?)
 }
 
 fn title(study: &GapStudy) -> String {

@@ -1,14 +1,13 @@
 //! The hidden-effect suite: logs in which an effect is hidden, the search that doesn't know, and a score.
 //!
-//! Logs and truths are written to folders of their own. The search reads a log and the nominal scenario; the score reads
-//! truths and findings afterwards. Whatever is done is kept, and a run that was interrupted goes on where it stopped.
+//! The search reads a log and the nominal scenario; the score reads truths and findings afterwards, from folders of their
+//! own. Whatever is done is kept with its hash, and a run that was interrupted goes on where it stopped.
 
 mod plan;
 mod score;
 mod text;
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -23,14 +22,16 @@ use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{Simulator, simulate_drive};
 use rayon::{ThreadPoolBuildError, ThreadPoolBuilder};
 use serde::{Deserialize, Serialize};
+use tempfile::TempDir;
 
 pub use plan::Size;
 pub use score::Score;
-pub use text::{report, table};
+pub use text::table;
 
 use crate::gap::{FilterOnLog, GapSettings, GapStudy, GapStudyError};
 use crate::run::Progress;
 use crate::scenario::{Overrides, Scenario, ScenarioError, Source, load_map};
+use crate::store::{Folder, Lock, StoreError};
 use plan::{Case, Group, Hidden, REGIMES, plan};
 
 /// Why the suite could not be run.
@@ -51,31 +52,21 @@ pub enum GapBenchError {
     /// A log could not be written or read.
     #[error(transparent)]
     Log(#[from] DatasetError),
-    /// Another file.
-    #[error("{path}: {source}")]
-    File {
-        /// Which.
-        path: PathBuf,
-        /// What happened.
-        source: std::io::Error,
-    },
-    /// A file of the suite's own is damaged.
-    #[error("{path}: {source}; remove it, and it will be made anew")]
-    Json {
-        /// Which.
-        path: PathBuf,
-        /// What is wrong.
-        source: serde_json::Error,
-    },
+    /// A log can't be put down for the search.
+    #[error("a folder for logs: {0}")]
+    Temporary(std::io::Error),
+    /// The suite's folder can't be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The figures can't be written as JSON.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
     /// The machine gives no thread.
     #[error(transparent)]
     Threads(#[from] ThreadPoolBuildError),
     /// The scenario is of a measured log.
     #[error("{0}: the suite needs a simulated scenario, with `robot` and `laser`")]
     NotSimulated(PathBuf),
-    /// The folder holds another suite.
-    #[error("{0}: holds a suite of another size, seed or scenario; choose another folder")]
-    Other(PathBuf),
 }
 
 impl GapBenchError {
@@ -239,14 +230,10 @@ impl World {
 /// # Errors
 /// [`GapBenchError`]; what was done is kept.
 pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
-    let [logs, truths, found] = ["logs", "truth", "found"].map(|name| options.out.join(name));
-    for folder in [&logs, &truths, &found] {
-        fs::create_dir_all(folder).map_err(|source| GapBenchError::File { path: folder.clone(), source })?;
-    }
     options.progress.stage("integrating over blocks", 1);
     let world = World::load(options)?;
     options.progress.advance(1);
-    same_suite(options, &world)?;
+    let suite = Suite::open(options, &world)?;
     let template = Recorded::new(&world.drive, usize::MAX, usize::MAX, |_| true)?;
     let strengths = REGIMES
         .iter()
@@ -263,23 +250,21 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
             if options.interrupted.load(Ordering::Relaxed) {
                 return Err(GapError::Interrupted.into());
             }
-            let (log, truth, answer) = (
-                logs.join(format!("{}.mcap", case.id)),
-                truths.join(format!("{}.json", case.id)),
-                found.join(format!("{}.json", case.id)),
-            );
-            if !(answer.exists() && truth.exists()) {
+            if suite.done(case, options.progress)?.is_none() {
                 if options.no_later.is_some_and(|end| (options.clock)() > end) {
                     break;
                 }
-                pool.install(|| hide(&world, &strengths[case.regime], case, &log, &truth))?;
+                let log = suite.logs.path().join(format!("{}.mcap", case.id));
+                let truth = pool.install(|| hide(&world, &strengths[case.regime], case, &log))?;
                 let mut finding = pool.install(|| search(&world.nominal, &log, case, options))?;
                 if let Hidden::Given(effect) = &case.hidden {
                     finding.filter = Some(pool.install(|| localize(&log, effect, &finding, options))?);
                 }
-                save(&answer, &finding)?;
-                // A log is made again from its seed where it is asked for.
-                let _ = fs::remove_file(&log);
+                // The finding last: with it, the case is done.
+                suite.save(&truth_file(case), &truth)?;
+                suite.save(&found_file(case), &finding)?;
+                // It can be made again from its seed.
+                let _ = std::fs::remove_file(&log);
             }
             options.progress.advance(1);
         }
@@ -293,40 +278,81 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
         })
     })?;
     options.progress.finish();
-    Ok(Score::new(
-        cases
-            .iter()
-            .filter(|case| found.join(format!("{}.json", case.id)).exists())
-            .map(|case| {
-                let truth = read(&truths.join(format!("{}.json", case.id)))?;
-                let found = read(&found.join(format!("{}.json", case.id)))?;
-                Ok((truth, found))
-            })
-            .collect::<Result<_, GapBenchError>>()?,
-        cases.len(),
-        options.replicates,
-        options.seed,
-    ))
+    let scored = cases.iter().filter_map(|case| suite.done(case, options.progress).transpose());
+    let score =
+        Score::new(scored.collect::<Result<_, _>>()?, cases.len(), options.replicates, options.seed);
+    suite.folder.write(REPORT, text::report(&score).as_bytes())?;
+    suite.folder.write(SCORE, serde_json::to_string_pretty(&score)?.as_bytes())?;
+    Ok(score)
 }
 
 /// Of the suite's files; those of another one are of no use.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 
-/// Refuses a folder that holds findings of other settings.
-fn same_suite(options: &GapBenchOptions<'_>, world: &World) -> Result<(), GapBenchError> {
-    let path = options.out.join("suite.json");
-    let mark = serde_json::json!({
-        "format": FORMAT, "size": options.size, "seed": options.seed, "replicates": options.replicates,
-        "scans": world.drive.steps.len(), "beams": world.drive.laser.beam_count(),
-    });
-    match fs::read_to_string(&path) {
-        Ok(text) => {
-            let known: serde_json::Value =
-                serde_json::from_str(&text).map_err(|source| GapBenchError::Json { path, source })?;
-            if known == mark { Ok(()) } else { Err(GapBenchError::Other(options.out.clone())) }
+/// Name of the report in the suite's folder.
+pub const REPORT: &str = "report.md";
+
+/// Name of the figures there.
+const SCORE: &str = "score.json";
+
+/// The suite's folder. Truths and findings in it count only if they are as they were written.
+struct Suite {
+    folder: Folder,
+    /// Logs, as long as they are searched.
+    logs: TempDir,
+    /// Held, so that no other process works in the folder.
+    _lock: Lock,
+}
+
+impl Suite {
+    fn open(options: &GapBenchOptions<'_>, world: &World) -> Result<Self, GapBenchError> {
+        let scenario = Scenario::load(&options.scenario, &Overrides::default())?.content_hash()?;
+        let settings = serde_json::json!({
+            "format": FORMAT, "scenario": scenario, "size": options.size, "seed": options.seed,
+            "replicates": options.replicates,
+            "scans": world.drive.steps.len(), "beams": world.drive.laser.beam_count(),
+        });
+        let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex();
+        // Looked at before it is locked: a lock is a file, and a stranger's folder gets none.
+        let open = || Folder::go_on(&options.out, "gap-bench", &fingerprint);
+        open()?;
+        let lock = Lock::take(&options.out.join("lock"), &options.out)?;
+        let folder = open()?;
+        for name in [REPORT, SCORE] {
+            folder.check(name)?;
         }
-        Err(_) => save(&path, &mark),
+        let logs = tempfile::tempdir().map_err(GapBenchError::Temporary)?;
+        Ok(Self { folder, logs, _lock: lock })
     }
+
+    /// Truth and finding of a case, if both are there.
+    fn done(
+        &self,
+        case: &Case,
+        progress: &dyn Progress,
+    ) -> Result<Option<(TruthFile, FoundFile)>, GapBenchError> {
+        let read = |name: &str| self.folder.read(name);
+        let (truth, found) = (read(&truth_file(case))?, read(&found_file(case))?);
+        let both = truth.zip(found).and_then(|(truth, found)| {
+            Some((serde_json::from_slice(&truth).ok()?, serde_json::from_slice(&found).ok()?))
+        });
+        if both.is_none() && self.folder.path().join(found_file(case)).exists() {
+            progress.note(&format!("{} was done, but its files are damaged; it is done again", case.id));
+        }
+        Ok(both)
+    }
+
+    fn save(&self, name: &str, value: &impl Serialize) -> Result<(), GapBenchError> {
+        Ok(self.folder.write(name, serde_json::to_string_pretty(value)?.as_bytes())?)
+    }
+}
+
+fn truth_file(case: &Case) -> String {
+    format!("truth/{}.json", case.id)
+}
+
+fn found_file(case: &Case) -> String {
+    format!("found/{}.json", case.id)
 }
 
 /// Makes a log with something hidden in it.
@@ -335,8 +361,7 @@ fn hide(
     strength_of: &Strength<'_>,
     case: &Case,
     log: &Path,
-    truth: &Path,
-) -> Result<(), GapBenchError> {
+) -> Result<TruthFile, GapBenchError> {
     let World { nominal, drive } = world;
     let regime = REGIMES[case.regime].1;
     let path = Truth::of(drive)?;
@@ -394,9 +419,8 @@ fn hide(
         least_error,
         without: case.without.iter().map(|kind| kind.name().to_owned()).collect(),
     };
-    save(truth, &file)?;
     write_log(log, &recorded)?;
-    Ok(())
+    Ok(file)
 }
 
 /// Reads a log and searches it; of the case it is told which stages the library lacks, and nothing else.
@@ -445,21 +469,6 @@ fn localize(
         after_m: mean(finding.named.clone())?,
         with_truth_m: mean(vec![truth.clone()])?,
     })
-}
-
-fn save(path: &Path, value: &impl Serialize) -> Result<(), GapBenchError> {
-    let json = |source| GapBenchError::Json { path: path.to_owned(), source };
-    let file = |source| GapBenchError::File { path: path.to_owned(), source };
-    let text = serde_json::to_string_pretty(value).map_err(json)?;
-    let partial = path.with_extension("partial");
-    fs::write(&partial, text).map_err(file)?;
-    fs::rename(&partial, path).map_err(file)
-}
-
-fn read<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<T, GapBenchError> {
-    let text =
-        fs::read_to_string(path).map_err(|source| GapBenchError::File { path: path.to_owned(), source })?;
-    serde_json::from_str(&text).map_err(|source| GapBenchError::Json { path: path.to_owned(), source })
 }
 
 /// Names of the whole library, for the confusion matrix.

@@ -7,15 +7,13 @@ pub(crate) mod page;
 mod tables;
 pub(crate) mod text;
 
-use std::fs;
-use std::io;
-use std::path::{Path, PathBuf};
-
 use thiserror::Error;
 
 use crate::results::{DetailedTrial, RunResults};
+use crate::store::{Folder, StoreError};
 use crate::summary::{Summary, SummaryError};
 
+use figures::{Figure, Rasterizer};
 pub(crate) use text::TextTable;
 pub use text::terminal_table;
 
@@ -38,14 +36,9 @@ pub enum ReportError {
     /// The results can't be summarized.
     #[error(transparent)]
     Summary(#[from] SummaryError),
-    /// A file or folder can't be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    /// A file can't be written.
+    #[error("cannot write the report: {0}")]
+    Store(#[from] StoreError),
     /// A table can't be put together.
     #[error("cannot build a table: {0}")]
     Table(#[from] arrow::error::ArrowError),
@@ -72,7 +65,7 @@ pub enum ReportError {
 }
 
 /// Writes `summary.json`, `steps` and `trials` (`.csv`, `.parquet`), `figures/*.svg` and `.png`, `report.md` and
-/// `report.html` into `dir`, which is made if it's missing. Returns the summary.
+/// `report.html` into a folder. Returns the summary.
 ///
 /// The bytes are a function of the arguments alone; the tables leave out timings, so that a repeated run
 /// writes the same ones.
@@ -80,37 +73,35 @@ pub enum ReportError {
 /// # Errors
 /// [`ReportError`] for results that can't be summarized and files that can't be written.
 pub fn write(
-    dir: &Path,
+    folder: &Folder,
     results: &RunResults,
     detail: Option<&DetailedTrial>,
     context: &ReportContext,
 ) -> Result<Summary, ReportError> {
     let summary = Summary::new(results)?;
-    let folder = dir.join("figures");
-    fs::create_dir_all(&folder).map_err(|source| ReportError::Io { path: folder.clone(), source })?;
-
     let mut json = serde_json::to_string_pretty(&summary)?;
     json.push('\n');
-    save(&dir.join("summary.json"), json.as_bytes())?;
+    folder.write("summary.json", json.as_bytes())?;
 
     for (name, table) in [("steps", tables::steps(results)?), ("trials", tables::trials(results)?)] {
-        save(&dir.join(format!("{name}.csv")), &tables::csv(&table)?)?;
-        save(&dir.join(format!("{name}.parquet")), &tables::parquet(&table)?)?;
+        folder.write(&format!("{name}.csv"), &tables::csv(&table)?)?;
+        folder.write(&format!("{name}.parquet"), &tables::parquet(&table)?)?;
     }
 
     let figures = figures::all(results, &summary, detail)?;
-    let rasterizer = figures::Rasterizer::new();
-    for figure in &figures {
-        save(&folder.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
-        save(&folder.join(format!("{}.png", figure.name)), &rasterizer.png(figure)?)?;
-    }
-
+    write_figures(folder, &figures)?;
     let markdown = page::markdown(results, &summary, &figures, context)?;
-    save(&dir.join("report.md"), markdown.as_bytes())?;
-    save(&dir.join("report.html"), page::html(&results.scenario, &markdown, &figures)?.as_bytes())?;
+    folder.write("report.md", markdown.as_bytes())?;
+    folder.write("report.html", page::html(&results.scenario, &markdown, &figures)?.as_bytes())?;
     Ok(summary)
 }
 
-pub(crate) fn save(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
-    fs::write(path, bytes).map_err(|source| ReportError::Io { path: path.to_owned(), source })
+/// Each figure as `figures/NAME.svg` and `.png`.
+pub(crate) fn write_figures(folder: &Folder, figures: &[Figure]) -> Result<(), ReportError> {
+    let rasterizer = Rasterizer::new();
+    for figure in figures {
+        folder.write(&figure.path(), figure.svg.as_bytes())?;
+        folder.write(&format!("figures/{}.png", figure.name), &rasterizer.png(figure)?)?;
+    }
+    Ok(())
 }

@@ -124,7 +124,7 @@ pub fn csv(batch: &RecordBatch) -> Result<Vec<u8>, ReportError> {
     }
     writer
         .into_inner()
-        .map_err(|error| ReportError::Io { path: "table in memory".into(), source: error.into_error() })
+        .map_err(|error| ReportError::Csv(error.into_error().into()))
 }
 
 fn cell(column: &ArrayRef, row: usize) -> String {

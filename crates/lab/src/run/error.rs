@@ -71,24 +71,9 @@ pub enum RunError {
         /// What the recorder says.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// A result file could not be written or read.
-    #[error("{path}: {source}")]
-    File {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// There is something else in the place of a results folder.
-    #[error(
-        "--out: {out} is not allowed; a new folder, or one that holds results of locsim, which {found} doesn't"
-    )]
-    Foreign {
-        /// The results folder that was asked for.
-        out: PathBuf,
-        /// What is something else: this folder, or the one that a run uses beside it.
-        found: PathBuf,
-    },
+    /// The results folder can't be used.
+    #[error(transparent)]
+    Store(#[from] crate::store::StoreError),
     /// The user stopped the run; finished trials are kept.
     #[error("interrupted after {finished} of {trials} trials; add --resume to go on")]
     Interrupted {
@@ -97,12 +82,4 @@ pub enum RunError {
         /// Trials asked for.
         trials: usize,
     },
-}
-
-impl RunError {
-    /// Attaches a path to a system error.
-    pub(crate) fn file(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.into();
-        move |source| Self::File { path, source }
-    }
 }

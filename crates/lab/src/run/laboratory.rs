@@ -10,7 +10,7 @@ use locsim_core::{
 };
 use locsim_dataset::{LogOptions, read_log};
 use locsim_world::effect::Effects;
-use locsim_world::map::{Geometry, MapError};
+use locsim_world::map::{Geometry, ImageFormat, MapError, OccupancyGrid};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
 use locsim_world::simulation::{
@@ -206,7 +206,7 @@ impl<'a> Laboratory<'a> {
                 let options = MappingOptions { resolution_m: *resolution_m, ..MappingOptions::default() };
                 let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(&log.file))?;
                 progress.advance(1);
-                grid.to_geometry()
+                grid.to_geometry().map_err(unusable(&log.file))?
             }
         };
         let place = Place::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
@@ -293,11 +293,16 @@ pub fn map_from_log(
     shares: &[[f64; 2]],
     resolution_m: f64,
     options: &LogOptions,
-) -> Result<(locsim_world::map::OccupancyGrid, locsim_dataset::LogSummary), RunError> {
+) -> Result<(OccupancyGrid, locsim_dataset::LogSummary), RunError> {
     let (drive, summary) = read_log(log, options)?;
     let options = MappingOptions { resolution_m, ..MappingOptions::default() };
     let grid = occupancy_from_drive(&drive, &selected(&drive, shares), &options).map_err(unusable(log))?;
     Ok((grid, summary))
+}
+
+/// The two files of a map, as ROS `map_server` reads them: the image, to be written as `image`, and its description.
+pub fn map_files(grid: &OccupancyGrid, image: &Path) -> [Vec<u8>; 2] {
+    [grid.image_bytes(ImageFormat::Pgm), grid.map_file(image).to_yaml().into_bytes()]
 }
 
 fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, RunError> {

@@ -4,11 +4,9 @@ mod bounds;
 mod detail;
 mod error;
 pub(crate) mod laboratory;
-mod store;
 pub(crate) mod training;
 mod trial;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -19,15 +17,16 @@ use rayon::prelude::*;
 
 pub use bounds::MissedBound;
 pub use error::RunError;
-pub use laboratory::{map_from_log, simulate_trial};
+pub use laboratory::{map_files, map_from_log, simulate_trial};
 
 use crate::report::{self, ReportContext};
 use crate::results::{DetailedTrial, RunResults, Trial};
 use crate::scenario::{ErrorFrame, Estimate, Scenario, Source};
+use crate::store::{Folder, Part, Request, Store};
 use crate::summary::Summary;
+use crate::yaml;
 use detail::Detail;
 use laboratory::{Laboratory, TrialDrive};
-pub(crate) use store::Store;
 pub(crate) use trial::options as filter_options;
 
 /// Told how far a run is; `()` listens to nothing.
@@ -38,11 +37,16 @@ pub trait Progress: Sync {
     fn advance(&self, _n: u64) {}
     /// All stages are done.
     fn finish(&self) {}
+    /// Something that the user should know and that changes no result.
+    fn note(&self, _text: &str) {}
 }
 
 impl Progress for () {}
 
-/// Writes a recording of one trial into a results folder.
+/// The recording's name in the results folder.
+pub const RECORDING: &str = "recording.rrd";
+
+/// Records one trial, into the file of this path if it writes one.
 pub type Recorder<'a> =
     dyn Fn(&DetailedTrial, &Path) -> Result<(), Box<dyn std::error::Error + Send + Sync>> + Sync + 'a;
 
@@ -52,6 +56,8 @@ pub struct RunOptions<'a> {
     pub out: PathBuf,
     /// Whether to go on with an interrupted run.
     pub resume: bool,
+    /// Whether earlier results, and what an interrupted run has kept, may be replaced.
+    pub force: bool,
     /// The command that reproduces the run, for the report.
     pub command: String,
     /// Monotonic time since any fixed moment, for `seconds` and `step_ms`.
@@ -84,11 +90,22 @@ pub struct Outcome {
 /// ones are complete.
 pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, RunError> {
     // Read now, or the report could quote what was edited while trials ran.
-    let text = fs::read_to_string(&scenario.file).map_err(RunError::file(&scenario.file))?;
-    let store = Store::open(&options.out, &scenario.content_hash()?, options.resume)?;
-    let written = write_results(scenario, text, &store, options);
-    let (summary, detail) = written.inspect_err(|_| store.discard_if_empty())?;
-    let recorded = options.recorder.map_or(Ok(()), |recorder| recorder(&detail, store.folder()));
+    let text = yaml::read(&scenario.file)?;
+    let fingerprint = scenario.content_hash()?;
+    let RunOptions { resume, force, .. } = *options;
+    let store =
+        Store::open(&Request { out: &options.out, kind: "run", fingerprint: &fingerprint, resume, force })?;
+    let (summary, detail) = match write_results(scenario, text, &store, options) {
+        Ok(written) => written,
+        Err(error) => {
+            store.discard_if_empty();
+            return Err(error);
+        }
+    };
+    let recorded = match options.recorder {
+        Some(recorder) => recorder(&detail, &store.folder().claim(RECORDING)?),
+        None => Ok(()),
+    };
     store.finish()?;
     options.progress.advance(1);
     options.progress.finish();
@@ -149,22 +166,47 @@ fn run_trials(
             if options.interrupted.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            let trial = if let Some(trial) = store.load(number) {
-                trial
-            } else {
-                let trial = run_trial(laboratory, number, options.clock)?;
-                store.save(&trial)?;
-                trial
+            let trial = match kept_trial(laboratory, store, number, options.progress) {
+                Some(trial) => trial,
+                None => {
+                    let trial = run_trial(laboratory, number, options.clock)?;
+                    store.parts().save(number, &trial)?;
+                    trial
+                }
             };
             options.progress.advance(1);
             Ok(Some(trial))
         })
         .collect::<Result<_, RunError>>()?;
-    let finished = trials.iter().flatten().count();
-    if finished < trials.len() {
+    // A trial that wasn't looked at may be kept all the same.
+    let finished = store.parts().len()?;
+    if trials.iter().any(Option::is_none) {
         return Err(RunError::Interrupted { finished, trials: trials.len() });
     }
     Ok(trials.into_iter().flatten().collect())
+}
+
+/// A trial that an interrupted run has kept, if it is whole and of these models.
+fn kept_trial(
+    laboratory: &Laboratory<'_>,
+    store: &Store,
+    number: u32,
+    progress: &dyn Progress,
+) -> Option<Trial> {
+    let models = laboratory.models.iter().map(|model| model.label.as_str());
+    match store.parts().load::<Trial>(number) {
+        Part::Missing => return None,
+        Part::Whole(trial)
+            if trial.trial == number
+                && trial.seed == laboratory.trial_seed(number)
+                && trial.models.iter().map(|model| model.model.as_str()).eq(models) =>
+        {
+            return Some(trial);
+        }
+        Part::Whole(_) | Part::Damaged => {}
+    }
+    progress.note(&format!("trial {number} was kept, but its file is damaged; it is run again"));
+    None
 }
 
 fn run_trial(
@@ -205,13 +247,11 @@ fn detailed_trial(
 }
 
 /// `models/LABEL.model`: what a scenario's `file` key takes.
-fn save_models(laboratory: &Laboratory<'_>, folder: &Path) -> Result<(), RunError> {
-    let models = folder.join("models");
-    fs::create_dir_all(&models).map_err(RunError::file(&models))?;
+fn save_models(laboratory: &Laboratory<'_>, folder: &Folder) -> Result<(), RunError> {
     for model in &laboratory.models {
         if let Some(fitted) = &model.fitted {
             fitted
-                .save(&models.join(format!("{}.model", model.label)))
+                .save(&folder.claim(&format!("models/{}.model", model.label))?)
                 .map_err(|source| RunError::Sensor { label: model.label.clone(), source })?;
         }
     }
@@ -219,20 +259,18 @@ fn save_models(laboratory: &Laboratory<'_>, folder: &Path) -> Result<(), RunErro
 }
 
 /// `trajectories/*.tum` of the recorded trial, as `evo` reads them.
-fn save_trajectories(detail: &DetailedTrial, folder: &Path) -> Result<(), RunError> {
-    let trajectories = folder.join("trajectories");
-    fs::create_dir_all(&trajectories).map_err(RunError::file(&trajectories))?;
+fn save_trajectories(detail: &DetailedTrial, folder: &Folder) -> Result<(), RunError> {
+    let path = |name: &str| folder.claim(&format!("trajectories/{name}.tum"));
     let stamped = |poses: &[Pose2]| -> Vec<StampedPose> {
         // A path that begins at a random particle lacks its first steps.
         let missing = detail.drive.steps.len() - poses.len();
         let steps = detail.drive.steps.iter().skip(missing);
         steps.zip(poses).map(|(step, &pose)| StampedPose { stamp_secs: step.stamp_secs, pose }).collect()
     };
-    write_tum(&trajectories.join("reference.tum"), &locsim_dataset::reference_trajectory(&detail.drive))?;
-    write_tum(&trajectories.join("odometry.tum"), &stamped(&detail.dead_reckoning))?;
+    write_tum(&path("reference")?, &locsim_dataset::reference_trajectory(&detail.drive))?;
+    write_tum(&path("odometry")?, &stamped(&detail.dead_reckoning))?;
     for model in &detail.models {
-        let path = trajectories.join(format!("{}.tum", model.name));
-        write_tum(&path, &stamped(&model.most_likely_trajectory))?;
+        write_tum(&path(&model.name)?, &stamped(&model.most_likely_trajectory))?;
     }
     Ok(())
 }

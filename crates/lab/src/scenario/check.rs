@@ -1,6 +1,9 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use locsim_core::limits::quoted;
+
+use super::error::{LISTED, and_more, shown};
 use super::locate::{Locations, join};
 use super::{Problem, ScenarioError};
 
@@ -12,7 +15,10 @@ pub(crate) struct Checker<'a> {
     file: &'a Path,
     locations: &'a Locations,
     environment: Environment<'a>,
+    /// The first ones.
     problems: Vec<Problem>,
+    /// How many others there are.
+    more: usize,
 }
 
 /// Which numbers are allowed; NaN and infinities never are.
@@ -20,12 +26,10 @@ pub(crate) struct Checker<'a> {
 pub(crate) enum Allowed {
     /// Every number.
     Any,
-    /// This or more.
-    AtLeast(f64),
-    /// More than this.
-    Above(f64),
     /// From the first to the second.
     Within(f64, f64),
+    /// 0, or from the first to the second.
+    ZeroOrWithin(f64, f64),
     /// More than the first, up to the second.
     AboveUpTo(f64, f64),
     /// From the first, less than the second.
@@ -34,14 +38,31 @@ pub(crate) enum Allowed {
     Between(f64, f64),
 }
 
+/// Intervals of a log's scans; they are held against each other.
+const MOST_SHARES: usize = 1000;
+
+/// A coordinate (m): nothing computed from it overflows.
+pub(crate) const COORDINATE: Allowed = Allowed::Within(-1e6, 1e6);
+/// A length that may be 0 (m).
+pub(crate) const LENGTH: Allowed = Allowed::Within(0.0, 1e6);
+/// A length that something is divided by (m).
+pub(crate) const POSITIVE_LENGTH: Allowed = Allowed::Within(1e-3, 1e6);
+/// A maximum range (m): tables over readings take memory for each millimetre.
+pub(crate) const MAX_RANGE: Allowed = Allowed::Within(1e-3, 1e4);
+/// A step between values; 0 for none (m).
+pub(crate) const STEP: Allowed = Allowed::ZeroOrWithin(1e-6, 1e6);
+/// A standard deviation (m or deg), or another parameter of noise, that nothing is divided by.
+pub(crate) const NOISE: Allowed = Allowed::Within(0.0, 1e3);
+/// An angle, any number of turns (deg).
+pub(crate) const ANGLE: Allowed = Allowed::Within(-1e6, 1e6);
+
 impl Allowed {
     fn contains(self, value: f64) -> bool {
         value.is_finite()
             && match self {
                 Self::Any => true,
-                Self::AtLeast(lo) => value >= lo,
-                Self::Above(lo) => value > lo,
                 Self::Within(lo, hi) => (lo..=hi).contains(&value),
+                Self::ZeroOrWithin(lo, hi) => value == 0.0 || (lo..=hi).contains(&value),
                 Self::AboveUpTo(lo, hi) => value > lo && value <= hi,
                 Self::FromBelow(lo, hi) => (lo..hi).contains(&value),
                 Self::Between(lo, hi) => value > lo && value < hi,
@@ -53,9 +74,8 @@ impl fmt::Display for Allowed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Any => f.write_str("a finite number"),
-            Self::AtLeast(lo) => write!(f, "a finite number not below {lo}"),
-            Self::Above(lo) => write!(f, "a finite number above {lo}"),
             Self::Within(lo, hi) => write!(f, "a number from {lo} to {hi}"),
+            Self::ZeroOrWithin(lo, hi) => write!(f, "0, or a number from {lo} to {hi}"),
             Self::AboveUpTo(lo, hi) => write!(f, "a number above {lo}, up to {hi}"),
             Self::FromBelow(lo, hi) => write!(f, "a number from {lo}, below {hi}"),
             Self::Between(lo, hi) => write!(f, "a number above {lo}, below {hi}"),
@@ -63,24 +83,29 @@ impl fmt::Display for Allowed {
     }
 }
 
+/// A number as people write it: very large and very small ones with an exponent.
+pub(crate) fn number(value: f64) -> String {
+    if value == 0.0 || (1e-6..1e15).contains(&value.abs()) { format!("{value}") } else { format!("{value:?}") }
+}
+
 impl<'a> Checker<'a> {
     pub(crate) fn new(file: &'a Path, locations: &'a Locations, environment: Environment<'a>) -> Self {
-        Self { file, locations, environment, problems: Vec::new() }
+        Self { file, locations, environment, problems: Vec::new(), more: 0 }
     }
 
     /// Remembers a problem with the value at `key`.
     pub(crate) fn problem(&mut self, key: &str, message: impl Into<String>) {
-        self.problems.push(Problem {
-            line: self.locations.line(key),
-            key: key.to_owned(),
-            message: message.into(),
-        });
+        self.refuse(true, key, || message.into());
     }
 
     /// Remembers a problem where `wrong`.
     pub(crate) fn refuse(&mut self, wrong: bool, key: &str, message: impl FnOnce() -> String) {
-        if wrong {
-            self.problem(key, message());
+        if !wrong {
+        } else if self.problems.len() < LISTED {
+            let line = self.locations.line(key);
+            self.problems.push(Problem { line, key: key.to_owned(), message: message() });
+        } else {
+            self.more += 1;
         }
     }
 
@@ -92,12 +117,13 @@ impl<'a> Checker<'a> {
     /// The problems as an error, in the order of the file.
     pub(crate) fn into_error(mut self) -> ScenarioError {
         self.problems.sort_by_key(|problem| problem.line);
+        self.problems.extend(and_more(self.more));
         ScenarioError::Invalid { file: self.file.to_owned(), problems: self.problems }
     }
 
     /// A number in range.
     pub(crate) fn number(&mut self, key: &str, value: f64, allowed: Allowed) -> f64 {
-        self.refuse(!allowed.contains(value), key, || format!("{value} is not allowed; {allowed}"));
+        self.refuse(!allowed.contains(value), key, || format!("{} is not allowed; {allowed}", number(value)));
         value
     }
 
@@ -116,7 +142,10 @@ impl<'a> Checker<'a> {
     /// An interval `[lo, hi]` of numbers in range, lo <= hi.
     pub(crate) fn interval(&mut self, key: &str, [lo, hi]: [f64; 2], allowed: Allowed) -> [f64; 2] {
         self.numbers(key, &[lo, hi], allowed);
-        self.refuse(lo > hi, key, || format!("[{lo}, {hi}] is not allowed; [lo, hi] with lo not above hi"));
+        self.refuse(lo > hi, key, || {
+            let [lo, hi] = [lo, hi].map(number);
+            format!("[{lo}, {hi}] is not allowed; [lo, hi] with lo not above hi")
+        });
         [lo, hi]
     }
 
@@ -129,15 +158,23 @@ impl<'a> Checker<'a> {
         value.min(u64::from(u32::MAX)) as u32
     }
 
+    /// A list that isn't longer than `most`.
+    pub(crate) fn length<T>(&mut self, key: &str, list: &[T], most: usize) {
+        let found = list.len();
+        self.refuse(found > most, key, || format!("a list of length {found} is not allowed; at most {most}"));
+    }
+
     /// Intervals `[from, to)` of a log: at least one, each with 0 <= from < to <= 1, in order.
     pub(crate) fn shares(&mut self, key: &str, shares: &[[f64; 2]]) -> Vec<[f64; 2]> {
         self.refuse(shares.is_empty(), key, || {
             "an empty list is not allowed; at least one interval [from, to]".to_owned()
         });
+        self.length(key, shares, MOST_SHARES);
         let mut end = 0.0;
         for (i, [from, to]) in shares.iter().enumerate() {
             let legal = *from >= end && from < to && *to <= 1.0;
             self.refuse(!legal, &format!("{key}[{i}]"), || {
+                let [from, to] = [*from, *to].map(number);
                 format!(
                     "[{from}, {to}] is not allowed; [from, to] with 0 <= from < to <= 1, not before the end of \
                      the interval before it"
@@ -154,12 +191,12 @@ impl<'a> Checker<'a> {
             Ok(expanded) => {
                 let path = self.file.parent().unwrap_or(Path::new("")).join(&expanded);
                 self.refuse(!path.is_file(), key, || {
-                    format!("`{text}` is not allowed; there is no file {}", path.display())
+                    format!("`{}` is not allowed; there is no file {}", quoted(text), shown(&path))
                 });
                 path
             }
             Err(message) => {
-                self.problem(key, format!("`{text}` is not allowed; {message}"));
+                self.problem(key, format!("`{}` is not allowed; {message}", quoted(text)));
                 PathBuf::new()
             }
         }
@@ -177,8 +214,10 @@ fn expand(text: &str, environment: Environment<'_>) -> Result<String, String> {
     let mut rest = text;
     while let Some((before, after)) = rest.split_once("${") {
         let (name, after) = after.split_once('}').ok_or("`${` has no `}`")?;
-        let value = environment(name)
-            .ok_or_else(|| format!("the environment variable {name} is not set (export {name}=...)"))?;
+        let value = environment(name).ok_or_else(|| {
+            let name = quoted(name);
+            format!("the environment variable {name} is not set (export {name}=...)")
+        })?;
         expanded.push_str(before);
         expanded.push_str(&value);
         rest = after;

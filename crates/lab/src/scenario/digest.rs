@@ -1,4 +1,4 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::{LogMap, Scenario, ScenarioError, Source, load_map};
 
@@ -19,16 +19,25 @@ impl Scenario {
             hasher.update(content);
         };
         add(&settings);
+        for path in self.inputs()?.iter().skip(1) {
+            add(&std::fs::read(path).map_err(|source| unreadable(path, source))?);
+        }
+        Ok(hasher.finalize().to_hex().to_string())
+    }
+
+    /// Every file that the scenario is read from: its own first, then map, image of the map, log, and models.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] when the map can't be read any more.
+    pub fn inputs(&self) -> Result<Vec<PathBuf>, ScenarioError> {
         let image = self.map_file().map(load_map).transpose()?.and_then(|map| map.image);
         let log = match &self.source {
             Source::Simulation(_) => None,
             Source::Log(log) => Some(log.file.as_path()),
         };
         let fitted = self.models.iter().filter_map(|model| model.file.as_deref());
-        for path in self.map_file().into_iter().chain(image.as_deref()).chain(log).chain(fitted) {
-            add(&std::fs::read(path).map_err(|source| unreadable(path, source))?);
-        }
-        Ok(hasher.finalize().to_hex().to_string())
+        let others = self.map_file().into_iter().chain(image.as_deref()).chain(log).chain(fitted);
+        Ok([self.file.as_path()].into_iter().chain(others).map(Path::to_owned).collect())
     }
 
     /// The map file; `None` where the map is built from the log.

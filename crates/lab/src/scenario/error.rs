@@ -1,13 +1,23 @@
 use std::fmt::{self, Write};
 use std::path::{Path, PathBuf};
 
+use locsim_core::limits::{QUOTED_CHARACTERS, quoted};
 use thiserror::Error;
+
+/// An error lists this many problems, at the most.
+pub(crate) const LISTED: usize = 20;
+
+/// This many of the words that are allowed.
+const LISTED_WORDS: usize = 50;
+
+/// The nearest of so many words is looked for; it takes its time.
+const COMPARED_WORDS: usize = 200;
 
 /// Why a scenario, or a map that it names, is refused.
 #[derive(Debug, Error)]
 pub enum ScenarioError {
     /// The file can't be read at all.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {source}", shown(path))]
     Read {
         /// The file.
         path: PathBuf,
@@ -35,10 +45,35 @@ pub struct Problem {
     pub message: String,
 }
 
+impl Problem {
+    /// With the file as a whole.
+    pub(crate) fn of_file(message: impl Into<String>) -> Self {
+        Self { line: None, key: String::new(), message: message.into() }
+    }
+}
+
+/// What stands for `more` problems that aren't listed.
+pub(crate) fn and_more(more: usize) -> Option<Problem> {
+    (more > 0).then(|| Problem::of_file(format!("and {more} more")))
+}
+
+/// A file's name without control characters; longer than a system's names only where a file asks for such a one.
+pub(crate) fn shown(path: &Path) -> String {
+    let mut shown = String::new();
+    for c in path.to_string_lossy().chars().take(1000) {
+        if c.is_control() {
+            shown.extend(c.escape_default());
+        } else {
+            shown.push(c);
+        }
+    }
+    shown
+}
+
 impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if !self.key.is_empty() {
-            write!(f, "{}: ", self.key)?;
+            write!(f, "{}: ", quoted(&self.key))?;
         }
         f.write_str(&self.message)
     }
@@ -51,7 +86,7 @@ fn render(file: &Path, problems: &[Problem]) -> String {
         if i > 0 {
             text.push('\n');
         }
-        let _ = write!(text, "{}:", file.display());
+        let _ = write!(text, "{}:", shown(file));
         if let Some(line) = problem.line {
             let _ = write!(text, "{line}:");
         }
@@ -62,14 +97,18 @@ fn render(file: &Path, problems: &[Problem]) -> String {
 
 /// `name is not <what>; did you mean X?; one of a, b, c`: the sentence for a word that isn't in a list.
 pub(crate) fn unknown_word(word: &str, what: &str, known: &[&str]) -> String {
-    let mut text = format!("`{word}` is not {what}; ");
+    let mut text = format!("`{}` is not {what}; ", quoted(word));
     if let Some(near) = nearest(word, known) {
-        let _ = write!(text, "did you mean `{near}`? ");
+        let _ = write!(text, "did you mean `{}`? ", quoted(near));
     }
     match known {
         [] => text.push_str("none is allowed here"),
         known => {
-            let _ = write!(text, "allowed: {}", known.join(", "));
+            let listed: Vec<String> = known.iter().take(LISTED_WORDS).map(|word| quoted(word)).collect();
+            let _ = write!(text, "allowed: {}", listed.join(", "));
+            if known.len() > LISTED_WORDS {
+                let _ = write!(text, " and {} more", known.len() - LISTED_WORDS);
+            }
         }
     }
     text
@@ -77,6 +116,11 @@ pub(crate) fn unknown_word(word: &str, what: &str, known: &[&str]) -> String {
 
 /// The known word that is near enough to be meant: a slip of the keyboard, or one begins with the other.
 fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
+    let short = |word: &str| word.len() <= QUOTED_CHARACTERS;
+    if !short(word) || known.len() > COMPARED_WORDS {
+        return None;
+    }
+    let known: Vec<&str> = known.iter().copied().filter(|known| short(known)).collect();
     let limit = (word.chars().count() / 3).max(1);
     let near = known.iter().map(|k| (edit_distance(word, k), *k)).min_by_key(|(distance, _)| *distance)?;
     if near.0 <= limit {

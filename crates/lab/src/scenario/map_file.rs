@@ -37,8 +37,11 @@ pub fn load_map(path: &Path) -> Result<LoadedMap, ScenarioError> {
     if kind.image.is_some() {
         let (map, _) = yaml::parse::<OccupancyMapFile>(path, &text)?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        let grid = map.load(folder).map_err(|error| invalid(key_of_grid_error(&error).to_owned(), &error))?;
-        Ok(LoadedMap { geometry: grid.to_geometry(), image: Some(folder.join(&map.image)) })
+        let geometry = map
+            .load(folder)
+            .and_then(|grid| grid.to_geometry())
+            .map_err(|error| invalid(key_of_grid_error(&error).to_owned(), &error))?;
+        Ok(LoadedMap { geometry, image: Some(folder.join(&map.image)) })
     } else {
         let (map, _) = yaml::parse::<VectorMap>(path, &text)?;
         let geometry =
@@ -50,10 +53,14 @@ pub fn load_map(path: &Path) -> Result<LoadedMap, ScenarioError> {
 /// The key of a `map_server` file that an error is about; empty for the whole file.
 fn key_of_grid_error(error: &MapError) -> &'static str {
     match error {
-        MapError::Resolution(_) => "resolution",
+        MapError::Resolution(_) | MapError::TooFine(_) => "resolution",
         MapError::Origin(_) => "origin",
         MapError::Thresholds { .. } => "occupied_thresh",
-        MapError::Image { .. } | MapError::Extent { .. } | MapError::GridSize { .. } => "image",
+        MapError::Image { .. }
+        | MapError::ImageSize { .. }
+        | MapError::TooMany(_)
+        | MapError::Extent { .. }
+        | MapError::GridSize { .. } => "image",
         _ => "",
     }
 }
@@ -61,9 +68,9 @@ fn key_of_grid_error(error: &MapError) -> &'static str {
 /// The key of a vector map that an error is about; empty for the whole file.
 fn key_of_vector_error(map: &VectorMap, error: &MapError) -> String {
     let (name, point) = match error {
-        MapError::NotFinite { polyline, point, .. } | MapError::ZeroLengthEdge { polyline, point, .. } => {
-            (polyline, Some(*point))
-        }
+        MapError::NotFinite { polyline, point, .. }
+        | MapError::TooFar { polyline, point, .. }
+        | MapError::ZeroLengthEdge { polyline, point, .. } => (polyline, Some(*point)),
         MapError::TooFewPoints { polyline, .. }
         | MapError::DuplicateName { polyline, .. }
         | MapError::NoSuchEdge { polyline, .. }

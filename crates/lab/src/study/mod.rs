@@ -25,10 +25,10 @@ pub use page::terminal_summary;
 pub use results::{Claim, Curve, Results, Verdict};
 
 use crate::report::ReportError;
-use crate::run::{Progress, RunError, Store};
+use crate::run::Progress;
 use crate::scenario::ScenarioError;
 use crate::scenario::check::Checker;
-use crate::scenario::locate::Locations;
+use crate::store::{Request, Store, StoreError};
 use crate::yaml;
 use sensor::Setup;
 
@@ -92,6 +92,10 @@ pub struct StudyOverrides {
 pub struct StudyOptions<'a> {
     /// The results folder.
     pub out: PathBuf,
+    /// Whether to go on with an interrupted study.
+    pub resume: bool,
+    /// Whether earlier results, and what an interrupted study has kept, may be replaced.
+    pub force: bool,
     /// Who is told how far the study is.
     pub progress: &'a dyn Progress,
     /// Set from outside to stop.
@@ -120,11 +124,11 @@ pub enum StudyError {
     /// The figures or the report could not be written.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// The results folder could not be made.
+    /// The results folder can't be used.
     #[error(transparent)]
-    Folder(#[from] RunError),
-    /// The user stopped the study; nothing is kept.
-    #[error("interrupted; nothing is kept")]
+    Store(#[from] StoreError),
+    /// The user stopped the study; finished repeats are kept.
+    #[error("interrupted; add --resume to go on")]
     Interrupted,
 }
 
@@ -147,7 +151,7 @@ impl Study {
 /// # Errors
 /// [`ScenarioError::Read`] where the file can't be read.
 pub fn is_study(path: &Path) -> Result<bool, ScenarioError> {
-    Ok(Locations::of(&yaml::read(path)?).has("sensor"))
+    Ok(yaml::has_key(&yaml::read(path)?, "sensor"))
 }
 
 /// The JSON Schema of study files.
@@ -166,6 +170,23 @@ impl Study {
         self.repeats
     }
 
+    /// A hash of all that a repeat depends on; not of their number, so that a study can be resumed with more of them.
+    fn fingerprint(&self) -> Result<String, StudyError> {
+        let mut hasher = blake3::Hasher::new();
+        let mut add = |content: &[u8]| {
+            hasher.update(&(content.len() as u64).to_le_bytes());
+            hasher.update(content);
+        };
+        add(env!("CARGO_PKG_VERSION").as_bytes());
+        add(self.text.as_bytes());
+        add(&self.seed.to_le_bytes());
+        add(&[u8::from(self.quick)]);
+        for path in &self.setup.files {
+            add(&std::fs::read(path).map_err(|source| ScenarioError::Read { path: path.clone(), source })?);
+        }
+        Ok(hasher.finalize().to_hex().to_string())
+    }
+
     /// The command that repeats it.
     pub fn command(&self) -> String {
         let quick = if self.quick { " --quick" } else { "" };
@@ -179,13 +200,23 @@ impl Study {
 /// # Errors
 /// [`StudyError`]; earlier results at `options.out` are then untouched.
 pub fn run(study: &Study, options: &StudyOptions<'_>) -> Result<Results, StudyError> {
-    let store = Store::open(&options.out, &study.name, false)?;
-    let written = experiment::run(study, options).and_then(|(results, extra)| {
+    let fingerprint = study.fingerprint()?;
+    let StudyOptions { resume, force, .. } = *options;
+    let store =
+        Store::open(&Request { out: &options.out, kind: "study", fingerprint: &fingerprint, resume, force })?;
+    let written = experiment::run(study, store.parts(), options).and_then(|(results, extra)| {
         page::write(store.folder(), study, &results, &extra)?;
         Ok(results)
     });
-    let results = written.inspect_err(|_| store.discard_if_empty())?;
-    store.finish()?;
-    options.progress.finish();
-    Ok(results)
+    match written {
+        Ok(results) => {
+            store.finish()?;
+            options.progress.finish();
+            Ok(results)
+        }
+        Err(error) => {
+            store.discard_if_empty();
+            Err(error)
+        }
+    }
 }

@@ -1,8 +1,5 @@
 //! The results folder of a study: `results.json`, figures, report.
 
-use std::fs;
-use std::path::Path;
-
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
@@ -12,9 +9,10 @@ use super::Study;
 use super::experiment::Extra;
 use super::figures;
 use super::results::{Claim, ConditionResults, Results};
-use crate::report::figures::{Figure, Rasterizer};
+use crate::report::figures::Figure;
 use crate::report::text::{self, TextTable, significant};
-use crate::report::{ReportError, page, save};
+use crate::report::{ReportError, page, write_figures};
+use crate::store::Folder;
 
 const MARKDOWN: &str = include_str!("templates/study.md.j2");
 
@@ -48,22 +46,21 @@ impl<'a> From<&'a Claim> for ClaimText<'a> {
     }
 }
 
-/// Writes everything into `dir`.
-pub(super) fn write(dir: &Path, study: &Study, results: &Results, extra: &Extra) -> Result<(), ReportError> {
-    let folder = dir.join("figures");
-    fs::create_dir_all(&folder).map_err(|source| ReportError::Io { path: folder.clone(), source })?;
+/// Writes everything into a folder.
+pub(super) fn write(
+    folder: &Folder,
+    study: &Study,
+    results: &Results,
+    extra: &Extra,
+) -> Result<(), ReportError> {
     let mut json = serde_json::to_string_pretty(results)?;
     json.push('\n');
-    save(&dir.join("results.json"), json.as_bytes())?;
+    folder.write("results.json", json.as_bytes())?;
     let figures = figures::all(study, results, extra)?;
-    let rasterizer = Rasterizer::new();
-    for figure in &figures {
-        save(&folder.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
-        save(&folder.join(format!("{}.png", figure.name)), &rasterizer.png(figure)?)?;
-    }
+    write_figures(folder, &figures)?;
     let markdown = markdown(study, results, &figures, &study.command())?;
-    save(&dir.join("report.md"), markdown.as_bytes())?;
-    save(&dir.join("report.html"), page::html(&results.study, &markdown, &figures)?.as_bytes())
+    folder.write("report.md", markdown.as_bytes())?;
+    Ok(folder.write("report.html", page::html(&results.study, &markdown, &figures)?.as_bytes())?)
 }
 
 fn markdown(

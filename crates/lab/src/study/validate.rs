@@ -15,14 +15,22 @@ use super::sensor::{
     read_static_lidar, read_table,
 };
 use super::{Kind, Study, StudyError, StudyOverrides};
-use crate::scenario::check::Allowed::{Above, AtLeast, Between, FromBelow, Within};
-use crate::scenario::check::Checker;
+use crate::scenario::check::Allowed::{self, FromBelow, Within};
+use crate::scenario::check::{COORDINATE, Checker, LENGTH, NOISE, POSITIVE_LENGTH, number};
 use crate::scenario::error::unknown_word;
 use crate::scenario::{load_map, name};
 
 const METRES: &str = "m";
 /// The most bins, training states or observations.
 const MOST: u32 = 10_000_000;
+/// Share of a laser's beams that have to meet a wall.
+const LEAST_HITS: f64 = 0.01;
+/// The most observations of all states together, and the most of a test state's truth.
+const MOST_TOGETHER: u64 = 100_000_000;
+/// The most points of a path, numbers in a list or bandwidths to try.
+const MOST_LISTED: usize = 1000;
+/// Bandwidths, steps and values in the unit of a table.
+const ANY_UNIT: Allowed = Within(1e-12, 1e12);
 /// Share of recorded states that a repeat tests on, at most.
 const TEST_SHARE: f64 = 0.3;
 
@@ -57,19 +65,25 @@ pub(super) fn validate<'a>(
     check.refuse(raw.models.is_empty(), "models", || {
         "an empty list is not allowed; at least one model".to_owned()
     });
-    for (i, model) in raw.models.iter().enumerate() {
+    check.length("models", &raw.models, MOST_LISTED);
+    for (i, model) in raw.models.iter().take(MOST_LISTED).enumerate() {
         check.refuse(raw.models[..i].contains(model), &format!("models[{i}]"), || {
             format!("`{}` is not allowed; it is in the list already", model.as_str())
         });
     }
     let test_states = check.count("test_states", raw.test_states, 2, MOST) as usize;
     let observations = raw.observations.map(|n| check.count("observations", n, 1, MOST) as usize);
+    let names = raw.bandwidths.len();
+    check.refuse(names > MOST_LISTED, "bandwidths", || {
+        format!("{names} coordinates are not allowed; at most {MOST_LISTED}")
+    });
     for (coordinate, candidates) in &raw.bandwidths {
         let key = format!("bandwidths.{coordinate}");
         check.refuse(candidates.is_empty(), &key, || {
             "an empty list is not allowed; at least one number".to_owned()
         });
-        check.numbers(&key, candidates, Above(0.0));
+        check.length(&key, candidates, MOST_LISTED);
+        check.numbers(&key, candidates, ANY_UNIT);
     }
     let simulated = !matches!(raw.sensor, RawSensor::StaticLidar(_) | RawSensor::Table(_));
     if simulated {
@@ -83,6 +97,17 @@ pub(super) fn validate<'a>(
     });
     let truth_observations =
         raw.truth_observations.map_or(5000, |n| check.count("truth_observations", n, 2, MOST) as usize);
+    let most = |list: &[usize]| list.iter().copied().max().unwrap_or(0) as u64;
+    for (key, states, each) in [
+        ("observations", most(&states), observations.unwrap_or(0) as u64),
+        ("counts", most(&states), most(&counts_of_figure)),
+        ("truth_observations", if simulated { test_states as u64 } else { 0 }, truth_observations as u64),
+    ] {
+        let together = states.saturating_mul(each);
+        check.refuse(together > MOST_TOGETHER, key, || {
+            format!("{each} of each of {states} states are not allowed; at most {MOST_TOGETHER} together")
+        });
+    }
     let seed = overrides.seed.unwrap_or(raw.seed);
     let (kind, prepare) = sensor(&mut check, raw.sensor, seed);
     if !check.is_clean() {
@@ -161,6 +186,7 @@ pub(super) fn validate<'a>(
 
 /// Ascending whole numbers from `lo`.
 fn counts(check: &mut Checker<'_>, key: &str, values: &[u64], lo: u32) -> Vec<usize> {
+    check.length(key, values, MOST_LISTED);
     let mut last = 0;
     let mut counts = Vec::new();
     for (i, value) in values.iter().enumerate() {
@@ -188,16 +214,21 @@ fn sensor(check: &mut Checker<'_>, raw: RawSensor, seed: u64) -> (Kind, Prepare)
 
 /// The values of a sensor from 0 on.
 fn values(check: &mut Checker<'_>, key: &str, last: f64, last_key: &str, resolution: f64) -> Values {
-    check.number(&format!("{key}.{last_key}"), last, Above(0.0));
+    check.number(&format!("{key}.{last_key}"), last, POSITIVE_LENGTH);
     let resolution_key = format!("{key}.resolution_m");
-    check.number(&resolution_key, resolution, Between(0.0, last));
+    check.number(&resolution_key, resolution, Within(1e-9, 1e6));
+    check.refuse(resolution >= last, &resolution_key, || {
+        format!("{} is not allowed; below {last_key}, which is {}", number(resolution), number(last))
+    });
     too_many(check, &resolution_key, last / resolution);
     Values { resolution, last }
 }
 
 fn too_many(check: &mut Checker<'_>, key: &str, values: f64) {
     let most = 1e6;
-    check.refuse(values > most, key, || format!("{values:.0} values are not allowed; at most {most}"));
+    check.refuse(values > most, key, || {
+        format!("{} values are not allowed; at most {most}", number(values.round()))
+    });
 }
 
 /// The setup of a simulated sensor.
@@ -214,6 +245,7 @@ fn simulated(
         alignment,
         conditions,
         rays: Vec::new(),
+        files: Vec::new(),
         note: None,
     })
 }
@@ -224,50 +256,67 @@ fn laser(check: &mut Checker<'_>, raw: RawLaser) -> Prepare {
     check.refuse(raw.path_m.len() < 2, &key("path_m"), || {
         format!("{} points are not allowed; at least 2", raw.path_m.len())
     });
+    check.length(&key("path_m"), &raw.path_m, MOST_LISTED);
+    let all_the_same = raw.path_m.windows(2).all(|ends| {
+        let [[x0, y0], [x1, y1]] = [ends[0], ends[1]];
+        (x1 - x0).hypot(y1 - y0) < 1e-6
+    });
+    check.refuse(raw.path_m.len() > 1 && all_the_same, &key("path_m"), || {
+        "points that are all the same are not allowed; a path".to_owned()
+    });
     for (i, point) in raw.path_m.iter().enumerate() {
-        check.numbers(&format!("{}[{i}]", key("path_m")), point, Within(-1e6, 1e6));
+        check.numbers(&format!("{}[{i}]", key("path_m")), point, COORDINATE);
     }
     let beams = check.count(&key("beams"), raw.beams, 1, 100_000);
     let values = values(check, "sensor.laser", raw.max_range_m, "max_range_m", raw.resolution_m);
-    let sigma = check.number(&key("sigma_m"), raw.sigma_m, AtLeast(0.0));
-    let sigma_per_m2 = check.number(&key("sigma_per_m2"), raw.sigma_per_m2, AtLeast(0.0));
-    let sigma_per_tan = check.number(&key("sigma_per_tan_m"), raw.sigma_per_tan_m, AtLeast(0.0));
+    let sigma = check.number(&key("sigma_m"), raw.sigma_m, NOISE);
+    let sigma_per_m2 = check.number(&key("sigma_per_m2"), raw.sigma_per_m2, NOISE);
+    let sigma_per_tan = check.number(&key("sigma_per_tan_m"), raw.sigma_per_tan_m, NOISE);
     Box::new(move || {
-        let geometry = load_map(&map)?.geometry;
+        let loaded = load_map(&map)?;
+        let files = [map.clone()].into_iter().chain(loaded.image).collect();
+        let geometry = loaded.geometry;
         let path: Vec<DVec2> = raw.path_m.iter().copied().map(DVec2::from_array).collect();
+        let refuse = |what| Err(StudyError::Data { path: map.clone(), line: None, what });
         if let Some(outside) = path.iter().find(|p| !geometry.is_free(p.x, p.y)) {
-            let what =
-                format!("the study's path_m leads through [{}, {}], which isn't free", outside.x, outside.y);
-            return Err(StudyError::Data { path: map, line: None, what });
+            let [x, y] = [outside.x, outside.y].map(number);
+            return refuse(format!("the study's path_m leads through [{x}, {y}], which isn't free"));
         }
-        let map = ExactRangeMap::new(geometry);
-        let sensor = PlanarLaser { map, path, beams, values, sigma, sigma_per_m2, sigma_per_tan };
-        simulated(
+        let ranges = ExactRangeMap::new(geometry);
+        let sensor = PlanarLaser { map: ranges, path, beams, values, sigma, sigma_per_m2, sigma_per_tan };
+        if sensor.hit_share() < LEAST_HITS {
+            return refuse(format!(
+                "hardly a beam from the study's path_m meets a wall within max_range_m, {} m",
+                number(values.last)
+            ));
+        }
+        let setup = simulated(
             &[("range_m", METRES), ("incidence_rad", "rad")],
             values,
             Some(Alignment::Shift { state_dim: 0 }),
             vec![Condition { label: "laser".to_owned(), source: Source::Simulated(Box::new(sensor)) }],
-        )
+        )?;
+        Ok(Setup { files, ..setup })
     })
 }
 
 fn field_sensor(check: &mut Checker<'_>, raw: &RawFieldSensor) -> Prepare {
     let key = |name: &str| format!("sensor.field_sensor.{name}");
     let values = values(check, "sensor.field_sensor", raw.max_m, "max_m", raw.resolution_m);
-    let positions = check.interval(&key("positions_m"), raw.positions_m, Above(0.0));
+    let positions = check.interval(&key("positions_m"), raw.positions_m, POSITIVE_LENGTH);
     check.refuse(positions[1] > values.last, &key("positions_m"), || {
-        format!("{} is not allowed; at most max_m, {}", positions[1], values.last)
+        format!("{} is not allowed; at most max_m, {}", number(positions[1]), number(values.last))
     });
-    let sigma = check.number(&key("sigma_m"), raw.sigma_m, AtLeast(0.0));
-    let field_sigma = check.number(&key("field_sigma_m"), raw.field_sigma_m, AtLeast(0.0));
+    let sigma = check.number(&key("sigma_m"), raw.sigma_m, NOISE);
+    let field_sigma = check.number(&key("field_sigma_m"), raw.field_sigma_m, NOISE);
     let metal = &raw.forceps;
     let centre = metal.centre_m;
     check.numbers(&key("forceps.centre_m"), &centre, Within(-10.0, 10.0));
     let forceps = Forceps {
-        radius: check.number(&key("forceps.radius_m"), metal.radius_m, Above(0.0)),
+        radius: check.number(&key("forceps.radius_m"), metal.radius_m, POSITIVE_LENGTH),
         centre: DVec2::from_array(centre),
-        sweep: check.number(&key("forceps.sweep_m"), metal.sweep_m, AtLeast(0.0)),
-        wobble: check.number(&key("forceps.wobble_m"), metal.wobble_m, AtLeast(0.0)),
+        sweep: check.number(&key("forceps.sweep_m"), metal.sweep_m, LENGTH),
+        wobble: check.number(&key("forceps.wobble_m"), metal.wobble_m, NOISE),
         withdrawn_share: check.number(
             &key("forceps.withdrawn_share"),
             metal.withdrawn_share,
@@ -291,18 +340,22 @@ fn field_sensor(check: &mut Checker<'_>, raw: &RawFieldSensor) -> Prepare {
 fn grass(check: &mut Checker<'_>, raw: &RawGrass, seed: u64) -> Prepare {
     let key = |name: &str| format!("sensor.grass.{name}");
     let values = values(check, "sensor.grass", raw.max_range_m, "max_range_m", raw.resolution_m);
-    let rail = check.number(&key("rail_m"), raw.rail_m, Above(0.0));
-    let depth = check.interval(&key("depth_m"), raw.depth_m, Above(0.0));
+    let rail = check.number(&key("rail_m"), raw.rail_m, POSITIVE_LENGTH);
+    let depth = check.interval(&key("depth_m"), raw.depth_m, POSITIVE_LENGTH);
     check.refuse(depth[1] > values.last, &key("depth_m"), || {
-        format!("{} is not allowed; at most max_range_m, {}", depth[1], values.last)
+        format!("{} is not allowed; at most max_range_m, {}", number(depth[1]), number(values.last))
     });
     let per_square_metre = check.number(&key("blades_per_m2"), raw.blades_per_m2, FromBelow(0.0, 1e6));
-    let blade = check.interval(&key("blade_m"), raw.blade_m, Above(0.0));
+    let blade = check.interval(&key("blade_m"), raw.blade_m, Within(1e-6, 1e3));
     let noise = GrassNoise {
-        wind: check.number(&key("wind_m"), raw.wind_m, AtLeast(0.0)),
-        beam: check.number(&key("beam_m"), raw.beam_m, AtLeast(0.0)),
-        sigma: check.number(&key("sigma_m"), raw.sigma_m, AtLeast(0.0)),
+        wind: check.number(&key("wind_m"), raw.wind_m, NOISE),
+        beam: check.number(&key("beam_m"), raw.beam_m, NOISE),
+        sigma: check.number(&key("sigma_m"), raw.sigma_m, NOISE),
     };
+    let blades = Grass::blades(rail, depth, per_square_metre, blade, noise);
+    check.refuse(blades > MOST.into(), &key("blades_per_m2"), || {
+        format!("{} blades are not allowed; at most {MOST}", number(blades))
+    });
     let seed = Draw::new(seed, Stage::Trial, 0).seed(u32::MAX);
     Box::new(move || {
         let sensor = Grass::new(seed, rail, depth, per_square_metre, blade, noise, values);
@@ -340,6 +393,7 @@ fn static_lidar(check: &mut Checker<'_>, raw: &RawStaticLidar) -> Prepare {
             100.0 * lidar.no_return_share
         ));
         setup.rays = lidar.rays;
+        setup.files = vec![file];
         Ok(setup)
     })
 }
@@ -348,8 +402,11 @@ fn table(check: &mut Checker<'_>, raw: RawTable) -> Prepare {
     let key = |name: &str| format!("sensor.table.{name}");
     let file = check.file(&key("file"), &raw.file);
     let [first, last] = check.interval(&key("values"), raw.values, Within(-1e12, 1e12));
-    check.number(&key("resolution"), raw.resolution, Above(0.0));
+    check.number(&key("resolution"), raw.resolution, ANY_UNIT);
     too_many(check, &key("resolution"), (last - first) / raw.resolution);
+    if let Some(mass) = raw.point_mass_at {
+        check.number(&key("point_mass_at"), mass, Within(first, last));
+    }
     Box::new(move || {
         let (names, data) = read_table(&file)?;
         let refuse = |what: String| StudyError::Data { path: file.clone(), line: Some(1), what };
@@ -379,6 +436,7 @@ fn table(check: &mut Checker<'_>, raw: RawTable) -> Prepare {
             note: Some(describe(&data)),
             conditions: vec![Condition { label: "table".to_owned(), source: Source::Recorded(data) }],
             rays: Vec::new(),
+            files: vec![file.clone()],
         })
     })
 }

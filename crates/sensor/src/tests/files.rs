@@ -2,6 +2,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use locsim_core::limits::Limits;
 use tempfile::TempDir;
 
 use super::simulated::{Wall, fitted, training_set};
@@ -76,35 +77,40 @@ fn a_newer_format_and_a_foreign_file_are_named_as_such() {
     assert!(fitted(ModelKind::Classic).save(&folder.path().join("no/folder")).is_err());
 }
 
-/// A file with a right hash but contents that make no model: the tables are checked as they are read.
-#[test]
-fn a_table_that_does_not_fit_its_grid_is_refused() {
-    let (_folder, path) = saved(ModelKind::PReg);
-    let bytes = fs::read(&path).unwrap();
-    let body: ciborium::Value = ciborium::from_reader(&bytes[44..]).unwrap();
-    let drop_a_cell = |value: &mut ciborium::Value| {
-        let entries = value.as_map_mut().unwrap();
-        let form = entries.iter_mut().find(|(k, _)| k.as_text() == Some("form")).unwrap();
-        let table = &mut form.1.as_map_mut().unwrap()[0].1;
-        let cells =
-            table.as_map_mut().unwrap().iter_mut().find(|(k, _)| k.as_text() == Some("cells")).unwrap();
-        cells.1.as_array_mut().unwrap().pop();
-    };
-    let mut shorter = body;
-    drop_a_cell(&mut shorter);
-    let mut body = Vec::new();
-    ciborium::into_writer(&shorter, &mut body).unwrap();
-    let mut file = bytes[..12].to_vec();
-    file.extend_from_slice(blake3::hash(&body).as_bytes());
-    file.extend_from_slice(&body);
-    fs::write(&path, file).unwrap();
-    let error = FittedModel::load(&path).unwrap_err();
-    assert!(error.to_string().contains("doesn't match the grid"), "{error}");
-}
-
 #[test]
 fn a_likelihood_field_needs_its_map() {
     let (_folder, path) = saved(ModelKind::LikelihoodField);
     let field = FittedModel::load(&path).unwrap();
     assert!(matches!(field.into_model(None), Err(SensorError::NoDistanceMap)));
+}
+
+#[test]
+fn a_model_is_read_back_from_its_bytes() {
+    let (_folder, path) = saved(ModelKind::Classic);
+    let bytes = fitted(ModelKind::Classic).to_bytes();
+    assert_eq!(fs::read(&path).unwrap(), bytes);
+    let model = FittedModel::from_bytes(&bytes, &path).unwrap();
+    assert_eq!(model.to_bytes(), bytes);
+}
+
+/// The neighbour that a file is first written to is nobody's.
+#[test]
+fn saving_leaves_the_files_beside_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let neighbour = folder.path().join("model.part");
+    fs::write(&neighbour, "precious").unwrap();
+    fitted(ModelKind::Classic).save(&folder.path().join("model")).unwrap();
+    assert_eq!(fs::read(&neighbour).unwrap(), b"precious");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+}
+
+#[test]
+fn a_file_larger_than_models_are_is_not_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model");
+    let most = Limits::current().model_bytes;
+    fs::File::create(&path).unwrap().set_len(most + 1).unwrap();
+    let error = FittedModel::load(&path).unwrap_err();
+    assert!(matches!(error, SensorError::TooLarge { .. }));
+    assert!(error.to_string().contains(&format!("--limit model_bytes={}", most + 1)), "{error}");
 }

@@ -1,6 +1,9 @@
 use std::path::PathBuf;
 
+use locsim_core::limits::Limits;
 use thiserror::Error;
+
+use super::{FARTHEST_M, FINEST_M};
 
 /// Why a map is refused.
 #[derive(Debug, Error)]
@@ -16,6 +19,19 @@ pub enum MapError {
     /// A coordinate is NaN or infinite.
     #[error("point {point} of `{polyline}` is not finite: [{}, {}]", .value[0], .value[1])]
     NotFinite {
+        /// Name of the polyline or wall.
+        polyline: String,
+        /// Index of the point.
+        point: usize,
+        /// Its coordinates.
+        value: [f64; 2],
+    },
+    /// A coordinate is far beyond any building.
+    #[error(
+        "point {point} of `{polyline}` is not allowed: [{}, {}]; coordinates are metres, at most {FARTHEST_M} either way",
+        .value[0], .value[1]
+    )]
+    TooFar {
         /// Name of the polyline or wall.
         polyline: String,
         /// Index of the point.
@@ -70,8 +86,11 @@ pub enum MapError {
     /// The cell size of a grid is not positive and finite.
     #[error("the cell size must be positive and finite, in metres; got {0}")]
     Resolution(f64),
-    /// The origin of a grid is not finite.
-    #[error("origin must be finite [x, y, yaw]; got {0:?}")]
+    /// The cells of a grid are finer than any sensor tells apart.
+    #[error("a cell size of {0} m is not allowed; at least {FINEST_M} m")]
+    TooFine(f64),
+    /// The origin of a grid is not finite, or part of the grid is far beyond any building.
+    #[error("origin must be finite [x, y, yaw], with all of the map within {FARTHEST_M} m of 0; got {0:?}")]
     Origin([f64; 3]),
     /// The thresholds of a grid are out of order.
     #[error("thresholds must satisfy 0 <= free_thresh < occupied_thresh <= 1; got {free} and {occupied}")]
@@ -91,8 +110,11 @@ pub enum MapError {
         /// Cells given.
         cells: usize,
     },
-    /// The grid would have no cells, or far more than memory can hold.
-    #[error("a grid of {width} x {height} cells is empty or too large: are the map's units metres?")]
+    /// The grid would have no cells, or more than are allowed.
+    #[error(
+        "a grid of {width} x {height} cells is empty or too large: are the map's units metres? (at most {} cells; \
+         `--limit grid_cells=N` raises it)", Limits::current().grid_cells
+    )]
     Extent {
         /// Cells along x.
         width: f64,
@@ -105,6 +127,17 @@ pub enum MapError {
         /// How many steps were asked for.
         steps: usize,
     },
+    /// The image of a grid has more pixels than are allowed.
+    #[error("map image {}: {refusal}", .path.display())]
+    ImageSize {
+        /// The image's path.
+        path: PathBuf,
+        /// What is allowed.
+        refusal: String,
+    },
+    /// There is more of something than is allowed.
+    #[error("{0}")]
+    TooMany(String),
     /// The image of a grid cannot be read or written.
     #[error("map image {}: {source}", .path.display())]
     Image {

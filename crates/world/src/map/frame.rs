@@ -1,9 +1,8 @@
 use glam::DVec2;
 
-use super::MapError;
+use locsim_core::limits::Limits;
 
-/// More cells than this cannot be meant.
-const MOST_CELLS: f64 = (1_u64 << 29) as f64;
+use super::MapError;
 
 /// Square cells over an axis-aligned box of the map frame, counted from its lower left corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,19 +20,19 @@ pub(crate) struct CellFrame {
 }
 
 impl CellFrame {
-    /// The cells that cover the box \[x0, y0, x1, y1\] \[m\]. `layers` is how many values each cell will hold.
+    /// The cells that cover the box \[x0, y0, x1, y1\] \[m\].
     ///
     /// # Errors
     /// [`MapError::Resolution`] for a cell size that is not positive, [`MapError::Extent`] for an empty box or too
-    /// many values.
-    pub(crate) fn covering([x0, y0, x1, y1]: [f64; 4], cell_m: f64, layers: usize) -> Result<Self, MapError> {
+    /// many cells.
+    pub(crate) fn covering([x0, y0, x1, y1]: [f64; 4], cell_m: f64) -> Result<Self, MapError> {
         if !(cell_m > 0.0 && cell_m.is_finite()) {
             return Err(MapError::Resolution(cell_m));
         }
         // A box of whole cells must not get one more by rounding.
         let cells = |length: f64| (length / cell_m - 1e-9).ceil().max(1.0);
         let (width, height) = (cells(x1 - x0), cells(y1 - y0));
-        if !(x1 >= x0 && y1 >= y0 && width * height * layers as f64 <= MOST_CELLS) {
+        if !(x1 >= x0 && y1 >= y0 && width * height <= Limits::current().grid_cells as f64) {
             return Err(MapError::Extent { width, height });
         }
         Ok(Self { x0, y0, cell_m, columns: width as usize, rows: height as usize })

@@ -59,6 +59,16 @@ impl Geometry {
         self.bounds
     }
 
+    /// How many corners of polygons [`Geometry::is_free`] compares a point with; none in an occupancy grid.
+    pub(crate) fn corners_of_free_space(&self) -> usize {
+        match &self.free {
+            FreeSpace::Polygons { outline, obstacles } => {
+                outline.len() + obstacles.iter().map(Vec::len).sum::<usize>()
+            }
+            FreeSpace::Grid(_) => 0,
+        }
+    }
+
     /// Total length of the wall segments \[m\].
     pub fn wall_length_m(&self) -> f64 {
         self.segments.iter().map(|[a, b]| a.distance(*b)).sum()

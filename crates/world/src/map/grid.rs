@@ -1,13 +1,17 @@
 use std::path::Path;
+use std::sync::Arc;
 
 use glam::DVec2;
+use image::codecs::png::PngEncoder;
 use image::codecs::pnm::{PnmEncoder, PnmSubtype, SampleEncoding};
-use image::{ExtendedColorType, ImageEncoder, ImageResult};
+use image::error::{ImageFormatHint, UnsupportedError};
+use image::{ExtendedColorType, ImageEncoder, ImageError, ImageResult};
 use locsim_core::Pose2;
+use locsim_core::output::write_file;
 
 use super::geometry::{FreeSpace, bounds_of};
 use super::outline::cell_boundaries;
-use super::{Geometry, ImageMode, MapError, OccupancyMapFile};
+use super::{FARTHEST_M, FINEST_M, Geometry, ImageMode, MapError, OccupancyMapFile};
 
 /// What is known of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +24,15 @@ pub enum Cell {
     Unknown,
 }
 
+/// What the image of a grid is written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageFormat {
+    /// A binary greymap (P5).
+    Pgm,
+    /// Portable Network Graphics.
+    Png,
+}
+
 /// A grid of square cells over the plane, as in ROS `nav_msgs/OccupancyGrid`.
 ///
 /// Cells are stored row by row from the lower left: cell (column, row) covers `column..column + 1` times the
@@ -30,8 +43,9 @@ pub struct OccupancyGrid {
     height: usize,
     resolution_m: f64,
     origin: Pose2,
-    cells: Vec<Cell>,
-    occupancy: Vec<f32>,
+    // Shared, as the geometry of a grid keeps the grid.
+    cells: Arc<Vec<Cell>>,
+    occupancy: Arc<Vec<f32>>,
 }
 
 impl OccupancyGrid {
@@ -40,7 +54,8 @@ impl OccupancyGrid {
     /// a cell is occupied.
     ///
     /// # Errors
-    /// [`MapError`] when the sizes don't match or are zero, the resolution is not positive, the origin not finite.
+    /// [`MapError`] when the sizes don't match or are zero, the resolution is not positive or finer than [`FINEST_M`],
+    /// the origin not finite, or part of the grid farther from 0 than [`FARTHEST_M`].
     pub fn new(
         width: usize,
         height: usize,
@@ -57,10 +72,29 @@ impl OccupancyGrid {
         if !(resolution_m > 0.0 && resolution_m.is_finite()) {
             return Err(MapError::Resolution(resolution_m));
         }
-        if !origin.is_finite() {
-            return Err(MapError::Origin([origin.x, origin.y, origin.theta]));
+        if resolution_m < FINEST_M {
+            return Err(MapError::TooFine(resolution_m));
         }
-        Ok(Self { width, height, resolution_m, origin, cells, occupancy })
+        let grid = Self {
+            width,
+            height,
+            resolution_m,
+            origin,
+            cells: Arc::new(cells),
+            occupancy: Arc::new(occupancy),
+        };
+        // False for NaN too.
+        if origin.is_finite() && grid.corners().iter().all(|corner| corner.abs().max_element() <= FARTHEST_M)
+        {
+            return Ok(grid);
+        }
+        Err(MapError::Origin([origin.x, origin.y, origin.theta]))
+    }
+
+    fn corners(&self) -> [DVec2; 4] {
+        let (w, h) = (self.width as f64, self.height as f64);
+        [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]]
+            .map(|corner| self.origin.transform_point(self.resolution_m * DVec2::from_array(corner)))
     }
 
     /// Number of columns.
@@ -107,31 +141,48 @@ impl OccupancyGrid {
         self.index_at(x, y).map(|i| self.cells[i])
     }
 
-    /// Writes the cells as an image (pgm or png, by the path's extension) in the shades of `map_saver`: free 254,
-    /// occupied 0, unknown 205. Occupancies between are not kept.
+    /// The cells as an image in the shades of `map_saver`: free 254, occupied 0, unknown 205. Occupancies between are
+    /// not kept.
     ///
-    /// # Errors
-    /// [`MapError::Image`].
-    pub fn write_image(&self, path: &Path) -> Result<(), MapError> {
+    /// # Panics
+    /// The grid has more than 2^32 columns or rows.
+    pub fn image_bytes(&self, format: ImageFormat) -> Vec<u8> {
         let shades = self.cells.chunks(self.width).rev().flatten().map(|cell| match cell {
             Cell::Free => 254,
             Cell::Occupied => 0,
             Cell::Unknown => 205,
         });
         let shades: Vec<u8> = shades.collect();
-        let (width, height) = (self.width as u32, self.height as u32);
-        let write = || -> ImageResult<()> {
-            if path.extension().is_some_and(|extension| extension == "pgm") {
-                // A greymap (P5) has to be asked for: the default of `image` is PAM (P7), which map servers don't
-                // read.
-                let mut file = Vec::new();
-                PnmEncoder::new(&mut file)
-                    .with_subtype(PnmSubtype::Graymap(SampleEncoding::Binary))
-                    .write_image(&shades, width, height, ExtendedColorType::L8)?;
-                Ok(std::fs::write(path, file)?)
-            } else {
-                image::save_buffer(path, &shades, width, height, ExtendedColorType::L8)
+        let [width, height] =
+            [self.width, self.height].map(|n| u32::try_from(n).expect("as many as an image has"));
+        let mut bytes = Vec::new();
+        let written = match format {
+            // A greymap (P5) has to be asked for: the default of `image` is PAM (P7), which map servers don't read.
+            ImageFormat::Pgm => PnmEncoder::new(&mut bytes)
+                .with_subtype(PnmSubtype::Graymap(SampleEncoding::Binary))
+                .write_image(&shades, width, height, ExtendedColorType::L8),
+            ImageFormat::Png => {
+                PngEncoder::new(&mut bytes).write_image(&shades, width, height, ExtendedColorType::L8)
             }
+        };
+        written.expect("memory takes every byte");
+        bytes
+    }
+
+    /// Writes [`OccupancyGrid::image_bytes`] to a file, whole or not at all; pgm or png, by the path's extension.
+    ///
+    /// # Errors
+    /// [`MapError::Image`].
+    pub fn write_image(&self, path: &Path) -> Result<(), MapError> {
+        let write = || -> ImageResult<()> {
+            let format = match path.extension().and_then(|extension| extension.to_str()) {
+                Some("pgm") => ImageFormat::Pgm,
+                Some("png") => ImageFormat::Png,
+                _ => {
+                    return Err(ImageError::Unsupported(UnsupportedError::from(ImageFormatHint::from(path))));
+                }
+            };
+            Ok(write_file(path, |file| file.write_all(&self.image_bytes(format)))?)
         };
         write().map_err(|source| MapError::Image { path: path.to_owned(), source })
     }
@@ -153,8 +204,11 @@ impl OccupancyGrid {
     ///
     /// Collinear boundaries that face the same way are one segment, and each segment is a surface of its own,
     /// called `wall-0`, `wall-1`, .. Unknown cells don't stop rays, and aren't free to stand in.
-    pub fn to_geometry(&self) -> Geometry {
-        let segments: Vec<[DVec2; 2]> = cell_boundaries(&self.cells, self.width, self.height)
+    ///
+    /// # Errors
+    /// [`MapError::TooMany`] for more segments than a map may have.
+    pub fn to_geometry(&self) -> Result<Geometry, MapError> {
+        let segments: Vec<[DVec2; 2]> = cell_boundaries(&self.cells, self.width, self.height)?
             .into_iter()
             .map(|ends| {
                 ends.map(|[column, row]| {
@@ -163,12 +217,8 @@ impl OccupancyGrid {
             })
             .collect();
         let n = segments.len() as u32;
-        let (w, h) = (self.width as f64, self.height as f64);
-        let corners = [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]];
-        let bounds = bounds_of(
-            corners.map(|corner| self.origin.transform_point(self.resolution_m * DVec2::from_array(corner))),
-        );
+        let bounds = bounds_of(self.corners());
         let names = (0..n).map(|i| format!("wall-{i}")).collect();
-        Geometry::new(segments, (0..n).collect(), names, bounds, FreeSpace::Grid(self.clone()))
+        Ok(Geometry::new(segments, (0..n).collect(), names, bounds, FreeSpace::Grid(self.clone())))
     }
 }

@@ -30,9 +30,18 @@ mod outline;
 mod ros;
 mod vector;
 
+/// Coordinates of a map are at most so far from 0 \[m\]; northings of a national grid are nearer.
+pub const FARTHEST_M: f64 = 1e7;
+
+/// Cells of a grid are at least this wide \[m\].
+pub const FINEST_M: f64 = 1e-4;
+
+/// Points that are nearer to each other than this \[m\] coincide.
+const COINCIDENT_M: f64 = 1e-6;
+
 pub use error::MapError;
 pub(crate) use frame::CellFrame;
 pub use geometry::Geometry;
-pub use grid::{Cell, OccupancyGrid};
+pub use grid::{Cell, ImageFormat, OccupancyGrid};
 pub use ros::{ImageMode, OccupancyMapFile};
 pub use vector::{NamedEdges, Polyline, VectorMap, Wall};

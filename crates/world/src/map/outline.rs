@@ -1,13 +1,26 @@
-use super::Cell;
+use locsim_core::limits::Limits;
+
+use super::{Cell, MapError};
 
 /// Ends of a boundary, in cells.
 type Ends = [[f64; 2]; 2];
 
 /// Boundaries between occupied and other cells, in units of cells from the grid's lower left corner.
 /// Runs along one grid line whose occupied cells are on the same side are merged.
-pub(super) fn cell_boundaries(cells: &[Cell], width: usize, height: usize) -> Vec<Ends> {
+///
+/// # Errors
+/// [`MapError::TooMany`] for more of them than a map may have.
+pub(super) fn cell_boundaries(cells: &[Cell], width: usize, height: usize) -> Result<Vec<Ends>, MapError> {
     let occupied = |column: usize, row: usize| cells[row * width + column] == Cell::Occupied;
     let mut boundaries = Vec::new();
+    let most = Limits::current().map_segments;
+    let mut count = 0;
+    let mut push = |ends: Ends| {
+        count += 1;
+        if count <= most {
+            boundaries.push(ends);
+        }
+    };
     for row in 0..=height {
         let side = |column| {
             let below = row > 0 && occupied(column, row - 1);
@@ -15,7 +28,7 @@ pub(super) fn cell_boundaries(cells: &[Cell], width: usize, height: usize) -> Ve
             (below != above).then_some(below)
         };
         let y = row as f64;
-        merge_runs(width, side, |from, to| boundaries.push([[from, y], [to, y]]));
+        merge_runs(width, side, |from, to| push([[from, y], [to, y]]));
     }
     for column in 0..=width {
         let side = |row| {
@@ -24,9 +37,12 @@ pub(super) fn cell_boundaries(cells: &[Cell], width: usize, height: usize) -> Ve
             (left != right).then_some(left)
         };
         let x = column as f64;
-        merge_runs(height, side, |from, to| boundaries.push([[x, from], [x, to]]));
+        merge_runs(height, side, |from, to| push([[x, from], [x, to]]));
     }
-    boundaries
+    if count > most {
+        return Err(MapError::TooMany(Limits::current().refusal("map_segments", count)));
+    }
+    Ok(boundaries)
 }
 
 /// Reports each maximal run `from..to` of one and the same side along a grid line.

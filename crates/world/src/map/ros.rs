@@ -1,7 +1,10 @@
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
-use image::{DynamicImage, GenericImageView, ImageReader};
+use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, ImageResult, Pixel};
 use locsim_core::Pose2;
+use locsim_core::limits::Limits;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{Cell, MapError, OccupancyGrid};
@@ -49,13 +52,24 @@ impl OccupancyMapFile {
     /// # Errors
     /// [`MapError`] for an image that cannot be read and for values that are out of range.
     pub fn load(&self, folder: &Path) -> Result<OccupancyGrid, MapError> {
-        let path = folder.join(&self.image);
-        let image = ImageReader::open(&path)
-            .and_then(ImageReader::with_guessed_format)
-            .map_err(image::ImageError::from)
-            .and_then(ImageReader::decode)
-            .map_err(|source| MapError::Image { path, source })?;
-        self.read_pixels(&image)
+        let thresholds = [self.free_thresh, self.occupied_thresh];
+        if !(thresholds.iter().all(|t| (0.0..=1.0).contains(t)) && thresholds[0] < thresholds[1]) {
+            return Err(MapError::Thresholds { free: thresholds[0], occupied: thresholds[1] });
+        }
+        let image = decode(&folder.join(&self.image))?;
+        let eight_bits = |channel: u8| f64::from(u16::from(channel) * 257) / 65535.0;
+        let sixteen_bits = |channel: u16| f64::from(channel) / 65535.0;
+        match &image {
+            DynamicImage::ImageLuma8(image) => self.read_pixels(image, eight_bits),
+            DynamicImage::ImageLumaA8(image) => self.read_pixels(image, eight_bits),
+            DynamicImage::ImageRgb8(image) => self.read_pixels(image, eight_bits),
+            DynamicImage::ImageRgba8(image) => self.read_pixels(image, eight_bits),
+            DynamicImage::ImageLuma16(image) => self.read_pixels(image, sixteen_bits),
+            DynamicImage::ImageLumaA16(image) => self.read_pixels(image, sixteen_bits),
+            DynamicImage::ImageRgb16(image) => self.read_pixels(image, sixteen_bits),
+            DynamicImage::ImageRgba16(image) => self.read_pixels(image, sixteen_bits),
+            image => self.read_pixels(&image.to_rgba16(), sixteen_bits),
+        }
     }
 
     /// The text of the yaml file.
@@ -77,34 +91,26 @@ impl OccupancyMapFile {
         )
     }
 
-    fn read_pixels(&self, image: &DynamicImage) -> Result<OccupancyGrid, MapError> {
-        let thresholds = [self.free_thresh, self.occupied_thresh];
-        if !(thresholds.iter().all(|t| (0.0..=1.0).contains(t)) && thresholds[0] < thresholds[1]) {
-            return Err(MapError::Thresholds { free: thresholds[0], occupied: thresholds[1] });
-        }
+    /// Reads each pixel as a cell; `share` tells how much of full brightness or opacity a channel has.
+    fn read_pixels<P: Pixel>(
+        &self,
+        image: &ImageBuffer<P, Vec<P::Subpixel>>,
+        share: impl Fn(P::Subpixel) -> f64,
+    ) -> Result<OccupancyGrid, MapError> {
         let [x, y, yaw] = self.origin;
         if !self.origin.iter().all(|v| v.is_finite()) {
             return Err(MapError::Origin(self.origin));
         }
-        let (width, height) = image.dimensions();
-        let pixels = image.to_rgba16();
-        let (cells, occupancy) = pixels
-            .rows()
-            .rev()
-            .flatten()
-            .map(|pixel| {
-                let [r, g, b, alpha] = pixel.0.map(|channel| f64::from(channel) / 65535.0);
-                self.read_pixel((r + g + b) / 3.0, alpha)
-            })
-            .unzip();
-        OccupancyGrid::new(
-            width as usize,
-            height as usize,
-            self.resolution,
-            Pose2::new(x, y, yaw),
-            cells,
-            occupancy,
-        )
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        let mut cells = Vec::with_capacity(width * height);
+        let mut occupancy = Vec::with_capacity(width * height);
+        for pixel in image.rows().rev().flatten() {
+            let [r, g, b, alpha] = pixel.to_rgba().0.map(&share);
+            let (cell, p) = self.read_pixel((r + g + b) / 3.0, alpha);
+            cells.push(cell);
+            occupancy.push(p);
+        }
+        OccupancyGrid::new(width, height, self.resolution, Pose2::new(x, y, yaw), cells, occupancy)
     }
 
     /// The cell and its occupancy for a pixel of brightness `shade` and opacity `alpha`, both 0 to 1.
@@ -135,6 +141,49 @@ impl OccupancyMapFile {
             }
         }
     }
+}
+
+/// Bytes of an image file beside its pixels: names, comments, profiles.
+const MOST_BESIDE: u64 = 1 << 20;
+/// Bytes of a decoded pixel at the most: four channels of 16 bits.
+const MOST_PER_PIXEL: u64 = 8;
+/// Bytes of a pixel in a file at the most: three channels of five digits and a blank.
+const MOST_WRITTEN: u64 = 18;
+
+/// Decodes an image that has no more pixels than are allowed.
+fn decode(path: &Path) -> Result<DynamicImage, MapError> {
+    let failed = |source| MapError::Image { path: path.to_owned(), source };
+    let other = |what: &str| failed(ImageError::IoError(io::Error::other(what)));
+    let limits = Limits::current();
+    let size_is_allowed = |pixels: u64| {
+        if pixels <= limits.map_pixels {
+            return Ok(());
+        }
+        let refusal = limits.refusal("map_pixels", pixels);
+        Err(MapError::ImageSize { path: path.to_owned(), refusal })
+    };
+    let found = fs::metadata(path).map_err(|error| failed(error.into()))?;
+    if !found.is_file() {
+        return Err(other("it is no file"));
+    }
+    size_is_allowed(found.len().saturating_sub(MOST_BESIDE) / MOST_WRITTEN)?;
+    let decoder = || -> ImageResult<_> {
+        let mut reader = ImageReader::open(path)?.with_guessed_format()?;
+        let mut allocated = image::Limits::no_limits();
+        let most = limits.map_pixels.saturating_mul(MOST_PER_PIXEL).saturating_add(MOST_BESIDE);
+        allocated.max_alloc = Some(most);
+        reader.limits(allocated);
+        let is_compressed = reader.format() == Some(image::ImageFormat::Png);
+        Ok((reader.into_decoder()?, is_compressed))
+    };
+    let (decoder, is_compressed) = decoder().map_err(failed)?;
+    let (width, height) = decoder.dimensions();
+    size_is_allowed(u64::from(width) * u64::from(height))?;
+    // Packed bitmaps have eight pixels in a byte; nothing else is shorter than its pixels without compression.
+    if !is_compressed && decoder.total_bytes() / 8 > found.len() {
+        return Err(other("it ends before its last pixel"));
+    }
+    DynamicImage::from_decoder(decoder).map_err(failed)
 }
 
 /// `map_server` files write `negate: 0`.

@@ -2,10 +2,11 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec2;
+use locsim_core::limits::Limits;
 use serde::{Deserialize, Serialize};
 
 use super::geometry::{FreeSpace, bounds_of};
-use super::{Geometry, MapError};
+use super::{COINCIDENT_M, FARTHEST_M, Geometry, MapError};
 
 /// A map of polylines, as written in a vector map file (see the [module](super) for the format). Coordinates are
 /// metres in the map frame.
@@ -65,6 +66,16 @@ impl VectorMap {
     /// # Errors
     /// [`MapError`] naming the polyline and the point, edge or name that is wrong.
     pub fn to_geometry(&self) -> Result<Geometry, MapError> {
+        let limits = Limits::current();
+        let polylines = || std::iter::once(&self.outline).chain(&self.obstacles);
+        let corners = polylines().map(|polyline| polyline.points_m.len() as u64).sum();
+        if corners > limits.map_corners {
+            return Err(MapError::TooMany(limits.refusal("map_corners", corners)));
+        }
+        let segments = corners + self.walls.len() as u64;
+        if segments > limits.map_segments {
+            return Err(MapError::TooMany(limits.refusal("map_segments", segments)));
+        }
         let mut builder = Builder::default();
         let outline = builder.add_polyline(&self.outline, "outline")?;
         let mut obstacles = Vec::with_capacity(self.obstacles.len());
@@ -142,7 +153,7 @@ impl Builder {
     /// Adds the edge from point `i` to the next, cyclically.
     fn add(&mut self, polyline: &str, points: &[DVec2], i: usize, surface: u32) -> Result<(), MapError> {
         let next = (i + 1) % points.len();
-        if points[i] == points[next] {
+        if points[i].distance(points[next]) < COINCIDENT_M {
             return Err(MapError::ZeroLengthEdge { polyline: polyline.to_owned(), point: i, next });
         }
         self.segments.push([points[i], points[next]]);
@@ -169,11 +180,13 @@ fn finite_points(polyline: &str, points: &[[f64; 2]]) -> Result<Vec<DVec2>, MapE
         .enumerate()
         .map(|(point, &value)| {
             let p = DVec2::from_array(value);
-            if p.is_finite() {
-                Ok(p)
-            } else {
-                Err(MapError::NotFinite { polyline: polyline.to_owned(), point, value })
+            if !p.is_finite() {
+                return Err(MapError::NotFinite { polyline: polyline.to_owned(), point, value });
             }
+            if p.abs().max_element() > FARTHEST_M {
+                return Err(MapError::TooFar { polyline: polyline.to_owned(), point, value });
+            }
+            Ok(p)
         })
         .collect()
 }

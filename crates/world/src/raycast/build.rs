@@ -15,6 +15,9 @@ use crate::map::CellFrame;
 /// Cell rows per unit of parallel work; neighbouring bands both cast from the row of corners between them.
 const BAND_ROWS: usize = 4;
 
+/// A list has fewer walls than this: at most eight casts along a bin's edges and three between them from five points.
+pub(super) const MOST_LISTED: usize = 32;
+
 /// A range that is wrong by more than this is as wrong as can be \[m\].
 const MOST_ERROR_M: f64 = 1.0;
 
@@ -45,7 +48,7 @@ enum View<'a> {
 const LIST: u32 = 1 << 31;
 
 /// The row of a cell from which nobody looks.
-pub(super) const NO_ROW: u32 = u32::MAX;
+const NO_ROW: u32 = u32::MAX;
 
 /// Marks the cells of which a corner or the centre is in free space.
 pub(super) fn cells_in_sight(map: &ExactRangeMap, frame: &CellFrame) -> Vec<bool> {
@@ -81,15 +84,7 @@ pub(super) fn build(
     tolerance_m: f64,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Built {
-    let mut count = 0;
-    let rows: Vec<u32> = in_sight
-        .iter()
-        .map(|&inside| {
-            count += u32::from(inside);
-            if inside { count - 1 } else { NO_ROW }
-        })
-        .collect();
-    let mut entries = vec![0; count as usize * headings];
+    let mut entries = vec![0; in_sight.iter().filter(|inside| **inside).count() * headings];
     let direction = |bins: f64| DVec2::from_angle(TAU * bins / headings as f64);
     let edges: Vec<DVec2> = (0..headings).map(|i| direction(i as f64)).collect();
     let between = (0..headings).map(|i| [0.25, 0.5, 0.75].map(|part| direction(i as f64 + part))).collect();
@@ -132,7 +127,17 @@ pub(super) fn build(
     for entry in entries.iter_mut().filter(|entry| **entry >= LIST) {
         *entry = *entry - LIST + sights;
     }
-    Built { rows, entries, views: pool.views }
+    Built { rows: rows_of(in_sight), entries, views: pool.views }
+}
+
+/// Numbers the cells `in_sight`.
+pub(super) fn rows_of(in_sight: &[bool]) -> Vec<u32> {
+    let mut count = 0;
+    let row = |&inside: &bool| {
+        count += u32::from(inside);
+        if inside { count - 1 } else { NO_ROW }
+    };
+    in_sight.iter().map(row).collect()
 }
 
 /// Keeps equal views once.

@@ -137,7 +137,7 @@ impl RangeTable {
         progress: &(dyn Fn(f64) + Sync),
     ) -> Result<Self, MapError> {
         let (frame, in_sight) = fitting_frame(map, options)?;
-        let cached = folder.map(|folder| Cached::new(folder, map, options, &frame, &in_sight));
+        let cached = folder.map(|folder| Cached::new(folder, map, options, &frame, &in_sight, HEADINGS));
         if let Some(built) = cached.as_ref().and_then(Cached::read) {
             progress(1.0);
             return Ok(Self::assemble(map, frame, built));
@@ -214,6 +214,9 @@ impl RangeTable {
 /// Cells aren't made larger than this \[m\]: they would no longer tell one side of a wall from the other.
 const COARSEST_M: f64 = 1.0;
 
+/// The most cells times corners of the map's polygons, each of which is compared with each cell: seconds.
+const MOST_COMPARED: usize = 20_000_000_000;
+
 /// The map's bounds with the lower corner moved by a part of a cell: walls tend to lie on whole multiples of a cell,
 /// and what a point on a wall sees says nothing about its neighbours.
 fn shifted([x0, y0, x1, y1]: [f64; 4], cell_m: f64) -> [f64; 4] {
@@ -227,11 +230,15 @@ fn fitting_frame(
     options: &RangeTableOptions,
 ) -> Result<(CellFrame, Vec<bool>), MapError> {
     let mut cell_m = options.cell_m;
+    let corners = map.geometry().corners_of_free_space().max(1);
     loop {
-        let frame = CellFrame::covering(shifted(map.bounds(), cell_m), cell_m, 1);
+        let frame = CellFrame::covering(shifted(map.bounds(), cell_m), cell_m);
         let coarsest = cell_m >= COARSEST_M;
         match frame {
-            Ok(frame) if frame.rows * frame.columns <= options.most_bytes / size_of::<u32>() => {
+            Ok(frame)
+                if frame.rows * frame.columns <= options.most_bytes / size_of::<u32>()
+                    && frame.rows * frame.columns <= MOST_COMPARED / corners =>
+            {
                 let in_sight = cells_in_sight(map, &frame);
                 let rows = in_sight.iter().filter(|inside| **inside).count();
                 if (rows * HEADINGS + in_sight.len()) * size_of::<u32>() <= options.most_bytes {

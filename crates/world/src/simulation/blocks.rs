@@ -7,10 +7,10 @@ use rand_distr::{Distribution, Poisson};
 use serde::Serialize;
 
 use super::SimulationError;
-use super::error::{check, check_count};
+use super::error::{FROM_0, MOST, check, check_count};
 use super::faces::{Face, faces_of};
 use super::rectangle::Rectangle;
-use crate::map::Geometry;
+use crate::map::{FINEST_M, Geometry};
 
 /// The most blocks of a world, on average.
 const MAX_BLOCKS: f64 = 1e5;
@@ -125,16 +125,19 @@ impl BlockModel {
     /// The blocks of a map.
     ///
     /// # Errors
-    /// [`SimulationError`] for an option out of its range, or more than 100,000 blocks on average.
+    /// [`SimulationError`] for an option out of its range, more than 100,000 blocks on average, or walls too long to look for
+    /// free space along them.
     pub fn new(options: BlockOptions, geometry: &Geometry) -> Result<Self, SimulationError> {
-        let at_least_0 = |value: f64| value >= 0.0;
-        check("blocks per metre of wall", options.per_metre_of_wall, "at least 0", at_least_0)?;
-        check("clearance around the robot [m]", options.clearance_m, "at least 0", at_least_0)?;
-        check_interval("length of a block [m]", options.length_m, "0 < lo <= hi", |lo| lo > 0.0)?;
-        check_interval("width of a block [m]", options.width_m, "0 < lo <= hi", |lo| lo > 0.0)?;
-        check_interval("yaw of a block [rad]", options.yaw_rad, "lo <= hi", |_| true)?;
-        check_interval("gap to the wall [m]", options.wall_distance_m, "0 <= lo <= hi", at_least_0)?;
-        check_interval("speed of a block [m/s]", options.speed_m_s, "0 <= lo <= hi", at_least_0)?;
+        check("blocks per metre of wall", options.per_metre_of_wall, "at least 0", |value| value >= 0.0)?;
+        check("clearance around the robot [m]", options.clearance_m, FROM_0.0, FROM_0.1)?;
+        let side = ("0.0001 <= lo <= hi <= 10000", [FINEST_M, MOST]);
+        let from_0 = ("0 <= lo <= hi <= 10000", [0.0, MOST]);
+        let angle = ("-100 <= lo <= hi <= 100", [-100.0, 100.0]);
+        check_interval("length of a block [m]", options.length_m, side)?;
+        check_interval("width of a block [m]", options.width_m, side)?;
+        check_interval("yaw of a block [rad]", options.yaw_rad, angle)?;
+        check_interval("gap to the wall [m]", options.wall_distance_m, from_0)?;
+        check_interval("speed of a block [m/s]", options.speed_m_s, from_0)?;
         match options.resample {
             BlockResampling::EachObservation if options.speed_m_s[1] > 0.0 => {
                 return Err(SimulationError::SpeedWithoutPersistence);
@@ -144,7 +147,7 @@ impl BlockModel {
             }
             BlockResampling::EachObservation | BlockResampling::Never => {}
         }
-        let faces = faces_of(geometry);
+        let faces = faces_of(geometry)?;
         let mut total = 0.0;
         let ends = faces
             .iter()
@@ -287,11 +290,10 @@ impl BlockModel {
 fn check_interval(
     name: &'static str,
     value: [f64; 2],
-    allowed: &'static str,
-    lo_is_allowed: impl Fn(f64) -> bool,
+    (allowed, [least, most]): (&'static str, [f64; 2]),
 ) -> Result<(), SimulationError> {
     let [lo, hi] = value;
-    if lo.is_finite() && hi.is_finite() && lo <= hi && lo_is_allowed(lo) {
+    if least <= lo && lo <= hi && hi <= most {
         Ok(())
     } else {
         Err(SimulationError::Interval { name, value, allowed })
@@ -497,7 +499,7 @@ mod tests {
                 "clearance around the robot [m] must be at least 0",
             ),
             (BlockOptions { length_m: [0.0, 1.0], ..good }, "length of a block [m] must be an interval"),
-            (BlockOptions { width_m: [0.5, 0.4], ..good }, "0 < lo <= hi; got [0.5, 0.4]"),
+            (BlockOptions { width_m: [0.5, 0.4], ..good }, "0.0001 <= lo <= hi <= 10000; got [0.5, 0.4]"),
             (BlockOptions { yaw_rad: [1.0, -1.0], ..good }, "yaw of a block [rad]"),
             (BlockOptions { wall_distance_m: [-0.1, 1.0], ..good }, "gap to the wall [m]"),
             (
@@ -505,6 +507,15 @@ mod tests {
                 "resampled at each observation cannot have a speed",
             ),
             (BlockOptions { resample: BlockResampling::EachScanN(0), ..good }, "at least 1; got 0"),
+            (BlockOptions { length_m: [1e-300, 1.0], ..good }, "length of a block [m] must be an interval"),
+            (BlockOptions { length_m: [1.0, 1e300], ..good }, "length of a block [m] must be an interval"),
+            (BlockOptions { wall_distance_m: [0.0, 1e300], ..good }, "gap to the wall [m]"),
+            (BlockOptions { yaw_rad: [0.0, 1e300], ..good }, "yaw of a block [rad]"),
+            (BlockOptions { clearance_m: 1e300, ..good }, "clearance around the robot [m]"),
+            (
+                BlockOptions { speed_m_s: [1e300, 1e300], resample: BlockResampling::Never, ..good },
+                "speed of a block [m/s]",
+            ),
         ] {
             let error = BlockModel::new(options, &room()).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");

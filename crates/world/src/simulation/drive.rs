@@ -1,16 +1,14 @@
 use glam::DVec2;
+use locsim_core::limits::Limits;
 use locsim_core::{Draw, Drive, DriveStep, Pose2, Stage};
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::error::{check, check_count};
+use super::error::{check, check_limit};
 use super::observe::Scratch;
-use super::{Block, OdometryNoise, RobotPath, SimulationError, Simulator, Trajectory};
+use super::{Block, BlockModel, OdometryNoise, RobotPath, SimulationError, Simulator, Trajectory};
 use crate::effect::{Effects, slip_draw};
-
-/// The most scans of a drive.
-const MAX_SCANS: f64 = 1e6;
 
 /// A robot that drives through the world.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -39,7 +37,8 @@ pub struct SimulatedDrive {
 /// The odometry reads the motion between two scans as one increment.
 ///
 /// # Errors
-/// As [`Trajectory::new`]; a negative jitter; more than a million scans; a scan outside the map's free space.
+/// As [`Trajectory::new`]; a negative jitter; more than a million scans, or more readings or blocks in all
+/// scans than the limits allow; a scan outside the map's free space.
 pub fn simulate_drive(
     simulator: &Simulator,
     robot: &Robot,
@@ -51,9 +50,13 @@ pub fn simulate_drive(
     let trajectory = Trajectory::new(&robot.path.with_start_moved(offset))?;
 
     let rate = simulator.laser().options().rate_hz;
-    let count = (trajectory.duration_secs() * rate + 1e-9).floor() + 1.0;
-    check_count("scans", count, MAX_SCANS)?;
-    let stamps: Vec<f64> = (0..count as usize).map(|i| i as f64 / rate).collect();
+    let count = trajectory.scan_count(rate)?;
+    let limits = Limits::current();
+    let beams = simulator.laser().laser().beam_count();
+    check_limit("log_readings", limits.log_readings, (count * beams) as f64)?;
+    let blocks = simulator.blocks().map_or(0.0, BlockModel::expected_count);
+    check_limit("drive_blocks", limits.drive_blocks, count as f64 * blocks)?;
+    let stamps: Vec<f64> = (0..count).map(|i| i as f64 / rate).collect();
     let truth: Vec<Pose2> = stamps.iter().map(|&secs| trajectory.pose_at(secs)).collect();
     let geometry = simulator.map().geometry();
     if let Some(i) = truth.iter().position(|pose| !geometry.is_free(pose.x, pose.y)) {
@@ -250,6 +253,31 @@ mod tests {
         // 50 uniform draws all on one side of the middle: 2^-49 each.
         for coordinate in [|p: &Pose2| p.x, |p: &Pose2| p.y] {
             assert!(starts.iter().any(|p| coordinate(p) < 1.5) && starts.iter().any(|p| coordinate(p) > 1.5));
+        }
+    }
+
+    #[test]
+    fn drives_that_would_not_fit_into_memory_are_refused() {
+        let robot = |secs: f64| Robot {
+            path: RobotPath::VelocityProfile {
+                start: Pose2::new(1.5, 1.5, 0.0),
+                segments: vec![VelocitySegment { secs, speed_m_s: 0.0, turn_rate_rad_s: 0.1 }],
+            },
+            start_jitter_m: 0.0,
+            odometry_noise: OdometryNoise::default(),
+        };
+        assert_eq!(Trajectory::new(&robot(1000.0).path).unwrap().scan_count(5.0).unwrap(), 5001);
+        let many_blocks = BlockOptions { per_metre_of_wall: 500.0, ..block_options() };
+        let many_beams = LaserOptions { beams: 100_000, ..laser_options() };
+        for (simulator, message) in [
+            (
+                simulator(Some(many_blocks), laser_options()),
+                "50010000 unmapped blocks in all scans of a simulated drive",
+            ),
+            (simulator(None, many_beams), "500100000 range readings of a log"),
+        ] {
+            let error = simulate_drive(&simulator, &robot(1000.0), 1).unwrap_err().to_string();
+            assert!(error.starts_with(message) && error.contains("--limit"), "{error}");
         }
     }
 

@@ -1,4 +1,5 @@
 use locsim_core::LaserError;
+use locsim_core::limits::Limits;
 use thiserror::Error;
 
 use crate::effect::EffectError;
@@ -36,6 +37,9 @@ pub enum SimulationError {
         /// The most that is allowed.
         max: f64,
     },
+    /// There is more of something than a limit allows.
+    #[error("{0}")]
+    Limit(String),
     /// Blocks that are drawn anew for each observation cannot move.
     #[error("blocks that are resampled at each observation cannot have a speed")]
     SpeedWithoutPersistence,
@@ -84,6 +88,13 @@ pub enum SimulationError {
     Laser(#[from] LaserError),
 }
 
+/// Lengths \[m\], speeds \[m/s\] and the like beyond this are no robot's.
+pub(super) const MOST: f64 = 1e4;
+
+/// Whether a value is from 0 to [`MOST`], in words and as a test.
+pub(super) const FROM_0: (&str, fn(f64) -> bool) =
+    ("at least 0, at most 10000", |value| (0.0..=MOST).contains(&value));
+
 /// `value` if it is finite and satisfies `allowed`.
 pub(super) fn check(
     name: &'static str,
@@ -96,6 +107,14 @@ pub(super) fn check(
     } else {
         Err(SimulationError::Parameter { name, value, allowed })
     }
+}
+
+/// Refuses more than a limit of this name.
+pub(super) fn check_limit(name: &str, limit: u64, count: f64) -> Result<(), SimulationError> {
+    if count <= limit as f64 {
+        return Ok(());
+    }
+    Err(SimulationError::Limit(Limits::current().refusal(name, count.ceil() as u64)))
 }
 
 /// Refuses more than `max` of `what`.

@@ -1,6 +1,12 @@
 use glam::DVec2;
 
+use super::SimulationError;
+use super::error::check_count;
 use crate::map::Geometry;
+
+/// The most points at which free space is looked for, and the most corners of polygons that they are all compared with.
+const MOST_PROBES: f64 = 5e6;
+const MOST_COMPARED: f64 = 1e10;
 
 /// Distance between the points of a wall at which free space is looked for \[m\].
 const PROBE_PITCH_M: f64 = 0.25;
@@ -27,12 +33,20 @@ impl Face {
 
 /// Every side of every wall that borders free space. A thin wall with free space on both sides has two faces;
 /// a wall that borders it only in part has a face there.
-pub(super) fn faces_of(geometry: &Geometry) -> Vec<Face> {
+///
+/// # Errors
+/// [`SimulationError::TooMany`] where the walls are too long.
+pub(super) fn faces_of(geometry: &Geometry) -> Result<Vec<Face>, SimulationError> {
+    let pieces = |length: f64| (length / PROBE_PITCH_M).ceil().max(1.0);
+    let probes: f64 = geometry.segments().iter().map(|[a, b]| 2.0 * pieces(a.distance(*b))).sum();
+    check_count("quarter metres of wall at which blocks may stand", probes, MOST_PROBES)?;
+    let corners = geometry.corners_of_free_space() as f64;
+    check_count("quarter metres of wall times corners of the map", probes * corners, MOST_COMPARED)?;
     let mut faces = Vec::new();
     for &[a, b] in geometry.segments() {
         let length = a.distance(b);
         let along = (b - a) / length;
-        let pieces = (length / PROBE_PITCH_M).ceil().max(1.0) as usize;
+        let pieces = pieces(length) as usize;
         let at = |piece: f64| a + (piece / pieces as f64) * (b - a);
         for inward in [along.perp(), -along.perp()] {
             let is_free = |&piece: &usize| {
@@ -48,7 +62,7 @@ pub(super) fn faces_of(geometry: &Geometry) -> Vec<Face> {
             }
         }
     }
-    faces
+    Ok(faces)
 }
 
 #[cfg(test)]
@@ -70,7 +84,7 @@ mod tests {
 
     #[test]
     fn a_room_has_the_inner_sides_of_its_walls() {
-        let faces = faces_of(&room(vec![], vec![]));
+        let faces = faces_of(&room(vec![], vec![])).unwrap();
         assert_eq!(faces.len(), 4);
         assert!((total(&faces) - 14.0).abs() < 1e-9);
         for face in faces {
@@ -80,19 +94,36 @@ mod tests {
     }
 
     #[test]
+    fn walls_too_long_to_walk_along_are_refused() {
+        let wall = |metres: f64| Wall { name: "long".into(), from_m: [1.0, 1.0], to_m: [1.0 + metres, 1.0] };
+        let refusal = |walls, obstacles| faces_of(&room(walls, obstacles)).unwrap_err().to_string();
+        let error = refusal(vec![wall(1e6)], vec![]);
+        assert!(
+            error.starts_with("8000112 quarter metres of wall at which blocks may stand are more than"),
+            "{error}"
+        );
+        let zigzag = (0..10_000).map(|i| [f64::from(i), f64::from(i % 2)]).collect();
+        let obstacle = Polyline { points_m: zigzag, ..Polyline::default() };
+        let error = refusal(vec![wall(2e5)], vec![obstacle]);
+        assert!(error.contains("quarter metres of wall times corners of the map are more than"), "{error}");
+    }
+
+    #[test]
     fn a_thin_wall_has_two_faces_and_an_obstacle_its_outside() {
         let screen = Wall { name: "screen".into(), from_m: [1.0, 1.0], to_m: [2.0, 1.0] };
         let pillar = Polyline {
             points_m: vec![[3.0, 1.0], [3.5, 1.0], [3.5, 1.5], [3.0, 1.5]],
             ..Polyline::default()
         };
-        assert!((total(&faces_of(&room(vec![screen], vec![pillar]))) - (14.0 + 2.0 + 2.0)).abs() < 1e-9);
+        assert!(
+            (total(&faces_of(&room(vec![screen], vec![pillar])).unwrap()) - (14.0 + 2.0 + 2.0)).abs() < 1e-9
+        );
     }
 
     #[test]
     fn the_part_of_a_wall_outside_free_space_has_no_face() {
         let through = Wall { name: "through".into(), from_m: [3.0, 1.5], to_m: [6.0, 1.5] };
-        let faces = faces_of(&room(vec![through], vec![]));
+        let faces = faces_of(&room(vec![through], vec![])).unwrap();
         assert_eq!(faces.len(), 6);
         assert!((total(&faces) - 16.0).abs() < 1e-9);
     }

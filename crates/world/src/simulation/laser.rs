@@ -7,11 +7,14 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 
 use super::SimulationError;
-use super::error::{check, check_count};
+use super::error::{FROM_0, MOST, check, check_count};
 use crate::effect::as_read;
 
 /// The most beams of a scan.
 const MAX_BEAMS: f64 = 1e6;
+
+/// The longest maximum range \[m\].
+const MOST_RANGE_M: f64 = 1e6;
 
 /// A simulated planar laser.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -58,20 +61,23 @@ impl LaserSimulator {
     /// # Errors
     /// [`SimulationError`] for an option out of its range.
     pub fn new(options: LaserOptions) -> Result<Self, SimulationError> {
-        let at_least_0 = |value: f64| value >= 0.0;
+        let (from_0, is_from_0) = FROM_0;
         check("laser rate [Hz]", options.rate_hz, "above 0", |rate| rate > 0.0)?;
         check("field of view [rad]", options.field_of_view_rad, "above 0, at most 2 pi", |fov| {
             fov > 0.0 && fov <= TAU + 1e-9
         })?;
-        check("laser resolution [m]", options.resolution_m, "at least 0", at_least_0)?;
-        check("laser noise sigma [m]", options.sigma_m, "at least 0", at_least_0)?;
-        check("laser noise sigma per metre", options.sigma_per_m, "at least 0", at_least_0)?;
+        check("laser resolution [m]", options.resolution_m, from_0, is_from_0)?;
+        check("laser noise sigma [m]", options.sigma_m, from_0, is_from_0)?;
+        check("laser noise sigma per metre", options.sigma_per_m, from_0, is_from_0)?;
         check(
             "scan time [s]",
             options.scan_secs,
             "at least 0, at most the time between two scans",
             |secs| secs >= 0.0 && secs * options.rate_hz <= 1.0 + 1e-9,
         )?;
+        for value in [options.mount.x, options.mount.y].into_iter().filter(|value| value.is_finite()) {
+            check("laser mount [m]", value, "at most 10000 either way", |value| value.abs() <= MOST)?;
+        }
         if !options.mount.is_finite() {
             let value = options.mount.x + options.mount.y + options.mount.theta;
             return Err(SimulationError::Parameter { name: "laser mount", value, allowed: "finite" });
@@ -91,6 +97,9 @@ impl LaserSimulator {
             .collect();
         let times = shares().map(|share| (share * options.scan_secs) as f32).collect();
         let laser = Laser::new(bearings, times, min, max, options.mount)?;
+        check("laser maximum range [m]", options.max_range_m, "at most 1000000", |range| {
+            range <= MOST_RANGE_M
+        })?;
         let beams_per_rad = gaps as f64 / options.field_of_view_rad;
         Ok(Self { options, laser, directions, first_bearing, beams_per_rad })
     }
@@ -295,12 +304,28 @@ mod tests {
             (LaserOptions { min_range_m: 8.0, ..good }, "0 <= min < max"),
             (LaserOptions { max_range_m: f64::NAN, ..good }, "0 <= min < max"),
             (LaserOptions { resolution_m: -0.1, ..good }, "laser resolution [m] must be at least 0"),
-            (LaserOptions { sigma_m: f64::NAN, ..good }, "laser noise sigma [m] must be at least 0; got NaN"),
+            (
+                LaserOptions { sigma_m: f64::NAN, ..good },
+                "laser noise sigma [m] must be at least 0, at most 10000; got NaN",
+            ),
             (LaserOptions { sigma_per_m: -1.0, ..good }, "laser noise sigma per metre"),
             (LaserOptions { scan_secs: 0.21, ..good }, "at most the time between two scans; got 0.21"),
             (
                 LaserOptions { mount: Pose2 { x: f64::NAN, ..Pose2::IDENTITY }, ..good },
                 "laser mount must be finite",
+            ),
+            (
+                LaserOptions { mount: Pose2::new(0.0, -1e300, 0.0), ..good },
+                "laser mount [m] must be at most 10000 either way",
+            ),
+            (LaserOptions { max_range_m: 1e30, ..good }, "laser maximum range [m] must be at most 1000000"),
+            (
+                LaserOptions { sigma_m: 1e300, ..good },
+                "laser noise sigma [m] must be at least 0, at most 10000",
+            ),
+            (
+                LaserOptions { resolution_m: 1e300, ..good },
+                "laser resolution [m] must be at least 0, at most 10000",
             ),
         ] {
             let error = LaserSimulator::new(options).unwrap_err().to_string();

@@ -5,7 +5,7 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 
 use super::SimulationError;
-use super::error::check;
+use super::error::{FROM_0, check};
 
 /// Below this translation \[m\] its direction says nothing of the motion (the bound that AMCL uses).
 const MIN_TRANSLATION_M: f64 = 0.01;
@@ -33,10 +33,10 @@ impl OdometryNoise {
     /// Noise with parameters alpha 1 to 4; all zero for perfect odometry.
     ///
     /// # Errors
-    /// [`SimulationError::Parameter`] for an alpha that is negative or not finite.
+    /// [`SimulationError::Parameter`] for an alpha that is negative, above 10,000 or not finite.
     pub fn new(alpha: [f64; 4]) -> Result<Self, SimulationError> {
         for value in alpha {
-            check("odometry noise alpha", value, "at least 0", |value| value >= 0.0)?;
+            check("odometry noise alpha", value, FROM_0.0, FROM_0.1)?;
         }
         Ok(Self { alpha })
     }
@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn alphas_must_be_finite_and_not_negative() {
-        for wrong in [-0.1, f64::NAN, f64::INFINITY] {
+        for wrong in [-0.1, f64::NAN, f64::INFINITY, 1e300] {
             let error = OdometryNoise::new([0.1, 0.1, wrong, 0.1]).unwrap_err();
             assert!(error.to_string().contains("alpha must be at least 0"), "{error}");
         }

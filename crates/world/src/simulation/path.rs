@@ -3,7 +3,10 @@ use locsim_core::{Pose2, wrap_angle};
 use serde::Serialize;
 
 use super::SimulationError;
-use super::error::check;
+use super::error::{check, check_count};
+
+/// The most scans of a drive.
+const MOST_SCANS: f64 = 1e6;
 
 /// What a robot drives.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -168,6 +171,16 @@ impl Trajectory {
     /// How long the motion lasts \[s\], above 0.
     pub fn duration_secs(&self) -> f64 {
         self.duration_secs
+    }
+
+    /// How many scans a laser of `rate_hz` takes on the way, at the start and every so often until the end.
+    ///
+    /// # Errors
+    /// [`SimulationError::TooMany`] for more than a million.
+    pub fn scan_count(&self, rate_hz: f64) -> Result<usize, SimulationError> {
+        let count = (self.duration_secs * rate_hz + 1e-9).floor() + 1.0;
+        check_count("scans", count, MOST_SCANS)?;
+        Ok(count as usize)
     }
 
     /// `map_from_base` at `secs` after the start. Before the start the robot stands at the start, after the

@@ -5,10 +5,12 @@ use std::fs;
 use std::path::Path;
 
 use glam::DVec2;
-use image::{GrayImage, ImageBuffer, Luma, LumaA, Rgb, RgbImage};
+use image::{DynamicImage, GrayImage, ImageBuffer, Luma, LumaA, Rgb, RgbImage};
+use locsim_core::limits::Limits;
 use locsim_core::{Draw, Pose2, Stage};
 use locsim_world::map::{
-    Cell, ImageMode, MapError, NamedEdges, OccupancyGrid, OccupancyMapFile, Polyline, VectorMap, Wall,
+    Cell, ImageFormat, ImageMode, MapError, NamedEdges, OccupancyGrid, OccupancyMapFile, Polyline, VectorMap,
+    Wall,
 };
 use proptest::prelude::*;
 use rand::RngExt;
@@ -194,7 +196,7 @@ fn the_origin_shifts_and_turns_the_grid() {
     assert_eq!(grid.cell_at(9.75, -2.0 + 1.25), Some(Occupied));
     assert_eq!(grid.cell_at(9.75, -2.0 + 0.25), Some(Free));
     assert_eq!(grid.cell_at(10.25, -2.0 + 1.25), None);
-    let geometry = grid.to_geometry();
+    let geometry = grid.to_geometry().unwrap();
     assert!(geometry.is_free(9.75, -1.75) && !geometry.is_free(9.75, -0.75));
     for (got, expected) in geometry.bounds().into_iter().zip([9.5, -2.0, 10.0, -0.5]) {
         assert!((got - expected).abs() < 1e-12);
@@ -240,7 +242,7 @@ fn boundaries_of_cells_are_merged_into_walls() {
         cells[i] = Occupied;
     }
     let grid = OccupancyGrid::new(4, 3, 0.5, Pose2::IDENTITY, cells, vec![0.5; 12]).unwrap();
-    let geometry = grid.to_geometry();
+    let geometry = grid.to_geometry().unwrap();
     assert_eq!(geometry.segments().len(), 4);
     assert_eq!(geometry.wall_length_m(), 4.0);
     assert_eq!(geometry.surface_names(), ["wall-0", "wall-1", "wall-2", "wall-3"]);
@@ -288,6 +290,236 @@ proptest! {
                 usize::from(here != occupied(x + 1, y)) + usize::from(here != occupied(x, y + 1))
             })
             .sum();
-        prop_assert!((grid.to_geometry().wall_length_m() - 0.05 * sides as f64).abs() < 1e-9);
+        prop_assert!((grid.to_geometry().unwrap().wall_length_m() - 0.05 * sides as f64).abs() < 1e-9);
     }
+}
+
+/// Every kind of pixel is read as its 16-bit colour with opacity, which `image` makes of it.
+#[test]
+fn pixels_of_every_kind_are_read_alike() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rng = Draw::new(3, Stage::Blocks, 0).item(0);
+    let (width, height) = (37, 23);
+    let mut bytes =
+        |channels: u32| -> Vec<u8> { (0..width * height * channels).map(|_| rng.random()).collect() };
+    let eight = [1, 2, 3, 4].map(&mut bytes);
+    let deep = [1, 2, 3, 4].map(|channels| -> Vec<u16> {
+        bytes(2 * channels).as_chunks().0.iter().map(|&pair| u16::from_ne_bytes(pair)).collect()
+    });
+    let [l, la, rgb, rgba] = eight;
+    let [l16, la16, rgb16, rgba16] = deep;
+    let images = [
+        DynamicImage::ImageLuma8(ImageBuffer::from_raw(width, height, l).unwrap()),
+        DynamicImage::ImageLumaA8(ImageBuffer::from_raw(width, height, la).unwrap()),
+        DynamicImage::ImageRgb8(ImageBuffer::from_raw(width, height, rgb).unwrap()),
+        DynamicImage::ImageRgba8(ImageBuffer::from_raw(width, height, rgba).unwrap()),
+        DynamicImage::ImageLuma16(ImageBuffer::from_raw(width, height, l16).unwrap()),
+        DynamicImage::ImageLumaA16(ImageBuffer::from_raw(width, height, la16).unwrap()),
+        DynamicImage::ImageRgb16(ImageBuffer::from_raw(width, height, rgb16).unwrap()),
+        DynamicImage::ImageRgba16(ImageBuffer::from_raw(width, height, rgba16).unwrap()),
+    ];
+    for image in images {
+        image.save(folder.path().join("map.png")).unwrap();
+        DynamicImage::ImageRgba16(image.to_rgba16()).save(folder.path().join("deep.png")).unwrap();
+        for mode in [ImageMode::Trinary, ImageMode::Scale, ImageMode::Raw] {
+            let [grid, expected] =
+                ["map.png", "deep.png"].map(|name| map_file(name, mode).load(folder.path()).unwrap());
+            assert_eq!(grid, expected, "{:?} {mode:?}", image.color());
+        }
+    }
+}
+
+/// A PNG of `width` x `height` pixels of one bit, with this compressed content.
+fn png_with_header(width: u32, height: u32, data: &[u8]) -> Vec<u8> {
+    let chunk = |kind: &[u8; 4], data: &[u8]| {
+        let mut crc = !0_u32;
+        for &byte in kind.iter().chain(data) {
+            crc ^= u32::from(byte);
+            for _ in 0..8 {
+                crc = (crc >> 1) ^ (0xedb8_8320 & 0_u32.wrapping_sub(crc & 1));
+            }
+        }
+        [&(data.len() as u32).to_be_bytes(), &kind[..], data, &(!crc).to_be_bytes()].concat()
+    };
+    let header = [&width.to_be_bytes()[..], &height.to_be_bytes(), &[1, 0, 0, 0, 0]].concat();
+    [&b"\x89PNG\r\n\x1a\n"[..], &chunk(b"IHDR", &header), &chunk(b"IDAT", data), &chunk(b"IEND", &[])]
+        .concat()
+}
+
+#[test]
+fn an_image_is_refused_by_its_header() {
+    let folder = tempfile::tempdir().unwrap();
+    let refusal = |bytes: &[u8]| {
+        fs::write(folder.path().join("map"), bytes).unwrap();
+        map_file("map", ImageMode::Trinary).load(folder.path()).unwrap_err().to_string()
+    };
+    let most = Limits::current().map_pixels;
+    for bytes in [
+        png_with_header(20_000, 20_000, &[0x78, 0x9c]),
+        b"P5 20000 20000 255\n".to_vec(),
+        b"P2 20000 20000 1 0 0".to_vec(),
+        b"P4 20000 20000\n".to_vec(),
+        b"P6 20000 20000 65535\n".to_vec(),
+        b"P7\nWIDTH 20000\nHEIGHT 20000\nDEPTH 1\nMAXVAL 1\nTUPLTYPE BLACKANDWHITE\nENDHDR\n".to_vec(),
+    ] {
+        let error = refusal(&bytes);
+        assert!(
+            error.contains(&format!("400000000 pixels of a map's image are not allowed; at most {most}")),
+            "{error}"
+        );
+    }
+    // Below the limit, and yet nothing behind the header.
+    for bytes in ["P5 8000 8000 255\n", "P5 8000 8000 65535\n", "P6 8000 8000 1\n", "P2 8000 8000 1 0 0"] {
+        let error = refusal(bytes.as_bytes());
+        assert!(error.contains("it ends before its last pixel"), "{error}");
+    }
+    for (bytes, what) in [
+        ("P5 0 8 255\n", "cannot be made from 0 cells"),
+        ("P5 2 2 0\n1234", "MAXVAL"),
+        ("P5 2 2 99999999999\n1234", "Overflow"),
+        ("P5 4294967295 4294967295 255\n", ""),
+        ("P9", ""),
+    ] {
+        let error = refusal(bytes.as_bytes());
+        assert!(error.contains(what) && !error.is_empty(), "{error}");
+    }
+    let error = map_file(".", ImageMode::Trinary).load(folder.path()).unwrap_err().to_string();
+    assert!(error.ends_with("it is no file"), "{error}");
+}
+
+#[test]
+fn an_image_as_small_as_its_pixels_allow_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("map"), [&b"P4 8000 100\n"[..], &vec![0xf0; 100_000]].concat()).unwrap();
+    let grid = map_file("map", ImageMode::Trinary).load(folder.path()).unwrap();
+    assert_eq!((grid.width(), grid.height()), (8000, 100));
+    assert_eq!(grid.cells()[..8], [Occupied, Occupied, Occupied, Occupied, Free, Free, Free, Free]);
+}
+
+#[test]
+fn more_walls_than_allowed_are_counted_and_refused() {
+    let side = 800;
+    let cells = (0..side * side).map(|i| if (i / side + i) % 2 == 0 { Free } else { Occupied }).collect();
+    let grid = OccupancyGrid::new(side, side, 0.05, Pose2::IDENTITY, cells, vec![0.5; side * side]).unwrap();
+    let error = grid.to_geometry().unwrap_err().to_string();
+    assert!(error.starts_with("1280000 wall segments of a map are not allowed; at most 500000"), "{error}");
+    let mut map = square();
+    map.walls = vec![map.walls[0].clone(); 1_000_000];
+    let error = map.to_geometry().unwrap_err().to_string();
+    assert!(error.starts_with("1000007 wall segments of a map are not allowed"), "{error}");
+    map.walls.clear();
+    map.outline.points_m = vec![[0.0, 0.0]; 20_000];
+    let error = map.to_geometry().unwrap_err().to_string();
+    assert!(error.starts_with("20003 corners of a vector map's outline and obstacles"), "{error}");
+}
+
+#[test]
+fn maps_beyond_any_building_are_refused() {
+    let load = |change: &dyn Fn(&mut OccupancyMapFile)| {
+        let folder = tempfile::tempdir().unwrap();
+        GrayImage::new(2, 2).save(folder.path().join("map.png")).unwrap();
+        let mut file = map_file("map.png", ImageMode::Trinary);
+        change(&mut file);
+        file.load(folder.path()).map(drop)
+    };
+    load(&|file| file.origin = [-9e6, 9e6, 1.0]).unwrap();
+    for origin in [[1e300, 0.0, 0.0], [0.0, -1.1e7, 0.0], [f64::MAX, f64::MAX, f64::MAX]] {
+        assert!(matches!(load(&|file| file.origin = origin), Err(MapError::Origin(_))));
+    }
+    for resolution in [1e-300, 9e-5] {
+        assert!(matches!(load(&|file| file.resolution = resolution), Err(MapError::TooFine(_))));
+    }
+    for resolution in [1e300, 1e7] {
+        assert!(matches!(load(&|file| file.resolution = resolution), Err(MapError::Origin(_))));
+    }
+    for far in [1e300, -1.1e7] {
+        let mut map = square();
+        map.outline.points_m[1] = [far, 0.0];
+        let error = map.to_geometry().unwrap_err();
+        assert!(matches!(error, MapError::TooFar { point: 1, .. }));
+        assert!(
+            error.to_string().ends_with("coordinates are metres, at most 10000000 either way"),
+            "{error}"
+        );
+    }
+    let mut map = square();
+    map.outline.points_m[1] = [1e-300, 0.0];
+    assert!(matches!(map.to_geometry(), Err(MapError::ZeroLengthEdge { point: 0, .. })));
+}
+
+#[test]
+fn a_grid_is_written_as_the_bytes_it_gives() {
+    let grid = random_grid(5);
+    let folder = tempfile::tempdir().unwrap();
+    for (name, format) in [("map.pgm", ImageFormat::Pgm), ("map.png", ImageFormat::Png)] {
+        let path = folder.path().join(name);
+        grid.write_image(&path).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), grid.image_bytes(format));
+        assert_eq!(grid.map_file(Path::new(name)).load(folder.path()).unwrap(), grid);
+    }
+    assert!(grid.write_image(&folder.path().join("map.gif")).is_err());
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+}
+
+/// Images with some bytes changed, cut short or doubled.
+fn survive(cases: u32, seed: u64) -> usize {
+    let folder = tempfile::tempdir().unwrap();
+    let grid = random_grid(7);
+    let encode = |image: &DynamicImage, name: &str| {
+        image.save(folder.path().join(name)).unwrap();
+        fs::read(folder.path().join(name)).unwrap()
+    };
+    let colour = DynamicImage::ImageRgba16(ImageBuffer::from_fn(5, 7, |x, y| {
+        image::Rgba([x as u16 * 9000, y as u16, 7, 9])
+    }));
+    let seeds = [
+        grid.image_bytes(ImageFormat::Pgm),
+        grid.image_bytes(ImageFormat::Png),
+        encode(&colour, "colour.png"),
+        encode(&DynamicImage::ImageRgb8(colour.to_rgb8()), "colour.ppm"),
+        encode(&colour, "colour.pam"),
+        png_with_header(16, 2, &[0x78, 0x01, 0x01, 6, 0, 0xf9, 0xff, 0, 1, 2, 0, 3, 4, 0, 0x15, 0, 11]),
+        b"P2\n# a comment\n2 3\n255\n0 255\n255 255\n255 255\n".to_vec(),
+        b"P1\n4 2\n0 1 0 1\n1 1 0 0\n".to_vec(),
+        b"P4\n9 2\n\xf0\x80\x0f\x00".to_vec(),
+    ];
+    let draw = Draw::new(seed, Stage::Blocks, 1);
+    let mut accepted = 0;
+    for case in 0..cases {
+        let mut rng = draw.item(case);
+        let mut bytes = seeds[case as usize % seeds.len()].clone();
+        for _ in 0..rng.random_range(1..5) {
+            if bytes.is_empty() {
+                break;
+            }
+            let i = rng.random_range(0..bytes.len());
+            match rng.random_range(0..6) {
+                0 => bytes[i] = rng.random(),
+                1 => bytes[i] ^= 1 << rng.random_range(0..8),
+                2 => bytes[i] = b"0129 \n#P\xff\x00"[rng.random_range(0..10)],
+                3 => bytes.truncate(i),
+                4 => bytes.insert(i, rng.random()),
+                _ => {
+                    let part = bytes[i..].to_vec();
+                    bytes.extend(part);
+                }
+            }
+        }
+        fs::write(folder.path().join("map"), &bytes).unwrap();
+        let mode = [ImageMode::Trinary, ImageMode::Scale, ImageMode::Raw][case as usize % 3];
+        if let Ok(grid) = map_file("map", mode).load(folder.path()) {
+            accepted += 1;
+            assert_eq!(grid.cells().len(), grid.width() * grid.height());
+            if grid.cells().len() < 1 << 16 {
+                grid.to_geometry().unwrap();
+            }
+        }
+    }
+    accepted
+}
+
+#[test]
+fn no_image_brings_the_reader_down() {
+    let accepted = survive(3000, 1);
+    assert!((300..2700).contains(&accepted), "{accepted} were read");
 }

@@ -136,3 +136,26 @@ fn far_readings_mark_nothing_and_unusable_ones_are_left_out() {
     drive.steps.iter_mut().for_each(|step| step.reference = None);
     assert!(occupancy_from_drive(&drive, &steps, &options).is_err());
 }
+
+#[test]
+fn poses_beyond_any_building_and_maps_with_too_many_cells_are_refused() {
+    let map_of = |x: f64, resolution_m: f64| {
+        let mut drive = drive();
+        for step in &mut drive.steps {
+            step.reference = step.reference.map(|pose| Pose2::new(x, pose.y, pose.theta));
+        }
+        drive.steps[0].reference = Some(Pose2::new(0.0, 1e3, 0.0));
+        let options = MappingOptions { resolution_m, ..MappingOptions::default() };
+        occupancy_from_drive(&drive, &all_steps(&drive), &options).unwrap_err()
+    };
+    for x in [1e300, 1e16, -1.1e7] {
+        assert!(matches!(map_of(x, 0.05), MapError::Origin(_)), "{x}");
+    }
+    let error = map_of(1e6, 0.05).to_string();
+    assert!(
+        error.contains("are the map's units metres?") && error.contains("--limit grid_cells="),
+        "{error}"
+    );
+    let error = map_of(180.0, 0.05).to_string();
+    assert!(error.contains("pixels of a map's image are not allowed"), "{error}");
+}

@@ -27,7 +27,7 @@ fn cluttered(seed: u64) -> Geometry {
         (0..width * height).map(|_| if rng.random_bool(0.1) { Cell::Occupied } else { Cell::Free }).collect();
     let occupancy = vec![0.5; cells.len()];
     let origin = Pose2::new(-3.0, 2.0, 0.4);
-    OccupancyGrid::new(width, height, 0.25, origin, cells, occupancy).unwrap().to_geometry()
+    OccupancyGrid::new(width, height, 0.25, origin, cells, occupancy).unwrap().to_geometry().unwrap()
 }
 
 /// Range by solving origin + t direction = a + u (b - a) for every segment (Cramer's rule).
@@ -373,10 +373,70 @@ fn a_cached_table_is_the_built_one_or_is_built_anew() {
     assert_eq!(cached(&other), built_other);
 }
 
+/// A file with a right hash whose numbers stand for nothing there is.
+#[test]
+fn a_cached_table_of_absurd_content_is_built_anew() {
+    const START: usize = 24 + 32;
+    let folder = tempfile::tempdir().unwrap();
+    let exact = ExactRangeMap::new(common::corridor());
+    let options = RangeTableOptions { cell_m: 0.4, ..RangeTableOptions::default() };
+    let cached = || {
+        let table = RangeTable::cached(&exact, &options, Some(folder.path()), &|_| ()).unwrap();
+        let (poses, mut hits) = (random_poses(100, exact.bounds()), Hits::default());
+        table.cast(poses.view(), &bearings(60), 30.0, &mut hits);
+        hits
+    };
+    let built = cached();
+    let file = std::fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
+    let sound = std::fs::read(&file).unwrap();
+    let words: Vec<u32> =
+        sound[START..sound.len() - 32].as_chunks().0.iter().map(|&bytes| u32::from_ne_bytes(bytes)).collect();
+    // Where the length of each of the five parts stands.
+    let mut lengths = vec![0];
+    for part in 0..4 {
+        lengths.push(lengths[part] + 1 + words[lengths[part]] as usize);
+    }
+    let mut changes: Vec<(usize, u32)> = lengths.iter().map(|&at| (at, u32::MAX)).collect();
+    changes.extend(lengths.iter().map(|&at| (at, words[at] + 3)));
+    changes.extend(lengths.iter().map(|&at| (at, 0)));
+    // A row, an entry, a wall and the corner of a sight, the length of a list, a wall of a list.
+    for at in [lengths[0] + 1, lengths[1] + 1, lengths[2] + 1, lengths[2] + 3, lengths[3] + 1, lengths[4] + 1]
+    {
+        changes.extend([1_000_000, u32::MAX - 1].map(|value| (at, value)));
+    }
+    for (at, value) in changes {
+        let mut words = words.clone();
+        words[at] = value;
+        let mut content = sound[..START].to_vec();
+        content.extend(words.iter().flat_map(|word| word.to_ne_bytes()));
+        let hash = blake3::hash(&content);
+        content.extend(hash.as_bytes());
+        std::fs::write(&file, &content).unwrap();
+        assert_eq!(cached(), built, "word {at} is {value}");
+        assert_eq!(std::fs::read(&file).unwrap(), sound, "word {at} is {value}: the file stays");
+    }
+}
+
+/// A table that is read counts as used.
+#[test]
+fn reading_a_cached_table_moves_its_time_of_change() {
+    let folder = tempfile::tempdir().unwrap();
+    let exact = square_room();
+    let options = RangeTableOptions { cell_m: 0.4, ..RangeTableOptions::default() };
+    let cached = || RangeTable::cached(&exact, &options, Some(folder.path()), &|_| ()).unwrap();
+    cached();
+    let path = std::fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
+    let file = std::fs::File::options().write(true).open(&path).unwrap();
+    file.set_modified(std::time::SystemTime::UNIX_EPOCH).unwrap();
+    cached();
+    assert!(path.metadata().unwrap().modified().unwrap() > std::time::SystemTime::UNIX_EPOCH);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
 #[test]
 fn a_map_without_walls_returns_nothing() {
     let grid = OccupancyGrid::new(2, 1, 1.0, Pose2::IDENTITY, vec![Cell::Free; 2], vec![0.0; 2]).unwrap();
-    let exact = ExactRangeMap::new(grid.to_geometry());
+    let exact = ExactRangeMap::new(grid.to_geometry().unwrap());
     assert_eq!(exact.cast_ray(DVec2::splat(0.5), DVec2::X, f64::INFINITY), None);
     let table = table(&exact, 0.5);
     let mut hits = Hits::default();

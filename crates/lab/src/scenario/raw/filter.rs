@@ -69,16 +69,16 @@ pub struct RawKld {
     pub min: u64,
     /// At most this many, `min` to 10000000.
     pub max: u64,
-    /// The bound epsilon, above 0.
+    /// The bound epsilon, 0.000001 to 1000.
     #[serde(default = "default::kld_error")]
     pub error: f64,
     /// Probability with which the bound holds, above 0 and below 1.
     #[serde(default = "default::kld_quantile")]
     pub quantile: f64,
-    /// Side of a histogram bin (m), above 0.
+    /// Side of a histogram bin (m), 0.001 to 1000000.
     #[serde(default = "default::kld_bin_m")]
     pub bin_m: f64,
-    /// Heading width of a histogram bin (deg), above 0 to 360.
+    /// Heading width of a histogram bin (deg), 0.001 to 360.
     #[serde(default = "default::kld_bin_deg")]
     pub bin_deg: f64,
 }
@@ -89,7 +89,7 @@ pub struct RawKld {
 pub struct RawMotion {
     /// Which model.
     pub model: MotionModelName,
-    /// Noise parameters, each at least 0: alpha 1 to 4 (`odometry`) or 1 to 6 (`velocity`).
+    /// Noise parameters, each 0 to 1000: alpha 1 to 4 (`odometry`) or 1 to 6 (`velocity`).
     pub alpha: Vec<f64>,
 }
 
@@ -172,13 +172,13 @@ pub struct RawAnnealing {
     /// Metropolis moves of each particle after each power, 1 to 1000.
     #[serde(default = "default::annealing_moves")]
     pub moves: u64,
-    /// Standard deviation of a move along x and along y under the whole likelihood (m), at least 0.
+    /// Standard deviation of a move along x and along y under the whole likelihood (m), 0 to 1000.
     #[serde(default = "default::annealing_sigma_m")]
     pub sigma_m: f64,
-    /// The same of the heading (deg), at least 0.
+    /// The same of the heading (deg), 0 to 1000.
     #[serde(default = "default::annealing_sigma_deg")]
     pub sigma_deg: f64,
-    /// Scans are annealed until positions have this standard deviation (m), and again from five times it; at least 0.
+    /// Scans are annealed until positions have this standard deviation (m), and again from five times it; 0 to 1000000.
     #[serde(default = "default::annealing_gathered_m")]
     pub gathered_m: f64,
 }
@@ -197,10 +197,10 @@ pub enum RawStart {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSpread {
-    /// Standard deviation of x and of y (m), at least 0.
+    /// Standard deviation of x and of y (m), 0 to 1000.
     #[serde(default)]
     pub sigma_m: f64,
-    /// Standard deviation of the heading (deg), at least 0.
+    /// Standard deviation of the heading (deg), 0 to 1000.
     #[serde(default)]
     pub sigma_deg: f64,
 }

@@ -25,7 +25,7 @@ pub use source::*;
 #[serde(deny_unknown_fields)]
 #[schemars(title = "locsim scenario")]
 pub struct RawScenario {
-    /// Name of the results: letters, digits, `-` and `_`. Default: the file's name without `.yaml`.
+    /// Name of the results: up to 100 letters, digits, `-` and `_`. Default: the file's name without `.yaml`.
     pub name: Option<String>,
     /// One line for people.
     #[serde(default)]
@@ -47,7 +47,7 @@ pub struct RawScenario {
     /// The simulated laser. Needed with `robot`, not allowed with `log`.
     pub laser: Option<RawLaser>,
     /// Ways in which the simulated world differs from what `map`, `blocks`, `robot` and `laser` say, all at once; the
-    /// same may come twice. `locsim effects` lists them. Only with `robot`.
+    /// same may come twice, 1000 at the most. `locsim effects` lists them. Only with `robot`.
     #[serde(default)]
     pub effects: Vec<RawEffect>,
     /// A measured log. Either this or `robot`.
@@ -55,7 +55,7 @@ pub struct RawScenario {
     /// How much training data the sensor models get.
     #[serde(default)]
     pub training: RawTraining,
-    /// The sensor models under comparison, at least one: each a name, or a map with `name` and options.
+    /// The sensor models under comparison, 1 to 100: each a name, or a map with `name` and options.
     pub models: Vec<Form<ModelName, RawModel>>,
     /// The particle filter.
     pub filter: RawFilter,
@@ -142,7 +142,7 @@ impl Short for ModelName {
 pub struct RawErrors {
     /// The axes of position errors.
     pub frame: ErrorFrame,
-    /// A trial is lost when its last position error exceeds this (m), above 0.
+    /// A trial is lost when its last position error exceeds this (m), 0.001 to 1000000.
     pub lost_m: f64,
 }
 

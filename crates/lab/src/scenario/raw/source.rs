@@ -38,23 +38,23 @@ pub enum RayCastMethod {
 pub struct RawBlocks {
     /// Blocks per metre of wall (1/m), 0 to 100.
     pub per_metre_of_wall: f64,
-    /// Length of a block along the wall, before it is turned (m), above 0.
+    /// Length of a block along the wall, before it is turned (m), 0.001 to 1000000.
     pub length_m: [f64; 2],
-    /// Width of a block (m), above 0.
+    /// Width of a block (m), 0.001 to 1000000.
     pub width_m: [f64; 2],
     /// Yaw relative to the wall (deg), -180 to 180.
     #[serde(default)]
     pub yaw_deg: [f64; 2],
-    /// Gap between the wall and the block's nearest side (m), at least 0.
+    /// Gap between the wall and the block's nearest side (m), 0 to 1000000.
     #[serde(default)]
     pub wall_distance_m: [f64; 2],
     /// When blocks take new places.
     #[serde(default)]
     pub resample: RawBlockResampling,
-    /// Speed along the wall, either way (m/s), not below 0; only with `never` or `each_scan_n`.
+    /// Speed along the wall, either way (m/s), 0 to 1000; only with `never` or `each_scan_n`.
     #[serde(default)]
     pub speed_m_s: [f64; 2],
-    /// No block comes closer than this to the robot's centre (m), at least 0.
+    /// No block comes closer than this to the robot's centre (m), 0 to 1000000.
     #[serde(default = "default::clearance_m")]
     pub clearance_m: f64,
 }
@@ -78,7 +78,8 @@ pub enum RawBlockResampling {
 pub struct RawRobot {
     /// The path it drives.
     pub path: RawPath,
-    /// The start is shifted along x and along y by a uniform draw from -this to this, anew for each trial (m).
+    /// The start is shifted along x and along y by a uniform draw from -this to this, anew for each trial
+    /// (m), 0 to 1000000.
     #[serde(default)]
     pub start_jitter_m: f64,
     /// Noise of its odometry.
@@ -90,7 +91,7 @@ pub struct RawRobot {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawOdometryNoise {
-    /// alpha 1 to 4 of Probabilistic Robotics, table 5.6, each at least 0.
+    /// alpha 1 to 4 of Probabilistic Robotics, table 5.6, each 0 to 1000.
     #[serde(default)]
     pub alpha: [f64; 4],
 }
@@ -101,18 +102,18 @@ pub struct RawOdometryNoise {
 pub enum RawPath {
     /// Straight legs between points, turning in place at each.
     Waypoints {
-        /// At least two points [x, y] in the map frame (m), neighbours apart.
+        /// 2 to 100000 points [x, y] in the map frame (m), -1000000 to 1000000, neighbours apart.
         points_m: Vec<[f64; 2]>,
-        /// Speed on a leg (m/s), above 0.
+        /// Speed on a leg (m/s), 0.001 to 1000.
         speed_m_s: f64,
-        /// Turn rate at a point (deg/s), above 0.
+        /// Turn rate at a point (deg/s), 0.001 to 100000.
         turn_rate_deg_s: f64,
     },
     /// Arcs of constant speed and turn rate.
     VelocityProfile {
         /// First pose in the map frame.
         start: RawPose,
-        /// At least one.
+        /// 1 to 100000.
         segments: Vec<RawSegment>,
     },
 }
@@ -121,11 +122,11 @@ pub enum RawPath {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawPose {
-    /// x (m).
+    /// x (m), -1000000 to 1000000.
     pub x_m: f64,
-    /// y (m).
+    /// y (m), -1000000 to 1000000.
     pub y_m: f64,
-    /// Heading (deg), 0 along x, counter-clockwise.
+    /// Heading (deg), 0 along x, counter-clockwise, -1000000 to 1000000.
     pub heading_deg: f64,
 }
 
@@ -133,11 +134,11 @@ pub struct RawPose {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSegment {
-    /// How long it lasts (s), above 0.
+    /// How long it lasts (s), 0.000001 to 10000000.
     pub secs: f64,
-    /// Forward speed (m/s).
+    /// Forward speed (m/s), -1000 to 1000.
     pub speed_m_s: f64,
-    /// Turn rate (deg/s), counter-clockwise.
+    /// Turn rate (deg/s), counter-clockwise, -100000 to 100000.
     #[serde(default)]
     pub turn_rate_deg_s: f64,
 }
@@ -146,20 +147,20 @@ pub struct RawSegment {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawLaser {
-    /// Scans per second (Hz), above 0.
+    /// Scans per second (Hz), 0.001 to 100000.
     pub rate_hz: f64,
     /// Beams per scan, 1 to 100000.
     pub beams: u64,
-    /// Field of view (deg), above 0 to 360. At 360 beams are spread evenly without a double end; below, both
+    /// Field of view (deg), 0.001 to 360. At 360 beams are spread evenly without a double end; below, both
     /// ends carry a beam.
     #[serde(default = "default::field_of_view_deg")]
     pub field_of_view_deg: f64,
-    /// Minimum range (m), at least 0.
+    /// Minimum range (m), 0 to 1000000.
     #[serde(default)]
     pub min_range_m: f64,
-    /// Maximum range (m), above the minimum. A reading at it means "no return".
+    /// Maximum range (m), 0.001 to 10000, above the minimum. A reading at it means "no return".
     pub max_range_m: f64,
-    /// Step of a reading (m), at least 0; 0 for readings that aren't quantized.
+    /// Step of a reading (m), 0.000001 to 1000000, or 0 for readings that aren't quantized.
     #[serde(default)]
     pub resolution_m: f64,
     /// Gaussian noise of a reading.
@@ -177,10 +178,10 @@ pub struct RawLaser {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawRangeNoise {
-    /// Standard deviation at range 0 (m), at least 0; above 0 with the model `oracle`.
+    /// Standard deviation at range 0 (m), 0.000001 to 1000, or 0; not 0 with the model `oracle`.
     #[serde(default)]
     pub sigma_m: f64,
-    /// Growth of the standard deviation per metre of range (m/m), at least 0.
+    /// Growth of the standard deviation per metre of range (m/m), 0 to 1000.
     #[serde(default)]
     pub sigma_per_m: f64,
 }
@@ -189,13 +190,13 @@ pub struct RawRangeNoise {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawMount {
-    /// Forward (m).
+    /// Forward (m), -1000000 to 1000000.
     #[serde(default)]
     pub x_m: f64,
-    /// Left (m).
+    /// Left (m), -1000000 to 1000000.
     #[serde(default)]
     pub y_m: f64,
-    /// Counter-clockwise (deg).
+    /// Counter-clockwise (deg), -1000000 to 1000000.
     #[serde(default)]
     pub yaw_deg: f64,
 }
@@ -219,7 +220,7 @@ pub struct RawLog {
     /// Side of a cell of the map built from the log (m), 0.001 to 10. Default: 0.05.
     #[schemars(extend("default" = default::MAP_RESOLUTION_M))]
     pub map_resolution_m: Option<f64>,
-    /// Readings at or above this count as no return (m). Default: the log's own maximum.
+    /// Readings at or above this count as no return (m), 0.001 to 10000. Default: the log's own maximum.
     pub max_range_m: Option<f64>,
     /// What the topics of a bag are called; only with `.mcap`.
     pub topics: Option<RawTopics>,

@@ -4,16 +4,20 @@ use glam::DVec2;
 use locsim_world::effect::{Effect, EffectKind, Effects};
 
 use crate::scenario::LoadedMap;
-use crate::scenario::check::Allowed::{Any, Within};
-use crate::scenario::check::Checker;
+use crate::scenario::check::Allowed::Within;
+use crate::scenario::check::{COORDINATE, Checker, number};
 use crate::scenario::effect::{default, in_file, is_angle, key, keys};
 use crate::scenario::error::unknown_word;
 use crate::scenario::locate::join;
 use crate::scenario::raw::{PLACE, RawEffect, RawScenario};
 
+/// Effects of a scenario.
+const MOST_EFFECTS: usize = 1000;
+
 /// The effects of a simulated world; places that are given by name are still empty.
 pub(super) fn effects(check: &mut Checker<'_>, raw: &RawScenario) -> Vec<Effect> {
     let of_blocks = |kind| matches!(kind, EffectKind::BlockDensity | EffectKind::BlockDepth);
+    check.length("effects", &raw.effects, MOST_EFFECTS);
     for (i, effect) in raw.effects.iter().enumerate() {
         check.refuse(of_blocks(effect.kind) && raw.blocks.is_none(), &format!("effects[{i}].name"), || {
             format!("`{}` is not allowed; there are no `blocks`", effect.kind)
@@ -67,12 +71,13 @@ fn stretch(check: &mut Checker<'_>, at: &str, raw: &RawEffect) -> Vec<[DVec2; 2]
         ));
         return Vec::new();
     };
-    check.numbers(&join(at, "from_m"), &from, Any);
-    check.numbers(&join(at, "to_m"), &to, Any);
-    check.refuse(from == to, &join(at, "to_m"), || {
-        format!("[{}, {}] is not allowed; it is where the stretch begins", to[0], to[1])
+    check.numbers(&join(at, "from_m"), &from, COORDINATE);
+    check.numbers(&join(at, "to_m"), &to, COORDINATE);
+    let [from, to] = [from, to].map(DVec2::from_array);
+    check.refuse(from.distance(to) < 1e-6, &join(at, "to_m"), || {
+        format!("[{}, {}] is not allowed; it is where the stretch begins", number(to[0]), number(to[1]))
     });
-    vec![[from, to].map(DVec2::from_array)]
+    vec![[from, to]]
 }
 
 /// Finds walls by their names (`walls[i]` of effect `i`), and checks the effects together.

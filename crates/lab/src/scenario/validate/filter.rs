@@ -1,6 +1,6 @@
 use super::{MAX_PARTICLES, beams};
-use crate::scenario::check::Allowed::{Above, AboveUpTo, AtLeast, Between};
-use crate::scenario::check::Checker;
+use crate::scenario::check::Allowed::{AboveUpTo, Between, Within};
+use crate::scenario::check::{Checker, LENGTH, NOISE, POSITIVE_LENGTH, number};
 use crate::scenario::form::Form;
 use crate::scenario::locate::join;
 use crate::scenario::raw::{
@@ -56,16 +56,16 @@ fn adaptive(check: &mut Checker<'_>, raw: &RawKld) -> ParticleCount {
     ParticleCount::Kld {
         min,
         max,
-        error: check.number(&key("error"), raw.error, Above(0.0)),
+        error: check.number(&key("error"), raw.error, Within(1e-6, 1e3)),
         quantile: check.number(&key("quantile"), raw.quantile, Between(0.0, 1.0)),
-        bin_m: check.number(&key("bin_m"), raw.bin_m, Above(0.0)),
-        bin_rad: check.degrees(&key("bin_deg"), raw.bin_deg, AboveUpTo(0.0, 360.0)),
+        bin_m: check.number(&key("bin_m"), raw.bin_m, POSITIVE_LENGTH),
+        bin_rad: check.degrees(&key("bin_deg"), raw.bin_deg, Within(1e-3, 360.0)),
     }
 }
 
 fn motion(check: &mut Checker<'_>, raw: &RawMotion) -> Motion {
     let key = "filter.motion.alpha";
-    check.numbers(key, &raw.alpha, AtLeast(0.0));
+    check.numbers(key, &raw.alpha, NOISE);
     let wanted = match raw.model {
         MotionModelName::Odometry => 4,
         MotionModelName::Velocity => 6,
@@ -88,6 +88,7 @@ fn injection(check: &mut Checker<'_>, raw: RawInjection) -> Injection {
     let alpha_slow = check.number("filter.injection.alpha_slow", slow, AboveUpTo(0.0, 1.0));
     let alpha_fast = check.number("filter.injection.alpha_fast", fast, AboveUpTo(0.0, 1.0));
     check.refuse(slow >= fast, "filter.injection.alpha_slow", || {
+        let [slow, fast] = [slow, fast].map(number);
         format!("{slow} is not allowed; below `alpha_fast`, which is {fast}")
     });
     Injection { alpha_slow, alpha_fast }
@@ -101,13 +102,13 @@ fn annealing(check: &mut Checker<'_>, raw: RawAnnealing) -> Annealing {
         effective_share: share,
         moves: check.count(&key("moves"), raw.moves, 1, 1000),
         step: spread(check, "filter.annealing", RawSpread { sigma_m: raw.sigma_m, sigma_deg: raw.sigma_deg }),
-        gathered_m: check.number(&key("gathered_m"), raw.gathered_m, AtLeast(0.0)),
+        gathered_m: check.number(&key("gathered_m"), raw.gathered_m, LENGTH),
     }
 }
 
 fn spread(check: &mut Checker<'_>, key: &str, raw: RawSpread) -> Spread {
     Spread {
-        sigma_m: check.number(&join(key, "sigma_m"), raw.sigma_m, AtLeast(0.0)),
-        sigma_rad: check.degrees(&join(key, "sigma_deg"), raw.sigma_deg, AtLeast(0.0)),
+        sigma_m: check.number(&join(key, "sigma_m"), raw.sigma_m, NOISE),
+        sigma_rad: check.degrees(&join(key, "sigma_deg"), raw.sigma_deg, NOISE),
     }
 }

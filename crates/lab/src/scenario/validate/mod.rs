@@ -7,11 +7,12 @@ mod source;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use locsim_core::limits::quoted;
 use locsim_world::simulation::RobotPath;
 
-use super::check::Allowed::{Above, AboveUpTo, Any, Between, FromBelow};
-use super::check::Checker;
-use super::error::unknown_word;
+use super::check::Allowed::{AboveUpTo, Any, Between, FromBelow};
+use super::check::{Checker, POSITIVE_LENGTH, number};
+use super::error::{shown, unknown_word};
 use super::form::Form;
 use super::locate::join;
 use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
@@ -20,6 +21,10 @@ use super::{
     Source, Training,
 };
 
+/// Models of a scenario.
+const MOST_MODELS: usize = 100;
+/// Letters of a name: names become names of files.
+const MOST_LETTERS: usize = 100;
 const MAX_PARTICLES: u32 = 10_000_000;
 const MAX_BEAMS: u32 = 100_000;
 
@@ -49,7 +54,7 @@ pub(in crate::scenario) fn validate(
     let filter = filter::filter(&mut check, &raw.filter, raw.laser.as_ref());
     let errors = Errors {
         frame: raw.errors.frame,
-        lost_m: check.number("errors.lost_m", raw.errors.lost_m, Above(0.0)),
+        lost_m: check.number("errors.lost_m", raw.errors.lost_m, POSITIVE_LENGTH),
     };
     let mut record = record(&mut check, &raw.record, trials_of_file, &all_models, &models);
     record.trial = record.trial.min(trials.saturating_sub(1));
@@ -86,7 +91,8 @@ pub(in crate::scenario) fn in_map(
     effect::places(&mut check, &mut simulation.effects, walls, map);
     let mut visit = |key: &str, x: f64, y: f64| {
         check.refuse(!map.geometry.is_free(x, y), key, || {
-            format!("[{x}, {y}] is not allowed; a point in the free space of {}", simulation.map.display())
+            let [x, y] = [x, y].map(number);
+            format!("[{x}, {y}] is not allowed; a point in the free space of {}", shown(&simulation.map))
         });
     };
     match &simulation.robot.path {
@@ -102,6 +108,12 @@ pub(in crate::scenario) fn in_map(
     if check.is_clean() { Ok(()) } else { Err(check.into_error()) }
 }
 
+/// Whether files and columns can be called so.
+fn is_plain_name(name: &str) -> bool {
+    (1..=MOST_LETTERS).contains(&name.len())
+        && name.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c))
+}
+
 /// The name that is given, or that of the file.
 pub(crate) fn name(check: &mut Checker<'_>, name: Option<&str>, path: &Path) -> String {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -109,8 +121,9 @@ pub(crate) fn name(check: &mut Checker<'_>, name: Option<&str>, path: &Path) -> 
         Some(name) => (name, ""),
         None => (stem.as_ref(), " (the file's name)"),
     };
-    let legal = !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c));
-    check.refuse(!legal, "name", || format!("`{name}`{origin} is not allowed; letters, digits, `-` and `_`"));
+    check.refuse(!is_plain_name(name), "name", || {
+        format!("`{}`{origin} is not allowed; up to {MOST_LETTERS} letters, digits, `-` and `_`", quoted(name))
+    });
     name.to_owned()
 }
 
@@ -158,8 +171,10 @@ fn models(check: &mut Checker<'_>, raw: &[Form<ModelName, RawModel>], measured: 
             ModelName::ALL.map(ModelName::as_str).join(", ")
         )
     });
+    check.length("models", raw, MOST_MODELS);
     let mut models: Vec<Model> = Vec::new();
-    for (i, raw) in raw.iter().enumerate() {
+    // Those beyond are refused already, and each is held against all before it.
+    for (i, raw) in raw.iter().take(MOST_MODELS).enumerate() {
         let key = format!("models[{i}]");
         let model = match raw {
             Form::Short(name) => {
@@ -176,13 +191,13 @@ fn models(check: &mut Checker<'_>, raw: &[Form<ModelName, RawModel>], measured: 
             },
         };
         let label = &model.label;
-        let legal = !label.is_empty() && label.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c));
-        check.refuse(!legal, &join(&key, "label"), || {
-            format!("`{label}` is not allowed; letters, digits, `-` and `_`")
+        check.refuse(!is_plain_name(label), &join(&key, "label"), || {
+            format!("`{}` is not allowed; up to {MOST_LETTERS} letters, digits, `-` and `_`", quoted(label))
         });
         check.refuse(models.iter().any(|other| other.label == *label), &key, || {
             format!(
-                "`{label}` is not allowed; a model before it has this label, give one a `label` of its own"
+                "`{}` is not allowed; a model before it has this label, give one a `label` of its own",
+                quoted(label)
             )
         });
         if model.name == ModelName::Oracle {
@@ -224,7 +239,8 @@ fn record(check: &mut Checker<'_>, raw: &RawRecord, trials: u32, all: &[Model], 
         Form::Full(labels) => labels.contains(label),
     };
     if let Form::Full(labels) = &raw.models {
-        for (i, label) in labels.iter().enumerate() {
+        check.length("record.models", labels, MOST_MODELS);
+        for (i, label) in labels.iter().take(MOST_MODELS).enumerate() {
             known_label(check, &format!("record.models[{i}]"), label, all);
         }
     }
@@ -269,7 +285,9 @@ fn bound(
         return;
     }
     if let (Some(min), Some(max)) = (min, max) {
-        check.refuse(min > max, &join(key, "min"), || format!("{min} is not allowed; not above max, {max}"));
+        check.refuse(min > max, &join(key, "min"), || {
+            format!("{} is not allowed; not above max, {}", number(min), number(max))
+        });
     }
     if metric.is_empty() {
         check.problem(key, "a bound belongs to a figure, such as {lost_share: {max: 0.05}}");

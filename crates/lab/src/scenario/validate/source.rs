@@ -7,14 +7,23 @@ use locsim_world::simulation::{
 };
 
 use super::{MAX_BEAMS, effect};
-use crate::scenario::check::Allowed::{Above, AboveUpTo, Any, AtLeast, Within};
-use crate::scenario::check::Checker;
+use crate::scenario::check::Allowed::{Within, ZeroOrWithin};
+use crate::scenario::check::{ANGLE, COORDINATE, Checker, LENGTH, MAX_RANGE, NOISE, POSITIVE_LENGTH, STEP, number};
 use crate::scenario::locate::join;
 use crate::scenario::raw::{
     RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot, RawScenario,
     RawSegment, RayCastMethod, default,
 };
 use crate::scenario::{Log, LogMap, RayCast, Simulation, Source};
+
+/// Way points or segments of a path.
+const MOST_POINTS: usize = 100_000;
+/// Points nearer to each other than this have no direction between them (m).
+const SAME_POINT_M: f64 = 1e-6;
+/// The highest speed, of a robot or a block (m/s).
+const FASTEST_M_S: f64 = 1e3;
+/// The highest turn rate (deg/s).
+const FASTEST_TURN_DEG_S: f64 = 1e5;
 
 pub(super) fn ray_cast(check: &mut Checker<'_>, raw: &RawRayCast) -> RayCast {
     match raw.method {
@@ -80,10 +89,10 @@ fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> BlockOptions {
             BlockResampling::EachScanN(check.count("blocks.resample.each_scan_n", n, 1, 1_000_000))
         }
     };
-    let speed_m_s = check.interval("blocks.speed_m_s", raw.speed_m_s, AtLeast(0.0));
+    let speed_m_s = check.interval("blocks.speed_m_s", raw.speed_m_s, Within(0.0, FASTEST_M_S));
     let persists = resample != BlockResampling::EachObservation;
     check.refuse(!persists && speed_m_s != [0.0; 2], "blocks.speed_m_s", || {
-        let [lo, hi] = speed_m_s;
+        let [lo, hi] = speed_m_s.map(number);
         format!(
             "[{lo}, {hi}] is not allowed; blocks move only with `resample: never` or `{{each_scan_n: ...}}`"
         )
@@ -95,19 +104,19 @@ fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> BlockOptions {
             raw.per_metre_of_wall,
             Within(0.0, 100.0),
         ),
-        length_m: check.interval("blocks.length_m", raw.length_m, Above(0.0)),
-        width_m: check.interval("blocks.width_m", raw.width_m, Above(0.0)),
+        length_m: check.interval("blocks.length_m", raw.length_m, POSITIVE_LENGTH),
+        width_m: check.interval("blocks.width_m", raw.width_m, POSITIVE_LENGTH),
         yaw_rad: [yaw_lo.to_radians(), yaw_hi.to_radians()],
-        wall_distance_m: check.interval("blocks.wall_distance_m", raw.wall_distance_m, AtLeast(0.0)),
+        wall_distance_m: check.interval("blocks.wall_distance_m", raw.wall_distance_m, LENGTH),
         resample,
         speed_m_s,
-        clearance_m: check.number("blocks.clearance_m", raw.clearance_m, AtLeast(0.0)),
+        clearance_m: check.number("blocks.clearance_m", raw.clearance_m, LENGTH),
     }
 }
 
 fn robot(check: &mut Checker<'_>, raw: &RawRobot) -> Robot {
     let alpha = raw.odometry_noise.alpha;
-    check.numbers("robot.odometry_noise.alpha", &alpha, AtLeast(0.0));
+    check.numbers("robot.odometry_noise.alpha", &alpha, NOISE);
     Robot {
         path: match &raw.path {
             RawPath::Waypoints { points_m, speed_m_s, turn_rate_deg_s } => {
@@ -115,17 +124,17 @@ fn robot(check: &mut Checker<'_>, raw: &RawRobot) -> Robot {
                 waypoints(check, &join(key, "points_m"), points_m);
                 RobotPath::Waypoints {
                     points_m: points_m.clone(),
-                    speed_m_s: check.number(&join(key, "speed_m_s"), *speed_m_s, Above(0.0)),
+                    speed_m_s: check.number(&join(key, "speed_m_s"), *speed_m_s, Within(1e-3, FASTEST_M_S)),
                     turn_rate_rad_s: check.degrees(
                         &join(key, "turn_rate_deg_s"),
                         *turn_rate_deg_s,
-                        Above(0.0),
+                        Within(1e-3, FASTEST_TURN_DEG_S),
                     ),
                 }
             }
             RawPath::VelocityProfile { start, segments } => velocity_profile(check, *start, segments),
         },
-        start_jitter_m: check.number("robot.start_jitter_m", raw.start_jitter_m, AtLeast(0.0)),
+        start_jitter_m: check.number("robot.start_jitter_m", raw.start_jitter_m, LENGTH),
         // Where an alpha is refused, it has been said above.
         odometry_noise: OdometryNoise::new(alpha).unwrap_or_default(),
     }
@@ -135,11 +144,14 @@ fn waypoints(check: &mut Checker<'_>, key: &str, points: &[[f64; 2]]) {
     check.refuse(points.len() < 2, key, || {
         format!("{} points are not allowed; a path needs at least 2", points.len())
     });
+    check.length(key, points, MOST_POINTS);
     for (i, point) in points.iter().enumerate() {
         let key = format!("{key}[{i}]");
-        check.numbers(&key, point, Any);
-        check.refuse(i > 0 && points[i - 1] == *point, &key, || {
-            let [x, y] = point;
+        check.numbers(&key, point, COORDINATE);
+        let [x, y] = *point;
+        let repeats = |[x0, y0]: [f64; 2]| (x - x0).hypot(y - y0) < SAME_POINT_M;
+        check.refuse(i > 0 && repeats(points[i - 1]), &key, || {
+            let [x, y] = [x, y].map(number);
             format!("[{x}, {y}] is not allowed; it repeats the point before it")
         });
     }
@@ -148,35 +160,39 @@ fn waypoints(check: &mut Checker<'_>, key: &str, points: &[[f64; 2]]) {
 fn velocity_profile(check: &mut Checker<'_>, start: RawPose, segments: &[RawSegment]) -> RobotPath {
     let key = "robot.path.velocity_profile";
     let start = Pose2::new(
-        check.number(&join(key, "start.x_m"), start.x_m, Any),
-        check.number(&join(key, "start.y_m"), start.y_m, Any),
-        check.degrees(&join(key, "start.heading_deg"), start.heading_deg, Any),
+        check.number(&join(key, "start.x_m"), start.x_m, COORDINATE),
+        check.number(&join(key, "start.y_m"), start.y_m, COORDINATE),
+        check.degrees(&join(key, "start.heading_deg"), start.heading_deg, ANGLE),
     );
     let list = join(key, "segments");
     check.refuse(segments.is_empty(), &list, || {
         "an empty list is not allowed; at least one segment".to_owned()
     });
+    check.length(&list, segments, MOST_POINTS);
     let segments = segments.iter().enumerate().map(|(i, raw)| {
         let key = format!("{list}[{i}]");
+        let turn_rate = Within(-FASTEST_TURN_DEG_S, FASTEST_TURN_DEG_S);
         VelocitySegment {
-            secs: check.number(&join(&key, "secs"), raw.secs, Above(0.0)),
-            speed_m_s: check.number(&join(&key, "speed_m_s"), raw.speed_m_s, Any),
-            turn_rate_rad_s: check.degrees(&join(&key, "turn_rate_deg_s"), raw.turn_rate_deg_s, Any),
+            secs: check.number(&join(&key, "secs"), raw.secs, Within(1e-6, 1e7)),
+            speed_m_s: check.number(&join(&key, "speed_m_s"), raw.speed_m_s, Within(-FASTEST_M_S, FASTEST_M_S)),
+            turn_rate_rad_s: check.degrees(&join(&key, "turn_rate_deg_s"), raw.turn_rate_deg_s, turn_rate),
         }
     });
     RobotPath::VelocityProfile { start, segments: segments.collect() }
 }
 
 fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
-    let rate_hz = check.number("laser.rate_hz", raw.rate_hz, Above(0.0));
-    let min_range_m = check.number("laser.min_range_m", raw.min_range_m, AtLeast(0.0));
-    let max_range_m = check.number("laser.max_range_m", raw.max_range_m, Above(0.0));
+    let rate_hz = check.number("laser.rate_hz", raw.rate_hz, Within(1e-3, 1e5));
+    let min_range_m = check.number("laser.min_range_m", raw.min_range_m, LENGTH);
+    let max_range_m = check.number("laser.max_range_m", raw.max_range_m, MAX_RANGE);
     check.refuse(max_range_m <= min_range_m, "laser.max_range_m", || {
-        format!("{max_range_m} is not allowed; above laser.min_range_m, which is {min_range_m}")
+        let [max, min] = [max_range_m, min_range_m].map(number);
+        format!("{max} is not allowed; above laser.min_range_m, which is {min}")
     });
-    let scan_secs = check.number("laser.scan_secs", raw.scan_secs, AtLeast(0.0));
+    let scan_secs = check.number("laser.scan_secs", raw.scan_secs, Within(0.0, 1e3));
     check.refuse(scan_secs * rate_hz > 1.0, "laser.scan_secs", || {
-        format!("{scan_secs} is not allowed; a sweep ends before the next begins, after {} s", 1.0 / rate_hz)
+        let [sweep, period] = [scan_secs, 1.0 / rate_hz].map(number);
+        format!("{sweep} is not allowed; a sweep ends before the next begins, after {period} s")
     });
     LaserOptions {
         rate_hz,
@@ -184,17 +200,17 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
         field_of_view_rad: check.degrees(
             "laser.field_of_view_deg",
             raw.field_of_view_deg,
-            AboveUpTo(0.0, 360.0),
+            Within(1e-3, 360.0),
         ),
         min_range_m,
         max_range_m,
-        resolution_m: check.number("laser.resolution_m", raw.resolution_m, AtLeast(0.0)),
-        sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, AtLeast(0.0)),
-        sigma_per_m: check.number("laser.noise.sigma_per_m", raw.noise.sigma_per_m, AtLeast(0.0)),
+        resolution_m: check.number("laser.resolution_m", raw.resolution_m, STEP),
+        sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, ZeroOrWithin(1e-6, 1e3)),
+        sigma_per_m: check.number("laser.noise.sigma_per_m", raw.noise.sigma_per_m, NOISE),
         mount: Pose2::new(
-            check.number("laser.mount.x_m", raw.mount.x_m, Any),
-            check.number("laser.mount.y_m", raw.mount.y_m, Any),
-            check.degrees("laser.mount.yaw_deg", raw.mount.yaw_deg, Any),
+            check.number("laser.mount.x_m", raw.mount.x_m, COORDINATE),
+            check.number("laser.mount.y_m", raw.mount.y_m, COORDINATE),
+            check.degrees("laser.mount.yaw_deg", raw.mount.yaw_deg, ANGLE),
         ),
         scan_secs,
     }
@@ -229,12 +245,14 @@ fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
             check.problem(
                 &format!("log.localize_scans[{i}]"),
                 format!(
-                    "[{from}, {to}] is not allowed; scans of [{a}, {b}] serve for training or for the map"
+                    "[{}, {}] is not allowed; scans of [{a}, {b}] serve for training or for the map",
+                    number(*from),
+                    number(*to),
                 ),
             );
         }
     }
-    let max_range_m = raw.max_range_m.map(|max| check.number("log.max_range_m", max, Above(0.0)));
+    let max_range_m = raw.max_range_m.map(|max| check.number("log.max_range_m", max, MAX_RANGE));
     if LogFormat::of(Path::new(&raw.file)) != LogFormat::Mcap {
         check.absent(
             "log",

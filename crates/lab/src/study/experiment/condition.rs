@@ -10,12 +10,41 @@ use super::roughness::roughness;
 use crate::statistics::{Bootstrap, quantile};
 use crate::study::results::{ConditionResults, Curve, ModelRisk, Thinning};
 use crate::study::sensor::Source;
+use crate::store::{Part, Parts};
 use crate::study::{Study, StudyError, StudyOptions};
+
+/// Part numbers of a condition: repeats are fewer.
+const PARTS_OF_A_CONDITION: u32 = 1_000_000;
+
+/// A repeat that an interrupted study has kept, or a new one, which is kept.
+fn kept_repeat(
+    study: &Study,
+    number: usize,
+    repeat: u32,
+    parts: &Parts,
+    options: &StudyOptions<'_>,
+) -> Result<Repeat, StudyError> {
+    let part = number as u32 * PARTS_OF_A_CONDITION + repeat;
+    match parts.load::<Repeat>(part) {
+        Part::Whole(kept) => {
+            options.progress.advance(study.states.len() as u64);
+            return Ok(kept);
+        }
+        Part::Missing => {}
+        Part::Damaged => options
+            .progress
+            .note(&format!("repeat {repeat} was kept, but its file is damaged; it is done again")),
+    }
+    let done = run_repeat(study, number, repeat, options)?;
+    parts.save(part, &done)?;
+    Ok(done)
+}
 
 /// Does the experiments of one condition.
 pub(super) fn run_condition(
     study: &Study,
     number: usize,
+    parts: &Parts,
     options: &StudyOptions<'_>,
 ) -> Result<(ConditionResults, Samples), StudyError> {
     let condition = &study.setup.conditions[number];
@@ -23,7 +52,7 @@ pub(super) fn run_condition(
     options.progress.stage(&format!("{}: {}", study.name, condition.label), steps);
     let repeats: Vec<Repeat> = (0..study.repeats)
         .into_par_iter()
-        .map(|repeat| run_repeat(study, number, repeat, options))
+        .map(|repeat| kept_repeat(study, number, repeat, parts, options))
         .collect::<Result<_, StudyError>>()?;
     let sizes: Vec<f64> = study.states.iter().map(|&n| n as f64).collect();
     let over = |at: &[f64], value: &dyn Fn(&Repeat, usize) -> f64| -> Curve {

@@ -10,9 +10,11 @@ mod roughness;
 
 use distreg::{Distribution, histogram};
 use locsim_core::{Draw, Stage};
+use serde::{Deserialize, Serialize};
 
 use super::results::Results;
 use super::{Kind, Study, StudyError, StudyOptions, claims, families};
+use crate::store::Parts;
 use condition::run_condition;
 use loss_example::loss_example;
 use roughness::neighbours;
@@ -30,6 +32,7 @@ pub(super) struct Extra {
 }
 
 /// Distributions at some test states.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Samples {
     /// States with the truth and each model's prediction from the largest training set.
     pub states: Vec<Sample>,
@@ -38,6 +41,7 @@ pub(super) struct Samples {
 }
 
 /// One test state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Sample {
     /// The state.
     pub state: Vec<f64>,
@@ -59,12 +63,16 @@ enum Purpose {
     Thinning = 7,
 }
 
-/// Does every experiment of a study.
-pub(super) fn run(study: &Study, options: &StudyOptions<'_>) -> Result<(Results, Extra), StudyError> {
+/// Does every experiment of a study. Repeats that are done are kept in `parts`.
+pub(super) fn run(
+    study: &Study,
+    parts: &Parts,
+    options: &StudyOptions<'_>,
+) -> Result<(Results, Extra), StudyError> {
     let mut conditions = Vec::new();
     let mut samples = Vec::new();
     for number in 0..study.setup.conditions.len() {
-        let (results, drawn) = run_condition(study, number, options)?;
+        let (results, drawn) = run_condition(study, number, parts, options)?;
         conditions.push(results);
         samples.push(drawn);
     }

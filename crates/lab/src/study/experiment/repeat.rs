@@ -3,6 +3,7 @@
 use std::sync::atomic::Ordering;
 
 use distreg::{Distribution, histogram_match, product};
+use serde::{Deserialize, Serialize};
 
 use super::budget::thinned;
 use super::data::{Test, data};
@@ -16,6 +17,7 @@ use crate::study::{Study, StudyError, StudyOptions, families};
 const SAMPLES: usize = 3;
 
 /// What one repeat finds; risks by model and size.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Repeat {
     pub risks: Vec<Vec<f64>>,
     pub crps: Vec<Vec<f64>>,

@@ -44,11 +44,9 @@ impl Grass {
         noise: Noise,
         values: Values,
     ) -> Self {
-        // Blades beyond the rail's ends are seen in wind.
-        let margin = blade[1] + 6.0 * noise.wind + noise.beam;
-        let area = (rail + 2.0 * margin) * (depth[1] - depth[0]);
+        let margin = Self::margin(blade, noise);
         let draw = Draw::new(seed, Stage::Blocks, 0);
-        let mut blades: Vec<[f64; 3]> = (0..(per_square_metre * area).round() as u32)
+        let mut blades: Vec<[f64; 3]> = (0..Self::blades(rail, depth, per_square_metre, blade, noise) as u32)
             .map(|i| {
                 let mut random = draw.item(i);
                 let mut within = |lo: f64, hi: f64| lo + (hi - lo) * random.random::<f64>();
@@ -57,6 +55,17 @@ impl Grass {
             .collect();
         blades.sort_by(|a, b| a[0].total_cmp(&b[0]));
         Self { rail, blades, widest: blade[1], wall: depth[1], noise, values }
+    }
+
+    /// How many blades [`Grass::new`] makes.
+    pub fn blades(rail: f64, depth: [f64; 2], per_square_metre: f64, blade: [f64; 2], noise: Noise) -> f64 {
+        let area = (rail + 2.0 * Self::margin(blade, noise)) * (depth[1] - depth[0]);
+        (per_square_metre * area).round()
+    }
+
+    /// Blades so far beyond the rail's ends are seen in wind.
+    fn margin(blade: [f64; 2], noise: Noise) -> f64 {
+        blade[1] + 6.0 * noise.wind + noise.beam
     }
 
     /// Distance to the first blade in front of `place`.

@@ -1,6 +1,7 @@
 use std::f64::consts::TAU;
 
 use glam::DVec2;
+use locsim_core::{Draw, Stage};
 use locsim_world::raycast::ExactRangeMap;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
@@ -9,6 +10,9 @@ use super::{Sensor, Values};
 
 /// Beams nearer to a wall's direction than this add no more noise: a tangent has no end.
 const STEEPEST_TANGENT: f64 = 10.0;
+
+/// Beams that tell whether a path has walls in reach.
+const PROBES: u32 = 2000;
 
 /// A planar laser that is driven around a mapped room. Its state is (nominal range r \[m\], incidence alpha \[rad\]) by
 /// a ray cast into the map; the beams of all bearings are pooled.
@@ -51,6 +55,22 @@ impl PlanarLaser {
         (self.path[0], 0.0)
     }
 
+    /// A beam at random: what it meets within the maximum range.
+    fn beam(&self, random: &mut dyn Rng) -> Option<Vec<f64>> {
+        let (place, heading) = self.pose(random);
+        let beam = random.random_range(0..self.beams);
+        let direction = DVec2::from_angle(heading + TAU * f64::from(beam) / f64::from(self.beams));
+        let hit = self.map.cast_ray(place, direction, self.values.last)?;
+        Some(vec![hit.range, hit.incidence])
+    }
+
+    /// The share of beams that meet a wall, of some that are the same each time.
+    pub fn hit_share(&self) -> f64 {
+        let draw = Draw::new(0, Stage::Laser, 0);
+        let hits = (0..PROBES).filter(|i| self.beam(&mut draw.item(*i)).is_some()).count();
+        hits as f64 / f64::from(PROBES)
+    }
+
     fn deviation(&self, range: f64, incidence: f64) -> f64 {
         let slant = self.sigma_per_tan * incidence.tan().min(STEEPEST_TANGENT);
         (self.sigma.powi(2) + (self.sigma_per_m2 * range * range).powi(2) + slant.powi(2)).sqrt()
@@ -61,11 +81,8 @@ impl Sensor for PlanarLaser {
     fn state(&self, random: &mut dyn Rng) -> Vec<f64> {
         // A wall beyond the maximum range is no state of a range sensor; in a room most beams have one nearer.
         loop {
-            let (place, heading) = self.pose(random);
-            let beam = random.random_range(0..self.beams);
-            let direction = DVec2::from_angle(heading + TAU * f64::from(beam) / f64::from(self.beams));
-            if let Some(hit) = self.map.cast_ray(place, direction, self.values.last) {
-                return vec![hit.range, hit.incidence];
+            if let Some(state) = self.beam(random) {
+                return state;
             }
         }
     }

@@ -5,6 +5,8 @@ mod grass;
 mod laser;
 mod recorded;
 
+use std::path::PathBuf;
+
 use distreg::{Alignment, Dataset, Outcomes};
 use rand::Rng;
 
@@ -68,6 +70,8 @@ pub(super) struct Setup {
     pub conditions: Vec<Condition>,
     /// The rays of a static lidar.
     pub rays: Vec<RaySummary>,
+    /// The files that were read for it.
+    pub files: Vec<PathBuf>,
     /// What a reader should know of recorded data.
     pub note: Option<String>,
 }

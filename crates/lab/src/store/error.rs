@@ -1,0 +1,81 @@
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+/// Why a results folder can't be used.
+#[derive(Debug, Error)]
+pub enum StoreError {
+    /// The path has no last part that a folder could be called by.
+    #[error("--out: {} is not allowed; a folder with a name of its own", out.display())]
+    NoName {
+        /// The path.
+        out: PathBuf,
+    },
+    /// The results folder has something in it.
+    #[error(
+        "--out: {} is not allowed; it isn't empty. Name another folder, or add --force to replace results of locsim",
+        out.display()
+    )]
+    NotEmpty {
+        /// The results folder.
+        out: PathBuf,
+    },
+    /// Something that locsim didn't write, or that was changed since, would have to be removed.
+    #[error(
+        "--out: {} is not allowed; {} isn't as locsim wrote it, and stays. Move it away, or name another folder",
+        out.display(),
+        found.display()
+    )]
+    Foreign {
+        /// The results folder.
+        out: PathBuf,
+        /// What is in the way.
+        found: PathBuf,
+    },
+    /// Another process works on the same results.
+    #[error("--out: {} is not allowed; {holder} is writing it", out.display())]
+    Held {
+        /// The results folder.
+        out: PathBuf,
+        /// Who, as far as it is known.
+        holder: String,
+    },
+    /// Interrupted work would be lost.
+    #[error(
+        "{} keeps {parts} finished parts of an interrupted run; --resume goes on with them, --force begins again",
+        partial.display()
+    )]
+    Kept {
+        /// The folder of the work.
+        partial: PathBuf,
+        /// Number of finished parts.
+        parts: usize,
+    },
+    /// The interrupted work is of something else.
+    #[error(
+        "--resume: {} keeps {parts} finished parts of another scenario, seed, option or version of locsim; \
+         name another folder, or add --force to begin again",
+        partial.display()
+    )]
+    Other {
+        /// The folder of the work.
+        partial: PathBuf,
+        /// Number of finished parts.
+        parts: usize,
+    },
+    /// The system can't read or write something.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+/// Attaches a path to a system error.
+pub(super) fn at(path: &Path) -> impl FnOnce(io::Error) -> StoreError {
+    let path = path.to_owned();
+    move |source| StoreError::File { path, source }
+}
