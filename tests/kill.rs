@@ -24,51 +24,51 @@ const KILLS: u32 = 4;
 struct Case {
     /// Everything of the command line but the place of the results.
     line: &'static str,
+    /// A command line with other results, so that there is something to replace.
+    other: &'static str,
     /// Where the results are written to.
     out: &'static str,
     /// What is written.
     results: &'static [&'static str],
-    /// What makes other results, so that there is something to replace.
-    other: &'static str,
-    /// The option by which an interrupted command goes on.
-    resume: &'static str,
+    /// Whether the command keeps what it has finished, and goes on with `--resume`.
+    resumes: bool,
 }
 
 const CASES: [Case; 5] = [
     Case {
         line: "run room-run.yaml --quiet",
+        other: "run room-run.yaml --quiet --seed 4 --trials 1 --record none",
         out: "results/room",
         results: &["results/room"],
-        other: "--seed 4 --trials 1",
-        resume: "--resume",
+        resumes: true,
     },
     Case {
         line: "gap nominal.yaml --log measured.log --replicates 19 --scans 60 --beams 12 --no-filter --quiet",
+        other: "gap nominal.yaml --log measured.log --replicates 19 --scans 10 --beams 4 --no-filter --quiet",
         out: "results/gap",
         results: &["results/gap"],
-        other: "--seed 4",
-        resume: "--resume",
+        resumes: false,
     },
     Case {
         line: "study lawn.yaml --quiet",
+        other: "study lawn.yaml --quiet --seed 4 --quick",
         out: "results",
         results: &["results/lawn"],
-        other: "--seed 4 --quick",
-        resume: "--resume",
+        resumes: true,
     },
     Case {
         line: "map measured.log --resolution 0.004",
+        other: "map measured.log --resolution 0.1",
         out: "floor",
         results: &["floor.pgm", "floor.yaml"],
-        other: "--resolution 0.05",
-        resume: "",
+        resumes: false,
     },
     Case {
         line: "simulate long.yaml",
+        other: "simulate nominal.yaml",
         out: "long.mcap",
         results: &["long.mcap"],
-        other: "--seed 4",
-        resume: "",
+        resumes: false,
     },
 ];
 
@@ -120,10 +120,12 @@ fn folder() -> Folder {
 
 /// Files under a path by relative path, without what a repeated command doesn't reproduce: times, and a recording's
 /// identity.
-fn content(folder: &Folder, results: &[&str]) -> BTreeMap<String, Vec<u8>> {
+fn content(folder: &Folder, results: &[impl AsRef<str>]) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     for result in results {
-        collect(&folder.path(result), result, &mut found);
+        let result = result.as_ref();
+        // Earlier results keep their names where they stand beside their place.
+        collect(&folder.path(result), result.trim_end_matches(".old"), &mut found);
     }
     found
 }
@@ -136,6 +138,11 @@ fn collect(path: &Path, name: &str, found: &mut BTreeMap<String, Vec<u8>>) {
     } else if let Ok(content) = fs::read(path) {
         found.insert(name.to_owned(), timeless(name, content));
     }
+}
+
+/// Names of results that are replaced, while they are.
+fn beside(results: &[&str]) -> Vec<String> {
+    results.iter().map(|result| format!("{result}.old")).collect()
 }
 
 /// Whether a file tells times, or what only one recording is.
@@ -170,7 +177,7 @@ fn without_times(json: &mut Value) {
     }
 }
 
-/// The program with the words of a command line, on one thread, so that its moments lie apart.
+/// The program with the words of a command line.
 fn command(folder: &Folder, line: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_locsim"));
     command.args(line.split_whitespace()).current_dir(folder.path("."));
@@ -193,10 +200,10 @@ fn now() -> Instant {
 #[test]
 fn a_killed_command_is_repeated_as_if_nothing_had_happened() {
     for (number, case) in CASES.iter().enumerate() {
-        let Case { line, out, results, other, resume } = case;
+        let Case { line, other, out, results, resumes } = case;
         let folder = folder();
         let there = |line: &str| format!("{line} --out {out}");
-        succeeds(&folder, &there(&format!("{line} {other}")));
+        succeeds(&folder, &there(other));
         let old = content(&folder, results);
         let start = now();
         succeeds(&folder, &there(&format!("{line} --force")));
@@ -212,7 +219,7 @@ fn a_killed_command_is_repeated_as_if_nothing_had_happened() {
                 removed.unwrap();
             }
             if earlier {
-                succeeds(&folder, &there(&format!("{line} {other}")));
+                succeeds(&folder, &there(other));
                 assert_eq!(content(&folder, results), old, "{line}");
             }
             let force = if earlier { "--force" } else { "" };
@@ -226,7 +233,11 @@ fn a_killed_command_is_repeated_as_if_nothing_had_happened() {
             let status = child.wait().unwrap();
             let place = format!("{line} {force}, killed after {moment:?} of {whole_time:?} ({status})");
 
-            let left = content(&folder, results);
+            // While results change places the earlier ones stand beside it; the next command puts them back.
+            let left = match content(&folder, results) {
+                left if left.is_empty() => content(&folder, &beside(results)),
+                left => left,
+            };
             for (name, content) in &left {
                 let whole = [&old, &new].map(|state| state.get(name) == Some(content));
                 assert!(whole.contains(&true), "{place}: {name} is neither old nor new");
@@ -236,12 +247,13 @@ fn a_killed_command_is_repeated_as_if_nothing_had_happened() {
                 assert!(states.contains(&&left), "{place}: {:?}", left.keys());
             }
 
-            // A command that has nothing to go on with is told to replace what it finished.
-            let go_on = if resume.is_empty() { "--force" } else { resume };
-            succeeds(
-                &folder,
-                &there(&format!("{line} {force} {go_on}").replace("--force --force", "--force")),
-            );
+            let interrupted = folder.path(&format!("{}.partial/manifest.json", results[0])).exists();
+            let go_on = match (resumes, interrupted, left.is_empty()) {
+                (true, true, _) => "--resume",
+                (.., true) => "",
+                (.., false) => "--force",
+            };
+            succeeds(&folder, &there(&format!("{line} {go_on}")));
             assert!(content(&folder, results) == new, "{place}: results differ");
         }
     }

@@ -3,14 +3,14 @@
 use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 use locsim_core::{Draw, Hits, Particles, Pose2, RangeMap, SensorModel, Stage};
 use locsim_dataset::{LogOptions, read_log, read_tum};
 use locsim_lab::bench::Workload;
-use locsim_lab::run::{self, RunOptions};
+use locsim_lab::run::{self, Progress, RunOptions};
 use locsim_lab::scenario::{Overrides, Scenario, load_map};
 use locsim_lab::study::{self, Study, StudyOverrides};
 use locsim_sensor::FittedModel;
@@ -256,32 +256,86 @@ fn use_model(model: &dyn SensorModel, max_range: f32) {
     assert!(out.iter().all(|z| (0.0..=max_range).contains(z)), "draws: {out:?}");
 }
 
-/// A part that an interrupted run kept.
-///
-/// # Errors
-/// Why the run can't go on.
-pub fn resume(data: &[u8]) -> Outcome {
-    let scenario = written("resumed.yaml", include_bytes!("../files/resumed.yaml"));
-    let scenario = Scenario::load(&scenario, &Overrides::default()).map_err(refused)?;
-    let out = FOLDER.path().join("resumed");
-    let part = out.with_extension("partial").join("unfinished");
-    fs::create_dir_all(&part).expect("a folder in the temporary folder");
-    fs::write(part.join("000000.cbor"), data).expect("a file in the temporary folder");
-    let fingerprint = scenario.content_hash().map_err(refused)?;
-    fs::write(out.with_extension("partial").join("fingerprint"), fingerprint)
-        .expect("a file in the temporary folder");
+/// Stops a run after its first trial: before the report, which costs most and reads nothing.
+#[derive(Default)]
+struct FirstTrial {
+    begun: AtomicBool,
+    done: AtomicBool,
+}
+
+impl Progress for FirstTrial {
+    fn stage(&self, name: &str, _total: u64) {
+        self.begun.store(name == "trials", Ordering::Relaxed);
+    }
+
+    fn advance(&self, _n: u64) {
+        self.done.fetch_or(self.begun.load(Ordering::Relaxed), Ordering::Relaxed);
+    }
+}
+
+/// Runs the first trial of a scenario with two, and keeps it.
+fn run_first_trial(scenario: &Scenario, out: PathBuf, resume: bool) -> Outcome {
+    let first = FirstTrial::default();
     let options = RunOptions {
         out,
-        resume: true,
+        resume,
+        force: !resume,
         command: String::new(),
         clock: &|| Duration::ZERO,
-        progress: &(),
-        // Stops before the report, which costs most and reads nothing.
-        interrupted: &AtomicBool::new(true),
+        progress: &first,
+        interrupted: &first.done,
         cache: None,
         recorder: None,
     };
-    run::run(&scenario, &options).map(drop).map_err(refused)
+    run::run(scenario, &options).map(drop).map_err(refused)
+}
+
+/// What an interrupted run kept. The first byte of an input says which file the rest is: `0` a finished trial, whose hash
+/// is made right, `1` the same as it is, `2` the manifest of the work, `3` that of earlier results.
+///
+/// # Errors
+/// Why the run can't go on; stopped again after one trial, it is accepted.
+pub fn resume(data: &[u8]) -> Outcome {
+    static KEPT: LazyLock<(Scenario, Vec<u8>, Vec<u8>)> = LazyLock::new(|| {
+        let scenario = written("resumed.yaml", include_bytes!("../files/resumed.yaml"));
+        let scenario = Scenario::load(&scenario, &Overrides::default()).expect("a scenario");
+        let out = FOLDER.path().join("resumed");
+        run_first_trial(&scenario, out.clone(), false).expect_err("an interruption");
+        let read = |name: &str| fs::read(out.with_extension("partial").join(name)).expect("what is kept");
+        (scenario, read("manifest.json"), read("parts/000000.part"))
+    });
+    let (scenario, manifest, part) = &*KEPT;
+    let out = FOLDER.path().join("resumed");
+    let partial = out.with_extension("partial");
+    drop(fs::remove_dir_all(&out));
+    drop(fs::remove_dir_all(&partial));
+    fs::create_dir_all(partial.join("parts")).expect("a folder in the temporary folder");
+    let write =
+        |path: PathBuf, content: &[u8]| fs::write(path, content).expect("a file in the temporary folder");
+    write(partial.join("manifest.json"), manifest);
+    let (&which, data) = data.split_first().unwrap_or((&b'0', &[]));
+    let mut part = part.clone();
+    match which {
+        b'0' => {
+            let fingerprint = scenario.content_hash().map_err(refused)?;
+            let content = data.get(HASH..).unwrap_or_default();
+            let mut hasher = blake3::Hasher::new();
+            hasher.update(&(fingerprint.len() as u64).to_le_bytes()).update(fingerprint.as_bytes());
+            hasher.update(&0_u32.to_le_bytes()).update(content);
+            part = [hasher.finalize().as_bytes().as_slice(), content].concat();
+        }
+        b'2' => write(partial.join("manifest.json"), data),
+        b'3' => {
+            fs::create_dir_all(&out).expect("a folder in the temporary folder");
+            write(out.join("manifest.json"), data);
+        }
+        _ => part = data.to_vec(),
+    }
+    write(partial.join("parts/000000.part"), &part);
+    match run_first_trial(scenario, out, true) {
+        Err(message) if message.starts_with("interrupted after 1 of 2 trials") => Ok(()),
+        other => other,
+    }
 }
 
 /// Files of a benchmark's folder; the first byte of an input says which file the rest is.

@@ -4,7 +4,11 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use locsim_core::limits::{Limits, QUOTED_CHARACTERS, THREADS_PER_CORE, UNPACKING_FACTOR, YAML_DEPTH};
+use locsim_core::limits::{
+    COORDINATE, Limits, QUOTED_CHARACTERS, READINGS_PER_SCAN, STAMP_SECS, THREADS_PER_CORE, UNPACKING_FACTOR,
+    YAML_DEPTH,
+};
+use locsim_world::map::{FARTHEST_M, FINEST_M};
 
 /// The number as the document writes it, with a blank between thousands.
 fn spaced(number: u64) -> String {
@@ -24,10 +28,15 @@ fn the_document_names_every_limit_with_its_default() {
     }
     assert!(text.contains(&format!("{table}\n")), "docs/LIMITS.md needs this table:\n{table}");
     for (name, value) in [
-        ("YAML_DEPTH", YAML_DEPTH as u64),
-        ("UNPACKING_FACTOR", UNPACKING_FACTOR),
-        ("THREADS_PER_CORE", THREADS_PER_CORE as u64),
-        ("QUOTED_CHARACTERS", QUOTED_CHARACTERS as u64),
+        ("YAML_DEPTH", YAML_DEPTH.to_string()),
+        ("UNPACKING_FACTOR", UNPACKING_FACTOR.to_string()),
+        ("READINGS_PER_SCAN", READINGS_PER_SCAN.to_string()),
+        ("COORDINATE", format!("{COORDINATE:e}")),
+        ("STAMP_SECS", format!("{STAMP_SECS:e}")),
+        ("FARTHEST_M", format!("{FARTHEST_M:e}")),
+        ("FINEST_M", format!("{FINEST_M:e}")),
+        ("THREADS_PER_CORE", THREADS_PER_CORE.to_string()),
+        ("QUOTED_CHARACTERS", QUOTED_CHARACTERS.to_string()),
     ] {
         let row = format!("| `{name}` | {value} |");
         assert!(text.contains(&row), "docs/LIMITS.md needs the row {row}");
