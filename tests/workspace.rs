@@ -8,7 +8,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Each crate of the workspace and the crates of the workspace that it may use.
-const LAYERS: [(&str, &[&str]); 9] = [
+const LAYERS: [(&str, &[&str]); 10] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
@@ -28,6 +28,7 @@ const LAYERS: [(&str, &[&str]); 9] = [
             "locsim-world",
         ],
     ),
+    ("locsim-fuzz", &["locsim-core", "locsim-dataset", "locsim-lab", "locsim-sensor", "locsim-world"]),
     (
         "locsim",
         &[

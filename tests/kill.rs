@@ -1,0 +1,260 @@
+//! Commands that are killed at any moment and then repeated leave what an undisturbed one leaves, byte for byte, and
+//! never half of a file in the place of a whole one.
+
+#![cfg(unix)]
+
+#[allow(dead_code, reason = "the calls of the other tests aren't needed here")]
+mod common;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use common::{Folder, SCENARIO, edited};
+use locsim_core::{Draw, Stage};
+use serde_json::Value;
+
+/// Kills of each of the five commands.
+const KILLS: u32 = 4;
+
+/// A command that writes results.
+struct Case {
+    /// Everything of the command line but the place of the results.
+    line: &'static str,
+    /// A command line with other results, so that there is something to replace.
+    other: &'static str,
+    /// Where the results are written to.
+    out: &'static str,
+    /// What is written.
+    results: &'static [&'static str],
+    /// Whether the command keeps what it has finished, and goes on with `--resume`.
+    resumes: bool,
+}
+
+const CASES: [Case; 5] = [
+    Case {
+        line: "run room-run.yaml --quiet",
+        other: "run room-run.yaml --quiet --seed 4 --trials 1 --record none",
+        out: "results/room",
+        results: &["results/room"],
+        resumes: true,
+    },
+    Case {
+        line: "gap nominal.yaml --log measured.log --replicates 19 --scans 60 --beams 12 --no-filter --quiet",
+        other: "gap nominal.yaml --log measured.log --replicates 19 --scans 10 --beams 4 --no-filter --quiet",
+        out: "results/gap",
+        results: &["results/gap"],
+        resumes: false,
+    },
+    Case {
+        line: "study lawn.yaml --quiet",
+        other: "study lawn.yaml --quiet --seed 4 --quick",
+        out: "results",
+        results: &["results/lawn"],
+        resumes: true,
+    },
+    Case {
+        line: "map measured.log --resolution 0.004",
+        other: "map measured.log --resolution 0.1",
+        out: "floor",
+        results: &["floor.pgm", "floor.yaml"],
+        resumes: false,
+    },
+    Case {
+        line: "simulate long.yaml",
+        other: "simulate nominal.yaml",
+        out: "long.mcap",
+        results: &["long.mcap"],
+        resumes: false,
+    },
+];
+
+const STUDY: &str = "\
+name: lawn
+seed: 5
+sensor:
+  grass:
+    rail_m: 0.5
+    depth_m: [0.1, 0.2]
+    blades_per_m2: 1000
+    blade_m: [0.001, 0.002]
+    wind_m: 0.001
+    beam_m: 0.001
+    sigma_m: 0.002
+    max_range_m: 0.3
+    resolution_m: 0.002
+observations: 20
+states: [8, 16]
+counts: [5, 20]
+models: [p_reg, np_reg]
+bandwidths: {position_m: [0.01, 0.05, 0.2]}
+test_states: 10
+truth_observations: 300
+repeats: 3
+";
+
+/// A simulation whose readings are too long, and the one in which they aren't.
+fn scenarios() -> [String; 3] {
+    let noisy =
+        edited(SCENARIO, "training:", "effects: [{name: range_dropout, p: 0.005, exponent: 0}]\ntraining:");
+    let noisy = edited(&noisy, "rate_hz: 5, beams: 12", "rate_hz: 20, beams: 24");
+    let hidden = edited(&noisy, "exponent: 0}]", "exponent: 0}, {name: range_bias, bias_m: 0.04}]");
+    let long = edited(&noisy, "rate_hz: 20, beams: 24", "rate_hz: 500, beams: 360");
+    [noisy, hidden, long]
+}
+
+/// A folder with everything that the commands read.
+fn folder() -> Folder {
+    let folder = Folder::new();
+    let [nominal, hidden, long] = scenarios();
+    folder.write("nominal.yaml", nominal);
+    folder.write("hidden.yaml", hidden);
+    folder.write("long.yaml", long);
+    folder.write("lawn.yaml", STUDY);
+    folder.locsim("simulate hidden.yaml --seed 11 --out measured.log").success();
+    folder
+}
+
+/// Files under a path by relative path, without what a repeated command doesn't reproduce: times, and a recording's
+/// identity.
+fn content(folder: &Folder, results: &[impl AsRef<str>]) -> BTreeMap<String, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for result in results {
+        let result = result.as_ref();
+        // Earlier results keep their names where they stand beside their place.
+        collect(&folder.path(result), result.trim_end_matches(".old"), &mut found);
+    }
+    found
+}
+
+fn collect(path: &Path, name: &str, found: &mut BTreeMap<String, Vec<u8>>) {
+    if let Ok(entries) = fs::read_dir(path) {
+        for entry in entries.map(Result::unwrap) {
+            collect(&entry.path(), &format!("{name}/{}", entry.file_name().to_str().unwrap()), found);
+        }
+    } else if let Ok(content) = fs::read(path) {
+        found.insert(name.to_owned(), timeless(name, content));
+    }
+}
+
+/// Names of results that are replaced, while they are.
+fn beside(results: &[&str]) -> Vec<String> {
+    results.iter().map(|result| format!("{result}.old")).collect()
+}
+
+/// Whether a file tells times, or what only one recording is.
+fn tells_time(name: &str) -> bool {
+    let name = name.rsplit('/').next().unwrap();
+    name.starts_with("report.") || name.ends_with(".rrd") || ["summary.json", "gap.json"].contains(&name)
+}
+
+fn timeless(name: &str, content: Vec<u8>) -> Vec<u8> {
+    if !name.ends_with(".json") {
+        return if tells_time(name) { Vec::new() } else { content };
+    }
+    let mut json: Value = serde_json::from_slice(&content).unwrap_or_else(|error| panic!("{name}: {error}"));
+    without_times(&mut json);
+    json.to_string().into_bytes()
+}
+
+/// Takes out wall times, and hashes of files that tell them.
+fn without_times(json: &mut Value) {
+    match json {
+        Value::Object(map) => {
+            map.retain(|key, _| !["seconds", "step_ms"].contains(&key.as_str()));
+            for (key, value) in map {
+                if tells_time(key) {
+                    *value = Value::Null;
+                }
+                without_times(value);
+            }
+        }
+        Value::Array(list) => list.iter_mut().for_each(without_times),
+        _ => (),
+    }
+}
+
+/// The program with the words of a command line.
+fn command(folder: &Folder, line: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_locsim"));
+    command.args(line.split_whitespace()).current_dir(folder.path("."));
+    command.env("LOCSIM_CACHE", folder.path(".cache")).env_remove("LOCSIM_DATA");
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn succeeds(folder: &Folder, line: &str) -> Output {
+    let output = command(folder, line).output().unwrap();
+    assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+#[expect(clippy::disallowed_methods, reason = "moments are spread over the time that the command takes")]
+fn now() -> Instant {
+    Instant::now()
+}
+
+#[test]
+fn a_killed_command_is_repeated_as_if_nothing_had_happened() {
+    for (number, case) in CASES.iter().enumerate() {
+        let Case { line, other, out, results, resumes } = case;
+        let folder = folder();
+        let there = |line: &str| format!("{line} --out {out}");
+        succeeds(&folder, &there(other));
+        let old = content(&folder, results);
+        let start = now();
+        succeeds(&folder, &there(&format!("{line} --force")));
+        let whole_time = now() - start;
+        let new = content(&folder, results);
+        assert!(old != new && !new.is_empty(), "{line}: there is nothing to compare");
+
+        for kill in 0..KILLS {
+            let earlier = kill % 2 == 0;
+            for result in *results {
+                let path = folder.path(result);
+                let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+                removed.unwrap();
+            }
+            if earlier {
+                succeeds(&folder, &there(other));
+                assert_eq!(content(&folder, results), old, "{line}");
+            }
+            let force = if earlier { "--force" } else { "" };
+
+            let chance = Draw::new(17, Stage::Trial, number as u32).seed(kill) as f64 / u64::MAX as f64;
+            let share = (f64::from(kill) + chance) / f64::from(KILLS);
+            let moment = whole_time.mul_f64(share);
+            let mut child = command(&folder, &there(&format!("{line} {force}"))).spawn().unwrap();
+            sleep(moment);
+            child.kill().unwrap();
+            let status = child.wait().unwrap();
+            let place = format!("{line} {force}, killed after {moment:?} of {whole_time:?} ({status})");
+
+            // While results change places the earlier ones stand beside it; the next command puts them back.
+            let left = match content(&folder, results) {
+                left if left.is_empty() => content(&folder, &beside(results)),
+                left => left,
+            };
+            for (name, content) in &left {
+                let whole = [&old, &new].map(|state| state.get(name) == Some(content));
+                assert!(whole.contains(&true), "{place}: {name} is neither old nor new");
+            }
+            if results.len() == 1 {
+                let states = [if earlier { &old } else { &BTreeMap::new() }, &new];
+                assert!(states.contains(&&left), "{place}: {:?}", left.keys());
+            }
+
+            let interrupted = folder.path(&format!("{}.partial/manifest.json", results[0])).exists();
+            let go_on = match (resumes, interrupted, left.is_empty()) {
+                (true, true, _) => "--resume",
+                (.., true) => "",
+                (.., false) => "--force",
+            };
+            succeeds(&folder, &there(&format!("{line} {go_on}")));
+            assert!(content(&folder, results) == new, "{place}: results differ");
+        }
+    }
+}
