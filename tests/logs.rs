@@ -159,7 +159,7 @@ fn the_shipped_scenarios_and_their_maps_are_valid() {
         let map = root().join(map);
         let text = edited(SCENARIO, "room.yaml", map.to_str().unwrap());
         folder.write("s.yaml", edited(&text, "[[0.6, 0.9], [2.6, 0.9]]", &format!("[[1, {y}], [1.5, {y}]]")));
-        folder.locsim("simulate s.yaml --out o.log").success();
+        folder.locsim("simulate s.yaml --out o.log --force").success();
     }
 }
 

@@ -483,10 +483,8 @@ fn map(arguments: &Map) -> Result<ExitCode> {
     yaml_file.check()?;
     let options = log_options(&arguments.log_options);
     let (grid, summary) = run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, &options)?;
-    // The image first: without the other file, no map is there yet.
     let [pgm, description] = run::map_files(&grid, name);
-    image_file.write(&pgm)?;
-    yaml_file.write(&description)?;
+    Output::write_all(&[(image_file, &pgm), (yaml_file, &description)])?;
     say(&summary.to_string())?;
     say(&format!(
         "{}: {} x {} cells of {} m",

@@ -8,6 +8,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use same_file::Handle;
+use tempfile::NamedTempFile;
 use thiserror::Error;
 
 /// How the names of temporary files begin and end; a kill leaves one behind at the most.
@@ -75,14 +76,26 @@ impl Output<'_> {
         if self.force { Ok(()) } else { Err(OutputError::Exists { path: path() }) }
     }
 
-    /// [`Output::check`], then [`write_file`].
+    /// Writes files that belong together: [`Output::check`] of each, then all are staged, then each is put in its place.
     ///
     /// # Errors
-    /// [`OutputError`].
-    pub fn write(&self, bytes: &[u8]) -> Result<(), OutputError> {
-        self.check()?;
-        write_file(self.path, |file| file.write_all(bytes))
-            .map_err(|source| OutputError::Write { path: self.path.to_owned(), source })
+    /// [`OutputError`]; before the first file is in its place, all are as they were.
+    pub fn write_all(files: &[(Self, &[u8])]) -> Result<(), OutputError> {
+        let failed = |output: &Self| {
+            let path = output.path.to_owned();
+            move |source| OutputError::Write { path, source }
+        };
+        for (output, _) in files {
+            output.check()?;
+        }
+        let stage = |(output, bytes): &(Self, &[u8])| {
+            Staged::new(output.path, |file| file.write_all(bytes)).map_err(failed(output))
+        };
+        let staged = files.iter().map(stage).collect::<Result<Vec<_>, _>>()?;
+        staged
+            .into_iter()
+            .zip(files)
+            .try_for_each(|(staged, (output, _))| staged.persist().map_err(failed(output)))
     }
 }
 
@@ -91,24 +104,51 @@ impl Output<'_> {
 /// # Errors
 /// What the system or `body` says; the file is then as it was.
 pub fn write_file(path: &Path, body: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
-    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let [prefix, suffix] = TEMPORARY;
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(prefix).suffix(suffix);
-    // As other programs create files: for all whom the user's mask allows.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = BufWriter::new(builder.tempfile_in(folder).map_err(without_path)?);
-    body(&mut file)?;
-    let file = file.into_inner()?;
-    file.as_file().sync_all()?;
-    file.persist(path).map(|_: File| ()).map_err(|error| error.error)
+    Staged::new(path, body)?.persist()
+}
+
+/// A file that is written and synchronized under a temporary name. Files that belong together are all staged before the
+/// first takes its place, so that a full disk leaves the old ones.
+#[derive(Debug)]
+pub struct Staged {
+    file: NamedTempFile,
+    path: PathBuf,
+}
+
+impl Staged {
+    /// Writes the file through `body`, beside `path`.
+    ///
+    /// # Errors
+    /// What the system or `body` says; nothing is left then.
+    pub fn new(path: &Path, body: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<Self> {
+        let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let [prefix, suffix] = TEMPORARY;
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(prefix).suffix(suffix);
+        // As other programs create files: for all whom the user's mask allows.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        // As the system says it, where there is no such folder.
+        fs::metadata(folder)?;
+        let mut file = BufWriter::new(builder.tempfile_in(folder).map_err(|error| without_name(&error))?);
+        body(&mut file)?;
+        let file = file.into_inner()?;
+        file.as_file().sync_all()?;
+        Ok(Self { file, path: path.to_owned() })
+    }
+
+    /// Puts the file in its place.
+    ///
+    /// # Errors
+    /// What the system says; what was there before stays.
+    pub fn persist(self) -> io::Result<()> {
+        self.file.persist(&self.path).map(|_: File| ()).map_err(|error| error.error)
+    }
 }
 
 /// What the system says, without the temporary file's name, which means nothing to a user.
-fn without_path(error: io::Error) -> io::Error {
-    let system = error.get_ref().and_then(|error| error.source()?.downcast_ref::<io::Error>());
-    system.and_then(io::Error::raw_os_error).map_or(error, io::Error::from_raw_os_error)
+fn without_name(error: &io::Error) -> io::Error {
+    io::Error::from(error.kind())
 }
 
 #[cfg(test)]
@@ -147,7 +187,7 @@ mod tests {
         for name in ["input", "hard", "soft", "./input"] {
             let path = at(name);
             let output = Output { path: &path, force: true, inputs: &[at("missing"), at("input")] };
-            assert!(matches!(output.write(b"x"), Err(OutputError::Input { .. })), "{name}");
+            assert!(matches!(Output::write_all(&[(output, b"x")]), Err(OutputError::Input { .. })), "{name}");
         }
         assert_eq!(fs::read(at("input")).unwrap(), b"precious");
     }
@@ -156,13 +196,26 @@ mod tests {
     fn what_is_there_is_replaced_only_when_asked_for_and_only_if_it_is_a_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
-        let output = |force| Output { path: &path, force, inputs: &[] };
-        output(false).write(b"1").unwrap();
-        assert!(matches!(output(false).write(b"2"), Err(OutputError::Exists { .. })));
+        let write =
+            |force, bytes: &[u8]| Output::write_all(&[(Output { path: &path, force, inputs: &[] }, bytes)]);
+        write(false, b"1").unwrap();
+        assert!(matches!(write(false, b"2"), Err(OutputError::Exists { .. })));
         assert_eq!(fs::read(&path).unwrap(), b"1");
-        output(true).write(b"3").unwrap();
+        write(true, b"3").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"3");
         let folder = Output { path: folder.path(), force: true, inputs: &[] };
-        assert!(matches!(folder.write(b"4"), Err(OutputError::NoFile { .. })));
+        assert!(matches!(Output::write_all(&[(folder, b"4")]), Err(OutputError::NoFile { .. })));
+    }
+
+    #[test]
+    fn of_files_that_belong_together_all_are_written_or_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let [image, text] = ["a.pgm", "none/a.yaml"].map(|name| folder.path().join(name));
+        fs::write(&image, "old").unwrap();
+        let output = |path| Output { path, force: true, inputs: &[] };
+        let failed = Output::write_all(&[(output(&image), b"new"), (output(&text), b"new")]);
+        assert!(matches!(failed, Err(OutputError::Write { path, .. }) if path == text));
+        assert_eq!(fs::read(&image).unwrap(), b"old");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }
