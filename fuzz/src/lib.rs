@@ -8,7 +8,8 @@ pub mod mutate;
 mod targets;
 
 pub use targets::{
-    carmen, csv, db3, map_image, mcap, model, range_table, resume, study, tum, vector_map, workload, yaml,
+    carmen, csv, db3, map_image, mcap, model, range_table, resume, seeds, study, tum, vector_map, workload,
+    yaml,
 };
 
 /// What a reader says of an input: nothing if it accepts it, or why not.

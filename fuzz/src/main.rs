@@ -58,6 +58,8 @@ enum Task {
         #[arg(long)]
         out: PathBuf,
     },
+    /// Make the seeds anew whose formats are the program's own
+    Seeds,
     #[command(hide = true)]
     Work(Work),
 }
@@ -135,6 +137,12 @@ fn main() -> ExitCode {
         Task::Repeat(arguments) => repeat(&arguments),
         Task::Make { target, number, seed, out } => {
             fs::write(out, mutate::input(&target, &corpus(&target), seed, number)).expect("a file");
+            ExitCode::SUCCESS
+        }
+        Task::Seeds => {
+            for (target, name, content) in locsim_fuzz::seeds() {
+                fs::write(folder("corpus").join(target).join(name), content).expect("a file in the corpus");
+            }
             ExitCode::SUCCESS
         }
         Task::Work(arguments) => work(&arguments),

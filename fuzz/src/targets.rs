@@ -13,7 +13,7 @@ use locsim_lab::bench::Workload;
 use locsim_lab::run::{self, Progress, RunOptions};
 use locsim_lab::scenario::{Overrides, Scenario, load_map};
 use locsim_lab::study::{self, Study, StudyOverrides};
-use locsim_sensor::FittedModel;
+use locsim_sensor::{FittedModel, ModelKind};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
 use tempfile::TempDir;
 
@@ -37,6 +37,7 @@ const FILES: [(&str, &[u8]); 13] = [
 ];
 
 const ROOM: &[u8] = include_bytes!("../files/room.yaml");
+const RESUMED: &[u8] = include_bytes!("../files/resumed.yaml");
 const GRID: &[u8] = include_bytes!("../files/grid.yaml");
 
 /// A folder of this process that holds [`FILES`].
@@ -102,7 +103,11 @@ pub fn map_image(data: &[u8]) -> Outcome {
 
 /// Makes the check sums of a PNG's chunks right, so that what is in them is looked at.
 fn make_png_sums_right(data: &mut [u8]) {
-    let Some(mut rest) = data.strip_prefix_mut(b"\x89PNG\r\n\x1a\n".as_slice()) else { return };
+    let signature = b"\x89PNG\r\n\x1a\n";
+    if !data.starts_with(signature) {
+        return;
+    }
+    let mut rest = &mut data[signature.len()..];
     while let Some((length, after)) = rest.split_first_chunk_mut::<4>() {
         // Its kind and its content.
         let length = 4 + u32::from_be_bytes(*length) as usize;
@@ -276,18 +281,22 @@ impl Progress for FirstTrial {
 /// Runs the first trial of a scenario with two, and keeps it.
 fn run_first_trial(scenario: &Scenario, out: PathBuf, resume: bool) -> Outcome {
     let first = FirstTrial::default();
-    let options = RunOptions {
+    let options = RunOptions { resume, force: !resume, ..options(out, &first) };
+    run::run(scenario, &options).map(drop).map_err(refused)
+}
+
+fn options(out: PathBuf, progress: &FirstTrial) -> RunOptions<'_> {
+    RunOptions {
         out,
-        resume,
-        force: !resume,
+        resume: false,
+        force: true,
         command: String::new(),
         clock: &|| Duration::ZERO,
-        progress: &first,
-        interrupted: &first.done,
+        progress,
+        interrupted: &progress.done,
         cache: None,
         recorder: None,
-    };
-    run::run(scenario, &options).map(drop).map_err(refused)
+    }
 }
 
 /// What an interrupted run kept. The first byte of an input says which file the rest is: `0` a finished trial, whose hash
@@ -297,7 +306,7 @@ fn run_first_trial(scenario: &Scenario, out: PathBuf, resume: bool) -> Outcome {
 /// Why the run can't go on; stopped again after one trial, it is accepted.
 pub fn resume(data: &[u8]) -> Outcome {
     static KEPT: LazyLock<(Scenario, Vec<u8>, Vec<u8>)> = LazyLock::new(|| {
-        let scenario = written("resumed.yaml", include_bytes!("../files/resumed.yaml"));
+        let scenario = written("resumed.yaml", RESUMED);
         let scenario = Scenario::load(&scenario, &Overrides::default()).expect("a scenario");
         let out = FOLDER.path().join("resumed");
         run_first_trial(&scenario, out.clone(), false).expect_err("an interruption");
@@ -386,21 +395,17 @@ pub fn csv(data: &[u8]) -> Outcome {
 /// The map of the table can't be used, which no input changes.
 pub fn range_table(data: &[u8]) -> Outcome {
     const MAGIC_AND_KEY: usize = 24 + HASH;
-    static TABLE: LazyLock<(ExactRangeMap, PathBuf, Vec<u8>)> = LazyLock::new(|| {
-        let map = ExactRangeMap::new(load_map(&written("room.yaml", ROOM)).expect("a map").geometry);
-        let folder = FOLDER.path().join("tables");
-        RangeTable::cached(&map, &TABLE_OPTIONS, Some(&folder), &|_| ()).expect("a table");
-        let mut files = fs::read_dir(&folder).expect("a folder").map(|entry| entry.expect("a file").path());
-        let file = files.next().expect("a file");
+    static KEPT: LazyLock<(ExactRangeMap, PathBuf, Vec<u8>)> = LazyLock::new(|| {
+        let (map, file) = kept_table();
         let head = fs::read(&file).expect("a file")[..MAGIC_AND_KEY].to_vec();
         (map, file, head)
     });
-    let (map, file, head) = &*TABLE;
+    let (map, file, head) = &*KEPT;
     let body = data.get(head.len()..data.len().saturating_sub(HASH)).unwrap_or_default();
     let mut content = [head.as_slice(), body].concat();
     content.extend(blake3::hash(&content).as_bytes());
     fs::write(file, content).expect("a file in the temporary folder");
-    let table = RangeTable::cached(map, &TABLE_OPTIONS, file.parent(), &|_| ()).map_err(refused)?;
+    let table = RangeTable::cached(map, &TABLE, file.parent(), &|_| ()).map_err(refused)?;
     let poses: Particles = (0..60)
         .map(|i| Pose2::new(0.06 * f64::from(i), 0.05 + 0.03 * f64::from(i), 0.3 * f64::from(i)))
         .collect();
@@ -408,5 +413,46 @@ pub fn range_table(data: &[u8]) -> Outcome {
     Ok(())
 }
 
-const TABLE_OPTIONS: RangeTableOptions =
-    RangeTableOptions { cell_m: 0.4, most_bytes: 1 << 20, tolerance_m: 0.01 };
+/// A table small enough for a seed.
+const TABLE: RangeTableOptions = RangeTableOptions { cell_m: 0.8, most_bytes: 1 << 20, tolerance_m: 0.01 };
+
+/// A map and the file that its range table is kept in.
+fn kept_table() -> (ExactRangeMap, PathBuf) {
+    let map = ExactRangeMap::new(load_map(&written("room.yaml", ROOM)).expect("a map").geometry);
+    let folder = FOLDER.path().join("tables");
+    RangeTable::cached(&map, &TABLE, Some(&folder), &|_| ()).expect("a table");
+    let mut files = fs::read_dir(&folder).expect("a folder").map(|entry| entry.expect("a file").path());
+    (map, files.next().expect("a file"))
+}
+
+/// Seeds in formats of the program's own, by target and name: to be made anew when a format changes.
+///
+/// # Panics
+/// A run of the program fails.
+pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
+    let read = |path: &Path| fs::read(path).expect("a file");
+    let scenario = |edit: &dyn Fn(String) -> String| {
+        let text = edit(String::from_utf8_lossy(RESUMED).into_owned());
+        Scenario::load(&written("resumed.yaml", text.as_bytes()), &Overrides::default()).expect("a scenario")
+    };
+    let mut seeds = vec![("range_table", "table.bin".to_owned(), read(&kept_table().1))];
+    let out = FOLDER.path().join("models");
+    let models = ModelKind::ALL.map(ModelKind::as_str);
+    let progress = FirstTrial::default();
+    let all = scenario(&|text| text.replace("[classic]", &format!("{models:?}")));
+    run::run(&all, &RunOptions { interrupted: &AtomicBool::new(false), ..options(out.clone(), &progress) })
+        .expect("a run");
+    for name in models {
+        let file = out.join("models").join(format!("{name}.model"));
+        seeds.push(("model", format!("{name}.model"), read(&file)));
+    }
+    let out = FOLDER.path().join("resumed");
+    run_first_trial(&scenario(&|text| text), out.clone(), false).expect_err("an interruption");
+    let partial = out.with_extension("partial");
+    let mut kept = |which: u8, name: &str, file: &Path| {
+        seeds.push(("resume", name.to_owned(), [&[which], read(file).as_slice()].concat()));
+    };
+    kept(b'0', "trial.part", &partial.join("parts/000000.part"));
+    kept(b'2', "work.json", &partial.join("manifest.json"));
+    seeds
+}

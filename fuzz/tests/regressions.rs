@@ -375,7 +375,7 @@ fn a_model_is_checked_field_by_field() {
     let longer = |times: usize| {
         move |node: &mut Value| {
             let list = node.as_array_mut().unwrap();
-            *list = list.repeat(times);
+            *list = std::iter::repeat_n(list.clone(), times).flatten().collect();
         }
     };
     let mut refused = |name: &str, data: Vec<u8>| {
