@@ -85,7 +85,11 @@ impl fmt::Display for Allowed {
 
 /// A number as people write it: very large and very small ones with an exponent.
 pub(crate) fn number(value: f64) -> String {
-    if value == 0.0 || (1e-6..1e15).contains(&value.abs()) { format!("{value}") } else { format!("{value:?}") }
+    if value == 0.0 || (1e-6..1e15).contains(&value.abs()) {
+        format!("{value}")
+    } else {
+        format!("{value:?}")
+    }
 }
 
 impl<'a> Checker<'a> {

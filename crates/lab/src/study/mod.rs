@@ -28,6 +28,7 @@ use crate::report::ReportError;
 use crate::run::{Progress, RunError, Store};
 use crate::scenario::ScenarioError;
 use crate::scenario::check::Checker;
+use crate::scenario::error::shown;
 use crate::yaml;
 use sensor::Setup;
 
@@ -104,7 +105,7 @@ pub enum StudyError {
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
     /// A data file is refused.
-    #[error("{}:{} {what}", path.display(), line.map_or_else(String::new, |line| format!("{line}:")))]
+    #[error("{}:{} {what}", shown(path), line.map_or_else(String::new, |line| format!("{line}:")))]
     Data {
         /// The file.
         path: PathBuf,

@@ -122,7 +122,10 @@ pub(crate) fn name(check: &mut Checker<'_>, name: Option<&str>, path: &Path) -> 
         None => (stem.as_ref(), " (the file's name)"),
     };
     check.refuse(!is_plain_name(name), "name", || {
-        format!("`{}`{origin} is not allowed; up to {MOST_LETTERS} letters, digits, `-` and `_`", quoted(name))
+        format!(
+            "`{}`{origin} is not allowed; up to {MOST_LETTERS} letters, digits, `-` and `_`",
+            quoted(name)
+        )
     });
     name.to_owned()
 }

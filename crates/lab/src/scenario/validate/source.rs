@@ -8,7 +8,9 @@ use locsim_world::simulation::{
 
 use super::{MAX_BEAMS, effect};
 use crate::scenario::check::Allowed::{Within, ZeroOrWithin};
-use crate::scenario::check::{ANGLE, COORDINATE, Checker, LENGTH, MAX_RANGE, NOISE, POSITIVE_LENGTH, STEP, number};
+use crate::scenario::check::{
+    ANGLE, COORDINATE, Checker, LENGTH, MAX_RANGE, NOISE, POSITIVE_LENGTH, STEP, number,
+};
 use crate::scenario::locate::join;
 use crate::scenario::raw::{
     RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot, RawScenario,
@@ -174,7 +176,11 @@ fn velocity_profile(check: &mut Checker<'_>, start: RawPose, segments: &[RawSegm
         let turn_rate = Within(-FASTEST_TURN_DEG_S, FASTEST_TURN_DEG_S);
         VelocitySegment {
             secs: check.number(&join(&key, "secs"), raw.secs, Within(1e-6, 1e7)),
-            speed_m_s: check.number(&join(&key, "speed_m_s"), raw.speed_m_s, Within(-FASTEST_M_S, FASTEST_M_S)),
+            speed_m_s: check.number(
+                &join(&key, "speed_m_s"),
+                raw.speed_m_s,
+                Within(-FASTEST_M_S, FASTEST_M_S),
+            ),
             turn_rate_rad_s: check.degrees(&join(&key, "turn_rate_deg_s"), raw.turn_rate_deg_s, turn_rate),
         }
     });
