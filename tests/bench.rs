@@ -124,7 +124,7 @@ fn refusal(folder: &Path) -> String {
 
 #[test]
 fn bad_files_are_named_with_line_key_value_and_what_is_allowed() {
-    let cases: [(&str, &str, &str, &str); 6] = [
+    let cases: [(&str, &str, &str, &str); 14] = [
         (
             "workload.json",
             "\"max_range_m\": 4.5",
@@ -135,7 +135,7 @@ fn bad_files_are_named_with_line_key_value_and_what_is_allowed() {
             "workload.json",
             "\"sigma_xy\": 0.1",
             "\"sigma_xy\": -0.1",
-            "workload.json:6: sigma_xy: -0.1 is not allowed; at least 0",
+            "workload.json:6: sigma_xy: -0.1 is not allowed; a number from 0 to 1000",
         ),
         (
             "workload.json",
@@ -153,9 +153,42 @@ fn bad_files_are_named_with_line_key_value_and_what_is_allowed() {
             "traj_dynamic.csv",
             "\n2,",
             "\n2,east",
-            "traj_dynamic.csv:4: gt_x: east1.2 is not allowed; a finite number",
+            "traj_dynamic.csv:4: gt_x: east1.2 is not allowed; a number from -1000000 to 1000000",
         ),
         ("map.yaml", "resolution: 0.1", "resolution: 0", "map.yaml:2: resolution: "),
+        (
+            "workload.json",
+            "[1.0, 1.0, 0.2]",
+            "[1e300, 1.0, 0.2]",
+            "workload.json:2: true_pose[0]: 1e300 is not allowed; a number from -1000000 to 1000000",
+        ),
+        (
+            "workload.json",
+            "[1.0, 1.0, 0.2]",
+            "[1e5, 1.0, 0.2]",
+            "workload.json:2: true_pose: [100000, 1] is not allowed; a point in the free space of map.yaml",
+        ),
+        (
+            "workload.json",
+            "[0.05, 0.02,",
+            "[1e300, 0.02,",
+            "workload.json:9: alphas[0]: 1e300 is not allowed; a number from 0 to 1000",
+        ),
+        (
+            "workload.json",
+            "\"n_particles\": 50",
+            "\"n_particles\": 18446744073709551615",
+            "workload.json:5: n_particles: 18446744073709551615 is not allowed; a whole number from 1 to 10000000",
+        ),
+        (
+            "workload.json",
+            "\"max_range_m\": 4.5",
+            "\"max_range_m\": 1e300",
+            "workload.json:3: max_range_m: inf is not allowed; a number from 0.001 to 10000",
+        ),
+        ("traj_static.csv", "\n2,1.2,", "\n2,1e300,", "traj_static.csv:4: gt_x: 1e300 is not allowed"),
+        ("scan.csv", "\n0,0,", "\n0,1e300,", "scan.csv:2: angle_rad: 1e300 is not allowed"),
+        ("scan.csv", "\n0,0,", "\n0,\u{1b}[2J,", "scan.csv:2: angle_rad: \\u{1b}[2J is not allowed"),
     ];
     for (name, from, to, expected) in cases {
         let folder = folder();
@@ -166,6 +199,17 @@ fn bad_files_are_named_with_line_key_value_and_what_is_allowed() {
         let said = refusal(folder.path());
         assert!(said.contains(expected), "{name}: {said}");
     }
+    // Numbers of particles that would leave the map's neighbourhood, and more of them than asked for.
+    for (number, said) in [(1e300, "number 0 is 1e300"), (f64::NAN, "number 0 is NaN")] {
+        let folder = folder();
+        let mut bytes = fs::read(folder.path().join("particles_f64le.bin")).unwrap();
+        bytes[..8].copy_from_slice(&number.to_le_bytes());
+        fs::write(folder.path().join("particles_f64le.bin"), bytes).unwrap();
+        assert!(refusal(folder.path()).contains(said), "{}", refusal(folder.path()));
+    }
+    let large = folder();
+    fs::File::create(large.path().join("particles_f64le.bin")).unwrap().set_len(1 << 40).unwrap();
+    assert!(refusal(large.path()).contains("1201 or more bytes are not allowed; 1200, as n_particles"));
     let folder = folder();
     fs::remove_file(folder.path().join("traj_static.csv")).unwrap();
     assert!(refusal(folder.path()).contains("traj_static.csv: "));

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{Folder, SCENARIO, edited, output};
-use predicates::str::{is_empty, starts_with};
+use predicates::str::{contains, is_empty, starts_with};
 
 /// Runs a command line that has to be refused with exactly this message.
 fn refused(folder: &Folder, line: &str, message: &str) {
@@ -43,7 +43,11 @@ fn keys_types_and_values_of_a_scenario() {
             "s.yaml:15: filter.partcles: `partcles` is not a key; did you mean `particles`? allowed: particles, motion, \
              resampler, resample, injection, start, beams, estimate, regularization, annealing",
         ),
-        ("seed: 3", "seed: three", "s.yaml:3: seed: \"three\" is not allowed; a whole number, not negative"),
+        (
+            "seed: 3",
+            "seed: three",
+            "s.yaml:3: seed: \"three\" is not allowed; a whole number from 0 to 18446744073709551615",
+        ),
         (
             "particles: 100",
             "particles: 0",
@@ -58,18 +62,90 @@ fn keys_types_and_values_of_a_scenario() {
         (
             "max_range_m: 3",
             "max_range_m: .nan",
-            "s.yaml:11: laser.max_range_m: NaN is not allowed; a finite number above 0",
+            "s.yaml:11: laser.max_range_m: NaN is not allowed; a number from 0.001 to 10000",
         ),
         (
             "sigma_m: 0.02",
             "sigma_m: -0.02",
-            "s.yaml:11: laser.noise.sigma_m: -0.02 is not allowed; a finite number not below 0",
+            "s.yaml:11: laser.noise.sigma_m: -0.02 is not allowed; 0, or a number from 0.000001 to 1000",
         ),
         ("seed: 3\n", "", "s.yaml:1: seed: the key is missing"),
         (
             "seed: 3",
             "seed: 3: 4",
             "s.yaml:3: not readable as YAML: mapping values are not allowed in this context",
+        ),
+    ] {
+        refused_scenario(from, to, message);
+    }
+}
+
+/// What a user is told of a scenario, which is refused.
+fn told(content: impl AsRef<[u8]>) -> String {
+    let folder = Folder::new();
+    folder.write("s.yaml", content);
+    let call = folder.locsim("validate s.yaml").code(2).stdout(is_empty());
+    String::from_utf8(call.get_output().stderr.clone()).unwrap()
+}
+
+#[test]
+fn files_that_would_cost_the_machine() {
+    let nested = |depth| format!("{}{}", "[".repeat(depth), "]".repeat(depth));
+    let aliases = format!("a: &a {}\nb: [{}]\n", "x".repeat(100_000), vec!["*a"; 100_000].join(","));
+    let laughs: String = (1..30).map(|i| format!("a{i}: &a{i} [*a{0}, *a{0}]\n", i - 1)).collect();
+    for (text, said) in [
+        (format!("seed: {}", nested(100)), "collections within each other are not allowed; at most 64"),
+        (format!("seed: {}", nested(40_000)), "s.yaml:1: more collections within each other are not allowed"),
+        ("- ".repeat(40_000), "collections within each other are not allowed; at most 64"),
+        ("{a: ".repeat(20_000), "s.yaml:1: "),
+        (aliases, "s.yaml:2: b["),
+        (format!("a0: &a0 [1]\n{laughs}"), "keys and values of a YAML file"),
+        ("#".repeat(3_000_000), "3000000 bytes of a YAML file"),
+        (format!("seed: 1\n{}: 2", "k".repeat(1_000_000)), "s.yaml:2: "),
+        (format!("seed: {}", "9".repeat(1_000_000)), "s.yaml:1: seed: "),
+    ] {
+        let error = told(text);
+        assert!(error.contains(said) && error.len() < 1000, "{said}: {error}");
+    }
+}
+
+#[test]
+fn encodings_and_whole_numbers() {
+    let folder = Folder::new();
+    folder.write("s.yaml", format!("\u{feff}{SCENARIO}"));
+    folder.locsim("validate s.yaml").success();
+    let utf_16: Vec<u8> = SCENARIO.encode_utf16().flat_map(u16::to_be_bytes).collect();
+    assert_eq!(
+        told([b"\xfe\xff".as_slice(), &utf_16].concat()).trim_end(),
+        "error: s.yaml: a text in UTF-16 is not allowed; save it as UTF-8"
+    );
+    let latin_1 = edited(SCENARIO, "A short drive", "Eine kurze R\u{1}cke").replace('\u{1}', "?");
+    let latin_1: Vec<u8> = latin_1.bytes().map(|byte| if byte == b'?' { 0xfc } else { byte }).collect();
+    assert_eq!(told(latin_1).trim_end(), "error: s.yaml:2: the byte 0xfc is not allowed; text in UTF-8");
+    for seed in ["18446744073709551616", "-1", "1.5"] {
+        let message =
+            format!("error: s.yaml:3: seed: {seed} is not allowed; a whole number from 0 to {}", u64::MAX);
+        assert_eq!(told(edited(SCENARIO, "seed: 3", &format!("seed: {seed}"))).trim_end(), message);
+    }
+}
+
+#[test]
+fn numbers_that_would_overflow() {
+    for (from, to, message) in [
+        (
+            "alpha: [0.1, 0.05, 0.1, 0.05]",
+            "alpha: [1e300, 0.05, 0.1, 0.05]",
+            "s.yaml:16: filter.motion.alpha[0]: 1e300 is not allowed; a number from 0 to 1000",
+        ),
+        (
+            "speed_m_s: 0.5",
+            "speed_m_s: 1e-300",
+            "s.yaml:9: robot.path.waypoints.speed_m_s: 1e-300 is not allowed; a number from 0.001 to 1000",
+        ),
+        (
+            "[2.6, 0.9]",
+            "[1e300, 0.9]",
+            "s.yaml:9: robot.path.waypoints.points_m[1][0]: 1e300 is not allowed; a number from -1000000 to 1000000",
         ),
     ] {
         refused_scenario(from, to, message);
@@ -137,7 +213,18 @@ fn options_of_the_command_line() {
         &format!("{run} --trials 0"),
         "room-run.yaml: --trials: 0 is not allowed; a whole number from 1 to 1000000",
     );
-    refused(&folder, &format!("{run} --threads 0"), "--threads: 0 is not allowed; a whole number from 1");
+    for threads in ["0", "100000"] {
+        let message = format!("error: --threads: {threads} is not allowed; a whole number from 1 to ");
+        folder.locsim(&format!("{run} --threads {threads}")).code(2).stderr(starts_with(message));
+    }
+    for (option, allowed) in [
+        ("--trials -1", "a whole number from 0 to 4294967295 is allowed"),
+        ("--seed 18446744073709551616", "a whole number from 0 to 18446744073709551615 is allowed"),
+        ("--limit map_pixels=many", "NAME=VALUE with a whole number"),
+        ("--limit pixels=1", "`pixels` is not a limit; allowed: yaml_bytes, "),
+    ] {
+        folder.locsim(&format!("{run} {option}")).code(2).stdout(is_empty()).stderr(contains(allowed));
+    }
     folder.locsim("simulate room-run.yaml --out drive.log").success();
     let map = "map drive.log --out m";
     refused(&folder, &format!("{map} --share 0.5"), "--share: two numbers are needed, for example 0.0,0.5");

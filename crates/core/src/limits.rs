@@ -67,10 +67,10 @@ macro_rules! limits {
 }
 
 limits! {
-    /// Bytes of a YAML file: a scenario, a study, a map.
-    yaml_bytes = 8 << 20, "bytes of a YAML file";
-    /// Values in a YAML file, those that aliases repeat counted each time.
-    yaml_values = 500_000, "values in a YAML file, repeated ones counted each time";
+    /// Bytes of a YAML file: a scenario, a study, a map. Its parser may need some 200 times as many.
+    yaml_bytes = 2 << 20, "bytes of a YAML file and of what its aliases repeat";
+    /// Keys and values in a YAML file, those that aliases repeat counted each time.
+    yaml_values = 500_000, "keys and values of a YAML file and of what its aliases repeat";
     /// Pixels of a map's image, told by its header before it is read.
     map_pixels = 1 << 26, "pixels of a map's image";
     /// Wall segments of a map.
@@ -90,7 +90,7 @@ limits! {
     /// Bytes of a file of a fitted sensor model.
     model_bytes = 1 << 26, "bytes of a sensor model's file";
     /// Bytes of a table of comma-separated values.
-    table_bytes = 1 << 28, "bytes of a table of comma-separated values";
+    table_bytes = 1 << 25, "bytes of a table of comma-separated values";
     /// Bytes of the folder in which range tables are kept; the ones not used for longest go first.
     cache_bytes = 1 << 30, "bytes of the cache of range tables";
     /// Bytes of memory that a run may need by its estimate; 0 for what the machine has.
@@ -164,12 +164,21 @@ impl Limits {
     }
 }
 
-/// A value as an error quotes it: control characters escaped, cut after [`QUOTED_CHARACTERS`].
+/// Whether a character isn't seen but changes how others are read: control characters, ends of lines, marks of direction
+/// and of byte order.
+pub fn is_hidden(character: char) -> bool {
+    let lines_and_directions = matches!(character, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    character.is_control()
+        || lines_and_directions
+        || matches!(character, '\u{feff}' | '\u{fffe}' | '\u{ffff}')
+}
+
+/// A value as an error quotes it: hidden characters escaped, cut after [`QUOTED_CHARACTERS`].
 pub fn quoted(value: &str) -> String {
     let mut quoted = String::new();
     let mut characters = value.chars();
     for character in characters.by_ref().take(QUOTED_CHARACTERS) {
-        if character.is_control() {
+        if is_hidden(character) {
             quoted.extend(character.escape_default());
         } else {
             quoted.push(character);
@@ -211,7 +220,7 @@ mod tests {
 
     #[test]
     fn a_quoted_value_is_short_and_on_one_line() {
-        assert_eq!(quoted("a\nb\u{1b}"), "a\\nb\\u{1b}");
+        assert_eq!(quoted("a\nb\u{1b}\u{202e}\u{85}"), "a\\nb\\u{1b}\\u{202e}\\u{85}");
         assert_eq!(quoted(&"x".repeat(81)), format!("{}..", "x".repeat(80)));
     }
 }

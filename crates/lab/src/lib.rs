@@ -4,6 +4,7 @@ pub mod bench;
 pub mod effects;
 pub mod gap;
 pub mod gap_bench;
+mod limited;
 pub mod palette;
 pub mod report;
 pub mod results;

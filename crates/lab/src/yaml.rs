@@ -6,8 +6,6 @@
 pub(crate) mod tree;
 
 use std::fmt;
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use locsim_core::limits::{Limits, quoted};
@@ -15,6 +13,7 @@ use serde::de::value::{MapDeserializer, SeqDeserializer};
 use serde::de::{self, DeserializeOwned, DeserializeSeed, Deserializer, Expected, Unexpected, Visitor};
 use serde::de::{IntoDeserializer, value::StrDeserializer};
 
+use crate::limited;
 use crate::scenario::error::unknown_word;
 use crate::scenario::locate::{Locations, join};
 use crate::scenario::{Problem, ScenarioError};
@@ -31,23 +30,13 @@ const OTHER_ENCODINGS: [(&[u8], &str); 4] = [
 /// How a text in UTF-8 may begin.
 const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
 
-/// The text of a file, without a byte-order mark. No more is read than the limit allows, also from what has no end.
+/// The text of a file, without a byte-order mark.
 pub(crate) fn read(path: &Path) -> Result<String, ScenarioError> {
-    let limits = Limits::current();
-    let most = limits.yaml_bytes;
-    let mut bytes = Vec::new();
-    File::open(path)
-        .and_then(|file| file.take(most.saturating_add(1)).read_to_end(&mut bytes))
-        .map_err(|source| ScenarioError::Read { path: path.to_owned(), source })?;
+    let mut bytes = limited::read(path, "yaml_bytes", Limits::current().yaml_bytes)?;
     let invalid = |line, message| ScenarioError::Invalid {
         file: path.to_owned(),
         problems: vec![Problem { line, key: String::new(), message }],
     };
-    if bytes.len() as u64 > most {
-        // A pipe or a device doesn't tell how much there is.
-        let size = std::fs::metadata(path).map_or(0, |found| found.len()).max(bytes.len() as u64);
-        return Err(invalid(None, limits.refusal("yaml_bytes", size)));
-    }
     if let Some((_, encoding)) = OTHER_ENCODINGS.iter().find(|(mark, _)| bytes.starts_with(mark)) {
         return Err(invalid(None, format!("a text in {encoding} is not allowed; save it as UTF-8")));
     }
@@ -388,5 +377,68 @@ impl<'de> de::VariantAccess<'de> for Choice<'de> {
         visitor: V,
     ) -> Result<V::Value, Mismatch> {
         self.content()?.deserialize_struct("", fields, visitor)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    fn read_bytes(bytes: &[u8]) -> Result<String, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.yaml");
+        fs::write(&path, bytes).unwrap();
+        let folder = format!("{}/", folder.path().display());
+        read(&path).map_err(|error| error.to_string().replace(&folder, ""))
+    }
+
+    #[test]
+    fn a_text_is_utf_8_with_or_without_a_byte_order_mark() {
+        assert_eq!(read_bytes("\u{feff}seed: 1".as_bytes()).unwrap(), "seed: 1");
+        let utf_16: Vec<u8> = "\u{feff}seed: 1".encode_utf16().flat_map(u16::to_le_bytes).collect();
+        for (bytes, said) in [
+            (utf_16.as_slice(), "s.yaml: a text in UTF-16 is not allowed; save it as UTF-8"),
+            (b"\xfe\xff\0s", "s.yaml: a text in UTF-16 is not allowed; save it as UTF-8"),
+            (b"\xff\xfe\0\0s\0\0\0", "s.yaml: a text in UTF-32 is not allowed; save it as UTF-8"),
+            (b"\0\0\xfe\xff", "s.yaml: a text in UTF-32 is not allowed; save it as UTF-8"),
+            (b"a: 1\nb: \xe4\n", "s.yaml:2: the byte 0xe4 is not allowed; text in UTF-8"),
+        ] {
+            assert_eq!(read_bytes(bytes).unwrap_err(), said);
+        }
+    }
+
+    #[test]
+    fn no_more_is_read_than_the_limit_allows() {
+        let most = Limits::DEFAULT.yaml_bytes;
+        let error = read_bytes(&vec![b'#'; most as usize + 5]).unwrap_err();
+        let found = most + 5;
+        assert!(error.starts_with(&format!("s.yaml: {found} bytes of a YAML file")), "{error}");
+        assert!(error.contains(&format!("--limit yaml_bytes={found}")), "{error}");
+        assert!(read_bytes(&vec![b'#'; most as usize]).is_ok());
+        #[cfg(unix)]
+        {
+            let error = read(Path::new("/dev/zero")).unwrap_err().to_string();
+            assert!(error.contains("bytes of a YAML file"), "{error}");
+        }
+        assert!(matches!(read(Path::new(".")), Err(ScenarioError::Read { .. })));
+    }
+
+    #[test]
+    fn whole_numbers_out_of_range_are_told_with_the_range() {
+        #[derive(Debug, serde::Deserialize)]
+        struct One {
+            #[expect(dead_code, reason = "only whether it can be read counts")]
+            seed: u64,
+        }
+        for word in ["18446744073709551616", "-1", "1.5", "1e3", "-18446744073709551616", ".inf"] {
+            let error = parse::<One>(Path::new("s.yaml"), &format!("seed: {word}\n")).unwrap_err();
+            let expected = format!(
+                "s.yaml:1: seed: {word} is not allowed; a whole number from 0 to 18446744073709551615"
+            );
+            assert_eq!(error.to_string(), expected);
+        }
+        parse::<One>(Path::new("s.yaml"), "seed: 18446744073709551615\n").unwrap();
     }
 }

@@ -227,6 +227,36 @@ fn the_report_of_a_full_run_reads_as_agreed() {
 }
 
 #[test]
+fn text_from_outside_is_neither_a_link_nor_html_in_a_report() {
+    let hostile = "[x](javascript:alert(1)) <img src=x onerror=alert(1)> ![p](http://example.com/p.png) <javascript:a> \
+                   &lt;b&gt; `c` \u{202e}\n\n[r]: javascript:alert(2)\n\n<script>alert(3)</script> | [r]";
+    let dir = tempfile::tempdir().unwrap();
+    let mut results = results(&[1, 5], 1);
+    results.description = hostile.to_owned();
+    results.estimate = hostile.to_owned();
+    let fenced = format!("{hostile}\n```\n````\n# heading\n");
+    let context = ReportContext {
+        notes: vec![hostile.to_owned()],
+        command: fenced.clone(),
+        scenario_yaml: fenced,
+        ..context()
+    };
+    write(dir.path(), &results, None, &context).unwrap();
+    let page = fs::read_to_string(dir.path().join("report.html")).unwrap();
+    for tag in ["<a ", "<a>", "<img", "<script", "<b>", "href=", "\u{202e}"] {
+        assert!(!page.contains(tag), "{tag}");
+    }
+    assert!(page.matches("[x](javascript:alert(1))").count() >= 5, "shown as it is");
+    assert_eq!(page.matches("<h1>").count(), 1);
+    let report = fs::read_to_string(dir.path().join("report.md")).unwrap();
+    let (text, _) = report.split_once("## To reproduce").unwrap();
+    assert!(
+        !text.contains("](javascript") && !text.contains("<script") && !text.contains("\u{202e}"),
+        "{text}"
+    );
+}
+
+#[test]
 fn a_run_on_a_real_log_has_no_paper_and_no_ratios() {
     let dir = tempfile::tempdir().unwrap();
     let mut results = results(&[1, 5], 1);

@@ -1,13 +1,18 @@
 //! The fixed work, read from its folder.
 
-use std::fs;
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use locsim_core::limits::{Limits, quoted};
 use locsim_core::{Drive, DriveStep, Laser, Particles, Pose2, Scan};
 use locsim_world::map::{Geometry, OccupancyGrid, OccupancyMapFile};
 use serde::Deserialize;
 
 use super::BenchError;
+use crate::limited;
+use crate::scenario::check::{self, ANGLE, Allowed, COORDINATE, Checker, MAX_RANGE, NOISE};
+use crate::scenario::locate::Locations;
 use crate::scenario::{self, Problem, ScenarioError};
 use crate::yaml;
 
@@ -83,14 +88,20 @@ impl Workload {
         let geometry = scenario::load_map(&map)?.geometry;
         let (map_file, _) = yaml::parse::<OccupancyMapFile>(&map, &yaml::read(&map)?)?;
         let grid = map_file.load(folder)?;
-        let settings = read_settings(&folder.join("workload.json"))?;
+        let settings_file = folder.join("workload.json");
+        let (settings, locations) = read_settings(&settings_file)?;
+        let line = locations.line("true_pose");
+        let [x, y, _] = settings.true_pose;
+        if !geometry.is_free(x, y) {
+            let [x, y] = [x, y].map(check::number);
+            let message = format!("[{x}, {y}] is not allowed; a point in the free space of map.yaml");
+            return Err(refused(&settings_file, line, "true_pose", &message));
+        }
         let pose = |[x, y, theta]: [f64; 3]| Pose2::new(x, y, theta);
         let (bearings, scan) = read_scan(&folder.join("scan.csv"), &settings)?;
         let times = vec![0.0; bearings.len()];
         let laser = Laser::new(bearings, times, 0.0, settings.max_range_m, pose(settings.sensor_pose))
-            .map_err(|error| {
-                refused(&folder.join("workload.json"), None, "max_range_m", &error.to_string())
-            })?;
+            .map_err(|error| refused(&settings_file, None, "max_range_m", &error.to_string()))?;
         let drive = |name| read_drive(&folder.join(name), &laser);
         Ok(Self {
             geometry,
@@ -114,37 +125,46 @@ fn refused(file: &Path, line: Option<usize>, key: &str, message: &str) -> BenchE
     ScenarioError::Invalid { file: file.to_owned(), problems: vec![problem] }.into()
 }
 
-/// A key, its values, what is allowed, and whether a value is.
-type Check<'a> = (&'a str, &'a [f64], &'a str, &'a dyn Fn(f64) -> bool);
-
 /// JSON is YAML, and the reader of scenarios knows lines and keys.
-fn read_settings(path: &Path) -> Result<Settings, BenchError> {
+fn read_settings(path: &Path) -> Result<(Settings, Locations), BenchError> {
     let (settings, locations) = yaml::parse::<Settings>(path, &yaml::read(path)?)?;
-    let finite = |v: f64| v.is_finite();
-    let at_least_0 = |v: f64| v.is_finite() && v >= 0.0;
-    let beam = &settings.beam;
-    let numbers: [Check<'_>; 13] = [
-        ("true_pose", &settings.true_pose, "finite", &finite),
-        ("sensor_pose", &settings.sensor_pose, "finite", &finite),
-        ("odom_delta_fullstep", &settings.odom_delta_fullstep, "finite", &finite),
-        ("sigma_xy", &[settings.sigma_xy], "at least 0", &at_least_0),
-        ("sigma_theta", &[settings.sigma_theta], "at least 0", &at_least_0),
-        ("alphas", &settings.alphas, "at least 0", &at_least_0),
-        ("beam.z_hit", &[beam.z_hit], "at least 0", &at_least_0),
-        ("beam.z_short", &[beam.z_short], "at least 0", &at_least_0),
-        ("beam.z_max", &[beam.z_max], "at least 0", &at_least_0),
-        ("beam.z_rand", &[beam.z_rand], "at least 0", &at_least_0),
-        ("beam.sigma_hit", &[beam.sigma_hit], "above 0", &|v| v.is_finite() && v > 0.0),
-        ("beam.lambda_short", &[beam.lambda_short], "above 0", &|v| v.is_finite() && v > 0.0),
-        ("n_beams", &[settings.n_beams as f64], "from 1 to 100000", &|v| (1.0..=1e5).contains(&v)),
-    ];
-    for (key, values, allowed, ok) in numbers {
-        if let Some(value) = values.iter().find(|&&value| !ok(value)) {
-            let message = format!("{value} is not allowed; {allowed}");
-            return Err(refused(path, locations.line(key), key, &message));
-        }
+    let mut check = Checker::new(path, &locations, &|_| None);
+    for (key, [x, y, theta]) in [
+        ("true_pose", settings.true_pose),
+        ("sensor_pose", settings.sensor_pose),
+        ("odom_delta_fullstep", settings.odom_delta_fullstep),
+    ] {
+        check.numbers(key, &[x, y], COORDINATE);
+        check.number(&format!("{key}[2]"), theta, ANGLE);
     }
-    Ok(settings)
+    let beam = &settings.beam;
+    for (key, value, allowed) in [
+        ("max_range_m", settings.max_range_m.into(), MAX_RANGE),
+        ("sigma_xy", settings.sigma_xy, NOISE),
+        ("sigma_theta", settings.sigma_theta, NOISE),
+        ("beam.z_hit", beam.z_hit, NOISE),
+        ("beam.z_short", beam.z_short, NOISE),
+        ("beam.z_max", beam.z_max, NOISE),
+        ("beam.z_rand", beam.z_rand, NOISE),
+        ("beam.sigma_hit", beam.sigma_hit, Allowed::Within(1e-6, 1e3)),
+        ("beam.lambda_short", beam.lambda_short, Allowed::Within(1e-6, 1e6)),
+    ] {
+        check.number(key, value, allowed);
+    }
+    check.numbers("alphas", &settings.alphas, NOISE);
+    check.count("n_beams", settings.n_beams as u64, 1, 100_000);
+    check.count("n_particles", settings.n_particles as u64, 1, 10_000_000);
+    if check.is_clean() { Ok((settings, locations)) } else { Err(check.into_error().into()) }
+}
+
+/// Rows of a table, at the most.
+const MOST_ROWS: usize = 100_000;
+
+/// Coordinates \[m\], angles \[rad\] and steps, either way.
+const SANE: &str = "a number from -1000000 to 1000000";
+
+fn is_sane(value: f64) -> bool {
+    value.abs() <= 1e6
 }
 
 /// A table of comma-separated numbers with a header.
@@ -156,7 +176,7 @@ struct Table {
 
 impl Table {
     fn read(path: PathBuf) -> Result<Self, BenchError> {
-        let text = fs::read(&path).map_err(BenchError::system(&path))?;
+        let text = limited::read(&path, "table_bytes", Limits::current().table_bytes)?;
         let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(text.as_slice());
         let refuse = |error: &csv::Error| BenchError::Csv {
             path: path.clone(),
@@ -165,8 +185,13 @@ impl Table {
             what: format!("{error}; text of numbers, separated by commas, is needed"),
         };
         let header = reader.headers().map_err(|error| refuse(&error))?.clone();
-        let rows: Vec<_> = reader.records().collect::<Result<_, _>>().map_err(|error| refuse(&error))?;
+        let rows: Vec<_> =
+            reader.records().take(MOST_ROWS + 1).collect::<Result<_, _>>().map_err(|error| refuse(&error))?;
         let table = Self { path, header, rows };
+        if table.rows.len() > MOST_ROWS {
+            let line = MOST_ROWS as u64 + 2;
+            return Err(table.refuse(line, "row", &format!("more than {MOST_ROWS} rows are not allowed")));
+        }
         if table.rows.is_empty() {
             return Err(table.refuse(1, "row", "there is none; a header and at least one row are needed"));
         }
@@ -179,7 +204,7 @@ impl Table {
 
     fn column(&self, name: &str) -> Result<usize, BenchError> {
         self.header.iter().position(|column| column == name).ok_or_else(|| {
-            let found: Vec<&str> = self.header.iter().take(10).collect();
+            let found: Vec<String> = self.header.iter().take(10).map(quoted).collect();
             self.refuse(1, name, &format!("the column is missing; the header has {} ..", found.join(", ")))
         })
     }
@@ -196,8 +221,8 @@ impl Table {
         word.parse().ok().filter(|&value| ok(value)).ok_or_else(|| {
             let line = row.position().map_or(0, csv::Position::line);
             let name = self.header.get(column).unwrap_or_default();
-            let found = if word.is_empty() { "nothing" } else { word };
-            self.refuse(line, name, &format!("{found} is not allowed; {allowed}"))
+            let found = if word.is_empty() { "nothing".to_owned() } else { quoted(word) };
+            self.refuse(line, &quoted(name), &format!("{found} is not allowed; {allowed}"))
         })
     }
 }
@@ -212,7 +237,7 @@ fn read_scan(path: &Path, settings: &Settings) -> Result<(Vec<f32>, Scan), Bench
     let (angle, range) = (table.column("angle_rad")?, table.column("range_m")?);
     let (mut bearings, mut scan) = (Vec::new(), Scan::default());
     for row in &table.rows {
-        bearings.push(table.number(row, angle, "a finite angle in radians", f64::is_finite)? as f32);
+        bearings.push(table.number(row, angle, "an angle in radians, up to 1000000", is_sane)? as f32);
         scan.ranges.push(reading(&table, row, range, settings.max_range_m)?);
     }
     Ok((bearings, scan))
@@ -237,13 +262,13 @@ fn read_drive(path: &Path, laser: &Laser) -> Result<Drive, BenchError> {
     let readings: Vec<usize> =
         (0..laser.beam_count()).map(|beam| table.column(&format!("r{beam}"))).collect::<Result<_, _>>()?;
     let pose = |row: &csv::StringRecord, [x, y, theta]: [usize; 3]| -> Result<Pose2, BenchError> {
-        let number = |column| table.number(row, column, "a finite number", f64::is_finite);
+        let number = |column| table.number(row, column, SANE, is_sane);
         Ok(Pose2::new(number(x)?, number(y)?, number(theta)?))
     };
     let steps = table.rows.iter().map(|row| {
         let ranges = readings.iter().map(|&column| reading(&table, row, column, laser.max_range()));
         Ok(DriveStep {
-            stamp_secs: table.number(row, step, "a finite number", f64::is_finite)?,
+            stamp_secs: table.number(row, step, SANE, is_sane)?,
             odometry: pose(row, odometry)?,
             reference: Some(pose(row, truth)?),
             scan: Scan { ranges: ranges.collect::<Result<_, BenchError>>()? },
@@ -254,16 +279,23 @@ fn read_drive(path: &Path, laser: &Laser) -> Result<Drive, BenchError> {
 
 /// `count` times x, y, theta as little-endian 64-bit floating-point numbers.
 fn read_particles(path: &Path, count: usize) -> Result<Particles, BenchError> {
-    let bytes = fs::read(path).map_err(BenchError::system(path))?;
     let refuse = |what| BenchError::Particles { path: path.to_owned(), what };
-    if count == 0 || bytes.len() != 24 * count {
-        let needed = format!("n_particles in workload.json is {count}, 24 bytes each");
-        return Err(refuse(format!("{} bytes are not allowed; {needed}, at least one", bytes.len())));
+    let needed = 24 * count as u64;
+    // One more tells that there are more, whatever the file is.
+    let mut bytes = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(needed + 1).read_to_end(&mut bytes))
+        .map_err(BenchError::system(path))?;
+    let found = bytes.len() as u64;
+    if found != needed {
+        let more = if found > needed { "or more " } else { "" };
+        let allowed = format!("{needed}, as n_particles in workload.json is {count}, 24 bytes each");
+        return Err(refuse(format!("{found} {more}bytes are not allowed; {allowed}")));
     }
     let (numbers, _) = bytes.as_chunks::<8>();
     let numbers: Vec<f64> = numbers.iter().map(|number| f64::from_le_bytes(*number)).collect();
-    if let Some(i) = numbers.iter().position(|number| !number.is_finite()) {
-        return Err(refuse(format!("number {i} is {}; a finite number is needed", numbers[i])));
+    if let Some(i) = numbers.iter().position(|number| !is_sane(*number)) {
+        return Err(refuse(format!("number {i} is {}; {SANE} is needed", check::number(numbers[i]))));
     }
     let (poses, _) = numbers.as_chunks::<3>();
     Ok(poses.iter().map(|&[x, y, theta]| Pose2::new(x, y, theta)).collect())

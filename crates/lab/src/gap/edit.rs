@@ -4,13 +4,14 @@ use std::fmt::Write;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 
+use locsim_core::limits::quoted;
 use locsim_gap::{Named, Outcome};
 use locsim_world::effect::{Effect, EffectKind, Parameter};
 use saphyr_parser::{Event, Parser};
 use similar::TextDiff;
 
 use super::{GapStudy, GapStudyError};
-use crate::scenario::effect::{effect_yaml_with, in_file, key};
+use crate::scenario::effect::{effect_yaml_with, in_file, key, quoted_text};
 use crate::scenario::{Overrides, Scenario, Source};
 use crate::store::StoreError;
 
@@ -56,7 +57,7 @@ pub(super) fn can_grow(file: &Path, text: &str) -> bool {
 fn entry(study: &GapStudy, named: &Named) -> Entry {
     let kind = named.name;
     let evidence = &named.evidence;
-    let log = study.log.file_name().unwrap_or_default().to_string_lossy();
+    let log = quoted(&study.log.file_name().unwrap_or_default().to_string_lossy());
     let mut comments = vec![
         format!("Found in {log} by `locsim gap`: {}", kind.sentence()),
         format!("{}.", numbers(named)),
@@ -267,8 +268,7 @@ fn moved(text: &str, file: &Path, to: &Path) -> String {
     let mut text = text.to_owned();
     for (bytes, path) in places.into_iter().rev() {
         let plain = path.chars().all(|c| c.is_ascii_alphanumeric() || "-_/.".contains(c));
-        // A JSON string is a YAML string in quotes.
-        let path = if plain { path } else { serde_json::Value::from(path).to_string() };
+        let path = if plain { path } else { quoted_text(&path) };
         text.replace_range(bytes, &path);
     }
     text
@@ -294,6 +294,8 @@ fn out_folder(out: &Path) -> Result<PathBuf, GapStudyError> {
 
 #[cfg(test)]
 mod tests {
+    use locsim_core::limits::is_hidden;
+
     use super::*;
 
     fn entries() -> Vec<Entry> {
@@ -333,5 +335,41 @@ mod tests {
         assert_eq!(path("/a/maps/m.yaml", "/a/b/found"), "../../maps/m.yaml");
         assert_eq!(path("/a/b/m.yaml", "/a/b"), "m.yaml");
         assert_eq!(path("/maps/m.yaml", "/a/b"), "/maps/m.yaml");
+    }
+
+    /// Names that would end a comment or a word in quotes, in YAML 1.2 or 1.1.
+    fn hostile_names() -> Vec<String> {
+        let endings = [
+            "\n", "\r", "\r\n", "\u{85}", "\u{2028}", "\u{2029}", "\0", "\u{feff}", "\u{202e}", "\"\n", "'\n",
+        ];
+        let with = |end| format!("drive{end}seed: 99{end}trials: 7 # ");
+        endings
+            .into_iter()
+            .map(with)
+            .chain(["x".repeat(5_000_000), "\\".to_owned(), "\"".to_owned()])
+            .collect()
+    }
+
+    #[test]
+    fn a_name_adds_no_key_and_no_line_to_the_scenario() {
+        let keys = |text: &str| {
+            let (tree, _) = crate::yaml::parse::<serde_json::Value>(Path::new("s.yaml"), text).unwrap();
+            tree.as_object().unwrap().keys().cloned().collect::<Vec<_>>()
+        };
+        for name in hostile_names() {
+            for text in ["seed: 1\n", "seed: 1\neffects: [{name: glass}]\n"] {
+                let comments = vec![format!("Found in {} by us", quoted(&name))];
+                let grown = grown(text, &[Entry { comments, ..entries().remove(0) }]);
+                assert_eq!(keys(&grown), ["effects", "seed"], "{grown:?}");
+                assert!(grown.len() < 1000 && !grown.contains(|c| is_hidden(c) && c != '\n'), "{grown:?}");
+            }
+            let text = format!("seed: 1\nfile: {}\nend: 2\n", quoted_text(&name));
+            assert_eq!(text.lines().count(), 3, "{text:?}");
+            if name.len() < 1000 {
+                let (tree, _) = crate::yaml::parse::<serde_json::Value>(Path::new("s.yaml"), &text).unwrap();
+                assert_eq!(tree["file"], name.as_str());
+                assert_eq!(tree["end"], 2);
+            }
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! What the numbers say, in sentences that follow from them alone.
 
-use super::text::{escape, metres, metres_with, percent, significant, with_interval};
+use super::text::{code, escape, metres, metres_with, percent, significant, with_interval};
 use crate::statistics::share_interval;
 use crate::summary::{CLASSIC, ModelSummary, ORACLE, Ratio, Summary};
 
@@ -39,10 +39,6 @@ fn judge(ratio: Ratio, bound: f64) -> Verdict {
 
 fn ratio_text(ratio: Ratio) -> String {
     with_interval(ratio.value, ratio.interval(), 2)
-}
-
-fn code(name: &str) -> String {
-    format!("`{}`", name.replace('`', "'"))
 }
 
 /// Which models did best and how each compares with `classic`.
@@ -316,7 +312,7 @@ pub fn chosen(summary: &Summary) -> Vec<String> {
         .map(|(name, model)| {
             let pairs = model.train.chosen.iter();
             let pairs = pairs.map(|(name, value)| format!("{} {}", escape(name), significant(*value)));
-            format!("`{name}`: {}.", pairs.collect::<Vec<_>>().join(", "))
+            format!("{}: {}.", code(name), pairs.collect::<Vec<_>>().join(", "))
         })
         .collect()
 }

@@ -1,5 +1,6 @@
 //! The report: Markdown from a template, and the same Markdown as a page that needs nothing else.
 
+use locsim_core::limits::is_hidden;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
@@ -83,7 +84,7 @@ pub fn markdown(
         trial_figures => Serde(pick(true)),
         descriptions => Serde(descriptions),
         replicates => crate::statistics::REPLICATES,
-        notes => context.notes.clone(),
+        notes => context.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
         command => context.command.trim(),
         scenario_yaml => context.scenario_yaml.trim_end(),
         fence => fence(&[&context.scenario_yaml, &context.command]),
@@ -151,17 +152,18 @@ pub(crate) fn fence(texts: &[&str]) -> String {
     "`".repeat(longest.max(2) + 1)
 }
 
-/// The Markdown as one self-contained page: figures inline, no script, nothing loaded from elsewhere. HTML in the
-/// Markdown is shown as text.
+/// The Markdown as one self-contained page: figures inline, no script, no links, nothing loaded from elsewhere. HTML in the
+/// Markdown is shown as text, and so are hidden characters.
 pub fn html(title: &str, markdown: &str, figures: &[Figure]) -> Result<String, ReportError> {
     let mut body = String::new();
     to_html::push_html(&mut body, page_events(markdown, figures).into_iter());
     let mut environment = Environment::new();
     environment.add_template("page.html", PAGE)?;
-    Ok(environment.get_template("page.html")?.render(context! { title, body })?)
+    Ok(environment.get_template("page.html")?.render(context! { title => text::visible(title), body })?)
 }
 
-/// The Markdown's events with figures in place of images, tables that scroll by themselves, and no raw HTML.
+/// The Markdown's events with figures in place of images, tables that scroll by themselves, no links and no raw HTML. Ours
+/// has no links, so one that is there comes from outside.
 fn page_events<'a>(markdown: &'a str, figures: &'a [Figure]) -> Vec<Event<'a>> {
     let mut events = Vec::new();
     let mut in_image = false;
@@ -174,7 +176,11 @@ fn page_events<'a>(markdown: &'a str, figures: &'a [Figure]) -> Vec<Event<'a>> {
             }
             Event::End(TagEnd::Image) => in_image = false,
             _ if in_image => {}
-            Event::Html(raw) | Event::InlineHtml(raw) => events.push(Event::Text(raw)),
+            Event::Start(Tag::Link { .. }) | Event::End(TagEnd::Link) => {}
+            Event::Html(text) | Event::InlineHtml(text) | Event::Text(text) => {
+                events.push(Event::Text(shown(text)));
+            }
+            Event::Code(code) => events.push(Event::Code(shown(code))),
             Event::Start(Tag::Table(alignments)) => {
                 events.push(Event::Html("<div class=\"wide\">".into()));
                 events.push(Event::Start(Tag::Table(alignments)));
@@ -187,6 +193,11 @@ fn page_events<'a>(markdown: &'a str, figures: &'a [Figure]) -> Vec<Event<'a>> {
         }
     }
     events
+}
+
+/// Text on a page.
+fn shown(text: CowStr<'_>) -> CowStr<'_> {
+    if text.contains(is_hidden) { text::visible(&text).into() } else { text }
 }
 
 /// A figure as inline SVG, named for screen readers, in a box that scrolls on a narrow screen.
@@ -206,10 +217,49 @@ mod tests {
     }
 
     #[test]
-    fn html_and_foreign_pictures_in_the_text_stay_outside_the_page() {
-        let text = "<script>alert(1)</script>\n\nand <img src='http://example.com/a.png'> ![x](http://example.com/b.png)";
-        let page = html("t", text, &[]).unwrap();
-        assert!(!page.contains("<script") && !page.contains("<img"));
-        assert!(page.contains("&lt;script&gt;"));
+    fn nothing_from_outside_is_a_link_or_a_picture_or_html() {
+        let hostile = [
+            "[x](javascript:alert(1))",
+            "[x](<javascript:alert(1)>)",
+            "<javascript:alert(1)>",
+            "<https://example.com/>",
+            "<a href=\"javascript:alert(1)\">x</a>",
+            "<img src=x onerror=alert(1)>",
+            "![x](http://example.com/a.png)",
+            "![x][y]",
+            "[y]: javascript:alert(1) \"t\"",
+            "[y]",
+            "&#91;x&#93;&#40;javascript:alert(1)&#41;",
+            "<svg onload=alert(1)>",
+            "</pre></code><script>alert(1)</script>",
+            "````\n<b>\n````",
+            "a | b | <i>c",
+            "\u{202e}gnp.exe",
+            "x\r\n\r\n<script>alert(1)</script>",
+            "\\[x](javascript:alert(1))",
+            "\\\\[x](javascript:alert(1))",
+            "!\\[x](javascript:alert(1))",
+            "`[x](javascript:alert(1))",
+        ];
+        for text in hostile {
+            // As foreign text stands on our pages, and as if somebody forgot to escape it.
+            let table = TextTable::new([text, "b"], [[text.to_owned(), text.to_owned()]]);
+            let escaped = format!("# {0}\n\n{0}\n\n- {0}\n\n{1}\n", text::escape(text), table.to_markdown());
+            let fence = fence(&[text]);
+            let raw = format!("{text}\n\n[y]: javascript:alert(1)\n\n{fence}sh\n{text}\n{fence}\n");
+            for (markdown, is_escaped) in [(escaped, true), (raw, false)] {
+                let page = html(text, &markdown, &[]).unwrap();
+                let (_, body) = page.split_once("<title>").unwrap();
+                for tag in ["<a", "<img", "<script", "<svg", "<b>", "<i>", "\u{202e}"] {
+                    assert!(!body.contains(tag), "{tag} of {text}:\n{body}");
+                }
+                if is_escaped {
+                    let heading = body.split_once("<h1>").unwrap().1.split_once("</h1>").unwrap().0;
+                    let shown = text::visible(&text.replace('\n', " ")).replace('&', "&amp;");
+                    let shown = shown.replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;");
+                    assert_eq!(heading.replace('"', "&quot;"), shown);
+                }
+            }
+        }
     }
 }

@@ -2,6 +2,7 @@
 
 use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
 use comfy_table::{CellAlignment, Table};
+use locsim_core::limits::is_hidden;
 
 use crate::statistics::Interval;
 use crate::summary::{Errors, Ratio, Summary};
@@ -51,17 +52,62 @@ impl TextTable {
     }
 }
 
-/// Text that Markdown shows as it is, in a line or a table's cell. Underscores and brackets stay as they are:
-/// within names and units they mean nothing to Markdown.
+/// Text that Markdown shows as it is, in a line of its own or a table's cell: no link, picture, HTML or other markup comes
+/// of it. Hidden characters are shown by their numbers, an end of a line as a space. Underscores within words and
+/// brackets stay as they are: they mean nothing to Markdown.
 pub fn escape(text: &str) -> String {
+    let text = text.trim();
     let mut escaped = String::with_capacity(text.len());
-    for c in text.chars() {
-        if matches!(c, '\\' | '|' | '*' | '`' | '<') || (c == '(' && escaped.ends_with(']')) {
+    let mut before = ' ';
+    let mut characters = text.chars().peekable();
+    // Marks of headings, lists, quotes and rules count at the start alone.
+    let mut at_start = true;
+    while let Some(c) = characters.next() {
+        let after = characters.peek().copied().unwrap_or(' ');
+        let markup = match c {
+            '\\' | '|' | '*' | '`' | '<' | '&' | '#' | '~' | '$' => true,
+            // Of a link.
+            '(' => before == ']',
+            // Of a reference and of what it refers to.
+            '[' => at_start || before == ']',
+            '_' => !(before.is_alphanumeric() && after.is_alphanumeric()),
+            // Numbers may be negative.
+            '-' | '+' => at_start && !after.is_ascii_digit(),
+            '=' | '>' => at_start,
+            '.' | ')' => at_start && before.is_ascii_digit() && after.is_whitespace(),
+            _ => false,
+        };
+        at_start &= c.is_ascii_digit();
+        before = c;
+        if c == '\n' {
+            escaped.push(' ');
+        } else if is_hidden(c) {
+            // Its backslash needs another.
             escaped.push('\\');
+            escaped.extend(c.escape_unicode());
+        } else {
+            escaped.extend(markup.then_some('\\'));
+            escaped.push(c);
         }
-        escaped.push(if c == '\n' { ' ' } else { c });
     }
     escaped
+}
+
+/// A name as code in Markdown.
+pub fn code(name: &str) -> String {
+    format!("`{}`", visible(name).replace('`', "'").replace('\n', " "))
+}
+
+/// Text with hidden characters shown by their numbers, but for ends of lines and tabs.
+pub fn visible(text: &str) -> String {
+    text.chars().fold(String::with_capacity(text.len()), |mut shown, c| {
+        if is_hidden(c) && !matches!(c, '\n' | '\t') {
+            shown.extend(c.escape_unicode());
+        } else {
+            shown.push(c);
+        }
+        shown
+    })
 }
 
 /// A number with this many decimals; zero has no sign.
@@ -177,8 +223,19 @@ mod tests {
 
     #[test]
     fn text_from_outside_is_neither_markup_nor_a_link() {
-        assert_eq!(escape("np_reg [m]"), "np_reg [m]");
-        assert_eq!(escape("[x](http://a) | *b* <i>\n`c`"), "[x]\\(http://a) \\| \\*b\\* \\<i> \\`c\\`");
+        for (text, escaped) in [
+            ("np_reg [m]", "np_reg [m]"),
+            ("-0.42 [-0.38, 0.46]: two", "-0.42 [-0.38, 0.46]: two"),
+            ("[x](http://a) | *b* <i>\n`c`", "\\[x]\\(http://a) \\| \\*b\\* \\<i> \\`c\\`"),
+            ("[x]: javascript:a [x][x]", "\\[x]: javascript:a [x]\\[x]"),
+            ("a &#40; _b_ c_d", "a \\&\\#40; \\_b\\_ c_d"),
+            ("- a - b", "\\- a - b"),
+            ("12. a 3. b", "12\\. a 3. b"),
+            ("4.5 (a)", "4.5 (a)"),
+            ("a\u{202e}b\u{0}\u{2028}c", "a\\\\u{202e}b\\\\u{0}\\\\u{2028}c"),
+        ] {
+            assert_eq!(escape(text), escaped);
+        }
     }
 
     #[test]

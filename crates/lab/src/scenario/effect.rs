@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use locsim_core::limits::is_hidden;
 use locsim_world::effect::{Effect, EffectKind, Parameter};
 
 /// The key of a parameter in files: its name, where angles are in degrees.
@@ -102,8 +103,21 @@ fn word(text: &str) -> String {
     let plain = text.starts_with(|c: char| c.is_ascii_alphabetic())
         && text.chars().all(|c| c.is_ascii_alphanumeric() || "-_/".contains(c))
         && !reserved.contains(&text.to_ascii_lowercase().as_str());
-    // A JSON string is a YAML string in quotes.
-    if plain { text.to_owned() } else { serde_json::Value::from(text).to_string() }
+    if plain { text.to_owned() } else { quoted_text(text) }
+}
+
+/// A text in quotes in YAML, on one line whatever it holds.
+pub(crate) fn quoted_text(text: &str) -> String {
+    // A JSON string is a YAML string in quotes; JSON leaves some characters as they are that end lines in YAML 1.1.
+    let mut quoted = String::new();
+    for c in serde_json::Value::from(text).to_string().chars() {
+        if is_hidden(c) {
+            let _ = write!(quoted, "\\u{:04x}", u32::from(c));
+        } else {
+            quoted.push(c);
+        }
+    }
+    quoted
 }
 
 #[cfg(test)]

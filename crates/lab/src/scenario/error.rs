@@ -1,7 +1,7 @@
 use std::fmt::{self, Write};
 use std::path::{Path, PathBuf};
 
-use locsim_core::limits::{QUOTED_CHARACTERS, quoted};
+use locsim_core::limits::{QUOTED_CHARACTERS, is_hidden, quoted};
 use thiserror::Error;
 
 /// An error lists this many problems, at the most.
@@ -57,11 +57,11 @@ pub(crate) fn and_more(more: usize) -> Option<Problem> {
     (more > 0).then(|| Problem::of_file(format!("and {more} more")))
 }
 
-/// A file's name without control characters; longer than a system's names only where a file asks for such a one.
+/// A file's name without hidden characters; longer than a system's names only where a file asks for such a one.
 pub(crate) fn shown(path: &Path) -> String {
     let mut shown = String::new();
     for c in path.to_string_lossy().chars().take(1000) {
-        if c.is_control() {
+        if is_hidden(c) {
             shown.extend(c.escape_default());
         } else {
             shown.push(c);

@@ -12,7 +12,7 @@ mod raw;
 #[cfg(test)]
 pub(crate) mod schema_tests;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod validate;
 mod validated;
 

@@ -519,6 +519,60 @@ fn a_number_has_to_be_finite_wherever_it_stands() {
     assert!(tried > 150, "{tried}");
 }
 
+#[test]
+fn values_that_would_overflow_later_are_refused() {
+    for (fixture, from, to) in [
+        ("simulation.yaml", "max_range_m: 4.5", "max_range_m: 1e300"),
+        ("simulation.yaml", "max_range_m: 4.5", "max_range_m: 20000"),
+        ("simulation.yaml", "alpha: [0.05, 0.02,", "alpha: [1e300, 0.02,"),
+        ("simulation.yaml", "alpha: [0.1, 0.05,", "alpha: [1e300, 0.05,"),
+        ("simulation.yaml", "speed_m_s: 0.5", "speed_m_s: 1e-300"),
+        ("simulation.yaml", "turn_rate_deg_s: 45", "turn_rate_deg_s: 1e-300"),
+        ("simulation.yaml", "rate_hz: 5", "rate_hz: 1e-300"),
+        ("simulation.yaml", "rate_hz: 5", "rate_hz: 1e18"),
+        ("simulation.yaml", "bin_m: 0.25", "bin_m: 1e-300"),
+        ("simulation.yaml", "resolution_m: 1e-3", "resolution_m: 1e-310"),
+        ("simulation.yaml", "sigma_m: 0.01, sigma_per_m", "sigma_m: 1e-300, sigma_per_m"),
+        ("minimal.yaml", "secs: 4", "secs: 1e300"),
+        ("minimal.yaml", "heading_deg: 180", "heading_deg: 1e300"),
+    ] {
+        let error = parse(&edited(&text(fixture), from, to)).unwrap_err();
+        assert_told(&error);
+        assert!(error.to_string().contains(" is not allowed; "), "{error}");
+    }
+}
+
+#[test]
+fn an_error_is_short_whatever_a_file_holds() {
+    let long = "x".repeat(1_000_000);
+    let minimal = text("minimal.yaml");
+    let simulation = text("simulation.yaml");
+    let escaped = "\"a\\n\\e[2J\\u202E\"";
+    for word in [long.as_str(), escaped] {
+        for (text, from, to) in [
+            (&minimal, "seed: 1", format!("seed: {word}")),
+            (&minimal, "seed: 1", format!("seed: 1\n? {word}\n: 2")),
+            (&minimal, "seed: 1", format!("seed: 1\nname: {word}")),
+            (&minimal, "map.yaml", word.to_owned()),
+            (&minimal, "[classic]", format!("[{word}]")),
+            (&minimal, "[classic]", format!("[{{name: classic, label: {word}}}]")),
+            (&simulation, "outline/2", word.to_owned()),
+            (&simulation, "name: range_bias", format!("name: {word}")),
+            (&simulation, "lost_share", format!("? {word}\n    ")),
+            (&simulation, "resampler: residual", format!("resampler: {word}")),
+            (&minimal, "[classic]", format!("!<{word}> [classic]")),
+        ] {
+            let error = parse(&edited(text, from, &to)).unwrap_err().to_string();
+            assert!(error.len() < 3000 && !error.contains(|c: char| c.is_control() && c != '\n'), "{error}");
+            assert!(!error.contains('\u{202e}') && error.lines().count() < 4, "{error}");
+        }
+    }
+    let many = format!("[{}]", vec!["{name: classic, floor: 2}"; 5000].join(", "));
+    let error = parse(&edited(&minimal, "[classic]", &many)).unwrap_err().to_string();
+    assert_eq!(error.lines().count(), 21, "{error}");
+    assert!(error.ends_with(" more"), "{error}");
+}
+
 proptest! {
     /// A damaged file is refused or read, never a panic; what is wrong with a key has a line.
     #[test]
@@ -539,6 +593,83 @@ proptest! {
             }
         }
     }
+}
+
+/// What stands in the place of each number of a file.
+const HOSTILE: [&str; 16] = [
+    "0",
+    "-1",
+    "1e-300",
+    "1e300",
+    "1e18",
+    "-0.0",
+    ".nan",
+    ".inf",
+    "18446744073709551616",
+    "-1e9",
+    "0.5",
+    "word",
+    "[]",
+    "{}",
+    "~",
+    "1e999",
+];
+
+/// A text with each of its numbers replaced by each hostile value, and with each of its keys left out or twice. As JSON, a
+/// key on each line.
+pub(crate) fn hostile_texts(text: &str) -> Vec<String> {
+    let tree = schema_tests::json_of(text);
+    let lines: Vec<String> =
+        serde_json::to_string_pretty(&tree).unwrap().lines().map(str::to_owned).collect();
+    let mut texts = Vec::new();
+    let mut with = |i: usize, new: Vec<String>| {
+        let mut changed = lines.clone();
+        changed.splice(i..=i, new);
+        texts.push(changed.join("\n"));
+    };
+    for (i, line) in lines.iter().enumerate() {
+        let (before, value) = line.rsplit_once(' ').unwrap_or(("", line));
+        let (number, comma) = value.strip_suffix(',').map_or((value, ""), |number| (number, ","));
+        if number.parse::<f64>().is_ok() {
+            for hostile in HOSTILE {
+                with(i, vec![format!("{before} {hostile}{comma}")]);
+            }
+            with(i, vec![]);
+        }
+        if let Some((key, _)) = line.split_once(": ") {
+            with(i, vec![format!("{key}: 0,"), line.clone()]);
+            with(i, vec![line.replacen('"', "\"x", 1)]);
+        }
+    }
+    texts
+}
+
+/// Every problem is told in a line or two, and those with a key by line.
+pub(crate) fn assert_told(error: &ScenarioError) {
+    let ScenarioError::Invalid { problems, .. } = error else { return };
+    assert!(!problems.is_empty());
+    for problem in problems {
+        assert!(problem.line.is_some() || problem.key.is_empty(), "{problem:?}");
+        assert!(problem.to_string().len() < 2000, "{problem}");
+    }
+}
+
+#[test]
+fn no_number_and_no_key_of_a_shipped_scenario_can_do_harm() {
+    let (mut refused, mut valid) = (0, 0);
+    for path in shipped() {
+        let text = std::fs::read_to_string(&path).unwrap();
+        for text in hostile_texts(&text) {
+            match Scenario::parse_text(&path, &text, &Overrides::default()) {
+                Ok(_) => valid += 1,
+                Err(error) => {
+                    assert_told(&error);
+                    refused += 1;
+                }
+            }
+        }
+    }
+    assert!(refused > 3000 && valid > 200, "{refused} {valid}");
 }
 
 pub(super) fn shipped() -> Vec<PathBuf> {

@@ -28,6 +28,7 @@ use crate::report::ReportError;
 use crate::run::Progress;
 use crate::scenario::ScenarioError;
 use crate::scenario::check::Checker;
+use crate::scenario::error::shown;
 use crate::store::{Request, Store, StoreError};
 use crate::yaml;
 use sensor::Setup;
@@ -109,7 +110,7 @@ pub enum StudyError {
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
     /// A data file is refused.
-    #[error("{}:{} {what}", path.display(), line.map_or_else(String::new, |line| format!("{line}:")))]
+    #[error("{}:{} {what}", shown(path), line.map_or_else(String::new, |line| format!("{line}:")))]
     Data {
         /// The file.
         path: PathBuf,

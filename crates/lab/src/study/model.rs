@@ -9,6 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::sensor::Setup;
+use crate::report::text::code;
 
 /// States on which cross-validation scores a candidate, over all folds. More take longer and choose hardly better.
 const SCORED_STATES: usize = 100;
@@ -68,8 +69,8 @@ impl Model {
                 let name = |d: usize| &setup.coordinates[d].0;
                 let aligned = match setup.alignment.unwrap_or_default() {
                     Alignment::Identity => "z".to_owned(),
-                    Alignment::Shift { state_dim } => format!("z - `{}`", name(state_dim)),
-                    Alignment::Scale { state_dim } => format!("z / `{}`", name(state_dim)),
+                    Alignment::Shift { state_dim } => format!("z - {}", code(name(state_dim))),
+                    Alignment::Scale { state_dim } => format!("z / {}", code(name(state_dim))),
                 };
                 return format!("the same with histograms of {aligned}, at every state and N of this study");
             }

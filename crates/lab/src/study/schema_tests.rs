@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::scenario::schema_tests::{assert_every_key_seen, fits, json_of};
+use crate::scenario::tests::{assert_told, hostile_texts};
 
 use super::*;
 
@@ -80,4 +81,31 @@ fn studies_are_told_from_scenarios() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
     assert!(!is_study(&folder.join("global.yaml")).unwrap());
     assert!(is_study(&folder.join("absent.yaml")).is_err());
+}
+
+#[test]
+fn no_number_and_no_key_of_a_shipped_study_can_do_harm() {
+    let (mut refused, mut valid) = (0, 0);
+    for (path, text) in shipped() {
+        for text in hostile_texts(&text) {
+            let checked = yaml::parse::<raw::RawStudy>(&path, &text).map_err(StudyError::from).and_then(
+                |(raw, locations)| {
+                    let environment = |_: &str| None;
+                    let check = || Checker::new(&path, &locations, &environment);
+                    validate::validate(raw, &path, text.clone(), StudyOverrides::default(), &check)
+                },
+            );
+            match checked {
+                Ok(_) => valid += 1,
+                Err(error) => {
+                    if let StudyError::Scenario(error) = &error {
+                        assert_told(error);
+                    }
+                    assert!(error.to_string().len() < 40_000);
+                    refused += 1;
+                }
+            }
+        }
+    }
+    assert!(refused > 1000 && valid > 100, "{refused} {valid}");
 }

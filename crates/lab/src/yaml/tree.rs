@@ -122,6 +122,10 @@ pub(crate) fn read(text: &str, limits: &Limits) -> Result<Option<Node>, Vec<Prob
     if problems.is_empty() { Ok(reader.root) } else { Err(problems) }
 }
 
+fn too_deep(depth: impl std::fmt::Display) -> String {
+    format!("{depth} collections within each other are not allowed; at most {YAML_DEPTH}")
+}
+
 /// YAML allows none but tabs and line ends, and the parser takes some for the end of the text.
 fn control_character(text: &str) -> Option<Problem> {
     let allowed = |c: char| !c.is_control() || matches!(c, '\t' | '\n' | '\r' | '\u{85}');
@@ -145,7 +149,11 @@ impl Reader<'_> {
             let (event, span) = event.map_err(|error| Problem {
                 line: Some(error.marker().line()),
                 key: String::new(),
-                message: format!("not readable as YAML: {}", quoted(error.info())),
+                message: match error.info() {
+                    // The parser's own limit is wider, but it may meet it before it tells of the first value.
+                    "recursion limit exceeded" => too_deep("more"),
+                    info => format!("not readable as YAML: {}", quoted(info)),
+                },
             })?;
             let line = span.start.line();
             match event {
@@ -197,9 +205,7 @@ impl Reader<'_> {
         let limits = self.limits;
         let depth = self.open.len() + size.height;
         if depth > YAML_DEPTH {
-            let message =
-                format!("{depth} collections within each other are not allowed; at most {YAML_DEPTH}");
-            return Err(self.problem(line, message));
+            return Err(self.problem(line, too_deep(depth)));
         }
         for (name, found, most) in [
             ("yaml_values", self.read.values, limits.yaml_values),
@@ -466,7 +472,7 @@ mod tests {
             let items = vec![format!("*a{}", i - 1); 9].join(",");
             text += &format!("a{i}: &a{i} [{items}]\n");
         }
-        assert!(refused(&text).contains("values in a YAML file"), "{}", refused(&text));
+        assert!(refused(&text).contains("values of a YAML file"), "{}", refused(&text));
         let long = format!("a: &a {}\nb: [{}]\n", "x".repeat(10_000), vec!["*a"; 2_000].join(","));
         assert!(refused(&long).contains("bytes of a YAML file"), "{}", refused(&long));
         assert_eq!(refused("a: &a [*a]\n"), "1: a[0]: an alias within what it repeats is not allowed");

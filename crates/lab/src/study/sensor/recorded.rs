@@ -2,9 +2,22 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use distreg::Dataset;
+use locsim_core::limits::{Limits, is_hidden, quoted};
 
+use crate::limited;
 use crate::statistics::quantile;
 use crate::study::StudyError;
+
+/// Rows of a table, at the most.
+const MOST_ROWS: usize = 1_000_000;
+/// Columns of a table, at the most.
+const MOST_COLUMNS: usize = 10_000;
+/// State columns of a table, at the most; each takes bandwidths.
+const MOST_COORDINATES: usize = 100;
+/// Letters of a column's name, at the most.
+const MOST_LETTERS: usize = 100;
+/// The largest number of a table, either way.
+const LARGEST: f64 = 1e12;
 
 /// One ray of a static lidar.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,6 +114,19 @@ pub(crate) fn read_table(path: &Path) -> Result<(Vec<String>, Dataset), StudyErr
             "one column is not allowed; state columns, then the observation".to_owned(),
         ));
     };
+    if dim > MOST_COORDINATES {
+        return Err(wrong(
+            Some(1),
+            format!("{dim} state columns are not allowed; at most {MOST_COORDINATES}"),
+        ));
+    }
+    for (i, name) in names.iter().enumerate() {
+        let fits = (1..=MOST_LETTERS).contains(&name.chars().count()) && !name.contains(is_hidden);
+        if !fits || names[..i].contains(name) {
+            let allowed = "a name of its own for each column, up to 100 letters";
+            return Err(wrong(Some(1), format!("the name `{}` is not allowed; {allowed}", quoted(name))));
+        }
+    }
     let mut order: Vec<(Vec<f64>, Vec<f64>)> = Vec::new();
     let mut found: BTreeMap<Vec<u64>, usize> = BTreeMap::new();
     for (line, row) in &rows {
@@ -129,12 +155,12 @@ type Row = (usize, Vec<f64>);
 /// The names in the first line, if there are any, and rows of as many numbers with their lines.
 fn read_rows(path: &Path, names: bool) -> Result<(Vec<String>, Vec<Row>), StudyError> {
     let wrong = |line, what: String| StudyError::Data { path: path.to_owned(), line, what };
+    let bytes = limited::read(path, "table_bytes", Limits::current().table_bytes)?;
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(names)
         .comment(Some(b'#'))
         .trim(csv::Trim::All)
-        .from_path(path)
-        .map_err(|error| wrong(None, error.to_string()))?;
+        .from_reader(bytes.as_slice());
     let line_of = |position: Option<&csv::Position>| position.map(|p| p.line() as usize);
     let unreadable = |error: csv::Error| {
         let line = line_of(error.position());
@@ -154,13 +180,88 @@ fn read_rows(path: &Path, names: bool) -> Result<(Vec<String>, Vec<Row>), StudyE
     let mut rows = Vec::new();
     for record in reader.records() {
         let record = record.map_err(unreadable)?;
+        let line = line_of(record.position());
+        if rows.len() == MOST_ROWS {
+            return Err(wrong(line, format!("more than {MOST_ROWS} rows are not allowed")));
+        }
+        if record.len() > MOST_COLUMNS {
+            let found = record.len();
+            return Err(wrong(line, format!("{found} columns are not allowed; at most {MOST_COLUMNS}")));
+        }
         let row = record.iter().map(|cell| {
-            cell.parse::<f64>().ok().filter(|value| !value.is_nan()).ok_or_else(|| {
-                wrong(line_of(record.position()), format!("`{cell}` is not allowed; a number"))
+            // Infinity by its name, not by a number that is too large.
+            let named = !cell.contains(|c: char| c.is_ascii_digit());
+            let allowed = |value: &f64| value.abs() <= LARGEST || value.is_infinite() && named;
+            cell.parse::<f64>().ok().filter(allowed).ok_or_else(|| {
+                wrong(
+                    line,
+                    format!("`{}` is not allowed; a number from -{LARGEST} to {LARGEST}", quoted(cell)),
+                )
             })
         });
         let row = row.collect::<Result<Vec<f64>, _>>()?;
-        rows.push((line_of(record.position()).unwrap_or(0), row));
+        rows.push((line.unwrap_or(0), row));
     }
     Ok((header, rows))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use locsim_core::{Draw, Stage};
+    use rand::RngExt;
+
+    use super::*;
+
+    fn table(text: &[u8]) -> Result<(Vec<String>, Dataset), StudyError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.csv");
+        fs::write(&path, text).unwrap();
+        // The same bytes as scans of a lidar: whatever comes of it, no panic.
+        let _ = read_static_lidar(&path, 2, 0.5);
+        read_table(&path)
+    }
+
+    #[test]
+    fn hostile_tables_are_refused_with_a_short_reason() {
+        let long = "9".repeat(1_000_000);
+        let columns: Vec<String> = (0..200).map(|i| format!("c{i}")).collect();
+        for (text, said) in [
+            (format!("x,z\n1,{long}\n"), "is not allowed; a number"),
+            ("x,z\n1,1e300\n".to_owned(), "t.csv:2: `1e300` is not allowed; a number"),
+            ("x,z\n1,\u{1b}[2J\u{202e}\n".to_owned(), "`\\u{1b}[2J\\u{202e}` is not allowed"),
+            (format!("{long},z\n1,2\n"), "is not allowed; a name of its own"),
+            ("x,x,z\n1,2,3\n".to_owned(), "the name `x` is not allowed; a name of its own"),
+            ("\u{0},z\n1,2\n".to_owned(), "the name `\\u{0}` is not allowed"),
+            (format!("{}\n", columns.join(",")), "199 state columns are not allowed"),
+            ("z\n1\n".to_owned(), "one column is not allowed"),
+            ("x,z\n1,inf\n".to_owned(), "inf is not allowed; a finite number"),
+        ] {
+            let error = table(text.as_bytes()).err().unwrap().to_string();
+            assert!(error.contains(said) && error.len() < 400, "{error}");
+        }
+    }
+
+    #[test]
+    fn damaged_tables_are_survived() {
+        let good = (0..40).map(|i| format!("{},{}\n", i / 4, 0.01 * f64::from(i))).collect::<String>();
+        let good = format!("# readings\nx,z\n{good}").into_bytes();
+        assert_eq!(table(&good).unwrap().1.len(), 10);
+        let put = b"\"\",\n\r#-+.e0123456789\xff\0xinfnan ";
+        for i in 0..2000 {
+            let mut random = Draw::new(1, Stage::Trial, 0).item(i);
+            let mut text = good.clone();
+            for _ in 0..random.random_range(1..6) {
+                let at = random.random_range(0..text.len());
+                let end = (at + random.random_range(0..9)).min(text.len());
+                let new: Vec<u8> =
+                    (0..random.random_range(0..6)).map(|_| put[random.random_range(0..put.len())]).collect();
+                text.splice(at..end, new);
+            }
+            if let Err(error) = table(&text) {
+                assert!(error.to_string().len() < 400, "{error}");
+            }
+        }
+    }
 }
