@@ -44,7 +44,7 @@ const CASES: [Case; 5] = [
     },
     Case {
         line: "gap nominal.yaml --log measured.log --replicates 19 --scans 60 --beams 12 --no-filter --quiet",
-        other: "gap nominal.yaml --log measured.log --replicates 19 --scans 10 --beams 4 --no-filter --quiet",
+        other: "gap nominal.yaml --log measured.log --replicates 19 --scans 40 --beams 4 --no-filter --quiet",
         out: "results/gap",
         results: &["results/gap"],
         resumes: false,

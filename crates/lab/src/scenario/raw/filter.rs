@@ -151,7 +151,7 @@ pub enum NotAnnealed {
 impl Short for NotAnnealed {
     const FORMS: &'static [&'static str] = &[
         "none",
-        "{candidates: ..., effective_share: ..., moves: ..., sigma_m: ..., sigma_deg: ..., gathered_m: ...}",
+        "{candidates: ..., effective_share: ..., moves: ..., sigma_m: ..., ...}",
     ];
 
     fn from_word(word: &str) -> Option<Self> {
