@@ -174,13 +174,12 @@ fn run_trials(
             if options.interrupted.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            let trial = match kept_trial(laboratory, store, number, options.progress) {
-                Some(trial) => trial,
-                None => {
-                    let trial = run_trial(laboratory, number, options.clock)?;
-                    store.parts().save(number, &trial)?;
-                    trial
-                }
+            let trial = if let Some(trial) = kept_trial(laboratory, store, number, options.progress) {
+                trial
+            } else {
+                let trial = run_trial(laboratory, number, options.clock)?;
+                store.parts().save(number, &trial)?;
+                trial
             };
             options.progress.advance(1);
             Ok(Some(trial))

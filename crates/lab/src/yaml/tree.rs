@@ -139,7 +139,7 @@ fn control_character(text: &str) -> Option<Problem> {
 
 /// The line of a byte, from 1.
 pub(super) fn line_at(bytes: &[u8], at: usize) -> usize {
-    1 + bytes[..at].iter().filter(|byte| **byte == b'\n').count()
+    bytes[..at].split(|byte| *byte == b'\n').count()
 }
 
 impl Reader<'_> {
@@ -460,7 +460,7 @@ mod tests {
             let text = part.repeat(100_000);
             assert!(read(&text, &Limits::DEFAULT).is_err(), "{part}");
         }
-        let maps: String = (0..300).map(|depth| format!("{}a:\n", " ".repeat(depth))).collect();
+        let maps = (0..300).map(|depth| format!("{}a:\n", " ".repeat(depth))).collect::<Vec<_>>().concat();
         assert!(refused(&maps).contains("at most 64"));
     }
 
@@ -470,7 +470,7 @@ mod tests {
         let mut text = "a0: &a0 [x,x,x,x,x,x,x,x,x]\n".to_owned();
         for i in 1..9 {
             let items = vec![format!("*a{}", i - 1); 9].join(",");
-            text += &format!("a{i}: &a{i} [{items}]\n");
+            text = format!("{text}a{i}: &a{i} [{items}]\n");
         }
         assert!(refused(&text).contains("values of a YAML file"), "{}", refused(&text));
         let long = format!("a: &a {}\nb: [{}]\n", "x".repeat(10_000), vec!["*a"; 2_000].join(","));
@@ -490,7 +490,7 @@ mod tests {
         ] {
             assert_eq!(refused(text), message, "{text}");
         }
-        let twice: String = (0..100).map(|i| format!("a{i}: 1\na{i}: 2\n")).collect();
+        let twice = (0..100).map(|i| format!("a{i}: 1\na{i}: 2\n")).collect::<Vec<_>>().concat();
         assert_eq!(refused(&twice).lines().count(), LISTED + 1);
         assert!(refused(&twice).ends_with("and 80 more"), "{}", refused(&twice));
     }

@@ -149,10 +149,8 @@ pub enum NotAnnealed {
 }
 
 impl Short for NotAnnealed {
-    const FORMS: &'static [&'static str] = &[
-        "none",
-        "{candidates: ..., effective_share: ..., moves: ..., sigma_m: ..., ...}",
-    ];
+    const FORMS: &'static [&'static str] =
+        &["none", "{candidates: ..., effective_share: ..., moves: ..., sigma_m: ..., ...}"];
 
     fn from_word(word: &str) -> Option<Self> {
         (word == "none").then_some(Self::None)
