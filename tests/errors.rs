@@ -92,7 +92,7 @@ fn told(content: impl AsRef<[u8]>) -> String {
 fn files_that_would_cost_the_machine() {
     let nested = |depth| format!("{}{}", "[".repeat(depth), "]".repeat(depth));
     let aliases = format!("a: &a {}\nb: [{}]\n", "x".repeat(100_000), vec!["*a"; 100_000].join(","));
-    let laughs: String = (1..30).map(|i| format!("a{i}: &a{i} [*a{0}, *a{0}]\n", i - 1)).collect();
+    let laughs = (1..30).map(|i| format!("a{i}: &a{i} [*a{0}, *a{0}]\n", i - 1)).collect::<Vec<_>>().concat();
     for (text, said) in [
         (format!("seed: {}", nested(100)), "collections within each other are not allowed; at most 64"),
         (format!("seed: {}", nested(40_000)), "s.yaml:1: more collections within each other are not allowed"),

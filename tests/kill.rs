@@ -145,14 +145,18 @@ fn beside(results: &[&str]) -> Vec<String> {
     results.iter().map(|result| format!("{result}.old")).collect()
 }
 
+fn is_a(name: &str, extension: &str) -> bool {
+    Path::new(name).extension().is_some_and(|found| found == extension)
+}
+
 /// Whether a file tells times, or what only one recording is.
 fn tells_time(name: &str) -> bool {
     let name = name.rsplit('/').next().unwrap();
-    name.starts_with("report.") || name.ends_with(".rrd") || ["summary.json", "gap.json"].contains(&name)
+    name.starts_with("report.") || is_a(name, "rrd") || ["summary.json", "gap.json"].contains(&name)
 }
 
 fn timeless(name: &str, content: Vec<u8>) -> Vec<u8> {
-    if !name.ends_with(".json") {
+    if !is_a(name, "json") {
         return if tells_time(name) { Vec::new() } else { content };
     }
     let mut json: Value = serde_json::from_slice(&content).unwrap_or_else(|error| panic!("{name}: {error}"));

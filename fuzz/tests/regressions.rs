@@ -186,7 +186,7 @@ fn yaml_that_costs_the_machine_is_refused_at_once() {
     let mut text = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n".to_owned();
     for i in 1..30 {
         let before = i - 1;
-        text += &format!("a{i}: &a{i} [*a{before}, *a{before}, *a{before}, *a{before}, *a{before}]\n");
+        text = format!("{text}a{i}: &a{i} [*a{before}, *a{before}, *a{before}, *a{before}, *a{before}]\n");
     }
     cases.check("yaml", "laughs.yaml", text.as_bytes(), YAML, &Refused(&["yaml_"]));
     cases.check(
@@ -285,8 +285,8 @@ fn gzip(part: &[u8], times: usize) -> Vec<u8> {
 
 #[test]
 fn a_log_that_unpacks_to_too_much_is_refused() {
-    let mut cases = Cases::new();
     const PART: usize = 1 << 20;
+    let mut cases = Cases::new();
     let comments = "# nothing\n".repeat(PART / 10);
     for (name, part) in
         [("zeros", vec![0; PART]), ("blanks", vec![b' '; PART]), ("comments", comments.into_bytes())]
@@ -416,7 +416,7 @@ fn a_model_is_checked_field_by_field() {
         refused("ranges", model("p_reg", &["form", "Normal", "grid", "ranges"], whole(value)));
         refused("angles", model("np_reg", &["form", "Histogram", "grid", "incidences"], whole(value)));
         let last = move |node: &mut Value| {
-            *node.as_array_mut().unwrap().last_mut().unwrap() = Value::Integer(value.into())
+            *node.as_array_mut().unwrap().last_mut().unwrap() = Value::Integer(value.into());
         };
         refused("ends", model("np_reg_registered", &["form", "Histogram", "axis", "ends"], last));
     }

@@ -82,6 +82,7 @@ pub enum Command {
 
 /// `locsim run`.
 #[derive(Debug, Args)]
+#[expect(clippy::struct_excessive_bools, reason = "each is an option of the command line")]
 pub struct Run {
     /// The scenario file
     pub scenario: PathBuf,
@@ -135,6 +136,7 @@ pub enum Record {
 
 /// `locsim study`.
 #[derive(Debug, Args)]
+#[expect(clippy::struct_excessive_bools, reason = "each is an option of the command line")]
 pub struct Study {
     /// The studies' files
     #[arg(required = true)]
@@ -238,6 +240,7 @@ pub struct LogOptions {
 
 /// `locsim gap`.
 #[derive(Debug, Args)]
+#[expect(clippy::struct_excessive_bools, reason = "each is an option of the command line")]
 pub struct Gap {
     /// The scenario: a simulation of the robot as it is thought to be
     #[arg(required_unless_present = "explain")]

@@ -6,8 +6,8 @@ use std::path::Path;
 use crc32fast::Hasher;
 use locsim_core::limits::{Limits, quoted};
 use lz4_flex::frame::FrameDecoder;
-use mcap::records::{Record, op};
-use mcap::{MAGIC, McapError, parse_record};
+use mcap::records::op;
+use mcap::{MAGIC, McapError};
 use ruzstd::decoding::StreamingDecoder;
 
 use crate::DatasetError;
@@ -317,27 +317,52 @@ struct Channels {
 
 impl Channels {
     /// Takes in a schema or a channel; returns the channel.
-    fn take(&mut self, opcode: u8, body: &[u8]) -> Result<Option<&Channel>, Stop> {
-        let short = |name: String| match name.len() {
-            0..=LONGEST_NAME => Ok(name),
-            length => Err(Stop::Large(format!(
-                "the name `{}` has {length} bytes; allowed: at most {LONGEST_NAME}",
-                quoted(&name)
-            ))),
-        };
-        match parse_record(opcode, body)? {
-            Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, short(header.name)?);
+    ///
+    /// The library's way to read these records reserves memory for strings by their claimed lengths.
+    fn take(&mut self, opcode: u8, mut body: &[u8]) -> Result<Option<&Channel>, Stop> {
+        let body = &mut body;
+        match opcode {
+            op::SCHEMA => {
+                let id = number(body)?;
+                self.schemas.insert(id, name(body)?);
                 Ok(None)
             }
-            Record::Channel(record) => {
+            op::CHANNEL => {
+                let [id, schema] = [number(body)?, number(body)?];
                 // Schema 0 is none.
-                let schema = self.schemas.get(&record.schema_id).cloned().unwrap_or_default();
-                let (topic, encoding) = (short(record.topic)?, short(record.message_encoding)?);
-                self.channels.insert(record.id, Channel { topic, schema, encoding });
-                Ok(self.channels.get(&record.id))
+                let schema = self.schemas.get(&schema).cloned().unwrap_or_default();
+                let (topic, encoding) = (name(body)?, name(body)?);
+                self.channels.insert(id, Channel { topic, schema, encoding });
+                Ok(self.channels.get(&id))
             }
             _ => Ok(None),
         }
     }
+}
+
+/// The number that a record's content goes on with.
+fn number(body: &mut &[u8]) -> Result<u16, Stop> {
+    let (number, rest) = body.split_first_chunk().ok_or_else(short)?;
+    *body = rest;
+    Ok(u16::from_le_bytes(*number))
+}
+
+/// The name that a record's content goes on with.
+fn name(body: &mut &[u8]) -> Result<String, Stop> {
+    let (length, rest) = body.split_first_chunk().ok_or_else(short)?;
+    let length = u32::from_le_bytes(*length) as usize;
+    let (name, rest) = rest.split_at_checked(length).ok_or_else(short)?;
+    *body = rest;
+    let text = std::str::from_utf8(name).map_err(|error| Stop::Damaged(error.to_string()))?;
+    if length > LONGEST_NAME {
+        return Err(Stop::Large(format!(
+            "the name `{}` has {length} bytes; allowed: at most {LONGEST_NAME}",
+            quoted(text)
+        )));
+    }
+    Ok(text.to_owned())
+}
+
+fn short() -> Stop {
+    Stop::damaged("a schema or a channel is longer than its record")
 }

@@ -10,7 +10,7 @@
 //! OUT.partial/results/        becomes OUT when all of it is there; has a manifest.json of its own
 //! ```
 //!
-//! Every folder carries a [`Manifest`]. What a manifest doesn't list, or lists with another hash, is somebody else's.
+//! Every folder carries a manifest. What a manifest doesn't list, or lists with another hash, is somebody else's.
 
 mod error;
 mod folder;
