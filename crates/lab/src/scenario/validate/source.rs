@@ -251,9 +251,11 @@ fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
             check.problem(
                 &format!("log.localize_scans[{i}]"),
                 format!(
-                    "[{}, {}] is not allowed; scans of [{a}, {b}] serve for training or for the map",
+                    "[{}, {}] is not allowed; scans of [{}, {}] serve for training or for the map",
                     number(*from),
                     number(*to),
+                    number(*a),
+                    number(*b),
                 ),
             );
         }
