@@ -209,7 +209,7 @@ fn bad_files_are_named_with_line_key_value_and_what_is_allowed() {
     }
     let large = folder();
     fs::File::create(large.path().join("particles_f64le.bin")).unwrap().set_len(1 << 40).unwrap();
-    assert!(refusal(large.path()).contains("1201 or more bytes are not allowed; 1200, as n_particles"));
+    assert!(refusal(large.path()).contains("1099511627776 bytes are not allowed; 1200, as n_particles"));
     let folder = folder();
     fs::remove_file(folder.path().join("traj_static.csv")).unwrap();
     assert!(refusal(folder.path()).contains("traj_static.csv: "));

@@ -173,7 +173,11 @@ fn a_study_that_is_wrong_is_refused_with_line_and_key() {
             "place: [1]",
             "bandwidths.place: `place` is not a state coordinate; allowed: position_m",
         ),
-        ("position_m: [0.01, 0.05, 0.2]", "position_m: [0]", "bandwidths.position_m[0]: 0 is not allowed; "),
+        (
+            "position_m: [0.01, 0.05, 0.2]",
+            "position_m: [0]",
+            "bandwidths.position_m[0]: 0 is not allowed; a number from 1e-12 to 1000000000000",
+        ),
         ("observations: 20\n", "", "observations: the key is missing"),
         (
             "resolution_m: 0.002",

@@ -286,11 +286,11 @@ fn read_particles(path: &Path, count: usize) -> Result<Particles, BenchError> {
     File::open(path)
         .and_then(|file| file.take(needed + 1).read_to_end(&mut bytes))
         .map_err(BenchError::system(path))?;
-    let found = bytes.len() as u64;
-    if found != needed {
-        let more = if found > needed { "or more " } else { "" };
+    let read = bytes.len() as u64;
+    if read != needed {
+        let found = std::fs::metadata(path).map_or(0, |found| found.len()).max(read);
         let allowed = format!("{needed}, as n_particles in workload.json is {count}, 24 bytes each");
-        return Err(refuse(format!("{found} {more}bytes are not allowed; {allowed}")));
+        return Err(refuse(format!("{found} bytes are not allowed; {allowed}")));
     }
     let (numbers, _) = bytes.as_chunks::<8>();
     let numbers: Vec<f64> = numbers.iter().map(|number| f64::from_le_bytes(*number)).collect();

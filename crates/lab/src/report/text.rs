@@ -73,8 +73,8 @@ pub fn escape(text: &str) -> String {
             // Of a reference and of what it refers to.
             '[' => at_start || before == ']',
             '_' => !(before.is_alphanumeric() && after.is_alphanumeric()),
-            // Numbers may be negative.
-            '-' | '+' => at_start && !after.is_ascii_digit(),
+            // Numbers may be negative, and a dash alone stands for a value that is missing.
+            '-' | '+' => at_start && !after.is_ascii_digit() && text != NONE,
             '=' | '>' => at_start,
             '.' | ')' => at_start && before.is_ascii_digit() && after.is_whitespace(),
             _ => false,
@@ -234,6 +234,8 @@ mod tests {
             ("- a - b", "\\- a - b"),
             ("12. a 3. b", "12\\. a 3. b"),
             ("4.5 (a)", "4.5 (a)"),
+            ("-", "-"),
+            ("---", "\\---"),
             ("a\u{202e}b\u{0}\u{2028}c", "a\\\\u{202e}b\\\\u{0}\\\\u{2028}c"),
         ] {
             assert_eq!(escape(text), escaped);

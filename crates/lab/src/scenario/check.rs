@@ -74,8 +74,8 @@ impl fmt::Display for Allowed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Any => f.write_str("a finite number"),
-            Self::Within(lo, hi) => write!(f, "a number from {lo} to {hi}"),
-            Self::ZeroOrWithin(lo, hi) => write!(f, "0, or a number from {lo} to {hi}"),
+            Self::Within(lo, hi) => write!(f, "a number from {} to {}", number(*lo), number(*hi)),
+            Self::ZeroOrWithin(lo, hi) => write!(f, "0, or a number from {} to {}", number(*lo), number(*hi)),
             Self::AboveUpTo(lo, hi) => write!(f, "a number above {lo}, up to {hi}"),
             Self::FromBelow(lo, hi) => write!(f, "a number from {lo}, below {hi}"),
             Self::Between(lo, hi) => write!(f, "a number above {lo}, below {hi}"),

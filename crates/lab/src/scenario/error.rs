@@ -59,15 +59,20 @@ pub(crate) fn and_more(more: usize) -> Option<Problem> {
 
 /// A file's name without hidden characters; longer than a system's names only where a file asks for such a one.
 pub(crate) fn shown(path: &Path) -> String {
-    let mut shown = String::new();
-    for c in path.to_string_lossy().chars().take(1000) {
+    plain(&path.to_string_lossy(), 1000)
+}
+
+/// The first characters of a text, hidden ones by their numbers.
+fn plain(text: &str, most: usize) -> String {
+    let mut plain = String::new();
+    for c in text.chars().take(most) {
         if is_hidden(c) {
-            shown.extend(c.escape_default());
+            plain.extend(c.escape_default());
         } else {
-            shown.push(c);
+            plain.push(c);
         }
     }
-    shown
+    plain
 }
 
 impl fmt::Display for Problem {
@@ -104,7 +109,7 @@ pub(crate) fn unknown_word(word: &str, what: &str, known: &[&str]) -> String {
     match known {
         [] => text.push_str("none is allowed here"),
         known => {
-            let listed: Vec<String> = known.iter().take(LISTED_WORDS).map(|word| quoted(word)).collect();
+            let listed: Vec<String> = known.iter().take(LISTED_WORDS).map(|word| plain(word, 200)).collect();
             let _ = write!(text, "allowed: {}", listed.join(", "));
             if known.len() > LISTED_WORDS {
                 let _ = write!(text, " and {} more", known.len() - LISTED_WORDS);

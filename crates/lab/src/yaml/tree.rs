@@ -460,18 +460,16 @@ mod tests {
             let text = part.repeat(100_000);
             assert!(read(&text, &Limits::DEFAULT).is_err(), "{part}");
         }
-        let maps = (0..300).map(|depth| format!("{}a:\n", " ".repeat(depth))).collect::<Vec<_>>().concat();
-        assert!(refused(&maps).contains("at most 64"));
+        let maps: Vec<String> = (0..300).map(|depth| format!("{}a:\n", " ".repeat(depth))).collect();
+        assert!(refused(&maps.concat()).contains("at most 64"));
     }
 
     #[test]
     fn what_aliases_repeat_is_counted_and_not_expanded() {
         // Nine lists of nine each: 9^9 values from a few hundred bytes.
-        let mut text = "a0: &a0 [x,x,x,x,x,x,x,x,x]\n".to_owned();
-        for i in 1..9 {
-            let items = vec![format!("*a{}", i - 1); 9].join(",");
-            text = format!("{text}a{i}: &a{i} [{items}]\n");
-        }
+        let repeating = |i| format!("a{i}: &a{i} [{}]\n", vec![format!("*a{}", i - 1); 9].join(","));
+        let lists: Vec<String> = (1..9).map(repeating).collect();
+        let text = format!("a0: &a0 [x,x,x,x,x,x,x,x,x]\n{}", lists.concat());
         assert!(refused(&text).contains("values of a YAML file"), "{}", refused(&text));
         let long = format!("a: &a {}\nb: [{}]\n", "x".repeat(10_000), vec!["*a"; 2_000].join(","));
         assert!(refused(&long).contains("bytes of a YAML file"), "{}", refused(&long));
@@ -490,7 +488,8 @@ mod tests {
         ] {
             assert_eq!(refused(text), message, "{text}");
         }
-        let twice = (0..100).map(|i| format!("a{i}: 1\na{i}: 2\n")).collect::<Vec<_>>().concat();
+        let twice: Vec<String> = (0..100).map(|i| format!("a{i}: 1\na{i}: 2\n")).collect();
+        let twice = twice.concat();
         assert_eq!(refused(&twice).lines().count(), LISTED + 1);
         assert!(refused(&twice).ends_with("and 80 more"), "{}", refused(&twice));
     }

@@ -245,9 +245,8 @@ mod tests {
 
     #[test]
     fn damaged_tables_are_survived() {
-        let good =
-            (0..40).map(|i| format!("{},{}\n", i / 4, 0.01 * f64::from(i))).collect::<Vec<_>>().concat();
-        let good = format!("# readings\nx,z\n{good}").into_bytes();
+        let rows: Vec<String> = (0..40).map(|i| format!("{},{}\n", i / 4, 0.01 * f64::from(i))).collect();
+        let good = format!("# readings\nx,z\n{}", rows.concat()).into_bytes();
         assert_eq!(table(&good).unwrap().1.len(), 10);
         let put = b"\"\",\n\r#-+.e0123456789\xff\0xinfnan ";
         for i in 0..2000 {
