@@ -141,7 +141,7 @@ fn bad_files_are_named_with_line_key_value_and_what_is_allowed() {
             "workload.json",
             "\"n_particles\": 50",
             "\"n_particles\": 49",
-            "particles_f64le.bin: 1177 or more bytes are not allowed; 1176, as n_particles in workload.json is 49",
+            "particles_f64le.bin: 1200 bytes are not allowed; 1176, as n_particles in workload.json is 49",
         ),
         (
             "scan.csv",

@@ -46,9 +46,7 @@ impl TextTable {
         let mut text = line(&mut self.header.iter().map(|c| escape(c)));
         text += &line(&mut (0..self.header.len()).map(rule));
         for row in &self.rows {
-            // A cell can't begin a list.
-            let cell = |cell: &String| if cell == NONE { cell.clone() } else { escape(cell) };
-            text += &line(&mut row.iter().map(cell));
+            text += &line(&mut row.iter().map(|c| escape(c)));
         }
         text
     }
