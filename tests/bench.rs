@@ -172,7 +172,7 @@ fn bad_files_are_named_with_line_key_value_and_what_is_allowed() {
             "workload.json",
             "[0.05, 0.02,",
             "[1e300, 0.02,",
-            "workload.json:9: alphas[0]: 1e300 is not allowed; a number from 0 to 1000",
+            "workload.json:10: alphas[0]: 1e300 is not allowed; a number from 0 to 1000",
         ),
         (
             "workload.json",
