@@ -45,9 +45,11 @@ const LAYERS: [(&str, &[&str]); 10] = [
 ];
 
 /// Dependencies that one crate keeps to itself, and the place in its sources (a file or a folder) that names them.
-const KEPT: [(&str, &str, &str); 2] = [
+const KEPT: [(&str, &str, &str); 4] = [
     ("rerun", "locsim", "crates/cli/src/recording"),
     ("parry2d-f64", "locsim-world", "crates/world/src/raycast"),
+    ("serde_yaml", "locsim-lab", "crates/lab/src/yaml.rs"),
+    ("saphyr-parser", "locsim-lab", "crates/lab/src"),
 ];
 
 fn root() -> PathBuf {

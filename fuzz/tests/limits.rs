@@ -5,8 +5,8 @@ use std::fs;
 use std::path::Path;
 
 use locsim_core::limits::{
-    COORDINATE, Limits, QUOTED_CHARACTERS, READINGS_PER_SCAN, STAMP_SECS, THREADS_PER_CORE, UNPACKING_FACTOR,
-    YAML_DEPTH,
+    COORDINATE, Limits, QUOTED_CHARACTERS, RANGE_M, READINGS_PER_SCAN, STAMP_SECS, THREADS_PER_CORE,
+    UNPACKING_FACTOR, YAML_DEPTH,
 };
 use locsim_world::map::{FARTHEST_M, FINEST_M};
 
@@ -32,6 +32,7 @@ fn the_document_names_every_limit_with_its_default() {
         ("UNPACKING_FACTOR", UNPACKING_FACTOR.to_string()),
         ("READINGS_PER_SCAN", READINGS_PER_SCAN.to_string()),
         ("COORDINATE", format!("{COORDINATE:e}")),
+        ("RANGE_M", format!("{RANGE_M:e}")),
         ("STAMP_SECS", format!("{STAMP_SECS:e}")),
         ("FARTHEST_M", format!("{FARTHEST_M:e}")),
         ("FINEST_M", format!("{FINEST_M:e}")),

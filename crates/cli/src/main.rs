@@ -475,7 +475,8 @@ fn map(arguments: &Map) -> Result<ExitCode> {
         name.push(extension);
         PathBuf::from(name)
     });
-    let name = image.file_name().map(Path::new).context("--out needs a file name")?;
+    let name = image.file_name().context("--out needs a file name")?;
+    let name = name.to_str().context("--out: a map names its image in UTF-8; this name is not")?;
     let inputs = [arguments.log.clone()];
     let [image_file, yaml_file] =
         [&image, &yaml].map(|path| Output { path, force: arguments.force, inputs: &inputs });

@@ -20,6 +20,9 @@ pub const READINGS_PER_SCAN: u64 = 100;
 /// No coordinate (m), angle (rad) or duration (s) that is read is larger; nothing on Earth needs more.
 pub const COORDINATE: f64 = 1e9;
 
+/// No laser reaches farther (m): tables over readings take memory for each millimetre.
+pub const RANGE_M: f64 = 1e4;
+
 /// No time (s) that is read is larger: beyond it neighbouring times are too far apart.
 pub const STAMP_SECS: f64 = 1e12;
 

@@ -9,6 +9,7 @@ use std::fmt;
 use std::path::Path;
 
 use locsim_core::limits::{Limits, quoted};
+use serde::Serialize;
 use serde::de::value::{MapDeserializer, SeqDeserializer};
 use serde::de::{self, DeserializeOwned, DeserializeSeed, Deserializer, Expected, Unexpected, Visitor};
 use serde::de::{IntoDeserializer, value::StrDeserializer};
@@ -73,6 +74,11 @@ pub(crate) fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<(T, 
         invalid(vec![Problem { line: locations.line(&key), message: error.inner().to_string(), key }])
     })?;
     Ok((value, locations))
+}
+
+/// A value as a YAML text, for files that locsim writes whole.
+pub(crate) fn text(value: &impl Serialize) -> String {
+    serde_yaml::to_string(value).expect("a struct of numbers and text is written")
 }
 
 /// Whether a text is YAML and a map with this key.
@@ -384,6 +390,8 @@ impl<'de> de::VariantAccess<'de> for Choice<'de> {
 mod tests {
     use std::fs;
 
+    use proptest::prelude::*;
+
     use super::*;
 
     fn read_bytes(bytes: &[u8]) -> Result<String, String> {
@@ -423,6 +431,62 @@ mod tests {
             assert!(error.contains("bytes of a YAML file"), "{error}");
         }
         assert!(matches!(read(Path::new(".")), Err(ScenarioError::Read { .. })));
+    }
+
+    fn tree(text: &str) -> serde_json::Value {
+        parse(Path::new("s.yaml"), text).unwrap_or_else(|error| panic!("{error}\n{text}")).0
+    }
+
+    /// YAML files under a folder.
+    fn yaml_files(folder: &Path) -> Vec<std::path::PathBuf> {
+        let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let files = paths.flat_map(|path| {
+            let yaml = path.extension().is_some_and(|extension| extension == "yaml");
+            if path.is_dir() { yaml_files(&path) } else { Vec::from_iter(yaml.then_some(path)) }
+        });
+        files.collect()
+    }
+
+    #[test]
+    fn our_files_are_read_as_serde_yaml_reads_them() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let files = [yaml_files(&root.join("scenarios")), yaml_files(&root.join("maps"))].concat();
+        assert!(files.len() > 15, "{files:?}");
+        for file in files {
+            let text = fs::read_to_string(&file).unwrap();
+            let expected: serde_json::Value = serde_yaml::from_str(&text).unwrap();
+            assert_eq!(tree(&text), expected, "{}", file.display());
+        }
+    }
+
+    fn any_value() -> impl Strategy<Value = serde_json::Value> {
+        let scalar = prop_oneof![
+            Just(serde_json::Value::Null),
+            any::<bool>().prop_map(Into::into),
+            any::<u64>().prop_map(Into::into),
+            any::<i64>().prop_map(Into::into),
+            any::<f64>().prop_filter("finite", |value| value.is_finite()).prop_map(Into::into),
+            // Words that look like something else, and any other text.
+            "[-+0-9.eE_~ :#'\"nulltrueyesnoinf{}\\[\\],&*!|>%@`-]{0,12}".prop_map(Into::into),
+            "[^\\p{C}]{0,12}".prop_map(Into::into),
+        ];
+        let within = |inner: BoxedStrategy<serde_json::Value>| {
+            prop_oneof![
+                prop::collection::vec(inner.clone(), 0..4).prop_map(Into::into),
+                prop::collection::btree_map("[a-z0-9 :.~-]{0,8}", inner, 0..4)
+                    .prop_map(|map| serde_json::Value::Object(map.into_iter().collect())),
+            ]
+        };
+        scalar.boxed().prop_recursive(4, 30, 4, move |inner| within(inner.boxed()))
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read_as_it_was(value in any_value()) {
+            // A file holds a map.
+            let value = serde_json::json!({"value": value});
+            prop_assert_eq!(tree(&text(&value)), value);
+        }
     }
 
     #[test]

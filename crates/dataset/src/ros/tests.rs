@@ -688,6 +688,25 @@ fn names_channels_and_frames_are_limited() {
     }
 }
 
+/// The mcap library reserves memory for a name by its claimed length before it looks whether it is there.
+#[test]
+fn a_name_longer_than_its_record_is_refused() {
+    let bytes = plain().raw("/a", "some_msgs/msg/Name", "cdr", &[]).bytes();
+    let name = b"some_msgs/msg/Name";
+    let places = (4..bytes.len()).filter(|at| bytes[*at..].starts_with(name));
+    // Each schema stands before its messages and again in the summary, which isn't read.
+    let at = places.min().unwrap();
+    for length in [19_u32, 1 << 31, u32::MAX] {
+        let mut bytes = bytes.clone();
+        bytes[at - 4..at].copy_from_slice(&length.to_le_bytes());
+        let message = refused(&bytes, &Limits::DEFAULT);
+        assert!(
+            (length == 19) != message.contains("a schema or a channel is longer than its record"),
+            "{length}: {message}"
+        );
+    }
+}
+
 #[test]
 fn a_record_that_is_skipped_may_be_of_any_length() {
     let large = vec![0; (super::bag::LARGEST_RECORD + 1) as usize];

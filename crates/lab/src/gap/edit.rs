@@ -28,7 +28,7 @@ pub(super) fn scenario_with(
     out: &Path,
 ) -> Result<String, GapStudyError> {
     let entries: Vec<Entry> = outcome.effects.iter().map(|named| entry(study, named)).collect();
-    let text = grown(&study.text, &entries);
+    let text = grown(&study.scenario.text, &entries);
     let out = out_folder(out)?;
     Ok(moved(&text, &study.scenario.file, &out))
 }
@@ -39,7 +39,8 @@ pub(super) fn diff(old: &str, new: &str, old_name: &str, new_name: &str) -> Stri
 }
 
 /// Whether an effect can be added to a scenario's text.
-pub(super) fn can_grow(file: &Path, text: &str) -> bool {
+pub(super) fn can_grow(scenario: &Scenario) -> bool {
+    let Scenario { file, text, .. } = scenario;
     let count = |text: &str| {
         Scenario::parse_text(file, text, &Overrides::default()).ok().map(|scenario| match scenario.source {
             Source::Simulation(simulation) => simulation.effects.len(),

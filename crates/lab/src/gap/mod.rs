@@ -29,7 +29,6 @@ use crate::report::ReportError;
 use crate::run::{Progress, RunError};
 use crate::scenario::{Overrides, Problem, Scenario, ScenarioError, Simulation, Source, load_map};
 use crate::store::{Folder, Request, Store, StoreError};
-use crate::yaml;
 
 /// Bearings of log and scenario that differ by more than this are of other beams \[rad\].
 const SAME_BEARING_RAD: f64 = 2e-3;
@@ -96,8 +95,6 @@ pub struct GapSettings {
 pub struct GapStudy {
     /// The scenario.
     scenario: Scenario,
-    /// Its text.
-    text: String,
     log: PathBuf,
     map: Arc<ExactRangeMap>,
     /// The log with the scenario's laser mount.
@@ -144,7 +141,6 @@ impl GapStudy {
     /// [`GapStudyError`]: what is wrong with the scenario, its map or the log, or that they are of different lasers.
     pub fn load(scenario: &Path, log: &Path, settings: GapSettings) -> Result<Self, GapStudyError> {
         let file = scenario;
-        let text = yaml::read(file)?;
         let scenario = Scenario::load(file, &Overrides { seed: settings.seed, ..Overrides::default() })?;
         let refuse = |key: &str, message: &str| {
             let problem = Problem { line: None, key: key.to_owned(), message: message.to_owned() };
@@ -158,7 +154,7 @@ impl GapStudy {
             .into());
         };
         // Now, as an error after the search would come late.
-        if !edit::can_grow(file, &text) {
+        if !edit::can_grow(&scenario) {
             let message =
                 "an effect could not be added; write `effects` as a list with an entry on each line";
             return Err(refuse("effects", message).into());
@@ -188,7 +184,7 @@ impl GapStudy {
                 "{outside} scans were left out: their reference pose is not in the map's free space."
             ));
         }
-        Ok(Self { text, log: log.to_owned(), map, drive, recorded, settings, notes, scenario })
+        Ok(Self { log: log.to_owned(), map, drive, recorded, settings, notes, scenario })
     }
 
     fn simulation(&self) -> &Simulation {
@@ -329,8 +325,12 @@ fn write(
     let scenario = edit::scenario_with(study, outcome, &options.out)?;
     folder.write("scenario.yaml", scenario.as_bytes())?;
     let old = study.scenario.file.display().to_string();
-    let diff =
-        edit::diff(&study.text, &scenario, &old, &options.out.join("scenario.yaml").display().to_string());
+    let diff = edit::diff(
+        &study.scenario.text,
+        &scenario,
+        &old,
+        &options.out.join("scenario.yaml").display().to_string(),
+    );
     folder.write("scenario.diff", diff.as_bytes())?;
     Ok(page::write(folder, study, outcome, &diff, &options.command)?)
 }

@@ -135,8 +135,7 @@ impl Estimate {
             self.memory_bytes.ceil()
         );
         let key = keys.split(' ').next().unwrap_or_default().to_owned();
-        let text = yaml::read(&scenario.file)?;
-        let (IgnoredAny, locations) = yaml::parse(&scenario.file, &text)?;
+        let (IgnoredAny, locations) = yaml::parse(&scenario.file, &scenario.text)?;
         let problem = Problem { line: locations.line(&key), key, message };
         Err(ScenarioError::Invalid { file: scenario.file.clone(), problems: vec![problem] }.into())
     }

@@ -21,6 +21,7 @@ use rand::RngExt;
 use super::training::{ScanData, Surroundings, TrainedModel, train};
 use super::{Progress, RunError};
 use crate::scenario::{self, Log, LogMap, ModelName, RayCast, Scenario, Simulation, Source};
+use crate::yaml;
 
 /// Training poses keep this far from walls \[m\]: a robot has a body.
 const WALL_CLEARANCE_M: f64 = 0.25;
@@ -301,8 +302,8 @@ pub fn map_from_log(
 }
 
 /// The two files of a map, as ROS `map_server` reads them: the image, to be written as `image`, and its description.
-pub fn map_files(grid: &OccupancyGrid, image: &Path) -> [Vec<u8>; 2] {
-    [grid.image_bytes(ImageFormat::Pgm), grid.map_file(image).to_yaml().into_bytes()]
+pub fn map_files(grid: &OccupancyGrid, image: &str) -> [Vec<u8>; 2] {
+    [grid.image_bytes(ImageFormat::Pgm), yaml::text(&grid.map_file(Path::new(image))).into_bytes()]
 }
 
 fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, RunError> {

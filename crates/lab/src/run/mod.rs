@@ -26,7 +26,6 @@ use crate::results::{DetailedTrial, RunResults, Trial};
 use crate::scenario::{ErrorFrame, Estimate, Scenario, Source};
 use crate::store::{Folder, Part, Request, Store};
 use crate::summary::Summary;
-use crate::yaml;
 use detail::Detail;
 use laboratory::{Laboratory, TrialDrive};
 pub(crate) use trial::options as filter_options;
@@ -97,13 +96,11 @@ pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, Run
     let cost = CostEstimate::of(scenario, threads);
     cost.check(scenario)?;
     options.progress.note(&format!("{}: {}", scenario.name, cost.in_words(threads)));
-    // Read now, or the report could quote what was edited while trials ran.
-    let text = yaml::read(&scenario.file)?;
     let fingerprint = scenario.content_hash()?;
     let RunOptions { resume, force, .. } = *options;
     let store =
         Store::open(&Request { out: &options.out, kind: "run", fingerprint: &fingerprint, resume, force })?;
-    let (summary, detail) = match write_results(scenario, text, &store, options) {
+    let (summary, detail) = match write_results(scenario, &store, options) {
         Ok(written) => written,
         Err(error) => {
             store.discard_if_empty();
@@ -125,7 +122,6 @@ pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, Run
 /// Runs the trials and writes everything but the recording.
 fn write_results(
     scenario: &Scenario,
-    scenario_yaml: String,
     store: &Store,
     options: &RunOptions<'_>,
 ) -> Result<(Summary, DetailedTrial), RunError> {
@@ -152,7 +148,7 @@ fn write_results(
         trials,
     };
     let context = ReportContext {
-        scenario_yaml,
+        scenario_yaml: scenario.text.clone(),
         command: options.command.clone(),
         simulated: matches!(scenario.source, Source::Simulation(_)),
         notes: laboratory.notes.clone(),

@@ -1,7 +1,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use locsim_core::limits::quoted;
+use locsim_core::limits::{RANGE_M, quoted};
 
 use super::error::{LISTED, and_more, shown};
 use super::locate::{Locations, join};
@@ -47,8 +47,8 @@ pub(crate) const COORDINATE: Allowed = Allowed::Within(-1e6, 1e6);
 pub(crate) const LENGTH: Allowed = Allowed::Within(0.0, 1e6);
 /// A length that something is divided by (m).
 pub(crate) const POSITIVE_LENGTH: Allowed = Allowed::Within(1e-3, 1e6);
-/// A maximum range (m): tables over readings take memory for each millimetre.
-pub(crate) const MAX_RANGE: Allowed = Allowed::Within(1e-3, 1e4);
+/// A maximum range (m).
+pub(crate) const MAX_RANGE: Allowed = Allowed::Within(1e-3, RANGE_M);
 /// A step between values; 0 for none (m).
 pub(crate) const STEP: Allowed = Allowed::ZeroOrWithin(1e-6, 1e6);
 /// A standard deviation (m or deg), or another parameter of noise, that nothing is divided by.

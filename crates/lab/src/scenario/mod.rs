@@ -64,6 +64,7 @@ impl Scenario {
         let check = || check::Checker::new(path, &locations, environment);
         let walls: Vec<_> = raw.effects.iter().map(|effect| effect.wall.clone()).collect();
         let mut scenario = validate::validate(raw, path, overrides, check())?;
+        text.clone_into(&mut scenario.text);
         if let Some(map) = scenario.map_file() {
             let map = load_map(map)?;
             validate::in_map(&mut scenario, &walls, &map, check())?;

@@ -18,6 +18,9 @@ pub struct Scenario {
     /// The file it was read from.
     #[serde(skip)]
     pub file: PathBuf,
+    /// The text of the file.
+    #[serde(skip)]
+    pub text: String,
     /// Letters, digits, `-` and `_`.
     #[serde(skip)]
     pub name: String,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, ImageResult, Pixel};
 use locsim_core::Pose2;
 use locsim_core::limits::Limits;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{Cell, MapError, OccupancyGrid};
 
@@ -38,7 +38,7 @@ pub struct OccupancyMapFile {
     /// Pose of the lower left pixel's outer corner in the map frame: x \[m\], y \[m\], yaw \[rad\].
     pub origin: [f64; 3],
     /// Whether white is occupied; 0 and 1 are also understood. Raw values are not affected.
-    #[serde(default, deserialize_with = "bool_or_integer")]
+    #[serde(default, deserialize_with = "bool_or_integer", serialize_with = "as_integer")]
     pub negate: bool,
     /// Darker than this share is occupied.
     pub occupied_thresh: f64,
@@ -70,25 +70,6 @@ impl OccupancyMapFile {
             DynamicImage::ImageRgba16(image) => self.read_pixels(image, sixteen_bits),
             image => self.read_pixels(&image.to_rgba16(), sixteen_bits),
         }
-    }
-
-    /// The text of the yaml file.
-    pub fn to_yaml(&self) -> String {
-        let mode = match self.mode {
-            ImageMode::Trinary => "trinary",
-            ImageMode::Scale => "scale",
-            ImageMode::Raw => "raw",
-        };
-        // Rust quotes printable text as YAML does.
-        format!(
-            "image: {:?}\nmode: {mode}\nresolution: {}\norigin: {:?}\nnegate: {}\noccupied_thresh: {}\nfree_thresh: {}\n",
-            self.image.to_string_lossy(),
-            self.resolution,
-            self.origin,
-            u8::from(self.negate),
-            self.occupied_thresh,
-            self.free_thresh,
-        )
     }
 
     /// Reads each pixel as a cell; `share` tells how much of full brightness or opacity a channel has.
@@ -187,6 +168,12 @@ fn decode(path: &Path) -> Result<DynamicImage, MapError> {
 }
 
 /// `map_server` files write `negate: 0`.
+/// ROS 1 reads nothing else.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn as_integer<S: Serializer>(value: &bool, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_u8(u8::from(*value))
+}
+
 fn bool_or_integer<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged, expecting = "0, 1, true or false")]

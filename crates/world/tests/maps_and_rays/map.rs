@@ -270,8 +270,9 @@ proptest! {
         prop_assert!(std::fs::read(image).unwrap().starts_with(b"P5"), "not a binary greymap");
         let file = grid.map_file(Path::new("map.pgm"));
         prop_assert_eq!(&file.load(folder.path()).unwrap(), &grid);
-        let yaml = file.to_yaml();
-        prop_assert!(yaml.contains("image: \"map.pgm\"\nmode: trinary\nresolution: 0.05\norigin: ["));
+        let text = serde_json::to_string(&file).unwrap();
+        prop_assert!(text.starts_with("{\"image\":\"map.pgm\",\"mode\":\"trinary\",\"resolution\":0.05,\"origin\":["), "{text}");
+        prop_assert!(text.contains("\"negate\":0,"), "{text}");
     }
 
     /// Merged boundaries cover each boundary once: their length is that of all sides between occupied and other

@@ -62,6 +62,7 @@ pub(in crate::scenario) fn validate(
     match source {
         Some(source) if check.is_clean() => Ok(Scenario {
             file: path.to_owned(),
+            text: String::new(),
             name,
             description: raw.description,
             seed: overrides.seed.unwrap_or(raw.seed),
