@@ -89,6 +89,50 @@ fn the_missing_effect_is_named_and_added() {
     assert_eq!(again["filter"], Value::Null);
 }
 
+/// Every section that a scenario may leave out, left out once: a search ends with an answer, whether something is hidden or
+/// not.
+#[test]
+fn a_scenario_may_leave_out_what_is_optional() {
+    let folder = folder();
+    let line = |start: &str| NOMINAL.lines().find(|line| line.trim_start().starts_with(start)).unwrap();
+    let [blocks, odometry] = ["blocks:", "odometry_noise:"].map(line);
+    let effects = "effects: # what a laser does anyway\n  - {name: range_dropout, p: 0.005, exponent: 0}\n";
+    let cases = [
+        ("blocks", vec![(blocks, "")]),
+        ("odometry_noise", vec![(odometry, "")]),
+        ("effects", vec![(effects, "")]),
+        ("resolution_m", vec![(", resolution_m: 0.001", "")]),
+        ("all", vec![(blocks, ""), (odometry, ""), (effects, ""), (", resolution_m: 0.001", "")]),
+        // And once what the others leave out.
+        ("mount", vec![("beams: 24,", "beams: 24, mount: {x_m: 0.1, y_m: 0.02, yaw_deg: 5},")]),
+    ];
+    let search = |(name, edits): &(&str, Vec<(&str, &str)>)| {
+        let text = edits.iter().fold(NOMINAL.to_owned(), |text, (from, to)| edited(&text, from, to));
+        folder.write(&format!("{name}.yaml"), &text);
+        let list = if text.contains("effects:") { HIDDEN.to_owned() } else { format!("effects:\n{HIDDEN}") };
+        let hidden = edited(&text, "training:", &list);
+        folder.write(&format!("{name}-hidden.yaml"), hidden);
+        for log in ["", "-hidden"] {
+            folder.locsim(&format!("simulate {name}{log}.yaml --seed 11 --out {name}{log}.log")).success();
+            let line = format!("gap {name}.yaml --log {name}{log}.log --out {name}{log} --replicates 19 --json");
+            let outcome: Value = serde_json::from_str(&output(&folder.locsim(&line).success())).unwrap();
+            let found: Vec<&str> =
+                outcome["effects"].as_array().unwrap().iter().map(|e| e["name"].as_str().unwrap()).collect();
+            if log.is_empty() {
+                assert!(!found.contains(&"range_bias"), "{name}: {found:?}");
+            } else {
+                assert!(found.contains(&"range_bias"), "{name}: {found:?}");
+            }
+            folder.locsim(&format!("validate {name}{log}/scenario.yaml")).success();
+        }
+    };
+    std::thread::scope(|scope| {
+        for case in &cases {
+            scope.spawn(move || search(case));
+        }
+    });
+}
+
 #[test]
 fn the_answer_is_for_people_and_an_effect_can_be_left_out() {
     let folder = folder();
@@ -126,7 +170,10 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     );
     refused(&gap("range.yaml", ""), "measured.log: a maximum range of 5 m doesn't fit");
     refused(&gap("view.yaml", ""), "measured.log: beam 0 points to");
-    refused(&gap("exact.yaml", "").replace("found", "new"), "the nominal laser has no noise");
+    with("quiet.yaml", ", noise: {sigma_m: 0.01}", "");
+    for scenario in ["exact.yaml", "quiet.yaml"] {
+        refused(&gap(scenario, "").replace("found", "new"), "the nominal laser has no noise");
+    }
     refused(&gap("nominal.yaml", ""), "--out: found is not allowed; it isn't empty");
     refused(&gap("nominal.yaml", "--force"), "found/gap.json isn't as locsim wrote it, and stays");
     refused(&gap("nominal.yaml", "--without glas"), "\"glas\" is not an effect; one of range_bias");

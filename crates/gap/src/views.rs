@@ -1,5 +1,4 @@
 use std::collections::HashSet;
-use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use glam::DVec2;
@@ -284,25 +283,31 @@ impl Caster<'_> {
         let reach = f64::from(CAST_REACH) * max;
         let hit = map.cast_ray(origin, direction, reach);
         let range = hit.map_or(reach, |hit| hit.range);
-        let incidence = hit.map_or(0.0, |hit| hit.incidence);
-        let jacobian = hit.map_or([0.0; 3], |hit| {
+        let mut incidence = hit.map_or(0.0, |hit| hit.incidence);
+        let mut normal = hit.map(|hit| {
             // On which side of the normal the ray comes in: does it get longer when it turns left?
             let longer = map
                 .cast_ray(origin, DVec2::from_angle(heading + TURN), reach)
                 .is_some_and(|turned| turned.surface == hit.surface && turned.range > range);
-            let signed = if longer { incidence } else { -incidence };
-            let normal = -DVec2::from_angle(heading - signed);
+            -DVec2::from_angle(heading - if longer { incidence } else { -incidence })
+        });
+        let mut object = None;
+        for disc in self.effects.objects() {
+            if let Some(nearer) = disc.first_hit(origin, direction, object.unwrap_or(range)) {
+                object = Some(nearer);
+                incidence = disc.incidence(origin, direction);
+                normal = (origin + nearer * direction - disc.center).try_normalize();
+            }
+        }
+        let jacobian = normal.map_or([0.0; 3], |normal| {
             let cosine = incidence.cos().max(GRAZING);
             let with_position = normal / cosine;
             let lever = DVec2::from_angle(base.theta).rotate(self.mount.position()).perp();
-            let with_heading = range * signed.sin() / cosine + with_position.dot(lever);
-            [with_position.x, with_position.y, with_heading]
+            let turned = object.unwrap_or(range) * normal.dot(direction.perp()) / cosine;
+            [with_position.x, with_position.y, turned + with_position.dot(lever)]
         });
-        let discs = self.effects.objects().iter();
-        let object = discs.filter_map(|disc| disc.first_hit(origin, direction, range)).reduce(f64::min);
-        let behind = if self.effects.needs().behind && hit.is_some() {
-            let start = range + 1e-6;
-            map.cast_ray(origin + start * direction, direction, max - start).map(|next| start + next.range)
+        let behind = if self.effects.needs().behind {
+            map.cast_behind(origin, direction, range, max)
         } else {
             None
         };
@@ -344,15 +349,22 @@ pub(crate) fn jumps(nominal: &Nominal, recorded: &Recorded, scan: usize) -> Vec<
             nominal.map.cast_ray(laser.position(), direction, max).map_or(max, |hit| hit.range)
         })
         .collect();
-    let closed = nominal.laser.field_of_view_rad >= TAU - 1e-6;
+    let closed = nominal.laser.is_closed();
     recorded.kept.iter().map(|&beam| jump_at(&ranges, beam, closed)).collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
+    use locsim_world::map::{Polyline, VectorMap, Wall};
+    use locsim_world::raycast::ExactRangeMap;
+    use locsim_world::simulation::LaserOptions;
+
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
+    use crate::likelihood::Density;
 
     /// A laser that is a few centimetres off has about the same in its way, at the same distances from what it ends at: what a beam
     /// takes over is as good as what it has itself. A beam that comes to end elsewhere has its own.
@@ -393,6 +405,83 @@ mod tests {
         assert!(aligned < 0.006 && aligned < 0.5 * unaligned && anew > 0, "{aligned} {unaligned} {anew}");
         let (_, _, more) = compare(0.3);
         assert!(more > anew, "{more} {anew}");
+    }
+
+    /// Readings almost without noise are likely where the search looks for them: at a disc's own slant, at the
+    /// surface behind a pane that is more than a film away.
+    #[test]
+    fn beams_meet_what_the_simulator_lets_them_meet() {
+        let board = |name: &str, y: f64| Wall { name: name.to_owned(), from_m: [2.0, y], to_m: [3.0, y] };
+        let outline = Polyline {
+            points_m: vec![[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]],
+            ..Polyline::default()
+        };
+        let walls = vec![board("pane", 0.4), board("film", 0.3995), board("board", 0.2)];
+        let map = VectorMap { outline, obstacles: Vec::new(), walls };
+        let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
+        // Of a full circle for some, not for others.
+        for field_of_view_rad in [TAU, TAU - 5e-7, TAU - 1e-10, 4.0] {
+            let laser = LaserOptions { sigma_m: 1e-4, resolution_m: 0.0, field_of_view_rad, ..NOMINAL.laser };
+            let nominal =
+                Nominal::new(Arc::clone(&map), laser, None, NOMINAL.odometry, Effects::none()).unwrap();
+            let pane = vec![[DVec2::new(2.0, 0.4), DVec2::new(3.0, 0.4)]];
+            let effects = [
+                (EffectKind::Glass, vec![0.9], pane),
+                (EffectKind::MissingObject, vec![3.0, 2.2, 0.3], Vec::new()),
+                (EffectKind::IncidenceBias, vec![0.01], Vec::new()),
+                (EffectKind::MixedPixels, vec![0.5], Vec::new()),
+            ]
+            .map(|(kind, values, place)| Effect::new(kind, values, place).unwrap());
+            let drive = record_library(&nominal, &TRUTH, &effects, Regime::default(), 3).unwrap();
+            let recorded = Recorded::new(&drive, 60, 72, |_| true).unwrap();
+            let effects = nominal.effects_with(&effects).unwrap();
+            let views = Views::new(&nominal, &recorded, &effects).unwrap();
+            let density = Density { laser: &nominal.laser, effects: &effects, blocks: 1.0 };
+            let (mut behind, mut slanted) = (0, 0);
+            for scan in 0..recorded.scans() {
+                let readings = &recorded.readings[scan * recorded.beams()..];
+                for (beam, &z) in views.scan(scan).iter().zip(readings) {
+                    let floor = 2e-6 / nominal.laser.max_range_m;
+                    let found = density.terms(beam, 0.0, f64::from(z)).density;
+                    assert!(found > floor, "{z} is not expected of {beam:?}: {found}");
+                    behind += u32::from(beam.view.behind.is_some_and(|at| (f64::from(z) - at).abs() < 1e-3));
+                    slanted += u32::from(beam.object.is_some() && beam.view.incidence > 0.8);
+                }
+            }
+            assert!(behind > 50 && slanted > 50, "{behind} {slanted}");
+        }
+    }
+
+    /// A disc's range changes with the pose as the jacobian says.
+    #[test]
+    fn a_disc_gets_nearer_as_the_jacobian_says() {
+        let disc = Effect::new(EffectKind::MissingObject, vec![3.0, 2.0, 0.4], Vec::new()).unwrap();
+        let effects = NOMINAL.effects_with(&[disc]).unwrap();
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 2).unwrap();
+        let recorded = Recorded::new(&drive, 40, 72, |_| true).unwrap();
+        let cast = |move_by: [f64; 3]| {
+            let mut moved = recorded.clone();
+            for pose in &mut moved.poses {
+                *pose = Pose2::new(pose.x + move_by[0], pose.y + move_by[1], pose.theta + move_by[2]);
+            }
+            Views::new(&NOMINAL, &moved, &effects).unwrap().beams
+        };
+        let still = cast([0.0; 3]);
+        let mut compared = 0;
+        for axis in 0..3 {
+            let mut step = [0.0; 3];
+            step[axis] = 1e-6;
+            for (before, after) in still.iter().zip(cast(step)) {
+                if let (Some(a), Some(b)) = (before.object, after.object)
+                    && before.view.incidence < 1.2
+                {
+                    let change = (b - a) / 1e-6;
+                    assert!((change - before.jacobian[axis]).abs() < 1e-3, "{axis} {change} {before:?}");
+                    compared += 1;
+                }
+            }
+        }
+        assert!(compared > 100, "{compared}");
     }
 
     /// Entries are the exponential of minus what is expected up to their ranges, by an integral summed otherwise.

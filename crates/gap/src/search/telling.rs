@@ -83,6 +83,9 @@ impl<'a> State<'a> {
     /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
     /// where simulated logs say that it can't be chance.
     pub fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
+        if self.nominal.blocks.is_none() {
+            return Ok(None);
+        }
         let logs: Vec<f64> = last.null.nuisances.iter().map(|found| found.block_density.ln()).collect();
         let mean = logs.iter().sum::<f64>() / logs.len() as f64;
         let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
@@ -93,8 +96,11 @@ impl<'a> State<'a> {
         // As rare as one false alarm among all effects, with mean and spread of so few logs.
         let n = logs.len() as f64;
         let t = truth / (error * (1.0 + 1.0 / n).sqrt());
+        if !t.is_finite() {
+            return Ok(None);
+        }
         let p = StudentsT::new(0.0, 1.0, n - 1.0).map_or(1.0, |student| 2.0 * student.sf(t.abs()));
-        if self.nominal.blocks.is_none() || !error.is_finite() || p > 0.1 * self.options.false_alarm {
+        if p > 0.1 * self.options.false_alarm {
             return Ok(None);
         }
         let kind = EffectKind::BlockDensity;

@@ -43,6 +43,13 @@ pub struct LaserOptions {
     pub scan_secs: f64,
 }
 
+impl LaserOptions {
+    /// Whether the field of view is a full circle, so that the first and the last beam are neighbours.
+    pub fn is_closed(&self) -> bool {
+        is_full_circle(self.field_of_view_rad)
+    }
+}
+
 /// A laser that turns true distances into readings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LaserSimulator {
@@ -114,9 +121,9 @@ impl LaserSimulator {
         &self.options
     }
 
-    /// Whether the first and the last beam are neighbours.
+    /// As [`LaserOptions::is_closed`].
     pub(super) fn is_closed(&self) -> bool {
-        is_full_circle(self.options.field_of_view_rad)
+        self.options.is_closed()
     }
 
     /// Unit direction of each beam in the robot's frame.
