@@ -18,6 +18,7 @@ mod null;
 mod odometry;
 mod outcome;
 mod pose_error;
+mod purpose;
 mod rank;
 mod recorded;
 mod replay;
@@ -36,6 +37,7 @@ pub use outcome::{
     Named, Number, Outcome, PitHistogram, Region, Rival, Verdict,
 };
 pub use pose_error::PoseError;
+pub use purpose::Purpose;
 pub use recorded::Recorded;
 pub use search::{GapOptions, Progress, find};
 pub use statistics::{Cell, Covariate, Deviation};

@@ -8,14 +8,13 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use locsim_core::{Draw, Stage};
 use rayon::prelude::*;
 
-use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::rank::rank;
 use crate::replay::Replay;
 use crate::statistics::{Dictionary, Group, Halves, pit_draw};
+use crate::{GapError, Purpose};
 
 /// Expectation maximization steps of a replicate, which starts at the fitted process.
 pub(crate) const REFIT: usize = 4;
@@ -74,7 +73,7 @@ pub(crate) fn compare(
     let effects = replay.nominal.effects_with(replay.effects)?;
     let pit = pit_draw(seed);
     let own = dictionary.of(comparison, &effects, fitted, &replay.nuisances, &pit);
-    let draw = Draw::new(seed, Stage::Trial, 7);
+    let draw = Purpose::Replicates.draw(seed);
     let one = |i: u32| {
         if stop.load(Ordering::Relaxed) {
             return Err(GapError::Interrupted);

@@ -11,7 +11,11 @@ use rayon::prelude::*;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::nominal::BlockPolicy;
 use crate::statistics::{OBJECT_CELL_M, cell_at};
-use crate::{GapError, Nominal, Recorded};
+use crate::{GapError, Nominal, Purpose, Recorded};
+
+/// Items of a scan's draws beside those of the simulator.
+const REFERENCE_ERROR: u32 = 1;
+const ODOMETRY_ERROR: u32 = 2;
 
 /// A fitted simulator: it can replay the log.
 pub(crate) struct Replay<'a> {
@@ -63,7 +67,7 @@ impl Replay<'_> {
         let sigma = [process.sigma_m, process.sigma_m, process.sigma_rad];
         (0..poses.len())
             .map(|i| {
-                let mut rng = Draw::new(seed, Stage::Path, i as u32).item(1);
+                let mut rng = Draw::new(seed, Stage::Path, i as u32).item(REFERENCE_ERROR);
                 let phi = if i == 0 {
                     0.0
                 } else {
@@ -84,7 +88,7 @@ impl Replay<'_> {
         let mut pose = Pose2::IDENTITY;
         let mut track = vec![pose];
         for (i, pair) in odometry.windows(2).enumerate() {
-            let mut rng = Draw::new(seed, Stage::Odometry, i as u32).item(2);
+            let mut rng = Draw::new(seed, Stage::Odometry, i as u32).item(ODOMETRY_ERROR);
             let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
             let step = pair[1].relative_to(&pair[0]);
             let stretch = error.sigma_m * normal();
@@ -132,7 +136,7 @@ pub(crate) fn fit_persistence(
     if !policies.contains(&blocks.resample) {
         policies.push(blocks.resample);
     }
-    let draw = Draw::new(seed, Stage::Trial, 8);
+    let draw = Purpose::Persistence.draw(seed);
     let distances = policies
         .iter()
         .map(|&resample| {
@@ -181,7 +185,7 @@ impl BlockTruth {
         }
         let all = nominal.effects_with(effects)?;
         let replay = Replay { nominal, recorded, effects, nuisances: fitted.nuisances, blocks: self };
-        let draw = Draw::new(seed, Stage::Trial, 13);
+        let draw = Purpose::BlockDensity.draw(seed);
         let densities = (0..12)
             .into_par_iter()
             .map(|i| {

@@ -10,7 +10,7 @@
 
 use std::sync::Arc;
 
-use locsim_core::{Draw, Stage};
+use locsim_core::Draw;
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::simulation::BlockResampling;
 use rayon::prelude::*;
@@ -20,7 +20,7 @@ use crate::hidden::{OtherForm, Regime, Truth, record_other};
 use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
 use crate::replay::{BlockTruth, Replay};
 use crate::views::Views;
-use crate::{GapError, Nominal, PoseError, Recorded};
+use crate::{GapError, Nominal, PoseError, Purpose, Recorded};
 
 /// Simulated logs with the effect behind an expectation, and as many without.
 const LOGS: u32 = 16;
@@ -63,7 +63,7 @@ impl<'a> Strength<'a> {
         regime: Regime,
         seed: u64,
     ) -> Result<Self, GapError> {
-        let draw = Draw::new(seed, Stage::Trial, 11);
+        let draw = Purpose::Strength.draw(seed);
         let views = Arc::new(Views::new(nominal, recorded, &nominal.effects)?);
         let mut strength = Self { nominal, recorded, regime, draw, views, nothing: Vec::new() };
         strength.nothing = (0..LOGS)

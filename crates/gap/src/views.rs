@@ -306,11 +306,8 @@ impl Caster<'_> {
             let turned = object.unwrap_or(range) * normal.dot(direction.perp()) / cosine;
             [with_position.x, with_position.y, turned + with_position.dot(lever)]
         });
-        let behind = if self.effects.needs().behind {
-            map.cast_behind(origin, direction, range, max)
-        } else {
-            None
-        };
+        let behind =
+            if self.effects.needs().behind { map.cast_behind(origin, direction, range, max) } else { None };
         let endpoint = origin + range * direction;
         let is_near = |other: &&Beam| {
             let ends_near = other.view.endpoint.distance(endpoint) < SAME_END_M.max(SAME_TURN_RAD * range);

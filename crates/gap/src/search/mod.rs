@@ -9,7 +9,6 @@ mod telling;
 use std::cmp::Ordering;
 use std::sync::atomic::AtomicBool;
 
-use locsim_core::{Draw, Stage};
 use locsim_world::effect::{Effect, EffectKind};
 use rayon::prelude::*;
 
@@ -19,7 +18,7 @@ use crate::null::{Null, compare};
 use crate::outcome::Outcome;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::statistics::{Aim, Dictionary};
-use crate::{GapError, Nominal, Recorded};
+use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// How a search is run.
 #[derive(Clone, Debug, PartialEq)]
@@ -157,7 +156,7 @@ impl<'a> State<'a> {
         let all = self.nominal.effects_with(&effects)?;
         let comparison = self.comparison.in_world(&all)?;
         let fitted = comparison.fit_nuisances_with(&all, &nuisances, 20);
-        let seed = Draw::new(self.options.seed, Stage::Trial, 9).seed(effects.len() as u32);
+        let seed = Purpose::Round.draw(self.options.seed).seed(effects.len() as u32);
         let blocks = self.blocks.in_world(&comparison, &effects, &fitted, seed)?;
         let dictionary = Dictionary::new(&comparison);
         self.progress.stage(

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use locsim_core::{Draw, Stage};
 use locsim_world::effect::{Effect, EffectKind};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
@@ -15,7 +14,7 @@ use crate::null::REFIT;
 use crate::outcome::{Evidence, Named, Number};
 use crate::replay::Replay;
 use crate::views::Views;
-use crate::{GapError, Recorded};
+use crate::{GapError, Purpose, Recorded};
 
 /// Simulated logs.
 const LOGS: u32 = 24;
@@ -37,7 +36,7 @@ impl<'a> State<'a> {
             nuisances: round.fitted.nuisances,
             blocks: round.blocks,
         };
-        let draw = Draw::new(self.options.seed, Stage::Trial, 12);
+        let draw = Purpose::Intervals.draw(self.options.seed);
         let logs = (0..LOGS)
             .into_par_iter()
             .map(|i| replay.simulate(draw.seed(i)))
@@ -139,7 +138,7 @@ impl<'a> State<'a> {
                 Ok((all, views, effects.swap_remove(index)))
             })
             .collect::<Result<Vec<_>, GapError>>()?;
-        let chance = Draw::new(self.options.seed, Stage::Trial, 14);
+        let chance = Purpose::Prior.draw(self.options.seed);
         let of_log = |(number, log): (usize, &Recorded)| {
             let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(views) };
             let start = comparison.find_nuisances(&variants[0].0, &round.fitted.nuisances, REFIT);

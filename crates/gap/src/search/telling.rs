@@ -18,7 +18,10 @@ use crate::outcome::{
 use crate::replay::Replay;
 use crate::show::{Side, distance, histograms, locate, pits};
 use crate::statistics::{Aim, Group, Hint};
-use crate::{GapError, Nominal, Recorded};
+use crate::{GapError, Nominal, Purpose, Recorded};
+
+/// Step of the bootstrap of the closed share.
+const CLOSED_SHARE: u32 = 3;
 
 impl<'a> State<'a> {
     /// What is told of it all.
@@ -146,7 +149,7 @@ impl<'a> State<'a> {
             nuisances: round.fitted.nuisances,
             blocks: round.blocks,
         };
-        let draw = Draw::new(self.options.seed, Stage::Trial, 10);
+        let draw = Purpose::Distance.draw(self.options.seed);
         (0..8).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
     }
 
@@ -173,7 +176,7 @@ impl<'a> State<'a> {
         let closed = if gained.is_empty() {
             Estimate { value: 0.0, lo: 0.0, hi: 0.0 }
         } else {
-            let draw = Draw::new(self.options.seed, Stage::Bootstrap, 3);
+            let draw = Draw::new(self.options.seed, Stage::Bootstrap, CLOSED_SHARE);
             let mut shares: Vec<f64> = (0..1000)
                 .map(|i| {
                     let mut rng = draw.item(i);

@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use locsim_core::{Draw, Drive, DriveStep, Laser, Pose2, RangeMap, Scan, Stage};
-use locsim_gap::{Estimate, FilterError, FilterGap, GapError, Outcome};
+use locsim_core::{Drive, DriveStep, Laser, Pose2, RangeMap, Scan};
+use locsim_gap::{Estimate, FilterError, FilterGap, GapError, Outcome, Purpose};
 use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Start, StepInput};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::simulation::Simulator;
@@ -83,7 +83,7 @@ impl<'a> FilterOnLog<'a> {
             if self.interrupted.load(Ordering::Relaxed) {
                 return Err(GapError::Interrupted.into());
             }
-            let seed = Draw::new(self.study.scenario.seed, Stage::Trial, 8).seed(seed);
+            let seed = Purpose::Filter.draw(self.study.scenario.seed).seed(seed);
             let error = rmse(self.study, &log, model, &*self.place.ranges, seed);
             self.progress.advance(1);
             error
@@ -139,7 +139,7 @@ fn trained(
     let simulator = Simulator::new(Arc::clone(&place.exact), simulation.blocks, simulation.laser, effects)
         .map_err(GapError::from)?;
     let (most_poses, most_observations, most_beams) = TRAINING;
-    let seed = Draw::new(study.scenario.seed, Stage::Trial, 8).seed(u32::MAX);
+    let seed = Purpose::FilterTraining.draw(study.scenario.seed).seed(0);
     let poses = free_poses(place, training.poses.min(most_poses), seed);
     let observations = training.observations.min(most_observations);
     progress.stage("simulating training scans", 1);

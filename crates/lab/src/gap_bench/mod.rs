@@ -434,7 +434,7 @@ fn search(
     let settings = GapOptions {
         replicates: options.replicates,
         without: case.without.clone(),
-        seed: Draw::new(case.seed, Stage::Trial, 200).seed(0),
+        seed: Draw::new(case.seed, Stage::Trial, plan::SEARCH).seed(0),
         ..GapOptions::default()
     };
     let began = (options.clock)();

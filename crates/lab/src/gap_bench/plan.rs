@@ -8,6 +8,11 @@ use locsim_world::raycast::ExactRangeMap;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
+/// Steps of the suite's seeds: the order of its cases, the search of a case, and its cases from the first on.
+const ORDER: u32 = 99;
+pub(super) const SEARCH: u32 = 200;
+const FIRST_CASE: u32 = 100;
+
 /// How much of the suite is run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -227,7 +232,7 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
                    hidden: &dyn Fn(&Draw) -> Hidden,
                    without: Vec<EffectKind>| {
         let number = cases.len() as u32;
-        let draw = Draw::new(seed, Stage::Trial, 100 + number);
+        let draw = Draw::new(seed, Stage::Trial, FIRST_CASE + number);
         let id = format!("{number:04}-{name}");
         cases.push(Case { id, group, lambda, regime, hidden: hidden(&draw), without, seed: draw.seed(1) });
     };
@@ -300,7 +305,7 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
         }
     }
     // In an order of chance, so that a part of the suite is a sample of it.
-    let draw = Draw::new(seed, Stage::Trial, 99);
+    let draw = Draw::new(seed, Stage::Trial, ORDER);
     let mut order: Vec<(u64, Case)> =
         cases.into_iter().enumerate().map(|(i, case)| (draw.seed(i as u32), case)).collect();
     order.sort_by_key(|(key, _)| *key);

@@ -1,0 +1,34 @@
+use locsim_core::{Draw, Stage};
+
+/// What a search needs random numbers for. Each purpose has a seed of its own, so that no two share a draw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Purpose {
+    /// The simulated logs that say what chance does to a statistic.
+    Replicates = 7,
+    /// The simulated logs that tell how long blocks stay.
+    Persistence = 8,
+    /// One round of the search: the item is its number of effects.
+    Round = 9,
+    /// The simulated logs whose distance to the measured one is reported.
+    Distance = 10,
+    /// The simulated logs by which the strength of a hidden effect is set.
+    Strength = 11,
+    /// The simulated logs that intervals come from.
+    Intervals = 12,
+    /// The simulated logs that tell how far off the fitted density of blocks is.
+    BlockDensity = 13,
+    /// What the numbers that a log says little of may be, for their intervals.
+    Prior = 14,
+    /// The filter on the measured log.
+    Filter = 15,
+    /// The scans that the filter's sensor model is learnt from.
+    FilterTraining = 16,
+}
+
+impl Purpose {
+    /// Seeds, or generators, for this purpose.
+    pub fn draw(self, seed: u64) -> Draw {
+        Draw::new(seed, Stage::Trial, self as u32)
+    }
+}
