@@ -29,8 +29,6 @@ pub enum Stage {
     Sensor = 10,
     /// Bootstrap intervals.
     Bootstrap = 11,
-    /// Monte Carlo integration over the world (the oracle).
-    Oracle = 12,
     /// Seeds of trials, derived from a scenario's seed.
     Trial = 13,
     /// The filter's moves and resamplings within one scan.

@@ -11,7 +11,6 @@ use crate::{GapError, Nominal, Recorded};
 
 /// Distance between two ranges at which it is known how likely a beam gets so far among blocks \[m\].
 const BIN_M: f64 = 0.05;
-const PER_BIN: f64 = 1.0 / BIN_M;
 /// Blocks are looked for so far beyond what a beam ends at, or beyond the maximum range \[m\]: a beam that takes this over may be so
 /// much shorter.
 const BEYOND_M: f64 = 0.3;
@@ -88,19 +87,8 @@ impl Survival {
         counts: &mut Vec<f64>,
     ) -> Self {
         counts.clear();
-        counts.resize((limit * PER_BIN) as usize + 1, 0.0);
-        blocks.stretches(origin, direction, robot, limit, |near, far, count| {
-            let (first, last) = ((near * PER_BIN) as usize, (far * PER_BIN) as usize);
-            if first == last {
-                counts[first] += count;
-                return;
-            }
-            let per_bin = count / (far - near);
-            for (i, sum) in counts[first..=last].iter_mut().enumerate() {
-                let from = (first + i) as f64 * BIN_M;
-                *sum += per_bin * (far.min(from + BIN_M) - near.max(from));
-            }
-        });
+        counts.resize((limit / BIN_M) as usize + 2, 0.0);
+        blocks.count_by_range(origin, direction, robot, limit, BIN_M, counts);
         let Some(first) = counts.iter().position(|&count| count > 0.0) else { return Self::clear() };
         let last = counts.iter().rposition(|&count| count > 0.0).unwrap_or(first);
         let mut met = 0.0;

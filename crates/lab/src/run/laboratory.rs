@@ -161,7 +161,7 @@ impl<'a> Laboratory<'a> {
         let needs_oracle = scenario.models.iter().any(|model| model.name == ModelName::Oracle);
         let oracle = if needs_oracle {
             progress.stage("integrating over blocks", 1);
-            let obstructions = obstructions(&world.simulator, seed).map_err(refused(scenario))?;
+            let obstructions = obstructions(&world.simulator).map_err(refused(scenario))?;
             progress.advance(1);
             Some((obstructions, [simulation.laser.sigma_m, simulation.laser.sigma_per_m]))
         } else {
@@ -350,16 +350,16 @@ fn world(simulation: &Simulation, place: &Place) -> Result<World, SimulationErro
 }
 
 /// What the oracle knows of the world: its blocks as they really are, and nothing of other effects.
-fn obstructions(simulator: &Simulator, seed: u64) -> Result<Arc<dyn Obstructions>, SimulationError> {
+fn obstructions(simulator: &Simulator) -> Result<Arc<dyn Obstructions>, SimulationError> {
     let Some(blocks) = simulator.blocks() else { return Ok(Arc::new(NothingInTheWay)) };
     let max_range_m = simulator.laser().options().max_range_m;
     let options = ObstructionOptions { max_range_m, ..OBSTRUCTIONS };
-    Ok(Arc::new(ObstructionTable::new(blocks, simulator.map(), &options, seed)?))
+    Ok(Arc::new(ObstructionTable::new(blocks, simulator.map(), &options)?))
 }
 
 /// How finely the oracle integrates over blocks; its rays are as long as the laser's.
 const OBSTRUCTIONS: ObstructionOptions =
-    ObstructionOptions { cell_m: 0.15, headings: 120, bin_m: 0.05, max_range_m: 0.0, samples: 50_000 };
+    ObstructionOptions { cell_m: 0.075, headings: 360, bin_m: 0.05, max_range_m: 0.0, shapes: 128 };
 
 /// A world that is as mapped.
 struct NothingInTheWay;

@@ -4,7 +4,7 @@ use super::BlockModel;
 use super::faces::Face;
 use crate::raycast::Boxes;
 
-/// Shapes of blocks that an integral is summed over.
+/// Shapes of blocks that an integral is summed over, where not said otherwise.
 const SHAPES: u32 = 128;
 /// Shorter faces than this take turns with the shapes \[m\]: walls of a grid map are faces of a cell each.
 const FACE_M: f64 = 1.0;
@@ -57,9 +57,14 @@ struct LocalRay {
 impl BlockIntegral {
     /// Prepares the integral over these blocks.
     pub fn new(model: &BlockModel) -> Self {
+        Self::with_shapes(model, SHAPES)
+    }
+
+    /// As [`BlockIntegral::new`], summed over so many shapes (at least one): more are exacter, and take as much longer.
+    pub fn with_shapes(model: &BlockModel, shapes_per_face: u32) -> Self {
         let mut shapes = [Vec::new(), Vec::new()];
         let (mut depth_m, mut diameter_m) = (0.0_f64, 0.0_f64);
-        let count = if model.expected_count() > 0.0 { SHAPES } else { 0 };
+        let count = if model.expected_count() > 0.0 { shapes_per_face.max(1) } else { 0 };
         for placement in (0..count).map(|i| model.place_at(Face::UNIT, 0.0, low_discrepancy(i))) {
             let block = placement.at(0.0);
             let (center, radius) = block.circle();
@@ -74,7 +79,7 @@ impl BlockIntegral {
             y.reverse();
             shapes[1].push(Shape { offset: center.y, radius, x, y });
         }
-        let density = model.options().per_metre_of_wall / f64::from(SHAPES);
+        let density = model.options().per_metre_of_wall / f64::from(count.max(1));
         let reach = Boxes::new(model.faces().iter().map(|face| box_around(face, diameter_m, depth_m)));
         Self { model: model.clone(), shapes, depth_m, diameter_m, density, reach }
     }
@@ -137,6 +142,38 @@ impl BlockIntegral {
                 });
             }
         }
+    }
+
+    /// Adds to `counts[i]` the expected number of blocks that a ray from `origin` along the unit vector `direction` meets
+    /// between `i * bin_m` and `(i + 1) * bin_m`, up to `limit` \[m\]; blocks too near a robot at `robot` are left out.
+    ///
+    /// The last bin has what lies beyond it, too.
+    ///
+    /// # Panics
+    /// If there is no bin.
+    pub fn count_by_range(
+        &self,
+        origin: DVec2,
+        direction: DVec2,
+        robot: DVec2,
+        limit: f64,
+        bin_m: f64,
+        counts: &mut [f64],
+    ) {
+        let (bins_per_m, end) = (bin_m.recip(), counts.len() - 1);
+        self.stretches(origin, direction, robot, limit, |near, far, count| {
+            // Rounding may take the end of the last bin to the next.
+            let [first, last] = [near, far].map(|range| ((range * bins_per_m) as usize).min(end));
+            if first == last {
+                counts[first] += count;
+                return;
+            }
+            let per_metre = count / (far - near);
+            for (i, sum) in counts[first..=last].iter_mut().enumerate() {
+                let from = (first + i) as f64 * bin_m;
+                *sum += per_metre * (far.min(from + bin_m) - near.max(from));
+            }
+        });
     }
 
     /// Whether a ray comes where blocks of a face of some length stand.
@@ -280,7 +317,7 @@ mod tests {
             assert!(0.0 <= near && near <= far && far <= limit && count > 0.0);
             stretches.push((near, far, count));
         });
-        let draw = Draw::new(1, Stage::Oracle, 0);
+        let draw = Draw::new(1, Stage::Blocks, 0);
         let hits: Vec<f64> = (0..count)
             .filter_map(|i| {
                 let mut rng = draw.item(i);

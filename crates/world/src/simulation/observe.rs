@@ -49,7 +49,7 @@ impl Simulator {
     }
 
     /// The map.
-    pub fn map(&self) -> &ExactRangeMap {
+    pub fn map(&self) -> &Arc<ExactRangeMap> {
         &self.map
     }
 

@@ -1,186 +1,192 @@
 use std::f64::consts::TAU;
+use std::sync::{Arc, OnceLock};
 
 use glam::DVec2;
-use locsim_core::{CAST_REACH, Draw, Obstructions, Stage, Survival};
-use rand::RngExt;
-use rayon::prelude::*;
+use locsim_core::{CAST_REACH, Obstructions, Survival};
 
 use super::error::{check, check_count};
-use super::rectangle::Rectangle;
-use super::{BlockModel, SimulationError};
+use super::{BlockIntegral, BlockModel, SimulationError};
 use crate::map::Geometry;
 use crate::raycast::ExactRangeMap;
 
-/// The most numbers in a table (1 GB).
-const MAX_ENTRIES: f64 = 2.5e8;
-/// The most sampled blocks; counts of them are exact in f32.
-const MAX_SAMPLES: f64 = 1e7;
+/// The most numbers in a table, were all of it made and blocks everywhere on its rays (2 GB): a few times what it comes to.
+const MAX_ENTRIES: f64 = 5e8;
+/// The most shapes of blocks (16 MB).
+const MAX_SHAPES: f64 = 1e5;
 /// A cell is looked at from its centre or, where that is not free, from the nearest free point of a grid with
 /// this many points per side.
 const SUBDIVISION: u32 = 4;
-/// No table for this cell.
-const NO_TABLE: u32 = u32::MAX;
+/// The number of a cell without free space.
+const NOT_FREE: u32 = u32::MAX;
+/// Cells of a table that doesn't fit grow by this factor.
+const GROWTH: f64 = 1.1;
 
 /// How finely an [`ObstructionTable`] is made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObstructionOptions {
-    /// Side of a cell \[m\], for example 0.2.
+    /// Side of a cell \[m\], for example 0.1; it grows until the table fits into memory.
     pub cell_m: f64,
-    /// Number of headings over the full circle, for example 72.
+    /// Number of headings over the full circle, for example 240.
     pub headings: u32,
     /// Distance between two entries along a ray \[m\], for example 0.05.
     pub bin_m: f64,
     /// Length of a ray \[m\].
     pub max_range_m: f64,
-    /// Number K of blocks that the integral is sampled with, for example 1000 per metre of wall.
-    pub samples: u32,
+    /// Shapes of blocks that are summed over, for example 256.
+    pub shapes: u32,
 }
 
 /// The probability that no block stands on a ray, for rays from the free cells of a map: what the oracle
 /// knows.
 ///
 /// As blocks are a Poisson process, S(s) = exp(-Lambda(s)), where Lambda(s) is the expected number of blocks
-/// that the ray meets within s. It is summed over K sampled blocks, their places stratified along the walls;
-/// a block counts n/K, n the mean number of blocks. Blocks too near a robot at the ray's origin are left out,
+/// that the ray meets within s, by [`BlockIntegral`]. Blocks too near a robot at the ray's origin are left out,
 /// as the simulator does; that a laser's mount puts the robot elsewhere is neglected. Each cell is looked at
 /// from its centre, each heading along its direction, and a query is answered by the nearest cell and
-/// heading, moved along the ray so that both rays' walls coincide: blocks stand by walls.
-#[derive(Clone, Debug)]
+/// heading, moved along the ray so that both rays' walls coincide: blocks stand by walls. A cell's rays are cast
+/// when it is first asked for: a filter's particles see a small part of the map.
 pub struct ObstructionTable {
-    origin: DVec2,
-    cell_m: f64,
-    columns: usize,
-    rows: usize,
-    /// Number of each cell's table, row by row, or [`NO_TABLE`].
-    tables: Vec<u32>,
-    headings: usize,
-    bin_m: f32,
-    /// A nominal range of this or more is that of a ray without a wall \[m\].
-    reach: f32,
-    /// Nominal range of each ray \[table\]\[heading\] \[m\].
-    ranges: Vec<f32>,
-    /// Entries per ray.
-    entries: usize,
-    /// \[table\]\[heading\]\[entry\]
+    cells: Cells,
+    /// Where each cell is looked at from.
+    viewpoints: Vec<DVec2>,
+    /// Of each cell.
+    panoramas: Vec<OnceLock<Panorama>>,
+    rays: Rays,
+}
+
+/// The rays from one point in all directions.
+#[derive(Clone, Debug, PartialEq)]
+struct Panorama {
+    rays: Vec<Ray>,
+    /// The entries of one ray after the other.
     survival: Vec<f32>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Ray {
+    /// Nominal range \[m\].
+    range: f32,
+    /// Distance of the first entry from the point \[m\]; nothing stands before it.
+    start_m: f32,
+    /// Where the ray's entries end in [`Panorama::survival`]. They begin where those of the ray before end.
+    end: u32,
+}
+
+impl Panorama {
+    fn ray(&self, heading: usize) -> (Ray, &[f32]) {
+        let begin = heading.checked_sub(1).map_or(0, |before| self.rays[before].end);
+        let ray = self.rays[heading];
+        (ray, &self.survival[begin as usize..ray.end as usize])
+    }
 }
 
 impl ObstructionTable {
     /// Makes the table for the blocks of a map.
     ///
     /// # Errors
-    /// [`SimulationError`] for an option that is not positive and finite, or a table that would not fit
-    /// into memory.
+    /// [`SimulationError`] for an option that is not positive and finite, or rays that would not fit into memory.
     pub fn new(
         model: &BlockModel,
-        map: &ExactRangeMap,
+        map: &Arc<ExactRangeMap>,
         options: &ObstructionOptions,
-        seed: u64,
     ) -> Result<Self, SimulationError> {
         for (name, value) in [
             ("cell of the obstruction table [m]", options.cell_m),
             ("headings of the obstruction table", f64::from(options.headings)),
             ("bin of the obstruction table [m]", options.bin_m),
             ("range of the obstruction table [m]", options.max_range_m),
-            ("samples of the obstruction table", f64::from(options.samples)),
+            ("shapes of the obstruction table", f64::from(options.shapes)),
         ] {
             check(name, value, "above 0", |value| value > 0.0)?;
         }
-        check_count("sampled blocks", f64::from(options.samples), MAX_SAMPLES)?;
-
-        let geometry = map.geometry();
-        let [x0, y0, x1, y1] = geometry.bounds();
-        let origin = DVec2::new(x0, y0);
-        let size = ((DVec2::new(x1, y1) - origin) / options.cell_m).ceil().max(DVec2::ONE);
+        check_count("shapes", f64::from(options.shapes), MAX_SHAPES)?;
         let headings = options.headings as usize;
-        let entries = (options.max_range_m / options.bin_m).ceil() + 1.0;
-        check_count("cells", size.x * size.y, MAX_ENTRIES)?;
-        let (columns, rows) = (size.x as usize, size.y as usize);
+        let entries = (options.max_range_m / options.bin_m).ceil() + 2.0;
+        check_count("entries per cell of the obstruction table", entries * headings as f64, MAX_ENTRIES)?;
 
-        let mut viewpoints = Vec::new();
-        let mut tables = vec![NO_TABLE; columns * rows];
-        for (i, table) in tables.iter_mut().enumerate() {
-            let corner = origin + options.cell_m * DVec2::new((i % columns) as f64, (i / columns) as f64);
-            if let Some(viewpoint) = viewpoint(geometry, corner, options.cell_m) {
-                *table = viewpoints.len() as u32;
-                viewpoints.push(viewpoint);
+        let most_viewpoints = (MAX_ENTRIES / (entries * headings as f64)) as usize;
+        let mut cell_m = options.cell_m;
+        let (cells, viewpoints) = loop {
+            let found = Cells::over(map.geometry(), cell_m)?;
+            if found.1.len() <= most_viewpoints {
+                break found;
             }
-        }
-        check_count(
-            "entries of the obstruction table",
-            viewpoints.len() as f64 * headings as f64 * entries,
-            MAX_ENTRIES,
-        )?;
-        let entries = entries as usize;
-
+            cell_m *= GROWTH;
+        };
         let rays = Rays {
-            model,
-            blocks: sample_blocks(model, options.samples, seed),
+            blocks: BlockIntegral::with_shapes(model, options.shapes),
+            map: Arc::clone(map),
             directions: (0..headings).map(|i| DVec2::from_angle(i as f64 * TAU / headings as f64)).collect(),
             bin_m: options.bin_m,
             max_range_m: options.max_range_m,
-            entries,
+            reach: f64::from(CAST_REACH) * options.max_range_m,
         };
-        let reach = f64::from(CAST_REACH) * options.max_range_m;
-        let ranges = viewpoints
-            .iter()
-            .flat_map(|&viewpoint| rays.directions.iter().map(move |&direction| (viewpoint, direction)))
-            .map(|(viewpoint, direction)| {
-                let hit = map.cast_ray(viewpoint, direction, reach);
-                hit.map_or(reach, |hit| hit.range) as f32
-            })
-            .collect();
-        let mut survival = vec![0.0; viewpoints.len() * headings * entries];
-        survival
-            .par_chunks_mut(headings * entries)
-            .zip(&viewpoints)
-            .for_each(|(survival, &viewpoint)| rays.fill(viewpoint, survival));
-        Ok(Self {
-            origin,
-            cell_m: options.cell_m,
-            columns,
-            rows,
-            tables,
-            headings,
-            bin_m: options.bin_m as f32,
-            reach: reach as f32,
-            ranges,
-            entries,
-            survival,
-        })
+        let panoramas = viewpoints.iter().map(|_| OnceLock::new()).collect();
+        Ok(Self { cells, viewpoints, panoramas, rays })
     }
 }
 
 impl Obstructions for ObstructionTable {
     fn bin_m(&self) -> f32 {
-        self.bin_m
+        self.rays.bin_m as f32
     }
 
     /// From a cell without free space nothing is known, and nothing is expected in the way.
     fn survival(&self, x: f64, y: f64, heading: f64, range: f32) -> Survival<'_> {
         let unknown = Survival { probability: &[1.0], start_m: 0.0 };
-        let cell = ((DVec2::new(x, y) - self.origin) / self.cell_m).floor();
-        let inside = cell.cmpge(DVec2::ZERO).all()
-            && cell.x < self.columns as f64
-            && cell.y < self.rows as f64
-            && heading.is_finite();
-        if !inside {
+        let Some(cell) = self.cells.at(DVec2::new(x, y)).filter(|_| heading.is_finite()) else {
             return unknown;
-        }
-        match self.tables[cell.y as usize * self.columns + cell.x as usize] {
-            NO_TABLE => unknown,
-            table => {
-                let turns = (heading / TAU * self.headings as f64).round();
-                let heading = turns.rem_euclid(self.headings as f64) as usize;
-                let ray = table as usize * self.headings + heading;
-                // Without a wall within reach on either ray there is nothing to align.
-                let aligned = range < self.reach && self.ranges[ray] < self.reach;
-                Survival {
-                    probability: &self.survival[ray * self.entries..(ray + 1) * self.entries],
-                    start_m: if aligned { range - self.ranges[ray] } else { 0.0 },
-                }
+        };
+        let panorama = self.panoramas[cell].get_or_init(|| self.rays.panorama(self.viewpoints[cell]));
+        let headings = panorama.rays.len() as f64;
+        let turns = (heading / TAU * headings).round();
+        let (ray, probability) = panorama.ray(turns.rem_euclid(headings) as usize);
+        // Without a wall within reach on either ray there is nothing to align.
+        let reach = self.rays.reach as f32;
+        let aligned = range < reach && ray.range < reach;
+        let moved = if aligned { range - ray.range } else { 0.0 };
+        Survival { probability, start_m: ray.start_m + moved }
+    }
+}
+
+/// The square cells of a map with free space in them, numbered row by row.
+#[derive(Clone, Debug)]
+struct Cells {
+    origin: DVec2,
+    side_m: f64,
+    columns: usize,
+    rows: usize,
+    /// Number of each cell, or [`NOT_FREE`].
+    numbers: Vec<u32>,
+}
+
+impl Cells {
+    /// The cells of a map, and the point that each is looked at from.
+    fn over(geometry: &Geometry, side_m: f64) -> Result<(Self, Vec<DVec2>), SimulationError> {
+        let [x0, y0, x1, y1] = geometry.bounds();
+        let origin = DVec2::new(x0, y0);
+        let size = ((DVec2::new(x1, y1) - origin) / side_m).ceil().max(DVec2::ONE);
+        check_count("cells", size.x * size.y, MAX_ENTRIES)?;
+        let (columns, rows) = (size.x as usize, size.y as usize);
+        let mut viewpoints = Vec::new();
+        let mut numbers = vec![NOT_FREE; columns * rows];
+        for (i, number) in numbers.iter_mut().enumerate() {
+            let corner = origin + side_m * DVec2::new((i % columns) as f64, (i / columns) as f64);
+            if let Some(viewpoint) = viewpoint(geometry, corner, side_m) {
+                *number = viewpoints.len() as u32;
+                viewpoints.push(viewpoint);
             }
         }
+        Ok((Self { origin, side_m, columns, rows, numbers }, viewpoints))
+    }
+
+    /// Number of the cell with free space that a point is in.
+    fn at(&self, point: DVec2) -> Option<usize> {
+        let cell = ((point - self.origin) / self.side_m).floor();
+        let is_inside =
+            cell.cmpge(DVec2::ZERO).all() && cell.x < self.columns as f64 && cell.y < self.rows as f64;
+        let number = is_inside.then(|| self.numbers[cell.y as usize * self.columns + cell.x as usize])?;
+        (number != NOT_FREE).then_some(number as usize)
     }
 }
 
@@ -198,71 +204,46 @@ fn viewpoint(geometry: &Geometry, corner: DVec2, cell_m: f64) -> Option<DVec2> {
         .min_by(|a, b| a.distance_squared(center).total_cmp(&b.distance_squared(center)))
 }
 
-/// K blocks, one from each of K equal stretches of wall.
-fn sample_blocks(model: &BlockModel, samples: u32, seed: u64) -> Vec<Rectangle> {
-    if model.expected_count() == 0.0 {
-        return Vec::new();
-    }
-    let draw = Draw::new(seed, Stage::Oracle, 0);
-    let stretch = model.wall_length_m() / f64::from(samples);
-    (0..samples)
-        .map(|i| {
-            let mut rng = draw.item(i);
-            let position = (f64::from(i) + rng.random::<f64>()) * stretch;
-            model.place(position, &mut rng).at(0.0)
-        })
-        .collect()
-}
-
-/// The rays from one point in all directions of the table.
-struct Rays<'a> {
-    model: &'a BlockModel,
-    blocks: Vec<Rectangle>,
+/// Casts the rays of a table.
+struct Rays {
+    blocks: BlockIntegral,
+    map: Arc<ExactRangeMap>,
     directions: Vec<DVec2>,
     bin_m: f64,
     max_range_m: f64,
-    entries: usize,
+    /// A nominal range of this or more is that of a ray without a wall \[m\].
+    reach: f64,
 }
 
-impl Rays<'_> {
-    /// Survival along each ray from `origin`; `out` is zero and has \[heading\]\[entry\] order.
-    fn fill(&self, origin: DVec2, out: &mut [f32]) {
-        let headings = self.directions.len();
-        let per_radian = headings as f64 / TAU;
-        for block in &self.blocks {
-            let (center, radius) = block.circle();
-            let to_center = center - origin;
-            let distance = to_center.length();
-            if distance - radius > self.max_range_m || !self.model.is_clear(block, origin) {
-                continue;
-            }
-            // Only directions within the circle around the block can meet it.
-            let (first, count) = if distance <= radius {
-                (0, headings)
-            } else {
-                let middle = to_center.to_angle();
-                let half_angle = (radius / distance).asin();
-                let first = ((middle - half_angle) * per_radian).ceil();
-                let last = ((middle + half_angle) * per_radian).floor();
-                (first.rem_euclid(headings as f64) as usize, (last - first + 1.0).max(0.0) as usize)
-            };
-            for heading in first..first + count {
-                let heading = if heading < headings { heading } else { heading - headings };
-                if let Some(range) = block.first_hit(origin, self.directions[heading], self.max_range_m) {
-                    // The first entry beyond the hit; never entry 0, the origin itself.
-                    let entry = ((range / self.bin_m) as usize + 1).min(self.entries - 1);
-                    out[heading * self.entries + entry] += 1.0;
-                }
-            }
-        }
-        let blocks_per_sample = self.model.expected_count() / self.blocks.len().max(1) as f64;
-        for ray in out.chunks_mut(self.entries) {
+impl Rays {
+    /// The rays from `origin`.
+    fn panorama(&self, origin: DVec2) -> Panorama {
+        let mut counts = Vec::new();
+        let mut panorama = Panorama { rays: Vec::with_capacity(self.directions.len()), survival: Vec::new() };
+        for &direction in &self.directions {
+            let range = self.map.cast_ray(origin, direction, self.reach).map_or(self.reach, |hit| hit.range);
+            // What stands behind the wall is not in the way, and not what isn't aligned at one.
+            let limit = range.min(self.max_range_m);
+            let bins = (limit / self.bin_m) as usize + 1;
+            counts.clear();
+            counts.resize(bins, 0.0);
+            self.blocks.count_by_range(origin, direction, origin, limit, self.bin_m, &mut counts);
+            let first = counts.iter().position(|&count| count > 0.0).unwrap_or(bins);
+            let last = counts.iter().rposition(|&count| count > 0.0).map_or(first, |last| last + 1);
             let mut met = 0.0;
-            for entry in ray {
-                met += f64::from(*entry);
-                *entry = (-met * blocks_per_sample).exp() as f32;
-            }
+            panorama.survival.push(1.0);
+            panorama.survival.extend(counts[first..last].iter().map(|count| {
+                met += count;
+                f64::exp(-met) as f32
+            }));
+            panorama.rays.push(Ray {
+                range: range as f32,
+                start_m: (first as f64 * self.bin_m) as f32,
+                end: panorama.survival.len() as u32,
+            });
         }
+        panorama.survival.shrink_to_fit();
+        panorama
     }
 }
 
@@ -270,37 +251,34 @@ impl Rays<'_> {
 mod tests {
     use locsim_core::Pose2;
 
-    use super::super::fixtures::{block_options, laser_options, on_threads, room, room_map};
+    use super::super::fixtures::{block_options, laser_options, room, room_map};
     use super::super::{BlockOptions, LaserOptions, Simulator};
     use super::*;
     use crate::effect::Effects;
 
     /// Two by three cells around (1, 1), (3, 1), .. (5, 3).
     fn options() -> ObstructionOptions {
-        ObstructionOptions { cell_m: 2.0, headings: 8, bin_m: 0.1, max_range_m: 8.0, samples: 200_000 }
+        ObstructionOptions { cell_m: 2.0, headings: 8, bin_m: 0.1, max_range_m: 8.0, shapes: 8192 }
     }
 
     fn table(blocks: BlockOptions, options: &ObstructionOptions) -> ObstructionTable {
         let model = BlockModel::new(blocks, &room()).unwrap();
-        ObstructionTable::new(&model, &room_map(), options, 1).unwrap()
+        ObstructionTable::new(&model, &room_map(), options).unwrap()
     }
 
     /// Survival along a table's own rays, which start where the query does.
-    fn survival(table: &ObstructionTable, x: f64, y: f64, heading: f64) -> &[f32] {
+    fn survival(table: &ObstructionTable, x: f64, y: f64, heading: f64) -> Survival<'_> {
         let wall = room_map().cast_ray(DVec2::new(x, y), DVec2::from_angle(heading), 8.0);
-        let survival = table.survival(x, y, heading, wall.map_or(8.0, |hit| hit.range) as f32);
-        assert!(survival.start_m.abs() < 1e-5);
-        survival.probability
+        table.survival(x, y, heading, wall.map_or(8.0, |hit| hit.range) as f32)
     }
 
     fn viewpoints() -> impl Iterator<Item = DVec2> {
         [1.0, 3.0, 5.0].into_iter().flat_map(|x| [1.0, 3.0].map(|y| DVec2::new(x, y)))
     }
 
-    /// Greatest deviation between the table and the share of simulated readings beyond each entry, in
-    /// standard errors: binomial for the readings; for the table, Lambda is n/K times a count, with a
-    /// variance of at most n Lambda / K.
-    fn worst_deviation(table: &ObstructionTable, readings: &[Vec<f32>], blocks: f64) -> f64 {
+    /// Greatest deviation between the table and the share of simulated readings beyond each entry, in binomial
+    /// standard errors.
+    fn worst_deviation(table: &ObstructionTable, readings: &[Vec<f32>]) -> f64 {
         let mut worst = 0.0_f64;
         for (point, readings) in viewpoints().zip(readings) {
             let n = readings.len() / 8;
@@ -308,15 +286,15 @@ mod tests {
                 let angle = (beam + 1) as f64 / 8.0 * TAU - 0.5 * TAU;
                 let wall = room_map().cast_ray(point, DVec2::from_angle(angle), 8.0).unwrap().range;
                 let survival = survival(table, point.x, point.y, angle);
-                for (i, &survival) in survival.iter().enumerate() {
-                    let (s, survival) = (0.1 * i as f64, f64::from(survival));
+                for (i, &probability) in survival.probability.iter().enumerate() {
+                    let s = f64::from(survival.start_m) + 0.1 * i as f64;
+                    let survival = f64::from(probability);
                     let expected_hits = (1.0 - survival) * n as f64;
                     // Up to the wall, and where the normal approximation holds.
                     if s < wall && expected_hits > 50.0 {
                         let beyond = |scan: &&[f32]| f64::from(scan[beam]) > s;
                         let share = readings.chunks(8).filter(beyond).count() as f64 / n as f64;
-                        let variance = survival * (1.0 - survival) / n as f64
-                            + survival.powi(2) * -survival.ln() * blocks / 200_000.0;
+                        let variance = survival * (1.0 - survival) / n as f64;
                         worst = worst.max((share - survival).abs() / variance.sqrt());
                     }
                 }
@@ -336,7 +314,7 @@ mod tests {
         let per_pose = 20_000;
         let all = simulator.observe_many(poses.view(), per_pose, 3);
         let readings: Vec<Vec<f32>> = all.chunks(per_pose as usize * 8).map(<[f32]>::to_vec).collect();
-        let worst = |blocks| worst_deviation(&table(blocks, &options()), &readings, 20.0);
+        let worst = |blocks| worst_deviation(&table(blocks, &options()), &readings);
 
         let good = block_options();
         assert!(worst(good) < 6.15, "{}", worst(good));
@@ -360,21 +338,24 @@ mod tests {
         };
         let table = table(blocks, &ObstructionOptions { bin_m: 0.04, ..options() });
         let survival = survival(&table, 3.0, 1.0, -0.25 * TAU);
-        // From 1 m the fronts are at 0.7 m. Stratified places: the count is off by at most 2 in 4000.
-        for (i, &s) in survival.iter().enumerate().take(25) {
-            let expected: f64 = if (i as f64) * 0.04 < 0.7 { 1.0 } else { (-1.5_f64 * 0.4).exp() };
-            assert!((f64::from(s) - expected).abs() < 1e-3, "{i}: {s}");
-        }
+        // From 1 m the fronts are at 0.7 m.
+        // Between the last entry before and the first behind, a bin of 4 cm.
+        let Survival { probability, start_m } = survival;
+        assert!((start_m - 0.68).abs() < 1e-5, "{start_m}");
+        assert_eq!(probability.len(), 2);
+        assert!((f64::from(probability[1]) - (-1.5_f64 * 0.4).exp()).abs() < 1e-3, "{probability:?}");
     }
 
     #[test]
     fn survival_starts_at_one_and_never_increases() {
-        let table = table(block_options(), &ObstructionOptions { samples: 1000, ..options() });
+        let table = table(block_options(), &options());
         for point in viewpoints() {
             for heading in 0..8 {
                 let survival = survival(&table, point.x, point.y, f64::from(heading) * TAU / 8.0);
-                assert_eq!(survival.len(), 81);
+                assert!(survival.start_m >= 0.0);
+                let survival = survival.probability;
                 assert_eq!(survival[0], 1.0);
+                assert!((2..=81).contains(&survival.len()), "{}", survival.len());
                 assert!(survival.windows(2).all(|pair| pair[1] <= pair[0] && pair[1] > 0.0));
             }
         }
@@ -382,7 +363,7 @@ mod tests {
 
     #[test]
     fn queries_are_answered_by_the_nearest_cell_and_heading() {
-        let table = table(block_options(), &ObstructionOptions { samples: 1000, ..options() });
+        let table = table(block_options(), &options());
         let step = TAU / 8.0;
         let ray = |x, y, heading| table.survival(x, y, heading, 1.0).probability;
         for turns in -2..=2 {
@@ -400,25 +381,27 @@ mod tests {
     /// From (3, 1) the wall below is 1 m away; a query 0.2 m nearer to it has its blocks 0.2 m nearer.
     #[test]
     fn neighbouring_rays_are_aligned_at_their_walls() {
-        let table = table(block_options(), &ObstructionOptions { samples: 1000, ..options() });
+        let table = table(block_options(), &options());
         let down = -0.25 * TAU;
-        assert!((table.survival(3.0, 0.8, down, 0.8).start_m + 0.2).abs() < 1e-6);
-        assert_eq!(table.survival(3.0, 0.8, down, 12.0).start_m, 0.0, "an open ray has no wall to align");
+        let start = |y: f64, range: f32| table.survival(3.0, y, down, range).start_m;
+        assert!((start(1.0, 1.0) - start(0.8, 0.8) - 0.2).abs() < 1e-6);
+        assert_eq!(start(0.8, 12.0), start(1.0, 1.0), "an open ray has no wall to align");
     }
 
     #[test]
     fn no_blocks_are_never_in_the_way() {
         let table = table(BlockOptions { per_metre_of_wall: 0.0, ..block_options() }, &options());
-        assert!(survival(&table, 3.0, 1.0, 0.0).iter().all(|&s| s == 1.0));
+        assert_eq!(survival(&table, 3.0, 1.0, 0.0).probability, [1.0]);
     }
 
     #[test]
-    fn the_table_is_the_same_on_any_number_of_threads() {
-        let options = ObstructionOptions { cell_m: 0.5, samples: 500, ..options() };
-        let run = |threads| on_threads(threads, || table(block_options(), &options).survival);
-        let one = run(1);
-        assert_eq!(one, run(2));
-        assert_eq!(one, run(8));
+    fn cells_grow_until_their_rays_fit() {
+        let none = BlockOptions { per_metre_of_wall: 0.0, ..block_options() };
+        let side = |bin_m| table(none, &ObstructionOptions { cell_m: 0.15, bin_m, ..options() }).cells.side_m;
+        assert_eq!(side(0.1), 0.15);
+        // 8 rays of 80,002 entries: 781 cells in 24 square metres.
+        let side = side(1e-4);
+        assert!((0.17..0.2).contains(&side), "{side}");
     }
 
     #[test]
@@ -433,12 +416,15 @@ mod tests {
             (ObstructionOptions { cell_m: 1e-6, ..good }, "cells are more than"),
             (ObstructionOptions { headings: 0, ..good }, "headings of the obstruction table"),
             (ObstructionOptions { bin_m: f64::NAN, ..good }, "bin of the obstruction table [m]"),
-            (ObstructionOptions { bin_m: 1e-9, ..good }, "entries of the obstruction table are more than"),
+            (
+                ObstructionOptions { bin_m: 1e-9, ..good },
+                "entries per cell of the obstruction table are more",
+            ),
             (ObstructionOptions { max_range_m: -1.0, ..good }, "range of the obstruction table [m]"),
-            (ObstructionOptions { samples: 0, ..good }, "samples of the obstruction table"),
-            (ObstructionOptions { samples: 20_000_000, ..good }, "20000000 sampled blocks are more than"),
+            (ObstructionOptions { shapes: 0, ..good }, "shapes of the obstruction table"),
+            (ObstructionOptions { shapes: 200_000, ..good }, "200000 shapes are more than"),
         ] {
-            let error = ObstructionTable::new(&model, &room_map(), &options, 1).unwrap_err().to_string();
+            let error = ObstructionTable::new(&model, &room_map(), &options).err().unwrap().to_string();
             assert!(error.contains(message), "{error}");
         }
     }
