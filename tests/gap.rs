@@ -4,7 +4,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{Folder, edited, locsim, output};
+use common::{Folder, edited, output};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::{contains, is_empty};
 use serde_json::Value;
@@ -200,37 +200,4 @@ fn an_effect_is_explained_as_in_the_list() {
         .code(2)
         .stdout(is_empty())
         .stderr(contains("not an effect").and(contains("glass")));
-}
-
-/// A real laser, a real building, and a plain simulator of both: something is named, and on scans that the fit hasn't seen
-/// it closes most of the gap.
-#[test]
-fn a_measured_log_is_explained_for_the_most_part() {
-    let Some(data) = std::env::var_os("LOCSIM_DATA") else {
-        eprintln!("skipped: the gap of the Intel log, because LOCSIM_DATA is not set");
-        return;
-    };
-    let log = Path::new(&data).join("intel-corrected.log.gz");
-    let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios/gap/intel.yaml");
-    let folder = Folder::new();
-    let call = |line: String| {
-        let mut command = locsim(&folder.path(""), &line);
-        command.env("LOCSIM_MAPS", folder.path("maps")).assert().success()
-    };
-    std::fs::create_dir(folder.path("maps")).unwrap();
-    let log = log.display();
-    call(format!("map {log} --out maps/intel --resolution 0.05 --max-range 40 --share 0.3,1.0"));
-    let found = call(format!(
-        "gap {scenario} --log {log} --max-range 40 --replicates 99 --scans 120 --beams 36 --no-filter --out found --json"
-    ));
-    let outcome: Value = serde_json::from_str(&output(&found)).unwrap();
-    assert!(!outcome["effects"].as_array().unwrap().is_empty(), "{outcome:#}");
-    let number = |value: &Value| value.as_f64().unwrap();
-    let gap = &outcome["gap"];
-    assert!(number(&gap["gained_nats_per_scan"]) > 0.0, "{gap:#}");
-    assert!(number(&gap["closed"]["value"]) > 0.5, "{gap:#}");
-    assert!(
-        number(&gap["after"]["log_score_nats_per_scan"]) > number(&gap["before"]["log_score_nats_per_scan"]),
-        "{gap:#}"
-    );
 }

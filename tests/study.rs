@@ -289,13 +289,7 @@ fn the_papers_studies_run() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let folder = Folder::new();
     let out = folder.path("results");
-    let mut studies = vec!["laser", "field_sensor", "grass", "table"];
-    if std::env::var_os("LOCSIM_DATA").is_some() {
-        studies.push("static_lidar");
-    } else {
-        eprintln!("skipped: static_lidar.yaml on measured scans, because LOCSIM_DATA is not set");
-    }
-    for study in studies {
+    for study in ["laser", "field_sensor", "grass", "table"] {
         let line =
             format!("study scenarios/paper/{study}.yaml --quick --repeats 1 --quiet --out {}", out.display());
         locsim(&root, &line).assert().success();

@@ -298,8 +298,8 @@ pub fn describe(model: &str) -> Option<&'static str> {
         NP_REG => "histograms smoothed over the beam's state (the paper's procedure 2, as published)",
         REGISTERED => "the same on readings minus nominal ranges, with a point mass at the maximum range",
         "oracle" => {
-            "the true density of one beam, by Monte Carlo over the world's own blocks: the best that a model of \
-             single beams can be"
+            "the true density of one beam, from the blocks and the noise of the simulated world (no other effect), on \
+             a lattice of cells and headings: about the best that a model of single beams can be"
         }
         _ => return None,
     })

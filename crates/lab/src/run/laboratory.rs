@@ -357,7 +357,8 @@ fn obstructions(simulator: &Simulator) -> Result<Arc<dyn Obstructions>, Simulati
     Ok(Arc::new(ObstructionTable::new(blocks, simulator.map(), &options)?))
 }
 
-/// How finely the oracle integrates over blocks; its rays are as long as the laser's.
+/// The lattice of the oracle; its rays are as long as the laser's. A finer one brings it a little nearer to the true bound
+/// (docs/DESIGN.md).
 const OBSTRUCTIONS: ObstructionOptions =
     ObstructionOptions { cell_m: 0.075, headings: 360, bin_m: 0.05, max_range_m: 0.0, shapes: 128 };
 

@@ -169,7 +169,7 @@ pub enum ModelName {
     NpReg,
     /// NP-REG on readings relative to the nominal range, with a point mass at maximum range.
     NpRegRegistered,
-    /// The true density, by Monte Carlo over the simulated blocks; simulation only.
+    /// The true density, from the simulated blocks on a lattice of cells and headings; simulation only.
     Oracle,
 }
 
