@@ -164,8 +164,20 @@ pub struct Gap {
     pub gained_nats_per_scan: f64,
     /// What the best further effect would gain on held-out blocks (nats per scan), 0 where none would.
     pub remaining_nats_per_scan: f64,
-    /// Share of the gap that is closed: gained / (gained + remaining).
+    /// Share of the gap that is closed: gained / (gained + remaining), and no more than
+    /// [`closed_in_ranges`](Self::closed_in_ranges).
     pub closed: Estimate,
+    /// Share by which the distance of range errors came down to its floor: 1 where it did, below 0 where it grew. `None`
+    /// where it was at its floor before and after, so that it says nothing.
+    pub closed_in_ranges: Option<f64>,
+}
+
+impl Gap {
+    /// Share of the log score that is gained, of what effects of the library could gain on held-out scans.
+    pub fn gained_share(&self) -> f64 {
+        let all = self.gained_nats_per_scan + self.remaining_nats_per_scan;
+        if self.gained_nats_per_scan > 0.0 { self.gained_nats_per_scan / all } else { 0.0 }
+    }
 }
 
 /// What the gap does to a filter on the measured log.

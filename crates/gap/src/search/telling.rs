@@ -18,6 +18,7 @@ use crate::outcome::{
 use crate::replay::Replay;
 use crate::show::{Side, distance, histograms, locate, pits};
 use crate::statistics::{Aim, Group, Hint};
+use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// Step of the bootstrap of the closed share.
@@ -199,13 +200,55 @@ impl<'a> State<'a> {
             log_score_nats_per_scan: total / scans,
             w1_mm,
         };
+        let range_floor = RangeFloor::of(view, new);
+        let [old_mm, new_mm] = [old, new].map(|logs| distance(view, self.recorded, logs));
+        let closed_in_ranges = range_floor.closed(old_mm, new_mm);
+        let at_most = |share: f64| closed_in_ranges.map_or(share, |most| share.min(most.max(0.0)));
         Gap {
-            before: score(before.fitted.total(), distance(view, self.recorded, old)),
-            after: score(after.fitted.total(), distance(view, self.recorded, new)),
-            floor: score(floor, distance(view, &new[0], &new[1..])),
+            before: score(before.fitted.total(), old_mm),
+            after: score(after.fitted.total(), new_mm),
+            floor: score(floor, range_floor.mean_mm),
             gained_nats_per_scan: total(&gained) / scans,
             remaining_nats_per_scan: total(&rest).max(0.0) / scans,
-            closed,
+            closed: Estimate { value: at_most(closed.value), lo: at_most(closed.lo), hi: at_most(closed.hi) },
+            closed_in_ranges,
+        }
+    }
+}
+
+/// Distance of range errors of one simulated log from others of the same simulator \[mm\].
+#[derive(Clone, Copy, Debug)]
+struct RangeFloor {
+    mean_mm: f64,
+    deviation_mm: f64,
+}
+
+impl RangeFloor {
+    /// That of some logs, each held against the others.
+    fn of(views: &Views, logs: &[Recorded]) -> Self {
+        let distances: Vec<f64> = (0..logs.len())
+            .into_par_iter()
+            .map(|i| {
+                let others: Vec<Recorded> = [&logs[..i], &logs[i + 1..]].concat();
+                distance(views, &logs[i], &others)
+            })
+            .collect();
+        let n = distances.len() as f64;
+        let mean_mm = distances.iter().sum::<f64>() / n;
+        let squares: f64 = distances.iter().map(|d| (d - mean_mm).powi(2)).sum();
+        Self { mean_mm, deviation_mm: (squares / (n - 1.0)).sqrt() }
+    }
+
+    /// The share of what is above the floor that is gone; `None` where both are at the floor, to within two of its
+    /// deviations.
+    fn closed(&self, before_mm: f64, after_mm: f64) -> Option<f64> {
+        let visible = |distance_mm: f64| distance_mm > self.mean_mm + 2.0 * self.deviation_mm;
+        match (visible(before_mm), visible(after_mm)) {
+            (false, false) => None,
+            // It was as near as can be, and isn't any more.
+            (false, true) => Some(0.0),
+            (true, false) => Some(1.0),
+            (true, true) => Some((before_mm - after_mm) / (before_mm - self.mean_mm)),
         }
     }
 }
@@ -269,4 +312,19 @@ fn notes(nominal: &Nominal, resample: BlockResampling) -> Vec<String> {
         ));
     }
     notes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_count_as_closed_as_far_as_they_came_down_to_their_floor() {
+        let floor = RangeFloor { mean_mm: 10.0, deviation_mm: 1.0 };
+        assert_eq!(floor.closed(30.0, 15.0), Some(0.75));
+        assert_eq!(floor.closed(30.0, 11.0), Some(1.0), "at its floor");
+        assert_eq!(floor.closed(30.0, 50.0), Some(-1.0));
+        assert_eq!(floor.closed(11.9, 11.0), None, "too little to be seen in ranges");
+        assert_eq!(floor.closed(11.9, 30.0), Some(0.0), "away from where it was");
+    }
 }

@@ -1,6 +1,6 @@
 //! What was found, in a few sentences for people: angles in degrees, numbers with the digits that they are worth.
 
-use locsim_gap::{Covariate, Deviation, Estimate, Named, Outcome, Region, Verdict};
+use locsim_gap::{Covariate, Deviation, Estimate, Gap, Named, Outcome, Region, Verdict};
 use locsim_world::effect::{EffectKind, Parameter};
 
 use crate::report::text::fixed;
@@ -93,22 +93,47 @@ pub(super) fn others(named: &Named) -> impl Iterator<Item = EffectKind> + '_ {
 fn gap(outcome: &Outcome) -> String {
     let gap = &outcome.gap;
     format!(
-        "Held-out gap {:.2} -> {:.2} nats per scan: {}. Range errors {:.1} -> {:.1} mm \
-         from the simulation's, floor {:.1} mm.",
+        "Held-out gap {:.2} -> {:.2} nats per scan: {}. Range errors {:.1} -> {:.1} mm from the simulation's, floor \
+         {:.1} mm.{}",
         gap.gained_nats_per_scan + gap.remaining_nats_per_scan,
         gap.remaining_nats_per_scan,
         closed(outcome),
         gap.before.w1_mm,
         gap.after.w1_mm,
-        gap.floor.w1_mm
+        gap.floor.w1_mm,
+        disagreement(&outcome.gap)
     )
 }
 
-/// "94 % closed [91, 97]".
+/// What to make of it where log score and ranges don't say the same, with a blank before it; empty where they do.
+pub(super) fn disagreement(gap: &Gap) -> String {
+    let share = gap.gained_share();
+    let percent = fixed(100.0 * share, 0);
+    match gap.closed_in_ranges {
+        None => {
+            " Ranges as a whole don't show this gap: they are at their floor before and after.".to_owned()
+        }
+        Some(ranges) if ranges >= share => String::new(),
+        Some(ranges) if ranges <= 0.0 => format!(
+            " The two disagree, and the gap counts as open: the log score gains {percent} % of what effects of the \
+             library could gain, but the simulated ranges are no nearer to the measured ones. Something else is \
+             missing, or the effect has another form."
+        ),
+        Some(ranges) => format!(
+            " The smaller share counts: the log score gains {percent} % of what effects of the library could gain, the \
+             simulated ranges came {} % of the way to the measured ones.",
+            fixed(100.0 * ranges, 0)
+        ),
+    }
+}
+
+/// "94 % closed [91, 97]", or "gained" where the log score alone can tell.
 pub(super) fn closed(outcome: &Outcome) -> String {
     let closed = outcome.gap.closed;
     let [value, lo, hi] = [closed.value, closed.lo, closed.hi].map(|share| fixed(100.0 * share, 0));
-    format!("{value} % closed [{lo}, {hi}]")
+    // What ranges don't show isn't called closed.
+    let verb = if outcome.gap.closed_in_ranges.is_some() { "closed" } else { "gained" };
+    format!("{value} % {verb} [{lo}, {hi}]")
 }
 
 fn filter(outcome: &Outcome) -> Option<String> {

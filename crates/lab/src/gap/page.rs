@@ -102,6 +102,7 @@ fn markdown(
         rivals_table => (!outcome.rivals.is_empty()).then(|| rivals_table(outcome).to_markdown()),
         gap_table => gap_table(outcome).to_markdown(),
         closed => answer::closed(outcome),
+        disagreement => answer::disagreement(&outcome.gap),
         more_regions => outcome.regions.len().saturating_sub(SHOWN_REGIONS),
         false_alarm => significant(super::false_alarm(outcome.detection.replicates)),
         filter_table => filter_table(outcome).map(|table| table.to_markdown()),
