@@ -29,7 +29,7 @@ pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
     turn,
 };
-pub use model::{DistanceMap, Knows, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
+pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
 pub use weights::{WeightError, Weights};

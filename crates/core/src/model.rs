@@ -61,7 +61,7 @@ pub struct Survival<'a> {
 
 /// What a sensor model looks at, besides the reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Knows {
+pub enum DependsOn {
     /// Nominal range and incidence of the beam.
     State,
     /// Where the reading ends, and whether it is a return.
@@ -99,8 +99,8 @@ pub trait SensorModel: Send + Sync {
     fn sample(&self, beams: &Beams<'_>, draw: &Draw, out: &mut [f32]);
 
     /// What the density depends on, which tells how the model can be prepared as a table.
-    fn knows(&self) -> Knows {
-        Knows::State
+    fn depends_on(&self) -> DependsOn {
+        DependsOn::State
     }
 
     /// The model as a table, if it has been prepared as one; a filter then asks nothing else.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
-use locsim_world::effect::{Alternative, BeamView, Effects, Met, ReadingLaw};
+use locsim_world::effect::{Alternative, BeamView, Effects, HitKind, ReadingDistribution};
 use locsim_world::simulation::LaserOptions;
 use statrs::function::erf::erfc;
 
@@ -23,7 +23,7 @@ pub(crate) struct Terms {
     pub density: f64,
     /// Probability that the reading is of the surface itself, given the reading.
     pub hit: f64,
-    /// Density of the law of the unobstructed beam.
+    /// Density of the distribution of the unobstructed beam.
     pub clear_density: f64,
     /// Probability that no block stands before the surface.
     pub clear: f64,
@@ -42,29 +42,33 @@ pub(crate) fn normal_cdf(t: f64) -> f64 {
     0.5 * erfc(-t * FRAC_1_SQRT_2)
 }
 
-/// Density of a reading of what a law's beam met, alternatives left out: normal with tails, cut at the maximum range.
-fn return_density(law: &ReadingLaw, z: f64, max: f64) -> f64 {
-    let [tail, factor] = law.tail;
+/// Density of a reading of what a distribution's beam met, alternatives left out: normal with tails, cut at the maximum range.
+fn return_density(distribution: &ReadingDistribution, z: f64, max: f64) -> f64 {
+    let [tail, factor] = distribution.tail;
     let one = |sigma: f64| {
-        if law.mean.is_infinite() {
+        if distribution.mean.is_infinite() {
             f64::from(u8::from(z >= max))
         } else if z >= max {
-            normal_cdf((law.mean - max) / sigma)
-        } else if law.step_m > FINE_STEP * sigma {
-            let half = 0.5 * law.step_m;
-            let (a, b) = ((z - half - law.mean) / sigma, (z + half - law.mean) / sigma);
-            (normal_cdf(b) - normal_cdf(a)) / law.step_m
+            normal_cdf((distribution.mean - max) / sigma)
+        } else if distribution.step_m > FINE_STEP * sigma {
+            let half = 0.5 * distribution.step_m;
+            let (a, b) = ((z - half - distribution.mean) / sigma, (z + half - distribution.mean) / sigma);
+            (normal_cdf(b) - normal_cdf(a)) / distribution.step_m
         } else {
-            normal_density((z - law.mean) / sigma) / sigma
+            normal_density((z - distribution.mean) / sigma) / sigma
         }
     };
-    if tail > 0.0 { (1.0 - tail) * one(law.sigma) + tail * one(factor * law.sigma) } else { one(law.sigma) }
+    if tail > 0.0 {
+        (1.0 - tail) * one(distribution.sigma) + tail * one(factor * distribution.sigma)
+    } else {
+        one(distribution.sigma)
+    }
 }
 
-/// Density of the alternatives of a law, and the probability that none of them comes to pass.
-fn alternatives_density(law: &ReadingLaw, z: f64, max: f64) -> (f64, f64) {
+/// Density of the alternatives of a distribution, and the probability that none of them comes to pass.
+fn alternatives_density(distribution: &ReadingDistribution, z: f64, max: f64) -> (f64, f64) {
     let (mut density, mut rest) = (0.0, 1.0);
-    for &(probability, alternative) in law.alternatives.as_slice() {
+    for &(probability, alternative) in distribution.alternatives.as_slice() {
         let weight = rest * probability;
         density += weight * alternative_density(alternative, z, max);
         rest -= weight;
@@ -108,7 +112,7 @@ impl Density<'_> {
     /// What a reading `z` says; `shift` is added to the range of what stands there \[m\].
     pub fn terms(&self, beam: &Beam, shift: f64, z: f64) -> Terms {
         let max = self.laser.max_range_m;
-        let wall = self.wall_law(beam, shift);
+        let wall = self.wall_reading(beam, shift);
         let range = beam.range() + shift;
         let clear = (self.blocks * beam.log_clear).exp();
         let (alternatives, rest) = alternatives_density(&wall, z, max);
@@ -141,22 +145,22 @@ impl Density<'_> {
         }
     }
 
-    /// The law of a beam that no block is in the way of.
-    fn wall_law(&self, beam: &Beam, shift: f64) -> ReadingLaw {
+    /// The distribution of a beam that no block is in the way of.
+    fn wall_reading(&self, beam: &Beam, shift: f64) -> ReadingDistribution {
         let range = beam.range() + shift;
         let view = BeamView { range: beam.view.range + shift, ..beam.view };
-        self.effects.law(self.laser, &view, Met::Wall, range)
+        self.effects.reading(self.laser, &view, HitKind::Wall, range)
     }
 
     /// In the measure of the laser's own steps: a coarser step gathers the probability of several.
-    fn with_step(&self, law: &ReadingLaw, z: f64, density: f64, short: f64) -> (f64, f64) {
+    fn with_step(&self, distribution: &ReadingDistribution, z: f64, density: f64, short: f64) -> (f64, f64) {
         let own = self.laser.resolution_m.max(FINEST_STEP_M);
-        if law.step_m <= 1.000_001 * own || z >= self.laser.max_range_m {
+        if distribution.step_m <= 1.000_001 * own || z >= self.laser.max_range_m {
             return (density, short);
         }
-        let steps = z / law.step_m;
-        let on_grid = (steps - steps.round()).abs() * law.step_m < 0.5 * own;
-        let factor = if on_grid { law.step_m / own } else { 0.0 };
+        let steps = z / distribution.step_m;
+        let on_grid = (steps - steps.round()).abs() * distribution.step_m < 0.5 * own;
+        let factor = if on_grid { distribution.step_m / own } else { 0.0 };
         (factor * density, factor * short)
     }
 
@@ -168,39 +172,45 @@ impl Density<'_> {
         }
         let max = self.laser.max_range_m;
         let range = if z < max { z } else { 0.5 * beam.range().min(max) };
-        alternatives_density(&self.effects.law(self.laser, &beam.view, Met::Object, range), z, max)
+        alternatives_density(&self.effects.reading(self.laser, &beam.view, HitKind::Object, range), z, max)
     }
 
     /// P(reading <= z), for z below the maximum range.
     pub fn cdf(&self, beam: &Beam, shift: f64, z: f64) -> f64 {
         let range = beam.range() + shift;
-        let law_cdf = |law: &ReadingLaw, below: &dyn Fn(&ReadingLaw) -> f64| {
+        let mixture_cdf = |distribution: &ReadingDistribution,
+                           below: &dyn Fn(&ReadingDistribution) -> f64| {
             let (mut cdf, mut rest) = (0.0, 1.0);
-            for &(probability, alternative) in law.alternatives.as_slice() {
+            for &(probability, alternative) in distribution.alternatives.as_slice() {
                 let weight = rest * probability;
                 cdf += weight * alternative_cdf(alternative, z);
                 rest -= weight;
             }
-            cdf + rest * below(law)
+            cdf + rest * below(distribution)
         };
-        let wall = self.wall_law(beam, shift);
+        let wall = self.wall_reading(beam, shift);
         let clear = (self.blocks * beam.log_clear).exp();
         let mut cdf = clear
-            * law_cdf(&wall, &|law| {
-                let [tail, factor] = law.tail;
-                let one =
-                    |sigma: f64| if law.mean.is_finite() { normal_cdf((z - law.mean) / sigma) } else { 0.0 };
+            * mixture_cdf(&wall, &|distribution| {
+                let [tail, factor] = distribution.tail;
+                let one = |sigma: f64| {
+                    if distribution.mean.is_finite() {
+                        normal_cdf((z - distribution.mean) / sigma)
+                    } else {
+                        0.0
+                    }
+                };
                 if tail > 0.0 {
-                    (1.0 - tail) * one(law.sigma) + tail * one(factor * law.sigma)
+                    (1.0 - tail) * one(distribution.sigma) + tail * one(factor * distribution.sigma)
                 } else {
-                    one(law.sigma)
+                    one(distribution.sigma)
                 }
             });
         if clear < 1.0 {
             let survival = beam.survival_at((z - shift).min(range)).0.max(1e-12).powf(self.blocks).max(clear);
             let share = ((1.0 - survival) / (1.0 - clear)).clamp(0.0, 1.0);
-            let object = self.effects.law(self.laser, &beam.view, Met::Object, z.min(range));
-            cdf += (1.0 - clear) * law_cdf(&object, &|_| share);
+            let object = self.effects.reading(self.laser, &beam.view, HitKind::Object, z.min(range));
+            cdf += (1.0 - clear) * mixture_cdf(&object, &|_| share);
         }
         cdf.clamp(0.0, 1.0)
     }

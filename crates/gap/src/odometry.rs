@@ -42,8 +42,8 @@ pub(crate) fn increments(
     let steps = track.windows(2).zip(truth).zip(read);
     steps
         .map(|((pair, truth), read)| {
-            let law = effects.odometry(&pair[1].relative_to(&pair[0]));
-            let [mean] = [Recorded::increments(&[Pose2::IDENTITY, law.mean])[0]];
+            let distribution = effects.odometry(&pair[1].relative_to(&pair[0]));
+            let [mean] = [Recorded::increments(&[Pose2::IDENTITY, distribution.mean])[0]];
             let [distance, turn] = mean.map(|value| value * value);
             // Two rotations are half of a smooth turn each; a turn in place is one.
             let share = if distance > 1e-4 { 0.5 } else { 1.0 };

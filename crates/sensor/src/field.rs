@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use locsim_core::{Beams, DistanceMap, Draw, Knows, SensorModel};
+use locsim_core::{Beams, DependsOn, DistanceMap, Draw, SensorModel};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
@@ -157,8 +157,8 @@ impl SensorModel for LikelihoodField {
         ModelKind::LikelihoodField.as_str()
     }
 
-    fn knows(&self) -> Knows {
-        Knows::Endpoint
+    fn depends_on(&self) -> DependsOn {
+        DependsOn::Endpoint
     }
 
     fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use locsim_core::{Beams, Draw, Knows, Obstructions, SensorModel, Survival};
+use locsim_core::{Beams, DependsOn, Draw, Obstructions, SensorModel, Survival};
 use rand::{Rng, RngExt};
 
 use crate::SensorError;
@@ -169,8 +169,8 @@ impl SensorModel for Oracle {
         Self::NAME
     }
 
-    fn knows(&self) -> Knows {
-        Knows::Everything
+    fn depends_on(&self) -> DependsOn {
+        DependsOn::Everything
     }
 
     fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use locsim_core::{
-    Beams, Draw, EndpointGrid, EndpointTable, Knows, LikelihoodGrid, LikelihoodTable, ModelTable, Poses,
+    Beams, DependsOn, Draw, EndpointGrid, EndpointTable, LikelihoodGrid, LikelihoodTable, ModelTable, Poses,
     SensorModel,
 };
 use rayon::prelude::*;
@@ -34,10 +34,10 @@ impl Prepared {
         states: LikelihoodGrid,
         endpoints: &EndpointGrid,
     ) -> Result<Self, SensorError> {
-        let table = match inner.knows() {
-            Knows::State => Table::State(over_states(&*inner, states)),
-            Knows::Endpoint => Table::Endpoint(over_endpoints(&*inner, states.max_range, endpoints)),
-            Knows::Everything => return Err(SensorError::NoTable { model: inner.name().to_owned() }),
+        let table = match inner.depends_on() {
+            DependsOn::State => Table::State(over_states(&*inner, states)),
+            DependsOn::Endpoint => Table::Endpoint(over_endpoints(&*inner, states.max_range, endpoints)),
+            DependsOn::Everything => return Err(SensorError::NoTable { model: inner.name().to_owned() }),
         };
         Ok(Self { inner, table })
     }

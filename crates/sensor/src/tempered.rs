@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use locsim_core::{Beams, Draw, Hits, Knows, Particles, SensorModel};
+use locsim_core::{Beams, DependsOn, Draw, Hits, Particles, SensorModel};
 use rand::RngExt;
 use rayon::prelude::*;
 
@@ -56,8 +56,8 @@ impl SensorModel for Tempered {
         self.inner.name()
     }
 
-    fn knows(&self) -> Knows {
-        self.inner.knows()
+    fn depends_on(&self) -> DependsOn {
+        self.inner.depends_on()
     }
 
     fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {

@@ -1,10 +1,10 @@
 //! The search: detect, locate, name, add, and stop when nothing is off any more.
 
-mod naming;
-mod path;
+mod initial_guess;
+mod outcome;
 mod precision;
-mod starts;
-mod telling;
+mod selection;
+mod stepwise;
 
 use std::cmp::Ordering;
 use std::sync::atomic::AtomicBool;
@@ -17,7 +17,7 @@ use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::null::{Null, compare};
 use crate::outcome::Outcome;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
-use crate::statistics::{Aim, Dictionary};
+use crate::statistics::{Dictionary, Target};
 use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// How a search is run.
@@ -58,7 +58,7 @@ const SOMEWHAT_OFF: f64 = 0.5;
 /// A score so many standard deviations off is of something strong.
 const BEYOND_DOUBT: f64 = 10.0;
 
-/// Is told how far a search is.
+/// Receives the progress of a search.
 pub trait Progress: Sync {
     /// A new stage of so many ticks begins.
     fn stage(&self, name: &str, ticks: u64);
@@ -84,8 +84,10 @@ struct Round<'a> {
 impl Round<'_> {
     /// Statistics of a kind of effect, by index.
     fn own(&self, kind: EffectKind) -> impl Iterator<Item = usize> {
-        let aims = self.dictionary.aims.iter().enumerate();
-        aims.filter(move |(_, aim)| matches!(aim, Aim::Effect(own, _) if *own == kind)).map(|(i, _)| i)
+        let targets = self.dictionary.targets.iter().enumerate();
+        targets
+            .filter(move |(_, target)| matches!(target, Target::Effect(own, _) if *own == kind))
+            .map(|(i, _)| i)
     }
 
     /// How much a statistic says: its weight, and where that is the same, how far it is off.

@@ -5,8 +5,8 @@ use locsim_world::effect::EffectKind;
 use locsim_world::effect::EffectKind as E;
 
 use super::{
-    Aim, Cell, Covariate, DROPOUT_ANGLES_DEG, DROPOUT_EXPONENTS, Deviation, Hint, OBJECT_CELL_M, RATIO_BIN,
-    RATIO_BINS, READINGS_ERR_M, SECTOR_RANGE_M, SECTORS, SLIP_SHARES, STEPS_M, WARM_UP_SECS, cell_at,
+    Cell, Covariate, DROPOUT_ANGLES_DEG, DROPOUT_EXPONENTS, Deviation, OBJECT_CELL_M, RATIO_BIN, RATIO_BINS,
+    READINGS_ERR_M, SECTOR_RANGE_M, SECTORS, SLIP_SHARES, STEPS_M, Seed, Target, WARM_UP_SECS, cell_at,
     just_seen, tangent_squared, wall_cell, wall_corner,
 };
 use crate::hypothesis::Comparison;
@@ -15,7 +15,7 @@ use crate::views::jumps;
 /// Statistic of what, in which log.
 #[derive(Clone)]
 pub(crate) struct Dictionary {
-    pub aims: Vec<Aim>,
+    pub targets: Vec<Target>,
     /// A count of rare events rather than a sum of scores.
     pub(super) counts: Vec<bool>,
     pub(super) dense: Vec<Dense>,
@@ -122,13 +122,13 @@ impl Dictionary {
         let max = comparison.nominal.laser.max_range_m;
         let (n, k) = (views.beams.len(), views.per_scan);
         let velocities = recorded.velocities();
-        let mut aims = Vec::new();
+        let mut targets = Vec::new();
         let mut counts = Vec::new();
         let mut dense: Vec<Dense> = Vec::new();
-        let mut add = |aims: &mut Vec<Aim>,
+        let mut add = |targets: &mut Vec<Target>,
                        counts: &mut Vec<bool>,
                        kind,
-                       hint,
+                       initial,
                        score,
                        weight: &dyn Fn(usize) -> f64| {
             let weights: Vec<f32> = (0..n).map(|i| weight(i) as f32).collect();
@@ -138,8 +138,8 @@ impl Dictionary {
                     just_seen(weights.iter().copied().map(f64::from).sum())
                 }
             };
-            dense.push(Dense { score, index: aims.len(), weights, share: share as f32 });
-            aims.push(Aim::Effect(kind, hint));
+            dense.push(Dense { score, index: targets.len(), weights, share: share as f32 });
+            targets.push(Target::Effect(kind, initial));
             counts.push(false);
         };
         let beam = |i: usize| &views.beams[i];
@@ -155,50 +155,50 @@ impl Dictionary {
             let (j, heading) = (beam(i).jacobian, recorded.poses[scan(i)].theta + axis);
             j[0] * heading.cos() + j[1] * heading.sin()
         };
-        let (a, c) = (&mut aims, &mut counts);
-        add(a, c, E::RangeBias, Hint::None, Score::Location, &|_| 1.0);
-        add(a, c, E::RangeScale, Hint::None, Score::Location, &|i| beam(i).range());
-        add(a, c, E::IncidenceBias, Hint::None, Score::Location, &|i| {
+        let (a, c) = (&mut targets, &mut counts);
+        add(a, c, E::RangeBias, Seed::None, Score::Location, &|_| 1.0);
+        add(a, c, E::RangeScale, Seed::None, Score::Location, &|i| beam(i).range());
+        add(a, c, E::IncidenceBias, Seed::None, Score::Location, &|i| {
             tangent_squared(beam(i).view.incidence)
         });
-        add(a, c, E::MountYaw, Hint::None, Score::Location, &|i| beam(i).jacobian[2]);
-        add(a, c, E::MountOffset, Hint::Values(vec![(0, 0.02), (1, 0.0)]), Score::Location, &|i| {
+        add(a, c, E::MountYaw, Seed::None, Score::Location, &|i| beam(i).jacobian[2]);
+        add(a, c, E::MountOffset, Seed::Values(vec![(0, 0.02), (1, 0.0)]), Score::Location, &|i| {
             along(i, 0.0)
         });
-        add(a, c, E::MountOffset, Hint::Values(vec![(0, 0.0), (1, 0.02)]), Score::Location, &|i| {
+        add(a, c, E::MountOffset, Seed::Values(vec![(0, 0.0), (1, 0.02)]), Score::Location, &|i| {
             along(i, 0.5 * PI)
         });
-        add(a, c, E::TimeOffset, Hint::None, Score::Location, &drift);
-        add(a, c, E::MotionSkew, Hint::None, Score::Location, &|i| drift(i) * sweep(i));
+        add(a, c, E::TimeOffset, Seed::None, Score::Location, &drift);
+        add(a, c, E::MotionSkew, Seed::None, Score::Location, &|i| drift(i) * sweep(i));
         for tau in WARM_UP_SECS {
-            let hint = Hint::Values(vec![(1, tau)]);
-            add(a, c, E::WarmupDrift, hint, Score::Location, &|i| (-secs(i) / tau).exp());
+            let initial = Seed::Values(vec![(1, tau)]);
+            add(a, c, E::WarmupDrift, initial, Score::Location, &|i| (-secs(i) / tau).exp());
         }
-        add(a, c, E::RangeNoise, Hint::None, Score::Scale, &|i| {
+        add(a, c, E::RangeNoise, Seed::None, Score::Scale, &|i| {
             let (r, laser) = (beam(i).range(), &comparison.nominal.laser);
             r * r / (laser.sigma_m + laser.sigma_per_m * r)
         });
-        add(a, c, E::IncidenceNoise, Hint::None, Score::Scale, &|i| tangent_squared(beam(i).view.incidence));
-        add(a, c, E::HeavyTail, Hint::None, Score::Tail, &|_| 1.0);
+        add(a, c, E::IncidenceNoise, Seed::None, Score::Scale, &|i| tangent_squared(beam(i).view.incidence));
+        add(a, c, E::HeavyTail, Seed::None, Score::Tail, &|_| 1.0);
         for angle in DROPOUT_ANGLES_DEG.map(f64::to_radians) {
-            let hint = Hint::Values(vec![(1, angle)]);
-            add(a, c, E::IncidenceDropout, hint, Score::NoReturn, &|i| {
+            let initial = Seed::Values(vec![(1, angle)]);
+            add(a, c, E::IncidenceDropout, initial, Score::NoReturn, &|i| {
                 1.0 / (1.0 + (-(beam(i).view.incidence - angle) / 0.07).exp())
             });
         }
         for exponent in DROPOUT_EXPONENTS {
-            let hint = Hint::Values(vec![(1, exponent)]);
-            add(a, c, E::RangeDropout, hint, Score::NoReturn, &|i| {
+            let initial = Seed::Values(vec![(1, exponent)]);
+            add(a, c, E::RangeDropout, initial, Score::NoReturn, &|i| {
                 (beam(i).range() / max).min(1.0).powf(exponent)
             });
         }
-        add(a, c, E::Crosstalk, Hint::None, Score::Uniform, &|_| 1.0);
+        add(a, c, E::Crosstalk, Seed::None, Score::Uniform, &|_| 1.0);
 
         // sparse ones
-        let push = |aims: &mut Vec<Aim>, counts: &mut Vec<bool>, aim, count| {
-            aims.push(aim);
+        let push = |targets: &mut Vec<Target>, counts: &mut Vec<bool>, target, count| {
+            targets.push(target);
             counts.push(count);
-            aims.len() - 1
+            targets.len() - 1
         };
         let mut wall_cells: HashMap<[i32; 2], u32> = HashMap::new();
         let mut wall_order = Vec::new();
@@ -231,43 +231,43 @@ impl Dictionary {
             *share = just_seen(*share);
         }
         let [moved_wall, glass] = [E::MovedWall, E::Glass].map(|kind| {
-            let first = aims.len();
+            let first = targets.len();
             let pairs = wall_pairs.iter().map(|pair| pair.map(|i| wall_order[i as usize]));
             for cells in wall_order.iter().map(|&cell| [cell; 2]).chain(pairs) {
-                push(&mut aims, &mut counts, Aim::Effect(kind, Hint::Wall(cells)), false);
+                push(&mut targets, &mut counts, Target::Effect(kind, Seed::Wall(cells)), false);
             }
             first
         });
-        let mixed = push(&mut aims, &mut counts, Aim::Effect(E::MixedPixels, Hint::None), false);
-        let steps = aims.len();
+        let mixed = push(&mut targets, &mut counts, Target::Effect(E::MixedPixels, Seed::None), false);
+        let steps = targets.len();
         for step in STEPS_M {
             for _ in 0..2 {
                 push(
-                    &mut aims,
+                    &mut targets,
                     &mut counts,
-                    Aim::Effect(E::Quantization, Hint::Values(vec![(0, step)])),
+                    Target::Effect(E::Quantization, Seed::Values(vec![(0, step)])),
                     false,
                 );
             }
         }
-        let depth = push(&mut aims, &mut counts, Aim::Effect(E::BlockDepth, Hint::None), false);
-        let density = push(&mut aims, &mut counts, Aim::Effect(E::BlockDensity, Hint::None), false);
-        let odometry = aims.len();
+        let depth = push(&mut targets, &mut counts, Target::Effect(E::BlockDepth, Seed::None), false);
+        let density = push(&mut targets, &mut counts, Target::Effect(E::BlockDensity, Seed::None), false);
+        let odometry = targets.len();
         for kind in [E::OdomDistanceScale, E::OdomTurnScale, E::OdomImbalance] {
-            push(&mut aims, &mut counts, Aim::Effect(kind, Hint::None), false);
+            push(&mut targets, &mut counts, Target::Effect(kind, Seed::None), false);
         }
         for share in SLIP_SHARES {
-            let hint = Hint::Values(vec![(1, share)]);
-            push(&mut aims, &mut counts, Aim::Effect(E::WheelSlip, hint), false);
+            let initial = Seed::Values(vec![(1, share)]);
+            push(&mut targets, &mut counts, Target::Effect(E::WheelSlip, initial), false);
         }
-        let patterns = aims.len();
-        for (kind, hint) in [
-            (E::MountYaw, Hint::None),
-            (E::MountOffset, Hint::Values(vec![(0, 0.02), (1, 0.0)])),
-            (E::MountOffset, Hint::Values(vec![(0, 0.0), (1, 0.02)])),
-            (E::TimeOffset, Hint::None),
+        let patterns = targets.len();
+        for (kind, initial) in [
+            (E::MountYaw, Seed::None),
+            (E::MountOffset, Seed::Values(vec![(0, 0.02), (1, 0.0)])),
+            (E::MountOffset, Seed::Values(vec![(0, 0.0), (1, 0.02)])),
+            (E::TimeOffset, Seed::None),
         ] {
-            push(&mut aims, &mut counts, Aim::Effect(kind, hint), false);
+            push(&mut targets, &mut counts, Target::Effect(kind, initial), false);
         }
         // Where unmapped objects can be seen: along the beams, up to their ends.
         let mut objects = HashMap::new();
@@ -289,7 +289,7 @@ impl Dictionary {
             objects.insert(*cell, i as u32);
         }
         // Overlapping windows of four cells: what stands on a border isn't shared out.
-        let first_object = aims.len();
+        let first_object = targets.len();
         let readings_err = READINGS_ERR_M.max(5.0 * comparison.nominal.laser.sigma_m);
         // Of windows around points of a lattice.
         let reach = views.blocks_in_reach(OBJECT_CELL_M, OBJECT_CELL_M + readings_err);
@@ -298,18 +298,18 @@ impl Dictionary {
             let window = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]];
             among_blocks.push(reach.contains(&[x + 1, y + 1]));
             object_windows.push(window.map(|cell| objects.get(&cell).copied().unwrap_or(u32::MAX)));
-            push(&mut aims, &mut counts, Aim::Effect(E::MissingObject, Hint::Object([x, y])), true);
+            push(&mut targets, &mut counts, Target::Effect(E::MissingObject, Seed::Object([x, y])), true);
         }
         let sector_ranges = (max / SECTOR_RANGE_M).ceil().min(24.0) as usize;
-        let sector = aims.len();
+        let sector = targets.len();
         let (first, last) = (f64::from(bearings[0]), f64::from(bearings[k - 1]));
         let width = (last - first) / SECTORS as f64;
         for s in 0..SECTORS - 1 {
             for r in 0..sector_ranges - 1 {
                 let from = first + s as f64 * width;
                 let range = (r as f64 + 1.0) * SECTOR_RANGE_M;
-                let hint = Hint::Values(vec![(0, from), (1, from + 2.0 * width), (2, range)]);
-                push(&mut aims, &mut counts, Aim::Effect(E::SectorOcclusion, hint), true);
+                let initial = Seed::Values(vec![(0, from), (1, from + 2.0 * width), (2, range)]);
+                push(&mut targets, &mut counts, Target::Effect(E::SectorOcclusion, initial), true);
             }
         }
         let sector_of = bearings
@@ -346,7 +346,7 @@ impl Dictionary {
             jump_edges.len() - 1,
             (coarse_bearing.len() - 1) * (coarse_turn.len() - 1),
         ];
-        let cells = aims.len();
+        let cells = targets.len();
         let mut starts = [0; COVARIATES];
         let mut next = 0;
         for (start, size) in starts.iter_mut().zip(sizes) {
@@ -387,30 +387,30 @@ impl Dictionary {
                 for deviation in Deviation::OF_BINS {
                     let count = matches!(deviation, Deviation::Short | Deviation::NoReturn | Deviation::Long);
                     push(
-                        &mut aims,
+                        &mut targets,
                         &mut counts,
-                        Aim::Cell(Cell { covariate, lo, hi, place, deviation }),
+                        Target::Cell(Cell { covariate, lo, hi, place, deviation }),
                         count,
                     );
                 }
             }
         }
-        let whole = aims.len();
+        let whole = targets.len();
         for deviation in [Deviation::Mean, Deviation::Short, Deviation::NoReturn] {
             let cell = Cell { covariate: Covariate::Scan, lo: 0.0, hi: 0.0, place: None, deviation };
-            push(&mut aims, &mut counts, Aim::Cell(cell), false);
+            push(&mut targets, &mut counts, Target::Cell(cell), false);
         }
         for tenth in 0..10 {
             let (lo, hi) = (0.1 * f64::from(tenth), 0.1 * f64::from(tenth + 1));
             let cell = Cell { covariate: Covariate::Pit, lo, hi, place: None, deviation: Deviation::Share };
-            push(&mut aims, &mut counts, Aim::Cell(cell), false);
+            push(&mut targets, &mut counts, Target::Cell(cell), false);
         }
-        let ratios = aims.len();
+        let ratios = targets.len();
         for i in 0..RATIO_BINS {
             let lo = i as f64 * RATIO_BIN;
             let hi = if i + 1 == RATIO_BINS { MOST_RATIO } else { lo + RATIO_BIN };
             let cell = Cell { covariate: Covariate::Ratio, lo, hi, place: None, deviation: Deviation::Share };
-            push(&mut aims, &mut counts, Aim::Cell(cell), true);
+            push(&mut targets, &mut counts, Target::Cell(cell), true);
         }
         let cell_of = (0..n)
             .map(|i| {
@@ -436,7 +436,7 @@ impl Dictionary {
             })
             .collect();
         Self {
-            aims,
+            targets,
             counts,
             dense,
             max,
@@ -468,7 +468,7 @@ impl Dictionary {
     }
 
     pub fn len(&self) -> usize {
-        self.aims.len()
+        self.targets.len()
     }
 
     /// Index of the first omnibus cell; the library's directions come before.
@@ -499,14 +499,14 @@ impl Dictionary {
 
     /// How far a statistic at `z` standard deviations speaks for what it looks for: a share can't be negative.
     pub fn off(&self, index: usize, z: f64) -> f64 {
-        match self.aims[index] {
-            Aim::Effect(kind, _) if is_one_sided(kind) => z,
+        match self.targets[index] {
+            Target::Effect(kind, _) if is_one_sided(kind) => z,
             _ => z.abs(),
         }
     }
 
     pub(super) fn moves_scans(&self, index: usize) -> bool {
-        matches!(self.aims[index], Aim::Effect(E::MountYaw | E::MountOffset | E::TimeOffset, _))
+        matches!(self.targets[index], Target::Effect(E::MountYaw | E::MountOffset | E::TimeOffset, _))
     }
 
     /// Whether a statistic counts rare events.

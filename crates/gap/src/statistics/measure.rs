@@ -295,7 +295,7 @@ mod tests {
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
-    use crate::statistics::{Aim, Hint, pit_draw};
+    use crate::statistics::{Seed, Target, pit_draw};
     use crate::{PoseError, Recorded};
 
     /// Blocks three times as deep seem more than twice as deep, though nominal ones can't stand where most of them are seen.
@@ -328,8 +328,8 @@ mod tests {
             let dictionary = Dictionary::new(&comparison);
             let (fitted, none) = (comparison.start(&Nuisances::default()), Nuisances::default());
             let all = dictionary.of(&comparison, &NOMINAL.effects, &fitted, &none, &pit_draw(1));
-            let own = dictionary.aims.iter().zip(&all).filter(
-                |(aim, _)| matches!(aim, Aim::Effect(kind, Hint::Object(_) | Hint::Values(_)) if *kind == looked_for),
+            let own = dictionary.targets.iter().zip(&all).filter(
+                |(target, _)| matches!(target, Target::Effect(kind, Seed::Object(_) | Seed::Values(_)) if *kind == looked_for),
             );
             own.map(|(_, halves)| halves.iter().sum::<f64>()).fold(0.0, f64::max)
         };
@@ -352,12 +352,12 @@ mod tests {
         let dictionary = Dictionary::new(&comparison);
         let errors = [PoseError::NONE, Regime::POSE_ERROR];
         let nuisances = errors.map(|pose_error| Nuisances { pose_error, ..Nuisances::default() });
-        let offset = |aim: &Aim| matches!(aim, Aim::Effect(EffectKind::MountOffset, _));
+        let offset = |target: &Target| matches!(target, Target::Effect(EffectKind::MountOffset, _));
         let looked_at = |found: &Nuisances, hypothesis: &Nuisances| {
             let mut fitted = comparison.start(found);
             fitted.pattern_scores = [3.0; 4];
             let all = dictionary.of(&comparison, &NOMINAL.effects, &fitted, hypothesis, &pit_draw(1));
-            let of_offset = dictionary.aims.iter().zip(all).filter(|(aim, _)| offset(aim));
+            let of_offset = dictionary.targets.iter().zip(all).filter(|(target, _)| offset(target));
             of_offset.map(|(_, halves)| halves != [0.0; 2]).collect::<Vec<_>>()
         };
         for found in &nuisances {

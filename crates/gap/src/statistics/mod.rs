@@ -107,15 +107,15 @@ pub struct Cell {
 
 /// What a statistic looks for.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Aim {
+pub(crate) enum Target {
     /// An effect; the numbers start its fit: values, or a cell of the map.
-    Effect(EffectKind, Hint),
+    Effect(EffectKind, Seed),
     Cell(Cell),
 }
 
 /// Where a fit of an effect can start.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Hint {
+pub(crate) enum Seed {
     None,
     /// Value of a parameter other than the strength, by index.
     Values(Vec<(usize, f64)>),

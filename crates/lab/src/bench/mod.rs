@@ -29,7 +29,7 @@ pub use timing::Clock;
 pub use workload::{BeamParameters, Workload};
 
 use crate::run::Progress;
-use crate::run::laboratory::Place;
+use crate::run::laboratory::MapSet;
 use crate::scenario::ModelName;
 use figures::{CastTimes, Conditions, PlainLoop, Timings, UpdateTimes};
 use replay::{
@@ -48,7 +48,7 @@ const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
 /// A workload with everything that is measured on it.
 pub struct Bench {
     workload: Workload,
-    place: Place,
+    maps: MapSet,
     table: table::Table,
     models: Vec<BenchModel>,
 }
@@ -63,13 +63,13 @@ impl Bench {
         let distance = DistanceGrid::new(&workload.geometry, DISTANCE_GRID_M.0, DISTANCE_GRID_M.1)?;
         let exact = Arc::new(ExactRangeMap::new(workload.geometry.clone()));
         let table = table::build(&exact, clock, progress)?;
-        let place =
-            Place { exact, ranges: Arc::<RangeTable>::clone(&table.map), distance: Arc::new(distance) };
-        let models = train_models(&workload, &place, &TRAINING_WORLD, progress)?
+        let maps =
+            MapSet { exact, ranges: Arc::<RangeTable>::clone(&table.map), distance: Arc::new(distance) };
+        let models = train_models(&workload, &maps, &TRAINING_WORLD, progress)?
             .into_iter()
-            .map(|model| BenchModel::new(model, &workload.laser, &place.endpoints()))
+            .map(|model| BenchModel::new(model, &workload.laser, &maps.endpoints()))
             .collect::<Result<_, _>>()?;
-        Ok(Self { workload, place, table, models })
+        Ok(Self { workload, maps, table, models })
     }
 
     fn main_model(&self) -> &BenchModel {
@@ -93,7 +93,7 @@ impl Bench {
         };
         progress.stage("table against exact casts", 1);
         let main = self.main_model();
-        let (exact, table) = (&*self.place.exact, &*self.table.map);
+        let (exact, table) = (&*self.maps.exact, &*self.table.map);
         let prepared = &*main.prepared;
         let accuracy = accuracy::compare(&self.workload, exact, &*main.exact, table, prepared)?;
         progress.advance(1);
@@ -133,7 +133,7 @@ impl Bench {
         let one = ThreadPoolBuilder::new().num_threads(1).build()?;
         let two = ThreadPoolBuilder::new().num_threads(2).build()?;
         let workload = &self.workload;
-        let (exact, table): (&dyn RangeMap, &dyn RangeMap) = (&*self.place.exact, &*self.table.map);
+        let (exact, table): (&dyn RangeMap, &dyn RangeMap) = (&*self.maps.exact, &*self.table.map);
         let (mut median, mut fastest) = (Timings::default(), Timings::default());
         progress.stage("timing updates", MODELS.len() as u64);
         for model in &self.models {

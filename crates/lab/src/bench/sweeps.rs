@@ -80,14 +80,14 @@ pub fn sweep(
     progress.stage("sweep over particles", 2 * PARTICLES.len() as u64);
     for threads in [1, 2] {
         for particles in PARTICLES {
-            let seen = seen_from(workload, &bench.place.exact, workload.truth, beams, particles)?;
+            let seen = seen_from(workload, &bench.maps.exact, workload.truth, beams, particles)?;
             report.particles.push(cost(bench, &seen, &*bench.table.map, threads, clock)?);
             progress.advance(1);
         }
     }
     progress.stage("sweep over beams", BEAMS.len() as u64);
     for beams in BEAMS {
-        let seen = seen_from(workload, &bench.place.exact, workload.truth, beams, 10_000)?;
+        let seen = seen_from(workload, &bench.maps.exact, workload.truth, beams, 10_000)?;
         report.beams.push(cost(bench, &seen, &*bench.table.map, 1, clock)?);
         progress.advance(1);
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use locsim_core::{EndpointGrid, Knows, Laser, LikelihoodGrid, SensorModel};
+use locsim_core::{DependsOn, EndpointGrid, Laser, LikelihoodGrid, SensorModel};
 use locsim_sensor::Prepared;
 use locsim_world::raycast::{ExactRangeMap, RangeTable, RangeTableOptions};
 
@@ -50,7 +50,7 @@ impl BenchModel {
     /// Prepares a model that was trained without tables.
     pub fn new(model: TrainedModel, laser: &Laser, endpoints: &EndpointGrid) -> Result<Self, BenchError> {
         let TrainedModel { label, tempered: exact, .. } = model;
-        let prepared: Arc<dyn SensorModel> = if exact.knows() == Knows::Everything {
+        let prepared: Arc<dyn SensorModel> = if exact.depends_on() == DependsOn::Everything {
             Arc::clone(&exact)
         } else {
             Arc::new(Prepared::new(Arc::clone(&exact), LikelihoodGrid::for_laser(laser), endpoints)?)

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::{BenchError, Workload};
 use crate::run::Progress;
-use crate::run::laboratory::{Place, free_poses};
+use crate::run::laboratory::{MapSet, free_poses};
 use crate::run::training::{ScanData, Surroundings, TrainedModel, train};
 use crate::scenario::{Model, ModelName};
 
@@ -71,7 +71,7 @@ pub const TRAINING_WORLD: TrainingWorld = TrainingWorld {
 /// Trains every model of [`MODELS`] in the simulated world; none is made a table.
 pub fn train_models(
     workload: &Workload,
-    place: &Place,
+    maps: &MapSet,
     world: &TrainingWorld,
     progress: &dyn Progress,
 ) -> Result<Vec<TrainedModel>, BenchError> {
@@ -97,8 +97,8 @@ pub fn train_models(
         speed_m_s: [0.0, 0.0],
         clearance_m: world.clearance_m,
     };
-    let simulator = Simulator::new(Arc::clone(&place.exact), Some(blocks), laser, Effects::none())?;
-    let poses = free_poses(place, world.poses, world.seed);
+    let simulator = Simulator::new(Arc::clone(&maps.exact), Some(blocks), laser, Effects::none())?;
+    let poses = free_poses(maps, world.poses, world.seed);
     progress.stage("simulating training scans", 1);
     let mut readings = simulator.observe_many(poses.view(), world.observations, world.seed);
     spoil(&mut readings, world, workload.laser.max_range());
@@ -110,8 +110,8 @@ pub fn train_models(
         .collect();
     let data = ScanData { laser, poses: poses.iter().collect(), scans, run: 1 };
     let surroundings = Surroundings {
-        map: Arc::<_>::clone(&place.exact) as Arc<_>,
-        distance: Arc::clone(&place.distance),
+        map: Arc::<_>::clone(&maps.exact) as Arc<_>,
+        distance: Arc::clone(&maps.distance),
         oracle: None,
         tables: None,
     };

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{GapStudy, GapStudyError, GapStudyOptions};
-use crate::run::laboratory::{Place, free_poses};
+use crate::run::laboratory::{MapSet, free_poses};
 use crate::run::training::{ScanData, Surroundings, TrainedModel, train};
 use crate::run::{Progress, RunError, filter_options};
 use crate::scenario::{self, Model, ModelName, Motion, RayCast, Spread, load_map};
@@ -42,7 +42,7 @@ pub(crate) struct FilterOnLog<'a> {
     study: &'a GapStudy,
     progress: &'a dyn Progress,
     interrupted: &'a AtomicBool,
-    place: Place,
+    maps: MapSet,
     /// Learnt from the nominal simulator.
     nominal: TrainedModel,
 }
@@ -58,9 +58,9 @@ impl<'a> FilterOnLog<'a> {
         let simulation = study.simulation();
         let map = load_map(&simulation.map)?.geometry;
         let unusable = |source| RunError::Map { path: simulation.map.clone(), source };
-        let place = Place::new(map, study.scenario.ray_cast, cache, progress).map_err(unusable)?;
-        let nominal = trained(study, &place, Vec::new(), progress)?;
-        Ok(Self { study, progress, interrupted, place, nominal })
+        let maps = MapSet::new(map, study.scenario.ray_cast, cache, progress).map_err(unusable)?;
+        let nominal = trained(study, &maps, Vec::new(), progress)?;
+        Ok(Self { study, progress, interrupted, maps, nominal })
     }
 
     /// Position error \[m\] of each seed of the filter under the simulator with these effects.
@@ -74,7 +74,7 @@ impl<'a> FilterOnLog<'a> {
         let model = if learnt.is_empty() {
             None
         } else {
-            Some(trained(self.study, &self.place, learnt, self.progress)?)
+            Some(trained(self.study, &self.maps, learnt, self.progress)?)
         };
         let model = model.as_ref().unwrap_or(&self.nominal);
         let log = corrected(self.study, &Effects::new(correctable).map_err(GapError::from)?);
@@ -84,7 +84,7 @@ impl<'a> FilterOnLog<'a> {
                 return Err(GapError::Interrupted.into());
             }
             let seed = Purpose::Filter.draw(self.study.scenario.seed).seed(seed);
-            let error = rmse(self.study, &log, model, &*self.place.ranges, seed);
+            let error = rmse(self.study, &log, model, &*self.maps.ranges, seed);
             self.progress.advance(1);
             error
         });
@@ -129,18 +129,18 @@ fn is_correctable(kind: EffectKind) -> bool {
 /// `np_reg_registered`, learnt from scans that are simulated with more effects.
 fn trained(
     study: &GapStudy,
-    place: &Place,
+    maps: &MapSet,
     more: Vec<Effect>,
     progress: &dyn Progress,
 ) -> Result<TrainedModel, GapStudyError> {
     let simulation = study.simulation();
     let training = &study.scenario.training;
     let effects = Effects::new([simulation.effects.clone(), more].concat()).map_err(GapError::from)?;
-    let simulator = Simulator::new(Arc::clone(&place.exact), simulation.blocks, simulation.laser, effects)
+    let simulator = Simulator::new(Arc::clone(&maps.exact), simulation.blocks, simulation.laser, effects)
         .map_err(GapError::from)?;
     let (most_poses, most_observations, most_beams) = TRAINING;
     let seed = Purpose::FilterTraining.draw(study.scenario.seed).seed(0);
-    let poses = free_poses(place, training.poses.min(most_poses), seed);
+    let poses = free_poses(maps, training.poses.min(most_poses), seed);
     let observations = training.observations.min(most_observations);
     progress.stage("simulating training scans", 1);
     let readings = simulator.observe_many(poses.view(), observations, seed);
@@ -157,10 +157,10 @@ fn trained(
         .collect();
     let data = ScanData { laser: thinned, poses: poses.iter().collect(), scans, run: 1 };
     let surroundings = Surroundings {
-        map: Arc::<_>::clone(&place.exact) as Arc<dyn RangeMap>,
-        distance: Arc::clone(&place.distance),
+        map: Arc::<_>::clone(&maps.exact) as Arc<dyn RangeMap>,
+        distance: Arc::clone(&maps.distance),
         oracle: None,
-        tables: (study.scenario.ray_cast != RayCast::Exact).then(|| place.endpoints()),
+        tables: (study.scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
     };
     let name = ModelName::NpRegRegistered;
     let model = Model { name, label: name.to_string(), floor: None, exponent: None, file: None };

@@ -42,7 +42,7 @@ const RUN: u32 = 20;
 const TRAINING_SEED: u32 = u32::MAX;
 
 /// A map in the forms that a run needs.
-pub struct Place {
+pub struct MapSet {
     /// Exact ray casts.
     pub exact: Arc<ExactRangeMap>,
     /// Ray casts for the filter: the table, or the exact ones.
@@ -51,7 +51,7 @@ pub struct Place {
     pub distance: Arc<dyn DistanceMap>,
 }
 
-impl Place {
+impl MapSet {
     /// Prepares a map; a range table can take seconds, unless `cache` has it.
     pub fn new(
         geometry: Geometry,
@@ -117,7 +117,7 @@ pub struct Laboratory<'a> {
     /// The scenario.
     pub scenario: &'a Scenario,
     /// The map.
-    pub place: Place,
+    pub maps: MapSet,
     /// The sensor models in the scenario's order.
     pub models: Vec<TrainedModel>,
     /// Remarks for the report: what kind of log, how much training data.
@@ -147,13 +147,13 @@ impl<'a> Laboratory<'a> {
         cache: Option<&Path>,
         progress: &dyn Progress,
     ) -> Result<Self, RunError> {
-        let place =
-            Place::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, cache, progress)
+        let maps =
+            MapSet::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, cache, progress)
                 .map_err(unusable(&simulation.map))?;
-        let world = world(simulation, &place).map_err(refused(scenario))?;
+        let world = world(simulation, &maps).map_err(refused(scenario))?;
         let training = &scenario.training;
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
-        let poses = free_poses(&place, training.poses, seed);
+        let poses = free_poses(&maps, training.poses, seed);
         progress.stage("simulating training scans", 1);
         let readings = world.simulator.observe_many(poses.view(), training.observations, seed);
         progress.advance(1);
@@ -168,10 +168,10 @@ impl<'a> Laboratory<'a> {
             None
         };
         let surroundings = Surroundings {
-            map: Arc::<ExactRangeMap>::clone(&place.exact),
-            distance: Arc::clone(&place.distance),
+            map: Arc::<ExactRangeMap>::clone(&maps.exact),
+            distance: Arc::clone(&maps.distance),
             oracle,
-            tables: (scenario.ray_cast != RayCast::Exact).then(|| place.endpoints()),
+            tables: (scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
@@ -184,7 +184,7 @@ impl<'a> Laboratory<'a> {
             data.laser.beam_count(),
             100.0 * training.held_out_share,
         )];
-        Ok(Self { scenario, place, models, notes, drives: Drives::Simulated(Box::new(world)) })
+        Ok(Self { scenario, maps, models, notes, drives: Drives::Simulated(Box::new(world)) })
     }
 
     fn measured(
@@ -210,17 +210,17 @@ impl<'a> Laboratory<'a> {
                 grid.to_geometry().map_err(unusable(&log.file))?
             }
         };
-        let place = Place::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
+        let maps = MapSet::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
         let training = &scenario.training;
-        let data = measured_scans(&drive, &selected(&drive, &log.train_scans), &place, training);
+        let data = measured_scans(&drive, &selected(&drive, &log.train_scans), &maps, training);
         if data.poses.len() < 4 {
             return Err(refuse("fewer than 4 training scans have a reference pose in the map's free space"));
         }
         let surroundings = Surroundings {
-            map: Arc::<ExactRangeMap>::clone(&place.exact),
-            distance: Arc::clone(&place.distance),
+            map: Arc::<ExactRangeMap>::clone(&maps.exact),
+            distance: Arc::clone(&maps.distance),
             oracle: None,
-            tables: (scenario.ray_cast != RayCast::Exact).then(|| place.endpoints()),
+            tables: (scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
         };
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let beams = scenario.filter.beams.map(|beams| beams as usize);
@@ -246,7 +246,7 @@ impl<'a> Laboratory<'a> {
                 .to_owned(),
         ];
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
-        Ok(Self { scenario, place, models, notes, drives: Drives::Measured(drive) })
+        Ok(Self { scenario, maps, models, notes, drives: Drives::Measured(drive) })
     }
 
     /// Seed of a trial.
@@ -278,9 +278,9 @@ pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError
         let what = "a scenario of a measured log has nothing to simulate".to_owned();
         return Err(RunError::Log { path: scenario.file.clone(), what });
     };
-    let place = Place::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, &())
+    let maps = MapSet::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, &())
         .map_err(unusable(&simulation.map))?;
-    let world = world(simulation, &place).map_err(refused(scenario))?;
+    let world = world(simulation, &maps).map_err(refused(scenario))?;
     let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(trial);
     Ok(drive_of(&world, seed, scenario)?.drive)
 }
@@ -342,10 +342,10 @@ fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
     (0..n).filter(|&i| inside(i)).collect()
 }
 
-fn world(simulation: &Simulation, place: &Place) -> Result<World, SimulationError> {
+fn world(simulation: &Simulation, maps: &MapSet) -> Result<World, SimulationError> {
     let Simulation { blocks, laser, robot, effects, .. } = simulation;
     let effects = Effects::new(effects.clone())?;
-    let simulator = Simulator::new(Arc::clone(&place.exact), *blocks, *laser, effects)?;
+    let simulator = Simulator::new(Arc::clone(&maps.exact), *blocks, *laser, effects)?;
     Ok(World { simulator, robot: robot.clone() })
 }
 
@@ -376,10 +376,10 @@ impl Obstructions for NothingInTheWay {
 }
 
 /// Poses uniform over free space, clear of walls, with uniform headings.
-pub(crate) fn free_poses(place: &Place, count: u32, seed: u64) -> Particles {
+pub(crate) fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
     /// A map with less room than this share of its bounds gets fewer poses.
     const ATTEMPTS_PER_POSE: u32 = 10_000;
-    let [x0, y0, x1, y1] = place.exact.bounds();
+    let [x0, y0, x1, y1] = maps.exact.bounds();
     let draw = Draw::new(seed, Stage::Path, 1);
     (0..count)
         .filter_map(|i| {
@@ -388,8 +388,8 @@ pub(crate) fn free_poses(place: &Place, count: u32, seed: u64) -> Particles {
                 let x = x0 + (x1 - x0) * rng.random::<f64>();
                 let y = y0 + (y1 - y0) * rng.random::<f64>();
                 let theta = std::f64::consts::PI * (1.0 - 2.0 * rng.random::<f64>());
-                let clear = f64::from(place.distance.distance(x, y)) >= WALL_CLEARANCE_M;
-                (clear && place.exact.is_free(x, y)).then(|| Pose2::new(x, y, theta))
+                let clear = f64::from(maps.distance.distance(x, y)) >= WALL_CLEARANCE_M;
+                (clear && maps.exact.is_free(x, y)).then(|| Pose2::new(x, y, theta))
             })
         })
         .collect()
@@ -416,14 +416,14 @@ fn simulated_scans(
 
 /// Training scans of a log: those whose reference pose lies in the map's free space, at most as many as asked
 /// for, evenly spread.
-fn measured_scans(drive: &Drive, steps: &[usize], place: &Place, training: &scenario::Training) -> ScanData {
+fn measured_scans(drive: &Drive, steps: &[usize], maps: &MapSet, training: &scenario::Training) -> ScanData {
     let beams = training.beams.map_or(drive.laser.beam_count(), |beams| beams as usize);
     let (laser, kept) = drive.laser.thinned(beams);
     let usable: Vec<(Pose2, &DriveStep)> = steps
         .iter()
         .map(|&i| &drive.steps[i])
         .filter_map(|step| Some((step.reference?, step)))
-        .filter(|(pose, _)| place.exact.is_free(pose.x, pose.y))
+        .filter(|(pose, _)| maps.exact.is_free(pose.x, pose.y))
         .collect();
     let stride = usable.len().div_ceil(training.poses as usize).max(1);
     let (poses, scans): (Vec<Pose2>, Vec<_>) = usable

@@ -239,14 +239,14 @@ fn detailed_trial(
     let mut probes = None;
     let mut models = Vec::new();
     for model in laboratory.models.iter().filter(|model| recorded.contains(&model.label)) {
-        let mut detail = Detail::new(&*laboratory.place.exact, &drive, &model.label, probes);
+        let mut detail = Detail::new(&*laboratory.maps.exact, &drive, &model.label, probes);
         trial::localize(laboratory, model, &drive, seed, clock, Some(&mut detail))?;
         let (model, used) = detail.into_model();
         models.push(model);
         probes = Some(used);
     }
     let dead_reckoning = trial::dead_reckoning(&drive, drive.steps[0].reference.unwrap_or(Pose2::IDENTITY));
-    Ok(DetailedTrial { walls: laboratory.place.walls(), blocks, dead_reckoning, models, drive })
+    Ok(DetailedTrial { walls: laboratory.maps.walls(), blocks, dead_reckoning, models, drive })
 }
 
 /// `models/LABEL.model`: what a scenario's `file` key takes.

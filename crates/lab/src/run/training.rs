@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use locsim_core::{
-    DistanceMap, Draw, EndpointGrid, Hits, Knows, Laser, LikelihoodGrid, Obstructions, Particles, Pose2,
+    DependsOn, DistanceMap, Draw, EndpointGrid, Hits, Laser, LikelihoodGrid, Obstructions, Particles, Pose2,
     RangeMap, SensorModel, Stage,
 };
 use locsim_sensor::{
@@ -136,7 +136,7 @@ fn train_one(
     let tempering = choose_tempering(&*bare, calibration, &grid).map_err(failed)?;
     let tempered = Tempered::new(Arc::clone(&bare), tempering.floor, tempering.exponent).map_err(failed)?;
     let mut tempered: Arc<dyn SensorModel> = Arc::new(tempered);
-    if let Some(endpoints) = surroundings.tables.filter(|_| tempered.knows() != Knows::Everything) {
+    if let Some(endpoints) = surroundings.tables.filter(|_| tempered.depends_on() != DependsOn::Everything) {
         let states = LikelihoodGrid::for_laser(laser);
         tempered = Arc::new(Prepared::new(tempered, states, &endpoints).map_err(failed)?);
     }

@@ -35,7 +35,7 @@ pub(super) fn localize(
     let settings = &laboratory.scenario.filter;
     let truth = truth_of(laboratory, drive)?;
     let dead_reckoning = dead_reckoning(drive, truth[0]);
-    let map = &*laboratory.place.ranges;
+    let map = &*laboratory.maps.ranges;
     // It keeps every generation of particles, so only where its trajectory is asked for.
     let ancestry = detail.is_some() || settings.estimate == Estimate::MostLikelyTrajectory;
     let mut filter = Filter::new(options(settings, ancestry)?, &start(settings, truth[0]), map, seed)?;

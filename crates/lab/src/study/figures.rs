@@ -347,7 +347,7 @@ fn loss_against_observations(results: &Results) -> Result<String, DrawError> {
         let colored: Vec<_> = found.iter().enumerate().map(|(i, (_, l))| (&l.loss, color(i))).collect();
         draw_curves(&mut chart, &colored)?;
         for (_, loss) in &found {
-            let law = loss.loss.at.iter().map(|m| (*m, loss.law(*m))).collect::<Vec<_>>();
+            let law = loss.loss.at.iter().map(|m| (*m, loss.reading(*m))).collect::<Vec<_>>();
             chart.draw_series([PathElement::new(law, line(INK, 0.75))])?;
         }
         Ok(())

@@ -112,7 +112,7 @@ pub struct LossAgainstObservations {
 
 impl LossAgainstObservations {
     /// What the law gives for M.
-    pub fn law(&self, observations: f64) -> f64 {
+    pub fn reading(&self, observations: f64) -> f64 {
         self.coefficient * (1.0 / observations + 1.0 / self.truth_observations).sqrt()
     }
 }

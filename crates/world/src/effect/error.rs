@@ -53,7 +53,7 @@ pub enum EffectError {
         /// The effect.
         kind: EffectKind,
     },
-    /// More ways for a reading to go astray than a law holds.
+    /// More ways for a reading to go astray than a distribution holds.
     #[error("{count} effects that replace readings are more than the {max} that are allowed")]
     TooMany {
         /// How many there are.

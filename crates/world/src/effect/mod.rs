@@ -1,14 +1,14 @@
 //! Effects: the named ways in which a real world may differ from the nominal simulator.
 //!
 //! An [`Effect`] has a kind, numbers and, where it acts on a stretch of wall, a place. [`Effects`] are all those of a
-//! world. What they do to a beam is a [`ReadingLaw`]: one definition that both samples readings and tells their
+//! world. What they do to a beam is a [`ReadingDistribution`]: one definition that both samples readings and tells their
 //! density, so that what is simulated and what is fitted can't drift apart. At its neutral value an effect is the
 //! identity, bit for bit.
 
 mod disc;
+mod distribution;
 mod error;
 mod kind;
-mod law;
 mod odometry;
 mod set;
 #[cfg(test)]
@@ -18,12 +18,12 @@ use glam::DVec2;
 use serde::{Serialize, Serializer};
 
 pub use disc::Disc;
+pub(crate) use distribution::as_read;
+pub use distribution::{Alternative, Alternatives, ReadingDistribution, TAIL_FACTOR};
 pub use error::EffectError;
 pub use kind::{EffectKind, Parameter, Site};
-pub(crate) use law::as_read;
-pub use law::{Alternative, Alternatives, ReadingLaw, TAIL_FACTOR};
-pub use odometry::{OdometryLaw, Slip};
-pub use set::{BeamView, Effects, JUMP_M, Met, Needs, PLACE_REACH_M, burst_window, jump_at};
+pub use odometry::{OdometryDistribution, Slip};
+pub use set::{BeamView, Effects, HitKind, JUMP_M, Needs, PLACE_REACH_M, burst_window, jump_at};
 pub(crate) use set::{burst, slip_draw};
 
 /// One effect with its numbers.

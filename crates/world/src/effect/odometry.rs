@@ -2,11 +2,11 @@ use locsim_core::Pose2;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
-use super::law::normal_tail;
+use super::distribution::normal_tail;
 
 /// What the odometry reads of a motion, before the noise of [`OdometryNoise`](crate::simulation::OdometryNoise).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OdometryLaw {
+pub struct OdometryDistribution {
     /// The increment where no wheel slips.
     pub mean: Pose2,
     /// How wheels slip.
@@ -22,7 +22,7 @@ pub struct Slip {
     pub share: f64,
 }
 
-impl OdometryLaw {
+impl OdometryDistribution {
     /// A draw of the increment: that of a slip reads a distance longer by the slip's share.
     pub fn sample(&self, chance: &mut impl Rng) -> Pose2 {
         let stretch = 1.0 + self.slip.sample(chance);

@@ -4,9 +4,10 @@ use glam::DVec2;
 use locsim_core::{Draw, Pose2, Stage, wrap_angle};
 use rand::RngExt;
 
-use super::law::TAIL_FACTOR;
+use super::distribution::TAIL_FACTOR;
 use super::{
-    Alternative, Alternatives, Disc, Effect, EffectError, EffectKind, OdometryLaw, ReadingLaw, Slip,
+    Alternative, Alternatives, Disc, Effect, EffectError, EffectKind, OdometryDistribution,
+    ReadingDistribution, Slip,
 };
 use crate::raycast::distance_to;
 use crate::simulation::{BlockOptions, LaserOptions};
@@ -77,7 +78,7 @@ pub struct BeamView {
 
 /// What stands in front of a beam.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Met {
+pub enum HitKind {
     /// A wall of the map or a missing object: something with an incidence. Effects of walls act on it.
     Wall,
     /// A block.
@@ -197,7 +198,7 @@ impl Effects {
     }
 
     /// What the odometry reads of a true motion `base_prev_from_base_now`, before its noise.
-    pub fn odometry(&self, increment: &Pose2) -> OdometryLaw {
+    pub fn odometry(&self, increment: &Pose2) -> OdometryDistribution {
         let scale = 1.0 + self.sum(EffectKind::OdomDistanceScale);
         let distance = increment.x.hypot(increment.y).copysign(increment.x);
         let turn = (1.0 + self.sum(EffectKind::OdomTurnScale)) * increment.theta
@@ -206,7 +207,7 @@ impl Effects {
             Some(&[p, share]) => Slip { p, share },
             _ => Slip::default(),
         };
-        OdometryLaw { mean: Pose2::new(scale * increment.x, scale * increment.y, turn), slip }
+        OdometryDistribution { mean: Pose2::new(scale * increment.x, scale * increment.y, turn), slip }
     }
 
     /// Range of the wall that a beam ends on \[m\], where it really stands (`moved_wall`).
@@ -228,33 +229,39 @@ impl Effects {
     ///
     /// Bursts of `crosstalk` come and go, and here it isn't known when: their probability is that of a reading at an
     /// unknown time, `p * share`.
-    pub fn law(&self, laser: &LaserOptions, view: &BeamView, met: Met, range: f64) -> ReadingLaw {
-        let mapped = met == Met::Wall && range >= view.range;
-        let range = if mapped { self.wall_range(view) } else { range };
-        self.law_of(laser, view, met, range, mapped, |_, share| share)
-    }
-
-    /// As [`Effects::law`], where it is known whether it is the wall of the map that was met, moved as it may be, and
-    /// when bursts come: that of the crosstalk which is number `i` of the list and has this share falls on the beam
-    /// with probability `burst(i, share)`.
-    pub(crate) fn law_of(
+    pub fn reading(
         &self,
         laser: &LaserOptions,
         view: &BeamView,
-        met: Met,
+        met: HitKind,
+        range: f64,
+    ) -> ReadingDistribution {
+        let mapped = met == HitKind::Wall && range >= view.range;
+        let range = if mapped { self.wall_range(view) } else { range };
+        self.reading_of(laser, view, met, range, mapped, |_, share| share)
+    }
+
+    /// As [`Effects::reading`], where it is known whether it is the wall of the map that was met, moved as it may be, and
+    /// when bursts come: that of the crosstalk which is number `i` of the list and has this share falls on the beam
+    /// with probability `burst(i, share)`.
+    pub(crate) fn reading_of(
+        &self,
+        laser: &LaserOptions,
+        view: &BeamView,
+        met: HitKind,
         range: f64,
         mapped: bool,
         burst: impl Fn(usize, f64) -> f64,
-    ) -> ReadingLaw {
+    ) -> ReadingDistribution {
         let max = f64::from(laser.max_range_m as f32);
         let returns = range < max;
         let tan_squared =
-            || if met == Met::Wall { view.incidence.min(MAX_INCIDENCE_RAD).tan().powi(2) } else { 0.0 };
+            || if met == HitKind::Wall { view.incidence.min(MAX_INCIDENCE_RAD).tan().powi(2) } else { 0.0 };
 
         let (mut scale, mut bias) = (1.0, 0.0);
         let (mut wall_bias, mut wall_sigma) = (0.0, 1.0);
         let (mut growth, mut tail, mut step_m) = (0.0, 0.0, laser.resolution_m);
-        let mut reading = ReadingLaw {
+        let mut reading = ReadingDistribution {
             mean: f64::INFINITY,
             sigma: 0.0,
             tail: [0.0, TAIL_FACTOR],
@@ -288,7 +295,7 @@ impl Effects {
                 (EffectKind::RangeDropout, &[p, exponent]) if returns => {
                     alternatives.push(p * (range / max).powf(exponent), Alternative::NoReturn);
                 }
-                (EffectKind::IncidenceDropout, &[p, angle, width]) if returns && met == Met::Wall => {
+                (EffectKind::IncidenceDropout, &[p, angle, width]) if returns && met == HitKind::Wall => {
                     let share = 1.0 / (1.0 + (-(view.incidence - angle) / width).exp());
                     alternatives.push(p * share, Alternative::NoReturn);
                 }
@@ -323,7 +330,7 @@ pub fn burst_window(secs: f64) -> u32 {
     (secs / BURST_SECS) as u32
 }
 
-/// Whether bursts fall on a window, for [`Effects::law_of`]: 1 or 0, by a draw for each window.
+/// Whether bursts fall on a window, for [`Effects::reading_of`]: 1 or 0, by a draw for each window.
 pub(crate) fn burst(seed: u64, window: u32) -> impl Fn(usize, f64) -> f64 {
     let draw = Draw::new(seed, Stage::Effect, window);
     // Items from the last downwards, which no beam uses; the very last is that of the odometry.

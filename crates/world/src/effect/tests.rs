@@ -1,4 +1,4 @@
-//! The catalogue, and laws of readings against their own samples.
+//! The catalogue, and distributions of readings against their own samples.
 
 use std::f64::consts::TAU;
 
@@ -55,20 +55,20 @@ pub(crate) fn critical_distance(n: usize) -> f64 {
     ((2.0f64 / 1e-6).ln() / (2.0 * n as f64)).sqrt()
 }
 
-/// Kolmogorov-Smirnov distance of usable readings from a law, by the randomized probability transform, which is
+/// Kolmogorov-Smirnov distance of usable readings from a distribution, by the randomized probability transform, which is
 /// uniform also where there are point masses; in units of the critical distance.
-pub(crate) fn distance_from(law: impl Fn(usize) -> ReadingLaw, readings: &[f32]) -> f64 {
+pub(crate) fn distance_from(distribution: impl Fn(usize) -> ReadingDistribution, readings: &[f32]) -> f64 {
     let mut u: Vec<f64> = readings
         .iter()
         .enumerate()
         .filter(|(_, z)| !z.is_nan())
         .map(|(i, &z)| {
-            let law = law(i);
-            let upper = law.cdf(z);
-            let lower = if z >= law.max_m as f32 {
-                law.cdf(z.next_down())
-            } else if law.step_m > 0.0 {
-                law.cdf((f64::from(z) - 0.5 * law.step_m) as f32)
+            let distribution = distribution(i);
+            let upper = distribution.cdf(z);
+            let lower = if z >= distribution.max_m as f32 {
+                distribution.cdf(z.next_down())
+            } else if distribution.step_m > 0.0 {
+                distribution.cdf((f64::from(z) - 0.5 * distribution.step_m) as f32)
             } else {
                 upper
             };
@@ -102,7 +102,7 @@ fn laser(resolution_m: f64) -> LaserOptions {
 
 /// A wall straight ahead and at a slant, both with an edge and a surface behind; a wall with nothing behind, near the
 /// maximum range; a block; nothing.
-fn beams() -> [(BeamView, Met, f64); 5] {
+fn beams() -> [(BeamView, HitKind, f64); 5] {
     let view = |range, incidence, jump, behind| BeamView {
         secs: 1.0,
         bearing: 3.1,
@@ -113,25 +113,25 @@ fn beams() -> [(BeamView, Met, f64); 5] {
         behind,
     };
     [
-        (view(2.0, 0.1, Some([2.0, 3.5]), Some(3.0)), Met::Wall, 2.0),
-        (view(1.2, 1.2, Some([0.6, 1.2]), Some(4.4)), Met::Wall, 1.2),
-        (view(4.45, 0.7, None, None), Met::Wall, 4.45),
-        (view(3.0, 0.7, Some([2.0, 3.0]), Some(3.5)), Met::Object, 0.12),
-        (view(6.75, 0.0, None, None), Met::Wall, 6.75),
+        (view(2.0, 0.1, Some([2.0, 3.5]), Some(3.0)), HitKind::Wall, 2.0),
+        (view(1.2, 1.2, Some([0.6, 1.2]), Some(4.4)), HitKind::Wall, 1.2),
+        (view(4.45, 0.7, None, None), HitKind::Wall, 4.45),
+        (view(3.0, 0.7, Some([2.0, 3.0]), Some(3.5)), HitKind::Object, 0.12),
+        (view(6.75, 0.0, None, None), HitKind::Wall, 6.75),
     ]
 }
 
-fn samples(law: &ReadingLaw, n: u32) -> Vec<f32> {
+fn samples(distribution: &ReadingDistribution, n: u32) -> Vec<f32> {
     let (noise, chance) = (Draw::new(3, Stage::Laser, 0), Draw::new(3, Stage::Effect, 0));
-    (0..n).map(|i| law.sample(&mut noise.item(i), &mut chance.item(i))).collect()
+    (0..n).map(|i| distribution.sample(&mut noise.item(i), &mut chance.item(i))).collect()
 }
 
 /// Every reading that a quantized sensor can give below the maximum range, or the middles of steps of 0.25 mm; and the
 /// width that each stands for \[m\].
-fn readings(law: &ReadingLaw) -> (Vec<f32>, f64) {
-    if law.step_m > 0.0 {
-        let multiples = (0..).map(|k| (f64::from(k) * law.step_m) as f32);
-        (multiples.take_while(|z| *z < law.max_m as f32).collect(), law.step_m)
+fn readings(distribution: &ReadingDistribution) -> (Vec<f32>, f64) {
+    if distribution.step_m > 0.0 {
+        let multiples = (0..).map(|k| (f64::from(k) * distribution.step_m) as f32);
+        (multiples.take_while(|z| *z < distribution.max_m as f32).collect(), distribution.step_m)
     } else {
         ((0..18_000).map(|i| (f64::from(i) + 0.5) as f32 * 0.000_25).collect(), 0.000_25)
     }
@@ -139,22 +139,33 @@ fn readings(law: &ReadingLaw) -> (Vec<f32>, f64) {
 
 /// The density integrates to 1 with the mass at the maximum range, and its running integral is the distribution
 /// function. The midpoint rule errs by at most half a step times the jump at each edge of a uniform part.
-fn check_density(name: &str, law: &ReadingLaw) {
-    let (z, width) = readings(law);
+fn check_density(name: &str, distribution: &ReadingDistribution) {
+    let (z, width) = readings(distribution);
     let mut sum = 0.0;
     for &z in &z {
-        let mass = law.density(z) * width;
-        let at = sum + if law.step_m > 0.0 { mass } else { 0.5 * mass };
-        assert!((at - law.cdf(z)).abs() < 1e-3, "{name} at {z}: {at}, but cdf {}", law.cdf(z));
+        let mass = distribution.density(z) * width;
+        let at = sum + if distribution.step_m > 0.0 { mass } else { 0.5 * mass };
+        assert!(
+            (at - distribution.cdf(z)).abs() < 1e-3,
+            "{name} at {z}: {at}, but cdf {}",
+            distribution.cdf(z)
+        );
         sum += mass;
     }
-    let max = law.max_m as f32;
-    let total = sum + law.density(max);
-    assert!((total - 1.0).abs() < 1e-3, "{name}: total {total} for {law:?}");
-    assert!((1.0 - law.cdf(max.next_down()) - law.density(max)).abs() < 1e-4, "{name}: jump at the maximum");
-    let below = (law.min_m as f32).next_down();
-    assert_eq!((law.cdf(max), law.cdf(below), law.density(below)), (1.0, 0.0, 0.0), "{name}");
-    assert_eq!(law.log_density(f32::NAN), 0.0, "{name}");
+    let max = distribution.max_m as f32;
+    let total = sum + distribution.density(max);
+    assert!((total - 1.0).abs() < 1e-3, "{name}: total {total} for {distribution:?}");
+    assert!(
+        (1.0 - distribution.cdf(max.next_down()) - distribution.density(max)).abs() < 1e-4,
+        "{name}: jump at the maximum"
+    );
+    let below = (distribution.min_m as f32).next_down();
+    assert_eq!(
+        (distribution.cdf(max), distribution.cdf(below), distribution.density(below)),
+        (1.0, 0.0, 0.0),
+        "{name}"
+    );
+    assert_eq!(distribution.log_density(f32::NAN), 0.0, "{name}");
 }
 
 #[test]
@@ -167,12 +178,12 @@ fn every_law_integrates_to_one_and_samples_agree_with_it() {
             let n = if kind == EffectKind::HeavyTail { 80_000 } else { 4000 };
             for (i, (view, met, range)) in beams().into_iter().enumerate() {
                 let name = format!("{kind}, beam {i}, resolution {resolution_m}");
-                let law = effects.law(&laser(resolution_m), &view, met, range);
-                let nominal = Effects::none().law(&laser(resolution_m), &view, met, range);
-                check_density(&name, &law);
-                let d = distance_from(|_| law.clone(), &samples(&law, n));
+                let distribution = effects.reading(&laser(resolution_m), &view, met, range);
+                let nominal = Effects::none().reading(&laser(resolution_m), &view, met, range);
+                check_density(&name, &distribution);
+                let d = distance_from(|_| distribution.clone(), &samples(&distribution, n));
                 assert!(d < 1.0, "{name}: {d}");
-                told_apart |= distance_from(|_| law.clone(), &samples(&nominal, 4000)) > 1.0;
+                told_apart |= distance_from(|_| distribution.clone(), &samples(&nominal, 4000)) > 1.0;
             }
             // Negative control: samples of the nominal world, under every effect that changes readings.
             let shapes_readings = matches!(kind.site(), Site::Beam)
@@ -192,16 +203,19 @@ fn two_effects_together_agree_with_their_density() {
             if (a, b) == (EffectKind::WheelSlip, EffectKind::WheelSlip) {
                 continue;
             }
-            let law = effects(&[a, b]).law(&laser(0.0), &view, met, range);
-            let d = distance_from(|_| law.clone(), &samples(&law, 1000));
+            let distribution = effects(&[a, b]).reading(&laser(0.0), &view, met, range);
+            let d = distance_from(|_| distribution.clone(), &samples(&distribution, 1000));
             assert!(d < 1.0, "{a}, {b}: {d}");
-            let other_way = effects(&[b, a]).law(&laser(0.0), &view, met, range);
+            let other_way = effects(&[b, a]).reading(&laser(0.0), &view, met, range);
             if a != b {
-                assert_eq!(law.alternatives, other_way.alternatives, "{a}, {b}: order doesn't matter");
+                assert_eq!(
+                    distribution.alternatives, other_way.alternatives,
+                    "{a}, {b}: order doesn't matter"
+                );
             }
         }
     }
-    let all = effects(&EffectKind::ALL).law(&laser(0.0), &view, met, range);
+    let all = effects(&EffectKind::ALL).reading(&laser(0.0), &view, met, range);
     check_density("all", &all);
     assert!(distance_from(|_| all.clone(), &samples(&all, 4000)) < 1.0);
 }
@@ -211,8 +225,8 @@ fn a_neutral_effect_leaves_every_law_as_it_is() {
     for kind in EffectKind::ALL {
         let neutral = Effects::new(vec![Effect::neutral(kind, place(kind))]).unwrap();
         for (view, met, range) in beams() {
-            let law = neutral.law(&laser(0.001), &view, met, range);
-            assert_eq!(law, Effects::none().law(&laser(0.001), &view, met, range), "{kind}");
+            let distribution = neutral.reading(&laser(0.001), &view, met, range);
+            assert_eq!(distribution, Effects::none().reading(&laser(0.001), &view, met, range), "{kind}");
         }
         let pose = Pose2::new(0.3, -0.2, 1.0);
         assert_eq!(neutral.laser_mount(pose), pose, "{kind}");
@@ -226,7 +240,7 @@ fn a_neutral_effect_leaves_every_law_as_it_is() {
 #[test]
 fn means_and_deviations_are_those_of_the_formulas() {
     let (view, ..) = beams()[1];
-    let law = |kind| effects(&[kind]).law(&laser(0.0), &view, Met::Wall, 1.2);
+    let distribution = |kind| effects(&[kind]).reading(&laser(0.0), &view, HitKind::Wall, 1.2);
     let tan_squared = 1.2f64.tan().powi(2);
     let sigma = 0.02 + 0.002 * 1.2;
     for (kind, mean, sigma) in [
@@ -238,10 +252,13 @@ fn means_and_deviations_are_those_of_the_formulas() {
         (EffectKind::MovedWall, 1.2 - 0.3 / 1.2f64.cos(), 0.02 + 0.002 * (1.2 - 0.3 / 1.2f64.cos())),
         (EffectKind::WarmupDrift, 1.2 + 0.1 * (-0.2f64).exp(), sigma),
     ] {
-        let law = law(kind);
-        assert!((law.mean - mean).abs() < 1e-12 && (law.sigma - sigma).abs() < 1e-12, "{kind}: {law:?}");
+        let distribution = distribution(kind);
+        assert!(
+            (distribution.mean - mean).abs() < 1e-12 && (distribution.sigma - sigma).abs() < 1e-12,
+            "{kind}: {distribution:?}"
+        );
     }
-    let alternative = |kind| law(kind).alternatives.as_slice()[0];
+    let alternative = |kind| distribution(kind).alternatives.as_slice()[0];
     let near = |p: f64, expected: f64| (p - expected).abs() < 1e-12;
     assert!(near(alternative(EffectKind::RangeDropout).0, 0.9 * (1.2f64 / 4.5).powf(0.7)));
     assert!(near(alternative(EffectKind::IncidenceDropout).0, 0.8 / (1.0 + (-3.0f64).exp())));
@@ -254,7 +271,7 @@ fn means_and_deviations_are_those_of_the_formulas() {
     );
     // Beyond 80 deg all is as there.
     let grazing = BeamView { incidence: 1.57, ..view };
-    let mean = effects(&[EffectKind::IncidenceBias]).law(&laser(0.0), &grazing, Met::Wall, 1.2).mean;
+    let mean = effects(&[EffectKind::IncidenceBias]).reading(&laser(0.0), &grazing, HitKind::Wall, 1.2).mean;
     assert!((mean - 1.2 - 0.02 * 80f64.to_radians().tan().powi(2)).abs() < 1e-9);
 }
 
@@ -262,26 +279,30 @@ fn means_and_deviations_are_those_of_the_formulas() {
 fn effects_of_walls_leave_blocks_alone_and_effects_of_a_place_other_walls() {
     use EffectKind as E;
     let (view, ..) = beams()[1];
-    let nominal = |met| Effects::none().law(&laser(0.0), &view, met, 0.9);
+    let nominal = |met| Effects::none().reading(&laser(0.0), &view, met, 0.9);
     for kind in
         [E::IncidenceBias, E::IncidenceNoise, E::IncidenceDropout, E::MixedPixels, E::Glass, E::MovedWall]
     {
-        let law = effects(&[kind]).law(&laser(0.0), &view, Met::Object, 0.9);
-        assert_eq!(law, nominal(Met::Object), "{kind} on a block");
+        let distribution = effects(&[kind]).reading(&laser(0.0), &view, HitKind::Object, 0.9);
+        assert_eq!(distribution, nominal(HitKind::Object), "{kind} on a block");
     }
     for kind in [E::MixedPixels, E::Glass, E::MovedWall] {
-        let law = effects(&[kind]).law(&laser(0.0), &view, Met::Wall, 0.9);
-        assert_eq!(law, nominal(Met::Wall), "{kind} on an object before the wall");
+        let distribution = effects(&[kind]).reading(&laser(0.0), &view, HitKind::Wall, 0.9);
+        assert_eq!(distribution, nominal(HitKind::Wall), "{kind} on an object before the wall");
     }
     let elsewhere = BeamView { endpoint: DVec2::new(3.0, 0.11), ..view };
     for kind in [E::Glass, E::MovedWall] {
-        let law = effects(&[kind]).law(&laser(0.0), &elsewhere, Met::Wall, 1.2);
-        assert_eq!(law, Effects::none().law(&laser(0.0), &elsewhere, Met::Wall, 1.2), "{kind} elsewhere");
+        let distribution = effects(&[kind]).reading(&laser(0.0), &elsewhere, HitKind::Wall, 1.2);
+        assert_eq!(
+            distribution,
+            Effects::none().reading(&laser(0.0), &elsewhere, HitKind::Wall, 1.2),
+            "{kind} elsewhere"
+        );
     }
     let ahead = BeamView { bearing: 2.9, ..view };
     assert_eq!(
-        effects(&[E::SectorOcclusion]).law(&laser(0.0), &ahead, Met::Wall, 1.2),
-        Effects::none().law(&laser(0.0), &ahead, Met::Wall, 1.2),
+        effects(&[E::SectorOcclusion]).reading(&laser(0.0), &ahead, HitKind::Wall, 1.2),
+        Effects::none().reading(&laser(0.0), &ahead, HitKind::Wall, 1.2),
         "outside the sector"
     );
 }
@@ -289,13 +310,13 @@ fn effects_of_walls_leave_blocks_alone_and_effects_of_a_place_other_walls() {
 #[test]
 fn quantized_readings_have_a_density_on_their_grid_alone() {
     let (view, met, range) = beams()[0];
-    let law = effects(&[EffectKind::Quantization]).law(&laser(0.0), &view, met, range);
-    assert_eq!(law.step_m, 0.05);
-    assert_eq!(law.density(2.01), 0.0);
-    assert!(law.density(2.0) > law.density(2.05) && law.density(2.05) > 0.0);
-    assert_eq!(law.cdf(2.01), law.cdf(2.0));
+    let distribution = effects(&[EffectKind::Quantization]).reading(&laser(0.0), &view, met, range);
+    assert_eq!(distribution.step_m, 0.05);
+    assert_eq!(distribution.density(2.01), 0.0);
+    assert!(distribution.density(2.0) > distribution.density(2.05) && distribution.density(2.05) > 0.0);
+    assert_eq!(distribution.cdf(2.01), distribution.cdf(2.0));
     // The coarsest step counts.
-    let fine = effects(&[EffectKind::Quantization]).law(&laser(0.1), &view, met, range);
+    let fine = effects(&[EffectKind::Quantization]).reading(&laser(0.1), &view, met, range);
     assert_eq!(fine.step_m, 0.1);
 }
 
@@ -304,18 +325,18 @@ fn quantized_readings_have_a_density_on_their_grid_alone() {
 fn log_densities_do_not_underflow() {
     let (view, met, range) = beams()[0];
     for resolution_m in [0.0, 0.01] {
-        let law = Effects::none().law(&laser(resolution_m), &view, met, range);
-        let mut last = law.log_density(2.0);
+        let distribution = Effects::none().reading(&laser(resolution_m), &view, met, range);
+        let mut last = distribution.log_density(2.0);
         for centimetres in 201..450 {
             let z = (f64::from(centimetres) * 0.01) as f32;
-            let ln = law.log_density(z);
+            let ln = distribution.log_density(z);
             assert!(ln < last && ln > -1e5, "{ln} at {z} after {last}");
-            let t = (f64::from(z) - 2.0) / law.sigma;
+            let t = (f64::from(z) - 2.0) / distribution.sigma;
             // A cell of half a standard deviation looks like its near edge: t off by a quarter.
             assert!((ln + 0.5 * t * t).abs() < 6.0 + 0.3 * t, "{ln} at {t} standard deviations");
             last = ln;
         }
-        assert!(law.log_density(4.5) > -1e5 && law.log_density(4.5) < -5e3);
+        assert!(distribution.log_density(4.5) > -1e5 && distribution.log_density(4.5) < -5e3);
     }
 }
 
@@ -334,11 +355,11 @@ fn the_odometry_reads_what_the_formulas_say() {
 /// don't slip within 4.9 standard errors.
 #[test]
 fn slips_agree_with_their_distribution() {
-    let law = effects(&[EffectKind::WheelSlip]).odometry(&Pose2::new(0.5, 0.0, 0.1));
+    let distribution = effects(&[EffectKind::WheelSlip]).odometry(&Pose2::new(0.5, 0.0, 0.1));
     let n = 20_000;
     let draw = Draw::new(3, Stage::Effect, 0);
     let mut stretch: Vec<f64> =
-        (0..n).map(|i| law.sample(&mut draw.item(i)).x / 0.5 - 1.0).filter(|s| *s > 1e-12).collect();
+        (0..n).map(|i| distribution.sample(&mut draw.item(i)).x / 0.5 - 1.0).filter(|s| *s > 1e-12).collect();
     stretch.sort_unstable_by(f64::total_cmp);
     let slipped = stretch.len() as f64 / f64::from(n);
     assert!((slipped - 0.5).abs() < 4.9 * (0.25 / f64::from(n)).sqrt(), "{slipped}");
@@ -351,11 +372,17 @@ fn slips_agree_with_their_distribution() {
             .map(|(i, s)| (of_slips(*s) - (i as f64 + 0.5) / m).abs())
             .fold(0.0, f64::max)
     };
-    assert!(distance(law.slip) < critical_distance(stretch.len()));
-    assert!(distance(Slip { share: 0.33, ..law.slip }) > critical_distance(stretch.len()), "blind to 10 %");
+    assert!(distance(distribution.slip) < critical_distance(stretch.len()));
+    assert!(
+        distance(Slip { share: 0.33, ..distribution.slip }) > critical_distance(stretch.len()),
+        "blind to 10 %"
+    );
     let step = 1e-4;
-    let integral: f64 = (0..30_000).map(|i| law.slip.density((f64::from(i) + 0.5) * step) * step).sum();
-    assert!((integral - law.slip.p).abs() < 1e-6 && (law.slip.cdf(0.0) - 0.5).abs() < 1e-12);
+    let integral: f64 =
+        (0..30_000).map(|i| distribution.slip.density((f64::from(i) + 0.5) * step) * step).sum();
+    assert!(
+        (integral - distribution.slip.p).abs() < 1e-6 && (distribution.slip.cdf(0.0) - 0.5).abs() < 1e-12
+    );
 }
 
 #[test]
@@ -384,8 +411,9 @@ fn sectors_hold_their_ends() {
     let is_in = |bearing: f32, from: f64, to: f64| {
         let sector = Effect::new(EffectKind::SectorOcclusion, vec![from, to, 0.4, 0.7], vec![]).unwrap();
         let view = BeamView { bearing: f64::from(bearing), ..view };
-        let law = Effects::new(vec![sector]).unwrap().law(&laser(0.0), &view, Met::Wall, 2.0);
-        !law.alternatives.as_slice().is_empty()
+        let distribution =
+            Effects::new(vec![sector]).unwrap().reading(&laser(0.0), &view, HitKind::Wall, 2.0);
+        !distribution.alternatives.as_slice().is_empty()
     };
     let pi = std::f32::consts::PI;
     assert!(

@@ -67,7 +67,7 @@ impl SightKey {
 }
 
 /// What four rays from one point meet.
-pub(super) struct Met {
+pub(super) struct HitKind {
     /// Distance along the ray \[m\]; negative, infinite or NaN where the wall's line isn't ahead.
     pub range: f32x4,
     /// Cosine of the incidence angle.
@@ -86,7 +86,7 @@ impl Sight {
 
     /// Four rays, each with its own sight, from `[x, y]` \[m\] along unit vectors.
     #[inline]
-    pub fn meet(sights: [&Self; 4], [x, y]: [f32; 2], direction: [f32x4; 2]) -> Met {
+    pub fn meet(sights: [&Self; 4], [x, y]: [f32; 2], direction: [f32x4; 2]) -> HitKind {
         let [corner_x, corner_y, first, second] =
             f32x4::transpose(sights.map(|sight| sight.corner_and_offsets));
         let [first_x, first_y, second_x, second_y] = f32x4::transpose(sights.map(|sight| sight.normals));
@@ -97,7 +97,7 @@ impl Sight {
         let normal_x = is_first.bitselect(first_x, second_x);
         let normal_y = is_first.bitselect(first_y, second_y);
         let cosine = normal_x * ahead + normal_y * left;
-        Met {
+        HitKind {
             range: (offset - normal_x * x - normal_y * y) / cosine,
             cosine: cosine.abs(),
             sine: (normal_x * left - normal_y * ahead).abs(),

@@ -12,7 +12,7 @@ use super::ExactRangeMap;
 use super::batch::for_each_chunk;
 use super::build::{Built, Views, build, cells_in_sight};
 use super::cache::Cached;
-use super::sight::{Met, Sight};
+use super::sight::{HitKind, Sight};
 use crate::map::{CellFrame, MapError};
 
 /// What a [`RangeTable`] is made of.
@@ -298,7 +298,7 @@ impl RangeTable {
 
     /// What a run of beams meets.
     #[inline]
-    fn meet(&self, origin: &Origin, bins: &[u32; HEADINGS], beams: &BeamRun) -> Met {
+    fn meet(&self, origin: &Origin, bins: &[u32; HEADINGS], beams: &BeamRun) -> HitKind {
         let (views, direction) = Self::views(origin, bins, beams);
         match views.map(|view| self.sights.get(view as usize)) {
             [Some(a), Some(b), Some(c), Some(d)] => Sight::meet([a, b, c, d], origin.at, direction),
@@ -343,7 +343,7 @@ impl RangeTable {
     /// What beams meet of which some have a list of walls instead of a sight.
     #[cold]
     #[inline(never)]
-    fn meet_lists(&self, views: [u32; BEAMS_PER_RUN], origin: &Origin, direction: [f32x4; 2]) -> Met {
+    fn meet_lists(&self, views: [u32; BEAMS_PER_RUN], origin: &Origin, direction: [f32x4; 2]) -> HitKind {
         let sights = views.map(|view| self.sights.get(view as usize).unwrap_or(&Sight::NOTHING));
         let mut met = Sight::meet(sights, origin.at, direction);
         let frame = DVec2::new(self.frame.x0, self.frame.y0);

@@ -6,7 +6,7 @@ use locsim_core::{Draw, Pose2, Stage};
 use super::fixtures::{block_options, laser_options, on_threads, room_map};
 use super::*;
 use crate::effect::tests::{distance_from, place, strong};
-use crate::effect::{BeamView, Effect, EffectKind, Effects, Met, Site, jump_at};
+use crate::effect::{BeamView, Effect, EffectKind, Effects, HitKind, Site, jump_at};
 
 fn effects(list: Vec<Effect>) -> Effects {
     Effects::new(list).unwrap()
@@ -136,8 +136,8 @@ fn views(simulator: &Simulator, pose: &Pose2) -> Vec<BeamView> {
     laser.bearings().iter().enumerate().map(view).collect()
 }
 
-/// The readings of a robot that stands still have the law that the map's view of each beam gives; one test per beam at
-/// a false-alarm probability of 1e-6. Under the nominal law they haven't, where an effect shapes readings.
+/// The readings of a robot that stands still have the distribution that the map's view of each beam gives; one test per beam at
+/// a false-alarm probability of 1e-6. Under the nominal one they haven't, where an effect shapes readings.
 #[test]
 fn simulated_readings_have_the_law_of_their_beam() {
     let pose = Pose2::new(2.0, 1.0, 0.4);
@@ -151,9 +151,10 @@ fn simulated_readings_have_the_law_of_their_beam() {
         let observed: Vec<Vec<f32>> = (0..scans).map(|i| simulator.observe(&pose, 4, i)).collect();
         let greatest = |effects: &Effects| {
             let distance = |(beam, view): (usize, &BeamView)| {
-                let law = effects.law(simulator.laser().options(), view, Met::Wall, view.range);
+                let distribution =
+                    effects.reading(simulator.laser().options(), view, HitKind::Wall, view.range);
                 let readings: Vec<f32> = observed.iter().map(|scan| scan[beam]).collect();
-                distance_from(|_| law.clone(), &readings)
+                distance_from(|_| distribution.clone(), &readings)
             };
             views.iter().enumerate().map(distance).fold(0.0, f64::max)
         };

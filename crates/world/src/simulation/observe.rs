@@ -7,7 +7,7 @@ use super::blocks::Placement;
 use super::recorded::RecordedPath;
 use super::view::{EffectView, View};
 use super::{BlockModel, BlockOptions, LaserOptions, LaserSimulator, SimulationError};
-use crate::effect::{Effects, Met, burst, burst_window};
+use crate::effect::{Effects, HitKind, burst, burst_window};
 use crate::raycast::ExactRangeMap;
 
 /// A world that is not quite as its map, and a laser in it.
@@ -168,10 +168,11 @@ impl Simulator {
         for (beam, (reading, &range)) in out.iter_mut().zip(ranges).enumerate() {
             let EffectView { view, clear, mapped } = view.beams[beam];
             let blocked = range < clear;
-            let met = if blocked { Met::Object } else { Met::Wall };
+            let met = if blocked { HitKind::Object } else { HitKind::Wall };
             let burst = burst(seed, window(view.secs));
-            let law = self.effects.law_of(self.laser.options(), &view, met, range, mapped && !blocked, burst);
-            *reading = law.sample(&mut noise.item(beam as u32), &mut chance.item(beam as u32));
+            let distribution =
+                self.effects.reading_of(self.laser.options(), &view, met, range, mapped && !blocked, burst);
+            *reading = distribution.sample(&mut noise.item(beam as u32), &mut chance.item(beam as u32));
         }
     }
 

@@ -1,4 +1,4 @@
-//! What is told of a search.
+//! The outcome of a search: verdict, regions, size of the gap.
 
 use locsim_core::{Draw, Stage};
 use locsim_world::effect::{Effect, EffectKind};
@@ -7,17 +7,17 @@ use rand::RngExt;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::naming::gain;
-use super::path::Path;
+use super::selection::gain;
+use super::stepwise::Path;
 use super::{Round, State};
 use crate::fit::{Candidate, blocks};
 use crate::null::Null;
 use crate::outcome::{
     Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
 };
+use crate::regions::{Side, distance, histograms, locate, pits};
 use crate::replay::Replay;
-use crate::show::{Side, distance, histograms, locate, pits};
-use crate::statistics::{Aim, Group, Hint};
+use crate::statistics::{Group, Seed, Target};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
@@ -25,7 +25,7 @@ use crate::{GapError, Nominal, Purpose, Recorded};
 const CLOSED_SHARE: u32 = 3;
 
 impl<'a> State<'a> {
-    /// What is told of it all.
+    /// The outcome of the steps of a search.
     pub fn outcome(&self, path: Path<'a>) -> Result<Outcome, GapError> {
         let State { nominal, recorded, options, .. } = *self;
         let Path { rounds, named, rivals, gains, remaining, note, .. } = path;
@@ -256,9 +256,9 @@ impl RangeFloor {
 /// Strengths that reach the threshold with 90 % probability: a score's spread is the square root of its information.
 fn detectable(round: &Round<'_>) -> Vec<Detectable> {
     let mut out: Vec<Detectable> = Vec::new();
-    for (i, aim) in round.dictionary.aims.iter().enumerate() {
-        let Aim::Effect(kind, hint) = aim else { continue };
-        if !round.dictionary.is_score(i) || *hint != Hint::None || round.null.spread[i] < 1e-3 {
+    for (i, target) in round.dictionary.targets.iter().enumerate() {
+        let Target::Effect(kind, initial) = target else { continue };
+        if !round.dictionary.is_score(i) || *initial != Seed::None || round.null.spread[i] < 1e-3 {
             continue;
         }
         let parameter = &kind.parameters()[0];
@@ -290,8 +290,8 @@ fn detection(null: &Null) -> Detection {
 /// The statistic of each effect that says most, with its sign.
 fn directions(round: &Round<'_>) -> Vec<Direction> {
     let mut out: Vec<Direction> = Vec::new();
-    for aim in &round.dictionary.aims {
-        let Aim::Effect(kind, _) = *aim else { continue };
+    for target in &round.dictionary.targets {
+        let Target::Effect(kind, _) = *target else { continue };
         if out.iter().all(|known| known.name != kind) {
             out.extend(round.most_telling(kind).map(|i| Direction { name: kind, z: round.null.z[i] }));
         }

@@ -10,7 +10,7 @@ use statrs::function::erf::erfc;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::null::Null;
 use crate::outcome::{BeamPit, PitHistogram, Region};
-use crate::statistics::{Aim, Cell, Covariate, Deviation, Dictionary, WALL_CELL_M, pit_draw};
+use crate::statistics::{Cell, Covariate, Deviation, Dictionary, Target, WALL_CELL_M, pit_draw};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
@@ -18,7 +18,7 @@ use crate::{GapError, Nominal, Recorded};
 const DISCOVERY_RATE: f64 = 0.1;
 /// A region has to be off on the other half of the log too, with this p-value.
 const OTHER_HALF: f64 = 0.05;
-/// The most regions that are told.
+/// The most regions that are reported.
 const MOST_REGIONS: usize = 40;
 /// A cell is still off beyond so many standard deviations.
 const STILL_OFF: f64 = 3.5;
@@ -59,7 +59,7 @@ pub(crate) fn locate(
         .zip(q)
         .filter(|(_, q)| *q <= DISCOVERY_RATE)
         .filter_map(|(&i, q)| {
-            let Aim::Cell(cell) = &before.dictionary.aims[i] else { return None };
+            let Target::Cell(cell) = &before.dictionary.targets[i] else { return None };
             let [here, there] = null.halves[i];
             let p_other_half = 0.5 * erfc(there * here.signum() * FRAC_1_SQRT_2);
             if p_other_half > OTHER_HALF {
@@ -242,7 +242,7 @@ pub(crate) fn histograms(comparison: &Comparison<'_>, pits: &[BeamPit]) -> Vec<P
 impl Dictionary {
     /// The beams of an omnibus cell.
     fn beams_in(&self, index: usize) -> Vec<u32> {
-        let Aim::Cell(cell) = &self.aims[index] else { return Vec::new() };
+        let Target::Cell(cell) = &self.targets[index] else { return Vec::new() };
         if matches!(cell.covariate, Covariate::Scan | Covariate::Pit | Covariate::Ratio) {
             return (0..self.cells_of_beams().len() as u32).collect();
         }
@@ -254,7 +254,8 @@ impl Dictionary {
 
     /// The cell that is the same in this dictionary.
     fn find(&self, cell: &Cell) -> Option<usize> {
-        (self.first_cell()..self.len()).find(|&i| matches!(&self.aims[i], Aim::Cell(other) if other == cell))
+        (self.first_cell()..self.len())
+            .find(|&i| matches!(&self.targets[i], Target::Cell(other) if other == cell))
     }
 }
 

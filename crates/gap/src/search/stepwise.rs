@@ -2,16 +2,17 @@
 
 use locsim_world::effect::Effect;
 
-use super::naming::{adds_up, choose, compare_rivals, gain, is_sure, name, numbers, sum_of};
+use super::selection::{adds_up, choose, compare_rivals, gain, is_sure, name, numbers, sum_of};
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
 use crate::GapError;
 use crate::fit::{Candidate, Search, Start};
 use crate::hypothesis::Fitted;
 use crate::outcome::{Named, Rival};
 
-/// So many of the first round's effects are tried alone where several were named, after a glance at so many simulated logs.
+/// Effects of the first round that are tried alone where several were named.
 const TRIED_ALONE: usize = 9;
-const GLANCE: u32 = 19;
+/// Replicates that decide whether an effect alone is worth a full round: 19 are the fewest that reject at 5 %.
+const SCREENING_REPLICATES: u32 = 19;
 /// With one alone the log must not be farther off than so many of the simulated ones: at the false-alarm rate itself one
 /// outlier among a hundred of them would do.
 const EXPLAINED: f64 = 0.05;
@@ -153,7 +154,7 @@ impl<'a> State<'a> {
             let (effects, nuisances) =
                 (vec![path.first_fits[i].effect.clone()], path.first().fitted.nuisances);
             // Most are far from it, which few simulated logs can say.
-            if self.round(effects.clone(), nuisances, GLANCE)?.null.is_clearly_off() {
+            if self.round(effects.clone(), nuisances, SCREENING_REPLICATES)?.null.is_clearly_off() {
                 continue;
             }
             let round = self.round(effects, nuisances, self.options.replicates)?;

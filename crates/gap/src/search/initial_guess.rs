@@ -6,7 +6,7 @@ use locsim_world::effect::EffectKind;
 use super::{Round, State};
 use crate::fit::Start;
 use crate::likelihood::Terms;
-use crate::statistics::{Aim, Hint, OBJECT_CELL_M, SECTOR_RANGE_M, cell_at, moved_wall_score, wall_cell};
+use crate::statistics::{OBJECT_CELL_M, SECTOR_RANGE_M, Seed, Target, cell_at, moved_wall_score, wall_cell};
 use crate::views::Beam;
 
 /// Directions of a kind of effect: how far the log is off, and the index of the statistic.
@@ -23,8 +23,8 @@ impl<'a> State<'a> {
             all.any(|effect| effect.kind == kind)
         };
         let mut best: Vec<(EffectKind, f64, Directions)> = Vec::new();
-        for (i, aim) in round.dictionary.aims.iter().enumerate() {
-            let Aim::Effect(kind, _) = aim else { continue };
+        for (i, target) in round.dictionary.targets.iter().enumerate() {
+            let Target::Effect(kind, _) = target else { continue };
             // The density of blocks is fitted along with everything else; see `block_density`.
             if self.options.without.contains(kind) || *kind == EffectKind::BlockDensity {
                 continue;
@@ -60,9 +60,9 @@ impl<'a> State<'a> {
 
     fn starts_of(&self, kind: EffectKind, all: &[(f64, usize)], round: &Round<'a>) -> Vec<Start> {
         let typical: Vec<f64> = kind.parameters().iter().map(|parameter| parameter.start).collect();
-        let hint = |i: usize| match &round.dictionary.aims[i] {
-            Aim::Effect(_, hint) => hint.clone(),
-            Aim::Cell(_) => Hint::None,
+        let initial = |i: usize| match &round.dictionary.targets[i] {
+            Target::Effect(_, initial) => initial.clone(),
+            Target::Cell(_) => Seed::None,
         };
         let two_sided = kind.parameters()[0].lo < kind.parameters()[0].neutral;
         let signed = |mut values: Vec<f64>, z: f64| {
@@ -76,8 +76,8 @@ impl<'a> State<'a> {
                 // Both axes at once: the two statistics come in the dictionary's order.
                 let mut values = vec![0.0; 2];
                 for &(z, i) in all {
-                    if let Hint::Values(hints) = hint(i) {
-                        for (axis, value) in hints {
+                    if let Seed::Values(seed_values) = initial(i) {
+                        for (axis, value) in seed_values {
                             if value != 0.0 {
                                 values[axis] = value * z.signum();
                             }
@@ -98,8 +98,8 @@ impl<'a> State<'a> {
                 .iter()
                 .filter(|(z, _)| *z > 0.0)
                 .take(3)
-                .filter_map(|&(_, i)| match hint(i) {
-                    Hint::Object(cell) => {
+                .filter_map(|&(_, i)| match initial(i) {
+                    Seed::Object(cell) => {
                         let at = object_at(round, cell);
                         Some(Start { values: vec![at.x, at.y, 0.05], place: Vec::new() })
                     }
@@ -118,8 +118,8 @@ impl<'a> State<'a> {
                     .take(most)
                     .map(|&(z, i)| {
                         let mut values = signed(typical.clone(), z);
-                        if let Hint::Values(hints) = hint(i) {
-                            for (number, value) in hints {
+                        if let Seed::Values(seed_values) = initial(i) {
+                            for (number, value) in seed_values {
                                 values[number] = value;
                             }
                         }
@@ -132,9 +132,9 @@ impl<'a> State<'a> {
 
     /// A sector's ends, by the neighbouring bearings at which something stands at the same range.
     fn sector(&self, round: &Round<'a>, index: usize, typical: &[f64]) -> Vec<f64> {
-        let values = |i: usize| match &round.dictionary.aims[i] {
-            Aim::Effect(EffectKind::SectorOcclusion, Hint::Values(hints)) => {
-                Some([hints[0].1, hints[1].1, hints[2].1])
+        let values = |i: usize| match &round.dictionary.targets[i] {
+            Target::Effect(EffectKind::SectorOcclusion, Seed::Values(seed_values)) => {
+                Some([seed_values[0].1, seed_values[1].1, seed_values[2].1])
             }
             _ => None,
         };
@@ -226,8 +226,8 @@ const STRETCH_LEAST_M: f64 = 0.3;
 /// Stretches of wall whose statistics are farthest off, on the walls through the cells that are, with the strength that an
 /// effect seems to have there.
 fn walls(round: &Round<'_>, kind: EffectKind, all: &[(f64, usize)], most: usize) -> Vec<(f64, [DVec2; 2])> {
-    let cells = |i: usize| match round.dictionary.aims[i] {
-        Aim::Effect(_, Hint::Wall(cells)) => Some(cells),
+    let cells = |i: usize| match round.dictionary.targets[i] {
+        Target::Effect(_, Seed::Wall(cells)) => Some(cells),
         _ => None,
     };
     let max = round.comparison.nominal.laser.max_range_m;

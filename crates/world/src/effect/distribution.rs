@@ -10,11 +10,11 @@ use super::EffectError;
 /// How much wider than the base the tail of a reading is.
 pub const TAIL_FACTOR: f64 = 5.0;
 
-/// The most alternatives of a law.
+/// The most alternatives of a distribution.
 const MAX_ALTERNATIVES: usize = 12;
 
-/// The distribution of a reading, given what the beam met: the one definition that [`ReadingLaw::sample`] draws from
-/// and [`ReadingLaw::log_density`] tells the density of.
+/// The distribution of a reading, given what the beam met: the one definition that [`ReadingDistribution::sample`] draws from
+/// and [`ReadingDistribution::log_density`] tells the density of.
 ///
 /// 1. The alternatives are tried in their order, each with its probability; the first that comes true is what is
 ///    read.
@@ -26,7 +26,7 @@ const MAX_ALTERNATIVES: usize = 12;
 /// A reading that isn't usable tells nothing, so density and distribution function are those of a usable one:
 /// conditioned on not being below the minimum range.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ReadingLaw {
+pub struct ReadingDistribution {
     /// Mean of the return \[m\]; infinite where nothing is met.
     pub mean: f64,
     /// Standard deviation of the return \[m\].
@@ -88,7 +88,7 @@ impl Alternatives {
     }
 }
 
-/// A part of the law's mixture.
+/// A part of the distribution's mixture.
 #[derive(Clone, Copy)]
 enum Component {
     NoReturn,
@@ -96,7 +96,7 @@ enum Component {
     Between { lo: f64, hi: f64 },
 }
 
-impl ReadingLaw {
+impl ReadingDistribution {
     /// A draw. `noise` gives the standard normal number of the return, as its first and only draw; `chance` decides
     /// everything else.
     pub fn sample(&self, noise: &mut impl Rng, chance: &mut impl Rng) -> f32 {
@@ -149,7 +149,7 @@ impl ReadingLaw {
         ln - usable
     }
 
-    /// The density of a usable reading, see [`ReadingLaw::log_density`]; 1 for NaN.
+    /// The density of a usable reading, see [`ReadingDistribution::log_density`]; 1 for NaN.
     pub fn density(&self, z: f32) -> f64 {
         self.log_density(z).exp()
     }
