@@ -173,6 +173,11 @@ pub struct Gap {
 }
 
 impl Gap {
+    /// Whether simulated ranges came less than half of the way to the measured ones.
+    pub fn is_open_in_ranges(&self) -> bool {
+        self.closed_in_ranges.is_some_and(|share| share < 0.5)
+    }
+
     /// Share of the log score that is gained, of what effects of the library could gain on held-out scans.
     pub fn gained_share(&self) -> f64 {
         let all = self.gained_nats_per_scan + self.remaining_nats_per_scan;

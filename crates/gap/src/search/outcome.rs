@@ -47,9 +47,15 @@ impl<'a> State<'a> {
         };
         self.progress.stage("measuring the gap", 1);
         let (old, new) = (self.replay(before)?, self.replay(after)?);
+        let gap = self.gap(before, after, &gains, remaining.as_ref(), &old, &new);
+        // No statistic may be off any more, and the simulated ranges still be far from the measured ones.
+        let is_open = gap.is_open_in_ranges();
+        let verdict = match verdict {
+            Verdict::Named | Verdict::Ambiguous if is_open => Verdict::PartlyExplained,
+            verdict => verdict,
+        };
         let side = [before, after].map(|round| Side { dictionary: &round.dictionary, null: &round.null });
         let regions = locate(&side[0], &side[1], &before.comparison.views, recorded, &old);
-        let gap = self.gap(before, after, &gains, remaining.as_ref(), &old, &new);
         let beam_pits = pits(
             &before.comparison,
             &before.fitted,

@@ -29,6 +29,10 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
             "Something is off (p = {p}), and no effect of the library explains it{}.",
             worst(&outcome.regions, false)
         )),
+        Verdict::PartlyExplained if outcome.gap.is_open_in_ranges() => text.push(format!(
+            "That is not all: the simulated ranges are still far from the measured ones{}.",
+            worst(&outcome.regions, true)
+        )),
         Verdict::PartlyExplained => text.push(format!(
             "That is not all: something else is still off (p = {}){}.",
             p_value(outcome.detection_after.p),
