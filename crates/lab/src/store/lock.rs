@@ -17,6 +17,19 @@ pub(crate) struct Lock {
 }
 
 impl Lock {
+    /// Fails where another process has the lock at `path`, for results at `out`. Nothing is made or kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Held`].
+    pub fn check(path: &Path, out: &Path) -> Result<(), StoreError> {
+        // What can't be opened is told by whoever needs it.
+        let Ok(file) = File::open(path) else { return Ok(()) };
+        match file.try_lock_shared() {
+            Err(TryLockError::WouldBlock) => Err(held(&file, out)),
+            _ => Ok(()),
+        }
+    }
+
     /// Takes the lock at `path` for results at `out`.
     ///
     /// # Errors
@@ -36,14 +49,7 @@ impl Lock {
             };
             match file.try_lock() {
                 Ok(()) => {}
-                Err(TryLockError::WouldBlock) => {
-                    let mut holder = String::new();
-                    // Who it is, if it has been written already.
-                    let _ = (&file).take(200).read_to_string(&mut holder);
-                    let holder = holder.trim();
-                    let holder = if holder.is_empty() { "another process" } else { holder }.to_owned();
-                    return Err(StoreError::Held { out: out.to_owned(), holder });
-                }
+                Err(TryLockError::WouldBlock) => return Err(held(&file, out)),
                 Err(TryLockError::Error(error)) => return Err(at(path)(error)),
             }
             // Whoever had it before may have removed the file meanwhile; a lock on that keeps nobody out.
@@ -62,6 +68,16 @@ impl Lock {
         drop(self.file);
         Ok(())
     }
+}
+
+/// The error of a lock that another process has.
+fn held(file: &File, out: &Path) -> StoreError {
+    let mut holder = String::new();
+    // Who it is, if it has been written already.
+    let _ = file.take(200).read_to_string(&mut holder);
+    let holder = holder.trim();
+    let holder = if holder.is_empty() { "another process" } else { holder }.to_owned();
+    StoreError::Held { out: out.to_owned(), holder }
 }
 
 /// ` on NAME`: folders may be shared by machines.

@@ -101,11 +101,15 @@ impl Manifest {
             Ok(_) => fs::read_dir(folder).map_err(at(folder))?,
         };
         let Some(manifest) = Self::read(&folder.join(MANIFEST))? else {
-            // The first in the order of names, so that the message is the same each time.
-            let mut names =
-                entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>();
-            return Ok(match &mut names {
-                Ok(names) => names.drain(..).min().map_or(State::Empty, State::Foreign),
+            // The first in the order of names, so that the message is the same each time. The manifest is written before all
+            // else, so that a kill may leave its temporary file alone.
+            let names = entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>();
+            return Ok(match names {
+                Ok(names) => names
+                    .into_iter()
+                    .filter(|path| !path.is_file() || !is_temporary(path.file_name().unwrap_or_default()))
+                    .min()
+                    .map_or(State::Empty, State::Foreign),
                 Err(_) => State::Foreign(folder.to_owned()),
             });
         };

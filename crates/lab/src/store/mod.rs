@@ -168,6 +168,8 @@ impl Store {
     /// [`StoreError`]: something there isn't ours, wasn't asked to be replaced, or is in use; the system's errors.
     pub fn open(request: &Request<'_>) -> Result<Self, StoreError> {
         let places = Places::of(request.out)?;
+        // Of work under way nothing is to be judged by what it has just written.
+        Lock::check(&places.partial.join(LOCK), request.out)?;
         allowed(&places, request)?;
         fs::create_dir_all(&places.partial).map_err(at(&places.partial))?;
         let lock = Lock::take(&places.partial.join(LOCK), request.out)?;
@@ -225,7 +227,10 @@ impl Store {
         let Places { out, old, .. } = &self.places;
         match self.places.earlier()? {
             State::Absent => {}
-            State::Empty => fs::remove_dir(out).map_err(at(out))?,
+            State::Empty => {
+                manifest::remove_temporary(out)?;
+                fs::remove_dir(out).map_err(at(out))?;
+            }
             _ => fs::rename(out, old).map_err(at(out))?,
         }
         let results = self.places.results();

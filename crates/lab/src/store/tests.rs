@@ -220,6 +220,35 @@ fn one_process_works_on_results_and_the_other_is_told_who() {
 }
 
 #[test]
+fn work_under_way_is_not_judged_by_what_it_has_just_written() {
+    let place = Place::new();
+    let store = place.open().unwrap();
+    place.write("out.partial/results/half", "");
+    for (resume, force) in [(false, false), (true, false), (false, true)] {
+        let refused = place.open_as("a", resume, force).unwrap_err();
+        assert!(matches!(refused, StoreError::Held { .. }), "{refused}");
+    }
+    drop(store);
+    let refused = place.open().unwrap_err();
+    assert!(matches!(&refused, StoreError::Foreign { found, .. } if found.ends_with("half")), "{refused}");
+}
+
+/// The manifest is the first file of a folder; a kill may leave no more than what was to become it.
+#[test]
+fn a_kill_before_the_first_manifest_leaves_nothing_in_the_way() {
+    let place = Place::new();
+    drop(place.open().unwrap());
+    fs::remove_file(place.at("out.partial/results/manifest.json")).unwrap();
+    place.write("out.partial/results/.locsim-0ojqKP.tmp", "{");
+    place.open_as("a", true, false).unwrap().finish().unwrap();
+    assert!(place.at("out/manifest.json").is_file() && !place.at("out.partial").exists());
+    fs::remove_file(place.at("out/manifest.json")).unwrap();
+    place.write("out/.locsim-0ojqKP.tmp", "{");
+    place.open().unwrap().finish().unwrap();
+    assert!(place.at("out/manifest.json").is_file() && !place.at("out/.locsim-0ojqKP.tmp").exists());
+}
+
+#[test]
 fn a_kill_between_any_two_steps_of_replacing_leaves_old_or_new_results_whole() {
     // Before the new ones are in place: the old ones are put back.
     let place = Place::new();
