@@ -8,8 +8,8 @@ mod common;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::Instant;
 
@@ -17,8 +17,11 @@ use common::{Folder, SCENARIO, edited};
 use locsim_core::{Draw, Stage};
 use serde_json::Value;
 
-/// Kills of each of the five commands.
+/// Kills of each of the five commands: half of them spread over the time that it takes, half of them while it writes.
 const KILLS: u32 = 4;
+
+/// A kill while writing comes at one of so many first changes of the folder.
+const CHANGES: u64 = 10;
 
 /// A command that writes results.
 struct Case {
@@ -196,6 +199,37 @@ fn succeeds(folder: &Folder, line: &str) -> Output {
     output
 }
 
+/// Every file below a folder with its size.
+fn listing(folder: &Path, found: &mut Vec<(PathBuf, u64)>) {
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if path.is_dir() {
+            listing(&path, found);
+        } else {
+            let size = entry.metadata().map_or(0, |found| found.len());
+            found.push((path, size));
+        }
+    }
+}
+
+/// Waits until the files below a folder have changed so often, or the process has ended.
+fn wait_for_changes(child: &mut Child, folder: &Path, changes: u64) {
+    let list = || {
+        let mut found = Vec::new();
+        listing(folder, &mut found);
+        found.sort();
+        found
+    };
+    let mut last = list();
+    let mut seen = 0;
+    while seen < changes && child.try_wait().unwrap().is_none() {
+        let now = list();
+        if now != last {
+            (last, seen) = (now, seen + 1);
+        }
+    }
+}
+
 #[expect(clippy::disallowed_methods, reason = "moments are spread over the time that the command takes")]
 fn now() -> Instant {
     Instant::now()
@@ -228,14 +262,22 @@ fn a_killed_command_is_repeated_as_if_nothing_had_happened() {
             }
             let force = if earlier { "--force" } else { "" };
 
-            let chance = Draw::new(17, Stage::Trial, number as u32).seed(kill) as f64 / u64::MAX as f64;
-            let share = (f64::from(kill) + chance) / f64::from(KILLS);
-            let moment = whole_time.mul_f64(share);
+            let draw = Draw::new(17, Stage::Trial, number as u32).seed(kill);
             let mut child = command(&folder, &there(&format!("{line} {force}"))).spawn().unwrap();
-            sleep(moment);
+            let moment = if kill < KILLS / 2 {
+                let chance = draw as f64 / u64::MAX as f64;
+                let moment = whole_time.mul_f64((f64::from(kill) + chance) / f64::from(KILLS / 2));
+                sleep(moment);
+                format!("after {moment:?} of {whole_time:?}")
+            } else {
+                // Once at the first change of all.
+                let changes = if kill == KILLS / 2 { 1 } else { 2 + draw % (CHANGES - 1) };
+                wait_for_changes(&mut child, &folder.path("."), changes);
+                format!("at change {changes} of its files")
+            };
             child.kill().unwrap();
             let status = child.wait().unwrap();
-            let place = format!("{line} {force}, killed after {moment:?} of {whole_time:?} ({status})");
+            let place = format!("{line} {force}, killed {moment} ({status})");
 
             // While results change places the earlier ones stand beside it; the next command puts them back.
             let left = match content(&folder, results) {
