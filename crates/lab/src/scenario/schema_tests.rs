@@ -197,7 +197,8 @@ fn every_documented_default_is_the_default() {
         let mut explicit = json_of(&text);
         fill(&schema, &schema, &mut explicit, &mut seen);
         // JSON is YAML.
-        assert_eq!(parse(&text).unwrap(), parse(&explicit.to_string()).unwrap());
+        let without_text = |text: &str| Scenario { text: String::new(), ..parse(text).unwrap() };
+        assert_eq!(without_text(&text), without_text(&explicit.to_string()));
     }
     let mut all = Vec::new();
     properties(&schema, &mut all);
