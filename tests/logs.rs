@@ -78,6 +78,13 @@ fn a_simulated_log_is_mapped_learnt_from_and_localized_on() {
     let log = "{file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]}\nmap: {file: room-0.05.yaml}";
     localizes(&folder, "written.yaml", &on_a_log(log), 0.2);
 
+    // Its walls, and the picture of held-out readings on them.
+    assert!(told.contains("room-0.05.walls.yaml: ") && told.contains("walls, each scan aligned"), "{told}");
+    assert!(folder.read("room-0.05.check.svg").starts_with(b"<svg"));
+    assert_eq!(folder.read("again.walls.yaml"), folder.read("room-0.05.walls.yaml"));
+    let log = "{file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]}\nmap: {file: room-0.05.walls.yaml}";
+    localizes(&folder, "walls.yaml", &on_a_log(log), 0.2);
+
     // The map serves a simulation too.
     let simulated = edited(SCENARIO, "room.yaml", "room-0.05.yaml");
     folder.write("simulated.yaml", simulated);

@@ -15,7 +15,7 @@ use std::time::Duration;
 use locsim_bench::speed::Workload;
 use locsim_core::{Draw, Hits, Particles, Pose2, Progress, RangeMap, SensorModel, Stage};
 use locsim_dataset::{LogOptions, read_log, read_tum};
-use locsim_lab::run::{self, RunOptions};
+use locsim_lab::run::{self, LogMaps, RunOptions};
 use locsim_scenario::{Overrides, Scenario, load_map};
 use locsim_sensor::{FittedModel, ModelKind};
 use locsim_study::{self as study, Study, StudyOverrides};
@@ -194,12 +194,12 @@ pub fn db3(data: &[u8]) -> Outcome {
     use_log(&written("input.db3", data))
 }
 
-/// Reads a log and, as `map` does, makes a map of it.
+/// Reads a log and, as `map` does, makes maps of it.
 fn use_log(path: &Path) -> Outcome {
     let (_, summary) = read_log(path, &LogOptions::default()).map_err(refused)?;
     drop(summary.to_string());
     // A log without reference poses is a log, if no map.
-    drop(run::map_from_log(path, &[[0.0, 1.0]], 0.05, &LogOptions::default()));
+    drop(LogMaps::from_log(path, &[[0.0, 1.0]], 0.05, &LogOptions::default()));
     Ok(())
 }
 

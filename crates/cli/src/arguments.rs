@@ -67,7 +67,7 @@ pub enum Command {
     Simulate(Simulate),
     /// Find where a measured log and a simulated scenario disagree, name the effect that the scenario lacks, and add it
     Gap(Gap),
-    /// Build an occupancy grid map (ROS `map_server` format) from a log with reference poses
+    /// Build maps from a log with reference poses: an occupancy grid (ROS `map_server` format) and a map of walls
     Map(Map),
     /// Measure speed and accuracy on a folder of fixed work, beside targets and other programs
     Bench(Bench),
@@ -205,7 +205,7 @@ pub struct Simulate {
 pub struct Map {
     /// A log with reference poses: a ROS 2 bag (`.mcap`) or a CARMEN log (`.log`, `.log.gz`)
     pub log: PathBuf,
-    /// The map to write: OUT.yaml and OUT.pgm
+    /// The maps to write: OUT.yaml and OUT.pgm (cells), OUT.walls.yaml (walls), OUT.check.svg (held-out readings on it)
     #[arg(long)]
     pub out: PathBuf,
     /// Replace the map if it is there

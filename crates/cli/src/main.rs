@@ -19,7 +19,7 @@ use locsim_core::limits::{Limits, THREADS_PER_CORE};
 use locsim_core::output::Output;
 use locsim_dataset::{LogOptions, McapTopics};
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyError, GapStudyOptions};
-use locsim_lab::run::{self, Recorder, RunError, RunOptions};
+use locsim_lab::run::{self, LogMaps, Recorder, RunError, RunOptions};
 use locsim_report::terminal_table;
 use locsim_scenario::catalogue;
 use locsim_scenario::{self as scenario, Overrides, Scenario};
@@ -470,30 +470,45 @@ fn map(arguments: &Map) -> Result<ExitCode> {
     let named_yaml = arguments.out.extension().is_some_and(|extension| extension == "yaml");
     let stem = if named_yaml { arguments.out.with_extension("") } else { arguments.out.clone() };
     // Appended: what follows a dot in a name such as `floor-0.05` is no extension.
-    let [image, yaml] = [".pgm", ".yaml"].map(|extension| {
+    let file = |extension: &str| {
         let mut name = stem.clone().into_os_string();
         name.push(extension);
         PathBuf::from(name)
-    });
+    };
+    let [image, yaml, walls, picture] = [".pgm", ".yaml", ".walls.yaml", ".check.svg"].map(file);
     let name = image.file_name().context("--out needs a file name")?;
     let name = name.to_str().context("--out: a map names its image in UTF-8; this name is not")?;
     let inputs = [arguments.log.clone()];
-    let [image_file, yaml_file] =
-        [&image, &yaml].map(|path| Output { path, force: arguments.force, inputs: &inputs });
-    image_file.check()?;
-    yaml_file.check()?;
+    let outputs = [&image, &yaml, &walls, &picture].map(|path| Output {
+        path,
+        force: arguments.force,
+        inputs: &inputs,
+    });
+    for output in &outputs {
+        output.check()?;
+    }
     let options = log_options(&arguments.log_options);
-    let (grid, summary) = run::map_from_log(&arguments.log, &[[from, to]], arguments.resolution, &options)?;
-    let [pgm, description] = run::map_files(&grid, name);
-    Output::write_all(&[(image_file, &pgm), (yaml_file, &description)])?;
-    say(&summary.to_string())?;
-    say(&format!(
-        "{}: {} x {} cells of {} m",
-        yaml.display(),
-        grid.width(),
-        grid.height(),
-        grid.resolution_m()
-    ))?;
+    let maps = LogMaps::from_log(&arguments.log, &[[from, to]], arguments.resolution, &options)?;
+    let [pgm, description] = maps.grid_files(name);
+    let mut contents = vec![pgm, description, maps.walls.to_yaml().into_bytes()];
+    if let Some(check) = &maps.check {
+        contents.push(run::agreement_figure(check)?.svg.into_bytes());
+    }
+    let files: Vec<(Output, &[u8])> = outputs.into_iter().zip(contents.iter().map(Vec::as_slice)).collect();
+    Output::write_all(&files)?;
+    say(&maps.summary.to_string())?;
+    let grid = &maps.grid;
+    let (width, height, cell) = (grid.width(), grid.height(), grid.resolution_m());
+    say(&format!("{}: {width} x {height} cells of {cell} m", yaml.display()))?;
+    say(&format!("{}: {} walls", walls.display(), maps.walls.walls.len()))?;
+    if let Some(check) = &maps.check {
+        say(&format!(
+            "Maps from four fifths of the scans against the other {} ({}):\n{}",
+            check.scans,
+            picture.display(),
+            run::agreement_table(check).to_terminal()
+        ))?;
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use locsim_world::map::{Geometry, MapError, OccupancyMapFile, Polyline, VectorMap};
+use locsim_world::map::{Geometry, MapError, MeasuredMap, OccupancyMapFile, Polyline, VectorMap};
 use serde::Deserialize;
 
 use super::locate::join;
@@ -16,14 +16,15 @@ pub struct LoadedMap {
     pub image: Option<PathBuf>,
 }
 
-/// What tells the two kinds of map files apart.
+/// The keys that tell the kinds of map files apart.
 #[derive(Deserialize)]
 struct Kind {
     image: Option<serde::de::IgnoredAny>,
+    seen: Option<serde::de::IgnoredAny>,
 }
 
-/// Reads a map file: a ROS `map_server` YAML if it has the key `image`, a vector map otherwise. An image is
-/// looked up in the file's own folder.
+/// Reads a map file: a ROS `map_server` YAML if it has the key `image`, a measured map if it has `seen`, a vector map
+/// otherwise. An image is looked up in the file's own folder.
 ///
 /// # Errors
 /// [`ScenarioError`] naming the map file, and where it can the line and the key that are wrong.
@@ -42,6 +43,10 @@ pub fn load_map(path: &Path) -> Result<LoadedMap, ScenarioError> {
             .and_then(|grid| grid.to_geometry())
             .map_err(|error| invalid(key_of_grid_error(&error).to_owned(), &error))?;
         Ok(LoadedMap { geometry, image: Some(folder.join(&map.image)) })
+    } else if kind.seen.is_some() {
+        let (map, _) = yaml::parse::<MeasuredMap>(path, &text)?;
+        let geometry = map.to_geometry().map_err(|error| invalid(key_of_measured_error(&error), &error))?;
+        Ok(LoadedMap { geometry, image: None })
     } else {
         let (map, _) = yaml::parse::<VectorMap>(path, &text)?;
         let geometry =
@@ -62,6 +67,21 @@ fn key_of_grid_error(error: &MapError) -> &'static str {
         | MapError::Extent { .. }
         | MapError::GridSize { .. } => "image",
         _ => "",
+    }
+}
+
+/// The key of a measured map that an error is about; empty for the whole file.
+fn key_of_measured_error(error: &MapError) -> String {
+    let (name, point) = match error {
+        MapError::NotFinite { polyline, point, .. }
+        | MapError::TooFar { polyline, point, .. }
+        | MapError::ZeroLengthEdge { polyline, point, .. } => (polyline, *point),
+        _ => return "seen".to_owned(),
+    };
+    match (name.strip_prefix("wall-"), name.strip_prefix("seen-")) {
+        (Some(wall), _) => format!("walls[{wall}].{}", if point == 0 { "from_m" } else { "to_m" }),
+        (_, Some(ring)) => format!("seen[{ring}][{point}]"),
+        _ => String::new(),
     }
 }
 

@@ -10,7 +10,7 @@ use locsim_core::{
 };
 use locsim_dataset::{LogOptions, read_log};
 use locsim_world::effect::Effects;
-use locsim_world::map::{Geometry, ImageFormat, MapError, OccupancyGrid};
+use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
 use locsim_world::simulation::{
@@ -20,7 +20,6 @@ use rand::RngExt;
 
 use super::training::{ScanData, Surroundings, TrainedModel, train};
 use super::{Progress, RunError};
-use locsim_scenario::yaml;
 use locsim_scenario::{self as scenario, Log, LogMap, ModelName, RayCast, Scenario, Simulation, Source};
 
 /// Training poses keep this far from walls \[m\]: a robot has a body.
@@ -288,27 +287,6 @@ pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError
     Ok(drive_of(&world, seed, scenario)?.drive)
 }
 
-/// Builds an occupancy grid map from the given shares of a log.
-///
-/// # Errors
-/// [`RunError::Dataset`] for a log that can't be read, [`RunError::Map`] when no map can be made of it.
-pub fn map_from_log(
-    log: &Path,
-    shares: &[[f64; 2]],
-    resolution_m: f64,
-    options: &LogOptions,
-) -> Result<(OccupancyGrid, locsim_dataset::LogSummary), RunError> {
-    let (drive, summary) = read_log(log, options)?;
-    let options = MappingOptions { resolution_m, ..MappingOptions::default() };
-    let grid = occupancy_from_drive(&drive, &selected(&drive, shares), &options).map_err(unusable(log))?;
-    Ok((grid, summary))
-}
-
-/// The two files of a map, as ROS `map_server` reads them: the image, to be written as `image`, and its description.
-pub fn map_files(grid: &OccupancyGrid, image: &str) -> [Vec<u8>; 2] {
-    [grid.image_bytes(ImageFormat::Pgm), yaml::text(&grid.map_file(Path::new(image))).into_bytes()]
-}
-
 fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, RunError> {
     let simulated = simulate_drive(&world.simulator, &world.robot, seed).map_err(refused(scenario))?;
     let corners = |block: &Block| block.corners.map(|corner| corner.to_array());
@@ -317,7 +295,7 @@ fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive,
 }
 
 /// Attaches the map's file to what is wrong with it.
-fn unusable(path: &Path) -> impl FnOnce(MapError) -> RunError {
+pub(super) fn unusable(path: &Path) -> impl FnOnce(MapError) -> RunError {
     let path = path.to_owned();
     move |source| RunError::Map { path, source }
 }
@@ -336,7 +314,7 @@ fn with_filter_beams(drive: Drive, scenario: &Scenario) -> Drive {
 }
 
 /// Indices of the steps within shares of a drive.
-fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
+pub(super) fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
     let n = drive.steps.len();
     let inside = |i: usize| {
         let share = i as f64 / n as f64;

@@ -5,6 +5,7 @@ mod detail;
 mod error;
 mod estimate;
 mod laboratory;
+mod map;
 mod training;
 mod trial;
 
@@ -19,7 +20,8 @@ use rayon::prelude::*;
 pub use bounds::MissedBound;
 pub use error::RunError;
 pub use estimate::Estimate as CostEstimate;
-pub use laboratory::{MapSet, free_poses, map_files, map_from_log, simulate_trial};
+pub use laboratory::{MapSet, free_poses, simulate_trial};
+pub use map::{LogMaps, agreement_figure, agreement_table};
 pub use training::{ScanData, Surroundings, TrainedModel, train};
 
 use detail::Detail;

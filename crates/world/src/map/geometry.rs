@@ -10,6 +10,8 @@ pub struct Geometry {
     surface_names: Vec<String>,
     bounds: [f64; 4],
     free: FreeSpace,
+    /// The segments from here on are the border of what is known.
+    walls: usize,
 }
 
 /// Where a robot can stand.
@@ -36,12 +38,32 @@ impl Geometry {
         free: FreeSpace,
     ) -> Self {
         debug_assert_eq!(segments.len(), surfaces.len());
-        Self { segments, surfaces, surface_names, bounds, free }
+        let walls = segments.len();
+        Self { segments, surfaces, surface_names, bounds, free, walls }
     }
 
-    /// The wall segments, end points in the map frame \[m\]. None has length zero.
+    /// The same with only the first `walls` segments being walls, and the others the border of what is known. No surface
+    /// has segments of both kinds.
+    pub(super) fn with_walls(self, walls: usize) -> Self {
+        debug_assert!(walls <= self.segments.len());
+        Self { walls, ..self }
+    }
+
+    /// Everything that ends a ray: the wall segments, then the border of what is known. End points are in the map
+    /// frame \[m\]; no segment has length zero.
     pub fn segments(&self) -> &[[DVec2; 2]] {
         &self.segments
+    }
+
+    /// The wall segments without the border of what is known \[m\].
+    pub fn walls(&self) -> &[[DVec2; 2]] {
+        &self.segments[..self.walls]
+    }
+
+    /// Whether a surface is the border of what is known: a ray that meets it has no nominal range, and a reading of its
+    /// beam says nothing about the map.
+    pub fn is_unknown(&self, surface: u32) -> bool {
+        self.surfaces.get(self.walls).is_some_and(|&border| border == surface)
     }
 
     /// Surface id of each segment: an index into [`Geometry::surface_names`].
@@ -71,7 +93,7 @@ impl Geometry {
 
     /// Total length of the wall segments \[m\].
     pub fn wall_length_m(&self) -> f64 {
-        self.segments.iter().map(|[a, b]| a.distance(*b)).sum()
+        self.walls().iter().map(|[a, b]| a.distance(*b)).sum()
     }
 
     /// Whether a point \[m\] is in free space: inside the outline and outside the obstacles of a vector map, in a

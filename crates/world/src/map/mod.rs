@@ -20,12 +20,23 @@
 //! # Occupancy grid maps
 //! An [`OccupancyMapFile`] is the yaml file of ROS `map_server`; it loads an [`OccupancyGrid`] from its image.
 //!
-//! Either kind becomes a [`Geometry`].
+//! # Measured maps
+//! A [`MeasuredMap`] is made from scans (see [`crate::mapping`]): walls that face one way, and the area that was seen.
+//! ```yaml
+//! seen:                            # closed polylines; the first around what was seen, the others around holes in it
+//!   - [[0, 0], [20, 0], [20, 4], [0, 4]]
+//! walls:
+//!   - {from_m: [19.9, 0.1], to_m: [0.1, 0.1], sigma_m: 0.002, hits: 5210, hit_share: 0.99}
+//! ```
+//! A ray that leaves what was seen meets the surface `unknown`, see [`Geometry::is_unknown`].
+//!
+//! Each kind becomes a [`Geometry`].
 
 mod error;
 mod frame;
 mod geometry;
 mod grid;
+mod measured;
 mod outline;
 mod ros;
 mod vector;
@@ -43,5 +54,7 @@ pub use error::MapError;
 pub(crate) use frame::CellFrame;
 pub use geometry::Geometry;
 pub use grid::{Cell, ImageFormat, OccupancyGrid};
+pub use measured::{MeasuredMap, MeasuredWall};
 pub use ros::{ImageMode, OccupancyMapFile};
+use vector::finite_points;
 pub use vector::{NamedEdges, Polyline, VectorMap, Wall};

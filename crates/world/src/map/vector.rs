@@ -174,7 +174,7 @@ impl Builder {
     }
 }
 
-fn finite_points(polyline: &str, points: &[[f64; 2]]) -> Result<Vec<DVec2>, MapError> {
+pub(super) fn finite_points(polyline: &str, points: &[[f64; 2]]) -> Result<Vec<DVec2>, MapError> {
     points
         .iter()
         .enumerate()

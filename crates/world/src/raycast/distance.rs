@@ -34,7 +34,7 @@ impl DistanceGrid {
         let max_m = max_m.max(0.0);
         let [x0, y0, x1, y1] = geometry.bounds();
         let frame = CellFrame::covering([x0 - max_m, y0 - max_m, x1 + max_m, y1 + max_m], cell_m)?;
-        let walls = Walls { segments: geometry.segments(), tree: tree_over(geometry.segments()) };
+        let walls = Walls { segments: geometry.walls(), tree: tree_over(geometry.walls()) };
         let mut distances = vec![0.0; frame.rows * frame.columns];
         let radius = 0.5 * BLOCK as f64 * cell_m * SQRT_2;
         distances.par_chunks_mut(BLOCK * frame.columns).enumerate().for_each_init(

@@ -1,0 +1,158 @@
+//! `locsim map`: both maps of a log, and how they agree with scans that they weren't made from.
+
+use std::path::Path;
+
+use locsim_dataset::{LogOptions, LogSummary, read_log};
+use locsim_report::figures::Figure;
+use locsim_report::figures::canvas::{DrawError, INK, Mark, WIDTH, figure, line};
+use locsim_report::figures::geometry::{Point, Window};
+use locsim_report::figures::map::{LEFT, MARGINS, MapPanel};
+use locsim_report::{ReportError, TextTable, palette};
+use locsim_scenario::yaml;
+use locsim_world::map::{ImageFormat, MeasuredMap, OccupancyGrid};
+use locsim_world::mapping::{
+    Agreement, HeldOutReading, MapCheck, MappingOptions, check_maps, occupancy_from_drive, walls_from_drive,
+};
+use plotters::prelude::{Color, RGBColor};
+
+use super::RunError;
+use super::laboratory::{selected, unusable};
+
+/// The figure shows at most this many readings: more hide each other.
+const SHOWN_READINGS: usize = 20_000;
+
+/// Readings nearer to their nominal range than this are drawn as near \[m\]: a few standard deviations of a laser and a
+/// reference pose.
+const NEAR_M: f64 = 0.1;
+
+/// Readings farther from their nominal range than this are drawn as far \[m\], as [`Agreement::far_share`] counts them.
+const FAR_M: f64 = 0.5;
+
+/// Both maps of a log.
+pub struct LogMaps {
+    /// Cells.
+    pub grid: OccupancyGrid,
+    /// Walls.
+    pub walls: MeasuredMap,
+    /// How both agree with held-out scans; `None` for a log too short to hold out any.
+    pub check: Option<MapCheck>,
+    /// What was read.
+    pub summary: LogSummary,
+}
+
+impl LogMaps {
+    /// Builds both maps from the given shares of a log.
+    ///
+    /// # Errors
+    /// [`RunError::Dataset`] for a log that can't be read, [`RunError::Map`] when no map can be made of it.
+    pub fn from_log(
+        log: &Path,
+        shares: &[[f64; 2]],
+        resolution_m: f64,
+        options: &LogOptions,
+    ) -> Result<Self, RunError> {
+        let (drive, summary) = read_log(log, options)?;
+        let options = MappingOptions { resolution_m, ..MappingOptions::default() };
+        let steps = selected(&drive, shares);
+        let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(log))?;
+        let walls = walls_from_drive(&drive, &steps, &options).map_err(unusable(log))?;
+        let check = check_maps(&drive, &steps, &options).map_err(unusable(log))?;
+        Ok(Self { grid, walls, check, summary })
+    }
+
+    /// The grid as ROS `map_server` reads it: the image, to be written as `image`, and its description.
+    pub fn grid_files(&self, image: &str) -> [Vec<u8>; 2] {
+        let description = yaml::text(&self.grid.map_file(Path::new(image)));
+        [self.grid.image_bytes(ImageFormat::Pgm), description.into_bytes()]
+    }
+}
+
+/// How maps agree with held-out readings, as a table.
+pub fn agreement_table(check: &MapCheck) -> TextTable {
+    let row = |name: &str, of: &Agreement| {
+        [
+            name.to_owned(),
+            format!("{:.1}", 100.0 * of.nominal_share),
+            format!("{:.1}", 100.0 * of.median_abs_m),
+            format!("{:+.1}", 100.0 * of.median_m),
+            format!("{:.1}", 100.0 * of.far_share),
+        ]
+    };
+    TextTable::new(
+        [
+            "held-out readings against",
+            "with nominal [%]",
+            "median |error| [cm]",
+            "median error [cm]",
+            "> 0.5 m [%]",
+        ],
+        [
+            row("cells", &check.cells),
+            row("cells, where walls have a nominal range", &check.cells_where_walls),
+            row("walls", &check.walls),
+            row("walls, each scan aligned", &check.walls_aligned),
+        ],
+    )
+}
+
+/// The map of walls and the held-out readings, coloured by how far they are from their nominal ranges.
+///
+/// # Errors
+/// [`ReportError::Figure`].
+pub fn agreement_figure(check: &MapCheck) -> Result<Figure, ReportError> {
+    let failed = |error: DrawError| ReportError::Figure { name: NAME, reason: error.to_string() };
+    let svg = draw(check).map_err(failed)?;
+    let caption =
+        "Walls of the map, the border of what was seen, and readings of scans that the map wasn't made from.";
+    Ok(Figure { name: NAME, caption: caption.to_owned(), svg })
+}
+
+const NAME: &str = "map_check";
+
+fn draw(check: &MapCheck) -> Result<String, DrawError> {
+    let color = |index: usize| {
+        let [red, green, blue] = palette::rgb(index);
+        RGBColor(red, green, blue)
+    };
+    let classes = [
+        ("within 0.1 m", color(2)),
+        ("within 0.5 m", color(5)),
+        ("farther", color(0)),
+        ("no nominal range", color(4)),
+    ];
+    let class = |reading: &HeldOutReading| match reading.error_m.map(f64::abs) {
+        Some(error) if error <= NEAR_M => 0,
+        Some(error) if error <= FAR_M => 1,
+        Some(_) => 2,
+        None => 3,
+    };
+    let border_color = RGBColor(0xaa, 0xaa, 0xaa);
+    let mut legend = vec![
+        ("wall".to_owned(), Mark::Line(INK)),
+        ("border of what was seen".to_owned(), Mark::Line(border_color)),
+    ];
+    legend.extend(classes.map(|(name, color)| (name.to_owned(), Mark::Dot(color))));
+    let segments: Vec<[Point; 2]> =
+        check.map.segments().iter().map(|ends| ends.map(|end| end.to_array())).collect();
+    let (walls, border) = segments.split_at(check.map.walls().len());
+    let around = Window::around(segments.iter().flatten());
+    let (right, top, below) = MARGINS;
+    let width = f64::from(WIDTH) - LEFT - right;
+    let [x, y] = around.size();
+    let height = (width * y / x.max(1e-3)).clamp(0.3 * width, 1.5 * width);
+    let window = around.with_aspect(width / height);
+    figure("Held-out readings on the map of walls", &legend, height + top + below, |area| {
+        let mut panel = MapPanel::new(area, window, [10.0, height / 80.0])?;
+        for ends in border {
+            panel.line(ends, line(border_color, 1.0))?;
+        }
+        for ends in walls {
+            panel.line(ends, line(INK, 1.0))?;
+        }
+        let stride = check.readings.len().div_ceil(SHOWN_READINGS).max(1);
+        for reading in check.readings.iter().step_by(stride) {
+            panel.dot(reading.end_m, 1.0, classes[class(reading)].1.filled())?;
+        }
+        Ok(())
+    })
+}
