@@ -11,7 +11,7 @@ use saphyr_parser::{Event, Parser};
 use similar::TextDiff;
 
 use super::{GapStudy, GapStudyError};
-use crate::scenario::effect::{effect_yaml_with, in_file, key, quoted_text};
+use crate::scenario::effect::{effect_yaml_with, in_file, quoted_text};
 use crate::scenario::{Overrides, Scenario, Source};
 use crate::store::StoreError;
 
@@ -83,7 +83,7 @@ fn numbers(named: &Named) -> String {
         let Some(number) = named.params.get(parameter.name) else { return String::new() };
         let [value, lo, hi] = [number.value, number.lo, number.hi].map(|value| in_file(parameter, value));
         let decimals = super::answer::decimals(lo, hi);
-        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", key(parameter))
+        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", parameter.key)
     };
     named.name.parameters().iter().map(number).collect::<Vec<_>>().join(", ")
 }

@@ -11,7 +11,7 @@ use super::{GapStudy, answer, figures};
 use crate::report::figures::Figure;
 use crate::report::text::{self, TextTable, fixed, significant};
 use crate::report::{ReportError, page, write_figures};
-use crate::scenario::effect::{in_file, key, unit};
+use crate::scenario::effect::{in_file, unit};
 use crate::store::Folder;
 
 const MARKDOWN: &str = include_str!("templates/gap.md.j2");
@@ -233,7 +233,7 @@ fn detectable_table(outcome: &Outcome) -> TextTable {
         };
         [
             detectable.name.name().to_owned(),
-            parameter.map_or(detectable.parameter, key).to_owned(),
+            parameter.map_or(detectable.parameter, |parameter| parameter.key).to_owned(),
             shown(detectable.value),
             shown(detectable.typical),
         ]
