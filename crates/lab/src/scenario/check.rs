@@ -2,6 +2,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use locsim_core::limits::{RANGE_M, quoted};
+use locsim_dataset::log_files;
 
 use super::error::{LISTED, and_more, shown};
 use super::locate::{Locations, join};
@@ -191,17 +192,30 @@ impl<'a> Checker<'a> {
 
     /// An existing file: `${VARIABLE}` is replaced, a relative path starts at the scenario's folder.
     pub(crate) fn file(&mut self, key: &str, text: &str) -> PathBuf {
+        let Some(path) = self.path(key, text) else { return PathBuf::new() };
+        self.refuse(!path.is_file(), key, || {
+            format!("`{}` is not allowed; there is no file {}", quoted(text), shown(&path))
+        });
+        path
+    }
+
+    /// The path of a log that must exist: a file, or the folder of a bag.
+    pub(crate) fn log(&mut self, key: &str, text: &str) -> PathBuf {
+        let folder = self.path(key, text).filter(|path| path.is_dir());
+        let Some(path) = folder else { return self.file(key, text) };
+        if let Err(error) = log_files(&path) {
+            self.problem(key, format!("`{}` is not allowed; {error}", quoted(text)));
+        }
+        path
+    }
+
+    /// A path with its variables replaced, relative to the file that names it.
+    fn path(&mut self, key: &str, text: &str) -> Option<PathBuf> {
         match expand(text, self.environment) {
-            Ok(expanded) => {
-                let path = self.file.parent().unwrap_or(Path::new("")).join(&expanded);
-                self.refuse(!path.is_file(), key, || {
-                    format!("`{}` is not allowed; there is no file {}", quoted(text), shown(&path))
-                });
-                path
-            }
+            Ok(expanded) => Some(self.file.parent().unwrap_or(Path::new("")).join(&expanded)),
             Err(message) => {
                 self.problem(key, format!("`{}` is not allowed; {message}", quoted(text)));
-                PathBuf::new()
+                None
             }
         }
     }
