@@ -187,7 +187,8 @@ impl Database {
     }
 }
 
-/// What an error of the library says, without what the file made of it.
+/// The words of an error of the library, with hidden characters escaped.
+#[expect(clippy::needless_pass_by_value, reason = "the form that `map_err` takes")]
 fn in_words(error: rusqlite::Error) -> String {
     match error.sqlite_error_code() {
         Some(rusqlite::ErrorCode::OperationInterrupted) => {
