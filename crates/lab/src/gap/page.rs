@@ -1,7 +1,6 @@
 //! The report of a search: what disagrees and where, why this effect and not another, what remains.
 
 use locsim_gap::{Outcome, Verdict};
-use locsim_world::effect::EffectKind;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
@@ -12,7 +11,7 @@ use locsim_report::figures::Figure;
 use locsim_report::store::Folder;
 use locsim_report::text::{self, TextTable, fixed, significant};
 use locsim_report::{ReportError, page, write_figures};
-use locsim_scenario::effect::{in_file, key, unit};
+use locsim_scenario::effect::{in_file, unit};
 
 const MARKDOWN: &str = include_str!("templates/gap.md.j2");
 
@@ -130,7 +129,7 @@ fn named_text(named: &locsim_gap::Named) -> NamedText {
         numbers: answer::numbers(named).join(", "),
         gain: answer::with_interval(&named.evidence.gain_nats, 1.0),
         p: answer::p_value(named.evidence.p),
-        others: answer::others(named).map(EffectKind::name).collect(),
+        others: answer::others(named).collect(),
         split_by: named.split_by,
     }
 }
@@ -233,7 +232,7 @@ fn detectable_table(outcome: &Outcome) -> TextTable {
         };
         [
             detectable.name.name().to_owned(),
-            parameter.map_or(detectable.parameter, key).to_owned(),
+            parameter.map_or(detectable.parameter, |parameter| parameter.key).to_owned(),
             shown(detectable.value),
             shown(detectable.typical),
         ]

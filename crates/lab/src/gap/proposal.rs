@@ -6,8 +6,8 @@ use locsim_core::limits::quoted;
 use locsim_gap::{Named, Outcome};
 use locsim_report::store::StoreError;
 use locsim_scenario::edit::Entry;
-use locsim_scenario::effect::{effect_yaml_with, in_file, key};
-use locsim_world::effect::{EffectKind, Parameter};
+use locsim_scenario::effect::{effect_yaml_with, in_file};
+use locsim_world::effect::Parameter;
 use similar::TextDiff;
 
 use super::{GapStudy, GapStudyError};
@@ -41,7 +41,7 @@ fn entry(study: &GapStudy, named: &Named) -> Entry {
             super::answer::p_value(evidence.p),
         ),
     ];
-    let others: Vec<&str> = super::answer::others(named).map(EffectKind::name).collect();
+    let others: Vec<&str> = super::answer::others(named).collect();
     if !others.is_empty() {
         comments.push(format!("The log doesn't tell it from {}.", others.join(", ")));
     }
@@ -56,7 +56,7 @@ fn numbers(named: &Named) -> String {
         let Some(number) = named.params.get(parameter.name) else { return String::new() };
         let [value, lo, hi] = [number.value, number.lo, number.hi].map(|value| in_file(parameter, value));
         let decimals = super::answer::decimals(lo, hi);
-        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", key(parameter))
+        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", parameter.key)
     };
     named.name.parameters().iter().map(number).collect::<Vec<_>>().join(", ")
 }
