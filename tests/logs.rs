@@ -68,6 +68,10 @@ fn a_simulated_log_is_mapped_learnt_from_and_localized_on() {
                map_resolution_m: 0.05}";
     localizes(&folder, "mapped.yaml", &on_a_log(log), 0.2);
 
+    let log = "{file: drive.log, map: walls, map_scans: [[0.0, 0.35]], train_scans: [[0.35, 0.7]], \
+               localize_scans: [[0.7, 1.0]]}";
+    localizes(&folder, "mapped-walls.yaml", &on_a_log(log), 0.2);
+
     // A map that `map` wrote, in a file. What follows a dot in its name is no extension.
     let call = folder.locsim("map drive.log --out room-0.05 --share 0.0,0.5").success();
     let told = output(&call);

@@ -53,7 +53,7 @@ impl Scenario {
             Source::Simulation(simulation) => Some(&simulation.map),
             Source::Log(log) => match &log.map {
                 LogMap::File(path) => Some(path),
-                LogMap::FromScans { .. } => None,
+                LogMap::FromScans { .. } | LogMap::Walls { .. } => None,
             },
         }
     }

@@ -122,6 +122,11 @@ pub enum LogMap {
         /// Side of a cell (m).
         resolution_m: f64,
     },
+    /// Walls built from scans of the same log.
+    Walls {
+        /// Scans the map is built from.
+        scans: Vec<[f64; 2]>,
+    },
 }
 
 /// How much training data the sensor models get.

@@ -11,7 +11,7 @@ use locsim_core::{
 use locsim_dataset::{LogOptions, read_log};
 use locsim_world::effect::Effects;
 use locsim_world::map::{Geometry, MapError};
-use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
+use locsim_world::mapping::{MappingOptions, occupancy_from_drive, walls_from_drive};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
 use locsim_world::simulation::{
     Block, ObstructionOptions, ObstructionTable, Robot, SimulationError, Simulator, simulate_drive,
@@ -210,6 +210,12 @@ impl<'a> Laboratory<'a> {
                 let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(&log.file))?;
                 progress.advance(1);
                 grid.to_geometry().map_err(unusable(&log.file))?
+            }
+            LogMap::Walls { scans } => {
+                progress.stage("building the map", 1);
+                let walls = walls_from_drive(&drive, &selected(&drive, scans), &MappingOptions::default());
+                progress.advance(1);
+                walls.and_then(|walls| walls.to_geometry()).map_err(unusable(&log.file))?
             }
         };
         let maps = MapSet::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;

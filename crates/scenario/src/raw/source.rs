@@ -209,6 +209,9 @@ pub struct RawLog {
     /// A ROS 2 bag (a folder, `.mcap` or `.db3`) or a CARMEN log (`.log`), also compressed with gzip or zstd. Relative to the scenario file; `${VARIABLE}` is replaced from the
     /// environment.
     pub file: String,
+    /// The map that is built from the log: cells of an occupancy grid, or walls where its readings end. Default: `cells`.
+    #[schemars(extend("default" = "cells"))]
+    pub map: Option<MapFromScans>,
     /// Scans that the map is built from. Needed where `map` is absent, not allowed beside it.
     pub map_scans: Option<Vec<[f64; 2]>>,
     /// Scans that the sensor models are trained on.
@@ -217,13 +220,23 @@ pub struct RawLog {
     /// scan.
     #[schemars(length(min = 1, max = 1))]
     pub localize_scans: Vec<[f64; 2]>,
-    /// Side of a cell of the map built from the log (m), 0.001 to 10. Default: 0.05.
+    /// Side of a cell of the map built from the log (m), 0.001 to 10; only with cells. Default: 0.05.
     #[schemars(extend("default" = default::MAP_RESOLUTION_M))]
     pub map_resolution_m: Option<f64>,
     /// Readings at or above this count as no return (m), 0.001 to 10000. Default: the log's own maximum.
     pub max_range_m: Option<f64>,
     /// What the topics of a bag are called; only with a bag.
     pub topics: Option<RawTopics>,
+}
+
+/// The kind of map that is built from a log.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MapFromScans {
+    /// An occupancy grid.
+    Cells,
+    /// Walls where readings end, and the border of what was seen.
+    Walls,
 }
 
 /// What the topics of a bag are called.

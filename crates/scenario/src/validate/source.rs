@@ -11,8 +11,8 @@ use crate::check::Allowed::{Within, ZeroOrWithin};
 use crate::check::{ANGLE, COORDINATE, Checker, LENGTH, MAX_RANGE, NOISE, POSITIVE_LENGTH, STEP, number};
 use crate::locate::join;
 use crate::raw::{
-    RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot, RawScenario,
-    RawSegment, RayCastMethod, default,
+    MapFromScans, RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot,
+    RawScenario, RawSegment, RayCastMethod, default,
 };
 use crate::{Log, LogMap, RayCast, Simulation, Source};
 
@@ -226,15 +226,25 @@ fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
         let why = "there is a `map`";
         check.absent("log", "map_scans", raw.map_scans.as_ref(), why);
         check.absent("log", "map_resolution_m", raw.map_resolution_m.as_ref(), why);
+        check.absent("log", "map", raw.map.as_ref(), why);
         LogMap::File(map)
     } else {
         check.refuse(raw.map_scans.is_none(), "log.map_scans", || {
             "the key is missing; without a `map`, one is built from these scans".to_owned()
         });
-        let resolution_m = raw.map_resolution_m.unwrap_or(default::MAP_RESOLUTION_M);
-        LogMap::FromScans {
-            scans: raw.map_scans.as_ref().map_or_else(Vec::new, |scans| check.shares("log.map_scans", scans)),
-            resolution_m: check.number("log.map_resolution_m", resolution_m, Within(0.001, 10.0)),
+        let scans =
+            raw.map_scans.as_ref().map_or_else(Vec::new, |scans| check.shares("log.map_scans", scans));
+        match raw.map.unwrap_or(MapFromScans::Cells) {
+            MapFromScans::Cells => {
+                let resolution_m = raw.map_resolution_m.unwrap_or(default::MAP_RESOLUTION_M);
+                let resolution_m = check.number("log.map_resolution_m", resolution_m, Within(0.001, 10.0));
+                LogMap::FromScans { scans, resolution_m }
+            }
+            MapFromScans::Walls => {
+                let why = "a map of walls has no cells";
+                check.absent("log", "map_resolution_m", raw.map_resolution_m.as_ref(), why);
+                LogMap::Walls { scans }
+            }
         }
     };
     let train_scans = check.shares("log.train_scans", &raw.train_scans);
