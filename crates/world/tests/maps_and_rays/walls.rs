@@ -151,8 +151,8 @@ fn a_round_pillar_is_a_polygon_around_it() {
     assert!(errors[180].abs() < 0.01 && errors[355].abs() < 0.04, "{errors:?}");
 }
 
-/// A door that is shut in some of the scans: it stays in the file with its share, and has a nominal range if it was shut
-/// in most.
+/// A door that is shut in some of the scans: seldom, and it stays in the map with its share, but has no nominal range;
+/// mostly, and it is a part of its wall.
 #[test]
 fn a_door_is_kept_as_it_was_seen() {
     let open: Vec<[f64; 2]> =
@@ -163,15 +163,16 @@ fn a_door_is_kept_as_it_was_seen() {
         let poses = ellipse([2.5, 2.0], [1.5, 0.3], 40);
         let world = |i: u32| if i * 7 % 40 < shut_in { &shut } else { &open };
         let map = mapped(&drive(poses.zip(0..).map(|(pose, i)| (pose, world(i)))));
+        let casts = ExactRangeMap::new(map.to_geometry().unwrap());
+        let hit = casts.cast_ray(DVec2::new(2.5, 2.0), DVec2::X, 9.0).unwrap();
+        assert!((hit.range - range).abs() < 0.01, "{shut_in}: {hit:?}");
         let door = [DVec2::new(5.0, 1.5), DVec2::new(5.0, 2.5)];
         let leaf = |wall: &&MeasuredWall| {
             offset(wall, door).is_some() && ends(wall)[0].distance(ends(wall)[1]) > 0.5
         };
-        let share = map.walls.iter().find(leaf).unwrap().hit_share;
-        assert!((share - f64::from(shut_in) / 40.0).abs() < 0.07, "{shut_in}: {share}");
-        let casts = ExactRangeMap::new(map.to_geometry().unwrap());
-        let hit = casts.cast_ray(DVec2::new(2.5, 2.0), DVec2::X, 9.0).unwrap();
-        assert!((hit.range - range).abs() < 0.01, "{shut_in}: {hit:?}");
+        let share = map.walls.iter().find(leaf).map(|leaf| leaf.hit_share);
+        assert!(share.is_none_or(|share| (share - 0.3).abs() < 0.07), "{shut_in}: {share:?}");
+        assert_eq!(share.is_some(), shut_in == 12);
     }
 }
 
