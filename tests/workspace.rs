@@ -16,7 +16,7 @@ const LAYERS: [(&str, &[&str]); 14] = [
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
     ("locsim-gap", &["locsim-core", "locsim-world"]),
-    ("locsim-report", &["locsim-core"]),
+    ("locsim-report", &["locsim-core", "locsim-sensor"]),
     ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-sensor", "locsim-world"]),
     ("locsim-study", &["distreg", "locsim-core", "locsim-report", "locsim-scenario", "locsim-world"]),
     (

@@ -14,15 +14,16 @@ use locsim_core::Progress;
 use locsim_lab::run::{MapSet, free_poses};
 use locsim_lab::run::{ScanData, Surroundings, TrainedModel, train};
 use locsim_scenario::{Model, ModelName};
+use locsim_sensor::ModelKind;
 
 /// The models that are compared.
 pub const MODELS: [ModelName; 6] = [
-    ModelName::Classic,
-    ModelName::BeamMixture,
-    ModelName::PReg,
-    ModelName::NpReg,
-    ModelName::NpRegRegistered,
-    ModelName::LikelihoodField,
+    ModelName::Fitted(ModelKind::Classic),
+    ModelName::Fitted(ModelKind::BeamMixture),
+    ModelName::Fitted(ModelKind::PReg),
+    ModelName::Fitted(ModelKind::NpReg),
+    ModelName::Fitted(ModelKind::NpRegRegistered),
+    ModelName::Fitted(ModelKind::LikelihoodField),
 ];
 
 /// What the training world is like beside the map, the beams and the maximum range, which are the workload's.
