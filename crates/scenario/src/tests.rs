@@ -8,7 +8,6 @@ use glam::DVec2;
 use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
 use locsim_sensor::ModelKind;
-use locsim_sensor::ModelKind;
 use locsim_world::effect::EffectKind;
 use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath,
