@@ -9,6 +9,7 @@ use crate::quaternion::heading;
 
 /// Types that are read and not written.
 pub const MULTI_ECHO_LASER_SCAN: &str = "sensor_msgs/msg/MultiEchoLaserScan";
+pub const POINT_CLOUD_2: &str = "sensor_msgs/msg/PointCloud2";
 pub const POSE_STAMPED: &str = "geometry_msgs/msg/PoseStamped";
 pub const POSE_WITH_COVARIANCE_STAMPED: &str = "geometry_msgs/msg/PoseWithCovarianceStamped";
 pub const TRANSFORM_STAMPED: &str = "geometry_msgs/msg/TransformStamped";
@@ -161,6 +162,33 @@ impl From<MultiEchoLaserScan> for LaserScan {
             intensities: Vec::new(),
         }
     }
+}
+
+/// `sensor_msgs/msg/PointCloud2`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PointCloud2 {
+    pub header: Header,
+    pub height: u32,
+    pub width: u32,
+    pub fields: Vec<PointField>,
+    pub is_bigendian: bool,
+    pub point_step: u32,
+    pub row_step: u32,
+    pub data: Vec<u8>,
+    pub is_dense: bool,
+}
+
+/// `sensor_msgs/msg/PointField`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PointField {
+    pub name: String,
+    pub offset: u32,
+    pub datatype: u8,
+    pub count: u32,
+}
+
+impl PointField {
+    pub const FLOAT32: u8 = 7;
 }
 
 /// `geometry_msgs/msg/PoseStamped`.

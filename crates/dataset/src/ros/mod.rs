@@ -3,6 +3,7 @@
 //! Messages are in CDR, in one file or in several of a folder, MCAP or `SQLite`, as rosbag2 writes them.
 
 mod bag;
+mod cloud;
 mod messages;
 mod poses;
 mod read;
@@ -25,8 +26,8 @@ pub use write::{encode_mcap, write_mcap};
 /// such as `map:base_link`, or `/tf:parent.child` as evo does.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct BagTopics {
-    /// Laser scans, `sensor_msgs/msg/LaserScan`, or `MultiEchoLaserScan`, of which the first echoes are taken. `None`:
-    /// `/scan`, or the only topic of these types.
+    /// Laser scans, `sensor_msgs/msg/LaserScan`; `MultiEchoLaserScan`, of which the first echoes are taken; `PointCloud2`
+    /// of a 2D lidar. `None`: `/scan`, the only topic of scans, or the only topic of clouds.
     pub scan: Option<String>,
     /// Odometry, `nav_msgs/msg/Odometry`. `None`: `/odom`, the only topic of that type beside the reference, or, where
     /// there is none, the transform from `base_link` or `base_footprint` to `odom`.
@@ -67,6 +68,8 @@ pub struct BagOptions {
 /// - **Readings**: infinity and `range_max` or more are no return; NaN and less than `range_min` are unusable. Exactly 0
 ///   is no return in a log that has no other reading without return, as its driver knows no other way to say so;
 ///   otherwise it is unusable.
+/// - **Clouds** become scans of the beams that the log has points on. A beam without a point is unusable: clouds don't
+///   tell whether it had no return. The maximum range is just above the longest reading where none is given.
 /// - **Beams** are at `angle_min + i angle_increment` and i times the mean of the scans' `time_increment`.
 /// - **Mount** of the laser: the chain of `/tf_static` from the scans' `frame_id` up to the odometry's
 ///   `child_frame_id`, `base_link` or `base_footprint`, the first of them that it has. A laser mounted upside down has

@@ -5,10 +5,11 @@ use locsim_core::{Drive, DriveStep, Laser, LaserError, Pose2, Scan};
 
 use super::BagOptions;
 use super::bag::{Bag, Channel};
+use super::cloud::Clouds;
 use super::messages::{
-    LaserScan, MULTI_ECHO_LASER_SCAN, Message, MultiEchoLaserScan, Odometry, POSE_WITH_COVARIANCE_STAMPED,
-    PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped, TRANSFORM_STAMPED, TfMessage,
-    TransformStamped, decode, secs,
+    LaserScan, MULTI_ECHO_LASER_SCAN, Message, MultiEchoLaserScan, Odometry, POINT_CLOUD_2,
+    POSE_WITH_COVARIANCE_STAMPED, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
+    TRANSFORM_STAMPED, TfMessage, TransformStamped, decode, secs,
 };
 use super::poses::{Poses, Stamped, Transforms, plain, planar};
 use super::topics::{Chosen, MAP, ODOM, PoseSource, Topics};
@@ -28,12 +29,12 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
     let bag = Bag::open(path, limits)?;
     let topics = Topics::of(path, &bag)?;
     let chosen = topics.choose(&options.topics)?;
-    let (scans, motion) = messages(&bag, &chosen, limits)?;
+    let (scans, motion) = messages(path, &bag, &chosen, limits)?;
     let (odometry, base) = motion.odometry(&chosen, &topics)?;
     let reference = motion.reference(&chosen, &topics, &odometry.poses, &base)?;
-    let mount = motion.mount(options.base_from_laser, scans.frame(), &base).map_err(|reason| {
-        DatasetError::Message { path: path.to_owned(), topic: quoted(&chosen.scan.topic), number: 1, reason }
-    })?;
+    let mount = motion
+        .mount(options.base_from_laser, scans.frame(), &base)
+        .map_err(|reason| of_first_scan(path, &chosen, reason))?;
     let laser = checked(path, scans.laser(&mount, options))?;
 
     let (max, min) = (laser.max_range(), laser.min_range());
@@ -83,6 +84,9 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
         evidence += "; ";
         evidence += guess;
     }
+    if chosen.scan.schema == POINT_CLOUD_2 {
+        evidence += "; clouds don't tell readings without return, nor the maximum range";
+    }
     if zero_is_no_return {
         evidence += "; readings of 0 are taken for no return, as no other reading is without return";
     }
@@ -105,6 +109,11 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
         scan_source: quoted(&chosen.scan.topic),
     };
     Ok((Drive { laser, steps }, summary))
+}
+
+/// The error of what all scans have in common.
+fn of_first_scan(path: &Path, chosen: &Chosen, reason: String) -> DatasetError {
+    DatasetError::Message { path: path.to_owned(), topic: quoted(&chosen.scan.topic), number: 1, reason }
 }
 
 /// The odometry of a drive.
@@ -135,18 +144,31 @@ struct Mount {
 }
 
 /// What the chosen topics of a bag hold.
-fn messages(bag: &Bag<'_>, chosen: &Chosen, limits: &Limits) -> Result<(Scans, Motion), DatasetError> {
+fn messages(
+    path: &Path,
+    bag: &Bag<'_>,
+    chosen: &Chosen,
+    limits: &Limits,
+) -> Result<(Scans, Motion), DatasetError> {
     let (mut scans, mut motion) = (Scans::default(), Motion::default());
+    let (mut clouds, mut points) = (Clouds::default(), 0);
     let is = |source: &Option<PoseSource>, channel: &Channel| matches!(source, Some(PoseSource::Topic(topic)) if topic == channel);
     let mut transforms_read = 0;
     bag.read(&chosen.channels(), |channel, data| {
         if *channel == chosen.scan {
-            let scan = if channel.schema == MULTI_ECHO_LASER_SCAN {
-                decode::<MultiEchoLaserScan>(data)?.into()
-            } else {
-                decode(data)?
-            };
-            scans.push(scan, limits)?;
+            match channel.schema.as_str() {
+                MULTI_ECHO_LASER_SCAN => {
+                    scans.push(decode::<MultiEchoLaserScan>(data)?.into(), limits)?;
+                }
+                POINT_CLOUD_2 => {
+                    points += clouds.push(decode(data)?)? as u64 + READINGS_PER_SCAN;
+                    // A point takes four times what a reading takes.
+                    if points > limits.log_readings / 4 {
+                        return Err(Limits::refusal_above("log_readings", limits.log_readings));
+                    }
+                }
+                _ => scans.push(decode(data)?, limits)?,
+            }
         }
         if is(&chosen.odometry, channel) {
             let odometry: Odometry = decode(data)?;
@@ -177,6 +199,12 @@ fn messages(bag: &Bag<'_>, chosen: &Chosen, limits: &Limits) -> Result<(Scans, M
         }
         Ok(())
     })?;
+    if chosen.scan.schema == POINT_CLOUD_2 {
+        let pushed = clouds
+            .into_scans()
+            .and_then(|mut cloud_scans| cloud_scans.try_for_each(|scan| scans.push(scan, limits)));
+        pushed.map_err(|reason| of_first_scan(path, chosen, reason))?;
+    }
     scans.stamped.sort();
     motion.odometry.sort();
     motion.reference.sort();

@@ -6,8 +6,8 @@ use locsim_core::limits::quoted;
 use super::BagTopics;
 use super::bag::{Bag, Channel};
 use super::messages::{
-    LaserScan, MULTI_ECHO_LASER_SCAN, Message, Odometry, POSE_STAMPED, POSE_WITH_COVARIANCE_STAMPED,
-    TRANSFORM_STAMPED, TfMessage,
+    LaserScan, MULTI_ECHO_LASER_SCAN, Message, Odometry, POINT_CLOUD_2, POSE_STAMPED,
+    POSE_WITH_COVARIANCE_STAMPED, TRANSFORM_STAMPED, TfMessage,
 };
 use super::poses::plain;
 use crate::DatasetError;
@@ -75,6 +75,8 @@ struct Role {
 
 const SCAN: Role =
     Role { name: "scan", defaults: &["/scan"], types: &[LaserScan::TYPE, MULTI_ECHO_LASER_SCAN] };
+/// Clouds are asked where there are no scans: other sensors than lidars publish them, too.
+const CLOUD: Role = Role { name: "scan", defaults: &[], types: &[POINT_CLOUD_2] };
 const ODOMETRY: Role = Role { name: "odometry", defaults: &["/odom"], types: &[Odometry::TYPE] };
 const REFERENCE: Role = Role {
     name: "reference",
@@ -111,7 +113,7 @@ impl<'a> Topics<'a> {
         };
         let fixed_transforms = self.named(&FIXED_TRANSFORMS, None)?;
         let mut transforms = self.named(&TRANSFORMS, None)?;
-        let scan = self.named_or_only(&SCAN, wanted.scan.as_deref(), None, &mut guessed)?;
+        let scan = self.scan(wanted.scan.as_deref(), &mut guessed)?;
         let others: Vec<_> =
             self.candidates(&SCAN).filter(|channel| **channel != scan).map(|c| self.in_words(c)).collect();
         if !others.is_empty() {
@@ -134,6 +136,20 @@ impl<'a> Topics<'a> {
             transforms = None;
         }
         Ok(Chosen { scan, odometry, reference, localizer, transforms, fixed_transforms, guessed })
+    }
+
+    /// The channel of scans, or of clouds where there are none or where one is named.
+    fn scan(&self, wanted: Option<&str>, guessed: &mut Vec<String>) -> Result<Channel, DatasetError> {
+        let mut clouds = self.candidates(&CLOUD).map(|channel| channel.topic.clone());
+        let cloud = match wanted {
+            Some(name) => clouds.find(|topic| topic == name),
+            None if self.candidates(&SCAN).next().is_some() => None,
+            None => clouds.next().filter(|_| clouds.next().is_none()),
+        };
+        match cloud {
+            Some(topic) => Ok(self.named(&CLOUD, Some(&topic))?.unwrap_or_default()),
+            None => self.named_or_only(&SCAN, wanted, None, guessed),
+        }
     }
 
     /// A channel with its number of messages.

@@ -233,7 +233,8 @@ pub struct RawLog {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawTopics {
-    /// Laser scans, `sensor_msgs/msg/LaserScan`, or `MultiEchoLaserScan`, of which the first echoes are taken. Default: `/scan`, or else the only topic of that type.
+    /// Laser scans, `sensor_msgs/msg/LaserScan`; `MultiEchoLaserScan`, of which the first echoes are taken; `PointCloud2`
+    /// of a 2D lidar. Default: `/scan`, or else the only topic of that type.
     pub scan: Option<String>,
     /// Odometry, `nav_msgs/msg/Odometry`, or a transform of `/tf`, written `parent:child`. Default: `/odom`, or else the only topic of that type beside the reference.
     pub odometry: Option<String>,

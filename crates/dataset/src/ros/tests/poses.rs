@@ -3,8 +3,8 @@
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use super::super::messages::{
-    LaserEcho, MULTI_ECHO_LASER_SCAN, MultiEchoLaserScan, POSE_WITH_COVARIANCE_STAMPED,
-    PoseWithCovarianceStamped, TRANSFORM_STAMPED,
+    LaserEcho, MULTI_ECHO_LASER_SCAN, MultiEchoLaserScan, POINT_CLOUD_2, POSE_WITH_COVARIANCE_STAMPED,
+    PointCloud2, PointField, PoseWithCovarianceStamped, TRANSFORM_STAMPED,
 };
 use super::*;
 use crate::OdometrySource;
@@ -21,6 +21,11 @@ impl Message for TransformStamped {
 
 impl Message for MultiEchoLaserScan {
     const TYPE: &str = MULTI_ECHO_LASER_SCAN;
+    const DEFINITION: &str = "";
+}
+
+impl Message for PointCloud2 {
+    const TYPE: &str = POINT_CLOUD_2;
     const DEFINITION: &str = "";
 }
 
@@ -260,4 +265,97 @@ fn bearings_are_as_the_scans_have_them() {
             assert!((bearing - (first + i as f32 * step)).abs() < 1e-6, "{bearing}");
         }
     }
+}
+
+fn cloud(secs: f64, points: &[[f32; 3]]) -> PointCloud2 {
+    let field = |name: &str, offset: u32| PointField {
+        name: name.into(),
+        offset,
+        datatype: PointField::FLOAT32,
+        count: 1,
+    };
+    // Four bytes of something else before each point.
+    let data = points.iter().flat_map(|point| [9.0].iter().chain(point).copied().collect::<Vec<_>>());
+    PointCloud2 {
+        header: header(secs, "laser"),
+        height: 1,
+        width: points.len() as u32,
+        fields: vec![field("x", 4), field("y", 8), field("z", 12)],
+        is_bigendian: false,
+        point_step: 16,
+        row_step: 16 * points.len() as u32,
+        data: data.flat_map(f32::to_le_bytes).collect(),
+        is_dense: false,
+    }
+}
+
+/// Points of a quarter circle of five beams, at 1 m, 2 m, ...; of some of them only.
+fn quarter(kept: impl Fn(usize) -> bool) -> Vec<[f32; 3]> {
+    let point = |beam: usize| {
+        let (sin, cos) = (beam as f32 * std::f32::consts::FRAC_PI_8 - std::f32::consts::FRAC_PI_4).sin_cos();
+        [(beam + 1) as f32 * cos, (beam + 1) as f32 * sin, 0.0]
+    };
+    (0..5).filter(|beam| kept(*beam)).map(point).collect()
+}
+
+#[test]
+fn clouds_of_a_2d_lidar_are_scans() {
+    let with = |clouds: &[PointCloud2]| {
+        let bag = plain().without("/scan");
+        clouds.iter().fold(bag, |bag, cloud| bag.add("/points", cloud))
+    };
+    let mut unknown = quarter(|beam| beam != 2);
+    unknown.push([f32::NAN; 3]);
+    let bag =
+        with(&[cloud(1.0, &unknown), cloud(1.5, &quarter(|_| true)), cloud(3.0, &quarter(|beam| beam == 4))]);
+    let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+    for (i, bearing) in drive.laser.bearings().iter().enumerate() {
+        let expected = i as f32 * std::f32::consts::FRAC_PI_8 - std::f32::consts::FRAC_PI_4;
+        assert!((bearing - expected).abs() < 1e-6, "{bearing}");
+    }
+    let found =
+        |step: usize| drive.steps[step].scan.ranges.iter().map(|r| if r.is_nan() { 0.0 } else { r.round() });
+    assert!(found(0).eq([1.0, 2.0, 0.0, 4.0, 5.0]) && found(1).eq([1.0, 2.0, 3.0, 4.0, 5.0]));
+    assert!(found(2).eq([0.0, 0.0, 0.0, 0.0, 5.0]));
+    assert_eq!(summary.no_return_share, 0.0);
+    assert!(summary.evidence.contains("clouds don't tell readings without return"), "{summary}");
+
+    // Around the circle the beam behind is one, at either end.
+    let around = |from: usize| {
+        let angle = |beam: usize| (beam as f32).mul_add(std::f32::consts::FRAC_PI_4, -std::f32::consts::PI);
+        (from..8).map(|beam| [angle(beam).cos(), angle(beam).sin(), 0.0]).collect::<Vec<_>>()
+    };
+    let (drive, _) =
+        with(&[cloud(1.0, &around(0)), cloud(3.0, &around(1))]).read(&BagOptions::default()).unwrap();
+    assert_eq!(drive.laser.beam_count(), 8);
+
+    // Scans come first; clouds may be named.
+    let both = plain().add("/points", &cloud(1.0, &quarter(|_| true)));
+    assert_eq!(both.read(&BagOptions::default()).unwrap().1.scan_source, "/scan");
+    let topics = BagTopics { scan: Some("/points".to_owned()), ..BagTopics::default() };
+    let (_, summary) = both.read(&BagOptions { topics, ..BagOptions::default() }).unwrap();
+    assert_eq!(summary.scan_source, "/points");
+}
+
+#[test]
+fn clouds_that_are_no_scans_are_refused() {
+    let refused = |change: &dyn Fn(&mut PointCloud2), part: &str| {
+        let mut cloud = cloud(1.0, &quarter(|_| true));
+        change(&mut cloud);
+        let message = plain().without("/scan").add("/points", &cloud).message();
+        assert!(message.contains("/points: message 1: ") && message.contains(part), "{message}");
+    };
+    refused(&|cloud| cloud.fields[2].name = "height".into(), "the cloud has no field `z` of FLOAT32");
+    refused(&|cloud| cloud.fields[0].datatype = 8, "the cloud has no field `x` of FLOAT32");
+    refused(&|cloud| cloud.fields[0].offset = 13, "the cloud has no field `x` of FLOAT32");
+    refused(&|cloud| cloud.point_step = 0, "the cloud has no field `x`");
+    refused(
+        &|cloud| cloud.width = u32::MAX,
+        "the cloud has 80 bytes; allowed: 16 for each of 4294967295 points",
+    );
+    refused(
+        &|cloud| cloud.data[12..16].copy_from_slice(&2_f32.to_le_bytes()),
+        "a point lies 2 m off the plane",
+    );
+    refused(&|cloud| (cloud.width, cloud.data) = (0, Vec::new()), "too few points to tell the beams");
 }
