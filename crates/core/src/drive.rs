@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::{CAST_REACH, Pose2};
+use crate::{CAST_REACH, Pose2, Track, TrackError};
 
 /// Why a laser's description is refused.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -168,6 +168,14 @@ impl Drive {
             return Pose2::IDENTITY;
         }
         self.steps[i].odometry.relative_to(&self.steps[i - 1].odometry)
+    }
+
+    /// The reference poses of the scans that have one.
+    ///
+    /// # Errors
+    /// [`TrackError`] if no scan has one, or if stamps decrease.
+    pub fn reference(&self) -> Result<Track, TrackError> {
+        Track::new(self.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))))
     }
 
     /// The same drive with at most `count` beams per scan, spread evenly.
