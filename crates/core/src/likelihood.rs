@@ -63,7 +63,7 @@ pub struct LikelihoodGrid {
 /// Cosines put them close where incidence matters, at grazing angles.
 pub const INCIDENCE_KNOTS: usize = 16;
 
-/// Entries lie within this many nats below the greatest; what is less likely counts as this unlikely.
+/// Entries lie within this many nats below the greatest; less likely readings get the lowest entry.
 const SPAN_NATS: f64 = 64.0;
 
 /// Adding this to a number from 0 to 2^22 leaves its nearest whole number in the low bits, without a conversion that
@@ -248,8 +248,8 @@ impl BeamRun {
     }
 }
 
-/// The readings of a scan that say something (not NaN), each with its direction and its row of a
-/// [`LikelihoodTable`]. Made once per scan, used for every particle.
+/// The usable readings of a scan (not NaN), each with its direction and its row of a [`LikelihoodTable`]. Made once per
+/// scan, used for every particle.
 #[derive(Clone, Debug, Default)]
 pub struct PreparedScan {
     /// Bearing of each beam in the laser frame \[rad\].

@@ -71,7 +71,7 @@ pub(crate) struct Annealer {
     scaled: Vec<f64>,
 }
 
-/// What is annealed.
+/// The particle set that is annealed, with its weights and buffers.
 pub(crate) struct Set<'a> {
     pub particles: &'a mut Particles,
     pub weights: &'a mut Weights,
@@ -174,7 +174,8 @@ impl Annealer {
         weights.reset(count);
     }
 
-    /// A Metropolis move of each particle, which leaves the likelihood's power on free space as it is.
+    /// A Metropolis move of each particle. The likelihood's power, restricted to free space, is its stationary
+    /// distribution.
     #[expect(clippy::too_many_arguments, reason = "the parts of one set and of one move")]
     fn move_all(
         &mut self,

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::FilterError;
 use crate::error::check_alpha;
 
-/// How a robot moves, given what its odometry says of the motion: samples from `p(x_t | u_t, x_t-1)`.
+/// How a robot moves, given an odometry increment: samples from `p(x_t | u_t, x_t-1)`.
 pub trait MotionModel: Debug + Send + Sync {
     /// Moves each particle by a draw from the motion distribution.
     ///
