@@ -1,4 +1,4 @@
-//! How much an input may cost. Every limit of locsim is here; `docs/LIMITS.md` lists them for users.
+//! Limits on the cost of inputs. Every limit of locsim is here; `docs/LIMITS.md` lists them for users.
 //!
 //! A reader asks for its limit with [`Limits::current`] before it allocates, and refuses larger inputs with
 //! [`Limits::refusal`], which names the option that raises the limit.
@@ -126,7 +126,7 @@ impl Limits {
         CURRENT.get().unwrap_or(&Self::DEFAULT)
     }
 
-    /// Makes these the limits of this process. The first call counts; it belongs at a program's start.
+    /// Makes these the limits of this process. Only the first call has an effect; it belongs at a program's start.
     pub fn set(self) {
         // A second call changes nothing, so that no reader sees two limits.
         let _ = CURRENT.set(self);
@@ -156,7 +156,7 @@ impl Limits {
         format!("{found} {what} are not allowed; at most {limit} (`--limit {name}={found}` raises it)")
     }
 
-    /// [`Limits::refusal`] where reading stops at the first too many, so that nobody knows how many there are.
+    /// [`Limits::refusal`] where reading stops at the limit, so that the number of items is unknown.
     ///
     /// # Panics
     /// There is no limit of this name.
@@ -167,8 +167,8 @@ impl Limits {
     }
 }
 
-/// Whether a character isn't seen but changes how others are read: control characters, ends of lines, marks of direction
-/// and of byte order.
+/// Whether a character is invisible but changes how others are read: control characters, line ends, and marks of
+/// direction and byte order.
 pub fn is_hidden(character: char) -> bool {
     let lines_and_directions = matches!(character, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     character.is_control()

@@ -1,9 +1,10 @@
 //! Measured logs in and out, as [`locsim_core::Drive`]: ROS 2 bags, CARMEN logs and TUM trajectories.
 //!
 //! [`read_log`] and [`write_log`] choose the format by the file's name. [`read_mcap`] and [`write_mcap`] exchange
-//! bags with ROS 2. [`read_carmen`] reads what the Radish repository and its mirrors hold; [`write_carmen`] writes a
+//! bags with ROS 2. [`read_carmen`] reads the logs of the Radish repository and its mirrors; [`write_carmen`] writes a
 //! drive so that [`read_carmen`] returns it again. [`read_tum`] and [`write_tum`] exchange trajectories with `evo`.
-//! [`encode_log`] and [`encode_tum`] give the same bytes to any [`Write`](std::io::Write). Text files may be compressed with gzip: readers look at the content, writers at the name.
+//! [`encode_log`] and [`encode_tum`] give the same bytes to any [`Write`](std::io::Write). Text files may be compressed
+//! with gzip: readers look at the content, writers at the name.
 
 mod carmen;
 mod error;

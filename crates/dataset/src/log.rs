@@ -26,17 +26,16 @@ impl LogFormat {
     }
 }
 
-/// How to read a log of either format; what isn't here is left to the log.
+/// How to read a log of either format.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LogOptions {
     /// Readings of this range (m) or more mean "no return". `None`: the log's own maximum.
     pub max_range_m: Option<f32>,
-    /// What a bag's topics are called; a CARMEN log has none that could be named.
+    /// Names of a bag's topics; a CARMEN log has no topics.
     pub topics: McapTopics,
 }
 
-/// Reads a log in the format that its name tells: [`read_mcap`](crate::read_mcap) or
-/// [`read_carmen`](crate::read_carmen).
+/// Reads a log in the format of its name: [`read_mcap`](crate::read_mcap) or [`read_carmen`](crate::read_carmen).
 ///
 /// # Errors
 /// Those of the format's reader; topics are named for a CARMEN log.
@@ -61,7 +60,7 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
     }
 }
 
-/// Writes a drive in the format that the file's name tells: [`write_mcap`](crate::write_mcap) or
+/// Writes a drive in the format of the file's name: [`write_mcap`](crate::write_mcap) or
 /// [`write_carmen`](crate::write_carmen).
 ///
 /// # Errors
@@ -70,8 +69,8 @@ pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
     write_whole(path, |out| encode_log(path, drive, out))
 }
 
-/// Writes the bytes of the file that [`write_log`] writes to `out`; `path` tells the format and whether they are
-/// compressed, and is for messages.
+/// Writes the bytes of the file that [`write_log`] writes to `out`. `path` decides the format and the compression, and
+/// is named in errors.
 ///
 /// # Errors
 /// Those of the format's writer.

@@ -1,4 +1,4 @@
-//! Opens logs: says what isn't one, and counts what a compressed one unpacks to.
+//! Opens logs: refuses files of other types, and limits the unpacked size of compressed ones.
 
 use std::borrow::BorrowMut;
 use std::fs::File;
@@ -11,7 +11,7 @@ use mcap::MAGIC;
 
 use crate::DatasetError;
 
-/// So much of a file is read at once.
+/// Bytes of a file that are read at once.
 pub const READ_AHEAD: usize = 1 << 16;
 
 /// RFC 1952.
@@ -19,7 +19,7 @@ const GZIP: &[u8] = &[0x1f, 0x8b];
 
 const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
 
-/// How files begin that are no logs, what they are, and what is allowed instead.
+/// First bytes of files that are no logs, with their type and the allowed ones.
 const FOREIGN: [(&[u8], &str); 3] = [
     (
         b"SQLite format 3\0",
@@ -100,14 +100,14 @@ pub struct Allowance {
 }
 
 impl Allowance {
-    /// That of a file of so many bytes.
+    /// The allowance of a file of `length` bytes.
     pub fn of(length: u64, limits: &Limits) -> Self {
         let allowed = limits.log_unpacked_bytes.max(length.saturating_mul(UNPACKING_FACTOR));
         Self { allowed, left: allowed }
     }
 }
 
-/// Reads what a decompressor unpacks, up to the allowance; then fails with [`ErrorKind::FileTooLarge`].
+/// Reads the output of a decompressor up to the allowance, then fails with [`ErrorKind::FileTooLarge`].
 pub struct Counted<R, A> {
     pub packed: R,
     pub allowance: A,

@@ -51,7 +51,7 @@ pub struct FilterOptions {
     pub particles: ParticleCount,
     /// How the robot moves.
     pub motion: Arc<dyn MotionModel>,
-    /// Who lives on.
+    /// Chooses the particles that survive.
     pub resampler: Arc<dyn Resampler>,
     /// When to resample.
     pub trigger: ResampleTrigger,
@@ -61,7 +61,7 @@ pub struct FilterOptions {
     pub regularization: Option<Regularization>,
     /// Bins for the cluster estimate, `None` to do without it.
     pub clusters: Option<PoseBins>,
-    /// How scans are taken in while the particles are spread, `None` for all at once as always.
+    /// Annealed updates while the particles are spread, `None` for plain ones.
     pub annealing: Option<AnnealingOptions>,
     /// Whether to keep the history that the most likely trajectory is read from.
     pub ancestry: bool,

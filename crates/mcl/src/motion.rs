@@ -22,8 +22,8 @@ const MIN_TRANSLATION_M: f64 = 0.01;
 /// rotation, each with Gaussian noise.
 ///
 /// Two usual refinements. A backward motion is a negative translation with small rotations, not two rotations
-/// by half a turn, so that it is as noisy as the same motion forward. Below 1 cm of translation, whose direction
-/// says little, the whole rotation counts as the second one in the noise. The mean is the increment in any case:
+/// by half a turn, so that it is as noisy as the same motion forward. Below 1 cm of translation the direction is mostly
+/// encoder noise, and the whole rotation counts as the second one in the noise. The mean is always the increment:
 /// without noise each pose is composed with it exactly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryMotion {
@@ -138,7 +138,7 @@ pub(crate) fn spread(particles: &mut Particles, draw: &Draw, sigma_m: f64, sigma
     });
 }
 
-/// Particles are moved in parallel by runs of this many.
+/// Particles per parallel batch.
 const CHUNK: usize = 16 * BATCH;
 
 /// Calls `f(normals, x, y, theta)` for each particle, in parallel, with three standard normal numbers of the

@@ -3,7 +3,7 @@ use std::fmt::Debug;
 use locsim_core::{Draw, Weights};
 use rand::RngExt;
 
-/// Chooses which particles live on.
+/// Chooses the particles that survive.
 ///
 /// Every scheme here is unbiased (particle i of weight `w_i` has `count * w_i` expected copies), takes time
 /// linear in the numbers of particles and copies, never chooses a particle of weight zero, and returns the

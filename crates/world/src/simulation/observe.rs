@@ -20,7 +20,7 @@ pub struct Simulator {
     effects: Effects,
 }
 
-/// What is kept between scans, to allocate once.
+/// Buffers that are kept between scans.
 #[derive(Default)]
 pub(super) struct Scratch {
     view: View,
@@ -30,8 +30,8 @@ pub(super) struct Scratch {
 }
 
 impl Simulator {
-    /// A mapped world with unmapped blocks in it (`None`: as mapped), a laser, and the effects that make the world
-    /// another one than these say. [`Simulator::laser`] stays as it is given: it is what a filter is told.
+    /// A mapped world with unmapped blocks in it (`None`: as mapped), a laser, and the effects in which the world differs
+    /// from this description. [`Simulator::laser`] stays the nominal laser: it is the one that a filter knows.
     ///
     /// # Errors
     /// As [`BlockModel::new`] and [`LaserSimulator::new`].
@@ -52,7 +52,7 @@ impl Simulator {
         &self.map
     }
 
-    /// What makes the world another one than it is said to be.
+    /// The effects in which this world differs from the nominal one.
     pub fn effects(&self) -> &Effects {
         &self.effects
     }
@@ -212,8 +212,7 @@ mod tests {
     }
 
     proptest! {
-        /// Without noise a reading is what an exact cast against the walls and the edges of the same blocks
-        /// gives.
+        /// Without noise a reading is an exact cast against the walls and the edges of the same blocks.
         #[test]
         fn readings_are_casts_at_walls_and_blocks(
             x in 0.5..5.5f64, y in 0.5..3.5f64, theta in -3.0..3.0f64, observation: u32,
