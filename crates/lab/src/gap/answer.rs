@@ -3,8 +3,8 @@
 use locsim_gap::{Covariate, Deviation, Estimate, Gap, Named, Outcome, Region, Verdict};
 use locsim_world::effect::{EffectKind, Parameter};
 
-use crate::report::text::fixed;
-use crate::scenario::effect::{in_file, key, unit};
+use locsim_report::text::fixed;
+use locsim_scenario::effect::{in_file, key, unit};
 
 /// The short answer: the verdict, what is named and how sure that is, how much of the gap it closes, what it does to a
 /// filter.

@@ -14,10 +14,11 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{GapStudy, GapStudyError, GapStudyOptions};
-use crate::run::laboratory::{MapSet, free_poses};
-use crate::run::training::{ScanData, Surroundings, TrainedModel, train};
-use crate::run::{Progress, RunError, filter_options};
-use crate::scenario::{self, Model, ModelName, Motion, RayCast, Spread, load_map};
+use crate::run::{MapSet, free_poses};
+use crate::run::{RunError, filter_options};
+use crate::run::{ScanData, Surroundings, TrainedModel, train};
+use locsim_core::Progress;
+use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Spread, load_map};
 
 /// Particles.
 const PARTICLES: usize = 500;
@@ -38,7 +39,7 @@ struct Corrected {
 }
 
 /// A filter that localizes on a study's log, with a sensor model learnt from one simulator or another.
-pub(crate) struct FilterOnLog<'a> {
+pub struct FilterOnLog<'a> {
     study: &'a GapStudy,
     progress: &'a dyn Progress,
     interrupted: &'a AtomicBool,
@@ -49,7 +50,10 @@ pub(crate) struct FilterOnLog<'a> {
 
 impl<'a> FilterOnLog<'a> {
     /// Learns the nominal simulator's sensor model.
-    pub(crate) fn new(
+    ///
+    /// # Errors
+    /// [`GapStudyError`] for a map that cannot be read and a model that cannot be fitted.
+    pub fn new(
         study: &'a GapStudy,
         cache: Option<&Path>,
         progress: &'a dyn Progress,
@@ -67,7 +71,10 @@ impl<'a> FilterOnLog<'a> {
     ///
     /// What a person would correct is corrected: the laser's mount, the odometry's scales, stamps, a drift of the readings.
     /// All else is learnt from scans that are simulated with it.
-    pub(crate) fn errors(&self, effects: Vec<Effect>) -> Result<Vec<f64>, GapStudyError> {
+    ///
+    /// # Errors
+    /// [`GapStudyError`] for effects that cannot be simulated, and after an interruption.
+    pub fn errors(&self, effects: Vec<Effect>) -> Result<Vec<f64>, GapStudyError> {
         let (correctable, learnt): (Vec<Effect>, Vec<Effect>) =
             effects.into_iter().partition(|e| is_correctable(e.kind));
         // The same simulator gives the same model.

@@ -8,11 +8,11 @@ use minijinja::{Environment, context};
 use serde::Serialize;
 
 use super::{GapStudy, answer, figures};
-use crate::report::figures::Figure;
-use crate::report::text::{self, TextTable, fixed, significant};
-use crate::report::{ReportError, page, write_figures};
-use crate::scenario::effect::{in_file, key, unit};
-use crate::store::Folder;
+use locsim_report::figures::Figure;
+use locsim_report::store::Folder;
+use locsim_report::text::{self, TextTable, fixed, significant};
+use locsim_report::{ReportError, page, write_figures};
+use locsim_scenario::effect::{in_file, key, unit};
 
 const MARKDOWN: &str = include_str!("templates/gap.md.j2");
 
