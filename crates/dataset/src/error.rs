@@ -25,13 +25,24 @@ pub enum DatasetError {
         /// The error of the system or the decompressor.
         source: io::Error,
     },
+<<<<<<< HEAD
     /// The file's first bytes are not those of a log.
     #[error("{}: this is {found}", path.display())]
     NotALog {
         /// The file.
         path: PathBuf,
         /// The type of the file, and the allowed ones.
+=======
+    /// The file is no log, by its first bytes.
+    #[error("{}: this is {found}; allowed: {allowed}", path.display())]
+    NotALog {
+        /// The file.
+        path: PathBuf,
+        /// What it seems to be.
+>>>>>>> main
         found: &'static str,
+        /// What is allowed.
+        allowed: &'static str,
     },
     /// The log costs more than the limits allow, or has content that a log must not have.
     #[error("{}{}: {reason}", path.display(), line.map(|line| format!(":{line}")).unwrap_or_default())]
@@ -125,7 +136,27 @@ pub enum DatasetError {
         /// The defect.
         reason: String,
     },
+<<<<<<< HEAD
     /// The bag has no topic, or several, of a needed type.
+=======
+    /// The file isn't a bag that `rosbag2` wrote to `SQLite`, or its content is damaged.
+    #[error("{}: not a sound bag in SQLite: {reason}; allowed: a file that `ros2 bag record` closed", path.display())]
+    Sqlite {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The folder isn't one bag.
+    #[error("{}: {reason}; allowed: the folder of one bag, as `ros2 bag record` writes it", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The bag has no topic for what is needed, or several.
+>>>>>>> main
     #[error("{}: {reason}; found: {found}", path.display())]
     Topic {
         /// The file.
