@@ -25,21 +25,12 @@ pub enum DatasetError {
         /// The error of the system or the decompressor.
         source: io::Error,
     },
-<<<<<<< HEAD
     /// The file's first bytes are not those of a log.
-    #[error("{}: this is {found}", path.display())]
-    NotALog {
-        /// The file.
-        path: PathBuf,
-        /// The type of the file, and the allowed ones.
-=======
-    /// The file is no log, by its first bytes.
     #[error("{}: this is {found}; allowed: {allowed}", path.display())]
     NotALog {
         /// The file.
         path: PathBuf,
-        /// What it seems to be.
->>>>>>> main
+        /// The apparent type of the file.
         found: &'static str,
         /// What is allowed.
         allowed: &'static str,
@@ -136,15 +127,12 @@ pub enum DatasetError {
         /// The defect.
         reason: String,
     },
-<<<<<<< HEAD
-    /// The bag has no topic, or several, of a needed type.
-=======
     /// The file isn't a bag that `rosbag2` wrote to `SQLite`, or its content is damaged.
     #[error("{}: not a sound bag in SQLite: {reason}; allowed: a file that `ros2 bag record` closed", path.display())]
     Sqlite {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The defect.
         reason: String,
     },
     /// The folder isn't one bag.
@@ -152,11 +140,10 @@ pub enum DatasetError {
     Folder {
         /// The folder.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The defect.
         reason: String,
     },
-    /// The bag has no topic for what is needed, or several.
->>>>>>> main
+    /// The bag has no topic, or several, of a needed type.
     #[error("{}: {reason}; found: {found}", path.display())]
     Topic {
         /// The file.

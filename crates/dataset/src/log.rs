@@ -46,20 +46,12 @@ impl LogFormat {
 pub struct LogOptions {
     /// Readings of this range (m) or more mean "no return". `None`: the log's own maximum.
     pub max_range_m: Option<f32>,
-<<<<<<< HEAD
     /// Names of a bag's topics; a CARMEN log has no topics.
-    pub topics: McapTopics,
-}
-
-/// Reads a log in the format of its name: [`read_mcap`](crate::read_mcap) or [`read_carmen`](crate::read_carmen).
-=======
-    /// What a bag's topics are called; a CARMEN log has none that could be named.
     pub topics: BagTopics,
 }
 
-/// Reads a log in the format that its content tells: [`read_bag`](crate::read_bag) or
+/// Reads a log in the format of its content: [`read_bag`](crate::read_bag) or
 /// [`read_carmen`](crate::read_carmen).
->>>>>>> main
 ///
 /// # Errors
 /// Those of the format's reader; topics are named for a CARMEN log.
@@ -84,19 +76,15 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
     }
 }
 
-<<<<<<< HEAD
-/// Writes a drive in the format of the file's name: [`write_mcap`](crate::write_mcap) or
-=======
 /// The files that a log is read from: itself, or those of a bag's folder in the order of recording.
 ///
 /// # Errors
-/// The folder isn't one bag's.
+/// The folder doesn't hold one bag.
 pub fn log_files(path: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     if path.is_dir() { ros::folder_files(path) } else { Ok(vec![path.to_owned()]) }
 }
 
-/// Writes a drive in the format that the file's name tells: [`write_mcap`](crate::write_mcap) or
->>>>>>> main
+/// Writes a drive in the format of the file's name: [`write_mcap`](crate::write_mcap) or
 /// [`write_carmen`](crate::write_carmen).
 ///
 /// # Errors
