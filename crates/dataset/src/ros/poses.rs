@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use glam::{DAffine3, DQuat, DVec3};
+use locsim_core::Pose2;
 use locsim_core::limits::quoted;
-use locsim_core::{Pose2, wrap_angle};
 
 use super::bag::LONGEST_NAME;
 use super::messages::{Pose, TransformStamped, secs};
@@ -56,12 +56,7 @@ impl Stamped<Pose2> {
         }
         let ((before, a), (after, b)) = (self.items[..from].last()?, self.items.get(from)?);
         let share = (stamp - before) as f64 / (after - before) as f64;
-        let between = |a: f64, b: f64| a + share * (b - a);
-        Some(Pose2::new(
-            between(a.x, b.x),
-            between(a.y, b.y),
-            a.theta + share * wrap_angle(b.theta - a.theta),
-        ))
+        Some(a.interpolate(b, share))
     }
 }
 

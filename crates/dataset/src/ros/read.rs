@@ -152,7 +152,6 @@ fn messages(
 ) -> Result<(Scans, Motion), DatasetError> {
     let (mut scans, mut motion) = (Scans::default(), Motion::default());
     let (mut clouds, mut points) = (Clouds::default(), 0);
-    let is = |source: &Option<PoseSource>, channel: &Channel| matches!(source, Some(PoseSource::Topic(topic)) if topic == channel);
     let mut transforms_read = 0;
     bag.read(&chosen.channels(), |channel, data| {
         if *channel == chosen.scan {
@@ -170,14 +169,14 @@ fn messages(
                 _ => scans.push(decode(data)?, limits)?,
             }
         }
-        if is(&chosen.odometry, channel) {
+        if is_of(channel, chosen.odometry.as_ref()) {
             let odometry: Odometry = decode(data)?;
             if motion.odometry.items.is_empty() {
                 motion.base_frame = odometry.child_frame_id;
             }
             motion.odometry.push(odometry.header.stamp.nanos(), odometry.pose.pose.projected()?)?;
         }
-        if is(&chosen.reference, channel) || Some(channel) == chosen.localizer.as_ref() {
+        if is_of(channel, chosen.reference.as_ref()) || Some(channel) == chosen.localizer.as_ref() {
             let (stamp, pose) = motion.reference_pose(channel, data)?;
             motion.reference.push(stamp, pose)?;
         }
@@ -210,6 +209,11 @@ fn messages(
     motion.reference.sort();
     motion.transforms.sort();
     Ok((scans, motion))
+}
+
+/// Whether poses are messages of this channel.
+fn is_of(channel: &Channel, source: Option<&PoseSource>) -> bool {
+    matches!(source, Some(PoseSource::Topic(topic)) if topic == channel)
 }
 
 /// The scans of a bag.
