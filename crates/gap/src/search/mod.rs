@@ -9,7 +9,7 @@ mod stepwise;
 use std::cmp::Ordering;
 use std::sync::atomic::AtomicBool;
 
-use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::effect::{Effect, EffectKind, Moves};
 use rayon::prelude::*;
 
 use crate::fit::{Candidate, Search};
@@ -126,7 +126,7 @@ pub fn find(
         state.make_precise(&mut path.named, &path.rounds[path.rounds.len() - 1])?;
     }
     // Deeper blocks also stand in the way of more beams.
-    let deeper = path.named.iter().any(|named| named.name == EffectKind::BlockDepth);
+    let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);
     if !deeper && !options.without.contains(&EffectKind::BlockDensity) {
         let more = state.block_density(path.first(), path.last())?;
         path.named.extend(more);
@@ -206,12 +206,12 @@ impl<'a> State<'a> {
             });
             let is_score = |i: usize| round.dictionary.statistics[i].form == Form::Score;
             let has_score =
-                round.own(candidate.kind()).any(is_score) || candidate.kind() == EffectKind::BlockDepth;
+                round.own(candidate.kind()).any(is_score) || candidate.kind().moves() == Moves::Clutter;
             candidate.is_beyond_chance = weight >= beyond_chance;
             candidate.score = has_score.then_some(off);
             // A fit can be far better than its score where the effect is strong. Deeper blocks have none, only how deep
             // blocks seem to be: readings where nominal ones can't stand say far more.
-            if off < BEYOND_DOUBT && candidate.kind() != EffectKind::BlockDepth {
+            if off < BEYOND_DOUBT && candidate.kind().moves() != Moves::Clutter {
                 candidate.limit(off * off);
             }
             // Many standard deviations are nothing where statistics are clumped, as objects among resting blocks.

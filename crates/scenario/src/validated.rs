@@ -1,0 +1,443 @@
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use locsim_dataset::BagTopics;
+use locsim_sensor::ModelKind;
+use locsim_world::effect::Effect;
+use locsim_world::simulation::{BlockOptions, LaserOptions, Robot};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A scenario that passed every check: what an experiment needs to know, in SI units and radians, files
+/// resolved against the scenario's folder.
+///
+/// The serialized form leaves out what can't change a trial's result (names, paths, the number of trials, the
+/// recording, the bounds); [`Scenario::content_hash`] is built on that.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Scenario {
+    /// The file it was read from.
+    #[serde(skip)]
+    pub file: PathBuf,
+    /// The text of the file.
+    #[serde(skip)]
+    pub text: String,
+    /// Letters, digits, `-` and `_`.
+    #[serde(skip)]
+    pub name: String,
+    /// One line for people; may be empty.
+    #[serde(skip)]
+    pub description: String,
+    /// Everything random derives from it.
+    pub seed: u64,
+    /// Number of trials, at least 1.
+    #[serde(skip)]
+    pub trials: u32,
+    /// How the filter casts rays into the map.
+    pub ray_cast: RayCast,
+    /// Where scans and odometry come from.
+    pub source: Source,
+    /// How much training data the sensor models get.
+    pub training: Training,
+    /// Sensor models under comparison, at least one, labels unique.
+    pub models: Vec<Model>,
+    /// The particle filter.
+    pub filter: Filter,
+    /// How errors are measured.
+    pub errors: Errors,
+    /// What goes into the recording.
+    #[serde(skip)]
+    pub record: Record,
+    /// Bounds that the results have to keep.
+    #[serde(skip)]
+    pub expect: Vec<Expectation>,
+}
+
+/// How nominal ranges and log densities are computed inside the filter.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub enum RayCast {
+    /// From precomputed tables of the map and of the sensor models.
+    Table {
+        /// Side of a cell of the map's table (m), larger where it would not fit.
+        cell_m: f64,
+        /// What the map's table may take (MB).
+        memory_mb: u32,
+    },
+    /// By an exact cast and the model itself each time.
+    Exact,
+}
+
+/// Where scans and odometry come from.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub enum Source {
+    /// A simulated drive per trial.
+    Simulation(Simulation),
+    /// A measured log.
+    Log(Log),
+}
+
+/// A simulated world, robot and laser.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Simulation {
+    /// Map file: vector map, or ROS `map_server` YAML.
+    #[serde(skip)]
+    pub map: PathBuf,
+    /// Unmapped blocks; `None` for a world that is as mapped.
+    pub blocks: Option<BlockOptions>,
+    /// How the robot moves.
+    pub robot: Robot,
+    /// Its laser.
+    pub laser: LaserOptions,
+    /// Ways in which the world differs from all this.
+    pub effects: Vec<Effect>,
+}
+
+/// A measured log, cut into parts by share of its scans. Each part is a list of half-open intervals
+/// `[from, to)` with 0 <= from < to <= 1, in order, without overlap.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Log {
+    /// The log, in the format that its name tells.
+    #[serde(skip)]
+    pub file: PathBuf,
+    /// Where the map comes from.
+    pub map: LogMap,
+    /// Scans that the sensor models are trained on.
+    pub train_scans: Vec<[f64; 2]>,
+    /// Scans that the filter localizes on: one interval.
+    pub localize_scans: Vec<[f64; 2]>,
+    /// Readings at or above this count as no return (m); `None` takes the log's own maximum.
+    pub max_range_m: Option<f64>,
+    /// What the topics are called, where the log is a bag.
+    pub topics: BagTopics,
+}
+
+/// The map of a measured log.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub enum LogMap {
+    /// A map file.
+    File(#[serde(skip)] PathBuf),
+    /// An occupancy grid built from scans of the same log.
+    FromScans {
+        /// Scans the map is built from.
+        scans: Vec<[f64; 2]>,
+        /// Side of a cell (m).
+        resolution_m: f64,
+    },
+}
+
+/// How much training data the sensor models get.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Training {
+    /// Scan poses drawn in free space; for a log, at most this many of its training scans.
+    pub poses: u32,
+    /// Observations M of each state; a log always has 1.
+    pub observations: u32,
+    /// Beams per pose that become states; `None` for all of the laser's.
+    pub beams: Option<u32>,
+    /// Share of the poses held out for choosing bandwidths, floors and exponents, in (0, 1).
+    pub held_out_share: f64,
+}
+
+/// One sensor model under comparison.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Model {
+    /// Which model.
+    pub name: ModelName,
+    /// What it is called in results; unique.
+    pub label: String,
+    /// Weight of the uniform floor, in [0, 1); `None`: chosen on held-out data.
+    pub floor: Option<f64>,
+    /// Tempering exponent, in (0, 1]; `None`: chosen on held-out data.
+    pub exponent: Option<f64>,
+    /// A fitted model to load; `None`: fit it.
+    #[serde(skip)]
+    pub file: Option<PathBuf>,
+}
+
+/// The sensor models there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ModelName {
+    /// Gaussian at the nominal range and an exponential of short returns.
+    Classic,
+    /// Hit, short, maximum and random (Probabilistic Robotics, table 6.1).
+    BeamMixture,
+    /// Likelihood field (Probabilistic Robotics, table 6.3).
+    LikelihoodField,
+    /// Gaussian parameters by locally weighted linear regression (P-REG).
+    PReg,
+    /// Histograms smoothed over states (NP-REG), as published.
+    NpReg,
+    /// NP-REG on readings relative to the nominal range, with a point mass at maximum range.
+    NpRegRegistered,
+    /// The true density, from the simulated blocks on a lattice of cells and headings; simulation only.
+    Oracle,
+}
+
+impl ModelName {
+    /// Every model, in the order of the documentation.
+    pub const ALL: [Self; 7] = [
+        Self::Classic,
+        Self::BeamMixture,
+        Self::LikelihoodField,
+        Self::PReg,
+        Self::NpReg,
+        Self::NpRegRegistered,
+        Self::Oracle,
+    ];
+
+    /// The name used in files.
+    pub const fn as_str(self) -> &'static str {
+        match self.kind() {
+            Some(kind) => kind.as_str(),
+            None => "oracle",
+        }
+    }
+
+    /// Which fitted model it is; `None` for the oracle, which knows instead of being fitted.
+    pub const fn kind(self) -> Option<ModelKind> {
+        Some(match self {
+            Self::Classic => ModelKind::Classic,
+            Self::BeamMixture => ModelKind::BeamMixture,
+            Self::LikelihoodField => ModelKind::LikelihoodField,
+            Self::PReg => ModelKind::PReg,
+            Self::NpReg => ModelKind::NpReg,
+            Self::NpRegRegistered => ModelKind::NpRegRegistered,
+            Self::Oracle => return None,
+        })
+    }
+}
+
+impl std::fmt::Display for ModelName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// There is no sensor model of this name.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{name:?} is not a sensor model; one of {}", ModelName::ALL.map(ModelName::as_str).join(", "))]
+pub struct UnknownModel {
+    /// The name that was asked for.
+    pub name: String,
+}
+
+impl FromStr for ModelName {
+    type Err = UnknownModel;
+
+    fn from_str(name: &str) -> Result<Self, UnknownModel> {
+        Self::ALL
+            .into_iter()
+            .find(|model| model.as_str() == name)
+            .ok_or_else(|| UnknownModel { name: name.to_owned() })
+    }
+}
+
+/// The particle filter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Filter {
+    /// How many particles.
+    pub particles: ParticleCount,
+    /// How particles move.
+    pub motion: Motion,
+    /// How ancestors are drawn.
+    pub resampler: Resampler,
+    /// When they are drawn.
+    pub resample: ResampleWhen,
+    /// Random particles injected when the likelihood drops; `None` for none.
+    pub injection: Option<Injection>,
+    /// Where particles start.
+    pub start: Start,
+    /// Beams of a scan that the filter uses, spread evenly; `None` for all.
+    pub beams: Option<u32>,
+    /// Which estimate errors are measured of.
+    pub estimate: Estimate,
+    /// Jitter added after resampling (regularized particle filter); zero for none.
+    pub regularization: Spread,
+    /// How scans are taken in while the particles are spread; `None` for all at once as always.
+    pub annealing: Option<Annealing>,
+}
+
+/// How many particles the filter keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub enum ParticleCount {
+    /// Always this many.
+    Fixed(u32),
+    /// By the Kullback-Leibler distance (KLD sampling; Fox 2003).
+    Kld {
+        /// At least this many.
+        min: u32,
+        /// At most this many.
+        max: u32,
+        /// Bound on the Kullback-Leibler distance, epsilon, above 0.
+        error: f64,
+        /// Probability 1 - delta with which the bound holds, in (0, 1).
+        quantile: f64,
+        /// Side of a histogram bin (m).
+        bin_m: f64,
+        /// Heading width of a histogram bin (rad).
+        bin_rad: f64,
+    },
+}
+
+/// Motion model with its noise parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub enum Motion {
+    /// Odometry model, alpha 1 to 4 (Probabilistic Robotics, table 5.6).
+    Odometry([f64; 4]),
+    /// Velocity model, alpha 1 to 6 (Probabilistic Robotics, table 5.3).
+    Velocity([f64; 6]),
+}
+
+/// How ancestors are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Resampler {
+    /// Independent draws.
+    Multinomial,
+    /// One draw, evenly spaced (the low variance sampler).
+    #[default]
+    Systematic,
+    /// One draw in each of n strata.
+    Stratified,
+    /// Whole copies first, the rest multinomial.
+    Residual,
+}
+
+/// When the filter resamples.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub enum ResampleWhen {
+    /// After every scan.
+    EachStep,
+    /// When the effective sample size falls below this share of the particles, in (0, 1].
+    EffectiveShareBelow(f64),
+}
+
+/// Random particles after a drop of the likelihood (augmented MCL; Probabilistic Robotics, table 8.3).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Injection {
+    /// Decay rate of the long-term average, 0 < slow < fast.
+    pub alpha_slow: f64,
+    /// Decay rate of the short-term average, at most 1.
+    pub alpha_fast: f64,
+}
+
+/// Scans taken in by small powers of their likelihood, with Metropolis moves between them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Annealing {
+    /// Particles of a global start.
+    pub candidates: u32,
+    /// Share of the particles that each power leaves effective, in (0, 1).
+    pub effective_share: f64,
+    /// Moves of each particle after each power.
+    pub moves: u32,
+    /// Standard deviation of a move under the whole likelihood.
+    pub step: Spread,
+    /// Scans are annealed until positions have this standard deviation (m), and again from five times it.
+    pub gathered_m: f64,
+}
+
+/// Where particles start.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub enum Start {
+    /// Gaussian around the true (or reference) first pose: pose tracking.
+    Tracking(Spread),
+    /// Uniform over the map's free space: global localization.
+    Global,
+}
+
+/// Independent Gaussian spread of a pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Spread {
+    /// Standard deviation of x and of y (m).
+    pub sigma_m: f64,
+    /// Standard deviation of the heading (rad).
+    pub sigma_rad: f64,
+}
+
+/// Which pose estimate of the filter errors are measured of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Estimate {
+    /// Weighted mean of the particles, circular for the heading.
+    #[default]
+    WeightedMean,
+    /// The particle of greatest weight.
+    MaxWeight,
+    /// Mean of the densest cluster of particles.
+    DensestCluster,
+    /// The most likely trajectory by particle ancestry, known at the end of the drive.
+    MostLikelyTrajectory,
+}
+
+/// How errors are measured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Errors {
+    /// Along which axes.
+    pub frame: ErrorFrame,
+    /// A trial is lost when its last position error exceeds this (m).
+    pub lost_m: f64,
+}
+
+/// The axes of position errors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ErrorFrame {
+    /// Along is the map's x, across its y.
+    #[default]
+    Map,
+    /// Along is the true robot's forward axis, across its left.
+    Robot,
+}
+
+/// What goes into the recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Record {
+    /// Number of the trial, below the number of trials.
+    pub trial: u32,
+    /// Labels of the models recorded, in the scenario's order.
+    pub models: Vec<String>,
+}
+
+/// A bound on one figure of one model in `summary.json`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Expectation {
+    /// Label of the model.
+    pub model: String,
+    /// One of [`METRICS`].
+    pub metric: &'static str,
+    /// The figure must not be below it.
+    pub min: Option<f64>,
+    /// The figure must not be above it.
+    pub max: Option<f64>,
+}
+
+/// Figures of a model in `summary.json` that `expect` can bound, with dots between nested keys; `kept` leaves out
+/// the lost trials.
+pub const METRICS: [&str; 26] = [
+    "lost_share",
+    "position_rmse_m",
+    "position_median_m",
+    "position_p95_m",
+    "position_std_m",
+    "along.mean_m",
+    "along.std_m",
+    "across.mean_m",
+    "across.std_m",
+    "heading.mean_rad",
+    "heading.std_rad",
+    "ess_mean",
+    "step_ms",
+    "train.log_loss_nats",
+    "train.histogram_match_m",
+    "kept.trials",
+    "kept.position_rmse_m",
+    "kept.position_median_m",
+    "kept.position_p95_m",
+    "kept.position_std_m",
+    "kept.along.mean_m",
+    "kept.along.std_m",
+    "kept.across.mean_m",
+    "kept.across.std_m",
+    "kept.heading.mean_rad",
+    "kept.heading.std_rad",
+];
