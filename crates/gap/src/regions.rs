@@ -34,7 +34,7 @@ pub(crate) struct Side<'r> {
     pub null: &'r Null,
 }
 
-/// Regions found on one half of the log's blocks and certified on the other, the farthest off first.
+/// Regions found on one half of the log's folds and certified on the other, the farthest off first.
 pub(crate) fn locate(
     before: &Side<'_>,
     after: &Side<'_>,
