@@ -60,7 +60,7 @@ impl<'a> Readings<'a> {
         has_pose_errors: bool,
         pit: &Draw,
     ) -> Self {
-        let (views, poses) = (&*comparison.views, &comparison.recorded.poses);
+        let (views, poses) = (&*comparison.views, comparison.recorded.track.poses());
         let max = comparison.nominal.laser.max_range_m;
         let mut all = Vec::with_capacity(views.beams.len());
         comparison.for_each_reading(views, effects, fitted, |scan, index, density, shift, z, terms| {
