@@ -79,6 +79,7 @@ pub fn train_models(
         rate_hz: 10.0,
         beams: workload.laser.beam_count() as u32,
         field_of_view_rad: TAU,
+        first_bearing_rad: None,
         min_range_m: 0.0,
         max_range_m: f64::from(workload.laser.max_range()),
         resolution_m: 0.0,
