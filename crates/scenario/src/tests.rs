@@ -43,6 +43,7 @@ pub(super) fn edited(text: &str, from: &str, to: &str) -> String {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one expected value for each section of the file, written out")]
 fn every_key_arrives_in_si_units_and_radians() {
     let scenario = parse(&text("simulation.yaml")).unwrap();
     assert_eq!(scenario.name, "everything");
@@ -82,6 +83,7 @@ fn every_key_arrives_in_si_units_and_radians() {
             rate_hz: 5.0,
             beams: 36,
             field_of_view_rad: 1.5 * PI,
+            first_bearing_rad: None,
             min_range_m: 0.05,
             max_range_m: 4.5,
             resolution_m: 0.001,
@@ -154,6 +156,14 @@ fn every_key_arrives_in_si_units_and_radians() {
             expectation("oracle", "lost_share", None, Some(0.0)),
         ]
     );
+}
+
+#[test]
+fn the_first_beam_may_be_given() {
+    let first = "  field_of_view_deg: 270\n  first_beam_deg: -180\n";
+    let text = edited(&text("simulation.yaml"), "  field_of_view_deg: 270\n", first);
+    let Source::Simulation(simulation) = parse(&text).unwrap().source else { panic!() };
+    assert_eq!(simulation.laser.first_bearing_rad, Some(-PI));
 }
 
 /// The scenario of a log, with a bag instead.
