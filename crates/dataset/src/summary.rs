@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// What the poses of a log are.
+/// The kind of poses in a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogKind {
     /// As the robot recorded it: odometry, and no reference poses.
@@ -9,10 +9,12 @@ pub enum LogKind {
     /// The scans' laser poses were corrected afterwards, for example by a mapping program: they are the
     /// reference, good to some centimetres.
     Corrected,
-    /// TRUEPOS lines tell where the robot was.
+    /// TRUEPOS lines give the true poses.
     Simulated,
-    /// A topic of reference poses, from wherever they come.
+    /// A topic of reference poses of any source.
     Referenced,
+    /// Poses that a localizer on the robot found from the same scans.
+    Localized,
 }
 
 /// Where the odometry of a log was found.
@@ -27,12 +29,14 @@ pub enum OdometrySource {
     RestartedOdomLines,
     /// A topic of odometry messages, interpolated at the times of the scans.
     Topic,
+    /// Transforms of `/tf`, interpolated at the times of the scans.
+    Transforms,
 }
 
-/// What was found in a log, and how it was understood.
+/// Content of a log, and how it was interpreted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogSummary {
-    /// What the poses are.
+    /// The kind of the poses.
     pub kind: LogKind,
     /// Where the odometry comes from.
     pub odometry: OdometrySource,
@@ -44,6 +48,10 @@ pub struct LogSummary {
     pub odometry_messages: usize,
     /// Number of reference poses: TRUEPOS lines, or messages of the reference's topic.
     pub reference_messages: usize,
+    /// Median standard deviations of the reference poses (m, m, rad), where they come with covariances.
+    pub reference_deviation: Option<[f64; 3]>,
+    /// The topics of a bag, with types and numbers of messages.
+    pub topics: Vec<String>,
     /// Number of lines or messages skipped, by keyword or topic; comments count as `#`.
     pub skipped: BTreeMap<String, usize>,
     /// Number of scans whose time went backwards or leapt and was repaired.
@@ -70,8 +78,16 @@ impl fmt::Display for LogSummary {
             LogKind::Corrected => "corrected log",
             LogKind::Simulated => "log with true poses",
             LogKind::Referenced => "log with reference poses",
+            LogKind::Localized => "log with the poses of a localizer, which are no independent reference",
         };
         writeln!(f, "{kind}: {}", self.evidence)?;
+        if let Some([x, y, theta]) = self.reference_deviation {
+            let theta = theta.to_degrees();
+            writeln!(
+                f,
+                "reference: standard deviations of {x:.3} m, {y:.3} m, {theta:.2} deg by its own covariance"
+            )?;
+        }
         write!(f, "readings: {:.1} % without return", 100.0 * self.no_return_share)?;
         write!(f, ", {:.1} % unusable", 100.0 * self.unusable_share)?;
         if let Some(longest) = self.longest_return_m {

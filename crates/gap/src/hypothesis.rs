@@ -9,13 +9,14 @@ use locsim_world::effect::{self, Effect, Effects, burst_window};
 use crate::likelihood::{Density, Terms};
 use crate::odometry::{OdometryError, log_likelihoods};
 use crate::pose_error::{Information, PoseError, fit, pattern_score, smooth, without_patterns};
+use crate::pose_pattern::PosePattern;
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
-/// What a simulation of the log needs besides the scenario, fitted to the log.
+/// Nuisance parameters: the parameters of a simulation besides the scenario, fitted to the log.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Nuisances {
-    /// Factor on the density of unmapped blocks.
+    /// Factor on the density of clutter.
     pub block_density: f64,
     /// How the reference poses err.
     pub pose_error: PoseError,
@@ -37,9 +38,9 @@ pub(crate) struct Fitted {
     pub corrections: Vec<DVec3>,
     /// Log likelihood of each scan with the odometry since the one before (nats).
     pub scans: Vec<f64>,
-    /// How surely all poses are off as by a turned laser, one that is displaced to the front, one to the left, and a late
-    /// stamp (standard deviations), where they err at all; see [`pattern_score`].
-    pub pattern_scores: [f64; 4],
+    /// How surely the poses err in each [`PosePattern`] (standard deviations), see [`pattern_score`]; empty where they don't
+    /// err at all.
+    pub pattern_scores: Vec<f64>,
 }
 
 impl Fitted {
@@ -105,7 +106,7 @@ impl<'a> Comparison<'a> {
             nuisances: *nuisances,
             corrections: vec![DVec3::ZERO; n],
             scans: vec![0.0; n],
-            pattern_scores: [0.0; 4],
+            pattern_scores: Vec::new(),
         }
     }
 
@@ -134,7 +135,7 @@ impl<'a> Comparison<'a> {
         let by_bursts = Bursts::of(effects).map(|bursts| {
             let [with, without] =
                 [&bursts.on, &bursts.off].map(|effects| self.pass(views, effects, &fitted).log_likelihood);
-            bursts.log_likelihood(&self.recorded.secs, &with, &without)
+            bursts.log_likelihood(self.recorded.track.secs(), &with, &without)
         });
         let likelihoods = by_bursts.as_ref().unwrap_or(&pass.log_likelihood);
         for (scan, likelihood) in fitted.scans.iter_mut().zip(likelihoods) {
@@ -173,18 +174,19 @@ impl<'a> Comparison<'a> {
         } else {
             start.pose_error
         };
-        let patterns = self.patterns();
+        let patterns: Vec<Vec<DVec3>> =
+            PosePattern::all().iter().map(|pattern| pattern.over(self.recorded)).collect();
         for round in 0..CORRECTIONS {
             let pass = self.pass(&self.views, effects, &fitted);
             fitted.nuisances.pose_error = PoseError::NONE;
             self.update(&mut fitted, &pass);
-            // What is constant is a laser mounted otherwise or a late stamp rather than an error of the reference.
+            // A constant pattern is a displaced laser or a late stamp rather than an error of the reference.
             let rest = without_patterns(&pass.information, &patterns);
-            process = fit(process, &self.recorded.secs, &rest, iterations);
+            process = fit(process, self.recorded.track.secs(), &rest, iterations);
             // Three parameters have to earn their keep.
-            let corrections = if smooth(&process, &self.recorded.secs, &rest).log_evidence > 6.0 {
+            let corrections = if smooth(&process, self.recorded.track.secs(), &rest).log_evidence > 6.0 {
                 fitted.nuisances.pose_error = process;
-                smooth(&process, &self.recorded.secs, &pass.information).mean
+                smooth(&process, self.recorded.track.secs(), &pass.information).mean
             } else {
                 vec![DVec3::ZERO; fitted.corrections.len()]
             };
@@ -195,8 +197,11 @@ impl<'a> Comparison<'a> {
             if is_last && !fitted.nuisances.pose_error.is_none() {
                 let error = fitted.nuisances.pose_error;
                 fitted.pattern_scores = patterns
-                    .each_ref()
-                    .map(|pattern| pattern_score(&error, &self.recorded.secs, &pass.information, pattern));
+                    .iter()
+                    .map(|pattern| {
+                        pattern_score(&error, self.recorded.track.secs(), &pass.information, pattern)
+                    })
+                    .collect();
             }
             if is_last {
                 break;
@@ -211,23 +216,6 @@ impl<'a> Comparison<'a> {
         fitted
     }
 
-    /// How poses seem off by a turned laser, one displaced to the front, one to the left, a late stamp.
-    fn patterns(&self) -> [Vec<DVec3>; 4] {
-        let poses = &self.recorded.poses;
-        let mount = self.recorded.laser.base_from_laser().position();
-        let velocities = self.recorded.velocities();
-        let ahead = |turn: f64| -> Vec<DVec3> {
-            poses.iter().map(|p| glam::DVec2::from_angle(p.theta + turn).extend(0.0)).collect()
-        };
-        // The laser turns about itself, the robot about its centre.
-        let yaw = poses
-            .iter()
-            .map(|p| (-glam::DVec2::from_angle(p.theta).rotate(mount).perp()).extend(1.0))
-            .collect();
-        let motion = velocities.iter().map(|v| DVec3::from_array(*v)).collect();
-        [yaw, ahead(0.0), ahead(0.5 * std::f64::consts::PI), motion]
-    }
-
     /// Fits the nuisances anew with more effects.
     pub fn refit(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
         let effects = self.effects(more)?;
@@ -236,7 +224,7 @@ impl<'a> Comparison<'a> {
 
     /// Reference poses with their errors taken off.
     pub fn corrected(&self, corrections: &[DVec3]) -> Vec<Pose2> {
-        let poses = self.recorded.poses.iter().zip(corrections);
+        let poses = self.recorded.track.poses().iter().zip(corrections);
         poses.map(|(pose, c)| Pose2::new(pose.x + c.x, pose.y + c.y, pose.theta + c.z)).collect()
     }
 
@@ -297,7 +285,7 @@ impl<'a> Comparison<'a> {
         }
         if !fitted.nuisances.pose_error.is_none() {
             let process = &fitted.nuisances.pose_error;
-            fitted.corrections = smooth(process, &self.recorded.secs, &pass.information).mean;
+            fitted.corrections = smooth(process, self.recorded.track.secs(), &pass.information).mean;
         }
     }
 
@@ -309,14 +297,15 @@ impl<'a> Comparison<'a> {
         if process.is_none() {
             return;
         }
-        fitted.scans = smooth(&process, &self.recorded.secs, information).log_volume;
+        fitted.scans = smooth(&process, self.recorded.track.secs(), information).log_volume;
         let inverse = process.covariance().inverse();
         for i in 0..fitted.scans.len() {
             let here = fitted.corrections[i];
             let (innovation, share) = if i == 0 {
                 (here, 1.0)
             } else {
-                let phi = process.correlation(self.recorded.secs[i] - self.recorded.secs[i - 1]);
+                let phi =
+                    process.correlation(self.recorded.track.secs()[i] - self.recorded.track.secs()[i - 1]);
                 (here - phi * fitted.corrections[i - 1], 1.0 - phi * phi)
             };
             fitted.scans[i] -= 0.5 * innovation.dot(inverse * innovation) / share;

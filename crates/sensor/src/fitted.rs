@@ -1,7 +1,9 @@
-//! Fitting, and what a fit gives.
+//! The models that are fitted to data: their names, their forms, their fits.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::ops::RangeInclusive;
+use std::str::FromStr;
 use std::sync::Arc;
 
 use locsim_core::limits::quoted;
@@ -13,9 +15,93 @@ use crate::histogram::HistogramTable;
 use crate::mixture::BeamMixture;
 use crate::np_reg;
 use crate::p_reg::{self, NormalTable};
-use crate::{ModelKind, SensorError, TrainingSet, total};
+use crate::{SensorError, TrainingSet, total};
 
-/// What fitting may need beside the data.
+/// The models that are fitted to data, by the names that scenarios and tables use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ModelKind {
+    /// Gaussian at the nominal range and exponential, the paper's baseline: Probabilistic Robotics, eqs. 6.4
+    /// to 6.9.
+    Classic,
+    /// Hit, short, max and random: Probabilistic Robotics, tables 6.1 and 6.2.
+    BeamMixture,
+    /// Distance of the reading's end to the map: Probabilistic Robotics, table 6.3.
+    LikelihoodField,
+    /// Gaussian whose parameters are regressed on the state: the paper's procedure 1.
+    PReg,
+    /// Histograms of z smoothed over the state: the paper's procedure 2, as published.
+    NpReg,
+    /// Histograms of z - r smoothed over the state.
+    NpRegRegistered,
+}
+
+impl ModelKind {
+    /// Every kind, in the order of tables.
+    pub const ALL: [Self; 6] = [
+        Self::Classic,
+        Self::BeamMixture,
+        Self::LikelihoodField,
+        Self::PReg,
+        Self::NpReg,
+        Self::NpRegRegistered,
+    ];
+
+    /// The name, for example `np_reg_registered`.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Classic => "classic",
+            Self::BeamMixture => "beam_mixture",
+            Self::LikelihoodField => "likelihood_field",
+            Self::PReg => "p_reg",
+            Self::NpReg => "np_reg",
+            Self::NpRegRegistered => "np_reg_registered",
+        }
+    }
+
+    /// What it is, for reports and the schema of scenarios.
+    pub const fn sentence(self) -> &'static str {
+        match self {
+            Self::Classic => {
+                "Gaussian about the nominal range plus an exponential for unmapped objects (the paper's competitor), by EM"
+            }
+            Self::BeamMixture => {
+                "hit, short, maximum and random components (Probabilistic Robotics, table 6.1), by EM"
+            }
+            Self::LikelihoodField => {
+                "distance of a reading's end to the nearest mapped surface (table 6.3 there)"
+            }
+            Self::PReg => {
+                "Gaussian whose parameters are regressed on the beam's state (the paper's procedure 1)"
+            }
+            Self::NpReg => {
+                "histograms smoothed over the beam's state (the paper's procedure 2, as published)"
+            }
+            Self::NpRegRegistered => {
+                "the same on readings minus nominal ranges, with a point mass at the maximum range"
+            }
+        }
+    }
+}
+
+impl fmt::Display for ModelKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for ModelKind {
+    type Err = SensorError;
+
+    fn from_str(name: &str) -> Result<Self, SensorError> {
+        Self::ALL
+            .into_iter()
+            .find(|kind| kind.as_str() == name)
+            .ok_or_else(|| SensorError::UnknownModel(name.to_owned()))
+    }
+}
+
+/// Inputs of a fit beside the data.
 #[derive(Clone, Default)]
 pub struct FitOptions {
     /// Distances to the mapped surfaces, for `likelihood_field`; the other models don't look at it.
@@ -25,7 +111,7 @@ pub struct FitOptions {
 /// Maximum ranges \[m\] that a model file may name.
 const MAX_RANGES_M: RangeInclusive<f32> = 1e-3..=1e6;
 
-/// A model file names at most this many chosen values, by names of at most so many letters.
+/// Greatest number of chosen values in a model file, and of letters in a value's name.
 const MOST_CHOSEN: usize = 32;
 const MOST_LETTERS: usize = 64;
 
@@ -39,7 +125,7 @@ pub struct FittedModel {
     form: Form,
 }
 
-/// A model as a file says it is.
+/// A model as stored in a file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Unchecked {
@@ -197,7 +283,7 @@ impl FittedModel {
         self.max_range
     }
 
-    /// What fitting chose, by name: weights, deviations and rates of a mixture, bandwidths of a regression
+    /// The values that fitting chose, by name: weights, deviations and rates of a mixture, bandwidths of a regression
     /// and the held-out scores they were chosen by. Names end in their unit.
     pub fn chosen(&self) -> &BTreeMap<String, f64> {
         &self.chosen

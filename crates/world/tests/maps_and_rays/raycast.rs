@@ -251,7 +251,7 @@ fn table_ranges_are_exact_but_for_slivers() {
     }
 }
 
-/// The fused path of a table gives what its casts give, looked up beam by beam.
+/// The fused path of a table gives the same sums as its casts, looked up beam by beam.
 #[test]
 fn a_scan_is_scored_as_its_casts_say() {
     let exact = ExactRangeMap::new(common::corridor());
@@ -263,7 +263,7 @@ fn a_scan_is_scored_as_its_casts_say() {
         .flat_map(|row| ranges.iter().zip(&incidences).map(move |(&r, &a)| density(grid.reading(row), r, a)))
         .collect();
     let likelihood = LikelihoodTable::new(grid, &values);
-    // Poses in the walls and outside, a beam count that fills no run, a reading that says nothing, and one of no return.
+    // Poses in the walls and outside, a beam count that fills no run, a NaN reading, and one of no return.
     let (poses, bearings) = (random_poses(500, [-0.5, -0.5, 20.5, 4.5]), bearings(23));
     let mut z: Vec<f32> = (0..23).map(|i| 0.2 * i as f32).collect();
     z[7] = f32::NAN;
@@ -321,7 +321,11 @@ fn a_table_that_does_not_fit_gets_larger_cells() {
     let options = RangeTableOptions { cell_m: 1e-6, most_bytes: 1 << 20, ..RangeTableOptions::default() };
     let table = RangeTable::new(&exact, &options, &|_| ()).unwrap();
     assert!(table.bytes() <= 1 << 20 && table.bytes() > 1 << 17, "{} bytes", table.bytes());
-    assert!((0.1..0.5).contains(&table.cell_m()), "{} m", table.cell_m());
+    // Cells are doubled until the table fits, and no further.
+    let finer = RangeTableOptions { cell_m: 0.5 * table.cell_m(), most_bytes: usize::MAX, ..options };
+    let finer = RangeTable::new(&exact, &finer, &|_| ()).unwrap();
+    assert_eq!(finer.cell_m(), 0.5 * table.cell_m());
+    assert!(finer.bytes() > 1 << 20, "{} bytes of {} m", finer.bytes(), finer.cell_m());
     let options = RangeTableOptions { cell_m: 1.0, most_bytes: 2000, ..RangeTableOptions::default() };
     let table = RangeTable::new(&exact, &options, &|_| ()).unwrap();
     assert!(table.bytes() < 2000);
