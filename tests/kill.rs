@@ -63,7 +63,7 @@ const CASES: [Case; 5] = [
         line: "map measured.log --resolution 0.004",
         other: "map measured.log --resolution 0.1",
         out: "floor",
-        results: &["floor.pgm", "floor.yaml"],
+        results: &["floor.pgm", "floor.yaml", "floor.walls.yaml", "floor.check.svg"],
         resumes: false,
     },
     Case {
