@@ -14,6 +14,7 @@ mod lanes;
 mod likelihood;
 pub mod limits;
 mod model;
+pub mod normal;
 mod normals;
 pub mod output;
 mod particles;

@@ -13,8 +13,8 @@ pub struct Recorded {
     pub laser: Laser,
     /// Index of each of them among the log's beams.
     pub kept: Vec<usize>,
-    /// Bearing of every beam of the log's laser \[rad\].
-    pub all_bearings: Vec<f32>,
+    /// The log's laser with all its beams.
+    pub log_laser: Laser,
     /// Time of each scan since the first \[s\].
     pub secs: Vec<f64>,
     /// Reference pose of each scan, `map_from_base`.
@@ -51,7 +51,7 @@ impl Recorded {
         let first = steps[0].0.stamp_secs;
         Ok(Self {
             laser,
-            all_bearings: drive.laser.bearings().to_vec(),
+            log_laser: drive.laser.clone(),
             secs: steps.iter().map(|(step, _)| step.stamp_secs - first).collect(),
             poses: steps.iter().map(|&(_, pose)| pose).collect(),
             odometry: steps.iter().map(|(step, _)| step.odometry).collect(),

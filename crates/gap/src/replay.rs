@@ -44,7 +44,7 @@ impl Replay<'_> {
         let simulator = self.nominal.simulator(&effects, blocks)?;
         let truth = self.true_poses(seed);
         let readings = simulator.scan_along(&self.recorded.secs, &truth, seed);
-        let all = self.recorded.all_bearings.len();
+        let all = self.recorded.log_laser.beam_count();
         let readings = if all == self.recorded.beams() {
             readings
         } else {

@@ -18,8 +18,8 @@ use glam::DVec2;
 use serde::{Serialize, Serializer};
 
 pub use disc::Disc;
-pub(crate) use distribution::as_read;
 pub use distribution::{Alternative, Alternatives, ReadingDistribution, TAIL_FACTOR};
+pub(crate) use distribution::{Parts, as_read};
 pub use error::EffectError;
 pub use kind::{EffectKind, Parameter, Site};
 pub use odometry::{OdometryDistribution, Slip};

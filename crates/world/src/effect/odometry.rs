@@ -1,8 +1,6 @@
-use locsim_core::Pose2;
+use locsim_core::{Pose2, normal};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
-
-use super::distribution::normal_tail;
 
 /// What the odometry reads of a motion, before the noise of [`OdometryNoise`](crate::simulation::OdometryNoise).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,7 +46,7 @@ impl Slip {
         } else if self.p == 0.0 || self.share == 0.0 {
             1.0
         } else {
-            1.0 - 2.0 * self.p * normal_tail(s / self.share)
+            1.0 - 2.0 * self.p * normal::tail(s / self.share)
         }
     }
 

@@ -6,8 +6,8 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 
-use super::SimulationError;
 use super::error::{FROM_0, MOST, check, check_count};
+use super::{BeamCaster, SimulationError};
 use crate::effect::as_read;
 
 /// The most beams of a scan.
@@ -98,12 +98,9 @@ impl LaserSimulator {
         let first_bearing = first_bearing(beams, options.field_of_view_rad);
         let bearings: Vec<f32> =
             shares().map(|share| (first_bearing + share * options.field_of_view_rad) as f32).collect();
-        let directions = bearings
-            .iter()
-            .map(|&bearing| DVec2::from_angle(options.mount.theta + f64::from(bearing)))
-            .collect();
         let times = shares().map(|share| (share * options.scan_secs) as f32).collect();
         let laser = Laser::new(bearings, times, min, max, options.mount)?;
+        let directions = BeamCaster::directions(&laser, &options.mount);
         check("laser maximum range [m]", options.max_range_m, "at most 1000000", |range| {
             range <= MOST_RANGE_M
         })?;
@@ -119,11 +116,6 @@ impl LaserSimulator {
     /// What it was made from.
     pub fn options(&self) -> &LaserOptions {
         &self.options
-    }
-
-    /// As [`LaserOptions::is_closed`].
-    pub(super) fn is_closed(&self) -> bool {
-        self.options.is_closed()
     }
 
     /// Unit direction of each beam in the robot's frame.
