@@ -2,7 +2,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use glam::DVec2;
-use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::effect::{Description, Effect, Effects, Moves};
 pub(crate) use locsim_world::simulation::ClutteredBeam as Beam;
 use locsim_world::simulation::{BeamCaster, BlockIntegral, CastBeam, ClutterSurvival, Ray, Surface};
 use rayon::prelude::*;
@@ -36,21 +36,15 @@ pub(crate) struct Views {
 /// The effects that views depend on: those that change where beams come from or what stands in their way. All others act on the
 /// distribution of a reading.
 fn shaping(effects: &Effects) -> impl Iterator<Item = &Effect> {
-    let shapes_views = |kind: EffectKind| match kind {
-        EffectKind::MountYaw
-        | EffectKind::MountOffset
-        | EffectKind::TimeOffset
-        | EffectKind::MotionSkew
-        | EffectKind::MissingObject
-        | EffectKind::Glass
-        | EffectKind::MixedPixels
-        | EffectKind::BlockDepth
-        | EffectKind::BlockDensity => true,
-        // A wall hides the objects behind it.
-        EffectKind::MovedWall => !effects.objects().is_empty(),
-        _ => false,
-    };
-    effects.list().iter().filter(move |effect| shapes_views(effect.kind))
+    let hides_objects = !effects.objects().is_empty();
+    effects.list().iter().filter(move |effect| {
+        let Description { moves, needs, .. } = effect.kind.description();
+        match moves {
+            Moves::Scans | Moves::Objects | Moves::Clutter => true,
+            Moves::Walls => hides_objects || needs.behind,
+            Moves::Readings | Moves::Distribution | Moves::Odometry => needs.jump,
+        }
+    })
 }
 
 /// Whether the blocks are those of a grid's map, whose faces are of a cell each.
@@ -95,13 +89,9 @@ impl Views {
         blocks: Option<Arc<BlockIntegral>>,
         nearby: Option<&Self>,
     ) -> Self {
-        let depth = |list: &mut dyn Iterator<Item = &Effect>| -> f64 {
-            list.filter(|effect| effect.kind == EffectKind::BlockDepth)
-                .map(|effect| effect.values[0])
-                .product()
-        };
-        let before = nearby.map_or(1.0, |views| depth(&mut views.shaped_by.iter()));
-        let deeper = depth(&mut effects.list().iter()) / before;
+        let depth = |blocks: &Arc<BlockIntegral>| blocks.model().options().width_m[1];
+        let before = nearby.and_then(|views| views.blocks.as_ref());
+        let deeper = blocks.as_ref().zip(before).map_or(1.0, |(now, before)| depth(now) / depth(before));
         let directions = directions(recorded, effects);
         let caster = caster(nominal, recorded, effects, &directions);
         let casts = Casts { recorded, caster, blocks: blocks.as_deref(), deeper };
@@ -246,6 +236,7 @@ mod tests {
     use std::f64::consts::TAU;
 
     use locsim_core::Pose2;
+    use locsim_world::effect::EffectKind;
     use locsim_world::map::{Polyline, VectorMap, Wall};
     use locsim_world::raycast::ExactRangeMap;
     use locsim_world::simulation::LaserOptions;

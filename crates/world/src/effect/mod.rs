@@ -5,26 +5,52 @@
 //! density, so that what is simulated and what is fitted can't drift apart. At its neutral value an effect is the
 //! identity, bit for bit.
 
+mod beam;
+mod clock;
+mod clutter;
+mod description;
 mod disc;
 mod distribution;
+mod effect_type;
 mod error;
+mod false_returns;
 mod kind;
+mod lost_returns;
+mod mount;
+mod noise;
+mod objects;
 mod odometry;
+mod parameter;
+mod ranges;
+mod reading;
 mod set;
+mod statistic;
 #[cfg(test)]
 pub(crate) mod tests;
+mod walls;
 
 use glam::DVec2;
 use serde::{Serialize, Serializer};
 
+use crate::raycast::distance_to;
+
+pub use beam::{BeamView, HitKind, JUMP_M, jump_at};
+pub use description::{Description, Experiment, Fit, Moves, Needs, Replacement, Site};
 pub use disc::Disc;
 pub use distribution::{Alternative, Alternatives, ReadingDistribution, TAIL_FACTOR};
 pub(crate) use distribution::{Parts, as_read};
 pub use error::EffectError;
-pub use kind::{EffectKind, Parameter, Site};
-pub use odometry::{OdometryDistribution, Slip};
-pub use set::{BeamView, Effects, HitKind, JUMP_M, Needs, PLACE_REACH_M, burst_window, jump_at};
-pub(crate) use set::{burst, slip_draw};
+pub(crate) use false_returns::burst;
+pub use false_returns::burst_window;
+pub use kind::EffectKind;
+pub(crate) use odometry::slip_draw;
+pub use odometry::{OdometryDistribution, OdometryErrors, Slip};
+pub use parameter::{Parameter, Prior, Role};
+pub use set::Effects;
+pub use statistic::{Axis, BeamState, Direction, PoseState, Score, Statistic};
+
+/// A beam ends on a stretch of wall if its nominal endpoint is no farther from it than this \[m\].
+pub const PLACE_REACH_M: f64 = 0.1;
 
 /// One effect with its numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -63,10 +89,38 @@ impl Effect {
         Ok(Self { kind, values, place })
     }
 
+    /// Its numbers, to be taken apart by a kind that has so many parameters.
+    fn numbers<const N: usize>(&self) -> [f64; N] {
+        std::array::from_fn(|i| self.values[i])
+    }
+
+    /// Whether a point of the map \[m\] is on one of its stretches of wall.
+    fn is_at(&self, point: DVec2) -> bool {
+        self.place.iter().any(|stretch| distance_to(stretch, point) <= PLACE_REACH_M)
+    }
+
+    /// The states of an effect that comes in bursts; `None` of one that is always there.
+    pub fn bursts(&self) -> Option<Bursts> {
+        self.kind.effect_type().bursts(self)
+    }
+
     /// The effect at its neutral value, the identity.
     pub fn neutral(kind: EffectKind, place: Vec<[DVec2; 2]>) -> Self {
         Self { kind, values: kind.parameters().iter().map(|parameter| parameter.neutral).collect(), place }
     }
+}
+
+/// An effect that falls on some windows of time (see [`burst_window`]) and not on others.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bursts {
+    /// Share of the windows that it falls on.
+    pub share: f64,
+    /// The effect in such a window.
+    pub on: Effect,
+    /// The effect in any other window.
+    pub off: Effect,
+    /// An effect that is as strong in each window as this one is on average.
+    pub spread: Effect,
 }
 
 fn stretches<S: Serializer>(place: &[[DVec2; 2]], serializer: S) -> Result<S::Ok, S::Error> {

@@ -1,0 +1,193 @@
+use super::{EffectKind, Parameter, Statistic};
+
+/// What is to be said of a kind of effect.
+#[derive(Clone, Copy, Debug)]
+pub struct Description {
+    /// The name used in files.
+    pub name: &'static str,
+    /// The part of the simulation that it changes, for people.
+    pub site: Site,
+    /// Its numbers, in the order of [`Effect::values`](super::Effect::values).
+    pub parameters: &'static [Parameter],
+    /// Whether it acts on a stretch of wall.
+    pub has_place: bool,
+    /// Its definition: r is the range of what a beam meets, alpha the incidence there.
+    pub formula: &'static str,
+    /// What it is, in plain language.
+    pub sentence: &'static str,
+    /// What gives it away in data.
+    pub signature: &'static str,
+    /// Other kinds that look much like it.
+    pub confused_with: &'static [EffectKind],
+    /// Motions or surroundings in which it looks unlike its rivals.
+    pub experiments: &'static [Experiment],
+    /// The statistics that look for it.
+    pub statistics: &'static [Statistic],
+    /// The part of a log that it moves, for fits.
+    pub moves: Moves,
+    /// How the search fits it.
+    pub fit: Fit,
+    /// Whether a world can have one of it only.
+    pub is_single: bool,
+    /// Whether a filter can take it out of mount, odometry, stamps or readings. Any other effect it has to learn, from
+    /// scans that are simulated with it.
+    pub is_correctable: bool,
+    /// What it reads instead of the return.
+    pub replaces: Option<Replacement>,
+    /// What a [`BeamView`](super::BeamView) has to hold for it.
+    pub needs: Needs,
+}
+
+impl Description {
+    /// What a definition need not say.
+    pub(super) const DEFAULT: Self = Self {
+        name: "",
+        site: Site::Beam,
+        parameters: &[],
+        has_place: false,
+        formula: "",
+        sentence: "",
+        signature: "",
+        confused_with: &[],
+        experiments: &[],
+        statistics: &[],
+        moves: Moves::Distribution,
+        fit: Fit::Alone,
+        is_single: false,
+        is_correctable: false,
+        replaces: None,
+        needs: Needs { jump: false, behind: false },
+    };
+}
+
+/// The part of the simulation that an effect changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Site {
+    /// The surroundings of the robot.
+    World,
+    /// The laser and its readings.
+    Beam,
+    /// The readings of the odometry.
+    Odometry,
+    /// The time at which beams are taken.
+    Clock,
+}
+
+impl Site {
+    /// The word for it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::World => "world",
+            Self::Beam => "beam",
+            Self::Odometry => "odometry",
+            Self::Clock => "clock",
+        }
+    }
+}
+
+/// The part of a log that an effect moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Moves {
+    /// Whole scans, as errors of the reference poses do.
+    Scans,
+    /// The mean of all returns. Errors of the reference take some of it in.
+    Readings,
+    /// The spread of returns, or what is read instead of them.
+    Distribution,
+    /// A stretch of wall.
+    Walls,
+    /// Objects that the map lacks.
+    Objects,
+    /// The unmapped blocks.
+    Clutter,
+    /// The odometry, and nothing that the laser sees.
+    Odometry,
+}
+
+/// How the search fits an effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Fit {
+    /// With the nuisance parameters as they are.
+    Alone,
+    /// Together with the density of clutter: its readings in front of walls look like clutter's.
+    WithClutter,
+    /// As a nuisance parameter, along with every effect.
+    Nuisance,
+}
+
+/// What is read instead of a return, in the order in which alternatives are tried: nearest to the sensor first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Replacement {
+    /// A part of the robot.
+    Robot,
+    /// Another sensor's light.
+    Interference,
+    /// Nothing: the way is too long.
+    Distance,
+    /// Nothing: the surface reflects to elsewhere.
+    Surface,
+    /// What is behind the surface.
+    Behind,
+    /// Something between the surface and its neighbour.
+    Edge,
+}
+
+/// What a [`BeamView`](super::BeamView) has to hold for the effects at hand.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Needs {
+    /// [`BeamView::jump`](super::BeamView::jump).
+    pub jump: bool,
+    /// [`BeamView::behind`](super::BeamView::behind).
+    pub behind: bool,
+}
+
+/// A drive in which effects that look alike on other logs don't, the most telling first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Experiment {
+    /// Forward and in reverse.
+    Reverse,
+    /// Turns in place, and straight lines.
+    TurnsAndLines,
+    /// Near and far walls.
+    Ranges,
+    /// A sensor that has warmed up.
+    WarmedUp,
+    /// Walls at right angles far away, slanted walls near.
+    RangeAndIncidence,
+    /// A turn on the spot.
+    Turn,
+    /// The same places again.
+    OtherViews,
+}
+
+impl Experiment {
+    /// All of them, in their order.
+    pub const ALL: [Self; 7] = [
+        Self::Reverse,
+        Self::TurnsAndLines,
+        Self::Ranges,
+        Self::WarmedUp,
+        Self::RangeAndIncidence,
+        Self::Turn,
+        Self::OtherViews,
+    ];
+
+    /// What to do, and what it shows.
+    pub fn sentence(self) -> &'static str {
+        match self {
+            Self::Reverse => {
+                "drive the same stretch forward and in reverse: an error of time changes its sign, a displaced laser \
+                 doesn't"
+            }
+            Self::TurnsAndLines => {
+                "turn in place both ways, and drive straight: only one of them shows in each"
+            }
+            Self::Ranges => "take scans over a wider span of ranges: a bias stays, a scale grows",
+            Self::WarmedUp => "go on after the sensor has warmed up: a drift dies away, a bias stays",
+            Self::RangeAndIncidence => "see walls at right angles from far away, and slanted ones from near",
+            Self::Turn => "turn the robot on the spot: what is on the robot turns along",
+            Self::OtherViews => "see the same places again from other sides and distances",
+        }
+    }
+}
