@@ -77,3 +77,124 @@ impl Density<'_> {
 pub(crate) fn near_density(z: f64, mean: f64, sigma: f64, max: f64) -> f64 {
     Alternative::Near { mean, sigma }.density(z, max)
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+    use locsim_core::{Draw, Stage};
+    use locsim_world::effect::{Effect, EffectKind};
+    use rand::RngExt;
+
+    use super::*;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::views::Views;
+    use crate::{Nominal, Recorded};
+
+    /// False-alarm rate of each comparison below; there are about 350.
+    const FALSE_ALARM: f64 = 1e-6;
+
+    /// Each effect at a value that shows in the room of the fixtures. Bursts of crosstalk never end: one that comes and goes
+    /// falls on too few seconds of a drive.
+    fn strong(kind: EffectKind) -> Effect {
+        use EffectKind as E;
+        let south =
+            vec![[DVec2::new(0.0, 0.0), DVec2::new(2.0, 0.0)], [DVec2::new(3.0, 0.0), DVec2::new(6.0, 0.0)]];
+        let values: &[f64] = match kind {
+            E::RangeBias | E::Quantization => &[0.05],
+            E::RangeScale => &[0.03],
+            E::IncidenceBias => &[0.02],
+            E::RangeNoise => &[0.01],
+            E::IncidenceNoise | E::BlockDensity | E::BlockDepth => &[2.0],
+            E::HeavyTail => &[0.4],
+            E::IncidenceDropout => &[0.8, 0.6, 0.2],
+            E::RangeDropout => &[0.9, 0.7],
+            E::MixedPixels => &[0.8],
+            E::Glass => &[0.6],
+            E::MovedWall => &[-0.3],
+            E::MissingObject => &[2.6, 2.0, 0.4],
+            E::MountYaw | E::TimeOffset | E::OdomDistanceScale | E::OdomTurnScale => &[0.1],
+            E::MountOffset => &[0.1, -0.05],
+            E::MotionSkew | E::OdomImbalance => &[0.2],
+            E::WarmupDrift => &[0.1, 5.0],
+            E::SectorOcclusion => &[3.0, -2.0, 0.4, 0.7],
+            E::Crosstalk => &[0.3, 1.0],
+            E::WheelSlip => &[0.5, 0.3],
+        };
+        let place = if kind.has_place() { south } else { Vec::new() };
+        Effect::new(kind, values.to_vec(), place).unwrap()
+    }
+
+    /// A laser that turns while the robot moves, with an edge of its range near the walls.
+    fn nominal() -> Nominal {
+        let laser = LaserOptions { scan_secs: 0.08, min_range_m: 0.3, max_range_m: 4.6, ..NOMINAL.laser };
+        Nominal::new(NOMINAL.map.clone(), laser, NOMINAL.blocks, NOMINAL.odometry, NOMINAL.effects.clone())
+            .unwrap()
+    }
+
+    /// Logs of several seeds in a world with these effects: `beams` beams of each scan.
+    fn logs(nominal: &Nominal, effects: &[Effect], beams: usize, seeds: u64) -> Vec<Recorded> {
+        let record = |seed| record_library(nominal, &TRUTH, effects, Regime::default(), seed).unwrap();
+        (0..seeds).map(|seed| Recorded::new(&record(seed), 600, beams, |_| true).unwrap()).collect()
+    }
+
+    /// Kolmogorov-Smirnov distance of the PITs of all usable readings from the uniform distribution, in units of its critical
+    /// value. A PIT is spread evenly over the probability of the reading's step, or of the maximum range.
+    fn pit_distance(nominal: &Nominal, effects: &[Effect], logs: &[Recorded]) -> f64 {
+        let step = effects.iter().filter(|effect| effect.kind == EffectKind::Quantization);
+        let step = step.map(|effect| effect.values[0]).fold(nominal.laser.resolution_m, f64::max);
+        let all = nominal.effects_with(effects).unwrap();
+        let views = Views::new(nominal, &logs[0], &all).unwrap();
+        let density = Density { laser: &nominal.laser, effects: &all, blocks: 1.0 };
+        let spread = Draw::new(9, Stage::Bootstrap, 0);
+        let mut pits: Vec<f64> = Vec::new();
+        for (seed, log) in logs.iter().enumerate() {
+            for (i, (&z, beam)) in log.readings.iter().zip(&views.beams).enumerate() {
+                let z = f64::from(z);
+                if z.is_nan() {
+                    continue;
+                }
+                let below = density.cdf(beam, 0.0, z - 0.5 * step);
+                let up_to =
+                    if z < nominal.laser.max_range_m { density.cdf(beam, 0.0, z + 0.5 * step) } else { 1.0 };
+                let share: f64 = spread.at(seed as u32).item(i as u32).random();
+                pits.push(below + share * (up_to - below));
+            }
+        }
+        pits.sort_unstable_by(f64::total_cmp);
+        let n = pits.len() as f64;
+        let away = |(i, u): (usize, &f64)| (u - i as f64 / n).max((i + 1) as f64 / n - u);
+        let distance = pits.iter().enumerate().map(away).fold(0.0, f64::max);
+        // P(D > d) <= 2 exp(-2 n d^2) (Massart 1990).
+        distance / ((2.0 / FALSE_ALARM).ln() / (2.0 * n)).sqrt()
+    }
+
+    /// The simulator draws from the density that the search asks: with clutter, from moving poses, under each effect. Under the
+    /// world without the effect it doesn't.
+    #[test]
+    fn simulated_readings_have_the_distribution_of_the_search() {
+        let nominal = nominal();
+        assert!(pit_distance(&nominal, &[], &logs(&nominal, &[], 12, 8)) < 1.0);
+        for kind in EffectKind::ALL {
+            let effects = [strong(kind)];
+            let logs = logs(&nominal, &effects, 12, 8);
+            let own = pit_distance(&nominal, &effects, &logs);
+            assert!(own < 1.0, "{kind}: {own}");
+            let without = pit_distance(&nominal, &[], &logs);
+            let of_scans = kind.description().moves != locsim_world::effect::Moves::Odometry;
+            assert_eq!(without > 1.0, of_scans, "{kind}: {without}");
+        }
+    }
+
+    #[test]
+    fn readings_of_two_effects_have_the_distribution_of_the_search() {
+        let nominal = nominal();
+        for (i, a) in EffectKind::ALL.into_iter().enumerate() {
+            for b in &EffectKind::ALL[..i] {
+                let effects = [strong(a), strong(*b)];
+                let distance = pit_distance(&nominal, &effects, &logs(&nominal, &effects, 6, 2));
+                assert!(distance < 1.0, "{a}, {b}: {distance}");
+            }
+        }
+    }
+}

@@ -211,13 +211,11 @@ impl Casts<'_> {
             }
             has_many_faces(blocks) || ends_near && (other.view.range - range).abs() < BEYOND_M
         };
-        match nearby.filter(is_near) {
-            Some(other) => other.survival.moved(other.view.range, range, self.deeper),
-            None => {
-                let limit = range.min(max) + BEYOND_M;
-                ClutterSurvival::new(blocks, [ray.origin, ray.direction], robot, limit, BIN_M, counts)
-            }
+        if let Some(other) = nearby.filter(is_near) {
+            return other.survival.moved(other.view.range, range, self.deeper);
         }
+        let limit = range.min(max) + BEYOND_M;
+        ClutterSurvival::new(blocks, [ray.origin, ray.direction], robot, limit, BIN_M, counts)
     }
 }
 

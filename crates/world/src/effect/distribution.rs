@@ -249,7 +249,8 @@ impl ReadingDistribution {
     /// Probability that a reading is usable.
     #[inline]
     pub(crate) fn usable(&self) -> f64 {
-        1.0 - self.unusable().total()
+        let from = Cell::From(self.least_value(self.min_m));
+        self.parts(|component| component.density(from)).total()
     }
 
     /// The factor that turns a density of `z` \[m\] per metre into one that can be compared with that of a distribution with
@@ -374,6 +375,7 @@ impl Component {
         match (self, cell) {
             (Self::NoReturn, _) => f64::from(u8::from(matches!(cell, Cell::From(_)))),
             (Self::Normal { mean, .. }, _) if mean.is_infinite() => Self::NoReturn.density(cell),
+            (Self::Normal { mean, sigma }, Cell::From(from)) if mean - SURELY * sigma > from => 1.0,
             (Self::Normal { mean, sigma: 0.0 }, Cell::From(from)) => f64::from(u8::from(mean >= from)),
             (Self::Normal { mean, sigma }, Cell::From(from)) => normal::tail((from - mean) / sigma),
             (Self::Normal { mean, sigma }, Cell::Step { middle, step }) if step > FINE_STEP * sigma => {

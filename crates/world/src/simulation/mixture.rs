@@ -60,7 +60,7 @@ impl ClutteredBeam {
 /// usable reading.
 ///
 /// Two approximations make it fast: clutter is read without noise, and the probability of what may be read instead of it is
-/// that at the reading's own range.
+/// that of clutter at the reading's own range, or of clutter in the middle of where it may stand if nothing is returned.
 #[derive(Clone, Copy, Debug)]
 pub struct ReadingMixture<'a> {
     /// The laser.
@@ -130,8 +130,10 @@ impl ReadingMixture<'_> {
         let mut clutter = 0.0;
         if clear < 1.0 {
             let is_return = z < reading.max_m;
-            let nearest =
-                self.clutter_read_at(beam, if is_return { z } else { 0.5 * range.min(reading.max_m) });
+            let nearest = self.clutter_read_at(
+                beam,
+                if is_return { z } else { beam.survival.middle(range - shift) + shift },
+            );
             let [instead, rest] = nearest.alternatives(|reading| reading.density_parts(z));
             if is_return && nearest.range < range {
                 clutter = rest * self.nearest_density(beam, nearest.range - shift);
@@ -228,5 +230,129 @@ impl ReadingMixture<'_> {
         let [instead, rest] = nearest.alternatives(ReadingDistribution::unusable);
         let within_reach = self.survival(beam, min_m - shift).max(clear);
         (1.0 - clear) * (1.0 - rest - instead) + rest * (within_reach - clear)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+
+    use super::super::fixtures::{block_options, laser_options, room};
+    use super::super::{BlockIntegral, BlockModel};
+    use super::*;
+    use crate::effect::{Effect, EffectKind};
+
+    const LASER: LaserOptions = LaserOptions {
+        sigma_m: 0.01,
+        sigma_per_m: 0.002,
+        min_range_m: 0.3,
+        max_range_m: 4.0,
+        ..laser_options()
+    };
+
+    /// A beam from (2.5, 2) straight at the east wall of the room, through the clutter in front of it.
+    fn beam() -> ClutteredBeam {
+        let (origin, range) = (DVec2::new(2.5, 2.0), 3.5);
+        let clutter = BlockIntegral::new(&BlockModel::new(block_options(), &room()).unwrap());
+        let survival =
+            ClutterSurvival::new(&clutter, [origin, DVec2::X], origin, range, 0.05, &mut Vec::new());
+        let endpoint = origin + range * DVec2::X;
+        let view =
+            BeamView { secs: 3.0, bearing: 0.0, range, incidence: 0.2, endpoint, jump: None, behind: None };
+        ClutteredBeam::new(view, None, [0.0; 3], survival, 4.0)
+    }
+
+    fn worlds() -> Vec<Effects> {
+        let one = |kind, values: &[f64]| Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
+        vec![
+            Effects::none(),
+            Effects::new(vec![one(EffectKind::Crosstalk, &[0.2, 1.0])]).unwrap(),
+            Effects::new(vec![
+                one(EffectKind::RangeDropout, &[0.5, 1.0]),
+                one(EffectKind::RangeBias, &[0.07]),
+            ])
+            .unwrap(),
+        ]
+    }
+
+    /// P(value before rounding < x), summed over millimetres of where the nearest clutter stands, each read with its noise.
+    fn plain_below(mixture: &ReadingMixture<'_>, beam: &ClutteredBeam, x: f64) -> f64 {
+        let read = |met, range| {
+            mixture.effects.reading_of(
+                mixture.laser,
+                &beam.view,
+                met,
+                range,
+                met == HitKind::Wall,
+                |_, share| share,
+            )
+        };
+        let survival = |range: f64| beam.survival_at(range).0.powf(mixture.clutter_density);
+        let millimetres = (beam.view.range / 0.001).round() as u32;
+        let of_clutter = (0..millimetres).map(|i| {
+            let [near, middle, far] = [0.0, 0.5, 1.0].map(|share| 0.001 * (f64::from(i) + share));
+            let probability = survival(near) - survival(far);
+            if probability > 0.0 { probability * read(HitKind::Object, middle).below(x).total() } else { 0.0 }
+        });
+        survival(beam.view.range) * read(HitKind::Wall, beam.view.range).below(x).total()
+            + of_clutter.sum::<f64>()
+    }
+
+    /// Where the probability of a lost return changes along the clutter, the distribution function errs by up to this.
+    const BOUNDS: [f64; 3] = [0.005, 0.005, 0.06];
+
+    #[test]
+    fn the_fast_distribution_is_near_the_plain_one() {
+        let beam = beam();
+        for (effects, bound) in worlds().iter().zip(BOUNDS) {
+            let mut worst = 0.0_f64;
+            for clutter_density in [0.5, 1.0, 3.0] {
+                let mixture = ReadingMixture { laser: &LASER, effects, clutter_density };
+                let unusable = plain_below(&mixture, &beam, LASER.min_range_m);
+                for i in 8..100 {
+                    let x = 0.04 * f64::from(i);
+                    let plain = (plain_below(&mixture, &beam, x) - unusable) / (1.0 - unusable);
+                    worst = worst.max((mixture.cdf(&beam, 0.0, x) - plain).abs());
+                }
+            }
+            assert!(worst < bound, "{effects:?}: {worst}");
+        }
+    }
+
+    /// The density adds up to the distribution function, and to 1 with the mass at the maximum range.
+    #[test]
+    fn the_density_is_the_slope_of_the_distribution_function() {
+        let beam = beam();
+        for (effects, bound) in worlds().iter().zip(BOUNDS) {
+            let mixture = ReadingMixture { laser: &LASER, effects, clutter_density: 1.3 };
+            let step = 5e-4;
+            let (mut sum, mut worst) = (0.0, 0.0_f64);
+            for i in 600..8000 {
+                let z = step * (f64::from(i) + 0.5);
+                let density = mixture.density(&beam, 0.0, z);
+                assert!(density.surface + density.clutter <= density.total * (1.0 + 1e-12), "{density:?}");
+                sum += step * density.total;
+                if i % 100 == 99 {
+                    worst = worst.max((sum - mixture.cdf(&beam, 0.0, z + 0.5 * step)).abs());
+                }
+            }
+            let total = sum + mixture.density(&beam, 0.0, 4.0).total;
+            assert!(worst < bound && (total - 1.0).abs() < bound, "{effects:?}: {worst} {total}");
+        }
+    }
+
+    /// Clutter hides a wall that has moved farther more often.
+    #[test]
+    fn clutter_stands_in_front_of_where_the_wall_is() {
+        let beam = beam();
+        let place = vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]];
+        let clear = |offset: f64| {
+            let moved = Effect::new(EffectKind::MovedWall, vec![offset], place.clone()).unwrap();
+            let effects = Effects::new(vec![moved]).unwrap();
+            let mixture = ReadingMixture { laser: &LASER, effects: &effects, clutter_density: 1.0 };
+            mixture.density(&beam, 0.0, 3.0).clear
+        };
+        assert!((clear(0.0) - beam.log_clear.exp()).abs() < 1e-12);
+        assert!(clear(-0.5) > clear(0.0) + 0.05, "{} {}", clear(-0.5), clear(0.0));
     }
 }

@@ -52,6 +52,12 @@ impl ClutterSurvival {
         Arc::ptr_eq(&self.probability, &other.probability)
     }
 
+    /// The middle of where clutter may stand within `range` metres \[m\].
+    pub fn middle(&self, range: f64) -> f64 {
+        let end = self.start_m + self.bin_m * self.probability.len().saturating_sub(1) as f64;
+        0.5 * (self.start_m.min(range) + end.min(range)).max(0.0)
+    }
+
     /// Probability that no clutter stands within `range` metres, and the density \[1/m\] of the nearest one there.
     #[inline]
     pub fn at(&self, range: f64) -> (f64, f64) {
@@ -134,5 +140,6 @@ mod tests {
         assert_eq!(far.at(3.25), (0.875, 0.5));
         assert_eq!((far.at(2.9), far.at(9.0)), ((1.0, 0.0), (0.5, 0.0)));
         assert_eq!(ClutterSurvival::clear().at(2.0), (1.0, 0.0));
+        assert_eq!((far.middle(9.0), far.middle(3.5), far.middle(2.0)), (3.5, 3.25, 2.0));
     }
 }
