@@ -8,7 +8,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Each crate of the workspace and the crates of the workspace that it uses.
-const LAYERS: [(&str, &[&str]); 10] = [
+const LAYERS: [(&str, &[&str]); 14] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
@@ -16,28 +16,71 @@ const LAYERS: [(&str, &[&str]); 10] = [
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
     ("locsim-gap", &["locsim-core", "locsim-world"]),
+    ("locsim-report", &["locsim-core"]),
+    ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-sensor", "locsim-world"]),
+    ("locsim-study", &["distreg", "locsim-core", "locsim-report", "locsim-scenario", "locsim-world"]),
     (
         "locsim-lab",
+        &[
+            "locsim-core",
+            "locsim-dataset",
+            "locsim-gap",
+            "locsim-mcl",
+            "locsim-report",
+            "locsim-scenario",
+            "locsim-sensor",
+            "locsim-world",
+        ],
+    ),
+    (
+        "locsim-bench",
         &[
             "distreg",
             "locsim-core",
             "locsim-dataset",
             "locsim-gap",
+            "locsim-lab",
             "locsim-mcl",
+            "locsim-report",
+            "locsim-scenario",
             "locsim-sensor",
             "locsim-world",
         ],
     ),
-    ("locsim-fuzz", &["locsim-core", "locsim-dataset", "locsim-lab", "locsim-sensor", "locsim-world"]),
-    ("locsim", &["distreg", "locsim-core", "locsim-dataset", "locsim-lab"]),
+    (
+        "locsim-fuzz",
+        &[
+            "locsim-bench",
+            "locsim-core",
+            "locsim-dataset",
+            "locsim-lab",
+            "locsim-scenario",
+            "locsim-sensor",
+            "locsim-study",
+            "locsim-world",
+        ],
+    ),
+    (
+        "locsim",
+        &[
+            "distreg",
+            "locsim-bench",
+            "locsim-core",
+            "locsim-dataset",
+            "locsim-lab",
+            "locsim-report",
+            "locsim-scenario",
+            "locsim-study",
+        ],
+    ),
 ];
 
 /// Dependencies that one crate keeps to itself, and the place in its sources (a file or a folder) that names them.
 const KEPT: [(&str, &str, &str); 4] = [
     ("rerun", "locsim", "crates/cli/src/recording"),
     ("parry2d-f64", "locsim-world", "crates/world/src/raycast"),
-    ("serde_yaml", "locsim-lab", "crates/lab/src/yaml.rs"),
-    ("saphyr-parser", "locsim-lab", "crates/lab/src"),
+    ("serde_yaml", "locsim-scenario", "crates/scenario/src/yaml.rs"),
+    ("saphyr-parser", "locsim-scenario", "crates/scenario/src"),
 ];
 
 fn root() -> PathBuf {

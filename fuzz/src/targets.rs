@@ -12,13 +12,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-use locsim_core::{Draw, Hits, Particles, Pose2, RangeMap, SensorModel, Stage};
+use locsim_bench::speed::Workload;
+use locsim_core::{Draw, Hits, Particles, Pose2, Progress, RangeMap, SensorModel, Stage};
 use locsim_dataset::{LogOptions, read_log, read_tum};
-use locsim_lab::bench::Workload;
-use locsim_lab::run::{self, Progress, RunOptions};
-use locsim_lab::scenario::{Overrides, Scenario, load_map};
-use locsim_lab::study::{self, Study, StudyOverrides};
+use locsim_lab::run::{self, RunOptions};
+use locsim_scenario::{Overrides, Scenario, load_map};
 use locsim_sensor::{FittedModel, ModelKind};
+use locsim_study::{self as study, Study, StudyOverrides};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
 use tempfile::TempDir;
 

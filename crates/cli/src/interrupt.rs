@@ -7,7 +7,7 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use anyhow::Result;
-use locsim_lab::store::kept;
+use locsim_report::store::kept;
 
 use crate::INTERRUPTED;
 use crate::terminal::complain;

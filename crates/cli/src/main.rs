@@ -13,21 +13,21 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::{CommandFactory, Parser};
+use locsim_bench::speed;
+use locsim_bench::suite::{self, GapBenchError, GapBenchOptions};
 use locsim_core::limits::{Limits, THREADS_PER_CORE};
 use locsim_core::output::Output;
 use locsim_dataset::{LogOptions, McapTopics};
-use locsim_lab::bench;
-use locsim_lab::effects;
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyError, GapStudyOptions};
-use locsim_lab::gap_bench::{self, GapBenchError, GapBenchOptions};
-use locsim_lab::report::terminal_table;
 use locsim_lab::run::{self, Recorder, RunError, RunOptions};
-use locsim_lab::scenario::{self, Overrides, Scenario};
+use locsim_report::terminal_table;
+use locsim_scenario::catalogue;
+use locsim_scenario::{self as scenario, Overrides, Scenario};
 
 use arguments::{Arguments, Bench, Command, Gap, Map, Record, Run, Simulate};
 use interrupt::Interrupt;
-use locsim_lab::store::{Request, Store};
-use locsim_lab::study::{self, StudyError, StudyOptions, StudyOverrides};
+use locsim_report::store::{Request, Store};
+use locsim_study::{self as study, StudyError, StudyOptions, StudyOverrides};
 use progress::Bars;
 use terminal::{complain, say};
 
@@ -145,9 +145,9 @@ fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
         scenario: arguments.scenario.clone(),
         out: arguments.out.clone(),
         size: match arguments.size {
-            arguments::Size::Small => gap_bench::Size::Small,
-            arguments::Size::Medium => gap_bench::Size::Medium,
-            arguments::Size::Full => gap_bench::Size::Full,
+            arguments::Size::Small => suite::Size::Small,
+            arguments::Size::Medium => suite::Size::Medium,
+            arguments::Size::Full => suite::Size::Full,
         },
         seed: arguments.seed,
         replicates: arguments.replicates,
@@ -157,16 +157,16 @@ fn run_gap_bench(arguments: &arguments::GapBench) -> Result<ExitCode> {
         interrupted: interrupt.flag(),
         no_later: arguments.minutes.map(|minutes| Duration::from_secs(60 * minutes)),
     };
-    let score = gap_bench::run(&options)?;
+    let score = suite::run(&options)?;
     if arguments.json {
         say(&serde_json::to_string_pretty(&score)?)?;
     } else if !arguments.quiet {
-        say(&gap_bench::table(&score))?;
+        say(&suite::table(&score))?;
         say(&format!(
             "{} of {} logs; report in {}",
             score.runs,
             score.planned,
-            arguments.out.join(gap_bench::REPORT).display()
+            arguments.out.join(suite::REPORT).display()
         ))?;
     }
     Ok(ExitCode::SUCCESS)
@@ -334,8 +334,8 @@ fn print_schema(study: bool) -> Result<ExitCode> {
 
 fn effects(name: Option<&str>) -> Result<ExitCode> {
     match name {
-        None => say(&format!("{}\n`locsim effects NAME` tells more.", effects::table()))?,
-        Some(name) => say(&effects::page(name)?)?,
+        None => say(&format!("{}\n`locsim effects NAME` tells more.", catalogue::table()))?,
+        Some(name) => say(&catalogue::page(name)?)?,
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -368,7 +368,7 @@ fn log_options(arguments: &arguments::LogOptions) -> LogOptions {
 
 fn gap(arguments: &Gap) -> Result<ExitCode> {
     if let Some(name) = &arguments.explain {
-        say(&effects::page(name)?)?;
+        say(&catalogue::page(name)?)?;
         return Ok(ExitCode::SUCCESS);
     }
     let (Some(scenario), Some(log), Some(out)) = (&arguments.scenario, &arguments.log, &arguments.out) else {
@@ -508,15 +508,15 @@ fn bench(arguments: &Bench) -> Result<ExitCode> {
         .as_deref()
         .map(|out| Store::open(&Request { out, kind: "sweeps", fingerprint: "", resume: false, force }));
     let sweeps = sweeps.transpose()?;
-    let bench = bench::Bench::prepare(&arguments.folder, &clock, &bars)?;
+    let bench = speed::Bench::prepare(&arguments.folder, &clock, &bars)?;
     let report = bench.run(&clock, &bars)?;
     if let Some(store) = sweeps {
-        bench::sweep(&bench, store, &clock, &bars)?;
+        speed::sweep(&bench, store, &clock, &bars)?;
     }
     say(&if arguments.json {
         serde_json::to_string_pretty(&report)?
     } else {
-        bench::terminal_text(&report)
+        speed::terminal_text(&report)
     })?;
     Ok(ExitCode::SUCCESS)
 }

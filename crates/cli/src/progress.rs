@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use locsim_lab::run::Progress;
+use locsim_core::Progress;
 
 use crate::terminal::complain;
 

@@ -19,6 +19,7 @@ mod normals;
 pub mod output;
 mod particles;
 mod pose;
+mod progress;
 mod weights;
 
 pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
@@ -33,4 +34,5 @@ pub use likelihood::{
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
+pub use progress::Progress;
 pub use weights::{WeightError, Weights};

@@ -1,17 +1,5 @@
-//! YAML scenarios, runs, tables, figures and reports.
+//! What a user asks for: [`run`] localizes under every model of a scenario and writes a results folder; [`gap`] searches
+//! for what a simulation lacks beside a measured log and writes what it found.
 
-pub mod bench;
-pub mod effects;
 pub mod gap;
-pub mod gap_bench;
-mod limited;
-pub mod palette;
-pub mod report;
-pub mod results;
 pub mod run;
-pub mod scenario;
-pub mod statistics;
-pub mod store;
-pub mod study;
-pub mod summary;
-mod yaml;

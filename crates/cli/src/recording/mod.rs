@@ -9,8 +9,8 @@ mod gap;
 use std::path::Path;
 
 use locsim_core::{DriveStep, Laser, Pose2};
-use locsim_lab::palette;
-use locsim_lab::results::{BeamProbe, DetailedModel, DetailedStep, DetailedTrial};
+use locsim_report::palette;
+use locsim_report::results::{BeamProbe, DetailedModel, DetailedStep, DetailedTrial};
 use rerun::blueprint::{
     BarChartView, Blueprint, BlueprintPanel, ContainerLike, Grid, Horizontal, SelectionPanel, Spatial2DView,
     Tabs, TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,

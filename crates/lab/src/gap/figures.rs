@@ -6,14 +6,14 @@ use locsim_gap::{BeamPit, Outcome, PitHistogram};
 use plotters::prelude::{Circle, Color, PathElement, RGBColor, Rectangle, Text};
 
 use super::{GapStudy, answer};
-use crate::palette;
-use crate::report::ReportError;
-use crate::report::figures::Figure;
-use crate::report::figures::canvas::{
+use locsim_report::ReportError;
+use locsim_report::figures::Figure;
+use locsim_report::figures::canvas::{
     Axis, DrawError, HEADING, INK, LABEL, Mark, WIDTH, chart, figure, line, px, text, text_width,
 };
-use crate::report::figures::geometry::{Point, Window, join};
-use crate::report::figures::map::{LEFT, MARGINS, MapPanel, aspect};
+use locsim_report::figures::geometry::{Point, Window, join};
+use locsim_report::figures::map::{LEFT, MARGINS, MapPanel, aspect};
+use locsim_report::palette;
 
 /// Side of a cell of wall \[m\].
 const CELL_M: f64 = 0.25;

@@ -2,10 +2,10 @@
 //! scenario with the effect that it lacks, and a report that says why.
 
 mod answer;
-mod edit;
 mod figures;
 mod filter;
 mod page;
+mod proposal;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,12 +23,13 @@ use thiserror::Error;
 pub use answer::answer;
 pub use locsim_gap::{BeamPit, Outcome};
 
-pub(crate) use filter::FilterOnLog;
+pub use filter::FilterOnLog;
 
-use crate::report::ReportError;
-use crate::run::{Progress, RunError};
-use crate::scenario::{Overrides, Problem, Scenario, ScenarioError, Simulation, Source, load_map};
-use crate::store::{Folder, Request, Store, StoreError};
+use crate::run::RunError;
+use locsim_core::Progress;
+use locsim_report::ReportError;
+use locsim_report::store::{Folder, Request, Store, StoreError};
+use locsim_scenario::{Overrides, Problem, Scenario, ScenarioError, Simulation, Source, load_map};
 
 /// Bearings of log and scenario that differ by more than this are of other beams \[rad\].
 const SAME_BEARING_RAD: f64 = 2e-3;
@@ -154,7 +155,7 @@ impl GapStudy {
             .into());
         };
         // Now, as an error after the search would come late.
-        if !edit::can_grow(&scenario) {
+        if !scenario.can_grow() {
             let message =
                 "an effect could not be added; write `effects` as a list with an entry on each line";
             return Err(refuse("effects", message).into());
@@ -322,10 +323,10 @@ fn write(
 ) -> Result<(), GapStudyError> {
     let json = serde_json::to_string_pretty(outcome).map_err(ReportError::from)?;
     folder.write("gap.json", format!("{json}\n").as_bytes())?;
-    let scenario = edit::scenario_with(study, outcome, &options.out)?;
+    let scenario = proposal::scenario_with(study, outcome, &options.out)?;
     folder.write("scenario.yaml", scenario.as_bytes())?;
     let old = study.scenario.file.display().to_string();
-    let diff = edit::diff(
+    let diff = proposal::diff(
         &study.scenario.text,
         &scenario,
         &old,

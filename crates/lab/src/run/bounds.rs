@@ -2,8 +2,8 @@ use std::fmt;
 
 use serde_json::Value;
 
-use crate::scenario::Expectation;
-use crate::summary::Summary;
+use locsim_report::summary::Summary;
+use locsim_scenario::Expectation;
 
 /// A bound that a scenario declares and its results don't keep.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,4 +46,57 @@ pub(super) fn missed(expectations: &[Expectation], summary: &Summary) -> Vec<Mis
             Some(MissedBound { model: expected.model.clone(), metric: expected.metric, value, bound })
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use locsim_report::results::TrainingRow;
+    use locsim_report::summary::{AngularError, Errors as ErrorSummary, Kept, LinearError, ModelSummary};
+    use locsim_scenario::METRICS;
+    use locsim_scenario::locate::join;
+
+    use super::*;
+
+    /// Collects the dotted paths of the numbers in a tree.
+    fn figures(path: &str, value: &Value, out: &mut BTreeSet<String>) {
+        match value {
+            Value::Object(map) => {
+                for (key, inner) in map {
+                    figures(&join(path, key), inner, out);
+                }
+            }
+            Value::Number(_) => _ = out.insert(path.to_owned()),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn bounds_can_be_declared_on_every_figure_of_a_model() {
+        let linear = LinearError { mean_m: 1.0, std_m: 1.0 };
+        let errors = ErrorSummary {
+            position_rmse_m: 1.0,
+            position_median_m: 1.0,
+            position_p95_m: 1.0,
+            position_std_m: 1.0,
+            along: linear,
+            across: linear,
+            heading: AngularError { mean_rad: 1.0, std_rad: 1.0 },
+        };
+        let train =
+            TrainingRow { log_loss_nats: Some(1.0), histogram_match_m: Some(1.0), ..TrainingRow::default() };
+        let summary = ModelSummary {
+            lost_share: 0.0,
+            errors,
+            ess_mean: 1.0,
+            step_ms: 1.0,
+            train,
+            intervals: None,
+            kept: Some(Kept { trials: 1, errors, intervals: None }),
+        };
+        let mut found = BTreeSet::new();
+        figures("", &serde_json::to_value(summary).unwrap(), &mut found);
+        assert_eq!(found, METRICS.into_iter().map(str::to_owned).collect());
+    }
 }

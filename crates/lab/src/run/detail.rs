@@ -4,7 +4,7 @@ use locsim_core::{Beams, Drive, Hits, Laser, Particles, Pose2, RangeMap, Scan, S
 use locsim_mcl::{Filter, StepOutcome, Trajectory};
 
 use super::training::TrainedModel;
-use crate::results::{BeamProbe, DetailedModel, DetailedStep};
+use locsim_report::results::{BeamProbe, DetailedModel, DetailedStep};
 
 /// Particles kept per step at the most; of more, every so manieth is.
 const PARTICLES: usize = 1000;

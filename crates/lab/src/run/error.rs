@@ -7,7 +7,7 @@ use thiserror::Error;
 pub enum RunError {
     /// The scenario's map, log or path is refused.
     #[error(transparent)]
-    Scenario(#[from] crate::scenario::ScenarioError),
+    Scenario(#[from] locsim_scenario::ScenarioError),
     /// The map can't be used.
     #[error("map {path}: {source}")]
     Map {
@@ -62,7 +62,7 @@ pub enum RunError {
     Filter(#[from] locsim_mcl::FilterError),
     /// The report could not be written.
     #[error(transparent)]
-    Report(#[from] crate::report::ReportError),
+    Report(#[from] locsim_report::ReportError),
     /// The recording failed; the results are complete without it.
     #[error("the results are in {out}, but the recording failed: {source}")]
     Recording {
@@ -73,7 +73,7 @@ pub enum RunError {
     },
     /// The results folder can't be used.
     #[error(transparent)]
-    Store(#[from] crate::store::StoreError),
+    Store(#[from] locsim_report::store::StoreError),
     /// The user stopped the run; finished trials are kept.
     #[error("interrupted after {finished} of {trials} trials; add --resume to go on")]
     Interrupted {

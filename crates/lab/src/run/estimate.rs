@@ -6,10 +6,10 @@ use serde::de::IgnoredAny;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
 use super::RunError;
-use crate::scenario::{
+use locsim_scenario::yaml;
+use locsim_scenario::{
     Estimate as PoseEstimate, ModelName, ParticleCount, Problem, RayCast, Scenario, ScenarioError, Source,
 };
-use crate::yaml;
 
 /// Bytes of a training reading in all the forms that it has at once: as scanned, in the training set, as the list of
 /// readings and beams that a mixture is fitted to (40 bytes).
@@ -180,7 +180,7 @@ fn duration(secs: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::Overrides;
+    use locsim_scenario::Overrides;
 
     fn shipped(from: &str, to: &str) -> (tempfile::TempDir, Scenario) {
         let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../");

@@ -20,8 +20,8 @@ use rand::RngExt;
 
 use super::training::{ScanData, Surroundings, TrainedModel, train};
 use super::{Progress, RunError};
-use crate::scenario::{self, Log, LogMap, ModelName, RayCast, Scenario, Simulation, Source};
-use crate::yaml;
+use locsim_scenario::yaml;
+use locsim_scenario::{self as scenario, Log, LogMap, ModelName, RayCast, Scenario, Simulation, Source};
 
 /// Training poses keep this far from walls \[m\]: a robot has a body.
 const WALL_CLEARANCE_M: f64 = 0.25;
@@ -53,6 +53,9 @@ pub struct MapSet {
 
 impl MapSet {
     /// Prepares a map; a range table can take seconds, unless `cache` has it.
+    ///
+    /// # Errors
+    /// `MapError` for a table above the limits.
     pub fn new(
         geometry: Geometry,
         ray_cast: RayCast,
@@ -376,7 +379,7 @@ impl Obstructions for NothingInTheWay {
 }
 
 /// Poses uniform over free space, clear of walls, with uniform headings.
-pub(crate) fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
+pub fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
     /// A map with less room than this share of its bounds gets fewer poses.
     const ATTEMPTS_PER_POSE: u32 = 10_000;
     let [x0, y0, x1, y1] = maps.exact.bounds();

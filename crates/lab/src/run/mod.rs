@@ -4,47 +4,32 @@ mod bounds;
 mod detail;
 mod error;
 mod estimate;
-pub(crate) mod laboratory;
-pub(crate) mod training;
+mod laboratory;
+mod training;
 mod trial;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use locsim_core::Pose2;
+use locsim_core::{Pose2, Progress};
 use locsim_dataset::{StampedPose, write_tum};
 use rayon::prelude::*;
 
 pub use bounds::MissedBound;
 pub use error::RunError;
 pub use estimate::Estimate as CostEstimate;
-pub use laboratory::{map_files, map_from_log, simulate_trial};
+pub use laboratory::{MapSet, free_poses, map_files, map_from_log, simulate_trial};
+pub use training::{ScanData, Surroundings, TrainedModel, train};
 
-use crate::report::{self, ReportContext};
-use crate::results::{DetailedTrial, RunResults, Trial};
-use crate::scenario::{ErrorFrame, Estimate, Scenario, Source};
-use crate::store::{Folder, Part, Request, Store};
-use crate::summary::Summary;
 use detail::Detail;
 use laboratory::{Laboratory, TrialDrive};
+use locsim_report::results::{DetailedTrial, RunResults, Trial};
+use locsim_report::store::{Folder, Part, Request, Store};
+use locsim_report::summary::Summary;
+use locsim_report::{self as report, ReportContext};
+use locsim_scenario::{ErrorFrame, Estimate, Scenario, Source};
 pub(crate) use trial::options as filter_options;
-
-/// Told how far a run is; `()` listens to nothing.
-pub trait Progress: Sync {
-    /// A stage of `total` units begins.
-    fn stage(&self, _name: &str, _total: u64) {}
-    /// `n` units of the stage are done.
-    fn advance(&self, _n: u64) {}
-    /// All stages are done.
-    fn finish(&self) {}
-    /// Something that the user may want to know and that changes no result.
-    fn note(&self, _text: &str) {}
-    /// Something that the user should know, asked for or not.
-    fn warn(&self, _text: &str) {}
-}
-
-impl Progress for () {}
 
 /// The recording's name in the results folder.
 pub const RECORDING: &str = "recording.rrd";
@@ -182,7 +167,7 @@ fn run_trials(
         })
         .collect::<Result<_, RunError>>()?;
     // A trial that wasn't looked at may be kept all the same.
-    let finished = store.parts().len()?;
+    let finished = store.parts().kept()?;
     if trials.iter().any(Option::is_none) {
         return Err(RunError::Interrupted { finished, trials: trials.len() });
     }

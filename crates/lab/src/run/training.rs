@@ -16,8 +16,8 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::{Progress, RunError};
-use crate::results::TrainingRow;
-use crate::scenario::{Model, ModelName};
+use locsim_report::results::TrainingRow;
+use locsim_scenario::{Model, ModelName};
 
 /// Candidate poses per calibration scan, the true one not counted.
 const CANDIDATES: u32 = 256;

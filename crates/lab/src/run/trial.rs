@@ -14,8 +14,8 @@ use super::RunError;
 use super::detail::Detail;
 use super::laboratory::Laboratory;
 use super::training::TrainedModel;
-use crate::results::{ModelTrial, StepRow};
-use crate::scenario::{self, ErrorFrame, Errors, Estimate, Motion, ParticleCount, ResampleWhen};
+use locsim_report::results::{ModelTrial, StepRow};
+use locsim_scenario::{self as scenario, ErrorFrame, Errors, Estimate, Motion, ParticleCount, ResampleWhen};
 
 /// Side of a bin of the densest cluster when the scenario doesn't set one: AMCL's 0.5 m and 10 degrees.
 const CLUSTER_BINS: (f64, f64) = (0.5, 10.0 * std::f64::consts::PI / 180.0);

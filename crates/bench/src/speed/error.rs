@@ -1,0 +1,78 @@
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use locsim_lab::run::RunError;
+use locsim_report::ReportError;
+use locsim_scenario::ScenarioError;
+
+/// Why a benchmark could not be run.
+#[derive(Debug, Error)]
+pub enum BenchError {
+    /// The map or `workload.json` is refused.
+    #[error(transparent)]
+    File(#[from] ScenarioError),
+    /// A file can't be read or written.
+    #[error("{}: {source}", path.display())]
+    System {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A table of comma-separated values doesn't hold what it should.
+    #[error("{}:{line}: {column}: {what}", path.display())]
+    Csv {
+        /// The file.
+        path: PathBuf,
+        /// Line in it, from 1.
+        line: u64,
+        /// Name of the column.
+        column: String,
+        /// The value and what is allowed instead.
+        what: String,
+    },
+    /// The particles are not pairs of 8-byte numbers that are poses.
+    #[error("{}: {what}", path.display())]
+    Particles {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what is needed.
+        what: String,
+    },
+    /// The map can't be used.
+    #[error("map: {0}")]
+    Map(#[from] locsim_world::map::MapError),
+    /// A laser is refused.
+    #[error("laser: {0}")]
+    Laser(String),
+    /// The simulated world or laser is refused.
+    #[error("{0}")]
+    Simulation(#[from] locsim_world::simulation::SimulationError),
+    /// A sensor model could not be trained.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A sensor model could not be made a table.
+    #[error("sensor model: {0}")]
+    Sensor(#[from] locsim_sensor::SensorError),
+    /// The filter gave up.
+    #[error("filter: {0}")]
+    Filter(#[from] locsim_mcl::FilterError),
+    /// Threads could not be started.
+    #[error("threads: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
+    /// The folder for figures can't be used.
+    #[error(transparent)]
+    Store(#[from] locsim_report::store::StoreError),
+    /// A figure could not be drawn.
+    #[error(transparent)]
+    Figure(#[from] ReportError),
+}
+
+impl BenchError {
+    /// Attaches a path to a system error.
+    pub(super) fn system(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::System { path, source }
+    }
+}

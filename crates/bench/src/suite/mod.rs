@@ -1,0 +1,476 @@
+//! The hidden-effect suite: logs in which an effect is hidden, the search that doesn't know, and a score.
+//!
+//! The search reads a log and the nominal scenario; the score reads truths and findings afterwards, from folders of their
+//! own. Whatever is done is kept with its hash, and a run that was interrupted goes on where it stopped.
+
+mod plan;
+mod score;
+mod text;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use locsim_core::{Draw, Drive, Stage};
+use locsim_dataset::{DatasetError, LogOptions, read_log, write_log};
+use locsim_gap::hidden::{OtherForm, Truth, record_library, record_other, record_outside};
+use locsim_gap::{GapError, GapOptions, Nominal, Number, Outcome, Recorded, Strength, Verdict, find};
+use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::raycast::ExactRangeMap;
+use locsim_world::simulation::{Simulator, simulate_drive};
+use rayon::{ThreadPoolBuildError, ThreadPoolBuilder};
+use serde::{Deserialize, Serialize};
+use tempfile::TempDir;
+
+pub use plan::Size;
+pub use score::Score;
+pub use text::table;
+
+use locsim_core::Progress;
+use locsim_lab::gap::{FilterOnLog, GapSettings, GapStudy, GapStudyError};
+use locsim_report::store::{Folder, Lock, StoreError};
+use locsim_scenario::{Overrides, Scenario, ScenarioError, Source, load_map};
+use plan::{Case, Group, Hidden, REGIMES, plan};
+
+/// Why the suite could not be run.
+#[derive(Debug, thiserror::Error)]
+pub enum GapBenchError {
+    /// The scenario is refused.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// Its map is.
+    #[error(transparent)]
+    Map(#[from] locsim_world::map::MapError),
+    /// A search failed.
+    #[error(transparent)]
+    Gap(#[from] GapError),
+    /// A filter could not be run.
+    #[error(transparent)]
+    Study(#[from] GapStudyError),
+    /// A log could not be written or read.
+    #[error(transparent)]
+    Log(#[from] DatasetError),
+    /// A log can't be put down for the search.
+    #[error("a folder for logs: {0}")]
+    Temporary(std::io::Error),
+    /// The suite's folder can't be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The figures can't be written as JSON.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// The machine gives no thread.
+    #[error(transparent)]
+    Threads(#[from] ThreadPoolBuildError),
+    /// The scenario is of a measured log.
+    #[error("{0}: the suite needs a simulated scenario, with `robot` and `laser`")]
+    NotSimulated(PathBuf),
+}
+
+impl GapBenchError {
+    /// Whether the caller asked to stop.
+    pub fn is_interruption(&self) -> bool {
+        matches!(self, Self::Gap(GapError::Interrupted))
+    }
+}
+
+/// How the suite is run.
+pub struct GapBenchOptions<'a> {
+    /// The nominal scenario.
+    pub scenario: PathBuf,
+    /// Where logs, truths and findings go.
+    pub out: PathBuf,
+    /// How much.
+    pub size: Size,
+    /// Everything random derives from it.
+    pub seed: u64,
+    /// Simulated logs behind each p-value.
+    pub replicates: u32,
+    /// The most scans of a log.
+    pub scans: usize,
+    /// The caller's clock.
+    pub clock: &'a (dyn Fn() -> Duration + Sync),
+    /// Is told how far it is.
+    pub progress: &'a dyn Progress,
+    /// Set to stop after the log at hand.
+    pub interrupted: &'a AtomicBool,
+    /// No log is begun later than this; what is done is scored, and the next run goes on.
+    pub no_later: Option<Duration>,
+}
+
+/// What is true of a log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TruthFile {
+    /// What the log is in the suite for.
+    pub group: Group,
+    /// Information of each effect.
+    pub lambda: f64,
+    /// Name of the regime.
+    pub regime: String,
+    /// Names of the effects.
+    pub effects: Vec<String>,
+    /// Their numbers.
+    pub values: Vec<BTreeMap<String, f64>>,
+    /// Of each, the number that is its strength.
+    pub strength: Vec<String>,
+    /// The least error of an estimate of the strength of one effect in the library's form, see [`Strength::least_error`].
+    pub least_error: Option<f64>,
+    /// Stages taken out of the library.
+    pub without: Vec<String>,
+}
+
+/// What the search found in a log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FoundFile {
+    /// The verdict.
+    pub verdict: String,
+    /// Names, in order.
+    pub effects: Vec<String>,
+    /// Of each, the set that can't be told apart.
+    pub candidates: Vec<Vec<String>>,
+    /// Of each, value and interval of its numbers.
+    pub numbers: Vec<BTreeMap<String, [f64; 3]>>,
+    /// Global p-value.
+    pub p: f64,
+    /// The same with the named effects.
+    pub p_after: f64,
+    /// Share of the gap closed, with its interval.
+    pub closed: [f64; 3],
+    /// How far the log is off in every effect's direction, in standard deviations.
+    pub directions: BTreeMap<String, f64>,
+    /// What that of an effect which shifts or spreads readings, or is in the odometry, has to exceed to be found.
+    pub threshold: f64,
+    /// Time \[s\].
+    pub seconds: f64,
+    /// What it did to a filter, where that was looked at.
+    #[serde(default)]
+    pub filter: Option<FilterFile>,
+    /// The effects themselves.
+    #[serde(skip)]
+    named: Vec<Effect>,
+}
+
+/// Position error of a filter on a log \[m\], over its seeds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FilterFile {
+    /// With the nominal simulator.
+    pub before_m: f64,
+    /// With the named effects.
+    pub after_m: f64,
+    /// With the hidden effect itself.
+    pub with_truth_m: f64,
+}
+
+impl FoundFile {
+    fn of(outcome: &Outcome, seconds: f64) -> Self {
+        let triple = |n: &Number| [n.value, n.lo, n.hi];
+        let verdict = match outcome.verdict {
+            Verdict::None => "none",
+            Verdict::Named => "named",
+            Verdict::Ambiguous => "ambiguous",
+            Verdict::PartlyExplained => "partly_explained",
+            Verdict::Unexplained => "unexplained",
+            Verdict::Underpowered => "underpowered",
+        };
+        Self {
+            verdict: verdict.to_owned(),
+            effects: outcome.effects.iter().map(|e| e.name.name().to_owned()).collect(),
+            candidates: outcome
+                .effects
+                .iter()
+                .map(|e| e.candidates.iter().map(|kind| kind.name().to_owned()).collect())
+                .collect(),
+            numbers: outcome
+                .effects
+                .iter()
+                .map(|e| e.params.iter().map(|(name, n)| ((*name).to_owned(), triple(n))).collect())
+                .collect(),
+            p: outcome.detection.p,
+            p_after: outcome.detection_after.p,
+            closed: [outcome.gap.closed.value, outcome.gap.closed.lo, outcome.gap.closed.hi],
+            directions: outcome.directions.iter().map(|d| (d.name.name().to_owned(), d.z)).collect(),
+            threshold: outcome.threshold,
+            seconds,
+            filter: None,
+            named: outcome.effects.iter().map(|named| named.effect.clone()).collect(),
+        }
+    }
+}
+
+/// The world that hidden data come from, and that the search takes as nominal.
+struct World {
+    nominal: Nominal,
+    drive: Drive,
+}
+
+impl World {
+    fn load(options: &GapBenchOptions<'_>) -> Result<Self, GapBenchError> {
+        let scenario = Scenario::load(&options.scenario, &Overrides::default())?;
+        let Source::Simulation(simulation) = &scenario.source else {
+            return Err(GapBenchError::NotSimulated(options.scenario.clone()));
+        };
+        let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
+        let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
+        let odometry = simulation.robot.odometry_noise;
+        let simulator =
+            Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects.clone())
+                .map_err(GapError::from)?;
+        let mut drive =
+            simulate_drive(&simulator, &simulation.robot, options.seed).map_err(GapError::from)?.drive;
+        drive.steps.truncate(options.scans);
+        let nominal = Nominal::new(map, simulation.laser, simulation.blocks, odometry, effects)?;
+        Ok(Self { nominal, drive })
+    }
+}
+
+/// Runs what of the suite hasn't been run, and scores all of it.
+///
+/// # Errors
+/// [`GapBenchError`]; what was done is kept.
+pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
+    options.progress.stage("integrating over blocks", 1);
+    let world = World::load(options)?;
+    options.progress.advance(1);
+    let suite = Suite::open(options, &world)?;
+    let template = Recorded::new(&world.drive, usize::MAX, usize::MAX, |_| true)?;
+    let strengths = REGIMES
+        .iter()
+        .map(|(_, regime)| Strength::new(&world.nominal, &template, *regime, options.seed))
+        .collect::<Result<Vec<_>, GapError>>()?;
+    let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
+    let cases = plan(options.size, options.seed, &world.nominal.map, &poses);
+    options.progress.stage("hidden effects", cases.len() as u64);
+    // Logs side by side, each on one thread: nothing waits for anything.
+    let next = AtomicUsize::new(0);
+    let work = || -> Result<(), GapBenchError> {
+        let pool = ThreadPoolBuilder::new().num_threads(1).build()?;
+        while let Some(case) = cases.get(next.fetch_add(1, Ordering::Relaxed)) {
+            if options.interrupted.load(Ordering::Relaxed) {
+                return Err(GapError::Interrupted.into());
+            }
+            if suite.done(case, options.progress)?.is_none() {
+                if options.no_later.is_some_and(|end| (options.clock)() > end) {
+                    break;
+                }
+                let log = suite.logs.path().join(format!("{}.mcap", case.id));
+                let truth = pool.install(|| hide(&world, &strengths[case.regime], case, &log))?;
+                let mut finding = pool.install(|| search(&world.nominal, &log, case, options))?;
+                if let Hidden::Given(effect) = &case.hidden {
+                    finding.filter = Some(pool.install(|| localize(&log, effect, &finding, options))?);
+                }
+                // The finding last: with it, the case is done.
+                suite.save(&truth_file(case), &truth)?;
+                suite.save(&found_file(case), &finding)?;
+                // It can be made again from its seed.
+                let _ = std::fs::remove_file(&log);
+            }
+            options.progress.advance(1);
+        }
+        Ok(())
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..rayon::current_num_threads()).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().try_for_each(|worker| match worker.join() {
+            Ok(done) => done,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
+    })?;
+    options.progress.finish();
+    let scored = cases.iter().filter_map(|case| suite.done(case, options.progress).transpose());
+    let score = Score::new(scored.collect::<Result<_, _>>()?, cases.len(), options.replicates, options.seed);
+    suite.folder.write(REPORT, text::report(&score).as_bytes())?;
+    suite.folder.write(SCORE, serde_json::to_string_pretty(&score)?.as_bytes())?;
+    Ok(score)
+}
+
+/// Of the suite's files; those of another one are of no use.
+const FORMAT: u32 = 6;
+
+/// Name of the report in the suite's folder.
+pub const REPORT: &str = "report.md";
+
+/// Name of the figures there.
+const SCORE: &str = "score.json";
+
+/// The suite's folder. Truths and findings in it count only if they are as they were written.
+struct Suite {
+    folder: Folder,
+    /// Logs, as long as they are searched.
+    logs: TempDir,
+    /// Held, so that no other process works in the folder.
+    _lock: Lock,
+}
+
+impl Suite {
+    fn open(options: &GapBenchOptions<'_>, world: &World) -> Result<Self, GapBenchError> {
+        let scenario = Scenario::load(&options.scenario, &Overrides::default())?.content_hash()?;
+        let settings = serde_json::json!({
+            "format": FORMAT, "scenario": scenario, "size": options.size, "seed": options.seed,
+            "replicates": options.replicates,
+            "scans": world.drive.steps.len(), "beams": world.drive.laser.beam_count(),
+        });
+        let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex();
+        // Looked at before it is locked: a lock is a file, and a stranger's folder gets none.
+        let open = || Folder::go_on(&options.out, "gap-bench", &fingerprint);
+        open()?;
+        let lock = Lock::take(&options.out.join("lock"), &options.out)?;
+        let folder = open()?;
+        for name in [REPORT, SCORE] {
+            folder.check(name)?;
+        }
+        let logs = tempfile::tempdir().map_err(GapBenchError::Temporary)?;
+        Ok(Self { folder, logs, _lock: lock })
+    }
+
+    /// Truth and finding of a case, if both are there.
+    fn done(
+        &self,
+        case: &Case,
+        progress: &dyn Progress,
+    ) -> Result<Option<(TruthFile, FoundFile)>, GapBenchError> {
+        let read = |name: &str| self.folder.read(name);
+        let (truth, found) = (read(&truth_file(case))?, read(&found_file(case))?);
+        let both = truth.zip(found).and_then(|(truth, found)| {
+            Some((serde_json::from_slice(&truth).ok()?, serde_json::from_slice(&found).ok()?))
+        });
+        if both.is_none() && self.folder.path().join(found_file(case)).exists() {
+            progress.warn(&format!("{} was done, but its files are damaged; it is done again", case.id));
+        }
+        Ok(both)
+    }
+
+    fn save(&self, name: &str, value: &impl Serialize) -> Result<(), GapBenchError> {
+        Ok(self.folder.write(name, serde_json::to_string_pretty(value)?.as_bytes())?)
+    }
+}
+
+fn truth_file(case: &Case) -> String {
+    format!("truth/{}.json", case.id)
+}
+
+fn found_file(case: &Case) -> String {
+    format!("found/{}.json", case.id)
+}
+
+/// Makes a log with something hidden in it.
+fn hide(
+    world: &World,
+    strength_of: &Strength<'_>,
+    case: &Case,
+    log: &Path,
+) -> Result<TruthFile, GapBenchError> {
+    let World { nominal, drive } = world;
+    let regime = REGIMES[case.regime].1;
+    let path = Truth::of(drive)?;
+    let strong = |effect: &Effect, index: usize, form: Option<OtherForm>| {
+        strength_of.with_information(effect, index, form, case.lambda)
+    };
+    let mut strength = Vec::new();
+    let (effects, recorded) = match &case.hidden {
+        Hidden::Library(list) => {
+            let mut effects = Vec::new();
+            for (effect, index) in list {
+                effects.push(strong(effect, *index, None)?);
+                strength.push(effect.kind.parameters()[*index].name.to_owned());
+            }
+            let recorded = record_library(nominal, &path, &effects, regime, case.seed)?;
+            (effects, recorded)
+        }
+        Hidden::Given(effect) => {
+            let recorded = record_library(nominal, &path, std::slice::from_ref(effect), regime, case.seed)?;
+            (vec![effect.clone()], recorded)
+        }
+        Hidden::Other(form, effect, index) => {
+            let effect = strong(effect, *index, Some(*form))?;
+            strength.push(effect.kind.parameters()[*index].name.to_owned());
+            let recorded =
+                record_other(nominal, &path, *form, &effect.values, &effect.place, regime, case.seed)?;
+            (vec![effect], recorded)
+        }
+        Hidden::Outside(kind, amount) => {
+            let recorded = record_outside(nominal, &path, *kind, *amount, regime, case.seed)?;
+            (Vec::new(), recorded)
+        }
+    };
+    let mut names: Vec<String> = effects.iter().map(|effect| effect.kind.name().to_owned()).collect();
+    if let Hidden::Outside(kind, _) = &case.hidden {
+        names.push(kind.name().to_owned());
+    }
+    let numbers = |effect: &Effect| {
+        let parameters = effect.kind.parameters().iter().zip(&effect.values);
+        parameters.map(|(parameter, value)| (parameter.name.to_owned(), *value)).collect()
+    };
+    let least_error = match &case.hidden {
+        Hidden::Library(list) if case.group == Group::Same => {
+            strength_of.least_error(&effects[0], list[0].1, case.lambda)?
+        }
+        _ => None,
+    };
+    let file = TruthFile {
+        group: case.group,
+        lambda: case.lambda,
+        regime: REGIMES[case.regime].0.to_owned(),
+        effects: names,
+        values: effects.iter().map(numbers).collect(),
+        strength,
+        least_error,
+        without: case.without.iter().map(|kind| kind.name().to_owned()).collect(),
+    };
+    write_log(log, &recorded)?;
+    Ok(file)
+}
+
+/// Reads a log and searches it; of the case it is told which stages the library lacks, and nothing else.
+fn search(
+    nominal: &Nominal,
+    log: &Path,
+    case: &Case,
+    options: &GapBenchOptions<'_>,
+) -> Result<FoundFile, GapBenchError> {
+    let (drive, _) = read_log(log, &LogOptions::default())?;
+    let recorded = Recorded::new(&drive, usize::MAX, usize::MAX, |_| true)?;
+    let settings = GapOptions {
+        replicates: options.replicates,
+        without: case.without.clone(),
+        seed: Draw::new(case.seed, Stage::Trial, plan::SEARCH).seed(0),
+        ..GapOptions::default()
+    };
+    let began = (options.clock)();
+    let outcome = find(nominal, &recorded, &settings, &(), options.interrupted)?;
+    Ok(FoundFile::of(&outcome, (options.clock)().saturating_sub(began).as_secs_f64()))
+}
+
+/// What the effect does to a filter, and how much of it the named effects take away.
+fn localize(
+    log: &Path,
+    truth: &Effect,
+    finding: &FoundFile,
+    options: &GapBenchOptions<'_>,
+) -> Result<FilterFile, GapBenchError> {
+    let settings = GapSettings {
+        replicates: options.replicates,
+        seed: None,
+        scans: options.scans,
+        beams: usize::MAX,
+        without: Vec::new(),
+        log: LogOptions::default(),
+    };
+    let study = GapStudy::load(&options.scenario, log, settings)?;
+    let filter = FilterOnLog::new(&study, None, &(), options.interrupted)?;
+    let mean = |effects: Vec<Effect>| -> Result<f64, GapBenchError> {
+        let errors = filter.errors(effects)?;
+        Ok(errors.iter().sum::<f64>() / errors.len() as f64)
+    };
+    Ok(FilterFile {
+        before_m: mean(Vec::new())?,
+        after_m: mean(finding.named.clone())?,
+        with_truth_m: mean(vec![truth.clone()])?,
+    })
+}
+
+/// Names of the whole library, for the confusion matrix.
+fn library() -> Vec<&'static str> {
+    EffectKind::ALL.iter().map(|kind| kind.name()).collect()
+}

@@ -1,0 +1,80 @@
+//! The scenario with the effects that were found, and the difference to what it was.
+
+use std::path::{Path, PathBuf};
+
+use locsim_core::limits::quoted;
+use locsim_gap::{Named, Outcome};
+use locsim_report::store::StoreError;
+use locsim_scenario::edit::Entry;
+use locsim_scenario::effect::{effect_yaml_with, in_file};
+use locsim_world::effect::{EffectKind, Parameter};
+use similar::TextDiff;
+
+use super::{GapStudy, GapStudyError};
+
+/// The scenario with the effects of `outcome`, to be read from the folder `out`.
+pub(super) fn scenario_with(
+    study: &GapStudy,
+    outcome: &Outcome,
+    out: &Path,
+) -> Result<String, GapStudyError> {
+    let entries: Vec<Entry> = outcome.effects.iter().map(|named| entry(study, named)).collect();
+    Ok(study.scenario.with_effects(&entries, &out_folder(out)?))
+}
+
+/// The unified diff between two texts.
+pub(super) fn diff(old: &str, new: &str, old_name: &str, new_name: &str) -> String {
+    TextDiff::from_lines(old, new).unified_diff().context_radius(2).header(old_name, new_name).to_string()
+}
+
+/// One effect as an entry with what is known of it.
+fn entry(study: &GapStudy, named: &Named) -> Entry {
+    let kind = named.name;
+    let evidence = &named.evidence;
+    let log = quoted(&study.log.file_name().unwrap_or_default().to_string_lossy());
+    let mut comments = vec![
+        format!("Found in {log} by `locsim gap`: {}", kind.sentence()),
+        format!("{}.", numbers(named)),
+        format!(
+            "It gains {} nats on held-out scans; chance of a false alarm {}.",
+            super::answer::with_interval(&evidence.gain_nats, 1.0),
+            super::answer::p_value(evidence.p),
+        ),
+    ];
+    let others: Vec<&str> = super::answer::others(named).map(EffectKind::name).collect();
+    if !others.is_empty() {
+        comments.push(format!("The log doesn't tell it from {}.", others.join(", ")));
+    }
+    let rounded = |parameter: &Parameter, value: f64| round_to_interval(named, parameter, value);
+    let lines = effect_yaml_with(&named.effect, None, &rounded).lines().map(str::to_owned).collect();
+    Entry { comments, lines }
+}
+
+/// `p 0.42 [0.38, 0.46], angle_deg 61 [59, 63]`: the numbers of an effect as files write them.
+fn numbers(named: &Named) -> String {
+    let number = |parameter: &Parameter| {
+        let Some(number) = named.params.get(parameter.name) else { return String::new() };
+        let [value, lo, hi] = [number.value, number.lo, number.hi].map(|value| in_file(parameter, value));
+        let decimals = super::answer::decimals(lo, hi);
+        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", parameter.key)
+    };
+    named.name.parameters().iter().map(number).collect::<Vec<_>>().join(", ")
+}
+
+/// A value as it stands in files, with as many digits as its interval is worth.
+fn round_to_interval(named: &Named, parameter: &Parameter, value: f64) -> f64 {
+    let [least, most] = [parameter.lo, parameter.hi].map(|limit| in_file(parameter, limit));
+    let Some(number) = named.params.get(parameter.name) else { return value };
+    // A hundredth of the interval.
+    let decimals = super::answer::decimals(in_file(parameter, number.lo), in_file(parameter, number.hi)) + 1;
+    let scale = 10_f64.powi(decimals as i32);
+    ((value * scale).round() / scale).clamp(least, most)
+}
+
+/// The results folder, which need not be there yet, without links.
+fn out_folder(out: &Path) -> Result<PathBuf, GapStudyError> {
+    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent =
+        parent.canonicalize().map_err(|source| StoreError::File { path: parent.to_owned(), source })?;
+    Ok(parent.join(out.file_name().unwrap_or_default()))
+}

@@ -1,0 +1,313 @@
+//! Edits of a scenario's text: effects are added, files are named from another folder. Comments and order stay.
+
+use std::fmt::Write;
+use std::ops::Range;
+use std::path::{Component, Path, PathBuf};
+
+use locsim_world::effect::{Effect, EffectKind};
+use saphyr_parser::{Event, Parser};
+
+use crate::effect::{effect_yaml, quoted_text};
+use crate::locate::join;
+use crate::{Overrides, Scenario, Source};
+
+/// An entry of the list `effects`.
+pub struct Entry {
+    /// Comments above it, without `#`.
+    pub comments: Vec<String>,
+    /// Its lines of YAML, without indentation, as of [`effect_yaml`].
+    pub lines: Vec<String>,
+}
+
+impl Scenario {
+    /// The text with effects appended, for a file in the folder `folder`, an absolute path: files that are named relative to the
+    /// scenario's folder are named relative to `folder`.
+    pub fn with_effects(&self, effects: &[Entry], folder: &Path) -> String {
+        moved(&grown(&self.text, effects), &self.file, folder)
+    }
+
+    /// Whether [`with_effects`](Self::with_effects) gives a scenario with those effects.
+    pub fn can_grow(&self) -> bool {
+        let count = |text: &str| {
+            let scenario = Self::parse_text(&self.file, text, &Overrides::default()).ok()?;
+            Some(match scenario.source {
+                Source::Simulation(simulation) => simulation.effects.len(),
+                Source::Log(_) => 0,
+            })
+        };
+        let neutral = Effect::neutral(EffectKind::RangeBias, Vec::new());
+        let lines = vec![effect_yaml(&neutral, None)];
+        let entry = || Entry { comments: vec!["a comment".to_owned()], lines: lines.clone() };
+        let grown = grown(&self.text, &[entry(), entry()]);
+        matches!((count(&self.text), count(&grown)), (Some(before), Some(after)) if after == before + 2)
+    }
+}
+
+/// Where a list `effects` is in a text.
+enum List {
+    /// None.
+    Absent,
+    /// Entries on lines of their own, with this indentation; the last one ends before this byte.
+    Block { indent: usize, end: usize },
+    /// In brackets; the closing one is at this byte.
+    Flow { close: usize, empty: bool },
+}
+
+/// A text with entries appended to its list `effects`, or with such a list.
+fn grown(text: &str, entries: &[Entry]) -> String {
+    if entries.is_empty() {
+        return text.to_owned();
+    }
+    match find_list(text) {
+        List::Absent => {
+            let mut text = with_final_newline(text);
+            text.push_str("effects:\n");
+            text + &block(entries, 2)
+        }
+        List::Block { indent, end } => {
+            let (before, after) = text.split_at(end);
+            let mut text = with_final_newline(before);
+            text.push_str(&block(entries, indent));
+            text + after
+        }
+        List::Flow { close, empty } => {
+            let (before, after) = text.split_at(close);
+            let mut text = before.trim_end().to_owned();
+            if !empty && !text.ends_with(',') {
+                text.push(',');
+            }
+            for entry in entries {
+                for comment in &entry.comments {
+                    let _ = write!(text, "\n  # {comment}");
+                }
+                for line in &entry.lines {
+                    let _ = write!(text, "\n  {},", line.trim_start_matches("- "));
+                }
+            }
+            text.pop();
+            text + "\n" + after
+        }
+    }
+}
+
+fn block(entries: &[Entry], indent: usize) -> String {
+    let mut text = String::new();
+    for entry in entries {
+        for comment in &entry.comments {
+            let _ = writeln!(text, "{:indent$}# {comment}", "");
+        }
+        for line in &entry.lines {
+            let _ = writeln!(text, "{:indent$}{line}", "");
+        }
+    }
+    text
+}
+
+fn with_final_newline(text: &str) -> String {
+    let end = if text.is_empty() || text.ends_with('\n') { "" } else { "\n" };
+    format!("{text}{end}")
+}
+
+/// Spaces before the line in which a byte stands: a list may be no deeper than its key, where its parser's column is that of the
+/// first entry's content.
+fn indent_at(text: &str, byte: usize) -> usize {
+    let line = text[..byte].rfind('\n').map_or(0, |end| end + 1);
+    text[line..].len() - text[line..].trim_start_matches(' ').len()
+}
+
+/// The nodes of a YAML text that are asked for, with the bytes where they stand.
+fn find_list(text: &str) -> List {
+    let mut found = List::Absent;
+    let mut end_of_last = 0;
+    let mut inside = false;
+    let mut count = 0;
+    let mut start = 0;
+    walk(text, &mut |path, event, bytes, _| match event {
+        Event::SequenceStart(..) if path == "effects" => {
+            inside = true;
+            start = bytes.start;
+        }
+        Event::SequenceEnd if path == "effects" => {
+            inside = false;
+            found = if text[start..].starts_with('[') {
+                List::Flow { close: text[..bytes.end].rfind(']').unwrap_or(bytes.end), empty: count == 0 }
+            } else {
+                List::Block { indent: indent_at(text, start), end: end_of_line(text, end_of_last) }
+            };
+        }
+        _ if inside => {
+            count += 1;
+            if !matches!(event, Event::MappingEnd | Event::SequenceEnd) || bytes.start < bytes.end {
+                end_of_last = end_of_last.max(bytes.end);
+            }
+        }
+        _ => {}
+    });
+    found
+}
+
+/// The byte after the end of the line that holds a byte.
+fn end_of_line(text: &str, byte: usize) -> usize {
+    text[byte..].find('\n').map_or(text.len(), |line| byte + line + 1)
+}
+
+/// Tells every event of a text with the path of the node that it belongs to, its bytes and its column.
+fn walk(text: &str, tell: &mut impl FnMut(&str, &Event<'_>, Range<usize>, usize)) {
+    // Byte of each character, as the parser counts characters.
+    let bytes: Vec<usize> = text.char_indices().map(|(byte, _)| byte).chain([text.len()]).collect();
+    let byte = |index: usize| bytes[index.min(bytes.len() - 1)];
+    // Open collections: path, the key whose value comes next, index of the next element.
+    let mut open: Vec<(String, Option<Option<String>>, usize)> = Vec::new();
+    for (event, span) in Parser::new_from_str(text).map_while(Result::ok) {
+        let range = byte(span.start.index())..byte(span.end.index());
+        let column = span.start.col();
+        match &event {
+            Event::MappingEnd | Event::SequenceEnd => {
+                let path = open.pop().map(|(path, ..)| path).unwrap_or_default();
+                tell(&path, &event, range, column);
+            }
+            Event::Scalar(..) | Event::Alias(_) | Event::MappingStart(..) | Event::SequenceStart(..) => {
+                let path = match open.last_mut() {
+                    None => String::new(),
+                    Some((path, None, next)) => {
+                        *next += 1;
+                        format!("{path}[{}]", *next - 1)
+                    }
+                    Some((path, Some(key), _)) => {
+                        let Some(name) = key.take() else {
+                            if let Event::Scalar(word, ..) = &event {
+                                *key = Some(word.to_string());
+                            }
+                            continue;
+                        };
+                        join(path, &name)
+                    }
+                };
+                tell(&path, &event, range, column);
+                match &event {
+                    Event::MappingStart(..) => open.push((path, Some(None), 0)),
+                    Event::SequenceStart(..) => open.push((path, None, 0)),
+                    _ => {}
+                }
+            }
+            Event::DocumentEnd => break,
+            _ => {}
+        }
+    }
+}
+
+/// The text with the files that it names relative to `to` instead of to the folder of `file`.
+fn moved(text: &str, file: &Path, to: &Path) -> String {
+    let from = file.parent().unwrap_or(Path::new(""));
+    let mut places: Vec<(Range<usize>, String)> = Vec::new();
+    walk(text, &mut |path, event, bytes, _| {
+        let Event::Scalar(word, ..) = event else { return };
+        let is_file = path == "map.file" || (path.starts_with("models[") && path.ends_with("].file"));
+        // An absolute path, or one from the environment, holds everywhere.
+        if !is_file || word.starts_with("${") || Path::new(&**word).is_absolute() {
+            return;
+        }
+        if let Ok(target) = from.join(&**word).canonicalize() {
+            places.push((bytes, relative(&target, to).display().to_string()));
+        }
+    });
+    let mut text = text.to_owned();
+    for (bytes, path) in places.into_iter().rev() {
+        let plain = path.chars().all(|c| c.is_ascii_alphanumeric() || "-_/.".contains(c));
+        let path = if plain { path } else { quoted_text(&path) };
+        text.replace_range(bytes, &path);
+    }
+    text
+}
+
+/// A path from the folder `from` to `target`, both absolute; `target` itself where they share no folder.
+fn relative(target: &Path, from: &Path) -> PathBuf {
+    let shared = target.components().zip(from.components()).take_while(|(a, b)| a == b).count();
+    if shared <= 1 {
+        return target.to_owned();
+    }
+    let up = from.components().skip(shared).map(|_| Component::ParentDir);
+    up.chain(target.components().skip(shared)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_core::limits::{is_hidden, quoted};
+
+    use super::*;
+
+    fn entries() -> Vec<Entry> {
+        vec![Entry {
+            comments: vec!["why".to_owned()],
+            lines: vec!["- {name: heavy_tail, p: 0.1}".to_owned()],
+        }]
+    }
+
+    #[test]
+    fn an_entry_is_appended_however_the_list_is_written() {
+        for (text, expected) in [
+            ("a: 1\n", "a: 1\neffects:\n  # why\n  - {name: heavy_tail, p: 0.1}\n"),
+            ("a: 1 # end", "a: 1 # end\neffects:\n  # why\n  - {name: heavy_tail, p: 0.1}\n"),
+            (
+                "effects: # all\n- {b: 1} # first\n- c: 2\n  d: [3]\n# then\nz: 1\n",
+                "effects: # all\n- {b: 1} # first\n- c: 2\n  d: [3]\n# why\n- {name: heavy_tail, p: 0.1}\n# then\nz: 1\n",
+            ),
+            (
+                "effects:\n    - {b: 1}\n\nz: 1\n",
+                "effects:\n    - {b: 1}\n    # why\n    - {name: heavy_tail, p: 0.1}\n\nz: 1\n",
+            ),
+            ("effects: []\nz: 1\n", "effects: [\n  # why\n  {name: heavy_tail, p: 0.1}\n]\nz: 1\n"),
+            (
+                "a: [ä]\neffects: [{b: 1}] # x\nz: 1\n",
+                "a: [ä]\neffects: [{b: 1},\n  # why\n  {name: heavy_tail, p: 0.1}\n] # x\nz: 1\n",
+            ),
+        ] {
+            assert_eq!(grown(text, &entries()), expected);
+        }
+    }
+
+    #[test]
+    fn a_path_leads_from_one_folder_to_another() {
+        let path =
+            |target: &str, from: &str| relative(Path::new(target), Path::new(from)).display().to_string();
+        assert_eq!(path("/a/maps/m.yaml", "/a/b/found"), "../../maps/m.yaml");
+        assert_eq!(path("/a/b/m.yaml", "/a/b"), "m.yaml");
+        assert_eq!(path("/maps/m.yaml", "/a/b"), "/maps/m.yaml");
+    }
+
+    /// Names that would end a comment or a word in quotes, in YAML 1.2 or 1.1.
+    fn hostile_names() -> Vec<String> {
+        let endings = [
+            "\n", "\r", "\r\n", "\u{85}", "\u{2028}", "\u{2029}", "\0", "\u{feff}", "\u{202e}", "\"\n", "'\n",
+        ];
+        let with = |end| format!("drive{end}seed: 99{end}trials: 7 # ");
+        endings
+            .into_iter()
+            .map(with)
+            .chain(["x".repeat(5_000_000), "\\".to_owned(), "\"".to_owned()])
+            .collect()
+    }
+
+    #[test]
+    fn a_name_adds_no_key_and_no_line_to_the_scenario() {
+        let keys = |text: &str| {
+            let (tree, _) = crate::yaml::parse::<serde_json::Value>(Path::new("s.yaml"), text).unwrap();
+            tree.as_object().unwrap().keys().cloned().collect::<Vec<_>>()
+        };
+        for name in hostile_names() {
+            for text in ["seed: 1\n", "seed: 1\neffects: [{name: glass}]\n"] {
+                let comments = vec![format!("Found in {} by us", quoted(&name))];
+                let grown = grown(text, &[Entry { comments, ..entries().remove(0) }]);
+                assert_eq!(keys(&grown), ["effects", "seed"], "{grown:?}");
+                assert!(grown.len() < 1000 && !grown.contains(|c| is_hidden(c) && c != '\n'), "{grown:?}");
+            }
+            let text = format!("seed: 1\nfile: {}\nend: 2\n", quoted_text(&name));
+            assert_eq!(text.lines().count(), 3, "{text:?}");
+            if name.len() < 1000 {
+                let (tree, _) = crate::yaml::parse::<serde_json::Value>(Path::new("s.yaml"), &text).unwrap();
+                assert_eq!(tree["file"], name.as_str());
+                assert_eq!(tree["end"], 2);
+            }
+        }
+    }
+}

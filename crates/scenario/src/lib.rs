@@ -1,0 +1,83 @@
+//! Scenarios: YAML files that say what an experiment is. [`Scenario::load`] reads and checks one; nothing runs
+//! before every check has passed. [`schema`] describes the files to editors.
+
+pub mod catalogue;
+pub mod check;
+mod digest;
+pub mod edit;
+pub mod effect;
+pub mod error;
+mod form;
+pub mod limited;
+pub mod locate;
+mod map_file;
+mod raw;
+#[cfg(test)]
+mod schema_tests;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
+#[cfg(test)]
+mod tests;
+mod validate;
+mod validated;
+pub mod yaml;
+
+use std::path::Path;
+
+pub use effect::effect_yaml;
+pub use error::{Problem, ScenarioError};
+pub use map_file::{LoadedMap, load_map};
+pub use validate::name;
+pub use validated::*;
+
+/// What the command line says instead of the scenario.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Overrides {
+    /// Number of trials. A recorded trial beyond them becomes the last.
+    pub trials: Option<u32>,
+    /// Seed.
+    pub seed: Option<u64>,
+    /// Labels of the models to run, a subset of the scenario's; their order stays the scenario's. Bounds and
+    /// recordings of the others are dropped.
+    pub models: Option<Vec<String>>,
+}
+
+impl Scenario {
+    /// Reads and checks a scenario file and the map that it names.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] with everything that is wrong: file, line, key path, value and what is allowed.
+    pub fn load(path: &Path, overrides: &Overrides) -> Result<Self, ScenarioError> {
+        let text = yaml::read(path)?;
+        Self::parse_text(path, &text, overrides)
+    }
+
+    /// [`Scenario::load`] of a text that was read from `path`.
+    fn parse_text(path: &Path, text: &str, overrides: &Overrides) -> Result<Self, ScenarioError> {
+        Self::parse(path, text, overrides, &|name| std::env::var(name).ok())
+    }
+
+    /// [`Scenario::load`] of a text that was read from `path`, with an environment of the caller's.
+    fn parse(
+        path: &Path,
+        text: &str,
+        overrides: &Overrides,
+        environment: check::Environment<'_>,
+    ) -> Result<Self, ScenarioError> {
+        let (raw, locations) = yaml::parse::<raw::RawScenario>(path, text)?;
+        let check = || check::Checker::new(path, &locations, environment);
+        let walls: Vec<_> = raw.effects.iter().map(|effect| effect.wall.clone()).collect();
+        let mut scenario = validate::validate(raw, path, overrides, check())?;
+        text.clone_into(&mut scenario.text);
+        if let Some(map) = scenario.map_file() {
+            let map = load_map(map)?;
+            validate::in_map(&mut scenario, &walls, &map, check())?;
+        }
+        Ok(scenario)
+    }
+}
+
+/// The JSON Schema of scenario files.
+pub fn schema() -> serde_json::Value {
+    schemars::schema_for!(raw::RawScenario).to_value()
+}

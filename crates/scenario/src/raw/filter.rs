@@ -1,0 +1,204 @@
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::default;
+use crate::form::{Form, Short};
+use crate::{Estimate, Resampler};
+
+/// The particle filter.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawFilter {
+    /// Number of particles, 1 to 10000000, or `{kld: ...}`.
+    pub particles: Form<Count, RawAdaptive>,
+    /// How particles move.
+    pub motion: RawMotion,
+    /// How ancestors are drawn.
+    #[serde(default)]
+    pub resampler: Resampler,
+    /// When the filter resamples.
+    #[serde(default)]
+    pub resample: RawResample,
+    /// `none`, or random particles injected when the likelihood drops (augmented MCL; Probabilistic Robotics,
+    /// table 8.3).
+    #[serde(default = "default::injection")]
+    pub injection: Form<No, RawInjection>,
+    /// Where particles start.
+    pub start: RawStart,
+    /// Beams of a scan that the filter uses, spread evenly. Default: all.
+    pub beams: Option<u64>,
+    /// Which pose estimate errors are measured of.
+    #[serde(default)]
+    pub estimate: Estimate,
+    /// Gaussian jitter added after resampling (regularized particle filter).
+    #[serde(default)]
+    pub regularization: RawSpread,
+    /// `none`, or scans taken in by small powers of their likelihood while the particles are spread (Del Moral, Doucet and
+    /// Jasra 2006), for a global start; costs some hundred weighings of the particles for each such scan.
+    #[serde(default = "default::annealing")]
+    pub annealing: Form<NotAnnealed, RawAnnealing>,
+}
+
+/// A whole number.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(transparent)]
+pub struct Count(pub u64);
+
+impl Short for Count {
+    const FORMS: &'static [&'static str] =
+        &["a whole number from 1 to 10000000", "{kld: {min: ..., max: ...}}"];
+
+    fn from_count(count: u64) -> Option<Self> {
+        Some(Self(count))
+    }
+}
+
+/// A number of particles that adapts.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawAdaptive {
+    /// KLD sampling (Fox 2003).
+    pub kld: RawKld,
+}
+
+/// KLD sampling (Fox 2003): enough particles that the Kullback-Leibler distance stays below a bound.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawKld {
+    /// At least this many particles, 1 to 10000000.
+    pub min: u64,
+    /// At most this many, `min` to 10000000.
+    pub max: u64,
+    /// The bound epsilon, 0.000001 to 1000.
+    #[serde(default = "default::kld_error")]
+    pub error: f64,
+    /// Probability with which the bound holds, above 0 and below 1.
+    #[serde(default = "default::kld_quantile")]
+    pub quantile: f64,
+    /// Side of a histogram bin (m), 0.001 to 1000000.
+    #[serde(default = "default::kld_bin_m")]
+    pub bin_m: f64,
+    /// Heading width of a histogram bin (deg), 0.001 to 360.
+    #[serde(default = "default::kld_bin_deg")]
+    pub bin_deg: f64,
+}
+
+/// Motion model with its noise.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawMotion {
+    /// Which model.
+    pub model: MotionModelName,
+    /// Noise parameters, each 0 to 1000: alpha 1 to 4 (`odometry`) or 1 to 6 (`velocity`).
+    pub alpha: Vec<f64>,
+}
+
+/// The motion models there are.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MotionModelName {
+    /// Odometry model (Probabilistic Robotics, table 5.6).
+    Odometry,
+    /// Velocity model (Probabilistic Robotics, table 5.3).
+    Velocity,
+}
+
+/// When the filter resamples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RawResample {
+    /// After every scan.
+    #[default]
+    EachStep,
+    /// When the effective sample size falls below this share of the particles, above 0 to 1.
+    EffectiveShareBelow(f64),
+}
+
+/// The word `none`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum No {
+    /// None.
+    None,
+}
+
+impl Short for No {
+    const FORMS: &'static [&'static str] = &["none", "{alpha_slow: ..., alpha_fast: ...}"];
+
+    fn from_word(word: &str) -> Option<Self> {
+        (word == "none").then_some(Self::None)
+    }
+}
+
+/// Random particles after a drop of the likelihood: 0 < `alpha_slow` < `alpha_fast` <= 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawInjection {
+    /// Decay rate of the long-term average likelihood.
+    pub alpha_slow: f64,
+    /// Decay rate of the short-term average likelihood.
+    pub alpha_fast: f64,
+}
+
+/// The word `none`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NotAnnealed {
+    /// None.
+    None,
+}
+
+impl Short for NotAnnealed {
+    const FORMS: &'static [&'static str] =
+        &["none", "{candidates: ..., effective_share: ..., moves: ..., sigma_m: ..., ...}"];
+
+    fn from_word(word: &str) -> Option<Self> {
+        (word == "none").then_some(Self::None)
+    }
+}
+
+/// Annealed scans; `{}` for all defaults, which suit a laser of some tens of beams with noise of one to some centimetres.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawAnnealing {
+    /// Particles of a global start, 1 to 10000000; fewer as soon as the first scan tells them apart.
+    #[serde(default = "default::annealing_candidates")]
+    pub candidates: u64,
+    /// Each power is the largest that leaves this share of the particles effective, above 0 and below 1.
+    #[serde(default = "default::annealing_effective_share")]
+    pub effective_share: f64,
+    /// Metropolis moves of each particle after each power, 1 to 1000.
+    #[serde(default = "default::annealing_moves")]
+    pub moves: u64,
+    /// Standard deviation of a move along x and along y under the whole likelihood (m), 0 to 1000.
+    #[serde(default = "default::annealing_sigma_m")]
+    pub sigma_m: f64,
+    /// The same of the heading (deg), 0 to 1000.
+    #[serde(default = "default::annealing_sigma_deg")]
+    pub sigma_deg: f64,
+    /// Scans are annealed until positions have this standard deviation (m), and again from five times it; 0 to 1000000.
+    #[serde(default = "default::annealing_gathered_m")]
+    pub gathered_m: f64,
+}
+
+/// Where particles start.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RawStart {
+    /// Uniform over the map's free space: global localization.
+    Global,
+    /// Gaussian around the first true (or reference) pose: pose tracking.
+    Tracking(RawSpread),
+}
+
+/// Independent Gaussian spread of a pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawSpread {
+    /// Standard deviation of x and of y (m), 0 to 1000.
+    #[serde(default)]
+    pub sigma_m: f64,
+    /// Standard deviation of the heading (deg), 0 to 1000.
+    #[serde(default)]
+    pub sigma_deg: f64,
+}

@@ -1,0 +1,641 @@
+//! What is accepted, and every way of being refused.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use glam::DVec2;
+use locsim_core::Pose2;
+use locsim_dataset::McapTopics;
+use locsim_world::effect::EffectKind;
+use locsim_world::simulation::{
+    BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath,
+};
+use proptest::prelude::*;
+
+use super::*;
+use crate::testing::{assert_told, hostile_texts};
+
+/// Tests run in the crate's folder, so that messages hold relative paths.
+const FIXTURES: &str = "src/scenario/fixtures";
+
+fn environment(name: &str) -> Option<String> {
+    (name == "LOGS").then(|| ".".to_owned())
+}
+
+pub(super) fn text(fixture: &str) -> String {
+    std::fs::read_to_string(Path::new(FIXTURES).join(fixture)).unwrap()
+}
+
+fn parse_with(text: &str, overrides: &Overrides) -> Result<Scenario, ScenarioError> {
+    Scenario::parse(&Path::new(FIXTURES).join("x.yaml"), text, overrides, &environment)
+}
+
+pub(super) fn parse(text: &str) -> Result<Scenario, ScenarioError> {
+    parse_with(text, &Overrides::default())
+}
+
+/// The text with one part replaced, which must be there.
+pub(super) fn edited(text: &str, from: &str, to: &str) -> String {
+    assert!(text.contains(from), "{from:?} is not in the fixture");
+    text.replacen(from, to, 1)
+}
+
+#[test]
+fn every_key_arrives_in_si_units_and_radians() {
+    let scenario = parse(&text("simulation.yaml")).unwrap();
+    assert_eq!(scenario.name, "everything");
+    assert_eq!((scenario.seed, scenario.trials), (7, 20));
+    assert_eq!(scenario.ray_cast, RayCast::Table { cell_m: 0.05, memory_mb: 300 });
+    let Source::Simulation(simulation) = &scenario.source else { panic!("{:?}", scenario.source) };
+    assert_eq!(simulation.map, Path::new(FIXTURES).join("map.yaml"));
+    let degrees = f64::to_radians;
+    assert_eq!(
+        simulation.blocks,
+        Some(BlockOptions {
+            per_metre_of_wall: 0.5,
+            length_m: [0.2, 0.6],
+            width_m: [0.2, 0.5],
+            yaw_rad: [degrees(-30.0), degrees(30.0)],
+            wall_distance_m: [0.0, 0.5],
+            resample: BlockResampling::EachScanN(5),
+            speed_m_s: [0.0, 0.1],
+            clearance_m: 0.4,
+        })
+    );
+    assert_eq!(
+        simulation.robot,
+        Robot {
+            path: RobotPath::Waypoints {
+                points_m: vec![[1.0, 2.0], [19.0, 2.0], [19.0, 3.0]],
+                speed_m_s: 0.5,
+                turn_rate_rad_s: degrees(45.0),
+            },
+            start_jitter_m: 0.1,
+            odometry_noise: OdometryNoise::new([0.05, 0.02, 0.05, 0.01]).unwrap(),
+        }
+    );
+    assert_eq!(
+        simulation.laser,
+        LaserOptions {
+            rate_hz: 5.0,
+            beams: 36,
+            field_of_view_rad: 1.5 * PI,
+            min_range_m: 0.05,
+            max_range_m: 4.5,
+            resolution_m: 0.001,
+            sigma_m: 0.01,
+            sigma_per_m: 0.002,
+            mount: Pose2 { x: 0.1, y: -0.05, theta: FRAC_PI_2 },
+            scan_secs: 0.1,
+        }
+    );
+    assert_eq!(
+        scenario.training,
+        Training { poses: 50, observations: 70, beams: Some(18), held_out_share: 0.2 }
+    );
+    let plain =
+        |name: ModelName| Model { name, label: name.to_string(), floor: None, exponent: None, file: None };
+    assert_eq!(
+        scenario.models,
+        [
+            plain(ModelName::Classic),
+            Model {
+                name: ModelName::NpRegRegistered,
+                label: "loaded".to_owned(),
+                floor: Some(0.01),
+                exponent: Some(0.5),
+                file: Some(Path::new(FIXTURES).join("fitted.model")),
+            },
+            plain(ModelName::NpRegRegistered),
+            plain(ModelName::Oracle),
+        ]
+    );
+    assert_eq!(
+        scenario.filter,
+        Filter {
+            particles: ParticleCount::Kld {
+                min: 500,
+                max: 5000,
+                error: 0.02,
+                quantile: 0.95,
+                bin_m: 0.25,
+                bin_rad: degrees(5.0),
+            },
+            motion: Motion::Odometry([0.1, 0.05, 0.1, 0.05]),
+            resampler: Resampler::Residual,
+            resample: ResampleWhen::EffectiveShareBelow(0.5),
+            injection: Some(Injection { alpha_slow: 0.001, alpha_fast: 0.1 }),
+            start: Start::Tracking(Spread { sigma_m: 0.1, sigma_rad: degrees(3.0) }),
+            beams: Some(12),
+            estimate: Estimate::MostLikelyTrajectory,
+            regularization: Spread { sigma_m: 0.01, sigma_rad: degrees(0.5) },
+            annealing: Some(Annealing {
+                candidates: 4000,
+                effective_share: 0.8,
+                moves: 6,
+                step: Spread { sigma_m: 0.02, sigma_rad: degrees(1.0) },
+                gathered_m: 0.3,
+            }),
+        }
+    );
+    assert_eq!(scenario.errors, Errors { frame: ErrorFrame::Robot, lost_m: 1.5 });
+    // In the order of the models, not of the list.
+    assert_eq!(scenario.record, Record { trial: 3, models: vec!["classic".to_owned(), "loaded".to_owned()] });
+    let expectation =
+        |model: &str, metric, min, max| Expectation { model: model.to_owned(), metric, min, max };
+    assert_eq!(
+        scenario.expect,
+        [
+            expectation("loaded", "along.std_m", None, Some(0.02)),
+            expectation("loaded", "position_rmse_m", Some(0.001), Some(0.05)),
+            expectation("loaded", "train.log_loss_nats", None, Some(3.0)),
+            expectation("oracle", "lost_share", None, Some(0.0)),
+        ]
+    );
+}
+
+/// The scenario of a log, with a bag instead.
+pub(super) fn bag() -> String {
+    let topics = "drive.mcap\n  topics: {scan: /lidar, odometry: /wheels, reference: /fused}";
+    edited(&text("log.yaml"), "drive.log", topics)
+}
+
+#[test]
+fn effects_arrive_in_si_units_and_on_their_walls() {
+    let scenario = parse(&text("simulation.yaml")).unwrap();
+    let Source::Simulation(Simulation { effects, .. }) = &scenario.source else { panic!() };
+    let find = |kind| effects.iter().filter(|effect| effect.kind == kind).collect::<Vec<_>>();
+    let point = DVec2::new;
+    let degrees = f64::to_radians;
+    assert_eq!(find(EffectKind::IncidenceDropout)[0].values, [0.5, degrees(60.0), degrees(5.0)]);
+    assert_eq!(find(EffectKind::SectorOcclusion)[0].values, [degrees(170.0), degrees(-170.0), 0.3, 0.5]);
+    assert_eq!(find(EffectKind::OdomImbalance)[0].values, [degrees(1.0)]);
+    assert_eq!(find(EffectKind::MissingObject)[0].values, [15.0, 3.5, 0.2]);
+    let glass = find(EffectKind::Glass);
+    assert_eq!(glass[0].place, [[point(20.0, 4.0), point(0.0, 4.0)]], "the wall outline/2");
+    assert_eq!(glass[1].place, [[point(4.0, 0.0), point(6.5, 0.0)]]);
+    assert_eq!((glass[0].values[0], glass[1].values[0]), (0.3, 0.6));
+    let left_out = "effects: [{name: mount_offset, y_m: 0.1}, {name: warmup_drift, bias_m: 0.1}]";
+    let scenario = parse(&format!("{}{left_out}", text("minimal.yaml"))).unwrap();
+    let Source::Simulation(Simulation { effects, .. }) = &scenario.source else { panic!() };
+    assert_eq!(
+        (effects[0].values.as_slice(), effects[1].values.as_slice()),
+        (&[0.0, 0.1][..], &[0.1, 60.0][..])
+    );
+}
+
+#[test]
+fn a_log_is_read_with_its_parts() {
+    let scenario = parse(&text("log.yaml")).unwrap();
+    assert_eq!(scenario.name, "x", "the file's name");
+    assert_eq!(
+        scenario.source,
+        Source::Log(Log {
+            file: Path::new(FIXTURES).join("./drive.log"),
+            map: LogMap::FromScans { scans: vec![[0.0, 0.5]], resolution_m: 0.1 },
+            train_scans: vec![[0.5, 0.6], [0.6, 0.75]],
+            localize_scans: vec![[0.75, 1.0]],
+            max_range_m: Some(40.0),
+            topics: McapTopics::default(),
+        })
+    );
+    let Source::Log(bag) = parse(&bag()).unwrap().source else { panic!() };
+    let topic = |name: &str| Some(name.to_owned());
+    assert_eq!(
+        bag.topics,
+        McapTopics { scan: topic("/lidar"), odometry: topic("/wheels"), reference: topic("/fused") }
+    );
+    assert_eq!(scenario.map_file(), None);
+    assert_eq!(scenario.training.observations, 1);
+    assert_eq!(scenario.filter.start, Start::Global);
+
+    let with_map = edited(&text("log.yaml"), "  map_scans: [[0.0, 0.5]]\n", "");
+    let with_map = edited(&with_map, "  map_resolution_m: 0.1\n", "");
+    let scenario = parse(&format!("map: {{file: map.yaml}}\n{with_map}")).unwrap();
+    assert_eq!(scenario.map_file(), Some(Path::new(FIXTURES).join("map.yaml").as_path()));
+}
+
+#[test]
+fn numbers_and_anchors_are_read_as_yaml_means_them() {
+    let text = edited(&text("minimal.yaml"), "max_range_m: 4.5", "max_range_m: +4.5e0, resolution_m: 1e-3");
+    let text = edited(
+        &text,
+        "length_m: [0.2, 0.6], width_m: [0.2, 0.6]",
+        "length_m: &side [0.2, .6], width_m: *side",
+    );
+    let scenario = parse(&text).unwrap();
+    let Source::Simulation(simulation) = &scenario.source else { panic!() };
+    assert_eq!((simulation.laser.max_range_m, simulation.laser.resolution_m), (4.5, 0.001));
+    assert_eq!(simulation.blocks.as_ref().unwrap().width_m, [0.2, 0.6]);
+}
+
+#[test]
+fn the_command_line_overrides_before_anything_is_checked() {
+    let some = |labels: &[&str]| Some(labels.iter().map(|label| (*label).to_owned()).collect());
+    let overrides = Overrides { trials: Some(4), seed: Some(9), models: some(&["oracle", "loaded"]) };
+    let scenario = parse_with(&text("simulation.yaml"), &overrides).unwrap();
+    assert_eq!((scenario.trials, scenario.seed), (4, 9));
+    let labels: Vec<&str> = scenario.models.iter().map(|model| model.label.as_str()).collect();
+    assert_eq!(labels, ["loaded", "oracle"]);
+    assert_eq!(scenario.record.models, ["loaded"]);
+
+    let overrides = Overrides { trials: Some(2), models: some(&["classic"]), ..Overrides::default() };
+    let scenario = parse_with(&text("simulation.yaml"), &overrides).unwrap();
+    assert_eq!(scenario.expect, []);
+    assert_eq!(scenario.record, Record { trial: 1, models: vec!["classic".to_owned()] });
+}
+
+#[test]
+fn the_hash_sees_what_changes_results_and_nothing_else() {
+    let simulation = text("simulation.yaml");
+    let hash = |from: &str, to: &str| parse(&edited(&simulation, from, to)).unwrap().content_hash().unwrap();
+    let original = parse(&simulation).unwrap().content_hash().unwrap();
+    for (from, to) in [
+        ("name: everything", "name: other"),
+        ("description: every key", ""),
+        ("trials: 20", "trials: 40"),
+        ("trial: 3", "trial: 2"),
+        ("lost_share: {max: 0}", "lost_share: {max: 1}"),
+        ("alpha: [0.1, 0.05, 0.1, 0.05]", "alpha: [.1, .05, .1, 5e-2]"),
+    ] {
+        assert_eq!(hash(from, to), original, "{from} -> {to}");
+    }
+    for (from, to) in [
+        ("seed: 7", "seed: 8"),
+        ("[0.2, 0.6]", "[0.2, 0.7]"),
+        ("beams: 12", "beams: 13"),
+        ("p: 0.6", "p: 0.7"),
+        ("wall: outline/2", "wall: outline/0"),
+        ("exponent: 0.5", "exponent: 0.6"),
+        ("file: fitted.model", "file: map.yaml"),
+    ] {
+        assert_ne!(hash(from, to), original, "{from} -> {to}");
+    }
+    // Without walls that are named, which an image doesn't have.
+    let nameless: Vec<&str> = simulation.lines().filter(|line| !line.contains("wall: outline")).collect();
+    let nameless = nameless.join("\n");
+    let hash = |text: &str| parse(text).unwrap().content_hash().unwrap();
+    assert_ne!(hash(&edited(&nameless, "file: map.yaml", "file: grid.yaml")), hash(&nameless));
+}
+
+#[test]
+fn the_hash_sees_the_content_of_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scenario.yaml");
+    std::fs::write(&path, edited(&text("minimal.yaml"), "map.yaml", "grid.yaml")).unwrap();
+    for file in ["grid.yaml", "grid.pgm"] {
+        std::fs::copy(Path::new(FIXTURES).join(file), folder.path().join(file)).unwrap();
+    }
+    let hash = || Scenario::load(&path, &Overrides::default()).unwrap().content_hash().unwrap();
+    let original = hash();
+    assert_eq!(original, hash());
+    let image = folder.path().join("grid.pgm");
+    let mut pixels = std::fs::read(&image).unwrap();
+    *pixels.last_mut().unwrap() = 0;
+    std::fs::write(&image, pixels).unwrap();
+    assert_ne!(original, hash());
+}
+
+/// Every error there is: its name, the fixture, what is replaced by what.
+const REFUSED: &[(&str, &str, &str, &str)] = &[
+    ("unknown key", "simulation.yaml", "trials: 20", "trails: 20"),
+    ("unknown key, nothing near", "minimal.yaml", "seed: 1", "seed: 1\ncolour: red"),
+    ("unknown key, nested", "simulation.yaml", "  beams: 12", "  baems: 12"),
+    ("unknown key, in a variant", "simulation.yaml", "turn_rate_deg_s: 45", "turn_rate: 45"),
+    ("unknown key, in an adaptive count", "simulation.yaml", "bin_deg: 5", "bin_degrees: 5"),
+    ("unknown key, in a model", "simulation.yaml", "    floor: 0.01", "    flor: 0.01"),
+    ("unknown key, a number", "minimal.yaml", "seed: 1", "seed: 1\n0: red"),
+    ("duplicate key", "simulation.yaml", "trials: 20", "trials: 20\nseed: 8"),
+    ("duplicate key, nested", "simulation.yaml", "  rate_hz: 5", "  rate_hz: 5\n  beams: 10"),
+    ("syntax", "simulation.yaml", "trials: 20", "trials: 20: 30"),
+    ("syntax, open list", "simulation.yaml", "[0.2, 0.6]", "[0.2, 0.6"),
+    ("tag", "simulation.yaml", "seed: 7", "seed: !secret 7"),
+    ("two documents", "minimal.yaml", "seed: 1", "seed: 1\n---\nseed: 2"),
+    ("missing key", "minimal.yaml", "seed: 1\n", ""),
+    ("missing key, nested", "minimal.yaml", "rate_hz: 5, ", ""),
+    ("missing key, in a list", "minimal.yaml", "secs: 4, ", ""),
+    ("no value", "minimal.yaml", "seed: 1", "seed:"),
+    ("word for a number", "simulation.yaml", "cell_m: 0.05", "cell_m: small"),
+    ("quoted number", "simulation.yaml", "cell_m: 0.05", "cell_m: '0.05'"),
+    ("fraction for a count", "simulation.yaml", "trials: 20", "trials: 20.5"),
+    ("negative count", "simulation.yaml", "trials: 20", "trials: -20"),
+    ("seed above 64 bits", "minimal.yaml", "seed: 1", "seed: 18446744073709551616"),
+    ("number for a text", "simulation.yaml", "name: everything", "name: 2016"),
+    ("list for a map", "minimal.yaml", "{file: map.yaml}", "[map.yaml]"),
+    ("map for a list", "minimal.yaml", "[classic]", "{classic: yes}"),
+    ("pair too short", "simulation.yaml", "[0.2, 0.6]", "[0.2]"),
+    ("pair too long", "simulation.yaml", "[0.2, 0.6]", "[0.2, 0.4, 0.6]"),
+    ("word in a pair", "simulation.yaml", "[0.2, 0.6]", "[0.2, wide]"),
+    ("particles, a word", "minimal.yaml", "particles: 1000", "particles: many"),
+    ("particles, zero", "minimal.yaml", "particles: 1000", "particles: 0"),
+    ("particles, negative", "minimal.yaml", "particles: 1000", "particles: -1"),
+    ("particles, too many", "minimal.yaml", "particles: 1000", "particles: 10000001"),
+    ("particles, min above max", "simulation.yaml", "min: 500", "min: 50000"),
+    ("resampler", "simulation.yaml", "resampler: residual", "resampler: sytematic"),
+    ("resampler, a list", "simulation.yaml", "resampler: residual", "resampler: [residual]"),
+    (
+        "two variants",
+        "simulation.yaml",
+        "    tracking: {sigma_m: 0.1, sigma_deg: 3}",
+        "    {tracking: {}, global: {}}",
+    ),
+    ("variant without its value", "simulation.yaml", "{each_scan_n: 5}", "each_scan_n"),
+    ("value for a lone word", "simulation.yaml", "{each_scan_n: 5}", "{never: 5}"),
+    ("injection, a word", "simulation.yaml", "{alpha_slow: 0.001, alpha_fast: 0.1}", "no"),
+    ("injection, slow above fast", "simulation.yaml", "alpha_slow: 0.001", "alpha_slow: 0.5"),
+    ("annealing, a word", "minimal.yaml", "particles: 1000", "particles: 1000\n  annealing: yes"),
+    ("annealing, a key", "simulation.yaml", "gathered_m: 0.3", "gatherd_m: 0.3"),
+    ("annealing, all effective", "simulation.yaml", "effective_share: 0.8", "effective_share: 1"),
+    ("annealing, no moves", "simulation.yaml", "moves: 6", "moves: 0"),
+    ("name", "simulation.yaml", "name: everything", "name: all of it"),
+    ("zero trials", "simulation.yaml", "trials: 20", "trials: 0"),
+    ("table key with exact casts", "simulation.yaml", "method: table", "method: exact"),
+    ("cell of size zero", "simulation.yaml", "cell_m: 0.05", "cell_m: 0"),
+    ("NaN", "simulation.yaml", "lost_m: 1.5", "lost_m: .nan"),
+    ("infinity", "simulation.yaml", "lost_m: 1.5", "lost_m: .inf"),
+    ("overflow", "simulation.yaml", "lost_m: 1.5", "lost_m: 1e999"),
+    ("NaN in a list", "simulation.yaml", "points_m: [[1, 2]", "points_m: [[1, .nan]"),
+    ("neither robot nor log", "minimal.yaml", "robot:", "x-robot:"),
+    (
+        "both robot and log",
+        "log.yaml",
+        "seed: 1",
+        "seed: 1\nrobot: {path: {waypoints: {points_m: [], speed_m_s: 1, turn_rate_deg_s: 1}}}",
+    ),
+    ("robot without map", "minimal.yaml", "map: {file: map.yaml}\n", ""),
+    ("robot without laser", "minimal.yaml", "laser: {rate_hz: 5, beams: 36, max_range_m: 4.5}\n", ""),
+    ("no way points", "simulation.yaml", "[[1, 2], [19, 2], [19, 3]]", "[]"),
+    ("one way point", "simulation.yaml", "[[1, 2], [19, 2], [19, 3]]", "[[1, 2]]"),
+    ("repeated way point", "simulation.yaml", "[19, 3]", "[19, 2]"),
+    ("way point in a wall", "simulation.yaml", "[19, 3]", "[19, 5]"),
+    ("no segments", "minimal.yaml", "        - {secs: 4, speed_m_s: 0.5}", "        []"),
+    ("segment without length", "minimal.yaml", "secs: 4", "secs: 0"),
+    ("start outside the map", "minimal.yaml", "x_m: 1,", "x_m: -1,"),
+    ("negative odometry noise", "simulation.yaml", "alpha: [0.05, 0.02,", "alpha: [0.05, -0.02,"),
+    ("interval upside down", "simulation.yaml", "[0.2, 0.6]", "[0.6, 0.2]"),
+    ("block of length zero", "simulation.yaml", "[0.2, 0.6]", "[0, 0.6]"),
+    ("moving blocks that don't persist", "simulation.yaml", "{each_scan_n: 5}", "each_observation"),
+    ("resampling every zero scans", "simulation.yaml", "{each_scan_n: 5}", "{each_scan_n: 0}"),
+    ("zero beams", "simulation.yaml", "beams: 36", "beams: 0"),
+    ("more filter beams than laser beams", "simulation.yaml", "beams: 12", "beams: 37"),
+    ("more training beams than laser beams", "simulation.yaml", "beams: 18", "beams: 37"),
+    ("field of view", "simulation.yaml", "field_of_view_deg: 270", "field_of_view_deg: 400"),
+    ("range upside down", "simulation.yaml", "min_range_m: 0.05", "min_range_m: 5"),
+    ("sweep longer than the period", "simulation.yaml", "scan_secs: 0.1", "scan_secs: 0.3"),
+    ("negative noise", "simulation.yaml", "sigma_per_m: 0.002", "sigma_per_m: -0.002"),
+    ("nothing held out", "simulation.yaml", "held_out_share: 0.2", "held_out_share: 0"),
+    ("no models", "minimal.yaml", "[classic]", "[]"),
+    ("unknown model", "simulation.yaml", "  - classic", "  - clasic"),
+    ("unknown model, in full", "simulation.yaml", "{name: np_reg_registered}", "{name: np_reg_registred}"),
+    ("model, a number", "simulation.yaml", "  - classic", "  - 5"),
+    ("duplicate label", "minimal.yaml", "[classic]", "[classic, {name: classic, floor: 0.1}]"),
+    ("label", "simulation.yaml", "label: loaded", "label: from file"),
+    ("floor of one", "simulation.yaml", "floor: 0.01", "floor: 1"),
+    ("exponent of zero", "simulation.yaml", "exponent: 0.5", "exponent: 0"),
+    ("oracle from a file", "simulation.yaml", "  - oracle", "  - {name: oracle, file: fitted.model}"),
+    ("oracle without noise", "simulation.yaml", "sigma_m: 0.01, sigma_per_m", "sigma_per_m"),
+    ("oracle with a log", "log.yaml", "[classic, np", "[classic, oracle, np"),
+    ("motion parameters", "minimal.yaml", "[0.1, 0.1, 0.1, 0.1, 0.01, 0.01]", "[0.1, 0.1, 0.1, 0.1]"),
+    ("share of zero", "simulation.yaml", "effective_share_below: 0.5", "effective_share_below: 0"),
+    ("record of no trial", "simulation.yaml", "trial: 3", "trial: 20"),
+    ("record of an unknown model", "simulation.yaml", "[loaded, classic]", "[loaded, clasic]"),
+    ("record, a word", "simulation.yaml", "[loaded, classic]", "loaded"),
+    ("bound on an unknown model", "simulation.yaml", "  oracle: {lost", "  orcale: {lost"),
+    ("bound on an unknown figure", "simulation.yaml", "lost_share", "lost_shares"),
+    ("bound on an unknown nested figure", "simulation.yaml", "log_loss_nats", "loss_nats"),
+    ("bound on a group of figures", "simulation.yaml", "train: {log_loss_nats: {max: 3}}", "train: {max: 3}"),
+    ("bound on a model", "simulation.yaml", "oracle: {lost_share: {max: 0}}", "oracle: {max: 0}"),
+    ("bound without limits", "simulation.yaml", "{lost_share: {max: 0}}", "{lost_share: {}}"),
+    ("bound, a number", "simulation.yaml", "{lost_share: {max: 0}}", "{lost_share: 0}"),
+    ("bound, a word", "simulation.yaml", "{lost_share: {max: 0}}", "{lost_share: {max: none}}"),
+    ("bound upside down", "simulation.yaml", "{min: 0.001, max: 0.05}", "{min: 0.1, max: 0.05}"),
+    ("missing map file", "minimal.yaml", "map.yaml", "nowhere.yaml"),
+    ("missing model file", "simulation.yaml", "fitted.model", "nowhere.model"),
+    ("missing log file", "log.yaml", "drive.log", "nowhere.log"),
+    ("unset variable", "log.yaml", "${LOGS}", "${LOCSIM_NOWHERE}"),
+    ("open variable", "log.yaml", "${LOGS}", "${LOGS"),
+    (
+        "log with blocks and laser",
+        "log.yaml",
+        "seed: 1",
+        "seed: 1\nlaser: {rate_hz: 5, beams: 36, max_range_m: 4.5}\nblocks: {per_metre_of_wall: 0.5, length_m: [0.2, 0.6], width_m: [0.2, 0.6]}",
+    ),
+    ("log with map and map scans", "log.yaml", "seed: 1", "seed: 1\nmap: {file: map.yaml}"),
+    ("topics of a CARMEN log", "log.yaml", "  max_range_m: 40", "  topics: {scan: /scan}"),
+    ("log without any map", "log.yaml", "  map_scans: [[0.0, 0.5]]\n", ""),
+    ("repeated observations of a log", "log.yaml", "poses: 400", "observations: 5"),
+    ("no training scans", "log.yaml", "[[0.5, 0.6], [0.6, 0.75]]", "[]"),
+    ("training scans out of order", "log.yaml", "[0.6, 0.75]", "[0.55, 0.75]"),
+    ("empty interval", "log.yaml", "[0.75, 1.0]", "[1.0, 1.0]"),
+    ("interval in percent", "log.yaml", "[0.75, 1.0]", "[75, 100]"),
+    ("localizing on two parts", "log.yaml", "[[0.75, 1.0]]", "[[0.75, 0.8], [0.9, 1.0]]"),
+    ("localizing on training scans", "log.yaml", "[0.75, 1.0]", "[0.7, 1.0]"),
+    ("unknown effect", "simulation.yaml", "name: range_bias", "name: range_bais"),
+    ("effect without a name", "simulation.yaml", "{name: heavy_tail, p: 0.05}", "{p: 0.05}"),
+    ("effect, a word", "simulation.yaml", "{name: heavy_tail, p: 0.05}", "heavy_tail"),
+    ("key of another effect", "simulation.yaml", "p: 0.05", "k: 0.05"),
+    ("key of no effect", "simulation.yaml", "wall: outline/2", "wal: outline/2"),
+    ("parameter of an effect missing", "simulation.yaml", ", radius_m: 0.2", ""),
+    ("parameter, a word", "simulation.yaml", "p: 0.05", "p: often"),
+    ("probability above one", "simulation.yaml", "p: 0.05", "p: 1.05"),
+    ("angle of an effect", "simulation.yaml", "angle_deg: 60", "angle_deg: 100"),
+    ("angle in radians", "simulation.yaml", "yaw_deg: -1.5", "yaw_rad: -0.02"),
+    ("unknown wall", "simulation.yaml", "outline/2", "outline/4"),
+    ("wall and ends", "simulation.yaml", "outline/2", "outline/2, to_m: [1, 1]"),
+    ("no place", "simulation.yaml", "wall: outline/2, ", ""),
+    ("half a place", "simulation.yaml", "to_m: [6.5, 0], ", ""),
+    ("place without length", "simulation.yaml", "to_m: [6.5, 0]", "to_m: [4, 0]"),
+    ("place of an effect without one", "simulation.yaml", "p: 0.05", "p: 0.05, wall: outline/2"),
+    ("wall of an image", "simulation.yaml", "{file: map.yaml}", "{file: grid.yaml}"),
+    (
+        "effect that can be there once",
+        "simulation.yaml",
+        "{name: heavy_tail, p: 0.05}",
+        "{name: wheel_slip, p: 0, share: 0}",
+    ),
+    (
+        "effect of blocks without any",
+        "minimal.yaml",
+        "blocks: {per_metre_of_wall: 0.5, length_m: [0.2, 0.6], width_m: [0.2, 0.6]}",
+        "effects: [{name: block_density, factor: 2}]",
+    ),
+    ("effects on a log", "log.yaml", "seed: 1", "seed: 1\neffects: [{name: range_bias, bias_m: 0.02}]"),
+    (
+        "several at once",
+        "simulation.yaml",
+        "trials: 20\nmap: {file: map.yaml}\nray_cast:",
+        "trials: 0\nmap: {file: nowhere.yaml}\nray_cast:",
+    ),
+];
+
+#[test]
+fn every_error_names_file_line_key_value_and_what_is_allowed() {
+    let mut messages = String::new();
+    let mut tell = |name: &str, result: Result<Scenario, ScenarioError>| match result {
+        Ok(_) => panic!("{name}: accepted"),
+        Err(error) => writeln!(messages, "# {name}\n{error}\n").unwrap(),
+    };
+    for (name, fixture, from, to) in REFUSED {
+        tell(name, parse(&edited(&text(fixture), from, to)));
+    }
+    tell("empty file", parse(""));
+    tell("only a comment", parse("# nothing\n"));
+    tell("a word", parse("scenario"));
+    let overridden = |overrides| parse_with(&text("simulation.yaml"), &overrides);
+    tell("--trials 0", overridden(Overrides { trials: Some(0), ..Overrides::default() }));
+    let models = Some(vec!["p_reg".to_owned(), "lodaed".to_owned()]);
+    tell("--models unknown", overridden(Overrides { models, ..Overrides::default() }));
+    tell("--models of nothing", overridden(Overrides { models: Some(vec![]), ..Overrides::default() }));
+    tell("no such file", Scenario::load(&Path::new(FIXTURES).join("nowhere.yaml"), &Overrides::default()));
+    for map in
+        ["map-nan.yaml", "map-open.yaml", "map-typo.yaml", "grid-no-image.yaml", "grid-resolution.yaml"]
+    {
+        tell(map, parse(&edited(&text("minimal.yaml"), "map.yaml", map)));
+    }
+    insta::assert_snapshot!("errors", messages);
+}
+
+#[test]
+fn a_number_has_to_be_finite_wherever_it_stands() {
+    let fixture = text("simulation.yaml");
+    let mut tried = 0;
+    for (start, _) in fixture.match_indices(|c: char| c.is_ascii_digit() || c == '-') {
+        let end = start
+            + fixture[start..].find(|c: char| !(c.is_ascii_digit() || "-.e".contains(c))).unwrap_or_default();
+        let before = fixture[..start].chars().last().unwrap();
+        if !" [".contains(before) || fixture[start..end].parse::<f64>().is_err() {
+            continue;
+        }
+        for value in [".nan", ".inf", "-.inf"] {
+            let text = format!("{}{value}{}", &fixture[..start], &fixture[end..]);
+            assert!(
+                parse(&text).is_err(),
+                "accepted: {}",
+                text[..start + value.len()].lines().last().unwrap()
+            );
+            tried += 1;
+        }
+    }
+    assert!(tried > 150, "{tried}");
+}
+
+#[test]
+fn values_that_would_overflow_later_are_refused() {
+    for (fixture, from, to) in [
+        ("simulation.yaml", "max_range_m: 4.5", "max_range_m: 1e300"),
+        ("simulation.yaml", "max_range_m: 4.5", "max_range_m: 20000"),
+        ("simulation.yaml", "alpha: [0.05, 0.02,", "alpha: [1e300, 0.02,"),
+        ("simulation.yaml", "alpha: [0.1, 0.05,", "alpha: [1e300, 0.05,"),
+        ("simulation.yaml", "speed_m_s: 0.5", "speed_m_s: 1e-300"),
+        ("simulation.yaml", "turn_rate_deg_s: 45", "turn_rate_deg_s: 1e-300"),
+        ("simulation.yaml", "rate_hz: 5", "rate_hz: 1e-300"),
+        ("simulation.yaml", "rate_hz: 5", "rate_hz: 1e18"),
+        ("simulation.yaml", "bin_m: 0.25", "bin_m: 1e-300"),
+        ("simulation.yaml", "resolution_m: 1e-3", "resolution_m: 1e-310"),
+        ("simulation.yaml", "sigma_m: 0.01, sigma_per_m", "sigma_m: 1e-300, sigma_per_m"),
+        ("minimal.yaml", "secs: 4", "secs: 1e300"),
+        ("minimal.yaml", "heading_deg: 180", "heading_deg: 1e300"),
+    ] {
+        let error = parse(&edited(&text(fixture), from, to)).unwrap_err();
+        assert_told(&error);
+        assert!(error.to_string().contains(" is not allowed; "), "{error}");
+    }
+}
+
+#[test]
+fn an_error_is_short_whatever_a_file_holds() {
+    let long = "x".repeat(1_000_000);
+    let minimal = text("minimal.yaml");
+    let simulation = text("simulation.yaml");
+    let escaped = "\"a\\n\\e[2J\\u202E\"";
+    for word in [long.as_str(), escaped] {
+        for (text, from, to) in [
+            (&minimal, "seed: 1", format!("seed: {word}")),
+            (&minimal, "seed: 1", format!("seed: 1\n? {word}\n: 2")),
+            (&minimal, "seed: 1", format!("seed: 1\nname: {word}")),
+            (&minimal, "map.yaml", word.to_owned()),
+            (&minimal, "[classic]", format!("[{word}]")),
+            (&minimal, "[classic]", format!("[{{name: classic, label: {word}}}]")),
+            (&simulation, "outline/2", word.to_owned()),
+            (&simulation, "name: range_bias", format!("name: {word}")),
+            (&simulation, "lost_share", format!("? {word}\n    ")),
+            (&simulation, "resampler: residual", format!("resampler: {word}")),
+            (&minimal, "[classic]", format!("!<{word}> [classic]")),
+        ] {
+            let error = parse(&edited(text, from, &to)).unwrap_err().to_string();
+            assert!(error.len() < 3000 && !error.contains(|c: char| c.is_control() && c != '\n'), "{error}");
+            assert!(!error.contains('\u{202e}') && error.lines().count() < 4, "{error}");
+        }
+    }
+    let many = format!("[{}]", vec!["{name: classic, floor: 2}"; 5000].join(", "));
+    let error = parse(&edited(&minimal, "[classic]", &many)).unwrap_err().to_string();
+    assert_eq!(error.lines().count(), 21, "{error}");
+    assert!(error.ends_with(" more"), "{error}");
+}
+
+proptest! {
+    /// A damaged file is refused or read, never a panic; what is wrong with a key has a line.
+    #[test]
+    fn damage_is_survived(
+        fixture in prop::sample::select(vec!["simulation.yaml", "minimal.yaml", "log.yaml"]),
+        at in any::<prop::sample::Index>(),
+        cut in 0..40_usize,
+        put in "[-\\[\\]{}:,#&*!|>'\"%@` \n\t0-9a-z.~é]{0,4}",
+    ) {
+        let mut text: Vec<char> = text(fixture).chars().collect();
+        let at = at.index(text.len());
+        let end = (at + cut).min(text.len());
+        text.splice(at..end, put.chars());
+        if let Err(ScenarioError::Invalid { problems, .. }) = parse(&text.into_iter().collect::<String>()) {
+            prop_assert!(!problems.is_empty());
+            for problem in problems {
+                prop_assert!(problem.line.is_some() || problem.key.is_empty(), "{problem:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn no_number_and_no_key_of_a_shipped_scenario_can_do_harm() {
+    let (mut refused, mut valid) = (0, 0);
+    for path in shipped() {
+        let text = std::fs::read_to_string(&path).unwrap();
+        for text in hostile_texts(&text) {
+            match Scenario::parse_text(&path, &text, &Overrides::default()) {
+                Ok(_) => valid += 1,
+                Err(error) => {
+                    assert_told(&error);
+                    refused += 1;
+                }
+            }
+        }
+    }
+    assert!(refused > 3000 && valid > 200, "{refused} {valid}");
+}
+
+pub(super) fn shipped() -> Vec<PathBuf> {
+    let root = Path::new("../../scenarios");
+    let mut files: Vec<PathBuf> = [root.to_owned(), root.join("real")]
+        .iter()
+        .flat_map(|folder| std::fs::read_dir(folder).unwrap())
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "yaml"))
+        .collect();
+    files.sort();
+    assert!(files.len() >= 6, "{files:?}");
+    files
+}
+
+#[test]
+fn every_shipped_scenario_is_valid() {
+    for path in shipped() {
+        // Those of measured logs are validated by tests/measured_logs.rs.
+        if path.components().any(|part| part.as_os_str() == "real") {
+            continue;
+        }
+        let scenario = Scenario::load(&path, &Overrides::default()).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(Some(scenario.name.as_str()), path.file_stem().and_then(|stem| stem.to_str()));
+        assert!(!scenario.description.is_empty(), "{}", path.display());
+    }
+}

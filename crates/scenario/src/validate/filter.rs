@@ -1,0 +1,114 @@
+use super::{MAX_PARTICLES, beams};
+use crate::check::Allowed::{AboveUpTo, Between, Within};
+use crate::check::{Checker, LENGTH, NOISE, POSITIVE_LENGTH, number};
+use crate::form::Form;
+use crate::locate::join;
+use crate::raw::{
+    Count, MotionModelName, No, NotAnnealed, RawAdaptive, RawAnnealing, RawFilter, RawInjection, RawKld,
+    RawLaser, RawMotion, RawResample, RawSpread, RawStart,
+};
+use crate::{Annealing, Filter, Injection, Motion, ParticleCount, ResampleWhen, Spread, Start};
+
+pub(super) fn filter(check: &mut Checker<'_>, raw: &RawFilter, laser: Option<&RawLaser>) -> Filter {
+    let laser_beams = laser.and_then(|laser| u32::try_from(laser.beams).ok());
+    Filter {
+        particles: match &raw.particles {
+            Form::Short(Count(count)) => {
+                ParticleCount::Fixed(check.count("filter.particles", *count, 1, MAX_PARTICLES))
+            }
+            Form::Full(RawAdaptive { kld }) => adaptive(check, kld),
+        },
+        motion: motion(check, &raw.motion),
+        resampler: raw.resampler,
+        resample: match raw.resample {
+            RawResample::EachStep => ResampleWhen::EachStep,
+            RawResample::EffectiveShareBelow(share) => ResampleWhen::EffectiveShareBelow(check.number(
+                "filter.resample.effective_share_below",
+                share,
+                AboveUpTo(0.0, 1.0),
+            )),
+        },
+        injection: match raw.injection {
+            Form::Short(No::None) => None,
+            Form::Full(raw) => Some(injection(check, raw)),
+        },
+        start: match raw.start {
+            RawStart::Global => Start::Global,
+            RawStart::Tracking(spread) => {
+                Start::Tracking(self::spread(check, "filter.start.tracking", spread))
+            }
+        },
+        beams: beams(check, "filter.beams", raw.beams, laser_beams),
+        estimate: raw.estimate,
+        regularization: spread(check, "filter.regularization", raw.regularization),
+        annealing: match raw.annealing {
+            Form::Short(NotAnnealed::None) => None,
+            Form::Full(raw) => Some(annealing(check, raw)),
+        },
+    }
+}
+
+fn adaptive(check: &mut Checker<'_>, raw: &RawKld) -> ParticleCount {
+    let key = |key| join("filter.particles.kld", key);
+    let min = check.count(&key("min"), raw.min, 1, MAX_PARTICLES);
+    let max = check.count(&key("max"), raw.max, 1, MAX_PARTICLES);
+    check.refuse(min > max, &key("max"), || format!("{max} is not allowed; not below `min`, which is {min}"));
+    ParticleCount::Kld {
+        min,
+        max,
+        error: check.number(&key("error"), raw.error, Within(1e-6, 1e3)),
+        quantile: check.number(&key("quantile"), raw.quantile, Between(0.0, 1.0)),
+        bin_m: check.number(&key("bin_m"), raw.bin_m, POSITIVE_LENGTH),
+        bin_rad: check.degrees(&key("bin_deg"), raw.bin_deg, Within(1e-3, 360.0)),
+    }
+}
+
+fn motion(check: &mut Checker<'_>, raw: &RawMotion) -> Motion {
+    let key = "filter.motion.alpha";
+    check.numbers(key, &raw.alpha, NOISE);
+    let wanted = match raw.model {
+        MotionModelName::Odometry => 4,
+        MotionModelName::Velocity => 6,
+    };
+    check.refuse(raw.alpha.len() != wanted, key, || {
+        format!(
+            "a list of length {} is not allowed; this motion model has {wanted} parameters",
+            raw.alpha.len()
+        )
+    });
+    let alpha = |i: usize| raw.alpha.get(i).copied().unwrap_or_default();
+    match raw.model {
+        MotionModelName::Odometry => Motion::Odometry(std::array::from_fn(alpha)),
+        MotionModelName::Velocity => Motion::Velocity(std::array::from_fn(alpha)),
+    }
+}
+
+fn injection(check: &mut Checker<'_>, raw: RawInjection) -> Injection {
+    let [slow, fast] = [raw.alpha_slow, raw.alpha_fast];
+    let alpha_slow = check.number("filter.injection.alpha_slow", slow, AboveUpTo(0.0, 1.0));
+    let alpha_fast = check.number("filter.injection.alpha_fast", fast, AboveUpTo(0.0, 1.0));
+    check.refuse(slow >= fast, "filter.injection.alpha_slow", || {
+        let [slow, fast] = [slow, fast].map(number);
+        format!("{slow} is not allowed; below `alpha_fast`, which is {fast}")
+    });
+    Injection { alpha_slow, alpha_fast }
+}
+
+fn annealing(check: &mut Checker<'_>, raw: RawAnnealing) -> Annealing {
+    let key = |key| join("filter.annealing", key);
+    let share = check.number(&key("effective_share"), raw.effective_share, Between(0.0, 1.0));
+    Annealing {
+        candidates: check.count(&key("candidates"), raw.candidates, 1, MAX_PARTICLES),
+        effective_share: share,
+        moves: check.count(&key("moves"), raw.moves, 1, 1000),
+        step: spread(check, "filter.annealing", RawSpread { sigma_m: raw.sigma_m, sigma_deg: raw.sigma_deg }),
+        gathered_m: check.number(&key("gathered_m"), raw.gathered_m, LENGTH),
+    }
+}
+
+fn spread(check: &mut Checker<'_>, key: &str, raw: RawSpread) -> Spread {
+    Spread {
+        sigma_m: check.number(&join(key, "sigma_m"), raw.sigma_m, NOISE),
+        sigma_rad: check.degrees(&join(key, "sigma_deg"), raw.sigma_deg, NOISE),
+    }
+}

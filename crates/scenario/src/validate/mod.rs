@@ -1,0 +1,304 @@
+//! From the raw scenario to the validated one: ranges, and what keys have to do with each other.
+
+mod effect;
+mod filter;
+mod source;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use locsim_core::limits::quoted;
+use locsim_world::simulation::RobotPath;
+
+use super::check::Allowed::{AboveUpTo, Any, Between, FromBelow};
+use super::check::{Checker, POSITIVE_LENGTH, number};
+use super::error::{shown, unknown_word};
+use super::form::Form;
+use super::locate::join;
+use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
+use super::{
+    Errors, Expectation, LoadedMap, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError,
+    Source, Training,
+};
+
+/// Models of a scenario.
+const MOST_MODELS: usize = 100;
+/// Letters of a name: names become names of files.
+const MOST_LETTERS: usize = 100;
+const MAX_PARTICLES: u32 = 10_000_000;
+const MAX_BEAMS: u32 = 100_000;
+
+/// Checks everything; the error holds every problem.
+pub(crate) fn validate(
+    raw: RawScenario,
+    path: &Path,
+    overrides: &Overrides,
+    mut check: Checker<'_>,
+) -> Result<Scenario, ScenarioError> {
+    let name = name(&mut check, raw.name.as_deref(), path);
+    let trials_of_file = check.count("trials", raw.trials, 1, 1_000_000);
+    let trials = match overrides.trials {
+        Some(trials) => check.count("--trials", trials.into(), 1, 1_000_000),
+        None => trials_of_file,
+    };
+    let ray_cast = source::ray_cast(&mut check, &raw.ray_cast);
+    let source = source::source(&mut check, &raw);
+    let training = training(&mut check, &raw.training, source.as_ref());
+    let all_models = models(&mut check, &raw.models, raw.log.is_some());
+    let has_oracle = all_models.iter().any(|model| model.name == ModelName::Oracle);
+    let noiseless = raw.laser.as_ref().is_some_and(|laser| laser.noise.sigma_m == 0.0);
+    check.refuse(has_oracle && noiseless, "laser.noise.sigma_m", || {
+        "0 is not allowed with the model `oracle`, which is a density; a finite number above 0".to_owned()
+    });
+    let models = select(&mut check, &all_models, overrides.models.as_deref());
+    let filter = filter::filter(&mut check, &raw.filter, raw.laser.as_ref());
+    let errors = Errors {
+        frame: raw.errors.frame,
+        lost_m: check.number("errors.lost_m", raw.errors.lost_m, POSITIVE_LENGTH),
+    };
+    let mut record = record(&mut check, &raw.record, trials_of_file, &all_models, &models);
+    record.trial = record.trial.min(trials.saturating_sub(1));
+    let expect = expectations(&mut check, &raw.expect, &all_models, &models);
+    match source {
+        Some(source) if check.is_clean() => Ok(Scenario {
+            file: path.to_owned(),
+            text: String::new(),
+            name,
+            description: raw.description,
+            seed: overrides.seed.unwrap_or(raw.seed),
+            trials,
+            ray_cast,
+            source,
+            training,
+            models,
+            filter,
+            errors,
+            record,
+            expect,
+        }),
+        _ => Err(check.into_error()),
+    }
+}
+
+/// What needs the map: finds the walls that effects name (`walls[i]` for effect `i`), and checks that a simulated
+/// robot's way points, or its start, lie in the map's free space.
+pub(crate) fn in_map(
+    scenario: &mut Scenario,
+    walls: &[Option<String>],
+    map: &LoadedMap,
+    mut check: Checker<'_>,
+) -> Result<(), ScenarioError> {
+    let Source::Simulation(simulation) = &mut scenario.source else { return Ok(()) };
+    effect::places(&mut check, &mut simulation.effects, walls, map);
+    let mut visit = |key: &str, x: f64, y: f64| {
+        check.refuse(!map.geometry.is_free(x, y), key, || {
+            let [x, y] = [x, y].map(number);
+            format!("[{x}, {y}] is not allowed; a point in the free space of {}", shown(&simulation.map))
+        });
+    };
+    match &simulation.robot.path {
+        RobotPath::Waypoints { points_m, .. } => {
+            for (i, [x, y]) in points_m.iter().enumerate() {
+                visit(&format!("robot.path.waypoints.points_m[{i}]"), *x, *y);
+            }
+        }
+        RobotPath::VelocityProfile { start, .. } => {
+            visit("robot.path.velocity_profile.start", start.x, start.y);
+        }
+    }
+    if check.is_clean() { Ok(()) } else { Err(check.into_error()) }
+}
+
+/// Whether files and columns can be called so.
+fn is_plain_name(name: &str) -> bool {
+    (1..=MOST_LETTERS).contains(&name.len())
+        && name.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c))
+}
+
+/// The name that is given, or that of the file.
+pub fn name(check: &mut Checker<'_>, name: Option<&str>, path: &Path) -> String {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let (name, origin) = match name {
+        Some(name) => (name, ""),
+        None => (stem.as_ref(), " (the file's name)"),
+    };
+    check.refuse(!is_plain_name(name), "name", || {
+        format!(
+            "`{}`{origin} is not allowed; up to {MOST_LETTERS} letters, digits, `-` and `_`",
+            quoted(name)
+        )
+    });
+    name.to_owned()
+}
+
+fn training(check: &mut Checker<'_>, raw: &RawTraining, source: Option<&Source>) -> Training {
+    let observations = match (raw.observations, source) {
+        (None, Some(Source::Log(_))) => 1,
+        (Some(n), Some(Source::Log(_))) => {
+            check.refuse(n != 1, "training.observations", || {
+                format!("{n} is not allowed; a log has 1 observation of each state")
+            });
+            1
+        }
+        (n, _) => check.count("training.observations", n.unwrap_or(default::OBSERVATIONS), 1, 100_000),
+    };
+    Training {
+        poses: check.count("training.poses", raw.poses, 2, 1_000_000),
+        observations,
+        beams: beams(
+            check,
+            "training.beams",
+            raw.beams,
+            match source {
+                Some(Source::Simulation(simulation)) => Some(simulation.laser.beams),
+                _ => None,
+            },
+        ),
+        held_out_share: check.number("training.held_out_share", raw.held_out_share, Between(0.0, 1.0)),
+    }
+}
+
+/// A number of beams, at most the laser's where that is known.
+fn beams(check: &mut Checker<'_>, key: &str, beams: Option<u64>, of_laser: Option<u32>) -> Option<u32> {
+    let beams = check.count(key, beams?, 1, MAX_BEAMS);
+    // A laser without beams is a problem of its own.
+    if let Some(limit @ 1..) = of_laser {
+        check.refuse(beams > limit, key, || format!("{beams} is not allowed; at most laser.beams, {limit}"));
+    }
+    Some(beams)
+}
+
+fn models(check: &mut Checker<'_>, raw: &[Form<ModelName, RawModel>], measured: bool) -> Vec<Model> {
+    check.refuse(raw.is_empty(), "models", || {
+        format!(
+            "an empty list is not allowed; at least one of {}",
+            ModelName::ALL.map(ModelName::as_str).join(", ")
+        )
+    });
+    check.length("models", raw, MOST_MODELS);
+    let mut models: Vec<Model> = Vec::new();
+    // Those beyond are refused already, and each is held against all before it.
+    for (i, raw) in raw.iter().take(MOST_MODELS).enumerate() {
+        let key = format!("models[{i}]");
+        let model = match raw {
+            Form::Short(name) => {
+                Model { name: *name, label: name.to_string(), floor: None, exponent: None, file: None }
+            }
+            Form::Full(raw) => Model {
+                name: raw.name,
+                label: raw.label.clone().unwrap_or_else(|| raw.name.to_string()),
+                floor: raw.floor.map(|floor| check.number(&join(&key, "floor"), floor, FromBelow(0.0, 1.0))),
+                exponent: raw
+                    .exponent
+                    .map(|exponent| check.number(&join(&key, "exponent"), exponent, AboveUpTo(0.0, 1.0))),
+                file: raw.file.as_ref().map(|file| check.file(&join(&key, "file"), file)),
+            },
+        };
+        let label = &model.label;
+        check.refuse(!is_plain_name(label), &join(&key, "label"), || {
+            format!("`{}` is not allowed; up to {MOST_LETTERS} letters, digits, `-` and `_`", quoted(label))
+        });
+        check.refuse(models.iter().any(|other| other.label == *label), &key, || {
+            format!(
+                "`{}` is not allowed; a model before it has this label, give one a `label` of its own",
+                quoted(label)
+            )
+        });
+        if model.name == ModelName::Oracle {
+            check.refuse(measured, &key, || {
+                "`oracle` is not allowed; it knows a simulated world, not a log".to_owned()
+            });
+            check.refuse(model.file.is_some(), &join(&key, "file"), || {
+                "the key is not allowed here; `oracle` isn't fitted".to_owned()
+            });
+        }
+        models.push(model);
+    }
+    models
+}
+
+/// The models that `--models` leaves.
+fn select(check: &mut Checker<'_>, models: &[Model], labels: Option<&[String]>) -> Vec<Model> {
+    let Some(labels) = labels else { return models.to_vec() };
+    check.refuse(labels.is_empty(), "--models", || "no model is named".to_owned());
+    for label in labels {
+        known_label(check, "--models", label, models);
+    }
+    models.iter().filter(|model| labels.contains(&model.label)).cloned().collect()
+}
+
+fn known_label(check: &mut Checker<'_>, key: &str, label: &str, models: &[Model]) {
+    let labels: Vec<&str> = models.iter().map(|model| model.label.as_str()).collect();
+    check.refuse(!labels.contains(&label), key, || unknown_word(label, "a model of this scenario", &labels));
+}
+
+fn record(check: &mut Checker<'_>, raw: &RawRecord, trials: u32, all: &[Model], models: &[Model]) -> Record {
+    let trial = match trials {
+        // A problem of its own.
+        0 => 0,
+        1.. => check.count("record.trial", raw.trial, 0, trials - 1),
+    };
+    let wanted = |label: &String| match &raw.models {
+        Form::Short(All::All) => true,
+        Form::Full(labels) => labels.contains(label),
+    };
+    if let Form::Full(labels) = &raw.models {
+        check.length("record.models", labels, MOST_MODELS);
+        for (i, label) in labels.iter().take(MOST_MODELS).enumerate() {
+            known_label(check, &format!("record.models[{i}]"), label, all);
+        }
+    }
+    Record { trial, models: models.iter().map(|model| model.label.clone()).filter(wanted).collect() }
+}
+
+/// Bounds on the models that run; those on the others are checked and dropped.
+fn expectations(
+    check: &mut Checker<'_>,
+    raw: &BTreeMap<String, RawBounds>,
+    all: &[Model],
+    models: &[Model],
+) -> Vec<Expectation> {
+    let mut expectations = Vec::new();
+    for (label, bounds) in raw {
+        let key = join("expect", label);
+        known_label(check, &key, label, all);
+        bound(check, &key, "", label, bounds, &mut expectations);
+    }
+    expectations.retain(|expectation| models.iter().any(|model| model.label == expectation.model));
+    expectations
+}
+
+/// Collects the bounds on `metric` (empty for the model itself) and on the figures nested in it.
+fn bound(
+    check: &mut Checker<'_>,
+    key: &str,
+    metric: &str,
+    label: &str,
+    bounds: &RawBounds,
+    out: &mut Vec<Expectation>,
+) {
+    for (inner, bounds) in &bounds.nested {
+        bound(check, &join(key, inner), &join(metric, inner), label, bounds, out);
+    }
+    let [min, max] = [("min", bounds.min), ("max", bounds.max)]
+        .map(|(word, value)| value.map(|value| check.number(&join(key, word), value, Any)));
+    if min.is_none() && max.is_none() {
+        check.refuse(bounds.nested.is_empty(), key, || {
+            "an empty map is not allowed; a bound such as {max: 0.05}".to_owned()
+        });
+        return;
+    }
+    if let (Some(min), Some(max)) = (min, max) {
+        check.refuse(min > max, &join(key, "min"), || {
+            format!("{} is not allowed; not above max, {}", number(min), number(max))
+        });
+    }
+    if metric.is_empty() {
+        check.problem(key, "a bound belongs to a figure, such as {lost_share: {max: 0.05}}");
+        return;
+    }
+    match METRICS.into_iter().find(|known| *known == metric) {
+        Some(metric) => out.push(Expectation { model: label.to_owned(), metric, min, max }),
+        None => check.problem(key, unknown_word(metric, "a figure of a model", &METRICS)),
+    }
+}

@@ -1,0 +1,276 @@
+use std::path::{Path, PathBuf};
+
+use locsim_core::Pose2;
+use locsim_dataset::{LogFormat, McapTopics};
+use locsim_world::simulation::{
+    BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath, VelocitySegment,
+};
+
+use super::{MAX_BEAMS, effect};
+use crate::check::Allowed::{Within, ZeroOrWithin};
+use crate::check::{ANGLE, COORDINATE, Checker, LENGTH, MAX_RANGE, NOISE, POSITIVE_LENGTH, STEP, number};
+use crate::locate::join;
+use crate::raw::{
+    RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot, RawScenario,
+    RawSegment, RayCastMethod, default,
+};
+use crate::{Log, LogMap, RayCast, Simulation, Source};
+
+/// Way points or segments of a path.
+const MOST_POINTS: usize = 100_000;
+/// Points nearer to each other than this have no direction between them (m).
+const SAME_POINT_M: f64 = 1e-6;
+/// The highest speed, of a robot or a block (m/s).
+const FASTEST_M_S: f64 = 1e3;
+/// The highest turn rate (deg/s).
+const FASTEST_TURN_DEG_S: f64 = 1e5;
+
+pub(super) fn ray_cast(check: &mut Checker<'_>, raw: &RawRayCast) -> RayCast {
+    match raw.method {
+        RayCastMethod::Table => RayCast::Table {
+            cell_m: check.number(
+                "ray_cast.cell_m",
+                raw.cell_m.unwrap_or(default::CELL_M),
+                Within(0.001, 10.0),
+            ),
+            memory_mb: check.count(
+                "ray_cast.memory_mb",
+                raw.memory_mb.unwrap_or(default::MEMORY_MB),
+                16,
+                65536,
+            ),
+        },
+        RayCastMethod::Exact => {
+            let why = "it belongs to `method: table`";
+            check.absent("ray_cast", "cell_m", raw.cell_m.as_ref(), why);
+            check.absent("ray_cast", "memory_mb", raw.memory_mb.as_ref(), why);
+            RayCast::Exact
+        }
+    }
+}
+
+/// `None` where so much is missing that there is nothing to return; the problem is remembered.
+pub(super) fn source(check: &mut Checker<'_>, raw: &RawScenario) -> Option<Source> {
+    let map = raw.map.as_ref().map(|map| check.file("map.file", &map.file));
+    match (&raw.robot, &raw.log) {
+        (Some(robot), None) => {
+            let blocks = raw.blocks.as_ref().map(|raw| blocks(check, raw));
+            let robot = self::robot(check, robot);
+            let laser = raw.laser.as_ref().map(|raw| laser(check, raw));
+            check.refuse(map.is_none(), "map", || "the key is missing; `robot` drives in a map".to_owned());
+            check.refuse(laser.is_none(), "laser", || {
+                "the key is missing; `robot` carries a laser".to_owned()
+            });
+            let effects = effect::effects(check, raw);
+            Some(Source::Simulation(Simulation { map: map?, blocks, robot, laser: laser?, effects }))
+        }
+        (None, Some(log)) => {
+            check.absent("", "blocks", raw.blocks.as_ref(), "a log can't be given blocks");
+            check.absent("", "effects", raw.effects.first(), "a log can't be given effects");
+            check.absent("", "laser", raw.laser.as_ref(), "the log brings its own laser");
+            Some(Source::Log(self::log(check, log, map)))
+        }
+        (Some(_), Some(_)) => {
+            check.problem("log", "the key is not allowed here; either `robot` or `log`, not both");
+            None
+        }
+        (None, None) => {
+            check.problem("", "`robot` and `log` are both missing; one of them is needed");
+            None
+        }
+    }
+}
+
+fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> BlockOptions {
+    let resample = match raw.resample {
+        RawBlockResampling::EachObservation => BlockResampling::EachObservation,
+        RawBlockResampling::Never => BlockResampling::Never,
+        RawBlockResampling::EachScanN(n) => {
+            BlockResampling::EachScanN(check.count("blocks.resample.each_scan_n", n, 1, 1_000_000))
+        }
+    };
+    let speed_m_s = check.interval("blocks.speed_m_s", raw.speed_m_s, Within(0.0, FASTEST_M_S));
+    let persists = resample != BlockResampling::EachObservation;
+    check.refuse(!persists && speed_m_s != [0.0; 2], "blocks.speed_m_s", || {
+        let [lo, hi] = speed_m_s.map(number);
+        format!(
+            "[{lo}, {hi}] is not allowed; blocks move only with `resample: never` or `{{each_scan_n: ...}}`"
+        )
+    });
+    let [yaw_lo, yaw_hi] = check.interval("blocks.yaw_deg", raw.yaw_deg, Within(-180.0, 180.0));
+    BlockOptions {
+        per_metre_of_wall: check.number(
+            "blocks.per_metre_of_wall",
+            raw.per_metre_of_wall,
+            Within(0.0, 100.0),
+        ),
+        length_m: check.interval("blocks.length_m", raw.length_m, POSITIVE_LENGTH),
+        width_m: check.interval("blocks.width_m", raw.width_m, POSITIVE_LENGTH),
+        yaw_rad: [yaw_lo.to_radians(), yaw_hi.to_radians()],
+        wall_distance_m: check.interval("blocks.wall_distance_m", raw.wall_distance_m, LENGTH),
+        resample,
+        speed_m_s,
+        clearance_m: check.number("blocks.clearance_m", raw.clearance_m, LENGTH),
+    }
+}
+
+fn robot(check: &mut Checker<'_>, raw: &RawRobot) -> Robot {
+    let alpha = raw.odometry_noise.alpha;
+    check.numbers("robot.odometry_noise.alpha", &alpha, NOISE);
+    Robot {
+        path: match &raw.path {
+            RawPath::Waypoints { points_m, speed_m_s, turn_rate_deg_s } => {
+                let key = "robot.path.waypoints";
+                waypoints(check, &join(key, "points_m"), points_m);
+                RobotPath::Waypoints {
+                    points_m: points_m.clone(),
+                    speed_m_s: check.number(&join(key, "speed_m_s"), *speed_m_s, Within(1e-3, FASTEST_M_S)),
+                    turn_rate_rad_s: check.degrees(
+                        &join(key, "turn_rate_deg_s"),
+                        *turn_rate_deg_s,
+                        Within(1e-3, FASTEST_TURN_DEG_S),
+                    ),
+                }
+            }
+            RawPath::VelocityProfile { start, segments } => velocity_profile(check, *start, segments),
+        },
+        start_jitter_m: check.number("robot.start_jitter_m", raw.start_jitter_m, LENGTH),
+        // Where an alpha is refused, it has been said above.
+        odometry_noise: OdometryNoise::new(alpha).unwrap_or_default(),
+    }
+}
+
+fn waypoints(check: &mut Checker<'_>, key: &str, points: &[[f64; 2]]) {
+    check.refuse(points.len() < 2, key, || {
+        format!("{} points are not allowed; a path needs at least 2", points.len())
+    });
+    check.length(key, points, MOST_POINTS);
+    for (i, point) in points.iter().enumerate() {
+        let key = format!("{key}[{i}]");
+        check.numbers(&key, point, COORDINATE);
+        let [x, y] = *point;
+        let repeats = |[x0, y0]: [f64; 2]| (x - x0).hypot(y - y0) < SAME_POINT_M;
+        check.refuse(i > 0 && repeats(points[i - 1]), &key, || {
+            let [x, y] = [x, y].map(number);
+            format!("[{x}, {y}] is not allowed; it repeats the point before it")
+        });
+    }
+}
+
+fn velocity_profile(check: &mut Checker<'_>, start: RawPose, segments: &[RawSegment]) -> RobotPath {
+    let key = "robot.path.velocity_profile";
+    let start = Pose2::new(
+        check.number(&join(key, "start.x_m"), start.x_m, COORDINATE),
+        check.number(&join(key, "start.y_m"), start.y_m, COORDINATE),
+        check.degrees(&join(key, "start.heading_deg"), start.heading_deg, ANGLE),
+    );
+    let list = join(key, "segments");
+    check.refuse(segments.is_empty(), &list, || {
+        "an empty list is not allowed; at least one segment".to_owned()
+    });
+    check.length(&list, segments, MOST_POINTS);
+    let segments = segments.iter().enumerate().map(|(i, raw)| {
+        let key = format!("{list}[{i}]");
+        let turn_rate = Within(-FASTEST_TURN_DEG_S, FASTEST_TURN_DEG_S);
+        VelocitySegment {
+            secs: check.number(&join(&key, "secs"), raw.secs, Within(1e-6, 1e7)),
+            speed_m_s: check.number(
+                &join(&key, "speed_m_s"),
+                raw.speed_m_s,
+                Within(-FASTEST_M_S, FASTEST_M_S),
+            ),
+            turn_rate_rad_s: check.degrees(&join(&key, "turn_rate_deg_s"), raw.turn_rate_deg_s, turn_rate),
+        }
+    });
+    RobotPath::VelocityProfile { start, segments: segments.collect() }
+}
+
+fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
+    let rate_hz = check.number("laser.rate_hz", raw.rate_hz, Within(1e-3, 1e5));
+    let min_range_m = check.number("laser.min_range_m", raw.min_range_m, LENGTH);
+    let max_range_m = check.number("laser.max_range_m", raw.max_range_m, MAX_RANGE);
+    check.refuse(max_range_m <= min_range_m, "laser.max_range_m", || {
+        let [max, min] = [max_range_m, min_range_m].map(number);
+        format!("{max} is not allowed; above laser.min_range_m, which is {min}")
+    });
+    let scan_secs = check.number("laser.scan_secs", raw.scan_secs, Within(0.0, 1e3));
+    check.refuse(scan_secs * rate_hz > 1.0, "laser.scan_secs", || {
+        let [sweep, period] = [scan_secs, 1.0 / rate_hz].map(number);
+        format!("{sweep} is not allowed; a sweep ends before the next begins, after {period} s")
+    });
+    LaserOptions {
+        rate_hz,
+        beams: check.count("laser.beams", raw.beams, 1, MAX_BEAMS),
+        field_of_view_rad: check.degrees(
+            "laser.field_of_view_deg",
+            raw.field_of_view_deg,
+            Within(1e-3, 360.0),
+        ),
+        min_range_m,
+        max_range_m,
+        resolution_m: check.number("laser.resolution_m", raw.resolution_m, STEP),
+        sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, ZeroOrWithin(1e-6, 1e3)),
+        sigma_per_m: check.number("laser.noise.sigma_per_m", raw.noise.sigma_per_m, NOISE),
+        mount: Pose2::new(
+            check.number("laser.mount.x_m", raw.mount.x_m, COORDINATE),
+            check.number("laser.mount.y_m", raw.mount.y_m, COORDINATE),
+            check.degrees("laser.mount.yaw_deg", raw.mount.yaw_deg, ANGLE),
+        ),
+        scan_secs,
+    }
+}
+
+fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
+    let file = check.file("log.file", &raw.file);
+    let map = if let Some(map) = map {
+        let why = "there is a `map`";
+        check.absent("log", "map_scans", raw.map_scans.as_ref(), why);
+        check.absent("log", "map_resolution_m", raw.map_resolution_m.as_ref(), why);
+        LogMap::File(map)
+    } else {
+        check.refuse(raw.map_scans.is_none(), "log.map_scans", || {
+            "the key is missing; without a `map`, one is built from these scans".to_owned()
+        });
+        let resolution_m = raw.map_resolution_m.unwrap_or(default::MAP_RESOLUTION_M);
+        LogMap::FromScans {
+            scans: raw.map_scans.as_ref().map_or_else(Vec::new, |scans| check.shares("log.map_scans", scans)),
+            resolution_m: check.number("log.map_resolution_m", resolution_m, Within(0.001, 10.0)),
+        }
+    };
+    let train_scans = check.shares("log.train_scans", &raw.train_scans);
+    let localize_scans = check.shares("log.localize_scans", &raw.localize_scans);
+    check.refuse(localize_scans.len() > 1, "log.localize_scans", || {
+        let n = localize_scans.len();
+        format!("a list of {n} intervals is not allowed; one interval, between several the drive would jump")
+    });
+    for (i, [from, to]) in localize_scans.iter().enumerate() {
+        let taken = train_scans.iter().chain(raw.map_scans.iter().flatten());
+        for [a, b] in taken.filter(|[a, b]| from < b && a < to) {
+            check.problem(
+                &format!("log.localize_scans[{i}]"),
+                format!(
+                    "[{}, {}] is not allowed; scans of [{}, {}] serve for training or for the map",
+                    number(*from),
+                    number(*to),
+                    number(*a),
+                    number(*b),
+                ),
+            );
+        }
+    }
+    let max_range_m = raw.max_range_m.map(|max| check.number("log.max_range_m", max, MAX_RANGE));
+    if LogFormat::of(Path::new(&raw.file)) != LogFormat::Mcap {
+        check.absent(
+            "log",
+            "topics",
+            raw.topics.as_ref(),
+            "only a ROS 2 bag has topics, a file named `.mcap`",
+        );
+    }
+    let topics = raw.topics.clone().map_or_else(McapTopics::default, |topics| McapTopics {
+        scan: topics.scan,
+        odometry: topics.odometry,
+        reference: topics.reference,
+    });
+    Log { file, map, train_scans, localize_scans, max_range_m, topics }
+}
