@@ -17,7 +17,7 @@ use locsim_bench::speed;
 use locsim_bench::suite::{self, GapBenchError, GapBenchOptions};
 use locsim_core::limits::{Limits, THREADS_PER_CORE};
 use locsim_core::output::Output;
-use locsim_dataset::{LogOptions, McapTopics};
+use locsim_dataset::{BagTopics, LogOptions};
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyError, GapStudyOptions};
 use locsim_lab::run::{self, Recorder, RunError, RunOptions};
 use locsim_report::terminal_table;
@@ -358,7 +358,7 @@ fn simulate(arguments: &Simulate) -> Result<ExitCode> {
 fn log_options(arguments: &arguments::LogOptions) -> LogOptions {
     LogOptions {
         max_range_m: arguments.max_range.map(|max| max as f32),
-        topics: McapTopics {
+        topics: BagTopics {
             scan: arguments.scan_topic.clone(),
             odometry: arguments.odometry_topic.clone(),
             reference: arguments.reference_topic.clone(),

@@ -26,12 +26,14 @@ pub enum DatasetError {
         source: io::Error,
     },
     /// The file is no log, by its first bytes.
-    #[error("{}: this is {found}", path.display())]
+    #[error("{}: this is {found}; allowed: {allowed}", path.display())]
     NotALog {
         /// The file.
         path: PathBuf,
-        /// What it is, and what is allowed.
+        /// What it seems to be.
         found: &'static str,
+        /// What is allowed.
+        allowed: &'static str,
     },
     /// The log costs more than the limits allow, or holds what no log may hold.
     #[error("{}{}: {reason}", path.display(), line.map(|line| format!(":{line}")).unwrap_or_default())]
@@ -121,6 +123,22 @@ pub enum DatasetError {
     )]
     Mcap {
         /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The file isn't a bag that `rosbag2` wrote to `SQLite`, or its content is damaged.
+    #[error("{}: not a sound bag in SQLite: {reason}; allowed: a file that `ros2 bag record` closed", path.display())]
+    Sqlite {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The folder isn't one bag.
+    #[error("{}: {reason}; allowed: the folder of one bag, as `ros2 bag record` writes it", path.display())]
+    Folder {
+        /// The folder.
         path: PathBuf,
         /// What is wrong with it.
         reason: String,

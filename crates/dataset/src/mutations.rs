@@ -5,12 +5,13 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::LazyLock;
 
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN};
 use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan};
 
 use crate::log::read;
-use crate::ros::tests::{packed, records_of};
+use crate::ros::tests::{packed, plain, records_of};
 use crate::{DatasetError, LogOptions, encode_log};
 
 /// Small, so that they are reached.
@@ -271,6 +272,25 @@ fn all_end_well(name: &str, log: fn(&mut Numbers) -> Vec<u8>) {
 #[test]
 fn changed_text_logs_end_well() {
     all_end_well("changed.log", carmen);
+}
+
+/// A bag in `SQLite`, whose pages hold lengths and numbers of other pages.
+fn db3(numbers: &mut Numbers) -> Vec<u8> {
+    static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| plain().db3());
+    let mut bytes = WHOLE.clone();
+    for _ in 0..=numbers.below(4) {
+        if numbers.below(3) == 0 {
+            change_byte(&mut bytes, numbers);
+        } else {
+            change_word(&mut bytes, numbers);
+        }
+    }
+    bytes
+}
+
+#[test]
+fn changed_databases_end_well() {
+    all_end_well("changed.db3", db3);
 }
 
 #[test]

@@ -2,13 +2,12 @@
 
 use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
-use glam::DVec2;
 use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted};
-use crate::statistics::BLOCK;
+use crate::statistics::{BLOCK, Start};
 
 /// Steps of the simplex search for each number.
 const STEPS_PER_NUMBER: u64 = 22;
@@ -74,13 +73,6 @@ pub(crate) fn blocks(scans: &[f64]) -> Vec<f64> {
         }
     }
     blocks
-}
-
-/// Where a search starts.
-#[derive(Clone, Debug)]
-pub(crate) struct Start {
-    pub values: Vec<f64>,
-    pub place: Vec<[DVec2; 2]>,
 }
 
 /// An effect on top of others, for a log.

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::rank::rank;
 use crate::replay::Replay;
-use crate::statistics::{Dictionary, Group, Halves, pit_draw};
+use crate::statistics::{Dictionary, Group, Halves, Readings, pit_draw};
 use crate::{GapError, Purpose};
 
 /// Expectation maximization steps of a replicate, which starts at the fitted process.
@@ -71,8 +71,11 @@ pub(crate) fn compare(
     tick: &(dyn Fn(u64) + Sync),
 ) -> Result<Null, GapError> {
     let effects = replay.nominal.effects_with(replay.effects)?;
-    let pit = pit_draw(seed);
-    let own = dictionary.of(comparison, &effects, fitted, &replay.nuisances, &pit);
+    let has_pose_errors = !replay.nuisances.pose_error.is_none();
+    let measure = |comparison: &Comparison<'_>, fitted: &Fitted, seed: u64| {
+        dictionary.measure(&Readings::new(comparison, &effects, fitted, has_pose_errors, &pit_draw(seed)))
+    };
+    let own = measure(comparison, fitted, seed);
     let draw = Purpose::Replicates.draw(seed);
     let one = |i: u32| {
         if stop.load(Ordering::Relaxed) {
@@ -81,8 +84,7 @@ pub(crate) fn compare(
         let recorded = replay.simulate(draw.seed(i))?;
         let other = comparison.of(&recorded);
         let fitted = other.find_nuisances(&effects, &replay.nuisances, REFIT);
-        let pit = pit_draw(draw.seed(i));
-        let statistics = dictionary.of(&other, &effects, &fitted, &replay.nuisances, &pit);
+        let statistics = measure(&other, &fitted, draw.seed(i));
         let likelihood =
             (i < WITH_LIKELIHOOD).then(|| other.evaluate_views(&other.views, &effects, &fitted, 0).total());
         tick(1);
@@ -100,7 +102,7 @@ pub(crate) fn compare(
             log_likelihoods.extend(likelihood);
         }
         begun = end;
-        let null = rank(dictionary, &own, &statistics);
+        let null = rank(&dictionary.statistics, &own, &statistics);
         let is_clear = match begun {
             EARLIEST_LOOK => null.p > NOTHING_SO_EARLY,
             _ => null.p > CLEARLY_NOTHING || null.is_clearly_off(),

@@ -17,7 +17,7 @@ use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::null::{Null, compare};
 use crate::outcome::Outcome;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
-use crate::statistics::{Dictionary, Target};
+use crate::statistics::{Dictionary, Form};
 use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// How a search is run.
@@ -84,15 +84,13 @@ struct Round<'a> {
 impl Round<'_> {
     /// Statistics of a kind of effect, by index.
     fn own(&self, kind: EffectKind) -> impl Iterator<Item = usize> {
-        let targets = self.dictionary.targets.iter().enumerate();
-        targets
-            .filter(move |(_, target)| matches!(target, Target::Effect(own, _) if *own == kind))
-            .map(|(i, _)| i)
+        let statistics = self.dictionary.statistics.iter().enumerate();
+        statistics.filter(move |(_, statistic)| statistic.effect() == Some(kind)).map(|(i, _)| i)
     }
 
     /// How much a statistic says: its weight, and where that is the same, how far it is off.
     fn says(&self, a: usize, b: usize) -> Ordering {
-        let off = |i: usize| self.dictionary.off(i, self.null.z[i]);
+        let off = |i: usize| self.dictionary.statistics[i].off(self.null.z[i]);
         self.null.weight[a].total_cmp(&self.null.weight[b]).then(off(a).total_cmp(&off(b)))
     }
 
@@ -179,7 +177,7 @@ impl<'a> State<'a> {
 
     /// Fits the kinds of effect whose statistics are farthest off.
     fn candidates(&self, round: &Round<'a>, count: usize, chance: f64) -> Result<Vec<Candidate>, GapError> {
-        let starts = self.starts(round, count, chance);
+        let starts = self.first_guesses(round, count, chance)?;
         self.progress.stage("fitting effects", starts.len() as u64);
         // As far along as with the effect.
         let without = round.comparison.evaluate(&round.effects, &round.fitted, 1)?;
@@ -204,10 +202,11 @@ impl<'a> State<'a> {
         let beyond_chance = round.null.weight_at(self.options.false_alarm);
         for candidate in &mut candidates {
             let (off, weight) = round.most_telling(candidate.kind()).map_or((0.0, f64::NEG_INFINITY), |i| {
-                (round.dictionary.off(i, round.null.z[i]), round.null.weight[i])
+                (round.dictionary.statistics[i].off(round.null.z[i]), round.null.weight[i])
             });
-            let has_score = round.own(candidate.kind()).any(|i| round.dictionary.is_score(i))
-                || candidate.kind().moves() == Moves::Clutter;
+            let is_score = |i: usize| round.dictionary.statistics[i].form == Form::Score;
+            let has_score =
+                round.own(candidate.kind()).any(is_score) || candidate.kind().moves() == Moves::Clutter;
             candidate.is_beyond_chance = weight >= beyond_chance;
             candidate.score = has_score.then_some(off);
             // A fit can be far better than its score where the effect is strong. Deeper blocks have none, only how deep

@@ -17,7 +17,7 @@ use crate::outcome::{
 };
 use crate::regions::{Side, distance, histograms, locate, pits};
 use crate::replay::Replay;
-use crate::statistics::{Group, Seed, Target};
+use crate::statistics::{Form, Group, Statistic, Target};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
@@ -262,13 +262,13 @@ impl RangeFloor {
 /// Strengths that reach the threshold with 90 % probability: a score's spread is the square root of its information.
 fn detectable(round: &Round<'_>) -> Vec<Detectable> {
     let mut out: Vec<Detectable> = Vec::new();
-    for (i, target) in round.dictionary.targets.iter().enumerate() {
-        let Target::Effect(kind, initial) = target else { continue };
-        if !round.dictionary.is_score(i) || *initial != Seed::None || round.null.spread[i] < 1e-3 {
+    for (i, statistic) in round.dictionary.statistics.iter().enumerate() {
+        let Target::Effect { kind, values } = &statistic.target else { continue };
+        if statistic.form != Form::Score || !values.is_empty() || round.null.spread[i] < 1e-3 {
             continue;
         }
         let parameter = &kind.parameters()[0];
-        let threshold = round.null.thresholds[round.dictionary.group(i) as usize] + 1.2816;
+        let threshold = round.null.thresholds[statistic.group as usize] + 1.2816;
         let value = threshold / round.null.spread[i];
         if value.is_finite() && out.iter().all(|known| known.name != *kind) {
             let typical = (parameter.start - parameter.neutral).abs();
@@ -296,8 +296,7 @@ fn detection(null: &Null) -> Detection {
 /// The statistic of each effect that says most, with its sign.
 fn directions(round: &Round<'_>) -> Vec<Direction> {
     let mut out: Vec<Direction> = Vec::new();
-    for target in &round.dictionary.targets {
-        let Target::Effect(kind, _) = *target else { continue };
+    for kind in round.dictionary.statistics.iter().filter_map(Statistic::effect) {
         if out.iter().all(|known| known.name != kind) {
             out.extend(round.most_telling(kind).map(|i| Direction { name: kind, z: round.null.z[i] }));
         }

@@ -5,9 +5,10 @@ use locsim_world::effect::Effect;
 use super::selection::{adds_up, choose, compare_rivals, gain, is_sure, name, numbers, sum_of};
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
 use crate::GapError;
-use crate::fit::{Candidate, Search, Start};
+use crate::fit::{Candidate, Search};
 use crate::hypothesis::Fitted;
 use crate::outcome::{Named, Rival};
+use crate::statistics::Start;
 
 /// Effects of the first round that are tried alone where several were named.
 const TRIED_ALONE: usize = 9;
