@@ -83,7 +83,7 @@ impl Scores {
             }
             Score::Uniform => {
                 let uniform = if reading.is_return { 1.0 / max } else { 0.0 };
-                uniform / terms.density - 1.0
+                terms.measure * uniform / terms.density - 1.0
             }
             Score::Location | Score::Scale | Score::NoReturn | Score::Tail => 0.0,
         }
