@@ -1,8 +1,8 @@
 //! Measured logs in and out, as [`locsim_core::Drive`]: ROS 2 bags, CARMEN logs and TUM trajectories.
 //!
-//! [`read_log`] knows the format by the first bytes, [`write_log`] by the file's name. [`read_bag`] and [`write_mcap`] exchange
-//! bags with ROS 2. [`read_carmen`] reads what the Radish repository and its mirrors hold; [`write_carmen`] writes a
-//! drive so that [`read_carmen`] returns it again. [`read_tum`] and [`write_tum`] exchange trajectories with `evo`.
+//! [`read_log`] recognises the format by the first bytes, [`write_log`] by the file's name. [`read_bag`] and
+//! [`write_mcap`] exchange bags with ROS 2. [`read_carmen`] reads the logs of the Radish repository and its mirrors;
+//! [`write_carmen`] writes a drive so that [`read_carmen`] returns it again. [`read_tum`] and [`write_tum`] exchange trajectories with `evo`.
 //! [`encode_log`] and [`encode_tum`] give the same bytes to any [`Write`](std::io::Write).
 //! Files that are read may be compressed with gzip or zstd; text files are written with gzip where their name says so.
 

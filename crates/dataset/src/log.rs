@@ -41,16 +41,16 @@ impl LogFormat {
     }
 }
 
-/// How to read a log of either format; what isn't here is left to the log.
+/// How to read a log of either format.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LogOptions {
     /// Readings of this range (m) or more mean "no return". `None`: the log's own maximum.
     pub max_range_m: Option<f32>,
-    /// What a bag's topics are called; a CARMEN log has none that could be named.
+    /// Names of a bag's topics; a CARMEN log has no topics.
     pub topics: BagTopics,
 }
 
-/// Reads a log in the format that its content tells: [`read_bag`](crate::read_bag) or
+/// Reads a log in the format of its content: [`read_bag`](crate::read_bag) or
 /// [`read_carmen`](crate::read_carmen).
 ///
 /// # Errors
@@ -79,12 +79,12 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
 /// The files that a log is read from: itself, or those of a bag's folder in the order of recording.
 ///
 /// # Errors
-/// The folder isn't one bag's.
+/// The folder doesn't hold one bag.
 pub fn log_files(path: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     if path.is_dir() { ros::folder_files(path) } else { Ok(vec![path.to_owned()]) }
 }
 
-/// Writes a drive in the format that the file's name tells: [`write_mcap`](crate::write_mcap) or
+/// Writes a drive in the format of the file's name: [`write_mcap`](crate::write_mcap) or
 /// [`write_carmen`](crate::write_carmen).
 ///
 /// # Errors
@@ -93,8 +93,8 @@ pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
     write_whole(path, |out| encode_log(path, drive, out))
 }
 
-/// Writes the bytes of the file that [`write_log`] writes to `out`; `path` tells the format and whether they are
-/// compressed, and is for messages.
+/// Writes the bytes of the file that [`write_log`] writes to `out`. `path` decides the format and the compression, and
+/// is named in errors.
 ///
 /// # Errors
 /// Those of the format's writer.

@@ -1,5 +1,5 @@
-//! Logs with changes that keep them plausible: numbers replaced by extremes, fields and records left out or repeated,
-//! lengths that lie under check sums that are right. Whatever the change, a reader ends with a sound drive or an error.
+//! Logs with mutations that keep them plausible: numbers replaced by extremes, fields and records left out or repeated,
+//! wrong lengths under correct check sums. For every mutation a reader returns a sound drive or an error.
 //!
 //! `LOCSIM_MUTATIONS` sets the number of logs of each format; log i is the same in every run.
 
@@ -14,7 +14,7 @@ use crate::log::read;
 use crate::ros::tests::{packed, plain, records_of};
 use crate::{DatasetError, LogOptions, encode_log};
 
-/// Small, so that they are reached.
+/// Small limits, so that mutations reach them.
 const LIMITS: Limits =
     Limits { log_readings: 4000, log_messages: 200, log_unpacked_bytes: 1 << 16, ..Limits::DEFAULT };
 
@@ -67,7 +67,7 @@ fn bytes(name: &str, drive: &Drive) -> Vec<u8> {
     bytes
 }
 
-/// A field of a text log that no honest log has, or only a rare one.
+/// Fields of text logs that real logs never or rarely have.
 const FIELDS: [&str; 22] = [
     "0",
     "-0",
@@ -93,7 +93,7 @@ const FIELDS: [&str; 22] = [
     "\u{fffd}",
 ];
 
-/// A word in a message or record that no honest bag has, or only a rare one.
+/// Words of messages or records that real bags never or rarely have.
 const WORDS: [u64; 16] = [
     0,
     1,
@@ -227,7 +227,7 @@ fn mcap(numbers: &mut Numbers) -> Vec<u8> {
     bytes
 }
 
-/// What every reader promises, whatever the log.
+/// The promise of every reader for every log.
 fn check(result: Result<Drive, DatasetError>, log: &str) {
     let drive = match result {
         Ok(drive) => drive,

@@ -1,4 +1,4 @@
-//! Opens logs: knows a file by its first bytes, unpacks it, and counts what it unpacks to.
+//! Opens logs: recognises a file by its first bytes, unpacks it, and limits its unpacked size.
 
 use std::borrow::BorrowMut;
 use std::fs::File;
@@ -26,7 +26,7 @@ const SQLITE: &[u8] = b"SQLite format 3\0";
 
 const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
 
-/// How files begin that hold no log, and what they seem to be.
+/// First bytes of files that hold no log, with the type of such files.
 const FOREIGN: [(&[u8], &str); 12] = [
     (b"#ROSBAG V", "a bag of ROS 1, which `rosbags-convert` makes a bag of ROS 2 of"),
     (b"\x89PNG", "a PNG image"),
@@ -212,14 +212,14 @@ pub struct Allowance {
 }
 
 impl Allowance {
-    /// That of a file of `length` bytes.
+    /// The allowance of a file of `length` bytes.
     pub fn of(length: u64, limits: &Limits) -> Self {
         let allowed = limits.log_unpacked_bytes.max(length.saturating_mul(UNPACKING_FACTOR));
         Self { allowed, left: allowed }
     }
 }
 
-/// Reads what a decompressor unpacks, up to the allowance; then fails with [`ErrorKind::FileTooLarge`].
+/// Reads the output of a decompressor up to the allowance, then fails with [`ErrorKind::FileTooLarge`].
 pub struct Counted<R, A> {
     pub packed: R,
     pub allowance: A,

@@ -23,7 +23,7 @@ pub(crate) const REFIT: usize = 4;
 pub(crate) struct Null {
     /// The log's statistics in standard deviations of the replicates, over both halves.
     pub z: Vec<f64>,
-    /// The same of each half of the log's blocks.
+    /// The same of each half of the log's folds.
     pub halves: Vec<Halves>,
     /// The log's rank among replicates: p-values of the largest of the library, of the cells, of all.
     pub p_library: f64,

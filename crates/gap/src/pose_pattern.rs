@@ -35,7 +35,7 @@ impl PosePattern {
     pub fn over(&self, recorded: &Recorded) -> Vec<DVec3> {
         let values = values_along(self.kind, self.direction);
         let mount = recorded.laser.base_from_laser().position();
-        let robots = recorded.poses.iter().zip(recorded.velocities());
+        let robots = recorded.track.poses().iter().zip(recorded.velocities());
         robots
             .map(|(pose, velocity)| PoseState { heading: pose.theta, velocity, mount })
             .map(|robot| DVec3::from_array((self.error)(&robot, &values)))

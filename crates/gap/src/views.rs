@@ -148,8 +148,9 @@ fn rays<'a>(
     scan: usize,
     beams: impl IntoIterator<Item = usize> + 'a,
 ) -> impl Iterator<Item = Ray> {
-    let stamp = recorded.secs[scan];
-    let base_at = move |secs| if secs == stamp { recorded.poses[scan] } else { recorded.pose_at(secs) };
+    let track = &recorded.track;
+    let stamp = track.secs()[scan];
+    let base_at = move |secs| if secs == stamp { track.poses()[scan] } else { track.pose_at(secs) };
     caster.rays(beams, stamp, base_at)
 }
 
@@ -177,7 +178,7 @@ impl Casts<'_> {
             }
         }
         // Clutter keeps away from where the robot is at the scan's stamp, as in the simulator.
-        let robot = recorded.poses[scan].position();
+        let robot = recorded.track.poses()[scan].position();
         let mut counts = Vec::new();
         let max = f64::from(recorded.log_laser.max_range());
         let all = rays_of_kept.iter().zip(&beams).enumerate();
@@ -338,10 +339,10 @@ mod tests {
         let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 2).unwrap();
         let recorded = Recorded::new(&drive, 40, 72, |_| true).unwrap();
         let cast = |move_by: [f64; 3]| {
-            let mut moved = recorded.clone();
-            for pose in &mut moved.poses {
-                *pose = Pose2::new(pose.x + move_by[0], pose.y + move_by[1], pose.theta + move_by[2]);
-            }
+            let poses = recorded.track.poses().iter();
+            let poses = poses.map(|p| Pose2::new(p.x + move_by[0], p.y + move_by[1], p.theta + move_by[2]));
+            let track = recorded.track.with_poses(poses.collect());
+            let moved = Recorded { track, ..recorded.clone() };
             Views::new(&NOMINAL, &moved, &effects).unwrap().beams
         };
         let still = cast([0.0; 3]);

@@ -42,6 +42,7 @@ pub(super) fn edited(text: &str, from: &str, to: &str) -> String {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one expected value for each section of the file, written out")]
 fn every_key_arrives_in_si_units_and_radians() {
     let scenario = parse(&text("simulation.yaml")).unwrap();
     assert_eq!(scenario.name, "everything");

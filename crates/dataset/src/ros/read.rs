@@ -3,7 +3,7 @@ use std::path::Path;
 
 use glam::{DAffine3, DQuat, DVec3};
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
-use locsim_core::{Drive, DriveStep, Laser, LaserError, Pose2, Scan, wrap_angle};
+use locsim_core::{Drive, DriveStep, Laser, LaserError, Pose2, Scan};
 
 use super::BagOptions;
 use super::bag::{Bag, Channel, LONGEST_NAME};
@@ -159,12 +159,7 @@ impl Stamped<Pose2> {
         }
         let ((before, a), (after, b)) = (self.items[..from].last()?, self.items.get(from)?);
         let share = (stamp - before) as f64 / (after - before) as f64;
-        let between = |a: f64, b: f64| a + share * (b - a);
-        Some(Pose2::new(
-            between(a.x, b.x),
-            between(a.y, b.y),
-            a.theta + share * wrap_angle(b.theta - a.theta),
-        ))
+        Some(a.interpolate(b, share))
     }
 }
 

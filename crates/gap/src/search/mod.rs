@@ -50,12 +50,14 @@ impl Default for GapOptions {
     }
 }
 
-/// An effect can be named if its own direction is off as only in this share of logs without anything some direction is.
+/// An effect is fitted where something is off if one of its statistics is as far off as any statistic is in only this share of
+/// logs without a fault: above the false-alarm rate, as another effect may be the one that is significant.
 const FAR_OFF: f64 = 0.1;
-/// The same for what may be left when nothing is off any more.
+/// The same where nothing is off any more, and the question is only how much may be left.
 const SOMEWHAT_OFF: f64 = 0.5;
 
-/// A score so many standard deviations off is of something strong.
+/// A score beyond this many standard deviations is of a strong effect, whose gain isn't limited by the score: the score is a
+/// linear approximation about the neutral value.
 const BEYOND_DOUBT: f64 = 10.0;
 
 /// Receives the progress of a search.
@@ -82,20 +84,20 @@ struct Round<'a> {
 }
 
 impl Round<'_> {
-    /// Statistics of a kind of effect, by index.
+    /// The statistics of an effect, by index.
     fn own(&self, kind: EffectKind) -> impl Iterator<Item = usize> {
         let statistics = self.dictionary.statistics.iter().enumerate();
         statistics.filter(move |(_, statistic)| statistic.effect() == Some(kind)).map(|(i, _)| i)
     }
 
-    /// How much a statistic says: its weight, and where that is the same, how far it is off.
+    /// Which of two statistics says more: the one of larger weight, and at the same weight the one that is farther off.
     fn says(&self, a: usize, b: usize) -> Ordering {
         let off = |i: usize| self.dictionary.statistics[i].off(self.null.z[i]);
         self.null.weight[a].total_cmp(&self.null.weight[b]).then(off(a).total_cmp(&off(b)))
     }
 
-    /// The statistic of a kind that says most: among blocks that stay, things are many standard deviations off that say less than
-    /// others elsewhere.
+    /// The statistic of an effect that says most. It needn't be the one that is farthest off: where clutter stays, many standard
+    /// deviations say little.
     fn most_telling(&self, kind: EffectKind) -> Option<usize> {
         self.own(kind).max_by(|&a, &b| self.says(a, b))
     }
@@ -175,11 +177,11 @@ impl<'a> State<'a> {
         Ok(Round { effects, comparison, fitted, blocks, dictionary, null })
     }
 
-    /// Fits the kinds of effect whose statistics are farthest off.
+    /// Fits the effects whose statistics are farthest off.
     fn candidates(&self, round: &Round<'a>, count: usize, chance: f64) -> Result<Vec<Candidate>, GapError> {
         let starts = self.first_guesses(round, count, chance)?;
         self.progress.stage("fitting effects", starts.len() as u64);
-        // As far along as with the effect.
+        // After as many updates of the nuisance parameters as evaluations with an effect.
         let without = round.comparison.evaluate(&round.effects, &round.fitted, 1)?;
         let search = Search {
             comparison: &round.comparison,
@@ -209,12 +211,12 @@ impl<'a> State<'a> {
                 round.own(candidate.kind()).any(is_score) || candidate.kind().moves() == Moves::Clutter;
             candidate.is_beyond_chance = weight >= beyond_chance;
             candidate.score = has_score.then_some(off);
-            // A fit can be far better than its score where the effect is strong. Deeper blocks have none, only how deep
-            // blocks seem to be: readings where nominal ones can't stand say far more.
+            // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings
+            // where nominal clutter can't stand say far more than the mean depth.
             if off < BEYOND_DOUBT && candidate.kind().moves() != Moves::Clutter {
                 candidate.limit(off * off);
             }
-            // Many standard deviations are nothing where statistics are clumped, as objects among resting blocks.
+            // Standard deviations say little where statistics have outliers, as counts of objects among clutter that stays.
             if !candidate.is_beyond_chance {
                 candidate.limit(2.0 * weight.max(0.0));
             }

@@ -10,7 +10,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::selection::gain;
 use super::stepwise::Path;
 use super::{Round, State};
-use crate::fit::{Candidate, blocks};
+use crate::fit::{Candidate, folds};
 use crate::null::Null;
 use crate::outcome::{
     Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
@@ -119,9 +119,9 @@ impl<'a> State<'a> {
         let mut nominal = first.fitted.clone();
         nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
         let without = first.comparison.evaluate(&[], &nominal, 0)?;
-        let gains: Vec<f64> = blocks(&first.fitted.scans)
+        let gains: Vec<f64> = folds(&first.fitted.scans)
             .iter()
-            .zip(blocks(&without.scans))
+            .zip(folds(&without.scans))
             .map(|(with, without)| with - without)
             .collect();
         let gain_nats = gain(&gains);
@@ -170,11 +170,11 @@ impl<'a> State<'a> {
         new: &[Recorded],
     ) -> Gap {
         let scans = self.recorded.scans() as f64;
-        let blocks = gains.first().map_or(0, Vec::len);
-        let gained: Vec<f64> = (0..blocks).map(|b| gains.iter().map(|g| g[b]).sum()).collect();
+        let folds = gains.first().map_or(0, Vec::len);
+        let gained: Vec<f64> = (0..folds).map(|b| gains.iter().map(|g| g[b]).sum()).collect();
         let rest: Vec<f64> = match remaining {
             Some(candidate) if candidate.gain() > 0.0 => candidate.gains.clone(),
-            _ => vec![0.0; blocks.max(1)],
+            _ => vec![0.0; folds.max(1)],
         };
         let share = |gained: f64, rest: f64| {
             if gained <= 0.0 { 0.0 } else { gained / (gained + rest.max(0.0)) }
@@ -188,10 +188,10 @@ impl<'a> State<'a> {
                 .map(|i| {
                     let mut rng = draw.item(i);
                     let (mut a, mut b) = (0.0, 0.0);
-                    for _ in 0..blocks {
-                        let block = rng.random_range(0..blocks);
-                        a += gained[block];
-                        b += rest[block.min(rest.len() - 1)];
+                    for _ in 0..folds {
+                        let fold = rng.random_range(0..folds);
+                        a += gained[fold];
+                        b += rest[fold.min(rest.len() - 1)];
                     }
                     share(a, b)
                 })

@@ -32,7 +32,7 @@ struct Bin {
 
 impl Bins {
     pub fn new(survey: &Survey<'_>) -> Self {
-        let (views, secs) = (&survey.comparison.views, &survey.comparison.recorded.secs);
+        let (views, secs) = (&survey.comparison.views, survey.comparison.recorded.track.secs());
         let bearings = survey.bearings();
         let (first, last) = (bearings[0], bearings[bearings.len() - 1] + MARGIN);
         let speeds: Vec<f64> = survey.velocities.iter().map(|v| v[0].hypot(v[1])).collect();

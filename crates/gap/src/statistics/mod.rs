@@ -26,7 +26,7 @@ use glam::DVec2;
 use locsim_world::effect::EffectKind;
 
 pub(crate) use dictionary::Dictionary;
-pub(crate) use readings::{BLOCK, Readings, pit_draw};
+pub(crate) use readings::{FOLD_SCANS, Readings, pit_draw};
 
 /// Side of a cell of the map in which walls are counted \[m\].
 pub(crate) const WALL_CELL_M: f64 = 1.0;
@@ -144,7 +144,7 @@ impl Statistic {
     }
 }
 
-/// The value of a statistic for a log, in two halves: of alternating blocks of [`BLOCK`] scans.
+/// The value of a statistic for a log, in two halves: of alternating folds of [`FOLD_SCANS`] scans.
 pub(crate) type Halves = [f64; 2];
 
 /// A covariate of the omnibus search.

@@ -69,7 +69,7 @@ fn free_space(survey: &Survey<'_>) -> (HashMap<[i32; 2], u32>, Vec<Window>) {
     let mut cells = HashMap::new();
     for (i, beam) in comparison.views.beams.iter().enumerate() {
         let direction =
-            DVec2::from_angle(comparison.recorded.poses[survey.scan(i)].theta + beam.view.bearing);
+            DVec2::from_angle(comparison.recorded.track.poses()[survey.scan(i)].theta + beam.view.bearing);
         let range = beam.view.range.min(max);
         let mut along = 0.5 * OBJECT_CELL_M;
         while along < range {

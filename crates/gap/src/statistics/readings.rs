@@ -11,7 +11,7 @@ use crate::views::Beam;
 
 /// Consecutive scans that are held out, located and drawn together \[scans\]: readings of scans so far apart share little
 /// clutter and little error of the reference.
-pub(crate) const BLOCK: usize = 20;
+pub(crate) const FOLD_SCANS: usize = 20;
 
 /// The noise of a reading counts as no more than this where it is told from readings of other things \[m\]: with more, most of
 /// what stands in front of a wall would count as the wall.
@@ -60,7 +60,7 @@ impl<'a> Readings<'a> {
         has_pose_errors: bool,
         pit: &Draw,
     ) -> Self {
-        let (views, poses) = (&*comparison.views, &comparison.recorded.poses);
+        let (views, poses) = (&*comparison.views, comparison.recorded.track.poses());
         let max = comparison.nominal.laser.max_range_m;
         let mut all = Vec::with_capacity(views.beams.len());
         comparison.for_each_reading(views, effects, fitted, |scan, index, density, shift, z, terms| {
@@ -141,7 +141,7 @@ const LEAST_COSINE: f64 = 0.17;
 
 /// The half of a log that a scan is of.
 pub(super) fn half_of(scan: usize) -> usize {
-    (scan / BLOCK) % 2
+    (scan / FOLD_SCANS) % 2
 }
 
 /// The draws that randomize the PIT of missing returns.

@@ -54,14 +54,14 @@ impl<'a> Survey<'a> {
         let (laser, recorded) = (&self.comparison.nominal.laser, self.comparison.recorded);
         let range = beam.range();
         BeamState {
-            secs: recorded.secs[scan],
+            secs: recorded.track.secs()[scan],
             bearing: beam.view.bearing,
             range,
             incidence: beam.view.incidence,
             sigma: laser.sigma_m + laser.sigma_per_m * range,
             max_range: self.max_range,
             jacobian: beam.jacobian,
-            heading: recorded.poses[scan].theta,
+            heading: recorded.track.poses()[scan].theta,
             velocity: self.velocities[scan],
         }
     }

@@ -24,7 +24,6 @@ mod observe;
 mod obstruction;
 mod odometry;
 mod path;
-mod recorded;
 mod rectangle;
 mod survival;
 mod view;
