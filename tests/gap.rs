@@ -58,7 +58,11 @@ fn the_missing_effect_is_named_and_added() {
     assert!((number(&bias["value"]) - 0.04).abs() < 0.01, "{bias}");
     assert_eq!(bias["unit"], "m");
     assert!(number(&outcome["gap"]["closed"]["value"]) > 0.8, "{}", outcome["gap"]);
-    assert!(number(&outcome["filter"]["after"]["position_rmse_m"]["value"]) > 0.0);
+    // Both filters have the same seeds: the mean of the paired differences is the difference of the means.
+    let filter = &outcome["filter"];
+    let rmse = |side: &str| number(&filter[side]["position_rmse_m"]["value"]);
+    let change = number(&filter["change_m"]["value"]);
+    assert!(change != 0.0 && (rmse("after") - rmse("before") - change).abs() < 1e-9, "{filter}");
     let saved: Value = serde_json::from_slice(&folder.read("results/found/gap.json")).unwrap();
     assert_eq!(saved, outcome);
 

@@ -131,7 +131,7 @@ impl Axis {
     }
 }
 
-/// What a reading adds to the cells of its bins.
+/// The summands of a reading in the cells of its bins, in the order of [`DEVIATIONS`].
 fn summands(reading: &Reading<'_>, max: f64) -> [f64; DEVIATIONS.len()] {
     let of = |is: bool| f64::from(u8::from(is));
     let centered = reading.pit - 0.5;
