@@ -116,7 +116,7 @@ impl LaserSimulator {
         &self.laser
     }
 
-    /// What it was made from.
+    /// The options that it was made from.
     pub fn options(&self) -> &LaserOptions {
         &self.options
     }
