@@ -13,10 +13,10 @@ use crate::pose_pattern::PosePattern;
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
-/// What a simulation of the log needs besides the scenario, fitted to the log.
+/// Nuisance parameters: the parameters of a simulation besides the scenario, fitted to the log.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Nuisances {
-    /// Factor on the density of unmapped blocks.
+    /// Factor on the density of clutter.
     pub block_density: f64,
     /// How the reference poses err.
     pub pose_error: PoseError,
@@ -180,7 +180,7 @@ impl<'a> Comparison<'a> {
             let pass = self.pass(&self.views, effects, &fitted);
             fitted.nuisances.pose_error = PoseError::NONE;
             self.update(&mut fitted, &pass);
-            // What is constant is a laser mounted otherwise or a late stamp rather than an error of the reference.
+            // A constant pattern is a displaced laser or a late stamp rather than an error of the reference.
             let rest = without_patterns(&pass.information, &patterns);
             process = fit(process, self.recorded.track.secs(), &rest, iterations);
             // Three parameters have to earn their keep.

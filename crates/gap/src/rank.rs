@@ -191,14 +191,14 @@ impl Moments {
 
     /// A value as a standard normal number, if the sample is of a shifted gamma distribution (Pearson's type III; the
     /// cube root of Wilson and Hilferty 1931): sums of rare contributions are skewed, and would be taken for
-    /// discoveries. Roots of counts are as good as normal, with a variance of 1 or more where they happen at all.
+    /// discoveries. Roots of counts are nearly normal, with a variance of 1 or more where events happen at all.
     fn normal(&self, value: f64, is_count: bool) -> f64 {
         if is_count {
             return (value - self.mean()) / self.variance().max(1.0).sqrt();
         }
         let t = (value - self.mean()) / self.variance().max(1e-9).sqrt();
         let skewness = self.skewness().clamp(-MOST_SKEWED, MOST_SKEWED);
-        // Only the heavy side: how light the other one is, so few logs can't say.
+        // Only the heavy side: a few hundred logs don't say how light the other one is.
         if skewness.abs() < LEAST_SKEWED || t * skewness < 0.0 {
             return t;
         }
@@ -261,9 +261,9 @@ mod tests {
         }
     }
 
-    /// Of 20 logs, too, one that is far beyond the others is far beyond them: it is no part of what their tail is taken from.
+    /// Twenty logs are enough to show one that is far beyond the others: the tail is fitted without it.
     #[test]
-    fn a_glance_shows_what_is_far_off() {
+    fn few_replicates_show_a_log_that_is_far_off() {
         let own = 12.0;
         let sample: Vec<f64> = (0..19).map(|i| -((f64::from(i) + 0.5) / 19.0).ln()).chain([own]).collect();
         let tail = Tail::of(sample.iter().copied());

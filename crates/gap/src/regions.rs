@@ -20,7 +20,7 @@ const DISCOVERY_RATE: f64 = 0.1;
 const OTHER_HALF: f64 = 0.05;
 /// The most regions that are reported.
 const MOST_REGIONS: usize = 40;
-/// A cell is still off beyond so many standard deviations.
+/// A cell is still off beyond this (standard deviations), which a normal number exceeds once in 2000.
 const STILL_OFF: f64 = 3.5;
 
 /// Two-sided p-value of a standard normal number.

@@ -90,8 +90,8 @@ impl<'a> State<'a> {
         })
     }
 
-    /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
-    /// where simulated logs say that it can't be chance.
+    /// Names the density of clutter where it surely isn't the scenario's. It is a nuisance parameter of every hypothesis; the
+    /// replicates say how far its fit is off by chance.
     pub fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
         if self.nominal.blocks.is_none() {
             return Ok(None);
@@ -103,7 +103,7 @@ impl<'a> State<'a> {
         let fitted = last.fitted.nuisances.block_density.ln();
         let simulated = fitted + last.blocks.density_over_fit.ln();
         let truth = fitted + simulated - mean;
-        // As rare as one false alarm among all effects, with mean and spread of so few logs.
+        // Student's distribution, as mean and spread come from few replicates.
         let n = logs.len() as f64;
         let t = truth / (error * (1.0 + 1.0 / n).sqrt());
         if !t.is_finite() {

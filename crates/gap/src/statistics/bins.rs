@@ -131,7 +131,7 @@ impl Axis {
     }
 }
 
-/// What a reading adds to the cells of its bins.
+/// The summands of a reading in the cells of its bins, in the order of [`DEVIATIONS`].
 fn summands(reading: &Reading<'_>, max: f64) -> [f64; DEVIATIONS.len()] {
     let of = |is: bool| f64::from(u8::from(is));
     let centered = reading.pit - 0.5;
@@ -180,5 +180,31 @@ impl Family for Bins {
             let of_beam = axis.of_beams[beam].map(|bin| first + bin as usize * DEVIATIONS.len());
             of_beam.is_some_and(|first| (first..first + DEVIATIONS.len()).contains(&statistic))
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{DRIVE, NOMINAL};
+    use crate::hypothesis::{Comparison, Nuisances};
+    use crate::statistics::pit_draw;
+
+    /// The beams that a cell is said to include are those whose readings are in its sum.
+    #[test]
+    fn a_cell_includes_the_beams_that_it_counts() {
+        let recorded = Recorded::new(&DRIVE, 60, 24, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let bins = Bins::new(&Survey::new(&comparison));
+        let fitted = comparison.start(&Nuisances::default());
+        let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+        for (i, (statistic, halves)) in bins.statistics().iter().zip(bins.measure(&log)).enumerate() {
+            let deviation = statistic.cell().map(|cell| cell.deviation);
+            let position = DEVIATIONS.iter().position(|other| Some(*other) == deviation).unwrap();
+            let included = log.all.iter().filter(|reading| bins.includes(i, reading.index));
+            let sum: f64 = included.map(|reading| summands(reading, log.max_range())[position]).sum();
+            assert!((sum - halves[0] - halves[1]).abs() < 1e-9, "{:?}: {sum} {halves:?}", statistic.cell());
+        }
     }
 }

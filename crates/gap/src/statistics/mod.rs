@@ -61,7 +61,7 @@ pub(crate) struct Statistic {
     pub form: Form,
 }
 
-/// What a statistic looks for.
+/// The effect or the cell that a statistic is for.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Target {
     Effect {
@@ -177,7 +177,7 @@ pub enum Covariate {
     Ratio,
 }
 
-/// What is off in a cell.
+/// The way in which a cell may be off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Deviation {
@@ -206,7 +206,7 @@ pub struct Cell {
     pub hi: f64,
     /// Lower corner of the square, for [`Covariate::Place`] \[m\].
     pub place: Option<[f64; 2]>,
-    /// What is off.
+    /// The way in which it may be off.
     pub deviation: Deviation,
 }
 

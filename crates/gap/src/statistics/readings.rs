@@ -13,8 +13,8 @@ use crate::views::Beam;
 /// clutter and little error of the reference.
 pub(crate) const FOLD_SCANS: usize = 20;
 
-/// The noise of a reading counts as no more than this where it is told from readings of other things \[m\]: with more, most of
-/// what stands in front of a wall would count as the wall.
+/// The largest noise with which readings of the surface are separated from readings of other things \[m\]. With more, most
+/// things in front of a wall would count as the wall.
 const MOST_NOISE_M: f64 = 0.1;
 
 /// A log under a hypothesis.
@@ -37,7 +37,7 @@ pub(crate) struct Reading<'a> {
     pub beam: &'a Beam,
     /// Heading of the beam in the map frame \[rad\].
     pub heading: f64,
-    /// What the fitted error of the reference adds to the expected range \[m\].
+    /// Change of the expected range by the fitted error of the reference \[m\].
     pub shift: f64,
     /// The reading, at most the maximum range \[m\].
     pub z: f64,

@@ -6,7 +6,7 @@ use super::{Cell, Covariate, Deviation, Family, Form, Halves, Readings, Statisti
 const DEVIATIONS: [Deviation; 3] = [Deviation::Mean, Deviation::Short, Deviation::NoReturn];
 
 /// The squared differences of consecutive scans in the sums of their PITs, of their readings in front and of missing returns.
-/// What stays from scan to scan is for other cells.
+/// Deviations that stay from scan to scan are for other cells.
 pub(super) struct Scans;
 
 impl Family for Scans {

@@ -171,7 +171,7 @@ fn loss_ratio(reading: &Reading<'_>, max: f64) -> f64 {
         let sigma = reading.terms.sigma.min(0.1);
         let behind = reading.beam.view.behind;
         let mapped = behind.map_or(0.0, |behind| near_density(reading.z, behind + reading.shift, sigma, max));
-        // What stands behind is often not on the map.
+        // The map often lacks the surface behind.
         0.5 * mapped + if reading.is_behind { 0.5 / max } else { 0.0 }
     } else {
         0.5
