@@ -182,3 +182,29 @@ impl Family for Bins {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{DRIVE, NOMINAL};
+    use crate::hypothesis::{Comparison, Nuisances};
+    use crate::statistics::pit_draw;
+
+    /// The beams that a cell is said to include are those whose readings are in its sum.
+    #[test]
+    fn a_cell_includes_the_beams_that_it_counts() {
+        let recorded = Recorded::new(&DRIVE, 60, 24, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let bins = Bins::new(&Survey::new(&comparison));
+        let fitted = comparison.start(&Nuisances::default());
+        let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+        for (i, (statistic, halves)) in bins.statistics().iter().zip(bins.measure(&log)).enumerate() {
+            let deviation = statistic.cell().map(|cell| cell.deviation);
+            let position = DEVIATIONS.iter().position(|other| Some(*other) == deviation).unwrap();
+            let included = log.all.iter().filter(|reading| bins.includes(i, reading.index));
+            let sum: f64 = included.map(|reading| summands(reading, log.max_range())[position]).sum();
+            assert!((sum - halves[0] - halves[1]).abs() < 1e-9, "{:?}: {sum} {halves:?}", statistic.cell());
+        }
+    }
+}
