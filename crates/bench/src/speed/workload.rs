@@ -9,7 +9,7 @@ use locsim_core::{Drive, DriveStep, Laser, Particles, Pose2, Scan};
 use locsim_world::map::{Geometry, OccupancyGrid, OccupancyMapFile};
 use serde::Deserialize;
 
-use super::BenchError;
+use crate::BenchError;
 use locsim_scenario::check::{self, ANGLE, Allowed, COORDINATE, Checker, MAX_RANGE, NOISE};
 use locsim_scenario::limited;
 use locsim_scenario::locate::Locations;

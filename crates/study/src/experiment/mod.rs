@@ -76,7 +76,7 @@ pub(super) fn run(
         conditions.push(results);
         samples.push(drawn);
     }
-    options.progress.stage("figures and report", 1);
+    options.control.progress.stage("figures and report", 1);
     let (losses, loss_example) = loss_example(study)?;
     let families = (study.kind == Kind::StaticLidar).then(|| families::compare(study)).transpose()?;
     let rays = families::shown(study)?;

@@ -1,7 +1,5 @@
 //! One repeat: every model at every size, on states of its own.
 
-use std::sync::atomic::Ordering;
-
 use distreg::{Distribution, histogram_match, product};
 use serde::{Deserialize, Serialize};
 
@@ -54,7 +52,7 @@ pub(super) fn run_repeat(
     let mut pooled = Vec::new();
     let mut samples = Vec::new();
     for (place, &n) in study.states.iter().enumerate() {
-        if options.interrupted.load(Ordering::Relaxed) {
+        if options.control.is_interrupted() {
             return Err(StudyError::Interrupted);
         }
         let train = data.subset(&(0..n).collect::<Vec<_>>());
@@ -75,7 +73,7 @@ pub(super) fn run_repeat(
         let all = study.histogram(&all)?;
         let loss = tests.iter().map(|test| histogram_match(&all, &test.truth)).sum::<Result<f64, _>>()?;
         pooled.push(loss / tests.len() as f64);
-        options.progress.advance(1);
+        options.control.progress.advance(1);
     }
     let thinned = thinned(study, repeat, &data, &tests, &queries, &candidates, &bandwidths)?;
     let (losses, coefficient_of_truth, truth_observations) = losses(study, number, repeat, &tests)?;
