@@ -7,8 +7,8 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// Each crate of the workspace and the crates of the workspace that it uses.
-const LAYERS: [(&str, &[&str]); 14] = [
+/// Each crate of the workspace and the crates of the workspace that it uses, which stand above it.
+const LAYERS: [(&str, &[&str]); 15] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
@@ -32,6 +32,19 @@ const LAYERS: [(&str, &[&str]); 14] = [
             "locsim-world",
         ],
     ),
+    ("locsim-terminal", &["locsim-core", "locsim-report"]),
+    (
+        "locsim",
+        &[
+            "locsim-core",
+            "locsim-dataset",
+            "locsim-lab",
+            "locsim-report",
+            "locsim-scenario",
+            "locsim-study",
+            "locsim-terminal",
+        ],
+    ),
     (
         "locsim-bench",
         &[
@@ -44,6 +57,7 @@ const LAYERS: [(&str, &[&str]); 14] = [
             "locsim-report",
             "locsim-scenario",
             "locsim-sensor",
+            "locsim-terminal",
             "locsim-world",
         ],
     ),
@@ -60,20 +74,10 @@ const LAYERS: [(&str, &[&str]); 14] = [
             "locsim-world",
         ],
     ),
-    (
-        "locsim",
-        &[
-            "distreg",
-            "locsim-bench",
-            "locsim-core",
-            "locsim-dataset",
-            "locsim-lab",
-            "locsim-report",
-            "locsim-scenario",
-            "locsim-study",
-        ],
-    ),
 ];
+
+/// Most lines of Rust in the `src` of a crate: more than that is more than one subject.
+const MOST_LINES: usize = 9000;
 
 /// Dependencies that one crate keeps to itself, and the place in its sources (a file or a folder) that names them.
 const KEPT: [(&str, &str, &str); 4] = [
@@ -122,6 +126,20 @@ fn crates_use_the_layers_that_are_named() {
             used.iter().map(String::as_str).filter(|name| layers.contains_key(name)).collect();
         let allowed: BTreeSet<&str> = layers[name.as_str()].iter().copied().collect();
         assert_eq!(used, allowed, "{name}");
+    }
+    for (i, (name, used)) in LAYERS.iter().enumerate() {
+        let above: Vec<&str> = LAYERS[..i].iter().map(|(name, _)| *name).collect();
+        assert!(used.iter().all(|used| above.contains(used)), "{name} uses a crate that stands below it");
+    }
+}
+
+#[test]
+fn no_crate_is_large() {
+    let root = root();
+    for folder in fs::read_dir(root.join("crates")).unwrap().map(|entry| entry.unwrap().path()) {
+        let lines = |path: PathBuf| fs::read_to_string(path).unwrap().lines().count();
+        let total: usize = sources(&folder.join("src")).into_iter().map(lines).sum();
+        assert!((100..=MOST_LINES).contains(&total), "{}: {total} lines", folder.display());
     }
 }
 

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use locsim_core::limits::{RANGE_M, quoted};
 
 use super::error::{LISTED, and_more, shown};
-use super::locate::{Locations, join};
+use super::key_path::join;
+use super::locate::Locations;
 use super::{Problem, ScenarioError};
 
 /// Looks up an environment variable; `None` where it isn't set.

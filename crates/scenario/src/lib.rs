@@ -8,6 +8,7 @@ pub mod edit;
 pub mod effect;
 pub mod error;
 mod form;
+pub mod key_path;
 pub mod limited;
 pub mod locate;
 mod map_file;

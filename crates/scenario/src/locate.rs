@@ -1,4 +1,4 @@
-//! Lines and paths of keys.
+//! Lines of keys.
 
 use crate::yaml::tree::{Entry, Node, Value};
 
@@ -49,11 +49,6 @@ fn step<'a, 'p>(node: &'a Node, path: &'p str) -> Option<(&'a Node, usize, &'p s
         }
         _ => None,
     }
-}
-
-/// The path of a key inside the map at `path`.
-pub fn join(path: &str, key: &str) -> String {
-    if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
 
 #[cfg(test)]

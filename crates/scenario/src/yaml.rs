@@ -15,8 +15,9 @@ use serde::de::{self, DeserializeOwned, DeserializeSeed, Deserializer, Expected,
 use serde::de::{IntoDeserializer, value::StrDeserializer};
 
 use crate::error::unknown_word;
+use crate::key_path::join;
 use crate::limited;
-use crate::locate::{Locations, join};
+use crate::locate::Locations;
 use crate::{Problem, ScenarioError};
 use tree::{Entry, Value};
 

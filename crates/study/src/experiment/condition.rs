@@ -2,12 +2,11 @@
 
 use rayon::prelude::*;
 
-use super::Samples;
 use super::budget::thinned_model;
 use super::loss_against_observations::needed;
 use super::repeat::{Repeat, ends, run_repeat};
 use super::roughness::roughness;
-use crate::results::{ConditionResults, Curve, ModelRisk, Thinning};
+use crate::results::{ConditionResults, Curve, ModelRisk, Samples, Thinning};
 use crate::sensor::Source;
 use crate::{Study, StudyError, StudyOptions};
 use locsim_report::statistics::{Bootstrap, quantile};

@@ -10,9 +10,8 @@ mod roughness;
 
 use distreg::{Distribution, histogram};
 use locsim_core::{Draw, Stage};
-use serde::{Deserialize, Serialize};
 
-use super::results::Results;
+use super::results::{Results, Samples};
 use super::{Kind, Study, StudyError, StudyOptions, claims, families};
 use condition::run_condition;
 use locsim_report::store::Parts;
@@ -29,26 +28,6 @@ pub(super) struct Extra {
     pub rays: Samples,
     /// Grass: true distributions of neighbouring states, with the distance from the first.
     pub neighbours: Vec<(f64, Distribution)>,
-}
-
-/// Distributions at some test states.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Samples {
-    /// States with the truth and each model's prediction from the largest training set.
-    pub states: Vec<Sample>,
-    /// Training states of that set.
-    pub training_states: usize,
-}
-
-/// One test state.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Sample {
-    /// The state.
-    pub state: Vec<f64>,
-    /// What was observed there, many times.
-    pub truth: Distribution,
-    /// What each model predicts.
-    pub predicted: Vec<Distribution>,
 }
 
 /// What the draws of an experiment are for.

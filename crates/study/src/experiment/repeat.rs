@@ -3,11 +3,12 @@
 use distreg::{Distribution, histogram_match, product};
 use serde::{Deserialize, Serialize};
 
+use super::Purpose;
 use super::budget::thinned;
-use super::data::{Test, data};
+use super::data::{Test, data, score};
 use super::loss_against_observations::losses;
-use super::{Purpose, Sample, Samples};
 use crate::model::folds;
+use crate::results::{Sample, Samples};
 use crate::sensor::{Sensor, Source};
 use crate::{Study, StudyError, StudyOptions, families};
 
@@ -106,17 +107,6 @@ pub(super) fn run_repeat(
         samples: (repeat == 0)
             .then(|| pick_samples(&tests, &samples, study.states.last().copied().unwrap_or(0))),
     })
-}
-
-/// Mean histogram match (bins) and mean CRPS (units of z) of predictions at the test states.
-pub(super) fn score(predicted: &[Distribution], tests: &[Test]) -> Result<(f64, f64), StudyError> {
-    let (mut risk, mut crps) = (0.0, 0.0);
-    for (predicted, test) in predicted.iter().zip(tests) {
-        risk += histogram_match(predicted, &test.truth)?;
-        crps += distreg::crps(predicted, &test.observed);
-    }
-    let n = tests.len() as f64;
-    Ok((risk / n, crps / n))
 }
 
 /// Mean loss of a histogram of M observations at the test states themselves.
