@@ -10,7 +10,6 @@ pub mod error;
 mod form;
 pub mod key_path;
 pub mod limited;
-pub mod locate;
 mod map_file;
 mod raw;
 #[cfg(test)]

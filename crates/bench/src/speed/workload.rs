@@ -12,8 +12,8 @@ use serde::Deserialize;
 use crate::BenchError;
 use locsim_scenario::check::{self, ANGLE, Allowed, COORDINATE, Checker, MAX_RANGE, NOISE};
 use locsim_scenario::limited;
-use locsim_scenario::locate::Locations;
 use locsim_scenario::yaml;
+use locsim_scenario::yaml::Locations;
 use locsim_scenario::{self as scenario, Problem, ScenarioError};
 
 /// Everything that the folder of a benchmark holds.

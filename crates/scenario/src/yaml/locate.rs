@@ -1,6 +1,4 @@
-//! Lines of keys.
-
-use crate::yaml::tree::{Entry, Node, Value};
+use super::tree::{Entry, Node, Value};
 
 /// Where each key of a YAML text stands.
 #[derive(Debug)]
@@ -55,8 +53,8 @@ fn step<'a, 'p>(node: &'a Node, path: &'p str) -> Option<(&'a Node, usize, &'p s
 mod tests {
     use locsim_core::limits::Limits;
 
+    use super::super::tree;
     use super::*;
-    use crate::yaml::tree;
 
     fn locations(text: &str) -> Locations {
         Locations(tree::read(text, &Limits::DEFAULT).unwrap().unwrap())
