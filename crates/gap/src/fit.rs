@@ -3,7 +3,7 @@
 use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
 use glam::DVec2;
-use locsim_world::effect::{Effect, EffectKind, Parameter};
+use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::GapError;
@@ -94,22 +94,6 @@ pub(crate) struct Search<'c, 'a> {
     pub start: &'c Fitted,
 }
 
-/// Whether an effect moves whole scans, as errors of the reference do.
-fn moves_scans(kind: EffectKind) -> bool {
-    matches!(
-        kind,
-        EffectKind::MountYaw | EffectKind::MountOffset | EffectKind::TimeOffset | EffectKind::MotionSkew
-    )
-}
-
-/// Whether an effect moves readings, so that fitted errors of the reference take some of it in.
-fn moves_readings(kind: EffectKind) -> bool {
-    matches!(
-        kind,
-        EffectKind::RangeBias | EffectKind::RangeScale | EffectKind::IncidenceBias | EffectKind::WarmupDrift
-    )
-}
-
 impl Search<'_, '_> {
     /// The best fit over several starts; `None` where nothing is gained.
     pub fn fit(&self, kind: EffectKind, starts: &[Start]) -> Result<Option<Candidate>, GapError> {
@@ -122,7 +106,7 @@ impl Search<'_, '_> {
             }
         }
         match best {
-            Some((_, effect)) if moves_scans(kind) || moves_readings(kind) && errs => {
+            Some((_, effect)) if kind.moves() == Moves::Scans || kind.moves() == Moves::Readings && errs => {
                 // Errors of the reference that were fitted without the effect have taken some of it in.
                 let refitted = self.refitted(&effect)?;
                 let anew = Search { start: &refitted, ..*self };
@@ -142,16 +126,10 @@ impl Search<'_, '_> {
         self.comparison.evaluate(&self.with(effect), self.start, 1)
     }
 
-    /// While searching, nuisances that an effect has nothing to do with stay where they are.
+    /// The likelihood while searching: nuisance parameters that an effect has nothing to do with stay where they are.
     fn evaluate_roughly(&self, effect: &Effect) -> Result<f64, GapError> {
-        let of_blocks = matches!(
-            effect.kind,
-            EffectKind::BlockDepth
-                | EffectKind::Crosstalk
-                | EffectKind::MissingObject
-                | EffectKind::SectorOcclusion
-        );
-        let stay = self.start.nuisances.pose_error.is_none() && !of_blocks;
+        let with_clutter = effect.kind.description().fit == Fit::WithClutter;
+        let stay = self.start.nuisances.pose_error.is_none() && !with_clutter;
         let fitted = self.comparison.evaluate(&self.with(effect), self.start, u32::from(!stay) as usize)?;
         Ok(fitted.total() + log_prior(effect))
     }
@@ -170,7 +148,7 @@ impl Search<'_, '_> {
     /// The most likely numbers near a start: of a shape that isn't known well the strength first, or a strength that is far
     /// off drives the shape to where it makes up for it.
     fn maximize(&self, kind: EffectKind, start: &Start) -> Result<(f64, Effect), GapError> {
-        if vague_numbers(kind).next().is_none() {
+        if priors(kind).next().is_none() {
             return self.maximize_over(kind, start, kind.parameters().len());
         }
         let (_, effect) = self.maximize_over(kind, start, 1)?;
@@ -190,14 +168,13 @@ impl Search<'_, '_> {
             .iter()
             .take(numbers)
             .zip(&start.values)
-            .enumerate()
-            .map(|(i, (p, &value))| scale(kind, i, p, value))
+            .map(|(parameter, &value)| first_step(parameter, value))
             .collect();
         let problem = Problem { search: self, kind, start, scales: &scales };
         let origin = vec![0.0; scales.len()];
         // What can't be together is refused here; within the solver it would be a panic.
         self.comparison.effects(&self.with(&problem.effect(&origin)?))?;
-        if kind == EffectKind::Quantization {
+        if kind.is_stepped() {
             // A step is right or it isn't.
             let effect = problem.effect(&origin)?;
             return Ok((self.evaluate_roughly(&effect)?, effect));
@@ -232,7 +209,7 @@ impl Search<'_, '_> {
         let fitted = self.evaluate(&effect)?;
         let with = blocks(&fitted.scans);
         let without = blocks(&self.without.scans);
-        if effect.kind == EffectKind::Quantization {
+        if effect.kind.is_stepped() {
             let gains = with.iter().zip(&without).map(|(a, b)| a - b).collect();
             let intervals = vec![[effect.values[0]; 2]];
             return Ok(Candidate { effect, gains, intervals, is_beyond_chance: false, score: None });
@@ -334,71 +311,42 @@ impl Search<'_, '_> {
     }
 }
 
-/// A number that a log may tell next to nothing about while another one of the effect makes up for it: a slow onset of losses
-/// at a steep angle is a fast one at a flatter angle.
-struct Vague {
-    number: usize,
-    /// Its logarithm, after this is added to it, is spread evenly; `None`: the number itself.
-    logarithm_of_more: Option<f64>,
-    /// Standard deviation about the typical value, of the number or the logarithm.
-    spread: f64,
+/// The most parameters of an effect that have a prior.
+pub(crate) const PRIORS: usize = 2;
+
+/// The parameters of an effect that have a prior, by index.
+fn priors(kind: EffectKind) -> impl Iterator<Item = (usize, Prior)> {
+    let parameters = kind.parameters().iter().enumerate();
+    parameters.filter_map(|(i, parameter)| Some((i, parameter.shape_prior()?)))
 }
 
-impl Vague {
-    fn on_its_scale(&self, value: f64) -> f64 {
-        self.logarithm_of_more.map_or(value, |more| (value + more).max(1e-6).ln())
-    }
-
-    /// Log density of a value about another one that is `deviations` farther, up to a constant.
-    fn log_density(&self, value: f64, about: f64, deviations: f64) -> f64 {
-        let away = (self.on_its_scale(value) - self.on_its_scale(about)) / self.spread;
-        -0.5 * (away - deviations).powi(2)
-    }
-}
-
-/// The most vague numbers of an effect.
-pub(crate) const VAGUE: usize = 2;
-
-/// The vague numbers of an effect; typical are the values that fits start from.
-fn vague_numbers(kind: EffectKind) -> impl Iterator<Item = Vague> {
-    let log = |number, more, spread| Some(Vague { number, logarithm_of_more: Some(more), spread });
-    let numbers: [Option<Vague>; VAGUE] = match kind {
-        EffectKind::IncidenceDropout => {
-            [Some(Vague { number: 1, logarithm_of_more: None, spread: 0.25 }), log(2, 0.0, 0.7)]
-        }
-        EffectKind::RangeDropout => [log(1, 1.0, 0.7), None],
-        EffectKind::WarmupDrift => [log(1, 0.0, 1.5), None],
-        EffectKind::WheelSlip | EffectKind::Crosstalk => [log(1, 0.0, 1.0), None],
-        _ => [None, None],
-    };
-    numbers.into_iter().flatten()
-}
-
-/// Log density of an effect's vague numbers about what is typical, up to a constant.
+/// Log density of an effect's shapes about typical values, up to a constant.
 fn log_prior(effect: &Effect) -> f64 {
     let parameters = effect.kind.parameters();
-    vague_numbers(effect.kind)
-        .map(|vague| vague.log_density(effect.values[vague.number], parameters[vague.number].start, 0.0))
+    priors(effect.kind)
+        .map(|(i, prior)| log_normal(prior.deviations(effect.values[i], parameters[i].start)))
         .sum()
 }
 
-/// The same as if what is typical had been told by chance: so many deviations from the effect `about`.
-pub(crate) fn log_prior_by_chance(effect: &Effect, about: &Effect, deviations: [f64; VAGUE]) -> f64 {
-    vague_numbers(effect.kind)
+/// The same about typical values that are drawn: each is as many standard deviations above the shape of `about` as given.
+pub(crate) fn log_prior_by_chance(effect: &Effect, about: &Effect, deviations: [f64; PRIORS]) -> f64 {
+    priors(effect.kind)
         .zip(deviations)
-        .map(|(vague, deviations)| {
-            vague.log_density(effect.values[vague.number], about.values[vague.number], deviations)
+        .map(|((i, prior), deviations)| {
+            log_normal(prior.deviations(effect.values[i], about.values[i]) - deviations)
         })
         .sum()
 }
 
-/// How far a search goes at first in a number that starts at `value`.
-fn scale(kind: EffectKind, number: usize, parameter: &Parameter, value: f64) -> f64 {
-    match (kind, number) {
-        // Where something is has no neutral value.
-        (EffectKind::MissingObject, 0 | 1) => return 0.15,
-        (EffectKind::SectorOcclusion, 0 | 1) => return 0.05,
-        _ => {}
+/// Log density of the standard normal distribution, up to a constant.
+fn log_normal(deviations: f64) -> f64 {
+    -0.5 * deviations.powi(2)
+}
+
+/// First step of a search in a parameter that starts at `value`.
+fn first_step(parameter: &Parameter, value: f64) -> f64 {
+    if let Role::Position { first_step } = parameter.role {
+        return first_step;
     }
     if parameter.lo >= 0.0 {
         // The least value it starts from.
@@ -512,16 +460,17 @@ mod tests {
         Effect::new(EffectKind::IncidenceDropout, vec![0.1, 1.2, width], Vec::new()).unwrap()
     }
 
-    /// Half and twice what is typical are as far from it; effects without a vague number have no prior.
+    /// Half and twice a typical width are as likely. Effects without a shape have no prior.
     #[test]
-    fn a_vague_number_is_drawn_to_what_is_typical() {
+    fn the_prior_of_a_shape_is_about_its_typical_value() {
+        assert!(EffectKind::ALL.iter().all(|&kind| priors(kind).count() <= PRIORS));
         let typical = EffectKind::IncidenceDropout.parameters()[2].start;
         let [at, half, twice] = [1.0, 0.5, 2.0].map(|factor| log_prior(&dropout(factor * typical)));
         assert!(at.abs() < 1e-12 && (half - twice).abs() < 1e-12, "{at} {half} {twice}");
         assert!((half + 0.5 * (2.0_f64.ln() / 0.7).powi(2)).abs() < 1e-12, "{half}");
         let bias = Effect::new(EffectKind::RangeBias, vec![0.5], Vec::new()).unwrap();
         assert!(log_prior(&bias).abs() < 1e-12);
-        // Told by chance, it is drawn to where chance says: here a factor of e^0.7 above.
+        // About a value that is drawn one standard deviation higher: a factor of e^0.7.
         let about = dropout(0.1);
         let moved = dropout(0.1 * 0.7_f64.exp());
         assert!(log_prior_by_chance(&moved, &about, [0.0, 1.0]).abs() < 1e-12);

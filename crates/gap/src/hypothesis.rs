@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use locsim_core::Pose2;
-use locsim_world::effect::{Effect, EffectKind, Effects, burst_window};
+use locsim_world::effect::{self, Effect, Effects, burst_window};
 
 use crate::likelihood::{Density, Terms};
 use crate::odometry::{OdometryError, log_likelihoods};
@@ -324,7 +324,7 @@ impl<'a> Comparison<'a> {
     }
 }
 
-/// Bursts of crosstalk, which fall on all readings of a window of time or on none: together those say far more surely than one by
+/// Bursts of an effect, which fall on all readings of a window of time or on none: together those say far more surely than one by
 /// one when there was one. A scan is of the window of its stamp, also where its beams take time.
 struct Bursts {
     /// The effects in a burst, and without one.
@@ -337,18 +337,17 @@ struct Bursts {
 impl Bursts {
     /// Those of these effects; `None` of none. Of several, the readings of all but the first are taken one by one.
     fn of(effects: &Effects) -> Option<Self> {
-        let comes_and_goes = |effect: &Effect| {
-            let [p, share] = effect.values[..] else { return false };
-            effect.kind == EffectKind::Crosstalk && p > 0.0 && share > 0.0 && share < 1.0
-        };
-        let at = effects.list().iter().position(comes_and_goes)?;
-        let with = |values: [f64; 2]| {
+        let (at, bursts) = effects.list().iter().enumerate().find_map(|(i, effect)| {
+            let comes_and_goes =
+                |bursts: &effect::Bursts| bursts.share > 0.0 && bursts.share < 1.0 && bursts.on != bursts.off;
+            Some((i, effect.bursts().filter(comes_and_goes)?))
+        })?;
+        let with = |state: Effect| {
             let mut list = effects.list().to_vec();
-            list[at].values = values.to_vec();
+            list[at] = state;
             Effects::new(list).ok()
         };
-        let [p, share] = effects.list()[at].values[..] else { return None };
-        Some(Self { on: with([p, 1.0])?, off: with([0.0, 1.0])?, share })
+        Some(Self { on: with(bursts.on)?, off: with(bursts.off)?, share: bursts.share })
     }
 
     /// Log likelihood of each scan, given those before it of its window, by those with a burst and without (nats).
@@ -383,6 +382,8 @@ struct Pass {
 
 #[cfg(test)]
 mod tests {
+    use locsim_world::effect::EffectKind;
+
     use super::*;
 
     fn crosstalk(p: f64, share: f64) -> Effect {

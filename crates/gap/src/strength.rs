@@ -11,7 +11,7 @@
 use std::sync::Arc;
 
 use locsim_core::Draw;
-use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::effect::{Effect, Effects, Moves};
 use locsim_world::simulation::BlockResampling;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -176,7 +176,7 @@ impl<'a> Strength<'a> {
         let scaled = |factor: f64| -> Effect {
             let mut scaled = effect.clone();
             let away = factor * (effect.values[index] - parameter.neutral);
-            let least = if effect.kind == EffectKind::MissingObject { LEAST_RADIUS_M } else { parameter.lo };
+            let least = if is_object(effect) { LEAST_RADIUS_M } else { parameter.lo };
             scaled.values[index] = (parameter.neutral + away).clamp(least, parameter.hi);
             scaled
         };
@@ -229,7 +229,7 @@ impl<'a> Strength<'a> {
         let parameter = &effect.kind.parameters()[index];
         let value = effect.values[index];
         let deviation = (value - parameter.neutral).abs() / lambda.sqrt();
-        if effect.kind == EffectKind::MissingObject || deviation <= 0.0 {
+        if is_object(effect) || deviation <= 0.0 {
             return Ok(None);
         }
         let variants = (-GRID_STEPS..=GRID_STEPS)
@@ -262,6 +262,11 @@ impl<'a> Strength<'a> {
     }
 }
 
+/// Whether an effect is an object, whose strength is its radius.
+fn is_object(effect: &Effect) -> bool {
+    effect.kind.moves() == Moves::Objects
+}
+
 /// An effect with its strength `up` higher.
 fn stronger(effect: &Effect, index: usize, up: f64) -> Effect {
     let mut other = effect.clone();
@@ -271,11 +276,7 @@ fn stronger(effect: &Effect, index: usize, up: f64) -> Effect {
 
 /// An effect that comes in bursts as one that doesn't: how many bursts a log has is chance, and would count as noise.
 fn evenly_spread(effect: &Effect) -> Effect {
-    let mut spread = effect.clone();
-    if effect.kind == EffectKind::Crosstalk {
-        spread.values = vec![effect.values[0] * effect.values[1], 1.0];
-    }
-    spread
+    effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread)
 }
 
 /// Power of the best test at a false-alarm rate.
@@ -286,6 +287,8 @@ pub fn oracle_power(lambda: f64, false_alarm: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use locsim_world::effect::EffectKind;
+
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::record_library;

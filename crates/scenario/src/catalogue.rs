@@ -6,7 +6,7 @@ use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
 use comfy_table::{ContentArrangement, Table};
 use locsim_world::effect::{EffectError, EffectKind};
 
-use crate::effect::{default, in_file, key, unit};
+use crate::effect::{in_file, unit};
 
 /// Width of the table, in characters.
 const WIDTH: u16 = 110;
@@ -22,8 +22,8 @@ pub fn table() -> String {
     for kind in EffectKind::ALL {
         let place = kind.has_place().then(|| "wall".to_owned());
         let numbers = kind.parameters().iter().map(|parameter| match unit(parameter) {
-            Some(unit) => format!("{} [{unit}]", key(parameter)),
-            None => key(parameter).to_owned(),
+            Some(unit) => format!("{} [{unit}]", parameter.key),
+            None => parameter.key.to_owned(),
         });
         let parameters: Vec<String> = place.into_iter().chain(numbers).collect();
         table.add_row([kind.name().to_owned(), kind.sentence().to_owned(), parameters.join(", ")]);
@@ -39,9 +39,10 @@ pub fn page(name: &str) -> Result<String, EffectError> {
     let kind: EffectKind = name.parse()?;
     let mut text = format!("{kind} ({})\n\n{}\n\n", kind.site().name(), kind.sentence());
     // By the names that scenarios use.
-    let formula = kind.parameters().iter().fold(kind.formula().to_owned(), |formula, parameter| {
-        formula.replace(parameter.name, key(parameter))
-    });
+    let formula = kind
+        .parameters()
+        .iter()
+        .fold(kind.formula().to_owned(), |formula, parameter| formula.replace(parameter.name, parameter.key));
     let _ = writeln!(text, "definition      {formula}");
     let _ = writeln!(text, "gives it away   {}", kind.signature());
     let others: Vec<&str> = kind.confused_with().iter().map(|other| other.name()).collect();
@@ -53,8 +54,8 @@ pub fn page(name: &str) -> Result<String, EffectError> {
         let [lo, hi, start] =
             [parameter.lo, parameter.hi, parameter.start].map(|value| rounded(in_file(parameter, value)));
         let unit = unit(parameter).map(|unit| format!(" {unit}")).unwrap_or_default();
-        let left_out = default(kind, parameter).map(|value| format!("; default {value}")).unwrap_or_default();
-        let _ = writeln!(text, "{:<15} {lo} to {hi}{unit}, such as {start}{left_out}", key(parameter));
+        let left_out = parameter.default.map(|value| format!("; default {value}")).unwrap_or_default();
+        let _ = writeln!(text, "{:<15} {lo} to {hi}{unit}, such as {start}{left_out}", parameter.key);
     }
     Ok(text)
 }

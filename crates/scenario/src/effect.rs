@@ -3,20 +3,7 @@
 use std::fmt::Write;
 
 use locsim_core::limits::is_hidden;
-use locsim_world::effect::{Effect, EffectKind, Parameter};
-
-/// The key of a parameter in files: its name, where angles are in degrees.
-pub fn key(parameter: &Parameter) -> &'static str {
-    match parameter.name {
-        "angle_rad" => "angle_deg",
-        "width_rad" => "width_deg",
-        "yaw_rad" => "yaw_deg",
-        "from_rad" => "from_deg",
-        "to_rad" => "to_deg",
-        "turn_per_m" => "turn_deg_per_m",
-        name => name,
-    }
-}
+use locsim_world::effect::{Effect, Parameter};
 
 /// Whether a parameter is an angle, or an angle per metre.
 pub fn is_angle(parameter: &Parameter) -> bool {
@@ -38,22 +25,6 @@ pub fn in_file(parameter: &Parameter, value: f64) -> f64 {
     if is_angle(parameter) { value.to_degrees() } else { value }
 }
 
-/// The value of a parameter that may be left out, as it would stand in the file; `None` where it may not.
-pub fn default(kind: EffectKind, parameter: &Parameter) -> Option<f64> {
-    match (kind, parameter.name) {
-        (EffectKind::IncidenceDropout, "width_rad") => Some(3.0),
-        (EffectKind::RangeDropout, "exponent") => Some(4.0),
-        (EffectKind::WarmupDrift, "tau_secs") => Some(60.0),
-        (EffectKind::MountOffset, _) => Some(0.0),
-        _ => None,
-    }
-}
-
-/// The keys of an effect in files, its name and those of a place aside.
-pub fn keys(kind: EffectKind) -> impl Iterator<Item = &'static str> {
-    kind.parameters().iter().map(key)
-}
-
 /// An effect as an entry of a scenario's list `effects`: `- {name: glass, wall: north, p: 0.3}`.
 ///
 /// The place is that of the wall called `surface_name`, if there is one; otherwise each of its stretches gets an entry,
@@ -72,7 +43,7 @@ pub fn effect_yaml_with(
     for (parameter, &value) in effect.kind.parameters().iter().zip(&effect.values) {
         // 0 without a sign, as people write it.
         let value = shown(parameter, in_file(parameter, value)) + 0.0;
-        let _ = write!(values, ", {}: {value}", key(parameter));
+        let _ = write!(values, ", {}: {value}", parameter.key);
     }
     let entry = |place: &str| format!("- {{name: {}{place}{values}}}", effect.kind);
     match surface_name {
@@ -123,6 +94,7 @@ pub fn quoted_text(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use glam::DVec2;
+    use locsim_world::effect::EffectKind;
 
     use super::*;
     use crate::tests::{parse, text};
@@ -139,13 +111,16 @@ mod tests {
         format!("{}effects:\n  {indented}\n", text("minimal.yaml"))
     }
 
-    /// Every effect of the fixture, which has all kinds. Angles are off by the rounding of degrees.
+    /// Every effect of the fixture, and each kind that it lacks at typical values. Angles are off by the rounding of degrees.
     #[test]
     fn an_effect_that_is_written_is_read_back() {
-        let written = effects(parse(&text("simulation.yaml")).unwrap());
-        let kinds =
-            EffectKind::ALL.into_iter().filter(|kind| !written.iter().any(|effect| effect.kind == *kind));
-        assert_eq!(kinds.collect::<Vec<_>>(), []);
+        let mut written = effects(parse(&text("simulation.yaml")).unwrap());
+        let stretch = [DVec2::new(1.0, 0.0), DVec2::new(2.0, 0.0)];
+        for kind in EffectKind::ALL {
+            if !written.iter().any(|effect| effect.kind == kind) {
+                written.push(Effect::typical(kind, Vec::from_iter(kind.has_place().then_some(stretch))));
+            }
+        }
         for effect in written {
             let named = (effect.kind == EffectKind::Glass).then_some("outline/0");
             for name in [None, named] {

@@ -10,7 +10,7 @@ use std::cmp::Ordering;
 use std::sync::atomic::AtomicBool;
 
 use locsim_core::Progress;
-use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::effect::{Effect, EffectKind, Moves};
 use rayon::prelude::*;
 
 use crate::fit::{Candidate, Search};
@@ -116,7 +116,7 @@ pub fn find(
         state.make_precise(&mut path.named, &path.rounds[path.rounds.len() - 1])?;
     }
     // Deeper blocks also stand in the way of more beams.
-    let deeper = path.named.iter().any(|named| named.name == EffectKind::BlockDepth);
+    let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);
     if !deeper && !options.without.contains(&EffectKind::BlockDensity) {
         let more = state.block_density(path.first(), path.last())?;
         path.named.extend(more);
@@ -195,12 +195,12 @@ impl<'a> State<'a> {
                 (round.dictionary.off(i, round.null.z[i]), round.null.weight[i])
             });
             let has_score = round.own(candidate.kind()).any(|i| round.dictionary.is_score(i))
-                || candidate.kind() == EffectKind::BlockDepth;
+                || candidate.kind().moves() == Moves::Clutter;
             candidate.is_beyond_chance = weight >= beyond_chance;
             candidate.score = has_score.then_some(off);
             // A fit can be far better than its score where the effect is strong. Deeper blocks have none, only how deep
             // blocks seem to be: readings where nominal ones can't stand say far more.
-            if off < BEYOND_DOUBT && candidate.kind() != EffectKind::BlockDepth {
+            if off < BEYOND_DOUBT && candidate.kind().moves() != Moves::Clutter {
                 candidate.limit(off * off);
             }
             // Many standard deviations are nothing where statistics are clumped, as objects among resting blocks.

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::effect::{Effect, EffectKind, Fit, Parameter, Role};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Round, State};
-use crate::fit::{VAGUE, invert, log_prior_by_chance};
+use crate::fit::{PRIORS, invert, log_prior_by_chance};
 use crate::hypothesis::Comparison;
 use crate::null::REFIT;
 use crate::outcome::{Evidence, Named, Number};
@@ -52,7 +52,7 @@ impl<'a> State<'a> {
                     let parameter = &kind.parameters()[i];
                     let number = named.params.get(parameter.name)?;
                     let room = room(&effects[index], i);
-                    let least = if strengths(kind).contains(&i) { least } else { 0.0 };
+                    let least = if parameter.is_strength() { least } else { 0.0 };
                     let step = (0.5 * (number.hi - number.lo) / 1.96).max(least).min(room);
                     (step > 0.0).then_some((i, step))
                 })
@@ -75,7 +75,7 @@ impl<'a> State<'a> {
                 for ((i, _), shifts) in numbers.iter().zip(shifts) {
                     let parameter = &kind.parameters()[*i];
                     let fit = named.params[parameter.name];
-                    let least = if strengths(kind).contains(i) { 1.96 * least } else { 0.0 };
+                    let least = if parameter.is_strength() { 1.96 * least } else { 0.0 };
                     let half_of = |number: &Number| 0.5 * (number.hi - number.lo);
                     let mut number =
                         corrected(named.effect.values[*i], parameter.neutral, &shifts, parameter.unit);
@@ -143,7 +143,7 @@ impl<'a> State<'a> {
             let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(views) };
             let start = comparison.find_nuisances(&variants[0].0, &round.fitted.nuisances, REFIT);
             let mut chance = chance.item(number as u32);
-            let typical: [f64; VAGUE] = std::array::from_fn(|_| StandardNormal.sample(&mut chance));
+            let typical: [f64; PRIORS] = std::array::from_fn(|_| StandardNormal.sample(&mut chance));
             let total = |(all, views, effect): &(_, Arc<Views>, Effect)| {
                 let likelihood = comparison.evaluate_views(views, all, &start, 1).total();
                 likelihood + log_prior_by_chance(effect, &effects[index], typical)
@@ -160,25 +160,13 @@ fn room(effect: &Effect, number: usize) -> f64 {
     (parameter.hi - value).min(value - parameter.lo)
 }
 
-/// Numbers in which the likelihood is smooth: not where something is, beam by beam.
+/// The parameters of an effect in which the likelihood is smooth, by index: none of a nuisance parameter, which is fitted
+/// elsewhere.
 fn smooth_numbers(kind: EffectKind) -> impl Iterator<Item = usize> {
-    let first = if matches!(kind, EffectKind::MissingObject | EffectKind::SectorOcclusion) { 2 } else { 0 };
-    let end = if matches!(kind, EffectKind::Quantization | EffectKind::BlockDensity) {
-        0
-    } else {
-        kind.parameters().len()
-    };
-    first..end
-}
-
-/// The numbers of an effect that say how strong it is.
-fn strengths(kind: EffectKind) -> std::ops::Range<usize> {
-    match kind {
-        EffectKind::MountOffset => 0..2,
-        EffectKind::MissingObject => 2..3,
-        EffectKind::SectorOcclusion => 3..4,
-        _ => 0..1,
-    }
+    let is_smooth = |parameter: &Parameter| matches!(parameter.role, Role::Strength | Role::Shape(_));
+    let is_effect = kind.description().fit != Fit::Nuisance;
+    let parameters = kind.parameters().iter().enumerate();
+    parameters.filter(move |(_, parameter)| is_effect && is_smooth(parameter)).map(|(i, _)| i)
 }
 
 /// About the bound of Cramer and Rao on the error of an effect's strength: by what it gains, half its information, or by its
@@ -188,7 +176,7 @@ fn bound(effect: &Effect, evidence: &Evidence) -> f64 {
     let by_gain = 2.0 * evidence.gain_nats.value;
     let information = evidence.score.map_or(by_gain, |score| by_gain.min(score * score));
     let away = |i: usize| effect.values[i] - effect.kind.parameters()[i].neutral;
-    let away = strengths(effect.kind).map(|i| away(i).powi(2)).sum::<f64>().sqrt();
+    let away = effect.kind.strengths().map(|i| away(i).powi(2)).sum::<f64>().sqrt();
     away / information.max(4.0).sqrt()
 }
 

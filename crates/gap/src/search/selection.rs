@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::effect::{Effect, EffectKind, Experiment};
 
 use crate::GapError;
 use crate::fit::{Candidate, sum_error};
@@ -10,16 +10,14 @@ use crate::outcome::{Estimate, Evidence, Named, Number, Rival};
 
 /// Whether two effects are one that was fitted in two steps: a strong one first comes out too weak.
 pub fn adds_up(known: &Effect, more: &Effect) -> bool {
-    let somewhere = matches!(known.kind, EffectKind::MissingObject | EffectKind::SectorOcclusion);
-    known.kind == more.kind && known.place == more.place && !somewhere
+    known.kind == more.kind && known.place == more.place && known.kind.adds_up()
 }
 
 /// Both as one: strengths add up, other numbers are the stronger one's.
 pub fn sum_of(known: &Effect, more: &Effect) -> Result<Effect, GapError> {
     let parameters = known.kind.parameters();
-    let count = if known.kind == EffectKind::MountOffset { 2 } else { 1 };
     let mut values = known.values.clone();
-    for i in 0..count {
+    for i in known.kind.strengths() {
         let parameter = &parameters[i];
         values[i] = (known.values[i] + more.values[i] - parameter.neutral).clamp(parameter.lo, parameter.hi);
     }
@@ -116,29 +114,16 @@ pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Name
     }
 }
 
-/// What would tell effects apart that look alike on this log.
+/// The drive that tells effects apart which look alike on this log: the first of which two of them say that they differ
+/// there.
 fn split_by(set: &[EffectKind]) -> Option<&'static str> {
-    use EffectKind as E;
-    let has = |kinds: &[EffectKind]| set.iter().filter(|kind| kinds.contains(kind)).count() >= 2;
     if set.len() < 2 {
-        None
-    } else if has(&[E::TimeOffset, E::MountOffset, E::MotionSkew]) {
-        Some(
-            "drive the same stretch forward and in reverse: an error of time changes its sign, a displaced laser doesn't",
-        )
-    } else if has(&[E::OdomImbalance, E::MountYaw, E::OdomTurnScale]) {
-        Some("turn in place both ways, and drive straight: only one of them shows in each")
-    } else if has(&[E::RangeBias, E::RangeScale]) {
-        Some("take scans over a wider span of ranges: a bias stays, a scale grows")
-    } else if has(&[E::RangeBias, E::WarmupDrift]) {
-        Some("go on after the sensor has warmed up: a drift dies away, a bias stays")
-    } else if has(&[E::IncidenceDropout, E::RangeDropout]) {
-        Some("see walls at right angles from far away, and slanted ones from near")
-    } else if has(&[E::MissingObject, E::SectorOcclusion]) {
-        Some("turn the robot on the spot: what is on the robot turns along")
-    } else {
-        Some("see the same places again from other sides and distances")
+        return None;
     }
+    let tells = |experiment: &Experiment| {
+        set.iter().filter(|kind| kind.description().experiments.contains(experiment)).count() >= 2
+    };
+    Some(Experiment::ALL.into_iter().find(tells).unwrap_or(Experiment::OtherViews).sentence())
 }
 
 pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) -> Vec<Rival> {

@@ -4,7 +4,7 @@ use locsim_gap::{Covariate, Deviation, Estimate, Gap, Named, Outcome, Region, Ve
 use locsim_world::effect::{EffectKind, Parameter};
 
 use locsim_report::text::fixed;
-use locsim_scenario::effect::{in_file, key, unit};
+use locsim_scenario::effect::{in_file, unit};
 
 /// The short answer: the verdict, what is named and how sure that is, how much of the gap it closes, what it does to a
 /// filter.
@@ -71,7 +71,7 @@ pub(super) fn numbers(named: &Named) -> Vec<String> {
 
 /// The name of a parameter without its unit.
 pub(super) fn label(parameter: &Parameter) -> String {
-    let mut name = key(parameter);
+    let mut name = parameter.key;
     for suffix in ["_per_m", "_m", "_deg", "_secs"] {
         name = name.strip_suffix(suffix).unwrap_or(name);
     }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use locsim_core::{Drive, DriveStep, Laser, Pose2, RangeMap, Scan};
 use locsim_gap::{Estimate, FilterError, FilterGap, GapError, Outcome, Purpose};
 use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Start, StepInput};
-use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::effect::{Effect, Effects, OdometryErrors};
 use locsim_world::simulation::Simulator;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -63,14 +63,14 @@ impl<'a> FilterOnLog<'a> {
 
     /// Position error \[m\] of each seed of the filter under the simulator with these effects.
     ///
-    /// What a person would correct is corrected: the laser's mount, the odometry's scales, stamps, a drift of the readings.
-    /// All else is learnt from scans that are simulated with it.
+    /// Effects of mount, odometry, stamps and a drift of the readings are corrected, as a person would. All others are
+    /// learnt, from scans that are simulated with them.
     ///
     /// # Errors
     /// [`LabError`] for effects that cannot be simulated, and after an interruption.
     pub fn errors(&self, effects: Vec<Effect>) -> Result<Vec<f64>, LabError> {
         let (correctable, learnt): (Vec<Effect>, Vec<Effect>) =
-            effects.into_iter().partition(|e| is_correctable(e.kind));
+            effects.into_iter().partition(|e| e.kind.description().is_correctable);
         // The same simulator gives the same model.
         let model = if learnt.is_empty() {
             None
@@ -111,20 +111,6 @@ pub(super) fn filter_gap(
         after: FilterError { position_rmse_m: mean(&after) },
         change_m: mean(&change),
     }))
-}
-
-/// Whether one would correct an effect rather than learn it.
-fn is_correctable(kind: EffectKind) -> bool {
-    matches!(
-        kind,
-        EffectKind::MountYaw
-            | EffectKind::MountOffset
-            | EffectKind::TimeOffset
-            | EffectKind::WarmupDrift
-            | EffectKind::OdomDistanceScale
-            | EffectKind::OdomTurnScale
-            | EffectKind::OdomImbalance
-    )
 }
 
 /// `np_reg_registered`, learnt from scans that are simulated with more effects.
@@ -192,18 +178,10 @@ fn corrected(study: &GapStudy, effects: &Effects) -> Corrected {
         mount,
     )
     .unwrap_or_else(|_| laser.clone());
-    let value = |kind: EffectKind, i: usize| {
-        effects.list().iter().filter(|effect| effect.kind == kind).map(|effect| effect.values[i]).sum::<f64>()
-    };
-    let scales = [EffectKind::OdomDistanceScale, EffectKind::OdomTurnScale, EffectKind::OdomImbalance];
-    let track = unscaled(&drive.steps, scales.map(|kind| value(kind, 0)));
-    let delay = value(EffectKind::TimeOffset, 0);
+    let track = corrected_track(&drive.steps, &effects.odometry_errors());
+    let delay = effects.beam_secs(0.0, 0.0);
     let stamps: Vec<f64> = drive.steps.iter().map(|step| step.stamp_secs).collect();
     let first = stamps.first().copied().unwrap_or(0.0);
-    let drift = |secs: f64| {
-        let drifts = effects.list().iter().filter(|effect| effect.kind == EffectKind::WarmupDrift);
-        drifts.map(|effect| effect.values[0] * (-secs / effect.values[1]).exp()).sum::<f64>() as f32
-    };
     let max = laser.max_range();
     let (steps, to_stamp) = drive
         .steps
@@ -211,7 +189,7 @@ fn corrected(study: &GapStudy, effects: &Effects) -> Corrected {
         .enumerate()
         .map(|(i, step)| {
             let odometry = if delay == 0.0 { track[i] } else { at_time(&stamps, &track, stamps[i] + delay) };
-            let drift = drift(step.stamp_secs - first);
+            let drift = effects.drift_m(step.stamp_secs - first) as f32;
             let mend = |range: &f32| if *range < max { (range - drift).clamp(0.0, max) } else { *range };
             let ranges = step.scan.ranges.iter().map(mend).collect();
             let step = DriveStep { odometry, scan: Scan { ranges }, ..step.clone() };
@@ -221,21 +199,15 @@ fn corrected(study: &GapStudy, effects: &Effects) -> Corrected {
     Corrected { drive: Drive { laser, steps }, to_stamp }
 }
 
-/// The odometry's track without the errors \[distance scale, turn scale, turn per metre\] of its increments.
-fn unscaled(steps: &[DriveStep], [scale, turn_scale, turn_per_m]: [f64; 3]) -> Vec<Pose2> {
+/// The odometry's track without these errors of its increments.
+fn corrected_track(steps: &[DriveStep], errors: &OdometryErrors) -> Vec<Pose2> {
     let mut track: Vec<Pose2> = Vec::with_capacity(steps.len());
     for (i, step) in steps.iter().enumerate() {
         let pose = match track.last() {
             None => step.odometry,
-            // Exactly as it was, where there is nothing to take out.
-            Some(_) if [scale, turn_scale, turn_per_m] == [0.0; 3] => step.odometry,
-            Some(last) => {
-                let read = step.odometry.relative_to(&steps[i - 1].odometry);
-                let (x, y) = (read.x / (1.0 + scale), read.y / (1.0 + scale));
-                let distance = x.hypot(y).copysign(x);
-                let turn = (read.theta - turn_per_m * distance) / (1.0 + turn_scale);
-                last.compose(&Pose2::new(x, y, turn))
-            }
+            // The same bits where nothing has to be corrected.
+            Some(_) if *errors == OdometryErrors::default() => step.odometry,
+            Some(last) => last.compose(&errors.corrected(&step.odometry.relative_to(&steps[i - 1].odometry))),
         };
         track.push(pose);
     }
@@ -304,10 +276,12 @@ fn mean(values: &[f64]) -> Estimate {
 
 #[cfg(test)]
 mod tests {
+    use locsim_world::effect::EffectKind;
+
     use super::*;
 
     #[test]
-    fn what_effects_do_to_the_odometry_is_undone() {
+    fn effects_on_the_odometry_are_corrected() {
         let kinds = [
             (EffectKind::OdomDistanceScale, 0.05),
             (EffectKind::OdomTurnScale, -0.03),
@@ -328,7 +302,7 @@ mod tests {
             scan: Scan::default(),
         };
         let steps: Vec<DriveStep> = read.iter().map(step).collect();
-        let mended = unscaled(&steps, kinds.map(|(_, value)| value));
+        let mended = corrected_track(&steps, &effects.odometry_errors());
         for (a, b) in mended.iter().zip(&truth) {
             assert!(
                 a.position().distance(b.position()) < 1e-12 && (a.theta - b.theta).abs() < 1e-12,

@@ -12,7 +12,7 @@ use locsim_report::figures::Figure;
 use locsim_report::store::Folder;
 use locsim_report::text::{self, TextTable, fixed, significant};
 use locsim_report::{ReportError, page, write_figures};
-use locsim_scenario::effect::{in_file, key, unit};
+use locsim_scenario::effect::{in_file, unit};
 
 const MARKDOWN: &str = include_str!("templates/gap.md.j2");
 
@@ -233,7 +233,7 @@ fn detectable_table(outcome: &Outcome) -> TextTable {
         };
         [
             detectable.name.name().to_owned(),
-            parameter.map_or(detectable.parameter, key).to_owned(),
+            parameter.map_or(detectable.parameter, |parameter| parameter.key).to_owned(),
             shown(detectable.value),
             shown(detectable.typical),
         ]

@@ -6,7 +6,7 @@ use locsim_core::limits::quoted;
 use locsim_gap::{Named, Outcome};
 use locsim_report::store::StoreError;
 use locsim_scenario::edit::Entry;
-use locsim_scenario::effect::{effect_yaml_with, in_file, key};
+use locsim_scenario::effect::{effect_yaml_with, in_file};
 use locsim_world::effect::{EffectKind, Parameter};
 use similar::TextDiff;
 
@@ -53,7 +53,7 @@ fn numbers(named: &Named) -> String {
         let Some(number) = named.params.get(parameter.name) else { return String::new() };
         let [value, lo, hi] = [number.value, number.lo, number.hi].map(|value| in_file(parameter, value));
         let decimals = super::answer::decimals(lo, hi);
-        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", key(parameter))
+        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", parameter.key)
     };
     named.name.parameters().iter().map(number).collect::<Vec<_>>().join(", ")
 }

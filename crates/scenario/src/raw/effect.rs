@@ -9,7 +9,7 @@ use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
-use crate::effect::{default, in_file, key, keys, unit};
+use crate::effect::{in_file, unit};
 
 /// An effect with its numbers in the units of the file, by key; which belong to it is checked later, as the name may
 /// stand after them.
@@ -65,7 +65,7 @@ impl<'de> Deserialize<'de> for RawEffect {
                         "wall" => wall = Some(map.next_value()?),
                         "from_m" => from_m = Some(map.next_value()?),
                         "to_m" => to_m = Some(map.next_value()?),
-                        number if EffectKind::ALL.into_iter().flat_map(keys).any(|key| key == number) => {
+                        number if is_key(number) => {
                             numbers.insert(key, map.next_value()?);
                         }
                         _ => {
@@ -81,6 +81,12 @@ impl<'de> Deserialize<'de> for RawEffect {
 
         deserializer.deserialize_map(EffectVisitor)
     }
+}
+
+/// Whether a parameter of any effect has this key.
+fn is_key(key: &str) -> bool {
+    let mut parameters = EffectKind::ALL.into_iter().flat_map(EffectKind::parameters);
+    parameters.any(|parameter| parameter.key == key)
 }
 
 impl Serialize for RawEffect {
@@ -141,11 +147,11 @@ fn schema_of(kind: EffectKind) -> Value {
             "type": "number", "minimum": lo, "maximum": hi,
             "description": format!("Parameter of `{kind}`{unit}, {lo} to {hi}."),
         });
-        match default(kind, parameter) {
+        match parameter.default {
             Some(default) => number["default"] = default.into(),
-            None => required.push(key(parameter)),
+            None => required.push(parameter.key),
         }
-        properties.insert(key(parameter).to_owned(), number);
+        properties.insert(parameter.key.to_owned(), number);
     }
     serde_json::json!({
         "type": "object", "properties": properties, "required": required, "additionalProperties": false,

@@ -1,12 +1,12 @@
 //! Effects: numbers first, places once the map is known.
 
 use glam::DVec2;
-use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::effect::{Effect, Effects, Moves};
 
 use crate::LoadedMap;
 use crate::check::Allowed::Within;
 use crate::check::{COORDINATE, Checker, number};
-use crate::effect::{default, in_file, is_angle, key, keys};
+use crate::effect::{in_file, is_angle};
 use crate::error::unknown_word;
 use crate::key_path::join;
 use crate::raw::{PLACE, RawEffect, RawScenario};
@@ -16,12 +16,13 @@ const MOST_EFFECTS: usize = 1000;
 
 /// The effects of a simulated world; places that are given by name are still empty.
 pub(super) fn effects(check: &mut Checker<'_>, raw: &RawScenario) -> Vec<Effect> {
-    let of_blocks = |kind| matches!(kind, EffectKind::BlockDensity | EffectKind::BlockDepth);
     check.length("effects", &raw.effects, MOST_EFFECTS);
     for (i, effect) in raw.effects.iter().enumerate() {
-        check.refuse(of_blocks(effect.kind) && raw.blocks.is_none(), &format!("effects[{i}].name"), || {
-            format!("`{}` is not allowed; there are no `blocks`", effect.kind)
-        });
+        check.refuse(
+            effect.kind.moves() == Moves::Clutter && raw.blocks.is_none(),
+            &format!("effects[{i}].name"),
+            || format!("`{}` is not allowed; there are no `blocks`", effect.kind),
+        );
     }
     raw.effects.iter().enumerate().map(|(i, raw)| effect(check, &format!("effects[{i}]"), raw)).collect()
 }
@@ -29,7 +30,11 @@ pub(super) fn effects(check: &mut Checker<'_>, raw: &RawScenario) -> Vec<Effect>
 fn effect(check: &mut Checker<'_>, at: &str, raw: &RawEffect) -> Effect {
     let kind = raw.kind;
     let place = if kind.has_place() { &PLACE[..] } else { &[] };
-    let known: Vec<&str> = ["name"].into_iter().chain(place.iter().copied()).chain(keys(kind)).collect();
+    let known: Vec<&str> = ["name"]
+        .into_iter()
+        .chain(place.iter().copied())
+        .chain(kind.parameters().iter().map(|parameter| parameter.key))
+        .collect();
     let given_place = [raw.wall.is_some(), raw.from_m.is_some(), raw.to_m.is_some()];
     let given_place = PLACE.into_iter().zip(given_place).filter(|(_, given)| *given).map(|(word, _)| word);
     let given = raw.unknown.iter().chain(raw.numbers.keys()).map(String::as_str).chain(given_place);
@@ -38,9 +43,8 @@ fn effect(check: &mut Checker<'_>, at: &str, raw: &RawEffect) -> Effect {
     }
     let mut values = Vec::with_capacity(kind.parameters().len());
     for parameter in kind.parameters() {
-        let word = key(parameter);
-        let key = join(at, word);
-        let value = raw.numbers.get(word).copied().or_else(|| default(kind, parameter));
+        let key = join(at, parameter.key);
+        let value = raw.numbers.get(parameter.key).copied().or(parameter.default);
         check.refuse(value.is_none(), &key, || "the key is missing".to_owned());
         let [lo, hi] = [parameter.lo, parameter.hi].map(|limit| in_file(parameter, limit));
         // What is missing has been told.

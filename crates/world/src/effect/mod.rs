@@ -104,6 +104,11 @@ impl Effect {
         self.kind.effect_type().bursts(self)
     }
 
+    /// The effect at typical values.
+    pub fn typical(kind: EffectKind, place: Vec<[DVec2; 2]>) -> Self {
+        Self { kind, values: kind.parameters().iter().map(|parameter| parameter.start).collect(), place }
+    }
+
     /// The effect at its neutral value, the identity.
     pub fn neutral(kind: EffectKind, place: Vec<[DVec2; 2]>) -> Self {
         Self { kind, values: kind.parameters().iter().map(|parameter| parameter.neutral).collect(), place }
