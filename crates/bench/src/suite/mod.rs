@@ -79,7 +79,7 @@ pub struct TruthFile {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FoundFile {
     /// The verdict.
-    pub verdict: String,
+    pub verdict: Verdict,
     /// Names, in order.
     pub effects: Vec<String>,
     /// Of each, the set that can't be told apart.
@@ -120,16 +120,8 @@ pub struct FilterFile {
 impl FoundFile {
     fn of(outcome: &Outcome, seconds: f64) -> Self {
         let triple = |n: &Number| [n.value, n.lo, n.hi];
-        let verdict = match outcome.verdict {
-            Verdict::None => "none",
-            Verdict::Named => "named",
-            Verdict::Ambiguous => "ambiguous",
-            Verdict::PartlyExplained => "partly_explained",
-            Verdict::Unexplained => "unexplained",
-            Verdict::Underpowered => "underpowered",
-        };
         Self {
-            verdict: verdict.to_owned(),
+            verdict: outcome.verdict,
             effects: outcome.effects.iter().map(|e| e.name.name().to_owned()).collect(),
             candidates: outcome
                 .effects
