@@ -153,6 +153,31 @@ fn one_crate_each_knows_rerun_and_parry() {
     );
 }
 
+/// Lines of the program that may name an effect. Any other code asks an effect for its properties, so that a new effect
+/// is one type in one file and one line in a list.
+const MOST_EFFECT_NAMES: usize = 60;
+
+/// Files that name effects by their nature: their definitions, the logs with hidden effects, tests.
+fn may_name_effects(file: &Path) -> bool {
+    let of_tests = ["tests", "tests.rs", "fixtures.rs", "hidden", "plan.rs"];
+    file.starts_with("crates/world") || of_tests.iter().any(|name| file.iter().any(|part| part == *name))
+}
+
+#[test]
+fn effects_are_seldom_named() {
+    let root = root();
+    let mut count = 0;
+    for path in sources(&root.join("crates")) {
+        let file = path.strip_prefix(&root).unwrap();
+        let text = fs::read_to_string(&path).unwrap();
+        let program = text.split("#[cfg(test)]\nmod tests {").next().unwrap();
+        if !may_name_effects(file) {
+            count += program.lines().filter(|line| line.contains("EffectKind::")).count();
+        }
+    }
+    assert!((1..=MOST_EFFECT_NAMES).contains(&count), "{count}");
+}
+
 #[test]
 fn large_dependencies_are_named_in_one_place() {
     let root = root();

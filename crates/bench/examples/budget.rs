@@ -7,7 +7,7 @@ use distreg::{
 };
 use locsim_bench::regression::{Task, Truth};
 
-/// What counts as distance 1 in range \[m\] and incidence \[rad\].
+/// Units of distance along range \[m\] and incidence \[rad\].
 const SCALES: [f64; 2] = [0.8, 0.2];
 
 fn main() -> Result<(), Error> {

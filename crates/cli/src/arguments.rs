@@ -155,7 +155,7 @@ pub struct Simulate {
 /// `locsim map`.
 #[derive(Debug, Args)]
 pub struct Map {
-    /// A log with reference poses: a ROS 2 bag (`.mcap`) or a CARMEN log (`.log`, `.log.gz`)
+    /// A log with reference poses: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a CARMEN log (`.log`, `.log.gz`)
     pub log: PathBuf,
     /// The map to write: OUT.yaml and OUT.pgm
     #[arg(long)]
@@ -196,7 +196,7 @@ pub struct Gap {
     /// The scenario: a simulation of the robot as it is thought to be
     #[arg(required_unless_present = "explain")]
     pub scenario: Option<PathBuf>,
-    /// The measured log, with reference poses: a ROS 2 bag (`.mcap`) or a CARMEN log (`.log`, `.log.gz`)
+    /// The measured log, with reference poses: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a CARMEN log (`.log`, `.log.gz`)
     #[arg(long, required_unless_present = "explain")]
     pub log: Option<PathBuf>,
     /// Results folder

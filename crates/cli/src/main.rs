@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use anyhow::{Context, anyhow, bail, ensure};
 use clap::{CommandFactory, Parser};
 use locsim_core::output::Output;
-use locsim_dataset::{LogOptions, McapTopics};
+use locsim_dataset::{BagTopics, LogOptions};
 use locsim_lab::LabError;
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyOptions};
 use locsim_lab::run::{self, Recorder, RunOptions};
@@ -226,7 +226,7 @@ fn simulate(arguments: &Simulate) -> anyhow::Result<ExitCode> {
 fn log_options(arguments: &arguments::LogOptions) -> LogOptions {
     LogOptions {
         max_range_m: arguments.max_range.map(|max| max as f32),
-        topics: McapTopics {
+        topics: BagTopics {
             scan: arguments.scan_topic.clone(),
             odometry: arguments.odometry_topic.clone(),
             reference: arguments.reference_topic.clone(),

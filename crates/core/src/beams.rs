@@ -3,12 +3,12 @@ use crate::Poses;
 /// The surface id of a beam that hit nothing within the maximum range.
 pub const NO_SURFACE: u32 = u32::MAX;
 
-/// Nominal ranges are cast this many times as far as the sensor sees: whether a wall stands just beyond its maximum
-/// range, and with it the objects in front of that wall, matters to what it reads.
+/// Nominal ranges are cast to this multiple of the maximum range. A wall just beyond the maximum range matters: objects
+/// stand in front of it within range.
 pub const CAST_REACH: f32 = 1.5;
 
-/// What ray casts into the map return for n laser poses x k bearings; every array has n*k entries, pose-major
-/// (entry `i * k + j` is beam `j` from pose `i`).
+/// Results of ray casts into the map for n laser poses x k bearings. Every array has n*k entries, pose-major: entry
+/// `i * k + j` is beam `j` from pose `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Hits {
     /// Nominal range r \[m\]: distance to the nearest mapped surface; how far the ray was cast where there is none.
@@ -37,7 +37,7 @@ impl Hits {
         self.range.is_empty()
     }
 
-    /// Views these hits as the beams of `laser` x `bearings`.
+    /// Borrows these hits as the beams of `laser` x `bearings`.
     ///
     /// # Panics
     /// If the number of hits is not `laser.len() * bearings.len()`.
@@ -54,7 +54,7 @@ impl Hits {
     }
 }
 
-/// What a sensor model may know of a batch of beams: n laser poses x k bearings with their nominal ray casts.
+/// A batch of beams as sensor models see it: n laser poses x k bearings with their nominal ray casts.
 /// The `[n*k]` arrays are pose-major.
 #[derive(Clone, Copy, Debug)]
 pub struct Beams<'a> {

@@ -2,8 +2,8 @@ use rand_philox::{Philox, philox4x32_10, splitmix64};
 
 use crate::normals::normal_triple;
 
-/// What a random number is drawn for. Each stage has streams of its own, so that adding draws to one stage
-/// never changes another.
+/// The purpose of a random number. Each stage has streams of its own, so that adding draws to one stage never changes
+/// another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u64)]
 pub enum Stage {
@@ -33,7 +33,7 @@ pub enum Stage {
     Trial = 13,
     /// The filter's moves and resamplings within one scan.
     Annealing = 14,
-    /// What effects (the ways in which a world differs from the nominal one) leave to chance.
+    /// The random parts of effects, the ways in which a world differs from the nominal one.
     Effect = 15,
 }
 
@@ -64,9 +64,9 @@ impl Draw {
     /// Three independent standard normal numbers for each of the [`BATCH`] items from `first` on; `[k][i]` is number
     /// k of item `first + i`.
     ///
-    /// An item's numbers are made of the first block of its generator [`Draw::item`], so whoever uses these for an
-    /// item draws nothing else for it. They are by Box and Muller (1958), in f32 with 31 random bits for each
-    /// radius and 32 for each angle: none is beyond 6.67, which leaves out 3e-11 of the distribution.
+    /// An item's numbers come from the first block of its generator [`Draw::item`]: use either for an item, never both.
+    /// The method is that of Box and Muller (1958), in f32 with 31 random bits for each radius and 32 for each angle. No
+    /// number is beyond 6.67, which leaves out 3e-11 of the distribution.
     #[inline]
     pub fn normals(&self, first: u32) -> [[f32; BATCH]; 3] {
         let key = self.item(0).key();

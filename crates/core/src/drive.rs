@@ -2,9 +2,9 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::{CAST_REACH, Pose2};
+use crate::{CAST_REACH, Pose2, Track, TrackError};
 
-/// Why a laser's description is refused.
+/// Reasons for which a laser's description is refused.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum LaserError {
     /// There is no beam.
@@ -113,9 +113,7 @@ impl Laser {
         self.base_from_laser
     }
 
-    /// This laser with only every so many beams left: at most `count` of them, spread evenly.
-    ///
-    /// Returns the reduced laser and the index of each kept beam.
+    /// This laser with at most `count` of its beams, evenly spread, and the index of each kept beam.
     pub fn thinned(&self, count: usize) -> (Self, Vec<usize>) {
         let n = self.beam_count();
         let count = count.clamp(1, n);
@@ -132,14 +130,14 @@ impl Laser {
 /// One sweep of a laser: a range \[m\] per beam.
 ///
 /// A value equal to the laser's maximum range means "no return within range"; NaN means "no usable reading"
-/// (for example below the minimum range) and tells a filter nothing.
+/// (for example below the minimum range) and has no influence on a filter.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scan {
     /// Range of each beam \[m\].
     pub ranges: Vec<f32>,
 }
 
-/// What was recorded at one scan of a drive.
+/// One scan of a drive with the poses recorded at its stamp.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveStep {
     /// Time of the scan \[s\]; never decreasing along a drive.
@@ -168,6 +166,14 @@ impl Drive {
             return Pose2::IDENTITY;
         }
         self.steps[i].odometry.relative_to(&self.steps[i - 1].odometry)
+    }
+
+    /// The reference poses of the scans that have one.
+    ///
+    /// # Errors
+    /// [`TrackError`] if no scan has one, or if stamps decrease.
+    pub fn reference(&self) -> Result<Track, TrackError> {
+        Track::new(self.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))))
     }
 
     /// The same drive with at most `count` beams per scan, spread evenly.

@@ -1,10 +1,11 @@
-//! Elementary functions for loops over many particles: no branches, no calls and no tables, so that the compiler
-//! turns such loops into vector instructions; and only operations that IEEE 754 rounds the same way everywhere,
-//! so that results have the same bits on every machine (the system's own functions do not promise that).
+//! Elementary functions for loops over many particles.
 //!
-//! Each reduces its argument to a short interval about 0, by subtracting multiples of a constant in two parts (Cody
-//! and Waite 1980), and evaluates a polynomial there, which interpolates the function at Chebyshev nodes (Muller
-//! 2016).
+//! They have no branches, no calls and no tables, so that the compiler turns such loops into vector instructions. They
+//! use only operations that IEEE 754 rounds the same way everywhere, so that results have the same bits on every machine;
+//! the system's own functions do not promise that.
+//!
+//! Each function reduces its argument to a short interval about 0, by subtracting multiples of a constant in two parts
+//! (Cody and Waite 1980). There it evaluates a polynomial that interpolates the function at Chebyshev nodes (Muller 2016).
 
 use std::f64::consts::{FRAC_2_PI, LOG2_E};
 

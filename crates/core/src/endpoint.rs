@@ -18,7 +18,7 @@ pub struct EndpointTable {
     nats: Nats,
 }
 
-/// Square cells over a box of the map frame. What lies outside counts as the border cell next to it.
+/// Square cells over a box of the map frame. A point outside counts as in the border cell next to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EndpointGrid {
     /// Lower left corner \[m\].
@@ -60,7 +60,7 @@ impl EndpointGrid {
     }
 }
 
-/// The readings of a scan that say something (not NaN), ready for an [`EndpointTable`].
+/// The usable readings of a scan (not NaN), prepared for an [`EndpointTable`].
 #[derive(Clone, Debug, Default)]
 pub struct EndpointScan {
     /// Directions, readings \[m\], and whether they are scored by where they end: all bits or none.

@@ -1,5 +1,5 @@
-//! Reductions over long slices in a fixed order that vector instructions can follow: [`LANES`] interleaved partial
-//! results, combined at the end. Compilers may not reorder a plain sum, and would add one number at a time.
+//! Reductions over long slices in a fixed order that suits vector instructions: [`LANES`] interleaved partial results,
+//! combined at the end. Compilers must not reorder a plain sum, and would add one number at a time.
 
 /// Number of partial results.
 const LANES: usize = 4;

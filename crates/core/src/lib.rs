@@ -1,5 +1,5 @@
-//! The words every other crate of locsim speaks: poses and frames, scans and ray-cast hits, particles and
-//! their weights, keyed random draws, and the traits between a world, a sensor model and a filter.
+//! The vocabulary of all other crates: poses, frames and tracks, scans and ray-cast hits, particles and their weights,
+//! keyed random draws, and the traits between a world, a sensor model and a filter.
 //!
 //! Conventions (REP-103, REP-105): SI units, radians in (-pi, pi], x forward, y left, counter-clockwise
 //! positive; frames `map`, `odom`, `base`, `laser`; a transform named `map_from_base` takes coordinates of
@@ -19,6 +19,7 @@ mod normals;
 pub mod output;
 mod particles;
 mod pose;
+mod track;
 mod weights;
 
 pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
@@ -34,4 +35,5 @@ pub use likelihood::{
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
+pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

@@ -5,13 +5,13 @@ use wide::{f32x4, u32x4};
 
 use crate::{Hits, Laser};
 
-/// `ln p(z | r, alpha)` at the knots of a regular grid, for any sensor model that knows a beam by its nominal range r
-/// and incidence angle alpha alone.
+/// `ln p(z | r, alpha)` at the knots of a regular grid, for any sensor model whose density depends on the nominal range
+/// r and the incidence angle alpha alone.
 ///
 /// Rows belong to readings: one every `step_m` from 0 to the maximum range, and a last one for "no return". A row has
-/// one entry for each nominal range, every `step_m` from 0 to the reach, and cosine of the incidence angle. A beam is
-/// answered by the knot nearest to it. Entries are whole multiples of a small unit, so that a scan's sum is exact in
-/// any order.
+/// one entry for each nominal range, every `step_m` from 0 to the reach, and cosine of the incidence angle. A beam gets
+/// the entry of its nearest knot. Entries are whole multiples of a small unit, so that a scan's sum is exact in any
+/// order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LikelihoodTable {
     grid: LikelihoodGrid,
@@ -63,11 +63,11 @@ pub struct LikelihoodGrid {
 /// Cosines put them close where incidence matters, at grazing angles.
 pub const INCIDENCE_KNOTS: usize = 16;
 
-/// Entries lie within this many nats below the greatest; what is less likely counts as this unlikely.
+/// Entries lie within this many nats below the greatest; less likely readings get the lowest entry.
 const SPAN_NATS: f64 = 64.0;
 
-/// Adding this to a number from 0 to 2^22 leaves its nearest whole number in the low bits, without a conversion that
-/// has to think of overflow.
+/// Adding this to a number from 0 to 2^22 leaves its nearest whole number in the low bits, without the checks for
+/// overflow of a conversion.
 const ROUND: f32 = 8_388_608.0;
 const ROUND_MASK: u32 = (1 << 23) - 1;
 
@@ -213,7 +213,7 @@ impl LikelihoodScale {
     }
 }
 
-/// Beams are worked on by runs of this many.
+/// Beams per run, as many as a vector register holds.
 pub const BEAMS_PER_RUN: usize = 4;
 
 /// Directions of a run of beams in the laser frame.
@@ -248,14 +248,14 @@ impl BeamRun {
     }
 }
 
-/// The readings of a scan that say something (not NaN), each with its direction and its row of a
-/// [`LikelihoodTable`]. Made once per scan, used for every particle.
+/// The usable readings of a scan (not NaN), each with its direction and its row of a [`LikelihoodTable`]. Made once per
+/// scan, used for every particle.
 #[derive(Clone, Debug, Default)]
 pub struct PreparedScan {
     /// Bearing of each beam in the laser frame \[rad\].
     pub bearings: Vec<f32>,
-    /// The same beams in runs, each with where the rows of its readings start; the last run is filled up with beams
-    /// that count for nothing.
+    /// The same beams in runs, each with the starts of its readings' rows. The last run is filled up with beams whose
+    /// row is zero.
     pub runs: Vec<(BeamRun, u32x4)>,
 }
 

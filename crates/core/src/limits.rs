@@ -1,7 +1,7 @@
-//! How much an input may cost. Every limit of locsim is here; `docs/LIMITS.md` lists them for users.
+//! Limits on the cost of inputs. Every limit of locsim is here; `docs/LIMITS.md` lists them for users.
 //!
-//! A reader asks for its limit with [`Limits::current`] before it allocates, and refuses what is above it with
-//! [`Limits::refusal`], which names the option that raises it.
+//! A reader asks for its limit with [`Limits::current`] before it allocates, and refuses larger inputs with
+//! [`Limits::refusal`], which names the option that raises the limit.
 
 use std::str::FromStr;
 use std::sync::OnceLock;
@@ -14,7 +14,7 @@ pub const YAML_DEPTH: usize = 64;
 /// A log may always unpack to this many times its own size: scans as text shrink to a quarter or an eighth.
 pub const UNPACKING_FACTOR: u64 = 20;
 
-/// A scan's poses and times take as much memory as this many readings; each scan of a log counts so many more.
+/// A scan's poses and times take as much memory as this many readings, which each scan of a log counts in addition.
 pub const READINGS_PER_SCAN: u64 = 100;
 
 /// No coordinate (m), angle (rad) or duration (s) that is read is larger; nothing on Earth needs more.
@@ -26,10 +26,10 @@ pub const RANGE_M: f64 = 1e4;
 /// No time (s) that is read is larger: beyond it neighbouring times are too far apart.
 pub const STAMP_SECS: f64 = 1e12;
 
-/// Worker threads for each core of the machine, at the most.
+/// Maximum number of worker threads for each core of the machine.
 pub const THREADS_PER_CORE: usize = 4;
 
-/// An error quotes this many characters of a value, at the most.
+/// Maximum number of characters of a value that an error quotes.
 pub const QUOTED_CHARACTERS: usize = 80;
 
 /// One row of [`Limits::TABLE`].
@@ -39,20 +39,20 @@ pub struct Limit {
     pub name: &'static str,
     /// The value without that option.
     pub default: u64,
-    /// What is counted.
+    /// The unit that is counted.
     pub what: &'static str,
 }
 
 macro_rules! limits {
     ($($(#[doc = $doc:literal])+ $name:ident = $default:expr, $what:literal;)+) => {
-        /// Limits on what is read, which the command line can change: `--limit NAME=VALUE`.
+        /// Limits on inputs, which the command line can change: `--limit NAME=VALUE`.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub struct Limits {
             $($(#[doc = $doc])+ pub $name: u64,)+
         }
 
         impl Limits {
-            /// What holds unless [`Limits::set`] was called.
+            /// The limits unless [`Limits::set`] was called.
             pub const DEFAULT: Self = Self { $($name: $default,)+ };
 
             /// Name, default and meaning of each limit.
@@ -74,7 +74,7 @@ limits! {
     yaml_bytes = 2 << 20, "bytes of a YAML file and of what its aliases repeat";
     /// Keys and values in a YAML file, those that aliases repeat counted each time.
     yaml_values = 500_000, "keys and values of a YAML file and of what its aliases repeat";
-    /// Pixels of a map's image, told by its header before it is read.
+    /// Pixels of a map's image, by its header before the pixels are read.
     map_pixels = 1 << 26, "pixels of a map's image";
     /// Wall segments of a map.
     map_segments = 500_000, "wall segments of a map";
@@ -126,7 +126,7 @@ impl Limits {
         CURRENT.get().unwrap_or(&Self::DEFAULT)
     }
 
-    /// Makes these the limits of this process. The first call counts; it belongs at a program's start.
+    /// Makes these the limits of this process. Only the first call has an effect; it belongs at a program's start.
     pub fn set(self) {
         // A second call changes nothing, so that no reader sees two limits.
         let _ = CURRENT.set(self);
@@ -146,7 +146,7 @@ impl Limits {
         Ok(self)
     }
 
-    /// What an error says of an input that is above a limit: "found; at most N, `--limit NAME=VALUE` raises it".
+    /// The error text for an input above a limit: "found; at most N, `--limit NAME=VALUE` raises it".
     ///
     /// # Panics
     /// There is no limit of this name.
@@ -156,7 +156,7 @@ impl Limits {
         format!("{found} {what} are not allowed; at most {limit} (`--limit {name}={found}` raises it)")
     }
 
-    /// [`Limits::refusal`] where reading stops at the first too many, so that nobody knows how many there are.
+    /// [`Limits::refusal`] where reading stops at the limit, so that the number of items is unknown.
     ///
     /// # Panics
     /// There is no limit of this name.
@@ -167,8 +167,8 @@ impl Limits {
     }
 }
 
-/// Whether a character isn't seen but changes how others are read: control characters, ends of lines, marks of direction
-/// and of byte order.
+/// Whether a character is invisible but changes how others are read: control characters, line ends, and marks of
+/// direction and byte order.
 pub fn is_hidden(character: char) -> bool {
     let lines_and_directions = matches!(character, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     character.is_control()

@@ -38,8 +38,8 @@ pub trait DistanceMap: Send + Sync {
     fn distance(&self, x: f64, y: f64) -> f32;
 }
 
-/// What a world knows of its own unmapped objects. Only the oracle, the bound on what any per-beam model can
-/// do, may ask.
+/// A simulated world's knowledge of its own unmapped objects. Only the oracle may use it: it bounds the quality of any
+/// model that scores beams one by one.
 pub trait Obstructions: Send + Sync {
     /// Distance between the entries of [`Survival::probability`] \[m\].
     fn bin_m(&self) -> f32;
@@ -59,7 +59,7 @@ pub struct Survival<'a> {
     pub start_m: f32,
 }
 
-/// What a sensor model looks at, besides the reading.
+/// The inputs of a sensor model's density, besides the reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DependsOn {
     /// Nominal range and incidence of the beam.
@@ -98,7 +98,7 @@ pub trait SensorModel: Send + Sync {
     /// Draws one reading per beam (`out` has n*k entries); beam `i` uses `draw.item(i)`.
     fn sample(&self, beams: &Beams<'_>, draw: &Draw, out: &mut [f32]);
 
-    /// What the density depends on, which tells how the model can be prepared as a table.
+    /// The inputs of the density, which decide how the model can be prepared as a table.
     fn depends_on(&self) -> DependsOn {
         DependsOn::State
     }

@@ -49,7 +49,7 @@ fn ln(u: f32) -> f32 {
 #[inline]
 fn sin_cos_of_word(word: u32) -> (f32, f32) {
     const STEP: f32 = (FRAC_PI_2 / (1_u32 << 30) as f64) as f32;
-    // The nearest quarter turn and what is left, exactly.
+    // The nearest quarter turn and the remainder, exactly.
     let quarter = word.wrapping_add(1 << 29) >> 30;
     let x = word.wrapping_sub(quarter << 30) as i32 as f32 * STEP;
     let sq = x * x;

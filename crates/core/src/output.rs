@@ -1,7 +1,7 @@
 //! The one way in which files are written: a temporary neighbour, synchronized, then renamed.
 //!
-//! A reader never sees half a file, a failure leaves what was there before, and [`Output::check`] keeps a command from
-//! writing over what it reads or what somebody else wrote.
+//! A reader never sees half a file, and a failure leaves the old file. [`Output::check`] keeps a command from
+//! overwriting its own inputs, and files that exist unless `--force` is given.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -11,10 +11,10 @@ use same_file::Handle;
 use tempfile::NamedTempFile;
 use thiserror::Error;
 
-/// How the names of temporary files begin and end; a kill leaves one behind at the most.
+/// Prefix and suffix of temporary files' names. A killed program leaves at most one behind.
 pub const TEMPORARY: [&str; 2] = [".locsim-", ".tmp"];
 
-/// Why a file isn't written.
+/// Reasons for which a file isn't written.
 #[derive(Debug, Error)]
 pub enum OutputError {
     /// The command reads it.
@@ -29,10 +29,10 @@ pub enum OutputError {
         /// The file.
         path: PathBuf,
     },
-    /// It is a folder, a device or the like.
+    /// It is not a regular file, but for example a folder or a device.
     #[error("--out: {} is not allowed; it is no file", path.display())]
     NoFile {
-        /// What is there.
+        /// Its path.
         path: PathBuf,
     },
     /// The system can't.
@@ -40,7 +40,7 @@ pub enum OutputError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
@@ -48,11 +48,11 @@ pub enum OutputError {
 /// A file that a command is asked to write.
 #[derive(Clone, Copy, Debug)]
 pub struct Output<'a> {
-    /// Where.
+    /// Its path.
     pub path: &'a Path,
-    /// Whether a file that is there may be replaced.
+    /// Whether an existing file may be replaced.
     pub force: bool,
-    /// What the command reads.
+    /// Files that the command reads.
     pub inputs: &'a [PathBuf],
 }
 
@@ -102,7 +102,7 @@ impl Output<'_> {
 /// Writes a whole file through `body`, in the place of one that is there.
 ///
 /// # Errors
-/// What the system or `body` says; the file is then as it was.
+/// Errors of the system and of `body`; the file is then unchanged.
 pub fn write_file(path: &Path, body: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     Staged::new(path, body)?.persist()
 }
@@ -119,7 +119,7 @@ impl Staged {
     /// Writes the file through `body`, beside `path`.
     ///
     /// # Errors
-    /// What the system or `body` says; nothing is left then.
+    /// Errors of the system and of `body`; no file is left then.
     pub fn new(path: &Path, body: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<Self> {
         let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let [prefix, suffix] = TEMPORARY;
@@ -128,7 +128,7 @@ impl Staged {
         // As other programs create files: for all whom the user's mask allows.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        // As the system says it, where there is no such folder.
+        // A missing folder is the system's error, without the temporary file's name.
         fs::metadata(folder)?;
         let mut file = BufWriter::new(builder.tempfile_in(folder).map_err(|error| without_name(&error))?);
         body(&mut file)?;
@@ -140,13 +140,13 @@ impl Staged {
     /// Puts the file in its place.
     ///
     /// # Errors
-    /// What the system says; what was there before stays.
+    /// Errors of the system; the old file then stays.
     pub fn persist(self) -> io::Result<()> {
         self.file.persist(&self.path).map(|_: File| ()).map_err(|error| error.error)
     }
 }
 
-/// What the system says, without the temporary file's name, which means nothing to a user.
+/// The system's error without the temporary file's name, which means nothing to a user.
 fn without_name(error: &io::Error) -> io::Error {
     io::Error::from(error.kind())
 }

@@ -67,7 +67,7 @@ impl Particles {
 
     /// Becomes `source[ancestors[i]]` for each `i`; keeps its buffers.
     pub fn gather(&mut self, source: &Self, ancestors: &[u32]) {
-        // So many ancestors at a time that they are still in the first-level cache for y and theta.
+        // Ancestors per batch: a batch is still in the first-level cache when y and theta follow x.
         const RUN: usize = 1024;
         self.resize(ancestors.len());
         let Self { x, y, theta } = self;

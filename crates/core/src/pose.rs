@@ -76,6 +76,15 @@ impl Pose2 {
         origin.inverse().compose(self)
     }
 
+    /// The pose at a share of the motion from `self` (0) to `other` (1): along the straight line between the positions
+    /// and the shortest turn between the headings. Other shares extrapolate.
+    #[must_use]
+    pub fn interpolate(&self, other: &Self, share: f64) -> Self {
+        let moved = share * (other.position() - self.position());
+        let turned = share * wrap_angle(other.theta - self.theta);
+        Self::new(self.x + moved.x, self.y + moved.y, self.theta + turned)
+    }
+
     /// All three components are finite.
     pub fn is_finite(&self) -> bool {
         self.x.is_finite() && self.y.is_finite() && self.theta.is_finite()

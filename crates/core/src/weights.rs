@@ -3,7 +3,7 @@ use thiserror::Error;
 use crate::elementary::exp_nonpositive;
 use crate::lanes::{all_below_infinity, greatest_sum, lane_sums};
 
-/// Why weights could not be updated. The weights are unchanged when this is returned.
+/// Reasons for which weights can't be updated. The weights are then unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum WeightError {
     /// A log likelihood is NaN or plus infinity: a defect of the sensor model, never silently repaired.
@@ -25,10 +25,10 @@ pub enum WeightError {
     },
 }
 
-/// Particles are worked on in runs of this many, whose intermediate results stay in the first-level cache.
+/// Particles per batch; a batch's intermediate results stay in the first-level cache.
 const RUN: usize = 512;
 
-/// Normalized importance weights of a particle set, with what follows from them.
+/// Normalized importance weights of a particle set, with their logs and statistics.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weights {
     /// Log of each weight over the greatest weight.

@@ -12,7 +12,7 @@ pub enum DatasetError {
     Open {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// The file can't be read on, for example because its compressed data are damaged or cut.
@@ -22,25 +22,27 @@ pub enum DatasetError {
         path: PathBuf,
         /// The line that was to be read.
         line: usize,
-        /// What the system or the decompressor says.
+        /// The error of the system or the decompressor.
         source: io::Error,
     },
-    /// The file is no log, by its first bytes.
-    #[error("{}: this is {found}", path.display())]
+    /// The file's first bytes are not those of a log.
+    #[error("{}: this is {found}; allowed: {allowed}", path.display())]
     NotALog {
         /// The file.
         path: PathBuf,
-        /// What it is, and what is allowed.
+        /// The apparent type of the file.
         found: &'static str,
+        /// What is allowed.
+        allowed: &'static str,
     },
-    /// The log costs more than the limits allow, or holds what no log may hold.
+    /// The log costs more than the limits allow, or has content that a log must not have.
     #[error("{}{}: {reason}", path.display(), line.map(|line| format!(":{line}")).unwrap_or_default())]
     Refused {
         /// The file.
         path: PathBuf,
         /// The line, where the file is a text.
         line: Option<usize>,
-        /// What is wrong, and what is allowed.
+        /// The defect, and the allowed content.
         reason: String,
     },
     /// The file holds nothing, or nothing but blank lines and comments.
@@ -96,11 +98,11 @@ pub enum DatasetError {
         line: usize,
         /// The line's keyword.
         keyword: Box<str>,
-        /// What the field means.
+        /// The meaning of the field.
         field: Box<str>,
         /// The offending value.
         value: Box<str>,
-        /// What is allowed instead.
+        /// The allowed values.
         allowed: Box<str>,
     },
     /// The log has no scan of the wanted laser.
@@ -110,7 +112,7 @@ pub enum DatasetError {
         path: PathBuf,
         /// Keywords of the wanted laser.
         wanted: String,
-        /// What the log has instead.
+        /// The keywords of the log.
         found: String,
     },
     /// The file isn't a complete MCAP file, or its content is damaged.
@@ -122,20 +124,36 @@ pub enum DatasetError {
     Mcap {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The defect.
         reason: String,
     },
-    /// The bag has no topic for what is needed, or several.
+    /// The file isn't a bag that `rosbag2` wrote to `SQLite`, or its content is damaged.
+    #[error("{}: not a sound bag in SQLite: {reason}; allowed: a file that `ros2 bag record` closed", path.display())]
+    Sqlite {
+        /// The file.
+        path: PathBuf,
+        /// The defect.
+        reason: String,
+    },
+    /// The folder isn't one bag.
+    #[error("{}: {reason}; allowed: the folder of one bag, as `ros2 bag record` writes it", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// The defect.
+        reason: String,
+    },
+    /// The bag has no topic, or several, of a needed type.
     #[error("{}: {reason}; found: {found}", path.display())]
     Topic {
         /// The file.
         path: PathBuf,
-        /// What is needed, and what is allowed.
+        /// The needed type, and the ways to name a topic.
         reason: String,
         /// The topics of the file, with types and numbers of messages.
         found: String,
     },
-    /// A message of a bag holds what isn't allowed.
+    /// A message of a bag has content that isn't allowed.
     #[error("{}: {topic}: message {number}: {reason}", path.display())]
     Message {
         /// The file.
@@ -144,7 +162,7 @@ pub enum DatasetError {
         topic: String,
         /// Which of the topic's messages, counted from 1 in the order of the file.
         number: usize,
-        /// What is wrong, and what is allowed.
+        /// The defect, and the allowed content.
         reason: String,
     },
     /// No scan was taken while there was odometry.
@@ -158,12 +176,12 @@ pub enum DatasetError {
         /// Number of scans.
         scans: usize,
     },
-    /// What the log or the options say of the laser makes no laser.
+    /// The log or the options describe an impossible laser.
     #[error("{}: {source}", path.display())]
     Laser {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The defect.
         source: LaserError,
     },
     /// The drive or trajectory doesn't fit into the format.
@@ -171,15 +189,15 @@ pub enum DatasetError {
     Unwritable {
         /// The file.
         path: PathBuf,
-        /// What doesn't fit, and what is allowed.
+        /// The part that doesn't fit, and the allowed values.
         reason: String,
     },
-    /// The file can't be written; what was there before is untouched.
+    /// The file can't be written; an old file is unchanged.
     #[error("{}: cannot be written: {source}", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }

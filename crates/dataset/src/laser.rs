@@ -5,7 +5,7 @@ use locsim_core::{Laser, LaserError};
 
 use crate::DatasetError;
 
-/// The laser that a log describes, if its numbers are such that arithmetic with them is sound.
+/// The laser that a log describes, if its numbers are within the bounds for safe arithmetic.
 pub fn checked(path: &Path, laser: Result<Laser, LaserError>) -> Result<Laser, DatasetError> {
     let laser = laser.map_err(|source| DatasetError::Laser { path: path.to_owned(), source })?;
     let mount = laser.base_from_laser();

@@ -1,9 +1,10 @@
 //! Measured logs in and out, as [`locsim_core::Drive`]: ROS 2 bags, CARMEN logs and TUM trajectories.
 //!
-//! [`read_log`] and [`write_log`] choose the format by the file's name. [`read_mcap`] and [`write_mcap`] exchange
-//! bags with ROS 2. [`read_carmen`] reads what the Radish repository and its mirrors hold; [`write_carmen`] writes a
-//! drive so that [`read_carmen`] returns it again. [`read_tum`] and [`write_tum`] exchange trajectories with `evo`.
-//! [`encode_log`] and [`encode_tum`] give the same bytes to any [`Write`](std::io::Write). Text files may be compressed with gzip: readers look at the content, writers at the name.
+//! [`read_log`] recognises the format by the first bytes, [`write_log`] by the file's name. [`read_bag`] and
+//! [`write_mcap`] exchange bags with ROS 2. [`read_carmen`] reads the logs of the Radish repository and its mirrors;
+//! [`write_carmen`] writes a drive so that [`read_carmen`] returns it again. [`read_tum`] and [`write_tum`] exchange trajectories with `evo`.
+//! [`encode_log`] and [`encode_tum`] give the same bytes to any [`Write`](std::io::Write).
+//! Files that are read may be compressed with gzip or zstd; text files are written with gzip where their name says so.
 
 mod carmen;
 mod error;
@@ -24,7 +25,7 @@ mod test_drives;
 
 pub use carmen::{CarmenLaser, CarmenOptions, read_carmen, write_carmen};
 pub use error::DatasetError;
-pub use log::{LogFormat, LogOptions, encode_log, read_log, write_log};
-pub use ros::{McapOptions, McapTopics, read_mcap, write_mcap};
+pub use log::{LogFormat, LogOptions, encode_log, log_files, read_log, write_log};
+pub use ros::{BagOptions, BagTopics, read_bag, write_mcap};
 pub use summary::{LogKind, LogSummary, OdometrySource};
 pub use tum::{StampedPose, encode_tum, odometry_trajectory, read_tum, reference_trajectory, write_tum};

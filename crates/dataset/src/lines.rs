@@ -8,13 +8,13 @@ use locsim_core::limits::{COORDINATE, Limits, STAMP_SECS, quoted};
 
 use crate::DatasetError;
 
-/// No line of a log is longer: a scan of 1000 beams takes about 10 kB.
+/// Maximum length of a line in bytes. A scan of 1000 beams takes about 10 kB.
 const LONGEST_LINE: usize = 1 << 20;
 
 /// Reads a text file line by line into one buffer.
 pub struct Lines<'a, R> {
     path: &'a Path,
-    /// So many lines may be read.
+    /// Maximum number of lines.
     allowed: u64,
     reader: R,
     number: usize,
@@ -83,12 +83,12 @@ impl Line<'_> {
         Fields { path: self.path, line: self.number, keyword, rest }
     }
 
-    /// The error for a line that is one too many.
+    /// The error for a line above the limit.
     pub fn refuse(&self, reason: String) -> DatasetError {
         DatasetError::Refused { path: self.path.to_owned(), line: Some(self.number), reason }
     }
 
-    /// The line's fields where the format has no keywords; errors then call the line by `name`.
+    /// The line's fields where the format has no keywords; `name` stands for the keyword in errors.
     pub fn fields_of<'a>(&'a self, name: &'a str) -> Fields<'a> {
         Fields { path: self.path, line: self.number, keyword: name, rest: self.text.split_ascii_whitespace() }
     }
@@ -108,8 +108,8 @@ impl<'a> Fields<'a> {
         self.rest.clone().count()
     }
 
-    /// Fails unless exactly `count` fields are left; `taken` of them are gone (with the keyword), and `why`
-    /// tells where the number comes from.
+    /// Fails unless exactly `count` fields are left. `taken` fields were taken before, the keyword included; `why` gives
+    /// the reason for the number.
     pub fn expect_remaining(&self, count: usize, taken: usize, why: &str) -> Result<(), DatasetError> {
         let remaining = self.remaining();
         if remaining == count {
@@ -129,7 +129,7 @@ impl<'a> Fields<'a> {
         self.rest.next().unwrap_or_default()
     }
 
-    /// The next field as a value that `accept` approves of.
+    /// The next field as a value for which `accept` holds.
     pub fn value<T: FromStr + Copy>(
         &mut self,
         field: &str,
@@ -152,7 +152,7 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// The next field as a number of which arithmetic is sound: a coordinate, an angle, a speed.
+    /// The next field as a number within the bounds for safe arithmetic: a coordinate, an angle, a speed.
     pub fn number(&mut self, field: &str) -> Result<f64, DatasetError> {
         self.number_up_to(COORDINATE, field)
     }

@@ -1,5 +1,5 @@
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use locsim_core::Drive;
 use locsim_core::limits::Limits;
@@ -7,35 +7,50 @@ use locsim_core::limits::Limits;
 use crate::carmen::{self, encode_carmen};
 use crate::output::write_whole;
 use crate::ros::{self, encode_mcap};
-use crate::{CarmenOptions, DatasetError, LogSummary, McapOptions, McapTopics};
+use crate::source::{Content, Source};
+use crate::{BagOptions, BagTopics, CarmenOptions, DatasetError, LogSummary};
 
 /// The formats of measured logs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogFormat {
-    /// A ROS 2 bag in one MCAP file: its name ends in `.mcap`.
-    Mcap,
-    /// A CARMEN log: every other name.
+    /// A ROS 2 bag: a folder, or one file of MCAP or `SQLite`.
+    Bag,
+    /// A CARMEN log.
     Carmen,
 }
 
 impl LogFormat {
-    /// The format of a file, by its name.
-    pub fn of(path: &Path) -> Self {
+    /// The format in which a file of this name is written: MCAP where it ends in `.mcap`, otherwise CARMEN.
+    pub fn of_name(path: &Path) -> Self {
         let mcap = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"));
-        if mcap { Self::Mcap } else { Self::Carmen }
+        if mcap { Self::Bag } else { Self::Carmen }
+    }
+
+    /// The format of a file that is there, by its first bytes; a folder is a bag.
+    ///
+    /// # Errors
+    /// The file can't be read, or is no log by its first bytes.
+    pub fn of_content(path: &Path) -> Result<Self, DatasetError> {
+        if path.is_dir() {
+            return Ok(Self::Bag);
+        }
+        Ok(match Source::open(path, Limits::current())?.content {
+            Content::Mcap | Content::Sqlite => Self::Bag,
+            Content::Text => Self::Carmen,
+        })
     }
 }
 
-/// How to read a log of either format; what isn't here is left to the log.
+/// How to read a log of either format.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LogOptions {
     /// Readings of this range (m) or more mean "no return". `None`: the log's own maximum.
     pub max_range_m: Option<f32>,
-    /// What a bag's topics are called; a CARMEN log has none that could be named.
-    pub topics: McapTopics,
+    /// Names of a bag's topics; a CARMEN log has no topics.
+    pub topics: BagTopics,
 }
 
-/// Reads a log in the format that its name tells: [`read_mcap`](crate::read_mcap) or
+/// Reads a log in the format of its content: [`read_bag`](crate::read_bag) or
 /// [`read_carmen`](crate::read_carmen).
 ///
 /// # Errors
@@ -46,14 +61,14 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary)
 
 pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
     let LogOptions { max_range_m, topics } = options.clone();
-    match LogFormat::of(path) {
-        LogFormat::Carmen if topics != McapTopics::default() => Err(DatasetError::Topic {
+    match LogFormat::of_content(path)? {
+        LogFormat::Carmen if topics != BagTopics::default() => Err(DatasetError::Topic {
             path: path.to_owned(),
-            reason: "a topic is named; allowed: topics of a bag, a file named `.mcap`".to_owned(),
+            reason: "a topic is named; allowed: topics of a ROS 2 bag".to_owned(),
             found: "a CARMEN log".to_owned(),
         }),
-        LogFormat::Mcap => {
-            ros::read(path, &McapOptions { topics, max_range_m, ..McapOptions::default() }, limits)
+        LogFormat::Bag => {
+            ros::read(path, &BagOptions { topics, max_range_m, ..BagOptions::default() }, limits)
         }
         LogFormat::Carmen => {
             carmen::read(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }, limits)
@@ -61,7 +76,15 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
     }
 }
 
-/// Writes a drive in the format that the file's name tells: [`write_mcap`](crate::write_mcap) or
+/// The files that a log is read from: itself, or those of a bag's folder in the order of recording.
+///
+/// # Errors
+/// The folder doesn't hold one bag.
+pub fn log_files(path: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+    if path.is_dir() { ros::folder_files(path) } else { Ok(vec![path.to_owned()]) }
+}
+
+/// Writes a drive in the format of the file's name: [`write_mcap`](crate::write_mcap) or
 /// [`write_carmen`](crate::write_carmen).
 ///
 /// # Errors
@@ -70,14 +93,14 @@ pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
     write_whole(path, |out| encode_log(path, drive, out))
 }
 
-/// Writes the bytes of the file that [`write_log`] writes to `out`; `path` tells the format and whether they are
-/// compressed, and is for messages.
+/// Writes the bytes of the file that [`write_log`] writes to `out`. `path` decides the format and the compression, and
+/// is named in errors.
 ///
 /// # Errors
 /// Those of the format's writer.
 pub fn encode_log(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
-    match LogFormat::of(path) {
-        LogFormat::Mcap => encode_mcap(path, drive, out),
+    match LogFormat::of_name(path) {
+        LogFormat::Bag => encode_mcap(path, drive, out),
         LogFormat::Carmen => encode_carmen(path, drive, out),
     }
 }

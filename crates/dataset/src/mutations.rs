@@ -1,19 +1,20 @@
-//! Logs with changes that keep them plausible: numbers replaced by extremes, fields and records left out or repeated,
-//! lengths that lie under check sums that are right. Whatever the change, a reader ends with a sound drive or an error.
+//! Logs with mutations that keep them plausible: numbers replaced by extremes, fields and records left out or repeated,
+//! wrong lengths under correct check sums. For every mutation a reader returns a sound drive or an error.
 //!
 //! `LOCSIM_MUTATIONS` sets the number of logs of each format; log i is the same in every run.
 
 use std::fs;
 use std::path::Path;
+use std::sync::LazyLock;
 
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN};
 use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan};
 
 use crate::log::read;
-use crate::ros::tests::{packed, records_of};
+use crate::ros::tests::{packed, plain, records_of};
 use crate::{DatasetError, LogOptions, encode_log};
 
-/// Small, so that they are reached.
+/// Small limits, so that mutations reach them.
 const LIMITS: Limits =
     Limits { log_readings: 4000, log_messages: 200, log_unpacked_bytes: 1 << 16, ..Limits::DEFAULT };
 
@@ -66,7 +67,7 @@ fn bytes(name: &str, drive: &Drive) -> Vec<u8> {
     bytes
 }
 
-/// A field of a text log that no honest log has, or only a rare one.
+/// Fields of text logs that real logs never or rarely have.
 const FIELDS: [&str; 22] = [
     "0",
     "-0",
@@ -92,7 +93,7 @@ const FIELDS: [&str; 22] = [
     "\u{fffd}",
 ];
 
-/// A word in a message or record that no honest bag has, or only a rare one.
+/// Words of messages or records that real bags never or rarely have.
 const WORDS: [u64; 16] = [
     0,
     1,
@@ -226,7 +227,7 @@ fn mcap(numbers: &mut Numbers) -> Vec<u8> {
     bytes
 }
 
-/// What every reader promises, whatever the log.
+/// The promise of every reader for every log.
 fn check(result: Result<Drive, DatasetError>, log: &str) {
     let drive = match result {
         Ok(drive) => drive,
@@ -271,6 +272,25 @@ fn all_end_well(name: &str, log: fn(&mut Numbers) -> Vec<u8>) {
 #[test]
 fn changed_text_logs_end_well() {
     all_end_well("changed.log", carmen);
+}
+
+/// A bag in `SQLite`, whose pages hold lengths and numbers of other pages.
+fn db3(numbers: &mut Numbers) -> Vec<u8> {
+    static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| plain().db3());
+    let mut bytes = WHOLE.clone();
+    for _ in 0..=numbers.below(4) {
+        if numbers.below(3) == 0 {
+            change_byte(&mut bytes, numbers);
+        } else {
+            change_word(&mut bytes, numbers);
+        }
+    }
+    bytes
+}
+
+#[test]
+fn changed_databases_end_well() {
+    all_end_well("changed.db3", db3);
 }
 
 #[test]

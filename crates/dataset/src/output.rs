@@ -9,7 +9,7 @@ use locsim_core::output::write_file;
 use crate::DatasetError;
 use crate::carmen::Beams;
 
-/// Writes a whole file through `body`, in the place of one that is there.
+/// Writes a whole file through `body`; an existing file is replaced.
 pub fn write_whole(
     path: &Path,
     body: impl FnOnce(&mut dyn Write) -> Result<(), DatasetError>,
@@ -21,7 +21,7 @@ pub fn write_whole(
     })
 }
 
-/// Writes what `body` writes, compressed when the name of the file ends in `.gz`.
+/// Writes the output of `body`, compressed when the name of the file ends in `.gz`.
 pub fn encoded(
     path: &Path,
     out: &mut dyn Write,

@@ -1,4 +1,4 @@
-//! Opens logs: says what isn't one, and counts what a compressed one unpacks to.
+//! Opens logs: recognises a file by its first bytes, unpacks it, and limits its unpacked size.
 
 use std::borrow::BorrowMut;
 use std::fs::File;
@@ -7,90 +7,202 @@ use std::path::Path;
 
 use flate2::bufread::MultiGzDecoder;
 use locsim_core::limits::{Limits, UNPACKING_FACTOR};
-use mcap::MAGIC;
+use mcap::MAGIC as MCAP;
+use ruzstd::decoding::{FrameDecoder, StreamingDecoder};
 
 use crate::DatasetError;
 
-/// So much of a file is read at once.
+/// Bytes of a file that are read at once.
 pub const READ_AHEAD: usize = 1 << 16;
 
 /// RFC 1952.
 const GZIP: &[u8] = &[0x1f, 0x8b];
 
+/// RFC 8878.
+pub const ZSTD: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
+
+/// <https://www.sqlite.org/fileformat.html>.
+const SQLITE: &[u8] = b"SQLite format 3\0";
+
 const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
 
-/// How files begin that are no logs, what they are, and what is allowed instead.
-const FOREIGN: [(&[u8], &str); 3] = [
-    (
-        b"SQLite format 3\0",
-        "a SQLite file, as rosbag2 writes them; allowed: MCAP, which `ros2 bag convert` makes of it",
-    ),
-    (b"#ROSBAG V", "a bag of ROS 1; allowed: MCAP, which `rosbags-convert` makes of it"),
-    (&[0x28, 0xb5, 0x2f, 0xfd], "compressed with zstd; allowed: what `zstd -d` makes of it"),
+/// First bytes of files that hold no log, with the type of such files.
+const FOREIGN: [(&[u8], &str); 12] = [
+    (b"#ROSBAG V", "a bag of ROS 1, which `rosbags-convert` makes a bag of ROS 2 of"),
+    (b"\x89PNG", "a PNG image"),
+    (b"\xff\xd8\xff", "a JPEG image"),
+    (b"P5", "a PGM image, perhaps a map"),
+    (b"%PDF", "a PDF document"),
+    (b"PK\x03\x04", "a zip archive"),
+    (b"\x7fELF", "a program"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"RRF2", "a recording of Rerun"),
+    (b"\xd4\xc3\xb2\xa1", "a capture of network packets"),
+    (GZIP, "compressed twice"),
+    (ZSTD, "compressed twice"),
 ];
+
+/// Formats that are read.
+const LOGS: &str =
+    "a ROS 2 bag (a folder, MCAP or SQLite) or a CARMEN log, also compressed with gzip or zstd";
 
 /// A text holds fewer control characters than one in this many; binary data hold more.
 const TEXT: usize = 50;
 
-/// Opens a text file, decompressing it when it starts as gzip does.
-pub fn open_text(path: &Path, limits: &Limits) -> Result<Box<dyn BufRead>, DatasetError> {
-    let (mut file, length) = open(path)?;
-    let failed = |source| DatasetError::Read { path: path.to_owned(), line: 1, source };
-    let mut text: Box<dyn BufRead> = if file.fill_buf().map_err(failed)?.starts_with(GZIP) {
+/// What a file holds, by its first bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Content {
+    Mcap,
+    Sqlite,
+    Text,
+}
+
+/// A file's content as a stream, unpacked where the file as a whole is compressed.
+pub struct Source {
+    pub content: Content,
+    pub stream: Box<dyn BufRead>,
+    /// The file as a whole is compressed.
+    pub packed: bool,
+    /// Length of the file as it is stored (bytes).
+    pub length: u64,
+}
+
+impl Source {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// The file can't be opened or unpacked, or holds no log.
+    pub fn open(path: &Path, limits: &Limits) -> Result<Self, DatasetError> {
+        let failed = |source| DatasetError::Open { path: path.to_owned(), source };
+        let file = File::open(path).map_err(failed)?;
+        let metadata = file.metadata().map_err(failed)?;
+        if metadata.is_dir() {
+            return Err(not_a_log(path, "a folder", "a file"));
+        }
+        let length = metadata.len();
+        let mut file = BufReader::with_capacity(READ_AHEAD, file);
+        let damaged = |source| DatasetError::Read { path: path.to_owned(), line: 1, source };
+        let start = file.fill_buf().map_err(damaged)?;
+        let (gzip, zstd) = (start.starts_with(GZIP), start.starts_with(ZSTD));
         let allowance = Allowance::of(length, limits);
-        let unpacked = Counted { packed: MultiGzDecoder::new(file), allowance };
-        Box::new(BufReader::with_capacity(READ_AHEAD, unpacked))
-    } else {
-        Box::new(file)
-    };
-    let start = text.fill_buf().map_err(failed)?;
-    refuse_foreign(path, start)?;
-    if start.starts_with(MAGIC) {
-        return Err(not_a_log(
-            path,
-            "a bag in MCAP; allowed: one that isn't compressed as a whole, named `.mcap`",
-        ));
+        let mut stream: Box<dyn BufRead> = if gzip {
+            let packed = MultiGzDecoder::new(file);
+            Box::new(BufReader::with_capacity(READ_AHEAD, Counted { packed, allowance }))
+        } else if zstd {
+            let packed = ZstdFrames::new(file);
+            Box::new(BufReader::with_capacity(READ_AHEAD, Counted { packed, allowance }))
+        } else {
+            Box::new(file)
+        };
+        let content = content(path, stream.fill_buf().map_err(damaged)?)?;
+        Ok(Self { content, stream, packed: gzip || zstd, length })
+    }
+}
+
+/// What data hold that begin so.
+fn content(path: &Path, start: &[u8]) -> Result<Content, DatasetError> {
+    if let Some((_, found)) = FOREIGN.iter().find(|(magic, _)| start.starts_with(magic)) {
+        return Err(not_a_log(path, found, LOGS));
+    }
+    if start.starts_with(MCAP) {
+        return Ok(Content::Mcap);
+    }
+    if start.starts_with(SQLITE) {
+        return Ok(Content::Sqlite);
     }
     let controls = start.iter().filter(|byte| byte.is_ascii_control() && !byte.is_ascii_whitespace()).count();
     if controls * TEXT > start.len() {
-        return Err(not_a_log(path, "a binary file; allowed: a text log, or a bag named `.mcap`"));
+        return Err(not_a_log(path, "a binary file of an unknown format", LOGS));
     }
-    if start.starts_with(BYTE_ORDER_MARK) {
-        text.consume(BYTE_ORDER_MARK.len());
-    }
-    Ok(text)
+    Ok(Content::Text)
 }
 
-/// Opens a bag; returns its length (bytes) too.
-pub fn open_bag(path: &Path) -> Result<(BufReader<File>, u64), DatasetError> {
-    let (mut file, length) = open(path)?;
-    let start = file.fill_buf().map_err(|source| DatasetError::Open { path: path.to_owned(), source })?;
-    refuse_foreign(path, start)?;
-    if start.starts_with(GZIP) {
-        return Err(not_a_log(path, "compressed with gzip; allowed for a bag: what `gunzip` makes of it"));
-    }
-    Ok((file, length))
-}
-
-fn open(path: &Path) -> Result<(BufReader<File>, u64), DatasetError> {
-    let failed = |source| DatasetError::Open { path: path.to_owned(), source };
-    let file = File::open(path).map_err(failed)?;
-    let metadata = file.metadata().map_err(failed)?;
-    if metadata.is_dir() {
-        return Err(not_a_log(path, "a folder; allowed: a text log, or a bag in one MCAP file"));
-    }
-    Ok((BufReader::with_capacity(READ_AHEAD, file), metadata.len()))
-}
-
-fn refuse_foreign(path: &Path, start: &[u8]) -> Result<(), DatasetError> {
-    match FOREIGN.iter().find(|(magic, _)| start.starts_with(magic)) {
-        Some((_, found)) => Err(not_a_log(path, found)),
-        None => Ok(()),
+/// Opens a text file.
+///
+/// # Errors
+/// Those of [`Source::open`]; the file holds a bag.
+pub fn open_text(path: &Path, limits: &Limits) -> Result<Box<dyn BufRead>, DatasetError> {
+    let Source { content, mut stream, .. } = Source::open(path, limits)?;
+    match content {
+        Content::Mcap => Err(not_a_log(path, "a ROS 2 bag (MCAP)", "a text file")),
+        Content::Sqlite => Err(not_a_log(path, "a SQLite file, perhaps a ROS 2 bag", "a text file")),
+        Content::Text => {
+            // The first bytes were read above.
+            if stream.fill_buf().is_ok_and(|start| start.starts_with(BYTE_ORDER_MARK)) {
+                stream.consume(BYTE_ORDER_MARK.len());
+            }
+            Ok(stream)
+        }
     }
 }
 
-fn not_a_log(path: &Path, found: &'static str) -> DatasetError {
-    DatasetError::NotALog { path: path.to_owned(), found }
+pub fn not_a_log(path: &Path, found: &'static str, allowed: &'static str) -> DatasetError {
+    DatasetError::NotALog { path: path.to_owned(), found, allowed }
+}
+
+/// Reads data compressed with zstd: frames one after the other, their check sums compared.
+struct ZstdFrames<R: Read> {
+    state: ZstdState<R>,
+}
+
+enum ZstdState<R: Read> {
+    /// Before a frame.
+    Between(R),
+    Within(Box<StreamingDecoder<R, FrameDecoder>>),
+    End,
+}
+
+impl<R: Read> ZstdFrames<R> {
+    fn new(stream: R) -> Self {
+        Self { state: ZstdState::Between(stream) }
+    }
+}
+
+impl<R: BufRead> Read for ZstdFrames<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        loop {
+            self.state = match std::mem::replace(&mut self.state, ZstdState::End) {
+                ZstdState::End => return Ok(0),
+                ZstdState::Between(mut stream) => {
+                    if stream.fill_buf()?.is_empty() {
+                        return Ok(0);
+                    }
+                    ZstdState::Within(Box::new(StreamingDecoder::new(stream).map_err(io::Error::other)?))
+                }
+                ZstdState::Within(mut frame) => {
+                    let read = frame.read(buffer)?;
+                    if read > 0 || buffer.is_empty() {
+                        self.state = ZstdState::Within(frame);
+                        return Ok(read);
+                    }
+                    let (stream, decoder) = frame.into_parts();
+                    let stored = decoder.get_checksum_from_data();
+                    if stored.is_some() && stored != decoder.get_calculated_checksum() {
+                        return Err(io::Error::other("the check sum of the compressed data is wrong"));
+                    }
+                    ZstdState::Between(stream)
+                }
+            }
+        }
+    }
+}
+
+/// Unpacks a message of at most `largest` bytes that is compressed with zstd.
+///
+/// # Errors
+/// The data are damaged or unpack to more than is allowed.
+pub fn unpack_message(
+    data: &[u8],
+    largest: u64,
+    allowance: &mut Allowance,
+    into: &mut Vec<u8>,
+) -> io::Result<()> {
+    into.clear();
+    let length = Counted { packed: ZstdFrames::new(data), allowance }.take(largest + 1).read_to_end(into)?;
+    if length as u64 > largest {
+        return Err(io::Error::other(format!("it has more than {largest} bytes")));
+    }
+    Ok(())
 }
 
 /// How many bytes the compressed parts of a file may still unpack to.
@@ -100,14 +212,14 @@ pub struct Allowance {
 }
 
 impl Allowance {
-    /// That of a file of so many bytes.
+    /// The allowance of a file of `length` bytes.
     pub fn of(length: u64, limits: &Limits) -> Self {
         let allowed = limits.log_unpacked_bytes.max(length.saturating_mul(UNPACKING_FACTOR));
         Self { allowed, left: allowed }
     }
 }
 
-/// Reads what a decompressor unpacks, up to the allowance; then fails with [`ErrorKind::FileTooLarge`].
+/// Reads the output of a decompressor up to the allowance, then fails with [`ErrorKind::FileTooLarge`].
 pub struct Counted<R, A> {
     pub packed: R,
     pub allowance: A,
@@ -132,8 +244,9 @@ mod tests {
 
     use flate2::Compression;
     use flate2::write::GzEncoder;
+    use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
-    use crate::{CarmenOptions, LogOptions, read_carmen, read_log};
+    use crate::{CarmenOptions, LogOptions, read_carmen, read_log, read_tum};
 
     const SCAN: &str = "FLASER 1 1 0 0 0 0 0 0 1 h 1\n";
 
@@ -156,39 +269,51 @@ mod tests {
     fn what_is_no_log_is_known_by_content() {
         let png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x03\x20\0\0\x02\x58\x08\x02\0\0\0";
         let wide: Vec<u8> = SCAN.encode_utf16().flat_map(u16::to_le_bytes).collect();
+        let zstd = |bytes: &[u8]| compress_to_vec(bytes, CompressionLevel::Fastest);
         for (name, bytes, part) in [
-            (
-                "bag.db3",
-                &b"SQLite format 3\0\x10\0\x01\x01\0"[..],
-                "a SQLite file, as rosbag2 writes them; allowed: MCAP",
-            ),
-            ("bag.mcap", b"SQLite format 3\0\x10\0\x01\x01\0", "a SQLite file"),
-            ("old.bag", b"#ROSBAG V2.0\nE\0\0\0", "a bag of ROS 1"),
-            ("bag.mcap.zstd", b"\x28\xb5\x2f\xfd\x04", "compressed with zstd; allowed: what `zstd -d`"),
-            ("bag.mcap", b"\x28\xb5\x2f\xfd\x04", "compressed with zstd"),
-            ("bag.mcap", &zipped(MAGIC), "compressed with gzip; allowed for a bag: what `gunzip`"),
-            (
-                "bag.mcap.gz",
-                &zipped(MAGIC),
-                "a bag in MCAP; allowed: one that isn't compressed as a whole, named `.mcap`",
-            ),
-            ("bag", MAGIC, "a bag in MCAP"),
-            ("map.log", png, "a binary file; allowed: a text log"),
-            ("map.log.gz", &zipped(png), "a binary file"),
-            ("wide.log", &wide, "a binary file"),
+            ("old.bag", b"#ROSBAG V2.0\nE\0\0\0".to_vec(), "a bag of ROS 1, which `rosbags-convert`"),
+            ("map.log", png.to_vec(), "a PNG image; allowed: a ROS 2 bag (a folder, MCAP or SQLite) or"),
+            ("map.mcap", png.to_vec(), "a PNG image"),
+            ("map.log.gz", zipped(png), "a PNG image"),
+            ("map.db3.zst", zstd(png), "a PNG image"),
+            ("twice.log.gz", zipped(&zipped(SCAN.as_bytes())), "compressed twice"),
+            ("twice.mcap", zipped(&zstd(MCAP)), "compressed twice"),
+            ("wide.log", wide, "a binary file of an unknown format"),
         ] {
-            let message = refused(name, bytes);
+            let message = refused(name, &bytes);
             assert!(message.contains(part) && !message.contains(char::is_control), "{name}: {message}");
         }
+    }
+
+    #[test]
+    fn a_trajectory_is_a_text() {
         let folder = tempfile::tempdir().unwrap();
-        for path in [folder.path().to_owned(), folder.path().join("bag.mcap")] {
-            fs::create_dir_all(&path).unwrap();
-            let message = read_log(&path, &LogOptions::default()).unwrap_err().to_string();
-            assert!(
-                message.ends_with("this is a folder; allowed: a text log, or a bag in one MCAP file"),
-                "{message}"
-            );
+        let path = folder.path().join("a.tum");
+        for (bytes, part) in [(MCAP, "a ROS 2 bag (MCAP); allowed: a text file"), (SQLITE, "a SQLite file")] {
+            fs::write(&path, bytes).unwrap();
+            let message = read_tum(&path).unwrap_err().to_string();
+            assert!(message.contains(part), "{message}");
         }
+        let message = read_tum(folder.path()).unwrap_err().to_string();
+        assert!(message.ends_with("this is a folder; allowed: a file"), "{message}");
+    }
+
+    #[test]
+    fn a_text_log_may_be_packed_with_zstd() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.log");
+        let frame = compress_to_vec(SCAN.as_bytes(), CompressionLevel::Fastest);
+        // Two frames, one after the other, are one content.
+        fs::write(&path, frame.repeat(2)).unwrap();
+        assert_eq!(read_log(&path, &LogOptions::default()).unwrap().0.steps.len(), 2);
+        // The check sum of the frame is its last four bytes.
+        let mut damaged = frame.clone();
+        *damaged.last_mut().unwrap() ^= 1;
+        fs::write(&path, &damaged).unwrap();
+        let message = read_log(&path, &LogOptions::default()).unwrap_err().to_string();
+        assert!(message.contains("check sum of the compressed data is wrong"), "{message}");
+        fs::write(&path, &frame[..frame.len() - 6]).unwrap();
+        assert!(read_log(&path, &LogOptions::default()).is_err());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// What the poses of a log are.
+/// The kind of poses in a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogKind {
     /// As the robot recorded it: odometry, and no reference poses.
@@ -9,9 +9,9 @@ pub enum LogKind {
     /// The scans' laser poses were corrected afterwards, for example by a mapping program: they are the
     /// reference, good to some centimetres.
     Corrected,
-    /// TRUEPOS lines tell where the robot was.
+    /// TRUEPOS lines give the true poses.
     Simulated,
-    /// A topic of reference poses, from wherever they come.
+    /// A topic of reference poses of any source.
     Referenced,
 }
 
@@ -29,10 +29,10 @@ pub enum OdometrySource {
     Topic,
 }
 
-/// What was found in a log, and how it was understood.
+/// Content of a log, and how it was interpreted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogSummary {
-    /// What the poses are.
+    /// The kind of the poses.
     pub kind: LogKind,
     /// Where the odometry comes from.
     pub odometry: OdometrySource,

@@ -29,7 +29,7 @@ pub fn drive() -> impl Strategy<Value = Drive> {
     })
 }
 
-/// NaN isn't equal to itself; as a reading it is.
+/// Bits of a scan's readings: unlike NaN values, those of NaN are equal.
 pub fn bits(scan: &Scan) -> Vec<u32> {
     scan.ranges.iter().map(|r| r.to_bits()).collect()
 }

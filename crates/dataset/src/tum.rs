@@ -39,8 +39,8 @@ pub fn odometry_trajectory(drive: &Drive) -> Vec<StampedPose> {
 /// The pose is projected to the plane: tz, roll and pitch are dropped.
 ///
 /// # Errors
-/// The file can't be read, has no pose, costs more than the [`Limits`] allow or ends inside a line; a line doesn't have eight finite numbers, or its
-/// quaternion isn't one of unit length (to 1 %).
+/// The file can't be read, has no pose, costs more than the [`Limits`] allow or ends inside a line; a line doesn't have
+/// eight finite numbers, or its quaternion doesn't have unit length (to 1 %).
 pub fn read_tum(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
     let limits = Limits::current();
     let mut lines = Lines::new(path, open_text(path, limits)?, limits);
@@ -77,8 +77,8 @@ pub fn write_tum(path: &Path, trajectory: &[StampedPose]) -> Result<(), DatasetE
     write_whole(path, |out| encode_tum(path, trajectory, out))
 }
 
-/// Writes the bytes of the file that [`write_tum`] writes to `out`; `path` tells whether they are compressed, and is
-/// for messages.
+/// Writes the bytes of the file that [`write_tum`] writes to `out`, compressed if `path` ends in `.gz`; `path` is named
+/// in errors.
 ///
 /// # Errors
 /// Those of [`write_tum`].

@@ -77,7 +77,7 @@ pub fn compare(together: f64) -> Result<Losses, Error> {
     let ranges = [0.5, 2.0];
     let first = score(&[&ranges], |&[r, z1, _]| (vec![r], z1))?;
     let second = score(&[&ranges], |&[r, _, z2]| (vec![r], z2))?;
-    // What the first beam saw before the wall is a state coordinate of the second.
+    // The first beam's reading relative to the wall is a state coordinate of the second beam.
     let given = score(&[&ranges, &[0.02, 0.05, 0.2, 1.0]], |&[r, z1, z2]| (vec![r, z1 - r], z2))?;
     Ok(Losses { joint: first + given, product: first + second })
 }

@@ -3,9 +3,9 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::error::positive;
 
-/// What is compared between states: the observation itself, or the observation relative to a state coordinate.
-/// Where the observation follows that coordinate, aligned observations of neighbouring states agree, and smoothing
-/// over states doesn't blur them ("registered" regression).
+/// The quantity that is smoothed over states: the observation itself, or the observation relative to a state
+/// coordinate. Where the observation follows that coordinate, aligned observations of neighbouring states agree, and
+/// smoothing over states doesn't blur them ("registered" regression).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Alignment {

@@ -62,8 +62,8 @@ impl Grid {
     }
 }
 
-/// What can be observed: a bin of the grid, or a value that has a probability of its own, such as a laser's
-/// maximum range.
+/// The possible outcomes of an observation: the bins of a grid, and a value that has a probability of its own, such as
+/// a laser's maximum range.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outcomes {

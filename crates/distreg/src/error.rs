@@ -1,4 +1,4 @@
-/// What can be wrong with the input of distribution regression.
+/// Errors in the input of distribution regression.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
     /// A state or query has another number of coordinates than the data.
@@ -36,7 +36,7 @@ pub enum Error {
     /// Something that must have at least one element has none.
     #[error("{what} must not be empty")]
     Empty {
-        /// What is empty.
+        /// The empty input.
         what: &'static str,
     },
     /// Two lengths that belong together differ.

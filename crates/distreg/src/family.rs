@@ -21,7 +21,7 @@ pub enum Family {
     /// One Gaussian, as published (eq. 4).
     #[default]
     Gaussian,
-    /// Two Gaussians, told apart by their means: the first has the smaller.
+    /// Two Gaussians, ordered by their means: the first has the smaller.
     TwoGaussians,
     /// A Gaussian and an exponential that falls from the low end of the grid: the classic model of a range sensor
     /// with unmodelled objects.

@@ -17,20 +17,20 @@ use crate::{
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrechetOptions {
-    /// What can be observed.
+    /// The possible outcomes.
     pub outcomes: Outcomes,
-    /// What is compared between states.
+    /// The quantity that is smoothed over states.
     pub alignment: Alignment,
     /// Number m of quantiles that stand for a distribution, at the levels (k + 1/2) / m; no more than observations
     /// at a state carry information.
     pub quantiles: usize,
     /// How much each state counts at a query.
     pub weighting: Weighting,
-    /// What is fitted to the quantiles around a query.
+    /// The local fit to the quantiles around a query.
     pub degree: Degree,
 }
 
-/// What [`FrechetOptions`] fit: the quantiles of aligned observations at each state.
+/// The model fitted by [`FrechetOptions`]: the quantiles of aligned observations at each state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Parts", into = "Parts")]
 pub struct Frechet {
@@ -167,7 +167,7 @@ impl ConditionalDistribution for Frechet {
 /// The nearest sequence in least squares that never falls, in place: pool adjacent violators (Ayer and others
 /// 1955).
 fn project_monotone(values: &mut [f64]) {
-    // Blocks of (sum, length) with rising means.
+    // Pools of (sum, length) with rising means.
     let mut blocks: Vec<(f64, usize)> = Vec::new();
     if values.is_sorted() {
         return;

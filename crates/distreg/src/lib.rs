@@ -8,7 +8,7 @@
 //! | step | what there is |
 //! | --- | --- |
 //! | data | [`Dataset`]: states with one or more observations; [`select`] and [`condense`] thin it |
-//! | what can be observed | [`Outcomes`]: a [`Grid`] and a point mass such as the maximum range |
+//! | outcomes | [`Outcomes`]: a [`Grid`] and a point mass such as the maximum range |
 //! | methods | [`NpRegOptions`], [`PRegOptions`], [`FrechetOptions`], [`StandardizedOptions`], each a [`Regressor`] |
 //! | weights over states | [`Weighting`]: a [`Kernel`] or nearest neighbours; [`Degree`]: mean or plane |
 //! | predictions | [`ConditionalDistribution`]: a [`Distribution`] and whether the query is in the data ([`Support`]) |

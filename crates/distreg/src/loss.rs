@@ -93,7 +93,7 @@ pub fn crps(distribution: &Distribution, observations: &[f64]) -> f64 {
 #[serde(rename_all = "snake_case")]
 pub enum Loss {
     /// [`histogram_match`] with the observations' histogram: the paper's. Like the other distances between
-    /// distributions it wants repeated observations; with a single one it is smallest for a point at the median.
+    /// distributions it needs repeated observations; with a single one it is smallest for a point at the median.
     #[default]
     HistogramMatch,
     /// [`wasserstein_1`] with the observations' histogram.

@@ -13,9 +13,9 @@ use crate::{
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NpRegOptions {
-    /// What can be observed.
+    /// The possible outcomes.
     pub outcomes: Outcomes,
-    /// What is compared between states.
+    /// The quantity that is smoothed over states.
     pub alignment: Alignment,
     /// ESTIMATEDENSITY of the paper.
     pub density: DensityEstimate,
@@ -26,7 +26,7 @@ pub struct NpRegOptions {
     pub degree: Degree,
 }
 
-/// What [`NpRegOptions`] fit: a histogram at each training state, and predictions as their weighted mean (eq. 7).
+/// The model fitted by [`NpRegOptions`]: a histogram at each training state; predictions are their weighted mean (eq. 7).
 ///
 /// An aligned histogram that is moved beyond the low end of the grid counts in the first bin; beyond the high end,
 /// as the point mass where that lies at the high end (a range beyond the maximum reads as maximum), else in the
@@ -237,8 +237,8 @@ impl ConditionalDistribution for NpReg {
     }
 }
 
-/// Spreads `mass` evenly over [`from`, `to`) in units of bins, what lies below bin 0 into it. Gives what lies
-/// above the last bin.
+/// Spreads `mass` evenly over [`from`, `to`) in units of bins; mass below bin 0 counts in it. Returns the mass above the
+/// last bin.
 pub(crate) fn deposit(from: f64, to: f64, mass: f64, row: &mut [f64]) -> f64 {
     let bins = row.len() as f64;
     let length = to - from;

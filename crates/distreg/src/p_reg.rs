@@ -19,23 +19,23 @@ use crate::{
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PRegOptions {
-    /// What can be observed.
+    /// The possible outcomes.
     pub outcomes: Outcomes,
-    /// What is compared between states.
+    /// The quantity that is smoothed over states.
     pub alignment: Alignment,
     /// The parametric family.
     pub family: Family,
     /// How much each state counts at a query.
     pub weighting: Weighting,
-    /// What is fitted to the parameters around a query.
+    /// The local fit to the parameters around a query.
     pub degree: Degree,
     /// No deviation is below this, in units of z; the sensor's resolution / sqrt(12) is a good one.
     pub smallest_sigma: f64,
-    /// Parameters are estimated from at least so many observations.
+    /// Least number of observations that parameters are estimated from.
     pub least_observations: usize,
 }
 
-/// What [`PRegOptions`] fit: parameters at each state.
+/// The model fitted by [`PRegOptions`]: parameters at each state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Parts", into = "Parts")]
 pub struct PReg {
@@ -201,8 +201,8 @@ impl ConditionalDistribution for PReg {
         self.options.outcomes
     }
 
-    /// What lies below the grid counts in the first bin; what lies above, as the point mass where that lies at the
-    /// high end, else in the last bin.
+    /// Mass below the grid counts in the first bin. Mass above it counts as the point mass where that lies at the high
+    /// end, else in the last bin.
     fn predict_into(
         &self,
         query: &[f64],

@@ -9,7 +9,7 @@ use crate::{Dataset, Degree, Error, LocalRegression, Outcomes, Smoother, Weighti
 /// Regression of the point mass's share on the state.
 ///
 /// Shares are averaged as they are: unlike that of their logits, the mean of shares of counts has no bias, and 0
-/// and 1 need no correction. What a plane predicts beyond 0..=1 is cut.
+/// and 1 need no correction. Predictions of a plane are limited to 0..=1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PointShare(Option<LocalRegression>);
 

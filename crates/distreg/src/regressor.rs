@@ -5,9 +5,10 @@ use crate::{Dataset, Distribution, Error, Outcomes, PointMass, Support};
 /// A method of distribution regression with all its settings: fits a model of p(z | x) to data.
 ///
 /// The methods are [`NpRegOptions`](crate::NpRegOptions), [`PRegOptions`](crate::PRegOptions),
-/// [`FrechetOptions`](crate::FrechetOptions) and [`StandardizedOptions`](crate::StandardizedOptions); everything downstream of [`Regressor::fit`] treats them alike.
+/// [`FrechetOptions`](crate::FrechetOptions) and [`StandardizedOptions`](crate::StandardizedOptions); everything
+/// downstream of [`Regressor::fit`] treats them alike.
 pub trait Regressor: Sync {
-    /// What a fit gives.
+    /// The fitted model.
     type Model: ConditionalDistribution;
 
     /// Learns from `data`.
@@ -16,7 +17,7 @@ pub trait Regressor: Sync {
     /// If there is no data or a setting is invalid.
     fn fit(&self, data: &Dataset) -> Result<Self::Model, Error>;
 
-    /// What can be observed: the bins and the point mass of every prediction.
+    /// The possible outcomes: the bins and the point mass of every prediction.
     fn outcomes(&self) -> Outcomes;
 }
 
@@ -25,7 +26,7 @@ pub trait ConditionalDistribution: Send + Sync {
     /// Coordinates of a state, p.
     fn dim(&self) -> usize;
 
-    /// What can be observed: the bins and the point mass of every prediction.
+    /// The possible outcomes: the bins and the point mass of every prediction.
     fn outcomes(&self) -> Outcomes;
 
     /// Fills `mass`, all zeros and one element per bin, with the bin masses at `query`. Gives the probability of
@@ -143,7 +144,7 @@ impl Predictions {
         self.support.is_empty()
     }
 
-    /// What can be observed.
+    /// The possible outcomes.
     pub fn outcomes(&self) -> &Outcomes {
         &self.outcomes
     }

@@ -50,7 +50,7 @@ pub enum Weighting {
     NearestNeighbours {
         /// Number of states k, at least 1.
         count: usize,
-        /// What counts as distance 1 along each state coordinate, in its units.
+        /// The unit of distance along each state coordinate, in the coordinate's units.
         scales: Vec<f64>,
     },
 }
@@ -66,7 +66,7 @@ impl Weighting {
         Self::NearestNeighbours { count, scales: scales.to_vec() }
     }
 
-    /// What distances are measured in, per state coordinate, in its units.
+    /// The unit of distance along each state coordinate, in the coordinate's units.
     pub fn scales(&self) -> &[f64] {
         match self {
             Self::Kernel { bandwidths, .. } => bandwidths,
@@ -75,7 +75,7 @@ impl Weighting {
     }
 }
 
-/// What is fitted to the states around a query.
+/// The local fit to the states around a query.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Degree {

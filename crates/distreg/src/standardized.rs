@@ -23,7 +23,7 @@ pub struct StandardizedOptions<R> {
     pub residual: R,
 }
 
-/// What [`StandardizedOptions`] fit.
+/// The model fitted by [`StandardizedOptions`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Standardized<M> {

@@ -15,8 +15,8 @@ pub struct Axis {
     pub cells: usize,
 }
 
-/// Densities p(z | x) prepared for states in cells, for whoever asks millions of times: one lookup instead of a
-/// prediction. A state counts as the middle of its cell, beyond the ends as the end cell.
+/// Densities p(z | x) prepared for states in cells, for millions of queries: one lookup instead of a prediction. A state
+/// counts as the middle of its cell, beyond the ends as the end cell.
 ///
 /// Memory is 4 bytes x cells x (bins + 1).
 #[derive(Clone, Debug, PartialEq)]
@@ -77,7 +77,7 @@ impl Table {
         Self { axes: vec![(axis, 1.0)], outcomes, densities, inverse_width: 1.0 / width }
     }
 
-    /// What can be observed.
+    /// The possible outcomes.
     pub fn outcomes(&self) -> &Outcomes {
         &self.outcomes
     }

@@ -1,4 +1,4 @@
-//! What every method promises, and what tells them apart.
+//! Promises of every method, and differences between them.
 
 use distreg::{
     Alignment, Axis, ConditionalDistribution, Dataset, Degree, DensityEstimate, Distribution, Error, Family,

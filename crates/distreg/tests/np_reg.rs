@@ -56,7 +56,7 @@ fn shift_family(states: usize, draws: usize, seed: u64) -> Dataset {
     data
 }
 
-/// What a prediction at a state of some data is held against.
+/// The expected prediction at a state of some data.
 type Target = fn(&Dataset, usize) -> Distribution;
 
 /// The distribution that [`shift_family`] draws from.

@@ -1,3 +1,4 @@
+use locsim_core::TrackError;
 use locsim_world::simulation::SimulationError;
 use thiserror::Error;
 
@@ -27,16 +28,12 @@ pub enum GapError {
         "the nominal laser has no noise: no reading of a real one has a density under it; set laser.noise.sigma_m"
     )]
     NoNoise,
-    /// A hidden drive needs a pose for each time.
-    #[error(
-        "a drive needs at least two poses, each with a later time than the one before; got {poses} poses and {secs} times"
-    )]
-    Truth {
-        /// How many times there are.
-        secs: usize,
-        /// How many poses there are.
-        poses: usize,
-    },
+    /// The reference poses and their stamps make no track.
+    #[error(transparent)]
+    Track(#[from] TrackError),
+    /// A hidden drive needs a speed between any two of its poses.
+    #[error("a drive needs at least two poses, each later than the one before")]
+    Truth,
     /// An option is out of its range.
     #[error("{option} must be {allowed}; got {value}")]
     Option {

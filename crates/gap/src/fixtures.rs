@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::sync::{Arc, LazyLock};
 
-use locsim_core::{Drive, Pose2};
+use locsim_core::{Drive, Pose2, Track};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::map::{NamedEdges, Polyline, VectorMap, Wall};
 use locsim_world::raycast::ExactRangeMap;
@@ -12,7 +12,7 @@ use locsim_world::simulation::{
 };
 
 use crate::Nominal;
-use crate::hidden::{Regime, Truth};
+use crate::hidden::Regime;
 
 pub(crate) const SIGMA_M: f64 = 0.01;
 pub(crate) const MAX_M: f64 = 5.0;
@@ -66,4 +66,4 @@ pub(crate) static DRIVE: LazyLock<Drive> = LazyLock::new(|| {
     let simulator = Regime::default().simulator(&NOMINAL, &NOMINAL.effects).unwrap();
     simulate_drive(&simulator, &robot, SEED).unwrap().drive
 });
-pub(crate) static TRUTH: LazyLock<Truth> = LazyLock::new(|| Truth::of(&DRIVE).unwrap());
+pub(crate) static TRUTH: LazyLock<Track> = LazyLock::new(|| DRIVE.reference().unwrap());

@@ -134,7 +134,7 @@ impl<'a> Comparison<'a> {
         let by_bursts = Bursts::of(effects).map(|bursts| {
             let [with, without] =
                 [&bursts.on, &bursts.off].map(|effects| self.pass(views, effects, &fitted).log_likelihood);
-            bursts.log_likelihood(&self.recorded.secs, &with, &without)
+            bursts.log_likelihood(self.recorded.track.secs(), &with, &without)
         });
         let likelihoods = by_bursts.as_ref().unwrap_or(&pass.log_likelihood);
         for (scan, likelihood) in fitted.scans.iter_mut().zip(likelihoods) {
@@ -180,11 +180,11 @@ impl<'a> Comparison<'a> {
             self.update(&mut fitted, &pass);
             // What is constant is a laser mounted otherwise or a late stamp rather than an error of the reference.
             let rest = without_patterns(&pass.information, &patterns);
-            process = fit(process, &self.recorded.secs, &rest, iterations);
+            process = fit(process, self.recorded.track.secs(), &rest, iterations);
             // Three parameters have to earn their keep.
-            let corrections = if smooth(&process, &self.recorded.secs, &rest).log_evidence > 6.0 {
+            let corrections = if smooth(&process, self.recorded.track.secs(), &rest).log_evidence > 6.0 {
                 fitted.nuisances.pose_error = process;
-                smooth(&process, &self.recorded.secs, &pass.information).mean
+                smooth(&process, self.recorded.track.secs(), &pass.information).mean
             } else {
                 vec![DVec3::ZERO; fitted.corrections.len()]
             };
@@ -194,9 +194,9 @@ impl<'a> Comparison<'a> {
             let is_last = round + 1 == CORRECTIONS || round > 0 && changed < CORRECTED_M;
             if is_last && !fitted.nuisances.pose_error.is_none() {
                 let error = fitted.nuisances.pose_error;
-                fitted.pattern_scores = patterns
-                    .each_ref()
-                    .map(|pattern| pattern_score(&error, &self.recorded.secs, &pass.information, pattern));
+                fitted.pattern_scores = patterns.each_ref().map(|pattern| {
+                    pattern_score(&error, self.recorded.track.secs(), &pass.information, pattern)
+                });
             }
             if is_last {
                 break;
@@ -213,7 +213,7 @@ impl<'a> Comparison<'a> {
 
     /// How poses seem off by a turned laser, one displaced to the front, one to the left, a late stamp.
     fn patterns(&self) -> [Vec<DVec3>; 4] {
-        let poses = &self.recorded.poses;
+        let poses = self.recorded.track.poses();
         let mount = self.recorded.laser.base_from_laser().position();
         let velocities = self.recorded.velocities();
         let ahead = |turn: f64| -> Vec<DVec3> {
@@ -236,7 +236,7 @@ impl<'a> Comparison<'a> {
 
     /// Reference poses with their errors taken off.
     pub fn corrected(&self, corrections: &[DVec3]) -> Vec<Pose2> {
-        let poses = self.recorded.poses.iter().zip(corrections);
+        let poses = self.recorded.track.poses().iter().zip(corrections);
         poses.map(|(pose, c)| Pose2::new(pose.x + c.x, pose.y + c.y, pose.theta + c.z)).collect()
     }
 
@@ -297,7 +297,7 @@ impl<'a> Comparison<'a> {
         }
         if !fitted.nuisances.pose_error.is_none() {
             let process = &fitted.nuisances.pose_error;
-            fitted.corrections = smooth(process, &self.recorded.secs, &pass.information).mean;
+            fitted.corrections = smooth(process, self.recorded.track.secs(), &pass.information).mean;
         }
     }
 
@@ -309,14 +309,15 @@ impl<'a> Comparison<'a> {
         if process.is_none() {
             return;
         }
-        fitted.scans = smooth(&process, &self.recorded.secs, information).log_volume;
+        fitted.scans = smooth(&process, self.recorded.track.secs(), information).log_volume;
         let inverse = process.covariance().inverse();
         for i in 0..fitted.scans.len() {
             let here = fitted.corrections[i];
             let (innovation, share) = if i == 0 {
                 (here, 1.0)
             } else {
-                let phi = process.correlation(self.recorded.secs[i] - self.recorded.secs[i - 1]);
+                let phi =
+                    process.correlation(self.recorded.track.secs()[i] - self.recorded.track.secs()[i - 1]);
                 (here - phi * fitted.corrections[i - 1], 1.0 - phi * phi)
             };
             fitted.scans[i] -= 0.5 * innovation.dot(inverse * innovation) / share;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use locsim_world::effect::{Effect, EffectKind};
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 
 use crate::hypothesis::Nuisances;
 use crate::statistics::{Covariate, Deviation};

@@ -3,8 +3,12 @@
 //! Beams of one scan share the error of its pose, and neighbouring scans share some of it. The error of x, y (one
 //! standard deviation for both) and of the heading is a first-order autoregressive process, in the map frame.
 
-use crate::fit::invert;
 use glam::{DMat3, DVec3};
+use locsim_core::{Pose2, Track};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::fit::invert;
 
 /// A first-order autoregressive process for the error of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -33,6 +37,26 @@ impl PoseError {
 
     pub(crate) fn correlation(&self, secs: f64) -> f64 {
         (-secs.max(0.0) / self.correlation_secs).exp().min(0.9999)
+    }
+
+    /// The poses of a track, each with a simulated error of the process; the error at pose `i` is drawn from `draw(i)`.
+    pub(crate) fn perturb<R: Rng>(&self, track: &Track, draw: impl Fn(u32) -> R) -> Vec<Pose2> {
+        if self.is_none() {
+            return track.poses().to_vec();
+        }
+        let sigma = [self.sigma_m, self.sigma_m, self.sigma_rad];
+        let secs = track.secs();
+        let mut error = [0.0; 3];
+        let perturbed = track.poses().iter().enumerate().map(|(i, pose)| {
+            let phi = if i == 0 { 0.0 } else { self.correlation(secs[i] - secs[i - 1]) };
+            let mut rng = draw(i as u32);
+            for (error, sigma) in error.iter_mut().zip(sigma) {
+                let normal: f64 = StandardNormal.sample(&mut rng);
+                *error = phi * *error + (1.0 - phi * phi).sqrt() * sigma * normal;
+            }
+            Pose2::new(pose.x + error[0], pose.y + error[1], pose.theta + error[2])
+        });
+        perturbed.collect()
     }
 }
 

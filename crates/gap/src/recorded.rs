@@ -1,5 +1,5 @@
 use glam::DVec2;
-use locsim_core::{Drive, Laser, Pose2, wrap_angle};
+use locsim_core::{Drive, Laser, Pose2, Track, wrap_angle};
 
 use crate::GapError;
 
@@ -15,10 +15,8 @@ pub struct Recorded {
     pub kept: Vec<usize>,
     /// Bearing of every beam of the log's laser \[rad\].
     pub all_bearings: Vec<f32>,
-    /// Time of each scan since the first \[s\].
-    pub secs: Vec<f64>,
     /// Reference pose of each scan, `map_from_base`.
-    pub poses: Vec<Pose2>,
+    pub track: Track,
     /// `odom_from_base` at each scan.
     pub odometry: Vec<Pose2>,
     /// Readings \[m\], \[scan\]\[beam\].
@@ -30,7 +28,7 @@ impl Recorded {
     /// with a reference pose for which `usable` holds, so that motion between neighbours is kept.
     ///
     /// # Errors
-    /// [`GapError::TooFewScans`] below 40 scans.
+    /// [`GapError::TooFewScans`] below 40 scans; [`GapError::Track`] for stamps that decrease.
     pub fn new(
         drive: &Drive,
         scans: usize,
@@ -48,12 +46,10 @@ impl Recorded {
         if steps.len() < LEAST_SCANS {
             return Err(GapError::TooFewScans { scans: steps.len(), least: LEAST_SCANS });
         }
-        let first = steps[0].0.stamp_secs;
         Ok(Self {
             laser,
             all_bearings: drive.laser.bearings().to_vec(),
-            secs: steps.iter().map(|(step, _)| step.stamp_secs - first).collect(),
-            poses: steps.iter().map(|&(_, pose)| pose).collect(),
+            track: Track::new(steps.iter().map(|&(step, pose)| (step.stamp_secs, pose)))?,
             odometry: steps.iter().map(|(step, _)| step.odometry).collect(),
             readings: steps
                 .iter()
@@ -65,7 +61,7 @@ impl Recorded {
 
     /// Number of scans.
     pub fn scans(&self) -> usize {
-        self.poses.len()
+        self.track.len()
     }
 
     /// Beams per scan.
@@ -81,27 +77,16 @@ impl Recorded {
 
     /// Velocity of the robot at each scan in the map frame \[m/s, m/s, rad/s\]: from the neighbours' poses.
     pub fn velocities(&self) -> Vec<[f64; 3]> {
-        let n = self.scans();
+        let (n, secs, poses) = (self.scans(), self.track.secs(), self.track.poses());
         (0..n)
             .map(|i| {
                 let (a, b) = (i.saturating_sub(1), (i + 1).min(n - 1));
-                let secs = (self.secs[b] - self.secs[a]).max(1e-6);
-                let (from, to) = (&self.poses[a], &self.poses[b]);
+                let secs = (secs[b] - secs[a]).max(1e-6);
+                let (from, to) = (&poses[a], &poses[b]);
                 let moved = (to.position() - from.position()) / secs;
                 [moved.x, moved.y, wrap_angle(to.theta - from.theta) / secs]
             })
             .collect()
-    }
-
-    /// Reference pose at any time: straight between two scans, on with the same velocity beyond the ends.
-    pub fn pose_at(&self, secs: f64) -> Pose2 {
-        let after = self.secs.partition_point(|&t| t <= secs).clamp(1, self.scans() - 1);
-        let (a, b) = (after - 1, after);
-        let span = (self.secs[b] - self.secs[a]).max(1e-9);
-        let share = (secs - self.secs[a]) / span;
-        let (from, to) = (&self.poses[a], &self.poses[b]);
-        let position = from.position() + share * (to.position() - from.position());
-        Pose2::new(position.x, position.y, from.theta + share * wrap_angle(to.theta - from.theta))
     }
 
     /// Distance driven (signed along the heading) and turn from each scan to the next by a track of poses.

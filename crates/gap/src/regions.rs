@@ -171,7 +171,7 @@ pub(crate) fn pits(
                     out[i].before = u as f32;
                     out[i].residual = (z - (beam.range() + shift).min(max)).clamp(-1.0, 1.0) as f32;
                     let view = &beam.view;
-                    let laser = recorded.poses[scan].compose(&recorded.laser.base_from_laser());
+                    let laser = recorded.track.poses()[scan].compose(&recorded.laser.base_from_laser());
                     let direction = glam::DVec2::from_angle(laser.theta + view.bearing);
                     let end = laser.position() + z * direction;
                     out[i].endpoint = [end.x as f32, end.y as f32];
@@ -194,7 +194,7 @@ pub(crate) fn histograms(comparison: &Comparison<'_>, pits: &[BeamPit]) -> Vec<P
         Covariate::Range => views.beams[i].view.range.min(comparison.nominal.laser.max_range_m),
         Covariate::Incidence => views.beams[i].view.incidence,
         Covariate::Bearing => views.beams[i].view.bearing,
-        Covariate::Time => recorded.secs[i / k],
+        Covariate::Time => recorded.track.secs()[i / k],
         Covariate::Speed => velocities[i / k][0].hypot(velocities[i / k][1]),
         _ => velocities[i / k][2],
     };

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use locsim_core::{Draw, Pose2, Stage};
+use locsim_core::{Draw, Pose2, Stage, Track};
 use locsim_world::effect::Effect;
 use locsim_world::simulation::BlockResampling;
 use rand_distr::{Distribution, StandardNormal};
@@ -42,8 +42,8 @@ impl Replay<'_> {
         let density = self.nuisances.block_density * self.blocks.density_over_fit;
         let blocks = BlockPolicy { density, resample: self.blocks.resample };
         let simulator = self.nominal.simulator(&effects, blocks)?;
-        let truth = self.true_poses(seed);
-        let readings = simulator.scan_along(&self.recorded.secs, &truth, seed);
+        let truth = self.true_track(seed);
+        let readings = simulator.scan_along(&truth, seed);
         let all = self.recorded.all_bearings.len();
         let readings = if all == self.recorded.beams() {
             readings
@@ -52,34 +52,15 @@ impl Replay<'_> {
             scans.flat_map(|scan| self.recorded.kept.iter().map(|&beam| scan[beam])).collect()
         };
         let noise = &self.nominal.odometry;
-        let odometry = locsim_world::simulation::odometry_along(&truth, noise, &effects, seed);
+        let odometry = locsim_world::simulation::odometry_along(truth.poses(), noise, &effects, seed);
         Ok(self.recorded.with(readings, self.with_odometry_error(&odometry, seed)))
     }
 
     /// True poses of a log whose reference is the recorded one.
-    pub fn true_poses(&self, seed: u64) -> Vec<Pose2> {
-        let process = self.nuisances.pose_error;
-        let poses = &self.recorded.poses;
-        if process.is_none() {
-            return poses.clone();
-        }
-        let mut error = [0.0; 3];
-        let sigma = [process.sigma_m, process.sigma_m, process.sigma_rad];
-        (0..poses.len())
-            .map(|i| {
-                let mut rng = Draw::new(seed, Stage::Path, i as u32).item(REFERENCE_ERROR);
-                let phi = if i == 0 {
-                    0.0
-                } else {
-                    process.correlation(self.recorded.secs[i] - self.recorded.secs[i - 1])
-                };
-                for (error, sigma) in error.iter_mut().zip(sigma) {
-                    let normal: f64 = StandardNormal.sample(&mut rng);
-                    *error = phi * *error + (1.0 - phi * phi).sqrt() * sigma * normal;
-                }
-                Pose2::new(poses[i].x + error[0], poses[i].y + error[1], poses[i].theta + error[2])
-            })
-            .collect()
+    pub fn true_track(&self, seed: u64) -> Track {
+        let track = &self.recorded.track;
+        let draw = |scan| Draw::new(seed, Stage::Path, scan).item(REFERENCE_ERROR);
+        track.with_poses(self.nuisances.pose_error.perturb(track, draw))
     }
 
     /// Increments with the error that the scenario's noise doesn't explain.
@@ -210,7 +191,7 @@ fn shared_shorts(comparison: &Comparison<'_>, fitted: &Fitted) -> [f64; LAGS.len
     comparison.for_each_reading(&comparison.views, effects, fitted, |scan, i, _, _, z, terms| {
         if terms.short > 0.5 {
             let beam = &comparison.views.beams[i];
-            let heading = comparison.recorded.poses[scan].theta + beam.view.bearing;
+            let heading = comparison.recorded.track.poses()[scan].theta + beam.view.bearing;
             let back = beam.view.range - z;
             let end = beam.view.endpoint;
             let (x, y) = (end.x - back * heading.cos(), end.y - back * heading.sin());

@@ -16,7 +16,7 @@ use locsim_world::simulation::BlockResampling;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::hidden::{OtherForm, Regime, Truth, record_other};
+use crate::hidden::{OtherForm, Regime, record_other};
 use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
 use crate::replay::{BlockTruth, Replay};
 use crate::views::Views;
@@ -110,7 +110,7 @@ impl<'a> Strength<'a> {
     /// A simulated log with an effect in another form than the library's.
     fn simulate_other(&self, form: OtherForm, effect: &Effect, number: u32) -> Result<Recorded, GapError> {
         let seed = self.draw.seed(number);
-        let truth = Truth::new(self.recorded.secs.clone(), self.replay(&[]).true_poses(seed))?;
+        let truth = self.replay(&[]).true_track(seed);
         // The error of the reference is in the true poses already.
         let regime = Regime { pose_error: None, ..self.regime };
         let drive = record_other(self.nominal, &truth, form, &effect.values, &effect.place, regime, seed)?;

@@ -230,7 +230,7 @@ struct Caster<'a> {
 impl Caster<'_> {
     fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<Beam> {
         let laser = &self.recorded.laser;
-        let stamp = self.recorded.secs[scan];
+        let stamp = self.recorded.track.secs()[scan];
         let mut counts = Vec::new();
         let mut beams: Vec<Beam> = laser
             .bearings()
@@ -240,10 +240,13 @@ impl Caster<'_> {
             .map(|(i, (&bearing, &offset))| {
                 let bearing = f64::from(bearing);
                 let secs = self.effects.beam_secs(bearing, stamp + f64::from(offset));
-                let base =
-                    if secs == stamp { self.recorded.poses[scan] } else { self.recorded.pose_at(secs) };
+                let base = if secs == stamp {
+                    self.recorded.track.poses()[scan]
+                } else {
+                    self.recorded.track.pose_at(secs)
+                };
                 // Blocks keep away from where the robot is at the scan's stamp, as in the simulator.
-                let robot = self.recorded.poses[scan].position();
+                let robot = self.recorded.track.poses()[scan].position();
                 self.beam(&base, robot, bearing, stamp, nearby.map(|beams| &beams[i]), &mut counts)
             })
             .collect();
@@ -324,7 +327,7 @@ impl Caster<'_> {
 
 /// The range jumps between neighbouring beams of the full scan, at the beams that are looked at.
 pub(crate) fn jumps(nominal: &Nominal, recorded: &Recorded, scan: usize) -> Vec<Option<[f64; 2]>> {
-    let laser = recorded.poses[scan].compose(&recorded.laser.base_from_laser());
+    let laser = recorded.track.poses()[scan].compose(&recorded.laser.base_from_laser());
     let max = f64::from(recorded.laser.max_range());
     let ranges: Vec<f64> = recorded
         .all_bearings
@@ -445,10 +448,10 @@ mod tests {
         let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 2).unwrap();
         let recorded = Recorded::new(&drive, 40, 72, |_| true).unwrap();
         let cast = |move_by: [f64; 3]| {
-            let mut moved = recorded.clone();
-            for pose in &mut moved.poses {
-                *pose = Pose2::new(pose.x + move_by[0], pose.y + move_by[1], pose.theta + move_by[2]);
-            }
+            let poses = recorded.track.poses().iter();
+            let poses = poses.map(|p| Pose2::new(p.x + move_by[0], p.y + move_by[1], p.theta + move_by[2]));
+            let track = recorded.track.with_poses(poses.collect());
+            let moved = Recorded { track, ..recorded.clone() };
             Views::new(&NOMINAL, &moved, &effects).unwrap().beams
         };
         let still = cast([0.0; 3]);

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use glam::DVec2;
-use locsim_core::Pose2;
-use locsim_gap::hidden::{OtherForm, Regime, Truth, record_library};
+use locsim_core::{Pose2, Track};
+use locsim_gap::hidden::{OtherForm, Regime, record_library};
 use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find, oracle_power};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::map::{Polyline, VectorMap};
@@ -54,14 +54,14 @@ fn nominal_with(more: Vec<Effect>) -> Nominal {
 }
 
 /// A loop through the room, speeding up and slowing down.
-fn truth(scans: u32) -> Truth {
+fn truth(scans: u32) -> Track {
     let poses = (0..scans).map(|i| {
         let t = 0.1 * f64::from(i) + 0.3 * (0.05 * f64::from(i)).sin();
         let position = DVec2::new(2.6 + 1.5 * (0.25 * t).cos(), 1.9 + 0.7 * (0.25 * t).sin());
         let ahead = DVec2::new(-1.5 * (0.25 * t).sin(), 0.7 * (0.25 * t).cos());
-        Pose2::new(position.x, position.y, ahead.to_angle())
+        (0.1 * f64::from(i), Pose2::new(position.x, position.y, ahead.to_angle()))
     });
-    Truth::new((0..scans).map(|i| 0.1 * f64::from(i)).collect(), poses.collect()).unwrap()
+    Track::new(poses).unwrap()
 }
 
 fn log(nominal: &Nominal, effects: &[Effect], regime: Regime, seed: u64) -> Recorded {

@@ -41,8 +41,7 @@ impl Ancestry {
         log_likelihood: Option<(&[f64], f64)>,
     ) {
         if let Some(parents) = parents {
-            // What came before an injected particle is unknown; the mean over all paths, the evidence, stands
-            // for it.
+            // The past of an injected particle is unknown; the mean over all paths, the evidence, stands for it.
             self.log_weight = parents
                 .iter()
                 .map(|&p| if p == NO_PARENT { self.log_evidence } else { self.log_weight[p as usize] })
@@ -55,7 +54,7 @@ impl Ancestry {
             }
             self.log_evidence += log_evidence;
         } else {
-            // Reset weights say that no path is likelier than another.
+            // With reset weights no path is likelier than another.
             self.log_weight.fill(self.log_evidence);
         }
         self.generations

@@ -7,17 +7,16 @@ use crate::motion::spread;
 use crate::resampling::Resampler;
 use crate::{Estimate, FilterError, Systematic};
 
-/// How a filter takes in a scan while it doesn't know where it is: by small powers of the likelihood, with
-/// resampling and Metropolis moves between them (the sequential Monte Carlo sampler of Del Moral, Doucet and Jasra,
-/// J. Royal Statistical Society B 68(3), 2006; resample-move of Gilks and Berzuini, same journal 63(1), 2001).
+/// Annealed updates for global localization: a scan is taken in by small powers of its likelihood, with resampling and
+/// Metropolis moves between them (the sequential Monte Carlo sampler of Del Moral, Doucet and Jasra, J. Royal
+/// Statistical Society B 68(3), 2006; resample-move of Gilks and Berzuini, same journal 63(1), 2001).
 ///
-/// A sharp likelihood hardly meets any particle of a set that is spread over a map, and which of several alike places
-/// survives is a matter of which was met more closely. In small steps, particles climb to the likelihood's peaks before
-/// these are compared. Costs some hundred weighings of the set for each scan, until the set has gathered.
+/// When particles are spread over a map, a sharp likelihood has its peaks between them. Which of several similar places
+/// survives then depends on the distance of its nearest particle. In small steps, particles climb to the peaks before
+/// the peaks are compared. Each scan costs some hundred weighings of the set, until the set has gathered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnnealingOptions {
-    /// Particles of a global start. The first scan's first power is chosen, and the set resampled to the filter's count,
-    /// as soon as it tells them apart.
+    /// Particles of a global start. The first scan that distinguishes them resamples the set to the filter's count.
     pub candidates: usize,
     /// Each power is the largest that leaves this share of the count as effective sample size, above 0 and below 1.
     pub effective_share: f64,
@@ -71,7 +70,7 @@ pub(crate) struct Annealer {
     scaled: Vec<f64>,
 }
 
-/// What is annealed.
+/// The particle set that is annealed, with its weights and buffers.
 pub(crate) struct Set<'a> {
     pub particles: &'a mut Particles,
     pub weights: &'a mut Weights,
@@ -108,7 +107,7 @@ impl Annealer {
         &self.origins
     }
 
-    /// Hears the estimate of each step.
+    /// Updates the decision for the next scan by the estimate of this step.
     pub fn observe(&mut self, estimate: &Estimate) {
         let deviation = (estimate.covariance[0][0] + estimate.covariance[1][1]).sqrt();
         let bound = self.options.gathered_m * if self.gathered { 5.0 } else { 1.0 };
@@ -174,7 +173,8 @@ impl Annealer {
         weights.reset(count);
     }
 
-    /// A Metropolis move of each particle, which leaves the likelihood's power on free space as it is.
+    /// A Metropolis move of each particle. The likelihood's power, restricted to free space, is its stationary
+    /// distribution.
     #[expect(clippy::too_many_arguments, reason = "the parts of one set and of one move")]
     fn move_all(
         &mut self,

@@ -10,7 +10,7 @@ pub enum FilterError {
         option: &'static str,
         /// The refused value.
         value: f64,
-        /// What is allowed.
+        /// The allowed values.
         allowed: &'static str,
     },
     /// No free point of the map was found for a random particle.
@@ -49,7 +49,7 @@ pub enum FilterError {
     },
 }
 
-/// `Ok` if `holds`, else the error that names the option, its value and what is allowed.
+/// `Ok` if `holds`, else the error that names the option, its value and the allowed values.
 pub(crate) fn check(
     option: &'static str,
     value: f64,

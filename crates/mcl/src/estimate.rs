@@ -46,12 +46,12 @@ fn estimate(particles: &Particles, weights: &[f64], reference: &Pose2) -> Estima
     Estimate { pose: mean, covariance: sums.covariance(&offset) }
 }
 
-/// Poses are worked on in blocks of this many, whose intermediate results stay in the first-level cache.
-const BLOCK: usize = 64;
+/// Poses per batch; a batch's intermediate results stay in the first-level cache.
+const BATCH: usize = 64;
 /// Sums are kept as this many partial ones, which share a vector register.
 const LANES: usize = 2;
 
-type Block = [f64; BLOCK];
+type Batch = [f64; BATCH];
 
 /// Weighted sums over poses, as offsets (x, y, theta) from a reference pose, heading offsets in (-pi, pi].
 ///
@@ -78,11 +78,11 @@ impl Sums {
         for (((x, y), theta), w) in x.iter().zip(y).zip(theta).zip(w) {
             sums.add(reference, x, y, theta, w);
         }
-        // The last block is filled up with the reference at weight 0.
+        // The last batch is filled up with the reference at weight 0.
         let fill = |rest: &[f64], value: f64| {
-            let mut block = [value; BLOCK];
-            block[..rest.len()].copy_from_slice(rest);
-            block
+            let mut batch = [value; BATCH];
+            batch[..rest.len()].copy_from_slice(rest);
+            batch
         };
         sums.add(
             reference,
@@ -94,7 +94,7 @@ impl Sums {
         sums
     }
 
-    fn add(&mut self, reference: &Pose2, x: &Block, y: &Block, theta: &Block, w: &Block) {
+    fn add(&mut self, reference: &Pose2, x: &Batch, y: &Batch, theta: &Batch, w: &Batch) {
         let mut theta = theta.map(|theta| theta - reference.theta);
         let mut widest = greatest_absolute(&theta);
         if widest >= PI {
@@ -114,7 +114,7 @@ impl Sums {
         });
     }
 
-    fn add_directions(&mut self, theta: &Block, w: &Block, sin_cos: impl Fn(f64) -> (f64, f64)) {
+    fn add_directions(&mut self, theta: &Batch, w: &Batch, sin_cos: impl Fn(f64) -> (f64, f64)) {
         accumulate(&mut self.direction, |i| {
             let (sin, cos) = sin_cos(theta[i]);
             [w[i] * sin, w[i] * cos]
@@ -140,10 +140,10 @@ impl Sums {
     }
 }
 
-/// Adds the terms of all entries of a block to the totals.
+/// Adds the terms of all entries of a batch to the totals.
 fn accumulate<const K: usize>(totals: &mut [[f64; LANES]; K], terms: impl Fn(usize) -> [f64; K]) {
     let mut sums = *totals;
-    for start in (0..BLOCK).step_by(LANES) {
+    for start in (0..BATCH).step_by(LANES) {
         for lane in 0..LANES {
             for (sum, term) in sums.iter_mut().zip(terms(start + lane)) {
                 sum[lane] += term;
@@ -157,7 +157,7 @@ fn total([a, b]: [f64; LANES]) -> f64 {
     a + b
 }
 
-fn greatest_absolute(values: &Block) -> f64 {
+fn greatest_absolute(values: &Batch) -> f64 {
     let mut greatest = [0.0; 4];
     for values in values.as_chunks::<4>().0 {
         for (greatest, value) in greatest.iter_mut().zip(values) {

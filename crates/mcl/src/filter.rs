@@ -44,14 +44,14 @@ pub struct Regularization {
     pub sigma_rad: f64,
 }
 
-/// What makes a filter.
+/// Options of a filter.
 #[derive(Clone, Debug)]
 pub struct FilterOptions {
     /// Number of particles.
     pub particles: ParticleCount,
     /// How the robot moves.
     pub motion: Arc<dyn MotionModel>,
-    /// Who lives on.
+    /// Chooses the particles that survive.
     pub resampler: Arc<dyn Resampler>,
     /// When to resample.
     pub trigger: ResampleTrigger,
@@ -61,24 +61,24 @@ pub struct FilterOptions {
     pub regularization: Option<Regularization>,
     /// Bins for the cluster estimate, `None` to do without it.
     pub clusters: Option<PoseBins>,
-    /// How scans are taken in while the particles are spread, `None` for all at once as always.
+    /// Annealed updates while the particles are spread, `None` for plain ones.
     pub annealing: Option<AnnealingOptions>,
     /// Whether to keep the history that the most likely trajectory is read from.
     pub ancestry: bool,
 }
 
-/// What a filter is told at a step.
+/// The inputs of a filter step.
 #[derive(Clone, Copy, Debug)]
 pub struct StepInput<'a> {
     /// Motion since the last step by odometry, `base_prev_from_base_now`; the identity at the first step.
     pub odometry: Pose2,
     /// The sensor.
     pub laser: &'a Laser,
-    /// Its sweep at the end of that motion. NaN readings tell the filter nothing.
+    /// Its sweep at the end of that motion. NaN readings are ignored.
     pub scan: &'a Scan,
 }
 
-/// How a filter went on where the rules of probability do not say how.
+/// Recovery from a scan that Bayes' rule can't use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Recovery {
     /// Every particle had likelihood zero. The observation was dropped and the weights were made equal; the
@@ -105,7 +105,7 @@ pub struct Estimates {
     pub densest_cluster: Option<Cluster>,
 }
 
-/// What happened at a step.
+/// The outcome of a filter step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOutcome {
     /// `ln p(z_t | z_1..t-1)` (nats), the log of the weighted mean likelihood; minus infinity if all were zero.
@@ -155,7 +155,7 @@ pub struct Filter {
     parents: Vec<u32>,
 }
 
-/// The stage [`Stage::Resample`] serves three purposes, told apart by seeds of their own.
+/// The stage [`Stage::Resample`] serves three purposes, each with a seed of its own.
 #[derive(Clone, Copy, Debug)]
 struct Seeds {
     filter: u64,
@@ -177,8 +177,8 @@ impl Seeds {
 }
 
 impl Filter {
-    /// A filter before its first step; `map` tells where there is free space. Everything random follows from
-    /// `seed`.
+    /// A filter before its first step. Its particles are drawn from the free space of `map`; all random numbers follow
+    /// from `seed`.
     ///
     /// # Errors
     /// [`FilterError::Option`] for options out of range, [`FilterError::NoFreeSpace`] for a global start in a
@@ -413,7 +413,7 @@ impl Filter {
         Ok(injected)
     }
 
-    /// Number of particles of the next set. KLD sampling draws from what is going to be resampled, the weighted
+    /// Number of particles of the next set. KLD sampling draws from the distribution that will be resampled: the weighted
     /// particles with a `share` of random ones.
     fn sample_size(&mut self, share: f64, map: &dyn RangeMap) -> Result<usize, FilterError> {
         let Some(kld) = &mut self.kld else { return Ok(self.particles.len()) };

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::FilterError;
 use crate::error::check_alpha;
 
-/// How a robot moves, given what its odometry says of the motion: samples from `p(x_t | u_t, x_t-1)`.
+/// How a robot moves, given an odometry increment: samples from `p(x_t | u_t, x_t-1)`.
 pub trait MotionModel: Debug + Send + Sync {
     /// Moves each particle by a draw from the motion distribution.
     ///
@@ -22,8 +22,8 @@ const MIN_TRANSLATION_M: f64 = 0.01;
 /// rotation, each with Gaussian noise.
 ///
 /// Two usual refinements. A backward motion is a negative translation with small rotations, not two rotations
-/// by half a turn, so that it is as noisy as the same motion forward. Below 1 cm of translation, whose direction
-/// says little, the whole rotation counts as the second one in the noise. The mean is the increment in any case:
+/// by half a turn, so that it is as noisy as the same motion forward. Below 1 cm of translation the direction is mostly
+/// encoder noise, and the whole rotation counts as the second one in the noise. The mean is always the increment:
 /// without noise each pose is composed with it exactly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryMotion {
@@ -138,7 +138,7 @@ pub(crate) fn spread(particles: &mut Particles, draw: &Draw, sigma_m: f64, sigma
     });
 }
 
-/// Particles are moved in parallel by runs of this many.
+/// Particles per parallel batch.
 const CHUNK: usize = 16 * BATCH;
 
 /// Calls `f(normals, x, y, theta)` for each particle, in parallel, with three standard normal numbers of the

@@ -3,7 +3,7 @@ use std::fmt::Debug;
 use locsim_core::{Draw, Weights};
 use rand::RngExt;
 
-/// Chooses which particles live on.
+/// Chooses the particles that survive.
 ///
 /// Every scheme here is unbiased (particle i of weight `w_i` has `count * w_i` expected copies), takes time
 /// linear in the numbers of particles and copies, never chooses a particle of weight zero, and returns the
@@ -27,8 +27,8 @@ pub struct Systematic;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stratified;
 
-/// floor(`count * w_i`) certain copies each, and multinomial draws from what is left of each weight (Liu and
-/// Chen 1998).
+/// floor(`count * w_i`) certain copies each, and multinomial draws from the remainders of the weights (Liu and Chen
+/// 1998).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Residual;
 
@@ -42,7 +42,7 @@ impl Resampler for Multinomial {
 impl Resampler for Systematic {
     fn ancestors(&self, weights: &Weights, count: usize, draw: &Draw, out: &mut Vec<u32>) {
         // How many copies a particle has can't be predicted, and a mistaken branch costs more than all else. So
-        // each particle writes this many; what is too much is overwritten by the next one.
+        // each particle writes this many; surplus copies are overwritten by the next particle.
         const ROOM: usize = 4;
         // The points are k + 1 - u, for whole k, on the scale where the weights sum to `count`. Up to a cumulative
         // weight c there are floor(c + u) of them.
@@ -123,7 +123,7 @@ fn invert(weights: &[f64], points: impl Iterator<Item = f64>, out: &mut Vec<u32>
 }
 
 /// `count` uniform numbers in increasing order, in linear time: the gaps above the k-th smallest are those of
-/// the remaining numbers on what is left of the interval (Bentley and Saxe 1980).
+/// the remaining numbers on the rest of the interval (Bentley and Saxe 1980).
 struct SortedUniforms<F> {
     left: usize,
     above: f64,

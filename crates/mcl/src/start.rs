@@ -7,7 +7,7 @@ use crate::FilterError;
 use crate::error::check_sigma;
 use crate::motion::spread;
 
-/// What is known of the robot's pose before the first step.
+/// The robot's pose before the first step: unknown, or known with an uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Start {
     /// Pose tracking: Gaussian around a pose.

@@ -56,7 +56,7 @@ static ALLOCATOR: Counting = Counting;
 
 const GAUSSIAN: Gaussian = Gaussian { sigma_m: 0.5 };
 
-/// The toy model as a table, coarse and flat: what it says doesn't matter here.
+/// The toy model as a table, coarse and flat: its values don't matter here.
 struct Tabled(Gaussian, LikelihoodTable);
 
 impl Tabled {

@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use locsim_core::limits::{RANGE_M, quoted};
+use locsim_dataset::log_files;
 
 use super::error::{LISTED, and_more, shown};
 use super::key_path::join;
@@ -195,17 +196,35 @@ impl<'a> Checker<'a> {
 
     /// An existing file: `${VARIABLE}` is replaced, a relative path starts at the scenario's folder.
     pub fn file(&mut self, key: &str, text: &str) -> PathBuf {
+        let Some(path) = self.path(key, text) else { return PathBuf::new() };
+        self.is_file(key, text, &path);
+        path
+    }
+
+    /// The path of a log that must exist: a file, or the folder of a bag.
+    pub fn log(&mut self, key: &str, text: &str) -> PathBuf {
+        let Some(path) = self.path(key, text) else { return PathBuf::new() };
+        if !path.is_dir() {
+            self.is_file(key, text, &path);
+        } else if let Err(error) = log_files(&path) {
+            self.problem(key, format!("`{}` is not allowed; {error}", quoted(text)));
+        }
+        path
+    }
+
+    fn is_file(&mut self, key: &str, text: &str, path: &Path) {
+        self.refuse(!path.is_file(), key, || {
+            format!("`{}` is not allowed; there is no file {}", quoted(text), shown(path))
+        });
+    }
+
+    /// A path with its variables replaced, relative to the file that names it.
+    fn path(&mut self, key: &str, text: &str) -> Option<PathBuf> {
         match expand(text, self.environment) {
-            Ok(expanded) => {
-                let path = self.file.parent().unwrap_or(Path::new("")).join(&expanded);
-                self.refuse(!path.is_file(), key, || {
-                    format!("`{}` is not allowed; there is no file {}", quoted(text), shown(&path))
-                });
-                path
-            }
+            Ok(expanded) => Some(self.file.parent().unwrap_or(Path::new("")).join(&expanded)),
             Err(message) => {
                 self.problem(key, format!("`{}` is not allowed; {message}", quoted(text)));
-                PathBuf::new()
+                None
             }
         }
     }

@@ -1,4 +1,7 @@
+use std::io;
 use std::path::{Path, PathBuf};
+
+use locsim_dataset::log_files;
 
 use super::{LogMap, Scenario, ScenarioError, Source, load_map};
 
@@ -32,9 +35,13 @@ impl Scenario {
     pub fn inputs(&self) -> Result<Vec<PathBuf>, ScenarioError> {
         let image = self.map_file().map(load_map).transpose()?.and_then(|map| map.image);
         let log = match &self.source {
-            Source::Simulation(_) => None,
-            Source::Log(log) => Some(log.file.as_path()),
+            Source::Simulation(_) => Vec::new(),
+            Source::Log(log) => log_files(&log.file).map_err(|error| ScenarioError::Read {
+                path: log.file.clone(),
+                source: io::Error::other(error),
+            })?,
         };
+        let log = log.iter().map(PathBuf::as_path);
         let fitted = self.models.iter().filter_map(|model| model.file.as_deref());
         let others = self.map_file().into_iter().chain(image.as_deref()).chain(log).chain(fitted);
         Ok([self.file.as_path()].into_iter().chain(others).map(Path::to_owned).collect())

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec2;
 use locsim_core::Pose2;
-use locsim_dataset::McapTopics;
+use locsim_dataset::BagTopics;
 use locsim_world::effect::EffectKind;
 use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath,
@@ -197,14 +197,14 @@ fn a_log_is_read_with_its_parts() {
             train_scans: vec![[0.5, 0.6], [0.6, 0.75]],
             localize_scans: vec![[0.75, 1.0]],
             max_range_m: Some(40.0),
-            topics: McapTopics::default(),
+            topics: BagTopics::default(),
         })
     );
     let Source::Log(bag) = parse(&bag()).unwrap().source else { panic!() };
     let topic = |name: &str| Some(name.to_owned());
     assert_eq!(
         bag.topics,
-        McapTopics { scan: topic("/lidar"), odometry: topic("/wheels"), reference: topic("/fused") }
+        BagTopics { scan: topic("/lidar"), odometry: topic("/wheels"), reference: topic("/fused") }
     );
     assert_eq!(scenario.map_file(), None);
     assert_eq!(scenario.training.observations, 1);

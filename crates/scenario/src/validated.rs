@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use locsim_dataset::McapTopics;
+use locsim_dataset::BagTopics;
 use locsim_sensor::ModelKind;
 use locsim_world::effect::Effect;
 use locsim_world::simulation::{BlockOptions, LaserOptions, Robot};
@@ -107,7 +107,7 @@ pub struct Log {
     /// Readings at or above this count as no return (m); `None` takes the log's own maximum.
     pub max_range_m: Option<f64>,
     /// What the topics are called, where the log is a bag.
-    pub topics: McapTopics,
+    pub topics: BagTopics,
 }
 
 /// The map of a measured log.

@@ -1,4 +1,4 @@
-//! One beam at a time: what the batch methods of the models have in common.
+//! One beam at a time: the common part of the models' batch methods.
 
 use locsim_core::{Beams, Draw};
 use rand::Rng;

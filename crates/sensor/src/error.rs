@@ -16,7 +16,7 @@ pub enum SensorError {
     State {
         /// Index the state would have had.
         index: usize,
-        /// What is wrong with it.
+        /// The defect.
         what: &'static str,
     },
     /// An observation lies outside of 0 to the maximum range.
@@ -34,7 +34,7 @@ pub enum SensorError {
     TooFewData {
         /// The model that was to be fitted.
         model: ModelKind,
-        /// What is missing.
+        /// The missing part.
         what: &'static str,
     },
     /// The training and held-out sets are of different sensors.
@@ -81,7 +81,7 @@ pub enum SensorError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// A model file is larger than the limit.
@@ -89,7 +89,7 @@ pub enum SensorError {
     TooLarge {
         /// The file.
         path: PathBuf,
-        /// What is allowed.
+        /// The allowed values.
         refusal: String,
     },
     /// A file is not a sensor model of ours.
@@ -105,12 +105,12 @@ pub enum SensorError {
         /// Version this program writes and reads.
         known: u32,
     },
-    /// A file is cut short or altered, or holds what is no model.
+    /// A file is cut short or altered, or holds no model.
     #[error("{path} is damaged: {what}", path = path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What doesn't fit.
+        /// The part that doesn't fit.
         what: String,
     },
 }

@@ -24,7 +24,7 @@ const LEAST_SIGMA: f64 = 1e-3;
 /// Neither part is ever quite certain.
 const LEAST_WEIGHT: f64 = 1e-6;
 
-/// Parameters of the likelihood field (Probabilistic Robotics, table 6.3): what a file keeps.
+/// Parameters of the likelihood field (Probabilistic Robotics, table 6.3), as a file stores them.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FieldParameters {
@@ -90,7 +90,7 @@ impl FieldParameters {
     /// Whether a fit could have given them.
     pub fn check(&self) -> Result<(), String> {
         check_weights(&[("z_hit", self.z_hit), ("z_rand", self.z_rand)])?;
-        // The score divides by what is left of both: the uniform part, and the readings below the maximum range.
+        // The score divides by the weight of the uniform part and by the share of readings below the maximum range.
         if f64::from(self.z_rand) < 0.5 * LEAST_WEIGHT || !(0.0..1.0).contains(&self.z_max) {
             return Err(format!(
                 "z_rand {} and z_max {} are not allowed; above 0, and from 0 to below 1",

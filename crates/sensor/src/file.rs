@@ -61,7 +61,7 @@ impl FittedModel {
         Self::from_bytes(&bytes, path)
     }
 
-    /// Reads a model from the content of a file; `path` is what errors call it.
+    /// Reads a model from the content of a file; `path` is its name in errors.
     ///
     /// # Errors
     /// [`SensorError::Foreign`] if it is something else, [`SensorError::Version`] if its format is another one,
@@ -92,7 +92,7 @@ impl FittedModel {
     }
 }
 
-/// What is wrong with CBOR, without the names of our types.
+/// The error of a CBOR document in words, without the names of Rust types.
 fn describe(error: Error<io::Error>) -> String {
     match error {
         Error::Semantic(_, what) => what,

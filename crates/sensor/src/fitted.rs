@@ -1,4 +1,4 @@
-//! Fitting, and what a fit gives.
+//! Fitting, and the fitted models.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -15,7 +15,7 @@ use crate::np_reg;
 use crate::p_reg::{self, NormalTable};
 use crate::{ModelKind, SensorError, TrainingSet, total};
 
-/// What fitting may need beside the data.
+/// Inputs of a fit beside the data.
 #[derive(Clone, Default)]
 pub struct FitOptions {
     /// Distances to the mapped surfaces, for `likelihood_field`; the other models don't look at it.
@@ -25,7 +25,7 @@ pub struct FitOptions {
 /// Maximum ranges \[m\] that a model file may name.
 const MAX_RANGES_M: RangeInclusive<f32> = 1e-3..=1e6;
 
-/// A model file names at most this many chosen values, by names of at most so many letters.
+/// Greatest number of chosen values in a model file, and of letters in a value's name.
 const MOST_CHOSEN: usize = 32;
 const MOST_LETTERS: usize = 64;
 
@@ -39,7 +39,7 @@ pub struct FittedModel {
     form: Form,
 }
 
-/// A model as a file says it is.
+/// A model as stored in a file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Unchecked {
@@ -197,7 +197,7 @@ impl FittedModel {
         self.max_range
     }
 
-    /// What fitting chose, by name: weights, deviations and rates of a mixture, bandwidths of a regression
+    /// The values that fitting chose, by name: weights, deviations and rates of a mixture, bandwidths of a regression
     /// and the held-out scores they were chosen by. Names end in their unit.
     pub fn chosen(&self) -> &BTreeMap<String, f64> {
         &self.chosen

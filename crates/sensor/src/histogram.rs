@@ -31,7 +31,7 @@ pub(crate) struct HistogramTable {
 /// The masses of a cell are rounded to f32 one by one, so that their sum may be above 1 by this much.
 const MASS_TOLERANCE: f64 = 1e-6;
 
-/// What a file keeps.
+/// The stored form of the model.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Parts {

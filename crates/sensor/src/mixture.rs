@@ -36,10 +36,10 @@ const ROUNDS: usize = 500;
 
 /// A mixture of up to four ways in which a reading comes about (Probabilistic Robotics, eqs. 6.4 to 6.12).
 ///
-/// - *hit*: Gaussian around the nominal range r, cut at 0; what lies beyond the maximum range is reported as
-///   the maximum range. Where the map has nothing within reach (r = maximum), the point mass at the maximum
+/// - *hit*: Gaussian around the nominal range r, cut at 0; its mass beyond the maximum range is reported as the
+///   maximum range. Where the map has nothing within reach (r = maximum), the point mass at the maximum
 ///   range.
-/// - *short*: an exponential of rate lambda (at least 0.001 per metre, which is as good as even) cut to \[0,
+/// - *short*: an exponential of rate lambda (at least 0.001 per metre, which is nearly uniform) cut to \[0,
 ///   r), from unmapped objects.
 /// - *max*: the point mass at the maximum range.
 /// - *random*: uniform over \[0, maximum).

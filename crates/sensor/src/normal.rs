@@ -10,7 +10,7 @@ use statrs::function::erf::erfc;
 /// 1 / sqrt(2 pi).
 const INV_SQRT_TAU: f32 = 0.398_942_3;
 
-/// Standard deviations beyond which a normal distribution has less mass (1e-9) than f32 can tell from none.
+/// Standard deviations beyond which a normal distribution has less mass (1e-9) than f32 resolves.
 const FAR: f64 = 6.0;
 
 /// Standard normal density.

@@ -24,8 +24,8 @@ const INCIDENCES: [f32; 5] = [0.03, 0.06, 0.12, 0.25, 0.5];
 const OBSERVATIONS: [f32; 4] = [1.0, 0.5, 2.0, 3.0];
 const PSEUDO_COUNTS: [f32; 4] = [3.0, 1.0, 10.0, 30.0];
 
-/// Weight of the pooled histogram for `np_reg`, which knows of no such thing: enough to say something where
-/// no state is near.
+/// Weight of the pooled histogram for `np_reg`. The paper's method has none; without it there is no density where no
+/// training state is near.
 const FALLBACK: f32 = 1e-3;
 
 /// Share of the wide distribution (half uniform, half at the maximum range) in the pooled histogram: no
@@ -35,7 +35,7 @@ const WIDE: f32 = 1e-3;
 /// Candidates whose risk is within this share of the least count as equally good by risk.
 const EQUAL_RISK: f64 = 0.01;
 
-/// What decides the smoothing.
+/// The parameters of the smoothing.
 #[derive(Clone, Copy, Debug)]
 struct Smoothing {
     range_m: f32,
@@ -55,8 +55,8 @@ struct Smoothing {
 /// `np_reg_registered` smooths histograms of z - r. The sensor's own noise then stays at 0 whatever the
 /// bandwidth over r, so that it isn't blurred. Its bins are fine around 0 and coarse far away, smoothed by a
 /// Gaussian that is constant in bins, hence wide where bins are; a cell with few readings around it leans on
-/// the histogram of all. All constants by the least held-out log loss, a strictly proper score and what a
-/// filter adds up; the risk, which forgives a blurred peak, isn't asked. First the bandwidths over the state,
+/// the histogram of all. All constants minimize the held-out log loss: it is a strictly proper score, and the sum that a
+/// filter uses. The risk isn't used, because it forgives a blurred peak. First the bandwidths over the state,
 /// then over the observation, then the weight of the pooled histogram.
 pub(crate) fn fit(
     kind: ModelKind,
@@ -115,7 +115,7 @@ fn least_log_loss(tried: impl IntoIterator<Item = Tried>) -> Tried {
         .expect("there are candidates")
 }
 
-/// The readings as counted, and what scores candidates.
+/// The readings as counts, and the data that score candidates.
 struct Search<'a> {
     kind: ModelKind,
     axis: Axis,
@@ -201,8 +201,8 @@ impl<'a> Search<'a> {
     }
 
     /// The bin masses of one cell: its counts, `share` readings of the pooled histogram and `wide` of the
-    /// wide distribution, without what would be a reading below 0 at every nominal range up to `longest`,
-    /// normalized. What lies beyond the maximum range stays: the table reports it as the maximum range.
+    /// wide distribution, without readings that would be below 0 at every nominal range up to `longest`, normalized.
+    /// Readings beyond the maximum range stay: the table reports them as the maximum range.
     fn fill_cell(
         &self,
         counts: &[f32],

@@ -79,7 +79,7 @@ impl Oracle {
             let drop = probability[i] - probability[i + 1];
             let begin = start_m + i as f32 * width;
             let (near, far) = (begin.max(0.0), (begin + width).min(to));
-            // where the nominal range ends inside of a bin, the surface hides what stands behind it
+            // where the nominal range ends inside a bin, the surface hides objects behind it
             (drop > 0.0 && far > near).then(|| Stretch { near, far, mass: drop * (far - near) / width })
         })
     }

@@ -14,8 +14,8 @@ use crate::normal::RangeNormal;
 use crate::state_grid::StateGrid;
 use crate::{ModelKind, SensorError, TrainingSet};
 
-/// A group of states has at least this many readings, so that a standard deviation can be told, and there are
-/// at most so many groups, so that a regression over them stays quick.
+/// Least readings in a group of states, so that their standard deviation can be estimated; and the greatest number of
+/// groups, so that a regression over them stays fast.
 const GROUP: usize = 20;
 const MOST_GROUPS: usize = 2000;
 
@@ -241,7 +241,7 @@ impl Groups {
         let normals = regression(&self.normal_states, &self.normals)?;
         let no_returns = regression(&self.states, &self.no_returns)?;
         let grid = StateGrid { reach: max_range, ranges: 60, incidences: 15 };
-        // a plane may leave what a parameter can be; it is kept to what groups have had
+        // a plane may leave a parameter's domain; it is clamped to the values of the groups
         let seen = |parameter: usize| {
             let values = || self.normals.iter().skip(parameter).step_by(2).copied();
             (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
@@ -286,7 +286,7 @@ fn moments(train: &TrainingSet, members: &[usize]) -> (Option<(f64, f64)>, f64) 
     (Some((mean, variance.sqrt().max(LEAST_SIGMA))), no_return)
 }
 
-/// What is known of open beams; without any reading below the maximum range, a Gaussian as wide as the range.
+/// The cell of open beams; without any reading below the maximum range, a Gaussian as wide as the range.
 fn open_cell(train: &TrainingSet, open: &[usize]) -> Cell {
     let (normal, no_return) = moments(train, open);
     let max_range = f64::from(train.max_range());

@@ -25,7 +25,7 @@ enum Table {
 impl Prepared {
     /// Evaluates `inner` in parallel: at every knot of `states` if it looks at nominal range and incidence, at the
     /// centre of every cell of `endpoints` if it looks at where a reading ends. That grid has to reach as far beyond
-    /// the map as the model tells distances apart.
+    /// the map as the model distinguishes distances.
     ///
     /// # Errors
     /// [`SensorError::NoTable`] for a model that wants to know more of a beam.

@@ -8,8 +8,8 @@ use crate::beam::Beam;
 
 /// Cells over nominal range and incidence angle, and one more for beams that meet nothing in the map.
 ///
-/// A prepared model answers with what it knows of the cell a beam falls into. Cells are small against the
-/// bandwidths, so that what is lost between a state and its cell's centre is small too.
+/// A prepared model answers with the density of the cell that a beam falls into. Cells are small against the
+/// bandwidths, so that the difference between a state and its cell's centre is small too.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct StateGrid {

@@ -11,8 +11,8 @@ use crate::SensorError;
 /// Any model made fit for a filter: `exponent * ln((1 - floor) p + floor q)`.
 ///
 /// q is the same wide distribution for every model: half its mass uniform on \[0, maximum), half at the
-/// maximum range. The floor bounds what one reading that the model holds impossible can do; the exponent
-/// makes up for beams that are not independent (Probabilistic Robotics, section 6.3.4).
+/// maximum range. The floor bounds the influence of one reading that the model holds impossible. The exponent makes
+/// up for beams that are not independent (Probabilistic Robotics, section 6.3.4).
 ///
 /// `cdf` and `sample` are those of the mixture (1 - floor) p + floor q: with an exponent other than 1 the log
 /// density is a score, not the log of a normalized density.
@@ -132,7 +132,7 @@ impl Default for TemperingGrid {
     }
 }
 
-/// What [`choose_tempering`] found best.
+/// The result of [`choose_tempering`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tempering {
     /// For [`Tempered::new`].

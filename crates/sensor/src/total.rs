@@ -19,7 +19,7 @@ const HALVINGS: usize = 22;
 const MOST_HALVED: usize = 1 << 12;
 
 /// Whether the density integrates to 1 with the point mass at the maximum range, and whether the distribution function
-/// says the same, along beams of every kind.
+/// agrees, along beams of every kind.
 pub(crate) fn check(model: &dyn SensorModel, max_range: f32) -> Result<(), String> {
     for share in RANGE_SHARES {
         for incidence in INCIDENCES {
@@ -50,7 +50,7 @@ pub(crate) struct OneBeam<'a> {
 }
 
 impl OneBeam<'_> {
-    /// Calls `f` with the readings as a batch, and returns what it fills in.
+    /// Calls `f` with the readings as a batch, and returns the values that it fills in.
     pub fn ask(&self, z: &[f32], f: impl Fn(&dyn SensorModel, &Beams<'_>, &mut [f32])) -> Vec<f32> {
         let n = z.len();
         let beams = Beams {

@@ -8,7 +8,7 @@ use rand::RngExt;
 use crate::SensorError;
 use crate::beam::Beam;
 
-/// The state x of one beam: what a sensor model may know of it.
+/// The state x of one beam, on which its reading's density is conditioned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BeamState {
     /// `map_from_laser`.

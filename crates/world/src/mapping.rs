@@ -24,8 +24,8 @@ pub struct MappingOptions {
 }
 
 impl Default for MappingOptions {
-    /// 5 cm cells. A cell is occupied when more than about one beam in six that reach it end there: what moves gets
-    /// cleared, a wall seen at a grazing angle stays.
+    /// 5 cm cells. A cell is occupied when more than about one in six of the beams that reach it end there: moving
+    /// objects are cleared, and a wall seen at a grazing angle stays.
     fn default() -> Self {
         Self {
             resolution_m: 0.05,

@@ -104,12 +104,8 @@ pub fn train_models(
     let mut readings = simulator.observe_many(poses.view(), world.observations, world.seed);
     spoil(&mut readings, world, workload.laser.max_range());
     progress.advance(1);
-    let laser = simulator.laser().laser().clone();
-    let scans = readings
-        .chunks(world.observations as usize * laser.beam_count())
-        .map(|pose| pose.chunks(laser.beam_count()).map(<[f32]>::to_vec).collect())
-        .collect();
-    let data = ScanData { laser, poses: poses.iter().collect(), scans, run: 1 };
+    let laser = simulator.laser().laser();
+    let data = ScanData::simulated(laser, laser.beam_count(), &poses, world.observations, &readings);
     let surroundings = Surroundings {
         map: Arc::<_>::clone(&maps.exact) as Arc<_>,
         distance: Arc::clone(&maps.distance),

@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use locsim_core::{Control, Draw, Drive, Progress, Stage};
 use locsim_dataset::{LogOptions, read_log, write_log};
-use locsim_gap::hidden::{OtherForm, Truth, record_library, record_other, record_outside};
+use locsim_gap::hidden::{OtherForm, record_library, record_other, record_outside};
 use locsim_gap::{GapError, GapOptions, Nominal, Number, Outcome, Recorded, Strength, Verdict, find};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
@@ -304,7 +304,7 @@ fn found_file(case: &Case) -> String {
 fn hide(world: &World, strength_of: &Strength<'_>, case: &Case, log: &Path) -> Result<TruthFile, BenchError> {
     let World { nominal, drive } = world;
     let regime = REGIMES[case.regime].1;
-    let path = Truth::of(drive)?;
+    let path = drive.reference().map_err(GapError::from)?;
     let strong = |effect: &Effect, index: usize, form: Option<OtherForm>| {
         strength_of.with_information(effect, index, form, case.lambda)
     };

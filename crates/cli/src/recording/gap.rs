@@ -41,8 +41,8 @@ pub fn record(study: &GapStudy, outcome: &Outcome, file: &Path) -> anyhow::Resul
     let scans = Scans { study, outcome, expected: study.expected_ends() };
     log_static(&stream, &walls, &scans)?;
     let recorded = study.recorded();
-    let driven: Vec<[f32; 2]> = recorded.poses.iter().map(pose_point).collect();
-    for (i, (pose, secs)) in recorded.poses.iter().zip(&recorded.secs).enumerate() {
+    let driven: Vec<[f32; 2]> = recorded.track.poses().iter().map(pose_point).collect();
+    for (i, (pose, secs)) in recorded.track.poses().iter().zip(recorded.track.secs()).enumerate() {
         stream.set_time_sequence("step", i as i64);
         stream.set_duration_secs("time", *secs);
         stream.log("world/robot/path", &path(driven[..=i].to_vec(), TRUTH))?;
@@ -131,7 +131,7 @@ impl Scans<'_> {
 
     fn laser_pose(&self, scan: usize) -> Pose2 {
         let recorded = self.study.recorded();
-        recorded.poses[scan].compose(&recorded.laser.base_from_laser())
+        recorded.track.poses()[scan].compose(&recorded.laser.base_from_laser())
     }
 
     /// Whether a beam came back.

@@ -12,7 +12,7 @@ use crate::{DatasetError, LogKind, LogSummary, OdometrySource};
 /// Where the SICK LMS in centimetre mode begins to count error codes instead of distances (m).
 const SICK_MAX_RANGE: f32 = 81.83;
 
-/// Poses nearer than this (m, rad) were printed from the same numbers.
+/// Poses nearer than this (m, rad) are the same pose, printed twice.
 const SAME: f64 = 1e-6;
 
 /// The laser's pose on the robot varies by more than this (m, rad) only if one of the two was corrected.
@@ -71,7 +71,7 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
     Ok((Drive { laser, steps }, summary))
 }
 
-/// What the poses of a log are, and why.
+/// The kind of a log's poses, with the evidence for it.
 struct Recognised {
     kind: LogKind,
     odometry: OdometrySource,
@@ -191,7 +191,7 @@ fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Opti
             OdometrySource::RestartedOdomLines => {
                 let pose = match (chained, previous) {
                     (Some(chained), Some(previous)) => {
-                        // A single ODOM line that only repeats the scan before it tells no motion.
+                        // A single ODOM line that repeats the scan before it holds no motion.
                         let told =
                             last.filter(|p| scan.before.odometry_lines > 1 || !near(p, &previous, SAME));
                         missing += usize::from(told.is_none());
@@ -206,8 +206,8 @@ fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Opti
         };
         let reference = match recognised.kind {
             LogKind::Raw | LogKind::Referenced => None,
-            // The corrected pose is the laser's, whatever the mount: the end points of Freiburg 079 (noted mount
-            // -0.04 m) have an entropy of 9.75 nats with beams from that pose, 9.92 from 0.04 m behind it.
+            // The corrected pose is the laser's, for any mount: the end points of Freiburg 079 (noted mount -0.04 m)
+            // have an entropy of 9.75 nats with beams from that pose, 9.92 from 0.04 m behind it.
             LogKind::Corrected => Some(scan.laser_pose.compose(&laser_from_base)),
             LogKind::Simulated => scan.before.truth.map(|(truth, then)| {
                 if then == odometry { truth } else { truth.compose(&odometry.relative_to(&then)) }
@@ -237,7 +237,7 @@ fn laser(log: &Log, options: &CarmenOptions, mount: Pose2, path: &Path) -> Resul
 #[derive(Default)]
 struct Clock {
     last: Option<f64>,
-    /// What the log's clock has lost since the start (s).
+    /// Time that the log's clock has lost since the start (s).
     offset: f64,
     repaired: usize,
     repeated: usize,

@@ -1,7 +1,7 @@
 //! CARMEN logs: one message per line, `KEYWORD fields.. ipc_timestamp hostname logger_timestamp`.
 //!
-//! Formats: `readlog.c` and `writelog.c` of CARMEN (Montemerlo, Roy and Thrun, IROS 2003), and what the logs of
-//! the Radish repository hold.
+//! Formats: `readlog.c` and `writelog.c` of CARMEN (Montemerlo, Roy and Thrun, IROS 2003), and the variants in the logs
+//! of the Radish repository.
 
 mod assemble;
 mod beams;
@@ -50,33 +50,35 @@ pub struct CarmenOptions {
     /// for FLASER lines, which have none, 81.83 m, where the SICK LMS begins to count its error codes. Some
     /// logs need another value; [`LogSummary::longest_return_m`] shows it.
     pub max_range_m: Option<f32>,
-    /// Readings below this range (m) are unusable. `None`: what [`write_carmen`] has noted in the log,
+    /// Readings below this range (m) are unusable. `None`: the minimum range that [`write_carmen`] noted in the log,
     /// otherwise 0. A reading of exactly 0 is always unusable.
     pub min_range_m: Option<f32>,
 }
 
 /// Reads the scans of one laser with odometry and, where the log has them, reference poses.
 ///
-/// Understood are PARAM, ODOM, TRUEPOS, FLASER and ROBOTLASER1 (front), RLASER and ROBOTLASER2 (rear); other
-/// lines are skipped and counted. Of the two forms of a laser's lines the first one seen is read.
+/// It reads PARAM, ODOM, TRUEPOS, FLASER and ROBOTLASER1 (front), RLASER and ROBOTLASER2 (rear); other lines are
+/// skipped and counted. Of the two forms of a laser's lines the first one in the log is read.
 ///
-/// - **Beams** of ROBOTLASER lines are where the line says. FLASER lines don't say: their beams run from right to
-///   left in steps of 1, 0.5 or 0.25 degrees, the first at -90 degrees (180 and 360 beams are 181 and 361
-///   without the last one), unless `PARAM laser_front_laser_resolution` and `laser_front_laser_fov` (degrees)
-///   say otherwise; other numbers of beams are spread evenly over 180 degrees with both ends.
+/// - **Beams** of ROBOTLASER lines have the bearings that the line gives. FLASER lines give none: their beams run from
+///   right to left in steps of 1, 0.5 or 0.25 degrees, the first at -90 degrees (180 and 360 beams are 181 and 361
+///   without the last one), unless `PARAM laser_front_laser_resolution` and `laser_front_laser_fov` (degrees) give other
+///   values. Other numbers of beams are spread evenly over 180 degrees with both ends.
 /// - **Mount** of the laser: `PARAM robot_frontlaser_offset` (`robot_rearlaser_offset`), `.._side_offset` and
 ///   `.._angular_offset`; without them, in raw and simulated logs, the mean pose of the laser relative to the
 ///   robot in the scans' lines.
 /// - **Reference**: TRUEPOS where present (the last one since the scan before, carried on by odometry to the
 ///   scan); otherwise the laser pose of each scan in a corrected log.
-/// - **Odometry**: see [`OdometrySource`](crate::OdometrySource). In a log of restarted ODOM lines the odometry starts at the first
-///   reference pose. A corrected log's ODOM lines give the same point of the robot as its scan lines: the laser.
-/// - **Times** are the scans' `ipc_timestamp`. A time that goes backwards by up to a minute is held; one that
-///   leaps (a clock that was set or wrapped) continues from the scan before.
+/// - **Odometry**: see [`OdometrySource`](crate::OdometrySource). In a log of restarted ODOM lines the odometry starts
+///   at the first reference pose. A corrected log's ODOM lines give the same point of the robot as its scan lines: the
+///   laser.
+/// - **Times** are the scans' `ipc_timestamp`. A time that goes backwards by up to a minute is held. After a larger
+///   jump (a clock that was set or wrapped) time continues from the scan before.
 ///
 /// # Errors
-/// The file can't be read, is empty or no text, or costs more than the [`Limits`] allow; it ends inside a line; a line of a known keyword has the wrong number
-/// of fields or a field that isn't allowed; scans differ in their beams; no scan of the laser is there.
+/// The file can't be read, is empty or no text, or costs more than the [`Limits`] allow; it ends inside a line; a line
+/// of a known keyword has the wrong number of fields or a field that isn't allowed; scans differ in their beams; the
+/// log has no scan of the laser.
 pub fn read_carmen(path: &Path, options: &CarmenOptions) -> Result<(Drive, LogSummary), DatasetError> {
     read(path, options, Limits::current())
 }

@@ -10,7 +10,7 @@ use super::beams::Beams;
 use crate::DatasetError;
 use crate::lines::{Fields, Lines};
 
-/// Unknown keywords that are counted by name, at the most; logs have few.
+/// Greatest number of unknown keywords that are counted by name; logs have few.
 const MOST_KEYWORDS: usize = 100;
 
 /// Every message ends with `ipc_timestamp hostname logger_timestamp`.
@@ -31,7 +31,7 @@ pub struct Log {
     pub first_odometry: Option<Pose2>,
 }
 
-/// One scan with what came between it and the scan before.
+/// One scan with the lines between it and the scan before.
 pub struct ScanLine {
     pub stamp_secs: f64,
     pub ranges: Vec<f32>,
@@ -53,14 +53,14 @@ pub struct Between {
     pub truth: Option<(Pose2, Pose2)>,
 }
 
-/// What a ROBOTLASER line says of its laser.
+/// The description of the laser in a ROBOTLASER line.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Layout {
     pub beams: Beams,
     pub max_range: f32,
 }
 
-/// The parameters that matter here, where the log has them.
+/// The parameters of the wanted laser, where the log has them.
 #[derive(Default)]
 pub struct Params {
     /// Mount of the wanted laser: x (m), y (m), heading (rad).
@@ -194,7 +194,7 @@ pub fn parse<R: BufRead>(
     })
 }
 
-/// Counts an unknown line; what doesn't look like a keyword shares one name, as do more keywords than any log has.
+/// Counts an unknown line. Lines without a keyword share one name, as do keywords above [`MOST_KEYWORDS`].
 fn count(skipped: &mut BTreeMap<String, usize>, keyword: &str) {
     let name = if keyword.starts_with('#') {
         "#"
@@ -252,7 +252,7 @@ fn new_scan(
     fields.number("accuracy")?;
     fields.number("remission_mode")?;
     let n = beam_count(&mut fields, first_count)?;
-    // The resolution is left 0 by some writers: the beams then fill the field of view.
+    // Some writers leave the resolution 0: the beams then fill the field of view.
     let gaps = n.saturating_sub(1) as f64;
     let step = if resolution == 0.0 { field_of_view / gaps.max(1.0) } else { resolution };
     if (step.abs() * gaps - field_of_view).abs() > 1.5 * step.abs() {
@@ -297,7 +297,7 @@ fn beam_count(fields: &mut Fields<'_>, first: Option<usize>) -> Result<usize, Da
     }
 }
 
-/// Readings as they stand (m); infinity, which some writers use, is above every maximum range.
+/// Readings as written (m). Infinity, which some writers use, is above every maximum range.
 fn ranges(fields: &mut Fields<'_>, n: usize) -> Result<Vec<f32>, DatasetError> {
     let mut ranges = Vec::with_capacity(n);
     for i in 0..n {

@@ -28,7 +28,7 @@ fn words(pose: &Pose2) -> String {
     format!("{} {} {}", pose.x, pose.y, pose.theta)
 }
 
-/// A path of the laser: corrected poses, and the odometry's view of each motion, which differs a little.
+/// A path of the laser: corrected poses, and the odometry of each motion, which differs a little.
 fn corrected_path() -> (Vec<Pose2>, Vec<Pose2>) {
     let mut poses = vec![Pose2::new(0.5, -0.25, 0.75)];
     let mut increments = vec![Pose2::IDENTITY];
@@ -110,7 +110,7 @@ fn a_corrected_logs_odometry_is_recovered() {
 #[test]
 fn an_interval_without_odometry_is_counted_and_filled() {
     let whole = corrected_log(2);
-    // Without the second and the third pair of ODOM lines: once the restart stays, once nothing does.
+    // The second interval keeps only its restart line, the third keeps no ODOM line.
     let mut odometry_line = 0;
     let text: String = whole
         .split_inclusive('\n')
@@ -195,7 +195,7 @@ fn a_true_pose_is_carried_to_the_scan_by_odometry() {
     let (drive, summary) = read_text(text).unwrap();
     assert_eq!(summary.kind, LogKind::Simulated);
     assert!(summary.evidence.contains("1 of 2 scans"));
-    // One metre on by odometry, which at a heading of 90 degrees is along y.
+    // Odometry moves on by one metre, which at a heading of 90 degrees is along y.
     assert!(near(&drive.steps[0].reference.unwrap(), &Pose2::new(10.0, 21.0, std::f64::consts::FRAC_PI_2)));
     assert_eq!(drive.steps[1].reference, None);
 }
@@ -226,7 +226,7 @@ fn a_robotlaser_line_describes_its_laser() {
     assert_eq!(drive.laser.max_range(), 30.0);
     assert_eq!(drive.steps[0].scan.ranges, [1.0, 2.0, 3.0, 4.0, 30.0]);
     assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.25, 0.0, 0.0)));
-    // The other form of the same laser's lines is left alone.
+    // The other form of the same laser's lines is skipped.
     assert_eq!(summary.scan_source, "ROBOTLASER1");
     assert_eq!(summary.skipped["FLASER"], 1);
     let no_resolution = text.replace(" 0.5 30", " 0 30");
@@ -441,7 +441,7 @@ fn an_error_holds_no_control_characters_and_is_short() {
     }
 }
 
-/// Nobody's file is in the way of the temporary one.
+/// The temporary file never replaces an existing neighbour.
 #[test]
 fn a_neighbour_of_the_file_stays() {
     let folder = tempfile::tempdir().unwrap();
@@ -504,7 +504,7 @@ proptest! {
         let _ = read_text(&text);
     }
 
-    /// Wherever a log is cut, it is refused, unless the cut is at a line's end.
+    /// A log that is cut anywhere but at a line's end is refused.
     #[test]
     fn a_cut_log_is_refused(share in 0.0..1.0f64) {
         let text = corrected_log(3);

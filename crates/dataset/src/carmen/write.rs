@@ -13,18 +13,18 @@ use crate::output::{encoded, evenly_spaced, write_whole};
 /// the reference is known, and ROBOTLASER1 with the beams' bearings.
 ///
 /// Every number has all its digits, so ranges, poses and times come back exactly, bearings to 1e-6 rad. An
-/// unusable reading (NaN) is written as 0. The minimum range and the time from beam to beam, for which CARMEN
-/// has no place, are PARAMs of our own. The file is written under a temporary name, then renamed; it is
-/// compressed when the name ends in `.gz`.
+/// unusable reading (NaN) is written as 0. CARMEN has no field for the minimum range and the time between beams: they
+/// are PARAMs with names of locsim's own. The file is written under a temporary name, then renamed; it is compressed
+/// when the name ends in `.gz`.
 ///
 /// # Errors
 /// The drive has no scan, bearings or beam times that aren't evenly spaced (the first beam at the stamp), or
-/// values that no log may hold; the file can't be written.
+/// values that a log must not hold; the file can't be written.
 pub fn write_carmen(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
     write_whole(path, |out| encode_carmen(path, drive, out))
 }
 
-/// Writes the bytes of the file to `out`; `path` tells whether they are compressed.
+/// Writes the bytes of the file to `out`, compressed if `path` ends in `.gz`.
 pub fn encode_carmen(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
     let (beams, times) = evenly_spaced(path, drive)?;
     encoded(path, out, |out| body(out, drive, beams, times.step))

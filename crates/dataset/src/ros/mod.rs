@@ -1,6 +1,6 @@
-//! ROS 2 bags in one MCAP file: laser scans, odometry and reference poses.
+//! ROS 2 bags: laser scans, odometry and reference poses.
 //!
-//! The container is that of <https://mcap.dev/spec>, messages are in CDR, as `rosbag2_storage_mcap` writes them.
+//! Messages are in CDR, in one file or in several of a folder, MCAP or `SQLite`, as rosbag2 writes them.
 
 mod bag;
 mod messages;
@@ -16,12 +16,13 @@ use serde::Serialize;
 
 use crate::{DatasetError, LogSummary};
 
+pub use bag::folder_files;
 pub use read::read;
 pub use write::{encode_mcap, write_mcap};
 
 /// What the topics of a bag are called.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct McapTopics {
+pub struct BagTopics {
     /// Laser scans, `sensor_msgs/msg/LaserScan`. `None`: `/scan`, or the only topic of that type.
     pub scan: Option<String>,
     /// Odometry, `nav_msgs/msg/Odometry`. `None`: `/odom`, or the only topic of that type beside the reference.
@@ -33,9 +34,9 @@ pub struct McapTopics {
 
 /// How to read a bag.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct McapOptions {
+pub struct BagOptions {
     /// The topics.
-    pub topics: McapTopics,
+    pub topics: BagTopics,
     /// Where the laser is mounted. `None`: as `/tf_static` says; the base's origin where it says nothing.
     pub base_from_laser: Option<Pose2>,
     /// Readings of this range (m) or more mean "no return". `None`: the scans' `range_max`.
@@ -44,10 +45,12 @@ pub struct McapOptions {
     pub min_range_m: Option<f32>,
 }
 
-/// Reads a ROS 2 bag, one MCAP file: the scans of one laser with odometry and, where there is a topic of them,
-/// reference poses. Chunks may be compressed with lz4 or zstd.
+/// Reads a ROS 2 bag: the scans of one laser with odometry and, where there is a topic of them, reference poses.
 ///
-/// - **Topics** are those of [`McapOptions::topics`].
+/// - **Files**: one of MCAP or `SQLite` (`.db3`), or a folder of them, read in the order of their numbers. Files and
+///   messages may be compressed with zstd, files with gzip, chunks of MCAP with lz4 or zstd. Message types are known by
+///   their names, so that files without definitions are read.
+/// - **Topics** are those of [`BagOptions::topics`].
 /// - **Times** are those of the messages' headers. A topic's messages may be out of order by up to a second and are
 ///   then sorted.
 /// - **Odometry and reference** of a scan are interpolated at its stamp between the messages before and after it, the
@@ -62,10 +65,10 @@ pub struct McapOptions {
 ///   its bearings mirrored.
 ///
 /// # Errors
-/// The file can't be read, isn't a complete MCAP file or is damaged, or costs more than the [`Limits`] allow; a topic is missing or one of several would have
-/// to be chosen; a message can't be decoded or has values that aren't allowed; the laser changes or scans out of the
+/// A file can't be read, is cut off or damaged, or costs more than the [`Limits`] allow; a topic is missing or one of
+/// several would have to be chosen; a message can't be decoded or has values that aren't allowed; the laser changes or scans out of the
 /// plane; no scan has odometry.
-pub fn read_mcap(path: &Path, options: &McapOptions) -> Result<(Drive, LogSummary), DatasetError> {
+pub fn read_bag(path: &Path, options: &BagOptions) -> Result<(Drive, LogSummary), DatasetError> {
     read(path, options, Limits::current())
 }
 

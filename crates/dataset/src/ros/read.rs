@@ -3,10 +3,10 @@ use std::path::Path;
 
 use glam::{DAffine3, DQuat, DVec3};
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
-use locsim_core::{Drive, DriveStep, Laser, LaserError, Pose2, Scan, wrap_angle};
+use locsim_core::{Drive, DriveStep, Laser, LaserError, Pose2, Scan};
 
-use super::McapOptions;
-use super::bag::{Channel, LONGEST_NAME, visit_messages};
+use super::BagOptions;
+use super::bag::{Bag, Channel, LONGEST_NAME};
 use super::messages::{
     LaserScan, Message, Odometry, Pose, PoseStamped, TfMessage, TransformStamped, decode, secs,
 };
@@ -26,14 +26,11 @@ const MOST_FRAMES: usize = 10_000;
 /// What a drive's base is called, after the odometry's own name for it (REP-105).
 const BASE_FRAMES: [&str; 2] = ["base_link", "base_footprint"];
 
-pub fn read(
-    path: &Path,
-    options: &McapOptions,
-    limits: &Limits,
-) -> Result<(Drive, LogSummary), DatasetError> {
-    let topics = Topics::of(path, limits)?;
+pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
+    let bag = Bag::open(path, limits)?;
+    let topics = Topics::of(path, &bag)?;
     let chosen = topics.choose(&options.topics)?;
-    let messages = Messages::read(path, &chosen, limits)?;
+    let messages = Messages::read(&bag, &chosen, limits)?;
     let mount = messages.mount(options.base_from_laser).map_err(|reason| DatasetError::Message {
         path: path.to_owned(),
         topic: quoted(&chosen.scan.topic),
@@ -162,12 +159,7 @@ impl Stamped<Pose2> {
         }
         let ((before, a), (after, b)) = (self.items[..from].last()?, self.items.get(from)?);
         let share = (stamp - before) as f64 / (after - before) as f64;
-        let between = |a: f64, b: f64| a + share * (b - a);
-        Some(Pose2::new(
-            between(a.x, b.x),
-            between(a.y, b.y),
-            a.theta + share * wrap_angle(b.theta - a.theta),
-        ))
+        Some(a.interpolate(b, share))
     }
 }
 
@@ -188,60 +180,38 @@ struct Messages {
 }
 
 impl Messages {
-    fn read(path: &Path, chosen: &Chosen, limits: &Limits) -> Result<Self, DatasetError> {
+    fn read(bag: &Bag<'_>, chosen: &Chosen, limits: &Limits) -> Result<Self, DatasetError> {
         let mut read = Self::default();
-        let mut numbers = BTreeMap::<Channel, usize>::new();
-        let mut messages = 0;
-        visit_messages(path, limits, |channel, message| {
-            let Some(content) = message else { return Ok(()) };
-            let reference = chosen.reference.as_ref();
-            let chosen_ones =
-                [Some(&chosen.scan), Some(&chosen.odometry), reference, chosen.transforms.as_ref()];
-            if !chosen_ones.contains(&Some(channel)) {
-                return Ok(());
+        let (reference, transforms) = (chosen.reference.as_ref(), chosen.transforms.as_ref());
+        let mut wanted = vec![&chosen.scan, &chosen.odometry];
+        wanted.extend(reference.into_iter().chain(transforms));
+        bag.read(&wanted, |channel, data| {
+            if *channel == chosen.scan {
+                read.scan(decode(data)?, limits)?;
             }
-            let number = numbers.entry(channel.clone()).or_default();
-            *number += 1;
-            messages += 1;
-            let take = || {
-                if messages > limits.log_messages {
-                    return Err(Limits::refusal_above("log_messages", limits.log_messages));
+            if *channel == chosen.odometry {
+                let odometry: Odometry = decode(data)?;
+                if read.odometry.items.is_empty() {
+                    read.base_frame = odometry.child_frame_id;
                 }
-                let data = content.bytes()?;
-                if *channel == chosen.scan {
-                    read.scan(decode(data)?, limits)?;
+                read.odometry.push(odometry.header.stamp.nanos(), odometry.pose.pose.projected()?)?;
+            }
+            if Some(channel) == reference {
+                let PoseStamped { header, pose } = if channel.schema == Odometry::TYPE {
+                    let Odometry { header, pose, .. } = decode(data)?;
+                    PoseStamped { header, pose: pose.pose }
+                } else {
+                    decode(data)?
+                };
+                read.reference.push(header.stamp.nanos(), pose.projected()?)?;
+            }
+            if Some(channel) == transforms {
+                let TfMessage { transforms } = decode(data)?;
+                for transform in transforms {
+                    read.transform(transform)?;
                 }
-                if *channel == chosen.odometry {
-                    let odometry: Odometry = decode(data)?;
-                    if read.odometry.items.is_empty() {
-                        read.base_frame = odometry.child_frame_id;
-                    }
-                    read.odometry.push(odometry.header.stamp.nanos(), odometry.pose.pose.projected()?)?;
-                }
-                if Some(channel) == reference {
-                    let PoseStamped { header, pose } = if channel.schema == Odometry::TYPE {
-                        let Odometry { header, pose, .. } = decode(data)?;
-                        PoseStamped { header, pose: pose.pose }
-                    } else {
-                        decode(data)?
-                    };
-                    read.reference.push(header.stamp.nanos(), pose.projected()?)?;
-                }
-                if Some(channel) == chosen.transforms.as_ref() {
-                    let TfMessage { transforms } = decode(data)?;
-                    for transform in transforms {
-                        read.transform(transform)?;
-                    }
-                }
-                Ok(())
-            };
-            let taken: Result<(), String> = take();
-            taken.map_err(|reason| DatasetError::Message {
-                path: path.to_owned(),
-                topic: quoted(&channel.topic),
-                number: *number,
-                reason,
-            })
+            }
+            Ok(())
         })?;
         read.scans.sort();
         read.odometry.sort();
@@ -362,7 +332,7 @@ impl Messages {
     }
 
     /// The laser that the scans describe.
-    fn laser(&self, mount: &Mount, options: &McapOptions) -> Result<Laser, LaserError> {
+    fn laser(&self, mount: &Mount, options: &BagOptions) -> Result<Laser, LaserError> {
         let first = self.first.as_ref().ok_or(LaserError::NoBeams)?;
         let beams = self.scans.items.first().map_or(0, |(_, ranges)| ranges.len());
         let side = if mount.mirrored { -1.0 } else { 1.0 };

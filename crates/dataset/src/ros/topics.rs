@@ -1,20 +1,17 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use locsim_core::limits::{Limits, quoted};
+use locsim_core::limits::quoted;
 
-use super::McapTopics;
-use super::bag::{Channel, visit_messages};
+use super::BagTopics;
+use super::bag::{Bag, Channel};
 use super::messages::{LaserScan, Message, Odometry, TfMessage};
 use crate::DatasetError;
 
 /// The type of a reference topic that isn't odometry.
 pub const POSE_STAMPED: &str = "geometry_msgs/msg/PoseStamped";
 
-/// Channels of a bag, at the most; robots have hundreds.
-const MOST_CHANNELS: usize = 10_000;
-
-/// An error lists so many topics.
+/// Topics that an error lists, at the most.
 const LISTED: usize = 20;
 
 /// Where the transforms are that don't change.
@@ -53,27 +50,13 @@ const REFERENCE: Role = Role {
 const TRANSFORMS: Role = Role { name: "transforms", defaults: &[TF_STATIC], types: &[TfMessage::TYPE] };
 
 impl<'a> Topics<'a> {
-    /// Counts the messages of a file.
-    pub fn of(path: &'a Path, limits: &Limits) -> Result<Self, DatasetError> {
-        let mut counts = BTreeMap::new();
-        visit_messages(path, limits, |channel, message| {
-            let channels = counts.len();
-            let count = match counts.get_mut(channel) {
-                Some(count) => count,
-                None if channels == MOST_CHANNELS => {
-                    let reason = format!("more than {MOST_CHANNELS} channels; allowed: at most so many");
-                    return Err(DatasetError::Refused { path: path.to_owned(), line: None, reason });
-                }
-                None => counts.entry(channel.clone()).or_default(),
-            };
-            *count += usize::from(message.is_some());
-            Ok(())
-        })?;
-        Ok(Self { path, counts })
+    /// Counts the messages of a bag.
+    pub fn of(path: &'a Path, bag: &Bag<'_>) -> Result<Self, DatasetError> {
+        Ok(Self { path, counts: bag.counts()? })
     }
 
     /// Chooses the topics of a drive.
-    pub fn choose(&self, wanted: &McapTopics) -> Result<Chosen, DatasetError> {
+    pub fn choose(&self, wanted: &BagTopics) -> Result<Chosen, DatasetError> {
         let mut guessed = Vec::new();
         let reference = self.named(&REFERENCE, wanted.reference.as_deref())?;
         let scan = self.named_or_only(&SCAN, wanted.scan.as_deref(), None, &mut guessed)?;

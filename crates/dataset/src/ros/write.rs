@@ -19,7 +19,7 @@ const ODOM: &str = "odom";
 const BASE: &str = "base_link";
 const LASER: &str = "laser";
 
-/// Writes a drive as a ROS 2 bag in one MCAP file that [`read_mcap`](super::read_mcap) turns into the same drive, and
+/// Writes a drive as a ROS 2 bag in one MCAP file that [`read_bag`](super::read_bag) turns into the same drive, and
 /// that `ros2 bag play` and Foxglove open: `/scan`, `/odom`, `/reference` where it is known, `/tf` with the odometry
 /// and `/tf_static` with the laser's mount. Chunks aren't compressed.
 ///

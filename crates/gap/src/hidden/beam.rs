@@ -71,7 +71,7 @@ pub(super) struct Beam<'a> {
 impl<'a> Sweep<'a> {
     pub fn new(hidden: &'a HiddenDrive<'a>, scan: usize) -> Self {
         let laser = hidden.simulator.laser().laser();
-        let stamp = hidden.truth.secs[scan] - hidden.truth.secs[0];
+        let stamp = hidden.truth.secs()[scan];
         let beams = laser.bearings().iter().zip(laser.beam_times_secs());
         let ray = |(&bearing, &offset): (&f32, &f32)| {
             let secs = stamp + f64::from(offset);

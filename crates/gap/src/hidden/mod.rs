@@ -17,7 +17,7 @@ mod outside;
 mod tests;
 
 use glam::DVec2;
-use locsim_core::{Draw, Drive, DriveStep, Pose2, Scan, Stage, wrap_angle};
+use locsim_core::{Draw, Drive, DriveStep, Pose2, Scan, Stage, Track};
 use locsim_world::effect::{Effect, Effects};
 use locsim_world::simulation::{BlockResampling, Simulator, odometry_along};
 use rand::Rng;
@@ -34,72 +34,8 @@ use beam::{Beam, Change, Sweep};
 /// Item of a scan's draws that no beam uses: what all beams of the scan share.
 const WHOLE_SCAN: u32 = u32::MAX;
 
-/// Where a robot really was, scan by scan.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Truth {
-    secs: Vec<f64>,
-    poses: Vec<Pose2>,
-}
-
-impl Truth {
-    /// The robot was at `poses[i]` (`map_from_base`) at `secs[i]`, when its scan `i` began.
-    ///
-    /// # Errors
-    /// [`GapError::Truth`] for not as many times as poses, fewer than two, or times that don't increase.
-    pub fn new(secs: Vec<f64>, poses: Vec<Pose2>) -> Result<Self, GapError> {
-        let increasing = secs.windows(2).all(|pair| pair[0] < pair[1]);
-        if secs.len() < 2 || secs.len() != poses.len() || !increasing {
-            return Err(GapError::Truth { secs: secs.len(), poses: poses.len() });
-        }
-        Ok(Self { secs, poses })
-    }
-
-    /// Stamps and reference poses of a drive, as of one that [`simulate_drive`] gives.
-    ///
-    /// [`simulate_drive`]: locsim_world::simulation::simulate_drive
-    ///
-    /// # Errors
-    /// As [`Truth::new`]; a scan without a reference pose is left out.
-    pub fn of(drive: &Drive) -> Result<Self, GapError> {
-        let known = drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?)));
-        let (secs, poses) = known.unzip();
-        Self::new(secs, poses)
-    }
-
-    /// Time of each scan \[s\].
-    pub fn secs(&self) -> &[f64] {
-        &self.secs
-    }
-
-    /// `map_from_base` at each scan.
-    pub fn poses(&self) -> &[Pose2] {
-        &self.poses
-    }
-
-    /// The pose so many seconds after the first scan: straight and even between two scans, beyond the ends as next to
-    /// them. At a scan it is that scan's pose, bit for bit.
-    fn pose_at(&self, secs: f64) -> Pose2 {
-        let since = |i: usize| self.secs[i] - self.secs[0];
-        let last = self.secs.len() - 1;
-        let i = self.secs.partition_point(|time| time - self.secs[0] <= secs).saturating_sub(1);
-        let begin = i.min(last - 1);
-        let share = (secs - since(i)) / (since(begin + 1) - since(begin));
-        let (from, to, pose) = (&self.poses[begin], &self.poses[begin + 1], &self.poses[i]);
-        let moved = share * (to.position() - from.position());
-        Pose2::new(pose.x + moved.x, pose.y + moved.y, pose.theta + share * wrap_angle(to.theta - from.theta))
-    }
-
-    /// Speed forward \[m/s\] from each scan to the next.
-    fn speeds(&self) -> Vec<f64> {
-        let steps = self.poses.windows(2).zip(self.secs.windows(2));
-        steps
-            .map(|(poses, secs)| {
-                let step = poses[1].relative_to(&poses[0]).position();
-                step.length().copysign(step.x) / (secs[1] - secs[0])
-            })
-            .collect()
-    }
-}
+/// Item of a scan's draws of the path for the error of its reference pose; the simulator's own items are below it.
+const REFERENCE_ERROR: u32 = 2;
 
 /// What makes a log hard whatever is hidden in it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -130,7 +66,7 @@ impl Regime {
 /// [`GapError::Effect`] for values or a place that the library's effect doesn't take.
 pub fn record_other(
     nominal: &Nominal,
-    truth: &Truth,
+    truth: &Track,
     form: OtherForm,
     values: &[f64],
     place: &[[DVec2; 2]],
@@ -138,7 +74,7 @@ pub fn record_other(
     seed: u64,
 ) -> Result<Drive, GapError> {
     Effect::new(form.kind(), values.to_vec(), place.to_vec())?;
-    let hidden = HiddenDrive::new(nominal, truth, regime, seed)?;
+    let hidden = HiddenDrive::new(nominal, truth, &nominal.effects, regime, seed)?;
     Ok(other::record(&hidden, form, values, place))
 }
 
@@ -148,7 +84,7 @@ pub fn record_other(
 /// [`GapError::Option`] for a strength that is negative or not finite.
 pub fn record_outside(
     nominal: &Nominal,
-    truth: &Truth,
+    truth: &Track,
     kind: Outside,
     strength: f64,
     regime: Regime,
@@ -157,7 +93,7 @@ pub fn record_outside(
     if !(strength.is_finite() && strength >= 0.0) {
         return Err(GapError::Option { option: "strength", allowed: "finite, at least 0", value: strength });
     }
-    let hidden = HiddenDrive::new(nominal, truth, regime, seed)?;
+    let hidden = HiddenDrive::new(nominal, truth, &nominal.effects, regime, seed)?;
     Ok(outside::record(&hidden, kind, strength))
 }
 
@@ -167,31 +103,38 @@ pub fn record_outside(
 /// [`GapError::Effect`] for effects that can't be together.
 pub fn record_library(
     nominal: &Nominal,
-    truth: &Truth,
+    truth: &Track,
     effects: &[Effect],
     regime: Regime,
     seed: u64,
 ) -> Result<Drive, GapError> {
     let effects = nominal.effects_with(effects)?;
-    let simulator = regime.simulator(nominal, &effects)?;
-    let hidden = HiddenDrive { nominal, truth, regime, seed, simulator };
-    let readings = hidden.simulator.scan_along(&truth.secs, &truth.poses, seed);
-    let odometry = odometry_along(&truth.poses, &nominal.odometry, &effects, seed);
-    Ok(hidden.drive(&readings, odometry))
+    let hidden = HiddenDrive::new(nominal, truth, &effects, regime, seed)?;
+    Ok(hidden.drive(&hidden.readings_along(truth), hidden.odometry()))
 }
 
-/// A drive in the making, that starts as the nominal simulator's.
+/// A simulated drive along the true poses, before anything is hidden in its readings or its odometry.
 struct HiddenDrive<'a> {
     nominal: &'a Nominal,
-    truth: &'a Truth,
+    /// Where the robot really was at each scan, `map_from_base`.
+    truth: &'a Track,
     regime: Regime,
     seed: u64,
     simulator: Simulator,
 }
 
 impl<'a> HiddenDrive<'a> {
-    fn new(nominal: &'a Nominal, truth: &'a Truth, regime: Regime, seed: u64) -> Result<Self, GapError> {
-        let simulator = regime.simulator(nominal, &nominal.effects)?;
+    fn new(
+        nominal: &'a Nominal,
+        truth: &'a Track,
+        effects: &Effects,
+        regime: Regime,
+        seed: u64,
+    ) -> Result<Self, GapError> {
+        if truth.len() < 2 || truth.secs().windows(2).any(|pair| pair[0] == pair[1]) {
+            return Err(GapError::Truth);
+        }
+        let simulator = regime.simulator(nominal, effects)?;
         Ok(Self { nominal, truth, regime, seed, simulator })
     }
 
@@ -207,21 +150,32 @@ impl<'a> HiddenDrive<'a> {
     }
 
     fn scans(&self) -> usize {
-        self.truth.poses.len()
+        self.truth.len()
     }
 
-    /// Readings \[scan\]\[beam\] of a robot that was at `poses` instead of the true ones.
-    fn readings_at(&self, poses: &[Pose2]) -> Vec<f32> {
-        self.simulator.scan_along(&self.truth.secs, poses, self.seed)
+    /// Readings \[scan\]\[beam\] of a robot that followed `track`.
+    fn readings_along(&self, track: &Track) -> Vec<f32> {
+        self.simulator.scan_along(track, self.seed)
     }
 
     fn odometry(&self) -> Vec<Pose2> {
-        odometry_along(&self.truth.poses, &self.nominal.odometry, &self.nominal.effects, self.seed)
+        odometry_along(self.truth.poses(), &self.nominal.odometry, self.simulator.effects(), self.seed)
+    }
+
+    /// Speed forward \[m/s\] from each scan to the next.
+    fn speeds(&self) -> Vec<f64> {
+        let steps = self.truth.poses().windows(2).zip(self.truth.secs().windows(2));
+        steps
+            .map(|(poses, secs)| {
+                let step = poses[1].relative_to(&poses[0]).position();
+                step.length().copysign(step.x) / (secs[1] - secs[0])
+            })
+            .collect()
     }
 
     /// The nominal drive with every reading changed as `change` says of its beam.
     fn with_readings(&self, change: impl Fn(&Beam<'_>, &mut dyn Rng) -> Change + Sync) -> Drive {
-        let mut readings = self.readings_at(&self.truth.poses);
+        let mut readings = self.readings_along(self.truth);
         let beams = self.simulator.laser().laser().beam_count();
         readings.par_chunks_mut(beams).enumerate().for_each(|(scan, readings)| {
             let sweep = Sweep::new(self, scan);
@@ -241,7 +195,7 @@ impl<'a> HiddenDrive<'a> {
     fn drive(&self, readings: &[f32], odometry: Vec<Pose2>) -> Drive {
         let laser = self.simulator.laser().laser().clone();
         let scans = readings.chunks(laser.beam_count());
-        let steps = self.truth.secs.iter().zip(self.references()).zip(odometry).zip(scans);
+        let steps = self.truth.secs().iter().zip(self.references()).zip(odometry).zip(scans);
         let steps = steps
             .map(|(((&stamp_secs, reference), odometry), ranges)| DriveStep {
                 stamp_secs,
@@ -253,23 +207,9 @@ impl<'a> HiddenDrive<'a> {
         Drive { laser, steps }
     }
 
-    /// The true poses, each with an error that follows a first-order autoregressive process.
+    /// The reference poses of the log: the true ones with the regime's error.
     fn references(&self) -> Vec<Pose2> {
-        let Truth { secs, poses } = self.truth;
-        let Some(process) = self.regime.pose_error.filter(|process| !process.is_none()) else {
-            return poses.clone();
-        };
-        let mut error = [0.0; 3];
-        let sigma = [process.sigma_m, process.sigma_m, process.sigma_rad];
-        let reference = |(i, pose): (usize, &Pose2)| {
-            let kept = if i == 0 { 0.0 } else { process.correlation(secs[i] - secs[i - 1]) };
-            let mut chance = Draw::new(self.seed, Stage::Path, i as u32).item(2);
-            for (error, sigma) in error.iter_mut().zip(sigma) {
-                let normal: f64 = StandardNormal.sample(&mut chance);
-                *error = kept * *error + (1.0 - kept * kept).sqrt() * sigma * normal;
-            }
-            Pose2::new(pose.x + error[0], pose.y + error[1], pose.theta + error[2])
-        };
-        poses.iter().enumerate().map(reference).collect()
+        let process = self.regime.pose_error.unwrap_or(PoseError::NONE);
+        process.perturb(self.truth, |scan| Draw::new(self.seed, Stage::Path, scan).item(REFERENCE_ERROR))
     }
 }

@@ -10,11 +10,11 @@ impl HiddenDrive<'_> {
         let nominal = self.odometry();
         let changes: Vec<[f64; 2]> = (1..self.scans())
             .map(|i| {
-                let step = truth.poses[i].relative_to(&truth.poses[i - 1]);
-                change(i, &step, truth.secs[i] - truth.secs[i - 1])
+                let step = truth.poses()[i].relative_to(&truth.poses()[i - 1]);
+                change(i, &step, truth.secs()[i] - truth.secs()[i - 1])
             })
             .collect();
-        let readings = self.readings_at(&truth.poses);
+        let readings = self.readings_along(truth);
         // Taken apart and put together again a track is the same up to rounding only.
         if changes.iter().flatten().all(|&change| change == 0.0) {
             return self.drive(&readings, nominal);

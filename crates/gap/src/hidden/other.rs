@@ -1,14 +1,14 @@
 use std::f64::consts::{FRAC_PI_3, PI, TAU};
 
 use glam::DVec2;
-use locsim_core::{Drive, Pose2, wrap_angle};
+use locsim_core::{Drive, wrap_angle};
 use locsim_world::effect::EffectKind;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, Exp1, StandardNormal};
 use serde::Serialize;
 
 use super::beam::{Beam, Change, is_in_sector};
-use super::{HiddenDrive, Truth, WHOLE_SCAN};
+use super::{HiddenDrive, WHOLE_SCAN};
 
 /// A beam ends on a stretch of wall if it ends no farther from it than this \[m\].
 const NEAR_PLACE_M: f64 = 0.1;
@@ -235,11 +235,10 @@ pub(super) fn record(
             beam.standing_at(hidden.cast(origin, direction).map_or(f64::INFINITY, |hit| hit.range))
         }),
         OtherForm::TimeOffset => {
-            let Truth { secs, .. } = hidden.truth;
             let delay = |scan: usize| theta * (1.0 + JITTER * hidden.normal(scan));
-            let poses: Vec<Pose2> =
-                (0..hidden.scans()).map(|i| hidden.truth.pose_at(secs[i] - secs[0] + delay(i))).collect();
-            hidden.drive(&hidden.readings_at(&poses), hidden.odometry())
+            let secs = hidden.truth.secs().iter().enumerate();
+            let poses = secs.map(|(i, secs)| hidden.truth.pose_at(secs + delay(i))).collect();
+            hidden.drive(&hidden.readings_along(&hidden.truth.with_poses(poses)), hidden.odometry())
         }
         OtherForm::OdomDistanceScale => {
             hidden.with_odometry(|_, step, _| [if step.x > 0.0 { theta } else { 0.0 }, 0.0])
@@ -282,9 +281,8 @@ fn triangular(chance: &mut dyn Rng) -> f64 {
 
 /// When bursts begin and end \[s\], one after the other, so that they take `share` of the time on average.
 fn bursts(hidden: &HiddenDrive<'_>, share: f64) -> Vec<[f64; 2]> {
-    let Truth { secs, .. } = hidden.truth;
     // Beams of the last scan are later than its stamp.
-    let end = secs[secs.len() - 1] - secs[0] + 1.0;
+    let end = hidden.truth.secs()[hidden.scans() - 1] + 1.0;
     if share <= 0.0 {
         return vec![];
     }

@@ -82,7 +82,7 @@ pub(super) fn record(hidden: &HiddenDrive<'_>, kind: Outside, strength: f64) -> 
             hidden.with_readings(|beam, _| Change::Shift(strength * (2.0 * beam.bearing).sin()))
         }
         Outside::BackgroundLight => {
-            let center = hidden.truth.poses[hidden.scans() / 2].position();
+            let center = hidden.truth.poses()[hidden.scans() / 2].position();
             hidden.with_readings(|beam, chance| {
                 let share = (1.0 - beam.endpoint().distance(center) / SUNLIT_M).max(0.0);
                 let normal: f64 = StandardNormal.sample(chance);
@@ -146,7 +146,7 @@ pub(super) fn record(hidden: &HiddenDrive<'_>, kind: Outside, strength: f64) -> 
 
 /// Acceleration forward at each scan \[m/s^2\].
 fn accelerations(hidden: &HiddenDrive<'_>) -> Vec<f64> {
-    let (secs, speeds) = (&hidden.truth.secs, hidden.truth.speeds());
+    let (secs, speeds) = (hidden.truth.secs(), hidden.speeds());
     let at = |i: usize| match i {
         0 => 0.0,
         i if i < speeds.len() => 2.0 * (speeds[i] - speeds[i - 1]) / (secs[i + 1] - secs[i - 1]),

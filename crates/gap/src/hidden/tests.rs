@@ -1,6 +1,6 @@
 use std::f64::consts::{FRAC_PI_3, TAU};
 
-use locsim_core::{Laser, wrap_angle};
+use locsim_core::{Laser, Track, wrap_angle};
 
 use super::*;
 use crate::fixtures::{DRIVE, MAX_M, NOMINAL, SEED, SIGMA_M, TRUTH};
@@ -103,7 +103,7 @@ fn pairs(drive: &Drive) -> Vec<Pair> {
     let laser: &Laser = &drive.laser;
     let (before, after) = (readings(&nominal), readings(drive));
     let mut pairs = vec![];
-    for (scan, (&secs, pose)) in TRUTH.secs.iter().zip(&TRUTH.poses).enumerate() {
+    for (scan, (&secs, pose)) in TRUTH.secs().iter().zip(TRUTH.poses()).enumerate() {
         for (beam, &bearing) in laser.bearings().iter().enumerate() {
             let map_from_laser = pose.compose(&laser.base_from_laser());
             let direction = DVec2::from_angle(map_from_laser.theta + f64::from(bearing));
@@ -295,7 +295,7 @@ fn other_walls_and_objects_stand_where_they_say() {
     let center = DVec2::new(3.0, 2.0);
     let (mut hit, half) = (0, 0.5 * std::f64::consts::PI.sqrt() * 0.2);
     for pair in met.iter().filter(|pair| pair.is_changed()) {
-        let pose = TRUTH.poses[pair.scan].compose(&NOMINAL.laser.mount);
+        let pose = TRUTH.poses()[pair.scan].compose(&NOMINAL.laser.mount);
         let point = pose.position() + pair.after * DVec2::from_angle(pose.theta + pair.bearing);
         let distance = point.distance(center);
         assert!(
@@ -384,7 +384,7 @@ fn other_odometries_read_what_they_say() {
     let compare = |form| {
         let drive = other(form, true, Regime::default());
         let read = steps(&drive).into_iter().zip(steps(&nominal));
-        let truth = TRUTH.poses.windows(2).map(|pair| pair[1].relative_to(&pair[0]));
+        let truth = TRUTH.poses().windows(2).map(|pair| pair[1].relative_to(&pair[0]));
         read.zip(truth).map(|((read, nominal), truth)| (read, nominal, truth)).collect::<Vec<_>>()
     };
     let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
@@ -419,7 +419,7 @@ fn effects_outside_the_library_are_where_and_as_large_as_they_say() {
     shifted(Outside::SurfaceBias, &|pair| if names[pair.surface as usize] == "door" { -0.1 } else { 0.0 });
 
     let lit = strong(Outside::BackgroundLight);
-    let center = TRUTH.poses[TRUTH.poses.len() / 2].position();
+    let center = TRUTH.poses()[TRUTH.poses().len() / 2].position();
     assert!(lit.iter().all(|pair| !pair.is_changed() || pair.at.distance(center) < 2.6 || !pair.is_wall()));
     let at = spread(&lit, |pair| (1.2..1.3).contains(&pair.at.distance(center)));
     assert!((at - 0.05).abs() < 0.015, "{at}");
@@ -483,7 +483,7 @@ fn a_regime_makes_references_err_and_blocks_stay() {
     let errors: Vec<f64> = drive
         .steps
         .iter()
-        .zip(&TRUTH.poses)
+        .zip(TRUTH.poses())
         .map(|(step, truth)| step.reference.unwrap().x - truth.x)
         .collect();
     let square = mean(errors.iter().map(|e| e * e));
@@ -513,6 +513,9 @@ fn what_cannot_be_recorded_is_refused() {
     }
     let error = record_other(&NOMINAL, &TRUTH, OtherForm::Glass, &[0.5], &[], regime, 1).unwrap_err();
     assert!(error.to_string().contains("glass needs a place"), "{error}");
-    let error = Truth::new(vec![0.0, 0.0], vec![Pose2::IDENTITY; 2]).unwrap_err();
-    assert!(error.to_string().contains("at least two poses"), "{error}");
+    for secs in [vec![0.0], vec![0.0, 0.0]] {
+        let track = Track::new(secs.into_iter().map(|secs| (secs, TRUTH.poses()[0]))).unwrap();
+        let error = record_library(&NOMINAL, &track, &[], regime, 1).unwrap_err();
+        assert!(error.to_string().contains("at least two poses"), "{error}");
+    }
 }

@@ -214,7 +214,7 @@ fn each_reading(round: &Round<'_>, mut visit: impl FnMut(&Beam, f64, f64, f64, &
     let Ok(effects) = comparison.effects(&round.effects) else { return };
     comparison.for_each_reading(&comparison.views, &effects, &round.fitted, |scan, i, _, shift, z, terms| {
         let beam = &comparison.views.beams[i];
-        visit(beam, comparison.recorded.poses[scan].theta + beam.view.bearing, shift, z, &terms);
+        visit(beam, comparison.recorded.track.poses()[scan].theta + beam.view.bearing, shift, z, &terms);
     });
 }
 

@@ -144,7 +144,7 @@ impl Dictionary {
         };
         let beam = |i: usize| &views.beams[i];
         let scan = |i: usize| i / k;
-        let secs = |i: usize| recorded.secs[scan(i)];
+        let secs = |i: usize| recorded.track.secs()[scan(i)];
         let drift = |i: usize| {
             let (j, v) = (beam(i).jacobian, velocities[scan(i)]);
             j[0] * v[0] + j[1] * v[1] + j[2] * v[2]
@@ -152,7 +152,7 @@ impl Dictionary {
         let bearings = recorded.laser.bearings();
         let sweep = |i: usize| locsim_core::wrap_angle(f64::from(bearings[i % k])) / TAU;
         let along = |i: usize, axis: f64| {
-            let (j, heading) = (beam(i).jacobian, recorded.poses[scan(i)].theta + axis);
+            let (j, heading) = (beam(i).jacobian, recorded.track.poses()[scan(i)].theta + axis);
             j[0] * heading.cos() + j[1] * heading.sin()
         };
         let (a, c) = (&mut targets, &mut counts);
@@ -272,7 +272,7 @@ impl Dictionary {
         // Where unmapped objects can be seen: along the beams, up to their ends.
         let mut objects = HashMap::new();
         for (i, beam) in views.beams.iter().enumerate() {
-            let heading = recorded.poses[scan(i)].theta + beam.view.bearing;
+            let heading = recorded.track.poses()[scan(i)].theta + beam.view.bearing;
             let range = beam.view.range.min(max);
             let end = beam.view.endpoint;
             let mut back = 0.5 * OBJECT_CELL_M;
@@ -329,7 +329,7 @@ impl Dictionary {
         let range_edges = even(0.0, max, 12);
         let incidence_edges = even(0.0, 0.5 * PI, 9);
         let bearing_edges = even(first, last + 1e-6, 24);
-        let time_edges = even(0.0, recorded.secs[recorded.scans() - 1] + 1e-6, 20);
+        let time_edges = even(0.0, recorded.track.secs()[recorded.scans() - 1] + 1e-6, 20);
         let speed_edges = quantile_edges(&per_scan(&speed), 5);
         let turn_edges = quantile_edges(&per_scan(&turn), 7);
         let coarse_turn = quantile_edges(&per_scan(&turn), 4);

@@ -102,7 +102,7 @@ impl Dictionary {
             // Things in front may stand where no block does.
             let in_front = self.is_in_front(beam, shift, z, &terms);
             if in_front {
-                let heading = comparison.recorded.poses[scan].theta + beam.view.bearing;
+                let heading = comparison.recorded.track.poses()[scan].theta + beam.view.bearing;
                 let back = beam.view.range - z;
                 let end = beam.view.endpoint;
                 let cell = cell_at(end.x - back * heading.cos(), end.y - back * heading.sin(), OBJECT_CELL_M);

@@ -1,7 +1,7 @@
 //! What was found, in a few sentences for people: angles in degrees, numbers with the digits that they are worth.
 
 use locsim_gap::{Covariate, Deviation, Estimate, Gap, Named, Outcome, Region, Verdict};
-use locsim_world::effect::{EffectKind, Parameter};
+use locsim_world::effect::Parameter;
 
 use locsim_report::text::fixed;
 use locsim_scenario::effect::{in_file, unit};
@@ -80,7 +80,7 @@ pub(super) fn label(parameter: &Parameter) -> String {
 
 /// What else an effect may be, and what would tell.
 fn doubt(named: &Named) -> Option<String> {
-    let others: Vec<_> = others(named).map(EffectKind::name).collect();
+    let others: Vec<_> = others(named).collect();
     if others.is_empty() {
         return None;
     }
@@ -88,9 +88,9 @@ fn doubt(named: &Named) -> Option<String> {
     Some(format!("Instead of {} it may as well be {}.{split}", named.name, others.join(" or ")))
 }
 
-/// The candidates beside the one that is named.
-pub(super) fn others(named: &Named) -> impl Iterator<Item = EffectKind> + '_ {
-    named.candidates.iter().copied().filter(|other| *other != named.name)
+/// Names of the candidates beside the one that is named.
+pub(super) fn others(named: &Named) -> impl Iterator<Item = &'static str> {
+    named.candidates.iter().filter(|other| **other != named.name).map(|other| other.name())
 }
 
 /// How far the gap closes. Its two ends are what all effects gain on held-out scans, and what is left to gain.

@@ -97,7 +97,7 @@ fn map(study: &GapStudy, outcome: &Outcome) -> Result<String, DrawError> {
     let title = 22.0;
     let window = bounds.with_aspect(aspect(f64::from(WIDTH), panel));
     let cells = by_wall(study, outcome);
-    let path: Vec<Point> = study.recorded.poses.iter().map(|pose| [pose.x, pose.y]).collect();
+    let path: Vec<Point> = study.recorded.track.poses().iter().map(|pose| [pose.x, pose.y]).collect();
     let legend = [
         ("shorter than expected".to_owned(), Mark::Dot(SHORT)),
         ("as expected".to_owned(), Mark::Dot(EXPECTED)),

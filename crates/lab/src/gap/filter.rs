@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use locsim_core::{Drive, DriveStep, Laser, Pose2, RangeMap, Scan};
+use locsim_core::{Drive, DriveStep, Laser, Pose2, RangeMap, Scan, Track};
 use locsim_gap::{Estimate, FilterError, FilterGap, GapError, Outcome, Purpose};
 use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Start, StepInput};
 use locsim_world::effect::{Effect, Effects, OdometryErrors};
@@ -78,7 +78,7 @@ impl<'a> FilterOnLog<'a> {
             Some(trained(self.study, &self.maps, learnt, self.control.progress)?)
         };
         let model = model.as_ref().unwrap_or(&self.nominal);
-        let log = corrected(self.study, &Effects::new(correctable).map_err(GapError::from)?);
+        let log = corrected(self.study, &Effects::new(correctable).map_err(GapError::from)?)?;
         self.control.progress.stage("localizing on the log", u64::from(SEEDS));
         let errors = (0..SEEDS).into_par_iter().map(|seed| {
             if self.control.is_interrupted() {
@@ -134,15 +134,7 @@ fn trained(
     progress.advance(1);
     let laser = simulator.laser().laser();
     let beams = training.beams.map_or(most_beams, |beams| (beams as usize).min(most_beams));
-    let (thinned, kept) = laser.thinned(beams);
-    let scans = readings
-        .chunks(observations as usize * laser.beam_count())
-        .map(|pose| {
-            let scans = pose.chunks(laser.beam_count());
-            scans.map(|ranges| kept.iter().map(|&beam| ranges[beam]).collect()).collect()
-        })
-        .collect();
-    let data = ScanData { laser: thinned, poses: poses.iter().collect(), scans, run: 1 };
+    let data = ScanData::simulated(laser, beams, &poses, observations, &readings);
     let surroundings = Surroundings {
         map: Arc::<_>::clone(&maps.exact) as Arc<dyn RangeMap>,
         distance: Arc::clone(&maps.distance),
@@ -164,7 +156,7 @@ fn filter_beams(study: &GapStudy) -> usize {
 }
 
 /// The scans that the search looked at, with these effects taken out of mount, odometry, stamps and readings.
-fn corrected(study: &GapStudy, effects: &Effects) -> Corrected {
+fn corrected(study: &GapStudy, effects: &Effects) -> Result<Corrected, GapError> {
     let steps = study.usable_steps().take(study.settings.scans);
     let drive = Drive { laser: study.drive.laser.clone(), steps: steps.cloned().collect() };
     let drive = drive.with_beams(filter_beams(study));
@@ -178,29 +170,30 @@ fn corrected(study: &GapStudy, effects: &Effects) -> Corrected {
         mount,
     )
     .unwrap_or_else(|_| laser.clone());
-    let track = corrected_track(&drive.steps, &effects.odometry_errors());
+    let odometry = corrected_odometry(&drive.steps, &effects.odometry_errors());
+    let stamps = drive.steps.iter().map(|step| step.stamp_secs);
+    let track = Track::new(stamps.zip(odometry)).map_err(GapError::from)?;
     let delay = effects.beam_secs(0.0, 0.0);
-    let stamps: Vec<f64> = drive.steps.iter().map(|step| step.stamp_secs).collect();
-    let first = stamps.first().copied().unwrap_or(0.0);
     let max = laser.max_range();
     let (steps, to_stamp) = drive
         .steps
         .iter()
         .enumerate()
         .map(|(i, step)| {
-            let odometry = if delay == 0.0 { track[i] } else { at_time(&stamps, &track, stamps[i] + delay) };
-            let drift = effects.drift_m(step.stamp_secs - first) as f32;
+            let (secs, pose) = (track.secs()[i], track.poses()[i]);
+            let odometry = if delay == 0.0 { pose } else { track.pose_at(secs + delay) };
+            let drift = effects.drift_m(secs) as f32;
             let mend = |range: &f32| if *range < max { (range - drift).clamp(0.0, max) } else { *range };
             let ranges = step.scan.ranges.iter().map(mend).collect();
             let step = DriveStep { odometry, scan: Scan { ranges }, ..step.clone() };
-            (step, track[i].relative_to(&odometry))
+            (step, pose.relative_to(&odometry))
         })
         .unzip();
-    Corrected { drive: Drive { laser, steps }, to_stamp }
+    Ok(Corrected { drive: Drive { laser, steps }, to_stamp })
 }
 
-/// The odometry's track without these errors of its increments.
-fn corrected_track(steps: &[DriveStep], errors: &OdometryErrors) -> Vec<Pose2> {
+/// The odometry without these errors of its increments.
+fn corrected_odometry(steps: &[DriveStep], errors: &OdometryErrors) -> Vec<Pose2> {
     let mut track: Vec<Pose2> = Vec::with_capacity(steps.len());
     for (i, step) in steps.iter().enumerate() {
         let pose = match track.last() {
@@ -212,18 +205,6 @@ fn corrected_track(steps: &[DriveStep], errors: &OdometryErrors) -> Vec<Pose2> {
         track.push(pose);
     }
     track
-}
-
-/// A track at any time: along the motion between two poses, and on with it beyond the ends.
-fn at_time(stamps: &[f64], track: &[Pose2], secs: f64) -> Pose2 {
-    if track.len() < 2 {
-        return track[0];
-    }
-    let after = stamps.partition_point(|&stamp| stamp <= secs).clamp(1, track.len() - 1);
-    let (from, to) = (&track[after - 1], &track[after]);
-    let share = (secs - stamps[after - 1]) / (stamps[after] - stamps[after - 1]).max(1e-9);
-    let step = to.relative_to(from);
-    from.compose(&Pose2::new(share * step.x, share * step.y, share * step.theta))
 }
 
 /// Root mean square distance between a filter's weighted mean and the reference \[m\].
@@ -302,7 +283,7 @@ mod tests {
             scan: Scan::default(),
         };
         let steps: Vec<DriveStep> = read.iter().map(step).collect();
-        let mended = corrected_track(&steps, &effects.odometry_errors());
+        let mended = corrected_odometry(&steps, &effects.odometry_errors());
         for (a, b) in mended.iter().zip(&truth) {
             assert!(
                 a.position().distance(b.position()) < 1e-12 && (a.theta - b.theta).abs() < 1e-12,
@@ -310,15 +291,6 @@ mod tests {
             );
         }
         assert!(read[3].position().distance(truth[3].position()) > 1e-3, "the control");
-    }
-
-    #[test]
-    fn a_track_is_met_between_and_beyond_its_poses() {
-        let track = [Pose2::IDENTITY, Pose2::new(1.0, 0.0, 0.0), Pose2::new(3.0, 0.0, 0.0)];
-        let stamps = [0.0, 1.0, 2.0];
-        for (secs, x) in [(0.5, 0.5), (1.0, 1.0), (1.25, 1.5), (2.5, 4.0), (-0.5, -0.5)] {
-            assert!((at_time(&stamps, &track, secs).x - x).abs() < 1e-12, "{secs}");
-        }
     }
 
     /// Of 1, 2, 3: mean 2, standard error 1 / sqrt(3), and Student's t of two degrees of freedom 4.3027.

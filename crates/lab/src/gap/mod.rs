@@ -162,8 +162,9 @@ impl GapStudy {
 
     /// Where each beam would end in the world as it is mapped \[m\], \[scan\]\[beam\]; `None` where that is too far.
     pub fn expected_ends(&self) -> Vec<Option<[f64; 2]>> {
-        let Recorded { laser, poses, .. } = &self.recorded;
-        let poses: Particles = poses.iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
+        let Recorded { laser, track, .. } = &self.recorded;
+        let poses: Particles =
+            track.poses().iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
         let mut hits = Hits::default();
         self.map.cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
         let beams = laser.beam_count();

@@ -1,7 +1,6 @@
 //! The report of a search: what disagrees and where, why this effect and not another, what remains.
 
 use locsim_gap::{Outcome, Verdict};
-use locsim_world::effect::EffectKind;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
@@ -130,7 +129,7 @@ fn named_text(named: &locsim_gap::Named) -> NamedText {
         numbers: answer::numbers(named).join(", "),
         gain: answer::with_interval(&named.evidence.gain_nats, 1.0),
         p: answer::p_value(named.evidence.p),
-        others: answer::others(named).map(EffectKind::name).collect(),
+        others: answer::others(named).collect(),
         split_by: named.split_by,
     }
 }

@@ -7,7 +7,7 @@ use locsim_gap::{Named, Outcome};
 use locsim_report::store::StoreError;
 use locsim_scenario::edit::Entry;
 use locsim_scenario::effect::{effect_yaml_with, in_file};
-use locsim_world::effect::{EffectKind, Parameter};
+use locsim_world::effect::Parameter;
 use similar::TextDiff;
 
 use super::GapStudy;
@@ -38,7 +38,7 @@ fn entry(study: &GapStudy, named: &Named) -> Entry {
             super::answer::p_value(evidence.p),
         ),
     ];
-    let others: Vec<&str> = super::answer::others(named).map(EffectKind::name).collect();
+    let others: Vec<&str> = super::answer::others(named).collect();
     if !others.is_empty() {
         comments.push(format!("The log doesn't tell it from {}.", others.join(", ")));
     }

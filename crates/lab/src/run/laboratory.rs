@@ -161,7 +161,9 @@ impl<'a> Laboratory<'a> {
         progress.stage("simulating training scans", 1);
         let readings = world.simulator.observe_many(poses.view(), training.observations, seed);
         progress.advance(1);
-        let data = simulated_scans(&world, &poses, &readings, training);
+        let laser = world.simulator.laser().laser();
+        let beams = training.beams.map_or(laser.beam_count(), |beams| beams as usize);
+        let data = ScanData::simulated(laser, beams, &poses, training.observations, &readings);
         let needs_oracle = scenario.models.iter().any(|model| model.name == ModelName::Oracle);
         let oracle = if needs_oracle {
             progress.stage("integrating over blocks", 1);
@@ -397,25 +399,6 @@ pub fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
             })
         })
         .collect()
-}
-
-/// Readings in [pose][observation][beam] order become scans with the training's beams.
-fn simulated_scans(
-    world: &World,
-    poses: &Particles,
-    readings: &[f32],
-    training: &scenario::Training,
-) -> ScanData {
-    let laser = world.simulator.laser().laser();
-    let (thinned, kept) = laser.thinned(training.beams.map_or(laser.beam_count(), |beams| beams as usize));
-    let scans = readings
-        .chunks(training.observations as usize * laser.beam_count())
-        .map(|pose| {
-            let scans = pose.chunks(laser.beam_count());
-            scans.map(|ranges| kept.iter().map(|&beam| ranges[beam]).collect()).collect()
-        })
-        .collect();
-    ScanData { laser: thinned, poses: poses.iter().collect(), scans, run: 1 }
 }
 
 /// Training scans of a log: those whose reference pose lies in the map's free space, at most as many as asked

@@ -44,6 +44,26 @@ pub struct ScanData {
     pub run: u32,
 }
 
+impl ScanData {
+    /// Simulated scans from independent poses: `readings` of a whole `laser` \[m\] in \[pose\]\[observation\]\[beam\]
+    /// order, of which at most `beams` beams per scan are kept, evenly spread.
+    pub fn simulated(
+        laser: &Laser,
+        beams: usize,
+        poses: &Particles,
+        observations: u32,
+        readings: &[f32],
+    ) -> Self {
+        let all = laser.beam_count();
+        let (laser, kept) = laser.thinned(beams);
+        let scans = readings
+            .chunks(observations as usize * all)
+            .map(|pose| pose.chunks(all).map(|scan| kept.iter().map(|&beam| scan[beam]).collect()).collect())
+            .collect();
+        Self { laser, poses: poses.iter().collect(), scans, run: 1 }
+    }
+}
+
 /// A sensor model as the filter uses it, with what is known of it.
 pub struct TrainedModel {
     /// The scenario's label.

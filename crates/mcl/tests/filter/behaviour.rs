@@ -1,4 +1,4 @@
-//! What a filter promises, step by step.
+//! The promises of a filter, step by step.
 
 use std::f64::consts::PI;
 

@@ -172,7 +172,7 @@ fn summary(mean: [f64; 3], c: [[f64; 3]; 3], log_evidence: f64) -> Vec<f64> {
     all
 }
 
-/// What the filters are told, and what they should say: one summary per step.
+/// Inputs of the filters and their exact results: one summary per step.
 struct Reference {
     laser: Laser,
     scans: Vec<Scan>,

@@ -19,7 +19,7 @@ fn laser(beams: usize) -> Laser {
     Laser::new(bearings, vec![0.0; beams], 0.0, 50.0, Pose2::IDENTITY).unwrap()
 }
 
-/// What `laser` reads at `base` in `room`, drawn from `model` for time step `step`.
+/// A scan of `laser` at `base` in `room`, drawn from `model` for time step `step`.
 fn scan(room: &Room, laser: &Laser, model: &Gaussian, base: Pose2, step: u32) -> Scan {
     let pose: Particles = [base.compose(&laser.base_from_laser())].into_iter().collect();
     let mut hits = Hits::default();
@@ -30,7 +30,7 @@ fn scan(room: &Room, laser: &Laser, model: &Gaussian, base: Pose2, step: u32) ->
     Scan { ranges }
 }
 
-/// A plain filter of `n` particles; the tests change what they are about.
+/// A plain filter of `n` particles; each test changes the options it is about.
 fn options(n: usize) -> FilterOptions {
     FilterOptions {
         particles: ParticleCount::Fixed(n),

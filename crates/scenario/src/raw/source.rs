@@ -206,7 +206,7 @@ pub struct RawMount {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawLog {
-    /// A CARMEN log, `.log` or `.log.gz`, or a ROS 2 bag in one file, `.mcap`. Relative to the scenario file; `${VARIABLE}` is replaced from the
+    /// A ROS 2 bag (a folder, `.mcap` or `.db3`) or a CARMEN log (`.log`), also compressed with gzip or zstd. Relative to the scenario file; `${VARIABLE}` is replaced from the
     /// environment.
     pub file: String,
     /// Scans that the map is built from. Needed where `map` is absent, not allowed beside it.
@@ -222,7 +222,7 @@ pub struct RawLog {
     pub map_resolution_m: Option<f64>,
     /// Readings at or above this count as no return (m), 0.001 to 10000. Default: the log's own maximum.
     pub max_range_m: Option<f64>,
-    /// What the topics of a bag are called; only with `.mcap`.
+    /// What the topics of a bag are called; only with a bag.
     pub topics: Option<RawTopics>,
 }
 

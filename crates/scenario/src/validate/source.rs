@@ -1,7 +1,7 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use locsim_core::Pose2;
-use locsim_dataset::{LogFormat, McapTopics};
+use locsim_dataset::{BagTopics, LogFormat};
 use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath, VelocitySegment,
 };
@@ -221,7 +221,7 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
 }
 
 fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
-    let file = check.file("log.file", &raw.file);
+    let file = check.log("log.file", &raw.file);
     let map = if let Some(map) = map {
         let why = "there is a `map`";
         check.absent("log", "map_scans", raw.map_scans.as_ref(), why);
@@ -259,15 +259,11 @@ fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
         }
     }
     let max_range_m = raw.max_range_m.map(|max| check.number("log.max_range_m", max, MAX_RANGE));
-    if LogFormat::of(Path::new(&raw.file)) != LogFormat::Mcap {
-        check.absent(
-            "log",
-            "topics",
-            raw.topics.as_ref(),
-            "only a ROS 2 bag has topics, a file named `.mcap`",
-        );
+    // A file that is no log at all is refused when it is read.
+    if LogFormat::of_content(&file).is_ok_and(|format| format != LogFormat::Bag) {
+        check.absent("log", "topics", raw.topics.as_ref(), "only a ROS 2 bag has topics");
     }
-    let topics = raw.topics.clone().map_or_else(McapTopics::default, |topics| McapTopics {
+    let topics = raw.topics.clone().map_or_else(BagTopics::default, |topics| BagTopics {
         scan: topics.scan,
         odometry: topics.odometry,
         reference: topics.reference,

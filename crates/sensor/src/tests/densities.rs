@@ -144,7 +144,7 @@ fn samples_follow_the_distribution_function() {
     }
 }
 
-/// The oracle's distribution function against the story it tells, told by other code: an object with even
+/// The oracle's distribution function against a simulation of its assumptions by other code: an object with even
 /// density between 0.5 m and 2.5 m in 30 % of the cases, hidden where it stands behind the surface, seen with
 /// noise.
 #[test]
@@ -210,7 +210,7 @@ fn readings_out_of_the_ordinary_have_a_defined_score() {
     }
 }
 
-/// A batch gives each beam what it gets alone, whatever its place.
+/// A batch gives each beam the value that it gets alone, at any place in the batch.
 #[test]
 fn a_batch_equals_its_beams_one_by_one() {
     let laser: Particles = [Pose2::new(0.5, 0.1, 0.2), Pose2::new(-1.0, 0.3, -2.0)].into_iter().collect();

@@ -82,7 +82,7 @@ fn at<'a>(value: &'a mut Value, path: &[&str]) -> &'a mut Value {
     })
 }
 
-/// What is said when the value at `path` is replaced by `new`.
+/// The error for a file in which the value at `path` is replaced by `new`.
 fn refusal(kind: ModelKind, path: &[&str], new: impl Into<Value>) -> String {
     let mut value = sound(kind);
     *at(&mut value, path) = new.into();

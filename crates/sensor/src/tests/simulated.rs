@@ -43,7 +43,7 @@ fn reading(r: f64, alpha: f64, rng: &mut impl Rng) -> f32 {
     (at + SIGMA_M * noise).clamp(0.0, max) as f32
 }
 
-/// ln of the density that [`reading`] draws from, but for what noise does within 5 cm of either end.
+/// ln of the density that [`reading`] draws from, exact except within 5 cm of either end.
 fn true_log_density(z: f64, r: f64, alpha: f64) -> f64 {
     let max = f64::from(MAX_RANGE);
     if r >= max {

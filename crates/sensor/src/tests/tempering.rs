@@ -12,7 +12,7 @@ use crate::{
 const SIGMA_M: f64 = 0.01;
 
 /// 400 scans of 6 beams with noise of 1 cm; the candidates' ranges are off by U(-3, 3) cm, the same for every
-/// beam, as a wrong pose's are. Each reading is told `copies` times over. A share of the readings is wrong.
+/// beam, as a wrong pose's are. Each reading is repeated `copies` times. A share of the readings is wrong.
 fn scans(copies: usize, wrong: f64) -> Vec<CalibrationScan> {
     (0..400)
         .map(|s| {
@@ -64,7 +64,7 @@ fn grid() -> TemperingGrid {
     TemperingGrid { floors: vec![1e-6, 1e-3, 0.03, 0.3], exponents: vec![0.0625, 0.125, 0.25, 0.5, 1.0, 2.0] }
 }
 
-/// A model that is right wants no tempering; readings told four times over are worth a quarter each.
+/// A correct model needs no tempering; readings that are repeated four times count a quarter each.
 #[test]
 fn the_exponent_makes_up_for_beams_that_say_the_same() {
     assert_eq!(choose_tempering(&exact(), &scans(1, 0.0), &grid()).unwrap().exponent, 1.0);

@@ -18,15 +18,15 @@ pub(crate) fn place(kind: EffectKind) -> Vec<[DVec2; 2]> {
     if kind.has_place() { vec![STRETCH] } else { Vec::new() }
 }
 
-/// Each effect at a value that shows.
+/// Each effect at a value that shows; the typical one, where nothing else is said.
 pub(crate) fn strong(kind: EffectKind) -> Effect {
     use EffectKind as E;
     let values: &[f64] = match kind {
-        E::RangeBias | E::Quantization => &[0.05],
+        E::RangeBias => &[0.05],
         E::RangeScale => &[0.03],
         E::IncidenceBias => &[0.02],
         E::RangeNoise => &[0.01],
-        E::IncidenceNoise | E::BlockDensity => &[2.0],
+        E::IncidenceNoise => &[2.0],
         E::HeavyTail => &[0.4],
         E::IncidenceDropout => &[0.8, 0.6, 0.2],
         E::RangeDropout => &[0.9, 0.7],
@@ -40,8 +40,8 @@ pub(crate) fn strong(kind: EffectKind) -> Effect {
         E::WarmupDrift => &[0.1, 5.0],
         E::SectorOcclusion => &[3.0, -2.0, 0.4, 0.7],
         E::Crosstalk => &[0.7, 0.6],
-        E::BlockDepth => &[1.5],
         E::WheelSlip => &[0.5, 0.3],
+        _ => return Effect::typical(kind, place(kind)),
     };
     Effect::new(kind, values.to_vec(), place(kind)).unwrap()
 }
@@ -186,9 +186,8 @@ fn every_law_integrates_to_one_and_samples_agree_with_it() {
                 told_apart |= distance_from(|_| distribution.clone(), &samples(&nominal, 4000)) > 1.0;
             }
             // Negative control: samples of the nominal world, under every effect that changes readings.
-            let shapes_readings = matches!(kind.site(), Site::Beam)
-                && !matches!(kind, EffectKind::MountYaw | EffectKind::MountOffset)
-                || kind.has_place();
+            let shapes_readings =
+                matches!(kind.moves(), Moves::Readings | Moves::Distribution | Moves::Walls);
             assert_eq!(told_apart, shapes_readings, "{kind}, resolution {resolution_m}");
         }
     }
@@ -434,7 +433,16 @@ fn the_catalogue_is_complete() {
         for text in [kind.formula(), kind.sentence(), kind.signature()] {
             assert!(text.len() > 4, "{kind}");
         }
+        assert!(kind.strengths().next().is_some() && !kind.description().statistics.is_empty(), "{kind}");
+        for other in kind.confused_with() {
+            assert!(kind.confused_with().iter().filter(|again| *again == other).count() == 1, "{kind}");
+        }
         for parameter in kind.parameters() {
+            assert_eq!(
+                parameter.unit.starts_with("rad"),
+                parameter.key != parameter.name,
+                "{kind}: {parameter:?}"
+            );
             for value in [parameter.neutral, parameter.start] {
                 assert!((parameter.lo..=parameter.hi).contains(&value), "{kind}: {parameter:?}");
             }
@@ -442,6 +450,40 @@ fn the_catalogue_is_complete() {
     }
     let error = "glas".parse::<EffectKind>().unwrap_err().to_string();
     assert!(error.starts_with("\"glas\" is not an effect; one of range_bias, range_scale,"), "{error}");
+}
+
+/// A log's beams are cast anew for an effect that changes where they start or what they can meet, and for no other.
+#[test]
+fn views_change_where_an_effect_says_so() {
+    let pose = Pose2::new(0.3, -0.2, 1.0);
+    let blocks = crate::simulation::fixtures::block_options();
+    for kind in EffectKind::ALL {
+        let effects = effects(&[kind]);
+        let is_changed = effects.laser_mount(pose) != pose
+            || effects.beam_secs(1.0, 2.5) != 2.5
+            || effects.blocks(blocks) != blocks
+            || !effects.objects().is_empty()
+            || effects.needs() != Needs::default();
+        assert_eq!(kind.changes_views(), is_changed, "{kind}");
+        let increment = Pose2::new(0.3, 0.04, 0.2);
+        let is_of_odometry = effects.odometry(&increment) != Effects::none().odometry(&increment);
+        assert_eq!(kind.moves() == Moves::Odometry, is_of_odometry, "{kind}");
+        assert_eq!(kind.moves() == Moves::Clutter, effects.blocks(blocks) != blocks, "{kind}");
+    }
+}
+
+/// What is read is taken back, where no wheel slips.
+#[test]
+fn errors_of_the_odometry_are_corrected() {
+    let errors =
+        effects(&[EffectKind::OdomDistanceScale, EffectKind::OdomTurnScale, EffectKind::OdomImbalance])
+            .odometry_errors();
+    for motion in [Pose2::new(0.2, 0.01, 0.1), Pose2::new(-0.1, 0.0, -0.4), Pose2::new(0.0, 0.0, 0.3)] {
+        let read = errors.distribution(&motion).mean;
+        let back = errors.corrected(&read);
+        let off = (back.x - motion.x).abs() + (back.y - motion.y).abs() + (back.theta - motion.theta).abs();
+        assert!(off < 1e-12 && read != motion, "{motion:?} {back:?}");
+    }
 }
 
 #[test]

@@ -86,7 +86,7 @@ pub enum MapError {
     /// The cell size of a grid is not positive and finite.
     #[error("the cell size must be positive and finite, in metres; got {0}")]
     Resolution(f64),
-    /// The cells of a grid are finer than any sensor tells apart.
+    /// The cells of a grid are finer than any sensor resolves.
     #[error("a cell size of {0} m is not allowed; at least {FINEST_M} m")]
     TooFine(f64),
     /// The origin of a grid is not finite, or part of the grid is far beyond any building.
@@ -132,7 +132,7 @@ pub enum MapError {
     ImageSize {
         /// The image's path.
         path: PathBuf,
-        /// What is allowed.
+        /// The allowed values.
         refusal: String,
     },
     /// There is more of something than is allowed.
@@ -143,7 +143,7 @@ pub enum MapError {
     Image {
         /// The image's path.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The decoder's error.
         source: image::ImageError,
     },
 }

@@ -13,7 +13,7 @@ use super::geometry::{FreeSpace, bounds_of};
 use super::outline::cell_boundaries;
 use super::{FARTHEST_M, FINEST_M, Geometry, ImageMode, MapError, OccupancyMapFile};
 
-/// What is known of a cell.
+/// The state of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cell {
     /// Nothing is in it.
@@ -24,7 +24,7 @@ pub enum Cell {
     Unknown,
 }
 
-/// What the image of a grid is written as.
+/// The format of a grid's image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageFormat {
     /// A binary greymap (P5).

@@ -1,4 +1,4 @@
-//! Maps: what they are read from, and the wall segments that rays are cast against.
+//! Maps: their file formats, and the wall segments that rays are cast against.
 //!
 //! # Vector map files
 //! A [`VectorMap`] describes a floor by closed polylines, in metres of the map frame:

@@ -72,7 +72,7 @@ impl OccupancyMapFile {
         }
     }
 
-    /// Reads each pixel as a cell; `share` tells how much of full brightness or opacity a channel has.
+    /// Reads each pixel as a cell; `share` is a channel's share of full brightness or opacity.
     fn read_pixels<P: Pixel>(
         &self,
         image: &ImageBuffer<P, Vec<P::Subpixel>>,
@@ -126,9 +126,9 @@ impl OccupancyMapFile {
 
 /// Bytes of an image file beside its pixels: names, comments, profiles.
 const MOST_BESIDE: u64 = 1 << 20;
-/// Bytes of a decoded pixel at the most: four channels of 16 bits.
+/// Greatest size of a decoded pixel \[bytes\]: four channels of 16 bits.
 const MOST_PER_PIXEL: u64 = 8;
-/// Bytes of a pixel in a file at the most: three channels of five digits and a blank.
+/// Greatest size of a pixel in a file \[bytes\]: three channels of five digits and a blank.
 const MOST_WRITTEN: u64 = 18;
 
 /// Decodes an image that has no more pixels than are allowed.

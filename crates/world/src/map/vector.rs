@@ -15,7 +15,7 @@ use super::{COINCIDENT_M, FARTHEST_M, Geometry, MapError};
 pub struct VectorMap {
     /// The boundary of the floor.
     pub outline: Polyline,
-    /// What stands on the floor.
+    /// Obstacles on the floor.
     #[serde(default)]
     pub obstacles: Vec<Polyline>,
     /// Walls without thickness.

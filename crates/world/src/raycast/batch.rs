@@ -48,7 +48,7 @@ pub(super) fn cast_batch<From, Cast>(
                 let outputs = range.iter_mut().zip(incidence).zip(&mut surface[here]);
                 for (&(direction, bearing), ((range, incidence), surface)) in prepared.iter().zip(outputs) {
                     (*range, *incidence, *surface) = match cast(rotation.rotate(direction), theta + bearing) {
-                        // Rounding to f32 may reach the maximum, which says "no return".
+                        // Rounding to f32 may reach the maximum, which means "no return".
                         Some(hit) if (hit.range as f32) < max_range => {
                             (hit.range as f32, hit.incidence as f32, hit.surface)
                         }

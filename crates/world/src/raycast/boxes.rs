@@ -31,7 +31,7 @@ impl Boxes {
 
 /// Where a ray enters a box within `limit` metres (slab method; `BvhNode::cast_ray` does the same with divisions at every
 /// box). `inverse` is of its direction, infinite for rays along an axis: zero times infinity then comes only of a ray on the very edge
-/// of a box, and boxes are wider than what is in them.
+/// of a box, and boxes are wider than their content.
 #[inline]
 pub(super) fn entry(node: &BvhNode, origin: DVec2, inverse: DVec2, limit: f64) -> Option<f64> {
     let (a, b) = ((node.mins() - origin) * inverse, (node.maxs() - origin) * inverse);

@@ -25,21 +25,21 @@ const MOST_ERROR_M: f64 = 1.0;
 pub(super) struct Built {
     /// Row of each cell of the frame, [`NO_ROW`] outside free space.
     pub rows: Vec<u32>,
-    /// What shows in each row's heading bins: an index into `views.sights`, or behind these into `views.lists`.
+    /// The content of each row's heading bins: an index into `contents.sights`, or behind these into `contents.lists`.
     pub entries: Vec<u32>,
-    pub views: Views,
+    pub contents: BinContents,
 }
 
-/// Every view that occurs, once.
+/// The distinct contents of heading bins.
 #[derive(Default)]
-pub(super) struct Views {
+pub(super) struct BinContents {
     pub sights: Vec<SightKey>,
-    /// Wall segments that a sight can't do justice to, ascending.
+    /// Wall segments, ascending, of bins that no sight describes well enough.
     pub lists: Vec<Box<[u32]>>,
 }
 
-/// What shows in a heading bin.
-enum View<'a> {
+/// The walls that rays from a cell may meet in a bin of headings.
+enum BinContent<'a> {
     Sight(SightKey),
     List(&'a [u32]),
 }
@@ -47,7 +47,7 @@ enum View<'a> {
 /// Marks an index into the lists until it is known how many sights there are.
 const LIST: u32 = 1 << 31;
 
-/// The row of a cell from which nobody looks.
+/// The row of a cell from which no ray starts.
 const NO_ROW: u32 = u32::MAX;
 
 /// Marks the cells of which a corner or the centre is in free space.
@@ -101,21 +101,22 @@ pub(super) fn build(
     }
     let done = AtomicUsize::new(0);
     let total = bands.len();
-    let pools: Vec<Views> = bands
+    let pools: Vec<BinContents> = bands
         .into_par_iter()
         .map(|(first_row, inside, entries)| {
-            let views = caster.fill_band(first_row, inside, entries);
+            let contents = caster.fill_band(first_row, inside, entries);
             progress((done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / total as f64);
-            views
+            contents
         })
         .collect();
 
     // Make the pools one, in order.
     let mut pool = Pool::default();
     let mut rest = entries.as_mut_slice();
-    for (inside, views) in in_sight.chunks(BAND_ROWS * frame.columns).zip(pools) {
-        let sights: Vec<u32> = views.sights.into_iter().map(|key| pool.index(&View::Sight(key))).collect();
-        let lists: Vec<u32> = views.lists.iter().map(|list| pool.index(&View::List(list))).collect();
+    for (inside, contents) in in_sight.chunks(BAND_ROWS * frame.columns).zip(pools) {
+        let sights: Vec<u32> =
+            contents.sights.into_iter().map(|key| pool.index(&BinContent::Sight(key))).collect();
+        let lists: Vec<u32> = contents.lists.iter().map(|list| pool.index(&BinContent::List(list))).collect();
         let cells = inside.iter().filter(|inside| **inside).count();
         let (here, after) = rest.split_at_mut(cells * headings);
         rest = after;
@@ -123,11 +124,11 @@ pub(super) fn build(
             *entry = if *entry < LIST { sights[*entry as usize] } else { lists[(*entry - LIST) as usize] };
         }
     }
-    let sights = pool.views.sights.len() as u32;
+    let sights = pool.contents.sights.len() as u32;
     for entry in entries.iter_mut().filter(|entry| **entry >= LIST) {
         *entry = *entry - LIST + sights;
     }
-    Built { rows: rows_of(in_sight), entries, views: pool.views }
+    Built { rows: rows_of(in_sight), entries, contents: pool.contents }
 }
 
 /// Numbers the cells `in_sight`.
@@ -140,23 +141,23 @@ pub(super) fn rows_of(in_sight: &[bool]) -> Vec<u32> {
     in_sight.iter().map(row).collect()
 }
 
-/// Keeps equal views once.
+/// Collects distinct contents.
 #[derive(Default)]
 struct Pool {
-    views: Views,
+    contents: BinContents,
     sights: HashMap<SightKey, u32>,
     lists: HashMap<Box<[u32]>, u32>,
 }
 
 impl Pool {
-    fn index(&mut self, view: &View<'_>) -> u32 {
-        let Views { sights, lists } = &mut self.views;
-        match *view {
-            View::Sight(key) => *self.sights.entry(key).or_insert_with(|| {
+    fn index(&mut self, content: &BinContent<'_>) -> u32 {
+        let BinContents { sights, lists } = &mut self.contents;
+        match *content {
+            BinContent::Sight(key) => *self.sights.entry(key).or_insert_with(|| {
                 sights.push(key);
                 sights.len() as u32 - 1
             }),
-            View::List(list) => {
+            BinContent::List(list) => {
                 if let Some(&index) = self.lists.get(list) {
                     return index;
                 }
@@ -199,12 +200,12 @@ impl Caster<'_> {
         self.map.cast_segment(origin, direction, f64::INFINITY).map_or(NOTHING, |(segment, _)| segment as u32)
     }
 
-    /// Fills the entries of the cells `inside`, rows of cells from `first_row` on; returns the views they
+    /// Fills the entries of the cells `inside`, rows of cells from `first_row` on; returns the contents that the entries
     /// point to.
-    fn fill_band(&self, first_row: usize, inside: &[bool], entries: &mut [u32]) -> Views {
+    fn fill_band(&self, first_row: usize, inside: &[bool], entries: &mut [u32]) -> BinContents {
         let columns = self.frame.columns;
         let mut pool = Pool::default();
-        // What each corner of the cell row sees along each edge; `None` where nobody has asked yet.
+        // Casts from each corner of the cell row along each edge; `None` where none was needed yet.
         let mut below: Vec<Option<Spot>> = (0..=columns).map(|_| None).collect();
         let mut above: Vec<Option<Spot>> = (0..=columns).map(|_| None).collect();
         let (mut samples, mut walls) = (Vec::new(), Vec::new());
@@ -221,13 +222,13 @@ impl Caster<'_> {
                 let centre = self.spot(2 * column + 1, 2 * row + 1);
                 let entries = entries.next().expect("one row of entries per cell");
                 for (bin, entry) in entries.iter_mut().enumerate() {
-                    *entry = pool.index(&self.view_of_bin(corners, centre, bin, &mut samples, &mut walls));
+                    *entry = pool.index(&self.content_of_bin(corners, centre, bin, &mut samples, &mut walls));
                 }
             }
             std::mem::swap(&mut below, &mut above);
             above.fill_with(|| None);
         }
-        pool.views
+        pool.contents
     }
 
     fn spot(&self, column2: usize, row2: usize) -> DVec2 {
@@ -248,16 +249,17 @@ impl Caster<'_> {
         Spot { at, walls }
     }
 
-    /// What explains the exact casts from the corners of a cell along the edges of a heading bin: one wall; where they
-    /// meet several, also casts between, the sight with the least error, or all the walls that they meet.
-    fn view_of_bin<'a>(
+    /// The content that explains the exact casts from the corners of a cell along the edges of a heading bin. If they meet
+    /// one wall, it is that wall. If they meet several, casts in between are added, and the content is the sight with the
+    /// least error or, if that error is too large, the list of all walls that the casts meet.
+    fn content_of_bin<'a>(
         &self,
         corners: [&Spot; 4],
         centre: DVec2,
         bin: usize,
         samples: &mut Vec<Sample>,
         walls: &'a mut Vec<u32>,
-    ) -> View<'a> {
+    ) -> BinContent<'a> {
         let next = (bin + 1) % self.edges.len();
         samples.clear();
         for corner in corners.into_iter().filter(|corner| !corner.walls.is_empty()) {
@@ -269,7 +271,7 @@ impl Caster<'_> {
         if let Some((first, rest)) = samples.split_first()
             && rest.iter().all(|sample| sample.wall == first.wall)
         {
-            return View::Sight(SightKey::single(first.wall));
+            return BinContent::Sight(SightKey::single(first.wall));
         }
         for i in 0..samples.len() / 2 {
             let origin = samples[2 * i].origin;
@@ -309,10 +311,10 @@ impl Caster<'_> {
             }
         }
         if let Some(key) = best {
-            return View::Sight(key);
+            return BinContent::Sight(key);
         }
         walls.retain(|&wall| wall != NOTHING);
-        View::List(walls)
+        BinContent::List(walls)
     }
 
     fn look_between(&self, origin: DVec2, bin: usize, samples: &mut Vec<Sample>) {

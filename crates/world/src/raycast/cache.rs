@@ -9,7 +9,7 @@ use locsim_core::limits::Limits;
 use tempfile::NamedTempFile;
 use wide::bytemuck::{cast_slice, cast_slice_mut};
 
-use super::build::{Built, MOST_LISTED, Views, rows_of};
+use super::build::{BinContents, Built, MOST_LISTED, rows_of};
 use super::sight::{NOTHING, SightKey};
 use super::{ExactRangeMap, RangeTableOptions};
 use crate::map::CellFrame;
@@ -28,7 +28,7 @@ pub(super) struct Cached {
     folder: PathBuf,
     path: PathBuf,
     key: [u8; HASH],
-    /// What a table of this map looks like.
+    /// The sizes of a table of this map.
     expected: Expected,
 }
 
@@ -87,7 +87,7 @@ impl Cached {
         }
         let rows = content.part(|length| length == self.expected.rows.len())?;
         let entries = content.part(|length| length == self.expected.entries)?;
-        // Each view shows somewhere.
+        // Each content occurs in at least one bin.
         let sights = content.part(|length| length % 3 == 0 && length / 3 <= entries.len())?;
         let lengths = content.part(|length| length <= entries.len())?;
         let walls = content.part(|length| length / MOST_LISTED <= lengths.len())?;
@@ -108,7 +108,7 @@ impl Cached {
                 Some(list.into())
             })
             .collect::<Option<_>>()?;
-        let built = Built { rows, entries, views: Views { sights, lists } };
+        let built = Built { rows, entries, contents: BinContents { sights, lists } };
         if !self.expected.allow(&built) {
             return None;
         }
@@ -116,8 +116,8 @@ impl Cached {
         Some(built)
     }
 
-    /// Keeps a table, and lets go of those not used for longest while the folder holds more than it may. A folder that
-    /// can't be written to costs time, next time, and nothing else.
+    /// Stores a table, and removes the least recently used ones while the folder is above its limit. Errors are ignored:
+    /// the table is then computed again next time.
     pub fn write(&self, built: &Built) {
         let most = Limits::current().cache_bytes;
         drop(self.write_below(built, most));
@@ -125,7 +125,7 @@ impl Cached {
     }
 
     fn write_below(&self, built: &Built, most: u64) -> io::Result<()> {
-        let Views { sights, lists } = &built.views;
+        let BinContents { sights, lists } = &built.contents;
         let sights: Vec<u32> =
             sights.iter().flat_map(|key| [key.walls[0], key.walls[1], key.corner]).collect();
         let lengths: Vec<u32> = lists.iter().map(|list| list.len() as u32).collect();
@@ -156,13 +156,13 @@ impl Cached {
 
 impl Expected {
     /// Whether every index of a table is one of something there is.
-    fn allow(&self, Built { rows, entries, views: Views { sights, lists } }: &Built) -> bool {
+    fn allow(&self, Built { rows, entries, contents: BinContents { sights, lists } }: &Built) -> bool {
         let is_wall = |wall: &u32| (*wall as usize) < self.segments;
         let is_sight =
             |key: &SightKey| key.corner < 4 && key.walls.iter().all(|wall| is_wall(wall) || *wall == NOTHING);
-        let views = sights.len() + lists.len();
+        let contents = sights.len() + lists.len();
         *rows == self.rows
-            && entries.iter().all(|&entry| (entry as usize) < views)
+            && entries.iter().all(|&entry| (entry as usize) < contents)
             && sights.iter().all(is_sight)
             && lists.iter().all(|list| list.iter().all(is_wall))
     }
@@ -207,10 +207,10 @@ fn mark_as_used(folder: &Path, path: &Path) {
     drop(mark());
 }
 
-/// Removes tables, those changed longest ago first, until a folder holds at most so many bytes of them; `newest` stays.
+/// Removes tables, the oldest changes first, until a folder holds at most `most` bytes of them; `newest` stays.
 fn make_room(folder: &Path, newest: &Path, most: u64) {
     let Ok(entries) = fs::read_dir(folder) else { return };
-    // What vanishes meanwhile was removed by another process.
+    // Files that vanish meanwhile were removed by another process.
     let mut tables: Vec<(SystemTime, u64, PathBuf)> = entries
         .flatten()
         .filter(is_table)

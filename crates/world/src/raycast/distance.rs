@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::segment::{distance_to, tree_over};
 use crate::map::{CellFrame, Geometry, MapError};
 
-/// Cells come in square blocks of so many a side, which ask the tree together, ..
+/// Side of a square tile of cells that queries the tree together, ..
 const BLOCK: usize = 8;
 /// .. unless more segments than this are near: then each cell asks.
 const MOST_NEAR: usize = 64;

@@ -18,7 +18,7 @@ pub struct RayHit {
     pub surface: u32,
 }
 
-/// What is nearer to a surface than this \[m\] isn't behind it, but the surface itself.
+/// A surface nearer than this behind another one \[m\] is that surface itself.
 pub const BEHIND_M: f64 = 1e-3;
 
 /// Exact ray casts against the segments of a map, by a tree of bounding boxes (parry's `Bvh`).

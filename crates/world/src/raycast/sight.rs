@@ -1,4 +1,5 @@
-//! What a ray can meet from a cell of the plane in a bin of headings: one wall, or two and the corner between them.
+//! The walls that a ray from a cell of the plane can meet in a bin of headings: one wall, or two and the corner between
+//! them.
 
 use glam::DVec2;
 use wide::f32x4;
@@ -66,8 +67,8 @@ impl SightKey {
     }
 }
 
-/// What four rays from one point meet.
-pub(super) struct HitKind {
+/// Hits of four rays from one point.
+pub(super) struct RunHits {
     /// Distance along the ray \[m\]; negative, infinite or NaN where the wall's line isn't ahead.
     pub range: f32x4,
     /// Cosine of the incidence angle.
@@ -86,7 +87,7 @@ impl Sight {
 
     /// Four rays, each with its own sight, from `[x, y]` \[m\] along unit vectors.
     #[inline]
-    pub fn meet(sights: [&Self; 4], [x, y]: [f32; 2], direction: [f32x4; 2]) -> HitKind {
+    pub fn meet(sights: [&Self; 4], [x, y]: [f32; 2], direction: [f32x4; 2]) -> RunHits {
         let [corner_x, corner_y, first, second] =
             f32x4::transpose(sights.map(|sight| sight.corner_and_offsets));
         let [first_x, first_y, second_x, second_y] = f32x4::transpose(sights.map(|sight| sight.normals));
@@ -97,7 +98,7 @@ impl Sight {
         let normal_x = is_first.bitselect(first_x, second_x);
         let normal_y = is_first.bitselect(first_y, second_y);
         let cosine = normal_x * ahead + normal_y * left;
-        HitKind {
+        RunHits {
             range: (offset - normal_x * x - normal_y * y) / cosine,
             cosine: cosine.abs(),
             sine: (normal_x * left - normal_y * ahead).abs(),

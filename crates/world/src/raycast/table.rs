@@ -10,12 +10,12 @@ use wide::{f32x4, u32x4};
 
 use super::ExactRangeMap;
 use super::batch::for_each_chunk;
-use super::build::{Built, Views, build, cells_in_sight};
+use super::build::{BinContents, Built, build, cells_in_sight};
 use super::cache::Cached;
-use super::sight::{HitKind, Sight};
+use super::sight::{RunHits, Sight};
 use crate::map::{CellFrame, MapError};
 
-/// What a [`RangeTable`] is made of.
+/// Resolution of a [`RangeTable`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeTableOptions {
     /// Side of a cell \[m\]; doubled until the table fits into `most_bytes`, or given up for exact casts.
@@ -34,14 +34,14 @@ impl Default for RangeTableOptions {
     }
 }
 
-/// Fast ray casts: a table tells, for each cell of the plane and bin of headings, which wall a ray meets, or which two
+/// Fast ray casts: a table holds, for each cell of the plane and bin of headings, the wall that a ray meets, or the two
 /// walls and the corner that divides the rays between them; the ray is then intersected with that wall's line.
 ///
 /// So a range is exact to rounding (f32), wherever in its cell and bin the ray is. Where exact casts from the cell's
-/// corners and centre along the bin's edges and centre show that two walls don't explain what there is to see, the
-/// table lists the walls that these casts meet, and the ray is intersected with all of them. What remains are walls
-/// that none of these casts meets. A ray that starts in a cell without free space is cast exactly; one that starts in
-/// a wall, but in a cell with free space, sees what can be seen from there.
+/// corners and centre along the bin's edges and centre meet more than two walls, the table lists the walls that these
+/// casts meet, and the ray is intersected with all of them. Walls that none of these casts meets are missed. A ray that
+/// starts in a cell without free space is cast exactly. One that starts inside a wall, but in a cell with free space, is
+/// cast as from that cell.
 pub struct RangeTable {
     map: ExactRangeMap,
     frame: CellFrame,
@@ -49,7 +49,7 @@ pub struct RangeTable {
     cells_per_m: f64,
     /// Row of each cell.
     rows: Vec<u32>,
-    /// What shows in each row's heading bins: an index into `sights`, or behind these into `lists`.
+    /// The content of each row's heading bins: an index into `sights`, or behind these into `lists`.
     entries: Vec<u32>,
     /// In coordinates relative to the frame's lower left corner.
     sights: Vec<Sight>,
@@ -150,7 +150,7 @@ impl RangeTable {
     }
 
     fn assemble(map: &ExactRangeMap, frame: CellFrame, built: Built) -> Self {
-        let Built { rows, entries, views: Views { sights: keys, lists } } = built;
+        let Built { rows, entries, contents: BinContents { sights: keys, lists } } = built;
         let (segments, surfaces) = (map.geometry().segments(), map.geometry().surfaces());
         let origin = DVec2::new(frame.x0, frame.y0);
         let mut walls = Vec::new();
@@ -211,14 +211,14 @@ impl RangeTable {
     }
 }
 
-/// Cells aren't made larger than this \[m\]: they would no longer tell one side of a wall from the other.
+/// Largest cell \[m\]: a larger one would not distinguish the two sides of a wall.
 const COARSEST_M: f64 = 1.0;
 
 /// The most cells times corners of the map's polygons, each of which is compared with each cell: seconds.
 const MOST_COMPARED: usize = 20_000_000_000;
 
 /// The map's bounds with the lower corner moved by a part of a cell: walls tend to lie on whole multiples of a cell,
-/// and what a point on a wall sees says nothing about its neighbours.
+/// and casts from a point on a wall say nothing about its neighbours.
 fn shifted([x0, y0, x1, y1]: [f64; 4], cell_m: f64) -> [f64; 4] {
     [x0 - 0.382 * cell_m, y0 - 0.382 * cell_m, x1, y1]
 }
@@ -258,7 +258,7 @@ fn fitting_frame(
     }
 }
 
-/// A pose as the table wants it.
+/// A pose in the table's frame and units.
 struct Origin {
     /// Relative to the frame's corner \[m\].
     at: [f32; 2],
@@ -287,22 +287,26 @@ impl RangeTable {
         (origin, self.bins(x, y))
     }
 
-    /// The views of a run of beams, and its directions.
+    /// The entries of a run of beams, and its directions.
     #[inline]
-    fn views(origin: &Origin, bins: &[u32; HEADINGS], beams: &BeamRun) -> ([u32; BEAMS_PER_RUN], [f32x4; 2]) {
+    fn entries(
+        origin: &Origin,
+        bins: &[u32; HEADINGS],
+        beams: &BeamRun,
+    ) -> ([u32; BEAMS_PER_RUN], [f32x4; 2]) {
         let [c, s] = origin.ahead;
         let direction = [beams.cos * c - beams.sin * s, beams.cos * s + beams.sin * c];
         let heading = beams.turn + u32x4::splat(origin.heading);
         (heading.to_array().map(|heading| bins[bin(heading)]), direction)
     }
 
-    /// What a run of beams meets.
+    /// Hits of a run of beams.
     #[inline]
-    fn meet(&self, origin: &Origin, bins: &[u32; HEADINGS], beams: &BeamRun) -> HitKind {
-        let (views, direction) = Self::views(origin, bins, beams);
-        match views.map(|view| self.sights.get(view as usize)) {
+    fn meet(&self, origin: &Origin, bins: &[u32; HEADINGS], beams: &BeamRun) -> RunHits {
+        let (entries, direction) = Self::entries(origin, bins, beams);
+        match entries.map(|entry| self.sights.get(entry as usize)) {
             [Some(a), Some(b), Some(c), Some(d)] => Sight::meet([a, b, c, d], origin.at, direction),
-            _ => self.meet_lists(views, origin, direction),
+            _ => self.meet_lists(entries, origin, direction),
         }
     }
 
@@ -315,14 +319,14 @@ impl RangeTable {
         (beams, row_start): (&BeamRun, u32x4),
         table: &LikelihoodTable,
     ) -> i32 {
-        let (views, direction) = Self::views(origin, bins, beams);
-        // As in `meet`, but so that what most beams need stays in registers.
-        match views.map(|view| self.sights.get(view as usize)) {
+        let (entries, direction) = Self::entries(origin, bins, beams);
+        // As in `meet`, but arranged so that the values of most beams stay in registers.
+        match entries.map(|entry| self.sights.get(entry as usize)) {
             [Some(a), Some(b), Some(c), Some(d)] => {
                 let met = Sight::meet([a, b, c, d], origin.at, direction);
                 table.sum(row_start + table.scale().entry(met.range, met.cosine))
             }
-            _ => self.sum_with_lists(views, origin, direction, row_start, table),
+            _ => self.sum_with_lists(entries, origin, direction, row_start, table),
         }
     }
 
@@ -330,27 +334,27 @@ impl RangeTable {
     #[inline(never)]
     fn sum_with_lists(
         &self,
-        views: [u32; BEAMS_PER_RUN],
+        entries: [u32; BEAMS_PER_RUN],
         origin: &Origin,
         direction: [f32x4; 2],
         row_start: u32x4,
         table: &LikelihoodTable,
     ) -> i32 {
-        let met = self.meet_lists(views, origin, direction);
+        let met = self.meet_lists(entries, origin, direction);
         table.sum(row_start + table.scale().entry(met.range, met.cosine))
     }
 
-    /// What beams meet of which some have a list of walls instead of a sight.
+    /// Hits of a run in which some beams have a list of walls instead of a sight.
     #[cold]
     #[inline(never)]
-    fn meet_lists(&self, views: [u32; BEAMS_PER_RUN], origin: &Origin, direction: [f32x4; 2]) -> HitKind {
-        let sights = views.map(|view| self.sights.get(view as usize).unwrap_or(&Sight::NOTHING));
+    fn meet_lists(&self, entries: [u32; BEAMS_PER_RUN], origin: &Origin, direction: [f32x4; 2]) -> RunHits {
+        let sights = entries.map(|entry| self.sights.get(entry as usize).unwrap_or(&Sight::NOTHING));
         let mut met = Sight::meet(sights, origin.at, direction);
         let frame = DVec2::new(self.frame.x0, self.frame.y0);
         let position = frame + DVec2::new(f64::from(origin.at[0]), f64::from(origin.at[1]));
         let [x, y] = direction.map(f32x4::to_array);
-        for (i, view) in views.into_iter().enumerate() {
-            let Some(list) = (view as usize).checked_sub(self.sights.len()) else { continue };
+        for (i, entry) in entries.into_iter().enumerate() {
+            let Some(list) = (entry as usize).checked_sub(self.sights.len()) else { continue };
             let direction = [x[i], y[i]];
             let walls = &self.walls[self.lists[list] as usize..self.lists[list + 1] as usize];
             let mut nearest: Option<(&ListedWall, f32)> = None;
@@ -415,7 +419,7 @@ impl RangeTable {
             let direction = rotation.rotate(DVec2::new(f64::from(cos[i]), f64::from(sin[i])));
             self.map
                 .cast_ray(pose.position(), direction, f64::from(max_range))
-                // Rounding to f32 may reach the maximum, which says "no return".
+                // Rounding to f32 may reach the maximum, which means "no return".
                 .filter(|hit| (hit.range as f32) < max_range)
                 .map_or((max_range, 0.0, NO_SURFACE), |hit| {
                     (hit.range as f32, hit.incidence as f32, hit.surface)

@@ -1,7 +1,7 @@
 //! Whole drives and scans in worlds with effects.
 
 use glam::DVec2;
-use locsim_core::{Draw, Pose2, Stage};
+use locsim_core::{Draw, Pose2, Stage, Track};
 
 use super::fixtures::{block_options, laser_options, on_threads, room_map};
 use super::*;
@@ -304,10 +304,10 @@ fn bursts_of_crosstalk_last_for_a_second() {
     let crosstalk = Effect::new(EffectKind::Crosstalk, vec![1.0, 0.5], vec![]).unwrap();
     let simulator = Simulator::new(room_map(), None, laser_options(), effects(vec![crosstalk])).unwrap();
     let nominal = Simulator::new(room_map(), None, laser_options(), Effects::none()).unwrap();
-    let poses = [Pose2::new(2.0, 2.0, 0.0); 200];
-    let secs: Vec<f64> = (0..200).map(|i| 0.2 * f64::from(i) + 0.05).collect();
-    let clear = nominal.scan_along(&secs, &poses, 1);
-    let readings = simulator.scan_along(&secs, &poses, 1);
+    let poses = (0..200).map(|i| (0.2 * f64::from(i) + 0.05, Pose2::new(2.0, 2.0, 0.0)));
+    let track = Track::new(poses).unwrap();
+    let clear = nominal.scan_along(&track, 1);
+    let readings = simulator.scan_along(&track, 1);
     let disturbed: Vec<bool> = readings.chunks(36).zip(clear.chunks(36)).map(|(a, b)| a != b).collect();
     for window in disturbed.chunks(5) {
         assert!(window.iter().all(|scan| *scan == window[0]), "{window:?}");
@@ -326,15 +326,13 @@ fn scans_and_odometry_along_a_drive_are_the_drives() {
         vec![strong(EffectKind::WheelSlip), strong(EffectKind::WarmupDrift), strong(EffectKind::Crosstalk)];
     let simulator = Simulator::new(room_map(), Some(blocks), laser, effects(list)).unwrap();
     let drive = simulate_drive(&simulator, &robot(), 11).unwrap();
-    let poses: Vec<Pose2> = drive.drive.steps.iter().map(|step| step.reference.unwrap()).collect();
-    let secs: Vec<f64> = drive.drive.steps.iter().map(|step| step.stamp_secs).collect();
-    let along = on_threads(2, || simulator.scan_along(&secs, &poses, 11));
+    let track = drive.drive.reference().unwrap();
+    let along = on_threads(2, || simulator.scan_along(&track, 11));
     assert_eq!(along.iter().map(|z| z.to_bits()).collect::<Vec<_>>(), scan_bits(&drive));
-    let odometry = odometry_along(&poses, &robot().odometry_noise, simulator.effects(), 11);
+    let odometry = odometry_along(track.poses(), &robot().odometry_noise, simulator.effects(), 11);
     assert_eq!(pose_bits(odometry), odometry_bits(&drive));
-    assert!(simulator.scan_along(&[], &[], 1).is_empty());
-    let later: Vec<f64> = secs.iter().map(|secs| secs + 64.0).collect();
-    let shifted = simulator.scan_along(&later, &poses, 11);
+    let later = track.secs().iter().map(|secs| secs + 64.0).zip(track.poses().iter().copied());
+    let shifted = simulator.scan_along(&Track::new(later).unwrap(), 11);
     let differing = along.iter().zip(&shifted).filter(|(a, b)| (*a - *b).abs() > 0.0011).count();
     assert_eq!(differing, 0, "time counts from the first scan");
 }

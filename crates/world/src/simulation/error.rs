@@ -14,7 +14,7 @@ pub enum SimulationError {
         name: &'static str,
         /// Its value.
         value: f64,
-        /// What is allowed.
+        /// The allowed values.
         allowed: &'static str,
     },
     /// The interval of a uniform distribution is out of range, out of order or not finite.
@@ -24,13 +24,13 @@ pub enum SimulationError {
         name: &'static str,
         /// The interval.
         value: [f64; 2],
-        /// What is allowed.
+        /// The allowed values.
         allowed: &'static str,
     },
     /// Something would not fit into memory.
     #[error("{count:.0} {what} are more than the {max:.0} that are allowed")]
     TooMany {
-        /// What there is too much of.
+        /// The unit that is counted.
         what: &'static str,
         /// How much.
         count: f64,
@@ -88,7 +88,7 @@ pub enum SimulationError {
     Laser(#[from] LaserError),
 }
 
-/// Lengths \[m\], speeds \[m/s\] and the like beyond this are no robot's.
+/// Bound on lengths \[m\], speeds \[m/s\] and other magnitudes; no robot exceeds it.
 pub(super) const MOST: f64 = 1e4;
 
 /// Whether a value is from 0 to [`MOST`], in words and as a test.

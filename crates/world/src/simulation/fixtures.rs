@@ -1,4 +1,4 @@
-//! What the tests of the simulator share.
+//! Fixtures for the simulator's tests.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;

@@ -22,7 +22,6 @@ mod observe;
 mod obstruction;
 mod odometry;
 mod path;
-mod recorded;
 mod rectangle;
 mod view;
 

@@ -1,10 +1,9 @@
 use std::sync::Arc;
 
-use locsim_core::{Draw, Pose2, Poses, Scan, Stage};
+use locsim_core::{Draw, Pose2, Poses, Scan, Stage, Track};
 use rayon::prelude::*;
 
 use super::blocks::Placement;
-use super::recorded::RecordedPath;
 use super::view::{EffectView, View};
 use super::{BlockModel, BlockOptions, LaserOptions, LaserSimulator, SimulationError};
 use crate::effect::{Effects, HitKind, burst, burst_window};
@@ -21,7 +20,7 @@ pub struct Simulator {
     effects: Effects,
 }
 
-/// What is kept between scans, to allocate once.
+/// Buffers that are kept between scans.
 #[derive(Default)]
 pub(super) struct Scratch {
     view: View,
@@ -31,8 +30,8 @@ pub(super) struct Scratch {
 }
 
 impl Simulator {
-    /// A mapped world with unmapped blocks in it (`None`: as mapped), a laser, and the effects that make the world
-    /// another one than these say. [`Simulator::laser`] stays as it is given: it is what a filter is told.
+    /// A mapped world with unmapped blocks in it (`None`: as mapped), a laser, and the effects in which the world differs
+    /// from this description. [`Simulator::laser`] stays the nominal laser: it is the one that a filter knows.
     ///
     /// # Errors
     /// As [`BlockModel::new`] and [`LaserSimulator::new`].
@@ -53,7 +52,7 @@ impl Simulator {
         &self.map
     }
 
-    /// What makes the world another one than it is said to be.
+    /// The effects in which this world differs from the nominal one.
     pub fn effects(&self) -> &Effects {
         &self.effects
     }
@@ -176,19 +175,14 @@ impl Simulator {
         }
     }
 
-    /// The scans of a robot that was at `poses[i]` (`map_from_base`) at `secs[i]`, in order of time, and takes scan
-    /// `i` from then on: readings \[m\] in \[scan\]\[beam\] order. Between the poses it moves straight and evenly,
-    /// before the first and after the last as in the interval next to it. Blocks take new places, and time counts from
-    /// the first scan, as in [`simulate_drive`](super::simulate_drive).
-    ///
-    /// # Panics
-    /// If there are not as many times as poses.
-    pub fn scan_along(&self, secs: &[f64], poses: &[Pose2], seed: u64) -> Vec<f32> {
-        let path = RecordedPath::new(secs, poses);
+    /// The scans of a robot that follows `track` (`map_from_base`), one from each of its poses on: readings \[m\] in
+    /// \[scan\]\[beam\] order. Blocks take new places, and time counts from the first scan, as in
+    /// [`simulate_drive`](super::simulate_drive).
+    pub fn scan_along(&self, track: &Track, seed: u64) -> Vec<f32> {
         let beams = self.laser.laser().beam_count();
-        let mut out = vec![0.0; poses.len() * beams];
+        let mut out = vec![0.0; track.len() * beams];
         out.par_chunks_mut(beams).enumerate().for_each_init(Scratch::default, |scratch, (i, out)| {
-            let scan = self.sweep(seed, i as u32, secs[i] - secs[0], |secs| path.pose_at(secs), scratch);
+            let scan = self.sweep(seed, i as u32, track.secs()[i], |secs| track.pose_at(secs), scratch);
             out.copy_from_slice(&scan.ranges);
         });
         out
@@ -218,8 +212,7 @@ mod tests {
     }
 
     proptest! {
-        /// Without noise a reading is what an exact cast against the walls and the edges of the same blocks
-        /// gives.
+        /// Without noise a reading is an exact cast against the walls and the edges of the same blocks.
         #[test]
         fn readings_are_casts_at_walls_and_blocks(
             x in 0.5..5.5f64, y in 0.5..3.5f64, theta in -3.0..3.0f64, observation: u32,

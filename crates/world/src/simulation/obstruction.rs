@@ -9,7 +9,8 @@ use super::{BlockIntegral, BlockModel, SimulationError};
 use crate::map::Geometry;
 use crate::raycast::ExactRangeMap;
 
-/// The most numbers in a table, were all of it made and blocks everywhere on its rays (2 GB): a few times what it comes to.
+/// Greatest number of a table's entries if every ray had blocks along its whole length (2 GB); real tables are a few times
+/// smaller.
 const MAX_ENTRIES: f64 = 5e8;
 /// The most shapes of blocks (16 MB).
 const MAX_SHAPES: f64 = 1e5;
@@ -36,8 +37,7 @@ pub struct ObstructionOptions {
     pub shapes: u32,
 }
 
-/// The probability that no block stands on a ray, for rays from the free cells of a map: what the oracle
-/// knows.
+/// The probability that no block stands on a ray, for rays from the free cells of a map. The oracle uses it.
 ///
 /// As blocks are a Poisson process, S(s) = exp(-Lambda(s)), where Lambda(s) is the expected number of blocks
 /// that the ray meets within s, by [`BlockIntegral`]. Blocks too near a robot at the ray's origin are left out,
@@ -222,7 +222,7 @@ impl Rays {
         let mut panorama = Panorama { rays: Vec::with_capacity(self.directions.len()), survival: Vec::new() };
         for &direction in &self.directions {
             let range = self.map.cast_ray(origin, direction, self.reach).map_or(self.reach, |hit| hit.range);
-            // What stands behind the wall is not in the way, and not what isn't aligned at one.
+            // Only blocks in front of the wall and within the maximum range count.
             let limit = range.min(self.max_range_m);
             let bins = (limit / self.bin_m) as usize + 1;
             counts.clear();

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::SimulationError;
 use super::error::{FROM_0, check};
 
-/// Below this translation \[m\] its direction says nothing of the motion (the bound that AMCL uses).
+/// Below this translation \[m\] its direction is mostly noise of the encoders (the bound that AMCL uses).
 const MIN_TRANSLATION_M: f64 = 0.01;
 
 /// Noise of a differential drive's odometry: the odometry motion model (Probabilistic Robotics, table 5.6).
@@ -46,7 +46,7 @@ impl OdometryNoise {
         self.alpha
     }
 
-    /// What the odometry reads for a true motion `base_prev_from_base_now`.
+    /// Draws an odometry increment for a true motion `base_prev_from_base_now`.
     pub fn sample(&self, increment: &Pose2, rng: &mut impl Rng) -> Pose2 {
         let distance = increment.x.hypot(increment.y);
         let trans = if increment.x >= 0.0 { distance } else { -distance };

@@ -8,7 +8,7 @@ use super::error::{check, check_count};
 /// The most scans of a drive.
 const MOST_SCANS: f64 = 1e6;
 
-/// What a robot drives.
+/// The path of a robot.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum RobotPath {
     /// Straight legs between points, turning in place at each. The robot starts facing the second point.

@@ -1,4 +1,4 @@
-//! Vector maps and occupancy grids: what is accepted, what is refused, what geometry they become.
+//! Vector maps and occupancy grids: accepted and refused files, and their geometry.
 
 use std::f64::consts::FRAC_PI_2;
 use std::fs;

@@ -251,7 +251,7 @@ fn table_ranges_are_exact_but_for_slivers() {
     }
 }
 
-/// The fused path of a table gives what its casts give, looked up beam by beam.
+/// The fused path of a table gives the same sums as its casts, looked up beam by beam.
 #[test]
 fn a_scan_is_scored_as_its_casts_say() {
     let exact = ExactRangeMap::new(common::corridor());
@@ -263,7 +263,7 @@ fn a_scan_is_scored_as_its_casts_say() {
         .flat_map(|row| ranges.iter().zip(&incidences).map(move |(&r, &a)| density(grid.reading(row), r, a)))
         .collect();
     let likelihood = LikelihoodTable::new(grid, &values);
-    // Poses in the walls and outside, a beam count that fills no run, a reading that says nothing, and one of no return.
+    // Poses in the walls and outside, a beam count that fills no run, a NaN reading, and one of no return.
     let (poses, bearings) = (random_poses(500, [-0.5, -0.5, 20.5, 4.5]), bearings(23));
     let mut z: Vec<f32> = (0..23).map(|i| 0.2 * i as f32).collect();
     z[7] = f32::NAN;

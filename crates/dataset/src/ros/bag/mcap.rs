@@ -1,5 +1,6 @@
+//! MCAP files, read in a stream: <https://mcap.dev/spec>.
+
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
 use std::path::Path;
 
@@ -10,28 +11,12 @@ use mcap::records::op;
 use mcap::{MAGIC, McapError};
 use ruzstd::decoding::StreamingDecoder;
 
+use super::{Channel, LARGEST_RECORD, LONGEST_NAME};
 use crate::DatasetError;
-use crate::source::{Allowance, Counted, READ_AHEAD, open_bag};
-
-/// Bytes of a record that is held in memory, at the most: of a message that is read, a channel, a schema. A scan of a
-/// million beams has half of that.
-pub const LARGEST_RECORD: u64 = 1 << 24;
-
-/// Bytes of the name of a topic, a type, a frame or an encoding, at the most; DDS allows 256.
-pub const LONGEST_NAME: usize = 1000;
+use crate::source::{Allowance, Counted, READ_AHEAD, Source};
 
 /// Bytes of a message before its content: channel, sequence number, two times.
 const MESSAGE_HEADER: usize = 2 + 4 + 8 + 8;
-
-/// What a message belongs to.
-#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Channel {
-    pub topic: String,
-    /// Name of the message's type; empty where the file doesn't tell.
-    pub schema: String,
-    /// How the message is serialized; `cdr` in a ROS 2 bag.
-    pub encoding: String,
-}
 
 /// The content of a message, not yet read.
 pub struct Content<'a> {
@@ -110,7 +95,7 @@ pub fn visit_messages(
     limits: &Limits,
     visit: impl FnMut(&Channel, Option<Content<'_>>) -> Result<(), DatasetError>,
 ) -> Result<(), DatasetError> {
-    let (file, length) = open_bag(path)?;
+    let Source { stream: file, length, .. } = Source::open(path, limits)?;
     let mut allowance = Allowance::of(length, limits);
     let mut visitor = Visitor { visit, channels: Channels::default(), buffer: Vec::new() };
     visitor.file(&mut Summed::new(file), &mut allowance).map_err(|stop| stop.about(path))
@@ -125,7 +110,7 @@ struct Visitor<F> {
 }
 
 impl<F: FnMut(&Channel, Option<Content<'_>>) -> Result<(), DatasetError>> Visitor<F> {
-    fn file(&mut self, file: &mut Summed<BufReader<File>>, allowance: &mut Allowance) -> Result<(), Stop> {
+    fn file(&mut self, file: &mut Summed<Box<dyn BufRead>>, allowance: &mut Allowance) -> Result<(), Stop> {
         magic(file)?;
         let mut complete = false;
         loop {

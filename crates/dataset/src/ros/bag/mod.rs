@@ -1,0 +1,174 @@
+//! The files of a bag and the messages in them.
+
+mod folder;
+mod mcap;
+mod sqlite;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use locsim_core::limits::{Limits, quoted};
+
+pub use folder::files as folder_files;
+
+use crate::DatasetError;
+use crate::log_files;
+use crate::source::{Allowance, Content, Source, ZSTD, not_a_log, unpack_message};
+
+/// Bytes of a record that is held in memory, at the most: of a message that is read, a channel, a schema. A scan of a
+/// million beams has half of that.
+pub const LARGEST_RECORD: u64 = 1 << 24;
+
+/// Bytes of the name of a topic, a type, a frame or an encoding, at the most; DDS allows 256.
+pub const LONGEST_NAME: usize = 1000;
+
+/// Channels of a bag, at the most; robots have hundreds.
+const MOST_CHANNELS: usize = 10_000;
+
+/// What a message belongs to.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Channel {
+    pub topic: String,
+    /// Name of the message's type; empty where the file doesn't tell.
+    pub schema: String,
+    /// How the message is serialized; `cdr` in a ROS 2 bag.
+    pub encoding: String,
+}
+
+/// A bag: one file, or the files of a folder in the order in which they were recorded.
+pub struct Bag<'a> {
+    files: Vec<BagFile>,
+    limits: &'a Limits,
+}
+
+struct BagFile {
+    path: PathBuf,
+    storage: Storage,
+}
+
+enum Storage {
+    Mcap,
+    Sqlite(sqlite::Database),
+}
+
+impl<'a> Bag<'a> {
+    /// Opens a bag.
+    ///
+    /// # Errors
+    /// A file can't be opened or isn't a bag's, or the folder isn't one bag's.
+    pub fn open(path: &Path, limits: &'a Limits) -> Result<Self, DatasetError> {
+        let files = log_files(path)?.into_iter().map(|path| {
+            let source = Source::open(&path, limits)?;
+            let storage = match source.content {
+                Content::Mcap => Storage::Mcap,
+                Content::Sqlite => Storage::Sqlite(sqlite::Database::open(&path, source)?),
+                Content::Text => {
+                    return Err(not_a_log(&path, "a text file", "a ROS 2 bag (a folder, MCAP or SQLite)"));
+                }
+            };
+            Ok(BagFile { path, storage })
+        });
+        Ok(Self { files: files.collect::<Result<_, _>>()?, limits })
+    }
+
+    /// The channels of the bag with the number of messages of each.
+    ///
+    /// # Errors
+    /// A file is damaged or costs more than the limits allow.
+    pub fn counts(&self) -> Result<BTreeMap<Channel, usize>, DatasetError> {
+        let mut counts = BTreeMap::<Channel, usize>::new();
+        for file in &self.files {
+            file.count(self.limits, |channel, messages| {
+                let channels = counts.len();
+                match counts.get_mut(channel) {
+                    Some(count) => *count += messages,
+                    None if channels == MOST_CHANNELS => {
+                        let reason = format!("more than {MOST_CHANNELS} channels; allowed: at most so many");
+                        return Err(DatasetError::Refused { path: file.path.clone(), line: None, reason });
+                    }
+                    None => _ = counts.insert(channel.clone(), messages),
+                }
+                Ok(())
+            })?;
+        }
+        Ok(counts)
+    }
+
+    /// Hands the messages of the wanted channels to `take`, in the order in which they were recorded. Messages that are
+    /// compressed one by one are unpacked.
+    ///
+    /// Damage may show only after a message was taken: what a message holds counts once the whole bag was read.
+    ///
+    /// # Errors
+    /// A file is damaged or costs more than the limits allow, or `take` says why a message is refused.
+    pub fn read(
+        &self,
+        wanted: &[&Channel],
+        mut take: impl FnMut(&Channel, &[u8]) -> Result<(), String>,
+    ) -> Result<(), DatasetError> {
+        let mut numbers = BTreeMap::<Channel, usize>::new();
+        let mut messages = 0;
+        let mut unpacked = Vec::new();
+        for file in &self.files {
+            let mut allowance = Allowance::of(file.length()?, self.limits);
+            let mut take = |channel: &Channel, data: Result<&[u8], String>| {
+                let number = numbers.entry(channel.clone()).or_default();
+                *number += 1;
+                messages += 1;
+                let taken = data.and_then(|data| {
+                    if messages > self.limits.log_messages {
+                        return Err(Limits::refusal_above("log_messages", self.limits.log_messages));
+                    }
+                    // No message in CDR begins so.
+                    if data.starts_with(ZSTD) {
+                        unpack_message(data, LARGEST_RECORD, &mut allowance, &mut unpacked)
+                            .map_err(|error| format!("the message can't be unpacked: {error}"))?;
+                        return take(channel, &unpacked);
+                    }
+                    take(channel, data)
+                });
+                taken.map_err(|reason| DatasetError::Message {
+                    path: file.path.clone(),
+                    topic: quoted(&channel.topic),
+                    number: *number,
+                    reason,
+                })
+            };
+            match &file.storage {
+                Storage::Mcap => mcap::visit_messages(&file.path, self.limits, |channel, content| {
+                    match content.filter(|_| wanted.contains(&channel)) {
+                        Some(content) => take(channel, content.bytes()),
+                        None => Ok(()),
+                    }
+                })?,
+                Storage::Sqlite(database) => database.read(&file.path, wanted, &mut take)?,
+            }
+        }
+        Ok(())
+    }
+}
+
+impl BagFile {
+    fn length(&self) -> Result<u64, DatasetError> {
+        let metadata = self.path.metadata();
+        metadata
+            .map(|metadata| metadata.len())
+            .map_err(|source| DatasetError::Open { path: self.path.clone(), source })
+    }
+
+    /// Tells `add` of every channel, more than once of some, and how many messages more it has.
+    fn count(
+        &self,
+        limits: &Limits,
+        mut add: impl FnMut(&Channel, usize) -> Result<(), DatasetError>,
+    ) -> Result<(), DatasetError> {
+        match &self.storage {
+            Storage::Mcap => mcap::visit_messages(&self.path, limits, |channel, message| {
+                add(channel, usize::from(message.is_some()))
+            }),
+            Storage::Sqlite(database) => {
+                database.counts(&self.path)?.iter().try_for_each(|(channel, count)| add(channel, *count))
+            }
+        }
+    }
+}
