@@ -182,10 +182,11 @@ pub struct LogOptions {
     /// The bag's topic of laser scans [default: /scan, or the only one]
     #[arg(long, value_name = "TOPIC")]
     pub scan_topic: Option<String>,
-    /// The bag's topic of odometry [default: /odom, or the only one]
+    /// The bag's topic of odometry [default: /odom, the only one, or the transform `odom:base_link`]
     #[arg(long, value_name = "TOPIC")]
     pub odometry_topic: Option<String>,
-    /// The bag's topic of reference poses [default: /reference or `/ground_truth`]
+    /// The bag's topic of reference poses or a transform such as `map:base_link` [default: /reference,
+    /// `/ground_truth`, or what a localizer found]
     #[arg(long, value_name = "TOPIC")]
     pub reference_topic: Option<String>,
 }

@@ -13,6 +13,8 @@ pub enum LogKind {
     Simulated,
     /// A topic of reference poses of any source.
     Referenced,
+    /// Poses that a localizer on the robot found from the same scans.
+    Localized,
 }
 
 /// Where the odometry of a log was found.
@@ -27,6 +29,8 @@ pub enum OdometrySource {
     RestartedOdomLines,
     /// A topic of odometry messages, interpolated at the times of the scans.
     Topic,
+    /// Transforms of `/tf`, interpolated at the times of the scans.
+    Transforms,
 }
 
 /// Content of a log, and how it was interpreted.
@@ -44,6 +48,10 @@ pub struct LogSummary {
     pub odometry_messages: usize,
     /// Number of reference poses: TRUEPOS lines, or messages of the reference's topic.
     pub reference_messages: usize,
+    /// Median standard deviations of the reference poses (m, m, rad), where they come with covariances.
+    pub reference_deviation: Option<[f64; 3]>,
+    /// The topics of a bag, with types and numbers of messages.
+    pub topics: Vec<String>,
     /// Number of lines or messages skipped, by keyword or topic; comments count as `#`.
     pub skipped: BTreeMap<String, usize>,
     /// Number of scans whose time went backwards or leapt and was repaired.
@@ -70,8 +78,16 @@ impl fmt::Display for LogSummary {
             LogKind::Corrected => "corrected log",
             LogKind::Simulated => "log with true poses",
             LogKind::Referenced => "log with reference poses",
+            LogKind::Localized => "log with the poses of a localizer, which are no independent reference",
         };
         writeln!(f, "{kind}: {}", self.evidence)?;
+        if let Some([x, y, theta]) = self.reference_deviation {
+            let theta = theta.to_degrees();
+            writeln!(
+                f,
+                "reference: standard deviations of {x:.3} m, {y:.3} m, {theta:.2} deg by its own covariance"
+            )?;
+        }
         write!(f, "readings: {:.1} % without return", 100.0 * self.no_return_share)?;
         write!(f, ", {:.1} % unusable", 100.0 * self.unusable_share)?;
         if let Some(longest) = self.longest_return_m {

@@ -1,29 +1,37 @@
-//! Maximum likelihood of an effect's numbers, and what it gains on scans that the fit hasn't seen.
+//! Maximum likelihood fits of an effect's parameters, and their gain on held-out scans.
 
 use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
-use glam::DVec2;
 use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted};
-use crate::statistics::BLOCK;
+use crate::statistics::{FOLD_SCANS, Start};
 
-/// Steps of the simplex search for each number.
-const STEPS_PER_NUMBER: u64 = 22;
-/// The search ends where the simplex agrees to so many nats.
+/// The most iterations of the simplex search for each parameter. They bound the time of a fit that doesn't settle.
+const ITERATIONS: u64 = 22;
+/// The simplex search ends where the simplex agrees to this (nats): a hundredth of what a parameter that isn't needed may gain
+/// by chance.
 const TOLERANCE_NATS: f64 = 0.02;
+/// First corners of the simplex from its start, in first steps: of the strength towards neutral, of other parameters away
+/// from it. For a logarithm they are factors of 0.5 and 1.5.
+const FIRST_CORNERS: [f64; 2] = [-0.7, 0.4];
+/// A fit that gains less on the scans that it was fitted to isn't assessed: an effect that is named gains ten times as much on
+/// held-out ones (nats).
+const LEAST_GAIN_NATS: f64 = 0.2;
+/// Expectation-maximization steps of the nuisance parameters with an effect: they start near their maximum.
+const REFIT_STEPS: usize = 12;
 
 /// An effect fitted to a log.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
     pub effect: Effect,
-    /// Gain over the hypothesis without it, block by block, of numbers fitted to the other blocks (nats).
+    /// Gain over the hypothesis without it on each fold, with parameters fitted to the other folds (nats).
     pub gains: Vec<f64>,
-    /// 95 % interval of each number.
+    /// 95 % interval of each parameter.
     pub intervals: Vec<[f64; 2]>,
-    /// Whether simulated logs say that the log is off in the effect's own direction, whatever else is looked at.
+    /// Whether the effect's own statistics are significant at the search's false-alarm rate.
     pub is_beyond_chance: bool,
     /// See [`crate::outcome::Evidence::score`].
     pub score: Option<f64>,
@@ -34,19 +42,18 @@ impl Candidate {
         self.gains.iter().sum()
     }
 
-    /// Counts no more than `most` nats of the gain. A score of z standard deviations of simulated logs is worth about z^2 / 2
-    /// nats; what is gained far beyond that, simulated logs without the effect gain too, as beams at edges do that an
-    /// error of the reference moves across.
+    /// Counts no more than `most` nats of the gain. A score of z standard deviations is worth about z^2 / 2 nats. A gain far
+    /// beyond that is had in replicates without the effect, too: by beams at edges that an error of the reference moves across.
     pub fn limit(&mut self, most: f64) {
         let gain = self.gain();
         if gain > most {
-            for block in &mut self.gains {
-                *block *= most / gain;
+            for fold in &mut self.gains {
+                *fold *= most / gain;
             }
         }
     }
 
-    /// Standard error of the gain, over blocks.
+    /// Standard error of the gain, over folds.
     pub fn gain_error(&self) -> f64 {
         sum_error(&self.gains)
     }
@@ -56,41 +63,34 @@ impl Candidate {
     }
 }
 
-/// Standard error of a sum over blocks.
-pub(crate) fn sum_error(blocks: &[f64]) -> f64 {
-    let n = blocks.len() as f64;
-    let mean = blocks.iter().sum::<f64>() / n;
-    (n / (n - 1.0) * blocks.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt()
+/// Standard error of a sum over folds.
+pub(crate) fn sum_error(folds: &[f64]) -> f64 {
+    let n = folds.len() as f64;
+    let mean = folds.iter().sum::<f64>() / n;
+    (n / (n - 1.0) * folds.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt()
 }
 
-/// Sums over blocks of consecutive scans.
-pub(crate) fn blocks(scans: &[f64]) -> Vec<f64> {
-    let mut blocks: Vec<f64> = scans.chunks(BLOCK).map(|block| block.iter().sum()).collect();
-    // A last block of few scans goes with the one before.
-    if !scans.len().is_multiple_of(BLOCK) && blocks.len() > 1 {
-        let last = blocks.pop().unwrap_or(0.0);
-        if let Some(previous) = blocks.last_mut() {
+/// Sums over folds of consecutive scans.
+pub(crate) fn folds(scans: &[f64]) -> Vec<f64> {
+    let mut folds: Vec<f64> = scans.chunks(FOLD_SCANS).map(|fold| fold.iter().sum()).collect();
+    // A last fold that isn't full goes with the one before.
+    if !scans.len().is_multiple_of(FOLD_SCANS) && folds.len() > 1 {
+        let last = folds.pop().unwrap_or(0.0);
+        if let Some(previous) = folds.last_mut() {
             *previous += last;
         }
     }
-    blocks
+    folds
 }
 
-/// Where a search starts.
-#[derive(Clone, Debug)]
-pub(crate) struct Start {
-    pub values: Vec<f64>,
-    pub place: Vec<[DVec2; 2]>,
-}
-
-/// An effect on top of others, for a log.
+/// Fits an effect to a log, on top of others.
 pub(crate) struct Search<'c, 'a> {
     pub comparison: &'c Comparison<'a>,
-    /// Effects that stay as they are.
+    /// The other effects, which are kept as they are.
     pub given: &'c [Effect],
-    /// The log under those.
+    /// The log under the other effects.
     pub without: &'c Fitted,
-    /// Where evaluations with the effect begin: nuisances and errors of the reference.
+    /// Nuisance parameters and errors of the reference that evaluations with the effect start from.
     pub start: &'c Fitted,
 }
 
@@ -107,17 +107,19 @@ impl Search<'_, '_> {
         }
         match best {
             Some((_, effect)) if kind.moves() == Moves::Scans || kind.moves() == Moves::Readings && errs => {
-                // Errors of the reference that were fitted without the effect have taken some of it in.
+                // Errors of the reference that were fitted without the effect have absorbed some of it.
                 let refitted = self.refitted(&effect)?;
                 let anew = Search { start: &refitted, ..*self };
                 let start = Start { values: effect.values.clone(), place: effect.place.clone() };
                 let (_, effect) = anew.maximize(kind, &start)?;
                 let refitted = anew.refitted(&effect)?;
                 let anew = Search { start: &refitted, ..*self };
-                let gains = anew.evaluate(&effect)?.total() > self.without.total() + 0.2;
+                let gains = anew.evaluate(&effect)?.total() > self.without.total() + LEAST_GAIN_NATS;
                 Ok(if gains { Some(anew.assess(effect)?) } else { None })
             }
-            Some((value, effect)) if value > self.without.total() + 0.2 => Ok(Some(self.assess(effect)?)),
+            Some((value, effect)) if value > self.without.total() + LEAST_GAIN_NATS => {
+                Ok(Some(self.assess(effect)?))
+            }
             _ => Ok(None),
         }
     }
@@ -126,7 +128,7 @@ impl Search<'_, '_> {
         self.comparison.evaluate(&self.with(effect), self.start, 1)
     }
 
-    /// The likelihood while searching: nuisance parameters that an effect has nothing to do with stay where they are.
+    /// The log likelihood with the prior, as the search uses it: nuisance parameters that the effect doesn't touch aren't refitted.
     fn evaluate_roughly(&self, effect: &Effect) -> Result<f64, GapError> {
         let with_clutter = effect.kind.description().fit == Fit::WithClutter;
         let stay = self.start.nuisances.pose_error.is_none() && !with_clutter;
@@ -140,13 +142,13 @@ impl Search<'_, '_> {
         effects
     }
 
-    /// The nuisances fitted with this effect.
+    /// The nuisance parameters fitted with an effect.
     fn refitted(&self, effect: &Effect) -> Result<Fitted, GapError> {
-        self.comparison.refit(&self.with(effect), self.start, 12)
+        self.comparison.refit(&self.with(effect), self.start, REFIT_STEPS)
     }
 
-    /// The most likely numbers near a start: of a shape that isn't known well the strength first, or a strength that is far
-    /// off drives the shape to where it makes up for it.
+    /// The maximum near a start. Where a shape has a prior, the strength is fitted first: a strength that is far off would
+    /// drive the shape to where it makes up for it.
     fn maximize(&self, kind: EffectKind, start: &Start) -> Result<(f64, Effect), GapError> {
         if priors(kind).next().is_none() {
             return self.maximize_over(kind, start, kind.parameters().len());
@@ -156,158 +158,211 @@ impl Search<'_, '_> {
         self.maximize_over(kind, &start, kind.parameters().len())
     }
 
-    /// The same over the first so many numbers.
+    /// The maximum over the first `count` parameters, the others as they are.
     fn maximize_over(
         &self,
         kind: EffectKind,
         start: &Start,
-        numbers: usize,
+        count: usize,
     ) -> Result<(f64, Effect), GapError> {
         let parameters = kind.parameters();
         let scales: Vec<f64> = parameters
             .iter()
-            .take(numbers)
+            .take(count)
             .zip(&start.values)
             .map(|(parameter, &value)| first_step(parameter, value))
             .collect();
         let problem = Problem { search: self, kind, start, scales: &scales };
         let origin = vec![0.0; scales.len()];
-        // What can't be together is refused here; within the solver it would be a panic.
+        // Effects that exclude each other are refused here: in the solver the error would be lost.
         self.comparison.effects(&self.with(&problem.effect(&origin)?))?;
         if kind.is_stepped() {
-            // A step is right or it isn't.
+            // The step of a quantization is right or wrong: there is nothing between to search.
             let effect = problem.effect(&origin)?;
             return Ok((self.evaluate_roughly(&effect)?, effect));
         }
         let mut simplex = vec![origin.clone()];
         for axis in 0..origin.len() {
             let mut corner = origin.clone();
-            corner[axis] = if axis == 0 { -0.7 } else { 0.4 };
+            corner[axis] = FIRST_CORNERS[axis.min(1)];
             simplex.push(corner);
         }
-        let steps = STEPS_PER_NUMBER * scales.len() as u64;
+        let iterations = ITERATIONS * scales.len() as u64;
         let solver = NelderMead::new(simplex).with_sd_tolerance(TOLERANCE_NATS).map_err(|_| {
             GapError::Option { option: "tolerance", value: TOLERANCE_NATS, allowed: "positive" }
         })?;
         let result =
-            Executor::new(&problem, solver).timer(false).configure(|state| state.max_iters(steps)).run();
+            Executor::new(&problem, solver).timer(false).configure(|state| state.max_iters(iterations)).run();
         match result {
             Ok(result) => {
                 let best = result.state.best_param.unwrap_or(origin);
                 Ok((-result.state.best_cost, problem.effect(&best)?))
             }
-            // The problem's own errors are of effects out of bounds, which it doesn't make.
+            // The problem clamps values to their limits, so that it makes no error of its own.
             Err(_) => Ok((f64::NEG_INFINITY, problem.effect(&origin)?)),
         }
     }
 
-    /// What a fit gains on blocks that it hasn't seen, and how sure its numbers are.
+    /// The gain of a fit on folds that it wasn't fitted to, and the intervals of its parameters.
     ///
-    /// The fit without a block is one Newton step from the fit with it. Intervals are by the sandwich of Godambe (1960)
-    /// over blocks, with Student's distribution, and no narrower than the curvature alone makes them.
+    /// The fit without a fold is approximated by one Newton step from the fit with it. Intervals come from the sandwich of
+    /// Godambe (1960) over folds, with Student's distribution, and are no narrower than the curvature alone makes them.
     pub fn assess(&self, effect: Effect) -> Result<Candidate, GapError> {
         let fitted = self.evaluate(&effect)?;
-        let with = blocks(&fitted.scans);
-        let without = blocks(&self.without.scans);
+        let without = folds(&self.without.scans);
+        let gains: Vec<f64> = folds(&fitted.scans).iter().zip(&without).map(|(a, b)| a - b).collect();
         if effect.kind.is_stepped() {
-            let gains = with.iter().zip(&without).map(|(a, b)| a - b).collect();
             let intervals = vec![[effect.values[0]; 2]];
             return Ok(Candidate { effect, gains, intervals, is_beyond_chance: false, score: None });
         }
-        let parameters = effect.kind.parameters();
-        let numbers = parameters.len();
-        let total = fitted.total();
-        let moved = |changes: &[(usize, f64)]| -> Result<Vec<f64>, GapError> {
-            let mut other = effect.clone();
-            for &(i, change) in changes {
-                other.values[i] = (other.values[i] + change).clamp(parameters[i].lo, parameters[i].hi);
-            }
-            let mut moved = blocks(&self.evaluate(&other)?.scans);
-            // What is typical holds for the log as a whole: each block has its share of it.
-            let typical = (log_prior(&other) - log_prior(&effect)) / moved.len() as f64;
-            for block in &mut moved {
-                *block += typical;
-            }
-            Ok(moved)
+        let slopes = Slopes::new(self, &effect, fitted.total())?;
+        let gradient = slopes.gradient();
+        let inverse = invert(&slopes.information()?);
+        let left_out = |fold: usize| {
+            let of_fold: Vec<f64> = gradient.iter().map(|of_folds| of_folds[fold]).collect();
+            quadratic(&inverse, &of_fold)
         };
-        // A step that changes the likelihood by about half a nat.
-        let mut steps = vec![0.0; numbers];
-        let mut up = Vec::with_capacity(numbers);
-        let mut down = Vec::with_capacity(numbers);
-        for i in 0..numbers {
-            let (lo, hi) = (parameters[i].lo, parameters[i].hi);
-            let room = (hi - effect.values[i]).min(effect.values[i] - lo);
-            let mut step =
-                0.1 * (effect.values[i] - parameters[i].neutral).abs().max(0.2 * parameters[i].start.abs());
-            step = step.max(1e-6 * (hi - lo));
-            for _ in 0..3 {
-                let bounded = if room > 0.0 { step.min(room) } else { step };
-                let (a, b) = (moved(&[(i, bounded)])?, moved(&[(i, -bounded)])?);
-                let drop = total - 0.5 * (a.iter().sum::<f64>() + b.iter().sum::<f64>());
-                (steps[i], step) = (bounded, bounded);
-                let good = (0.1..3.0).contains(&drop);
-                if good || drop <= 0.0 {
-                    up.push(a);
-                    down.push(b);
-                    break;
-                }
-                step *= (0.5 / drop).sqrt().clamp(0.05, 8.0);
-                if room > 0.0 && bounded >= room && step > room {
-                    up.push(a);
-                    down.push(b);
-                    break;
-                }
+        let held_out = gains
+            .iter()
+            .enumerate()
+            .map(|(fold, gain)| gain - left_out(fold).min(gain + MOST_LOST_NATS).max(0.0))
+            .collect();
+        let intervals = intervals(&effect, &inverse, &gradient);
+        Ok(Candidate { effect, gains: held_out, intervals, is_beyond_chance: false, score: None })
+    }
+}
+
+/// The most that a fold loses where the fit hasn't seen it, beyond its gain (nats). A Newton step overshoots where a few
+/// readings of one fold decide a parameter.
+const MOST_LOST_NATS: f64 = 5.0;
+
+/// 95 % intervals of an effect's parameters, by the inverse of their information and the gradient \[parameter\]\[fold\].
+fn intervals(effect: &Effect, inverse: &[Vec<f64>], gradient: &[Vec<f64>]) -> Vec<[f64; 2]> {
+    /// The least share of the half-width by the curvature alone: the sandwich of few folds is now and then far too small.
+    const LEAST_SHARE: f64 = 0.8;
+    let count = gradient.first().map_or(0, Vec::len);
+    // One less than folds, and no fewer than have a variance.
+    let degrees = (count as f64 - 1.0).max(2.0);
+    let quantile = StudentsT::new(0.0, 1.0, degrees).map_or(1.96, |t| t.inverse_cdf(0.975));
+    let half = |row: &[f64], variance: f64| {
+        let projected = (0..count).map(|b| row.iter().zip(gradient).map(|(r, g)| r * g[b]).sum::<f64>());
+        let sandwich = projected.map(|p| p * p).sum::<f64>() * count as f64 / degrees;
+        let error = sandwich.max(0.0).sqrt();
+        let curvature = variance.max(0.0).sqrt();
+        // The mean of both variances: each is a poor estimate by itself.
+        let both = (0.5 * (error * error + curvature * curvature)).sqrt();
+        (quantile * both).max(1.96 * LEAST_SHARE * curvature)
+    };
+    let parameters = effect.kind.parameters().iter().zip(&effect.values);
+    parameters
+        .zip(inverse)
+        .enumerate()
+        .map(|(i, ((parameter, value), row))| {
+            let half = half(row, row[i]);
+            [(value - half).max(parameter.lo), (value + half).min(parameter.hi)]
+        })
+        .collect()
+}
+
+/// The log likelihood about a fit, a step up and down in each parameter.
+struct Slopes<'s, 'c, 'a> {
+    search: &'s Search<'c, 'a>,
+    effect: &'s Effect,
+    /// Log likelihood of the fit itself (nats).
+    total: f64,
+    steps: Vec<f64>,
+    /// Log likelihood of each fold with a parameter moved, as \[parameter\]\[fold\] (nats).
+    up: Vec<Vec<f64>>,
+    down: Vec<Vec<f64>>,
+}
+
+impl<'s, 'c, 'a> Slopes<'s, 'c, 'a> {
+    fn new(search: &'s Search<'c, 'a>, effect: &'s Effect, total: f64) -> Result<Self, GapError> {
+        let mut slopes = Self { search, effect, total, steps: Vec::new(), up: Vec::new(), down: Vec::new() };
+        for parameter in 0..effect.values.len() {
+            let (step, up, down) = slopes.differences(parameter)?;
+            slopes.steps.push(step);
+            slopes.up.push(up);
+            slopes.down.push(down);
+        }
+        Ok(slopes)
+    }
+
+    /// Log likelihood of each fold with some parameters moved, by index.
+    fn moved(&self, changes: &[(usize, f64)]) -> Result<Vec<f64>, GapError> {
+        let mut other = self.effect.clone();
+        for &(i, change) in changes {
+            let parameter = &other.kind.parameters()[i];
+            other.values[i] = (other.values[i] + change).clamp(parameter.lo, parameter.hi);
+        }
+        let mut moved = folds(&self.search.evaluate(&other)?.scans);
+        // The prior holds for the log as a whole: each fold has its share of it.
+        let prior = (log_prior(&other) - log_prior(self.effect)) / moved.len() as f64;
+        for fold in &mut moved {
+            *fold += prior;
+        }
+        Ok(moved)
+    }
+
+    /// A step of a parameter that changes the log likelihood by about half a nat, with the folds a step up and down. A much
+    /// smaller step drowns in rounding, and over a much larger one the likelihood is no parabola.
+    fn differences(&self, i: usize) -> Result<(f64, Vec<f64>, Vec<f64>), GapError> {
+        /// The change that is aimed at, and the changes that will do (nats).
+        const AIM_NATS: f64 = 0.5;
+        const GOOD_NATS: std::ops::Range<f64> = 0.1..3.0;
+        const TRIALS: usize = 3;
+        let (parameter, value) = (&self.effect.kind.parameters()[i], self.effect.values[i]);
+        let room = (parameter.hi - value).min(value - parameter.lo);
+        let mut step = 0.1 * (value - parameter.neutral).abs().max(0.2 * parameter.start.abs());
+        step = step.max(1e-6 * (parameter.hi - parameter.lo));
+        let mut bounded = step;
+        for _ in 0..TRIALS {
+            bounded = if room > 0.0 { step.min(room) } else { step };
+            let (up, down) = (self.moved(&[(i, bounded)])?, self.moved(&[(i, -bounded)])?);
+            let drop = self.total - 0.5 * (up.iter().sum::<f64>() + down.iter().sum::<f64>());
+            if GOOD_NATS.contains(&drop) || drop <= 0.0 {
+                return Ok((bounded, up, down));
             }
-            if up.len() == i {
-                up.push(moved(&[(i, steps[i])])?);
-                down.push(moved(&[(i, -steps[i])])?);
+            step = bounded * (AIM_NATS / drop).sqrt().clamp(0.05, 8.0);
+            let is_at_limit = room > 0.0 && bounded >= room && step > room;
+            if is_at_limit {
+                return Ok((bounded, up, down));
             }
         }
-        let count = with.len();
-        let gradient: Vec<Vec<f64>> = (0..numbers)
-            .map(|i| (0..count).map(|b| (up[i][b] - down[i][b]) / (2.0 * steps[i])).collect())
-            .collect();
-        let sum = |blocks: &[f64]| blocks.iter().sum::<f64>();
+        Ok((bounded, self.moved(&[(i, bounded)])?, self.moved(&[(i, -bounded)])?))
+    }
+
+    /// Derivative of each fold's log likelihood by each parameter, as \[parameter\]\[fold\].
+    fn gradient(&self) -> Vec<Vec<f64>> {
+        let pairs = self.up.iter().zip(&self.down).zip(&self.steps);
+        pairs
+            .map(|((up, down), step)| up.iter().zip(down).map(|(a, b)| (a - b) / (2.0 * step)).collect())
+            .collect()
+    }
+
+    /// Minus the second derivatives of the log likelihood by the parameters.
+    fn information(&self) -> Result<Vec<Vec<f64>>, GapError> {
+        /// The least drop over a step (nats). At a limit or on a plateau the likelihood says nothing of the curvature.
+        const LEAST_DROP_NATS: f64 = 0.05;
+        /// The largest correlation of two parameters: differences are too rough for a higher one.
+        const MOST_CORRELATED: f64 = 0.98;
+        let Self { total, steps, .. } = self;
+        let sum = |folds: &[f64]| folds.iter().sum::<f64>();
+        let numbers = steps.len();
         let mut information = vec![vec![0.0; numbers]; numbers];
         for i in 0..numbers {
-            let curvature = (2.0 * total - sum(&up[i]) - sum(&down[i])) / steps[i].powi(2);
-            // At the edge of what is allowed or on a plateau it tells nothing; a nat over the whole start does.
-            information[i][i] = curvature.max(0.05 / steps[i].powi(2));
+            let (up, down) = (sum(&self.up[i]), sum(&self.down[i]));
+            let curvature = (2.0 * total - up - down) / steps[i].powi(2);
+            information[i][i] = curvature.max(LEAST_DROP_NATS / steps[i].powi(2));
             for j in 0..i {
-                let both = sum(&moved(&[(i, steps[i]), (j, steps[j])])?);
-                let mixed = (both - sum(&up[i]) - sum(&up[j]) + total) / (steps[i] * steps[j]);
-                let most = 0.98 * (information[i][i] * information[j][j]).sqrt();
+                let both = sum(&self.moved(&[(i, steps[i]), (j, steps[j])])?);
+                let mixed = (both - up - sum(&self.up[j]) + total) / (steps[i] * steps[j]);
+                let most = MOST_CORRELATED * (information[i][i] * information[j][j]).sqrt();
                 information[i][j] = (-mixed).clamp(-most, most);
                 information[j][i] = information[i][j];
             }
         }
-        let inverse = invert(&information);
-        let gains = (0..count)
-            .map(|b| {
-                let g: Vec<f64> = gradient.iter().map(|g| g[b]).collect();
-                let left_out = quadratic(&inverse, &g).min(with[b] - without[b] + 5.0).max(0.0);
-                with[b] - without[b] - left_out
-            })
-            .collect();
-        let degrees = (count as f64 - 1.0).max(2.0);
-        let quantile = StudentsT::new(0.0, 1.0, degrees).map_or(1.96, |t| t.inverse_cdf(0.975));
-        let intervals = (0..numbers)
-            .map(|i| {
-                let row = &inverse[i];
-                let projected =
-                    (0..count).map(|b| row.iter().zip(&gradient).map(|(r, g)| r * g[b]).sum::<f64>());
-                let sandwich = projected.map(|p| p * p).sum::<f64>() * count as f64 / degrees;
-                let error = sandwich.max(0.0).sqrt();
-                let curvature = inverse[i][i].max(0.0).sqrt();
-                let half = (quantile * (0.5 * (error * error + curvature * curvature)).sqrt())
-                    .max(1.96 * 0.8 * curvature);
-                [
-                    (effect.values[i] - half).max(parameters[i].lo),
-                    (effect.values[i] + half).min(parameters[i].hi),
-                ]
-            })
-            .collect();
-        Ok(Candidate { effect, gains, intervals, is_beyond_chance: false, score: None })
+        Ok(information)
     }
 }
 
@@ -349,7 +404,7 @@ fn first_step(parameter: &Parameter, value: f64) -> f64 {
         return first_step;
     }
     if parameter.lo >= 0.0 {
-        // The least value it starts from.
+        // A parameter that can't be negative is searched by its logarithm; this is the least value that one starts from.
         return 1e-3 * (parameter.start - parameter.lo).abs().max(1e-3);
     }
     let away = (value - parameter.neutral).abs().max(0.3 * (parameter.start - parameter.neutral).abs());
@@ -358,7 +413,7 @@ fn first_step(parameter: &Parameter, value: f64) -> f64 {
     if away == 0.0 { 0.05 * (parameter.hi - parameter.lo) } else { away }
 }
 
-/// The search's objective: numbers in units of their start's distance from neutral, about the start.
+/// The objective of the simplex search, over changes of the parameters from the start in their first steps.
 struct Problem<'s, 'c, 'a> {
     search: &'s Search<'c, 'a>,
     kind: EffectKind,
@@ -376,7 +431,7 @@ impl Problem<'_, '_, '_> {
             .zip(self.scales.iter().chain(std::iter::repeat(&0.0)))
             .zip(&self.start.values)
             .map(|(((parameter, number), scale), start)| {
-                // What can't be negative is searched by its logarithm: at 0 the likelihood has an edge.
+                // At 0 the likelihood of a parameter that can't be negative has an edge; its logarithm has none.
                 let value = if parameter.lo >= 0.0 {
                     start.max(*scale) * number.exp()
                 } else {

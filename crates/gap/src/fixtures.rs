@@ -33,6 +33,7 @@ pub(crate) static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
         rate_hz: 10.0,
         beams: 72,
         field_of_view_rad: TAU,
+        first_bearing_rad: None,
         min_range_m: 0.05,
         max_range_m: MAX_M,
         resolution_m: 0.001,

@@ -9,13 +9,14 @@ use locsim_world::effect::{self, Effect, Effects, burst_window};
 use crate::likelihood::{Density, Terms};
 use crate::odometry::{OdometryError, log_likelihoods};
 use crate::pose_error::{Information, PoseError, fit, pattern_score, smooth, without_patterns};
+use crate::pose_pattern::PosePattern;
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
-/// What a simulation of the log needs besides the scenario, fitted to the log.
+/// Nuisance parameters: the parameters of a simulation besides the scenario, fitted to the log.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Nuisances {
-    /// Factor on the density of unmapped blocks.
+    /// Factor on the density of clutter.
     pub block_density: f64,
     /// How the reference poses err.
     pub pose_error: PoseError,
@@ -37,9 +38,9 @@ pub(crate) struct Fitted {
     pub corrections: Vec<DVec3>,
     /// Log likelihood of each scan with the odometry since the one before (nats).
     pub scans: Vec<f64>,
-    /// How surely all poses are off as by a turned laser, one that is displaced to the front, one to the left, and a late
-    /// stamp (standard deviations), where they err at all; see [`pattern_score`].
-    pub pattern_scores: [f64; 4],
+    /// How surely the poses err in each [`PosePattern`] (standard deviations), see [`pattern_score`]; empty where they don't
+    /// err at all.
+    pub pattern_scores: Vec<f64>,
 }
 
 impl Fitted {
@@ -105,7 +106,7 @@ impl<'a> Comparison<'a> {
             nuisances: *nuisances,
             corrections: vec![DVec3::ZERO; n],
             scans: vec![0.0; n],
-            pattern_scores: [0.0; 4],
+            pattern_scores: Vec::new(),
         }
     }
 
@@ -173,12 +174,13 @@ impl<'a> Comparison<'a> {
         } else {
             start.pose_error
         };
-        let patterns = self.patterns();
+        let patterns: Vec<Vec<DVec3>> =
+            PosePattern::all().iter().map(|pattern| pattern.over(self.recorded)).collect();
         for round in 0..CORRECTIONS {
             let pass = self.pass(&self.views, effects, &fitted);
             fitted.nuisances.pose_error = PoseError::NONE;
             self.update(&mut fitted, &pass);
-            // What is constant is a laser mounted otherwise or a late stamp rather than an error of the reference.
+            // A constant pattern is a displaced laser or a late stamp rather than an error of the reference.
             let rest = without_patterns(&pass.information, &patterns);
             process = fit(process, self.recorded.track.secs(), &rest, iterations);
             // Three parameters have to earn their keep.
@@ -194,9 +196,12 @@ impl<'a> Comparison<'a> {
             let is_last = round + 1 == CORRECTIONS || round > 0 && changed < CORRECTED_M;
             if is_last && !fitted.nuisances.pose_error.is_none() {
                 let error = fitted.nuisances.pose_error;
-                fitted.pattern_scores = patterns.each_ref().map(|pattern| {
-                    pattern_score(&error, self.recorded.track.secs(), &pass.information, pattern)
-                });
+                fitted.pattern_scores = patterns
+                    .iter()
+                    .map(|pattern| {
+                        pattern_score(&error, self.recorded.track.secs(), &pass.information, pattern)
+                    })
+                    .collect();
             }
             if is_last {
                 break;
@@ -209,23 +214,6 @@ impl<'a> Comparison<'a> {
             &self.recorded.odometry,
         );
         fitted
-    }
-
-    /// How poses seem off by a turned laser, one displaced to the front, one to the left, a late stamp.
-    fn patterns(&self) -> [Vec<DVec3>; 4] {
-        let poses = self.recorded.track.poses();
-        let mount = self.recorded.laser.base_from_laser().position();
-        let velocities = self.recorded.velocities();
-        let ahead = |turn: f64| -> Vec<DVec3> {
-            poses.iter().map(|p| glam::DVec2::from_angle(p.theta + turn).extend(0.0)).collect()
-        };
-        // The laser turns about itself, the robot about its centre.
-        let yaw = poses
-            .iter()
-            .map(|p| (-glam::DVec2::from_angle(p.theta).rotate(mount).perp()).extend(1.0))
-            .collect();
-        let motion = velocities.iter().map(|v| DVec3::from_array(*v)).collect();
-        [yaw, ahead(0.0), ahead(0.5 * std::f64::consts::PI), motion]
     }
 
     /// Fits the nuisances anew with more effects.

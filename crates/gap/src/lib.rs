@@ -6,6 +6,7 @@
 //! most on held-out scans, with those that can't be told from it; adds it, and starts again until nothing is off. The
 //! [`Outcome`] says what was found and how sure that is.
 
+mod catalogue;
 mod error;
 mod fit;
 #[cfg(test)]
@@ -18,6 +19,7 @@ mod null;
 mod odometry;
 mod outcome;
 mod pose_error;
+mod pose_pattern;
 mod purpose;
 mod rank;
 mod recorded;

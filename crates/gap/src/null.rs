@@ -1,4 +1,4 @@
-//! What the statistics of a log are where the simulator is right: whole simulated drives along the recorded poses.
+//! The null distribution of the statistics, by replicates: whole simulated drives along the recorded poses.
 //!
 //! Beams of a scan share its pose's error and its blocks, and scans share both, so that no statistic over beams has a
 //! distribution one could look up. Here each replicate simulates the whole log, with blocks that stay as long as the
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::rank::rank;
 use crate::replay::Replay;
-use crate::statistics::{Dictionary, Group, Halves, pit_draw};
+use crate::statistics::{Dictionary, Group, Halves, Readings, pit_draw};
 use crate::{GapError, Purpose};
 
 /// Expectation maximization steps of a replicate, which starts at the fitted process.
@@ -23,7 +23,7 @@ pub(crate) const REFIT: usize = 4;
 pub(crate) struct Null {
     /// The log's statistics in standard deviations of the replicates, over both halves.
     pub z: Vec<f64>,
-    /// The same of each half of the log's blocks.
+    /// The same of each half of the log's folds.
     pub halves: Vec<Halves>,
     /// The log's rank among replicates: p-values of the largest of the library, of the cells, of all.
     pub p_library: f64,
@@ -34,7 +34,7 @@ pub(crate) struct Null {
     pub weight: Vec<f64>,
     /// The largest weight of each replicate, in order.
     pub largest: Vec<f64>,
-    /// What a statistic of each group has to exceed to be found at 1 % (standard deviations).
+    /// The threshold of each group at a false-alarm rate of 1 % (standard deviations).
     pub thresholds: [f64; Group::COUNT],
     /// Standard deviation of each statistic among the replicates.
     pub spread: Vec<f64>,
@@ -71,8 +71,11 @@ pub(crate) fn compare(
     tick: &(dyn Fn(u64) + Sync),
 ) -> Result<Null, GapError> {
     let effects = replay.nominal.effects_with(replay.effects)?;
-    let pit = pit_draw(seed);
-    let own = dictionary.of(comparison, &effects, fitted, &replay.nuisances, &pit);
+    let has_pose_errors = !replay.nuisances.pose_error.is_none();
+    let measure = |comparison: &Comparison<'_>, fitted: &Fitted, seed: u64| {
+        dictionary.measure(&Readings::new(comparison, &effects, fitted, has_pose_errors, &pit_draw(seed)))
+    };
+    let own = measure(comparison, fitted, seed);
     let draw = Purpose::Replicates.draw(seed);
     let one = |i: u32| {
         if stop.load(Ordering::Relaxed) {
@@ -81,8 +84,7 @@ pub(crate) fn compare(
         let recorded = replay.simulate(draw.seed(i))?;
         let other = comparison.of(&recorded);
         let fitted = other.find_nuisances(&effects, &replay.nuisances, REFIT);
-        let pit = pit_draw(draw.seed(i));
-        let statistics = dictionary.of(&other, &effects, &fitted, &replay.nuisances, &pit);
+        let statistics = measure(&other, &fitted, draw.seed(i));
         let likelihood =
             (i < WITH_LIKELIHOOD).then(|| other.evaluate_views(&other.views, &effects, &fitted, 0).total());
         tick(1);
@@ -100,7 +102,7 @@ pub(crate) fn compare(
             log_likelihoods.extend(likelihood);
         }
         begun = end;
-        let null = rank(dictionary, &own, &statistics);
+        let null = rank(&dictionary.statistics, &own, &statistics);
         let is_clear = match begun {
             EARLIEST_LOOK => null.p > NOTHING_SO_EARLY,
             _ => null.p > CLEARLY_NOTHING || null.is_clearly_off(),
@@ -116,16 +118,17 @@ pub(crate) fn compare(
 /// Replicates whose log likelihood is found, for a mean: its error is an eighth of what logs differ by.
 const WITH_LIKELIHOOD: u32 = 64;
 
-/// After so many replicates those are spared that can't change the answer (Besag and Clifford 1991): of a log that more than
-/// this share of them exceed, and of one that is beyond all of them by so many nats, which e^-3 of the one log in 200 are
-/// that is beyond all of them by chance.
-///
-/// Earlier still, in a world with effects, those of a log that is in the middle of them.
+/// Replicates after which the comparison may stop, because more of them could not change the answer (Besag and Clifford 1991).
 const FIRST_LOOK: u32 = 199;
-const EARLIEST_LOOK: u32 = 59;
-const NOTHING_SO_EARLY: f64 = 0.3;
+/// It stops there if a larger share of the replicates than this exceeds the log.
 const CLEARLY_NOTHING: f64 = 0.1;
+/// It stops there if the log is beyond all replicates by this (nats). One log in 200 is beyond all of them by chance, and e^-3
+/// of those by so much.
 const FARTHER: f64 = 3.0;
+/// In a world with effects it may stop after this many replicates,
+const EARLIEST_LOOK: u32 = 59;
+/// if a larger share of them than this exceeds the log.
+const NOTHING_SO_EARLY: f64 = 0.3;
 
 #[cfg(test)]
 mod tests {

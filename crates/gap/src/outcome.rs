@@ -98,7 +98,7 @@ pub struct Rival {
     pub params: BTreeMap<&'static str, Number>,
     /// Log score gained on scans that its numbers weren't fitted to (nats).
     pub gain_nats: Estimate,
-    /// By how much it is behind the best of its round, paired over blocks of scans (nats).
+    /// By how much it is behind the best of its round, paired over folds (nats).
     pub behind_nats: Estimate,
 }
 
@@ -134,7 +134,7 @@ pub struct Region {
     pub w1_mm: f64,
     /// Log score lost there against a simulation of its own (nats over the log), about half the square of `z`.
     pub nats: f64,
-    /// False discovery rate at which it is a region (Benjamini and Hochberg 1995), on one half of the log's blocks.
+    /// False discovery rate at which it is a region (Benjamini and Hochberg 1995), on one half of the log's folds.
     pub q: f64,
     /// One-sided p-value on the other half.
     pub p_other_half: f64,
@@ -160,9 +160,9 @@ pub struct Gap {
     pub after: Distance,
     /// Simulation against simulation.
     pub floor: Distance,
-    /// Log score that the named effects gain on held-out blocks (nats per scan).
+    /// Log score that the named effects gain on held-out folds (nats per scan).
     pub gained_nats_per_scan: f64,
-    /// What the best further effect would gain on held-out blocks (nats per scan), 0 where none would.
+    /// What the best further effect would gain on held-out folds (nats per scan), 0 where none would.
     pub remaining_nats_per_scan: f64,
     /// Share of the gap that is closed: gained / (gained + remaining), and no more than
     /// [`closed_in_ranges`](Self::closed_in_ranges).

@@ -1,24 +1,24 @@
 //! A log's statistics ranked among those of replicates: standardized, in groups, under one false-alarm rate.
 
 use crate::null::Null;
-use crate::statistics::{Dictionary, Group, Halves};
+use crate::statistics::{Form, Group, Halves, Statistic};
 
 /// How the false-alarm rate is shared out among the groups of statistics, in their order. Each gets its share however many
 /// statistics it has, and one whose largest is now and then far off doesn't raise what the others have to exceed.
 const SHARES: [f64; Group::COUNT] = [0.4, 0.2, 0.15, 0.05, 0.2];
 
-pub(crate) fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves>]) -> Null {
+pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halves>]) -> Null {
     let count = others.len() + 1;
     let (mut z, mut halves) = (vec![0.0; own.len()], vec![[0.0; 2]; own.len()]);
     let mut spreads = vec![0.0; own.len()];
     // The largest of each group, of each replicate, the log last.
     let mut largest = vec![[0.0_f64; Group::COUNT]; count];
     let mut values = vec![0.0; count];
-    for i in 0..own.len() {
-        let group = dictionary.group(i) as usize;
+    for (i, statistic) in statistics.iter().enumerate() {
+        let group = statistic.group as usize;
         // Counts by their roots, whose variance doesn't depend on the mean (Anscombe 1948) and is at most about 1 by
         // chance; of a count that hardly ever happens it is less, and would make a single event stand out.
-        let is_count = dictionary.is_count(i);
+        let is_count = statistic.form == Form::Count;
         let number = |value: f64| if is_count { 2.0 * (value.max(0.0) + 0.375).sqrt() } else { value };
         for half in 0..2 {
             let replicates = others.iter().map(|other| number(other[i][half]));
@@ -31,7 +31,7 @@ pub(crate) fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves
         let all = Moments::of(values.iter().copied());
         for (value, largest) in values.iter().zip(&mut largest) {
             let normal = all.without(*value).normal(*value, is_count);
-            largest[group] = largest[group].max(dictionary.off(i, normal));
+            largest[group] = largest[group].max(statistic.off(normal));
         }
         let rest = all.without(values[count - 1]);
         z[i] = rest.normal(values[count - 1], is_count);
@@ -58,10 +58,12 @@ pub(crate) fn rank(dictionary: &Dictionary, own: &[Halves], others: &[Vec<Halves
     let mut sorted: Vec<f64> = weighed[..count - 1].iter().map(all).collect();
     sorted.sort_by(f64::total_cmp);
     let above = ((0.01 * sorted.len() as f64).ceil() as usize).max(1);
-    let weight = (0..own.len())
-        .map(|i| {
-            let group = dictionary.group(i) as usize;
-            tails[group].minus_log_p(dictionary.off(i, z[i])) + SHARES[group].ln()
+    let weight = statistics
+        .iter()
+        .zip(&z)
+        .map(|(statistic, &z)| {
+            let group = statistic.group as usize;
+            tails[group].minus_log_p(statistic.off(z)) + SHARES[group].ln()
         })
         .collect();
     let thresholds = std::array::from_fn(|g| tails[g].at(sorted[sorted.len() - above] - SHARES[g].ln()));
@@ -189,14 +191,14 @@ impl Moments {
 
     /// A value as a standard normal number, if the sample is of a shifted gamma distribution (Pearson's type III; the
     /// cube root of Wilson and Hilferty 1931): sums of rare contributions are skewed, and would be taken for
-    /// discoveries. Roots of counts are as good as normal, with a variance of 1 or more where they happen at all.
+    /// discoveries. Roots of counts are nearly normal, with a variance of 1 or more where events happen at all.
     fn normal(&self, value: f64, is_count: bool) -> f64 {
         if is_count {
             return (value - self.mean()) / self.variance().max(1.0).sqrt();
         }
         let t = (value - self.mean()) / self.variance().max(1e-9).sqrt();
         let skewness = self.skewness().clamp(-MOST_SKEWED, MOST_SKEWED);
-        // Only the heavy side: how light the other one is, so few logs can't say.
+        // Only the heavy side: a few hundred logs don't say how light the other one is.
         if skewness.abs() < LEAST_SKEWED || t * skewness < 0.0 {
             return t;
         }
@@ -259,9 +261,9 @@ mod tests {
         }
     }
 
-    /// Of 20 logs, too, one that is far beyond the others is far beyond them: it is no part of what their tail is taken from.
+    /// Twenty logs are enough to show one that is far beyond the others: the tail is fitted without it.
     #[test]
-    fn a_glance_shows_what_is_far_off() {
+    fn few_replicates_show_a_log_that_is_far_off() {
         let own = 12.0;
         let sample: Vec<f64> = (0..19).map(|i| -((f64::from(i) + 0.5) / 19.0).ln()).chain([own]).collect();
         let tail = Tail::of(sample.iter().copied());

@@ -10,7 +10,7 @@ use statrs::function::erf::erfc;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::null::Null;
 use crate::outcome::{BeamPit, PitHistogram, Region};
-use crate::statistics::{Cell, Covariate, Deviation, Dictionary, Target, WALL_CELL_M, pit_draw};
+use crate::statistics::{Cell, Covariate, Dictionary, WALL_CELL_M, pit_draw};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
@@ -20,7 +20,7 @@ const DISCOVERY_RATE: f64 = 0.1;
 const OTHER_HALF: f64 = 0.05;
 /// The most regions that are reported.
 const MOST_REGIONS: usize = 40;
-/// A cell is still off beyond so many standard deviations.
+/// A cell is still off beyond this (standard deviations), which a normal number exceeds once in 2000.
 const STILL_OFF: f64 = 3.5;
 
 /// Two-sided p-value of a standard normal number.
@@ -34,7 +34,7 @@ pub(crate) struct Side<'r> {
     pub null: &'r Null,
 }
 
-/// Regions found on one half of the log's blocks and certified on the other, the farthest off first.
+/// Regions found on one half of the log's folds and certified on the other, the farthest off first.
 pub(crate) fn locate(
     before: &Side<'_>,
     after: &Side<'_>,
@@ -42,32 +42,33 @@ pub(crate) fn locate(
     recorded: &Recorded,
     simulated: &[Recorded],
 ) -> Vec<Region> {
-    let first = before.dictionary.first_cell();
     let null = before.null;
     // Benjamini and Hochberg over all cells, on the first half.
-    let mut order: Vec<usize> = (first..before.dictionary.len()).collect();
-    order.sort_by(|&a, &b| null.halves[b][0].abs().total_cmp(&null.halves[a][0].abs()));
+    let mut order: Vec<(usize, &Cell)> = before.dictionary.cells().collect();
+    order.sort_by(|(a, _), (b, _)| null.halves[*b][0].abs().total_cmp(&null.halves[*a][0].abs()));
     let count = order.len() as f64;
     let mut q = vec![1.0_f64; order.len()];
     let mut least = 1.0_f64;
     for rank in (0..order.len()).rev() {
-        least = least.min(two_sided(null.halves[order[rank]][0]) * count / (rank + 1) as f64);
+        least = least.min(two_sided(null.halves[order[rank].0][0]) * count / (rank + 1) as f64);
         q[rank] = least;
     }
     let mut regions: Vec<Region> = order
         .iter()
         .zip(q)
         .filter(|(_, q)| *q <= DISCOVERY_RATE)
-        .filter_map(|(&i, q)| {
-            let Target::Cell(cell) = &before.dictionary.targets[i] else { return None };
+        .filter_map(|(&(i, cell), q)| {
             let [here, there] = null.halves[i];
             let p_other_half = 0.5 * erfc(there * here.signum() * FRAC_1_SQRT_2);
             if p_other_half > OTHER_HALF {
                 return None;
             }
             let z = null.z[i];
-            let beams = before.dictionary.beams_in(i);
-            let still = after.dictionary.find(cell).map_or(0.0, |j| after.null.z[j]);
+            let all = 0..views.beams.len();
+            let beams: Vec<u32> =
+                all.filter(|&beam| before.dictionary.includes(i, beam)).map(|beam| beam as u32).collect();
+            let same = after.dictionary.cells().find(|(_, other)| *other == cell);
+            let still = same.map_or(0.0, |(j, _)| after.null.z[j]);
             let place = cell.place.map(|[x, y]| [x, y, x + WALL_CELL_M, y + WALL_CELL_M]);
             Some(Region {
                 covariate: cell.covariate,
@@ -237,26 +238,6 @@ pub(crate) fn histograms(comparison: &Comparison<'_>, pits: &[BeamPit]) -> Vec<P
             .collect::<Vec<_>>()
     })
     .collect()
-}
-
-impl Dictionary {
-    /// The beams of an omnibus cell.
-    fn beams_in(&self, index: usize) -> Vec<u32> {
-        let Target::Cell(cell) = &self.targets[index] else { return Vec::new() };
-        if matches!(cell.covariate, Covariate::Scan | Covariate::Pit | Covariate::Ratio) {
-            return (0..self.cells_of_beams().len() as u32).collect();
-        }
-        let first = index - (index - self.first_cell()) % Deviation::OF_BINS.len();
-        (0..self.cells_of_beams().len() as u32)
-            .filter(|&i| self.cells_of_beams()[i as usize].contains(&(first as u32)))
-            .collect()
-    }
-
-    /// The cell that is the same in this dictionary.
-    fn find(&self, cell: &Cell) -> Option<usize> {
-        (self.first_cell()..self.len())
-            .find(|&i| matches!(&self.targets[i], Target::Cell(other) if other == cell))
-    }
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 
+use glam::DVec2;
 use locsim_core::{Draw, Pose2, Stage, Track};
 use locsim_world::effect::Effect;
 use locsim_world::simulation::BlockResampling;
@@ -192,10 +193,8 @@ fn shared_shorts(comparison: &Comparison<'_>, fitted: &Fitted) -> [f64; LAGS.len
         if terms.short > 0.5 {
             let beam = &comparison.views.beams[i];
             let heading = comparison.recorded.track.poses()[scan].theta + beam.view.bearing;
-            let back = beam.view.range - z;
-            let end = beam.view.endpoint;
-            let (x, y) = (end.x - back * heading.cos(), end.y - back * heading.sin());
-            cells[scan].insert(cell_at(x, y, OBJECT_CELL_M));
+            let point = beam.view.endpoint - (beam.view.range - z) * DVec2::from_angle(heading);
+            cells[scan].insert(cell_at(point, OBJECT_CELL_M));
         }
     });
     LAGS.map(|lag| {

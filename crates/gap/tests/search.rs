@@ -27,6 +27,7 @@ fn nominal_with(more: Vec<Effect>) -> Nominal {
         rate_hz: 10.0,
         beams: 24,
         field_of_view_rad: std::f64::consts::TAU,
+        first_bearing_rad: None,
         min_range_m: 0.05,
         max_range_m: 6.0,
         resolution_m: 0.001,

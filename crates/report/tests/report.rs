@@ -381,7 +381,9 @@ fn one_trial_has_figures_without_intervals() {
     let model = summary.models.get("np_reg_registered").unwrap();
     assert_eq!(model.intervals, None);
     let ratio = summary.ratios.get("np_reg_registered").unwrap().rmse_vs_classic.unwrap();
-    assert!(ratio.value > 0.0 && ratio.interval().is_none());
+    let rmse = |name: &str| summary.models.get(name).unwrap().errors.position_rmse_m;
+    assert!((ratio.value - rmse("np_reg_registered") / rmse("classic")).abs() < 1e-12, "{}", ratio.value);
+    assert_eq!(ratio.interval(), None);
     assert!(terminal_table(&summary).contains("np_reg_registered"));
 }
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
+use locsim_sensor::ModelKind;
 use locsim_world::effect::EffectKind;
 use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath,
@@ -42,6 +43,7 @@ pub(super) fn edited(text: &str, from: &str, to: &str) -> String {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one expected value for each section of the file, written out")]
 fn every_key_arrives_in_si_units_and_radians() {
     let scenario = parse(&text("simulation.yaml")).unwrap();
     assert_eq!(scenario.name, "everything");
@@ -81,6 +83,7 @@ fn every_key_arrives_in_si_units_and_radians() {
             rate_hz: 5.0,
             beams: 36,
             field_of_view_rad: 1.5 * PI,
+            first_bearing_rad: None,
             min_range_m: 0.05,
             max_range_m: 4.5,
             resolution_m: 0.001,
@@ -99,15 +102,15 @@ fn every_key_arrives_in_si_units_and_radians() {
     assert_eq!(
         scenario.models,
         [
-            plain(ModelName::Classic),
+            plain(ModelName::Fitted(ModelKind::Classic)),
             Model {
-                name: ModelName::NpRegRegistered,
+                name: ModelName::Fitted(ModelKind::NpRegRegistered),
                 label: "loaded".to_owned(),
                 floor: Some(0.01),
                 exponent: Some(0.5),
                 file: Some(Path::new(FIXTURES).join("fitted.model")),
             },
-            plain(ModelName::NpRegRegistered),
+            plain(ModelName::Fitted(ModelKind::NpRegRegistered)),
             plain(ModelName::Oracle),
         ]
     );
@@ -153,6 +156,14 @@ fn every_key_arrives_in_si_units_and_radians() {
             expectation("oracle", "lost_share", None, Some(0.0)),
         ]
     );
+}
+
+#[test]
+fn the_first_beam_may_be_given() {
+    let first = "  field_of_view_deg: 270\n  first_beam_deg: -180\n";
+    let text = edited(&text("simulation.yaml"), "  field_of_view_deg: 270\n", first);
+    let Source::Simulation(simulation) = parse(&text).unwrap().source else { panic!() };
+    assert_eq!(simulation.laser.first_bearing_rad, Some(-PI));
 }
 
 /// The scenario of a log, with a bag instead.

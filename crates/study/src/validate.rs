@@ -1,5 +1,6 @@
 //! From the raw study to the validated one: ranges, what keys have to do with each other, maps and data.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use distreg::{Alignment, Dataset, Outcomes};
@@ -73,18 +74,7 @@ pub(super) fn validate<'a>(
     }
     let test_states = check.count("test_states", raw.test_states, 2, MOST) as usize;
     let observations = raw.observations.map(|n| check.count("observations", n, 1, MOST) as usize);
-    let names = raw.bandwidths.len();
-    check.refuse(names > MOST_LISTED, "bandwidths", || {
-        format!("{names} coordinates are not allowed; at most {MOST_LISTED}")
-    });
-    for (coordinate, candidates) in &raw.bandwidths {
-        let key = format!("bandwidths.{coordinate}");
-        check.refuse(candidates.is_empty(), &key, || {
-            "an empty list is not allowed; at least one number".to_owned()
-        });
-        check.length(&key, candidates, MOST_LISTED);
-        check.numbers(&key, candidates, ANY_UNIT);
-    }
+    check_bandwidths(&mut check, &raw.bandwidths);
     let simulated = !matches!(raw.sensor, RawSensor::StaticLidar(_) | RawSensor::Table(_));
     if simulated {
         check.refuse(observations.is_none(), "observations", || "the key is missing".to_owned());
@@ -130,22 +120,7 @@ pub(super) fn validate<'a>(
             format!("`{}` is not allowed; the observation follows no state coordinate here", model.as_str())
         });
     }
-    let mut test_states = test_states;
-    for condition in &setup.conditions {
-        if let Source::Recorded(data) = &condition.source {
-            test_states = test_states.min((TEST_SHARE * data.len() as f64) as usize);
-            let most = data.len() - test_states;
-            for (i, n) in states.iter().enumerate().filter(|(_, n)| **n > most) {
-                check.problem(
-                    &format!("states[{i}]"),
-                    format!(
-                        "{n} is not allowed; at most {most}: of {} states {test_states} are for tests",
-                        data.len()
-                    ),
-                );
-            }
-        }
-    }
+    let test_states = test_states_of(&mut check, &setup, &states, test_states);
     if !check.is_clean() {
         return Err(check.into_error().into());
     }
@@ -172,16 +147,59 @@ pub(super) fn validate<'a>(
         quick: overrides.quick,
     };
     if overrides.quick {
-        study.repeats = overrides.repeats.unwrap_or(study.repeats.min(QUICK_REPEATS));
-        study.states.retain(|n| *n <= QUICK_STATES.max(folds));
-        if study.states.is_empty() {
-            study.states.push(QUICK_STATES.max(folds));
-        }
-        study.test_states = study.test_states.min(QUICK_TESTS);
-        study.setup.rays = study.setup.rays.into_iter().step_by(QUICK_RAYS).collect();
-        study.truth_observations = study.truth_observations.min(QUICK_TRUTH);
+        make_quick(&mut study, overrides.repeats);
     }
     Ok(study)
+}
+
+/// Checks the candidate bandwidths of each state coordinate.
+fn check_bandwidths(check: &mut Checker<'_>, bandwidths: &BTreeMap<String, Vec<f64>>) {
+    let names = bandwidths.len();
+    check.refuse(names > MOST_LISTED, "bandwidths", || {
+        format!("{names} coordinates are not allowed; at most {MOST_LISTED}")
+    });
+    for (coordinate, candidates) in bandwidths {
+        let key = format!("bandwidths.{coordinate}");
+        check.refuse(candidates.is_empty(), &key, || {
+            "an empty list is not allowed; at least one number".to_owned()
+        });
+        check.length(&key, candidates, MOST_LISTED);
+        check.numbers(&key, candidates, ANY_UNIT);
+    }
+}
+
+/// The number of test states, of which recorded data leave no more than [`TEST_SHARE`]; the states of each size of training set
+/// have to be among the others.
+fn test_states_of(check: &mut Checker<'_>, setup: &Setup, states: &[usize], mut test_states: usize) -> usize {
+    for condition in &setup.conditions {
+        if let Source::Recorded(data) = &condition.source {
+            test_states = test_states.min((TEST_SHARE * data.len() as f64) as usize);
+            let most = data.len() - test_states;
+            for (i, n) in states.iter().enumerate().filter(|(_, n)| **n > most) {
+                check.problem(
+                    &format!("states[{i}]"),
+                    format!(
+                        "{n} is not allowed; at most {most}: of {} states {test_states} are for tests",
+                        data.len()
+                    ),
+                );
+            }
+        }
+    }
+    test_states
+}
+
+/// Cuts a study down to what `--quick` leaves. `repeats` are those that the command line gives.
+fn make_quick(study: &mut Study, repeats: Option<u32>) {
+    study.repeats = repeats.unwrap_or(study.repeats.min(QUICK_REPEATS));
+    let most = QUICK_STATES.max(study.folds);
+    study.states.retain(|n| *n <= most);
+    if study.states.is_empty() {
+        study.states.push(most);
+    }
+    study.test_states = study.test_states.min(QUICK_TESTS);
+    study.setup.rays = std::mem::take(&mut study.setup.rays).into_iter().step_by(QUICK_RAYS).collect();
+    study.truth_observations = study.truth_observations.min(QUICK_TRUTH);
 }
 
 /// Ascending whole numbers from `lo`.

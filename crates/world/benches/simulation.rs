@@ -46,6 +46,7 @@ fn simulator(beams: u32, scan_secs: f64, resample: BlockResampling, speed_m_s: [
         rate_hz: 5.0,
         beams,
         field_of_view_rad: TAU,
+        first_bearing_rad: None,
         min_range_m: 0.0,
         max_range_m: 4.5,
         resolution_m: 0.001,

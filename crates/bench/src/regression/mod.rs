@@ -30,7 +30,7 @@ const FOLD_SEED: u64 = 1;
 /// Runs whose shortest time counts.
 const REPETITIONS: usize = 30;
 
-/// What the benchmark found.
+/// Results of the benchmark.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Time of weights and product of all queries, of the slower truth.
@@ -39,11 +39,11 @@ pub struct Report {
     pub density_ns: f64,
     /// Risk of each method \[mm\]: mean histogram match with the truth at the queries.
     pub risk_mm: RiskMm,
-    /// What the registered method of each truth registers by; cross-validation on the training states chose it.
+    /// The alignment of the registered method of each truth, chosen by cross-validation on the training states.
     pub registered_by: RegisteredBy,
     /// Largest difference of any predicted mass from the dense f64 product.
     pub max_abs_diff_from_dense: f64,
-    /// What cross-validation chose: a line per truth and method.
+    /// The choices of cross-validation: a line per truth and method.
     pub chosen: Vec<String>,
 }
 
@@ -78,7 +78,7 @@ pub struct MethodRisk {
     pub p_reg: f64,
 }
 
-/// What registered NP-REG makes of observations before it compares them between states.
+/// The alignment of observations by registered NP-REG.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Registration {
@@ -141,7 +141,7 @@ fn standardized(
     })
 }
 
-/// What stands for a lost return among residuals.
+/// The value of a lost return among residuals.
 const LOST: f64 = 100.0;
 
 /// Regression of location and scale.

@@ -16,8 +16,8 @@ const MAX_RANGE: f64 = 4.5;
 /// Bins are 1 mm wide.
 const BINS_PER_METRE: f64 = 1000.0;
 
-/// What the synthetic range sensor does. Its state is (nominal range \[m\], incidence \[rad\]), its observation a range
-/// in steps of 1 mm up to 4.5 m.
+/// The synthetic range sensor. Its state is (nominal range \[m\], incidence \[rad\]), its observation a range in steps of
+/// 1 mm up to 4.5 m.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Truth {
@@ -131,7 +131,7 @@ impl Task {
         Ok(Self { truth, train, queries: states(QUERIES, &mut random).concat() })
     }
 
-    /// What the sensor does.
+    /// The sensor.
     pub fn truth(&self) -> Truth {
         self.truth
     }

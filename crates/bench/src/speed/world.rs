@@ -15,15 +15,16 @@ use locsim_core::Progress;
 use locsim_lab::run::{MapSet, free_poses};
 use locsim_lab::run::{ScanData, Surroundings, TrainedModel, train};
 use locsim_scenario::{Model, ModelName};
+use locsim_sensor::ModelKind;
 
 /// The models that are compared.
 pub const MODELS: [ModelName; 6] = [
-    ModelName::Classic,
-    ModelName::BeamMixture,
-    ModelName::PReg,
-    ModelName::NpReg,
-    ModelName::NpRegRegistered,
-    ModelName::LikelihoodField,
+    ModelName::Fitted(ModelKind::Classic),
+    ModelName::Fitted(ModelKind::BeamMixture),
+    ModelName::Fitted(ModelKind::PReg),
+    ModelName::Fitted(ModelKind::NpReg),
+    ModelName::Fitted(ModelKind::NpRegRegistered),
+    ModelName::Fitted(ModelKind::LikelihoodField),
 ];
 
 /// What the training world is like beside the map, the beams and the maximum range, which are the workload's.
@@ -80,6 +81,7 @@ pub fn train_models(
         rate_hz: 10.0,
         beams: workload.laser.beam_count() as u32,
         field_of_view_rad: TAU,
+        first_bearing_rad: None,
         min_range_m: 0.0,
         max_range_m: f64::from(workload.laser.max_range()),
         resolution_m: 0.0,

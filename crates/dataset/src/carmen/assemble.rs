@@ -59,6 +59,9 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
         scan_source: log.keyword.to_owned(),
         odometry_messages: log.odometry_lines,
         reference_messages: log.true_pose_lines,
+
+        reference_deviation: None,
+        topics: Vec::new(),
         skipped: log.skipped,
         stamps_repaired: clock.repaired,
         stamps_repeated: clock.repeated,
@@ -185,8 +188,8 @@ fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Opti
         let last = scan.before.last_odometry.map(|(_, pose)| pose);
         latest = last.or(latest);
         let odometry = match recognised.odometry {
-            // A CARMEN log has no topics.
-            OdometrySource::ScanLines | OdometrySource::Topic => scan.robot_pose,
+            // A CARMEN log has no topics and no transforms.
+            OdometrySource::ScanLines | OdometrySource::Topic | OdometrySource::Transforms => scan.robot_pose,
             OdometrySource::OdomLines => latest.unwrap_or(scan.robot_pose),
             OdometrySource::RestartedOdomLines => {
                 let pose = match (chained, previous) {
@@ -205,7 +208,7 @@ fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Opti
             }
         };
         let reference = match recognised.kind {
-            LogKind::Raw | LogKind::Referenced => None,
+            LogKind::Raw | LogKind::Referenced | LogKind::Localized => None,
             // The corrected pose is the laser's, for any mount: the end points of Freiburg 079 (noted mount -0.04 m)
             // have an entropy of 9.75 nats with beams from that pose, 9.92 from 0.04 m behind it.
             LogKind::Corrected => Some(scan.laser_pose.compose(&laser_from_base)),

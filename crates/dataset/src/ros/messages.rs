@@ -7,6 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::quaternion::heading;
 
+/// Types that are read and not written.
+pub const MULTI_ECHO_LASER_SCAN: &str = "sensor_msgs/msg/MultiEchoLaserScan";
+pub const POINT_CLOUD_2: &str = "sensor_msgs/msg/PointCloud2";
+pub const POSE_STAMPED: &str = "geometry_msgs/msg/PoseStamped";
+pub const POSE_WITH_COVARIANCE_STAMPED: &str = "geometry_msgs/msg/PoseWithCovarianceStamped";
+pub const TRANSFORM_STAMPED: &str = "geometry_msgs/msg/TransformStamped";
+
 /// A type of messages that is written.
 pub trait Message: Serialize {
     /// The type's name.
@@ -117,6 +124,73 @@ pub struct LaserScan {
     pub intensities: Vec<f32>,
 }
 
+/// `sensor_msgs/msg/MultiEchoLaserScan`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct MultiEchoLaserScan {
+    pub header: Header,
+    pub angle_min: f32,
+    pub angle_max: f32,
+    pub angle_increment: f32,
+    pub time_increment: f32,
+    pub scan_time: f32,
+    pub range_min: f32,
+    pub range_max: f32,
+    pub ranges: Vec<LaserEcho>,
+    pub intensities: Vec<LaserEcho>,
+}
+
+/// `sensor_msgs/msg/LaserEcho`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct LaserEcho {
+    pub echoes: Vec<f32>,
+}
+
+impl From<MultiEchoLaserScan> for LaserScan {
+    /// The first echo of each beam, which is the nearest; NaN where there is none. The ROS package `laser_proc` has it so.
+    fn from(scan: MultiEchoLaserScan) -> Self {
+        let first = |beam: &LaserEcho| beam.echoes.first().copied().unwrap_or(f32::NAN);
+        Self {
+            header: scan.header,
+            angle_min: scan.angle_min,
+            angle_max: scan.angle_max,
+            angle_increment: scan.angle_increment,
+            time_increment: scan.time_increment,
+            scan_time: scan.scan_time,
+            range_min: scan.range_min,
+            range_max: scan.range_max,
+            ranges: scan.ranges.iter().map(first).collect(),
+            intensities: Vec::new(),
+        }
+    }
+}
+
+/// `sensor_msgs/msg/PointCloud2`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PointCloud2 {
+    pub header: Header,
+    pub height: u32,
+    pub width: u32,
+    pub fields: Vec<PointField>,
+    pub is_bigendian: bool,
+    pub point_step: u32,
+    pub row_step: u32,
+    pub data: Vec<u8>,
+    pub is_dense: bool,
+}
+
+/// `sensor_msgs/msg/PointField`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PointField {
+    pub name: String,
+    pub offset: u32,
+    pub datatype: u8,
+    pub count: u32,
+}
+
+impl PointField {
+    pub const FLOAT32: u8 = 7;
+}
+
 /// `geometry_msgs/msg/PoseStamped`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PoseStamped {
@@ -130,6 +204,13 @@ pub struct PoseWithCovariance {
     pub pose: Pose,
     /// 6 x 6, row by row; 0 is unknown.
     pub covariance: [[f64; 6]; 6],
+}
+
+/// `geometry_msgs/msg/PoseWithCovarianceStamped`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PoseWithCovarianceStamped {
+    pub header: Header,
+    pub pose: PoseWithCovariance,
 }
 
 /// `geometry_msgs/msg/TwistWithCovariance`.

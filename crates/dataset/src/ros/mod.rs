@@ -3,7 +3,9 @@
 //! Messages are in CDR, in one file or in several of a folder, MCAP or `SQLite`, as rosbag2 writes them.
 
 mod bag;
+mod cloud;
 mod messages;
+mod poses;
 mod read;
 mod topics;
 mod write;
@@ -20,15 +22,19 @@ pub use bag::folder_files;
 pub use read::read;
 pub use write::{encode_mcap, write_mcap};
 
-/// What the topics of a bag are called.
+/// What the topics of a bag are called. Odometry and reference may also be transforms of `/tf`, written `parent:child`,
+/// such as `map:base_link`, or `/tf:parent.child` as evo does.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct BagTopics {
-    /// Laser scans, `sensor_msgs/msg/LaserScan`. `None`: `/scan`, or the only topic of that type.
+    /// Laser scans, `sensor_msgs/msg/LaserScan`; `MultiEchoLaserScan`, of which the first echoes are taken; `PointCloud2`
+    /// of a 2D lidar. `None`: `/scan`, the only topic of scans, or the only topic of clouds.
     pub scan: Option<String>,
-    /// Odometry, `nav_msgs/msg/Odometry`. `None`: `/odom`, or the only topic of that type beside the reference.
+    /// Odometry, `nav_msgs/msg/Odometry`. `None`: `/odom`, the only topic of that type beside the reference, or, where
+    /// there is none, the transform from `base_link` or `base_footprint` to `odom`.
     pub odometry: Option<String>,
-    /// Reference poses, `nav_msgs/msg/Odometry` or `geometry_msgs/msg/PoseStamped`. `None`: `/reference` or
-    /// `/ground_truth` where there is one, and otherwise no reference: what the truth is, is never guessed.
+    /// Reference poses, `nav_msgs/msg/Odometry`, or `PoseStamped`, `PoseWithCovarianceStamped` or `TransformStamped` of
+    /// `geometry_msgs`. `None`: `/reference` or `/ground_truth`; where neither is there, what a localizer found: the
+    /// transform from the base to `map`, or `/amcl_pose`.
     pub reference: Option<String>,
 }
 
@@ -56,9 +62,14 @@ pub struct BagOptions {
 /// - **Odometry and reference** of a scan are interpolated at its stamp between the messages before and after it, the
 ///   position linearly, the heading along the shorter arc, both in the plane. Where several messages have a scan's
 ///   very time, the first scan of that time takes the first, the second the second. Scans outside the span of the
-///   odometry are left out and counted; those outside the span of the reference have none.
-/// - **Readings**: infinity and `range_max` or more are no return; NaN, less than `range_min`, and exactly 0 are
-///   unusable. Some drivers write 0 for no return, others for any failure; unusable is never wrong.
+///   odometry are left out and counted; those outside the span of the reference have none. Transforms are interpolated
+///   one by one, then multiplied. Between poses with covariance, which a localizer publishes only now and then, the
+///   reference follows the odometry: the transform from the odometry's frame to the map's is interpolated.
+/// - **Readings**: infinity and `range_max` or more are no return; NaN and less than `range_min` are unusable. Exactly 0
+///   is no return in a log that has no other reading without return, as its driver knows no other way to say so;
+///   otherwise it is unusable.
+/// - **Clouds** become scans of the beams that the log has points on. A beam without a point is unusable: clouds don't
+///   tell whether it had no return. The maximum range is just above the longest reading where none is given.
 /// - **Beams** are at `angle_min + i angle_increment` and i times the mean of the scans' `time_increment`.
 /// - **Mount** of the laser: the chain of `/tf_static` from the scans' `frame_id` up to the odometry's
 ///   `child_frame_id`, `base_link` or `base_footprint`, the first of them that it has. A laser mounted upside down has

@@ -1,57 +1,57 @@
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use glam::{DAffine3, DQuat, DVec3};
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
 use locsim_core::{Drive, DriveStep, Laser, LaserError, Pose2, Scan};
 
 use super::BagOptions;
-use super::bag::{Bag, Channel, LONGEST_NAME};
+use super::bag::{Bag, Channel};
+use super::cloud::Clouds;
 use super::messages::{
-    LaserScan, Message, Odometry, Pose, PoseStamped, TfMessage, TransformStamped, decode, secs,
+    LaserScan, MULTI_ECHO_LASER_SCAN, Message, MultiEchoLaserScan, Odometry, POINT_CLOUD_2,
+    POSE_WITH_COVARIANCE_STAMPED, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
+    TRANSFORM_STAMPED, TfMessage, TransformStamped, decode, secs,
 };
-use super::topics::{Chosen, Topics};
+use super::poses::{Poses, Stamped, Transforms, plain, planar};
+use super::topics::{Chosen, MAP, ODOM, PoseSource, Topics};
 use crate::laser::checked;
 use crate::{DatasetError, LogKind, LogSummary, OdometrySource};
-
-/// A topic's messages may be logged out of order by this much (ns); further back, the clock was set.
-const OUT_OF_ORDER: i64 = 1_000_000_000;
 
 /// A laser that scans in the plane has its axis this near to the vertical: the cosine of 10 degrees.
 const UPRIGHT: f64 = 0.985;
 
-/// Frames that static transforms tell of, at the most; robots have hundreds.
-const MOST_FRAMES: usize = 10_000;
+/// Pairs of frames that an error lists, at the most.
+const LISTED_PAIRS: usize = 20;
 
-/// What a drive's base is called, after the odometry's own name for it (REP-105).
+/// The frames of a robot's base (REP-105, REP-120), after the odometry's own name for it.
 const BASE_FRAMES: [&str; 2] = ["base_link", "base_footprint"];
 
 pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
     let bag = Bag::open(path, limits)?;
     let topics = Topics::of(path, &bag)?;
     let chosen = topics.choose(&options.topics)?;
-    let messages = Messages::read(&bag, &chosen, limits)?;
-    let mount = messages.mount(options.base_from_laser).map_err(|reason| DatasetError::Message {
-        path: path.to_owned(),
-        topic: quoted(&chosen.scan.topic),
-        number: 1,
-        reason,
-    })?;
-    let laser = checked(path, messages.laser(&mount, options))?;
+    let (scans, motion) = messages(path, &bag, &chosen, limits)?;
+    let (odometry, base) = motion.odometry(&chosen, &topics)?;
+    let reference = motion.reference(&chosen, &topics, &odometry.poses, &base)?;
+    let mount = motion
+        .mount(options.base_from_laser, scans.frame(), &base)
+        .map_err(|reason| of_first_scan(path, &chosen, reason))?;
+    let laser = checked(path, scans.laser(&mount, options))?;
 
     let (max, min) = (laser.max_range(), laser.min_range());
-    let scans = messages.scans.items.len();
-    let mut steps: Vec<DriveStep> = Vec::with_capacity(scans);
+    let zero_is_no_return = scans.zero_is_no_return(max);
+    let Stamped { items: scans, late, .. } = scans.stamped;
+    let count = scans.len();
+    let mut steps: Vec<DriveStep> = Vec::with_capacity(count);
     let (mut no_return, mut unusable, mut longest) = (0_usize, 0_usize, None);
     let (mut repeated, mut nth) = (0, 0);
     let mut previous = None;
-    for (stamp, mut ranges) in messages.scans.items {
+    for (stamp, mut ranges) in scans {
         // Which of the scans of this very time.
         nth = if previous == Some(stamp) { nth + 1 } else { 0 };
         previous = Some(stamp);
-        let Some(odometry) = messages.odometry.at(stamp, nth) else { continue };
+        let Some(odometry) = odometry.poses.at(stamp, nth) else { continue };
         for range in &mut ranges {
-            if *range >= max {
+            if *range >= max || (*range == 0.0 && zero_is_no_return) {
                 *range = max;
                 no_return += 1;
             } else if range.is_nan() || *range < min || *range == 0.0 {
@@ -65,24 +65,43 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
         steps.push(DriveStep {
             stamp_secs: secs(stamp),
             odometry,
-            reference: messages.reference.at(stamp, nth),
+            reference: reference.poses.as_ref().and_then(|poses| poses.at(stamp, nth)),
             scan: Scan { ranges },
         });
     }
     if steps.is_empty() {
-        return Err(DatasetError::NoOdometry { path: path.to_owned(), scans });
+        return Err(DatasetError::NoOdometry { path: path.to_owned(), scans: count });
     }
     let readings = (steps.len() * laser.beam_count()) as f64;
+    let mut evidence = format!(
+        "scans from {}, odometry from {}, reference from {}; {}",
+        topics.in_words(&chosen.scan),
+        odometry.evidence,
+        reference.evidence,
+        mount.evidence
+    );
+    for guess in &chosen.guessed {
+        evidence += "; ";
+        evidence += guess;
+    }
+    if chosen.scan.schema == POINT_CLOUD_2 {
+        evidence += "; clouds don't tell readings without return, nor the maximum range";
+    }
+    if zero_is_no_return {
+        evidence += "; readings of 0 are taken for no return, as no other reading is without return";
+    }
     let summary = LogSummary {
-        kind: if chosen.reference.is_some() { LogKind::Referenced } else { LogKind::Raw },
-        odometry: OdometrySource::Topic,
-        evidence: evidence(&chosen, &topics, &mount),
-        odometry_messages: topics.count(&chosen.odometry),
-        reference_messages: chosen.reference.as_ref().map_or(0, |channel| topics.count(channel)),
+        kind: reference.kind,
+        odometry: odometry.source,
+        evidence,
+        odometry_messages: odometry.messages,
+        reference_messages: reference.messages,
+        reference_deviation: motion.deviation(),
+        topics: topics.listed(),
         skipped: topics.skipped(&chosen),
-        stamps_repaired: messages.scans.late,
+        stamps_repaired: late,
         stamps_repeated: repeated,
-        scans_dropped: scans - steps.len(),
+        scans_dropped: count - steps.len(),
         intervals_without_odometry: 0,
         no_return_share: no_return as f64 / readings,
         unusable_share: unusable as f64 / readings,
@@ -92,21 +111,27 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
     Ok((Drive { laser, steps }, summary))
 }
 
-/// Where everything was found, in words.
-fn evidence(chosen: &Chosen, topics: &Topics<'_>, mount: &Mount) -> String {
-    let of = |channel: &Channel| format!("{} ({} messages)", quoted(&channel.topic), topics.count(channel));
-    let reference = chosen.reference.as_ref().map_or("no topic".to_owned(), of);
-    let mut evidence = format!(
-        "scans from {}, odometry from {}, reference from {reference}; {}",
-        of(&chosen.scan),
-        of(&chosen.odometry),
-        mount.evidence
-    );
-    for guess in &chosen.guessed {
-        evidence += "; ";
-        evidence += guess;
-    }
-    evidence
+/// The error of what all scans have in common.
+fn of_first_scan(path: &Path, chosen: &Chosen, reason: String) -> DatasetError {
+    DatasetError::Message { path: path.to_owned(), topic: quoted(&chosen.scan.topic), number: 1, reason }
+}
+
+/// The odometry of a drive.
+struct FoundOdometry<'a> {
+    poses: Poses<'a>,
+    source: OdometrySource,
+    messages: usize,
+    /// Where it was found, in words.
+    evidence: String,
+}
+
+/// The reference of a drive.
+struct FoundReference<'a> {
+    poses: Option<Poses<'a>>,
+    kind: LogKind,
+    messages: usize,
+    /// Where it was found, in words.
+    evidence: String,
 }
 
 /// Where the laser is mounted.
@@ -118,108 +143,93 @@ struct Mount {
     evidence: String,
 }
 
-/// Values of a topic with the times (ns) of their headers.
-struct Stamped<T> {
-    items: Vec<(i64, T)>,
-    latest: i64,
-    /// Number of messages that were logged after a later one.
-    late: usize,
-}
-
-impl<T> Default for Stamped<T> {
-    fn default() -> Self {
-        Self { items: Vec::new(), latest: i64::MIN, late: 0 }
-    }
-}
-
-impl<T> Stamped<T> {
-    fn push(&mut self, stamp: i64, value: T) -> Result<(), String> {
-        if stamp < self.latest.saturating_sub(OUT_OF_ORDER) {
-            let (found, latest) = (secs(stamp), secs(self.latest));
-            return Err(format!("stamp is {found} s after one of {latest} s; allowed: at most 1 s back"));
-        }
-        self.late += usize::from(stamp < self.latest);
-        self.latest = self.latest.max(stamp);
-        self.items.push((stamp, value));
-        Ok(())
-    }
-
-    fn sort(&mut self) {
-        self.items.sort_by_key(|(stamp, _)| *stamp);
-    }
-}
-
-impl Stamped<Pose2> {
-    /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span.
-    fn at(&self, stamp: i64, nth: usize) -> Option<Pose2> {
-        let from = self.items.partition_point(|(time, _)| *time < stamp);
-        let same = self.items[from..].partition_point(|(time, _)| *time == stamp);
-        if same > 0 {
-            return Some(self.items[from + nth.min(same - 1)].1);
-        }
-        let ((before, a), (after, b)) = (self.items[..from].last()?, self.items.get(from)?);
-        let share = (stamp - before) as f64 / (after - before) as f64;
-        Some(a.interpolate(b, share))
-    }
-}
-
 /// What the chosen topics of a bag hold.
+fn messages(
+    path: &Path,
+    bag: &Bag<'_>,
+    chosen: &Chosen,
+    limits: &Limits,
+) -> Result<(Scans, Motion), DatasetError> {
+    let (mut scans, mut motion) = (Scans::default(), Motion::default());
+    let (mut clouds, mut points) = (Clouds::default(), 0);
+    let mut transforms_read = 0;
+    bag.read(&chosen.channels(), |channel, data| {
+        if *channel == chosen.scan {
+            match channel.schema.as_str() {
+                MULTI_ECHO_LASER_SCAN => {
+                    scans.push(decode::<MultiEchoLaserScan>(data)?.into(), limits)?;
+                }
+                POINT_CLOUD_2 => {
+                    points += clouds.push(decode(data)?)? as u64 + READINGS_PER_SCAN;
+                    // A point takes four times what a reading takes.
+                    if points > limits.log_readings / 4 {
+                        return Err(Limits::refusal_above("log_readings", limits.log_readings));
+                    }
+                }
+                _ => scans.push(decode(data)?, limits)?,
+            }
+        }
+        if is_of(channel, chosen.odometry.as_ref()) {
+            let odometry: Odometry = decode(data)?;
+            if motion.odometry.items.is_empty() {
+                motion.base_frame = odometry.child_frame_id;
+            }
+            motion.odometry.push(odometry.header.stamp.nanos(), odometry.pose.pose.projected()?)?;
+        }
+        if is_of(channel, chosen.reference.as_ref()) || Some(channel) == chosen.localizer.as_ref() {
+            let (stamp, pose) = motion.reference_pose(channel, data)?;
+            motion.reference.push(stamp, pose)?;
+        }
+        let fixed = Some(channel) == chosen.fixed_transforms.as_ref();
+        if fixed || Some(channel) == chosen.transforms.as_ref() {
+            let TfMessage { transforms } = decode(data)?;
+            transforms_read += transforms.len() as u64;
+            if transforms_read > limits.log_messages {
+                return Err(Limits::refusal_above("log_messages", limits.log_messages));
+            }
+            for transform in &transforms {
+                if fixed {
+                    motion.transforms.fix(transform)?;
+                // Joints whose state isn't known have numbers that aren't finite; tf2 ignores them, too.
+                } else if transform.transform.projected().is_ok() {
+                    motion.transforms.push(transform)?;
+                }
+            }
+        }
+        Ok(())
+    })?;
+    if chosen.scan.schema == POINT_CLOUD_2 {
+        let pushed = clouds
+            .into_scans()
+            .and_then(|mut cloud_scans| cloud_scans.try_for_each(|scan| scans.push(scan, limits)));
+        pushed.map_err(|reason| of_first_scan(path, chosen, reason))?;
+    }
+    scans.stamped.sort();
+    motion.odometry.sort();
+    motion.reference.sort();
+    motion.transforms.sort();
+    Ok((scans, motion))
+}
+
+/// Whether poses are messages of this channel.
+fn is_of(channel: &Channel, source: Option<&PoseSource>) -> bool {
+    matches!(source, Some(PoseSource::Topic(topic)) if topic == channel)
+}
+
+/// The scans of a bag.
 #[derive(Default)]
-struct Messages {
+struct Scans {
     /// The first scan, without readings.
     first: Option<LaserScan>,
-    scans: Stamped<Vec<f32>>,
+    stamped: Stamped<Vec<f32>>,
     /// What the scans take of the limit on readings.
     readings: u64,
     time_increments_secs: f64,
-    odometry: Stamped<Pose2>,
-    base_frame: String,
-    reference: Stamped<Pose2>,
-    /// Parent and transform `parent_from_child` of each child frame.
-    transforms: BTreeMap<String, (String, DAffine3)>,
 }
 
-impl Messages {
-    fn read(bag: &Bag<'_>, chosen: &Chosen, limits: &Limits) -> Result<Self, DatasetError> {
-        let mut read = Self::default();
-        let (reference, transforms) = (chosen.reference.as_ref(), chosen.transforms.as_ref());
-        let mut wanted = vec![&chosen.scan, &chosen.odometry];
-        wanted.extend(reference.into_iter().chain(transforms));
-        bag.read(&wanted, |channel, data| {
-            if *channel == chosen.scan {
-                read.scan(decode(data)?, limits)?;
-            }
-            if *channel == chosen.odometry {
-                let odometry: Odometry = decode(data)?;
-                if read.odometry.items.is_empty() {
-                    read.base_frame = odometry.child_frame_id;
-                }
-                read.odometry.push(odometry.header.stamp.nanos(), odometry.pose.pose.projected()?)?;
-            }
-            if Some(channel) == reference {
-                let PoseStamped { header, pose } = if channel.schema == Odometry::TYPE {
-                    let Odometry { header, pose, .. } = decode(data)?;
-                    PoseStamped { header, pose: pose.pose }
-                } else {
-                    decode(data)?
-                };
-                read.reference.push(header.stamp.nanos(), pose.projected()?)?;
-            }
-            if Some(channel) == transforms {
-                let TfMessage { transforms } = decode(data)?;
-                for transform in transforms {
-                    read.transform(transform)?;
-                }
-            }
-            Ok(())
-        })?;
-        read.scans.sort();
-        read.odometry.sort();
-        read.reference.sort();
-        Ok(read)
-    }
-
-    fn scan(&mut self, mut scan: LaserScan, limits: &Limits) -> Result<(), String> {
+impl Scans {
+    /// Takes in a scan of the same laser as the first.
+    fn push(&mut self, mut scan: LaserScan, limits: &Limits) -> Result<(), String> {
         let mut ranges = std::mem::take(&mut scan.ranges);
         ranges.shrink_to_fit();
         scan.intensities = Vec::new();
@@ -231,7 +241,7 @@ impl Messages {
             return Err("the scan has no ranges; allowed: at least one".to_owned());
         }
         if let Some(first) = &self.first {
-            let beams = self.scans.items.first().map_or(0, |(_, ranges)| ranges.len());
+            let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
             if ranges.len() != beams {
                 return Err(format!(
                     "the scan has {} ranges; allowed: {beams}, as in the first",
@@ -259,84 +269,30 @@ impl Messages {
             return Err(format!("time_increment is {found}; allowed: a finite number up to {COORDINATE:e}"));
         }
         self.time_increments_secs += f64::from(scan.time_increment);
-        self.scans.push(scan.header.stamp.nanos(), ranges)?;
+        self.stamped.push(scan.header.stamp.nanos(), ranges)?;
         self.first.get_or_insert(scan);
         Ok(())
     }
 
-    fn transform(&mut self, stamped: TransformStamped) -> Result<(), String> {
-        let TransformStamped { header, child_frame_id, transform } = stamped;
-        for frame in [&header.frame_id, &child_frame_id] {
-            if frame.len() > LONGEST_NAME {
-                let (frame, length) = (quoted(frame), frame.len());
-                return Err(format!("frame `{frame}` has {length} bytes; allowed: at most {LONGEST_NAME}"));
-            }
-        }
-        if self.transforms.len() == MOST_FRAMES {
-            return Err(format!("more than {MOST_FRAMES} frames; allowed: at most so many"));
-        }
-        transform.projected()?;
-        let Pose { position: p, orientation: q } = transform;
-        let rotation = DQuat::from_xyzw(q.x, q.y, q.z, q.w).normalize();
-        let transform = DAffine3::from_rotation_translation(rotation, DVec3::new(p.x, p.y, p.z));
-        self.transforms
-            .insert(plain(&child_frame_id).to_owned(), (plain(&header.frame_id).to_owned(), transform));
-        Ok(())
+    /// The frame that the scans are in.
+    fn frame(&self) -> &str {
+        self.first.as_ref().map_or("", |first| plain(&first.header.frame_id))
     }
 
-    /// Where the laser is mounted: as wanted, or by the transforms.
-    fn mount(&self, wanted: Option<Pose2>) -> Result<Mount, String> {
-        let found = |base_from_laser, mirrored, evidence| Ok(Mount { base_from_laser, mirrored, evidence });
-        if let Some(wanted) = wanted {
-            return found(wanted, false, "the laser's mount is given".to_owned());
-        }
-        let laser = self.first.as_ref().map_or("", |first| plain(&first.header.frame_id));
-        // The frames above the laser's, each with the transform that takes the laser's coordinates to it.
-        let mut above = BTreeMap::from([(laser, DAffine3::IDENTITY)]);
-        let (mut frame, mut from_laser) = (laser, DAffine3::IDENTITY);
-        while let Some((parent, parent_from_frame)) = self.transforms.get(frame) {
-            from_laser = *parent_from_frame * from_laser;
-            frame = parent;
-            // A circle has no end.
-            if above.insert(frame, from_laser).is_some() {
-                break;
-            }
-        }
-        let [link, footprint] = BASE_FRAMES;
-        let bases = [plain(&self.base_frame), link, footprint];
-        let known = bases.iter().find_map(|base| Some((base, above.get(base)?)));
-        let Some((base, base_from_laser)) = known.filter(|(base, _)| !base.is_empty()) else {
-            let evidence = format!(
-                "the laser is taken to be at the base's origin, as no static transform leads from `{}` to `{}`",
-                quoted(laser),
-                quoted(if bases[0].is_empty() { link } else { bases[0] })
-            );
-            return found(Pose2::IDENTITY, false, evidence);
-        };
-        let (laser, base) = (quoted(laser), quoted(base));
-        let (forward, axis) = (base_from_laser.matrix3.x_axis, base_from_laser.matrix3.z_axis);
-        if axis.z.abs() < UPRIGHT {
-            let tilt = axis.z.acos().to_degrees();
-            return Err(format!(
-                "the laser `{laser}` is tilted by {tilt:.1} degrees on `{base}`; allowed: at most 10, upright or \
-                 upside down"
-            ));
-        }
-        let p = base_from_laser.translation;
-        let pose = Pose2::new(p.x, p.y, forward.y.atan2(forward.x));
-        found(
-            pose,
-            axis.z < 0.0,
-            format!("the laser `{laser}` is mounted on `{base}` as static transforms say"),
-        )
+    /// Whether the driver writes 0 for no return: it does where some readings are 0 and none is infinite or at the
+    /// maximum.
+    fn zero_is_no_return(&self, max: f32) -> bool {
+        let mut readings = self.stamped.items.iter().flat_map(|(_, ranges)| ranges);
+        let zeros = readings.clone().any(|range| *range == 0.0);
+        zeros && !readings.any(|range| *range >= max)
     }
 
     /// The laser that the scans describe.
     fn laser(&self, mount: &Mount, options: &BagOptions) -> Result<Laser, LaserError> {
         let first = self.first.as_ref().ok_or(LaserError::NoBeams)?;
-        let beams = self.scans.items.first().map_or(0, |(_, ranges)| ranges.len());
+        let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
         let side = if mount.mirrored { -1.0 } else { 1.0 };
-        let interval = self.time_increments_secs / self.scans.items.len() as f64;
+        let interval = self.time_increments_secs / self.stamped.items.len() as f64;
         let row =
             |start: f32, step: f64| (0..beams).map(move |i| (f64::from(start) + i as f64 * step) as f32);
         Laser::new(
@@ -349,7 +305,177 @@ impl Messages {
     }
 }
 
-/// A frame's name without the slash that old names begin with.
-fn plain(frame: &str) -> &str {
-    frame.trim_start_matches('/')
+/// How the robot moved, and where its frames are.
+#[derive(Default)]
+struct Motion {
+    odometry: Stamped<Pose2>,
+    /// The odometry's own name of the base.
+    base_frame: String,
+    /// Poses of the reference, or of the localizer that stands in for it.
+    reference: Stamped<Pose2>,
+    /// Variances of x, y and heading of these poses (m^2, m^2, rad^2).
+    variances: Vec<[f64; 3]>,
+    transforms: Transforms,
+}
+
+impl Motion {
+    /// A pose with its time (ns); keeps its variances.
+    fn reference_pose(&mut self, channel: &Channel, data: &[u8]) -> Result<(i64, Pose2), String> {
+        let mut known = |PoseWithCovariance { pose, covariance }: PoseWithCovariance| {
+            let variances = [0, 1, 5].map(|axis| covariance[axis][axis]);
+            if variances.iter().all(|variance| (0.0..COORDINATE).contains(variance)) && variances != [0.0; 3]
+            {
+                self.variances.push(variances);
+            }
+            pose
+        };
+        let (header, pose) = match channel.schema.as_str() {
+            Odometry::TYPE => {
+                let Odometry { header, pose, .. } = decode(data)?;
+                (header, known(pose))
+            }
+            POSE_WITH_COVARIANCE_STAMPED => {
+                let PoseWithCovarianceStamped { header, pose } = decode(data)?;
+                (header, known(pose))
+            }
+            TRANSFORM_STAMPED => {
+                let TransformStamped { header, transform, .. } = decode(data)?;
+                (header, transform)
+            }
+            _ => {
+                let PoseStamped { header, pose } = decode(data)?;
+                (header, pose)
+            }
+        };
+        Ok((header.stamp.nanos(), pose.projected()?))
+    }
+
+    /// Median standard deviations of the reference (m, m, rad); `None` where it comes without covariances.
+    fn deviation(&self) -> Option<[f64; 3]> {
+        let median = |axis: usize| {
+            let mut values: Vec<f64> = self.variances.iter().map(|variances| variances[axis]).collect();
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() / 2).map(|variance| variance.sqrt())
+        };
+        Some([median(0)?, median(1)?, median(2)?])
+    }
+
+    /// The odometry, and the frame of the base that it moves.
+    fn odometry(
+        &self,
+        chosen: &Chosen,
+        topics: &Topics<'_>,
+    ) -> Result<(FoundOdometry<'_>, String), DatasetError> {
+        let (parent, bases) = match &chosen.odometry {
+            Some(PoseSource::Topic(channel)) => {
+                let odometry = FoundOdometry {
+                    poses: Poses::Topic(&self.odometry),
+                    source: OdometrySource::Topic,
+                    messages: topics.count(channel),
+                    evidence: topics.in_words(channel),
+                };
+                return Ok((odometry, plain(&self.base_frame).to_owned()));
+            }
+            Some(PoseSource::Transform { parent, child }) => (parent.as_str(), vec![child.as_str()]),
+            None => (ODOM, BASE_FRAMES.to_vec()),
+        };
+        let found = bases.iter().find_map(|base| Some((base, self.transforms.chain(base, parent)?)));
+        let Some((base, edges)) = found else {
+            return Err(self.no_transforms("odometry", parent, bases[0], topics));
+        };
+        let odometry = FoundOdometry {
+            poses: Poses::Transforms(edges),
+            source: OdometrySource::Transforms,
+            messages: chosen.transforms.as_ref().map_or(0, |channel| topics.count(channel)),
+            evidence: format!("the transforms {}:{}", quoted(parent), quoted(base)),
+        };
+        Ok((odometry, (*base).to_owned()))
+    }
+
+    fn reference<'a>(
+        &'a self,
+        chosen: &Chosen,
+        topics: &Topics<'_>,
+        odometry: &'a Poses<'a>,
+        base: &str,
+    ) -> Result<FoundReference<'a>, DatasetError> {
+        let transforms = chosen.transforms.as_ref().map_or(0, |channel| topics.count(channel));
+        let found = |poses, kind, messages, evidence| {
+            Ok(FoundReference { poses: Some(poses), kind, messages, evidence })
+        };
+        match &chosen.reference {
+            Some(PoseSource::Topic(channel)) => {
+                let poses = if channel.schema == POSE_WITH_COVARIANCE_STAMPED {
+                    Poses::corrected(&self.reference, odometry)
+                } else {
+                    Poses::Topic(&self.reference)
+                };
+                return found(poses, LogKind::Referenced, topics.count(channel), topics.in_words(channel));
+            }
+            Some(PoseSource::Transform { parent, child }) => {
+                let Some(edges) = self.transforms.chain(child, parent) else {
+                    return Err(self.no_transforms("reference", parent, child, topics));
+                };
+                let evidence = format!("the transforms {}:{}", quoted(parent), quoted(child));
+                return found(Poses::Transforms(edges), LogKind::Referenced, transforms, evidence);
+            }
+            None => {}
+        }
+        let mut bases = [base].into_iter().chain(BASE_FRAMES);
+        if let Some((base, edges)) = bases.find_map(|base| Some((base, self.transforms.chain(base, MAP)?))) {
+            let evidence = format!("the transforms {MAP}:{}, which a localizer found", quoted(base));
+            return found(Poses::Transforms(edges), LogKind::Localized, transforms, evidence);
+        }
+        if let Some(channel) = &chosen.localizer {
+            let evidence = format!("{}, which a localizer found", topics.in_words(channel));
+            let poses = Poses::corrected(&self.reference, odometry);
+            return found(poses, LogKind::Localized, topics.count(channel), evidence);
+        }
+        let evidence = "no topic".to_owned();
+        Ok(FoundReference { poses: None, kind: LogKind::Raw, messages: 0, evidence })
+    }
+
+    /// The error that no transforms lead from a frame to another; it lists those that are there.
+    fn no_transforms(&self, role: &str, parent: &str, child: &str, topics: &Topics<'_>) -> DatasetError {
+        let pairs: Vec<_> = self.transforms.pairs().take(LISTED_PAIRS).collect();
+        let pairs = if pairs.is_empty() { "none".to_owned() } else { pairs.join(", ") };
+        topics.refuse(format!(
+            "no topic of type {} for {role}, and no transforms lead from `{}` to `{}`; transforms: {pairs}",
+            Odometry::TYPE,
+            quoted(child),
+            quoted(parent)
+        ))
+    }
+
+    /// Where the laser is mounted: as wanted, or by the transforms that don't change.
+    fn mount(&self, wanted: Option<Pose2>, laser: &str, base: &str) -> Result<Mount, String> {
+        let found = |base_from_laser, mirrored, evidence| Ok(Mount { base_from_laser, mirrored, evidence });
+        if let Some(wanted) = wanted {
+            return found(wanted, false, "the laser's mount is given".to_owned());
+        }
+        let bases = [base].into_iter().chain(BASE_FRAMES).filter(|base| !base.is_empty());
+        let known = bases.clone().find_map(|base| Some((base, self.transforms.fixed(laser, base)?)));
+        let Some((base, base_from_laser)) = known else {
+            let evidence = format!(
+                "the laser is taken to be at the base's origin, as no static transform leads from `{}` to `{}`",
+                quoted(laser),
+                quoted(bases.clone().next().unwrap_or_default())
+            );
+            return found(Pose2::IDENTITY, false, evidence);
+        };
+        let (laser, base) = (quoted(laser), quoted(base));
+        let axis = base_from_laser.matrix3.z_axis;
+        if axis.z.abs() < UPRIGHT {
+            let tilt = axis.z.acos().to_degrees();
+            return Err(format!(
+                "the laser `{laser}` is tilted by {tilt:.1} degrees on `{base}`; allowed: at most 10, upright or \
+                 upside down"
+            ));
+        }
+        found(
+            planar(&base_from_laser),
+            axis.z < 0.0,
+            format!("the laser `{laser}` is mounted on `{base}` as static transforms say"),
+        )
+    }
 }

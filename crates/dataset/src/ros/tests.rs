@@ -12,18 +12,19 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
 use super::messages::{
     Header, LaserScan, Message, Odometry, Pose, PoseStamped, PoseWithCovariance, Quaternion, TfMessage, Time,
-    TransformStamped, TwistWithCovariance, Vector3, encode,
+    TransformStamped, TwistWithCovariance, Vector3, decode, encode,
 };
 use super::*;
 use crate::test_drives::{bits, drive};
 use crate::{LogFormat, LogKind, LogOptions, read_log, write_log};
 use locsim_core::limits::UNPACKING_FACTOR;
-use locsim_core::wrap_angle;
+use locsim_core::{DriveStep, Laser, Scan, wrap_angle};
 
+mod poses;
 mod storage;
 
 impl Message for PoseStamped {
-    const TYPE: &str = super::topics::POSE_STAMPED;
+    const TYPE: &str = super::messages::POSE_STAMPED;
     const DEFINITION: &str = "";
 }
 
@@ -682,7 +683,7 @@ fn names_channels_and_frames_are_limited() {
         (plain().raw(&"\u{1b}".repeat(1001), "", "cdr", &[]), "..` has 1001 bytes; allowed: at most 1000"),
         (plain().raw("/a", &"\u{1b}".repeat(1001), "cdr", &[]), "has 1001 bytes; allowed: at most 1000"),
         (plain().add("/tf_static", &long), "/tf_static: message 1: frame `\\u{1b}"),
-        (plain().add("/tf_static", &frames), "more than 10000 frames"),
+        (plain().add("/tf_static", &frames), "more than 10000 pairs of frames"),
         (channels(10_000), "more than 10000 channels"),
         (channels(30).without("/scan"), "/\\u{1b}1 (std_msgs/msg/String, 1 messages)"),
         (channels(30).without("/scan"), ", 11 more"),
@@ -758,6 +759,56 @@ fn numbers_that_arithmetic_cannot_bear_are_refused() {
         let message = refused(&bag.bytes(), &Limits::DEFAULT);
         assert!(message.contains(part), "{message}");
     }
+}
+
+/// As other programs see a written bag.
+#[test]
+fn a_written_bag_has_velocities_a_rate_and_all_frames() {
+    let step = |secs: f64, x: f64, theta: f64| DriveStep {
+        stamp_secs: secs,
+        odometry: Pose2::new(x, 0.0, theta),
+        reference: Some(Pose2::new(10.0, x, FRAC_PI_2 + theta)),
+        scan: Scan { ranges: vec![1.0] },
+    };
+    let laser = Laser::new(vec![0.0], vec![0.0], 0.0, 8.0, Pose2::IDENTITY).unwrap();
+    let drive = Drive { laser, steps: vec![step(1.0, 0.0, 0.0), step(1.5, 1.0, 0.0), step(3.0, 1.0, 0.75)] };
+    let mut bytes = Vec::new();
+    encode_mcap(Path::new("drive.mcap"), &drive, &mut bytes).unwrap();
+    let (mut twists, mut scan_times, mut map_from_odom) = (Vec::new(), Vec::new(), Vec::new());
+    let mut latched = BTreeMap::new();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        let channel = &message.channel;
+        let durability = channel.metadata["offered_qos_profiles"]
+            .lines()
+            .find_map(|line| line.strip_prefix("  durability: "));
+        latched.insert(channel.topic.clone(), durability.unwrap() == "1");
+        match channel.topic.as_str() {
+            "/odom" => {
+                let odometry: Odometry = decode(&message.data).unwrap();
+                twists.push((odometry.twist.linear.x, odometry.twist.angular.z));
+            }
+            "/scan" => scan_times.push(decode::<LaserScan>(&message.data).unwrap().scan_time),
+            "/tf" => {
+                let TfMessage { transforms } = decode(&message.data).unwrap();
+                if transforms[0].header.frame_id == "map" {
+                    map_from_odom.push(transforms[0].transform.projected().unwrap());
+                }
+            }
+            _ => {}
+        }
+    }
+    assert_eq!(twists, [(2.0, 0.0), (2.0, 0.0), (0.0, 0.5)]);
+    assert_eq!(scan_times, [1.0; 3]);
+    assert_eq!(map_from_odom.len(), 3);
+    assert!(
+        map_from_odom.iter().all(|pose| near(pose, &Pose2::new(10.0, 0.0, FRAC_PI_2))),
+        "{map_from_odom:?}"
+    );
+    assert_eq!(
+        latched.into_iter().filter(|(_, latched)| *latched).map(|(topic, _)| topic).collect::<Vec<_>>(),
+        ["/tf_static"]
+    );
 }
 
 /// The summary's records are put in order after the library wrote them.

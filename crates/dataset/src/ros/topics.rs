@@ -5,17 +5,19 @@ use locsim_core::limits::quoted;
 
 use super::BagTopics;
 use super::bag::{Bag, Channel};
-use super::messages::{LaserScan, Message, Odometry, TfMessage};
+use super::messages::{
+    LaserScan, MULTI_ECHO_LASER_SCAN, Message, Odometry, POINT_CLOUD_2, POSE_STAMPED,
+    POSE_WITH_COVARIANCE_STAMPED, TRANSFORM_STAMPED, TfMessage,
+};
+use super::poses::plain;
 use crate::DatasetError;
-
-/// The type of a reference topic that isn't odometry.
-pub const POSE_STAMPED: &str = "geometry_msgs/msg/PoseStamped";
 
 /// Topics that an error lists, at the most.
 const LISTED: usize = 20;
 
-/// Where the transforms are that don't change.
-const TF_STATIC: &str = "/tf_static";
+/// The frames of REP-105 that odometry and maps are in.
+pub const ODOM: &str = "odom";
+pub const MAP: &str = "map";
 
 /// The channels of a bag and how many messages each has.
 pub struct Topics<'a> {
@@ -23,14 +25,45 @@ pub struct Topics<'a> {
     counts: BTreeMap<Channel, usize>,
 }
 
+/// Where poses over time are found.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PoseSource {
+    /// Messages of their own.
+    Topic(Channel),
+    /// The transform `parent_from_child`, which transforms of `/tf` and `/tf_static` make up.
+    Transform { parent: String, child: String },
+}
+
 /// The channels that a drive is read from.
 pub struct Chosen {
     pub scan: Channel,
-    pub odometry: Channel,
-    pub reference: Option<Channel>,
+    /// `None`: the transform from a base to [`ODOM`], if there is one.
+    pub odometry: Option<PoseSource>,
+    /// `None`: the transform from the base to [`MAP`], if there is one, or else `localizer`.
+    pub reference: Option<PoseSource>,
+    /// Poses that a localizer published.
+    pub localizer: Option<Channel>,
+    /// Transforms that change.
     pub transforms: Option<Channel>,
+    pub fixed_transforms: Option<Channel>,
     /// What was taken without being asked for, in words.
     pub guessed: Vec<String>,
+}
+
+impl Chosen {
+    /// The channels whose messages are needed.
+    pub fn channels(&self) -> Vec<&Channel> {
+        let mut channels = vec![&self.scan];
+        for source in [&self.odometry, &self.reference] {
+            if let Some(PoseSource::Topic(channel)) = source {
+                channels.push(channel);
+            }
+        }
+        channels.extend(&self.localizer);
+        channels.extend(&self.transforms);
+        channels.extend(&self.fixed_transforms);
+        channels
+    }
 }
 
 /// What a topic is needed for.
@@ -40,14 +73,30 @@ struct Role {
     types: &'static [&'static str],
 }
 
-const SCAN: Role = Role { name: "scan", defaults: &["/scan"], types: &[LaserScan::TYPE] };
+const SCAN: Role =
+    Role { name: "scan", defaults: &["/scan"], types: &[LaserScan::TYPE, MULTI_ECHO_LASER_SCAN] };
+/// Clouds are asked where there are no scans: other sensors than lidars publish them, too.
+const CLOUD: Role = Role { name: "scan", defaults: &[], types: &[POINT_CLOUD_2] };
 const ODOMETRY: Role = Role { name: "odometry", defaults: &["/odom"], types: &[Odometry::TYPE] };
 const REFERENCE: Role = Role {
     name: "reference",
     defaults: &["/reference", "/ground_truth"],
-    types: &[Odometry::TYPE, POSE_STAMPED],
+    types: &[Odometry::TYPE, POSE_STAMPED, POSE_WITH_COVARIANCE_STAMPED, TRANSFORM_STAMPED],
 };
-const TRANSFORMS: Role = Role { name: "transforms", defaults: &[TF_STATIC], types: &[TfMessage::TYPE] };
+const LOCALIZER: Role =
+    Role { name: "localizer", defaults: &["/amcl_pose"], types: &[POSE_WITH_COVARIANCE_STAMPED] };
+const TRANSFORMS: Role = Role { name: "transforms", defaults: &["/tf"], types: &[TfMessage::TYPE] };
+const FIXED_TRANSFORMS: Role =
+    Role { name: "fixed transforms", defaults: &["/tf_static"], types: &[TfMessage::TYPE] };
+
+/// Two frames that are written `parent:child`, or `/tf:parent.child` as evo does; no topic's name has a colon.
+fn frames(name: &str) -> Option<PoseSource> {
+    let (parent, child) = match name.strip_prefix("/tf:") {
+        Some(pair) => pair.split_once('.')?,
+        None => name.split_once(':')?,
+    };
+    Some(PoseSource::Transform { parent: plain(parent).to_owned(), child: plain(child).to_owned() })
+}
 
 impl<'a> Topics<'a> {
     /// Counts the messages of a bag.
@@ -58,12 +107,54 @@ impl<'a> Topics<'a> {
     /// Chooses the topics of a drive.
     pub fn choose(&self, wanted: &BagTopics) -> Result<Chosen, DatasetError> {
         let mut guessed = Vec::new();
-        let reference = self.named(&REFERENCE, wanted.reference.as_deref())?;
-        let scan = self.named_or_only(&SCAN, wanted.scan.as_deref(), None, &mut guessed)?;
-        let odometry =
-            self.named_or_only(&ODOMETRY, wanted.odometry.as_deref(), reference.as_ref(), &mut guessed)?;
-        let transforms = self.named(&TRANSFORMS, None)?;
-        Ok(Chosen { scan, odometry, reference, transforms, guessed })
+        let reference = match wanted.reference.as_deref() {
+            Some(name) if frames(name).is_some() => frames(name),
+            name => self.named(&REFERENCE, name)?.map(PoseSource::Topic),
+        };
+        let fixed_transforms = self.named(&FIXED_TRANSFORMS, None)?;
+        let mut transforms = self.named(&TRANSFORMS, None)?;
+        let scan = self.scan(wanted.scan.as_deref(), &mut guessed)?;
+        let others: Vec<_> =
+            self.candidates(&SCAN).filter(|channel| **channel != scan).map(|c| self.in_words(c)).collect();
+        if !others.is_empty() {
+            guessed.push(format!("other scanners: {}", others.join(", ")));
+        }
+        let taken = match &reference {
+            Some(PoseSource::Topic(channel)) => Some(channel),
+            _ => None,
+        };
+        let alone = |channel: &Channel| Some(channel) != taken;
+        let odometry = match wanted.odometry.as_deref() {
+            Some(name) if frames(name).is_some() => frames(name),
+            // Without odometry of its own, a bag may have it as a transform.
+            None if transforms.is_some() && !self.candidates(&ODOMETRY).any(alone) => None,
+            name => Some(PoseSource::Topic(self.named_or_only(&ODOMETRY, name, taken, &mut guessed)?)),
+        };
+        let localizer = if reference.is_none() { self.named(&LOCALIZER, None)? } else { None };
+        let is_topic = |source: &Option<PoseSource>| matches!(source, Some(PoseSource::Topic(_)));
+        if is_topic(&odometry) && is_topic(&reference) {
+            transforms = None;
+        }
+        Ok(Chosen { scan, odometry, reference, localizer, transforms, fixed_transforms, guessed })
+    }
+
+    /// The channel of scans, or of clouds where there are none or where one is named.
+    fn scan(&self, wanted: Option<&str>, guessed: &mut Vec<String>) -> Result<Channel, DatasetError> {
+        let mut clouds = self.candidates(&CLOUD).map(|channel| channel.topic.clone());
+        let cloud = match wanted {
+            Some(name) => clouds.find(|topic| topic == name),
+            None if self.candidates(&SCAN).next().is_some() => None,
+            None => clouds.next().filter(|_| clouds.next().is_none()),
+        };
+        match cloud {
+            Some(topic) => Ok(self.named(&CLOUD, Some(&topic))?.unwrap_or_default()),
+            None => self.named_or_only(&SCAN, wanted, None, guessed),
+        }
+    }
+
+    /// A channel with its number of messages.
+    pub fn in_words(&self, channel: &Channel) -> String {
+        format!("{} ({} messages)", quoted(&channel.topic), self.count(channel))
     }
 
     /// Number of messages of a channel.
@@ -73,14 +164,9 @@ impl<'a> Topics<'a> {
 
     /// Number of messages of every topic that isn't read.
     pub fn skipped(&self, chosen: &Chosen) -> BTreeMap<String, usize> {
-        let read = [
-            Some(&chosen.scan),
-            Some(&chosen.odometry),
-            chosen.reference.as_ref(),
-            chosen.transforms.as_ref(),
-        ];
+        let read = chosen.channels();
         let mut skipped = BTreeMap::new();
-        for (channel, count) in self.counts.iter().filter(|(channel, _)| !read.contains(&Some(channel))) {
+        for (channel, count) in self.counts.iter().filter(|(channel, _)| !read.contains(channel)) {
             *skipped.entry(quoted(&channel.topic)).or_default() += count;
         }
         skipped
@@ -121,7 +207,7 @@ impl<'a> Topics<'a> {
             .filter(|channel| Some(*channel) != taken)
             .map(|c| c.topic.as_str())
             .collect();
-        let (name, default, types) = (role.name, role.defaults[0], role.types[0]);
+        let (name, default, types) = (role.name, role.defaults[0], role.types.join(" or "));
         if let [topic] = candidates[..] {
             let quoted = quoted(topic);
             guessed.push(format!("{quoted} is taken for {name} as the only topic of its type"));
@@ -143,7 +229,15 @@ impl<'a> Topics<'a> {
             .map(|(channel, _)| channel)
     }
 
-    fn refuse(&self, reason: String) -> DatasetError {
+    /// The error that something is missing; it lists what is there.
+    pub fn refuse(&self, reason: String) -> DatasetError {
+        let listed = self.listed();
+        let found = if listed.is_empty() { "no topic".to_owned() } else { listed.join(", ") };
+        DatasetError::Topic { path: self.path.to_owned(), reason, found }
+    }
+
+    /// The topics with types and numbers of messages.
+    pub fn listed(&self) -> Vec<String> {
         let found = self.counts.iter().map(|(channel, count)| {
             format!("{} ({}, {count} messages)", quoted(&channel.topic), quoted(&channel.schema))
         });
@@ -151,7 +245,6 @@ impl<'a> Topics<'a> {
         if self.counts.len() > LISTED {
             found.push(format!("{} more", self.counts.len() - LISTED));
         }
-        let found = if found.is_empty() { "no topic".to_owned() } else { found.join(", ") };
-        DatasetError::Topic { path: self.path.to_owned(), reason, found }
+        found
     }
 }

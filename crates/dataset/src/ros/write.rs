@@ -2,13 +2,13 @@ use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-use locsim_core::{Drive, Pose2};
+use locsim_core::{Drive, DriveStep, Pose2};
 use mcap::records::{MessageHeader, op};
 use mcap::{MAGIC, McapResult, WriteOptions};
 
 use super::messages::{
     Header, LaserScan, Message, Odometry, Pose, PoseWithCovariance, TfMessage, Time, TransformStamped,
-    TwistWithCovariance, encode,
+    TwistWithCovariance, Vector3, encode,
 };
 use crate::DatasetError;
 use crate::output::{encoded, evenly_spaced, write_whole};
@@ -20,8 +20,9 @@ const BASE: &str = "base_link";
 const LASER: &str = "laser";
 
 /// Writes a drive as a ROS 2 bag in one MCAP file that [`read_bag`](super::read_bag) turns into the same drive, and
-/// that `ros2 bag play` and Foxglove open: `/scan`, `/odom`, `/reference` where it is known, `/tf` with the odometry
-/// and `/tf_static` with the laser's mount. Chunks aren't compressed.
+/// that `ros2 bag play` and Foxglove open: `/scan`, `/odom` with velocities, `/reference` where it is known, `/tf` with
+/// the odometry and the transform from the odometry's frame to the map's, and `/tf_static` with the laser's mount.
+/// Channels tell their quality of service, so that a player latches `/tf_static`. Chunks aren't compressed.
 ///
 /// Ranges come back exactly, no return as infinity in between (REP-117); poses to 1e-9, bearings and beam times to
 /// 1e-6, stamps to a nanosecond. A scan without reference between others with it comes back with one, interpolated;
@@ -63,20 +64,26 @@ fn bag(drive: &Drive, stamps: &[Time], angle_increment: f32, time_increment: f32
             transform: Pose::planar(pose),
         }],
     };
-    let odometry = |stamp: Time, parent: &str, pose: &Pose2| Odometry {
+    let odometry = |stamp: Time, parent: &str, pose: &Pose2, twist: TwistWithCovariance| Odometry {
         header: header(stamp, parent),
         child_frame_id: BASE.to_owned(),
         pose: PoseWithCovariance { pose: Pose::planar(pose), covariance: Default::default() },
-        twist: TwistWithCovariance::default(),
+        twist,
     };
+    let scan_time = period_secs(&drive.steps) as f32;
     for (i, (step, &stamp)) in drive.steps.iter().zip(stamps).enumerate() {
         if i == 0 {
             bag.write("/tf_static", stamp, &tf(stamp, BASE, LASER, &laser.base_from_laser()))?;
         }
         bag.write("/tf", stamp, &tf(stamp, ODOM, BASE, &step.odometry))?;
-        bag.write("/odom", stamp, &odometry(stamp, ODOM, &step.odometry))?;
+        let twist = |pose: &dyn Fn(&DriveStep) -> Option<Pose2>| velocity(&drive.steps, i, pose);
+        let moved = twist(&|step| Some(step.odometry));
+        bag.write("/odom", stamp, &odometry(stamp, ODOM, &step.odometry, moved))?;
         if let Some(reference) = &step.reference {
-            bag.write("/reference", stamp, &odometry(stamp, MAP, reference))?;
+            let map_from_odom = reference.compose(&Pose2::IDENTITY.relative_to(&step.odometry));
+            bag.write("/tf", stamp, &tf(stamp, MAP, ODOM, &map_from_odom))?;
+            let moved = twist(&|step| step.reference);
+            bag.write("/reference", stamp, &odometry(stamp, MAP, reference, moved))?;
         }
         let or_infinity = |range: &f32| if *range == laser.max_range() { f32::INFINITY } else { *range };
         let scan = LaserScan {
@@ -85,8 +92,7 @@ fn bag(drive: &Drive, stamps: &[Time], angle_increment: f32, time_increment: f32
             angle_max: bearings[bearings.len() - 1],
             angle_increment,
             time_increment,
-            // Unknown: a drive has times, not a rate.
-            scan_time: 0.0,
+            scan_time,
             range_min: laser.min_range(),
             range_max: laser.max_range(),
             ranges: step.scan.ranges.iter().map(or_infinity).collect(),
@@ -99,6 +105,48 @@ fn bag(drive: &Drive, stamps: &[Time], angle_increment: f32, time_increment: f32
     let summary = mcap::read::footer(&bytes)?.summary_start as usize;
     order(&mut bytes[summary..]);
     Ok(bytes)
+}
+
+/// Mean time between scans (s); 0, which is unknown, for a single one.
+fn period_secs(steps: &[DriveStep]) -> f64 {
+    match steps {
+        [first, .., last] => (last.stamp_secs - first.stamp_secs) / (steps.len() - 1) as f64,
+        _ => 0.0,
+    }
+}
+
+/// The velocity in the robot's frame since the step before, or, of the first step, until the next; 0 where it isn't
+/// known.
+fn velocity(
+    steps: &[DriveStep],
+    step: usize,
+    pose: &dyn Fn(&DriveStep) -> Option<Pose2>,
+) -> TwistWithCovariance {
+    let from = step.saturating_sub(1);
+    let moved = steps.get(from + 1).and_then(|to| {
+        let secs = to.stamp_secs - steps[from].stamp_secs;
+        let apart = pose(to)?.relative_to(&pose(&steps[from])?);
+        (secs > 0.0).then(|| [apart.x / secs, apart.y / secs, apart.theta / secs])
+    });
+    let [x, y, turn] = moved.unwrap_or_default();
+    TwistWithCovariance {
+        linear: Vector3 { x, y, z: 0.0 },
+        angular: Vector3 { x: 0.0, y: 0.0, z: turn },
+        ..TwistWithCovariance::default()
+    }
+}
+
+/// Quality of service that `ros2 bag play` offers a topic with, as rosbag2 writes it: reliable, and latched for the
+/// transforms that don't change. Times are unlimited.
+fn quality_of_service(topic: &str) -> String {
+    const UNLIMITED: &str = "    sec: 9223372036\n    nsec: 854775807\n";
+    // Numbers of rmw_qos_durability_policy_t: transient local, volatile.
+    let durability = if topic == "/tf_static" { 1 } else { 2 };
+    format!(
+        "- history: 1\n  depth: 10\n  reliability: 1\n  durability: {durability}\n  deadline:\n{UNLIMITED}  \
+         lifespan:\n{UNLIMITED}  liveliness: 1\n  liveliness_lease_duration:\n{UNLIMITED}  \
+         avoid_ros_namespace_conventions: false"
+    )
 }
 
 /// Puts the schemas and channels of a summary in the order of their numbers. The library has them in that of a hash
@@ -139,7 +187,8 @@ impl Bag {
             *channel
         } else {
             let schema = self.writer.add_schema(M::TYPE, "ros2msg", M::DEFINITION.as_bytes())?;
-            (self.writer.add_channel(schema, topic, "cdr", &BTreeMap::new())?, 0)
+            let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), quality_of_service(topic))]);
+            (self.writer.add_channel(schema, topic, "cdr", &metadata)?, 0)
         };
         self.channels.insert(topic, (channel_id, sequence + 1));
         let time = stamp.nanos() as u64;

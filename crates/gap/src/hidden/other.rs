@@ -128,6 +128,7 @@ impl OtherForm {
 }
 
 /// The drive with a form in it, whose values [`EffectKind`] has accepted.
+#[expect(clippy::too_many_lines, reason = "one match with a short arm for each form; the arms share nothing")]
 pub(super) fn record(
     hidden: &HiddenDrive<'_>,
     form: OtherForm,

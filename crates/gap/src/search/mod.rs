@@ -18,7 +18,7 @@ use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::null::{Null, compare};
 use crate::outcome::Outcome;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
-use crate::statistics::{Dictionary, Target};
+use crate::statistics::{Dictionary, Form};
 use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// How a search is run.
@@ -51,12 +51,14 @@ impl Default for GapOptions {
     }
 }
 
-/// An effect can be named if its own direction is off as only in this share of logs without anything some direction is.
+/// An effect is fitted where something is off if one of its statistics is as far off as any statistic is in only this share of
+/// logs without a fault: above the false-alarm rate, as another effect may be the one that is significant.
 const FAR_OFF: f64 = 0.1;
-/// The same for what may be left when nothing is off any more.
+/// The same where nothing is off any more, and the question is only how much may be left.
 const SOMEWHAT_OFF: f64 = 0.5;
 
-/// A score so many standard deviations off is of something strong.
+/// A score beyond this many standard deviations is of a strong effect, whose gain isn't limited by the score: the score is a
+/// linear approximation about the neutral value.
 const BEYOND_DOUBT: f64 = 10.0;
 
 /// A hypothesis with what simulations of it look like.
@@ -70,22 +72,20 @@ struct Round<'a> {
 }
 
 impl Round<'_> {
-    /// Statistics of a kind of effect, by index.
+    /// The statistics of an effect, by index.
     fn own(&self, kind: EffectKind) -> impl Iterator<Item = usize> {
-        let targets = self.dictionary.targets.iter().enumerate();
-        targets
-            .filter(move |(_, target)| matches!(target, Target::Effect(own, _) if *own == kind))
-            .map(|(i, _)| i)
+        let statistics = self.dictionary.statistics.iter().enumerate();
+        statistics.filter(move |(_, statistic)| statistic.effect() == Some(kind)).map(|(i, _)| i)
     }
 
-    /// How much a statistic says: its weight, and where that is the same, how far it is off.
+    /// Which of two statistics says more: the one of larger weight, and at the same weight the one that is farther off.
     fn says(&self, a: usize, b: usize) -> Ordering {
-        let off = |i: usize| self.dictionary.off(i, self.null.z[i]);
+        let off = |i: usize| self.dictionary.statistics[i].off(self.null.z[i]);
         self.null.weight[a].total_cmp(&self.null.weight[b]).then(off(a).total_cmp(&off(b)))
     }
 
-    /// The statistic of a kind that says most: among blocks that stay, things are many standard deviations off that say less than
-    /// others elsewhere.
+    /// The statistic of an effect that says most. It needn't be the one that is farthest off: where clutter stays, many standard
+    /// deviations say little.
     fn most_telling(&self, kind: EffectKind) -> Option<usize> {
         self.own(kind).max_by(|&a, &b| self.says(a, b))
     }
@@ -165,11 +165,11 @@ impl<'a> State<'a> {
         Ok(Round { effects, comparison, fitted, blocks, dictionary, null })
     }
 
-    /// Fits the kinds of effect whose statistics are farthest off.
+    /// Fits the effects whose statistics are farthest off.
     fn candidates(&self, round: &Round<'a>, count: usize, chance: f64) -> Result<Vec<Candidate>, GapError> {
-        let starts = self.starts(round, count, chance);
+        let starts = self.first_guesses(round, count, chance)?;
         self.progress.stage("fitting effects", starts.len() as u64);
-        // As far along as with the effect.
+        // After as many updates of the nuisance parameters as evaluations with an effect.
         let without = round.comparison.evaluate(&round.effects, &round.fitted, 1)?;
         let search = Search {
             comparison: &round.comparison,
@@ -192,18 +192,19 @@ impl<'a> State<'a> {
         let beyond_chance = round.null.weight_at(self.options.false_alarm);
         for candidate in &mut candidates {
             let (off, weight) = round.most_telling(candidate.kind()).map_or((0.0, f64::NEG_INFINITY), |i| {
-                (round.dictionary.off(i, round.null.z[i]), round.null.weight[i])
+                (round.dictionary.statistics[i].off(round.null.z[i]), round.null.weight[i])
             });
-            let has_score = round.own(candidate.kind()).any(|i| round.dictionary.is_score(i))
-                || candidate.kind().moves() == Moves::Clutter;
+            let is_score = |i: usize| round.dictionary.statistics[i].form == Form::Score;
+            let has_score =
+                round.own(candidate.kind()).any(is_score) || candidate.kind().moves() == Moves::Clutter;
             candidate.is_beyond_chance = weight >= beyond_chance;
             candidate.score = has_score.then_some(off);
-            // A fit can be far better than its score where the effect is strong. Deeper blocks have none, only how deep
-            // blocks seem to be: readings where nominal ones can't stand say far more.
+            // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings
+            // where nominal clutter can't stand say far more than the mean depth.
             if off < BEYOND_DOUBT && candidate.kind().moves() != Moves::Clutter {
                 candidate.limit(off * off);
             }
-            // Many standard deviations are nothing where statistics are clumped, as objects among resting blocks.
+            // Standard deviations say little where statistics have outliers, as counts of objects among clutter that stays.
             if !candidate.is_beyond_chance {
                 candidate.limit(2.0 * weight.max(0.0));
             }

@@ -10,14 +10,14 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::selection::gain;
 use super::stepwise::Path;
 use super::{Round, State};
-use crate::fit::{Candidate, blocks};
+use crate::fit::{Candidate, folds};
 use crate::null::Null;
 use crate::outcome::{
     Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
 };
 use crate::regions::{Side, distance, histograms, locate, pits};
 use crate::replay::Replay;
-use crate::statistics::{Group, Seed, Target};
+use crate::statistics::{Form, Group, Statistic, Target};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
@@ -90,8 +90,8 @@ impl<'a> State<'a> {
         })
     }
 
-    /// A density of unmapped blocks that isn't the scenario's: fitted to the log in every hypothesis, it is told as an effect
-    /// where simulated logs say that it can't be chance.
+    /// Names the density of clutter where it surely isn't the scenario's. It is a nuisance parameter of every hypothesis; the
+    /// replicates say how far its fit is off by chance.
     pub fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
         if self.nominal.blocks.is_none() {
             return Ok(None);
@@ -103,7 +103,7 @@ impl<'a> State<'a> {
         let fitted = last.fitted.nuisances.block_density.ln();
         let simulated = fitted + last.blocks.density_over_fit.ln();
         let truth = fitted + simulated - mean;
-        // As rare as one false alarm among all effects, with mean and spread of so few logs.
+        // Student's distribution, as mean and spread come from few replicates.
         let n = logs.len() as f64;
         let t = truth / (error * (1.0 + 1.0 / n).sqrt());
         if !t.is_finite() {
@@ -119,9 +119,9 @@ impl<'a> State<'a> {
         let mut nominal = first.fitted.clone();
         nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
         let without = first.comparison.evaluate(&[], &nominal, 0)?;
-        let gains: Vec<f64> = blocks(&first.fitted.scans)
+        let gains: Vec<f64> = folds(&first.fitted.scans)
             .iter()
-            .zip(blocks(&without.scans))
+            .zip(folds(&without.scans))
             .map(|(with, without)| with - without)
             .collect();
         let gain_nats = gain(&gains);
@@ -170,11 +170,11 @@ impl<'a> State<'a> {
         new: &[Recorded],
     ) -> Gap {
         let scans = self.recorded.scans() as f64;
-        let blocks = gains.first().map_or(0, Vec::len);
-        let gained: Vec<f64> = (0..blocks).map(|b| gains.iter().map(|g| g[b]).sum()).collect();
+        let folds = gains.first().map_or(0, Vec::len);
+        let gained: Vec<f64> = (0..folds).map(|b| gains.iter().map(|g| g[b]).sum()).collect();
         let rest: Vec<f64> = match remaining {
             Some(candidate) if candidate.gain() > 0.0 => candidate.gains.clone(),
-            _ => vec![0.0; blocks.max(1)],
+            _ => vec![0.0; folds.max(1)],
         };
         let share = |gained: f64, rest: f64| {
             if gained <= 0.0 { 0.0 } else { gained / (gained + rest.max(0.0)) }
@@ -188,10 +188,10 @@ impl<'a> State<'a> {
                 .map(|i| {
                     let mut rng = draw.item(i);
                     let (mut a, mut b) = (0.0, 0.0);
-                    for _ in 0..blocks {
-                        let block = rng.random_range(0..blocks);
-                        a += gained[block];
-                        b += rest[block.min(rest.len() - 1)];
+                    for _ in 0..folds {
+                        let fold = rng.random_range(0..folds);
+                        a += gained[fold];
+                        b += rest[fold.min(rest.len() - 1)];
                     }
                     share(a, b)
                 })
@@ -262,13 +262,13 @@ impl RangeFloor {
 /// Strengths that reach the threshold with 90 % probability: a score's spread is the square root of its information.
 fn detectable(round: &Round<'_>) -> Vec<Detectable> {
     let mut out: Vec<Detectable> = Vec::new();
-    for (i, target) in round.dictionary.targets.iter().enumerate() {
-        let Target::Effect(kind, initial) = target else { continue };
-        if !round.dictionary.is_score(i) || *initial != Seed::None || round.null.spread[i] < 1e-3 {
+    for (i, statistic) in round.dictionary.statistics.iter().enumerate() {
+        let Target::Effect { kind, values } = &statistic.target else { continue };
+        if statistic.form != Form::Score || !values.is_empty() || round.null.spread[i] < 1e-3 {
             continue;
         }
         let parameter = &kind.parameters()[0];
-        let threshold = round.null.thresholds[round.dictionary.group(i) as usize] + 1.2816;
+        let threshold = round.null.thresholds[statistic.group as usize] + 1.2816;
         let value = threshold / round.null.spread[i];
         if value.is_finite() && out.iter().all(|known| known.name != *kind) {
             let typical = (parameter.start - parameter.neutral).abs();
@@ -296,8 +296,7 @@ fn detection(null: &Null) -> Detection {
 /// The statistic of each effect that says most, with its sign.
 fn directions(round: &Round<'_>) -> Vec<Direction> {
     let mut out: Vec<Direction> = Vec::new();
-    for target in &round.dictionary.targets {
-        let Target::Effect(kind, _) = *target else { continue };
+    for kind in round.dictionary.statistics.iter().filter_map(Statistic::effect) {
         if out.iter().all(|known| known.name != kind) {
             out.extend(round.most_telling(kind).map(|i| Direction { name: kind, z: round.null.z[i] }));
         }

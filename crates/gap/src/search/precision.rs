@@ -18,7 +18,7 @@ use crate::{GapError, Purpose, Recorded};
 
 /// Simulated logs.
 const LOGS: u32 = 24;
-/// An interval so many times as wide as the fit's own is none.
+/// An interval that is wider than the fit's own by more than this factor isn't used: the information is nearly singular.
 const MOST_WIDENED: f64 = 5.0;
 
 impl<'a> State<'a> {
@@ -80,7 +80,7 @@ impl<'a> State<'a> {
                     let mut number =
                         corrected(named.effect.values[*i], parameter.neutral, &shifts, parameter.unit);
                     if half_of(&number) > MOST_WIDENED * half_of(&fit).max(least) {
-                        // The information is as good as singular, and steps lead anywhere.
+                        // The information is nearly singular, and steps lead anywhere.
                         number = fit;
                     }
                     // No number is surer than by its bound, however steep a rough likelihood is here or there.

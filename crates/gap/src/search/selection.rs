@@ -1,4 +1,4 @@
-//! Which effect is named, and which can't be told from it.
+//! Which effect is named, and which effects can't be told from it.
 
 use std::collections::BTreeMap;
 
@@ -8,12 +8,12 @@ use crate::GapError;
 use crate::fit::{Candidate, sum_error};
 use crate::outcome::{Estimate, Evidence, Named, Number, Rival};
 
-/// Whether two effects are one that was fitted in two steps: a strong one first comes out too weak.
+/// Whether two effects are one that was fitted in two steps. The first fit of a strong effect may come out too weak.
 pub fn adds_up(known: &Effect, more: &Effect) -> bool {
     known.kind == more.kind && known.place == more.place && known.kind.adds_up()
 }
 
-/// Both as one: strengths add up, other numbers are the stronger one's.
+/// Two effects as one: strengths add up, and other parameters are those of the effect that is known.
 pub fn sum_of(known: &Effect, more: &Effect) -> Result<Effect, GapError> {
     let parameters = known.kind.parameters();
     let mut values = known.values.clone();
@@ -24,15 +24,19 @@ pub fn sum_of(known: &Effect, more: &Effect) -> Result<Effect, GapError> {
     Ok(Effect::new(known.kind, values, known.place.clone())?)
 }
 
-/// Whether a candidate gains surely: by a standard error, that something is there the simulated logs have said; by half of
-/// one, where they have said so of this effect. The gain of a few rare events is never surer than their number.
+/// The least gain of an effect that is named (nats): a likelihood ratio of 7.
+const LEAST_GAIN_NATS: f64 = 2.0;
+
+/// Whether a candidate surely gains: by more than a standard error, or by half of one where its own statistics are
+/// significant. One standard error is little, because the replicates have already said that something is off; the gain of a
+/// few rare events never exceeds its standard error by much.
 pub fn is_sure(candidate: &Candidate) -> bool {
     let errors = if candidate.is_beyond_chance { 0.5 } else { 1.0 };
-    candidate.gain() > 2.0 && candidate.gain() - errors * candidate.gain_error() > 0.0
+    candidate.gain() > LEAST_GAIN_NATS && candidate.gain() - errors * candidate.gain_error() > 0.0
 }
 
-/// The candidate that is named: it gains surely, most of all, or within one standard error of that with fewer numbers, or within
-/// what more numbers gain by chance.
+/// The candidate that is named, by index: of those that surely gain the one that gains most. One with fewer parameters is
+/// preferred within a standard error of that, or within what more parameters gain by chance.
 pub fn choose(candidates: &[Candidate]) -> Option<usize> {
     let most = (0..candidates.len())
         .filter(|&i| is_sure(&candidates[i]))
@@ -47,19 +51,19 @@ pub fn choose(candidates: &[Candidate]) -> Option<usize> {
     simpler.min_by(|&a, &b| numbers(a).cmp(&numbers(b)).then(gain(b).total_cmp(&gain(a)))).or(Some(most))
 }
 
-/// So much more has each further number to gain (nats): a convention, half the quantile of chi squared that a number which isn't
-/// needed exceeds in 1 of 20 fits. Of effects of which one becomes the other, as slipping wheels that always slip a scale, the
-/// difference between blocks, from which the standard error is, says nothing.
+/// The gain that each further parameter has to have (nats): half the 95 % quantile of chi squared with one degree of freedom,
+/// which a parameter that isn't needed exceeds in 1 of 20 fits. The standard error says nothing where one effect becomes the
+/// other, as wheels that always slip are a scale: their folds gain alike.
 const BY_CHANCE: f64 = 1.92;
 
-/// By how much a candidate is behind another, with the standard error over blocks (nats).
+/// How much less a candidate gains than another, with the standard error over folds (nats).
 fn behind(best: &Candidate, other: &Candidate) -> (f64, f64) {
     let difference: Vec<f64> = best.gains.iter().zip(&other.gains).map(|(a, b)| a - b).collect();
     (difference.iter().sum(), sum_error(&difference))
 }
 
-pub fn gain(blocks: &[f64]) -> Estimate {
-    let (value, error) = (blocks.iter().sum::<f64>(), sum_error(blocks));
+pub fn gain(folds: &[f64]) -> Estimate {
+    let (value, error) = (folds.iter().sum::<f64>(), sum_error(folds));
     Estimate { value, lo: value - 1.96 * error, hi: value + 1.96 * error }
 }
 
@@ -73,25 +77,32 @@ pub fn numbers(candidate: &Candidate) -> BTreeMap<&'static str, Number> {
         .collect()
 }
 
-/// Candidates that can't be told from the best: what they are behind isn't sure.
+/// One-sided 95 % quantile of the normal distribution: a rival has to gain as surely as that.
+const RIVAL_ERRORS: f64 = 1.645;
+/// A rival that is behind by fewer standard errors can't be told from the best: the one-sided 90 % quantile.
+const BEHIND_ERRORS: f64 = 1.3;
+
+/// The best candidate and the rivals that can't be told from it.
 fn equivalent(candidates: &[Candidate], best: usize) -> Vec<EffectKind> {
     let mut set = vec![candidates[best].kind()];
     for (i, other) in candidates.iter().enumerate() {
         let (behind, error) = behind(&candidates[best], other);
-        let sure = other.gain() - 1.645 * other.gain_error() > 0.0;
-        if i != best && sure && behind < 1.3 * error && !is_same(&candidates[best], other) {
+        let sure = other.gain() - RIVAL_ERRORS * other.gain_error() > 0.0;
+        if i != best && sure && behind < BEHIND_ERRORS * error && !is_same(&candidates[best], other) {
             set.push(other.kind());
         }
     }
     set
 }
 
-/// Whether an effect with more numbers has become the best one: a drift that doesn't end is a bias, a loss from any angle on
-/// one at any range.
+/// Whether an effect with more parameters has become the best one: a drift that doesn't end is a bias, and a loss of returns
+/// from any angle on is one at any range. Then both gain nearly the same on each fold.
 fn is_same(best: &Candidate, other: &Candidate) -> bool {
+    /// The largest standard error of the difference, as a share of that of the gain.
+    const ALIKE: f64 = 0.25;
     let (behind, error) = behind(best, other);
     let more = other.effect.values.len() > best.effect.values.len();
-    more && behind > -2.0 && error < 0.25 * best.gain_error()
+    more && behind > -LEAST_GAIN_NATS && error < ALIKE * best.gain_error()
 }
 
 pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Named {
@@ -114,8 +125,7 @@ pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Name
     }
 }
 
-/// The drive that tells effects apart which look alike on this log: the first of which two of them say that they differ
-/// there.
+/// A drive that tells effects apart which look alike on this log: the first experiment in which two of them differ.
 fn split_by(set: &[EffectKind]) -> Option<&'static str> {
     if set.len() < 2 {
         return None;
@@ -148,9 +158,9 @@ pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) 
 mod tests {
     use super::*;
 
-    /// Four blocks of 3, 0, 0 and 3 nats: 6 with an error of sqrt(12).
+    /// Four folds of 3, 0, 0 and 3 nats: 6 with an error of sqrt(12).
     #[test]
-    fn a_gain_is_surer_where_simulated_logs_have_said_so() {
+    fn a_gain_is_surer_where_the_effect_s_own_statistic_is_significant() {
         let bias = Effect::new(EffectKind::RangeBias, vec![0.01], Vec::new()).unwrap();
         let candidate = |gains: Vec<f64>, is_beyond_chance| Candidate {
             effect: bias.clone(),
@@ -168,10 +178,10 @@ mod tests {
         assert!(!is_sure(&candidate(vec![0.5; 4], true)));
     }
 
-    /// Slipping wheels that always slip a scale are a scale, and gain a little more in each block alike: a second number has to gain
-    /// more than it does by chance.
+    /// Wheels that always slip are a scale, and gain a little more in each fold alike. A second parameter has to gain more than
+    /// it does by chance.
     #[test]
-    fn a_number_that_gains_as_by_chance_is_spared() {
+    fn a_parameter_that_gains_as_by_chance_is_spared() {
         let candidate = |kind, values, gain: f64| Candidate {
             effect: Effect::new(kind, values, Vec::new()).unwrap(),
             gains: vec![gain / 10.0; 10],
@@ -183,7 +193,7 @@ mod tests {
         let slip = |gain| candidate(EffectKind::WheelSlip, vec![0.9, 0.05], gain);
         assert_eq!(choose(&[slip(21.8), scale.clone()]), Some(1));
         assert_eq!(choose(&[slip(22.2), scale.clone()]), Some(0));
-        // One with as many numbers is no simpler.
+        // An effect with as many parameters is no simpler.
         let other = candidate(EffectKind::OdomTurnScale, vec![0.04], 21.0);
         assert_eq!(choose(&[scale, other]), Some(1));
     }

@@ -1,40 +1,44 @@
-//! From the nominal world to the named effects: one at a time, then what is needless is taken away.
+//! Stepwise selection: effects are named one at a time, then redundant ones are deleted.
 
 use locsim_world::effect::Effect;
 
 use super::selection::{adds_up, choose, compare_rivals, gain, is_sure, name, numbers, sum_of};
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
 use crate::GapError;
-use crate::fit::{Candidate, Search, Start};
+use crate::fit::{Candidate, Search};
 use crate::hypothesis::Fitted;
 use crate::outcome::{Named, Rival};
+use crate::statistics::Start;
 
-/// Effects of the first round that are tried alone where several were named.
+/// The most effects of the first round that are tried alone where several were named: all that a round fits, less the one
+/// that was chosen.
 const TRIED_ALONE: usize = 9;
 /// Replicates that decide whether an effect alone is worth a full round: 19 are the fewest that reject at 5 %.
 const SCREENING_REPLICATES: u32 = 19;
-/// With one alone the log must not be farther off than so many of the simulated ones: at the false-alarm rate itself one
-/// outlier among a hundred of them would do.
+/// An effect alone explains the log if the p-value with it is above this. At the false-alarm rate of 1 % an effect would do
+/// that leaves the log beyond 98 of 100 replicates.
 const EXPLAINED: f64 = 0.05;
+/// Effects that are fitted where nothing is off any more, to know how much of the gap may be left.
+const FITTED_AT_END: usize = 3;
 
 fn most_gaining(candidates: &[Candidate]) -> Option<Candidate> {
     candidates.iter().max_by(|a, b| a.gain().total_cmp(&b.gain())).cloned()
 }
 
-/// The way from the nominal world to the named effects.
+/// The steps from the nominal world to the named effects.
 pub struct Path<'a> {
     /// The nominal world first, the one with all effects last.
     pub rounds: Vec<Round<'a>>,
     pub named: Vec<Named>,
-    /// What the first round's fits were, and which was chosen.
+    /// The fits of the first round, and the index of the chosen one.
     first_fits: Vec<Candidate>,
     first_choice: usize,
     pub rivals: Vec<Rival>,
-    /// What each round's choice gained, block by block.
+    /// Gain of each round's choice on each fold (nats).
     pub gains: Vec<Vec<f64>>,
-    /// What would gain most on top.
+    /// The effect that would gain most on top.
     pub remaining: Option<Candidate>,
-    /// What people should know of the choice.
+    /// A remark on the choice, for the report.
     pub note: Option<String>,
 }
 
@@ -53,7 +57,7 @@ impl<'a> Path<'a> {
 }
 
 impl<'a> State<'a> {
-    /// Names the effect that gains most, adds it, and looks again, until nothing is off or nothing surely gains.
+    /// Names the effect that gains most, adds it, and tests again, until nothing is off or no effect surely gains.
     pub fn name_effects(&self, first: Round<'a>) -> Result<Path<'a>, GapError> {
         let options = self.options;
         let mut path = Path {
@@ -94,7 +98,7 @@ impl<'a> State<'a> {
                 Some(known) => {
                     path.named[known].effect = sum_of(&path.named[known].effect, &more.effect)?;
                     if path.rounds.len() > 2 * options.most_effects {
-                        // It doesn't settle.
+                        // The sum of an effect's fits doesn't settle.
                         break;
                     }
                     self.refit(&mut path.named, known, &fitted)?;
@@ -107,7 +111,8 @@ impl<'a> State<'a> {
         Ok(path)
     }
 
-    /// What an effect was named for, a later one may explain: a strong yaw looks like noise at first.
+    /// Deletes effects that don't surely gain beside the others. A later effect may explain what an earlier one was named for:
+    /// a strong yaw looks like noise at first.
     pub fn delete(&self, path: &mut Path<'a>) -> Result<(), GapError> {
         if path.named.len() < 2 {
             return Ok(());
@@ -130,22 +135,22 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Fits what a round leaves off, or the few kinds that may still gain something where nothing is.
+    /// Fits the effects that a round's statistics point to: where nothing is off any more, the few that may still gain.
     fn candidates_of(&self, round: &Round<'a>) -> Result<Vec<Candidate>, GapError> {
         if round.null.p <= self.options.false_alarm {
             self.candidates(round, self.options.fitted_kinds, FAR_OFF)
         } else {
-            self.candidates(round, 3, SOMEWHAT_OFF)
+            self.candidates(round, FITTED_AT_END, SOMEWHAT_OFF)
         }
     }
 
-    /// One effect that explains everything alone is better than several, even if others gain more one by one: unmapped blocks
-    /// that are deeper than expected and stay look like a missing object each.
+    /// Prefers one effect that explains the log alone to several, even if those gain more one by one. Deep clutter that stays in
+    /// its place looks like many missing objects.
     pub fn simplify(&self, path: &mut Path<'a>) -> Result<(), GapError> {
         if path.named.len() < 2 {
             return Ok(());
         }
-        // Of the first choice it is known that it doesn't.
+        // The first choice alone didn't explain the log.
         let mut alone: Vec<usize> = (0..path.first_fits.len())
             .filter(|&i| i != path.first_choice && is_sure(&path.first_fits[i]))
             .collect();
@@ -153,7 +158,7 @@ impl<'a> State<'a> {
         for &i in alone.iter().take(TRIED_ALONE) {
             let (effects, nuisances) =
                 (vec![path.first_fits[i].effect.clone()], path.first().fitted.nuisances);
-            // Most are far from it, which few simulated logs can say.
+            // Most effects leave the log far off, and few replicates are enough to see that.
             if self.round(effects.clone(), nuisances, SCREENING_REPLICATES)?.null.is_clearly_off() {
                 continue;
             }
@@ -162,7 +167,7 @@ impl<'a> State<'a> {
                 continue;
             }
             let mut named = name(&path.first_fits, i, path.first().null.p, self.recorded.scans());
-            // Those that gain as much don't explain everything, or weren't tried.
+            // Rivals that gain as much don't explain the log alone, or weren't tried.
             (named.candidates, named.split_by) = (vec![named.name], None);
             path.note = Some(format!(
                 "{} was named first, but leaves something off; {} alone explains the log.",
@@ -180,7 +185,7 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Fits the numbers of one effect anew, the others as they are; whether it still surely gains.
+    /// Refits the parameters of one effect, with the others as they are. Returns whether it still surely gains.
     fn refit(&self, named: &mut [Named], index: usize, start: &Fitted) -> Result<bool, GapError> {
         let others = named.iter().enumerate().filter(|(i, _)| *i != index);
         let given: Vec<Effect> = others.map(|(_, named)| named.effect.clone()).collect();
@@ -216,8 +221,8 @@ mod tests {
     use crate::replay::fit_persistence;
     use crate::search::GapOptions;
 
-    /// Noise and a tail were named for a turned laser: tried alone, it takes their place. Where it wasn't among the first
-    /// fits, nothing else does, and they stay.
+    /// Noise and a tail were named for a turned laser. The turned laser alone takes their place; where it wasn't among the
+    /// first fits, nothing takes it.
     #[test]
     fn one_effect_that_explains_all_takes_the_place_of_several() {
         let yaw = Effect::new(EffectKind::MountYaw, vec![0.02], Vec::new()).unwrap();

@@ -1,41 +1,151 @@
-//! What is looked at in a log: a statistic for each direction in which the library's effects would move it, and the PIT
-//! (probability integral transform) of its readings over bins of what a beam is.
+//! The statistics of a log: for each effect of the library a sum over the log that reacts to it, and for bins of all
+//! beams the probability integral transform (PIT) of their readings.
 //!
-//! All of them are plain numbers without a distribution of their own; they get one from simulated logs, see
-//! [`crate::null`].
+//! A [`Family`] holds the statistics of one kind. A statistic is a plain number without a known distribution; simulated
+//! logs give it one, see [`crate::null`].
 
+mod bins;
+mod clutter;
+mod contamination;
 mod dictionary;
-mod measure;
+mod edges;
+mod objects;
+mod odometry;
+mod pit;
+mod poses;
+mod ratios;
+mod readings;
+mod scans;
+mod scores;
+mod sectors;
+mod steps;
+mod survey;
+mod walls;
 
 use glam::DVec2;
-use locsim_core::{Draw, Stage};
 use locsim_world::effect::EffectKind;
 
-pub(crate) use dictionary::{Dictionary, Group};
-pub(crate) use measure::moved_wall_score;
+pub(crate) use dictionary::Dictionary;
+pub(crate) use readings::{FOLD_SCANS, Readings, pit_draw};
 
-/// Side of a cell of the map in which endpoints are counted \[m\]: walls, and unmapped objects.
+/// Side of a cell of the map in which walls are counted \[m\].
 pub(crate) const WALL_CELL_M: f64 = 1.0;
+/// Side of a cell of the map in which readings in front of walls are counted \[m\]: about a small object's size.
 pub(crate) const OBJECT_CELL_M: f64 = 0.25;
-/// Bins of a sector: over bearing, and of its range \[m\].
-const SECTORS: usize = 24;
-pub(crate) const SECTOR_RANGE_M: f64 = 0.25;
-/// Steps of a quantization that are looked for \[m\].
-const STEPS_M: [f64; 7] = [0.002, 0.003, 0.005, 0.01, 0.02, 0.025, 0.05];
-/// Angles from which, and ranges over whose power, returns may be lost.
-const DROPOUT_ANGLES_DEG: [f64; 5] = [30.0, 45.0, 60.0, 70.0, 80.0];
-const DROPOUT_EXPONENTS: [f64; 5] = [0.0, 1.0, 2.0, 4.0, 8.0];
-/// Readings of blocks lie outside of them by this as noise and errors of the reference have it, or by five standard deviations of a
-/// laser that has more noise \[m\].
-const READINGS_ERR_M: f64 = 0.1;
-/// Shares by which slipping wheels may turn farther than the robot gets.
-const SLIP_SHARES: [f64; 2] = [0.2, 0.5];
-const WARM_UP_SECS: [f64; 4] = [5.0, 20.0, 60.0, 150.0];
-/// Bins of the ratio of a reading to the nominal range: of this width, up to this number of them.
-const RATIO_BIN: f64 = 0.1;
-const RATIO_BINS: usize = 31;
-/// Consecutive scans that are held out, located and drawn together \[scans\].
-pub(crate) const BLOCK: usize = 20;
+
+/// Statistics of one kind, with all that depends on the kind. A new kind is a type that implements this, and a line in
+/// [`Dictionary::new`].
+pub(crate) trait Family: Send + Sync {
+    /// The statistics.
+    fn statistics(&self) -> Vec<Statistic>;
+
+    /// Their values for a log, in the same order.
+    fn measure(&self, log: &Readings<'_>) -> Vec<Halves>;
+
+    /// Where fits of the family's effect start, by its statistics that are farthest off, the most telling one first.
+    fn first_guesses(&self, _: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
+        typical_guesses(found)
+    }
+
+    /// Whether a statistic of the family counts the readings of a beam, both by index.
+    fn includes(&self, _statistic: usize, _beam: usize) -> bool {
+        true
+    }
+}
+
+/// One number that is looked at in a log.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Statistic {
+    pub target: Target,
+    pub group: Group,
+    pub form: Form,
+}
+
+/// The effect or the cell that a statistic is for.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Target {
+    Effect {
+        kind: EffectKind,
+        /// Values of parameters, by index, that aren't the typical ones in the direction that is looked in.
+        values: Vec<(usize, f64)>,
+    },
+    Cell(Cell),
+}
+
+/// The statistics that are ranked among themselves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Group {
+    /// Effects that shift or spread many readings, or are in the odometry.
+    Wide,
+    /// Effects in one of many places or sectors.
+    Places,
+    /// The omnibus cells.
+    Cells,
+    /// Objects where clutter can stand: clutter that stays looks like an object.
+    AmongClutter,
+    /// Shares of readings that are lost or not of the wall, and the depth of clutter. Where clutter stays, such readings
+    /// come in crowds, and the largest of these statistics is now and then an outlier.
+    Shares,
+}
+
+impl Group {
+    pub const COUNT: usize = 5;
+}
+
+/// The form of a statistic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Form {
+    /// A score: the derivative of the log likelihood by an effect's strength. Its standard deviation is the root of its
+    /// information.
+    Score,
+    /// A count of rare events.
+    Count,
+    /// Any other sum or ratio.
+    Other,
+}
+
+impl Statistic {
+    /// A statistic that looks for an effect of typical values.
+    fn of_effect(kind: EffectKind, group: Group, form: Form) -> Self {
+        Self::along(kind, &[], group, form)
+    }
+
+    /// A statistic that looks for an effect in a direction of its values.
+    fn along(kind: EffectKind, direction: &[(usize, f64)], group: Group, form: Form) -> Self {
+        Self { target: Target::Effect { kind, values: direction.to_vec() }, group, form }
+    }
+
+    fn of_cell(cell: Cell, form: Form) -> Self {
+        Self { target: Target::Cell(cell), group: Group::Cells, form }
+    }
+
+    /// The effect that it looks for.
+    pub fn effect(&self) -> Option<EffectKind> {
+        match self.target {
+            Target::Effect { kind, .. } => Some(kind),
+            Target::Cell(_) => None,
+        }
+    }
+
+    pub fn cell(&self) -> Option<&Cell> {
+        match &self.target {
+            Target::Effect { .. } => None,
+            Target::Cell(cell) => Some(cell),
+        }
+    }
+
+    /// How far `z` standard deviations speak for what it looks for: an effect that acts in one direction only shows in
+    /// positive numbers only.
+    pub fn off(&self, z: f64) -> f64 {
+        match self.effect() {
+            Some(kind) if kind.is_one_sided() => z,
+            _ => z.abs(),
+        }
+    }
+}
+
+/// The value of a statistic for a log, in two halves: of alternating folds of [`FOLD_SCANS`] scans.
+pub(crate) type Halves = [f64; 2];
 
 /// A covariate of the omnibus search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
@@ -59,7 +169,7 @@ pub enum Covariate {
     Jump,
     /// Bearing, by turn rate.
     BearingByTurnRate,
-    /// Each scan as a whole: how much scans differ, by what their beams share.
+    /// Each scan as a whole: how much scans differ in what their beams share.
     Scan,
     /// Every beam: the PIT's tenths, from `lo` to `hi`.
     Pit,
@@ -67,7 +177,7 @@ pub enum Covariate {
     Ratio,
 }
 
-/// What is off in a cell.
+/// The way in which a cell may be off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Deviation {
@@ -79,15 +189,10 @@ pub enum Deviation {
     Short,
     /// Share of missing returns.
     NoReturn,
-    /// Share of readings of something behind what the map has there.
+    /// Share of readings of something behind the mapped surface.
     Long,
     /// Share of readings that lie in this bin.
     Share,
-}
-
-impl Deviation {
-    /// Those that every bin of a covariate has a cell for, in the order of their statistics.
-    pub(crate) const OF_BINS: [Self; 5] = [Self::Mean, Self::Spread, Self::Short, Self::NoReturn, Self::Long];
 }
 
 /// A cell of the omnibus search.
@@ -101,70 +206,65 @@ pub struct Cell {
     pub hi: f64,
     /// Lower corner of the square, for [`Covariate::Place`] \[m\].
     pub place: Option<[f64; 2]>,
-    /// What is off.
+    /// The way in which it may be off.
     pub deviation: Deviation,
 }
 
-/// What a statistic looks for.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Target {
-    /// An effect; the numbers start its fit: values, or a cell of the map.
-    Effect(EffectKind, Seed),
-    Cell(Cell),
+/// A statistic of a family that is off.
+pub(crate) struct Found<'s> {
+    /// Its value for the log in standard deviations of the replicates.
+    pub z: f64,
+    /// Its index in the family.
+    pub index: usize,
+    pub statistic: &'s Statistic,
 }
 
-/// Where a fit of an effect can start.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Seed {
-    None,
-    /// Value of a parameter other than the strength, by index.
-    Values(Vec<(usize, f64)>),
-    /// A cell of walls, or two neighbours; twice the same for one.
-    Wall([[i32; 2]; 2]),
-    /// Four cells of free space; the one with the least numbers.
-    Object([i32; 2]),
+/// Where a fit of an effect starts: its values, and the stretches of wall that it acts on.
+#[derive(Clone, Debug)]
+pub(crate) struct Start {
+    pub values: Vec<f64>,
+    pub place: Vec<[DVec2; 2]>,
 }
 
-/// One number of a log, in two halves: alternating blocks of scans.
-pub(crate) type Halves = [f64; 2];
-
-pub(crate) fn cell_at(x: f64, y: f64, side: f64) -> [i32; 2] {
-    [(x / side).floor() as i32, (y / side).floor() as i32]
+/// Typical values of an effect, to the side of its neutral value that a statistic's sign says.
+fn typical_values(kind: EffectKind, z: f64) -> Vec<f64> {
+    let parameters = kind.parameters();
+    let mut values: Vec<f64> = parameters.iter().map(|parameter| parameter.start).collect();
+    if parameters[0].lo < parameters[0].neutral && z < 0.0 {
+        values[0] = parameters[0].neutral - (values[0] - parameters[0].neutral);
+    }
+    values
 }
 
-/// Maps have walls at round numbers; cells of walls have their borders elsewhere, or rounding would share a wall out.
-const WALL_BORDER_M: f64 = 0.37;
-
-/// The cell of a point of a wall.
-pub(crate) fn wall_cell(point: DVec2) -> [i32; 2] {
-    cell_at(point.x + WALL_BORDER_M, point.y + WALL_BORDER_M, WALL_CELL_M)
+/// Starts at typical values in the directions of the statistics that are farthest off.
+fn typical_guesses(found: &[Found<'_>]) -> Vec<Start> {
+    let Some(kind) = found.first().and_then(|first| first.statistic.effect()) else { return Vec::new() };
+    let at = |values| Start { values, place: Vec::new() };
+    let along = |found: &Found<'_>| match &found.statistic.target {
+        Target::Effect { values, .. } => values.clone(),
+        Target::Cell(_) => Vec::new(),
+    };
+    if kind.strengths().count() > 1 {
+        // All strengths at once, such as both axes of an offset, each at the value of its own direction.
+        let mut values = vec![0.0; kind.parameters().len()];
+        for (parameter, value) in found.iter().flat_map(along).filter(|(_, value)| *value != 0.0) {
+            values[parameter] = value;
+        }
+        return vec![at(values)];
+    }
+    // A shape that isn't typical is worth a second start.
+    let most = if kind.parameters().len() > 1 { 2 } else { 1 };
+    let starts = found.iter().take(most).map(|found| {
+        let mut values = typical_values(kind, found.z);
+        for (parameter, value) in along(found) {
+            values[parameter] = value;
+        }
+        at(values)
+    });
+    starts.collect()
 }
 
-/// Lower corner of a cell of walls \[m\].
-fn wall_corner(cell: [i32; 2]) -> [f64; 2] {
-    cell.map(|c| f64::from(c) * WALL_CELL_M - WALL_BORDER_M)
-}
-
-/// About as many events of a kind can just be told from chance: scores of contaminations are best for so many.
-const EVENTS: f64 = 15.0;
-
-/// The share at which a contamination of so many beams can just be told from chance.
-fn just_seen(beams: f64) -> f64 {
-    (EVENTS / beams.max(1.0)).min(0.3)
-}
-
-/// Derivative of a log density by the share of a contamination, at `share`; `ratio` is the contamination's density over
-/// the hypothesis's, less 1. At a share of 0 it would be the ratio itself, which a single reading can make huge.
-#[inline]
-fn contaminated(ratio: f64, share: f64) -> f64 {
-    ratio / (1.0 + share * ratio)
-}
-
-pub(crate) fn tangent_squared(incidence: f64) -> f64 {
-    incidence.min(80.0_f64.to_radians()).tan().powi(2)
-}
-
-/// The draws that randomize the PIT of missing returns.
-pub(crate) fn pit_draw(seed: u64) -> Draw {
-    Draw::new(seed, Stage::Bootstrap, 0)
+/// The cell of a lattice of squares that a point is in, by their side \[m\].
+pub(crate) fn cell_at(point: DVec2, side: f64) -> [i32; 2] {
+    [(point.x / side).floor() as i32, (point.y / side).floor() as i32]
 }

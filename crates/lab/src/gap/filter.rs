@@ -19,6 +19,7 @@ use crate::run::{MapSet, free_poses};
 use crate::run::{ScanData, Surroundings, TrainedModel, train};
 use locsim_core::{Control, Progress};
 use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Spread, load_map};
+use locsim_sensor::ModelKind;
 
 /// Particles.
 const PARTICLES: usize = 500;
@@ -141,7 +142,7 @@ fn trained(
         oracle: None,
         tables: (study.scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
     };
-    let name = ModelName::NpRegRegistered;
+    let name = ModelName::Fitted(ModelKind::NpRegRegistered);
     let model = Model { name, label: name.to_string(), floor: None, exponent: None, file: None };
     let share = training.held_out_share;
     let beams = Some(filter_beams(study));

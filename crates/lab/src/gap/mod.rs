@@ -10,7 +10,7 @@ mod proposal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, wrap_angle};
+use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, Scan, wrap_angle};
 use locsim_dataset::{LogOptions, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Recorded};
 use locsim_world::effect::{EffectKind, Effects};
@@ -123,14 +123,12 @@ impl GapStudy {
             .map_err(GapError::from)?;
         let drive = with_mount(drive, simulator.laser().laser(), &mut notes);
         let refuse = |what: String| LabError::Log { path: log.to_owned(), what };
-        same_beams(&drive.laser, simulator.laser().laser()).map_err(refuse)?;
+        let drive = with_beams(drive, simulator.laser().laser()).map_err(refuse)?;
         let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
         let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
         let recorded = Recorded::new(&drive, settings.scans, settings.beams, free).map_err(|error| {
             refuse(match references {
-                0 => "no scan has a reference pose, and without one nothing can be compared; a CARMEN log has them in \
-                      TRUEPOS lines, a bag in a topic of its own"
-                    .to_owned(),
+                0 => no_reference(&summary.topics),
                 _ => error.to_string(),
             })
         })?;
@@ -284,6 +282,18 @@ fn write(
     Ok(page::write(folder, study, outcome, &diff, &options.command)?)
 }
 
+/// The error of a log without reference poses; lists the topics that it has.
+fn no_reference(topics: &[String]) -> String {
+    let needed = "no scan has a reference pose, and without one nothing can be compared";
+    if topics.is_empty() {
+        return format!("{needed}; a CARMEN log has them in TRUEPOS lines, or is a corrected log as a whole");
+    }
+    format!(
+        "{needed}; --reference-topic names a topic of them or a transform such as map:base_link; found: {}",
+        topics.join(", ")
+    )
+}
+
 /// The drive with the laser where the scenario has it: a log may not know, and the scenario is what is in question.
 ///
 /// A laser of bearings from -90 to 89 degrees is also one from -89.5 to 89.5 degrees that is turned by half a degree: where log
@@ -324,25 +334,140 @@ fn with_mount(drive: Drive, scenario: &Laser, notes: &mut Vec<String>) -> Drive 
     }
 }
 
-/// Whether the beams of a log are those of a scenario.
-fn same_beams(log: &Laser, scenario: &Laser) -> Result<(), String> {
-    let (n, m) = (log.beam_count(), scenario.beam_count());
-    if n != m {
-        return Err(format!("{n} beams per scan don't fit the scenario's laser; its laser.beams is {m}"));
-    }
+/// The drive with its beams in the order of the scenario's, matched by where they point.
+///
+/// Lidars begin behind, ahead or at a side, some turn clockwise, and some have a beam at both ends of a full circle.
+fn with_beams(drive: Drive, scenario: &Laser) -> Result<Drive, String> {
+    let log = &drive.laser;
     let (range, max) = (log.max_range(), scenario.max_range());
     if (range - max).abs() > 1e-3 * max {
         return Err(format!(
             "a maximum range of {range} m doesn't fit the scenario's laser; its laser.max_range_m is {max}"
         ));
     }
-    let differs = |(a, b): (&f32, &f32)| wrap_angle(f64::from(a - b)).abs() > SAME_BEARING_RAD;
-    if let Some(beam) = log.bearings().iter().zip(scenario.bearings()).position(differs) {
-        let [ours, theirs] = [log, scenario].map(|laser| f64::from(laser.bearings()[beam]).to_degrees());
-        return Err(format!(
-            "beam {beam} points to {ours:.2} deg, the scenario's to {theirs:.2} deg; its laser.field_of_view_deg and \
-             laser.mount must be those of the log"
-        ));
+    let order = matching_beams(log.bearings(), scenario.bearings())?;
+    if order.iter().copied().eq(0..log.beam_count()) {
+        return Ok(drive);
     }
-    Ok(())
+    let bearing = |(&theirs, &beam): (&f32, &usize)| {
+        let apart = wrap_angle(f64::from(log.bearings()[beam]) - f64::from(theirs));
+        (f64::from(theirs) + apart) as f32
+    };
+    let laser = Laser::new(
+        scenario.bearings().iter().zip(&order).map(bearing).collect(),
+        order.iter().map(|&beam| log.beam_times_secs()[beam]).collect(),
+        log.min_range(),
+        range,
+        log.base_from_laser(),
+    )
+    .map_err(|error| error.to_string())?;
+    let steps = drive.steps.into_iter().map(|step| {
+        let ranges = order.iter().map(|&beam| step.scan.ranges[beam]).collect();
+        DriveStep { scan: Scan { ranges }, ..step }
+    });
+    Ok(Drive { laser, steps: steps.collect() })
+}
+
+/// For each beam of the scenario, the log's beam that points there; an error where one of either has no counterpart.
+fn matching_beams(log: &[f32], scenario: &[f32]) -> Result<Vec<usize>, String> {
+    let wrapped = |bearing: f32| wrap_angle(f64::from(bearing));
+    let mut sorted: Vec<(f64, usize)> =
+        scenario.iter().enumerate().map(|(beam, &bearing)| (wrapped(bearing), beam)).collect();
+    sorted.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    let refuse = |what: &str, bearing: f32, other: &str| {
+        format!(
+            "{what} points to {:.2} deg, where {other} has no beam ({} beams in the log, {} in the scenario); its \
+             laser.beams, laser.field_of_view_deg, laser.first_beam_deg and laser.mount must be those of the log",
+            f64::from(bearing).to_degrees(),
+            log.len(),
+            scenario.len()
+        )
+    };
+    let mut matched = vec![None; scenario.len()];
+    for (beam, &bearing) in log.iter().enumerate() {
+        let at = sorted.partition_point(|(sorted, _)| *sorted < wrapped(bearing));
+        // Neighbours on either side, around the circle.
+        let neighbours = [at + sorted.len() - 1, at].map(|at| sorted[at % sorted.len()]);
+        let apart = neighbours.map(|(other, _)| wrap_angle(wrapped(bearing) - other).abs());
+        let nearest = usize::from(apart[1] < apart[0]);
+        if apart[nearest] > SAME_BEARING_RAD {
+            return Err(refuse(&format!("beam {beam}"), bearing, "the scenario's laser"));
+        }
+        matched[neighbours[nearest].1].get_or_insert(beam);
+    }
+    let matches = matched.into_iter().zip(scenario).enumerate();
+    matches
+        .map(|(beam, (found, &bearing))| {
+            found.ok_or_else(|| refuse(&format!("beam {beam} of the scenario"), bearing, "the log"))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::PI;
+
+    use super::*;
+
+    fn drive(bearings: Vec<f32>) -> Drive {
+        let ranges: Vec<f32> =
+            bearings.iter().map(|bearing| 1.0 + wrap_angle(f64::from(*bearing)).abs() as f32).collect();
+        let times = (0..bearings.len()).map(|beam| beam as f32).collect();
+        let laser = Laser::new(bearings, times, 0.0, 8.0, Pose2::IDENTITY).unwrap();
+        let step =
+            DriveStep { stamp_secs: 0.0, odometry: Pose2::IDENTITY, reference: None, scan: Scan { ranges } };
+        Drive { laser, steps: vec![step] }
+    }
+
+    /// `count` beams from `first` on, a step apart (rad).
+    fn beams(first: f32, step: f32, count: usize) -> Vec<f32> {
+        (0..count).map(|beam| first + beam as f32 * step).collect()
+    }
+
+    #[test]
+    fn beams_are_matched_by_where_they_point() {
+        let step = PI / 4.0;
+        let scenario = drive(beams(step - PI, step, 8));
+        for (log, first) in [
+            (beams(step - PI, step, 8), 0),
+            // From behind on, from ahead on, clockwise, and with a beam at both ends.
+            (beams(-PI, step, 8), 1),
+            (beams(0.0, step, 8), 5),
+            (beams(PI, -step, 8), 7),
+            (beams(-PI, step, 9), 1),
+        ] {
+            let found = with_beams(drive(log), &scenario.laser).unwrap();
+            for (found, expected) in found.laser.bearings().iter().zip(scenario.laser.bearings()) {
+                assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+            }
+            for (found, expected) in found.steps[0].scan.ranges.iter().zip(&scenario.steps[0].scan.ranges) {
+                assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+            }
+            assert_eq!(found.laser.beam_times_secs()[0], first as f32);
+        }
+    }
+
+    #[test]
+    fn other_beams_are_refused() {
+        let step = PI / 4.0;
+        let scenario = drive(beams(step - PI, step, 8));
+        for (log, part) in [
+            (
+                beams(0.1, step, 8),
+                "beam 0 points to 5.73 deg, where the scenario's laser has no beam (8 beams in the log",
+            ),
+            (beams(-PI, step / 2.0, 16), "beam 1 points to -157.50 deg"),
+            (beams(-PI, step, 7), "beam 6 of the scenario points to 135.00 deg, where the log has no beam"),
+        ] {
+            let error = with_beams(drive(log), &scenario.laser).unwrap_err();
+            assert!(error.contains(part), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_log_without_reference_lists_its_topics() {
+        let topics = ["/scan (sensor_msgs/msg/LaserScan, 3 messages)".to_owned()];
+        assert!(no_reference(&topics).ends_with("found: /scan (sensor_msgs/msg/LaserScan, 3 messages)"));
+        assert!(no_reference(&[]).contains("a CARMEN log has them in TRUEPOS lines"));
+    }
 }

@@ -155,6 +155,9 @@ pub struct RawLaser {
     /// ends carry a beam.
     #[serde(default = "default::field_of_view_deg")]
     pub field_of_view_deg: f64,
+    /// Bearing of the first beam (deg), -180 to 180, counter-clockwise from ahead. Without it, the middle of the field of
+    /// view is ahead, and the last beam of a full circle is at 180.
+    pub first_beam_deg: Option<f64>,
     /// Minimum range (m), 0 to 1000000.
     #[serde(default)]
     pub min_range_m: f64,
@@ -230,11 +233,13 @@ pub struct RawLog {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawTopics {
-    /// Laser scans, `sensor_msgs/msg/LaserScan`. Default: `/scan`, or else the only topic of that type.
+    /// Laser scans, `sensor_msgs/msg/LaserScan`; `MultiEchoLaserScan`, of which the first echoes are taken; `PointCloud2`
+    /// of a 2D lidar. Default: `/scan`, or else the only topic of that type.
     pub scan: Option<String>,
-    /// Odometry, `nav_msgs/msg/Odometry`. Default: `/odom`, or else the only topic of that type beside the reference.
+    /// Odometry, `nav_msgs/msg/Odometry`, or a transform of `/tf`, written `parent:child`. Default: `/odom`, or else the only topic of that type beside the reference.
     pub odometry: Option<String>,
-    /// Reference poses, `nav_msgs/msg/Odometry` or `geometry_msgs/msg/PoseStamped`. Default: `/reference` or
+    /// Reference poses: `nav_msgs/msg/Odometry`, `geometry_msgs/msg/PoseStamped`, `PoseWithCovarianceStamped` or
+    /// `TransformStamped`, or a transform such as `map:base_link`. Default: `/reference` or
     /// `/ground_truth`.
     pub reference: Option<String>,
 }

@@ -206,6 +206,9 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
             raw.field_of_view_deg,
             Within(1e-3, 360.0),
         ),
+        first_bearing_rad: raw
+            .first_beam_deg
+            .map(|first| check.degrees("laser.first_beam_deg", first, Within(-180.0, 180.0))),
         min_range_m,
         max_range_m,
         resolution_m: check.number("laser.resolution_m", raw.resolution_m, STEP),

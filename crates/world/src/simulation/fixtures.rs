@@ -43,6 +43,7 @@ pub(crate) fn laser_options() -> LaserOptions {
         rate_hz: 5.0,
         beams: 36,
         field_of_view_rad: TAU,
+        first_bearing_rad: None,
         min_range_m: 0.0,
         max_range_m: 8.0,
         resolution_m: 0.0,

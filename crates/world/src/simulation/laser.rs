@@ -26,6 +26,10 @@ pub struct LaserOptions {
     /// Field of view \[rad\], above 0, at most 2 pi. At 2 pi beams are spread evenly, the last at bearing pi;
     /// below it both ends carry a beam. A single beam looks ahead.
     pub field_of_view_rad: f64,
+    /// Bearing of the first beam \[rad\], -pi to pi. `None`: the middle of the field of view is ahead, or, of a full
+    /// circle, the last beam is at pi.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_bearing_rad: Option<f64>,
     /// Minimum range \[m\], at least 0.
     pub min_range_m: f64,
     /// Maximum range \[m\], above the minimum.
@@ -73,6 +77,9 @@ impl LaserSimulator {
         check("field of view [rad]", options.field_of_view_rad, "above 0, at most 2 pi", |fov| {
             fov > 0.0 && fov <= TAU + 1e-9
         })?;
+        if let Some(first) = options.first_bearing_rad {
+            check("bearing of the first beam [rad]", first, "-pi to pi", |first| first.abs() <= PI + 1e-9)?;
+        }
         check("laser resolution [m]", options.resolution_m, from_0, is_from_0)?;
         check("laser noise sigma [m]", options.sigma_m, from_0, is_from_0)?;
         check("laser noise sigma per metre", options.sigma_per_m, from_0, is_from_0)?;
@@ -95,7 +102,8 @@ impl LaserSimulator {
         let (min, max) = (options.min_range_m as f32, options.max_range_m as f32);
         let gaps = gaps(beams, options.field_of_view_rad);
         let shares = || (0..beams).map(|beam| beam as f64 / gaps as f64);
-        let first_bearing = first_bearing(beams, options.field_of_view_rad);
+        let first_bearing =
+            options.first_bearing_rad.unwrap_or_else(|| first_bearing(beams, options.field_of_view_rad));
         let bearings: Vec<f32> =
             shares().map(|share| (first_bearing + share * options.field_of_view_rad) as f32).collect();
         let directions = bearings
@@ -170,7 +178,7 @@ fn gaps(beams: usize, field_of_view: f64) -> usize {
     if is_full_circle(field_of_view) { beams } else { beams.saturating_sub(1).max(1) }
 }
 
-/// Bearing of the first beam \[rad\].
+/// Bearing of the first beam \[rad\] where none is given.
 fn first_bearing(beams: usize, field_of_view: f64) -> f64 {
     if beams <= 1 {
         0.0
@@ -198,6 +206,25 @@ mod tests {
     fn bearings(beams: u32, field_of_view_rad: f64) -> Vec<f32> {
         let options = LaserOptions { beams, field_of_view_rad, ..laser_options() };
         LaserSimulator::new(options).unwrap().laser().bearings().to_vec()
+    }
+
+    #[test]
+    fn the_first_beam_may_be_given() {
+        let options = LaserOptions {
+            beams: 4,
+            field_of_view_rad: TAU,
+            first_bearing_rad: Some(-PI),
+            ..laser_options()
+        };
+        let laser = LaserSimulator::new(options).unwrap();
+        let expected = [-PI, -0.5 * PI, 0.0, 0.5 * PI].map(|bearing| bearing as f32);
+        assert_eq!(laser.laser().bearings(), expected);
+        // The beam behind is found from either side.
+        for bearing in [PI, -PI + 1e-3] {
+            assert!(laser.beams_within(bearing, 0.1).any(|beam| beam == 0));
+        }
+        let beyond = LaserOptions { first_bearing_rad: Some(3.2), ..options };
+        assert!(LaserSimulator::new(beyond).is_err());
     }
 
     #[test]

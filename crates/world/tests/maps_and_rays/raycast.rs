@@ -321,7 +321,11 @@ fn a_table_that_does_not_fit_gets_larger_cells() {
     let options = RangeTableOptions { cell_m: 1e-6, most_bytes: 1 << 20, ..RangeTableOptions::default() };
     let table = RangeTable::new(&exact, &options, &|_| ()).unwrap();
     assert!(table.bytes() <= 1 << 20 && table.bytes() > 1 << 17, "{} bytes", table.bytes());
-    assert!((0.1..0.5).contains(&table.cell_m()), "{} m", table.cell_m());
+    // Cells are doubled until the table fits, and no further.
+    let finer = RangeTableOptions { cell_m: 0.5 * table.cell_m(), most_bytes: usize::MAX, ..options };
+    let finer = RangeTable::new(&exact, &finer, &|_| ()).unwrap();
+    assert_eq!(finer.cell_m(), 0.5 * table.cell_m());
+    assert!(finer.bytes() > 1 << 20, "{} bytes of {} m", finer.bytes(), finer.cell_m());
     let options = RangeTableOptions { cell_m: 1.0, most_bytes: 2000, ..RangeTableOptions::default() };
     let table = RangeTable::new(&exact, &options, &|_| ()).unwrap();
     assert!(table.bytes() < 2000);

@@ -89,6 +89,28 @@ fn a_file_is_known_by_its_first_bytes() {
     }
 }
 
+/// `tests/data/README.md` says what is in it.
+#[test]
+fn a_folder_of_other_programs_is_read() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/rosbags");
+    let (drive, summary) = read_log(&path, &LogOptions::default()).unwrap();
+    assert_eq!((drive.steps.len(), drive.laser.beam_count(), summary.kind), (5, 36, LogKind::Localized));
+    assert!((f64::from(drive.laser.bearings()[0]) + PI).abs() < 1e-6);
+    assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.2, 0.0, PI)));
+    let map_from_odom = Pose2::new(10.0, 5.0, 0.5);
+    for (i, step) in drive.steps.iter().enumerate() {
+        let t = 0.1 * i as f64;
+        assert!((step.stamp_secs - 1_700_000_000.0 - t).abs() < 1e-6);
+        let odometry = Pose2::new(0.5 * t, 0.1 * t, 0.05 * t);
+        assert!(near(&step.odometry, &odometry), "{i}: {:?}", step.odometry);
+        assert!(near(&step.reference.unwrap(), &map_from_odom.compose(&odometry)), "{i}");
+        let [first, zero, maximum, unknown, reading, ..] = step.scan.ranges[..] else { panic!() };
+        assert_eq!((first, maximum), (12.0, 12.0));
+        assert!(zero.is_nan() && unknown.is_nan());
+        assert!((f64::from(reading) - 3.0 - 40_f64.to_radians().sin()).abs() < 1e-6);
+    }
+}
+
 #[test]
 fn a_folder_is_read_in_the_order_of_its_numbers() {
     // Eleven files, so that order by name isn't order by number.

@@ -1,0 +1,242 @@
+//! Poses over time: from a topic, from the tree of transforms, or from corrections of the odometry.
+
+use std::collections::BTreeMap;
+
+use glam::{DAffine3, DQuat, DVec3};
+use locsim_core::Pose2;
+use locsim_core::limits::quoted;
+
+use super::bag::LONGEST_NAME;
+use super::messages::{Pose, TransformStamped, secs};
+
+/// A topic's messages may be logged out of order by this much (ns); further back, the clock was set.
+const OUT_OF_ORDER: i64 = 1_000_000_000;
+
+/// Pairs of frames in the tree of transforms, at the most; robots have hundreds.
+const MOST_PAIRS: usize = 10_000;
+
+/// Values with the times (ns) of their headers.
+pub struct Stamped<T> {
+    pub items: Vec<(i64, T)>,
+    latest: i64,
+    /// Number of messages that were logged after a later one.
+    pub late: usize,
+}
+
+impl<T> Default for Stamped<T> {
+    fn default() -> Self {
+        Self { items: Vec::new(), latest: i64::MIN, late: 0 }
+    }
+}
+
+impl<T> Stamped<T> {
+    pub fn push(&mut self, stamp: i64, value: T) -> Result<(), String> {
+        if stamp < self.latest.saturating_sub(OUT_OF_ORDER) {
+            let (found, latest) = (secs(stamp), secs(self.latest));
+            return Err(format!("stamp is {found} s after one of {latest} s; allowed: at most 1 s back"));
+        }
+        self.late += usize::from(stamp < self.latest);
+        self.latest = self.latest.max(stamp);
+        self.items.push((stamp, value));
+        Ok(())
+    }
+
+    pub fn sort(&mut self) {
+        self.items.sort_by_key(|(stamp, _)| *stamp);
+    }
+}
+
+impl Stamped<Pose2> {
+    /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span.
+    fn at(&self, stamp: i64, nth: usize) -> Option<Pose2> {
+        let from = self.items.partition_point(|(time, _)| *time < stamp);
+        let same = self.items[from..].partition_point(|(time, _)| *time == stamp);
+        if same > 0 {
+            return Some(self.items[from + nth.min(same - 1)].1);
+        }
+        let ((before, a), (after, b)) = (self.items[..from].last()?, self.items.get(from)?);
+        let share = (stamp - before) as f64 / (after - before) as f64;
+        Some(a.interpolate(b, share))
+    }
+}
+
+/// Poses over time.
+pub enum Poses<'a> {
+    /// Those of a topic.
+    Topic(&'a Stamped<Pose2>),
+    /// Products of transforms, the last frame's first.
+    Transforms(Vec<&'a Edge>),
+    /// Products of corrections and of the odometry that they correct.
+    Corrected { corrections: Stamped<Pose2>, odometry: &'a Poses<'a> },
+}
+
+impl<'a> Poses<'a> {
+    /// Irregular poses of a localizer, with the odometry between them: what is interpolated is the transform from the
+    /// odometry's frame to the map's, which changes slowly.
+    pub fn corrected(poses: &Stamped<Pose2>, odometry: &'a Poses<'a>) -> Self {
+        let correction = |(stamp, pose): &(i64, Pose2)| {
+            let odometry = odometry.at(*stamp, 0)?;
+            Some((*stamp, pose.compose(&Pose2::IDENTITY.relative_to(&odometry))))
+        };
+        let items = poses.items.iter().filter_map(correction).collect();
+        Self::Corrected { corrections: Stamped { items, ..Stamped::default() }, odometry }
+    }
+
+    /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span.
+    pub fn at(&self, stamp: i64, nth: usize) -> Option<Pose2> {
+        match self {
+            Self::Topic(poses) => poses.at(stamp, nth),
+            Self::Transforms(edges) => {
+                edges.iter().try_fold(Pose2::IDENTITY, |pose, edge| Some(edge.at(stamp, nth)?.compose(&pose)))
+            }
+            Self::Corrected { corrections, odometry } => {
+                Some(corrections.at(stamp, nth)?.compose(&odometry.at(stamp, nth)?))
+            }
+        }
+    }
+}
+
+/// The transform `parent_from_child` of two frames.
+pub enum Edge {
+    /// As `/tf_static` says.
+    Fixed(DAffine3),
+    /// As `/tf` says, in the plane.
+    Moving(Stamped<Pose2>),
+}
+
+impl Edge {
+    fn at(&self, stamp: i64, nth: usize) -> Option<Pose2> {
+        match self {
+            Self::Fixed(transform) => Some(planar(transform)),
+            Self::Moving(poses) => poses.at(stamp, nth),
+        }
+    }
+}
+
+/// The tree of transforms.
+#[derive(Default)]
+pub struct Transforms {
+    /// By child and parent.
+    edges: BTreeMap<(String, String), Edge>,
+}
+
+impl Transforms {
+    /// Takes in a transform that doesn't change. The last of a child counts.
+    pub fn fix(&mut self, stamped: &TransformStamped) -> Result<(), String> {
+        stamped.transform.projected()?;
+        let (child, parent) = frames(stamped)?;
+        let others = self.edges.range((child.clone(), String::new())..).take_while(|((c, _), _)| *c == child);
+        let fixed = others.filter(|(_, edge)| matches!(edge, Edge::Fixed(_))).map(|(key, _)| key.clone());
+        for key in fixed.collect::<Vec<_>>() {
+            self.edges.remove(&key);
+        }
+        self.room()?;
+        self.edges.insert((child, parent), Edge::Fixed(affine(&stamped.transform)));
+        Ok(())
+    }
+
+    /// Takes in a transform of one time; one between the same frames that doesn't change comes first.
+    pub fn push(&mut self, stamped: &TransformStamped) -> Result<(), String> {
+        let pose = stamped.transform.projected()?;
+        let key = frames(stamped)?;
+        if !self.edges.contains_key(&key) {
+            self.room()?;
+        }
+        match self.edges.entry(key).or_insert_with(|| Edge::Moving(Stamped::default())) {
+            Edge::Fixed(_) => Ok(()),
+            Edge::Moving(poses) => poses.push(stamped.header.stamp.nanos(), pose),
+        }
+    }
+
+    fn room(&self) -> Result<(), String> {
+        if self.edges.len() < MOST_PAIRS {
+            return Ok(());
+        }
+        Err(format!("more than {MOST_PAIRS} pairs of frames; allowed: at most so many"))
+    }
+
+    pub fn sort(&mut self) {
+        for edge in self.edges.values_mut() {
+            if let Edge::Moving(poses) = edge {
+                poses.sort();
+            }
+        }
+    }
+
+    /// The transforms that lead from one frame up to another, the lower frame's first.
+    pub fn chain(&self, child: &str, ancestor: &str) -> Option<Vec<&Edge>> {
+        let mut chain = Vec::new();
+        let mut seen = vec![child.to_owned()];
+        self.climb(child, ancestor, &mut seen, &mut chain).then_some(chain)
+    }
+
+    fn climb<'a>(
+        &'a self,
+        child: &str,
+        ancestor: &str,
+        seen: &mut Vec<String>,
+        chain: &mut Vec<&'a Edge>,
+    ) -> bool {
+        if child == ancestor {
+            return true;
+        }
+        let from_child = self.edges.range((child.to_owned(), String::new())..);
+        for ((_, parent), edge) in from_child.take_while(|((from, _), _)| from == child) {
+            // A circle has no end, and a tower of frames no robot.
+            if seen.contains(parent) || seen.len() == DEEPEST {
+                continue;
+            }
+            seen.push(parent.clone());
+            chain.push(edge);
+            if self.climb(parent, ancestor, seen, chain) {
+                return true;
+            }
+            chain.pop();
+        }
+        false
+    }
+
+    /// The transform from one frame up to another by transforms that don't change.
+    pub fn fixed(&self, child: &str, ancestor: &str) -> Option<DAffine3> {
+        self.chain(child, ancestor)?.into_iter().try_fold(DAffine3::IDENTITY, |from_child, edge| match edge {
+            Edge::Fixed(transform) => Some(*transform * from_child),
+            Edge::Moving(_) => None,
+        })
+    }
+
+    /// The pairs of frames, as `parent:child`.
+    pub fn pairs(&self) -> impl Iterator<Item = String> {
+        self.edges.keys().map(|(child, parent)| format!("{}:{}", quoted(parent), quoted(child)))
+    }
+}
+
+/// Frames on the way up from a laser or a base, at the most; robots have ten.
+const DEEPEST: usize = 100;
+
+/// Child and parent, without the slash that old names begin with.
+fn frames(stamped: &TransformStamped) -> Result<(String, String), String> {
+    for frame in [&stamped.child_frame_id, &stamped.header.frame_id] {
+        if frame.len() > LONGEST_NAME {
+            let (frame, length) = (quoted(frame), frame.len());
+            return Err(format!("frame `{frame}` has {length} bytes; allowed: at most {LONGEST_NAME}"));
+        }
+    }
+    Ok((plain(&stamped.child_frame_id).to_owned(), plain(&stamped.header.frame_id).to_owned()))
+}
+
+/// A frame's name without the slash that old names begin with.
+pub fn plain(frame: &str) -> &str {
+    frame.trim_start_matches('/')
+}
+
+fn affine(transform: &Pose) -> DAffine3 {
+    let Pose { position: p, orientation: q } = transform;
+    let rotation = DQuat::from_xyzw(q.x, q.y, q.z, q.w).normalize();
+    DAffine3::from_rotation_translation(rotation, DVec3::new(p.x, p.y, p.z))
+}
+
+/// The pose that a transform has in the plane: its x axis seen from above.
+pub fn planar(transform: &DAffine3) -> Pose2 {
+    let (p, forward) = (transform.translation, transform.matrix3.x_axis);
+    Pose2::new(p.x, p.y, forward.y.atan2(forward.x))
+}

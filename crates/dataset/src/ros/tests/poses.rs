@@ -1,0 +1,361 @@
+//! Odometry and reference from other topics than `/odom` and `/reference`, and other scans than those of one common lidar.
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+
+use super::super::messages::{
+    LaserEcho, MULTI_ECHO_LASER_SCAN, MultiEchoLaserScan, POINT_CLOUD_2, POSE_WITH_COVARIANCE_STAMPED,
+    PointCloud2, PointField, PoseWithCovarianceStamped, TRANSFORM_STAMPED,
+};
+use super::*;
+use crate::OdometrySource;
+
+impl Message for PoseWithCovarianceStamped {
+    const TYPE: &str = POSE_WITH_COVARIANCE_STAMPED;
+    const DEFINITION: &str = "";
+}
+
+impl Message for TransformStamped {
+    const TYPE: &str = TRANSFORM_STAMPED;
+    const DEFINITION: &str = "";
+}
+
+impl Message for MultiEchoLaserScan {
+    const TYPE: &str = MULTI_ECHO_LASER_SCAN;
+    const DEFINITION: &str = "";
+}
+
+impl Message for PointCloud2 {
+    const TYPE: &str = POINT_CLOUD_2;
+    const DEFINITION: &str = "";
+}
+
+/// Covariances of an AMCL pose (m^2, m^2, rad^2).
+const VARIANCES: [f64; 3] = [0.04, 0.09, 0.01];
+
+fn moving(secs: f64, parent: &str, child: &str, pose: &Pose2) -> TfMessage {
+    TfMessage {
+        transforms: vec![TransformStamped {
+            header: header(secs, parent),
+            child_frame_id: child.into(),
+            transform: Pose::planar(pose),
+        }],
+    }
+}
+
+fn amcl(secs: f64, pose: &Pose2) -> PoseWithCovarianceStamped {
+    let mut covariance = [[0.0; 6]; 6];
+    for (axis, variance) in [0, 1, 5].into_iter().zip(VARIANCES) {
+        covariance[axis][axis] = variance;
+    }
+    PoseWithCovarianceStamped {
+        header: header(secs, "map"),
+        pose: PoseWithCovariance { pose: Pose::planar(pose), covariance },
+    }
+}
+
+fn reference(name: &str) -> BagOptions {
+    BagOptions {
+        topics: BagTopics { reference: Some(name.to_owned()), ..BagTopics::default() },
+        ..BagOptions::default()
+    }
+}
+
+/// [`plain`] with its odometry as transforms to `base_footprint`.
+fn of_transforms() -> Bag {
+    plain()
+        .without("/odom")
+        .add("/tf", &moving(1.0, "odom", "base_footprint", &Pose2::new(1.0, 2.0, 3.0)))
+        .add("/tf", &moving(3.0, "odom", "base_footprint", &Pose2::new(3.0, 6.0, -3.0)))
+}
+
+#[test]
+fn odometry_is_read_from_transforms() {
+    let (expected, _) = plain().read(&BagOptions::default()).unwrap();
+    let (drive, summary) = of_transforms().read(&BagOptions::default()).unwrap();
+    assert_eq!(drive, expected);
+    assert_eq!(summary.odometry, OdometrySource::Transforms);
+    assert!(summary.evidence.contains("odometry from the transforms odom:base_footprint"), "{summary}");
+
+    // The base is a frame above which a static transform leads.
+    let level = [0.0, 0.0, 0.0, 1.0];
+    let linked = of_transforms()
+        .add("/tf_static", &transform("base_footprint", "base_link", [1.0, 0.0, 0.1], level))
+        .add("/tf_static", &transform("base_link", "laser", [0.5, 0.0, 0.0], level));
+    let (drive, _) = linked.read(&BagOptions::default()).unwrap();
+    let ahead = Pose2::new(1.0, 0.0, 0.0);
+    for (step, expected) in drive.steps.iter().zip(&expected.steps) {
+        assert!(near(&step.odometry, &expected.odometry.compose(&ahead)), "{:?}", step.odometry);
+    }
+    assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.5, 0.0, 0.0)));
+
+    // A topic comes first, also where transforms are there; frames may be named.
+    let both = plain().add("/tf", &moving(1.0, "odom", "base_link", &Pose2::IDENTITY));
+    assert_eq!(both.read(&BagOptions::default()).unwrap().1.odometry, OdometrySource::Topic);
+    let other = plain()
+        .add("/tf", &moving(1.0, "wheels", "robot", &Pose2::IDENTITY))
+        .add("/tf", &moving(3.0, "wheels", "robot", &ahead));
+    let topics = BagTopics { odometry: Some("wheels:robot".to_owned()), ..BagTopics::default() };
+    let (drive, _) = other.read(&BagOptions { topics, ..BagOptions::default() }).unwrap();
+    assert!(near(&drive.steps[1].odometry, &Pose2::new(0.25, 0.0, 0.0)));
+
+    // Joints that aren't known do no harm.
+    let unknown =
+        of_transforms().add("/tf", &moving(1.0, "base_link", "wheel", &Pose2::new(f64::NAN, 0.0, 0.0)));
+    assert!(unknown.read(&BagOptions::default()).is_ok());
+}
+
+#[test]
+fn frames_without_a_way_between_them_are_refused_with_those_that_are_there() {
+    let message =
+        plain().without("/odom").add("/tf", &moving(1.0, "world", "robot", &Pose2::IDENTITY)).message();
+    for part in [
+        "no topic of type nav_msgs/msg/Odometry for odometry, and no transforms lead from `base_link` to `odom`",
+        "transforms: world:robot; found: /scan (sensor_msgs/msg/LaserScan, 3 messages), /tf (",
+    ] {
+        assert!(message.contains(part), "{message}");
+    }
+    let error = of_transforms().read(&reference("map:base_link")).unwrap_err().to_string();
+    assert!(error.contains("for reference, and no transforms lead from `base_link` to `map`"), "{error}");
+    // A circle has no end.
+    let circle = of_transforms().add("/tf", &moving(1.0, "base_footprint", "odom", &Pose2::IDENTITY));
+    assert!(circle.read(&reference("map:base_link")).is_err());
+}
+
+#[test]
+fn a_reference_is_composed_of_transforms() {
+    let map_from_odom = Pose2::new(10.0, -5.0, FRAC_PI_2);
+    let whole = of_transforms()
+        .add("/tf", &moving(0.5, "map", "odom", &map_from_odom))
+        .add("/tf", &moving(3.5, "map", "odom", &map_from_odom));
+    let (drive, summary) = whole.read(&BagOptions::default()).unwrap();
+    assert_eq!(summary.kind, LogKind::Localized);
+    assert!(
+        summary.evidence.contains("reference from the transforms map:base_footprint, which a localizer"),
+        "{summary}"
+    );
+    assert_eq!(drive.steps.len(), 3);
+    for step in &drive.steps {
+        let expected = map_from_odom.compose(&step.odometry);
+        assert!(near(&step.reference.unwrap(), &expected), "{:?}", step.reference);
+    }
+    // Named as we and as evo write it, the user vouches for it.
+    for name in ["map:base_footprint", "/tf:map.base_footprint"] {
+        let (named, summary) = whole.read(&reference(name)).unwrap();
+        assert_eq!((&named, summary.kind), (&drive, LogKind::Referenced));
+    }
+    // Beside a topic of reference poses it isn't asked.
+    let topic = whole.add("/reference", &odometry(1.0, &Pose2::IDENTITY));
+    assert_eq!(topic.read(&BagOptions::default()).unwrap().1.kind, LogKind::Referenced);
+}
+
+#[test]
+fn between_poses_of_a_localizer_the_reference_follows_the_odometry() {
+    let map_from_odom = Pose2::new(10.0, -5.0, FRAC_PI_4);
+    // A quarter turn between two poses of the localizer.
+    let odometry_at =
+        [(1.0, Pose2::IDENTITY), (2.0, Pose2::new(4.0, 0.0, 0.0)), (3.0, Pose2::new(4.0, 4.0, FRAC_PI_2))];
+    let mut bag = Bag::default();
+    for (secs, pose) in &odometry_at {
+        bag = bag.add("/odom", &odometry(*secs, pose)).add("/scan", &scan(*secs, &[1.0; 5]));
+    }
+    for (secs, pose) in [odometry_at[0], odometry_at[2]] {
+        bag = bag.add("/amcl_pose", &amcl(secs, &map_from_odom.compose(&pose)));
+    }
+    for (options, kind) in
+        [(BagOptions::default(), LogKind::Localized), (reference("/amcl_pose"), LogKind::Referenced)]
+    {
+        let (drive, summary) = bag.read(&options).unwrap();
+        assert_eq!((summary.kind, summary.reference_messages), (kind, 2));
+        for (step, (_, pose)) in drive.steps.iter().zip(&odometry_at) {
+            assert!(near(&step.reference.unwrap(), &map_from_odom.compose(pose)), "{:?}", step.reference);
+        }
+        for (deviation, variance) in summary.reference_deviation.unwrap().into_iter().zip(VARIANCES) {
+            assert!((deviation - variance.sqrt()).abs() < 1e-12);
+        }
+        let said = summary.to_string();
+        assert!(said.contains("standard deviations of 0.200 m, 0.300 m, 5.73 deg"), "{said}");
+    }
+}
+
+#[test]
+fn a_motion_capture_publishes_transforms() {
+    let pose = Pose2::new(7.0, 8.0, 0.5);
+    let stamped = |secs: f64| moving(secs, "world", "robot", &pose).transforms.remove(0);
+    let bag = plain().add("/vicon", &stamped(1.0)).add("/vicon", &stamped(3.0));
+    let (drive, summary) = bag.read(&reference("/vicon")).unwrap();
+    assert_eq!((summary.kind, summary.reference_deviation), (LogKind::Referenced, None));
+    assert!(drive.steps.iter().all(|step| near(&step.reference.unwrap(), &pose)));
+    // Without being named it isn't taken, but listed.
+    let (_, summary) = bag.read(&BagOptions::default()).unwrap();
+    assert_eq!(summary.kind, LogKind::Raw);
+    assert!(summary.topics.contains(&"/vicon (geometry_msgs/msg/TransformStamped, 2 messages)".to_owned()));
+}
+
+#[test]
+fn other_scanners_are_listed() {
+    let (_, summary) = plain().add("/rear", &scan(1.0, &[1.0])).read(&BagOptions::default()).unwrap();
+    assert!(summary.evidence.contains("other scanners: /rear (1 messages)"), "{summary}");
+}
+
+#[test]
+fn the_first_echo_of_a_beam_is_its_reading() {
+    let LaserScan {
+        header,
+        angle_min,
+        angle_max,
+        angle_increment,
+        time_increment,
+        scan_time,
+        range_min,
+        range_max,
+        ..
+    } = scan(1.0, &[]);
+    let beam = |echoes: &[f32]| LaserEcho { echoes: echoes.to_vec() };
+    let ranges = vec![beam(&[1.0, 2.0]), beam(&[]), beam(&[f32::INFINITY])];
+    let scan = MultiEchoLaserScan {
+        header,
+        angle_min,
+        angle_max,
+        angle_increment,
+        time_increment,
+        scan_time,
+        range_min,
+        range_max,
+        ranges,
+        intensities: Vec::new(),
+    };
+    let bag = Bag::default().add("/echoes", &scan).add("/odom", &odometry(1.0, &Pose2::IDENTITY));
+    let (drive, _) = bag.read(&BagOptions::default()).unwrap();
+    let ranges = &drive.steps[0].scan.ranges;
+    assert_eq!((ranges[0], ranges[2]), (1.0, 8.0));
+    assert!(ranges[1].is_nan());
+}
+
+#[test]
+fn zero_is_no_return_where_a_driver_has_no_other_word_for_it() {
+    let read = |ranges: &[f32]| {
+        let bag =
+            Bag::default().add("/odom", &odometry(1.0, &Pose2::IDENTITY)).add("/scan", &scan(1.0, ranges));
+        let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+        (drive.steps[0].scan.ranges[0], summary)
+    };
+    let (zero, summary) = read(&[0.0, 1.0, f32::NAN]);
+    assert_eq!((zero, summary.no_return_share), (8.0, 1.0 / 3.0));
+    assert!(summary.evidence.contains("readings of 0 are taken for no return"), "{summary}");
+    for other in [f32::INFINITY, 8.0] {
+        let (zero, summary) = read(&[0.0, 1.0, other]);
+        assert!(zero.is_nan() && !summary.evidence.contains("readings of 0"), "{summary}");
+    }
+}
+
+#[test]
+fn bearings_are_as_the_scans_have_them() {
+    let turn = |first: f32, step: f32| LaserScan {
+        angle_min: first,
+        angle_max: -first,
+        angle_increment: step,
+        ..scan(1.0, &[1.0; 4])
+    };
+    let pi = std::f32::consts::PI;
+    for (first, step) in [(-pi, pi / 2.0), (pi, -pi / 2.0), (0.0, pi / 2.0)] {
+        let bag =
+            Bag::default().add("/odom", &odometry(1.0, &Pose2::IDENTITY)).add("/scan", &turn(first, step));
+        let (drive, _) = bag.read(&BagOptions::default()).unwrap();
+        for (i, bearing) in drive.laser.bearings().iter().enumerate() {
+            assert!((bearing - (first + i as f32 * step)).abs() < 1e-6, "{bearing}");
+        }
+    }
+}
+
+fn cloud(secs: f64, points: &[[f32; 3]]) -> PointCloud2 {
+    let field = |name: &str, offset: u32| PointField {
+        name: name.into(),
+        offset,
+        datatype: PointField::FLOAT32,
+        count: 1,
+    };
+    // Four bytes of something else before each point.
+    let data = points.iter().flat_map(|point| [9.0].iter().chain(point).copied().collect::<Vec<_>>());
+    PointCloud2 {
+        header: header(secs, "laser"),
+        height: 1,
+        width: points.len() as u32,
+        fields: vec![field("x", 4), field("y", 8), field("z", 12)],
+        is_bigendian: false,
+        point_step: 16,
+        row_step: 16 * points.len() as u32,
+        data: data.flat_map(f32::to_le_bytes).collect(),
+        is_dense: false,
+    }
+}
+
+/// Points of a quarter circle of five beams, at 1 m, 2 m, ...; of some of them only.
+fn quarter(kept: impl Fn(usize) -> bool) -> Vec<[f32; 3]> {
+    let point = |beam: usize| {
+        let (sin, cos) = (beam as f32 * std::f32::consts::FRAC_PI_8 - std::f32::consts::FRAC_PI_4).sin_cos();
+        [(beam + 1) as f32 * cos, (beam + 1) as f32 * sin, 0.0]
+    };
+    (0..5).filter(|beam| kept(*beam)).map(point).collect()
+}
+
+#[test]
+fn clouds_of_a_2d_lidar_are_scans() {
+    let with = |clouds: &[PointCloud2]| {
+        let bag = plain().without("/scan");
+        clouds.iter().fold(bag, |bag, cloud| bag.add("/points", cloud))
+    };
+    let mut unknown = quarter(|beam| beam != 2);
+    unknown.push([f32::NAN; 3]);
+    let bag =
+        with(&[cloud(1.0, &unknown), cloud(1.5, &quarter(|_| true)), cloud(3.0, &quarter(|beam| beam == 4))]);
+    let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+    for (i, bearing) in drive.laser.bearings().iter().enumerate() {
+        let expected = i as f32 * std::f32::consts::FRAC_PI_8 - std::f32::consts::FRAC_PI_4;
+        assert!((bearing - expected).abs() < 1e-6, "{bearing}");
+    }
+    let found =
+        |step: usize| drive.steps[step].scan.ranges.iter().map(|r| if r.is_nan() { 0.0 } else { r.round() });
+    assert!(found(0).eq([1.0, 2.0, 0.0, 4.0, 5.0]) && found(1).eq([1.0, 2.0, 3.0, 4.0, 5.0]));
+    assert!(found(2).eq([0.0, 0.0, 0.0, 0.0, 5.0]));
+    assert_eq!(summary.no_return_share, 0.0);
+    assert!(summary.evidence.contains("clouds don't tell readings without return"), "{summary}");
+
+    // Around the circle the beam behind is one, at either end.
+    let around = |from: usize| {
+        let angle = |beam: usize| (beam as f32).mul_add(std::f32::consts::FRAC_PI_4, -std::f32::consts::PI);
+        (from..8).map(|beam| [angle(beam).cos(), angle(beam).sin(), 0.0]).collect::<Vec<_>>()
+    };
+    let (drive, _) =
+        with(&[cloud(1.0, &around(0)), cloud(3.0, &around(1))]).read(&BagOptions::default()).unwrap();
+    assert_eq!(drive.laser.beam_count(), 8);
+
+    // Scans come first; clouds may be named.
+    let both = plain().add("/points", &cloud(1.0, &quarter(|_| true)));
+    assert_eq!(both.read(&BagOptions::default()).unwrap().1.scan_source, "/scan");
+    let topics = BagTopics { scan: Some("/points".to_owned()), ..BagTopics::default() };
+    let (_, summary) = both.read(&BagOptions { topics, ..BagOptions::default() }).unwrap();
+    assert_eq!(summary.scan_source, "/points");
+}
+
+#[test]
+fn clouds_that_are_no_scans_are_refused() {
+    let refused = |change: &dyn Fn(&mut PointCloud2), part: &str| {
+        let mut cloud = cloud(1.0, &quarter(|_| true));
+        change(&mut cloud);
+        let message = plain().without("/scan").add("/points", &cloud).message();
+        assert!(message.contains("/points: message 1: ") && message.contains(part), "{message}");
+    };
+    refused(&|cloud| cloud.fields[2].name = "height".into(), "the cloud has no field `z` of FLOAT32");
+    refused(&|cloud| cloud.fields[0].datatype = 8, "the cloud has no field `x` of FLOAT32");
+    refused(&|cloud| cloud.fields[0].offset = 13, "the cloud has no field `x` of FLOAT32");
+    refused(&|cloud| cloud.point_step = 0, "the cloud has no field `x`");
+    refused(
+        &|cloud| cloud.width = u32::MAX,
+        "the cloud has 80 bytes; allowed: 16 for each of 4294967295 points",
+    );
+    refused(
+        &|cloud| cloud.data[12..16].copy_from_slice(&2_f32.to_le_bytes()),
+        "a point lies 2 m off the plane",
+    );
+    refused(&|cloud| (cloud.width, cloud.data) = (0, Vec::new()), "too few points to tell the beams");
+}

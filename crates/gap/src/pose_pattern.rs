@@ -1,0 +1,44 @@
+//! Errors of the reference poses as effects of the laser's pose and time look like them.
+//!
+//! A displaced laser, a turned one and a late stamp all move whole scans, each in its own pattern over the drive.
+
+use glam::DVec3;
+use locsim_world::effect::{Direction, EffectKind, PoseState, Statistic};
+
+use crate::Recorded;
+use crate::catalogue::{shown_by, values_along};
+
+/// A pattern that errors of the reference poses may follow.
+pub(crate) struct PosePattern {
+    /// The effect that looks like it.
+    pub kind: EffectKind,
+    /// The direction of that effect's values.
+    pub direction: Direction,
+    error: fn(&PoseState, &[f64]) -> [f64; 3],
+}
+
+impl PosePattern {
+    /// All patterns, in the catalogue's order.
+    pub fn all() -> Vec<Self> {
+        let patterns = shown_by(|statistic| match statistic {
+            Statistic::Pose { pattern, directions } => Some((*pattern, *directions)),
+            _ => None,
+        });
+        patterns
+            .flat_map(|(kind, (error, directions))| {
+                directions.iter().map(move |direction| Self { kind, direction, error })
+            })
+            .collect()
+    }
+
+    /// Error of each pose of a log \[m, m, rad\] in the map frame, up to a factor.
+    pub fn over(&self, recorded: &Recorded) -> Vec<DVec3> {
+        let values = values_along(self.kind, self.direction);
+        let mount = recorded.laser.base_from_laser().position();
+        let robots = recorded.track.poses().iter().zip(recorded.velocities());
+        robots
+            .map(|(pose, velocity)| PoseState { heading: pose.theta, velocity, mount })
+            .map(|robot| DVec3::from_array((self.error)(&robot, &values)))
+            .collect()
+    }
+}

@@ -1,0 +1,44 @@
+//! Readings between the two surfaces of an edge.
+
+use locsim_world::effect::{self, EffectKind};
+
+use super::contamination::{detectable_share, score};
+use super::survey::Survey;
+use super::{Family, Form, Group, Halves, Readings, Statistic};
+use crate::catalogue::kinds_shown_by;
+
+/// The score of an effect by which beams at edges read anything between the edge's two surfaces.
+pub(super) struct Edges {
+    kind: EffectKind,
+    /// The two ranges of the edge that a beam is at.
+    jumps: Vec<Option<[f64; 2]>>,
+    /// The share at which the score is taken.
+    share: f64,
+}
+
+impl Edges {
+    pub fn all(survey: &Survey<'_>) -> Vec<Self> {
+        let share = detectable_share(survey.jumps.iter().flatten().count() as f64);
+        kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::Edge))
+            .map(|kind| Self { kind, jumps: survey.jumps.clone(), share })
+            .collect()
+    }
+}
+
+impl Family for Edges {
+    fn statistics(&self) -> Vec<Statistic> {
+        vec![Statistic::of_effect(self.kind, Group::Shares, Form::Other)]
+    }
+
+    fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
+        let mut sum = [0.0; 2];
+        for reading in &log.all {
+            if let Some([near, far]) = self.jumps[reading.index] {
+                let is_between = reading.is_return && (near..far).contains(&reading.z);
+                let ratio = reading.contamination(if is_between { 1.0 / (far - near) } else { 0.0 });
+                sum[reading.half()] += score(ratio, self.share);
+            }
+        }
+        vec![sum]
+    }
+}

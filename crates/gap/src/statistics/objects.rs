@@ -1,0 +1,168 @@
+//! Objects that the map lacks: readings in front of the walls, counted where they lie in the map.
+
+use std::collections::HashMap;
+
+use glam::DVec2;
+use locsim_world::effect::{self, EffectKind};
+
+use super::readings::Reading;
+use super::survey::Survey;
+use super::{Family, Form, Found, Group, Halves, OBJECT_CELL_M, Readings, Start, Statistic, cell_at};
+use crate::catalogue::kinds_shown_by;
+
+/// The error of where a reading lies that noise and errors of the reference make \[m\], or five standard deviations of a laser
+/// with more noise.
+const READING_ERROR_M: f64 = 0.1;
+/// Readings of one object are within this of each other \[m\].
+const TOGETHER_M: f64 = 0.1;
+/// Radius from which the fit of an object starts \[m\].
+const FIRST_RADIUS_M: f64 = 0.05;
+/// The most windows that fits start from.
+const MOST_STARTS: usize = 3;
+
+/// The counts of readings in windows of free space. Windows of four cells overlap, so that an object on the border of a cell
+/// isn't shared out.
+pub(super) struct Objects {
+    kind: EffectKind,
+    /// Index of each cell of free space.
+    cells: HashMap<[i32; 2], u32>,
+    windows: Vec<Window>,
+}
+
+#[derive(Clone)]
+struct Window {
+    /// Its cell of the least coordinates.
+    corner: [i32; 2],
+    /// Indices of its cells in free space.
+    cells: Vec<u32>,
+    /// Whether clutter can stand there.
+    is_among_clutter: bool,
+}
+
+impl Objects {
+    pub fn all(survey: &Survey<'_>) -> Vec<Self> {
+        let (cells, windows) = free_space(survey);
+        kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::Object))
+            .map(|kind| Self { kind, cells: cells.clone(), windows: windows.clone() })
+            .collect()
+    }
+
+    /// The middle of the readings in a window that lie together.
+    fn position(log: &Readings<'_>, [x, y]: [i32; 2]) -> DVec2 {
+        let is_inside = |point: &DVec2| {
+            let [i, j] = cell_at(*point, OBJECT_CELL_M);
+            (x..=x + 1).contains(&i) && (y..=y + 1).contains(&j)
+        };
+        let points: Vec<DVec2> = log.in_front().map(Reading::point).filter(is_inside).collect();
+        let near = |p: &DVec2| points.iter().filter(|q| p.distance(**q) < TOGETHER_M).count();
+        let Some(center) = points.iter().copied().max_by_key(near) else {
+            return DVec2::new(f64::from(x + 1), f64::from(y + 1)) * OBJECT_CELL_M;
+        };
+        let close: Vec<DVec2> = points.iter().copied().filter(|p| p.distance(center) < TOGETHER_M).collect();
+        close.iter().sum::<DVec2>() / close.len() as f64
+    }
+}
+
+/// The cells along the beams up to their ends, where objects can be seen, and the windows of four of them.
+fn free_space(survey: &Survey<'_>) -> (HashMap<[i32; 2], u32>, Vec<Window>) {
+    let (comparison, max) = (survey.comparison, survey.max_range);
+    let mut cells = HashMap::new();
+    for (i, beam) in comparison.views.beams.iter().enumerate() {
+        let direction =
+            DVec2::from_angle(comparison.recorded.track.poses()[survey.scan(i)].theta + beam.view.bearing);
+        let range = beam.view.range.min(max);
+        let mut along = 0.5 * OBJECT_CELL_M;
+        while along < range {
+            let from_end = beam.view.range - (range - along);
+            let point = beam.view.endpoint - from_end * direction;
+            cells.insert(cell_at(point, OBJECT_CELL_M), 0);
+            along += OBJECT_CELL_M;
+        }
+    }
+    let mut corners: Vec<[i32; 2]> = cells.keys().copied().collect();
+    corners.sort_unstable();
+    for (i, corner) in corners.iter().enumerate() {
+        cells.insert(*corner, i as u32);
+    }
+    let error = READING_ERROR_M.max(5.0 * comparison.nominal.laser.sigma_m);
+    // The points of this lattice are the middles of windows.
+    let reach = comparison.views.blocks_in_reach(OBJECT_CELL_M, OBJECT_CELL_M + error);
+    let window = |[x, y]: [i32; 2]| Window {
+        corner: [x, y],
+        cells: [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]]
+            .iter()
+            .filter_map(|cell| cells.get(cell).copied())
+            .collect(),
+        is_among_clutter: reach.contains(&[x + 1, y + 1]),
+    };
+    let windows = corners.into_iter().map(window).collect();
+    (cells, windows)
+}
+
+impl Family for Objects {
+    fn statistics(&self) -> Vec<Statistic> {
+        let statistic = |window: &Window| {
+            let group = if window.is_among_clutter { Group::AmongClutter } else { Group::Places };
+            Statistic::of_effect(self.kind, group, Form::Count)
+        };
+        self.windows.iter().map(statistic).collect()
+    }
+
+    fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
+        let mut counts = vec![[0.0; 2]; self.cells.len()];
+        for reading in log.in_front() {
+            if let Some(&cell) = self.cells.get(&cell_at(reading.point(), OBJECT_CELL_M)) {
+                counts[cell as usize][reading.half()] += 1.0;
+            }
+        }
+        let count = |window: &Window| {
+            std::array::from_fn(|half| window.cells.iter().map(|&cell| counts[cell as usize][half]).sum())
+        };
+        self.windows.iter().map(count).collect()
+    }
+
+    fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
+        let more = found.iter().filter(|found| found.z > 0.0).take(MOST_STARTS);
+        more.map(|found| {
+            let position = Self::position(log, self.windows[found.index].corner);
+            Start { values: vec![position.x, position.y, FIRST_RADIUS_M], place: Vec::new() }
+        })
+        .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_world::effect::Effect;
+
+    use super::super::sectors::Sectors;
+    use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::{Comparison, Nuisances};
+    use crate::statistics::pit_draw;
+
+    /// An object in the room is seen many times at one place of the room and few times at one bearing and range from the
+    /// robot; a part of the robot the other way round.
+    #[test]
+    fn an_object_in_the_room_is_not_on_the_robot() {
+        /// The largest counts of the two families in a log with an effect.
+        fn most(kind: EffectKind, values: &[f64]) -> [f64; 2] {
+            let effect = Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
+            let regime = Regime { persistent_blocks: true, pose_error: None };
+            let drive = record_library(&NOMINAL, &TRUTH, &[effect], regime, 2).unwrap();
+            let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let survey = Survey::new(&comparison);
+            let fitted = comparison.start(&Nuisances::default());
+            let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+            let counts = [Objects::all(&survey)[0].measure(&log), Sectors::all(&survey)[0].measure(&log)];
+            counts.map(|all| all.iter().map(|halves| halves[0] + halves[1]).fold(0.0, f64::max))
+        }
+        let [in_room, as_sector] = most(EffectKind::MissingObject, &[2.6, 2.0, 0.05]);
+        assert!(as_sector < 0.2 * in_room && in_room > 100.0, "{as_sector} {in_room}");
+        let [_, on_robot] = most(EffectKind::SectorOcclusion, &[0.4, 0.8, 0.3, 0.2]);
+        assert!(on_robot > 3.0 * as_sector, "{as_sector} {on_robot}");
+    }
+}

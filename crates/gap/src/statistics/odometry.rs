@@ -1,0 +1,112 @@
+//! Errors of the odometry's increments against those of the reference.
+
+use locsim_world::effect::{self, Axis, EffectKind};
+
+use super::contamination::{detectable_share, score};
+use super::readings::half_of;
+use super::{Family, Form, Group, Halves, Readings, Statistic};
+use crate::catalogue::shown_by;
+use crate::odometry::{Increment, deviation, increments, slip_ratios, standardized};
+
+/// The increments of a log's odometry, with the reference's errors taken off.
+fn increments_of(log: &Readings<'_>) -> Vec<Increment> {
+    let comparison = log.comparison;
+    let track = comparison.corrected(&log.fitted.corrections);
+    increments(comparison.nominal, log.effects, &track, &comparison.recorded.odometry)
+}
+
+/// The correlation of an error of the odometry with a motion.
+pub(super) struct OdometryCorrelation {
+    kind: EffectKind,
+    error: Axis,
+    motion: Axis,
+}
+
+impl OdometryCorrelation {
+    pub fn all() -> Vec<Self> {
+        let shown = shown_by(|statistic| match statistic {
+            effect::Statistic::Odometry { error, motion } => Some((*error, *motion)),
+            _ => None,
+        });
+        shown.map(|(kind, (error, motion))| Self { kind, error, motion }).collect()
+    }
+}
+
+impl Family for OdometryCorrelation {
+    fn statistics(&self) -> Vec<Statistic> {
+        vec![Statistic::of_effect(self.kind, Group::Wide, Form::Other)]
+    }
+
+    /// A correlation doesn't depend on how large the reference's errors are taken to be.
+    fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
+        let odometry_error = &log.fitted.nuisances.odometry_error;
+        let (error, motion) = (self.error as usize, self.motion as usize);
+        let mut correlations = [Correlation::default(); 2];
+        for (scan, increment) in increments_of(log).iter().enumerate() {
+            let deviation = deviation(increment, odometry_error, error);
+            correlations[half_of(scan)]
+                .add(standardized(increment, odometry_error)[error], increment.truth[motion] / deviation);
+        }
+        vec![correlations.map(|correlation| correlation.value())]
+    }
+}
+
+/// Likelihood ratios of wheels that slip, for a few shares by which they then turn too far.
+pub(super) struct Slips {
+    kind: EffectKind,
+    shares: &'static [f64],
+}
+
+impl Slips {
+    pub fn all() -> Vec<Self> {
+        let shown = shown_by(|statistic| match statistic {
+            effect::Statistic::Slip { shares } => Some(*shares),
+            _ => None,
+        });
+        shown.map(|(kind, shares)| Self { kind, shares }).collect()
+    }
+}
+
+impl Family for Slips {
+    fn statistics(&self) -> Vec<Statistic> {
+        let statistic = |&share: &f64| Statistic::along(self.kind, &[(1, share)], Group::Wide, Form::Other);
+        self.shares.iter().map(statistic).collect()
+    }
+
+    fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
+        let odometry_error = &log.fitted.nuisances.odometry_error;
+        let increments = increments_of(log);
+        let detectable = detectable_share(increments.len() as f64);
+        let mut sums = vec![[0.0; 2]; self.shares.len()];
+        for (scan, increment) in increments.iter().enumerate() {
+            for (sum, &share) in sums.iter_mut().zip(self.shares) {
+                let [longer, shorter] =
+                    slip_ratios(increment, odometry_error, share).map(|ratio| score(ratio, detectable));
+                sum[half_of(scan)] += longer - shorter;
+            }
+        }
+        sums
+    }
+}
+
+/// Correlation of two numbers about zero, times the root of how many there are.
+#[derive(Clone, Copy, Default)]
+struct Correlation {
+    xy: f64,
+    xx: f64,
+    yy: f64,
+    count: f64,
+}
+
+impl Correlation {
+    fn add(&mut self, x: f64, y: f64) {
+        self.xy += x * y;
+        self.xx += x * x;
+        self.yy += y * y;
+        self.count += 1.0;
+    }
+
+    fn value(&self) -> f64 {
+        self.xy / (self.xx * self.yy).sqrt().max(1e-300) * self.count.sqrt()
+    }
+}

@@ -1,0 +1,398 @@
+//! Effects of a stretch of wall, over cells of the map that walls run through.
+
+use std::collections::HashMap;
+
+use glam::DVec2;
+use locsim_world::effect::{self, EffectKind};
+
+use super::contamination::{detectable_share, score};
+use super::readings::Reading;
+use super::survey::Survey;
+use super::{
+    Family, Form, Found, Group, Halves, Readings, Start, Statistic, WALL_CELL_M, cell_at, typical_values,
+};
+use crate::catalogue::kinds_shown_by;
+use crate::likelihood::near_density;
+use crate::views::Views;
+
+/// Maps have walls at round numbers. Cells of walls have their borders elsewhere, or rounding would share a wall out
+/// between two cells \[m\].
+const WALL_BORDER_M: f64 = 0.37;
+
+/// The cell of a point of a wall.
+fn wall_cell(point: DVec2) -> [i32; 2] {
+    cell_at(point + WALL_BORDER_M, WALL_CELL_M)
+}
+
+/// The cells that the walls of a log run through.
+#[derive(Clone)]
+pub(super) struct WallCells {
+    cells: Vec<[i32; 2]>,
+    /// Index of each beam's cell; `None` of a beam that meets no wall.
+    of_beams: Vec<Option<u32>>,
+    /// Neighbouring cells, by index.
+    pairs: Vec<[usize; 2]>,
+}
+
+impl WallCells {
+    pub fn new(views: &Views, max_range: f64) -> Self {
+        let mut indices: HashMap<[i32; 2], u32> = HashMap::new();
+        let mut cells = Vec::new();
+        let met = views.beams.iter().map(|beam| {
+            (beam.view.range < max_range).then(|| {
+                let cell = wall_cell(beam.view.endpoint);
+                *indices.entry(cell).or_insert_with(|| {
+                    cells.push(cell);
+                    cells.len() as u32 - 1
+                })
+            })
+        });
+        let of_beams = met.collect();
+        let mut pairs = Vec::new();
+        for (i, &[x, y]) in cells.iter().enumerate() {
+            for neighbour in [[x + 1, y], [x, y + 1]] {
+                pairs.extend(indices.get(&neighbour).map(|&j| [i, j as usize]));
+            }
+        }
+        Self { cells, of_beams, pairs }
+    }
+
+    pub fn len(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// Lower corner of a cell \[m\].
+    pub fn corner(&self, cell: usize) -> [f64; 2] {
+        self.cells[cell].map(|c| f64::from(c) * WALL_CELL_M - WALL_BORDER_M)
+    }
+
+    /// Index of a beam's cell.
+    pub fn of_beam(&self, beam: usize) -> Option<usize> {
+        self.of_beams[beam].map(|cell| cell as usize)
+    }
+
+    /// The number of beams in each cell.
+    fn counts(&self) -> Vec<f64> {
+        let mut counts = vec![0.0; self.len()];
+        for cell in self.of_beams.iter().flatten() {
+            counts[*cell as usize] += 1.0;
+        }
+        counts
+    }
+
+    /// A statistic for each cell and for each two neighbours: a stretch of wall doesn't end where a cell does.
+    fn statistics(&self, kind: EffectKind) -> Vec<Statistic> {
+        vec![Statistic::of_effect(kind, Group::Places, Form::Other); self.len() + self.pairs.len()]
+    }
+
+    /// The sums over cells, followed by those over neighbours.
+    fn sums(&self, log: &Readings<'_>, mut summand: impl FnMut(&Reading<'_>, usize) -> f64) -> Vec<Halves> {
+        let mut sums = vec![[0.0; 2]; self.len()];
+        for reading in &log.all {
+            if let Some(cell) = self.of_beam(reading.index) {
+                sums[cell][reading.half()] += summand(reading, cell);
+            }
+        }
+        let both = |&[a, b]: &[usize; 2]| std::array::from_fn(|half| sums[a][half] + sums[b][half]);
+        let of_pairs: Vec<Halves> = self.pairs.iter().map(both).collect();
+        sums.extend(of_pairs);
+        sums
+    }
+
+    /// The cells of a statistic.
+    fn of_statistic(&self, index: usize) -> Vec<[i32; 2]> {
+        match index.checked_sub(self.len()) {
+            None => vec![self.cells[index]],
+            Some(pair) => self.pairs[pair].map(|cell| self.cells[cell]).to_vec(),
+        }
+    }
+}
+
+/// The scores of a wall that is displaced along its normal.
+pub(super) struct WallShift {
+    kind: EffectKind,
+    walls: WallCells,
+}
+
+impl WallShift {
+    pub fn all(survey: &Survey<'_>) -> Vec<Self> {
+        kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::WallShift))
+            .map(|kind| Self { kind, walls: survey.walls.clone() })
+            .collect()
+    }
+}
+
+impl Family for WallShift {
+    fn statistics(&self) -> Vec<Statistic> {
+        self.walls.statistics(self.kind)
+    }
+
+    fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
+        self.walls.sums(log, |reading, _| reading.wall_shift_score())
+    }
+
+    fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
+        let evidence = |reading: &Reading<'_>| {
+            let score = reading.wall_shift_score();
+            [score, score * score]
+        };
+        wall_guesses(self.kind, &self.walls, log, found, evidence, |[score, information], z| {
+            // The score's own estimate, where it is to the statistic's side.
+            let is_right = score * z > 0.0;
+            if is_right { (0.5 * score * score / information, score / information) } else { (0.0, 0.0) }
+        })
+    }
+}
+
+/// The scores of a wall that some beams go through.
+pub(super) struct WallLoss {
+    kind: EffectKind,
+    walls: WallCells,
+    /// The share of each cell's beams at which the score is taken.
+    shares: Vec<f64>,
+}
+
+/// Shares of beams that a stretch may let through, from one that is just seen to nearly all.
+const LOSS_SHARES: [f64; 5] = [0.01, 0.03, 0.1, 0.3, 0.8];
+
+impl WallLoss {
+    pub fn all(survey: &Survey<'_>) -> Vec<Self> {
+        let shares: Vec<f64> = survey.walls.counts().into_iter().map(detectable_share).collect();
+        kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::WallLoss))
+            .map(|kind| Self { kind, walls: survey.walls.clone(), shares: shares.clone() })
+            .collect()
+    }
+}
+
+/// Density of a reading of a beam that its wall lets through, over the hypothesis's, less 1. Such a beam has no return, or
+/// one of what is behind.
+fn loss_ratio(reading: &Reading<'_>, max: f64) -> f64 {
+    let through = if reading.is_return {
+        let sigma = reading.terms.sigma.min(0.1);
+        let behind = reading.beam.view.behind;
+        let mapped = behind.map_or(0.0, |behind| near_density(reading.z, behind + reading.shift, sigma, max));
+        // The map often lacks the surface behind.
+        0.5 * mapped + if reading.is_behind { 0.5 / max } else { 0.0 }
+    } else {
+        0.5
+    };
+    reading.contamination(through)
+}
+
+impl Family for WallLoss {
+    fn statistics(&self) -> Vec<Statistic> {
+        self.walls.statistics(self.kind)
+    }
+
+    fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
+        let max = log.max_range();
+        self.walls.sums(log, |reading, cell| score(loss_ratio(reading, max), self.shares[cell]))
+    }
+
+    fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
+        let max = log.max_range();
+        let evidence = |reading: &Reading<'_>| {
+            let ratio = loss_ratio(reading, max);
+            // The gain itself: sums of few events aren't normal.
+            LOSS_SHARES.map(|share| (share * ratio).ln_1p())
+        };
+        wall_guesses(self.kind, &self.walls, log, found, evidence, |gains, _| {
+            let gains = gains.into_iter().zip(LOSS_SHARES);
+            gains.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0))
+        })
+    }
+}
+
+/// Length of the bins into which a wall is cut \[m\], and the least length of a stretch: about three readings at 3 m.
+const STRETCH_BIN_M: f64 = 0.1;
+const STRETCH_LEAST_M: f64 = 0.3;
+/// How far a stretch is looked for on both sides of a cell's wall \[m\]: an effect of a longer one shows in other cells, too.
+const STRETCH_REACH_M: f64 = 4.0;
+/// Ends of beams within this of a line are on it \[m\].
+const ON_LINE_M: f64 = 0.03;
+/// The same for the readings of a stretch: the line through the ends is known to a few centimetres.
+const NEAR_LINE_M: f64 = 0.05;
+/// The most stretches that fits start from.
+const MOST_STRETCHES: usize = 2;
+/// The most walls that are looked at in a statistic's cells: the two of a corner, and a third of a recess.
+const MOST_WALLS: usize = 3;
+
+/// Starts at the stretches of wall that say most, on the walls through the cells that are farthest off.
+///
+/// `evidence` is what a reading says, in numbers that add up over readings. By their sum over a stretch and the statistic's z,
+/// `judge` gives the gain in nats and the strength.
+fn wall_guesses<const N: usize>(
+    kind: EffectKind,
+    walls: &WallCells,
+    log: &Readings<'_>,
+    found: &[Found<'_>],
+    evidence: impl Fn(&Reading<'_>) -> [f64; N],
+    judge: impl Fn([f64; N], f64) -> (f64, f64),
+) -> Vec<Start> {
+    let max = log.max_range();
+    let mut used: Vec<[i32; 2]> = Vec::new();
+    let mut stretches = Vec::new();
+    for &Found { z, index, .. } in found {
+        if stretches.len() == MOST_STRETCHES {
+            break;
+        }
+        let cells = walls.of_statistic(index);
+        if cells.iter().any(|cell| used.contains(cell)) {
+            continue;
+        }
+        let beams = log.comparison.views.beams.iter().filter(|beam| beam.view.range < max);
+        let ends = beams.map(|beam| beam.view.endpoint).filter(|end| cells.contains(&wall_cell(*end)));
+        let lines = lines_through(ends.collect());
+        used.extend(cells);
+        let best = lines
+            .into_iter()
+            .filter_map(|line| best_stretch(log, line, &evidence, |sum| judge(sum, z)))
+            .max_by(|a, b| a.gain.total_cmp(&b.gain));
+        stretches.extend(best);
+    }
+    let starts = stretches.into_iter().flat_map(|Stretch { strength, ends, .. }| {
+        // A wall that is displaced far has no score: a typical strength is tried as well.
+        [vec![strength], typical_values(kind, strength)].map(|values| Start { values, place: vec![ends] })
+    });
+    starts.collect()
+}
+
+/// A stretch of wall with an effect.
+struct Stretch {
+    /// Gain of the effect \[nats\].
+    gain: f64,
+    strength: f64,
+    ends: [DVec2; 2],
+}
+
+/// The stretch of a line that gains most; `None` where none gains anything.
+fn best_stretch<const N: usize>(
+    log: &Readings<'_>,
+    line: Line,
+    evidence: impl Fn(&Reading<'_>) -> [f64; N],
+    judge: impl Fn([f64; N]) -> (f64, f64),
+) -> Option<Stretch> {
+    let bins = (2.0 * STRETCH_REACH_M / STRETCH_BIN_M) as usize;
+    let mut counts = vec![0_usize; bins];
+    let mut sums = vec![[0.0; N]; bins];
+    let add = |sum: &mut [f64; N], more: [f64; N]| {
+        for (sum, more) in sum.iter_mut().zip(more) {
+            *sum += more;
+        }
+    };
+    for reading in &log.all {
+        let end = reading.beam.view.endpoint;
+        let bin = (line.along.dot(end - line.point) + STRETCH_REACH_M) / STRETCH_BIN_M;
+        if line.distance(end) <= NEAR_LINE_M && bin >= 0.0 && (bin as usize) < bins {
+            counts[bin as usize] += 1;
+            add(&mut sums[bin as usize], evidence(reading));
+        }
+    }
+    let at = |bin: usize| line.point + (bin as f64 * STRETCH_BIN_M - STRETCH_REACH_M) * line.along;
+    let mut best: Option<Stretch> = None;
+    for from in (0..bins).filter(|&bin| counts[bin] > 0) {
+        let mut total = [0.0; N];
+        for to in from..bins {
+            add(&mut total, sums[to]);
+            if counts[to] == 0 || (to - from + 1) as f64 * STRETCH_BIN_M < STRETCH_LEAST_M {
+                continue;
+            }
+            let (gain, strength) = judge(total);
+            if gain > best.as_ref().map_or(0.0, |best| best.gain) {
+                best = Some(Stretch { gain, strength, ends: [from, to + 1].map(at) });
+            }
+        }
+    }
+    best
+}
+
+/// A line in the map.
+#[derive(Clone, Copy, Debug)]
+struct Line {
+    point: DVec2,
+    /// Its direction, of length 1.
+    along: DVec2,
+}
+
+impl Line {
+    fn distance(&self, point: DVec2) -> f64 {
+        self.along.perp_dot(point - self.point).abs()
+    }
+}
+
+/// The walls that some points lie on, the one with most of them first. Recesses and corners have several in one cell.
+fn lines_through(mut points: Vec<DVec2>) -> Vec<Line> {
+    let mut lines = Vec::new();
+    while lines.len() < MOST_WALLS
+        && let Some(line) = line_through(&points)
+    {
+        lines.push(line);
+        points.retain(|point| line.distance(*point) >= ON_LINE_M);
+    }
+    lines
+}
+
+/// The line that most of some points lie on, of those through two of them.
+fn line_through(points: &[DVec2]) -> Option<Line> {
+    // Of many points a sample does: pairs of 60 are 1770 lines.
+    const MOST: usize = 60;
+    // The noise of two nearer points turns a line by more than 0.1 rad.
+    const APART_M: f64 = 0.2;
+    let few: Vec<DVec2> = points.iter().copied().step_by(points.len().div_ceil(MOST).max(1)).collect();
+    let mut best: Option<(usize, Line)> = None;
+    for (i, &a) in few.iter().enumerate() {
+        for &b in few[i + 1..].iter().filter(|b| a.distance(**b) > APART_M) {
+            let through = Line { point: a, along: (b - a).normalize() };
+            let on_it = few.iter().filter(|point| through.distance(**point) < ON_LINE_M).count();
+            if best.as_ref().is_none_or(|(most, _)| on_it > *most) {
+                best = Some((on_it, Line { point: 0.5 * (a + b), ..through }));
+            }
+        }
+    }
+    best.map(|(_, line)| line)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use locsim_world::effect::Effect;
+
+    use super::*;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::{GapOptions, Recorded, find};
+
+    /// A recess, its side, and the wall beside it share cells: each is a wall to look at, the one with most beams first.
+    #[test]
+    fn cells_have_several_walls() {
+        let on = |from: [f64; 2], to: [f64; 2], count: usize| {
+            let at = move |i: usize| DVec2::from(from).lerp(DVec2::from(to), i as f64 / count as f64);
+            (0..count).map(at)
+        };
+        let side = on([1.0, 0.04], [1.0, 0.4], 20);
+        let points = on([0.0, 0.0], [1.0, 0.0], 60).chain(side).chain(on([1.04, 0.4], [2.0, 0.4], 40));
+        let lines = lines_through(points.collect());
+        let expected = [(DVec2::ZERO, DVec2::X), (DVec2::new(1.5, 0.4), DVec2::X), (DVec2::X, DVec2::Y)];
+        assert_eq!(lines.len(), expected.len(), "{lines:?}");
+        for (Line { point, along }, (on_it, direction)) in lines.into_iter().zip(expected) {
+            assert!(along.perp_dot(direction).abs() < 0.05, "{along} for {direction}");
+            assert!(direction.perp_dot(point - on_it).abs() < 0.03, "{point} for {on_it}");
+        }
+    }
+
+    /// Most beams of a door's cells end on its back and on the wall beside it; a pane in its jamb is found all the same.
+    #[test]
+    fn a_pane_in_a_jamb_is_named() {
+        let pane = [DVec2::new(2.0, -0.4), DVec2::new(2.0, 0.0)];
+        let glass = Effect::new(EffectKind::Glass, vec![0.5], vec![pane]).unwrap();
+        let drive = record_library(&NOMINAL, &TRUTH, &[glass], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
+        let outcome = find(&NOMINAL, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
+        let first = outcome.effects.first().expect("something is named");
+        assert_eq!(first.name, EffectKind::Glass, "{:?}", outcome.rivals);
+        let ends = first.place[0];
+        assert!(ends.iter().all(|end| (end[0] - 2.0).abs() < 0.06), "{ends:?}");
+    }
+}
