@@ -1,4 +1,6 @@
-//! What the numbers say, in sentences that follow from them alone.
+//! Findings: sentences that follow from the numbers alone.
+
+use locsim_sensor::ModelKind;
 
 use super::text::{code, escape, metres, metres_with, percent, significant, with_interval};
 use crate::statistics::share_interval;
@@ -284,28 +286,18 @@ pub fn training(summary: &Summary) -> Vec<String> {
     sentences
 }
 
-/// What the models that locsim ships are, for the report's definitions; `None` for other names.
+/// Definition of a model that locsim ships, for the report; `None` for other names.
 pub fn describe(model: &str) -> Option<&'static str> {
-    Some(match model {
-        "classic" => {
-            "Gaussian about the nominal range plus an exponential for unmapped objects (the paper's competitor), by EM"
-        }
-        "beam_mixture" => {
-            "hit, short, maximum and random components (Probabilistic Robotics, table 6.1), by EM"
-        }
-        "likelihood_field" => "distance of a reading's end to the nearest mapped surface (table 6.3 there)",
-        "p_reg" => "Gaussian whose parameters are regressed on the beam's state (the paper's procedure 1)",
-        NP_REG => "histograms smoothed over the beam's state (the paper's procedure 2, as published)",
-        REGISTERED => "the same on readings minus nominal ranges, with a point mass at the maximum range",
-        "oracle" => {
+    if model == ORACLE {
+        return Some(
             "the true density of one beam, from the blocks and the noise of the simulated world (no other effect), on \
-             a lattice of cells and headings: about the best that a model of single beams can be"
-        }
-        _ => return None,
-    })
+             a lattice of cells and headings: about the best that a model of single beams can be",
+        );
+    }
+    model.parse().map(ModelKind::sentence).ok()
 }
 
-/// What was fitted or chosen for each model: one line per model of names and values.
+/// The fitted and chosen parameters: one line per model of names and values.
 pub fn chosen(summary: &Summary) -> Vec<String> {
     let models = summary.models.iter().filter(|(_, model)| !model.train.chosen.is_empty());
     models

@@ -1,4 +1,4 @@
-//! What is accepted, and every way of being refused.
+//! Accepted scenarios, and every kind of refusal.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt::Write;
@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
+use locsim_sensor::ModelKind;
 use locsim_world::effect::EffectKind;
 use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath,
@@ -101,15 +102,15 @@ fn every_key_arrives_in_si_units_and_radians() {
     assert_eq!(
         scenario.models,
         [
-            plain(ModelName::Classic),
+            plain(ModelName::Fitted(ModelKind::Classic)),
             Model {
-                name: ModelName::NpRegRegistered,
+                name: ModelName::Fitted(ModelKind::NpRegRegistered),
                 label: "loaded".to_owned(),
                 floor: Some(0.01),
                 exponent: Some(0.5),
                 file: Some(Path::new(FIXTURES).join("fitted.model")),
             },
-            plain(ModelName::NpRegRegistered),
+            plain(ModelName::Fitted(ModelKind::NpRegRegistered)),
             plain(ModelName::Oracle),
         ]
     );

@@ -5,8 +5,8 @@ use locsim_dataset::BagTopics;
 use locsim_sensor::ModelKind;
 use locsim_world::effect::Effect;
 use locsim_world::simulation::{BlockOptions, LaserOptions, Robot};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 /// A scenario that passed every check: what an experiment needs to know, in SI units and radians, files
 /// resolved against the scenario's folder.
@@ -44,7 +44,7 @@ pub struct Scenario {
     pub filter: Filter,
     /// How errors are measured.
     pub errors: Errors,
-    /// What goes into the recording.
+    /// Content of the recording.
     #[serde(skip)]
     pub record: Record,
     /// Bounds that the results have to keep.
@@ -59,7 +59,7 @@ pub enum RayCast {
     Table {
         /// Side of a cell of the map's table (m), larger where it would not fit.
         cell_m: f64,
-        /// What the map's table may take (MB).
+        /// Greatest size of the map's table (MB).
         memory_mb: u32,
     },
     /// By an exact cast and the model itself each time.
@@ -106,7 +106,7 @@ pub struct Log {
     pub localize_scans: Vec<[f64; 2]>,
     /// Readings at or above this count as no return (m); `None` takes the log's own maximum.
     pub max_range_m: Option<f64>,
-    /// What the topics are called, where the log is a bag.
+    /// Names of the topics, where the log is a bag.
     pub topics: BagTopics,
 }
 
@@ -142,7 +142,7 @@ pub struct Training {
 pub struct Model {
     /// Which model.
     pub name: ModelName,
-    /// What it is called in results; unique.
+    /// Its name in results; unique.
     pub label: String,
     /// Weight of the uniform floor, in [0, 1); `None`: chosen on held-out data.
     pub floor: Option<f64>,
@@ -153,57 +153,77 @@ pub struct Model {
     pub file: Option<PathBuf>,
 }
 
-/// The sensor models there are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
+/// A sensor model that a scenario can name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ModelName {
-    /// Gaussian at the nominal range and an exponential of short returns.
-    Classic,
-    /// Hit, short, maximum and random (Probabilistic Robotics, table 6.1).
-    BeamMixture,
-    /// Likelihood field (Probabilistic Robotics, table 6.3).
-    LikelihoodField,
-    /// Gaussian parameters by locally weighted linear regression (P-REG).
-    PReg,
-    /// Histograms smoothed over states (NP-REG), as published.
-    NpReg,
-    /// NP-REG on readings relative to the nominal range, with a point mass at maximum range.
-    NpRegRegistered,
+    /// A model that is fitted to readings.
+    Fitted(ModelKind),
     /// The true density, from the simulated blocks on a lattice of cells and headings; simulation only.
     Oracle,
 }
 
 impl ModelName {
     /// Every model, in the order of the documentation.
-    pub const ALL: [Self; 7] = [
-        Self::Classic,
-        Self::BeamMixture,
-        Self::LikelihoodField,
-        Self::PReg,
-        Self::NpReg,
-        Self::NpRegRegistered,
-        Self::Oracle,
-    ];
+    pub const ALL: [Self; ModelKind::ALL.len() + 1] = {
+        let mut all = [Self::Oracle; ModelKind::ALL.len() + 1];
+        let mut i = 0;
+        while i < ModelKind::ALL.len() {
+            all[i] = Self::Fitted(ModelKind::ALL[i]);
+            i += 1;
+        }
+        all
+    };
 
     /// The name used in files.
     pub const fn as_str(self) -> &'static str {
-        match self.kind() {
-            Some(kind) => kind.as_str(),
-            None => "oracle",
+        match self {
+            Self::Fitted(kind) => kind.as_str(),
+            Self::Oracle => "oracle",
         }
     }
 
-    /// Which fitted model it is; `None` for the oracle, which knows instead of being fitted.
-    pub const fn kind(self) -> Option<ModelKind> {
-        Some(match self {
-            Self::Classic => ModelKind::Classic,
-            Self::BeamMixture => ModelKind::BeamMixture,
-            Self::LikelihoodField => ModelKind::LikelihoodField,
-            Self::PReg => ModelKind::PReg,
-            Self::NpReg => ModelKind::NpReg,
-            Self::NpRegRegistered => ModelKind::NpRegRegistered,
-            Self::Oracle => return None,
-        })
+    fn sentence(self) -> &'static str {
+        match self {
+            Self::Fitted(kind) => kind.sentence(),
+            Self::Oracle => {
+                "the true density, from the simulated blocks on a lattice of cells and headings; simulation only"
+            }
+        }
+    }
+}
+
+impl Serialize for ModelName {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str())
+    }
+}
+
+impl<'de> Deserialize<'de> for ModelName {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        const NAMES: [&str; ModelName::ALL.len()] = {
+            let mut names = [""; ModelName::ALL.len()];
+            let mut i = 0;
+            while i < names.len() {
+                names[i] = ModelName::ALL[i].as_str();
+                i += 1;
+            }
+            names
+        };
+        let word = String::deserialize(deserializer)?;
+        word.parse().map_err(|_| de::Error::unknown_variant(&word, &NAMES))
+    }
+}
+
+impl JsonSchema for ModelName {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "ModelName".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        let models = Self::ALL.map(|model| {
+            serde_json::json!({ "type": "string", "const": model.as_str(), "description": model.sentence() })
+        });
+        json_schema!({ "description": "A sensor model that a scenario can name.", "oneOf": models })
     }
 }
 
@@ -389,7 +409,7 @@ pub enum ErrorFrame {
     Robot,
 }
 
-/// What goes into the recording.
+/// Content of the recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
     /// Number of the trial, below the number of trials.

@@ -23,7 +23,6 @@ mod field;
 mod file;
 mod fitted;
 mod histogram;
-mod kind;
 mod mixture;
 mod normal;
 mod np_reg;
@@ -40,8 +39,7 @@ mod tests;
 
 pub use error::SensorError;
 pub use evaluate::{Evaluation, evaluate};
-pub use fitted::{FitOptions, FittedModel, fit};
-pub use kind::ModelKind;
+pub use fitted::{FitOptions, FittedModel, ModelKind, fit};
 pub use oracle::Oracle;
 pub use prepared::Prepared;
 pub use tempered::{CalibrationScan, Tempered, Tempering, TemperingGrid, choose_tempering};

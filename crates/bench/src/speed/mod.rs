@@ -32,6 +32,7 @@ use figures::{CastTimes, Conditions, PlainLoop, Timings, UpdateTimes};
 use locsim_core::Progress;
 use locsim_lab::run::MapSet;
 use locsim_scenario::ModelName;
+use locsim_sensor::ModelKind;
 use replay::{
     GLOBAL_PARTICLES, ReplayErrors, SEEDS, TRACKING_PARTICLES, filter_options, known_start, replays,
 };
@@ -40,7 +41,7 @@ use timing::{Timing, time};
 use world::{MODELS, TRAINING_WORLD, train_models};
 
 /// The model of the unknown start, of the sweeps, and of the comparison of table and exact casts.
-const MAIN_MODEL: ModelName = ModelName::NpRegRegistered;
+const MAIN_MODEL: ModelName = ModelName::Fitted(ModelKind::NpRegRegistered);
 
 /// Cell \[m\] and saturation \[m\] of the distance grid behind the likelihood field.
 const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);

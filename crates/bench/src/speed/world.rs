@@ -14,18 +14,19 @@ use locsim_core::Progress;
 use locsim_lab::run::{MapSet, free_poses};
 use locsim_lab::run::{ScanData, Surroundings, TrainedModel, train};
 use locsim_scenario::{Model, ModelName};
+use locsim_sensor::ModelKind;
 
 /// The models that are compared.
 pub const MODELS: [ModelName; 6] = [
-    ModelName::Classic,
-    ModelName::BeamMixture,
-    ModelName::PReg,
-    ModelName::NpReg,
-    ModelName::NpRegRegistered,
-    ModelName::LikelihoodField,
+    ModelName::Fitted(ModelKind::Classic),
+    ModelName::Fitted(ModelKind::BeamMixture),
+    ModelName::Fitted(ModelKind::PReg),
+    ModelName::Fitted(ModelKind::NpReg),
+    ModelName::Fitted(ModelKind::NpRegRegistered),
+    ModelName::Fitted(ModelKind::LikelihoodField),
 ];
 
-/// What the training world is like beside the map, the beams and the maximum range, which are the workload's.
+/// The training world; map, beams and maximum range are the workload's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TrainingWorld {
     /// Seed of everything random in training.
@@ -52,7 +53,7 @@ pub struct TrainingWorld {
     pub held_out_share: f64,
 }
 
-/// What is known of the benchmark's world without looking at its recordings: the laser's noise, and that some 14
+/// The benchmark's world, as known without its recordings: the laser's noise, and that some 14
 /// boxes of 0.2 to 0.6 m stand or move within 4 m of the robot, which is one for each metre of wall or a little less.
 pub const TRAINING_WORLD: TrainingWorld = TrainingWorld {
     seed: 2016,

@@ -1,5 +1,5 @@
-//! What the gap does to a particle filter: the measured log, localized on with a sensor model learnt from the old and
-//! from the new simulator.
+//! The influence of the gap on a particle filter, which localizes on the measured log with sensor models learnt from the
+//! nominal simulator and from the one with the named effects.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,6 +19,7 @@ use crate::run::{RunError, filter_options};
 use crate::run::{ScanData, Surroundings, TrainedModel, train};
 use locsim_core::Progress;
 use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Spread, load_map};
+use locsim_sensor::ModelKind;
 
 /// Particles.
 const PARTICLES: usize = 500;
@@ -147,7 +148,7 @@ fn trained(
         oracle: None,
         tables: (study.scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
     };
-    let name = ModelName::NpRegRegistered;
+    let name = ModelName::Fitted(ModelKind::NpRegRegistered);
     let model = Model { name, label: name.to_string(), floor: None, exponent: None, file: None };
     let share = training.held_out_share;
     let beams = Some(filter_beams(study));

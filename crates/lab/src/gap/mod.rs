@@ -51,7 +51,7 @@ pub enum GapStudyError {
     Log {
         /// The log.
         log: PathBuf,
-        /// What is wrong and what is needed.
+        /// The defect, and the needed content.
         what: String,
     },
     /// A search that can't be done, or was stopped.
@@ -75,7 +75,7 @@ impl GapStudyError {
     }
 }
 
-/// What of the log is looked at, and how.
+/// The part of the log that the search uses, and how.
 #[derive(Clone, Debug)]
 pub struct GapSettings {
     /// Simulated logs behind a p-value.

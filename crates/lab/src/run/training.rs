@@ -71,13 +71,13 @@ pub struct TrainedModel {
     pub bare: Arc<dyn SensorModel>,
     /// With floor and exponent, and as a table if it can be one: as the filter uses it.
     pub tempered: Arc<dyn SensorModel>,
-    /// What can be saved; `None` for the oracle, which isn't fitted.
+    /// The fitted model, which can be saved; `None` for the oracle, which isn't fitted.
     pub fitted: Option<FittedModel>,
     /// Held-out quality and what was chosen.
     pub row: TrainingRow,
 }
 
-/// What the world gives to models that need more than the training data.
+/// Parts of the world for models that need more than the training data.
 pub struct Surroundings {
     /// Exact ray casts.
     pub map: Arc<dyn RangeMap>,
@@ -130,10 +130,10 @@ fn train_one(
 ) -> Result<TrainedModel, RunError> {
     let failed = |source| RunError::Sensor { label: model.label.clone(), source };
     let distance_map = Some(Arc::clone(&surroundings.distance));
-    let fitted = match (&model.file, model.name.kind()) {
-        (_, None) => None,
-        (Some(file), Some(kind)) => Some(load(file, kind, train.max_range())?),
-        (None, Some(kind)) => {
+    let fitted = match (&model.file, model.name) {
+        (_, ModelName::Oracle) => None,
+        (Some(file), ModelName::Fitted(kind)) => Some(load(file, kind, train.max_range())?),
+        (None, ModelName::Fitted(kind)) => {
             let options = FitOptions { distance_map: distance_map.clone() };
             Some(fit(kind, train, held_out, &options).map_err(failed)?)
         }
@@ -162,7 +162,7 @@ fn train_one(
     }
     // The same small floor for all: without one, a single odd reading makes the log loss infinite.
     let with_floor = Tempered::new(Arc::clone(&bare), LOG_LOSS_FLOOR, 1.0).map_err(failed)?;
-    let normalized = model.name != ModelName::LikelihoodField;
+    let normalized = model.name != ModelName::Fitted(ModelKind::LikelihoodField);
     let log_loss_nats = normalized.then(|| evaluate(&with_floor, held_out).log_loss_nats);
     let histogram_match_m = normalized.then(|| evaluate(&*bare, held_out).histogram_match_m);
     let mut chosen = fitted.as_ref().map_or_else(BTreeMap::new, |fitted| fitted.chosen().clone());

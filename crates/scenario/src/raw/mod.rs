@@ -120,16 +120,16 @@ pub struct RawModel {
 }
 
 impl Short for ModelName {
-    const FORMS: &'static [&'static str] = &[
-        "classic",
-        "beam_mixture",
-        "likelihood_field",
-        "p_reg",
-        "np_reg",
-        "np_reg_registered",
-        "oracle",
-        "{name: ..., label: ..., floor: ..., exponent: ..., file: ...}",
-    ];
+    const FORMS: &'static [&'static str] = &{
+        let mut forms =
+            ["{name: ..., label: ..., floor: ..., exponent: ..., file: ...}"; ModelName::ALL.len() + 1];
+        let mut i = 0;
+        while i < ModelName::ALL.len() {
+            forms[i] = ModelName::ALL[i].as_str();
+            i += 1;
+        }
+        forms
+    };
 
     fn from_word(word: &str) -> Option<Self> {
         word.parse().ok()

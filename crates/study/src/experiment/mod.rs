@@ -19,7 +19,7 @@ use locsim_report::store::Parts;
 use loss_example::loss_example;
 use roughness::neighbours;
 
-/// What figures draw beside the results.
+/// Content of figures beside the results.
 pub(super) struct Extra {
     /// Per condition.
     pub conditions: Vec<Samples>,
@@ -45,13 +45,13 @@ pub(super) struct Samples {
 pub(super) struct Sample {
     /// The state.
     pub state: Vec<f64>,
-    /// What was observed there, many times.
+    /// The distribution of many observations there.
     pub truth: Distribution,
-    /// What each model predicts.
+    /// The prediction of each model.
     pub predicted: Vec<Distribution>,
 }
 
-/// What the draws of an experiment are for.
+/// Purposes of an experiment's draws.
 #[derive(Clone, Copy)]
 enum Purpose {
     Training = 1,
