@@ -19,7 +19,7 @@ pub enum BenchError {
     System {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// A table of comma-separated values doesn't hold what it should.
@@ -39,7 +39,7 @@ pub enum BenchError {
     Particles {
         /// The file.
         path: PathBuf,
-        /// What is wrong and what is needed.
+        /// The defect, and the needed content.
         what: String,
     },
     /// The map can't be used.

@@ -1,4 +1,4 @@
-//! What developers measure: [`speed`] on fixed files, the [`suite`] of logs with hidden effects that the search has to find,
+//! Benchmarks for developers: [`speed`] on fixed files, the [`suite`] of logs with hidden effects that the search has to find,
 //! and [`regression`] on a fixed task. The program `locsim-bench` runs them.
 
 mod error;

@@ -181,7 +181,7 @@ fn validate(files: &[PathBuf]) -> anyhow::Result<ExitCode> {
     Ok(if refused { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS })
 }
 
-/// What a scenario or a study holds.
+/// Checks a scenario or a study, and describes its content.
 fn validate_one(path: &Path) -> Result<String, StudyError> {
     Ok(if study::is_study(path)? {
         let study = study::Study::load(path, StudyOverrides::default())?;

@@ -13,7 +13,7 @@ pub enum LabError {
     Map {
         /// The map's file, or the log it was built from.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         source: locsim_world::map::MapError,
     },
     /// The simulated world, robot or laser is refused.
@@ -21,7 +21,7 @@ pub enum LabError {
     Simulation {
         /// The scenario's file.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         source: locsim_world::simulation::SimulationError,
     },
     /// The measured log can't be read.
@@ -32,13 +32,13 @@ pub enum LabError {
     Log {
         /// The log's file.
         path: PathBuf,
-        /// What is wrong and what is needed.
+        /// The defect, and the needed content.
         what: String,
     },
     /// The training data are refused.
     #[error("training data: {source}")]
     TrainingData {
-        /// What is wrong.
+        /// The cause.
         source: locsim_sensor::SensorError,
     },
     /// A fitted model's file can't be used.
@@ -46,7 +46,7 @@ pub enum LabError {
     ModelFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong and what is needed.
+        /// The defect, and the needed content.
         what: String,
     },
     /// A sensor model could not be fitted.
@@ -54,7 +54,7 @@ pub enum LabError {
     Sensor {
         /// The model's label.
         label: String,
-        /// What is wrong.
+        /// The cause.
         source: locsim_sensor::SensorError,
     },
     /// The filter gave up.
@@ -68,7 +68,7 @@ pub enum LabError {
     Recording {
         /// The results folder.
         out: PathBuf,
-        /// What the recorder says.
+        /// The recorder's error.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// The results folder can't be used.

@@ -1,4 +1,4 @@
-//! What the numbers say, in sentences that follow from them alone.
+//! Findings: sentences that follow from the numbers alone.
 
 use locsim_sensor::ModelKind;
 
@@ -286,7 +286,7 @@ pub fn training(summary: &Summary) -> Vec<String> {
     sentences
 }
 
-/// What the models that locsim ships are, for the report's definitions; `None` for other names.
+/// Definition of a model that locsim ships, for the report; `None` for other names.
 pub fn describe(model: &str) -> Option<&'static str> {
     if model == ORACLE {
         return Some(
@@ -297,7 +297,7 @@ pub fn describe(model: &str) -> Option<&'static str> {
     model.parse().map(ModelKind::sentence).ok()
 }
 
-/// What was fitted or chosen for each model: one line per model of names and values.
+/// The fitted and chosen parameters: one line per model of names and values.
 pub fn chosen(summary: &Summary) -> Vec<String> {
     let models = summary.models.iter().filter(|(_, model)| !model.train.chosen.is_empty());
     models

@@ -16,7 +16,7 @@ pub struct LoadedMap {
     pub image: Option<PathBuf>,
 }
 
-/// What tells the two kinds of map files apart.
+/// The keys that distinguish the two kinds of map files.
 #[derive(Deserialize)]
 struct Kind {
     image: Option<serde::de::IgnoredAny>,

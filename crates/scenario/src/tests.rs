@@ -1,4 +1,4 @@
-//! What is accepted, and every way of being refused.
+//! Accepted scenarios, and every kind of refusal.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt::Write;

@@ -21,7 +21,7 @@ const STEPS: usize = 110;
 const LEFT: f64 = 74.0;
 /// Reference lines.
 const REFERENCE: RGBColor = RGBColor(0x77, 0x77, 0x77);
-/// What was observed.
+/// Colour of observations.
 const OBSERVED: RGBColor = UNKNOWN;
 
 impl Model {
@@ -116,7 +116,7 @@ struct Window {
 }
 
 impl Window {
-    /// What lies between small quantiles of a distribution, with room beside it.
+    /// The range between extreme quantiles of a distribution, with a margin.
     fn around(truth: &Distribution) -> Self {
         let grid = truth.grid();
         let [lo, hi] = [0.002, 0.998].map(|u| grid.bin(truth.quantile(u)));

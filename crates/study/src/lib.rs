@@ -77,7 +77,7 @@ enum Kind {
     Table,
 }
 
-/// What the command line says instead of the file.
+/// Settings that the command line overrides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StudyOverrides {
     /// Number of repeats.
@@ -113,7 +113,7 @@ pub enum StudyError {
         path: PathBuf,
         /// The line, from 1, where there is one.
         line: Option<usize>,
-        /// What is wrong and what is allowed.
+        /// The defect, and the allowed values.
         what: String,
     },
     /// A regression refused its data.

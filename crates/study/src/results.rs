@@ -1,4 +1,4 @@
-//! What a study finds: the content of `results.json`.
+//! Results of a study: the content of `results.json`.
 
 use distreg::Distribution;
 use serde::{Deserialize, Serialize};
@@ -55,7 +55,7 @@ impl Curve {
     }
 }
 
-/// What was found under one condition.
+/// Results under one condition.
 #[derive(Clone, Debug, Serialize)]
 pub struct ConditionResults {
     /// The condition.
@@ -112,7 +112,7 @@ pub struct LossAgainstObservations {
 }
 
 impl LossAgainstObservations {
-    /// What the law gives for M.
+    /// The law's value for M observations.
     pub fn reading(&self, observations: f64) -> f64 {
         self.coefficient * (1.0 / observations + 1.0 / self.truth_observations).sqrt()
     }
@@ -212,9 +212,9 @@ pub struct Claim {
     pub figure: &'static str,
     /// Name of our figure.
     pub ours: &'static str,
-    /// What the paper says.
+    /// The paper's statement.
     pub paper: &'static str,
-    /// What the numbers say.
+    /// The finding from the numbers.
     pub finding: String,
     /// Whether it holds.
     pub verdict: Verdict,
@@ -268,8 +268,8 @@ pub(crate) struct Samples {
 pub(crate) struct Sample {
     /// The state.
     pub state: Vec<f64>,
-    /// What was observed there, many times.
+    /// The distribution of many observations there.
     pub truth: Distribution,
-    /// What each model predicts.
+    /// The prediction of each model.
     pub predicted: Vec<Distribution>,
 }

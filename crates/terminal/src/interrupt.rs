@@ -1,4 +1,4 @@
-//! What Ctrl-C does: work is asked to stop, and the program ends within a second in any case.
+//! Ctrl-C: work is asked to stop, and the program ends within a second in any case.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -48,7 +48,7 @@ impl Interrupt {
     }
 }
 
-/// What is left of interrupted work, in words.
+/// A sentence on the parts that interrupted work keeps.
 fn left(work: Option<&(PathBuf, &str)>) -> String {
     match work.map(|(out, parts)| (kept(out).unwrap_or(0), parts)) {
         None | Some((0, _)) => "nothing is kept".to_owned(),

@@ -1,4 +1,4 @@
-//! What is printed. A stream that nobody reads any more is no reason to fail, and none to panic.
+//! Output on the terminal. A closed stream is neither an error nor a panic.
 
 use std::io::{ErrorKind, Write};
 

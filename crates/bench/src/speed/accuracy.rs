@@ -1,4 +1,4 @@
-//! What the table changes in the filter's answer, against exact casts.
+//! Differences of the filter's estimates between the table and exact casts.
 
 use locsim_core::{Hits, Particles, RangeMap, SensorModel};
 use locsim_mcl::StepInput;

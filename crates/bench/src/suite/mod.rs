@@ -54,10 +54,10 @@ pub struct SuiteOptions<'a> {
     pub no_later: Option<Duration>,
 }
 
-/// What is true of a log.
+/// The truth about a log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TruthFile {
-    /// What the log is in the suite for.
+    /// The log's purpose in the suite.
     pub group: Group,
     /// Information of each effect.
     pub lambda: f64,
@@ -75,7 +75,7 @@ pub struct TruthFile {
     pub without: Vec<String>,
 }
 
-/// What the search found in a log.
+/// The findings of the search in a log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FoundFile {
     /// The verdict.
@@ -94,11 +94,11 @@ pub struct FoundFile {
     pub closed: [f64; 3],
     /// How far the log is off in every effect's direction, in standard deviations.
     pub directions: BTreeMap<String, f64>,
-    /// What that of an effect which shifts or spreads readings, or is in the odometry, has to exceed to be found.
+    /// Threshold of that statistic for effects that shift or spread readings or act on the odometry.
     pub threshold: f64,
     /// Time \[s\].
     pub seconds: f64,
-    /// What it did to a filter, where that was looked at.
+    /// Its influence on a filter, where it was measured.
     #[serde(default)]
     pub filter: Option<FilterFile>,
     /// The effects themselves.
@@ -383,7 +383,7 @@ fn search(
     Ok(FoundFile::of(&outcome, options.control.seconds_since(began)))
 }
 
-/// What the effect does to a filter, and how much of it the named effects take away.
+/// The influence of the effect on a filter, and the part of it that the named effects remove.
 fn localize(
     log: &Path,
     truth: &Effect,

@@ -29,7 +29,7 @@ pub enum Size {
     Full,
 }
 
-/// What a log is in the suite for.
+/// Purposes of logs in the suite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Group {
@@ -49,7 +49,7 @@ pub enum Group {
     Filter,
 }
 
-/// What is hidden, before its strength is set.
+/// A hidden effect before its strength is set.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Hidden {
     Library(Vec<(Effect, usize)>),

@@ -199,7 +199,7 @@ impl Score {
             filter_recovered: mean(all.iter().filter_map(|(_, found)| {
                 let filter = found.filter?;
                 let caused = filter.before_m - filter.with_truth_m;
-                // What does no harm can't be taken away.
+                // Only an influence that exists can be removed.
                 (caused > LEAST_HARM_M).then(|| (filter.before_m - filter.after_m) / caused)
             })),
             seconds_per_log: mean(all.iter().map(|(_, found)| found.seconds)).unwrap_or(0.0),

@@ -217,7 +217,7 @@ fn filters(score: &Score) -> String {
     text
 }
 
-/// What was hidden against what was named.
+/// Hidden effects against named ones.
 fn confusion(score: &Score) -> String {
     let mut text = "## Confusion\n\nRows: what was hidden (one effect; same form and others together). Columns: the first name given. Numbers \
              of logs.\n\n"

@@ -1,5 +1,5 @@
-//! What the gap does to a particle filter: the measured log, localized on with a sensor model learnt from the old and
-//! from the new simulator.
+//! The influence of the gap on a particle filter, which localizes on the measured log with sensor models learnt from the
+//! nominal simulator and from the one with the named effects.
 
 use std::path::Path;
 use std::sync::Arc;

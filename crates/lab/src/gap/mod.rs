@@ -34,7 +34,7 @@ const SAME_BEARING_RAD: f64 = 2e-3;
 /// Mounts that differ by less than this are the same \[m\] and \[rad\]: logs round.
 const SAME_MOUNT: f64 = 2e-3;
 
-/// What of the log is looked at, and how.
+/// The part of the log that the search uses, and how.
 #[derive(Clone, Debug)]
 pub struct GapSettings {
     /// Simulated logs behind a p-value.

@@ -1,4 +1,4 @@
-//! What a run will cost, from its scenario alone, so that one that the machine can't hold is refused before it starts.
+//! The cost of a run, estimated from its scenario alone. A run that the machine can't hold is refused before it starts.
 
 use locsim_core::limits::Limits;
 use locsim_world::simulation::Trajectory;
@@ -34,7 +34,7 @@ const SECONDS_PER_READING: [f64; 2] = [0.5e-6, 2e-6];
 /// Seconds to train a model and to draw its figures, whatever the data.
 const SECONDS_PER_MODEL: f64 = 1.5;
 
-/// What a run will cost, roughly.
+/// The approximate cost of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
     /// Memory \[bytes\], at most.

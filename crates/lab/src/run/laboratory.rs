@@ -1,4 +1,4 @@
-//! What all trials of a scenario share: the map, the trained models, and where drives come from.
+//! The common parts of all trials of a scenario: the map, the trained models, and the source of drives.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -355,7 +355,7 @@ fn world(simulation: &Simulation, maps: &MapSet) -> Result<World, SimulationErro
     Ok(World { simulator, robot: robot.clone() })
 }
 
-/// What the oracle knows of the world: its blocks as they really are, and nothing of other effects.
+/// The oracle's knowledge of the world: its true blocks, and no other effects.
 fn obstructions(simulator: &Simulator) -> Result<Arc<dyn Obstructions>, SimulationError> {
     let Some(blocks) = simulator.blocks() else { return Ok(Arc::new(NothingInTheWay)) };
     let max_range_m = simulator.laser().options().max_range_m;

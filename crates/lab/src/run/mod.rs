@@ -53,7 +53,7 @@ pub struct RunOptions<'a> {
     pub recorder: Option<&'a Recorder<'a>>,
 }
 
-/// What a complete run gives.
+/// The outcome of a complete run.
 pub struct Outcome {
     /// The content of `summary.json`.
     pub summary: Summary,

@@ -72,13 +72,13 @@ pub struct TrainedModel {
     pub bare: Arc<dyn SensorModel>,
     /// With floor and exponent, and as a table if it can be one: as the filter uses it.
     pub tempered: Arc<dyn SensorModel>,
-    /// What can be saved; `None` for the oracle, which isn't fitted.
+    /// The fitted model, which can be saved; `None` for the oracle, which isn't fitted.
     pub fitted: Option<FittedModel>,
     /// Held-out quality and what was chosen.
     pub row: TrainingRow,
 }
 
-/// What the world gives to models that need more than the training data.
+/// Parts of the world for models that need more than the training data.
 pub struct Surroundings {
     /// Exact ray casts.
     pub map: Arc<dyn RangeMap>,

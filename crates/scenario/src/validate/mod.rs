@@ -80,7 +80,7 @@ pub(crate) fn validate(
     }
 }
 
-/// What needs the map: finds the walls that effects name (`walls[i]` for effect `i`), and checks that a simulated
+/// Checks that need the map: finds the walls that effects name (`walls[i]` for effect `i`), and checks that a simulated
 /// robot's way points, or its start, lie in the map's free space.
 pub(crate) fn in_map(
     scenario: &mut Scenario,

@@ -18,7 +18,7 @@ use locsim_report::store::Parts;
 use loss_example::loss_example;
 use roughness::neighbours;
 
-/// What figures draw beside the results.
+/// Content of figures beside the results.
 pub(super) struct Extra {
     /// Per condition.
     pub conditions: Vec<Samples>,
@@ -30,7 +30,7 @@ pub(super) struct Extra {
     pub neighbours: Vec<(f64, Distribution)>,
 }
 
-/// What the draws of an experiment are for.
+/// Purposes of an experiment's draws.
 #[derive(Clone, Copy)]
 enum Purpose {
     Training = 1,

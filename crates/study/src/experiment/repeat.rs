@@ -15,7 +15,7 @@ use crate::{Study, StudyError, StudyOptions, families};
 /// Predictions that are drawn.
 const SAMPLES: usize = 3;
 
-/// What one repeat finds; risks by model and size.
+/// Results of one repeat; risks by model and size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Repeat {
     pub risks: Vec<Vec<f64>>,

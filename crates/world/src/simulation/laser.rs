@@ -124,7 +124,7 @@ impl LaserSimulator {
         &self.laser
     }
 
-    /// What it was made from.
+    /// The options that it was made from.
     pub fn options(&self) -> &LaserOptions {
         &self.options
     }
