@@ -8,8 +8,8 @@ pub mod edit;
 pub mod effect;
 pub mod error;
 mod form;
+pub mod key_path;
 pub mod limited;
-pub mod locate;
 mod map_file;
 mod raw;
 #[cfg(test)]

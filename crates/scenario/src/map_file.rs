@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use locsim_world::map::{Geometry, MapError, OccupancyMapFile, Polyline, VectorMap};
 use serde::Deserialize;
 
-use super::locate::join;
+use super::key_path::join;
 use super::{Problem, ScenarioError};
 use crate::yaml;
 

@@ -18,7 +18,7 @@ use super::*;
 use crate::testing::{assert_told, hostile_texts};
 
 /// Tests run in the crate's folder, so that messages hold relative paths.
-const FIXTURES: &str = "src/scenario/fixtures";
+const FIXTURES: &str = "src/fixtures";
 
 fn environment(name: &str) -> Option<String> {
     (name == "LOGS").then(|| ".".to_owned())

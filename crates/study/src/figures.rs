@@ -3,8 +3,9 @@
 use distreg::Distribution;
 use plotters::prelude::{Circle, Color, PathElement, Polygon, RGBColor};
 
-use super::experiment::{Extra, Sample, Samples};
+use super::experiment::Extra;
 use super::results::{Curve, Results};
+use super::results::{Sample, Samples};
 use super::sensor::Unit;
 use super::{Criterion, Kind, Model, Study, families};
 use locsim_report::ReportError;

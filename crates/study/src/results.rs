@@ -1,6 +1,7 @@
 //! Results of a study: the content of `results.json`.
 
-use serde::Serialize;
+use distreg::Distribution;
+use serde::{Deserialize, Serialize};
 
 use locsim_report::statistics::Interval;
 
@@ -251,4 +252,24 @@ impl Verdict {
             _ => Self::Partly,
         }
     }
+}
+
+/// Distributions at some test states.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Samples {
+    /// States with the truth and each model's prediction from the largest training set.
+    pub states: Vec<Sample>,
+    /// Training states of that set.
+    pub training_states: usize,
+}
+
+/// One test state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Sample {
+    /// The state.
+    pub state: Vec<f64>,
+    /// The distribution of many observations there.
+    pub truth: Distribution,
+    /// The prediction of each model.
+    pub predicted: Vec<Distribution>,
 }

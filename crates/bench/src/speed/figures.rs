@@ -95,7 +95,7 @@ pub struct Conditions {
     pub training: TrainingWorld,
 }
 
-/// The content of `locsim bench --json`.
+/// The content of `locsim-bench speed --json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BenchReport {
     /// How the figures came about.

@@ -9,7 +9,8 @@ use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, Simu
 use rand::RngExt;
 use serde::Serialize;
 
-use super::{BenchError, Workload};
+use super::Workload;
+use crate::BenchError;
 use locsim_core::Progress;
 use locsim_lab::run::{MapSet, free_poses};
 use locsim_lab::run::{ScanData, Surroundings, TrainedModel, train};

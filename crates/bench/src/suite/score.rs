@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use locsim_gap::oracle_power;
+use locsim_gap::{Verdict, oracle_power};
 use serde::Serialize;
 
 use super::plan::Group;
@@ -102,7 +102,7 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 const LEAST_HARM_M: f64 = 0.002;
 
 fn is_found(found: &FoundFile) -> bool {
-    !matches!(found.verdict.as_str(), "none" | "underpowered")
+    !matches!(found.verdict, Verdict::None | Verdict::Underpowered)
 }
 
 /// The first effect's strength, and what was found of it with its interval.
@@ -177,11 +177,11 @@ impl Score {
         let outside =
             || all.iter().filter(|(truth, _)| matches!(truth.group, Group::Outside | Group::Removed));
         let flagged =
-            |found: &FoundFile| matches!(found.verdict.as_str(), "unexplained" | "partly_explained");
+            |found: &FoundFile| matches!(found.verdict, Verdict::Unexplained | Verdict::PartlyExplained);
         let outside = OutsideScore {
             flagged: Share::of(outside().map(|(_, found)| flagged(found))),
             named: Share::of(
-                outside().map(|(_, found)| matches!(found.verdict.as_str(), "named" | "ambiguous")),
+                outside().map(|(_, found)| matches!(found.verdict, Verdict::Named | Verdict::Ambiguous)),
             ),
         };
         Self {

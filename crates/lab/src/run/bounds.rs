@@ -55,7 +55,7 @@ mod tests {
     use locsim_report::results::TrainingRow;
     use locsim_report::summary::{AngularError, Errors as ErrorSummary, Kept, LinearError, ModelSummary};
     use locsim_scenario::METRICS;
-    use locsim_scenario::locate::join;
+    use locsim_scenario::key_path::join;
 
     use super::*;
 

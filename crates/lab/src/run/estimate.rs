@@ -5,7 +5,7 @@ use locsim_world::simulation::Trajectory;
 use serde::de::IgnoredAny;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
-use super::RunError;
+use crate::LabError;
 use locsim_scenario::yaml;
 use locsim_scenario::{
     Estimate as PoseEstimate, ModelName, ParticleCount, Problem, RayCast, Scenario, ScenarioError, Source,
@@ -117,8 +117,8 @@ impl Estimate {
     /// Refuses a run that needs more memory than there is.
     ///
     /// # Errors
-    /// [`RunError::Scenario`] with the keys to lower.
-    pub fn check(&self, scenario: &Scenario) -> Result<(), RunError> {
+    /// [`LabError::Scenario`] with the keys to lower.
+    pub fn check(&self, scenario: &Scenario) -> Result<(), LabError> {
         let limit = Limits::current().memory_bytes;
         let (available, of) =
             if limit > 0 { (limit as f64, "the limit is") } else { (free_memory(), "this machine has") };

@@ -19,7 +19,8 @@ use locsim_world::simulation::{
 use rand::RngExt;
 
 use super::training::{ScanData, Surroundings, TrainedModel, train};
-use super::{Progress, RunError};
+use crate::LabError;
+use locsim_core::Progress;
 use locsim_scenario::yaml;
 use locsim_scenario::{self as scenario, Log, LogMap, ModelName, RayCast, Scenario, Simulation, Source};
 
@@ -137,7 +138,7 @@ impl<'a> Laboratory<'a> {
         scenario: &'a Scenario,
         cache: Option<&Path>,
         progress: &dyn Progress,
-    ) -> Result<Self, RunError> {
+    ) -> Result<Self, LabError> {
         match &scenario.source {
             Source::Simulation(simulation) => Self::simulated(scenario, simulation, cache, progress),
             Source::Log(log) => Self::measured(scenario, log, cache, progress),
@@ -149,7 +150,7 @@ impl<'a> Laboratory<'a> {
         simulation: &Simulation,
         cache: Option<&Path>,
         progress: &dyn Progress,
-    ) -> Result<Self, RunError> {
+    ) -> Result<Self, LabError> {
         let maps =
             MapSet::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, cache, progress)
                 .map_err(unusable(&simulation.map))?;
@@ -197,13 +198,13 @@ impl<'a> Laboratory<'a> {
         log: &Log,
         cache: Option<&Path>,
         progress: &dyn Progress,
-    ) -> Result<Self, RunError> {
+    ) -> Result<Self, LabError> {
         progress.stage("reading the log", 1);
         let max_range_m = log.max_range_m.map(|max| max as f32);
         let options = LogOptions { max_range_m, topics: log.topics.clone() };
         let (drive, summary) = read_log(&log.file, &options)?;
         progress.advance(1);
-        let refuse = |what: &str| RunError::Log { path: log.file.clone(), what: what.to_owned() };
+        let refuse = |what: &str| LabError::Log { path: log.file.clone(), what: what.to_owned() };
         let map = match &log.map {
             LogMap::File(file) => scenario::load_map(file)?.geometry,
             LogMap::FromScans { scans, resolution_m } => {
@@ -262,8 +263,8 @@ impl<'a> Laboratory<'a> {
     /// The drive of a trial.
     ///
     /// # Errors
-    /// [`RunError::Simulation`] for a path that makes no sense.
-    pub fn drive(&self, trial: u32) -> Result<TrialDrive, RunError> {
+    /// [`LabError::Simulation`] for a path that makes no sense.
+    pub fn drive(&self, trial: u32) -> Result<TrialDrive, LabError> {
         match &self.drives {
             Drives::Measured(drive) => Ok(TrialDrive { drive: drive.clone(), blocks: Vec::new() }),
             Drives::Simulated(world) => {
@@ -277,11 +278,11 @@ impl<'a> Laboratory<'a> {
 /// Simulates the drive of one trial without training anything, with all beams of the laser.
 ///
 /// # Errors
-/// [`RunError::Log`] if the scenario is of a measured log; what is wrong with map, world or path.
-pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError> {
+/// [`LabError::Log`] if the scenario is of a measured log; what is wrong with map, world or path.
+pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, LabError> {
     let Source::Simulation(simulation) = &scenario.source else {
         let what = "a scenario of a measured log has nothing to simulate".to_owned();
-        return Err(RunError::Log { path: scenario.file.clone(), what });
+        return Err(LabError::Log { path: scenario.file.clone(), what });
     };
     let maps = MapSet::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, &())
         .map_err(unusable(&simulation.map))?;
@@ -293,13 +294,13 @@ pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError
 /// Builds an occupancy grid map from the given shares of a log.
 ///
 /// # Errors
-/// [`RunError::Dataset`] for a log that can't be read, [`RunError::Map`] when no map can be made of it.
+/// [`LabError::Dataset`] for a log that can't be read, [`LabError::Map`] when no map can be made of it.
 pub fn map_from_log(
     log: &Path,
     shares: &[[f64; 2]],
     resolution_m: f64,
     options: &LogOptions,
-) -> Result<(OccupancyGrid, locsim_dataset::LogSummary), RunError> {
+) -> Result<(OccupancyGrid, locsim_dataset::LogSummary), LabError> {
     let (drive, summary) = read_log(log, options)?;
     let options = MappingOptions { resolution_m, ..MappingOptions::default() };
     let grid = occupancy_from_drive(&drive, &selected(&drive, shares), &options).map_err(unusable(log))?;
@@ -311,7 +312,7 @@ pub fn map_files(grid: &OccupancyGrid, image: &str) -> [Vec<u8>; 2] {
     [grid.image_bytes(ImageFormat::Pgm), yaml::text(&grid.map_file(Path::new(image))).into_bytes()]
 }
 
-fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, RunError> {
+fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, LabError> {
     let simulated = simulate_drive(&world.simulator, &world.robot, seed).map_err(refused(scenario))?;
     let corners = |block: &Block| block.corners.map(|corner| corner.to_array());
     let blocks = simulated.blocks.iter().map(|blocks| blocks.iter().map(corners).collect()).collect();
@@ -319,15 +320,15 @@ fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive,
 }
 
 /// Attaches the map's file to what is wrong with it.
-fn unusable(path: &Path) -> impl FnOnce(MapError) -> RunError {
+fn unusable(path: &Path) -> impl FnOnce(MapError) -> LabError {
     let path = path.to_owned();
-    move |source| RunError::Map { path, source }
+    move |source| LabError::Map { path, source }
 }
 
 /// Attaches the scenario's file to what the simulator refuses.
-fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> RunError {
+fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> LabError {
     let path = scenario.file.clone();
-    move |source| RunError::Simulation { path, source }
+    move |source| LabError::Simulation { path, source }
 }
 
 fn with_filter_beams(drive: Drive, scenario: &Scenario) -> Drive {

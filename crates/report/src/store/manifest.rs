@@ -32,7 +32,7 @@ const DEEPEST: usize = 4;
 pub(crate) struct Manifest {
     program: String,
     format: u32,
-    /// The command that wrote the results: `run`, `study`, `gap`, `gap-bench`, `sweeps`.
+    /// The command that wrote the results: `run`, `study`, `gap`, `gap-bench` (of `locsim-bench gap`), `sweeps`.
     pub kind: String,
     /// Version of the program.
     version: String,

@@ -49,6 +49,26 @@ pub struct Request<'a> {
     pub force: bool,
 }
 
+impl Request<'_> {
+    /// Opens a store, lets `work` fill it, and puts the results in their place. After an error the finished parts are kept.
+    ///
+    /// # Errors
+    /// Those of `work`, and as [`Store::open`] and [`Store::finish`].
+    pub fn fill<T, E: From<StoreError>>(&self, work: impl FnOnce(&Store) -> Result<T, E>) -> Result<T, E> {
+        let store = Store::open(self)?;
+        match work(&store) {
+            Ok(value) => {
+                store.finish()?;
+                Ok(value)
+            }
+            Err(error) => {
+                store.discard_if_empty();
+                Err(error)
+            }
+        }
+    }
+}
+
 /// The folders of one piece of work, locked until it is dropped.
 #[derive(Debug)]
 pub struct Store {

@@ -8,7 +8,7 @@ use crate::check::Allowed::Within;
 use crate::check::{COORDINATE, Checker, number};
 use crate::effect::{in_file, is_angle};
 use crate::error::unknown_word;
-use crate::locate::join;
+use crate::key_path::join;
 use crate::raw::{PLACE, RawEffect, RawScenario};
 
 /// Effects of a scenario.

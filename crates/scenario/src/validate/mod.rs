@@ -14,7 +14,7 @@ use super::check::Allowed::{AboveUpTo, Any, Between, FromBelow};
 use super::check::{Checker, POSITIVE_LENGTH, number};
 use super::error::{shown, unknown_word};
 use super::form::Form;
-use super::locate::join;
+use super::key_path::join;
 use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
 use super::{
     Errors, Expectation, LoadedMap, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError,

@@ -11,7 +11,7 @@ use saphyr_parser::{Event, Parser, ScalarStyle, Tag};
 
 use crate::Problem;
 use crate::error::{LISTED, and_more};
-use crate::locate::join;
+use crate::key_path::join;
 
 /// A value and where it begins.
 #[derive(Debug, PartialEq)]

@@ -10,9 +10,8 @@ mod roughness;
 
 use distreg::{Distribution, histogram};
 use locsim_core::{Draw, Stage};
-use serde::{Deserialize, Serialize};
 
-use super::results::Results;
+use super::results::{Results, Samples};
 use super::{Kind, Study, StudyError, StudyOptions, claims, families};
 use condition::run_condition;
 use locsim_report::store::Parts;
@@ -29,26 +28,6 @@ pub(super) struct Extra {
     pub rays: Samples,
     /// Grass: true distributions of neighbouring states, with the distance from the first.
     pub neighbours: Vec<(f64, Distribution)>,
-}
-
-/// Distributions at some test states.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Samples {
-    /// States with the truth and each model's prediction from the largest training set.
-    pub states: Vec<Sample>,
-    /// Training states of that set.
-    pub training_states: usize,
-}
-
-/// One test state.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Sample {
-    /// The state.
-    pub state: Vec<f64>,
-    /// The distribution of many observations there.
-    pub truth: Distribution,
-    /// The prediction of each model.
-    pub predicted: Vec<Distribution>,
 }
 
 /// Purposes of an experiment's draws.
@@ -76,7 +55,7 @@ pub(super) fn run(
         conditions.push(results);
         samples.push(drawn);
     }
-    options.progress.stage("figures and report", 1);
+    options.control.progress.stage("figures and report", 1);
     let (losses, loss_example) = loss_example(study)?;
     let families = (study.kind == Kind::StaticLidar).then(|| families::compare(study)).transpose()?;
     let rays = families::shown(study)?;

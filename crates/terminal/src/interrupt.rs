@@ -9,8 +9,7 @@ use std::time::Duration;
 use anyhow::Result;
 use locsim_report::store::kept;
 
-use crate::INTERRUPTED;
-use crate::terminal::complain;
+use crate::{INTERRUPTED, complain};
 
 /// How long work may take to stop by itself. What it hasn't finished by then is lost, as with a kill; what is kept is
 /// whole at any moment.

@@ -2,9 +2,9 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Why a run could not be done.
+/// Why a run or a search could not be done.
 #[derive(Debug, Error)]
-pub enum RunError {
+pub enum LabError {
     /// The scenario's map, log or path is refused.
     #[error(transparent)]
     Scenario(#[from] locsim_scenario::ScenarioError),
@@ -27,7 +27,7 @@ pub enum RunError {
     /// The measured log can't be read.
     #[error(transparent)]
     Dataset(#[from] locsim_dataset::DatasetError),
-    /// A log doesn't fit its scenario.
+    /// A log doesn't fit the scenario.
     #[error("{path}: {what}")]
     Log {
         /// The log's file.
@@ -74,6 +74,9 @@ pub enum RunError {
     /// The results folder can't be used.
     #[error(transparent)]
     Store(#[from] locsim_report::store::StoreError),
+    /// A search can't be done, or was stopped.
+    #[error(transparent)]
+    Gap(#[from] locsim_gap::GapError),
     /// The user stopped the run; finished trials are kept.
     #[error("interrupted after {finished} of {trials} trials; add --resume to go on")]
     Interrupted {
@@ -82,4 +85,11 @@ pub enum RunError {
         /// Trials asked for.
         trials: usize,
     },
+}
+
+impl LabError {
+    /// Whether the user stopped the work.
+    pub fn is_interruption(&self) -> bool {
+        matches!(self, Self::Interrupted { .. } | Self::Gap(locsim_gap::GapError::Interrupted))
+    }
 }

@@ -5,6 +5,9 @@ use std::io::{ErrorKind, Write};
 use anyhow::{Context, Result};
 
 /// Prints a line on standard output. A reader that closes the pipe early (`| head`) is no error.
+///
+/// # Errors
+/// The system refuses to write.
 pub fn say(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
