@@ -1,4 +1,4 @@
-//! `locsim study` and `locsim bench-regression` as a user types them.
+//! `locsim study` as a user types it.
 
 mod common;
 
@@ -302,10 +302,4 @@ fn measured_scans_that_are_not_there_are_named() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let call = locsim(&root, "study scenarios/paper/static_lidar.yaml").env_remove("LOCSIM_DATA").assert();
     call.code(2).stderr(contains("sensor.static_lidar.file").and(contains("LOCSIM_DATA is not set")));
-}
-
-#[test]
-fn the_regression_benchmark_wants_its_folder() {
-    let folder = Folder::new();
-    folder.locsim("bench-regression .").code(2).stderr(contains("the folder that holds task.py"));
 }

@@ -13,7 +13,7 @@ use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 use locsim_bench::speed::Workload;
-use locsim_core::{Draw, Hits, Particles, Pose2, Progress, RangeMap, SensorModel, Stage};
+use locsim_core::{Control, Draw, Hits, Particles, Pose2, Progress, RangeMap, SensorModel, Stage};
 use locsim_dataset::{LogOptions, read_log, read_tum};
 use locsim_lab::run::{self, LogMaps, RunOptions};
 use locsim_scenario::{Overrides, Scenario, load_map};
@@ -296,9 +296,7 @@ fn options(out: PathBuf, progress: &FirstTrial) -> RunOptions<'_> {
         resume: false,
         force: true,
         command: String::new(),
-        clock: &|| Duration::ZERO,
-        progress,
-        interrupted: &progress.done,
+        control: Control { clock: &|| Duration::ZERO, progress, interrupted: &progress.done },
         cache: None,
         recorder: None,
     }
@@ -445,8 +443,9 @@ pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
     let models = ModelKind::ALL.map(ModelKind::as_str);
     let progress = FirstTrial::default();
     let all = scenario(&|text| text.replace("[classic]", &format!("{models:?}")));
-    run::run(&all, &RunOptions { interrupted: &AtomicBool::new(false), ..options(out.clone(), &progress) })
-        .expect("a run");
+    let control =
+        Control { clock: &|| Duration::ZERO, progress: &progress, interrupted: &AtomicBool::new(false) };
+    run::run(&all, &RunOptions { control, ..options(out.clone(), &progress) }).expect("a run");
     for name in models {
         let file = out.join("models").join(format!("{name}.model"));
         seeds.push(("model", format!("{name}.model"), read(&file)));

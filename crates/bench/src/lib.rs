@@ -1,4 +1,9 @@
-//! What a developer measures: [`speed`] on fixed files, [`suite`] of logs with hidden effects that the search has to find.
+//! Benchmarks for developers: [`speed`] on fixed files, the [`suite`] of logs with hidden effects that the search has to find,
+//! and [`regression`] on a fixed task. The program `locsim-bench` runs them.
 
+mod error;
+pub mod regression;
 pub mod speed;
 pub mod suite;
+
+pub use error::BenchError;

@@ -1,10 +1,9 @@
 //! What a user can type.
 
-use std::fmt::Write;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use locsim_core::limits::{Limit, Limits};
+use locsim_terminal::{LimitOptions, OutputOptions, Threads, whole};
 
 /// A laboratory for particle-filter localization with range sensors.
 ///
@@ -12,29 +11,11 @@ use locsim_core::limits::{Limit, Limits};
 #[derive(Debug, Parser)]
 #[command(name = "locsim", version, max_term_width = 110)]
 pub struct Arguments {
-    /// Changes a limit on what may be read, such as `map_pixels=400000000`; may be given more than once
-    #[arg(long, global = true, value_name = "NAME=VALUE", long_help = limit_help())]
-    pub limit: Vec<String>,
+    #[command(flatten)]
+    pub limits: LimitOptions,
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
-}
-
-/// The limits with their defaults.
-fn limit_help() -> String {
-    let mut help =
-        "Changes a limit on what may be read; may be given more than once. The limits:\n".to_owned();
-    for Limit { name, default, what } in Limits::TABLE {
-        let _ = write!(help, "\n  {name}={default}\n      {what}");
-    }
-    help
-}
-
-/// A whole number from 0 on; clap's own message of a number that is too large or negative doesn't say what is allowed.
-fn whole<T: TryFrom<u64> + Copy>(text: &str) -> Result<T, String> {
-    let most = if size_of::<T>() == 4 { u64::from(u32::MAX) } else { u64::MAX };
-    let refused = || format!("a whole number from 0 to {most} is allowed");
-    text.parse::<u64>().ok().and_then(|value| T::try_from(value).ok()).ok_or_else(refused)
 }
 
 /// The subcommands.
@@ -44,8 +25,6 @@ pub enum Command {
     Run(Run),
     /// Run studies of distribution regression (the paper's sensor experiments): figures, report, results.json
     Study(Study),
-    /// Measure distribution regression on its fixed task: times, risks, agreement with the dense product
-    BenchRegression(BenchRegression),
     /// Check scenarios and studies without running them
     Validate {
         /// Scenario and study files
@@ -69,10 +48,6 @@ pub enum Command {
     Gap(Gap),
     /// Build maps from a log with reference poses: an occupancy grid (ROS `map_server` format) and a map of walls
     Map(Map),
-    /// Measure speed and accuracy on a folder of fixed work, beside targets and other programs
-    Bench(Bench),
-    /// Run the hidden-effect suite: how often and how well `gap` finds what is hidden in simulated logs
-    GapBench(GapBench),
     /// Print a shell's completion script
     Completions {
         /// The shell
@@ -82,7 +57,6 @@ pub enum Command {
 
 /// `locsim run`.
 #[derive(Debug, Args)]
-#[expect(clippy::struct_excessive_bools, reason = "each is an option of the command line")]
 pub struct Run {
     /// The scenario file
     pub scenario: PathBuf,
@@ -95,9 +69,8 @@ pub struct Run {
     /// Seed, instead of the scenario's
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
-    /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
-    pub threads: Option<usize>,
+    #[command(flatten)]
+    pub threads: Threads,
     /// Only these models of the scenario, separated by commas
     #[arg(long, value_delimiter = ',')]
     pub models: Option<Vec<String>>,
@@ -113,12 +86,8 @@ pub struct Run {
     /// Where range tables are kept between runs [default: `locsim` in the user's cache folder]
     #[arg(long, env = "LOCSIM_CACHE", value_name = "FOLDER", hide_env_values = true)]
     pub cache: Option<PathBuf>,
-    /// Print nothing but errors (and, with --json, the summary)
-    #[arg(long)]
-    pub quiet: bool,
-    /// Print summary.json instead of the table
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    pub output: OutputOptions,
 }
 
 /// What to do with the recording.
@@ -136,7 +105,6 @@ pub enum Record {
 
 /// `locsim study`.
 #[derive(Debug, Args)]
-#[expect(clippy::struct_excessive_bools, reason = "each is an option of the command line")]
 pub struct Study {
     /// The studies' files
     #[arg(required = true)]
@@ -150,9 +118,8 @@ pub struct Study {
     /// Seed, instead of the study's
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
-    /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
-    pub threads: Option<usize>,
+    #[command(flatten)]
+    pub threads: Threads,
     /// Two repeats on little data, to see whether everything works
     #[arg(long)]
     pub quick: bool,
@@ -162,23 +129,8 @@ pub struct Study {
     /// Replace earlier results of locsim, and what an interrupted study has kept; nothing else is ever touched
     #[arg(long, conflicts_with = "resume")]
     pub force: bool,
-    /// Print nothing but errors (and, with --json, the results)
-    #[arg(long)]
-    pub quiet: bool,
-    /// Print the results as JSON, one study per line, instead of what holds
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// `locsim bench-regression`.
-#[derive(Debug, Args)]
-pub struct BenchRegression {
-    /// Folder of the task's script, task.py. Its data are part of the program, number by number, so that the
-    /// folder is only asked whether it is the right one
-    pub folder: Option<PathBuf>,
-    /// Print JSON instead of a table
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    pub output: OutputOptions,
 }
 
 /// `locsim simulate`.
@@ -241,7 +193,6 @@ pub struct LogOptions {
 
 /// `locsim gap`.
 #[derive(Debug, Args)]
-#[expect(clippy::struct_excessive_bools, reason = "each is an option of the command line")]
 pub struct Gap {
     /// The scenario: a simulation of the robot as it is thought to be
     #[arg(required_unless_present = "explain")]
@@ -261,9 +212,8 @@ pub struct Gap {
     /// Seed, instead of the scenario's
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
-    /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
-    pub threads: Option<usize>,
+    #[command(flatten)]
+    pub threads: Threads,
     /// The most scans of the log that are looked at
     #[arg(long, default_value_t = 600, allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub scans: usize,
@@ -281,79 +231,9 @@ pub struct Gap {
     /// Where range tables are kept between runs [default: `locsim` in the user's cache folder]
     #[arg(long, env = "LOCSIM_CACHE", value_name = "FOLDER", hide_env_values = true)]
     pub cache: Option<PathBuf>,
-    /// Print nothing but errors (and, with --json, the outcome)
-    #[arg(long)]
-    pub quiet: bool,
-    /// Print gap.json instead of the short answer
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    pub output: OutputOptions,
     /// Only say what an effect is, what gives it away and what it is confused with
     #[arg(long, value_name = "EFFECT", conflicts_with_all = ["scenario", "log", "out"])]
     pub explain: Option<String>,
-}
-
-/// `locsim bench`.
-#[derive(Debug, Args)]
-pub struct Bench {
-    /// Folder with map.yaml, workload.json, scan.csv, `particles_f64le.bin`, `traj_static.csv`, `traj_dynamic.csv`
-    pub folder: PathBuf,
-    /// Print all figures as JSON instead of a table
-    #[arg(long)]
-    pub json: bool,
-    /// Also measure cost against particles, beams, map size and threads, and write sweeps.json and plots into this
-    /// folder (some minutes)
-    #[arg(long)]
-    pub sweeps: Option<PathBuf>,
-    /// Replace earlier sweeps of locsim there; nothing else is ever touched
-    #[arg(long)]
-    pub force: bool,
-    /// No progress bars
-    #[arg(long)]
-    pub quiet: bool,
-}
-
-/// `locsim gap-bench`.
-#[derive(Debug, Args)]
-pub struct GapBench {
-    /// The nominal scenario
-    #[arg(default_value = "scenarios/gap/nominal.yaml")]
-    pub scenario: PathBuf,
-    /// How much: small (minutes), medium (an hour on two cores), full (a day)
-    #[arg(long, value_enum, default_value_t = Size::Small)]
-    pub size: Size,
-    /// Everything random derives from it: tune on one seed, score on another
-    #[arg(long, default_value_t = 1, allow_negative_numbers = true, value_parser = whole::<u64>)]
-    pub seed: u64,
-    /// Begin no log after so many minutes, and score what is done; the same command goes on
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
-    pub minutes: Option<u64>,
-    /// Folder for logs, truths, findings and the report; what it holds already isn't run again
-    #[arg(long, default_value = "results/gap-bench")]
-    pub out: PathBuf,
-    /// Simulated logs behind each p-value
-    #[arg(long, default_value_t = 199, value_parser = clap::value_parser!(u32).range(99..))]
-    pub replicates: u32,
-    /// The most scans of a log
-    #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..))]
-    pub scans: u32,
-    /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
-    pub threads: Option<usize>,
-    /// Print nothing but errors (and, with --json, the figures)
-    #[arg(long)]
-    pub quiet: bool,
-    /// Print the figures as JSON instead of the table
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// How much of the suite is run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Size {
-    /// Minutes
-    Small,
-    /// An hour on two cores
-    Medium,
-    /// A day
-    Full,
 }

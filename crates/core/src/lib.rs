@@ -6,6 +6,7 @@
 //! `base` to coordinates of `map`.
 
 mod beams;
+mod control;
 mod draw;
 mod drive;
 mod elementary;
@@ -14,15 +15,16 @@ mod lanes;
 mod likelihood;
 pub mod limits;
 mod model;
+pub mod normal;
 mod normals;
 pub mod output;
 mod particles;
 mod pose;
-mod progress;
 mod track;
 mod weights;
 
 pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
+pub use control::{Clock, Control, Progress};
 pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
 pub use elementary::{sin_cos, sin_cos_near_zero};
@@ -34,6 +36,5 @@ pub use likelihood::{
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
-pub use progress::Progress;
 pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

@@ -56,7 +56,7 @@ impl Grid {
         positive("the bin width of a grid", self.width)?;
         finite("the upper end of a grid", self.hi())?;
         if self.bins == 0 || self.bins > MAX_BINS {
-            return Err(Error::Bins { found: self.bins });
+            return Err(Error::Bins { found: self.bins, most: MAX_BINS });
         }
         Ok(())
     }

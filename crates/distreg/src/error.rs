@@ -50,10 +50,12 @@ pub enum Error {
         found: usize,
     },
     /// A grid has no bins or too many.
-    #[error("a grid must have 1 to {} bins, found {found}", crate::distribution::MAX_BINS)]
+    #[error("a grid must have 1 to {most} bins, found {found}")]
     Bins {
         /// Bins of the grid.
         found: usize,
+        /// Most bins that a grid may have.
+        most: usize,
     },
     /// An alignment names a state coordinate that does not exist.
     #[error("alignment by state coordinate {state_dim}, but a state has {dim} coordinates")]

@@ -17,7 +17,7 @@ pub enum Kernel {
 impl Kernel {
     /// K at the squared distance `u2` (in squared bandwidths), up to a constant factor.
     #[inline]
-    pub(crate) fn at_squared(self, u2: f64) -> f64 {
+    pub fn at_squared(self, u2: f64) -> f64 {
         match self {
             Self::Gaussian => (-0.5 * u2).exp(),
             Self::Boxcar => f64::from(u8::from(u2 <= 1.0)),

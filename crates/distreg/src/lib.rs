@@ -46,7 +46,6 @@
 struct SensorIn20Lines;
 
 mod alignment;
-pub mod benchmark;
 mod dataset;
 mod density;
 mod distribution;

@@ -159,6 +159,25 @@ impl PReg {
         self.parameters_with(query, &mut Scratch::default())
     }
 
+    /// The data with (z - m(x)) / s(x) in place of each observation z, where m and s are the regressed mean and deviation; with
+    /// `point` in place of the point mass.
+    ///
+    /// # Errors
+    /// As [`PReg::parameters`].
+    pub fn residuals(&self, data: &Dataset, point: Option<f64>) -> Result<Dataset, Error> {
+        let whole = self.outcomes();
+        let mut residuals = Dataset::new(data.dim());
+        for i in 0..data.len() {
+            let (at, _) = self.parameters(data.state(i))?;
+            let e = |&z: &f64| match point {
+                Some(point) if whole.is_point(z) => point,
+                _ => (z - at.mean) / at.sigma,
+            };
+            residuals.push(data.state(i), &data.observations(i).iter().map(e).collect::<Vec<_>>())?;
+        }
+        Ok(residuals)
+    }
+
     /// As [`PReg::parameters`], with buffers.
     pub(crate) fn parameters_with(
         &self,

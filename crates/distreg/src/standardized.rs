@@ -53,28 +53,13 @@ impl<R: Regressor> Regressor for StandardizedOptions<R> {
         if whole.point_mass_at.is_some() != point.is_some() {
             return Err(Error::PointMassMismatch);
         }
-        let residuals = residuals(&location_scale, data, point)?;
+        let residuals = location_scale.residuals(data, point)?;
         Ok(Standardized { location_scale, residual: self.residual.fit(&residuals)? })
     }
 
     fn outcomes(&self) -> Outcomes {
         self.location_scale.outcomes
     }
-}
-
-/// The data with e in place of z, and `point` in place of the point mass.
-pub(crate) fn residuals(location_scale: &PReg, data: &Dataset, point: Option<f64>) -> Result<Dataset, Error> {
-    let whole = location_scale.outcomes();
-    let mut residuals = Dataset::new(data.dim());
-    for i in 0..data.len() {
-        let (at, _) = location_scale.parameters(data.state(i))?;
-        let e = |&z: &f64| match point {
-            Some(point) if whole.is_point(z) => point,
-            _ => (z - at.mean) / at.sigma,
-        };
-        residuals.push(data.state(i), &data.observations(i).iter().map(e).collect::<Vec<_>>())?;
-    }
-    Ok(residuals)
 }
 
 impl<M: ConditionalDistribution> ConditionalDistribution for Standardized<M> {

@@ -338,7 +338,7 @@ fn impossible_input_is_an_error() {
     ));
     let negative = DensityEstimate::Kernel { kernel: Kernel::Gaussian, bandwidth: -1.0 };
     assert!(matches!(fit(&|o| o.density = negative), Err(Error::NotPositive { .. })));
-    assert!(matches!(fit(&|o| o.outcomes.grid.bins = 0), Err(Error::Bins { found: 0 })));
+    assert!(matches!(fit(&|o| o.outcomes.grid.bins = 0), Err(Error::Bins { found: 0, .. })));
     assert!(matches!(fit(&|o| o.outcomes.point_mass_at = Some(f64::NAN)), Err(Error::NotFinite { .. })));
     let nobody = Weighting::nearest_neighbours(0, &[0.1, 0.1]);
     assert!(matches!(fit(&|o| o.weighting = nobody.clone()), Err(Error::Empty { .. })));

@@ -243,7 +243,8 @@ impl<'a> Comparison<'a> {
             let first = scan * views.per_scan;
             for (i, beam) in views.scan(scan).iter().enumerate() {
                 let reading = f64::from(self.recorded.readings[first + i]);
-                if reading.is_nan() {
+                // A reading that the simulator can't have is as little usable as NaN.
+                if reading.is_nan() || reading < self.nominal.laser.min_range_m {
                     continue;
                 }
                 let z = reading.min(max);

@@ -41,6 +41,6 @@ pub use outcome::{
 pub use pose_error::PoseError;
 pub use purpose::Purpose;
 pub use recorded::Recorded;
-pub use search::{GapOptions, Progress, find};
+pub use search::{GapOptions, find};
 pub use statistics::{Cell, Covariate, Deviation};
 pub use strength::{Strength, oracle_power};

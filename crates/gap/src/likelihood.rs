@@ -1,20 +1,13 @@
-//! The density of a reading under a hypothesis: nominal world, effects, unmapped blocks, an error of the reference pose.
+//! The density of a reading under a hypothesis: nominal world, effects, clutter, an error of the reference pose.
 
-use std::f64::consts::{FRAC_1_SQRT_2, PI};
-
-use locsim_world::effect::{Alternative, BeamView, Effects, HitKind, ReadingDistribution};
-use locsim_world::simulation::LaserOptions;
-use statrs::function::erf::erfc;
+pub(crate) use locsim_core::normal::density as normal_density;
+use locsim_world::effect::{Alternative, Effects};
+use locsim_world::simulation::{LaserOptions, ReadingMixture};
 
 use crate::views::Beam;
 
 /// Share of a uniform density under everything, so that no single reading can rule a hypothesis out.
 const FLOOR: f64 = 1e-6;
-/// A step below this share of the noise is as good as none.
-const FINE_STEP: f64 = 0.5;
-/// Readings of a laser without a resolution are taken as multiples of this \[m\], so that quantized ones can be
-/// compared with them.
-const FINEST_STEP_M: f64 = 1e-4;
 
 /// What one reading says.
 #[derive(Clone, Copy, Debug, Default)]
@@ -25,78 +18,15 @@ pub(crate) struct Terms {
     pub hit: f64,
     /// Density of the distribution of the unobstructed beam.
     pub clear_density: f64,
-    /// Probability that no block stands before the surface.
+    /// Probability that no clutter stands before the surface.
     pub clear: f64,
-    /// Probability that the reading is of a block, given the reading.
+    /// Probability that the reading is of clutter, given the reading.
     pub short: f64,
+    /// Factor from a density per metre to one in the measure of these; see [`locsim_world::simulation::MixtureDensity`].
+    pub measure: f64,
     /// Reading less the expected one \[m\], and its deviation \[m\]; 0 and infinity for no return.
     pub error: f64,
     pub sigma: f64,
-}
-
-pub(crate) fn normal_density(t: f64) -> f64 {
-    (-0.5 * t * t).exp() / (2.0 * PI).sqrt()
-}
-
-pub(crate) fn normal_cdf(t: f64) -> f64 {
-    0.5 * erfc(-t * FRAC_1_SQRT_2)
-}
-
-/// Density of a reading of what a distribution's beam met, alternatives left out: normal with tails, cut at the maximum range.
-fn return_density(distribution: &ReadingDistribution, z: f64, max: f64) -> f64 {
-    let [tail, factor] = distribution.tail;
-    let one = |sigma: f64| {
-        if distribution.mean.is_infinite() {
-            f64::from(u8::from(z >= max))
-        } else if z >= max {
-            normal_cdf((distribution.mean - max) / sigma)
-        } else if distribution.step_m > FINE_STEP * sigma {
-            let half = 0.5 * distribution.step_m;
-            let (a, b) = ((z - half - distribution.mean) / sigma, (z + half - distribution.mean) / sigma);
-            (normal_cdf(b) - normal_cdf(a)) / distribution.step_m
-        } else {
-            normal_density((z - distribution.mean) / sigma) / sigma
-        }
-    };
-    if tail > 0.0 {
-        (1.0 - tail) * one(distribution.sigma) + tail * one(factor * distribution.sigma)
-    } else {
-        one(distribution.sigma)
-    }
-}
-
-/// Density of the alternatives of a distribution, and the probability that none of them comes to pass.
-fn alternatives_density(distribution: &ReadingDistribution, z: f64, max: f64) -> (f64, f64) {
-    let (mut density, mut rest) = (0.0, 1.0);
-    for &(probability, alternative) in distribution.alternatives.as_slice() {
-        let weight = rest * probability;
-        density += weight * alternative_density(alternative, z, max);
-        rest -= weight;
-    }
-    (density, rest)
-}
-
-fn alternative_density(alternative: Alternative, z: f64, max: f64) -> f64 {
-    match alternative {
-        Alternative::NoReturn => f64::from(u8::from(z >= max)),
-        Alternative::Near { mean, sigma } if z < max => normal_density((z - mean) / sigma) / sigma,
-        Alternative::Near { mean, sigma } => normal_cdf((mean - max) / sigma),
-        Alternative::Between { lo, hi } => {
-            if z < max {
-                if (lo..hi).contains(&z) { 1.0 / (hi - lo) } else { 0.0 }
-            } else {
-                ((hi - max) / (hi - lo)).clamp(0.0, 1.0)
-            }
-        }
-    }
-}
-
-fn alternative_cdf(alternative: Alternative, z: f64) -> f64 {
-    match alternative {
-        Alternative::NoReturn => 0.0,
-        Alternative::Near { mean, sigma } => normal_cdf((z - mean) / sigma),
-        Alternative::Between { lo, hi } => ((z - lo) / (hi - lo)).clamp(0.0, 1.0),
-    }
 }
 
 /// A hypothesis about the world, for single readings.
@@ -104,125 +34,167 @@ fn alternative_cdf(alternative: Alternative, z: f64) -> f64 {
 pub(crate) struct Density<'a> {
     pub laser: &'a LaserOptions,
     pub effects: &'a Effects,
-    /// Factor on the density of blocks.
+    /// Factor on the density of clutter.
     pub blocks: f64,
 }
 
 impl Density<'_> {
+    fn mixture(&self) -> ReadingMixture<'_> {
+        ReadingMixture { laser: self.laser, effects: self.effects, clutter_density: self.blocks }
+    }
+
     /// What a reading `z` says; `shift` is added to the range of what stands there \[m\].
     pub fn terms(&self, beam: &Beam, shift: f64, z: f64) -> Terms {
         let max = self.laser.max_range_m;
-        let wall = self.wall_reading(beam, shift);
-        let range = beam.range() + shift;
-        let clear = (self.blocks * beam.log_clear).exp();
-        let (alternatives, rest) = alternatives_density(&wall, z, max);
-        let returned = rest * return_density(&wall, z, max);
-        let clear_density = alternatives + returned;
-        let mut density = clear * clear_density;
-        let mut short = 0.0;
-        if clear < 1.0 {
-            let (others, rest) = self.object_alternatives(beam, z);
-            density += (1.0 - clear) * others;
-            if z < max && z < range {
-                let (survival, hazard) = beam.survival_at(z - shift);
-                if hazard > 0.0 {
-                    short = rest * self.blocks * survival.max(1e-12).powf(self.blocks - 1.0) * hazard;
-                }
-            }
-            density += short;
-        }
-        let (density, short) = self.with_step(&wall, z, density, short);
-        let density = (1.0 - FLOOR) * density + FLOOR / max;
-        let is_return = z < max && wall.mean < max;
+        let parts = self.mixture().density(beam, shift, z);
+        let density = (1.0 - FLOOR) * parts.total + FLOOR / max;
+        let is_return = z < max && parts.mean < max;
         Terms {
             density,
-            hit: if is_return { (clear * returned / density).min(1.0) } else { 0.0 },
-            clear_density,
-            clear,
-            short: short / density,
-            error: if is_return { z - wall.mean } else { 0.0 },
-            sigma: if is_return { wall.sigma } else { f64::INFINITY },
+            hit: if is_return { (parts.surface / density).min(1.0) } else { 0.0 },
+            clear_density: parts.unobstructed,
+            clear: parts.clear,
+            short: parts.clutter / density,
+            measure: parts.measure,
+            error: if is_return { z - parts.mean } else { 0.0 },
+            sigma: if is_return { parts.sigma } else { f64::INFINITY },
         }
-    }
-
-    /// The distribution of a beam that no block is in the way of.
-    fn wall_reading(&self, beam: &Beam, shift: f64) -> ReadingDistribution {
-        let range = beam.range() + shift;
-        let view = BeamView { range: beam.view.range + shift, ..beam.view };
-        self.effects.reading(self.laser, &view, HitKind::Wall, range)
-    }
-
-    /// In the measure of the laser's own steps: a coarser step gathers the probability of several.
-    fn with_step(&self, distribution: &ReadingDistribution, z: f64, density: f64, short: f64) -> (f64, f64) {
-        let own = self.laser.resolution_m.max(FINEST_STEP_M);
-        if distribution.step_m <= 1.000_001 * own || z >= self.laser.max_range_m {
-            return (density, short);
-        }
-        let steps = z / distribution.step_m;
-        let on_grid = (steps - steps.round()).abs() * distribution.step_m < 0.5 * own;
-        let factor = if on_grid { distribution.step_m / own } else { 0.0 };
-        (factor * density, factor * short)
-    }
-
-    /// Density of a reading that has nothing to do with the block that stands in the way, and the probability that the
-    /// reading is of the block.
-    fn object_alternatives(&self, beam: &Beam, z: f64) -> (f64, f64) {
-        if self.effects.is_empty() {
-            return (0.0, 1.0);
-        }
-        let max = self.laser.max_range_m;
-        let range = if z < max { z } else { 0.5 * beam.range().min(max) };
-        alternatives_density(&self.effects.reading(self.laser, &beam.view, HitKind::Object, range), z, max)
     }
 
     /// P(reading <= z), for z below the maximum range.
     pub fn cdf(&self, beam: &Beam, shift: f64, z: f64) -> f64 {
-        let range = beam.range() + shift;
-        let mixture_cdf = |distribution: &ReadingDistribution,
-                           below: &dyn Fn(&ReadingDistribution) -> f64| {
-            let (mut cdf, mut rest) = (0.0, 1.0);
-            for &(probability, alternative) in distribution.alternatives.as_slice() {
-                let weight = rest * probability;
-                cdf += weight * alternative_cdf(alternative, z);
-                rest -= weight;
-            }
-            cdf + rest * below(distribution)
-        };
-        let wall = self.wall_reading(beam, shift);
-        let clear = (self.blocks * beam.log_clear).exp();
-        let mut cdf = clear
-            * mixture_cdf(&wall, &|distribution| {
-                let [tail, factor] = distribution.tail;
-                let one = |sigma: f64| {
-                    if distribution.mean.is_finite() {
-                        normal_cdf((z - distribution.mean) / sigma)
-                    } else {
-                        0.0
-                    }
-                };
-                if tail > 0.0 {
-                    (1.0 - tail) * one(distribution.sigma) + tail * one(factor * distribution.sigma)
-                } else {
-                    one(distribution.sigma)
-                }
-            });
-        if clear < 1.0 {
-            let survival = beam.survival_at((z - shift).min(range)).0.max(1e-12).powf(self.blocks).max(clear);
-            let share = ((1.0 - survival) / (1.0 - clear)).clamp(0.0, 1.0);
-            let object = self.effects.reading(self.laser, &beam.view, HitKind::Object, z.min(range));
-            cdf += (1.0 - clear) * mixture_cdf(&object, &|_| share);
-        }
-        cdf.clamp(0.0, 1.0)
+        self.mixture().cdf(beam, shift, z)
     }
 
-    /// Density of a reading in which a beam that is not blocked reads by `other` instead, relative to that by the
+    /// Density of a reading in which a beam that is not blocked reads by `other` \[1/m\] instead, relative to that by the
     /// hypothesis, less 1: the score of a contamination.
     pub fn contamination(terms: &Terms, other: f64) -> f64 {
-        terms.clear * (other - terms.clear_density) / terms.density
+        terms.clear * (terms.measure * other - terms.clear_density) / terms.density
     }
 }
 
 /// Density of a normal reading of what stands at `mean`.
 pub(crate) fn near_density(z: f64, mean: f64, sigma: f64, max: f64) -> f64 {
-    alternative_density(Alternative::Near { mean, sigma }, z, max)
+    Alternative::Near { mean, sigma }.density(z, max)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+    use locsim_core::{Draw, Stage};
+    use locsim_world::effect::{Effect, EffectKind};
+    use rand::RngExt;
+
+    use super::*;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::views::Views;
+    use crate::{Nominal, Recorded};
+
+    /// False-alarm rate of each comparison below; there are about 350.
+    const FALSE_ALARM: f64 = 1e-6;
+
+    /// Each effect at a value that shows in the room of the fixtures. Bursts of crosstalk never end: one that comes and goes
+    /// falls on too few seconds of a drive.
+    fn strong(kind: EffectKind) -> Effect {
+        use EffectKind as E;
+        let south =
+            vec![[DVec2::new(0.0, 0.0), DVec2::new(2.0, 0.0)], [DVec2::new(3.0, 0.0), DVec2::new(6.0, 0.0)]];
+        let values: &[f64] = match kind {
+            E::RangeBias | E::Quantization => &[0.05],
+            E::RangeScale => &[0.03],
+            E::IncidenceBias => &[0.02],
+            E::RangeNoise => &[0.01],
+            E::IncidenceNoise | E::BlockDensity | E::BlockDepth => &[2.0],
+            E::HeavyTail => &[0.4],
+            E::IncidenceDropout => &[0.8, 0.6, 0.2],
+            E::RangeDropout => &[0.9, 0.7],
+            E::MixedPixels => &[0.8],
+            E::Glass => &[0.6],
+            E::MovedWall => &[-0.3],
+            E::MissingObject => &[2.6, 2.0, 0.4],
+            E::MountYaw | E::TimeOffset | E::OdomDistanceScale | E::OdomTurnScale => &[0.1],
+            E::MountOffset => &[0.1, -0.05],
+            E::MotionSkew | E::OdomImbalance => &[0.2],
+            E::WarmupDrift => &[0.1, 5.0],
+            E::SectorOcclusion => &[3.0, -2.0, 0.4, 0.7],
+            E::Crosstalk => &[0.3, 1.0],
+            E::WheelSlip => &[0.5, 0.3],
+        };
+        let place = if kind.has_place() { south } else { Vec::new() };
+        Effect::new(kind, values.to_vec(), place).unwrap()
+    }
+
+    /// A laser that turns while the robot moves, with an edge of its range near the walls.
+    fn nominal() -> Nominal {
+        let laser = LaserOptions { scan_secs: 0.08, min_range_m: 0.3, max_range_m: 4.6, ..NOMINAL.laser };
+        Nominal::new(NOMINAL.map.clone(), laser, NOMINAL.blocks, NOMINAL.odometry, NOMINAL.effects.clone())
+            .unwrap()
+    }
+
+    /// Logs of several seeds in a world with these effects: `beams` beams of each scan.
+    fn logs(nominal: &Nominal, effects: &[Effect], beams: usize, seeds: u64) -> Vec<Recorded> {
+        let record = |seed| record_library(nominal, &TRUTH, effects, Regime::default(), seed).unwrap();
+        (0..seeds).map(|seed| Recorded::new(&record(seed), 600, beams, |_| true).unwrap()).collect()
+    }
+
+    /// Kolmogorov-Smirnov distance of the PITs of all usable readings from the uniform distribution, in units of its critical
+    /// value. A PIT is spread evenly over the probability of the reading's step, or of the maximum range.
+    fn pit_distance(nominal: &Nominal, effects: &[Effect], logs: &[Recorded]) -> f64 {
+        let step = effects.iter().filter(|effect| effect.kind == EffectKind::Quantization);
+        let step = step.map(|effect| effect.values[0]).fold(nominal.laser.resolution_m, f64::max);
+        let all = nominal.effects_with(effects).unwrap();
+        let views = Views::new(nominal, &logs[0], &all).unwrap();
+        let density = Density { laser: &nominal.laser, effects: &all, blocks: 1.0 };
+        let spread = Draw::new(9, Stage::Bootstrap, 0);
+        let mut pits: Vec<f64> = Vec::new();
+        for (seed, log) in logs.iter().enumerate() {
+            for (i, (&z, beam)) in log.readings.iter().zip(&views.beams).enumerate() {
+                let z = f64::from(z);
+                if z.is_nan() {
+                    continue;
+                }
+                let below = density.cdf(beam, 0.0, z - 0.5 * step);
+                let up_to =
+                    if z < nominal.laser.max_range_m { density.cdf(beam, 0.0, z + 0.5 * step) } else { 1.0 };
+                let share: f64 = spread.at(seed as u32).item(i as u32).random();
+                pits.push(below + share * (up_to - below));
+            }
+        }
+        pits.sort_unstable_by(f64::total_cmp);
+        let n = pits.len() as f64;
+        let away = |(i, u): (usize, &f64)| (u - i as f64 / n).max((i + 1) as f64 / n - u);
+        let distance = pits.iter().enumerate().map(away).fold(0.0, f64::max);
+        // P(D > d) <= 2 exp(-2 n d^2) (Massart 1990).
+        distance / ((2.0 / FALSE_ALARM).ln() / (2.0 * n)).sqrt()
+    }
+
+    /// The simulator draws from the density that the search asks: with clutter, from moving poses, under each effect. Under the
+    /// world without the effect it doesn't.
+    #[test]
+    fn simulated_readings_have_the_distribution_of_the_search() {
+        let nominal = nominal();
+        assert!(pit_distance(&nominal, &[], &logs(&nominal, &[], 12, 8)) < 1.0);
+        for kind in EffectKind::ALL {
+            let effects = [strong(kind)];
+            let logs = logs(&nominal, &effects, 12, 8);
+            let own = pit_distance(&nominal, &effects, &logs);
+            assert!(own < 1.0, "{kind}: {own}");
+            let without = pit_distance(&nominal, &[], &logs);
+            let of_scans = kind.description().moves != locsim_world::effect::Moves::Odometry;
+            assert_eq!(without > 1.0, of_scans, "{kind}: {without}");
+        }
+    }
+
+    #[test]
+    fn readings_of_two_effects_have_the_distribution_of_the_search() {
+        let nominal = nominal();
+        for (i, a) in EffectKind::ALL.into_iter().enumerate() {
+            for b in &EffectKind::ALL[..i] {
+                let effects = [strong(a), strong(*b)];
+                let distance = pit_distance(&nominal, &effects, &logs(&nominal, &effects, 6, 2));
+                assert!(distance < 1.0, "{a}, {b}: {distance}");
+            }
+        }
+    }
 }

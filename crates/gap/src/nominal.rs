@@ -40,6 +40,12 @@ impl Nominal {
         if laser.sigma_m <= 0.0 {
             return Err(GapError::NoNoise);
         }
+        // As the laser has them: the f32 of 5.6 is below 5.6, and a reading of it is at the maximum range.
+        let laser = LaserOptions {
+            min_range_m: f64::from(laser.min_range_m as f32),
+            max_range_m: f64::from(laser.max_range_m as f32),
+            ..laser
+        };
         let blocks = blocks.filter(|blocks| blocks.per_metre_of_wall > 0.0);
         let simulator = Simulator::new(Arc::clone(&map), blocks, laser, effects.clone())?;
         let integral = simulator.blocks().map(|model| Arc::new(BlockIntegral::new(model)));
@@ -88,8 +94,8 @@ impl Nominal {
     pub(crate) fn check(&self, recorded: &Recorded) -> Result<(), GapError> {
         let differs = |log: f64, scenario: f64| (log - scenario).abs() > 1e-3 * scenario.abs().max(1.0);
         let all = f64::from(self.laser.beams);
-        if differs(recorded.all_bearings.len() as f64, all) {
-            let log = recorded.all_bearings.len() as f64;
+        if differs(recorded.log_laser.beam_count() as f64, all) {
+            let log = recorded.log_laser.beam_count() as f64;
             return Err(GapError::Laser { what: "beams per scan", log, scenario: all });
         }
         let log = f64::from(recorded.laser.max_range());

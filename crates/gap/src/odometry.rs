@@ -1,9 +1,8 @@
 //! Increments of the odometry against those of the reference.
 
-use locsim_core::Pose2;
+use locsim_core::{Pose2, normal};
 use locsim_world::effect::Effects;
 
-use crate::likelihood::{normal_cdf, normal_density};
 use crate::{Nominal, Recorded};
 
 /// Least standard deviation of an increment's distance \[m\] and turn \[rad\].
@@ -103,7 +102,7 @@ pub(crate) fn log_likelihoods(
 fn density(increment: &Increment, error: &OdometryError, axis: usize) -> f64 {
     let (sigma, (share, factor)) = (deviation(increment, error, axis), WIDE);
     let t = increment.error[axis] / sigma;
-    ((1.0 - share) * normal_density(t) + share * normal_density(t / factor) / factor) / sigma
+    ((1.0 - share) * normal::density(t) + share * normal::density(t / factor) / factor) / sigma
 }
 
 /// The same of a distance with a half-normal slip: the sum of a normal and a half-normal number is skew normal (Azzalini 1985).
@@ -113,7 +112,7 @@ fn slipped(increment: &Increment, error: &OdometryError, share: f64) -> f64 {
     let longer = increment.error[0] * increment.truth[0].signum();
     let skew_normal = |sigma: f64| {
         let scale = sigma.hypot(slip);
-        2.0 * normal_density(longer / scale) * normal_cdf(slip / sigma * longer / scale) / scale
+        2.0 * normal::density(longer / scale) * normal::cdf(slip / sigma * longer / scale) / scale
     };
     (1.0 - wide) * skew_normal(sigma) + wide * skew_normal(factor * sigma)
 }

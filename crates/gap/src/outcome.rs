@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use locsim_world::effect::{Effect, EffectKind};
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 
 use crate::hypothesis::Nuisances;
 use crate::statistics::{Covariate, Deviation};
 
-/// What is the matter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+/// The result of a search in one word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// Nothing: the log is as the simulator says.

@@ -13,8 +13,8 @@ pub struct Recorded {
     pub laser: Laser,
     /// Index of each of them among the log's beams.
     pub kept: Vec<usize>,
-    /// Bearing of every beam of the log's laser \[rad\].
-    pub all_bearings: Vec<f32>,
+    /// The log's laser with all its beams.
+    pub log_laser: Laser,
     /// Reference pose of each scan, `map_from_base`.
     pub track: Track,
     /// `odom_from_base` at each scan.
@@ -48,7 +48,7 @@ impl Recorded {
         }
         Ok(Self {
             laser,
-            all_bearings: drive.laser.bearings().to_vec(),
+            log_laser: drive.laser.clone(),
             track: Track::new(steps.iter().map(|&(step, pose)| (step.stamp_secs, pose)))?,
             odometry: steps.iter().map(|(step, _)| step.odometry).collect(),
             readings: steps

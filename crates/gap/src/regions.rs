@@ -1,11 +1,9 @@
 //! Where a log is off, and by how much.
 
-use std::f64::consts::FRAC_1_SQRT_2;
-
+use locsim_core::normal;
 use locsim_world::effect::Effect;
 use rand::RngExt;
 use rayon::prelude::*;
-use statrs::function::erf::erfc;
 
 use crate::hypothesis::{Comparison, Fitted};
 use crate::null::Null;
@@ -25,7 +23,7 @@ const STILL_OFF: f64 = 3.5;
 
 /// Two-sided p-value of a standard normal number.
 fn two_sided(z: f64) -> f64 {
-    erfc(z.abs() * FRAC_1_SQRT_2)
+    2.0 * normal::tail(z.abs())
 }
 
 /// A hypothesis as far as regions need it.
@@ -59,7 +57,7 @@ pub(crate) fn locate(
         .filter(|(_, q)| *q <= DISCOVERY_RATE)
         .filter_map(|(&(i, cell), q)| {
             let [here, there] = null.halves[i];
-            let p_other_half = 0.5 * erfc(there * here.signum() * FRAC_1_SQRT_2);
+            let p_other_half = normal::tail(there * here.signum());
             if p_other_half > OTHER_HALF {
                 return None;
             }

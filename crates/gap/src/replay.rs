@@ -45,7 +45,7 @@ impl Replay<'_> {
         let simulator = self.nominal.simulator(&effects, blocks)?;
         let truth = self.true_track(seed);
         let readings = simulator.scan_along(&truth, seed);
-        let all = self.recorded.all_bearings.len();
+        let all = self.recorded.log_laser.beam_count();
         let readings = if all == self.recorded.beams() {
             readings
         } else {

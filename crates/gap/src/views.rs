@@ -2,141 +2,49 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use glam::DVec2;
-use locsim_core::{CAST_REACH, Pose2};
-use locsim_world::effect::{BeamView, Effect, EffectKind, Effects, jump_at};
-use locsim_world::simulation::BlockIntegral;
+use locsim_world::effect::{Description, Effect, Effects, Moves};
+pub(crate) use locsim_world::simulation::ClutteredBeam as Beam;
+use locsim_world::simulation::{BeamCaster, BlockIntegral, CastBeam, ClutterSurvival, Ray, Surface};
 use rayon::prelude::*;
 
 use crate::{GapError, Nominal, Recorded};
 
-/// Distance between two ranges at which it is known how likely a beam gets so far among blocks \[m\].
+/// Width of the bins of a survival among clutter \[m\]: a fraction of the depth of clutter.
 const BIN_M: f64 = 0.05;
-/// Blocks are looked for so far beyond what a beam ends at, or beyond the maximum range \[m\]: a beam that takes this over may be so
-/// much shorter.
+/// Clutter is integrated this far beyond a beam's end, or beyond the maximum range \[m\]: a beam that takes it over may be this
+/// much longer.
 const BEYOND_M: f64 = 0.3;
-/// While an effect is fitted, beams of one scan and bearing whose ends are as near to each other as this count as having the
-/// same blocks in their way \[m\].
+/// While an effect is fitted, beams of one scan and bearing share their clutter if their ends are this near to each other \[m\]:
+/// half a typical block.
 const SAME_END_M: f64 = 0.1;
 /// The same for long beams, as seen from the laser \[rad\].
 const SAME_TURN_RAD: f64 = 0.02;
-/// A map of more faces than this is one of a grid's cells.
+/// A map of more faces than this is a grid's, with a face for each cell.
 const MANY_FACES: usize = 500;
-/// A ray is turned by this to see how its range changes with the heading \[rad\].
-const TURN: f64 = 1e-5;
-/// Beams more grazing than this count as this: the linear dependence on the pose ends there (cosine).
-const GRAZING: f64 = 0.15;
-
-/// A beam of the log with what the world has in front of it.
-#[derive(Clone, Debug)]
-pub(crate) struct Beam {
-    /// What effects may depend on.
-    pub view: BeamView,
-    /// An object of the world in front of the wall, that the map doesn't know: its range \[m\].
-    pub object: Option<f64>,
-    /// Change of the range with the robot's pose in the map frame \[m/m, m/m, m/rad\].
-    pub jacobian: [f64; 3],
-    /// How far the beam gets among blocks.
-    survival: Survival,
-    /// Log probability that no block stands before the surface.
-    pub log_clear: f64,
-}
-
-impl Beam {
-    /// Probability that no block stands within `range` metres, and the density \[1/m\] of one there.
-    #[inline]
-    pub fn survival_at(&self, range: f64) -> (f64, f64) {
-        let Survival { start_m, bin_m, probability } = &self.survival;
-        let at = (range - start_m) / bin_m;
-        if at < 0.0 {
-            return (1.0, 0.0);
-        }
-        let i = at as usize;
-        match probability.get(i..) {
-            Some(&[a, b, ..]) => {
-                let (a, b) = (f64::from(a), f64::from(b));
-                (a + (at - i as f64) * (b - a), (a - b) / bin_m)
-            }
-            _ => (probability.last().map_or(1.0, |&last| f64::from(last)), 0.0),
-        }
-    }
-
-    /// Range of what stands there by the world's map and its objects \[m\].
-    pub fn range(&self) -> f64 {
-        self.object.map_or(self.view.range, |object| object.min(self.view.range))
-    }
-}
-
-/// How far a beam gets among unmapped blocks.
-#[derive(Clone, Debug)]
-struct Survival {
-    /// Entry `i` of the probabilities is that no block stands within `start_m + i * bin_m`; it is 1 before the first, and the
-    /// last holds beyond.
-    start_m: f64,
-    bin_m: f64,
-    probability: Arc<[f32]>,
-}
-
-impl Survival {
-    /// That of a ray up to `limit` metres for a robot at `robot`; `counts` is scratch memory.
-    fn new(
-        blocks: &BlockIntegral,
-        origin: DVec2,
-        direction: DVec2,
-        robot: DVec2,
-        limit: f64,
-        counts: &mut Vec<f64>,
-    ) -> Self {
-        counts.clear();
-        counts.resize((limit / BIN_M) as usize + 2, 0.0);
-        blocks.count_by_range(origin, direction, robot, limit, BIN_M, counts);
-        let Some(first) = counts.iter().position(|&count| count > 0.0) else { return Self::clear() };
-        let last = counts.iter().rposition(|&count| count > 0.0).unwrap_or(first);
-        let mut met = 0.0;
-        let probability = std::iter::once(1.0).chain(counts[first..=last].iter().map(|count| {
-            met += count;
-            (-met).exp() as f32
-        }));
-        Self { start_m: first as f64 * BIN_M, bin_m: BIN_M, probability: probability.collect() }
-    }
-
-    /// That of a beam without blocks.
-    fn clear() -> Self {
-        Self { start_m: 0.0, bin_m: BIN_M, probability: Arc::new([]) }
-    }
-
-    /// That of a beam which ends nearby, at `to` metres instead of `from`, among blocks that are `deeper` times as deep: blocks
-    /// stand by walls.
-    fn moved(&self, from: f64, to: f64, deeper: f64) -> Self {
-        let start_m = to - deeper * (from - self.start_m);
-        Self { start_m, bin_m: deeper * self.bin_m, probability: Arc::clone(&self.probability) }
-    }
-}
 
 /// All beams of a log from its reference poses, \[scan\]\[beam\].
 #[derive(Clone)]
 pub(crate) struct Views {
     pub beams: Vec<Beam>,
     pub per_scan: usize,
-    /// The effects that shape them.
+    /// The effects that they depend on.
     shaped_by: Vec<Effect>,
-    /// The blocks that may be in their way.
+    /// The clutter that may be in their way.
     blocks: Option<Arc<BlockIntegral>>,
 }
 
-/// Whether an effect changes where beams come from or what stands in their way, so that they are cast anew.
-fn shapes_views(kind: EffectKind) -> bool {
-    matches!(
-        kind,
-        EffectKind::MountYaw
-            | EffectKind::MountOffset
-            | EffectKind::TimeOffset
-            | EffectKind::MotionSkew
-            | EffectKind::MissingObject
-            | EffectKind::Glass
-            | EffectKind::MixedPixels
-            | EffectKind::BlockDepth
-            | EffectKind::BlockDensity
-    )
+/// The effects that views depend on: those that change where beams come from or what stands in their way. All others act on the
+/// distribution of a reading.
+fn shaping(effects: &Effects) -> impl Iterator<Item = &Effect> {
+    let hides_objects = !effects.objects().is_empty();
+    effects.list().iter().filter(move |effect| {
+        let Description { moves, needs, .. } = effect.kind.description();
+        match moves {
+            Moves::Scans | Moves::Objects | Moves::Clutter => true,
+            Moves::Walls => hides_objects || needs.behind,
+            Moves::Readings | Moves::Distribution | Moves::Odometry => needs.jump,
+        }
+    })
 }
 
 /// Whether the blocks are those of a grid's map, whose faces are of a cell each.
@@ -156,7 +64,7 @@ impl Views {
 
     /// Whether the world looks the same with these effects.
     pub fn are_of(&self, effects: &Effects) -> bool {
-        effects.list().iter().filter(|effect| shapes_views(effect.kind)).eq(&self.shaped_by)
+        shaping(effects).eq(&self.shaped_by)
     }
 
     /// The same log's with other effects, quickly: what may be in the way of a beam that ends about where it did is taken over, as
@@ -181,21 +89,17 @@ impl Views {
         blocks: Option<Arc<BlockIntegral>>,
         nearby: Option<&Self>,
     ) -> Self {
-        let mount = effects.laser_mount(recorded.laser.base_from_laser());
-        let max = f64::from(recorded.laser.max_range());
-        let depth = |list: &mut dyn Iterator<Item = &Effect>| -> f64 {
-            list.filter(|effect| effect.kind == EffectKind::BlockDepth)
-                .map(|effect| effect.values[0])
-                .product()
-        };
-        let before = nearby.map_or(1.0, |views| depth(&mut views.shaped_by.iter()));
-        let deeper = depth(&mut effects.list().iter()) / before;
-        let caster = Caster { nominal, recorded, effects, mount, max, blocks: blocks.as_deref(), deeper };
+        let depth = |blocks: &Arc<BlockIntegral>| blocks.model().options().width_m[1];
+        let before = nearby.and_then(|views| views.blocks.as_ref());
+        let deeper = blocks.as_ref().zip(before).map_or(1.0, |(now, before)| depth(now) / depth(before));
+        let directions = directions(recorded, effects);
+        let caster = caster(nominal, recorded, effects, &directions);
+        let casts = Casts { recorded, caster, blocks: blocks.as_deref(), deeper };
         let beams = (0..recorded.scans())
             .into_par_iter()
-            .flat_map_iter(|scan| caster.scan(scan, nearby.map(|views| views.scan(scan))))
+            .flat_map_iter(|scan| casts.scan(scan, nearby.map(|views| views.scan(scan))))
             .collect();
-        let shaped_by = effects.list().iter().filter(|effect| shapes_views(effect.kind)).cloned().collect();
+        let shaped_by = shaping(effects).cloned().collect();
         Self { beams, per_scan: recorded.beams(), shaped_by, blocks }
     }
 
@@ -213,138 +117,125 @@ impl Views {
     }
 }
 
-/// Casts a log's beams.
-struct Caster<'a> {
+/// Directions of all beams of the log's laser on the robot.
+fn directions(recorded: &Recorded, effects: &Effects) -> Vec<DVec2> {
+    let laser = &recorded.log_laser;
+    BeamCaster::directions(laser, &effects.laser_mount(laser.base_from_laser()))
+}
+
+/// The caster of the log's beams in a world with these effects.
+fn caster<'a>(
     nominal: &'a Nominal,
     recorded: &'a Recorded,
     effects: &'a Effects,
-    /// Pose of the laser on the robot.
-    mount: Pose2,
-    /// Maximum range \[m\].
-    max: f64,
+    directions: &'a [DVec2],
+) -> BeamCaster<'a> {
+    let laser = &recorded.log_laser;
+    BeamCaster {
+        map: &nominal.map,
+        effects,
+        laser,
+        mount: effects.laser_mount(laser.base_from_laser()),
+        directions,
+        is_closed: nominal.laser.is_closed(),
+    }
+}
+
+/// Rays of some beams of a scan.
+fn rays<'a>(
+    recorded: &'a Recorded,
+    caster: &BeamCaster<'a>,
+    scan: usize,
+    beams: impl IntoIterator<Item = usize> + 'a,
+) -> impl Iterator<Item = Ray> {
+    let track = &recorded.track;
+    let stamp = track.secs()[scan];
+    let base_at = move |secs| if secs == stamp { track.poses()[scan] } else { track.pose_at(secs) };
+    caster.rays(beams, stamp, base_at)
+}
+
+/// Casts a log's beams.
+struct Casts<'a> {
+    recorded: &'a Recorded,
+    caster: BeamCaster<'a>,
     blocks: Option<&'a BlockIntegral>,
     /// How much deeper blocks are than those that views nearby are of.
     deeper: f64,
 }
 
-impl Caster<'_> {
+impl Casts<'_> {
     fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<Beam> {
-        let laser = &self.recorded.laser;
-        let stamp = self.recorded.track.secs()[scan];
-        let mut counts = Vec::new();
-        let mut beams: Vec<Beam> = laser
-            .bearings()
-            .iter()
-            .zip(laser.beam_times_secs())
-            .enumerate()
-            .map(|(i, (&bearing, &offset))| {
-                let bearing = f64::from(bearing);
-                let secs = self.effects.beam_secs(bearing, stamp + f64::from(offset));
-                let base = if secs == stamp {
-                    self.recorded.track.poses()[scan]
-                } else {
-                    self.recorded.track.pose_at(secs)
-                };
-                // Blocks keep away from where the robot is at the scan's stamp, as in the simulator.
-                let robot = self.recorded.track.poses()[scan].position();
-                self.beam(&base, robot, bearing, stamp, nearby.map(|beams| &beams[i]), &mut counts)
-            })
-            .collect();
-        if self.effects.needs().jump {
-            for (beam, jump) in beams.iter_mut().zip(jumps(self.nominal, self.recorded, scan)) {
-                beam.view.jump = jump;
+        let Self { recorded, caster, .. } = self;
+        let rays_of_kept: Vec<Ray> = rays(recorded, caster, scan, recorded.kept.iter().copied()).collect();
+        let mut beams = Vec::new();
+        caster.cast(&rays_of_kept, &mut beams);
+        if caster.effects.needs().jump {
+            let mut ranges = Vec::new();
+            let beam_count = recorded.log_laser.beam_count();
+            caster.nominal_ranges(rays(recorded, caster, scan, 0..beam_count), &mut ranges);
+            for (beam, &number) in beams.iter_mut().zip(&recorded.kept) {
+                beam.view.jump = caster.jump(&ranges, number);
             }
         }
-        beams
+        // Clutter keeps away from where the robot is at the scan's stamp, as in the simulator.
+        let robot = recorded.track.poses()[scan].position();
+        let mut counts = Vec::new();
+        let max = f64::from(recorded.log_laser.max_range());
+        let all = rays_of_kept.iter().zip(&beams).enumerate();
+        all.map(|(i, (ray, beam))| {
+            let nearby = nearby.map(|beams| &beams[i]);
+            let survival = self.survival(ray, beam, robot, nearby, &mut counts);
+            let object = matches!(beam.surface, Surface::Object(_)).then_some(beam.range);
+            Beam::new(beam.view, object, caster.range_gradient(ray, beam), survival, max)
+        })
+        .collect()
     }
 
-    fn beam(
+    fn survival(
         &self,
-        base: &Pose2,
+        ray: &Ray,
+        beam: &CastBeam,
         robot: DVec2,
-        bearing: f64,
-        secs: f64,
         nearby: Option<&Beam>,
         counts: &mut Vec<f64>,
-    ) -> Beam {
-        let (map, max) = (&self.nominal.map, self.max);
-        let laser = base.compose(&self.mount);
-        let (origin, heading) = (laser.position(), laser.theta + bearing);
-        let direction = DVec2::from_angle(heading);
-        let reach = f64::from(CAST_REACH) * max;
-        let hit = map.cast_ray(origin, direction, reach);
-        let range = hit.map_or(reach, |hit| hit.range);
-        let mut incidence = hit.map_or(0.0, |hit| hit.incidence);
-        let mut normal = hit.map(|hit| {
-            // On which side of the normal the ray comes in: does it get longer when it turns left?
-            let longer = map
-                .cast_ray(origin, DVec2::from_angle(heading + TURN), reach)
-                .is_some_and(|turned| turned.surface == hit.surface && turned.range > range);
-            -DVec2::from_angle(heading - if longer { incidence } else { -incidence })
-        });
-        let mut object = None;
-        for disc in self.effects.objects() {
-            if let Some(nearer) = disc.first_hit(origin, direction, object.unwrap_or(range)) {
-                object = Some(nearer);
-                incidence = disc.incidence(origin, direction);
-                normal = (origin + nearer * direction - disc.center).try_normalize();
-            }
-        }
-        let jacobian = normal.map_or([0.0; 3], |normal| {
-            let cosine = incidence.cos().max(GRAZING);
-            let with_position = normal / cosine;
-            let lever = DVec2::from_angle(base.theta).rotate(self.mount.position()).perp();
-            let turned = object.unwrap_or(range) * normal.dot(direction.perp()) / cosine;
-            [with_position.x, with_position.y, turned + with_position.dot(lever)]
-        });
-        let behind =
-            if self.effects.needs().behind { map.cast_behind(origin, direction, range, max) } else { None };
-        let endpoint = origin + range * direction;
+    ) -> ClutterSurvival {
+        let Some(blocks) = self.blocks else { return ClutterSurvival::clear() };
+        let laser = &self.recorded.log_laser;
+        let [reach, max] = [laser.cast_range(), laser.max_range()].map(f64::from);
+        let (range, endpoint) = (beam.view.range, beam.view.endpoint);
         let is_near = |other: &&Beam| {
             let ends_near = other.view.endpoint.distance(endpoint) < SAME_END_M.max(SAME_TURN_RAD * range);
-            let other_is_open = other.view.range >= reach;
-            // An open beam has no wall to align the other's blocks at.
-            if hit.is_none() || other_is_open {
-                return hit.is_none() && other_is_open;
+            let [is_open, other_is_open] = [range, other.view.range].map(|range| range >= reach);
+            // An open beam has no wall to align the other's clutter at.
+            if is_open || other_is_open {
+                return is_open && other_is_open;
             }
-            let is_slow = self.blocks.is_some_and(has_many_faces);
-            is_slow || ends_near && (other.view.range - range).abs() < BEYOND_M
+            has_many_faces(blocks) || ends_near && (other.view.range - range).abs() < BEYOND_M
         };
-        let survival = match (self.blocks, nearby.filter(is_near)) {
-            (None, _) => Survival::clear(),
-            (_, Some(other)) => other.survival.moved(other.view.range.min(reach), range, self.deeper),
-            (Some(blocks), None) => {
-                let limit = range.min(max) + BEYOND_M;
-                Survival::new(blocks, origin, direction, robot, limit, counts)
-            }
-        };
-        let view = BeamView { secs, bearing, range, incidence, endpoint, jump: None, behind };
-        let mut beam = Beam { view, object, jacobian, survival, log_clear: 0.0 };
-        beam.log_clear = beam.survival_at(beam.range().min(max)).0.max(1e-12).ln();
-        beam
+        if let Some(other) = nearby.filter(is_near) {
+            return other.survival.moved(other.view.range, range, self.deeper);
+        }
+        let limit = range.min(max) + BEYOND_M;
+        ClutterSurvival::new(blocks, [ray.origin, ray.direction], robot, limit, BIN_M, counts)
     }
 }
 
-/// The range jumps between neighbouring beams of the full scan, at the beams that are looked at.
+/// The range jumps of a nominal scan at the beams that are looked at.
 pub(crate) fn jumps(nominal: &Nominal, recorded: &Recorded, scan: usize) -> Vec<Option<[f64; 2]>> {
-    let laser = recorded.track.poses()[scan].compose(&recorded.laser.base_from_laser());
-    let max = f64::from(recorded.laser.max_range());
-    let ranges: Vec<f64> = recorded
-        .all_bearings
-        .iter()
-        .map(|&bearing| {
-            let direction = DVec2::from_angle(laser.theta + f64::from(bearing));
-            nominal.map.cast_ray(laser.position(), direction, max).map_or(max, |hit| hit.range)
-        })
-        .collect();
-    let closed = nominal.laser.is_closed();
-    recorded.kept.iter().map(|&beam| jump_at(&ranges, beam, closed)).collect()
+    let directions = directions(recorded, &nominal.effects);
+    let caster = caster(nominal, recorded, &nominal.effects, &directions);
+    let mut ranges = Vec::new();
+    let beam_count = recorded.log_laser.beam_count();
+    caster.nominal_ranges(rays(recorded, &caster, scan, 0..beam_count), &mut ranges);
+    recorded.kept.iter().map(|&beam| caster.jump(&ranges, beam)).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use std::f64::consts::TAU;
 
+    use locsim_core::Pose2;
+    use locsim_world::effect::EffectKind;
     use locsim_world::map::{Polyline, VectorMap, Wall};
     use locsim_world::raycast::ExactRangeMap;
     use locsim_world::simulation::LaserOptions;
@@ -373,7 +264,7 @@ mod tests {
             let (mut aligned, mut unaligned, mut compared, mut anew) = (0.0, 0.0, 0.0, 0);
             for ((one, own), nominal) in views.beams.iter().zip(&own.beams).zip(&nominal.beams) {
                 assert_eq!(one.view, own.view);
-                let is_taken_over = Arc::ptr_eq(&one.survival.probability, &nominal.survival.probability);
+                let is_taken_over = one.survival.is_shared_with(&nominal.survival);
                 anew += usize::from(!is_taken_over);
                 for before_wall in [0.05, 0.15, 0.25, 0.35, 0.45] {
                     let range = own.view.range - before_wall;
@@ -470,45 +361,6 @@ mod tests {
             }
         }
         assert!(compared > 100, "{compared}");
-    }
-
-    /// Entries are the exponential of minus what is expected up to their ranges, by an integral summed otherwise.
-    #[test]
-    fn survival_is_that_of_the_expected_blocks() {
-        let blocks = NOMINAL.integral_over(NOMINAL.blocks_with(&NOMINAL.effects).as_ref()).unwrap().unwrap();
-        let mut scratch = Vec::new();
-        for i in 0..40 {
-            let angle = 0.3 * f64::from(i);
-            let (origin, direction) = (DVec2::new(1.0 + 0.1 * f64::from(i), 1.7), DVec2::from_angle(angle));
-            let limit = 2.5 + 0.013 * f64::from(i);
-            let survival = Survival::new(&blocks, origin, direction, origin, limit, &mut scratch);
-            for (entry, &probability) in survival.probability.iter().enumerate() {
-                let range = survival.start_m + entry as f64 * BIN_M;
-                let mut expected = 0.0;
-                blocks.stretches(origin, direction, origin, limit, |near, far, count| {
-                    let share = if far > near {
-                        (range - near) / (far - near)
-                    } else {
-                        f64::from(u8::from(range > near))
-                    };
-                    expected += count * share.clamp(0.0, 1.0);
-                });
-                let probability = f64::from(probability);
-                assert!(
-                    (probability - (-expected).exp()).abs() < 1e-6,
-                    "{i} {entry} {probability} {expected}"
-                );
-            }
-        }
-    }
-
-    /// What is half a metre before a wall at 3 m is a metre before one at 4 m, among blocks twice as deep.
-    #[test]
-    fn what_is_taken_over_is_aligned_at_the_wall_and_stretched_away_from_it() {
-        let near = Survival { start_m: 2.5, bin_m: 0.25, probability: [1.0, 0.75, 0.5].into() };
-        let far = near.moved(3.0, 4.0, 2.0);
-        assert_eq!((far.start_m, far.bin_m), (3.0, 0.5));
-        assert!(Arc::ptr_eq(&far.probability, &near.probability));
     }
 
     /// Blocks of a world in which they are deeper are looked for anew.

@@ -1,4 +1,4 @@
-//! What the numbers say, in sentences that follow from them alone.
+//! Findings: sentences that follow from the numbers alone.
 
 use locsim_sensor::ModelKind;
 
@@ -25,7 +25,7 @@ const FEW: u32 = 5;
 /// A bound on a ratio, judged by its whole interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
-    HitKind,
+    Met,
     NotMet,
     Undecided,
 }
@@ -33,7 +33,7 @@ enum Verdict {
 /// Whether a ratio is at most `bound`.
 fn judge(ratio: Ratio, bound: f64) -> Verdict {
     match ratio.interval() {
-        Some(interval) if interval.hi <= bound => Verdict::HitKind,
+        Some(interval) if interval.hi <= bound => Verdict::Met,
         Some(interval) if interval.lo > bound => Verdict::NotMet,
         _ => Verdict::Undecided,
     }
@@ -210,7 +210,7 @@ pub fn aims(summary: &Summary) -> Vec<String> {
     .filter_map(|(what, against, bound, ratio, kept)| {
         let ratio = ratio?;
         let verdict = match judge(ratio, bound) {
-            Verdict::HitKind => "**met**",
+            Verdict::Met => "**met**",
             Verdict::NotMet => "**not met**",
             Verdict::Undecided if ratio.interval().is_none() => {
                 "**undecided**: a single trial has no interval"
@@ -286,7 +286,7 @@ pub fn training(summary: &Summary) -> Vec<String> {
     sentences
 }
 
-/// What the models that locsim ships are, for the report's definitions; `None` for other names.
+/// Definition of a model that locsim ships, for the report; `None` for other names.
 pub fn describe(model: &str) -> Option<&'static str> {
     if model == ORACLE {
         return Some(
@@ -297,7 +297,7 @@ pub fn describe(model: &str) -> Option<&'static str> {
     model.parse().map(ModelKind::sentence).ok()
 }
 
-/// What was fitted or chosen for each model: one line per model of names and values.
+/// The fitted and chosen parameters: one line per model of names and values.
 pub fn chosen(summary: &Summary) -> Vec<String> {
     let models = summary.models.iter().filter(|(_, model)| !model.train.chosen.is_empty());
     models
@@ -319,7 +319,7 @@ mod tests {
 
     #[test]
     fn a_bound_is_judged_by_the_whole_interval() {
-        assert_eq!(judge(ratio(0.4, Some((0.3, 0.5))), 0.5), Verdict::HitKind);
+        assert_eq!(judge(ratio(0.4, Some((0.3, 0.5))), 0.5), Verdict::Met);
         assert_eq!(judge(ratio(0.4, Some((0.3, 0.51))), 0.5), Verdict::Undecided);
         assert_eq!(judge(ratio(0.6, Some((0.51, 0.7))), 0.5), Verdict::NotMet);
         assert_eq!(judge(ratio(0.4, None), 0.5), Verdict::Undecided);

@@ -1,5 +1,5 @@
-//! What a run leaves in its results folder for readers: `summary.json`, tables, figures and the report.
-//! `docs/RESULTS.md` lists every file and column.
+//! The files of a results folder for readers: `summary.json`, tables, figures and the report. `docs/RESULTS.md` lists
+//! every file and column.
 
 pub mod figures;
 mod findings;
@@ -22,7 +22,7 @@ use figures::{Figure, Rasterizer};
 pub use text::TextTable;
 pub use text::terminal_table;
 
-/// What a report says beside the results.
+/// Content of a report beside the results.
 #[derive(Clone, Debug, Default)]
 pub struct ReportContext {
     /// The scenario's text; the report's appendix.
@@ -31,7 +31,7 @@ pub struct ReportContext {
     pub command: String,
     /// Whether the drives were simulated; only then does the paper's experiment stand beside them.
     pub simulated: bool,
-    /// What a reader should know of the run's limits, one sentence or two each.
+    /// Limits of the run, one or two sentences each.
     pub notes: Vec<String>,
 }
 

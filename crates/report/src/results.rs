@@ -1,4 +1,4 @@
-//! What a run leaves behind: plain rows that the tables, figures, reports and recordings are made from.
+//! Results of a run: plain rows that the tables, figures, reports and recordings are made from.
 
 use std::collections::BTreeMap;
 
@@ -53,7 +53,7 @@ pub struct ModelTrial {
     /// Mean wall time of a filter step \[ms\]; the only thing here that a repeated run doesn't reproduce. It is measured
     /// while trials run in parallel on all threads, so it includes contention.
     pub step_ms: f64,
-    /// What happened: recoveries, injections, with the step at which they did.
+    /// Events, each with its step: recoveries, injections.
     pub events: Vec<(u32, String)>,
 }
 
@@ -77,7 +77,7 @@ pub struct TrainingRow {
     /// Wasserstein-1 distance between predicted and observed distribution at held-out states \[m\]
     /// (the paper's histogram match times the bin width); `None` as above.
     pub histogram_match_m: Option<f64>,
-    /// What was chosen on held-out data: bandwidths, floor, exponent, mixture weights, by name.
+    /// Parameters chosen on held-out data, by name: bandwidths, floor, exponent, mixture weights.
     pub chosen: BTreeMap<String, f64>,
 }
 
@@ -147,7 +147,7 @@ pub struct DetailedStep {
     pub effective_sample_size: f64,
     /// Log evidence of the step (nats).
     pub log_evidence_nats: f64,
-    /// What happened, for the text log.
+    /// Events, for the text log.
     pub events: Vec<String>,
     /// Predicted density of one beam against its reading.
     pub probe: BeamProbe,

@@ -185,7 +185,7 @@ pub struct Kept {
     pub intervals: Option<Errors<Interval>>,
 }
 
-/// What an experiment found about one model.
+/// Results of an experiment for one model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelSummary {
     /// Share of the trials that ended further from the truth than the scenario's `lost` threshold.

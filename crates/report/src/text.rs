@@ -7,7 +7,7 @@ use locsim_core::limits::is_hidden;
 use crate::statistics::Interval;
 use crate::summary::{Errors, Ratio, Summary};
 
-/// What stands where there is no value.
+/// Placeholder of a missing value.
 pub const NONE: &str = "-";
 
 /// A table of text; the first column is aligned left, the others right.

@@ -7,8 +7,9 @@ use locsim_core::limits::{RANGE_M, quoted};
 use locsim_dataset::log_files;
 
 use super::error::{LISTED, and_more, shown};
-use super::locate::{Locations, join};
+use super::key_path::join;
 use super::{Problem, ScenarioError};
+use crate::yaml::Locations;
 
 /// Looks up an environment variable; `None` where it isn't set.
 pub type Environment<'a> = &'a dyn Fn(&str) -> Option<String>;

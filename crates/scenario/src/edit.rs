@@ -8,7 +8,7 @@ use locsim_world::effect::{Effect, EffectKind};
 use saphyr_parser::{Event, Parser};
 
 use crate::effect::{effect_yaml, quoted_text};
-use crate::locate::join;
+use crate::key_path::join;
 use crate::{Overrides, Scenario, Source};
 
 /// An entry of the list `effects`.

@@ -23,7 +23,7 @@ pub enum ScenarioError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The file's content is at fault.
@@ -54,7 +54,7 @@ impl Problem {
     }
 }
 
-/// What stands for `more` problems that aren't listed.
+/// A line that stands for `more` problems that aren't listed.
 pub fn and_more(more: usize) -> Option<Problem> {
     (more > 0).then(|| Problem::of_file(format!("and {more} more")))
 }

@@ -16,7 +16,7 @@ pub(super) enum Form<S, F> {
     Full(F),
 }
 
-/// What can be written as a word or a number.
+/// A value that can be written as a word or a number.
 pub(super) trait Short: Sized {
     /// Every form that is allowed, the full one included, as an error message shows them.
     const FORMS: &'static [&'static str];

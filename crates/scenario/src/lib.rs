@@ -8,8 +8,8 @@ pub mod edit;
 pub mod effect;
 pub mod error;
 mod form;
+pub mod key_path;
 pub mod limited;
-pub mod locate;
 mod map_file;
 mod raw;
 #[cfg(test)]
@@ -30,7 +30,7 @@ pub use map_file::{LoadedMap, load_map};
 pub use validate::name;
 pub use validated::*;
 
-/// What the command line says instead of the scenario.
+/// Settings that the command line overrides.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Overrides {
     /// Number of trials. A recorded trial beyond them becomes the last.

@@ -21,7 +21,7 @@ pub fn read(path: &Path, name: &str, most: u64) -> Result<Vec<u8>, ScenarioError
     if read <= most {
         return Ok(bytes);
     }
-    // What is no file doesn't tell its size.
+    // Only regular files know their size.
     let size = fs::metadata(path).map_or(0, |found| found.len()).max(read);
     let problem = Problem::of_file(Limits::current().refusal(name, size));
     Err(ScenarioError::Invalid { file: path.to_owned(), problems: vec![problem] })

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use locsim_world::map::{Geometry, MapError, MeasuredMap, OccupancyMapFile, Polyline, VectorMap};
 use serde::Deserialize;
 
-use super::locate::join;
+use super::key_path::join;
 use super::{Problem, ScenarioError};
 use crate::yaml;
 
@@ -16,7 +16,7 @@ pub struct LoadedMap {
     pub image: Option<PathBuf>,
 }
 
-/// The keys that tell the kinds of map files apart.
+/// The keys that distinguish the kinds of map files.
 #[derive(Deserialize)]
 struct Kind {
     image: Option<serde::de::IgnoredAny>,

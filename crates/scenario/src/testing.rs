@@ -100,7 +100,7 @@ pub fn assert_every_key_seen(schema: &Value, seen: &BTreeSet<usize>, least: usiz
     }
 }
 
-/// What stands in the place of each number of a file.
+/// Replacements of each number of a file.
 const HOSTILE: [&str; 16] = [
     "0",
     "-1",

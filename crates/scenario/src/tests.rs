@@ -1,4 +1,4 @@
-//! What is accepted, and every way of being refused.
+//! Accepted scenarios, and every kind of refusal.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt::Write;
@@ -18,7 +18,7 @@ use super::*;
 use crate::testing::{assert_told, hostile_texts};
 
 /// Tests run in the crate's folder, so that messages hold relative paths.
-const FIXTURES: &str = "src/scenario/fixtures";
+const FIXTURES: &str = "src/fixtures";
 
 fn environment(name: &str) -> Option<String> {
     (name == "LOGS").then(|| ".".to_owned())

@@ -44,7 +44,7 @@ pub struct Scenario {
     pub filter: Filter,
     /// How errors are measured.
     pub errors: Errors,
-    /// What goes into the recording.
+    /// Content of the recording.
     #[serde(skip)]
     pub record: Record,
     /// Bounds that the results have to keep.
@@ -59,7 +59,7 @@ pub enum RayCast {
     Table {
         /// Side of a cell of the map's table (m), larger where it would not fit.
         cell_m: f64,
-        /// What the map's table may take (MB).
+        /// Greatest size of the map's table (MB).
         memory_mb: u32,
     },
     /// By an exact cast and the model itself each time.
@@ -106,7 +106,7 @@ pub struct Log {
     pub localize_scans: Vec<[f64; 2]>,
     /// Readings at or above this count as no return (m); `None` takes the log's own maximum.
     pub max_range_m: Option<f64>,
-    /// What the topics are called, where the log is a bag.
+    /// Names of the topics, where the log is a bag.
     pub topics: BagTopics,
 }
 
@@ -147,7 +147,7 @@ pub struct Training {
 pub struct Model {
     /// Which model.
     pub name: ModelName,
-    /// What it is called in results; unique.
+    /// Its name in results; unique.
     pub label: String,
     /// Weight of the uniform floor, in [0, 1); `None`: chosen on held-out data.
     pub floor: Option<f64>,
@@ -414,7 +414,7 @@ pub enum ErrorFrame {
     Robot,
 }
 
-/// What goes into the recording.
+/// Content of the recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
     /// Number of the trial, below the number of trials.

@@ -3,6 +3,7 @@
 //! [`tree`] reads the text within limits; the typed value is then made from it by [`Node`], whose errors keep what serde
 //! knows (the unknown key, the allowed ones) instead of a finished sentence.
 
+mod locate;
 pub(crate) mod tree;
 
 use std::fmt;
@@ -15,9 +16,10 @@ use serde::de::{self, DeserializeOwned, DeserializeSeed, Deserializer, Expected,
 use serde::de::{IntoDeserializer, value::StrDeserializer};
 
 use crate::error::unknown_word;
+use crate::key_path::join;
 use crate::limited;
-use crate::locate::{Locations, join};
 use crate::{Problem, ScenarioError};
+pub use locate::Locations;
 use tree::{Entry, Value};
 
 /// How texts begin that aren't in UTF-8; the longer marks first, as one begins like a shorter one.

@@ -1,27 +1,16 @@
 //! The normal distribution, and the normal noise of a range reading: cut at 0, censored at the maximum range.
 
-use std::f64::consts::{FRAC_1_SQRT_2, PI};
 use std::sync::LazyLock;
 
+pub(crate) use locsim_core::normal::{cdf, density as pdf};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
-use statrs::function::erf::erfc;
 
 /// 1 / sqrt(2 pi).
 const INV_SQRT_TAU: f32 = 0.398_942_3;
 
 /// Standard deviations beyond which a normal distribution has less mass (1e-9) than f32 resolves.
 const FAR: f64 = 6.0;
-
-/// Standard normal density.
-pub(crate) fn pdf(t: f64) -> f64 {
-    (-0.5 * t * t).exp() / (2.0 * PI).sqrt()
-}
-
-/// Standard normal distribution function.
-pub(crate) fn cdf(t: f64) -> f64 {
-    0.5 * erfc(-t * FRAC_1_SQRT_2)
-}
 
 /// Standard normal distribution function from a table: monotone, within 1e-6 of [`cdf`] and much faster.
 pub(crate) fn quick_cdf(t: f32) -> f32 {

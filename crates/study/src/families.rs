@@ -7,8 +7,7 @@ use distreg::{
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
-use super::experiment::{Sample, Samples};
-use super::results::{Families, FamilyResults};
+use super::results::{Families, FamilyResults, Sample, Samples};
 use super::sensor::RaySummary;
 use super::{Study, StudyError};
 use locsim_report::statistics::{Bootstrap, quantile};

@@ -3,8 +3,9 @@
 use distreg::Distribution;
 use plotters::prelude::{Circle, Color, PathElement, Polygon, RGBColor};
 
-use super::experiment::{Extra, Sample, Samples};
+use super::experiment::Extra;
 use super::results::{Curve, Results};
+use super::results::{Sample, Samples};
 use super::sensor::Unit;
 use super::{Criterion, Kind, Model, Study, families};
 use locsim_report::ReportError;
@@ -20,7 +21,7 @@ const STEPS: usize = 110;
 const LEFT: f64 = 74.0;
 /// Reference lines.
 const REFERENCE: RGBColor = RGBColor(0x77, 0x77, 0x77);
-/// What was observed.
+/// Colour of observations.
 const OBSERVED: RGBColor = UNKNOWN;
 
 impl Model {
@@ -115,7 +116,7 @@ struct Window {
 }
 
 impl Window {
-    /// What lies between small quantiles of a distribution, with room beside it.
+    /// The range between extreme quantiles of a distribution, with a margin.
     fn around(truth: &Distribution) -> Self {
         let grid = truth.grid();
         let [lo, hi] = [0.002, 0.998].map(|u| grid.bin(truth.quantile(u)));

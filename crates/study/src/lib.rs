@@ -16,7 +16,6 @@ mod sensor;
 mod validate;
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 
 use thiserror::Error;
 
@@ -24,9 +23,9 @@ pub use model::{Criterion, Model};
 pub use page::terminal_summary;
 pub use results::{Claim, Curve, Results, Verdict};
 
-use locsim_core::Progress;
+use locsim_core::Control;
 use locsim_report::ReportError;
-use locsim_report::store::{Request, Store, StoreError};
+use locsim_report::store::{Request, StoreError};
 use locsim_scenario::ScenarioError;
 use locsim_scenario::check::Checker;
 use locsim_scenario::error::shown;
@@ -78,7 +77,7 @@ enum Kind {
     Table,
 }
 
-/// What the command line says instead of the file.
+/// Settings that the command line overrides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StudyOverrides {
     /// Number of repeats.
@@ -97,10 +96,8 @@ pub struct StudyOptions<'a> {
     pub resume: bool,
     /// Whether earlier results, and what an interrupted study has kept, may be replaced.
     pub force: bool,
-    /// Who is told how far the study is.
-    pub progress: &'a dyn Progress,
-    /// Set from outside to stop.
-    pub interrupted: &'a AtomicBool,
+    /// The caller's progress and interruption.
+    pub control: Control<'a>,
 }
 
 /// Why a study could not be read or done.
@@ -116,7 +113,7 @@ pub enum StudyError {
         path: PathBuf,
         /// The line, from 1, where there is one.
         line: Option<usize>,
-        /// What is wrong and what is allowed.
+        /// The defect, and the allowed values.
         what: String,
     },
     /// A regression refused its data.
@@ -131,6 +128,13 @@ pub enum StudyError {
     /// The user stopped the study; finished repeats are kept.
     #[error("interrupted; add --resume to go on")]
     Interrupted,
+}
+
+impl StudyError {
+    /// Whether the user stopped the study.
+    pub fn is_interruption(&self) -> bool {
+        matches!(self, Self::Interrupted)
+    }
 }
 
 impl Study {
@@ -203,21 +207,12 @@ impl Study {
 pub fn run(study: &Study, options: &StudyOptions<'_>) -> Result<Results, StudyError> {
     let fingerprint = study.fingerprint()?;
     let StudyOptions { resume, force, .. } = *options;
-    let store =
-        Store::open(&Request { out: &options.out, kind: "study", fingerprint: &fingerprint, resume, force })?;
-    let written = experiment::run(study, store.parts(), options).and_then(|(results, extra)| {
+    let request = Request { out: &options.out, kind: "study", fingerprint: &fingerprint, resume, force };
+    let results = request.fill(|store| {
+        let (results, extra) = experiment::run(study, store.parts(), options)?;
         page::write(store.folder(), study, &results, &extra)?;
-        Ok(results)
-    });
-    match written {
-        Ok(results) => {
-            store.finish()?;
-            options.progress.finish();
-            Ok(results)
-        }
-        Err(error) => {
-            store.discard_if_empty();
-            Err(error)
-        }
-    }
+        Ok::<_, StudyError>(results)
+    })?;
+    options.control.progress.finish();
+    Ok(results)
 }

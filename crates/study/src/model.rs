@@ -57,7 +57,7 @@ impl Model {
         }
     }
 
-    /// What it is, for reports.
+    /// Its definition, for reports.
     pub(super) fn describe(self, setup: &Setup) -> String {
         let text = match self {
             Self::PReg => {

@@ -163,7 +163,7 @@ fn families_table(results: &Results) -> Option<TextTable> {
     ))
 }
 
-/// What a reader should know of the search's limits.
+/// Limits of the search, for readers.
 fn notes(results: &Results) -> Vec<String> {
     let often = 0.5;
     let mut notes = Vec::new();
@@ -190,7 +190,7 @@ fn notes(results: &Results) -> Vec<String> {
     notes
 }
 
-/// What holds, for a terminal.
+/// The verdicts on the paper's statements, for a terminal.
 pub fn terminal_summary(results: &Results) -> String {
     let head = format!("{}: {} repeats, seed {}", results.study, results.repeats, results.seed);
     if results.claims.is_empty() { head } else { format!("{head}\n{}", claims_table(results).to_terminal()) }

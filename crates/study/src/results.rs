@@ -1,6 +1,7 @@
-//! What a study finds: the content of `results.json`.
+//! Results of a study: the content of `results.json`.
 
-use serde::Serialize;
+use distreg::Distribution;
+use serde::{Deserialize, Serialize};
 
 use locsim_report::statistics::Interval;
 
@@ -54,7 +55,7 @@ impl Curve {
     }
 }
 
-/// What was found under one condition.
+/// Results under one condition.
 #[derive(Clone, Debug, Serialize)]
 pub struct ConditionResults {
     /// The condition.
@@ -111,7 +112,7 @@ pub struct LossAgainstObservations {
 }
 
 impl LossAgainstObservations {
-    /// What the law gives for M.
+    /// The law's value for M observations.
     pub fn reading(&self, observations: f64) -> f64 {
         self.coefficient * (1.0 / observations + 1.0 / self.truth_observations).sqrt()
     }
@@ -211,9 +212,9 @@ pub struct Claim {
     pub figure: &'static str,
     /// Name of our figure.
     pub ours: &'static str,
-    /// What the paper says.
+    /// The paper's statement.
     pub paper: &'static str,
-    /// What the numbers say.
+    /// The finding from the numbers.
     pub finding: String,
     /// Whether it holds.
     pub verdict: Verdict,
@@ -251,4 +252,24 @@ impl Verdict {
             _ => Self::Partly,
         }
     }
+}
+
+/// Distributions at some test states.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Samples {
+    /// States with the truth and each model's prediction from the largest training set.
+    pub states: Vec<Sample>,
+    /// Training states of that set.
+    pub training_states: usize,
+}
+
+/// One test state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Sample {
+    /// The state.
+    pub state: Vec<f64>,
+    /// The distribution of many observations there.
+    pub truth: Distribution,
+    /// The prediction of each model.
+    pub predicted: Vec<Distribution>,
 }

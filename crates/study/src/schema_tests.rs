@@ -27,7 +27,7 @@ fn the_schema_accepts_the_shipped_studies_and_knows_every_key() {
     assert_eq!(schema["title"], "locsim study");
     let mut texts: Vec<String> = shipped().into_iter().map(|(_, text)| text).collect();
     assert!(texts.len() >= 5, "{}", texts.len());
-    // What no shipped study says.
+    // Keys that no shipped study has.
     texts.push(table().replace("shift:", "scale:") + "\nname: other\nfolds: 4\ntest_states: 10\n");
     let mut seen = BTreeSet::new();
     for text in texts {

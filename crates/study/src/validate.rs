@@ -35,7 +35,7 @@ const ANY_UNIT: Allowed = Within(1e-12, 1e12);
 /// Share of recorded states that a repeat tests on, at most.
 const TEST_SHARE: f64 = 0.3;
 
-/// What `--quick` leaves.
+/// Sizes with `--quick`.
 const QUICK_REPEATS: u32 = 2;
 const QUICK_STATES: usize = 60;
 const QUICK_TESTS: usize = 20;

@@ -1,12 +1,13 @@
-//! What the table changes in the filter's answer, against exact casts.
+//! Differences of the filter's estimates between the table and exact casts.
 
 use locsim_core::{Hits, Particles, RangeMap, SensorModel};
 use locsim_mcl::StepInput;
 use serde::Serialize;
 
+use super::Workload;
 use super::measure::placed_filter;
 use super::replay::{TRACKING_PARTICLES, filter_options, known_start, replays};
-use super::{BenchError, Workload};
+use crate::BenchError;
 use locsim_report::statistics::quantile;
 
 /// Seeds of the replays that are run with exact casts, which are slow.

@@ -1,4 +1,4 @@
-//! What a benchmark finds, and each figure beside its target and what other programs need.
+//! Figures of a benchmark, each beside its target and the figures of other programs.
 
 use std::collections::BTreeMap;
 
@@ -77,7 +77,7 @@ pub struct Both<T> {
 pub struct Conditions {
     /// Version of the program.
     pub version: &'static str,
-    /// What a timing is.
+    /// The definition of a timing.
     pub timing: &'static str,
     /// Particles and beams of the timed update.
     pub update: [usize; 2],
@@ -91,11 +91,11 @@ pub struct Conditions {
     pub localized: &'static str,
     /// The model of the unknown start, and of the comparison of table and exact casts.
     pub model: &'static str,
-    /// What the models were trained in.
+    /// The world that the models were trained in.
     pub training: TrainingWorld,
 }
 
-/// The content of `locsim bench --json`.
+/// The content of `locsim-bench speed --json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BenchReport {
     /// How the figures came about.
@@ -113,7 +113,7 @@ pub struct BenchReport {
     pub replay_ate_m: Both<BTreeMap<String, ReplayErrors>>,
     /// How many of the seeds localized from an unknown start.
     pub global_localized: Both<usize>,
-    /// What the table changes.
+    /// Differences between the table and exact casts.
     pub accuracy: Accuracy,
     /// Memory that a filter of a million particles adds \[bytes\], where the system tells.
     pub bytes_per_million_particles: Option<f64>,
@@ -124,7 +124,7 @@ pub struct BenchReport {
 /// One figure beside its target.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// What it is.
+    /// Its name.
     pub figure: String,
     /// Its unit.
     pub unit: &'static str,
@@ -136,7 +136,7 @@ pub struct Row {
     pub at_most: bool,
     /// Whether it is kept; `None` without a value.
     pub met: Option<bool>,
-    /// What other programs have.
+    /// The figures of other programs.
     pub others: &'static str,
 }
 
@@ -164,7 +164,7 @@ impl Row {
     }
 }
 
-/// What the figures of other programs are, which [`rows`] quotes.
+/// The source of other programs' figures, which [`rows`] quotes.
 pub const OTHERS: &str = "Others: measured elsewhere on the same files, one thread, portable build / build for the \
                           host's processor, each at its best setting.";
 

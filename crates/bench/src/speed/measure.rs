@@ -9,9 +9,11 @@ use locsim_mcl::{
     Systematic, weighted_mean,
 };
 
+use super::Workload;
 use super::replay::filter_options;
-use super::timing::{Clock, Timing, time};
-use super::{BenchError, Workload};
+use super::timing::{Timing, time};
+use crate::BenchError;
+use locsim_core::Clock;
 
 /// Poses that are cast in one call: as many as the filter casts.
 const CAST_POSES: usize = 128;

@@ -1,7 +1,6 @@
 //! The fixed benchmark work: how fast and how exact the filter is beside other programs on the same files.
 
 mod accuracy;
-mod error;
 mod figures;
 mod measure;
 mod plain;
@@ -17,17 +16,16 @@ use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 
-use locsim_core::{Drive, RangeMap};
+use locsim_core::{Clock, Drive, RangeMap};
 use locsim_mcl::{AnnealingOptions, FilterOptions, Start};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable};
 use rayon::ThreadPoolBuilder;
 
-pub use error::BenchError;
 pub use figures::{BenchReport, Both, Row, terminal_text};
 pub use sweeps::{SweepReport, sweep};
-pub use timing::Clock;
 pub use workload::{BeamParameters, Workload};
 
+use crate::BenchError;
 use figures::{CastTimes, Conditions, PlainLoop, Timings, UpdateTimes};
 use locsim_core::Progress;
 use locsim_lab::run::MapSet;
@@ -47,14 +45,14 @@ const MAIN_MODEL: ModelName = ModelName::Fitted(ModelKind::NpRegRegistered);
 const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
 
 /// A workload with everything that is measured on it.
-pub struct Bench {
+pub struct Workbench {
     workload: Workload,
     maps: MapSet,
     table: table::Table,
     models: Vec<BenchModel>,
 }
 
-impl Bench {
+impl Workbench {
     /// Reads the workload, builds the table, and trains the models in a simulation of the workload's world.
     ///
     /// # Errors

@@ -9,7 +9,7 @@ use locsim_mcl::{
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::BenchError;
+use crate::BenchError;
 use locsim_report::statistics::quantile;
 
 /// Filter seeds of each replay: 1, 2, ..

@@ -10,8 +10,9 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::ThreadPoolBuilder;
 use serde::Serialize;
 
-use super::timing::Clock;
-use super::{Bench, BenchError, Workload, measure, table};
+use super::{Workbench, Workload, measure, table};
+use crate::BenchError;
+use locsim_core::Clock;
 use locsim_core::Progress;
 use locsim_report::ReportError;
 use locsim_report::figures::canvas::{Axis, DrawError, Mark, chart, figure, line, model_color};
@@ -69,7 +70,7 @@ pub struct SweepReport {
 /// # Errors
 /// [`BenchError`] when a filter gives up or a file can't be written.
 pub fn sweep(
-    bench: &Bench,
+    bench: &Workbench,
     store: Store,
     clock: Clock<'_>,
     progress: &dyn Progress,
@@ -146,7 +147,7 @@ fn seen_from(
 }
 
 fn cost(
-    bench: &Bench,
+    bench: &Workbench,
     seen: &Workload,
     map: &dyn RangeMap,
     threads: usize,

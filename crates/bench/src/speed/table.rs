@@ -7,8 +7,8 @@ use locsim_core::{DependsOn, EndpointGrid, Laser, LikelihoodGrid, SensorModel};
 use locsim_sensor::Prepared;
 use locsim_world::raycast::{ExactRangeMap, RangeTable, RangeTableOptions};
 
-use super::BenchError;
-use super::timing::Clock;
+use crate::BenchError;
+use locsim_core::Clock;
 use locsim_core::Progress;
 use locsim_lab::run::TrainedModel;
 

@@ -2,12 +2,10 @@
 
 use std::time::Duration;
 
+use locsim_core::Clock;
 use serde::Serialize;
 
 use locsim_report::statistics::quantile;
-
-/// Monotonic time since any fixed moment; only the binary may look at a clock.
-pub type Clock<'a> = &'a (dyn Fn() -> Duration + Sync);
 
 /// A piece of work is done once to warm up, then until both bounds are reached: this often ...
 const LEAST_REPEATS: usize = 7;

@@ -9,11 +9,11 @@ use locsim_core::{Drive, DriveStep, Laser, Particles, Pose2, Scan};
 use locsim_world::map::{Geometry, OccupancyGrid, OccupancyMapFile};
 use serde::Deserialize;
 
-use super::BenchError;
+use crate::BenchError;
 use locsim_scenario::check::{self, ANGLE, Allowed, COORDINATE, Checker, MAX_RANGE, NOISE};
 use locsim_scenario::limited;
-use locsim_scenario::locate::Locations;
 use locsim_scenario::yaml;
+use locsim_scenario::yaml::Locations;
 use locsim_scenario::{self as scenario, Problem, ScenarioError};
 
 /// Everything that the folder of a benchmark holds.

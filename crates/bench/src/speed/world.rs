@@ -9,7 +9,8 @@ use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, Simu
 use rand::RngExt;
 use serde::Serialize;
 
-use super::{BenchError, Workload};
+use super::Workload;
+use crate::BenchError;
 use locsim_core::Progress;
 use locsim_lab::run::{MapSet, free_poses};
 use locsim_lab::run::{ScanData, Surroundings, TrainedModel, train};
@@ -26,7 +27,7 @@ pub const MODELS: [ModelName; 6] = [
     ModelName::Fitted(ModelKind::LikelihoodField),
 ];
 
-/// What the training world is like beside the map, the beams and the maximum range, which are the workload's.
+/// The training world; map, beams and maximum range are the workload's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TrainingWorld {
     /// Seed of everything random in training.
@@ -53,7 +54,7 @@ pub struct TrainingWorld {
     pub held_out_share: f64,
 }
 
-/// What is known of the benchmark's world without looking at its recordings: the laser's noise, and that some 14
+/// The benchmark's world, as known without its recordings: the laser's noise, and that some 14
 /// boxes of 0.2 to 0.6 m stand or move within 4 m of the robot, which is one for each metre of wall or a little less.
 pub const TRAINING_WORLD: TrainingWorld = TrainingWorld {
     seed: 2016,

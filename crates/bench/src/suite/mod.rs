@@ -10,17 +10,17 @@ mod text;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use locsim_core::{Draw, Drive, Stage};
-use locsim_dataset::{DatasetError, LogOptions, read_log, write_log};
+use locsim_core::{Control, Draw, Drive, Progress, Stage};
+use locsim_dataset::{LogOptions, read_log, write_log};
 use locsim_gap::hidden::{OtherForm, record_library, record_other, record_outside};
 use locsim_gap::{GapError, GapOptions, Nominal, Number, Outcome, Recorded, Strength, Verdict, find};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{Simulator, simulate_drive};
-use rayon::{ThreadPoolBuildError, ThreadPoolBuilder};
+use rayon::ThreadPoolBuilder;
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
 
@@ -28,56 +28,14 @@ pub use plan::Size;
 pub use score::Score;
 pub use text::table;
 
-use locsim_core::Progress;
-use locsim_lab::gap::{FilterOnLog, GapSettings, GapStudy, GapStudyError};
-use locsim_report::store::{Folder, Lock, StoreError};
-use locsim_scenario::{Overrides, Scenario, ScenarioError, Source, load_map};
+use crate::BenchError;
+use locsim_lab::gap::{FilterOnLog, GapSettings, GapStudy};
+use locsim_report::store::{Folder, Lock};
+use locsim_scenario::{Overrides, Scenario, Source, load_map};
 use plan::{Case, Group, Hidden, REGIMES, plan};
 
-/// Why the suite could not be run.
-#[derive(Debug, thiserror::Error)]
-pub enum GapBenchError {
-    /// The scenario is refused.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// Its map is.
-    #[error(transparent)]
-    Map(#[from] locsim_world::map::MapError),
-    /// A search failed.
-    #[error(transparent)]
-    Gap(#[from] GapError),
-    /// A filter could not be run.
-    #[error(transparent)]
-    Study(#[from] GapStudyError),
-    /// A log could not be written or read.
-    #[error(transparent)]
-    Log(#[from] DatasetError),
-    /// A log can't be put down for the search.
-    #[error("a folder for logs: {0}")]
-    Temporary(std::io::Error),
-    /// The suite's folder can't be used.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// The figures can't be written as JSON.
-    #[error(transparent)]
-    Json(#[from] serde_json::Error),
-    /// The machine gives no thread.
-    #[error(transparent)]
-    Threads(#[from] ThreadPoolBuildError),
-    /// The scenario is of a measured log.
-    #[error("{0}: the suite needs a simulated scenario, with `robot` and `laser`")]
-    NotSimulated(PathBuf),
-}
-
-impl GapBenchError {
-    /// Whether the caller asked to stop.
-    pub fn is_interruption(&self) -> bool {
-        matches!(self, Self::Gap(GapError::Interrupted))
-    }
-}
-
 /// How the suite is run.
-pub struct GapBenchOptions<'a> {
+pub struct SuiteOptions<'a> {
     /// The nominal scenario.
     pub scenario: PathBuf,
     /// Where logs, truths and findings go.
@@ -90,20 +48,16 @@ pub struct GapBenchOptions<'a> {
     pub replicates: u32,
     /// The most scans of a log.
     pub scans: usize,
-    /// The caller's clock.
-    pub clock: &'a (dyn Fn() -> Duration + Sync),
-    /// Is told how far it is.
-    pub progress: &'a dyn Progress,
-    /// Set to stop after the log at hand.
-    pub interrupted: &'a AtomicBool,
+    /// The caller's clock and progress; an interruption stops the searches at hand.
+    pub control: Control<'a>,
     /// No log is begun later than this; what is done is scored, and the next run goes on.
     pub no_later: Option<Duration>,
 }
 
-/// What is true of a log.
+/// The truth about a log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TruthFile {
-    /// What the log is in the suite for.
+    /// The log's purpose in the suite.
     pub group: Group,
     /// Information of each effect.
     pub lambda: f64,
@@ -121,11 +75,11 @@ pub struct TruthFile {
     pub without: Vec<String>,
 }
 
-/// What the search found in a log.
+/// The findings of the search in a log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FoundFile {
     /// The verdict.
-    pub verdict: String,
+    pub verdict: Verdict,
     /// Names, in order.
     pub effects: Vec<String>,
     /// Of each, the set that can't be told apart.
@@ -140,11 +94,11 @@ pub struct FoundFile {
     pub closed: [f64; 3],
     /// How far the log is off in every effect's direction, in standard deviations.
     pub directions: BTreeMap<String, f64>,
-    /// What that of an effect which shifts or spreads readings, or is in the odometry, has to exceed to be found.
+    /// Threshold of that statistic for effects that shift or spread readings or act on the odometry.
     pub threshold: f64,
     /// Time \[s\].
     pub seconds: f64,
-    /// What it did to a filter, where that was looked at.
+    /// Its influence on a filter, where it was measured.
     #[serde(default)]
     pub filter: Option<FilterFile>,
     /// The effects themselves.
@@ -166,16 +120,8 @@ pub struct FilterFile {
 impl FoundFile {
     fn of(outcome: &Outcome, seconds: f64) -> Self {
         let triple = |n: &Number| [n.value, n.lo, n.hi];
-        let verdict = match outcome.verdict {
-            Verdict::None => "none",
-            Verdict::Named => "named",
-            Verdict::Ambiguous => "ambiguous",
-            Verdict::PartlyExplained => "partly_explained",
-            Verdict::Unexplained => "unexplained",
-            Verdict::Underpowered => "underpowered",
-        };
         Self {
-            verdict: verdict.to_owned(),
+            verdict: outcome.verdict,
             effects: outcome.effects.iter().map(|e| e.name.name().to_owned()).collect(),
             candidates: outcome
                 .effects
@@ -206,10 +152,10 @@ struct World {
 }
 
 impl World {
-    fn load(options: &GapBenchOptions<'_>) -> Result<Self, GapBenchError> {
+    fn load(options: &SuiteOptions<'_>) -> Result<Self, BenchError> {
         let scenario = Scenario::load(&options.scenario, &Overrides::default())?;
         let Source::Simulation(simulation) = &scenario.source else {
-            return Err(GapBenchError::NotSimulated(options.scenario.clone()));
+            return Err(BenchError::NotSimulated(options.scenario.clone()));
         };
         let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
         let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
@@ -228,11 +174,11 @@ impl World {
 /// Runs what of the suite hasn't been run, and scores all of it.
 ///
 /// # Errors
-/// [`GapBenchError`]; what was done is kept.
-pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
-    options.progress.stage("integrating over blocks", 1);
+/// [`BenchError`]; what was done is kept.
+pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
+    options.control.progress.stage("integrating over blocks", 1);
     let world = World::load(options)?;
-    options.progress.advance(1);
+    options.control.progress.advance(1);
     let suite = Suite::open(options, &world)?;
     let template = Recorded::new(&world.drive, usize::MAX, usize::MAX, |_| true)?;
     let strengths = REGIMES
@@ -241,17 +187,17 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
         .collect::<Result<Vec<_>, GapError>>()?;
     let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
     let cases = plan(options.size, options.seed, &world.nominal.map, &poses);
-    options.progress.stage("hidden effects", cases.len() as u64);
+    options.control.progress.stage("hidden effects", cases.len() as u64);
     // Logs side by side, each on one thread: nothing waits for anything.
     let next = AtomicUsize::new(0);
-    let work = || -> Result<(), GapBenchError> {
+    let work = || -> Result<(), BenchError> {
         let pool = ThreadPoolBuilder::new().num_threads(1).build()?;
         while let Some(case) = cases.get(next.fetch_add(1, Ordering::Relaxed)) {
-            if options.interrupted.load(Ordering::Relaxed) {
+            if options.control.is_interrupted() {
                 return Err(GapError::Interrupted.into());
             }
-            if suite.done(case, options.progress)?.is_none() {
-                if options.no_later.is_some_and(|end| (options.clock)() > end) {
+            if suite.done(case, options.control.progress)?.is_none() {
+                if options.no_later.is_some_and(|end| (options.control.clock)() > end) {
                     break;
                 }
                 let log = suite.logs.path().join(format!("{}.mcap", case.id));
@@ -266,7 +212,7 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
                 // It can be made again from its seed.
                 let _ = std::fs::remove_file(&log);
             }
-            options.progress.advance(1);
+            options.control.progress.advance(1);
         }
         Ok(())
     };
@@ -277,8 +223,8 @@ pub fn run(options: &GapBenchOptions<'_>) -> Result<Score, GapBenchError> {
             Err(panic) => std::panic::resume_unwind(panic),
         })
     })?;
-    options.progress.finish();
-    let scored = cases.iter().filter_map(|case| suite.done(case, options.progress).transpose());
+    options.control.progress.finish();
+    let scored = cases.iter().filter_map(|case| suite.done(case, options.control.progress).transpose());
     let score = Score::new(scored.collect::<Result<_, _>>()?, cases.len(), options.replicates, options.seed);
     suite.folder.write(REPORT, text::report(&score).as_bytes())?;
     suite.folder.write(SCORE, serde_json::to_string_pretty(&score)?.as_bytes())?;
@@ -304,7 +250,7 @@ struct Suite {
 }
 
 impl Suite {
-    fn open(options: &GapBenchOptions<'_>, world: &World) -> Result<Self, GapBenchError> {
+    fn open(options: &SuiteOptions<'_>, world: &World) -> Result<Self, BenchError> {
         let scenario = Scenario::load(&options.scenario, &Overrides::default())?.content_hash()?;
         let settings = serde_json::json!({
             "format": FORMAT, "scenario": scenario, "size": options.size, "seed": options.seed,
@@ -320,7 +266,7 @@ impl Suite {
         for name in [REPORT, SCORE] {
             folder.check(name)?;
         }
-        let logs = tempfile::tempdir().map_err(GapBenchError::Temporary)?;
+        let logs = tempfile::tempdir().map_err(BenchError::Temporary)?;
         Ok(Self { folder, logs, _lock: lock })
     }
 
@@ -329,7 +275,7 @@ impl Suite {
         &self,
         case: &Case,
         progress: &dyn Progress,
-    ) -> Result<Option<(TruthFile, FoundFile)>, GapBenchError> {
+    ) -> Result<Option<(TruthFile, FoundFile)>, BenchError> {
         let read = |name: &str| self.folder.read(name);
         let (truth, found) = (read(&truth_file(case))?, read(&found_file(case))?);
         let both = truth.zip(found).and_then(|(truth, found)| {
@@ -341,7 +287,7 @@ impl Suite {
         Ok(both)
     }
 
-    fn save(&self, name: &str, value: &impl Serialize) -> Result<(), GapBenchError> {
+    fn save(&self, name: &str, value: &impl Serialize) -> Result<(), BenchError> {
         Ok(self.folder.write(name, serde_json::to_string_pretty(value)?.as_bytes())?)
     }
 }
@@ -355,12 +301,7 @@ fn found_file(case: &Case) -> String {
 }
 
 /// Makes a log with something hidden in it.
-fn hide(
-    world: &World,
-    strength_of: &Strength<'_>,
-    case: &Case,
-    log: &Path,
-) -> Result<TruthFile, GapBenchError> {
+fn hide(world: &World, strength_of: &Strength<'_>, case: &Case, log: &Path) -> Result<TruthFile, BenchError> {
     let World { nominal, drive } = world;
     let regime = REGIMES[case.regime].1;
     let path = drive.reference().map_err(GapError::from)?;
@@ -427,8 +368,8 @@ fn search(
     nominal: &Nominal,
     log: &Path,
     case: &Case,
-    options: &GapBenchOptions<'_>,
-) -> Result<FoundFile, GapBenchError> {
+    options: &SuiteOptions<'_>,
+) -> Result<FoundFile, BenchError> {
     let (drive, _) = read_log(log, &LogOptions::default())?;
     let recorded = Recorded::new(&drive, usize::MAX, usize::MAX, |_| true)?;
     let settings = GapOptions {
@@ -437,18 +378,18 @@ fn search(
         seed: Draw::new(case.seed, Stage::Trial, plan::SEARCH).seed(0),
         ..GapOptions::default()
     };
-    let began = (options.clock)();
-    let outcome = find(nominal, &recorded, &settings, &(), options.interrupted)?;
-    Ok(FoundFile::of(&outcome, (options.clock)().saturating_sub(began).as_secs_f64()))
+    let began = (options.control.clock)();
+    let outcome = find(nominal, &recorded, &settings, &(), options.control.interrupted)?;
+    Ok(FoundFile::of(&outcome, options.control.seconds_since(began)))
 }
 
-/// What the effect does to a filter, and how much of it the named effects take away.
+/// The influence of the effect on a filter, and the part of it that the named effects remove.
 fn localize(
     log: &Path,
     truth: &Effect,
     finding: &FoundFile,
-    options: &GapBenchOptions<'_>,
-) -> Result<FilterFile, GapBenchError> {
+    options: &SuiteOptions<'_>,
+) -> Result<FilterFile, BenchError> {
     let settings = GapSettings {
         replicates: options.replicates,
         seed: None,
@@ -458,8 +399,8 @@ fn localize(
         log: LogOptions::default(),
     };
     let study = GapStudy::load(&options.scenario, log, settings)?;
-    let filter = FilterOnLog::new(&study, None, &(), options.interrupted)?;
-    let mean = |effects: Vec<Effect>| -> Result<f64, GapBenchError> {
+    let filter = FilterOnLog::new(&study, None, Control { progress: &(), ..options.control })?;
+    let mean = |effects: Vec<Effect>| -> Result<f64, BenchError> {
         let errors = filter.errors(effects)?;
         Ok(errors.iter().sum::<f64>() / errors.len() as f64)
     };

@@ -1,5 +1,6 @@
 use std::f64::consts::TAU;
 
+use clap::ValueEnum;
 use glam::DVec2;
 use locsim_core::{Draw, Pose2, Stage};
 use locsim_gap::hidden::{OtherForm, Outside, Regime};
@@ -14,19 +15,21 @@ pub(super) const SEARCH: u32 = 200;
 const FIRST_CASE: u32 = 100;
 
 /// How much of the suite is run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum Size {
-    /// Nulls, each effect once, two other forms, one outside the library: minutes.
+    /// Minutes: logs with nothing hidden, each effect once, two other forms, one from outside of the library
+    #[default]
     Small,
-    /// Every row of the table, within an hour on two cores. Of effects of information 100, which are nearly always named, half of
-    /// the kinds; a seed that is even has those that an odd one hasn't.
+    // Of effects of information 100, which are nearly always named, half of the kinds; a seed that is even has those that an odd
+    // one hasn't.
+    /// An hour on two cores: every row of the table
     Medium,
-    /// As many logs as the figures' intervals ask for: a day.
+    /// A day: the logs that the intervals of the figures ask for
     Full,
 }
 
-/// What a log is in the suite for.
+/// Purposes of logs in the suite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Group {
@@ -46,7 +49,7 @@ pub enum Group {
     Filter,
 }
 
-/// What is hidden, before its strength is set.
+/// A hidden effect before its strength is set.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Hidden {
     Library(Vec<(Effect, usize)>),

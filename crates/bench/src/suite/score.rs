@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use locsim_gap::oracle_power;
+use locsim_gap::{Verdict, oracle_power};
 use serde::Serialize;
 
 use super::plan::Group;
@@ -102,7 +102,7 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 const LEAST_HARM_M: f64 = 0.002;
 
 fn is_found(found: &FoundFile) -> bool {
-    !matches!(found.verdict.as_str(), "none" | "underpowered")
+    !matches!(found.verdict, Verdict::None | Verdict::Underpowered)
 }
 
 /// The first effect's strength, and what was found of it with its interval.
@@ -177,11 +177,11 @@ impl Score {
         let outside =
             || all.iter().filter(|(truth, _)| matches!(truth.group, Group::Outside | Group::Removed));
         let flagged =
-            |found: &FoundFile| matches!(found.verdict.as_str(), "unexplained" | "partly_explained");
+            |found: &FoundFile| matches!(found.verdict, Verdict::Unexplained | Verdict::PartlyExplained);
         let outside = OutsideScore {
             flagged: Share::of(outside().map(|(_, found)| flagged(found))),
             named: Share::of(
-                outside().map(|(_, found)| matches!(found.verdict.as_str(), "named" | "ambiguous")),
+                outside().map(|(_, found)| matches!(found.verdict, Verdict::Named | Verdict::Ambiguous)),
             ),
         };
         Self {
@@ -199,7 +199,7 @@ impl Score {
             filter_recovered: mean(all.iter().filter_map(|(_, found)| {
                 let filter = found.filter?;
                 let caused = filter.before_m - filter.with_truth_m;
-                // What does no harm can't be taken away.
+                // Only an influence that exists can be removed.
                 (caused > LEAST_HARM_M).then(|| (filter.before_m - filter.after_m) / caused)
             })),
             seconds_per_log: mean(all.iter().map(|(_, found)| found.seconds)).unwrap_or(0.0),

@@ -1,6 +1,9 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use locsim_gap::Verdict;
+use serde::Serialize;
+
 use super::library;
 use super::plan::Group;
 use super::score::{Score, Share, strength};
@@ -214,7 +217,7 @@ fn filters(score: &Score) -> String {
     text
 }
 
-/// What was hidden against what was named.
+/// Hidden effects against named ones.
 fn confusion(score: &Score) -> String {
     let mut text = "## Confusion\n\nRows: what was hidden (one effect; same form and others together). Columns: the first name given. Numbers \
              of logs.\n\n"
@@ -222,9 +225,9 @@ fn confusion(score: &Score) -> String {
     let mut matrix: BTreeMap<&str, BTreeMap<&str, u32>> = BTreeMap::new();
     for (truth, found) in &score.all {
         if matches!(truth.group, Group::Same | Group::Other) {
-            let given = match (found.effects.first(), found.verdict.as_str()) {
+            let given = match (found.effects.first(), found.verdict) {
                 (Some(name), _) => name.as_str(),
-                (None, "unexplained") => "unexplained",
+                (None, Verdict::Unexplained) => "unexplained",
                 _ => "nothing",
             };
             *matrix.entry(&truth.effects[0]).or_default().entry(given).or_default() += 1;
@@ -261,6 +264,11 @@ fn confusion(score: &Score) -> String {
     text
 }
 
+/// A variant as files write it.
+fn word(variant: impl Serialize) -> String {
+    serde_json::to_value(variant).ok().and_then(|word| word.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
 /// One row for each log.
 fn every_log(score: &Score) -> String {
     let mut text = "## Every log\n\n| group | regime | lambda | hidden | verdict | named | p | p after | closed | s |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
@@ -279,14 +287,11 @@ fn every_log(score: &Score) -> String {
         let _ = writeln!(
             text,
             "| {} | {} | {} | {} | {} | {} | {:.3} | {:.3} | {:.2} [{:.2}, {:.2}] | {:.0} |",
-            serde_json::to_value(truth.group)
-                .ok()
-                .and_then(|v| v.as_str().map(str::to_owned))
-                .unwrap_or_default(),
+            word(truth.group),
             truth.regime,
             truth.lambda,
             hidden.join(", "),
-            found.verdict,
+            word(found.verdict),
             named.join(", "),
             found.p,
             found.p_after,

@@ -28,7 +28,7 @@ const SIDES: [(&str, &str); 2] = [("before", "Nominal scenario"), ("after", "Wit
 /// Writes the drive of a search to a file.
 ///
 /// # Errors
-/// What rerun says when the file can't be written.
+/// rerun's error when the file can't be written.
 pub fn record(study: &GapStudy, outcome: &Outcome, file: &Path) -> anyhow::Result<()> {
     let walls = study.walls();
     let stream = RecordingStreamBuilder::new("locsim")

@@ -44,7 +44,7 @@ const STUB_M: f64 = 0.3;
 /// Writes one trial, all models side by side on one timeline.
 ///
 /// # Errors
-/// What rerun says when the file can't be written or the viewer can't be reached.
+/// rerun's error when the file can't be written or the viewer can't be reached.
 pub fn record(trial: &DetailedTrial, scenario: &str, sink: Sink<'_>) -> anyhow::Result<()> {
     let builder =
         RecordingStreamBuilder::new("locsim").recording_name(scenario).with_blueprint(layout(trial));

@@ -9,6 +9,7 @@ mod stepwise;
 use std::cmp::Ordering;
 use std::sync::atomic::AtomicBool;
 
+use locsim_core::Progress;
 use locsim_world::effect::{Effect, EffectKind, Moves};
 use rayon::prelude::*;
 
@@ -59,19 +60,6 @@ const SOMEWHAT_OFF: f64 = 0.5;
 /// A score beyond this many standard deviations is of a strong effect, whose gain isn't limited by the score: the score is a
 /// linear approximation about the neutral value.
 const BEYOND_DOUBT: f64 = 10.0;
-
-/// Receives the progress of a search.
-pub trait Progress: Sync {
-    /// A new stage of so many ticks begins.
-    fn stage(&self, name: &str, ticks: u64);
-    /// So many of them are done.
-    fn advance(&self, ticks: u64);
-}
-
-impl Progress for () {
-    fn stage(&self, _: &str, _: u64) {}
-    fn advance(&self, _: u64) {}
-}
 
 /// A hypothesis with what simulations of it look like.
 struct Round<'a> {

@@ -1,6 +1,6 @@
 //! Readings between the two surfaces of an edge.
 
-use locsim_world::effect::{self, EffectKind};
+use locsim_world::effect::{self, Alternative, EffectKind};
 
 use super::contamination::{detectable_share, score};
 use super::survey::Survey;
@@ -34,8 +34,9 @@ impl Family for Edges {
         let mut sum = [0.0; 2];
         for reading in &log.all {
             if let Some([near, far]) = self.jumps[reading.index] {
-                let is_between = reading.is_return && (near..far).contains(&reading.z);
-                let ratio = reading.contamination(if is_between { 1.0 / (far - near) } else { 0.0 });
+                // Beyond the maximum range nothing is returned.
+                let between = Alternative::Between { lo: near, hi: far };
+                let ratio = reading.contamination(between.density(reading.z, log.max_range()));
                 sum[reading.half()] += score(ratio, self.share);
             }
         }

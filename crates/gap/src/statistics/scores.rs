@@ -83,7 +83,7 @@ impl Scores {
             }
             Score::Uniform => {
                 let uniform = if reading.is_return { 1.0 / max } else { 0.0 };
-                uniform / terms.density - 1.0
+                terms.measure * uniform / terms.density - 1.0
             }
             Score::Location | Score::Scale | Score::NoReturn | Score::Tail => 0.0,
         }
@@ -114,9 +114,11 @@ impl Family for Scores {
         let max = log.max_range();
         for readings in log.scans() {
             let half = readings[0].half();
+            let derivatives: Vec<f32> =
+                readings.iter().map(|reading| self.derivative(reading, max) as f32).collect();
             for (sum, Weights { of_beams, share, .. }) in sums.iter_mut().zip(&self.directions) {
-                let weighted = readings.iter().map(|reading| {
-                    let ratio = self.derivative(reading, max) as f32 * of_beams[reading.index];
+                let weighted = readings.iter().zip(&derivatives).map(|(reading, derivative)| {
+                    let ratio = derivative * of_beams[reading.index];
                     ratio / (1.0 + share * ratio)
                 });
                 sum[half] += f64::from(weighted.sum::<f32>());

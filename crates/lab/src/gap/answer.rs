@@ -1,4 +1,4 @@
-//! What was found, in a few sentences for people: angles in degrees, numbers with the digits that they are worth.
+//! The findings in a few sentences: angles in degrees, numbers with their significant digits.
 
 use locsim_gap::{Covariate, Deviation, Estimate, Gap, Named, Outcome, Region, Verdict};
 use locsim_world::effect::Parameter;
@@ -78,7 +78,7 @@ pub(super) fn label(parameter: &Parameter) -> String {
     name.replace('_', " ")
 }
 
-/// What else an effect may be, and what would tell.
+/// The rivals of an effect, and the motion that would distinguish them.
 fn doubt(named: &Named) -> Option<String> {
     let others: Vec<_> = others(named).collect();
     if others.is_empty() {
@@ -109,7 +109,7 @@ fn gap(outcome: &Outcome) -> String {
     )
 }
 
-/// What to make of it where log score and ranges don't say the same, with a blank before it; empty where they do.
+/// An explanation where log score and ranges disagree, with a leading blank; empty where they agree.
 pub(super) fn disagreement(gap: &Gap) -> String {
     let share = gap.gained_share();
     let percent = fixed(100.0 * share, 0);
@@ -135,7 +135,7 @@ pub(super) fn disagreement(gap: &Gap) -> String {
 pub(super) fn closed(outcome: &Outcome) -> String {
     let closed = outcome.gap.closed;
     let [value, lo, hi] = [closed.value, closed.lo, closed.hi].map(|share| fixed(100.0 * share, 0));
-    // What ranges don't show isn't called closed.
+    // A gap that ranges don't show isn't called closed.
     let verb = if outcome.gap.closed_in_ranges.is_some() { "closed" } else { "gained" };
     format!("{value} % {verb} [{lo}, {hi}]")
 }
@@ -179,7 +179,7 @@ pub(super) fn place_text(region: &Region) -> String {
     }
 }
 
-/// What is off in a region.
+/// The deviation in a region.
 pub(super) fn deviation_text(region: &Region) -> &'static str {
     let more = region.z > 0.0;
     if region.covariate == Covariate::Scan {

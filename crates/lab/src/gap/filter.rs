@@ -1,9 +1,8 @@
-//! What the gap does to a particle filter: the measured log, localized on with a sensor model learnt from the old and
-//! from the new simulator.
+//! The influence of the gap on a particle filter, which localizes on the measured log with sensor models learnt from the
+//! nominal simulator and from the one with the named effects.
 
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::{Drive, DriveStep, Laser, Pose2, RangeMap, Scan, Track};
 use locsim_gap::{Estimate, FilterError, FilterGap, GapError, Outcome, Purpose};
@@ -13,11 +12,12 @@ use locsim_world::simulation::Simulator;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::{GapStudy, GapStudyError, GapStudyOptions};
+use super::{GapStudy, GapStudyOptions};
+use crate::LabError;
+use crate::run::filter_options;
 use crate::run::{MapSet, free_poses};
-use crate::run::{RunError, filter_options};
 use crate::run::{ScanData, Surroundings, TrainedModel, train};
-use locsim_core::Progress;
+use locsim_core::{Control, Progress};
 use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Spread, load_map};
 use locsim_sensor::ModelKind;
 
@@ -42,8 +42,7 @@ struct Corrected {
 /// A filter that localizes on a study's log, with a sensor model learnt from one simulator or another.
 pub struct FilterOnLog<'a> {
     study: &'a GapStudy,
-    progress: &'a dyn Progress,
-    interrupted: &'a AtomicBool,
+    control: Control<'a>,
     maps: MapSet,
     /// Learnt from the nominal simulator.
     nominal: TrainedModel,
@@ -53,19 +52,14 @@ impl<'a> FilterOnLog<'a> {
     /// Learns the nominal simulator's sensor model.
     ///
     /// # Errors
-    /// [`GapStudyError`] for a map that cannot be read and a model that cannot be fitted.
-    pub fn new(
-        study: &'a GapStudy,
-        cache: Option<&Path>,
-        progress: &'a dyn Progress,
-        interrupted: &'a AtomicBool,
-    ) -> Result<Self, GapStudyError> {
+    /// [`LabError`] for a map that cannot be read and a model that cannot be fitted.
+    pub fn new(study: &'a GapStudy, cache: Option<&Path>, control: Control<'a>) -> Result<Self, LabError> {
         let simulation = study.simulation();
         let map = load_map(&simulation.map)?.geometry;
-        let unusable = |source| RunError::Map { path: simulation.map.clone(), source };
-        let maps = MapSet::new(map, study.scenario.ray_cast, cache, progress).map_err(unusable)?;
-        let nominal = trained(study, &maps, Vec::new(), progress)?;
-        Ok(Self { study, progress, interrupted, maps, nominal })
+        let unusable = |source| LabError::Map { path: simulation.map.clone(), source };
+        let maps = MapSet::new(map, study.scenario.ray_cast, cache, control.progress).map_err(unusable)?;
+        let nominal = trained(study, &maps, Vec::new(), control.progress)?;
+        Ok(Self { study, control, maps, nominal })
     }
 
     /// Position error \[m\] of each seed of the filter under the simulator with these effects.
@@ -74,26 +68,26 @@ impl<'a> FilterOnLog<'a> {
     /// learnt, from scans that are simulated with them.
     ///
     /// # Errors
-    /// [`GapStudyError`] for effects that cannot be simulated, and after an interruption.
-    pub fn errors(&self, effects: Vec<Effect>) -> Result<Vec<f64>, GapStudyError> {
+    /// [`LabError`] for effects that cannot be simulated, and after an interruption.
+    pub fn errors(&self, effects: Vec<Effect>) -> Result<Vec<f64>, LabError> {
         let (correctable, learnt): (Vec<Effect>, Vec<Effect>) =
             effects.into_iter().partition(|e| e.kind.description().is_correctable);
         // The same simulator gives the same model.
         let model = if learnt.is_empty() {
             None
         } else {
-            Some(trained(self.study, &self.maps, learnt, self.progress)?)
+            Some(trained(self.study, &self.maps, learnt, self.control.progress)?)
         };
         let model = model.as_ref().unwrap_or(&self.nominal);
         let log = corrected(self.study, &Effects::new(correctable).map_err(GapError::from)?)?;
-        self.progress.stage("localizing on the log", u64::from(SEEDS));
+        self.control.progress.stage("localizing on the log", u64::from(SEEDS));
         let errors = (0..SEEDS).into_par_iter().map(|seed| {
-            if self.interrupted.load(Ordering::Relaxed) {
+            if self.control.is_interrupted() {
                 return Err(GapError::Interrupted.into());
             }
             let seed = Purpose::Filter.draw(self.study.scenario.seed).seed(seed);
             let error = rmse(self.study, &log, model, &*self.maps.ranges, seed);
-            self.progress.advance(1);
+            self.control.progress.advance(1);
             error
         });
         errors.collect()
@@ -105,11 +99,11 @@ pub(super) fn filter_gap(
     study: &GapStudy,
     outcome: &Outcome,
     options: &GapStudyOptions<'_>,
-) -> Result<Option<FilterGap>, GapStudyError> {
+) -> Result<Option<FilterGap>, LabError> {
     if outcome.effects.is_empty() {
         return Ok(None);
     }
-    let filter = FilterOnLog::new(study, options.cache, options.progress, options.interrupted)?;
+    let filter = FilterOnLog::new(study, options.cache, options.control)?;
     let before = filter.errors(Vec::new())?;
     let after = filter.errors(outcome.effects.iter().map(|named| named.effect.clone()).collect())?;
     let change: Vec<f64> = after.iter().zip(&before).map(|(after, before)| after - before).collect();
@@ -126,7 +120,7 @@ fn trained(
     maps: &MapSet,
     more: Vec<Effect>,
     progress: &dyn Progress,
-) -> Result<TrainedModel, GapStudyError> {
+) -> Result<TrainedModel, LabError> {
     let simulation = study.simulation();
     let training = &study.scenario.training;
     let effects = Effects::new([simulation.effects.clone(), more].concat()).map_err(GapError::from)?;
@@ -221,7 +215,7 @@ fn rmse(
     model: &TrainedModel,
     map: &dyn RangeMap,
     seed: u64,
-) -> Result<f64, GapStudyError> {
+) -> Result<f64, LabError> {
     let settings = &study.scenario.filter;
     let alpha = match (study.simulation().robot.odometry_noise.alpha(), settings.motion) {
         // Odometry without any noise is a simulation's; a filter needs some.
@@ -234,18 +228,18 @@ fn rmse(
     };
     let options = FilterOptions {
         particles: ParticleCount::Fixed(PARTICLES),
-        motion: Arc::new(OdometryMotion::new(alpha).map_err(RunError::from)?),
+        motion: Arc::new(OdometryMotion::new(alpha)?),
         ..filter_options(settings, false)?
     };
     let reference = |step: &DriveStep| step.reference.unwrap_or(Pose2::IDENTITY);
     let pose = reference(&log.drive.steps[0]).compose(&log.to_stamp[0].inverse());
     let start = Start::Tracking { pose, sigma_m: spread.sigma_m, sigma_rad: spread.sigma_rad };
-    let mut filter = Filter::new(options, &start, map, seed).map_err(RunError::from)?;
+    let mut filter = Filter::new(options, &start, map, seed)?;
     let mut squares = 0.0;
     for (i, step) in log.drive.steps.iter().enumerate() {
         let odometry = log.drive.odometry_increment(i);
         let input = StepInput { odometry, laser: &log.drive.laser, scan: &step.scan };
-        let outcome = filter.step(&input, map, &*model.tempered).map_err(RunError::from)?;
+        let outcome = filter.step(&input, map, &*model.tempered)?;
         let estimate = outcome.estimates.weighted_mean.pose.compose(&log.to_stamp[i]);
         squares += estimate.position().distance_squared(reference(step).position());
     }

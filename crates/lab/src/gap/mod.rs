@@ -9,26 +9,23 @@ mod proposal;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
 use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, Scan, wrap_angle};
-use locsim_dataset::{DatasetError, LogOptions, read_log};
+use locsim_dataset::{LogOptions, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Recorded};
 use locsim_world::effect::{EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::Simulator;
-use thiserror::Error;
 
 pub use answer::answer;
 pub use locsim_gap::{BeamPit, Outcome};
 
 pub use filter::FilterOnLog;
 
-use crate::run::RunError;
-use locsim_core::Progress;
+use crate::LabError;
+use locsim_core::Control;
 use locsim_report::ReportError;
-use locsim_report::store::{Folder, Request, Store, StoreError};
+use locsim_report::store::{Folder, Request};
 use locsim_scenario::{Overrides, Problem, Scenario, ScenarioError, Simulation, Source, load_map};
 
 /// Bearings of log and scenario that differ by more than this are of other beams \[rad\].
@@ -37,45 +34,7 @@ const SAME_BEARING_RAD: f64 = 2e-3;
 /// Mounts that differ by less than this are the same \[m\] and \[rad\]: logs round.
 const SAME_MOUNT: f64 = 2e-3;
 
-/// Why a log could not be held against a scenario.
-#[derive(Debug, Error)]
-pub enum GapStudyError {
-    /// The scenario or its map is refused.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// The log can't be read.
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    /// The log doesn't fit the scenario.
-    #[error("{log}: {what}")]
-    Log {
-        /// The log.
-        log: PathBuf,
-        /// What is wrong and what is needed.
-        what: String,
-    },
-    /// A search that can't be done, or was stopped.
-    #[error(transparent)]
-    Gap(#[from] GapError),
-    /// The filter or the recording failed.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// The results folder can't be used.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// The report could not be written.
-    #[error(transparent)]
-    Report(#[from] ReportError),
-}
-
-impl GapStudyError {
-    /// Whether the user stopped it.
-    pub fn is_interruption(&self) -> bool {
-        matches!(self, Self::Gap(GapError::Interrupted))
-    }
-}
-
-/// What of the log is looked at, and how.
+/// The part of the log that the search uses, and how.
 #[derive(Clone, Debug)]
 pub struct GapSettings {
     /// Simulated logs behind a p-value.
@@ -116,12 +75,8 @@ pub struct GapStudyOptions<'a> {
     pub command: String,
     /// Whether to run the filter with the old and the new simulator.
     pub filter: bool,
-    /// Monotonic time since any fixed moment.
-    pub clock: &'a (dyn Fn() -> Duration + Sync),
-    /// Who is told how far it is.
-    pub progress: &'a dyn Progress,
-    /// Set from outside to stop.
-    pub interrupted: &'a AtomicBool,
+    /// The caller's clock, progress and interruption.
+    pub control: Control<'a>,
     /// Where range tables are kept between runs, if anywhere.
     pub cache: Option<&'a Path>,
     /// Who records the drive, if anyone.
@@ -139,8 +94,8 @@ impl GapStudy {
     /// Reads and checks the scenario and the log.
     ///
     /// # Errors
-    /// [`GapStudyError`]: what is wrong with the scenario, its map or the log, or that they are of different lasers.
-    pub fn load(scenario: &Path, log: &Path, settings: GapSettings) -> Result<Self, GapStudyError> {
+    /// [`LabError`]: what is wrong with the scenario, its map or the log, or that they are of different lasers.
+    pub fn load(scenario: &Path, log: &Path, settings: GapSettings) -> Result<Self, LabError> {
         let file = scenario;
         let scenario = Scenario::load(file, &Overrides { seed: settings.seed, ..Overrides::default() })?;
         let refuse = |key: &str, message: &str| {
@@ -167,7 +122,7 @@ impl GapStudy {
         let simulator = Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects)
             .map_err(GapError::from)?;
         let drive = with_mount(drive, simulator.laser().laser(), &mut notes);
-        let refuse = |what: String| GapStudyError::Log { log: log.to_owned(), what };
+        let refuse = |what: String| LabError::Log { path: log.to_owned(), what };
         let drive = with_beams(drive, simulator.laser().laser()).map_err(refuse)?;
         let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
         let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
@@ -248,40 +203,33 @@ impl GapStudy {
 /// complete.
 ///
 /// # Errors
-/// [`GapStudyError`]; earlier results at `options.out` are then untouched.
-pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapStudyError> {
+/// [`LabError`]; earlier results at `options.out` are then untouched.
+pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, LabError> {
     let GapStudyOptions { out, force, .. } = options;
     let fingerprint = study.scenario.content_hash()?;
     // A search has no parts that could be kept.
     let request = Request { out, kind: "gap", fingerprint: &fingerprint, resume: false, force: *force };
-    let store = Store::open(&request)?;
-    let written = find(study, options).and_then(|outcome| {
-        options.progress.stage("writing the report", 1);
+    let (outcome, recorded) = request.fill(|store| {
+        let outcome = find(study, options)?;
+        options.control.progress.stage("writing the report", 1);
         write(store.folder(), study, &outcome, options)?;
-        Ok(outcome)
-    });
-    let outcome = match written {
-        Ok(outcome) => outcome,
-        Err(error) => {
-            store.discard_if_empty();
-            return Err(error);
-        }
-    };
-    let recorded = match options.recorder {
-        Some(recorder) => recorder(study, &outcome, &store.folder().claim(RECORDING)?),
-        None => Ok(()),
-    };
-    store.finish()?;
-    options.progress.finish();
-    recorded.map_err(|source| RunError::Recording { out: options.out.clone(), source })?;
+        let recorded = match options.recorder {
+            Some(recorder) => recorder(study, &outcome, &store.folder().claim(RECORDING)?),
+            None => Ok(()),
+        };
+        Ok::<_, LabError>((outcome, recorded))
+    })?;
+    options.control.progress.finish();
+    recorded.map_err(|source| LabError::Recording { out: options.out.clone(), source })?;
     Ok(outcome)
 }
 
-fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapStudyError> {
-    let began = (options.clock)();
-    options.progress.stage("integrating over blocks", 1);
+fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, LabError> {
+    let Control { clock, progress, interrupted } = options.control;
+    let began = clock();
+    progress.stage("integrating over blocks", 1);
     let nominal = study.nominal()?;
-    options.progress.advance(1);
+    progress.advance(1);
     let replicates = study.settings.replicates;
     let usual = GapOptions::default();
     let search = GapOptions {
@@ -291,8 +239,7 @@ fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapS
         seed: study.scenario.seed,
         ..usual
     };
-    let told = Told(options.progress);
-    let mut outcome = locsim_gap::find(&nominal, &study.recorded, &search, &told, options.interrupted)?;
+    let mut outcome = locsim_gap::find(&nominal, &study.recorded, &search, progress, interrupted)?;
     if options.filter {
         outcome.filter = filter::filter_gap(study, &outcome, options)?;
     }
@@ -304,7 +251,7 @@ fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, GapS
         ));
     }
     outcome.notes.splice(0..0, study.notes.iter().cloned());
-    outcome.seconds = (options.clock)().saturating_sub(began).as_secs_f64();
+    outcome.seconds = options.control.seconds_since(began);
     Ok(outcome)
 }
 
@@ -319,7 +266,7 @@ fn write(
     study: &GapStudy,
     outcome: &Outcome,
     options: &GapStudyOptions<'_>,
-) -> Result<(), GapStudyError> {
+) -> Result<(), LabError> {
     let json = serde_json::to_string_pretty(outcome).map_err(ReportError::from)?;
     folder.write("gap.json", format!("{json}\n").as_bytes())?;
     let scenario = proposal::scenario_with(study, outcome, &options.out)?;
@@ -454,19 +401,6 @@ fn matching_beams(log: &[f32], scenario: &[f32]) -> Result<Vec<usize>, String> {
             found.ok_or_else(|| refuse(&format!("beam {beam} of the scenario"), bearing, "the log"))
         })
         .collect()
-}
-
-/// Hands on the search's progress.
-struct Told<'a>(&'a dyn Progress);
-
-impl locsim_gap::Progress for Told<'_> {
-    fn stage(&self, name: &str, ticks: u64) {
-        self.0.stage(name, ticks);
-    }
-
-    fn advance(&self, ticks: u64) {
-        self.0.advance(ticks);
-    }
 }
 
 #[cfg(test)]

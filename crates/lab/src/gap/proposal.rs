@@ -10,14 +10,11 @@ use locsim_scenario::effect::{effect_yaml_with, in_file};
 use locsim_world::effect::Parameter;
 use similar::TextDiff;
 
-use super::{GapStudy, GapStudyError};
+use super::GapStudy;
+use crate::LabError;
 
 /// The scenario with the effects of `outcome`, to be read from the folder `out`.
-pub(super) fn scenario_with(
-    study: &GapStudy,
-    outcome: &Outcome,
-    out: &Path,
-) -> Result<String, GapStudyError> {
+pub(super) fn scenario_with(study: &GapStudy, outcome: &Outcome, out: &Path) -> Result<String, LabError> {
     let entries: Vec<Entry> = outcome.effects.iter().map(|named| entry(study, named)).collect();
     Ok(study.scenario.with_effects(&entries, &out_folder(out)?))
 }
@@ -72,7 +69,7 @@ fn round_to_interval(named: &Named, parameter: &Parameter, value: f64) -> f64 {
 }
 
 /// The results folder, which need not be there yet, without links.
-fn out_folder(out: &Path) -> Result<PathBuf, GapStudyError> {
+fn out_folder(out: &Path) -> Result<PathBuf, LabError> {
     let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let parent =
         parent.canonicalize().map_err(|source| StoreError::File { path: parent.to_owned(), source })?;

@@ -12,7 +12,7 @@ pub struct MissedBound {
     pub model: String,
     /// The figure of `summary.json`, with dots between nested keys.
     pub metric: &'static str,
-    /// What was measured; `None` where the model has no such figure.
+    /// The measured value; `None` where the model has no such figure.
     pub value: Option<f64>,
     /// The bound, in words.
     pub bound: String,
@@ -55,7 +55,7 @@ mod tests {
     use locsim_report::results::TrainingRow;
     use locsim_report::summary::{AngularError, Errors as ErrorSummary, Kept, LinearError, ModelSummary};
     use locsim_scenario::METRICS;
-    use locsim_scenario::locate::join;
+    use locsim_scenario::key_path::join;
 
     use super::*;
 

@@ -82,7 +82,7 @@ impl<'a> Detail<'a> {
         self.model.most_likely_trajectory.clone_from(&trajectory.poses);
     }
 
-    /// What was collected, and the probes for the next model.
+    /// The collected details, and the probes for the next model.
     pub fn into_model(self) -> (DetailedModel, Vec<Probe>) {
         (self.model, self.own_probes)
     }

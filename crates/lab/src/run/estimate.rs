@@ -1,11 +1,11 @@
-//! What a run will cost, from its scenario alone, so that one that the machine can't hold is refused before it starts.
+//! The cost of a run, estimated from its scenario alone. A run that the machine can't hold is refused before it starts.
 
 use locsim_core::limits::Limits;
 use locsim_world::simulation::Trajectory;
 use serde::de::IgnoredAny;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
-use super::RunError;
+use crate::LabError;
 use locsim_scenario::yaml;
 use locsim_scenario::{
     Estimate as PoseEstimate, ModelName, ParticleCount, Problem, RayCast, Scenario, ScenarioError, Source,
@@ -34,7 +34,7 @@ const SECONDS_PER_READING: [f64; 2] = [0.5e-6, 2e-6];
 /// Seconds to train a model and to draw its figures, whatever the data.
 const SECONDS_PER_MODEL: f64 = 1.5;
 
-/// What a run will cost, roughly.
+/// The approximate cost of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
     /// Memory \[bytes\], at most.
@@ -117,8 +117,8 @@ impl Estimate {
     /// Refuses a run that needs more memory than there is.
     ///
     /// # Errors
-    /// [`RunError::Scenario`] with the keys to lower.
-    pub fn check(&self, scenario: &Scenario) -> Result<(), RunError> {
+    /// [`LabError::Scenario`] with the keys to lower.
+    pub fn check(&self, scenario: &Scenario) -> Result<(), LabError> {
         let limit = Limits::current().memory_bytes;
         let (available, of) =
             if limit > 0 { (limit as f64, "the limit is") } else { (free_memory(), "this machine has") };

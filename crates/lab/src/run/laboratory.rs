@@ -1,4 +1,4 @@
-//! What all trials of a scenario share: the map, the trained models, and where drives come from.
+//! The common parts of all trials of a scenario: the map, the trained models, and the source of drives.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,7 +19,8 @@ use locsim_world::simulation::{
 use rand::RngExt;
 
 use super::training::{ScanData, Surroundings, TrainedModel, train};
-use super::{Progress, RunError};
+use crate::LabError;
+use locsim_core::Progress;
 use locsim_scenario::{self as scenario, Log, LogMap, ModelName, RayCast, Scenario, Simulation, Source};
 
 /// Training poses keep this far from walls \[m\]: a robot has a body.
@@ -136,7 +137,7 @@ impl<'a> Laboratory<'a> {
         scenario: &'a Scenario,
         cache: Option<&Path>,
         progress: &dyn Progress,
-    ) -> Result<Self, RunError> {
+    ) -> Result<Self, LabError> {
         match &scenario.source {
             Source::Simulation(simulation) => Self::simulated(scenario, simulation, cache, progress),
             Source::Log(log) => Self::measured(scenario, log, cache, progress),
@@ -148,7 +149,7 @@ impl<'a> Laboratory<'a> {
         simulation: &Simulation,
         cache: Option<&Path>,
         progress: &dyn Progress,
-    ) -> Result<Self, RunError> {
+    ) -> Result<Self, LabError> {
         let maps =
             MapSet::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, cache, progress)
                 .map_err(unusable(&simulation.map))?;
@@ -196,13 +197,13 @@ impl<'a> Laboratory<'a> {
         log: &Log,
         cache: Option<&Path>,
         progress: &dyn Progress,
-    ) -> Result<Self, RunError> {
+    ) -> Result<Self, LabError> {
         progress.stage("reading the log", 1);
         let max_range_m = log.max_range_m.map(|max| max as f32);
         let options = LogOptions { max_range_m, topics: log.topics.clone() };
         let (drive, summary) = read_log(&log.file, &options)?;
         progress.advance(1);
-        let refuse = |what: &str| RunError::Log { path: log.file.clone(), what: what.to_owned() };
+        let refuse = |what: &str| LabError::Log { path: log.file.clone(), what: what.to_owned() };
         let map = match &log.map {
             LogMap::File(file) => scenario::load_map(file)?.geometry,
             LogMap::FromScans { scans, resolution_m } => {
@@ -267,8 +268,8 @@ impl<'a> Laboratory<'a> {
     /// The drive of a trial.
     ///
     /// # Errors
-    /// [`RunError::Simulation`] for a path that makes no sense.
-    pub fn drive(&self, trial: u32) -> Result<TrialDrive, RunError> {
+    /// [`LabError::Simulation`] for a path that makes no sense.
+    pub fn drive(&self, trial: u32) -> Result<TrialDrive, LabError> {
         match &self.drives {
             Drives::Measured(drive) => Ok(TrialDrive { drive: drive.clone(), blocks: Vec::new() }),
             Drives::Simulated(world) => {
@@ -282,11 +283,11 @@ impl<'a> Laboratory<'a> {
 /// Simulates the drive of one trial without training anything, with all beams of the laser.
 ///
 /// # Errors
-/// [`RunError::Log`] if the scenario is of a measured log; what is wrong with map, world or path.
-pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError> {
+/// [`LabError::Log`] if the scenario is of a measured log; what is wrong with map, world or path.
+pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, LabError> {
     let Source::Simulation(simulation) = &scenario.source else {
         let what = "a scenario of a measured log has nothing to simulate".to_owned();
-        return Err(RunError::Log { path: scenario.file.clone(), what });
+        return Err(LabError::Log { path: scenario.file.clone(), what });
     };
     let maps = MapSet::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, &())
         .map_err(unusable(&simulation.map))?;
@@ -295,7 +296,7 @@ pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, RunError
     Ok(drive_of(&world, seed, scenario)?.drive)
 }
 
-fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, RunError> {
+fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, LabError> {
     let simulated = simulate_drive(&world.simulator, &world.robot, seed).map_err(refused(scenario))?;
     let corners = |block: &Block| block.corners.map(|corner| corner.to_array());
     let blocks = simulated.blocks.iter().map(|blocks| blocks.iter().map(corners).collect()).collect();
@@ -303,15 +304,15 @@ fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive,
 }
 
 /// Attaches the map's file to what is wrong with it.
-pub(super) fn unusable(path: &Path) -> impl FnOnce(MapError) -> RunError {
+pub(super) fn unusable(path: &Path) -> impl FnOnce(MapError) -> LabError {
     let path = path.to_owned();
-    move |source| RunError::Map { path, source }
+    move |source| LabError::Map { path, source }
 }
 
 /// Attaches the scenario's file to what the simulator refuses.
-fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> RunError {
+fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> LabError {
     let path = scenario.file.clone();
-    move |source| RunError::Simulation { path, source }
+    move |source| LabError::Simulation { path, source }
 }
 
 fn with_filter_beams(drive: Drive, scenario: &Scenario) -> Drive {
@@ -338,7 +339,7 @@ fn world(simulation: &Simulation, maps: &MapSet) -> Result<World, SimulationErro
     Ok(World { simulator, robot: robot.clone() })
 }
 
-/// What the oracle knows of the world: its blocks as they really are, and nothing of other effects.
+/// The oracle's knowledge of the world: its true blocks, and no other effects.
 fn obstructions(simulator: &Simulator) -> Result<Arc<dyn Obstructions>, SimulationError> {
     let Some(blocks) = simulator.blocks() else { return Ok(Arc::new(NothingInTheWay)) };
     let max_range_m = simulator.laser().options().max_range_m;

@@ -15,8 +15,8 @@ use locsim_world::mapping::{
 };
 use plotters::prelude::{Color, RGBColor};
 
-use super::RunError;
 use super::laboratory::{selected, unusable};
+use crate::LabError;
 
 /// The figure shows at most this many readings: more hide each other.
 const SHOWN_READINGS: usize = 20_000;
@@ -44,13 +44,13 @@ impl LogMaps {
     /// Builds both maps from the given shares of a log.
     ///
     /// # Errors
-    /// [`RunError::Dataset`] for a log that can't be read, [`RunError::Map`] when no map can be made of it.
+    /// [`LabError::Dataset`] for a log that can't be read, [`LabError::Map`] when no map can be made of it.
     pub fn from_log(
         log: &Path,
         shares: &[[f64; 2]],
         resolution_m: f64,
         options: &LogOptions,
-    ) -> Result<Self, RunError> {
+    ) -> Result<Self, LabError> {
         let (drive, summary) = read_log(log, options)?;
         let options = MappingOptions { resolution_m, ..MappingOptions::default() };
         let steps = selected(&drive, shares);

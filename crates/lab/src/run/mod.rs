@@ -2,7 +2,6 @@
 
 mod bounds;
 mod detail;
-mod error;
 mod estimate;
 mod laboratory;
 mod map;
@@ -10,20 +9,18 @@ mod training;
 mod trial;
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
-use locsim_core::{Pose2, Progress};
+use locsim_core::{Clock, Control, Pose2, Progress};
 use locsim_dataset::{StampedPose, write_tum};
 use rayon::prelude::*;
 
 pub use bounds::MissedBound;
-pub use error::RunError;
 pub use estimate::Estimate as CostEstimate;
 pub use laboratory::{MapSet, free_poses, simulate_trial};
 pub use map::{LogMaps, agreement_figure, agreement_table};
 pub use training::{ScanData, Surroundings, TrainedModel, train};
 
+use crate::LabError;
 use detail::Detail;
 use laboratory::{Laboratory, TrialDrive};
 use locsim_report::results::{DetailedTrial, RunResults, Trial};
@@ -50,19 +47,15 @@ pub struct RunOptions<'a> {
     pub force: bool,
     /// The command that reproduces the run, for the report.
     pub command: String,
-    /// Monotonic time since any fixed moment, for `seconds` and `step_ms`.
-    pub clock: &'a (dyn Fn() -> Duration + Sync),
-    /// Who is told how far the run is.
-    pub progress: &'a dyn Progress,
-    /// Set from outside to stop after the trials under way.
-    pub interrupted: &'a AtomicBool,
+    /// The caller's clock, for `seconds` and `step_ms`, and progress; an interruption stops after the trials under way.
+    pub control: Control<'a>,
     /// Where range tables are kept between runs, if anywhere.
     pub cache: Option<&'a Path>,
     /// Who records the scenario's recorded trial, if anyone.
     pub recorder: Option<&'a Recorder<'a>>,
 }
 
-/// What a complete run gives.
+/// The outcome of a complete run.
 pub struct Outcome {
     /// The content of `summary.json`.
     pub summary: Summary,
@@ -76,32 +69,27 @@ pub struct Outcome {
 /// run is interrupted.
 ///
 /// # Errors
-/// [`RunError`]; earlier results at `options.out` are then untouched, save with [`RunError::Recording`], when the new
+/// [`LabError`]; earlier results at `options.out` are then untouched, save with [`LabError::Recording`], when the new
 /// ones are complete.
-pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, RunError> {
+pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, LabError> {
     let threads = rayon::current_num_threads();
     let cost = CostEstimate::of(scenario, threads);
     cost.check(scenario)?;
-    options.progress.note(&format!("{}: {}", scenario.name, cost.in_words(threads)));
+    options.control.progress.note(&format!("{}: {}", scenario.name, cost.in_words(threads)));
     let fingerprint = scenario.content_hash()?;
     let RunOptions { resume, force, .. } = *options;
-    let store =
-        Store::open(&Request { out: &options.out, kind: "run", fingerprint: &fingerprint, resume, force })?;
-    let (summary, detail) = match write_results(scenario, &store, options) {
-        Ok(written) => written,
-        Err(error) => {
-            store.discard_if_empty();
-            return Err(error);
-        }
-    };
-    let recorded = match options.recorder {
-        Some(recorder) => recorder(&detail, &store.folder().claim(RECORDING)?),
-        None => Ok(()),
-    };
-    store.finish()?;
-    options.progress.advance(1);
-    options.progress.finish();
-    recorded.map_err(|source| RunError::Recording { out: options.out.clone(), source })?;
+    let request = Request { out: &options.out, kind: "run", fingerprint: &fingerprint, resume, force };
+    let (summary, recorded) = request.fill(|store| {
+        let (summary, detail) = write_results(scenario, store, options)?;
+        let recorded = match options.recorder {
+            Some(recorder) => recorder(&detail, &store.folder().claim(RECORDING)?),
+            None => Ok(()),
+        };
+        Ok::<_, LabError>((summary, recorded))
+    })?;
+    options.control.progress.advance(1);
+    options.control.progress.finish();
+    recorded.map_err(|source| LabError::Recording { out: options.out.clone(), source })?;
     let missed = bounds::missed(&scenario.expect, &summary);
     Ok(Outcome { summary, missed })
 }
@@ -111,12 +99,12 @@ fn write_results(
     scenario: &Scenario,
     store: &Store,
     options: &RunOptions<'_>,
-) -> Result<(Summary, DetailedTrial), RunError> {
-    let began = (options.clock)();
-    let laboratory = Laboratory::prepare(scenario, options.cache, options.progress)?;
+) -> Result<(Summary, DetailedTrial), LabError> {
+    let began = (options.control.clock)();
+    let laboratory = Laboratory::prepare(scenario, options.cache, options.control.progress)?;
     let trials = run_trials(&laboratory, store, options)?;
-    options.progress.stage("report and recording", 1);
-    let detail = detailed_trial(&laboratory, scenario.record.trial, options.clock)?;
+    options.control.progress.stage("report and recording", 1);
+    let detail = detailed_trial(&laboratory, scenario.record.trial, options.control.clock)?;
     let folder = store.folder();
     save_models(&laboratory, folder)?;
     save_trajectories(&detail, folder)?;
@@ -124,7 +112,7 @@ fn write_results(
         scenario: scenario.name.clone(),
         description: scenario.description.clone(),
         seed: scenario.seed,
-        seconds: (options.clock)().saturating_sub(began).as_secs_f64(),
+        seconds: options.control.seconds_since(began),
         error_frame: match scenario.errors.frame {
             ErrorFrame::Map => "map: along is x, across is y".to_owned(),
             ErrorFrame::Robot => "robot: along is forward, across is left".to_owned(),
@@ -148,30 +136,30 @@ fn run_trials(
     laboratory: &Laboratory<'_>,
     store: &Store,
     options: &RunOptions<'_>,
-) -> Result<Vec<Trial>, RunError> {
+) -> Result<Vec<Trial>, LabError> {
     let count = laboratory.scenario.trials;
-    options.progress.stage("trials", u64::from(count));
+    options.control.progress.stage("trials", u64::from(count));
     let trials: Vec<Option<Trial>> = (0..count)
         .into_par_iter()
         .map(|number| {
-            if options.interrupted.load(Ordering::Relaxed) {
+            if options.control.is_interrupted() {
                 return Ok(None);
             }
-            let trial = if let Some(trial) = kept_trial(laboratory, store, number, options.progress) {
+            let trial = if let Some(trial) = kept_trial(laboratory, store, number, options.control.progress) {
                 trial
             } else {
-                let trial = run_trial(laboratory, number, options.clock)?;
+                let trial = run_trial(laboratory, number, options.control.clock)?;
                 store.parts().save(number, &trial)?;
                 trial
             };
-            options.progress.advance(1);
+            options.control.progress.advance(1);
             Ok(Some(trial))
         })
-        .collect::<Result<_, RunError>>()?;
+        .collect::<Result<_, LabError>>()?;
     // A trial that wasn't looked at may be kept all the same.
     let finished = store.parts().kept()?;
     if trials.iter().any(Option::is_none) {
-        return Err(RunError::Interrupted { finished, trials: trials.len() });
+        return Err(LabError::Interrupted { finished, trials: trials.len() });
     }
     Ok(trials.into_iter().flatten().collect())
 }
@@ -199,11 +187,7 @@ fn kept_trial(
     None
 }
 
-fn run_trial(
-    laboratory: &Laboratory<'_>,
-    number: u32,
-    clock: &(dyn Fn() -> Duration + Sync),
-) -> Result<Trial, RunError> {
+fn run_trial(laboratory: &Laboratory<'_>, number: u32, clock: Clock<'_>) -> Result<Trial, LabError> {
     let TrialDrive { drive, .. } = laboratory.drive(number)?;
     let seed = laboratory.trial_seed(number);
     let models = laboratory
@@ -218,8 +202,8 @@ fn run_trial(
 fn detailed_trial(
     laboratory: &Laboratory<'_>,
     number: u32,
-    clock: &(dyn Fn() -> Duration + Sync),
-) -> Result<DetailedTrial, RunError> {
+    clock: Clock<'_>,
+) -> Result<DetailedTrial, LabError> {
     let TrialDrive { drive, blocks } = laboratory.drive(number)?;
     let seed = laboratory.trial_seed(number);
     let recorded = &laboratory.scenario.record.models;
@@ -237,19 +221,19 @@ fn detailed_trial(
 }
 
 /// `models/LABEL.model`: what a scenario's `file` key takes.
-fn save_models(laboratory: &Laboratory<'_>, folder: &Folder) -> Result<(), RunError> {
+fn save_models(laboratory: &Laboratory<'_>, folder: &Folder) -> Result<(), LabError> {
     for model in &laboratory.models {
         if let Some(fitted) = &model.fitted {
             fitted
                 .save(&folder.claim(&format!("models/{}.model", model.label))?)
-                .map_err(|source| RunError::Sensor { label: model.label.clone(), source })?;
+                .map_err(|source| LabError::Sensor { label: model.label.clone(), source })?;
         }
     }
     Ok(())
 }
 
 /// `trajectories/*.tum` of the recorded trial, as `evo` reads them.
-fn save_trajectories(detail: &DetailedTrial, folder: &Folder) -> Result<(), RunError> {
+fn save_trajectories(detail: &DetailedTrial, folder: &Folder) -> Result<(), LabError> {
     let path = |name: &str| folder.claim(&format!("trajectories/{name}.tum"));
     let stamped = |poses: &[Pose2]| -> Vec<StampedPose> {
         // A path that begins at a random particle lacks its first steps.

@@ -15,7 +15,8 @@ use locsim_sensor::{
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{Progress, RunError};
+use crate::LabError;
+use locsim_core::Progress;
 use locsim_report::results::TrainingRow;
 use locsim_scenario::{Model, ModelName};
 
@@ -71,13 +72,13 @@ pub struct TrainedModel {
     pub bare: Arc<dyn SensorModel>,
     /// With floor and exponent, and as a table if it can be one: as the filter uses it.
     pub tempered: Arc<dyn SensorModel>,
-    /// What can be saved; `None` for the oracle, which isn't fitted.
+    /// The fitted model, which can be saved; `None` for the oracle, which isn't fitted.
     pub fitted: Option<FittedModel>,
     /// Held-out quality and what was chosen.
     pub row: TrainingRow,
 }
 
-/// What the world gives to models that need more than the training data.
+/// Parts of the world for models that need more than the training data.
 pub struct Surroundings {
     /// Exact ray casts.
     pub map: Arc<dyn RangeMap>,
@@ -93,8 +94,8 @@ pub struct Surroundings {
 /// all), for which exponents are chosen.
 ///
 /// # Errors
-/// [`RunError::TrainingData`] for data that are refused, [`RunError::Sensor`] for data that a model can't be fitted
-/// to, [`RunError::ModelFile`] for files that can't be used.
+/// [`LabError::TrainingData`] for data that are refused, [`LabError::Sensor`] for data that a model can't be fitted
+/// to, [`LabError::ModelFile`] for files that can't be used.
 pub fn train(
     models: &[Model],
     data: &ScanData,
@@ -103,8 +104,8 @@ pub fn train(
     filter_beams: Option<usize>,
     seed: u64,
     progress: &dyn Progress,
-) -> Result<Vec<TrainedModel>, RunError> {
-    let failed = |source| RunError::TrainingData { source };
+) -> Result<Vec<TrainedModel>, LabError> {
+    let failed = |source| LabError::TrainingData { source };
     let set = training_set(data, &*surroundings.map).map_err(failed)?;
     let (train, held_out) = set.split_runs(held_out_share, seed, data.run).map_err(failed)?;
     let beams = filter_beams.unwrap_or(data.laser.beam_count());
@@ -127,8 +128,8 @@ fn train_one(
     calibration: &[CalibrationScan],
     surroundings: &Surroundings,
     laser: &Laser,
-) -> Result<TrainedModel, RunError> {
-    let failed = |source| RunError::Sensor { label: model.label.clone(), source };
+) -> Result<TrainedModel, LabError> {
+    let failed = |source| LabError::Sensor { label: model.label.clone(), source };
     let distance_map = Some(Arc::clone(&surroundings.distance));
     let fitted = match (&model.file, model.name) {
         (_, ModelName::Oracle) => None,
@@ -179,8 +180,8 @@ fn train_one(
 }
 
 /// A model from a file, if it is of the right kind and for the same sensor.
-fn load(file: &Path, kind: ModelKind, max_range: f32) -> Result<FittedModel, RunError> {
-    let refuse = |what| RunError::ModelFile { path: file.to_owned(), what };
+fn load(file: &Path, kind: ModelKind, max_range: f32) -> Result<FittedModel, LabError> {
+    let refuse = |what| LabError::ModelFile { path: file.to_owned(), what };
     let fitted = FittedModel::load(file).map_err(|source| refuse(source.to_string()))?;
     if fitted.kind() != kind {
         return Err(refuse(format!("holds a {} model, the scenario asks for {kind}", fitted.kind())));

@@ -3,17 +3,17 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use locsim_core::{Drive, Pose2, wrap_angle};
+use locsim_core::{Clock, Drive, Pose2, wrap_angle};
 use locsim_mcl::{
     AnnealingOptions, Filter, FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, PoseBins,
     Regularization, ResampleTrigger, Resampler, Residual, Start, StepInput, StepOutcome, Stratified,
     Systematic, VelocityMotion,
 };
 
-use super::RunError;
 use super::detail::Detail;
 use super::laboratory::Laboratory;
 use super::training::TrainedModel;
+use crate::LabError;
 use locsim_report::results::{ModelTrial, StepRow};
 use locsim_scenario::{self as scenario, ErrorFrame, Errors, Estimate, Motion, ParticleCount, ResampleWhen};
 
@@ -23,15 +23,15 @@ const CLUSTER_BINS: (f64, f64) = (0.5, 10.0 * std::f64::consts::PI / 180.0);
 /// Runs one model's filter over a drive. With `detail`, every step is kept in full.
 ///
 /// # Errors
-/// [`RunError::Log`] for a drive without reference poses, [`RunError::Filter`] for a filter that gives up.
+/// [`LabError::Log`] for a drive without reference poses, [`LabError::Filter`] for a filter that gives up.
 pub(super) fn localize(
     laboratory: &Laboratory<'_>,
     model: &TrainedModel,
     drive: &Drive,
     seed: u64,
-    clock: &(dyn Fn() -> Duration + Sync),
+    clock: Clock<'_>,
     mut detail: Option<&mut Detail<'_>>,
-) -> Result<ModelTrial, RunError> {
+) -> Result<ModelTrial, LabError> {
     let settings = &laboratory.scenario.filter;
     let truth = truth_of(laboratory, drive)?;
     let dead_reckoning = dead_reckoning(drive, truth[0]);
@@ -99,14 +99,14 @@ pub(super) fn localize(
 }
 
 /// The reference pose of each step.
-fn truth_of(laboratory: &Laboratory<'_>, drive: &Drive) -> Result<Vec<Pose2>, RunError> {
+fn truth_of(laboratory: &Laboratory<'_>, drive: &Drive) -> Result<Vec<Pose2>, LabError> {
     drive
         .steps
         .iter()
         .map(|step| step.reference)
         .collect::<Option<Vec<Pose2>>>()
         .filter(|truth| !truth.is_empty())
-        .ok_or_else(|| RunError::Log {
+        .ok_or_else(|| LabError::Log {
             path: laboratory.scenario.file.clone(),
             what: "errors need a reference pose at every scan that is localized on".to_owned(),
         })
@@ -151,7 +151,7 @@ fn start(settings: &scenario::Filter, truth: Pose2) -> Start {
 }
 
 /// The filter that a scenario describes.
-pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions, RunError> {
+pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions, LabError> {
     let motion: Arc<dyn MotionModel> = match settings.motion {
         Motion::Odometry(alpha) => Arc::new(OdometryMotion::new(alpha)?),
         Motion::Velocity(alpha) => Arc::new(VelocityMotion::new(alpha)?),

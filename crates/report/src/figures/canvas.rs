@@ -1,4 +1,4 @@
-//! What all figures share: size, type, colours, axes and legends.
+//! Common parts of all figures: size, type, colours, axes and legends.
 
 use std::io;
 use std::ops::Range;
@@ -31,7 +31,7 @@ const EDGE: f64 = 12.0;
 
 /// Text and axes.
 pub const INK: RGBColor = RGBColor(0x26, 0x26, 0x26);
-/// What is there but isn't the point: grids, reference lines.
+/// Background elements: grids, reference lines.
 pub const GRID: RGBColor = RGBColor(0xe4, 0xe4, 0xe4);
 /// Things unknown to the filter: blocks.
 pub const UNKNOWN: RGBColor = RGBColor(0xb4, 0xb4, 0xb4);

@@ -18,7 +18,7 @@ const IN_SIGHT: f32 = 0.85;
 /// A reading this much shorter than its nominal range has met something that isn't in the map (m).
 const SHORTENED_M: f32 = 0.1;
 
-/// What the models predicted for one shortened beam: of the steps at which all of them probed the same beam of the
+/// Predictions of the models for one shortened beam: of the steps at which all of them probed the same beam of the
 /// same particle and its reading was short, the one with the median shortfall. Empty without such a step.
 pub fn shortened_beam(detail: &DetailedTrial) -> Vec<(&str, &BeamProbe)> {
     let Some(first) = detail.models.first() else { return Vec::new() };

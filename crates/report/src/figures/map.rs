@@ -13,7 +13,7 @@ use crate::statistics::quantile;
 
 /// Room for the labels of the y axis (px).
 pub const LEFT: f64 = 74.0;
-/// What [`chart`] leaves at the right, at the top and below a labelled x axis (px).
+/// Margins of [`chart`] at the right, at the top and below a labelled x axis (px).
 pub const MARGINS: (f64, f64, f64) = (18.0, 8.0, 46.0);
 /// Colour of dead reckoning.
 const DEAD_RECKONING: RGBColor = RGBColor(0x99, 0x99, 0x99);

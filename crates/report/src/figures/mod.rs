@@ -26,7 +26,7 @@ const SNAPSHOT_PREFERENCE: [&str; 2] = ["np_reg_registered", "np_reg"];
 pub struct Figure {
     /// File name without extension.
     pub name: &'static str,
-    /// What it shows and how to read it, in one or two sentences.
+    /// Content of the figure and how to read it, in one or two sentences.
     pub caption: String,
     /// The picture.
     pub svg: String,

@@ -40,7 +40,7 @@ pub enum StoreError {
     Foreign {
         /// The results folder.
         out: PathBuf,
-        /// What is in the way.
+        /// The path in the way.
         found: PathBuf,
     },
     /// Another process works on the same results.
@@ -79,7 +79,7 @@ pub enum StoreError {
     File {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }

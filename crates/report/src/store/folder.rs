@@ -121,7 +121,7 @@ impl Folder {
     /// Notes the hashes of files that something else has written.
     pub(super) fn complete(&self) -> Result<(), StoreError> {
         let mut manifest = self.manifest();
-        // What was claimed and never written isn't there.
+        // Files that were claimed and never written don't exist.
         manifest.files.retain(|name, hash| !hash.is_empty() || self.root.join(name).is_file());
         for (name, listed) in &mut manifest.files {
             if listed.is_empty() {

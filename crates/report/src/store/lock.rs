@@ -22,7 +22,7 @@ impl Lock {
     /// # Errors
     /// [`StoreError::Held`].
     pub fn check(path: &Path, out: &Path) -> Result<(), StoreError> {
-        // What can't be opened is told by whoever needs it.
+        // The caller that needs the file reports that it can't be opened.
         let Ok(file) = File::open(path) else { return Ok(()) };
         match file.try_lock_shared() {
             Err(TryLockError::WouldBlock) => Err(held(&file, out)),

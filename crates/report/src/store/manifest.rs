@@ -1,4 +1,4 @@
-//! What a folder of locsim is, and which files in it are locsim's.
+//! The kind of a results folder, and the files in it that belong to locsim.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -27,12 +27,12 @@ const LONGEST: u64 = 64 << 20;
 /// Folders in a results folder are nested no deeper.
 const DEEPEST: usize = 4;
 
-/// What a folder is and what is in it.
+/// Kind and files of a results folder.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Manifest {
     program: String,
     format: u32,
-    /// What left the results: `run`, `study`, `gap`, `gap-bench`, `sweeps`.
+    /// The command that wrote the results: `run`, `study`, `gap`, `gap-bench` (of `locsim-bench gap`), `sweeps`.
     pub kind: String,
     /// Version of the program.
     version: String,
@@ -43,7 +43,7 @@ pub(crate) struct Manifest {
     pub files: BTreeMap<String, String>,
 }
 
-/// What is at the place of a results folder.
+/// The state of a results folder's path.
 #[derive(Debug)]
 pub(super) enum State {
     /// Nothing.
@@ -92,7 +92,7 @@ impl Manifest {
         write_file(path, write).map_err(at(path))
     }
 
-    /// What is at the place of a results folder. Links aren't followed: what they lead to isn't ours.
+    /// The state of a results folder's path. Links aren't followed: their targets don't belong to locsim.
     pub(super) fn state(folder: &Path) -> Result<State, StoreError> {
         let entries = match fs::symlink_metadata(folder) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(State::Absent),

@@ -39,7 +39,7 @@ const RESULTS: &str = "results";
 pub struct Request<'a> {
     /// The results folder.
     pub out: &'a Path,
-    /// What leaves the results: `run`, `study`, `gap`, `sweeps`.
+    /// The command that writes the results: `run`, `study`, `gap`, `sweeps`.
     pub kind: &'a str,
     /// Hash of all that the results depend on. Parts of equal hashes may be taken over.
     pub fingerprint: &'a str,
@@ -47,6 +47,26 @@ pub struct Request<'a> {
     pub resume: bool,
     /// Whether earlier results, and parts of other work, may be replaced.
     pub force: bool,
+}
+
+impl Request<'_> {
+    /// Opens a store, lets `work` fill it, and puts the results in their place. After an error the finished parts are kept.
+    ///
+    /// # Errors
+    /// Those of `work`, and as [`Store::open`] and [`Store::finish`].
+    pub fn fill<T, E: From<StoreError>>(&self, work: impl FnOnce(&Store) -> Result<T, E>) -> Result<T, E> {
+        let store = Store::open(self)?;
+        match work(&store) {
+            Ok(value) => {
+                store.finish()?;
+                Ok(value)
+            }
+            Err(error) => {
+                store.discard_if_empty();
+                Err(error)
+            }
+        }
+    }
 }
 
 /// The folders of one piece of work, locked until it is dropped.
@@ -101,7 +121,7 @@ impl Places {
         StoreError::Foreign { out: self.out.clone(), found }
     }
 
-    /// What is in the place of the results, if it may be replaced by somebody who asks for it.
+    /// The state of an existing results folder, if `--force` may replace it.
     fn earlier(&self) -> Result<State, StoreError> {
         let state = Manifest::state(&self.out)?;
         match state {
@@ -184,7 +204,7 @@ impl Store {
         }
     }
 
-    /// What [`Store::open`] does under the lock.
+    /// The part of [`Store::open`] under the lock.
     fn begin(places: &Places, request: &Request<'_>) -> Result<(Parts, Folder), StoreError> {
         places.recover()?;
         // Again: between the first look and the lock another process may have been at work.
@@ -194,7 +214,7 @@ impl Store {
         let header = Manifest::new(request.kind, request.fingerprint);
         header.write(&places.manifest())?;
         let parts = Parts::open(places.parts(), request.fingerprint)?;
-        // What an interrupted report left is written again.
+        // The files of an interrupted report are written again.
         manifest::remove(&places.results())?;
         Ok((parts, Folder::create(&places.results(), header)?))
     }
@@ -259,7 +279,7 @@ fn allowed(places: &Places, request: &Request<'_>) -> Result<bool, StoreError> {
     let fits = work.as_ref().is_some_and(|(work, _)| work.kind == kind && work.fingerprint == fingerprint);
     // Results that were in the way of interrupted work were allowed to be replaced when it began.
     let may_replace = force || (resume && fits);
-    // What an interruption left beside its place belongs there.
+    // A folder that an interruption left beside its place is moved there.
     let earlier = match Manifest::state(&places.out)? {
         State::Absent => Manifest::state(&places.old)?,
         state => state,

@@ -8,7 +8,7 @@ use crate::check::Allowed::Within;
 use crate::check::{COORDINATE, Checker, number};
 use crate::effect::{in_file, is_angle};
 use crate::error::unknown_word;
-use crate::locate::join;
+use crate::key_path::join;
 use crate::raw::{PLACE, RawEffect, RawScenario};
 
 /// Effects of a scenario.
@@ -47,7 +47,7 @@ fn effect(check: &mut Checker<'_>, at: &str, raw: &RawEffect) -> Effect {
         let value = raw.numbers.get(parameter.key).copied().or(parameter.default);
         check.refuse(value.is_none(), &key, || "the key is missing".to_owned());
         let [lo, hi] = [parameter.lo, parameter.hi].map(|limit| in_file(parameter, limit));
-        // What is missing has been told.
+        // A missing value has been reported before.
         let value = value.map_or(lo, |value| check.number(&key, value, Within(lo, hi)));
         let value = if is_angle(parameter) { value.to_radians() } else { value };
         values.push(value.clamp(parameter.lo, parameter.hi));

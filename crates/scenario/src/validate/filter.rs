@@ -2,7 +2,7 @@ use super::{MAX_PARTICLES, beams};
 use crate::check::Allowed::{AboveUpTo, Between, Within};
 use crate::check::{Checker, LENGTH, NOISE, POSITIVE_LENGTH, number};
 use crate::form::Form;
-use crate::locate::join;
+use crate::key_path::join;
 use crate::raw::{
     Count, MotionModelName, No, NotAnnealed, RawAdaptive, RawAnnealing, RawFilter, RawInjection, RawKld,
     RawLaser, RawMotion, RawResample, RawSpread, RawStart,

@@ -14,7 +14,7 @@ use super::check::Allowed::{AboveUpTo, Any, Between, FromBelow};
 use super::check::{Checker, POSITIVE_LENGTH, number};
 use super::error::{shown, unknown_word};
 use super::form::Form;
-use super::locate::join;
+use super::key_path::join;
 use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
 use super::{
     Errors, Expectation, LoadedMap, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError,
@@ -80,7 +80,7 @@ pub(crate) fn validate(
     }
 }
 
-/// What needs the map: finds the walls that effects name (`walls[i]` for effect `i`), and checks that a simulated
+/// Checks that need the map: finds the walls that effects name (`walls[i]` for effect `i`), and checks that a simulated
 /// robot's way points, or its start, lie in the map's free space.
 pub(crate) fn in_map(
     scenario: &mut Scenario,

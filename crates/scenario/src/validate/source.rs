@@ -9,7 +9,7 @@ use locsim_world::simulation::{
 use super::{MAX_BEAMS, effect};
 use crate::check::Allowed::{Within, ZeroOrWithin};
 use crate::check::{ANGLE, COORDINATE, Checker, LENGTH, MAX_RANGE, NOISE, POSITIVE_LENGTH, STEP, number};
-use crate::locate::join;
+use crate::key_path::join;
 use crate::raw::{
     MapFromScans, RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot,
     RawScenario, RawSegment, RayCastMethod, default,

@@ -11,7 +11,7 @@ use saphyr_parser::{Event, Parser, ScalarStyle, Tag};
 
 use crate::Problem;
 use crate::error::{LISTED, and_more};
-use crate::locate::join;
+use crate::key_path::join;
 
 /// A value and where it begins.
 #[derive(Debug, PartialEq)]
@@ -21,7 +21,7 @@ pub struct Node {
     pub value: Value,
 }
 
-/// What stands in a text. Words in quotes are always text.
+/// A value in a text. Words in quotes are always text.
 #[derive(Debug, PartialEq)]
 pub enum Value {
     Null,
@@ -33,7 +33,7 @@ pub enum Value {
     Text(Box<str>),
     List(Vec<Node>),
     Map(Vec<Entry>),
-    /// What has an anchor, there and at each of its aliases.
+    /// A node with an anchor, shared by all of its aliases.
     Shared(Rc<Node>),
 }
 
@@ -56,7 +56,7 @@ impl Node {
     }
 }
 
-/// What a part of a text comes to when its aliases are expanded.
+/// Size of a part of a text with its aliases expanded.
 #[derive(Clone, Copy, Debug, Default)]
 struct Size {
     /// Keys and values.
@@ -71,7 +71,7 @@ struct Size {
 struct Open {
     anchor: usize,
     line: usize,
-    /// What had been read before.
+    /// The size read before.
     before: Size,
     /// Height of what is within so far.
     height: usize,
@@ -97,7 +97,7 @@ struct Reader<'a> {
 /// The tree of a text; `None` for a text without a value.
 ///
 /// # Errors
-/// What is wrong, with its line: syntax, keys that stand twice, more than the limits allow.
+/// Problems with their lines: syntax, repeated keys, content above the limits.
 pub fn read(text: &str, limits: &Limits) -> Result<Option<Node>, Vec<Problem>> {
     let bytes = text.len() as u64;
     if bytes > limits.yaml_bytes {
@@ -362,7 +362,7 @@ fn plain_scalar(word: &str) -> Value {
         let infinite = if negative { f64::NEG_INFINITY } else { f64::INFINITY };
         return Value::Float(infinite, word.into());
     }
-    // What begins otherwise would still be read by the parsers of numbers: `inf`, `--1`.
+    // The parsers of numbers would also read other words: `inf`, `--1`.
     if !digits.starts_with(|c: char| c.is_ascii_digit() || c == '.') {
         return text();
     }

@@ -3,8 +3,7 @@
 use distreg::{Alignment, Dataset, Selection, condense, select};
 
 use super::Purpose;
-use super::data::Test;
-use super::repeat::score;
+use super::data::{Test, score};
 use crate::model::folds;
 use crate::{Model, Study, StudyError};
 

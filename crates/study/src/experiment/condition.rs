@@ -2,12 +2,11 @@
 
 use rayon::prelude::*;
 
-use super::Samples;
 use super::budget::thinned_model;
 use super::loss_against_observations::needed;
 use super::repeat::{Repeat, ends, run_repeat};
 use super::roughness::roughness;
-use crate::results::{ConditionResults, Curve, ModelRisk, Thinning};
+use crate::results::{ConditionResults, Curve, ModelRisk, Samples, Thinning};
 use crate::sensor::Source;
 use crate::{Study, StudyError, StudyOptions};
 use locsim_report::statistics::{Bootstrap, quantile};
@@ -27,11 +26,12 @@ fn kept_repeat(
     let part = number as u32 * PARTS_OF_A_CONDITION + repeat;
     match parts.load::<Repeat>(part) {
         Part::Whole(kept) => {
-            options.progress.advance(study.states.len() as u64);
+            options.control.progress.advance(study.states.len() as u64);
             return Ok(kept);
         }
         Part::Missing => {}
         Part::Damaged => options
+            .control
             .progress
             .warn(&format!("repeat {repeat} was kept, but its file is damaged; it is done again")),
     }
@@ -49,7 +49,7 @@ pub(super) fn run_condition(
 ) -> Result<(ConditionResults, Samples), StudyError> {
     let condition = &study.setup.conditions[number];
     let steps = u64::from(study.repeats) * study.states.len() as u64;
-    options.progress.stage(&format!("{}: {}", study.name, condition.label), steps);
+    options.control.progress.stage(&format!("{}: {}", study.name, condition.label), steps);
     let repeats: Vec<Repeat> = (0..study.repeats)
         .into_par_iter()
         .map(|repeat| kept_repeat(study, number, repeat, parts, options))

@@ -1,6 +1,6 @@
 //! Training and test states of a repeat.
 
-use distreg::{Dataset, Distribution};
+use distreg::{Dataset, Distribution, histogram_match};
 use locsim_core::Draw;
 
 use super::Purpose;
@@ -80,4 +80,15 @@ pub(super) fn shuffled(n: usize, draw: Draw, item: u32) -> Vec<usize> {
     let mut order: Vec<usize> = (0..n).collect();
     order.shuffle(&mut draw.item(item));
     order
+}
+
+/// Mean histogram match (bins) and mean CRPS (units of z) of predictions at the test states.
+pub(super) fn score(predicted: &[Distribution], tests: &[Test]) -> Result<(f64, f64), StudyError> {
+    let (mut risk, mut crps) = (0.0, 0.0);
+    for (predicted, test) in predicted.iter().zip(tests) {
+        risk += histogram_match(predicted, &test.truth)?;
+        crps += distreg::crps(predicted, &test.observed);
+    }
+    let n = tests.len() as f64;
+    Ok((risk / n, crps / n))
 }

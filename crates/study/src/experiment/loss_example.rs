@@ -1,4 +1,4 @@
-//! What two losses make of two predictions (Fig. 5).
+//! Two losses of two predictions (Fig. 5).
 
 use distreg::{Distribution, Grid, euclidean, histogram_match};
 

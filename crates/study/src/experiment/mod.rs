@@ -10,16 +10,15 @@ mod roughness;
 
 use distreg::{Distribution, histogram};
 use locsim_core::{Draw, Stage};
-use serde::{Deserialize, Serialize};
 
-use super::results::Results;
+use super::results::{Results, Samples};
 use super::{Kind, Study, StudyError, StudyOptions, claims, families};
 use condition::run_condition;
 use locsim_report::store::Parts;
 use loss_example::loss_example;
 use roughness::neighbours;
 
-/// What figures draw beside the results.
+/// Content of figures beside the results.
 pub(super) struct Extra {
     /// Per condition.
     pub conditions: Vec<Samples>,
@@ -31,27 +30,7 @@ pub(super) struct Extra {
     pub neighbours: Vec<(f64, Distribution)>,
 }
 
-/// Distributions at some test states.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Samples {
-    /// States with the truth and each model's prediction from the largest training set.
-    pub states: Vec<Sample>,
-    /// Training states of that set.
-    pub training_states: usize,
-}
-
-/// One test state.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Sample {
-    /// The state.
-    pub state: Vec<f64>,
-    /// What was observed there, many times.
-    pub truth: Distribution,
-    /// What each model predicts.
-    pub predicted: Vec<Distribution>,
-}
-
-/// What the draws of an experiment are for.
+/// Purposes of an experiment's draws.
 #[derive(Clone, Copy)]
 enum Purpose {
     Training = 1,
@@ -76,7 +55,7 @@ pub(super) fn run(
         conditions.push(results);
         samples.push(drawn);
     }
-    options.progress.stage("figures and report", 1);
+    options.control.progress.stage("figures and report", 1);
     let (losses, loss_example) = loss_example(study)?;
     let families = (study.kind == Kind::StaticLidar).then(|| families::compare(study)).transpose()?;
     let rays = families::shown(study)?;

@@ -1,22 +1,21 @@
 //! One repeat: every model at every size, on states of its own.
 
-use std::sync::atomic::Ordering;
-
 use distreg::{Distribution, histogram_match, product};
 use serde::{Deserialize, Serialize};
 
+use super::Purpose;
 use super::budget::thinned;
-use super::data::{Test, data};
+use super::data::{Test, data, score};
 use super::loss_against_observations::losses;
-use super::{Purpose, Sample, Samples};
 use crate::model::folds;
+use crate::results::{Sample, Samples};
 use crate::sensor::{Sensor, Source};
 use crate::{Study, StudyError, StudyOptions, families};
 
 /// Predictions that are drawn.
 const SAMPLES: usize = 3;
 
-/// What one repeat finds; risks by model and size.
+/// Results of one repeat; risks by model and size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Repeat {
     pub risks: Vec<Vec<f64>>,
@@ -54,7 +53,7 @@ pub(super) fn run_repeat(
     let mut pooled = Vec::new();
     let mut samples = Vec::new();
     for (place, &n) in study.states.iter().enumerate() {
-        if options.interrupted.load(Ordering::Relaxed) {
+        if options.control.is_interrupted() {
             return Err(StudyError::Interrupted);
         }
         let train = data.subset(&(0..n).collect::<Vec<_>>());
@@ -75,7 +74,7 @@ pub(super) fn run_repeat(
         let all = study.histogram(&all)?;
         let loss = tests.iter().map(|test| histogram_match(&all, &test.truth)).sum::<Result<f64, _>>()?;
         pooled.push(loss / tests.len() as f64);
-        options.progress.advance(1);
+        options.control.progress.advance(1);
     }
     let thinned = thinned(study, repeat, &data, &tests, &queries, &candidates, &bandwidths)?;
     let (losses, coefficient_of_truth, truth_observations) = losses(study, number, repeat, &tests)?;
@@ -108,17 +107,6 @@ pub(super) fn run_repeat(
         samples: (repeat == 0)
             .then(|| pick_samples(&tests, &samples, study.states.last().copied().unwrap_or(0))),
     })
-}
-
-/// Mean histogram match (bins) and mean CRPS (units of z) of predictions at the test states.
-pub(super) fn score(predicted: &[Distribution], tests: &[Test]) -> Result<(f64, f64), StudyError> {
-    let (mut risk, mut crps) = (0.0, 0.0);
-    for (predicted, test) in predicted.iter().zip(tests) {
-        risk += histogram_match(predicted, &test.truth)?;
-        crps += distreg::crps(predicted, &test.observed);
-    }
-    let n = tests.len() as f64;
-    Ok((risk / n, crps / n))
 }
 
 /// Mean loss of a histogram of M observations at the test states themselves.

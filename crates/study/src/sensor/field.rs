@@ -14,12 +14,12 @@ use super::{Sensor, Values};
 pub(crate) struct FieldSensor {
     /// Where the probe can be \[m\], lowest and highest.
     pub positions: [f64; 2],
-    /// What it reports.
+    /// Its possible values.
     pub values: Values,
     /// Standard deviation next to the transmitter \[m\].
     pub sigma: f64,
-    /// What the noise of the field makes of that at the largest value \[m\]. Where the field falls with d^3, noise of
-    /// the field becomes noise of the place that grows with d^4.
+    /// Noise of the position at the largest value, from the noise of the field \[m\]. Where the field falls with d^3, noise
+    /// of the field becomes noise of the position that grows with d^4.
     pub field_sigma: f64,
     /// The metal; `None` for still surroundings.
     pub forceps: Option<Forceps>,
@@ -57,7 +57,7 @@ impl Forceps {
         (!withdrawn).then(|| self.centre + DVec2::new(self.sweep * phase.sin(), 0.0) + offset)
     }
 
-    /// What it adds to the field at `probe`: a sphere of radius a and high permeability in the field B has the dipole
+    /// Its contribution to the field at `probe`: a sphere of radius a and high permeability in the field B has the dipole
     /// a^3 B (Jackson, Classical Electrodynamics, section 5.11). It doesn't come nearer to the probe or the transmitter than
     /// its own surface.
     fn field(&self, place: DVec2, probe: DVec2) -> DVec2 {

@@ -21,7 +21,7 @@ pub(crate) struct Grass {
     values: Values,
 }
 
-/// What differs from one observation to the next, in metres.
+/// The random part of an observation \[m\].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Noise {
     /// Standard deviation of the wind's push.

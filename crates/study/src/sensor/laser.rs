@@ -28,7 +28,7 @@ pub(crate) struct PlanarLaser {
     pub path: Vec<DVec2>,
     /// Beams of a scan.
     pub beams: u32,
-    /// What it reports.
+    /// Its possible values.
     pub values: Values,
     /// Constant part of the deviation \[m\].
     pub sigma: f64,

@@ -50,7 +50,7 @@ pub(super) enum Source {
 
 /// A condition under which the sensor is studied, such as still surroundings.
 pub(super) struct Condition {
-    /// What figures call it.
+    /// Its name in figures.
     pub label: String,
     /// Its observations.
     pub source: Source,
@@ -64,7 +64,7 @@ pub(super) struct Setup {
     pub outcomes: Outcomes,
     /// Unit of z, and how many of the units that figures show it has.
     pub unit: Unit,
-    /// What the observation follows; `None` where it follows no coordinate.
+    /// The coordinate that the observation follows; `None` where it follows none.
     pub alignment: Option<Alignment>,
     /// At least one.
     pub conditions: Vec<Condition>,
@@ -72,7 +72,7 @@ pub(super) struct Setup {
     pub rays: Vec<RaySummary>,
     /// The files that were read for it.
     pub files: Vec<PathBuf>,
-    /// What a reader should know of recorded data.
+    /// A remark on recorded data for readers.
     pub note: Option<String>,
 }
 

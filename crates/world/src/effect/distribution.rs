@@ -1,14 +1,21 @@
-use std::f64::consts::{FRAC_1_SQRT_2, TAU};
+use std::f64::consts::TAU;
 
 use arrayvec::ArrayVec;
+use locsim_core::normal;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
-use statrs::function::erf::erfc;
 
 use super::EffectError;
 
 /// How much wider than the base the tail of a reading is.
 pub const TAIL_FACTOR: f64 = 5.0;
+
+/// Steps of at most this share of a standard deviation are fine: the density hardly bends within one; see
+/// [`ReadingDistribution::density_parts`].
+const FINE_STEP: f64 = 0.5;
+
+/// A normal number is hardly this many standard deviations below its mean: once in 10^19 draws.
+const SURELY: f64 = 9.0;
 
 /// The most alternatives of a distribution.
 const MAX_ALTERNATIVES: usize = 12;
@@ -96,6 +103,35 @@ enum Component {
     Between { lo: f64, hi: f64 },
 }
 
+/// The density or the probability of a reading, by what was read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Parts {
+    /// Of the return.
+    pub returned: f64,
+    /// Of the alternatives.
+    pub alternatives: f64,
+    /// Probability that none of the alternatives is read.
+    pub rest: f64,
+}
+
+impl Parts {
+    /// Of whatever was read.
+    pub fn total(&self) -> f64 {
+        self.alternatives + self.returned
+    }
+}
+
+/// The values before rounding that give one reading.
+#[derive(Clone, Copy)]
+enum Cell {
+    /// At least this much, which is read as the maximum range.
+    From(f64),
+    /// Those around a multiple of a step.
+    Step { middle: f64, step: f64 },
+    /// The reading itself.
+    Point(f64),
+}
+
 impl ReadingDistribution {
     /// A draw. `noise` gives the standard normal number of the return, as its first and only draw; `chance` decides
     /// everything else.
@@ -180,6 +216,75 @@ impl ReadingDistribution {
         (self.ln_interval(lo, to) - self.ln_interval(lo, f64::INFINITY)).exp().clamp(0.0, 1.0)
     }
 
+    /// The density of a reading `z` \[m\] from the minimum range on by its parts, before it is known to be usable: the fast form of
+    /// [`ReadingDistribution::density`], which is this total over [`ReadingDistribution::usable`].
+    ///
+    /// A quantized reading has to be a multiple of the step. Steps of at most [`FINE_STEP`] standard deviations have the normal
+    /// density at their middle instead of their probability over the step: at t standard deviations that is too little by a
+    /// relative (t^2 - 1) / 24 times the square of the step in standard deviations.
+    #[inline]
+    pub(crate) fn density_parts(&self, z: f64) -> Parts {
+        let cell = if z >= self.max_m {
+            Cell::From(self.least_value(self.max_m))
+        } else if self.step_m > 0.0 {
+            Cell::Step { middle: z, step: self.step_m }
+        } else {
+            Cell::Point(z)
+        };
+        self.parts(|component| component.density(cell))
+    }
+
+    /// P(value before rounding < `x`) by its parts: the same for every step, and also of values that aren't usable.
+    #[inline]
+    pub(crate) fn below(&self, x: f64) -> Parts {
+        self.parts(|component| component.below(x))
+    }
+
+    /// Probability that a reading is below the minimum range, by its parts.
+    #[inline]
+    pub(crate) fn unusable(&self) -> Parts {
+        self.below(self.least_value(self.min_m))
+    }
+
+    /// Probability that a reading is usable.
+    #[inline]
+    pub(crate) fn usable(&self) -> f64 {
+        let from = Cell::From(self.least_value(self.min_m));
+        self.parts(|component| component.density(from)).total()
+    }
+
+    /// The factor that turns a density of `z` \[m\] per metre into one that can be compared with that of a distribution with
+    /// steps of `grid_m`: a coarser step gathers the probability of several. Readings at the maximum range are no multiples.
+    #[inline]
+    pub(crate) fn on_grid(&self, z: f64, grid_m: f64) -> f64 {
+        // Rounded up: the same step from text is the same step.
+        if self.step_m <= 1.000_001 * grid_m || z >= self.max_m {
+            return 1.0;
+        }
+        let steps = z / self.step_m;
+        let is_multiple = (steps - steps.round()).abs() * self.step_m < 0.5 * grid_m;
+        if is_multiple { self.step_m / grid_m } else { 0.0 }
+    }
+
+    /// Sums over the mixture of weight times `of`.
+    #[inline]
+    fn parts(&self, of: impl Fn(Component) -> f64) -> Parts {
+        let (mut alternatives, mut rest) = (0.0, 1.0);
+        for &(probability, alternative) in self.alternatives.as_slice() {
+            let weight = rest * probability;
+            alternatives += weight * of(alternative.into());
+            rest -= weight;
+        }
+        let [tail, factor] = self.tail;
+        let of_return = |sigma| of(Component::Normal { mean: self.mean, sigma });
+        let returned = if tail > 0.0 {
+            (1.0 - tail) * of_return(self.sigma) + tail * of_return(factor * self.sigma)
+        } else {
+            of_return(self.sigma)
+        };
+        Parts { returned: rest * returned, alternatives, rest }
+    }
+
     /// Which multiple of the step a reading is; `None` for one between two of them. Readings may be a few units in
     /// the last place off, as those that have been text.
     fn multiple(&self, z: f32) -> Option<f64> {
@@ -188,17 +293,23 @@ impl ReadingDistribution {
         ((k * self.step_m - z).abs() <= 4.0 * f64::from(f32::EPSILON) * z).then_some(k)
     }
 
-    /// Before rounding: from where on a reading is usable, and from where on it is the maximum range.
-    fn limits(&self) -> [f64; 2] {
+    /// The least value before rounding whose reading is at least `limit` \[m\], an f32.
+    #[inline]
+    fn least_value(&self, limit: f64) -> f64 {
         let step = self.step_m;
         if step == 0.0 {
-            return [self.min_m, self.max_m];
+            return limit;
         }
-        [self.min_m as f32, self.max_m as f32].map(|limit| {
-            let near = (f64::from(limit) / step).floor() - 1.0;
-            let multiple = (0..4).map(|i| near + f64::from(i)).find(|k| (k * step) as f32 >= limit);
-            (multiple.unwrap_or(near + 4.0) - 0.5) * step
-        })
+        // A multiple is read as an f32, which may be the limit itself where the multiple is a little below it.
+        let next = (limit / step).ceil();
+        let reaches = |k: f64| (k * step) as f32 >= limit as f32;
+        let multiple = [next - 1.0, next].into_iter().find(|&k| reaches(k)).unwrap_or(next + 1.0);
+        (multiple - 0.5) * step
+    }
+
+    /// Before rounding: from where on a reading is usable, and from where on it is the maximum range.
+    fn limits(&self) -> [f64; 2] {
+        [self.least_value(self.min_m), self.least_value(self.max_m)]
     }
 
     /// ln P(`from` <= reading before rounding < `to`).
@@ -218,12 +329,7 @@ impl ReadingDistribution {
         };
         let mut left = 1.0;
         for &(probability, alternative) in self.alternatives.as_slice() {
-            let component = match alternative {
-                Alternative::NoReturn => Component::NoReturn,
-                Alternative::Near { mean, sigma } => Component::Normal { mean, sigma },
-                Alternative::Between { lo, hi } => Component::Between { lo, hi },
-            };
-            add(left * probability, component);
+            add(left * probability, alternative.into());
             left *= 1.0 - probability;
         }
         let [p, factor] = self.tail;
@@ -238,7 +344,90 @@ impl ReadingDistribution {
     }
 }
 
+impl Alternative {
+    /// Density of a reading `z` \[m\] that isn't quantized \[1/m\], a probability at the maximum range `max` \[m\].
+    pub fn density(self, z: f64, max: f64) -> f64 {
+        let cell = if z >= max { Cell::From(max) } else { Cell::Point(z) };
+        Component::from(self).density(cell)
+    }
+}
+
+impl From<Alternative> for Component {
+    #[inline]
+    fn from(alternative: Alternative) -> Self {
+        match alternative {
+            Alternative::NoReturn => Self::NoReturn,
+            Alternative::Near { mean, sigma } => Self::Normal { mean, sigma },
+            Alternative::Between { lo, hi } if hi <= lo => Self::Normal { mean: lo, sigma: 0.0 },
+            Alternative::Between { lo, hi } => Self::Between { lo, hi },
+        }
+    }
+}
+
 impl Component {
+    /// Probability of a cell, over its width where it has one.
+    #[inline]
+    fn density(self, cell: Cell) -> f64 {
+        let around = |z: f64, step: f64| {
+            let multiple = (z / step).round() * step;
+            [multiple - 0.5 * step, multiple + 0.5 * step]
+        };
+        match (self, cell) {
+            (Self::NoReturn, _) => f64::from(u8::from(matches!(cell, Cell::From(_)))),
+            (Self::Normal { mean, .. }, _) if mean.is_infinite() => Self::NoReturn.density(cell),
+            (Self::Normal { mean, sigma }, Cell::From(from)) if mean - SURELY * sigma > from => 1.0,
+            (Self::Normal { mean, sigma: 0.0 }, Cell::From(from)) => f64::from(u8::from(mean >= from)),
+            (Self::Normal { mean, sigma }, Cell::From(from)) => normal::tail((from - mean) / sigma),
+            (Self::Normal { mean, sigma }, Cell::Step { middle, step }) if step > FINE_STEP * sigma => {
+                let [from, to] = around(middle, step);
+                if sigma == 0.0 {
+                    f64::from(u8::from((from..to).contains(&mean))) / step
+                } else {
+                    normal_interval((from - mean) / sigma, (to - mean) / sigma) / step
+                }
+            }
+            (Self::Normal { mean, sigma: 0.0 }, Cell::Point(z)) => {
+                if z == mean {
+                    f64::INFINITY
+                } else {
+                    0.0
+                }
+            }
+            (Self::Normal { mean, sigma }, Cell::Step { middle: z, .. } | Cell::Point(z)) => {
+                normal::density((z - mean) / sigma) / sigma
+            }
+            (Self::Between { lo, hi }, Cell::From(from)) => ((hi - from) / (hi - lo)).clamp(0.0, 1.0),
+            (Self::Between { lo, hi }, Cell::Step { middle, step }) => {
+                let half = 0.5 * step;
+                if middle - half >= lo && middle + half <= hi {
+                    return 1.0 / (hi - lo);
+                }
+                let [from, to] = around(middle, step);
+                (to.min(hi) - from.max(lo)).max(0.0) / (step * (hi - lo))
+            }
+            (Self::Between { lo, hi }, Cell::Point(z)) => {
+                if (lo..hi).contains(&z) {
+                    1.0 / (hi - lo)
+                } else {
+                    0.0
+                }
+            }
+        }
+    }
+
+    /// P(value < `x`).
+    #[inline]
+    fn below(self, x: f64) -> f64 {
+        match self {
+            Self::NoReturn => 0.0,
+            Self::Normal { mean, .. } if mean.is_infinite() => 0.0,
+            Self::Normal { mean, sigma } if mean - SURELY * sigma > x => 0.0,
+            Self::Normal { mean, sigma: 0.0 } => f64::from(u8::from(mean < x)),
+            Self::Normal { mean, sigma } => normal::cdf((x - mean) / sigma),
+            Self::Between { lo, hi } => ((x - lo) / (hi - lo)).clamp(0.0, 1.0),
+        }
+    }
+
     fn ln_density(self, z: f64) -> f64 {
         match self {
             Self::NoReturn => f64::NEG_INFINITY,
@@ -267,7 +456,6 @@ impl Component {
             Self::Normal { mean, .. } if mean.is_infinite() => certain(to == f64::INFINITY),
             Self::Normal { mean, sigma: 0.0 } => certain((from..to).contains(&mean)),
             Self::Normal { mean, sigma } => ln_normal_interval((from - mean) / sigma, (to - mean) / sigma),
-            Self::Between { lo, hi } if hi <= lo => certain((from..to).contains(&lo)),
             Self::Between { lo, hi } => ((to.clamp(lo, hi) - from.clamp(lo, hi)) / (hi - lo)).ln(),
         }
     }
@@ -280,17 +468,18 @@ pub(crate) fn as_read(noisy: f64, step: f64, min: f32, max: f32) -> f32 {
     if reading < min { f32::NAN } else { reading.min(max) }
 }
 
-/// P(N(0, 1) > `t`).
-pub(super) fn normal_tail(t: f64) -> f64 {
-    0.5 * erfc(t * FRAC_1_SQRT_2)
+/// P(`a` <= N(0, 1) < `b`), exact in both tails.
+fn normal_interval(a: f64, b: f64) -> f64 {
+    // By symmetry on the side where tails are small numbers, whose difference is exact.
+    let (a, b) = if b <= 0.0 { (-b, -a) } else { (a, b) };
+    normal::tail(a) - normal::tail(b)
 }
 
 /// ln P(`a` <= N(0, 1) < `b`), also where the probability itself would vanish.
 fn ln_normal_interval(a: f64, b: f64) -> f64 {
-    // By symmetry on the side where tails are small numbers, whose difference is exact.
     let (a, b) = if b <= 0.0 { (-b, -a) } else { (a, b) };
     if a < 30.0 {
-        return (normal_tail(a) - normal_tail(b)).ln();
+        return normal_interval(a, b).ln();
     }
     // Q(a) = phi(a) / a up to a relative 1 / a^2; towards b the density falls as exp(-a t - t^2 / 2).
     let width = b - a;

@@ -1,10 +1,9 @@
 //! Effects on what the odometry reads.
 
-use locsim_core::{Draw, Pose2, Stage};
+use locsim_core::{Draw, Pose2, Stage, normal};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
-use super::distribution::normal_tail;
 use super::effect_type::EffectType;
 use super::statistic::Axis;
 use super::{Description, Effect, EffectKind, Experiment, Moves, Parameter, Prior, Site, Statistic};
@@ -217,7 +216,7 @@ impl Slip {
         } else if self.p == 0.0 || self.share == 0.0 {
             1.0
         } else {
-            1.0 - 2.0 * self.p * normal_tail(s / self.share)
+            1.0 - 2.0 * self.p * normal::tail(s / self.share)
         }
     }
 

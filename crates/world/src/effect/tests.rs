@@ -235,6 +235,70 @@ fn a_neutral_effect_leaves_every_law_as_it_is() {
     }
 }
 
+/// The form without logarithms is the plain one to 1e-12, but for fine steps.
+#[test]
+fn the_fast_density_is_the_plain_one() {
+    let mut compared = 0;
+    for resolution_m in [0.0, 0.05] {
+        for a in EffectKind::ALL {
+            for b in EffectKind::ALL {
+                if (a, b) == (EffectKind::WheelSlip, EffectKind::WheelSlip) {
+                    continue;
+                }
+                let effects = effects(&[a, b]);
+                for (view, met, range) in beams() {
+                    let distribution = effects.reading(&laser(resolution_m), &view, met, range);
+                    if distribution.step_m > 0.0 && distribution.step_m <= 0.5 * 5.0 * distribution.sigma {
+                        continue;
+                    }
+                    let usable = distribution.usable();
+                    for i in 2..=90 {
+                        let z =
+                            if i == 90 { distribution.max_m as f32 } else { (f64::from(i) * 0.05) as f32 };
+                        let plain = distribution.density(z);
+                        let fast = distribution.density_parts(f64::from(z)).total() / usable;
+                        // Smaller ones are the exponential of a large number.
+                        if plain > 1e-150 {
+                            assert!((fast - plain).abs() <= 1e-12 * plain, "{a}, {b} at {z}: {fast} {plain}");
+                            compared += 1;
+                        }
+                        let edge = f64::from(z) + 0.5 * distribution.step_m;
+                        let below = (distribution.below(edge).total() - (1.0 - usable)) / usable;
+                        if i < 90 {
+                            let plain = distribution.cdf(z);
+                            assert!((below - plain).abs() < 1e-7, "{a}, {b} at {z}: {below} {plain}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+    assert!(compared > 100_000, "{compared}");
+}
+
+/// At its middle a fine step has less than its probability, by as much as the density bends.
+#[test]
+fn the_density_of_a_fine_step_errs_by_its_curvature() {
+    let (view, met, range) = beams()[0];
+    for share in [0.05, 0.2, 0.49] {
+        let sigma = 0.02 + 0.002 * range;
+        let distribution = Effects::none().reading(&laser(share * sigma), &view, met, range);
+        let mut worst = 0.0_f64;
+        for k in 0..(4.0 / distribution.step_m) as u32 {
+            let z = f64::from(k) * distribution.step_m;
+            let t = (z - range) / sigma;
+            if t.abs() < 5.0 {
+                let plain = distribution.density(z as f32);
+                let error = distribution.density_parts(z).total() / plain - 1.0;
+                let expected = -(t * t - 1.0) / 24.0 * share * share;
+                worst = worst.max((error - expected).abs() / (share * share * share * share));
+            }
+        }
+        // The next term is of fourth order, with a coefficient of about t^4 / 1920 + t^4 / 576.
+        assert!(worst < 2.0, "{share}: {worst}");
+    }
+}
+
 /// The forms of the documentation, term by term.
 #[test]
 fn means_and_deviations_are_those_of_the_formulas() {

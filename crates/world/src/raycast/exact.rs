@@ -92,6 +92,13 @@ impl ExactRangeMap {
         RayHit { range, incidence, surface: self.geometry.surfaces()[segment] }
     }
 
+    /// Unit normal of a segment, towards the side that a ray of this direction comes from.
+    pub(crate) fn normal(&self, segment: usize, direction: DVec2) -> DVec2 {
+        let [a, b] = self.geometry.segments()[segment];
+        let normal = (b - a).perp().normalize();
+        if normal.dot(direction) > 0.0 { -normal } else { normal }
+    }
+
     /// Index of the segment that a ray meets first, and the range \[m\].
     pub(crate) fn cast_segment(
         &self,

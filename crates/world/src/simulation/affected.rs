@@ -110,7 +110,7 @@ fn effects_are_the_same_on_any_number_of_threads() {
     assert_eq!(run(1), run(2));
 }
 
-/// What the map says of the beams of a robot that stands at `pose`, by casts of the test's own.
+/// The beams of a robot at `pose`, by casts of the test's own.
 fn views(simulator: &Simulator, pose: &Pose2) -> Vec<BeamView> {
     let laser = simulator.laser().laser();
     let map_from_laser = pose.compose(&simulator.effects().laser_mount(laser.base_from_laser()));

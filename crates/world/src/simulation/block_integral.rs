@@ -227,7 +227,7 @@ impl Shape {
                 met([near, far], [from, to]);
                 continue;
             }
-            // What the face has room for, and what lies on the ray.
+            // Clip to the face and to the ray.
             let slope = (far - near) / (to - from);
             let at = |place: f64| near + (place - places[i]) * slope;
             if slope != 0.0 {

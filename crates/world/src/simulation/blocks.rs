@@ -162,7 +162,7 @@ impl BlockModel {
         Ok(model)
     }
 
-    /// What it was made from.
+    /// The options that it was made from.
     pub fn options(&self) -> &BlockOptions {
         &self.options
     }

@@ -38,7 +38,7 @@ pub(crate) fn block_options() -> BlockOptions {
 }
 
 /// 36 beams without noise or quantization, beyond the room's walls.
-pub(crate) fn laser_options() -> LaserOptions {
+pub(crate) const fn laser_options() -> LaserOptions {
     LaserOptions {
         rate_hz: 5.0,
         beams: 36,

@@ -6,8 +6,8 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 
-use super::SimulationError;
 use super::error::{FROM_0, MOST, check, check_count};
+use super::{BeamCaster, SimulationError};
 use crate::effect::as_read;
 
 /// The most beams of a scan.
@@ -106,12 +106,9 @@ impl LaserSimulator {
             options.first_bearing_rad.unwrap_or_else(|| first_bearing(beams, options.field_of_view_rad));
         let bearings: Vec<f32> =
             shares().map(|share| (first_bearing + share * options.field_of_view_rad) as f32).collect();
-        let directions = bearings
-            .iter()
-            .map(|&bearing| DVec2::from_angle(options.mount.theta + f64::from(bearing)))
-            .collect();
         let times = shares().map(|share| (share * options.scan_secs) as f32).collect();
         let laser = Laser::new(bearings, times, min, max, options.mount)?;
+        let directions = BeamCaster::directions(&laser, &options.mount);
         check("laser maximum range [m]", options.max_range_m, "at most 1000000", |range| {
             range <= MOST_RANGE_M
         })?;
@@ -124,14 +121,9 @@ impl LaserSimulator {
         &self.laser
     }
 
-    /// What it was made from.
+    /// The options that it was made from.
     pub fn options(&self) -> &LaserOptions {
         &self.options
-    }
-
-    /// As [`LaserOptions::is_closed`].
-    pub(super) fn is_closed(&self) -> bool {
-        self.options.is_closed()
     }
 
     /// Unit direction of each beam in the robot's frame.

@@ -12,25 +12,31 @@
 mod affected;
 mod block_integral;
 mod blocks;
+mod caster;
 mod drive;
 mod error;
 mod faces;
 #[cfg(test)]
 pub(crate) mod fixtures;
 mod laser;
+mod mixture;
 mod observe;
 mod obstruction;
 mod odometry;
 mod path;
 mod rectangle;
+mod survival;
 mod view;
 
 pub use block_integral::BlockIntegral;
 pub use blocks::{Block, BlockModel, BlockOptions, BlockResampling};
+pub use caster::{BeamCaster, CastBeam, Ray, Surface};
 pub use drive::{Robot, SimulatedDrive, odometry_along, simulate_drive};
 pub use error::SimulationError;
 pub use laser::{LaserOptions, LaserSimulator};
+pub use mixture::{ClutteredBeam, MixtureDensity, ReadingMixture};
 pub use observe::Simulator;
 pub use obstruction::{ObstructionOptions, ObstructionTable};
 pub use odometry::OdometryNoise;
 pub use path::{RobotPath, Trajectory, VelocitySegment};
+pub use survival::ClutterSurvival;

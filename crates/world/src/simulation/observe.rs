@@ -4,8 +4,8 @@ use locsim_core::{Draw, Pose2, Poses, Scan, Stage, Track};
 use rayon::prelude::*;
 
 use super::blocks::Placement;
-use super::view::{EffectView, View};
-use super::{BlockModel, BlockOptions, LaserOptions, LaserSimulator, SimulationError};
+use super::view::View;
+use super::{BeamCaster, BlockModel, BlockOptions, LaserOptions, LaserSimulator, SimulationError};
 use crate::effect::{Effects, HitKind, burst, burst_window};
 use crate::raycast::ExactRangeMap;
 
@@ -67,13 +67,26 @@ impl Simulator {
         &self.laser
     }
 
+    /// Casts the beams of its scans.
+    fn caster(&self) -> BeamCaster<'_> {
+        let laser = self.mounted.laser();
+        BeamCaster {
+            map: &self.map,
+            effects: &self.effects,
+            laser,
+            mount: laser.base_from_laser(),
+            directions: self.mounted.directions(),
+            is_closed: self.mounted.options().is_closed(),
+        }
+    }
+
     /// The readings \[m\] of one scan by a robot that stands at `pose` (`map_from_base`), one per beam, with
     /// blocks of its own: whatever the [resampling](super::BlockResampling) of a drive, observations of one
     /// seed are independent, in bursts of crosstalk too. An observation is one at the start of a drive, at 0 s.
     pub fn observe(&self, pose: &Pose2, seed: u64, observation: u32) -> Vec<f32> {
         let mut out = vec![0.0; self.laser.laser().beam_count()];
         let mut scratch = Scratch::default();
-        scratch.view.update(&self.map, &self.mounted, &self.effects, 0.0, |_| *pose);
+        scratch.view.update(&self.caster(), 0.0, |_| *pose);
         self.observe_into(pose, seed, observation, &mut scratch, &mut out);
         out
     }
@@ -96,7 +109,7 @@ impl Simulator {
             |scratch, (i, out)| {
                 let pose = poses.get(i);
                 let seed = draw.seed(i as u32);
-                scratch.view.update(&self.map, &self.mounted, &self.effects, 0.0, |_| pose);
+                scratch.view.update(&self.caster(), 0.0, |_| pose);
                 for (observation, out) in out.chunks_mut(beams).enumerate() {
                     self.observe_into(&pose, seed, observation as u32, scratch, out);
                 }
@@ -137,7 +150,7 @@ impl Simulator {
             let robot = map_from_base_at(stamp_secs).position();
             model.place_blocks(&model.draw(seed, step), stamp_secs, robot, blocks);
         }
-        view.update(&self.map, &self.mounted, &self.effects, stamp_secs, map_from_base_at);
+        view.update(&self.caster(), stamp_secs, map_from_base_at);
         view.ranges_among(blocks, &self.mounted, ranges);
         let mut scan = Scan { ranges: vec![0.0; ranges.len()] };
         self.read(view, ranges, seed, step, burst_window, &mut scan.ranges);
@@ -165,12 +178,13 @@ impl Simulator {
         }
         let chance = Draw::new(seed, Stage::Effect, step);
         for (beam, (reading, &range)) in out.iter_mut().zip(ranges).enumerate() {
-            let EffectView { view, clear, mapped } = view.beams[beam];
-            let blocked = range < clear;
-            let met = if blocked { HitKind::Object } else { HitKind::Wall };
-            let burst = burst(seed, window(view.secs));
+            let cast = &view.beams[beam];
+            let is_blocked = range < cast.range;
+            let met = if is_blocked { HitKind::Object } else { HitKind::Wall };
+            let mapped = cast.is_mapped() && !is_blocked;
+            let burst = burst(seed, window(cast.view.secs));
             let distribution =
-                self.effects.reading_of(self.laser.options(), &view, met, range, mapped && !blocked, burst);
+                self.effects.reading_of(self.laser.options(), &cast.view, met, range, mapped, burst);
             *reading = distribution.sample(&mut noise.item(beam as u32), &mut chance.item(beam as u32));
         }
     }

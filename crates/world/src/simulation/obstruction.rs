@@ -5,6 +5,7 @@ use glam::DVec2;
 use locsim_core::{CAST_REACH, Obstructions, Survival};
 
 use super::error::{check, check_count};
+use super::survival::survival_of;
 use super::{BlockIntegral, BlockModel, SimulationError};
 use crate::map::Geometry;
 use crate::raycast::ExactRangeMap;
@@ -228,14 +229,8 @@ impl Rays {
             counts.clear();
             counts.resize(bins, 0.0);
             self.blocks.count_by_range(origin, direction, origin, limit, self.bin_m, &mut counts);
-            let first = counts.iter().position(|&count| count > 0.0).unwrap_or(bins);
-            let last = counts.iter().rposition(|&count| count > 0.0).map_or(first, |last| last + 1);
-            let mut met = 0.0;
-            panorama.survival.push(1.0);
-            panorama.survival.extend(counts[first..last].iter().map(|count| {
-                met += count;
-                f64::exp(-met) as f32
-            }));
+            let (first, survival) = survival_of(&counts);
+            panorama.survival.extend(survival);
             panorama.rays.push(Ray {
                 range: range as f32,
                 start_m: (first as f64 * self.bin_m) as f32,

@@ -1,11 +1,11 @@
 //! Risk against the number of states that are kept, on the benchmark's mixed sensor: states chosen at random, evenly,
 //! or by herding; the others' observations thrown away, or given to the nearest kept state.
 
-use distreg::benchmark::{Task, Truth};
 use distreg::{
     Alignment, ConditionalDistribution, Dataset, Degree, DensityEstimate, Error, Kernel, Loss, NpRegOptions,
     Regressor, Selection, Weighting, condense, cross_validate, grid_search, product, select,
 };
+use locsim_bench::regression::{Task, Truth};
 
 /// Units of distance along range \[m\] and incidence \[rad\].
 const SCALES: [f64; 2] = [0.8, 0.2];

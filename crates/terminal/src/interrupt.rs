@@ -1,4 +1,4 @@
-//! What Ctrl-C does: work is asked to stop, and the program ends within a second in any case.
+//! Ctrl-C: work is asked to stop, and the program ends within a second in any case.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,8 +9,7 @@ use std::time::Duration;
 use anyhow::Result;
 use locsim_report::store::kept;
 
-use crate::INTERRUPTED;
-use crate::terminal::complain;
+use crate::{INTERRUPTED, complain};
 
 /// How long work may take to stop by itself. What it hasn't finished by then is lost, as with a kill; what is kept is
 /// whole at any moment.
@@ -49,7 +48,7 @@ impl Interrupt {
     }
 }
 
-/// What is left of interrupted work, in words.
+/// A sentence on the parts that interrupted work keeps.
 fn left(work: Option<&(PathBuf, &str)>) -> String {
     match work.map(|(out, parts)| (kept(out).unwrap_or(0), parts)) {
         None | Some((0, _)) => "nothing is kept".to_owned(),

@@ -1,15 +1,13 @@
-//! `locsim bench` on a small folder of work, made here: all figures are there, and bad files are named.
-
-#[allow(dead_code, reason = "the scenario and folder of the other tests aren't needed here")]
-mod common;
+//! `locsim-bench speed` on a small folder of work, made here: all figures are there, and bad files are named.
 
 use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use common::{locsim, output};
 use serde_json::Value;
 use tempfile::TempDir;
+
+use crate::{bench, output};
 
 const WORKLOAD: &str = r#"{
  "true_pose": [1.0, 1.0, 0.2],
@@ -87,7 +85,7 @@ fn ranges(x: f64, y: f64, theta: f64) -> Vec<f64> {
 #[test]
 fn every_figure_is_measured_and_small_errors_are_found() {
     let folder = folder();
-    let json = output(&locsim(folder.path(), "bench . --json").assert().success());
+    let json = output(&bench(folder.path(), "speed . --json").success());
     let report: Value = serde_json::from_str(&json).unwrap();
     let models = ["classic", "beam_mixture", "p_reg", "np_reg", "np_reg_registered", "likelihood_field"];
     for model in models {
@@ -118,7 +116,7 @@ fn every_figure_is_measured_and_small_errors_are_found() {
 
 /// What standard error says of the folder, which is refused with exit code 2.
 fn refusal(folder: &Path) -> String {
-    let call = locsim(folder, "bench .").assert().code(2);
+    let call = bench(folder, "speed .").code(2);
     String::from_utf8(call.get_output().stderr.clone()).unwrap()
 }
 

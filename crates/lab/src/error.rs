@@ -2,9 +2,9 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Why a run could not be done.
+/// Why a run or a search could not be done.
 #[derive(Debug, Error)]
-pub enum RunError {
+pub enum LabError {
     /// The scenario's map, log or path is refused.
     #[error(transparent)]
     Scenario(#[from] locsim_scenario::ScenarioError),
@@ -13,7 +13,7 @@ pub enum RunError {
     Map {
         /// The map's file, or the log it was built from.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         source: locsim_world::map::MapError,
     },
     /// The simulated world, robot or laser is refused.
@@ -21,24 +21,24 @@ pub enum RunError {
     Simulation {
         /// The scenario's file.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         source: locsim_world::simulation::SimulationError,
     },
     /// The measured log can't be read.
     #[error(transparent)]
     Dataset(#[from] locsim_dataset::DatasetError),
-    /// A log doesn't fit its scenario.
+    /// A log doesn't fit the scenario.
     #[error("{path}: {what}")]
     Log {
         /// The log's file.
         path: PathBuf,
-        /// What is wrong and what is needed.
+        /// The defect, and the needed content.
         what: String,
     },
     /// The training data are refused.
     #[error("training data: {source}")]
     TrainingData {
-        /// What is wrong.
+        /// The cause.
         source: locsim_sensor::SensorError,
     },
     /// A fitted model's file can't be used.
@@ -46,7 +46,7 @@ pub enum RunError {
     ModelFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong and what is needed.
+        /// The defect, and the needed content.
         what: String,
     },
     /// A sensor model could not be fitted.
@@ -54,7 +54,7 @@ pub enum RunError {
     Sensor {
         /// The model's label.
         label: String,
-        /// What is wrong.
+        /// The cause.
         source: locsim_sensor::SensorError,
     },
     /// The filter gave up.
@@ -68,12 +68,15 @@ pub enum RunError {
     Recording {
         /// The results folder.
         out: PathBuf,
-        /// What the recorder says.
+        /// The recorder's error.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// The results folder can't be used.
     #[error(transparent)]
     Store(#[from] locsim_report::store::StoreError),
+    /// A search can't be done, or was stopped.
+    #[error(transparent)]
+    Gap(#[from] locsim_gap::GapError),
     /// The user stopped the run; finished trials are kept.
     #[error("interrupted after {finished} of {trials} trials; add --resume to go on")]
     Interrupted {
@@ -82,4 +85,11 @@ pub enum RunError {
         /// Trials asked for.
         trials: usize,
     },
+}
+
+impl LabError {
+    /// Whether the user stopped the work.
+    pub fn is_interruption(&self) -> bool {
+        matches!(self, Self::Interrupted { .. } | Self::Gap(locsim_gap::GapError::Interrupted))
+    }
 }

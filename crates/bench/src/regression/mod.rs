@@ -1,4 +1,4 @@
-//! The fixed task by which this crate is measured: a synthetic range sensor whose truth is known, N = 1000 states
+//! The fixed task by which distribution regression is measured: a synthetic range sensor whose truth is known, N = 1000 states
 //! with M = 100 observations each, Q = 200 queries, B = 4501 bins.
 //!
 //! The data are those of a `NumPy` script with `default_rng(7)`, reading by reading; `NumPy`'s generator is part of
@@ -9,15 +9,15 @@ mod numpy;
 mod task;
 
 use std::hint::black_box;
-use std::time::Duration;
 
+use locsim_core::Clock;
 use rayon::ThreadPool;
 use serde::{Deserialize, Serialize};
 
 pub use task::{Task, Truth};
 
-use crate::standardized::residuals;
-use crate::{
+use crate::BenchError;
+use distreg::{
     Alignment, ConditionalDistribution, Dataset, Degree, DensityEstimate, Error, Family, Found, Kernel, Loss,
     NpReg, NpRegOptions, Outcomes, PRegOptions, Predictions, Regressor, Smoother, Standardized,
     StandardizedOptions, Support, Table, Weighting, cross_validate, grid_search, optimize, product,
@@ -170,7 +170,7 @@ fn p_reg(outcomes: Outcomes, bandwidths: &[f64]) -> PRegOptions {
 ///
 /// # Errors
 /// If a thread pool can't be made.
-pub fn run(clock: &dyn Fn() -> Duration) -> Result<Report, BenchmarkError> {
+pub fn run(clock: Clock<'_>) -> Result<Report, BenchError> {
     let pools = [1, 2].map(|threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build());
     let [one, two] = pools;
     let (one, two) = (one?, two?);
@@ -239,15 +239,29 @@ pub fn run(clock: &dyn Fn() -> Duration) -> Result<Report, BenchmarkError> {
     Ok(report)
 }
 
-/// Errors of a benchmark.
-#[derive(Debug, thiserror::Error)]
-pub enum BenchmarkError {
-    /// The regression refused its input.
-    #[error(transparent)]
-    Regression(#[from] Error),
-    /// No threads.
-    #[error("cannot make a pool of threads: {0}")]
-    Threads(#[from] rayon::ThreadPoolBuildError),
+/// The report as text for people.
+pub fn terminal_text(report: &Report) -> String {
+    let (ms, gauss, mixed) = (report.predict_ms, report.risk_mm.gauss, report.risk_mm.mixed);
+    format!(
+        "200 queries [ms]: faithful {:.3}, on two threads {:.3}, registered {:.3}\n\
+             one density from a table [ns]: {:.2}\n\
+             risk, gauss [mm]: faithful {:.3}, registered {:.3} (by {}), p_reg {:.3}\n\
+             risk, mixed [mm]: faithful {:.3}, registered {:.3} (by {}), p_reg {:.3}\n\
+             largest difference from the dense product: {:.1e}",
+        ms.faithful,
+        ms.faithful_2_threads,
+        ms.registered,
+        report.density_ns,
+        gauss.faithful,
+        gauss.registered,
+        report.registered_by.gauss,
+        gauss.p_reg,
+        mixed.faithful,
+        mixed.registered,
+        report.registered_by.mixed,
+        mixed.p_reg,
+        report.max_abs_diff_from_dense
+    )
 }
 
 /// Candidates for bandwidths, as factors of a scale.
@@ -284,7 +298,7 @@ fn batch_ms<M: ConditionalDistribution + ?Sized>(
     model: &M,
     task: &Task,
     pool: &ThreadPool,
-    clock: &dyn Fn() -> Duration,
+    clock: Clock<'_>,
 ) -> Result<f64, Error> {
     let mut predictions = Predictions::new(model.outcomes());
     let mut best = f64::INFINITY;
@@ -297,7 +311,7 @@ fn batch_ms<M: ConditionalDistribution + ?Sized>(
 }
 
 /// Shortest mean time of a density in nanoseconds, over many readings at each query, as a filter asks.
-fn density_ns(table: &Table, clock: &dyn Fn() -> Duration) -> f64 {
+fn density_ns(table: &Table, clock: Clock<'_>) -> f64 {
     let z: Vec<f64> = (0..1000).map(|k| f64::from(k * 37 % 1000) * 0.0045).collect();
     let cells = 200;
     let mut best = f64::INFINITY;
@@ -338,7 +352,7 @@ fn difference_of_standardized(
     predictions: &Predictions,
 ) -> Result<f64, Error> {
     let residual = model.residual();
-    let data = residuals(model.location_scale(), &task.train, Some(LOST))?;
+    let data = model.location_scale().residuals(&task.train, Some(LOST))?;
     let (from, to) = (residual.options().outcomes.grid, predictions.outcomes().grid);
     let mut largest: f64 = 0.0;
     for (q, query) in task.queries.chunks(2).enumerate() {

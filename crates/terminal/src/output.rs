@@ -1,10 +1,13 @@
-//! What is printed. A stream that nobody reads any more is no reason to fail, and none to panic.
+//! Output on the terminal. A closed stream is neither an error nor a panic.
 
 use std::io::{ErrorKind, Write};
 
 use anyhow::{Context, Result};
 
 /// Prints a line on standard output. A reader that closes the pipe early (`| head`) is no error.
+///
+/// # Errors
+/// The system refuses to write.
 pub fn say(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {

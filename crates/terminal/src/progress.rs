@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use locsim_core::Progress;
 
-use crate::terminal::complain;
+use crate::complain;
 
 /// One bar, made anew for each stage of a run.
 pub struct Bars {

@@ -4,26 +4,26 @@
 //! Everything derives from one seed, so that the figures are the same on every machine; what is asked of them leaves room
 //! for a change that is none to the better or worse. A search that names at random would be right once in 24 logs.
 
-#[allow(dead_code, reason = "the scenario of the other tests is not needed here")]
-mod common;
+use std::fs;
 
-use common::{Folder, output};
 use serde_json::Value;
+
+use crate::{bench, output};
 
 /// The nominal corridor with fewer beams: a log is a sixth of the suite's.
 fn scenario() -> String {
     let own = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios/gap/nominal.yaml");
     let map = concat!(env!("CARGO_MANIFEST_DIR"), "/../../maps/corridor.yaml");
-    let text = std::fs::read_to_string(own).unwrap();
+    let text = fs::read_to_string(own).unwrap();
     text.replace("../../maps/corridor.yaml", map).replace("  beams: 72", "  beams: 36")
 }
 
 #[test]
 fn most_hidden_effects_are_named_and_nothing_else_is() {
-    let folder = Folder::new();
-    folder.write("small.yaml", scenario());
-    let line = "gap-bench small.yaml --size small --seed 3 --replicates 99 --scans 200 --out suite --json";
-    let score: Value = serde_json::from_str(&output(&folder.locsim(line).success())).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("small.yaml"), scenario()).unwrap();
+    let line = "gap small.yaml --size small --seed 3 --replicates 99 --scans 200 --out suite --json";
+    let score: Value = serde_json::from_str(&output(&bench(folder.path(), line).success())).unwrap();
     assert_eq!(score["runs"], score["planned"]);
     for (regime, share) in score["false_alarm"].as_object().unwrap() {
         assert_eq!(share["count"], 0, "{regime}: {share}");
@@ -34,8 +34,8 @@ fn most_hidden_effects_are_named_and_nothing_else_is() {
     assert!(other["count"].as_u64().unwrap() >= 1 && other["of"] == 2, "{other}");
     assert_eq!(score["outside"]["flagged"]["count"], 1, "{}", score["outside"]);
     // Done is done: the same command runs nothing again, and says the same.
-    let again: Value = serde_json::from_str(&output(&folder.locsim(line).success())).unwrap();
+    let again: Value = serde_json::from_str(&output(&bench(folder.path(), line).success())).unwrap();
     assert_eq!(again, score);
-    let report = String::from_utf8(folder.read("suite/report.md")).unwrap();
+    let report = fs::read_to_string(folder.path().join("suite/report.md")).unwrap();
     assert!(report.contains("| range_bias |") && report.contains("29 of 29 logs"), "{report}");
 }

@@ -1,6 +1,4 @@
-//! Lines and paths of keys.
-
-use crate::yaml::tree::{Entry, Node, Value};
+use super::tree::{Entry, Node, Value};
 
 /// Where each key of a YAML text stands.
 #[derive(Debug)]
@@ -51,17 +49,12 @@ fn step<'a, 'p>(node: &'a Node, path: &'p str) -> Option<(&'a Node, usize, &'p s
     }
 }
 
-/// The path of a key inside the map at `path`.
-pub fn join(path: &str, key: &str) -> String {
-    if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
-}
-
 #[cfg(test)]
 mod tests {
     use locsim_core::limits::Limits;
 
+    use super::super::tree;
     use super::*;
-    use crate::yaml::tree;
 
     fn locations(text: &str) -> Locations {
         Locations(tree::read(text, &Limits::DEFAULT).unwrap().unwrap())

@@ -2,7 +2,7 @@ use serde::{Deserialize, Serialize};
 use statrs::function::erf::erfc;
 
 use super::numpy::Generator;
-use crate::{Dataset, Error, Outcomes, Predictions};
+use distreg::{Dataset, Error, Outcomes, Predictions};
 
 /// States and observations at each, training.
 const STATES: usize = 1000;

@@ -1,12 +1,12 @@
 //! The paper's batch, N = 1000 states, M = 100 observations each, Q = 200 queries, B = 4501 bins, and how its time
 //! grows with each of them and with the dimension p of the state.
 
-use distreg::benchmark::{Task, Truth};
 use distreg::{
     Alignment, ConditionalDistribution, Dataset, Degree, DensityEstimate, Kernel, NpReg, NpRegOptions,
     Outcomes, Predictions, Regressor, Table, Weighting,
 };
 use divan::Bencher;
+use locsim_bench::regression::{Task, Truth};
 use rand_distr::{Distribution as _, StandardNormal};
 use rand_philox::{Philox, u32_to_unit_f64};
 

@@ -2,22 +2,24 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use locsim_lab::run::RunError;
+use locsim_dataset::DatasetError;
+use locsim_gap::GapError;
+use locsim_lab::LabError;
 use locsim_report::ReportError;
 use locsim_scenario::ScenarioError;
 
 /// Why a benchmark could not be run.
 #[derive(Debug, Error)]
 pub enum BenchError {
-    /// The map or `workload.json` is refused.
+    /// The map, the scenario or `workload.json` is refused.
     #[error(transparent)]
-    File(#[from] ScenarioError),
+    Scenario(#[from] ScenarioError),
     /// A file can't be read or written.
     #[error("{}: {source}", path.display())]
     System {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
     /// A table of comma-separated values doesn't hold what it should.
@@ -37,7 +39,7 @@ pub enum BenchError {
     Particles {
         /// The file.
         path: PathBuf,
-        /// What is wrong and what is needed.
+        /// The defect, and the needed content.
         what: String,
     },
     /// The map can't be used.
@@ -49,15 +51,33 @@ pub enum BenchError {
     /// The simulated world or laser is refused.
     #[error("{0}")]
     Simulation(#[from] locsim_world::simulation::SimulationError),
-    /// A sensor model could not be trained.
+    /// A sensor model could not be trained, or a filter not be run on a log.
     #[error(transparent)]
-    Run(#[from] RunError),
+    Lab(#[from] LabError),
+    /// A search failed, or was stopped.
+    #[error(transparent)]
+    Gap(#[from] GapError),
+    /// A log could not be written or read.
+    #[error(transparent)]
+    Log(#[from] DatasetError),
+    /// A log can't be put down for the search.
+    #[error("a folder for logs: {0}")]
+    Temporary(std::io::Error),
+    /// The figures can't be written as JSON.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// The scenario is of a measured log.
+    #[error("{0}: the suite needs a simulated scenario, with `robot` and `laser`")]
+    NotSimulated(PathBuf),
     /// A sensor model could not be made a table.
     #[error("sensor model: {0}")]
     Sensor(#[from] locsim_sensor::SensorError),
     /// The filter gave up.
     #[error("filter: {0}")]
     Filter(#[from] locsim_mcl::FilterError),
+    /// The regression refused its input.
+    #[error(transparent)]
+    Regression(#[from] distreg::Error),
     /// Threads could not be started.
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
@@ -70,8 +90,17 @@ pub enum BenchError {
 }
 
 impl BenchError {
+    /// Whether the user stopped the work.
+    pub fn is_interruption(&self) -> bool {
+        match self {
+            Self::Lab(error) => error.is_interruption(),
+            Self::Gap(GapError::Interrupted) => true,
+            _ => false,
+        }
+    }
+
     /// Attaches a path to a system error.
-    pub(super) fn system(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+    pub(crate) fn system(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         move |source| Self::System { path, source }
     }

@@ -1,0 +1,92 @@
+//! What a developer can type.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+use locsim_bench::suite::Size;
+use locsim_terminal::{LimitOptions, OutputOptions, Threads, whole};
+
+/// Benchmarks of locsim.
+///
+/// Exit codes: 0 done, 2 bad input, 130 interrupted.
+#[derive(Debug, Parser)]
+#[command(name = "locsim-bench", version, max_term_width = 110)]
+pub struct Arguments {
+    #[command(flatten)]
+    pub limits: LimitOptions,
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Measure speed and accuracy on a folder of fixed work, beside targets and other programs
+    Speed(Speed),
+    /// Run the hidden-effect suite: how often and how well `locsim gap` finds what is hidden in simulated logs
+    Gap(Gap),
+    /// Measure distribution regression on its fixed task: times, risks, agreement with the dense product
+    Regression(Regression),
+}
+
+/// `locsim-bench speed`.
+#[derive(Debug, Args)]
+pub struct Speed {
+    /// Folder with map.yaml, workload.json, scan.csv, `particles_f64le.bin`, `traj_static.csv`, `traj_dynamic.csv`
+    pub folder: PathBuf,
+    /// Print all figures as JSON instead of a table
+    #[arg(long)]
+    pub json: bool,
+    /// Also measure cost against particles, beams, map size and threads, and write sweeps.json and plots into this
+    /// folder (some minutes)
+    #[arg(long)]
+    pub sweeps: Option<PathBuf>,
+    /// Replace earlier sweeps of locsim there; nothing else is ever touched
+    #[arg(long)]
+    pub force: bool,
+    /// No progress bars
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// `locsim-bench gap`.
+#[derive(Debug, Args)]
+pub struct Gap {
+    /// The nominal scenario
+    #[arg(default_value = "scenarios/gap/nominal.yaml")]
+    pub scenario: PathBuf,
+    /// How much: small (minutes), medium (an hour on two cores), full (a day)
+    #[arg(long, value_enum, default_value_t)]
+    pub size: Size,
+    /// Everything random derives from it: tune on one seed, score on another
+    #[arg(long, default_value_t = 1, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    pub seed: u64,
+    /// Begin no log after so many minutes, and score what is done; the same command goes on
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    pub minutes: Option<u64>,
+    /// Folder for logs, truths, findings and the report; what it holds already isn't run again
+    #[arg(long, default_value = "results/gap-bench")]
+    pub out: PathBuf,
+    /// Simulated logs behind each p-value
+    #[arg(long, default_value_t = 199, value_parser = clap::value_parser!(u32).range(99..))]
+    pub replicates: u32,
+    /// The most scans of a log
+    #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..))]
+    pub scans: u32,
+    #[command(flatten)]
+    pub threads: Threads,
+    #[command(flatten)]
+    pub output: OutputOptions,
+}
+
+/// `locsim-bench regression`.
+#[derive(Debug, Args)]
+pub struct Regression {
+    /// Folder of the task's script, task.py. Its data are part of the program, number by number, so that the
+    /// folder is only asked whether it is the right one
+    pub folder: Option<PathBuf>,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    pub json: bool,
+}

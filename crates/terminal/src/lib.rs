@@ -1,0 +1,14 @@
+//! What the programs `locsim` and `locsim-bench` do alike at a terminal: common options, progress bars, Ctrl-C, printed lines,
+//! exit codes. A program parses its arguments, calls its libraries and ends with [`exit_code`].
+
+mod failure;
+mod interrupt;
+mod options;
+mod output;
+mod progress;
+mod session;
+
+pub use failure::{BAD_INPUT, Failure, INTERRUPTED, exit_code};
+pub use options::{LimitOptions, OutputOptions, Threads, whole};
+pub use output::{complain, say};
+pub use session::Session;

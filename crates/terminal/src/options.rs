@@ -1,0 +1,81 @@
+use std::fmt::Write;
+
+use anyhow::Result;
+use clap::Args;
+use locsim_core::limits::{Limit, Limits, THREADS_PER_CORE};
+
+/// `--limit`, which every command takes.
+#[derive(Debug, Args)]
+pub struct LimitOptions {
+    /// Changes a limit on what may be read, such as `map_pixels=400000000`; may be given more than once
+    #[arg(long, global = true, value_name = "NAME=VALUE", long_help = limit_help())]
+    limit: Vec<String>,
+}
+
+impl LimitOptions {
+    /// Sets the limits of the process.
+    ///
+    /// # Errors
+    /// A limit that doesn't exist, or a value that is no number.
+    pub fn set(&self) -> Result<()> {
+        Limits::DEFAULT.with(self.limit.iter().map(String::as_str))?.set();
+        Ok(())
+    }
+}
+
+/// The limits with their defaults.
+fn limit_help() -> String {
+    let mut help =
+        "Changes a limit on what may be read; may be given more than once. The limits:\n".to_owned();
+    for Limit { name, default, what } in Limits::TABLE {
+        let _ = write!(help, "\n  {name}={default}\n      {what}");
+    }
+    help
+}
+
+/// `--threads` of commands that compute in parallel.
+#[derive(Debug, Args)]
+pub struct Threads {
+    /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
+    threads: Option<usize>,
+}
+
+impl Threads {
+    /// Limits the worker threads of the process.
+    ///
+    /// # Errors
+    /// A number that is not allowed; threads that the system refuses.
+    pub fn set(&self) -> Result<()> {
+        if let Some(threads) = self.threads {
+            let most = THREADS_PER_CORE * std::thread::available_parallelism().map_or(1, usize::from);
+            anyhow::ensure!(
+                (1..=most).contains(&threads),
+                "--threads: {threads} is not allowed; a whole number from 1 to {most}, {THREADS_PER_CORE} for each core"
+            );
+            rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+        }
+        Ok(())
+    }
+}
+
+/// What a command prints.
+#[derive(Debug, Args)]
+pub struct OutputOptions {
+    /// Print nothing but errors and, with --json, the results
+    #[arg(long)]
+    pub quiet: bool,
+    /// Print the results as JSON instead of text
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A whole number from 0 on; clap's own message of a number that is too large or negative doesn't say what is allowed.
+///
+/// # Errors
+/// The numbers that are allowed.
+pub fn whole<T: TryFrom<u64> + Copy>(text: &str) -> Result<T, String> {
+    let most = if size_of::<T>() == 4 { u64::from(u32::MAX) } else { u64::MAX };
+    let refused = || format!("a whole number from 0 to {most} is allowed");
+    text.parse::<u64>().ok().and_then(|value| T::try_from(value).ok()).ok_or_else(refused)
+}

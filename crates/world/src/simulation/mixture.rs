@@ -1,0 +1,358 @@
+use super::{ClutterSurvival, LaserOptions};
+use crate::effect::{BeamView, Effects, HitKind, Parts, ReadingDistribution};
+
+/// The steps in which readings of a laser without a resolution are compared with quantized ones \[m\]: finer than any laser's.
+const FINEST_STEP_M: f64 = 1e-4;
+
+/// The least probability that a survival counts as: the logarithm of none would be infinite.
+const LEAST_SURVIVAL: f64 = 1e-12;
+
+/// A beam with everything that its reading depends on.
+#[derive(Clone, Debug)]
+pub struct ClutteredBeam {
+    /// What effects may depend on.
+    pub view: BeamView,
+    /// Range of a missing object in front of the wall \[m\].
+    pub object: Option<f64>,
+    /// Change of the range with the robot's pose in the map frame \[m/m, m/m, m/rad\].
+    pub jacobian: [f64; 3],
+    /// How far the beam gets among clutter.
+    pub survival: ClutterSurvival,
+    /// Log probability that no clutter stands before the nominal surface; see [`ClutteredBeam::range`].
+    pub log_clear: f64,
+}
+
+impl ClutteredBeam {
+    /// A beam that meets these, of a laser of this maximum range.
+    pub fn new(
+        view: BeamView,
+        object: Option<f64>,
+        jacobian: [f64; 3],
+        survival: ClutterSurvival,
+        max_range_m: f64,
+    ) -> Self {
+        let mut beam = Self { view, object, jacobian, survival, log_clear: 0.0 };
+        beam.log_clear = beam.log_clear_to(beam.range().min(max_range_m));
+        beam
+    }
+
+    /// Nominal range of the surface \[m\]: of the missing object in front of it, or of the map's wall where that isn't moved.
+    pub fn range(&self) -> f64 {
+        self.object.unwrap_or(self.view.range)
+    }
+
+    /// Probability that no clutter stands within `range` metres, and the density \[1/m\] of the nearest one there.
+    #[inline]
+    pub fn survival_at(&self, range: f64) -> (f64, f64) {
+        self.survival.at(range)
+    }
+
+    fn log_clear_to(&self, range: f64) -> f64 {
+        self.survival_at(range).0.max(LEAST_SURVIVAL).ln()
+    }
+}
+
+/// The distribution of a beam's reading among unmapped clutter.
+///
+/// With the probability that no clutter stands in front, the reading is one of the surface; otherwise it is one of the nearest
+/// clutter, whose range has the density -S'(r), where S(r) is the beam's [`ClutterSurvival`]. Both are read by the
+/// [`ReadingDistribution`] of what was met, which the simulator draws from. Density and distribution function are those of a
+/// usable reading.
+///
+/// Two approximations make it fast: clutter is read without noise, and the probability of what may be read instead of it is
+/// that of clutter at the reading's own range, or of clutter in the middle of where it may stand if nothing is returned.
+#[derive(Clone, Copy, Debug)]
+pub struct ReadingMixture<'a> {
+    /// The laser.
+    pub laser: &'a LaserOptions,
+    /// The effects of the world.
+    pub effects: &'a Effects,
+    /// Factor on the density of clutter.
+    pub clutter_density: f64,
+}
+
+/// The density of a reading by what it is of: per metre, a probability at the maximum range.
+#[derive(Clone, Copy, Debug)]
+pub struct MixtureDensity {
+    /// Of whatever was read.
+    pub total: f64,
+    /// Of the surface itself.
+    pub surface: f64,
+    /// Of clutter.
+    pub clutter: f64,
+    /// Of a beam that no clutter is in front of, without the probability of that.
+    pub unobstructed: f64,
+    /// Probability that no clutter is in front.
+    pub clear: f64,
+    /// What a density per metre was multiplied by to be one of usable multiples of the laser's step, as these are.
+    pub measure: f64,
+    /// Mean of a reading of the surface \[m\]; infinite where nothing is met.
+    pub mean: f64,
+    /// Its standard deviation \[m\].
+    pub sigma: f64,
+}
+
+/// A beam without clutter in front of it.
+struct Unobstructed {
+    reading: ReadingDistribution,
+    /// Range of the surface \[m\].
+    range: f64,
+    /// Probability that no clutter is in front.
+    clear: f64,
+}
+
+/// A reading of the nearest clutter.
+struct OfClutter {
+    /// `None` for one that is the clutter's range.
+    reading: Option<ReadingDistribution>,
+    /// Range of the clutter \[m\].
+    range: f64,
+}
+
+impl OfClutter {
+    /// Parts of the alternatives, and the probability of none of them.
+    fn alternatives(&self, of: impl Fn(&ReadingDistribution) -> Parts) -> [f64; 2] {
+        self.reading.as_ref().map(of).map_or([0.0, 1.0], |parts| [parts.alternatives, parts.rest])
+    }
+}
+
+impl ReadingMixture<'_> {
+    /// The density of a reading `z` \[m\] from the minimum range on; `shift` is added to the range of surface and clutter \[m\].
+    ///
+    /// Densities are those of multiples of the laser's own step, so that worlds of coarser steps can be compared. A fine step
+    /// has the density at its middle instead of its probability over the step: a relative error of (t^2 - 1) / 24 times the
+    /// square of the step in standard deviations, at t standard deviations from the mean.
+    pub fn density(&self, beam: &ClutteredBeam, shift: f64, z: f64) -> MixtureDensity {
+        let Unobstructed { reading, range, clear } = self.unobstructed(beam, shift);
+        let of_surface = reading.density_parts(z);
+        let mut total = clear * of_surface.total();
+        let mut usable = clear * reading.usable();
+        let mut clutter = 0.0;
+        if clear < 1.0 {
+            let is_return = z < reading.max_m;
+            let nearest = self.clutter_read_at(
+                beam,
+                if is_return { z } else { beam.survival.middle(range - shift) + shift },
+            );
+            let [instead, rest] = nearest.alternatives(|reading| reading.density_parts(z));
+            if is_return && nearest.range < range {
+                clutter = rest * self.nearest_density(beam, nearest.range - shift);
+            }
+            total += (1.0 - clear) * instead + clutter;
+            usable += self.usable_clutter(beam, shift, clear, &nearest, reading.min_m);
+        }
+        let measure = reading.on_grid(z, self.laser.resolution_m.max(FINEST_STEP_M)) / usable;
+        MixtureDensity {
+            total: measure * total,
+            surface: measure * clear * of_surface.returned,
+            clutter: measure * clutter,
+            unobstructed: measure * of_surface.total(),
+            clear,
+            measure,
+            mean: reading.mean,
+            sigma: reading.sigma,
+        }
+    }
+
+    /// P(value before rounding < `x`) of a usable reading, for `x` from the minimum to the maximum range \[m\]: at a fine step
+    /// that is the distribution function less half of the step's own probability. `shift` as in [`ReadingMixture::density`].
+    pub fn cdf(&self, beam: &ClutteredBeam, shift: f64, x: f64) -> f64 {
+        let Unobstructed { reading, range, clear } = self.unobstructed(beam, shift);
+        let mut below = clear * reading.below(x).total();
+        let mut usable = clear * reading.usable();
+        if clear < 1.0 {
+            let nearest = self.clutter_read_at(beam, x.min(range));
+            let [instead, rest] = nearest.alternatives(|reading| reading.below(x));
+            let survival = self.survival(beam, nearest.range.min(range) - shift).max(clear);
+            below += (1.0 - clear) * instead + rest * (1.0 - survival);
+            usable += self.usable_clutter(beam, shift, clear, &nearest, reading.min_m);
+        }
+        ((below - (1.0 - usable)) / usable).clamp(0.0, 1.0)
+    }
+
+    fn unobstructed(&self, beam: &ClutteredBeam, shift: f64) -> Unobstructed {
+        let view = BeamView { range: beam.view.range + shift, ..beam.view };
+        let range = beam.object.map_or_else(|| self.effects.wall_range(&view), |object| object + shift);
+        let reading = self.effects.reading_of(
+            self.laser,
+            &view,
+            HitKind::Wall,
+            range,
+            beam.object.is_none(),
+            |_, share| share,
+        );
+        let log_clear = if beam.object.is_some() || range == view.range {
+            beam.log_clear
+        } else {
+            beam.log_clear_to((range - shift).min(reading.max_m))
+        };
+        Unobstructed { reading, range, clear: (self.clutter_density * log_clear).exp() }
+    }
+
+    /// The clutter whose reading is expected at `z` \[m\].
+    fn clutter_read_at(&self, beam: &ClutteredBeam, z: f64) -> OfClutter {
+        if self.effects.is_empty() {
+            return OfClutter { reading: None, range: z };
+        }
+        let reading =
+            self.effects.reading_of(self.laser, &beam.view, HitKind::Object, z, false, |_, share| share);
+        // A reading errs by about as much a little nearer or farther.
+        let error = if reading.mean.is_finite() { reading.mean - z } else { 0.0 };
+        OfClutter { reading: Some(reading), range: z - error }
+    }
+
+    /// Probability that no clutter stands within `range` metres.
+    fn survival(&self, beam: &ClutteredBeam, range: f64) -> f64 {
+        let (survival, _) = beam.survival_at(range);
+        if survival < 1.0 { survival.max(LEAST_SURVIVAL).powf(self.clutter_density) } else { 1.0 }
+    }
+
+    /// Density of the nearest clutter at `range` \[1/m\].
+    fn nearest_density(&self, beam: &ClutteredBeam, range: f64) -> f64 {
+        let (survival, density) = beam.survival_at(range);
+        if density > 0.0 {
+            let factor = self.clutter_density;
+            factor * survival.max(LEAST_SURVIVAL).powf(factor - 1.0) * density
+        } else {
+            0.0
+        }
+    }
+
+    /// Probability that clutter stands in front and the reading is usable.
+    fn usable_clutter(
+        &self,
+        beam: &ClutteredBeam,
+        shift: f64,
+        clear: f64,
+        nearest: &OfClutter,
+        min_m: f64,
+    ) -> f64 {
+        let [instead, rest] = nearest.alternatives(ReadingDistribution::unusable);
+        let within_reach = self.survival(beam, min_m - shift).max(clear);
+        (1.0 - clear) * (1.0 - rest - instead) + rest * (within_reach - clear)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+
+    use super::super::fixtures::{block_options, laser_options, room};
+    use super::super::{BlockIntegral, BlockModel};
+    use super::*;
+    use crate::effect::{Effect, EffectKind};
+
+    const LASER: LaserOptions = LaserOptions {
+        sigma_m: 0.01,
+        sigma_per_m: 0.002,
+        min_range_m: 0.3,
+        max_range_m: 4.0,
+        ..laser_options()
+    };
+
+    /// A beam from (2.5, 2) straight at the east wall of the room, through the clutter in front of it.
+    fn beam() -> ClutteredBeam {
+        let (origin, range) = (DVec2::new(2.5, 2.0), 3.5);
+        let clutter = BlockIntegral::new(&BlockModel::new(block_options(), &room()).unwrap());
+        let survival =
+            ClutterSurvival::new(&clutter, [origin, DVec2::X], origin, range, 0.05, &mut Vec::new());
+        let endpoint = origin + range * DVec2::X;
+        let view =
+            BeamView { secs: 3.0, bearing: 0.0, range, incidence: 0.2, endpoint, jump: None, behind: None };
+        ClutteredBeam::new(view, None, [0.0; 3], survival, 4.0)
+    }
+
+    fn worlds() -> Vec<Effects> {
+        let one = |kind, values: &[f64]| Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
+        vec![
+            Effects::none(),
+            Effects::new(vec![one(EffectKind::Crosstalk, &[0.2, 1.0])]).unwrap(),
+            Effects::new(vec![
+                one(EffectKind::RangeDropout, &[0.5, 1.0]),
+                one(EffectKind::RangeBias, &[0.07]),
+            ])
+            .unwrap(),
+        ]
+    }
+
+    /// P(value before rounding < x), summed over millimetres of where the nearest clutter stands, each read with its noise.
+    fn plain_below(mixture: &ReadingMixture<'_>, beam: &ClutteredBeam, x: f64) -> f64 {
+        let read = |met, range| {
+            mixture.effects.reading_of(
+                mixture.laser,
+                &beam.view,
+                met,
+                range,
+                met == HitKind::Wall,
+                |_, share| share,
+            )
+        };
+        let survival = |range: f64| beam.survival_at(range).0.powf(mixture.clutter_density);
+        let millimetres = (beam.view.range / 0.001).round() as u32;
+        let of_clutter = (0..millimetres).map(|i| {
+            let [near, middle, far] = [0.0, 0.5, 1.0].map(|share| 0.001 * (f64::from(i) + share));
+            let probability = survival(near) - survival(far);
+            if probability > 0.0 { probability * read(HitKind::Object, middle).below(x).total() } else { 0.0 }
+        });
+        survival(beam.view.range) * read(HitKind::Wall, beam.view.range).below(x).total()
+            + of_clutter.sum::<f64>()
+    }
+
+    /// Where the probability of a lost return changes along the clutter, the distribution function errs by up to this.
+    const BOUNDS: [f64; 3] = [0.005, 0.005, 0.06];
+
+    #[test]
+    fn the_fast_distribution_is_near_the_plain_one() {
+        let beam = beam();
+        for (effects, bound) in worlds().iter().zip(BOUNDS) {
+            let mut worst = 0.0_f64;
+            for clutter_density in [0.5, 1.0, 3.0] {
+                let mixture = ReadingMixture { laser: &LASER, effects, clutter_density };
+                let unusable = plain_below(&mixture, &beam, LASER.min_range_m);
+                for i in 8..100 {
+                    let x = 0.04 * f64::from(i);
+                    let plain = (plain_below(&mixture, &beam, x) - unusable) / (1.0 - unusable);
+                    worst = worst.max((mixture.cdf(&beam, 0.0, x) - plain).abs());
+                }
+            }
+            assert!(worst < bound, "{effects:?}: {worst}");
+        }
+    }
+
+    /// The density adds up to the distribution function, and to 1 with the mass at the maximum range.
+    #[test]
+    fn the_density_is_the_slope_of_the_distribution_function() {
+        let beam = beam();
+        for (effects, bound) in worlds().iter().zip(BOUNDS) {
+            let mixture = ReadingMixture { laser: &LASER, effects, clutter_density: 1.3 };
+            let step = 5e-4;
+            let (mut sum, mut worst) = (0.0, 0.0_f64);
+            for i in 600..8000 {
+                let z = step * (f64::from(i) + 0.5);
+                let density = mixture.density(&beam, 0.0, z);
+                assert!(density.surface + density.clutter <= density.total * (1.0 + 1e-12), "{density:?}");
+                sum += step * density.total;
+                if i % 100 == 99 {
+                    worst = worst.max((sum - mixture.cdf(&beam, 0.0, z + 0.5 * step)).abs());
+                }
+            }
+            let total = sum + mixture.density(&beam, 0.0, 4.0).total;
+            assert!(worst < bound && (total - 1.0).abs() < bound, "{effects:?}: {worst} {total}");
+        }
+    }
+
+    /// Clutter hides a wall that has moved farther more often.
+    #[test]
+    fn clutter_stands_in_front_of_where_the_wall_is() {
+        let beam = beam();
+        let place = vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]];
+        let clear = |offset: f64| {
+            let moved = Effect::new(EffectKind::MovedWall, vec![offset], place.clone()).unwrap();
+            let effects = Effects::new(vec![moved]).unwrap();
+            let mixture = ReadingMixture { laser: &LASER, effects: &effects, clutter_density: 1.0 };
+            mixture.density(&beam, 0.0, 3.0).clear
+        };
+        assert!((clear(0.0) - beam.log_clear.exp()).abs() < 1e-12);
+        assert!(clear(-0.5) > clear(0.0) + 0.05, "{} {}", clear(-0.5), clear(0.0));
+    }
+}
