@@ -6,6 +6,7 @@
 //! [`encode_log`] and [`encode_tum`] give the same bytes to any [`Write`](std::io::Write).
 //! Files that are read may be compressed with gzip or zstd; text files are written with gzip where their name says so.
 
+mod beams;
 mod carmen;
 mod error;
 mod laser;

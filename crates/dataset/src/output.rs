@@ -7,7 +7,7 @@ use locsim_core::Drive;
 use locsim_core::output::write_file;
 
 use crate::DatasetError;
-use crate::carmen::Beams;
+use crate::beams::Beams;
 
 /// Writes a whole file through `body`; an existing file is replaced.
 pub fn write_whole(

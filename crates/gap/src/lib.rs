@@ -14,6 +14,7 @@ mod fixtures;
 pub mod hidden;
 mod hypothesis;
 mod likelihood;
+mod matrix;
 mod nominal;
 mod null;
 mod odometry;

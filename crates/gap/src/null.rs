@@ -10,53 +10,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
-use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::rank::rank;
+use crate::hypothesis::{Comparison, Fitted};
+use crate::rank::{Null, rank};
 use crate::replay::Replay;
-use crate::statistics::{Dictionary, Group, Halves, Readings, pit_draw};
+use crate::statistics::{Dictionary, Readings, pit_draw};
 use crate::{GapError, Purpose};
 
 /// Expectation maximization steps of a replicate, which starts at the fitted process.
 pub(crate) const REFIT: usize = 4;
-
-/// The statistics of a log beside those of replicates.
-pub(crate) struct Null {
-    /// The log's statistics in standard deviations of the replicates, over both halves.
-    pub z: Vec<f64>,
-    /// The same of each half of the log's folds.
-    pub halves: Vec<Halves>,
-    /// The log's rank among replicates: p-values of the largest of the library, of the cells, of all.
-    pub p_library: f64,
-    pub p_omnibus: f64,
-    pub p: f64,
-    /// How much each statistic says: minus the logarithm of the chance that one of its group says as much, over the
-    /// group's share of the false-alarm rate.
-    pub weight: Vec<f64>,
-    /// The largest weight of each replicate, in order.
-    pub largest: Vec<f64>,
-    /// The threshold of each group at a false-alarm rate of 1 % (standard deviations).
-    pub thresholds: [f64; Group::COUNT],
-    /// Standard deviation of each statistic among the replicates.
-    pub spread: Vec<f64>,
-    /// Nuisances that were found in the replicates.
-    pub nuisances: Vec<Nuisances>,
-    /// Log likelihood of some of the replicates (nats).
-    pub log_likelihoods: Vec<f64>,
-}
-
-impl Null {
-    /// Whether the log is so far beyond all replicates that more of them would not make it a log without anything.
-    pub fn is_clearly_off(&self) -> bool {
-        let own = self.weight.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        matches!(self.largest[..], [.., most] if own > most + FARTHER)
-    }
-
-    /// The weight that the largest of a log without anything exceeds with this chance.
-    pub fn weight_at(&self, chance: f64) -> f64 {
-        let rank = ((1.0 - chance) * self.largest.len() as f64) as usize;
-        self.largest[rank.min(self.largest.len() - 1)]
-    }
-}
 
 /// Runs the replicates and ranks the log among them.
 #[expect(clippy::too_many_arguments, reason = "one call, and each is a thing of its own")]
@@ -122,34 +83,7 @@ const WITH_LIKELIHOOD: u32 = 64;
 const FIRST_LOOK: u32 = 199;
 /// It stops there if a larger share of the replicates than this exceeds the log.
 const CLEARLY_NOTHING: f64 = 0.1;
-/// It stops there if the log is beyond all replicates by this (nats). One log in 200 is beyond all of them by chance, and e^-3
-/// of those by so much.
-const FARTHER: f64 = 3.0;
 /// In a world with effects it may stop after this many replicates,
 const EARLIEST_LOOK: u32 = 59;
 /// if a larger share of them than this exceeds the log.
 const NOTHING_SO_EARLY: f64 = 0.3;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_log_is_clearly_off_beyond_all_replicates_and_more() {
-        let of = |own: f64| Null {
-            z: Vec::new(),
-            halves: Vec::new(),
-            p_library: 0.0,
-            p_omnibus: 0.0,
-            p: 0.0,
-            weight: vec![0.1, own],
-            largest: vec![1.0, 2.0],
-            thresholds: [0.0; Group::COUNT],
-            spread: Vec::new(),
-            nuisances: Vec::new(),
-            log_likelihoods: Vec::new(),
-        };
-        assert!(of(2.1 + FARTHER).is_clearly_off());
-        assert!(!of(1.9 + FARTHER).is_clearly_off());
-    }
-}

@@ -8,7 +8,7 @@ use locsim_core::{Pose2, Track};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::fit::invert;
+use crate::matrix::invert;
 
 /// A first-order autoregressive process for the error of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]

@@ -1,7 +1,50 @@
 //! A log's statistics ranked among those of replicates: standardized, in groups, under one false-alarm rate.
 
-use crate::null::Null;
+use crate::hypothesis::Nuisances;
 use crate::statistics::{Form, Group, Halves, Statistic};
+
+/// The statistics of a log beside those of replicates.
+pub(crate) struct Null {
+    /// The log's statistics in standard deviations of the replicates, over both halves.
+    pub z: Vec<f64>,
+    /// The same of each half of the log's folds.
+    pub halves: Vec<Halves>,
+    /// The log's rank among replicates: p-values of the largest of the library, of the cells, of all.
+    pub p_library: f64,
+    pub p_omnibus: f64,
+    pub p: f64,
+    /// How much each statistic says: minus the logarithm of the chance that one of its group says as much, over the
+    /// group's share of the false-alarm rate.
+    pub weight: Vec<f64>,
+    /// The largest weight of each replicate, in order.
+    pub largest: Vec<f64>,
+    /// The threshold of each group at a false-alarm rate of 1 % (standard deviations).
+    pub thresholds: [f64; Group::COUNT],
+    /// Standard deviation of each statistic among the replicates.
+    pub spread: Vec<f64>,
+    /// Nuisances that were found in the replicates.
+    pub nuisances: Vec<Nuisances>,
+    /// Log likelihood of some of the replicates (nats).
+    pub log_likelihoods: Vec<f64>,
+}
+
+impl Null {
+    /// Whether the log is so far beyond all replicates that more of them would not make it a log without anything.
+    pub fn is_clearly_off(&self) -> bool {
+        let own = self.weight.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        matches!(self.largest[..], [.., most] if own > most + FARTHER)
+    }
+
+    /// The weight that the largest of a log without anything exceeds with this chance.
+    pub fn weight_at(&self, chance: f64) -> f64 {
+        let rank = ((1.0 - chance) * self.largest.len() as f64) as usize;
+        self.largest[rank.min(self.largest.len() - 1)]
+    }
+}
+
+/// A log is clearly off where it is beyond all replicates by this (nats). One log in 200 is beyond all of them by chance, and e^-3
+/// of those by so much.
+const FARTHER: f64 = 3.0;
 
 /// How the false-alarm rate is shared out among the groups of statistics, in their order. Each gets its share however many
 /// statistics it has, and one whose largest is now and then far off doesn't raise what the others have to exceed.
@@ -216,6 +259,25 @@ const LEAST_SKEWED: f64 = 0.25;
 mod tests {
     use super::*;
     use statrs::distribution::{ContinuousCDF, Gamma, Normal};
+
+    #[test]
+    fn a_log_is_clearly_off_beyond_all_replicates_and_more() {
+        let of = |own: f64| Null {
+            z: Vec::new(),
+            halves: Vec::new(),
+            p_library: 0.0,
+            p_omnibus: 0.0,
+            p: 0.0,
+            weight: vec![0.1, own],
+            largest: vec![1.0, 2.0],
+            thresholds: [0.0; Group::COUNT],
+            spread: Vec::new(),
+            nuisances: Vec::new(),
+            log_likelihoods: Vec::new(),
+        };
+        assert!(of(2.1 + FARTHER).is_clearly_off());
+        assert!(!of(1.9 + FARTHER).is_clearly_off());
+    }
 
     /// Quantiles of a gamma distribution of shape 4, skewness 1, become those of a normal one on its heavy side.
     #[test]

@@ -6,8 +6,8 @@ use rand::RngExt;
 use rayon::prelude::*;
 
 use crate::hypothesis::{Comparison, Fitted};
-use crate::null::Null;
 use crate::outcome::{BeamPit, PitHistogram, Region};
+use crate::rank::Null;
 use crate::statistics::{Cell, Covariate, Dictionary, WALL_CELL_M, pit_draw};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};

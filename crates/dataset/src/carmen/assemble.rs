@@ -3,9 +3,9 @@ use std::path::Path;
 
 use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan, circular_mean, wrap_angle};
 
-use super::beams::Beams;
 use super::parse::{Log, ScanLine};
 use super::{CarmenLaser, CarmenOptions};
+use crate::beams::Beams;
 use crate::laser::checked;
 use crate::{DatasetError, LogKind, LogSummary, OdometrySource};
 

@@ -4,7 +4,6 @@
 //! of the Radish repository.
 
 mod assemble;
-mod beams;
 mod parse;
 mod write;
 
@@ -18,7 +17,6 @@ use crate::lines::Lines;
 use crate::source::open_text;
 use crate::{DatasetError, LogSummary};
 
-pub use beams::Beams;
 pub use write::{encode_carmen, write_carmen};
 
 /// Which of a robot's lasers to read.

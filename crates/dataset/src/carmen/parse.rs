@@ -6,8 +6,8 @@ use locsim_core::Pose2;
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN};
 
 use super::CarmenLaser;
-use super::beams::Beams;
 use crate::DatasetError;
+use crate::beams::Beams;
 use crate::lines::{Fields, Lines};
 
 /// Greatest number of unknown keywords that are counted by name; logs have few.

@@ -3,9 +3,9 @@ use std::path::Path;
 
 use locsim_core::{Drive, Pose2};
 
-use super::beams::Beams;
 use super::parse::{BEAM_INTERVAL, MIN_RANGE};
 use crate::DatasetError;
+use crate::beams::Beams;
 use crate::output::{encoded, evenly_spaced, write_whole};
 
 /// Writes a drive as a CARMEN log that [`read_carmen`](super::read_carmen) turns into the same drive, and that

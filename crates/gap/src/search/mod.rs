@@ -15,8 +15,9 @@ use rayon::prelude::*;
 
 use crate::fit::{Candidate, Search};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::null::{Null, compare};
+use crate::null::compare;
 use crate::outcome::Outcome;
+use crate::rank::Null;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::statistics::{Dictionary, Form};
 use crate::{GapError, Nominal, Purpose, Recorded};

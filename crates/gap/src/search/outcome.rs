@@ -11,10 +11,10 @@ use super::selection::gain;
 use super::stepwise::Path;
 use super::{Round, State};
 use crate::fit::{Candidate, folds};
-use crate::null::Null;
 use crate::outcome::{
     Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
 };
+use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
 use crate::replay::Replay;
 use crate::statistics::{Form, Group, Statistic, Target};

@@ -8,8 +8,9 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Round, State};
-use crate::fit::{PRIORS, invert, log_prior_by_chance};
+use crate::fit::{PRIORS, log_prior_by_chance};
 use crate::hypothesis::Comparison;
+use crate::matrix::invert;
 use crate::null::REFIT;
 use crate::outcome::{Evidence, Named, Number};
 use crate::replay::Replay;

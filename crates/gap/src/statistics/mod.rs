@@ -20,6 +20,7 @@ mod scores;
 mod sectors;
 mod steps;
 mod survey;
+mod wall_cells;
 mod walls;
 
 use glam::DVec2;

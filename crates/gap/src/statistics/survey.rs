@@ -3,7 +3,7 @@
 
 use locsim_world::effect::BeamState;
 
-use super::walls::WallCells;
+use super::wall_cells::WallCells;
 use crate::hypothesis::Comparison;
 use crate::views::jumps;
 

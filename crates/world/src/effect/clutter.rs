@@ -2,7 +2,7 @@
 
 use super::effect_type::EffectType;
 use super::{Description, Effect, EffectKind, Fit, Moves, Parameter, Site, Statistic};
-use crate::simulation::BlockOptions;
+use crate::options::BlockOptions;
 
 /// More or fewer unmapped blocks.
 pub(super) struct BlockDensity;

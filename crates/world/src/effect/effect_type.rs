@@ -2,7 +2,7 @@ use locsim_core::Pose2;
 
 use super::reading::{Hit, Return};
 use super::{BeamView, Bursts, Description, Disc, Effect, OdometryErrors};
-use crate::simulation::BlockOptions;
+use crate::options::BlockOptions;
 
 /// A kind of effect: its description, and what it does in a simulation. Each kind is a unit type, listed in
 /// [`EffectKind`](super::EffectKind).

@@ -2,7 +2,7 @@
 
 use super::beam::tan_squared;
 use super::{Alternative, Alternatives, BeamView, HitKind};
-use crate::simulation::LaserOptions;
+use crate::options::LaserOptions;
 
 /// A beam with what it meets.
 pub(crate) struct Hit<'a> {

@@ -5,7 +5,7 @@ use super::{
     Alternatives, BeamView, Disc, Effect, EffectError, HitKind, Needs, OdometryDistribution, OdometryErrors,
     ReadingDistribution, TAIL_FACTOR,
 };
-use crate::simulation::{BlockOptions, LaserOptions};
+use crate::options::{BlockOptions, LaserOptions};
 
 /// All effects of a world; the default is the nominal world.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -4,13 +4,13 @@ use glam::DVec2;
 use locsim_core::{Draw, Stage};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, Poisson};
-use serde::Serialize;
 
 use super::SimulationError;
 use super::error::{FROM_0, MOST, check, check_count};
 use super::faces::{Face, faces_of};
 use super::rectangle::Rectangle;
 use crate::map::{FINEST_M, Geometry};
+use crate::options::{BlockOptions, BlockResampling};
 
 /// The most blocks of a world, on average.
 const MAX_BLOCKS: f64 = 1e5;
@@ -22,48 +22,6 @@ pub struct Block {
     pub corners: [DVec2; 4],
     /// Velocity in the map frame \[m/s\].
     pub velocity: DVec2,
-}
-
-/// Unmapped rectangular blocks along the walls. Each `[lo, hi]` is the interval of a uniform distribution.
-///
-/// Blocks are a Poisson process over the wall faces, the sides of walls that border free space: their number
-/// is Poisson with mean `per_metre_of_wall` times the faces' length, each stands at a uniform place,
-/// independent of the others. A block is put on the free side of its wall; where it reaches into another
-/// wall, the wall hides it.
-///
-/// Where a block comes closer than `clearance_m` to the robot's centre, it is left out of that scan. A
-/// thinned Poisson process is Poisson, so the probability that nothing stands on a ray is exactly
-/// exp(-expected number of blocks on it).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct BlockOptions {
-    /// Blocks per metre of wall face \[1/m\], at least 0.
-    pub per_metre_of_wall: f64,
-    /// Length of a block, along the wall before it is turned \[m\], above 0.
-    pub length_m: [f64; 2],
-    /// Width of a block \[m\], above 0.
-    pub width_m: [f64; 2],
-    /// Yaw relative to the wall \[rad\].
-    pub yaw_rad: [f64; 2],
-    /// Gap between the wall and the block's nearest corner \[m\], at least 0.
-    pub wall_distance_m: [f64; 2],
-    /// When blocks take new places.
-    pub resample: BlockResampling,
-    /// Speed along the wall \[m/s\], at least 0, either way; blocks turn back where their centre reaches the
-    /// end of the wall face. 0 for blocks that are resampled at each observation.
-    pub speed_m_s: [f64; 2],
-    /// No block comes closer than this to the robot's centre \[m\], at least 0.
-    pub clearance_m: f64,
-}
-
-/// When blocks take new places.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub enum BlockResampling {
-    /// At every scan.
-    EachObservation,
-    /// Every so many scans, at least 1.
-    EachScanN(u32),
-    /// Never: the blocks of a drive stay, or move at their speed.
-    Never,
 }
 
 /// The distribution of unmapped blocks in one map.

@@ -1,58 +1,20 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec2;
-use locsim_core::{Laser, Pose2};
+use locsim_core::Laser;
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
-use serde::Serialize;
 
 use super::error::{FROM_0, MOST, check, check_count};
 use super::{BeamCaster, SimulationError};
 use crate::effect::as_read;
+use crate::options::{LaserOptions, is_full_circle};
 
 /// The most beams of a scan.
 const MAX_BEAMS: f64 = 1e6;
 
 /// The longest maximum range \[m\].
 const MOST_RANGE_M: f64 = 1e6;
-
-/// A simulated planar laser.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct LaserOptions {
-    /// Scans per second \[Hz\], above 0.
-    pub rate_hz: f64,
-    /// Beams per scan, at least 1.
-    pub beams: u32,
-    /// Field of view \[rad\], above 0, at most 2 pi. At 2 pi beams are spread evenly, the last at bearing pi;
-    /// below it both ends carry a beam. A single beam looks ahead.
-    pub field_of_view_rad: f64,
-    /// Bearing of the first beam \[rad\], -pi to pi. `None`: the middle of the field of view is ahead, or, of a full
-    /// circle, the last beam is at pi.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub first_bearing_rad: Option<f64>,
-    /// Minimum range \[m\], at least 0.
-    pub min_range_m: f64,
-    /// Maximum range \[m\], above the minimum.
-    pub max_range_m: f64,
-    /// Readings are multiples of this \[m\]; 0 for readings that aren't quantized.
-    pub resolution_m: f64,
-    /// Standard deviation of a reading at range 0 \[m\], at least 0.
-    pub sigma_m: f64,
-    /// Its growth per metre of range, at least 0: sigma(r) = `sigma_m` + `sigma_per_m` * r.
-    pub sigma_per_m: f64,
-    /// Where the laser sits, `base_from_laser`.
-    pub mount: Pose2,
-    /// Time that a sweep over the field of view takes \[s\]: at least 0, at most the time between two scans.
-    /// A beam's time after the scan's stamp is its share of the field of view swept before it.
-    pub scan_secs: f64,
-}
-
-impl LaserOptions {
-    /// Whether the field of view is a full circle, so that the first and the last beam are neighbours.
-    pub fn is_closed(&self) -> bool {
-        is_full_circle(self.field_of_view_rad)
-    }
-}
 
 /// A laser that turns true distances into readings.
 #[derive(Clone, Debug, PartialEq)]
@@ -161,10 +123,6 @@ impl LaserSimulator {
     }
 }
 
-fn is_full_circle(field_of_view: f64) -> bool {
-    field_of_view >= TAU - 1e-9
-}
-
 /// How many times the angle between two beams goes into the field of view.
 fn gaps(beams: usize, field_of_view: f64) -> usize {
     if is_full_circle(field_of_view) { beams } else { beams.saturating_sub(1).max(1) }
@@ -183,7 +141,7 @@ fn first_bearing(beams: usize, field_of_view: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use locsim_core::{Draw, Stage, wrap_angle};
+    use locsim_core::{Draw, Pose2, Stage, wrap_angle};
     use proptest::prelude::*;
 
     use super::super::fixtures::{is_normal_sample, laser_options};

@@ -29,14 +29,16 @@ mod survival;
 mod view;
 
 pub use block_integral::BlockIntegral;
-pub use blocks::{Block, BlockModel, BlockOptions, BlockResampling};
+pub use blocks::{Block, BlockModel};
 pub use caster::{BeamCaster, CastBeam, Ray, Surface};
 pub use drive::{Robot, SimulatedDrive, odometry_along, simulate_drive};
 pub use error::SimulationError;
-pub use laser::{LaserOptions, LaserSimulator};
+pub use laser::LaserSimulator;
 pub use mixture::{ClutteredBeam, MixtureDensity, ReadingMixture};
 pub use observe::Simulator;
 pub use obstruction::{ObstructionOptions, ObstructionTable};
 pub use odometry::OdometryNoise;
 pub use path::{RobotPath, Trajectory, VelocitySegment};
 pub use survival::ClutterSurvival;
+
+pub use crate::options::{BlockOptions, BlockResampling, LaserOptions};
