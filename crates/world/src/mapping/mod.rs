@@ -17,6 +17,7 @@ mod check;
 mod hits;
 mod occupancy;
 mod poses;
+mod surface;
 mod surfaces;
 mod walls;
 
@@ -28,7 +29,8 @@ use self::border::border_of;
 pub use self::check::{Agreement, HeldOutReading, MapCheck, check_maps};
 use self::hits::{Hit, hits_of};
 pub use self::occupancy::{MappingOptions, occupancy_from_drive};
-use self::surfaces::{Surface, surfaces_of};
+use self::surface::Surface;
+use self::surfaces::surfaces_of;
 use self::walls::{Piece, walls_of};
 use crate::map::{FARTHEST_M, MapError, MeasuredMap};
 

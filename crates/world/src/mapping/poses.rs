@@ -4,7 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::beams::Scan;
 use super::hits::Hit;
-use super::surfaces::Surface;
+use super::surface::Surface;
 
 /// Standard deviations of a reference pose \[m, rad\]: 5 cm and half a degree. They decide only where the walls don't, as
 /// along a corridor.

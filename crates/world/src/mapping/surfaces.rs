@@ -9,6 +9,7 @@ use glam::{DMat2, DVec2};
 use super::beams::Scan;
 use super::hits::{Hit, least_direction};
 use super::poses::correct_poses;
+use super::surface::{BIN_M, Surface};
 
 /// Cells in which hits are gathered \[m\].
 const CELL_M: f64 = 0.05;
@@ -23,60 +24,12 @@ const NEAR_M: f64 = 0.06;
 /// Cosine of the angle up to which normals are of one line: 30 degrees.
 const SAME_NORMAL: f64 = 0.866;
 
-/// The wall is cut into bins of this length along the line \[m\].
-pub(super) const BIN_M: f64 = 0.05;
-
 /// A line is split where the hits, averaged over [`SPLIT_BINS`], are off by this much \[m\].
 const SPLIT_M: f64 = 0.015;
 const SPLIT_BINS: usize = 3;
 
 /// The scale of Cauchy's weight in standard deviations: 95 % efficient at normal errors.
 const CAUCHY: f64 = 2.385;
-
-/// A face of a wall: hits along a line.
-#[derive(Clone, Debug)]
-pub(super) struct Surface {
-    /// Unit normal, towards the laser.
-    pub normal: DVec2,
-    /// `normal . q` of the points q on the line \[m\].
-    pub offset: f64,
-    /// Standard deviation of the offset \[m\].
-    pub sigma_m: f64,
-    /// Where it starts and ends along [`Surface::tangent`] \[m\].
-    pub from: f64,
-    pub to: f64,
-    /// Its hits.
-    pub hits: Vec<u32>,
-}
-
-impl Surface {
-    pub fn tangent(&self) -> DVec2 {
-        self.normal.perp()
-    }
-
-    pub fn along(&self, point: DVec2) -> f64 {
-        self.tangent().dot(point)
-    }
-
-    /// Signed distance from the line, positive on the laser's side \[m\].
-    pub fn distance(&self, point: DVec2) -> f64 {
-        self.normal.dot(point) - self.offset
-    }
-
-    pub fn point(&self, along: f64) -> DVec2 {
-        self.offset * self.normal + along * self.tangent()
-    }
-
-    /// Number of bins.
-    pub fn bins(&self) -> usize {
-        (((self.to - self.from) / BIN_M).ceil() as usize).max(1)
-    }
-
-    /// The bin of a coordinate along the line.
-    pub fn bin(&self, along: f64) -> usize {
-        (((along - self.from) / BIN_M).max(0.0) as usize).min(self.bins() - 1)
-    }
-}
 
 /// Sums over points.
 #[derive(Clone, Copy, Debug, Default)]

@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::beams::Scan;
 use super::hits::Hit;
-use super::surfaces::{BIN_M, Surface};
+use super::surface::{BIN_M, Surface};
 use crate::map::MeasuredWall;
 use crate::raycast::Boxes;
 
