@@ -16,7 +16,7 @@ pub fn cdf(t: f64) -> f64 {
     tail(-t)
 }
 
-/// P(N(0, 1) > `t`), exact to rounding where it is small.
+/// P(N(0, 1) > `t`). The error is below 1e-10 of the value, in the far tail too.
 #[inline]
 pub fn tail(t: f64) -> f64 {
     0.5 * erfc(t * FRAC_1_SQRT_2)
@@ -30,7 +30,7 @@ mod tests {
     #[test]
     fn tails_are_those_of_the_tables() {
         for (t, p) in [(0.0, 0.5), (1.0, 0.158_655_253_931_457), (3.0, 1.349_898_031_630_1e-3)] {
-            assert!((tail(t) - p).abs() < 1e-14 && (cdf(-t) - p).abs() < 1e-14, "{t}: {}", tail(t));
+            assert!((tail(t) / p - 1.0).abs() < 1e-10 && tail(t) == cdf(-t), "{t}: {}", tail(t));
         }
         assert!((tail(10.0) / 7.619_853_024_160_5e-24 - 1.0).abs() < 1e-10, "{}", tail(10.0));
         for t in [-2.0, 0.3, 1.7] {
