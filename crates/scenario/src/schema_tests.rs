@@ -14,7 +14,8 @@ fn fixtures() -> [String; 5] {
     let exact = edited(&simulation, "method: table\n  cell_m: 0.05\n  memory_mb: 300", "method: exact");
     let turning = edited(&text("minimal.yaml"), "speed_m_s: 0.5}", "speed_m_s: 0.5, turn_rate_deg_s: 10}");
     let turning = edited(&turning, "beams: 36", "beams: 36, first_beam_deg: -180");
-    [simulation, exact, turning, text("log.yaml"), bag()]
+    let log = edited(&text("log.yaml"), "map_resolution_m: 0.1", "map_resolution_m: 0.1\n  map: walls");
+    [simulation, exact, turning, log, bag()]
 }
 
 #[test]
