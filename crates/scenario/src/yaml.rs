@@ -1,6 +1,6 @@
 //! YAML files into typed values, with errors that name file, line, key path, value and what is allowed.
 //!
-//! [`tree`] reads the text within limits; the typed value is then made from it by [`Node`], whose errors keep what serde
+//! `tree` reads the text within limits; the typed value is then made from it by `Node`, whose errors keep what serde
 //! knows (the unknown key, the allowed ones) instead of a finished sentence.
 
 mod locate;
