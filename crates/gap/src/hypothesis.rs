@@ -53,7 +53,7 @@ impl Fitted {
 pub(crate) struct Comparison<'a> {
     pub nominal: &'a Nominal,
     pub recorded: &'a Recorded,
-    /// What its beams see in the world that hypotheses are about, or begin at: the nominal one, or one with effects that are named
+    /// Views of its beams in the world that hypotheses change: the nominal one, or one with effects that are named
     /// already.
     pub views: Arc<Views>,
 }

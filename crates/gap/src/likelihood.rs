@@ -9,7 +9,7 @@ use crate::views::Beam;
 /// Share of a uniform density under everything, so that no single reading can rule a hypothesis out.
 const FLOOR: f64 = 1e-6;
 
-/// What one reading says.
+/// Log likelihood of one reading, and its parts.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Terms {
     /// Density \[1/m\], a probability at the maximum range.
@@ -43,7 +43,7 @@ impl Density<'_> {
         ReadingMixture { laser: self.laser, effects: self.effects, clutter_density: self.blocks }
     }
 
-    /// What a reading `z` says; `shift` is added to the range of what stands there \[m\].
+    /// Log likelihood of a reading `z`; `shift` is added to the range of what stands there \[m\].
     pub fn terms(&self, beam: &Beam, shift: f64, z: f64) -> Terms {
         let max = self.laser.max_range_m;
         let parts = self.mixture().density(beam, shift, z);

@@ -10,7 +10,7 @@ const LEAST_SURVIVAL: f64 = 1e-12;
 /// A beam with everything that its reading depends on.
 #[derive(Clone, Debug)]
 pub struct ClutteredBeam {
-    /// What effects may depend on.
+    /// Covariates of effects.
     pub view: BeamView,
     /// Range of a missing object in front of the wall \[m\].
     pub object: Option<f64>,
@@ -37,6 +37,7 @@ impl ClutteredBeam {
     }
 
     /// Nominal range of the surface \[m\]: of the missing object in front of it, or of the map's wall where that isn't moved.
+    #[inline]
     pub fn range(&self) -> f64 {
         self.object.unwrap_or(self.view.range)
     }
@@ -84,7 +85,7 @@ pub struct MixtureDensity {
     pub unobstructed: f64,
     /// Probability that no clutter is in front.
     pub clear: f64,
-    /// What a density per metre was multiplied by to be one of usable multiples of the laser's step, as these are.
+    /// Factor from the density per metre to that of usable multiples of the laser's step.
     pub measure: f64,
     /// Mean of a reading of the surface \[m\]; infinite where nothing is met.
     pub mean: f64,
@@ -92,28 +93,16 @@ pub struct MixtureDensity {
     pub sigma: f64,
 }
 
-/// A beam without clutter in front of it.
-struct Unobstructed {
-    reading: ReadingDistribution,
-    /// Range of the surface \[m\].
-    range: f64,
-    /// Probability that no clutter is in front.
-    clear: f64,
-}
-
 /// A reading of the nearest clutter.
 struct OfClutter {
-    /// `None` for one that is the clutter's range.
-    reading: Option<ReadingDistribution>,
     /// Range of the clutter \[m\].
     range: f64,
-}
-
-impl OfClutter {
-    /// Parts of the alternatives, and the probability of none of them.
-    fn alternatives(&self, of: impl Fn(&ReadingDistribution) -> Parts) -> [f64; 2] {
-        self.reading.as_ref().map(of).map_or([0.0, 1.0], |parts| [parts.alternatives, parts.rest])
-    }
+    /// Probability, or its density, of what is read instead of it.
+    instead: f64,
+    /// Probability that something usable is read instead of it.
+    usable_instead: f64,
+    /// Probability that nothing is read instead of it.
+    rest: f64,
 }
 
 impl ReadingMixture<'_> {
@@ -123,22 +112,22 @@ impl ReadingMixture<'_> {
     /// has the density at its middle instead of its probability over the step: a relative error of (t^2 - 1) / 24 times the
     /// square of the step in standard deviations, at t standard deviations from the mean.
     pub fn density(&self, beam: &ClutteredBeam, shift: f64, z: f64) -> MixtureDensity {
-        let Unobstructed { reading, range, clear } = self.unobstructed(beam, shift);
-        let of_surface = reading.density_parts(z);
+        let view = BeamView { range: beam.view.range + shift, ..beam.view };
+        let range = self.surface_range(beam, &view, shift);
+        let reading = self.surface_reading(beam, &view, range);
+        let clear = self.clear(beam, &view, range, shift);
+        let [of_surface, usable] = reading.density_parts(z);
         let mut total = clear * of_surface.total();
-        let mut usable = clear * reading.usable();
+        let mut usable = clear * usable.total();
         let mut clutter = 0.0;
         if clear < 1.0 {
             let is_return = z < reading.max_m;
-            let nearest = self.clutter_read_at(
-                beam,
-                if is_return { z } else { beam.survival.middle(range - shift) + shift },
-            );
-            let [instead, rest] = nearest.alternatives(|reading| reading.density_parts(z));
+            let expected = if is_return { z } else { beam.survival.middle(range - shift) + shift };
+            let nearest = self.clutter_read_at(beam, expected, |reading| reading.density_parts(z));
             if is_return && nearest.range < range {
-                clutter = rest * self.nearest_density(beam, nearest.range - shift);
+                clutter = nearest.rest * self.nearest_density(beam, nearest.range - shift);
             }
-            total += (1.0 - clear) * instead + clutter;
+            total += (1.0 - clear) * nearest.instead + clutter;
             usable += self.usable_clutter(beam, shift, clear, &nearest, reading.min_m);
         }
         let measure = reading.on_grid(z, self.laser.resolution_m.max(FINEST_STEP_M)) / usable;
@@ -157,48 +146,63 @@ impl ReadingMixture<'_> {
     /// P(value before rounding < `x`) of a usable reading, for `x` from the minimum to the maximum range \[m\]: at a fine step
     /// that is the distribution function less half of the step's own probability. `shift` as in [`ReadingMixture::density`].
     pub fn cdf(&self, beam: &ClutteredBeam, shift: f64, x: f64) -> f64 {
-        let Unobstructed { reading, range, clear } = self.unobstructed(beam, shift);
-        let mut below = clear * reading.below(x).total();
-        let mut usable = clear * reading.usable();
+        let view = BeamView { range: beam.view.range + shift, ..beam.view };
+        let range = self.surface_range(beam, &view, shift);
+        let reading = self.surface_reading(beam, &view, range);
+        let clear = self.clear(beam, &view, range, shift);
+        let [of_surface, usable] = reading.below(x);
+        let mut below = clear * of_surface.total();
+        let mut usable = clear * usable.total();
         if clear < 1.0 {
-            let nearest = self.clutter_read_at(beam, x.min(range));
-            let [instead, rest] = nearest.alternatives(|reading| reading.below(x));
+            let nearest = self.clutter_read_at(beam, x.min(range), |reading| reading.below(x));
             let survival = self.survival(beam, nearest.range.min(range) - shift).max(clear);
-            below += (1.0 - clear) * instead + rest * (1.0 - survival);
+            below += (1.0 - clear) * nearest.instead + nearest.rest * (1.0 - survival);
             usable += self.usable_clutter(beam, shift, clear, &nearest, reading.min_m);
         }
         ((below - (1.0 - usable)) / usable).clamp(0.0, 1.0)
     }
 
-    fn unobstructed(&self, beam: &ClutteredBeam, shift: f64) -> Unobstructed {
-        let view = BeamView { range: beam.view.range + shift, ..beam.view };
-        let range = beam.object.map_or_else(|| self.effects.wall_range(&view), |object| object + shift);
-        let reading = self.effects.reading_of(
-            self.laser,
-            &view,
-            HitKind::Wall,
-            range,
-            beam.object.is_none(),
-            |_, share| share,
-        );
+    /// Range of the surface, where it really is \[m\].
+    fn surface_range(&self, beam: &ClutteredBeam, view: &BeamView, shift: f64) -> f64 {
+        beam.object.map_or_else(|| self.effects.wall_range(view), |object| object + shift)
+    }
+
+    fn surface_reading(&self, beam: &ClutteredBeam, view: &BeamView, range: f64) -> ReadingDistribution {
+        let is_mapped = beam.object.is_none();
+        self.effects.reading_of(self.laser, view, HitKind::Wall, range, is_mapped, |_, share| share)
+    }
+
+    /// Probability that no clutter is in front of the surface.
+    fn clear(&self, beam: &ClutteredBeam, view: &BeamView, range: f64, shift: f64) -> f64 {
         let log_clear = if beam.object.is_some() || range == view.range {
             beam.log_clear
         } else {
-            beam.log_clear_to((range - shift).min(reading.max_m))
+            beam.log_clear_to((range - shift).min(f64::from(self.laser.max_range_m as f32)))
         };
-        Unobstructed { reading, range, clear: (self.clutter_density * log_clear).exp() }
+        (self.clutter_density * log_clear).exp()
     }
 
-    /// The clutter whose reading is expected at `z` \[m\].
-    fn clutter_read_at(&self, beam: &ClutteredBeam, z: f64) -> OfClutter {
+    /// The clutter whose reading is expected at `z` \[m\], with the parts that `of` gives of what is read instead of it.
+    fn clutter_read_at(
+        &self,
+        beam: &ClutteredBeam,
+        z: f64,
+        of: impl Fn(&ReadingDistribution) -> [Parts; 2],
+    ) -> OfClutter {
         if self.effects.is_empty() {
-            return OfClutter { reading: None, range: z };
+            return OfClutter { range: z, instead: 0.0, usable_instead: 0.0, rest: 1.0 };
         }
         let reading =
             self.effects.reading_of(self.laser, &beam.view, HitKind::Object, z, false, |_, share| share);
         // A reading errs by about as much a little nearer or farther.
         let error = if reading.mean.is_finite() { reading.mean - z } else { 0.0 };
-        OfClutter { reading: Some(reading), range: z - error }
+        let [at_reading, usable] = of(&reading);
+        OfClutter {
+            range: z - error,
+            instead: at_reading.alternatives,
+            usable_instead: usable.alternatives,
+            rest: usable.rest,
+        }
     }
 
     /// Probability that no clutter stands within `range` metres.
@@ -227,9 +231,8 @@ impl ReadingMixture<'_> {
         nearest: &OfClutter,
         min_m: f64,
     ) -> f64 {
-        let [instead, rest] = nearest.alternatives(ReadingDistribution::unusable);
         let within_reach = self.survival(beam, min_m - shift).max(clear);
-        (1.0 - clear) * (1.0 - rest - instead) + rest * (within_reach - clear)
+        (1.0 - clear) * nearest.usable_instead + nearest.rest * (within_reach - clear)
     }
 }
 
@@ -292,9 +295,13 @@ mod tests {
         let of_clutter = (0..millimetres).map(|i| {
             let [near, middle, far] = [0.0, 0.5, 1.0].map(|share| 0.001 * (f64::from(i) + share));
             let probability = survival(near) - survival(far);
-            if probability > 0.0 { probability * read(HitKind::Object, middle).below(x).total() } else { 0.0 }
+            if probability > 0.0 {
+                probability * read(HitKind::Object, middle).below(x)[0].total()
+            } else {
+                0.0
+            }
         });
-        survival(beam.view.range) * read(HitKind::Wall, beam.view.range).below(x).total()
+        survival(beam.view.range) * read(HitKind::Wall, beam.view.range).below(x)[0].total()
             + of_clutter.sum::<f64>()
     }
 
