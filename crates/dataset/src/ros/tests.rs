@@ -872,7 +872,7 @@ fn a_carmen_log_has_no_topics() {
     let path = folder.path().join("drive.log");
     fs::write(&path, "FLASER 1 1 0 0 0 0 0 0 1 h 1\n").unwrap();
     let topics = BagTopics { scan: Some("/scan".to_owned()), ..BagTopics::default() };
-    let refused = read_log(&path, &LogOptions { max_range_m: None, topics }).unwrap_err().to_string();
+    let refused = read_log(&path, &LogOptions { topics, ..LogOptions::default() }).unwrap_err().to_string();
     assert!(
         refused.ends_with("a topic is named; allowed: topics of a ROS 2 bag; found: a CARMEN log"),
         "{refused}"
