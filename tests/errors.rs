@@ -278,7 +278,7 @@ fn a_path_through_a_wall() {
     refused_scenario(
         "[[0.6, 0.9], [2.6, 0.9]]",
         "[[0.6, 1.6], [2.6, 1.6]]",
-        "s.yaml: at 1.80 s the path is at (1.500, 1.600) m, outside the map's free space",
+        "s.yaml:9: robot.path.waypoints.points_m: after 1.80 s the path is at (1.500, 1.600) m, which is not in the free space of room.yaml",
     );
 }
 

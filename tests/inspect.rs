@@ -1,4 +1,5 @@
-//! The road from a recording to a report: `inspect` says what a log holds.
+//! The road from a recording to a report: `inspect` says what a log holds, `init` writes a scenario that `run`, `map` and `gap`
+//! take as it is.
 
 mod common;
 
@@ -109,7 +110,7 @@ fn a_log_that_lacks_something_is_inspected_all_the_same() {
     let folder = folder_with_a_drive("drive.log");
     let text = String::from_utf8(folder.read("drive.log")).unwrap();
     let lines = |keep: &dyn Fn(&str) -> bool| -> String {
-        text.lines().filter(|line| keep(line)).map(|line| format!("{line}\n")).collect()
+        text.split_inclusive('\n').filter(|line| keep(line)).collect()
     };
     // Without a reference.
     folder.write("raw.log", lines(&|line| !line.starts_with("TRUEPOS")));
@@ -122,7 +123,7 @@ fn a_log_that_lacks_something_is_inspected_all_the_same() {
     // A single scan.
     let first =
         text.lines().position(|line| line.starts_with("FLASER") || line.starts_with("ROBOTLASER")).unwrap();
-    let one: String = text.lines().take(first + 1).map(|line| format!("{line}\n")).collect();
+    let one: String = text.split_inclusive('\n').take(first + 1).collect();
     folder.write("one.log", one);
     folder.locsim("inspect one.log --picture one.svg").success().stdout(contains("1 in 0.0 s"));
 
@@ -146,7 +147,109 @@ fn a_log_that_lacks_something_is_inspected_all_the_same() {
     );
 
     // What is no log stays an error.
-    folder.write("image.log", "\u{89}PNG\r\n");
+    folder.write("image.log", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR");
     folder.locsim("inspect image.log").code(2);
     folder.locsim("inspect nothing.log").code(2);
+}
+
+/// The two commands from a log to a report, and the others on the same scenario.
+#[test]
+fn a_new_scenario_serves_run_map_and_gap_without_an_edit() {
+    let folder = folder_with_a_drive("drive.mcap");
+    folder
+        .locsim("init drive.mcap -o my.yaml")
+        .success()
+        .stdout(contains("`locsim run my.yaml`").and(contains("`locsim gap my.yaml --out found`")));
+    let text = String::from_utf8(folder.read("my.yaml")).unwrap();
+    for part in ["file: drive.mcap", "map: walls", "against the reference", "flat walls", "from /tf_static"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    folder.locsim("validate my.yaml").success();
+    // Two trials: a test needs no more.
+    folder.locsim("run my.yaml --trials 2 --record none --json --out results").success();
+    assert!(!folder.read("results/report.html").is_empty());
+    folder.locsim("map my.yaml --out floor").success();
+    assert!(folder.read("floor.pgm").starts_with(b"P5"));
+    folder.locsim("gap my.yaml --out found --replicates 19 --scans 60 --beams 12 --no-filter").success();
+    // The proposal is a scenario of its own name, which finds log and map from its folder.
+    let proposal = String::from_utf8(folder.read("found/scenario.yaml")).unwrap();
+    assert!(proposal.contains("name: my-gap") && proposal.contains("file: ../drive.mcap"), "{proposal}");
+    folder.locsim("validate found/scenario.yaml").success();
+
+    // Nothing is overwritten.
+    folder.locsim("init drive.mcap -o my.yaml").code(2).stderr(contains("--force"));
+    folder.locsim("init drive.mcap -o drive.mcap --force").code(2);
+    assert!(folder.read("drive.mcap").starts_with(b"\x89MCAP0\r\n"));
+    folder.locsim("init drive.mcap -o my.yaml --force").success();
+}
+
+#[test]
+fn a_new_scenario_takes_a_map_from_another_folder() {
+    let folder = folder_with_a_drive("drive.log");
+    folder.locsim("map drive.log --out floor").success();
+    std::fs::create_dir(folder.path("runs")).unwrap();
+    for map in ["room.yaml", "floor.yaml", "floor.walls.yaml"] {
+        folder.locsim(&format!("init drive.log --map {map} -o runs/my.yaml --force")).success();
+        let text = String::from_utf8(folder.read("runs/my.yaml")).unwrap();
+        assert!(text.contains(&format!("map: {{file: ../{map}}}")), "{text}");
+        assert!(!text.contains("map_scans"), "{text}");
+        folder.locsim("validate runs/my.yaml").success();
+    }
+    folder.locsim("init drive.log --map drive.yaml -o runs/other.yaml").code(2);
+    folder.locsim("run runs/my.yaml --trials 1 --record none --quiet").success();
+}
+
+/// A log without reference poses: the filters run on a map, and the results say what can't be said.
+#[test]
+fn a_log_without_a_reference_is_localized_on() {
+    let folder = folder_with_a_drive("drive.log");
+    let text = String::from_utf8(folder.read("drive.log")).unwrap();
+    let raw: String = text.split_inclusive('\n').filter(|line| !line.starts_with("TRUEPOS")).collect();
+    folder.write("raw.log", raw);
+    folder.locsim("init raw.log -o raw.yaml").code(2).stderr(contains("--map names a map"));
+    folder.locsim("init raw.log --map room.yaml -o raw.yaml").success();
+    let global = String::from_utf8(folder.read("raw.yaml")).unwrap();
+    assert!(global.contains("start: global") && !global.contains("train_scans"), "{global}");
+
+    // From a given start, with few particles: the estimates are those of the log with a reference.
+    let start = "start: {around: {x_m: 0.6, y_m: 0.9, heading_deg: 0, sigma_m: 0.1, sigma_deg: 3}}";
+    let tracked: Vec<&str> =
+        global.lines().filter(|line| !line.contains("annealing:") && !line.contains("particles:")).collect();
+    let tracked = tracked
+        .join("\n")
+        .replace("start: global # the log has no reference that could tell the first pose", start)
+        .replace("filter:\n", "filter:\n  particles: 500\n");
+    assert!(tracked.contains(start), "{tracked}");
+    folder.write("tracked.yaml", &tracked);
+    let run = folder.locsim("run tracked.yaml --trials 2 --record none --json --out results").success();
+    let summary: Value = serde_json::from_str(&output(&run)).unwrap();
+    assert_eq!(summary["has_reference"], false);
+    assert_eq!(summary["models"].as_array().unwrap().len(), 3);
+    for model in summary["models"].as_array().unwrap() {
+        assert_eq!(model["gathered_share"], 1.0, "{model}");
+        assert!(model["spread_median_m"].as_f64().unwrap() < 0.2, "{model}");
+        assert!(model["disagreement_m"].as_f64().unwrap() < 0.5, "{model}");
+    }
+    let report = String::from_utf8(folder.read("results/report.md")).unwrap();
+    assert!(report.contains("no error is known"), "{report}");
+    let estimates = String::from_utf8(folder.read("results/trajectories/likelihood_field.tum")).unwrap();
+    let last: Vec<f64> =
+        estimates.lines().last().unwrap().split_whitespace().map(|word| word.parse().unwrap()).collect();
+    // The drive ends at (0.7, 0.7) m.
+    assert!((last[1] - 0.7).hypot(last[2] - 0.7) < 0.2, "{last:?}");
+
+    // A start at a reference pose that isn't there.
+    let nowhere = tracked.replace(start, "start: {tracking: {sigma_m: 0.1, sigma_deg: 3}}");
+    folder.write("nowhere.yaml", nowhere);
+    folder.locsim("run nowhere.yaml --record none").code(2).stderr(contains("begins at a reference pose"));
+}
+
+/// Written bags have stamps that programs of ROS take for times.
+#[test]
+fn a_simulated_bag_has_a_date() {
+    let folder = folder_with_a_drive("drive.mcap");
+    let found = inspected(&folder, "drive.mcap");
+    assert_eq!(found["drive"]["clock"]["first_secs"], 1_704_067_200.0);
+    let found = inspected(&folder_with_a_drive("drive.log"), "drive.log");
+    assert_eq!(found["drive"]["clock"]["first_secs"], 0.0);
 }

@@ -50,6 +50,8 @@ pub enum Command {
     Map(Map),
     /// Say what a log holds: topics, laser, odometry, reference, clocks, what it is good for, and how to cut it
     Inspect(Inspect),
+    /// Write a scenario for a log, which `run`, `map` and `gap` take as it is
+    Init(Init),
     /// Print a shell's completion script
     Completions {
         /// The shell
@@ -157,7 +159,8 @@ pub struct Simulate {
 /// `locsim map`.
 #[derive(Debug, Args)]
 pub struct Map {
-    /// A log with reference poses: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a CARMEN log (`.log`, `.log.gz`)
+    /// A log with reference poses: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a CARMEN log (`.log`, `.log.gz`); or a scenario
+    /// of one (`.yaml`), whose map scans are then taken
     pub log: PathBuf,
     /// The maps to write: OUT.yaml and OUT.pgm (cells), OUT.walls.yaml (walls), OUT.check.svg (held-out readings on it)
     #[arg(long)]
@@ -193,6 +196,24 @@ pub struct Inspect {
     pub log_options: LogOptions,
 }
 
+/// `locsim init`.
+#[derive(Debug, Args)]
+pub struct Init {
+    /// The log: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a CARMEN log (`.log`, `.log.gz`)
+    pub log: PathBuf,
+    /// The scenario to write
+    #[arg(short, long)]
+    pub out: PathBuf,
+    /// The map: a ROS `map_server` YAML, a vector map, or a map of walls [default: one that is built from the log]
+    #[arg(long)]
+    pub map: Option<PathBuf>,
+    /// Replace the scenario if it is there
+    #[arg(long)]
+    pub force: bool,
+    #[command(flatten)]
+    pub log_options: LogOptions,
+}
+
 /// How to read a log.
 #[derive(Debug, Args)]
 pub struct LogOptions {
@@ -218,7 +239,8 @@ pub struct Gap {
     #[arg(required_unless_present = "explain")]
     pub scenario: Option<PathBuf>,
     /// The measured log, with reference poses: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a CARMEN log (`.log`, `.log.gz`)
-    #[arg(long, required_unless_present = "explain")]
+    /// [default: the scenario's]
+    #[arg(long)]
     pub log: Option<PathBuf>,
     /// Results folder
     #[arg(long, required_unless_present = "explain")]

@@ -12,15 +12,15 @@ use locsim_core::output::Output;
 use locsim_dataset::{BagTopics, LogOptions};
 use locsim_lab::LabError;
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyOptions};
-use locsim_lab::inspect::{self, Inspection};
-use locsim_lab::run::{self, LogMaps, Recorder, RunOptions};
+use locsim_lab::inspect::{self, Inspection, NewScenario};
+use locsim_lab::run::{self, LogMaps, Recorder, RunOptions, RunSummary};
 use locsim_report::figures::Rasterizer;
 use locsim_report::terminal_table;
-use locsim_scenario::{self as scenario, Overrides, Scenario, catalogue};
+use locsim_scenario::{self as scenario, LogMap, Overrides, Scenario, Source, catalogue};
 use locsim_study::{self as study, StudyError, StudyOptions, StudyOverrides};
 use locsim_terminal::{BAD_INPUT, Failure, Session, complain, exit_code, say};
 
-use arguments::{Arguments, Command, Gap, Inspect, Map, Record, Run, Simulate};
+use arguments::{Arguments, Command, Gap, Init, Inspect, Map, Record, Run, Simulate};
 
 /// A bound that the scenario declares was missed.
 const MISSED: u8 = 1;
@@ -44,6 +44,7 @@ fn obey(command: &Command) -> Result<ExitCode, Failure> {
         Command::Gap(arguments) => gap(arguments)?,
         Command::Map(arguments) => map(arguments)?,
         Command::Inspect(arguments) => inspect_log(arguments)?,
+        Command::Init(arguments) => init(arguments)?,
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(*shell, &mut Arguments::command(), "locsim", &mut script);
@@ -82,8 +83,15 @@ fn run(arguments: &Run) -> Result<ExitCode, Failure> {
     if arguments.output.json {
         say(&serde_json::to_string_pretty(&outcome.summary)?)?;
     } else if !arguments.output.quiet {
-        say(&terminal_table(&outcome.summary))?;
-        let replay = if arguments.record == Record::File {
+        match &outcome.summary {
+            RunSummary::Referenced(summary) => say(&terminal_table(summary))?,
+            RunSummary::Unreferenced(summary) => {
+                say(&summary.table().to_terminal())?;
+                summary.findings.iter().try_for_each(|finding| say(&format!("- {finding}")))?;
+            }
+        }
+        let is_recorded = matches!(outcome.summary, RunSummary::Referenced(_));
+        let replay = if arguments.record == Record::File && is_recorded {
             format!("; `rerun {}` replays", out.join(run::RECORDING).display())
         } else {
             String::new()
@@ -216,7 +224,7 @@ fn simulate(arguments: &Simulate) -> anyhow::Result<ExitCode> {
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     Output { path: &arguments.out, force: arguments.force, inputs: &scenario.inputs()? }.check()?;
     let drive = run::simulate_trial(&scenario, arguments.trial)?;
-    locsim_dataset::write_log(&arguments.out, &drive)?;
+    locsim_dataset::write_simulated_log(&arguments.out, &drive)?;
     say(&format!(
         "{}: {} scans of {} beams",
         arguments.out.display(),
@@ -243,10 +251,10 @@ fn gap(arguments: &Gap) -> Result<ExitCode, Failure> {
         say(&catalogue::page(name)?)?;
         return Ok(ExitCode::SUCCESS);
     }
-    let (Some(scenario), Some(log), Some(out)) = (&arguments.scenario, &arguments.log, &arguments.out) else {
-        return Err(anyhow!("a scenario, --log and --out are needed").into());
+    let (Some(scenario), Some(out)) = (&arguments.scenario, &arguments.out) else {
+        return Err(anyhow!("a scenario and --out are needed").into());
     };
-    let study = GapStudy::load(scenario, log, gap_settings(arguments)?)?;
+    let study = GapStudy::load(scenario, arguments.log.as_deref(), gap_settings(arguments)?)?;
     arguments.threads.set()?;
     let session = Session::begin(arguments.output.quiet)?;
     let cache = arguments.cache.clone().or_else(users_cache);
@@ -294,9 +302,9 @@ fn gap_settings(arguments: &Gap) -> anyhow::Result<GapSettings> {
 fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
     let path = |path: &Option<PathBuf>| path.as_deref().unwrap_or(Path::new("")).display().to_string();
     let mut command = format!(
-        "locsim gap {} --log {} --out {} --replicates {} --seed {} --scans {} --beams {}",
+        "locsim gap {}{} --out {} --replicates {} --seed {} --scans {} --beams {}",
         path(&arguments.scenario),
-        path(&arguments.log),
+        arguments.log.as_ref().map_or_else(String::new, |log| format!(" --log {}", log.display())),
         path(&arguments.out),
         arguments.replicates,
         study.seed(),
@@ -348,7 +356,8 @@ fn map(arguments: &Map) -> anyhow::Result<ExitCode> {
     let [image, yaml, walls, picture] = [".pgm", ".yaml", ".walls.yaml", ".check.svg"].map(file);
     let name = image.file_name().context("--out needs a file name")?;
     let name = name.to_str().context("--out: a map names its image in UTF-8; this name is not")?;
-    let inputs = [arguments.log.clone()];
+    let source = map_source(arguments, [from, to])?;
+    let inputs = [arguments.log.clone(), source.log.clone()];
     let outputs = [&image, &yaml, &walls, &picture].map(|path| Output {
         path,
         force: arguments.force,
@@ -357,8 +366,7 @@ fn map(arguments: &Map) -> anyhow::Result<ExitCode> {
     for output in &outputs {
         output.check()?;
     }
-    let options = log_options(&arguments.log_options);
-    let maps = LogMaps::from_log(&arguments.log, &[[from, to]], arguments.resolution, &options)?;
+    let maps = LogMaps::from_log(&source.log, &source.shares, arguments.resolution, &source.options)?;
     let [pgm, description] = maps.grid_files(name);
     let mut contents = vec![pgm, description, maps.walls.to_yaml().into_bytes()];
     if let Some(check) = &maps.check {
@@ -408,5 +416,56 @@ fn inspect_log(arguments: &Inspect) -> anyhow::Result<ExitCode> {
         let content = if is_png { Rasterizer::new().png(&figure)? } else { figure.svg.into_bytes() };
         Output::write_all(&[(picture, &content)])?;
     }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The scans that maps are built from.
+struct MapSource {
+    log: PathBuf,
+    shares: Vec<[f64; 2]>,
+    options: LogOptions,
+}
+
+/// A share of a log, or the map scans of a scenario's log.
+fn map_source(arguments: &Map, share: [f64; 2]) -> anyhow::Result<MapSource> {
+    let is_scenario =
+        arguments.log.extension().is_some_and(|extension| extension == "yaml" || extension == "yml");
+    if !is_scenario {
+        let options = log_options(&arguments.log_options);
+        return Ok(MapSource { log: arguments.log.clone(), shares: vec![share], options });
+    }
+    let scenario = Scenario::load(&arguments.log, &Overrides::default())?;
+    let Source::Log(log) = &scenario.source else {
+        bail!("{}: the scenario has no `log` to build a map from", arguments.log.display());
+    };
+    let shares = match &log.map {
+        LogMap::File(_) => vec![share],
+        LogMap::FromScans { scans, .. } | LogMap::Walls { scans } => scans.clone(),
+    };
+    Ok(MapSource { log: log.file.clone(), shares, options: run::read_options(log) })
+}
+
+fn init(arguments: &Init) -> anyhow::Result<ExitCode> {
+    let Init { log, out, map, force, log_options: options } = arguments;
+    let inputs: Vec<PathBuf> = map.iter().chain([log]).cloned().collect();
+    let output = Output { path: out, force: *force, inputs: &inputs };
+    output.check()?;
+    if let Some(map) = map {
+        scenario::load_map(map)?;
+    }
+    let options = log_options(options);
+    let inspection = Inspection::of(log, &options)?;
+    let text = NewScenario { log, map: map.as_deref(), out, options }.text(&inspection)?;
+    Output::write_all(&[(output, text.as_bytes())])?;
+    for warning in &inspection.warnings {
+        complain(&format!("warning: {warning}"));
+    }
+    let file = out.display();
+    let reference = inspection.drive.as_ref().is_some_and(|drive| drive.references() > 0);
+    let gap = if reference { format!("`locsim gap {file} --out found` and ") } else { String::new() };
+    say(&format!(
+        "{file}: written. `locsim run {file}` localizes on the log; {gap}`locsim inspect {}` says more.",
+        log.display()
+    ))?;
     Ok(ExitCode::SUCCESS)
 }

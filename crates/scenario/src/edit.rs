@@ -9,7 +9,7 @@ use saphyr_parser::{Event, Parser};
 
 use crate::effect::{effect_yaml, quoted_text};
 use crate::key_path::join;
-use crate::{Overrides, Scenario, Source};
+use crate::{Overrides, Scenario};
 
 /// An entry of the list `effects`.
 pub struct Entry {
@@ -20,20 +20,17 @@ pub struct Entry {
 }
 
 impl Scenario {
-    /// The text with effects appended, for a file in the folder `folder`, an absolute path: files that are named relative to the
-    /// scenario's folder are named relative to `folder`.
-    pub fn with_effects(&self, effects: &[Entry], folder: &Path) -> String {
-        moved(&grown(&self.text, effects), &self.file, folder)
+    /// The text with effects appended and a name of its own, for a file in the folder `folder`, an absolute path: files that are
+    /// named relative to the scenario's folder are named relative to `folder`.
+    pub fn with_effects(&self, effects: &[Entry], folder: &Path, name: &str) -> String {
+        renamed(&moved(&grown(&self.text, effects), &self.file, folder), name)
     }
 
     /// Whether [`with_effects`](Self::with_effects) gives a scenario with those effects.
     pub fn can_grow(&self) -> bool {
         let count = |text: &str| {
             let scenario = Self::parse_text(&self.file, text, &Overrides::default()).ok()?;
-            Some(match scenario.source {
-                Source::Simulation(simulation) => simulation.effects.len(),
-                Source::Log(_) => 0,
-            })
+            Some(scenario.simulator()?.effects.len())
         };
         let neutral = Effect::neutral(EffectKind::RangeBias, Vec::new());
         let lines = vec![effect_yaml(&neutral, None)];
@@ -202,22 +199,69 @@ fn moved(text: &str, file: &Path, to: &Path) -> String {
     let mut places: Vec<(Range<usize>, String)> = Vec::new();
     walk(text, &mut |path, event, bytes, _| {
         let Event::Scalar(word, ..) = event else { return };
-        let is_file = path == "map.file" || (path.starts_with("models[") && path.ends_with("].file"));
+        let is_file = path == "map.file"
+            || path == "log.file"
+            || (path.starts_with("models[") && path.ends_with("].file"));
         // An absolute path, or one from the environment, holds everywhere.
         if !is_file || word.starts_with("${") || Path::new(&**word).is_absolute() {
             return;
         }
         if let Ok(target) = from.join(&**word).canonicalize() {
-            places.push((bytes, relative(&target, to).display().to_string()));
+            places.push((bytes, scalar(&relative(&target, to))));
         }
     });
     let mut text = text.to_owned();
     for (bytes, path) in places.into_iter().rev() {
-        let plain = path.chars().all(|c| c.is_ascii_alphanumeric() || "-_/.".contains(c));
-        let path = if plain { path } else { quoted_text(&path) };
         text.replace_range(bytes, &path);
     }
     text
+}
+
+/// The text with another name: the key `name` stands first where there was none.
+fn renamed(text: &str, name: &str) -> String {
+    let mut place = None;
+    walk(text, &mut |path, event, bytes, _| {
+        if path == "name" && matches!(event, Event::Scalar(..)) {
+            place = Some(bytes);
+        }
+    });
+    let mut text = text.to_owned();
+    if let Some(bytes) = place {
+        text.replace_range(bytes, name);
+        return text;
+    }
+    let start = start_of_keys(&text);
+    if text[start..].starts_with('{') {
+        text.insert_str(start + 1, &format!("name: {name}, "));
+    } else {
+        text.insert_str(start, &format!("name: {name}\n"));
+    }
+    text
+}
+
+/// The start of the first line that is neither blank nor a comment nor the start of the document.
+fn start_of_keys(text: &str) -> usize {
+    let is_head = |line: &str| {
+        let line = line.trim_start_matches('\u{feff}').trim();
+        line.is_empty() || line.starts_with('#') || line.starts_with("---") || line.starts_with('%')
+    };
+    text.split_inclusive('\n').take_while(|line| is_head(line)).map(str::len).sum()
+}
+
+/// A file as a file of the folder `folder` names it, in YAML: relative, where they share a folder.
+pub fn yaml_path(file: &Path, folder: &Path) -> String {
+    let absolute = |path: &Path| {
+        let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
+        path.canonicalize().unwrap_or_else(|_| path.to_owned())
+    };
+    scalar(&relative(&absolute(file), &absolute(folder)))
+}
+
+/// A path in YAML, in quotes where it needs them.
+fn scalar(path: &Path) -> String {
+    let path = path.display().to_string();
+    let plain = path.chars().all(|c| c.is_ascii_alphanumeric() || "-_/.".contains(c));
+    if plain { path } else { quoted_text(&path) }
 }
 
 /// A path from the folder `from` to `target`, both absolute; `target` itself where they share no folder.
@@ -241,6 +285,19 @@ mod tests {
             comments: vec!["why".to_owned()],
             lines: vec!["- {name: heavy_tail, p: 0.1}".to_owned()],
         }]
+    }
+
+    #[test]
+    fn a_scenario_gets_another_name() {
+        for (text, expected) in [
+            ("seed: 1\n", "name: n\nseed: 1\n"),
+            ("# head\n\n---\nseed: 1\n", "# head\n\n---\nname: n\nseed: 1\n"),
+            ("seed: 1\nname: old # why\n", "seed: 1\nname: n # why\n"),
+            ("name: \"old one\"\nlog: {name: x}\n", "name: n\nlog: {name: x}\n"),
+            ("{seed: 1}\n", "{name: n, seed: 1}\n"),
+        ] {
+            assert_eq!(renamed(text, "n"), expected);
+        }
     }
 
     #[test]

@@ -72,6 +72,8 @@ impl Scenario {
         if let Some(map) = scenario.map_file() {
             let map = load_map(map)?;
             validate::in_map(&mut scenario, &walls, &map, check())?;
+        } else {
+            validate::without_map(&walls, check())?;
         }
         Ok(scenario)
     }

@@ -15,6 +15,8 @@ fn fixtures() -> [String; 5] {
     let turning = edited(&text("minimal.yaml"), "speed_m_s: 0.5}", "speed_m_s: 0.5, turn_rate_deg_s: 10}");
     let turning = edited(&turning, "beams: 36", "beams: 36, first_beam_deg: -180");
     let log = edited(&text("log.yaml"), "map_resolution_m: 0.1", "map_resolution_m: 0.1\n  map: walls");
+    let around = "start: {around: {x_m: 1, y_m: 2, heading_deg: 90, sigma_m: 0.1, sigma_deg: 3}}";
+    let log = edited(&log, "start: global", around);
     [simulation, exact, turning, log, bag()]
 }
 
@@ -94,7 +96,7 @@ fn every_documented_default_is_the_default() {
     let minimal = text("minimal.yaml");
     let waypoints = edited(
         &minimal,
-        "    velocity_profile:\n      start: {x_m: 1, y_m: 2, heading_deg: 180}\n      segments:\n        - {secs: 4, speed_m_s: 0.5}",
+        "    velocity_profile:\n      start: {x_m: 3, y_m: 2, heading_deg: 180}\n      segments:\n        - {secs: 4, speed_m_s: 0.5}",
         "    waypoints: {points_m: [[1, 2], [2, 2]], speed_m_s: 1, turn_rate_deg_s: 45}",
     );
     let adaptive = edited(&minimal, "particles: 1000", "particles: {kld: {min: 10, max: 20}}");

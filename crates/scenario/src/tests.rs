@@ -209,6 +209,7 @@ fn a_log_is_read_with_its_parts() {
             localize_scans: vec![[0.75, 1.0]],
             max_range_m: Some(40.0),
             topics: BagTopics::default(),
+            simulator: None,
         })
     );
     let Source::Log(bag) = parse(&bag()).unwrap().source else { panic!() };
@@ -225,6 +226,21 @@ fn a_log_is_read_with_its_parts() {
     let with_map = edited(&with_map, "  map_resolution_m: 0.1\n", "");
     let scenario = parse(&format!("map: {{file: map.yaml}}\n{with_map}")).unwrap();
     assert_eq!(scenario.map_file(), Some(Path::new(FIXTURES).join("map.yaml").as_path()));
+}
+
+/// The simulator of a log's robot, on which `gap` and training without `train_scans` rest.
+#[test]
+fn a_log_may_have_a_simulator() {
+    let simulator = "robot: {odometry_noise: {alpha: [0.1, 0.2, 0.3, 0.4]}}\nlaser: {rate_hz: 5, beams: 36, max_range_m: 4.5}\n\
+                     effects: [{name: range_bias, bias_m: 0.02}]\n";
+    let log = edited(&text("log.yaml"), "  train_scans: [[0.5, 0.6], [0.6, 0.75]]\n", "");
+    let scenario = parse(&format!("{simulator}{log}")).unwrap();
+    let found = scenario.simulator().unwrap();
+    assert_eq!(found.odometry_noise.alpha(), [0.1, 0.2, 0.3, 0.4]);
+    assert_eq!((found.laser.beams, found.effects.len(), found.blocks), (36, 1, None));
+    assert_eq!(scenario.training.observations, 100, "simulated scans");
+    assert_eq!(parse(&text("log.yaml")).unwrap().simulator(), None);
+    assert!(parse(&text("minimal.yaml")).unwrap().simulator().is_some());
 }
 
 #[test]
@@ -382,7 +398,7 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ("way point in a wall", "simulation.yaml", "[19, 3]", "[19, 5]"),
     ("no segments", "minimal.yaml", "        - {secs: 4, speed_m_s: 0.5}", "        []"),
     ("segment without length", "minimal.yaml", "secs: 4", "secs: 0"),
-    ("start outside the map", "minimal.yaml", "x_m: 1,", "x_m: -1,"),
+    ("start outside the map", "minimal.yaml", "x_m: 3,", "x_m: -1,"),
     ("negative odometry noise", "simulation.yaml", "alpha: [0.05, 0.02,", "alpha: [0.05, -0.02,"),
     ("interval upside down", "simulation.yaml", "[0.2, 0.6]", "[0.6, 0.2]"),
     ("block of length zero", "simulation.yaml", "[0.2, 0.6]", "[0, 0.6]"),
@@ -427,11 +443,19 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ("unset variable", "log.yaml", "${LOGS}", "${LOCSIM_NOWHERE}"),
     ("open variable", "log.yaml", "${LOGS}", "${LOGS"),
     (
-        "log with blocks and laser",
+        "log with blocks and no laser",
         "log.yaml",
         "seed: 1",
-        "seed: 1\nlaser: {rate_hz: 5, beams: 36, max_range_m: 4.5}\nblocks: {per_metre_of_wall: 0.5, length_m: [0.2, 0.6], width_m: [0.2, 0.6]}",
+        "seed: 1\nblocks: {per_metre_of_wall: 0.5, length_m: [0.2, 0.6], width_m: [0.2, 0.6]}",
     ),
+    (
+        "a wall by name on a map that isn't built yet",
+        "log.yaml",
+        "seed: 1",
+        "seed: 1\nlaser: {rate_hz: 5, beams: 36, max_range_m: 4.5}\neffects: [{name: glass, wall: north, p: 0.5}]",
+    ),
+    ("log without training scans and laser", "log.yaml", "  train_scans: [[0.5, 0.6], [0.6, 0.75]]\n", ""),
+    ("a path through a wall", "minimal.yaml", "secs: 4", "secs: 8"),
     ("log with map and map scans", "log.yaml", "seed: 1", "seed: 1\nmap: {file: map.yaml}"),
     ("topics of a CARMEN log", "log.yaml", "  max_range_m: 40", "  topics: {scan: /scan}"),
     ("log without any map", "log.yaml", "  map_scans: [[0.0, 0.5]]\n", ""),

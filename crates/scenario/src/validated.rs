@@ -1,10 +1,11 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
 use locsim_sensor::ModelKind;
 use locsim_world::effect::Effect;
-use locsim_world::simulation::{BlockOptions, LaserOptions, Robot};
+use locsim_world::simulation::{BlockOptions, LaserOptions, OdometryNoise, Robot};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
@@ -100,7 +101,7 @@ pub struct Log {
     pub file: PathBuf,
     /// Where the map comes from.
     pub map: LogMap,
-    /// Scans that the sensor models are trained on.
+    /// Scans that the sensor models are trained on; none where they are trained on simulated scans.
     pub train_scans: Vec<[f64; 2]>,
     /// Scans that the filter localizes on: one interval.
     pub localize_scans: Vec<[f64; 2]>,
@@ -108,6 +109,36 @@ pub struct Log {
     pub max_range_m: Option<f64>,
     /// Names of the topics, where the log is a bag.
     pub topics: BagTopics,
+    /// The simulator of the same robot, if the scenario has one.
+    pub simulator: Option<SimulatorOptions>,
+}
+
+/// What is simulated in a map, whatever path the robot takes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SimulatorOptions {
+    /// Unmapped blocks; `None` for a world that is as mapped.
+    pub blocks: Option<BlockOptions>,
+    /// The laser.
+    pub laser: LaserOptions,
+    /// Noise of the odometry.
+    pub odometry_noise: OdometryNoise,
+    /// Ways in which the world differs from all this.
+    pub effects: Vec<Effect>,
+}
+
+impl Scenario {
+    /// The simulator: that of a simulated robot, or the one beside a log.
+    pub fn simulator(&self) -> Option<SimulatorOptions> {
+        match &self.source {
+            Source::Simulation(Simulation { blocks, robot, laser, effects, .. }) => Some(SimulatorOptions {
+                blocks: *blocks,
+                laser: *laser,
+                odometry_noise: robot.odometry_noise,
+                effects: effects.clone(),
+            }),
+            Source::Log(log) => log.simulator.clone(),
+        }
+    }
 }
 
 /// The map of a measured log.
@@ -366,6 +397,8 @@ pub struct Annealing {
 pub enum Start {
     /// Gaussian around the true (or reference) first pose: pose tracking.
     Tracking(Spread),
+    /// Gaussian around this pose.
+    Around(Pose2, Spread),
     /// Uniform over the map's free space: global localization.
     Global,
 }

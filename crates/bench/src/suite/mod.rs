@@ -398,7 +398,7 @@ fn localize(
         without: Vec::new(),
         log: LogOptions::default(),
     };
-    let study = GapStudy::load(&options.scenario, log, settings)?;
+    let study = GapStudy::load(&options.scenario, Some(log), settings)?;
     let filter = FilterOnLog::new(&study, None, Control { progress: &(), ..options.control })?;
     let mean = |effects: Vec<Effect>| -> Result<f64, BenchError> {
         let errors = filter.errors(effects)?;

@@ -18,7 +18,7 @@ use crate::run::filter_options;
 use crate::run::{MapSet, free_poses};
 use crate::run::{ScanData, Surroundings, TrainedModel, train};
 use locsim_core::{Control, Progress};
-use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Spread, load_map};
+use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Source, Spread};
 use locsim_sensor::ModelKind;
 
 /// Particles.
@@ -54,9 +54,8 @@ impl<'a> FilterOnLog<'a> {
     /// # Errors
     /// [`LabError`] for a map that cannot be read and a model that cannot be fitted.
     pub fn new(study: &'a GapStudy, cache: Option<&Path>, control: Control<'a>) -> Result<Self, LabError> {
-        let simulation = study.simulation();
-        let map = load_map(&simulation.map)?.geometry;
-        let unusable = |source| LabError::Map { path: simulation.map.clone(), source };
+        let map = study.map.geometry().clone();
+        let unusable = |source| LabError::Map { path: study.scenario.file.clone(), source };
         let maps = MapSet::new(map, study.scenario.ray_cast, cache, control.progress).map_err(unusable)?;
         let nominal = trained(study, &maps, Vec::new(), control.progress)?;
         Ok(Self { study, control, maps, nominal })
@@ -121,15 +120,19 @@ fn trained(
     more: Vec<Effect>,
     progress: &dyn Progress,
 ) -> Result<TrainedModel, LabError> {
-    let simulation = study.simulation();
+    let nominal = &study.simulator;
     let training = &study.scenario.training;
-    let effects = Effects::new([simulation.effects.clone(), more].concat()).map_err(GapError::from)?;
-    let simulator = Simulator::new(Arc::clone(&maps.exact), simulation.blocks, simulation.laser, effects)
+    let effects = Effects::new([nominal.effects.clone(), more].concat()).map_err(GapError::from)?;
+    let simulator = Simulator::new(Arc::clone(&maps.exact), nominal.blocks, nominal.laser, effects)
         .map_err(GapError::from)?;
     let (most_poses, most_observations, most_beams) = TRAINING;
     let seed = Purpose::FilterTraining.draw(study.scenario.seed).seed(0);
     let poses = free_poses(maps, training.poses.min(most_poses), seed);
-    let observations = training.observations.min(most_observations);
+    // The training data are simulated, also beside a log, which has one observation of each state.
+    let observations = match study.scenario.source {
+        Source::Simulation(_) => training.observations.min(most_observations),
+        Source::Log(_) => most_observations,
+    };
     progress.stage("simulating training scans", 1);
     let readings = simulator.observe_many(poses.view(), observations, seed);
     progress.advance(1);
@@ -217,13 +220,13 @@ fn rmse(
     seed: u64,
 ) -> Result<f64, LabError> {
     let settings = &study.scenario.filter;
-    let alpha = match (study.simulation().robot.odometry_noise.alpha(), settings.motion) {
+    let alpha = match (study.simulator.odometry_noise.alpha(), settings.motion) {
         // Odometry without any noise is a simulation's; a filter needs some.
         (alpha, Motion::Odometry(own)) if alpha == [0.0; 4] => own,
         (alpha, _) => alpha,
     };
     let spread = match settings.start {
-        scenario::Start::Tracking(spread) => spread,
+        scenario::Start::Tracking(spread) | scenario::Start::Around(_, spread) => spread,
         scenario::Start::Global => START,
     };
     let options = FilterOptions {

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, Scan, wrap_angle};
-use locsim_dataset::{LogOptions, read_log};
+use locsim_dataset::{LogOptions, LogSummary, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Recorded};
 use locsim_world::effect::{EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
@@ -23,10 +23,14 @@ pub use locsim_gap::{BeamPit, Outcome};
 pub use filter::FilterOnLog;
 
 use crate::LabError;
+use crate::run::{log_map, no_reference, read_options, selected};
 use locsim_core::Control;
 use locsim_report::ReportError;
 use locsim_report::store::{Folder, Request};
-use locsim_scenario::{Overrides, Problem, Scenario, ScenarioError, Simulation, Source, load_map};
+use locsim_scenario::{
+    LogMap, Overrides, Problem, Scenario, ScenarioError, SimulatorOptions, Source, load_map,
+};
+use locsim_world::map::Geometry;
 
 /// Bearings of log and scenario that differ by more than this are of other beams \[rad\].
 const SAME_BEARING_RAD: f64 = 2e-3;
@@ -55,6 +59,7 @@ pub struct GapSettings {
 pub struct GapStudy {
     /// The scenario.
     scenario: Scenario,
+    simulator: SimulatorOptions,
     log: PathBuf,
     map: Arc<ExactRangeMap>,
     /// The log with the scenario's laser mount.
@@ -91,23 +96,23 @@ pub type GapRecorder<'a> =
     dyn Fn(&GapStudy, &Outcome, &Path) -> Result<(), Box<dyn std::error::Error + Send + Sync>> + Sync + 'a;
 
 impl GapStudy {
-    /// Reads and checks the scenario and the log.
+    /// Reads and checks the scenario and the log; `None` is the log that the scenario names.
+    ///
+    /// Where the scenario's map is built from scans of the log, its other scans are held against it: those to localize on.
     ///
     /// # Errors
     /// [`LabError`]: what is wrong with the scenario, its map or the log, or that they are of different lasers.
-    pub fn load(scenario: &Path, log: &Path, settings: GapSettings) -> Result<Self, LabError> {
+    pub fn load(scenario: &Path, log: Option<&Path>, settings: GapSettings) -> Result<Self, LabError> {
         let file = scenario;
         let scenario = Scenario::load(file, &Overrides { seed: settings.seed, ..Overrides::default() })?;
         let refuse = |key: &str, message: &str| {
             let problem = Problem { line: None, key: key.to_owned(), message: message.to_owned() };
             ScenarioError::Invalid { file: file.to_owned(), problems: vec![problem] }
         };
-        let Source::Simulation(simulation) = &scenario.source else {
-            return Err(refuse(
-                "log",
-                "a measured log has no simulation that could lack something; `robot` and `laser` are needed",
-            )
-            .into());
+        let Some(simulator) = scenario.simulator() else {
+            let message =
+                "the key is missing; beside a log, it describes the simulation that could lack something";
+            return Err(refuse("laser", message).into());
         };
         // Now, as an error after the search would come late.
         if !scenario.can_grow() {
@@ -115,20 +120,23 @@ impl GapStudy {
                 "an effect could not be added; write `effects` as a list with an entry on each line";
             return Err(refuse("effects", message).into());
         }
-        let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
-        let (drive, summary) = read_log(log, &settings.log)?;
+        let Held { log, map, drive, summary } = Held::of(&scenario, log, &settings, &refuse)?;
+        let map = Arc::new(ExactRangeMap::new(map));
         let mut notes = vec![summary.to_string().replace('\n', "; ")];
-        let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
-        let simulator = Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects)
+        let effects = Effects::new(simulator.effects.clone()).map_err(GapError::from)?;
+        let simulated = Simulator::new(Arc::clone(&map), simulator.blocks, simulator.laser, effects)
             .map_err(GapError::from)?;
-        let drive = with_mount(drive, simulator.laser().laser(), &mut notes);
-        let refuse = |what: String| LabError::Log { path: log.to_owned(), what };
-        let drive = with_beams(drive, simulator.laser().laser()).map_err(refuse)?;
+        let drive = with_mount(drive, simulated.laser().laser(), &mut notes);
+        let refuse = |what: String| LabError::Log { path: log.clone(), what };
+        let drive = with_beams(drive, simulated.laser().laser()).map_err(refuse)?;
         let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
         let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
         let recorded = Recorded::new(&drive, settings.scans, settings.beams, free).map_err(|error| {
             refuse(match references {
-                0 => no_reference(&summary.topics),
+                0 => format!(
+                    "{}; without one nothing can be compared",
+                    no_reference(&summary.topics, &summary.transforms)
+                ),
                 _ => error.to_string(),
             })
         })?;
@@ -138,14 +146,7 @@ impl GapStudy {
                 "{outside} scans were left out: their reference pose is not in the map's free space."
             ));
         }
-        Ok(Self { log: log.to_owned(), map, drive, recorded, settings, notes, scenario })
-    }
-
-    fn simulation(&self) -> &Simulation {
-        match &self.scenario.source {
-            Source::Simulation(simulation) => simulation,
-            Source::Log(_) => unreachable!("load refuses measured logs"),
-        }
+        Ok(Self { scenario, simulator, log, map, drive, recorded, settings, notes })
     }
 
     /// The scenario's name.
@@ -193,9 +194,58 @@ impl GapStudy {
 
     /// The scenario as it simulates now.
     fn nominal(&self) -> Result<Nominal, GapError> {
-        let Simulation { laser, blocks, robot, effects, .. } = self.simulation();
+        let SimulatorOptions { blocks, laser, odometry_noise, effects } = &self.simulator;
         let effects = Effects::new(effects.clone())?;
-        Nominal::new(Arc::clone(&self.map), *laser, *blocks, robot.odometry_noise, effects)
+        Nominal::new(Arc::clone(&self.map), *laser, *blocks, *odometry_noise, effects)
+    }
+}
+
+/// A log with the map that it is held against.
+struct Held {
+    log: PathBuf,
+    map: Geometry,
+    drive: Drive,
+    summary: LogSummary,
+}
+
+impl Held {
+    /// Reads the log that is given, or else the scenario's.
+    fn of(
+        scenario: &Scenario,
+        log: Option<&Path>,
+        settings: &GapSettings,
+        refuse: &dyn Fn(&str, &str) -> ScenarioError,
+    ) -> Result<Self, LabError> {
+        let of_scenario = match &scenario.source {
+            Source::Simulation(simulation) => {
+                let Some(log) = log else {
+                    return Err(refuse(
+                        "log",
+                        "the key is missing; without it, --log names the measured log",
+                    )
+                    .into());
+                };
+                let map = load_map(&simulation.map)?.geometry;
+                let (drive, summary) = read_log(log, &settings.log)?;
+                return Ok(Self { log: log.to_owned(), map, drive, summary });
+            }
+            Source::Log(log) => log,
+        };
+        let (drive, summary) = read_log(&of_scenario.file, &read_options(of_scenario))?;
+        let map = log_map(of_scenario, &drive, &())?;
+        if let Some(log) = log {
+            let (drive, summary) = read_log(log, &settings.log)?;
+            return Ok(Self { log: log.to_owned(), map, drive, summary });
+        }
+        let steps = match &of_scenario.map {
+            LogMap::File(_) => drive.steps,
+            LogMap::FromScans { .. } | LogMap::Walls { .. } => {
+                let held = selected(&drive, &of_scenario.localize_scans);
+                held.into_iter().map(|i| drive.steps[i].clone()).collect()
+            }
+        };
+        let drive = Drive { steps, laser: drive.laser };
+        Ok(Self { log: of_scenario.file.clone(), map, drive, summary })
     }
 }
 
@@ -280,18 +330,6 @@ fn write(
     );
     folder.write("scenario.diff", diff.as_bytes())?;
     Ok(page::write(folder, study, outcome, &diff, &options.command)?)
-}
-
-/// The error of a log without reference poses; lists the topics that it has.
-fn no_reference(topics: &[String]) -> String {
-    let needed = "no scan has a reference pose, and without one nothing can be compared";
-    if topics.is_empty() {
-        return format!("{needed}; a CARMEN log has them in TRUEPOS lines, or is a corrected log as a whole");
-    }
-    format!(
-        "{needed}; --reference-topic names a topic of them or a transform such as map:base_link; found: {}",
-        topics.join(", ")
-    )
 }
 
 /// The drive with the laser where the scenario has it: a log may not know, and the scenario is what is in question.
@@ -467,7 +505,7 @@ mod tests {
     #[test]
     fn a_log_without_reference_lists_its_topics() {
         let topics = ["/scan (sensor_msgs/msg/LaserScan, 3 messages)".to_owned()];
-        assert!(no_reference(&topics).ends_with("found: /scan (sensor_msgs/msg/LaserScan, 3 messages)"));
-        assert!(no_reference(&[]).contains("a CARMEN log has them in TRUEPOS lines"));
+        assert!(no_reference(&topics, &[]).ends_with("found: /scan (sensor_msgs/msg/LaserScan, 3 messages)"));
+        assert!(no_reference(&[], &[]).contains("a CARMEN log has them in TRUEPOS lines"));
     }
 }

@@ -16,7 +16,16 @@ use crate::LabError;
 /// The scenario with the effects of `outcome`, to be read from the folder `out`.
 pub(super) fn scenario_with(study: &GapStudy, outcome: &Outcome, out: &Path) -> Result<String, LabError> {
     let entries: Vec<Entry> = outcome.effects.iter().map(|named| entry(study, named)).collect();
-    Ok(study.scenario.with_effects(&entries, &out_folder(out)?))
+    Ok(study.scenario.with_effects(&entries, &out_folder(out)?, &proposed_name(&study.scenario.name)))
+}
+
+/// A name of its own: under that of the old scenario, its results would replace the old ones.
+fn proposed_name(old: &str) -> String {
+    const ENDING: &str = "-gap";
+    /// Letters that a name may have.
+    const MOST: usize = 100;
+    let stem: String = old.chars().take(MOST - ENDING.len()).collect();
+    stem + ENDING
 }
 
 /// The unified diff between two texts.

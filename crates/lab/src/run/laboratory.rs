@@ -8,7 +8,7 @@ use locsim_core::{
     DistanceMap, Draw, Drive, DriveStep, EndpointGrid, Obstructions, Particles, Pose2, RangeMap, Stage,
     Survival,
 };
-use locsim_dataset::{LogOptions, read_log};
+use locsim_dataset::{LogOptions, LogSummary, read_log};
 use locsim_world::effect::Effects;
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive, walls_from_drive};
@@ -21,7 +21,9 @@ use rand::RngExt;
 use super::training::{ScanData, Surroundings, TrainedModel, train};
 use crate::LabError;
 use locsim_core::Progress;
-use locsim_scenario::{self as scenario, Log, LogMap, ModelName, RayCast, Scenario, Simulation, Source};
+use locsim_scenario::{
+    self as scenario, Log, LogMap, ModelName, RayCast, Scenario, Simulation, SimulatorOptions, Source,
+};
 
 /// Training poses keep this far from walls \[m\]: a robot has a body.
 const WALL_CLEARANCE_M: f64 = 0.25;
@@ -199,31 +201,20 @@ impl<'a> Laboratory<'a> {
         progress: &dyn Progress,
     ) -> Result<Self, LabError> {
         progress.stage("reading the log", 1);
-        let max_range_m = log.max_range_m.map(|max| max as f32);
-        let options = LogOptions { max_range_m, topics: log.topics.clone(), ..LogOptions::default() };
-        let (drive, summary) = read_log(&log.file, &options)?;
+        let (drive, summary) = read_log(&log.file, &read_options(log))?;
         progress.advance(1);
         let refuse = |what: &str| LabError::Log { path: log.file.clone(), what: what.to_owned() };
-        let map = match &log.map {
-            LogMap::File(file) => scenario::load_map(file)?.geometry,
-            LogMap::FromScans { scans, resolution_m } => {
-                progress.stage("building the map", 1);
-                let steps = selected(&drive, scans);
-                let options = MappingOptions { resolution_m: *resolution_m, ..MappingOptions::default() };
-                let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(&log.file))?;
-                progress.advance(1);
-                grid.to_geometry().map_err(unusable(&log.file))?
-            }
-            LogMap::Walls { scans } => {
-                progress.stage("building the map", 1);
-                let walls = walls_from_drive(&drive, &selected(&drive, scans), &MappingOptions::default());
-                progress.advance(1);
-                walls.and_then(|walls| walls.to_geometry()).map_err(unusable(&log.file))?
-            }
-        };
+        // Before the map and its table, which take time.
+        check_drive(scenario, log, &drive, &summary)?;
+        let map = log_map(log, &drive, progress)?;
         let maps = MapSet::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
         let training = &scenario.training;
-        let data = measured_scans(&drive, &selected(&drive, &log.train_scans), &maps, training);
+        let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
+        let simulator = log.simulator.as_ref().filter(|_| log.train_scans.is_empty());
+        let data = match simulator {
+            Some(simulator) => simulated_scans(scenario, simulator, &maps, &drive, seed, progress)?,
+            None => measured_scans(&drive, &selected(&drive, &log.train_scans), &maps, training),
+        };
         if data.poses.len() < 4 {
             return Err(refuse("fewer than 4 training scans have a reference pose in the map's free space"));
         }
@@ -233,31 +224,44 @@ impl<'a> Laboratory<'a> {
             oracle: None,
             tables: (scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
         };
-        let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
             train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)?;
         let localized: Vec<DriveStep> =
             selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
-        if localized.is_empty() {
-            return Err(refuse("no scan is left to localize on; widen `log.localize_scans`"));
-        }
         let notes = vec![
             summary.to_string(),
-            format!(
-                "Every fitted model was trained on the same {} scans of {} beams, one observation of each state; \
-                 {:.0} % of them were held out to choose bandwidths, floors and exponents. Reference poses are \
-                 not the truth: errors below some centimetres say nothing.",
-                data.poses.len(),
-                data.laser.beam_count(),
-                100.0 * training.held_out_share,
-            ),
+            match simulator {
+                None => format!(
+                    "Every fitted model was trained on the same {} scans of {} beams, one observation of each state; \
+                     {:.0} % of them were held out to choose bandwidths, floors and exponents. Reference poses are \
+                     not the truth: errors below some centimetres say nothing.",
+                    data.poses.len(),
+                    data.laser.beam_count(),
+                    100.0 * training.held_out_share,
+                ),
+                Some(_) => format!(
+                    "Every fitted model was trained on {} simulated scan poses in the map, with {} observations of each of {} \
+                     beams: it knows the simulator's laser and clutter, and nothing of the log.",
+                    data.poses.len(),
+                    training.observations,
+                    data.laser.beam_count(),
+                ),
+            },
             "All trials share this one drive: intervals over them show how the filter's own draws vary, and nothing \
              else."
                 .to_owned(),
         ];
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
         Ok(Self { scenario, maps, models, notes, drives: Drives::Measured(drive) })
+    }
+
+    /// The measured drive, if it has no reference pose to hold an estimate against.
+    pub fn unreferenced(&self) -> Option<&Drive> {
+        match &self.drives {
+            Drives::Measured(drive) if drive.steps.iter().all(|step| step.reference.is_none()) => Some(drive),
+            _ => None,
+        }
     }
 
     /// Seed of a trial.
@@ -323,7 +327,7 @@ fn with_filter_beams(drive: Drive, scenario: &Scenario) -> Drive {
 }
 
 /// Indices of the steps within shares of a drive.
-pub(super) fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
+pub(crate) fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
     let n = drive.steps.len();
     let inside = |i: usize| {
         let share = i as f64 / n as f64;
@@ -383,6 +387,126 @@ pub fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
             })
         })
         .collect()
+}
+
+/// Whether a log has all that a scenario wants of it.
+///
+/// # Errors
+/// [`LabError::Log`]: no scan to localize on, no reference poses where the map, the training or the start needs them, a
+/// simulated laser of another maximum range.
+pub(super) fn check_drive(
+    scenario: &Scenario,
+    log: &Log,
+    drive: &Drive,
+    summary: &LogSummary,
+) -> Result<(), LabError> {
+    let refuse = |what: String| Err(LabError::Log { path: log.file.clone(), what });
+    let referenced = |steps: &[usize]| steps.iter().filter(|&&i| drive.steps[i].reference.is_some()).count();
+    let map_scans = match &log.map {
+        LogMap::File(_) => None,
+        LogMap::FromScans { scans, .. } | LogMap::Walls { scans } => Some(scans),
+    };
+    let train_scans = (!log.train_scans.is_empty()).then_some(&log.train_scans);
+    for (key, scans) in [("log.map_scans", map_scans), ("log.train_scans", train_scans)] {
+        if let Some(scans) = scans
+            && referenced(&selected(drive, scans)) == 0
+        {
+            return refuse(format!("{key}: {}", no_reference(&summary.topics, &summary.transforms)));
+        }
+    }
+    let localized = selected(drive, &log.localize_scans);
+    if localized.is_empty() {
+        return refuse("no scan is left to localize on; widen `log.localize_scans`".to_owned());
+    }
+    let known = referenced(&localized);
+    if known == 0 && matches!(scenario.filter.start, scenario::Start::Tracking(_)) {
+        return refuse(format!(
+            "filter.start: `tracking` begins at a reference pose; `global`, or `around` with a pose, needs none; {}",
+            no_reference(&summary.topics, &summary.transforms)
+        ));
+    }
+    if (1..localized.len()).contains(&known) {
+        return refuse(format!(
+            "log.localize_scans: {} of the {} scans have no reference pose; allowed: scans that all have one, or none",
+            localized.len() - known,
+            localized.len()
+        ));
+    }
+    let most =
+        log.simulator.as_ref().filter(|_| log.train_scans.is_empty()).map(|it| it.laser.max_range_m as f32);
+    if let Some(most) = most.filter(|most| *most != drive.laser.max_range()) {
+        return refuse(format!(
+            "laser.max_range_m: models that are trained at up to {most} m don't suit the log's laser of {} m",
+            drive.laser.max_range()
+        ));
+    }
+    Ok(())
+}
+
+/// The error of a log without reference poses; lists its topics and transforms.
+pub(crate) fn no_reference(topics: &[String], transforms: &[String]) -> String {
+    let needed = "no scan has a reference pose";
+    if topics.is_empty() {
+        return format!("{needed}; a CARMEN log has them in TRUEPOS lines, or is a corrected log as a whole");
+    }
+    let transforms = if transforms.is_empty() {
+        String::new()
+    } else {
+        format!("; transforms: {}", transforms.join(", "))
+    };
+    format!(
+        "{needed}; `log.topics.reference` or --reference-topic names a topic of them, or a transform such as map:base_link; \
+         found: {}{transforms}",
+        topics.join(", ")
+    )
+}
+
+/// Training scans that are simulated in the map of a log.
+fn simulated_scans(
+    scenario: &Scenario,
+    simulator: &SimulatorOptions,
+    maps: &MapSet,
+    drive: &Drive,
+    seed: u64,
+    progress: &dyn Progress,
+) -> Result<ScanData, LabError> {
+    let training = &scenario.training;
+    let effects =
+        Effects::new(simulator.effects.clone()).map_err(SimulationError::from).map_err(refused(scenario))?;
+    let simulator = Simulator::new(Arc::clone(&maps.exact), simulator.blocks, simulator.laser, effects)
+        .map_err(refused(scenario))?;
+    let poses = free_poses(maps, training.poses, seed);
+    progress.stage("simulating training scans", 1);
+    let readings = simulator.observe_many(poses.view(), training.observations, seed);
+    progress.advance(1);
+    let laser = simulator.laser().laser();
+    let beams = training.beams.map_or(drive.laser.beam_count(), |beams| beams as usize);
+    Ok(ScanData::simulated(laser, beams, &poses, training.observations, &readings))
+}
+
+/// The map of a measured log: from its file, or from the log's own scans.
+pub(crate) fn log_map(log: &Log, drive: &Drive, progress: &dyn Progress) -> Result<Geometry, LabError> {
+    let built = match &log.map {
+        LogMap::File(file) => return Ok(scenario::load_map(file)?.geometry),
+        LogMap::FromScans { scans, resolution_m } => {
+            progress.stage("building the map", 1);
+            let options = MappingOptions { resolution_m: *resolution_m, ..MappingOptions::default() };
+            occupancy_from_drive(drive, &selected(drive, scans), &options).and_then(|grid| grid.to_geometry())
+        }
+        LogMap::Walls { scans } => {
+            progress.stage("building the map", 1);
+            walls_from_drive(drive, &selected(drive, scans), &MappingOptions::default())
+                .and_then(|walls| walls.to_geometry())
+        }
+    };
+    progress.advance(1);
+    built.map_err(unusable(&log.file))
+}
+
+/// How the log of a scenario is read.
+pub fn read_options(log: &Log) -> LogOptions {
+    let max_range_m = log.max_range_m.map(|max| max as f32);
+    LogOptions { max_range_m, topics: log.topics.clone(), ..LogOptions::default() }
 }
 
 /// Training scans of a log: those whose reference pose lies in the map's free space, at most as many as asked

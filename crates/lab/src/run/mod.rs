@@ -7,22 +7,27 @@ mod laboratory;
 mod map;
 mod training;
 mod trial;
+mod unreferenced;
 
 use std::path::{Path, PathBuf};
 
 use locsim_core::{Clock, Control, Pose2, Progress};
 use locsim_dataset::{StampedPose, write_tum};
 use rayon::prelude::*;
+use serde::Serialize;
 
 pub use bounds::MissedBound;
 pub use estimate::Estimate as CostEstimate;
 pub use laboratory::{MapSet, free_poses, simulate_trial};
 pub use map::{LogMaps, agreement_figure, agreement_table};
 pub use training::{ScanData, Surroundings, TrainedModel, train};
+pub use unreferenced::{Unreferenced, UnreferencedModel};
 
 use crate::LabError;
 use detail::Detail;
+pub use laboratory::read_options;
 use laboratory::{Laboratory, TrialDrive};
+pub(crate) use laboratory::{log_map, no_reference, selected};
 use locsim_report::results::{DetailedTrial, RunResults, Trial};
 use locsim_report::store::{Folder, Part, Request, Store};
 use locsim_report::summary::Summary;
@@ -58,9 +63,19 @@ pub struct RunOptions<'a> {
 /// The outcome of a complete run.
 pub struct Outcome {
     /// The content of `summary.json`.
-    pub summary: Summary,
+    pub summary: RunSummary,
     /// Bounds of the scenario's `expect` that the results miss.
     pub missed: Vec<MissedBound>,
+}
+
+/// The content of `summary.json`.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub enum RunSummary {
+    /// Of estimates that were held against true or reference poses.
+    Referenced(Summary),
+    /// Of estimates on a log without reference poses.
+    Unreferenced(Unreferenced),
 }
 
 /// Runs every trial of a scenario under every model and writes the results folder.
@@ -81,27 +96,35 @@ pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, Lab
     let request = Request { out: &options.out, kind: "run", fingerprint: &fingerprint, resume, force };
     let (summary, recorded) = request.fill(|store| {
         let (summary, detail) = write_results(scenario, store, options)?;
-        let recorded = match options.recorder {
-            Some(recorder) => recorder(&detail, &store.folder().claim(RECORDING)?),
-            None => Ok(()),
+        let recorded = match (options.recorder, detail) {
+            (Some(recorder), Some(detail)) => recorder(&detail, &store.folder().claim(RECORDING)?),
+            _ => Ok(()),
         };
         Ok::<_, LabError>((summary, recorded))
     })?;
     options.control.progress.advance(1);
     options.control.progress.finish();
     recorded.map_err(|source| LabError::Recording { out: options.out.clone(), source })?;
-    let missed = bounds::missed(&scenario.expect, &summary);
+    let missed = match &summary {
+        RunSummary::Referenced(summary) => bounds::missed(&scenario.expect, summary),
+        RunSummary::Unreferenced(_) => Vec::new(),
+    };
     Ok(Outcome { summary, missed })
 }
 
-/// Runs the trials and writes everything but the recording.
+/// Runs the trials and writes everything but the recording. Without reference poses there is no trial to record.
 fn write_results(
     scenario: &Scenario,
     store: &Store,
     options: &RunOptions<'_>,
-) -> Result<(Summary, DetailedTrial), LabError> {
+) -> Result<(RunSummary, Option<DetailedTrial>), LabError> {
     let began = (options.control.clock)();
     let laboratory = Laboratory::prepare(scenario, options.cache, options.control.progress)?;
+    if let Some(drive) = laboratory.unreferenced() {
+        save_models(&laboratory, store.folder())?;
+        let summary = unreferenced::write(&laboratory, drive, store.folder(), options)?;
+        return Ok((RunSummary::Unreferenced(summary), None));
+    }
     let trials = run_trials(&laboratory, store, options)?;
     options.control.progress.stage("report and recording", 1);
     let detail = detailed_trial(&laboratory, scenario.record.trial, options.control.clock)?;
@@ -129,7 +152,7 @@ fn write_results(
         notes: laboratory.notes.clone(),
     };
     let summary = report::write(folder, &results, Some(&detail), &context)?;
-    Ok((summary, detail))
+    Ok((RunSummary::Referenced(summary), Some(detail)))
 }
 
 fn run_trials(

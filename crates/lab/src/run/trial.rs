@@ -38,7 +38,8 @@ pub(super) fn localize(
     let map = &*laboratory.maps.ranges;
     // It keeps every generation of particles, so only where its trajectory is asked for.
     let ancestry = detail.is_some() || settings.estimate == Estimate::MostLikelyTrajectory;
-    let mut filter = Filter::new(options(settings, ancestry)?, &start(settings, truth[0]), map, seed)?;
+    let start = filter_start(settings, Some(truth[0])).unwrap_or(Start::Global);
+    let mut filter = Filter::new(options(settings, ancestry)?, &start, map, seed)?;
     let mut steps = Vec::with_capacity(drive.steps.len());
     let mut events = Vec::new();
     let mut spent = Duration::ZERO;
@@ -131,7 +132,7 @@ fn measure(row: &mut StepRow, errors: Errors) {
 }
 
 /// The step's estimate; for the most likely trajectory a stand-in that is replaced at the end of the drive.
-fn online_estimate(estimate: Estimate, outcome: &StepOutcome) -> Pose2 {
+pub(super) fn online_estimate(estimate: Estimate, outcome: &StepOutcome) -> Pose2 {
     let estimates = &outcome.estimates;
     let mean = estimates.weighted_mean.pose;
     match estimate {
@@ -141,13 +142,18 @@ fn online_estimate(estimate: Estimate, outcome: &StepOutcome) -> Pose2 {
     }
 }
 
-fn start(settings: &scenario::Filter, truth: Pose2) -> Start {
-    match settings.start {
+/// Where a filter starts; `None` where it starts at the true first pose and that isn't known.
+pub(super) fn filter_start(settings: &scenario::Filter, truth: Option<Pose2>) -> Option<Start> {
+    let around = |pose, spread: scenario::Spread| Start::Tracking {
+        pose,
+        sigma_m: spread.sigma_m,
+        sigma_rad: spread.sigma_rad,
+    };
+    Some(match settings.start {
         scenario::Start::Global => Start::Global,
-        scenario::Start::Tracking(spread) => {
-            Start::Tracking { pose: truth, sigma_m: spread.sigma_m, sigma_rad: spread.sigma_rad }
-        }
-    }
+        scenario::Start::Around(pose, spread) => around(pose, spread),
+        scenario::Start::Tracking(spread) => around(truth?, spread),
+    })
 }
 
 /// The filter that a scenario describes.

@@ -189,6 +189,26 @@ pub enum RawStart {
     Global,
     /// Gaussian around the first true (or reference) pose: pose tracking.
     Tracking(RawSpread),
+    /// Gaussian around a given pose in the map frame.
+    Around(RawAround),
+}
+
+/// A pose with its spread.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawAround {
+    /// x (m), -1000000 to 1000000.
+    pub x_m: f64,
+    /// y (m), -1000000 to 1000000.
+    pub y_m: f64,
+    /// Heading (deg), 0 along x, counter-clockwise, -1000000 to 1000000.
+    pub heading_deg: f64,
+    /// Standard deviation of x and of y (m), 0 to 1000.
+    #[serde(default)]
+    pub sigma_m: f64,
+    /// Standard deviation of the heading (deg), 0 to 1000.
+    #[serde(default)]
+    pub sigma_deg: f64,
 }
 
 /// Independent Gaussian spread of a pose.

@@ -40,17 +40,18 @@ pub struct RawScenario {
     /// How the filter casts rays into the map.
     #[serde(default)]
     pub ray_cast: RawRayCast,
-    /// Blocks that the map doesn't know; absent for none. Only with `robot`.
+    /// Blocks that the map doesn't know; absent for none. Only with `laser`.
     pub blocks: Option<RawBlocks>,
-    /// A simulated robot. Either this or `log`.
+    /// A simulated robot. Needed without `log`.
     pub robot: Option<RawRobot>,
-    /// The simulated laser. Needed with `robot`, not allowed with `log`.
+    /// The simulated laser. Needed with `robot`. Beside `log`, it is the laser of the simulator that `locsim gap` holds the
+    /// log against.
     pub laser: Option<RawLaser>,
     /// Ways in which the simulated world differs from what `map`, `blocks`, `robot` and `laser` say, all at once; the
-    /// same may come twice, 1000 at the most. `locsim effects` lists them. Only with `robot`.
+    /// same may come twice, 1000 at the most. `locsim effects` lists them. Only with `laser`.
     #[serde(default)]
     pub effects: Vec<RawEffect>,
-    /// A measured log. Either this or `robot`.
+    /// A measured log. Without it, the robot's drive is simulated.
     pub log: Option<RawLog>,
     /// How much training data the sensor models get.
     #[serde(default)]

@@ -72,12 +72,12 @@ pub enum RawBlockResampling {
     EachScanN(u64),
 }
 
-/// A simulated robot.
+/// A simulated robot. Beside a log, only the noise of its odometry is given: it drives the log's poses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawRobot {
-    /// The path it drives.
-    pub path: RawPath,
+    /// The path it drives. Needed without `log`, not allowed with it.
+    pub path: Option<RawPath>,
     /// The start is shifted along x and along y by a uniform draw from -this to this, anew for each trial
     /// (m), 0 to 1000000.
     #[serde(default)]
@@ -217,8 +217,9 @@ pub struct RawLog {
     pub map: Option<MapFromScans>,
     /// Scans that the map is built from. Needed where `map` is absent, not allowed beside it.
     pub map_scans: Option<Vec<[f64; 2]>>,
-    /// Scans that the sensor models are trained on.
-    pub train_scans: Vec<[f64; 2]>,
+    /// Scans that the sensor models are trained on. Without them, models are trained on scans that are simulated in the map;
+    /// `laser` is then needed.
+    pub train_scans: Option<Vec<[f64; 2]>>,
     /// Scans that the filter localizes on: one interval, as a drive doesn't jump; none of them may be a training or map
     /// scan.
     #[schemars(length(min = 1, max = 1))]

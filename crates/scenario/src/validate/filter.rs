@@ -1,11 +1,13 @@
+use locsim_core::Pose2;
+
 use super::{MAX_PARTICLES, beams};
 use crate::check::Allowed::{AboveUpTo, Between, Within};
-use crate::check::{Checker, LENGTH, NOISE, POSITIVE_LENGTH, number};
+use crate::check::{ANGLE, COORDINATE, Checker, LENGTH, NOISE, POSITIVE_LENGTH, number};
 use crate::form::Form;
 use crate::key_path::join;
 use crate::raw::{
-    Count, MotionModelName, No, NotAnnealed, RawAdaptive, RawAnnealing, RawFilter, RawInjection, RawKld,
-    RawLaser, RawMotion, RawResample, RawSpread, RawStart,
+    Count, MotionModelName, No, NotAnnealed, RawAdaptive, RawAnnealing, RawAround, RawFilter, RawInjection,
+    RawKld, RawLaser, RawMotion, RawResample, RawSpread, RawStart,
 };
 use crate::{Annealing, Filter, Injection, Motion, ParticleCount, ResampleWhen, Spread, Start};
 
@@ -36,6 +38,15 @@ pub(super) fn filter(check: &mut Checker<'_>, raw: &RawFilter, laser: Option<&Ra
             RawStart::Global => Start::Global,
             RawStart::Tracking(spread) => {
                 Start::Tracking(self::spread(check, "filter.start.tracking", spread))
+            }
+            RawStart::Around(RawAround { x_m, y_m, heading_deg, sigma_m, sigma_deg }) => {
+                let key = "filter.start.around";
+                let pose = Pose2::new(
+                    check.number(&join(key, "x_m"), x_m, COORDINATE),
+                    check.number(&join(key, "y_m"), y_m, COORDINATE),
+                    check.degrees(&join(key, "heading_deg"), heading_deg, ANGLE),
+                );
+                Start::Around(pose, self::spread(check, key, RawSpread { sigma_m, sigma_deg }))
             }
         },
         beams: beams(check, "filter.beams", raw.beams, laser_beams),

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use locsim_core::limits::quoted;
-use locsim_world::simulation::RobotPath;
+use locsim_world::simulation::{RobotPath, Trajectory};
 
 use super::check::Allowed::{AboveUpTo, Any, Between, FromBelow};
 use super::check::{Checker, POSITIVE_LENGTH, number};
@@ -18,7 +18,7 @@ use super::key_path::join;
 use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
 use super::{
     Errors, Expectation, LoadedMap, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError,
-    Source, Training,
+    Simulation, Source, Training,
 };
 
 /// Models of a scenario.
@@ -88,7 +88,15 @@ pub(crate) fn in_map(
     map: &LoadedMap,
     mut check: Checker<'_>,
 ) -> Result<(), ScenarioError> {
-    let Source::Simulation(simulation) = &mut scenario.source else { return Ok(()) };
+    let simulation = match &mut scenario.source {
+        Source::Simulation(simulation) => simulation,
+        Source::Log(log) => {
+            if let Some(simulator) = &mut log.simulator {
+                effect::places(&mut check, &mut simulator.effects, walls, map);
+            }
+            return if check.is_clean() { Ok(()) } else { Err(check.into_error()) };
+        }
+    };
     effect::places(&mut check, &mut simulation.effects, walls, map);
     let mut visit = |key: &str, x: f64, y: f64| {
         check.refuse(!map.geometry.is_free(x, y), key, || {
@@ -105,6 +113,44 @@ pub(crate) fn in_map(
         RobotPath::VelocityProfile { start, .. } => {
             visit("robot.path.velocity_profile.start", start.x, start.y);
         }
+    }
+    if check.is_clean() {
+        between_points(&mut check, simulation, map);
+    }
+    if check.is_clean() { Ok(()) } else { Err(check.into_error()) }
+}
+
+/// Checks that the path of a simulated robot lies in the map's free space wherever it takes a scan.
+fn between_points(check: &mut Checker<'_>, simulation: &Simulation, map: &LoadedMap) {
+    let rate_hz = simulation.laser.rate_hz;
+    // Other defects of a path are refused when it is simulated.
+    let Ok(path) = Trajectory::new(&simulation.robot.path) else { return };
+    let Ok(count) = path.scan_count(rate_hz) else { return };
+    let mut poses = (0..count).map(|i| (i as f64 / rate_hz, path.pose_at(i as f64 / rate_hz)));
+    if let Some((secs, pose)) = poses.find(|(_, pose)| !map.geometry.is_free(pose.x, pose.y)) {
+        let key = match simulation.robot.path {
+            RobotPath::Waypoints { .. } => "robot.path.waypoints.points_m",
+            RobotPath::VelocityProfile { .. } => "robot.path.velocity_profile.segments",
+        };
+        check.problem(
+            key,
+            format!(
+                "after {secs:.2} s the path is at ({:.3}, {:.3}) m, which is not in the free space of {}",
+                pose.x,
+                pose.y,
+                shown(&simulation.map)
+            ),
+        );
+    }
+}
+
+/// Checks what can't be said of a map that is yet to be built from a log: it has no named walls.
+pub(crate) fn without_map(walls: &[Option<String>], mut check: Checker<'_>) -> Result<(), ScenarioError> {
+    for (i, _) in walls.iter().enumerate().filter(|(_, wall)| wall.is_some()) {
+        check.problem(
+            &format!("effects[{i}].wall"),
+            "the key is not allowed here; a map that is built from a log has no named walls, give `from_m` and `to_m`",
+        );
     }
     if check.is_clean() { Ok(()) } else { Err(check.into_error()) }
 }
@@ -132,15 +178,16 @@ pub fn name(check: &mut Checker<'_>, name: Option<&str>, path: &Path) -> String 
 }
 
 fn training(check: &mut Checker<'_>, raw: &RawTraining, source: Option<&Source>) -> Training {
-    let observations = match (raw.observations, source) {
-        (None, Some(Source::Log(_))) => 1,
-        (Some(n), Some(Source::Log(_))) => {
+    let measured = matches!(source, Some(Source::Log(log)) if !log.train_scans.is_empty());
+    let observations = match raw.observations {
+        None if measured => 1,
+        Some(n) if measured => {
             check.refuse(n != 1, "training.observations", || {
                 format!("{n} is not allowed; a log has 1 observation of each state")
             });
             1
         }
-        (n, _) => check.count("training.observations", n.unwrap_or(default::OBSERVATIONS), 1, 100_000),
+        n => check.count("training.observations", n.unwrap_or(default::OBSERVATIONS), 1, 100_000),
     };
     Training {
         poses: check.count("training.poses", raw.poses, 2, 1_000_000),

@@ -14,7 +14,7 @@ use crate::raw::{
     MapFromScans, RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot,
     RawScenario, RawSegment, RayCastMethod, default,
 };
-use crate::{Log, LogMap, RayCast, Simulation, Source};
+use crate::{Log, LogMap, RayCast, Simulation, SimulatorOptions, Source};
 
 /// Way points or segments of a path.
 const MOST_POINTS: usize = 100_000;
@@ -62,23 +62,56 @@ pub(super) fn source(check: &mut Checker<'_>, raw: &RawScenario) -> Option<Sourc
                 "the key is missing; `robot` carries a laser".to_owned()
             });
             let effects = effect::effects(check, raw);
-            Some(Source::Simulation(Simulation { map: map?, blocks, robot, laser: laser?, effects }))
+            Some(Source::Simulation(Simulation { map: map?, blocks, robot: robot?, laser: laser?, effects }))
         }
-        (None, Some(log)) => {
-            check.absent("", "blocks", raw.blocks.as_ref(), "a log can't be given blocks");
-            check.absent("", "effects", raw.effects.first(), "a log can't be given effects");
-            check.absent("", "laser", raw.laser.as_ref(), "the log brings its own laser");
-            Some(Source::Log(self::log(check, log, map)))
-        }
-        (Some(_), Some(_)) => {
-            check.problem("log", "the key is not allowed here; either `robot` or `log`, not both");
-            None
+        (robot, Some(log)) => {
+            let simulator = simulator(check, raw, robot.as_ref());
+            check.refuse(log.train_scans.is_none() && raw.laser.is_none(), "log.train_scans", || {
+                "the key is missing; without it, models are trained on simulated scans, and `laser` is needed".to_owned()
+            });
+            let log = self::log(check, log, map);
+            Some(Source::Log(Log { simulator, ..log }))
         }
         (None, None) => {
             check.problem("", "`robot` and `log` are both missing; one of them is needed");
             None
         }
     }
+}
+
+/// The simulator beside a log; `None` where there is none, or too much is missing.
+fn simulator(
+    check: &mut Checker<'_>,
+    raw: &RawScenario,
+    robot: Option<&RawRobot>,
+) -> Option<SimulatorOptions> {
+    let odometry_noise = robot.map_or_else(OdometryNoise::default, |robot| {
+        let why = "with a `log`, the robot drives the log's poses";
+        check.absent("robot", "path", robot.path.as_ref(), why);
+        let jitter = Some(robot.start_jitter_m).filter(|jitter| *jitter != 0.0);
+        check.absent("robot", "start_jitter_m", jitter.as_ref(), why);
+        odometry_noise(check, robot)
+    });
+    let Some(laser) = &raw.laser else {
+        let why = "without `laser`, nothing is simulated beside a log";
+        check.absent("", "blocks", raw.blocks.as_ref(), why);
+        check.absent("", "effects", raw.effects.first(), why);
+        check.absent("", "robot", robot, why);
+        return None;
+    };
+    Some(SimulatorOptions {
+        blocks: raw.blocks.as_ref().map(|raw| blocks(check, raw)),
+        laser: self::laser(check, laser),
+        odometry_noise,
+        effects: effect::effects(check, raw),
+    })
+}
+
+fn odometry_noise(check: &mut Checker<'_>, raw: &RawRobot) -> OdometryNoise {
+    let alpha = raw.odometry_noise.alpha;
+    check.numbers("robot.odometry_noise.alpha", &alpha, NOISE);
+    // Where an alpha is refused, it has been said above.
+    OdometryNoise::new(alpha).unwrap_or_default()
 }
 
 fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> BlockOptions {
@@ -114,11 +147,14 @@ fn blocks(check: &mut Checker<'_>, raw: &RawBlocks) -> BlockOptions {
     }
 }
 
-fn robot(check: &mut Checker<'_>, raw: &RawRobot) -> Robot {
-    let alpha = raw.odometry_noise.alpha;
-    check.numbers("robot.odometry_noise.alpha", &alpha, NOISE);
-    Robot {
-        path: match &raw.path {
+/// `None` without a path; the problem is remembered.
+fn robot(check: &mut Checker<'_>, raw: &RawRobot) -> Option<Robot> {
+    let odometry_noise = odometry_noise(check, raw);
+    check.refuse(raw.path.is_none(), "robot.path", || {
+        "the key is missing; without a `log`, a robot needs one".to_owned()
+    });
+    Some(Robot {
+        path: match raw.path.as_ref()? {
             RawPath::Waypoints { points_m, speed_m_s, turn_rate_deg_s } => {
                 let key = "robot.path.waypoints";
                 waypoints(check, &join(key, "points_m"), points_m);
@@ -135,9 +171,8 @@ fn robot(check: &mut Checker<'_>, raw: &RawRobot) -> Robot {
             RawPath::VelocityProfile { start, segments } => velocity_profile(check, *start, segments),
         },
         start_jitter_m: check.number("robot.start_jitter_m", raw.start_jitter_m, LENGTH),
-        // Where an alpha is refused, it has been said above.
-        odometry_noise: OdometryNoise::new(alpha).unwrap_or_default(),
-    }
+        odometry_noise,
+    })
 }
 
 fn waypoints(check: &mut Checker<'_>, key: &str, points: &[[f64; 2]]) {
@@ -250,7 +285,8 @@ fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
             }
         }
     };
-    let train_scans = check.shares("log.train_scans", &raw.train_scans);
+    let train_scans =
+        raw.train_scans.as_ref().map_or_else(Vec::new, |scans| check.shares("log.train_scans", scans));
     let localize_scans = check.shares("log.localize_scans", &raw.localize_scans);
     check.refuse(localize_scans.len() > 1, "log.localize_scans", || {
         let n = localize_scans.len();
@@ -281,5 +317,5 @@ fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
         odometry: topics.odometry,
         reference: topics.reference,
     });
-    Log { file, map, train_scans, localize_scans, max_range_m, topics }
+    Log { file, map, train_scans, localize_scans, max_range_m, topics, simulator: None }
 }
