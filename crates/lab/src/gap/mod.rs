@@ -6,6 +6,7 @@ mod figures;
 mod filter;
 mod page;
 mod proposal;
+mod unnamed;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -91,7 +91,7 @@ fn markdown(
         verdict => Serde(outcome.verdict),
         answers => answers,
         named => Serde(named),
-        still_off => matches!(outcome.verdict, Verdict::PartlyExplained | Verdict::Unexplained),
+        still_off => matches!(outcome.verdict, Verdict::PartlyExplained | Verdict::Unexplained | Verdict::Unnamed),
         remaining => remaining(outcome),
         map => link("map"),
         pit => link("pit"),
