@@ -33,7 +33,7 @@ use shift::Shift;
 const MOST_STEPS: usize = 40;
 /// A curve has to gain this on held-out folds (nats): as an effect that is named.
 const LEAST_GAIN_NATS: f64 = 2.0;
-/// A log on which the first curve gains more than this (nats) is looked at for a bias of many standard deviations.
+/// A log on which the curves gain more than this (nats) is looked at for a bias of many standard deviations.
 const STRONG_NATS: f64 = 200.0;
 /// The mean among the moments.
 const MEAN: usize = 0;
@@ -81,20 +81,21 @@ impl FreeModel {
         draw: &Draw,
     ) -> Self {
         let folds = fold_count(comparison.recorded.scans());
-        let mut outcomes = Outcomes::new(comparison, effects, fitted, draw, None);
-        let first = State::new(&outcomes, covariates, folds);
-        let gain = first.best_step().map_or(0.0, |step| step.gain);
-        let mut shift = None;
-        if gain > STRONG_NATS {
-            let readings: Vec<(usize, usize)> =
-                outcomes.all.iter().zip(&first.fold_of).map(|(o, &fold)| (o.beam as usize, fold)).collect();
-            shift = Shift::new(comparison, effects, fitted, covariates, &readings, folds)
-                .filter(|shift| shift.gains.iter().sum::<f64>() > gain);
+        let outcomes = Outcomes::new(comparison, effects, fitted, draw, None);
+        let plain = Self::of(&outcomes, covariates, folds, None);
+        let gain = |model: &Self| model.gains().iter().sum::<f64>();
+        if gain(&plain) < STRONG_NATS {
+            return plain;
         }
-        if let Some(shift) = &shift {
-            outcomes = Outcomes::new(comparison, effects, fitted, draw, Some(&shift.of_readings));
-        }
-        Self::of(&outcomes, covariates, folds, shift)
+        let fold_of = State::new(&outcomes, covariates, folds).fold_of;
+        let readings: Vec<(usize, usize)> =
+            outcomes.all.iter().zip(fold_of).map(|(outcome, fold)| (outcome.beam as usize, fold)).collect();
+        let shift = Shift::new(comparison, effects, fitted, covariates, &readings, folds);
+        let shifted = shift.map(|shift| {
+            let outcomes = Outcomes::new(comparison, effects, fitted, draw, Some(&shift.of_readings));
+            Self::of(&outcomes, covariates, folds, Some(shift))
+        });
+        shifted.filter(|shifted| gain(shifted) > gain(&plain)).unwrap_or(plain)
     }
 
     /// Adds curves for as long as they gain.
@@ -382,7 +383,7 @@ mod tests {
         let cases = [
             (EffectKind::RangeBias, vec![0.02], Deviation::Mean, Covariate::Everywhere),
             (EffectKind::RangeScale, vec![0.02], Deviation::Mean, Covariate::Range),
-            (EffectKind::RangeNoise, vec![0.01], Deviation::Spread, Covariate::Range),
+            (EffectKind::RangeNoise, vec![0.002], Deviation::Spread, Covariate::Range),
             (EffectKind::IncidenceDropout, vec![0.5, 0.9, 0.1], Deviation::NoReturn, Covariate::Incidence),
         ];
         for (kind, values, moment, covariate) in cases {

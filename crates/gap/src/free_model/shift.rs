@@ -12,6 +12,9 @@ const STEPS: [f64; 13] = [0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.5, 10.0, 14.0, 20
 const COUNT: usize = 2 * STEPS.len() + 1;
 const NONE: usize = STEPS.len();
 
+/// Of two covariates that gain as much the one with fewer levels is meant: each level has to gain this (nats).
+const NATS_PER_LEVEL: f64 = 1.0;
+
 /// The bias of a step \[standard deviations\].
 fn bias(step: usize) -> f64 {
     match step.cmp(&NONE) {
@@ -59,7 +62,9 @@ impl Shift {
         let axes =
             covariates.axes.iter().enumerate().filter(|(_, axis)| axis.covariate != Covariate::Neighbour);
         let all = axes.map(|(index, axis)| Self::over(index, axis, &table, &sigmas, readings, folds));
-        all.max_by(|a, b| a.gains.iter().sum::<f64>().total_cmp(&b.gains.iter().sum()))
+        let worth =
+            |shift: &Self| shift.gains.iter().sum::<f64>() - NATS_PER_LEVEL * shift.levels.len() as f64;
+        all.max_by(|a, b| worth(a).total_cmp(&worth(b)))
     }
 
     fn over(
