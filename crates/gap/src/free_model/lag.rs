@@ -3,11 +3,10 @@
 use locsim_core::{Pose2, Track, wrap_angle};
 use locsim_world::effect::Effects;
 
-use super::fold_count;
 use crate::Recorded;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::odometry::{Increment, increments, standardized};
-use crate::statistics::FOLD_SCANS;
+use crate::statistics::{FOLD_SCANS, fold_count};
 
 /// Lags that are tried: to both sides, so many steps of this \[s\].
 const STEPS: i32 = 50;

@@ -24,7 +24,7 @@ pub(crate) use covariates::{Axis, Covariates};
 pub(crate) use lag::Lag;
 
 use crate::hypothesis::{Comparison, Fitted};
-use crate::statistics::{Covariate, Deviation, FOLD_SCANS};
+use crate::statistics::{Covariate, Deviation, FOLD_SCANS, fold_count};
 use curve::{Shape, Sums, crossfit, fit};
 use outcomes::{MOMENTS, Outcomes, Tilt};
 use shift::Shift;
@@ -158,11 +158,6 @@ impl FreeModel {
         let own = |c: &&Component| c.moment == moment && c.covariate == covariate;
         self.components.iter().filter(own).map(Component::gain).sum()
     }
-}
-
-/// The number of folds: a last one that isn't full goes with the one before.
-pub(crate) fn fold_count(scans: usize) -> usize {
-    (scans / FOLD_SCANS).max(1)
 }
 
 /// A model as far as it was built: each reading by the curves that were fitted without its fold.

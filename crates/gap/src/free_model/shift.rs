@@ -3,7 +3,7 @@
 
 use locsim_world::effect::Effects;
 
-use super::{Axis, Covariates};
+use super::covariates::{Axis, Covariates};
 use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::Covariate;
 

@@ -2,6 +2,7 @@
 
 mod initial_guess;
 mod judge;
+mod judgement;
 mod outcome;
 mod precision;
 mod selection;
@@ -24,7 +25,7 @@ use crate::rank::Null;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::statistics::{Dictionary, Form};
 use crate::{GapError, Nominal, Purpose, Recorded};
-use judge::Judgement;
+use judgement::Judgement;
 
 /// How a search is run.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,20 +7,19 @@ use rand::RngExt;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::judge::Judgement;
+use super::judgement::Judgement;
 use super::selection::gain;
 use super::stepwise::Path;
 use super::unnamed::unnamed;
 use super::{Round, State};
 use crate::fit::{Candidate, folds};
-use crate::free_model::fold_count;
 use crate::outcome::{
     Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
 };
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
 use crate::replay::Replay;
-use crate::statistics::{Form, Group, Statistic, Survey, Target};
+use crate::statistics::{Form, Group, Statistic, Survey, Target, fold_count};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 

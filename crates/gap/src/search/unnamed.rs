@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use locsim_world::effect::Effect;
 
-use super::judge::{Dependence, Judgement, acts_on};
+use super::judgement::{Dependence, Judgement, acts_on};
 use super::selection::gain;
 use crate::free_model::Axis;
 use crate::outcome::{CurvePoint, Evidence, Unnamed, Wave};

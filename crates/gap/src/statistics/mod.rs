@@ -28,7 +28,7 @@ use glam::DVec2;
 use locsim_world::effect::EffectKind;
 
 pub(crate) use dictionary::Dictionary;
-pub(crate) use readings::{FOLD_SCANS, Readings, pit_draw};
+pub(crate) use readings::{FOLD_SCANS, Readings, fold_count, pit_draw};
 pub(crate) use survey::Survey;
 
 /// Side of a cell of the map in which walls are counted \[m\].

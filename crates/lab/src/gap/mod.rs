@@ -2,6 +2,7 @@
 //! scenario with the effect that it lacks, and a report that says why.
 
 mod answer;
+mod covariate;
 mod figures;
 mod filter;
 mod page;

@@ -2,7 +2,7 @@
 
 use locsim_gap::{Covariate, CurvePoint, Deviation, Unnamed, Wave};
 
-use super::answer::spot;
+use super::covariate::{self, spot};
 use locsim_report::text::{fixed, significant};
 
 /// What depends on what, and how much: "An unnamed bias depends on bearing: 6 waves around, 8.1 mm."
@@ -16,7 +16,7 @@ pub(super) fn sentence(found: &Unnamed) -> String {
         _ => format!(
             "An unnamed {} depends on {}: {}.",
             noun(found),
-            covariate(found.covariate),
+            covariate::noun(found.covariate),
             extent(found)
         ),
     }
@@ -29,7 +29,7 @@ pub(super) fn form_sentence(found: &Unnamed) -> Option<String> {
         "{kind} is right, but its form isn't `{}`: a {} that depends on {} is left, {}.",
         kind.formula(),
         noun(found),
-        covariate(found.covariate),
+        covariate::noun(found.covariate),
         extent(found)
     ))
 }
@@ -45,24 +45,6 @@ pub(super) fn noun(found: &Unnamed) -> &'static str {
         Deviation::NoReturn => "share of missing returns",
         Deviation::Share => "share of readings",
         Deviation::Lag => "lag",
-    }
-}
-
-pub(super) fn covariate(covariate: Covariate) -> &'static str {
-    match covariate {
-        Covariate::Range => "range",
-        Covariate::Incidence => "incidence",
-        Covariate::Bearing | Covariate::BearingByTurnRate => "bearing",
-        Covariate::Place => "place",
-        Covariate::Time => "time",
-        Covariate::Speed => "speed",
-        Covariate::TurnRate => "turn rate",
-        Covariate::Jump => "the range jump to a neighbour",
-        Covariate::Everywhere => "nothing",
-        Covariate::Neighbour => "the neighbouring beam's error",
-        Covariate::Odometry => "the odometry",
-        Covariate::Scan => "the scan",
-        Covariate::Pit | Covariate::Ratio => "the reading",
     }
 }
 
@@ -85,7 +67,10 @@ fn value(found: &Unnamed, value: f64) -> String {
 }
 
 /// A wave with its period, or the largest value with where it is.
-fn extent(found: &Unnamed) -> String {
+pub(super) fn extent(found: &Unnamed) -> String {
+    if matches!(found.covariate, Covariate::Neighbour | Covariate::Odometry | Covariate::Everywhere) {
+        return size(found);
+    }
     if let Some(Wave { period, count, amplitude }) = found.wave {
         let amplitude = match found.deviation {
             Deviation::Spread => format!("{} % of the noise", significant(100.0 * amplitude)),
