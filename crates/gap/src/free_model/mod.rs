@@ -376,7 +376,7 @@ mod tests {
     #[test]
     fn moments_are_told_apart() {
         let cases = [
-            (EffectKind::RangeBias, vec![0.02], Deviation::Mean, Covariate::Everywhere),
+            (EffectKind::RangeBias, vec![0.005], Deviation::Mean, Covariate::Everywhere),
             (EffectKind::RangeScale, vec![0.02], Deviation::Mean, Covariate::Range),
             (EffectKind::RangeNoise, vec![0.002], Deviation::Spread, Covariate::Range),
             (EffectKind::IncidenceDropout, vec![0.5, 0.9, 0.1], Deviation::NoReturn, Covariate::Incidence),

@@ -55,6 +55,13 @@ impl Dependence<'_> {
     }
 }
 
+/// Gains beyond a floor, shared out among folds as they are.
+fn beyond(gains: &[f64], floor: f64) -> Vec<f64> {
+    let gain: f64 = gains.iter().sum();
+    let share = if gain > 0.0 { (1.0 - floor / gain).max(0.0) } else { 0.0 };
+    gains.iter().map(|gain| share * gain).collect()
+}
+
 /// The free model of a log on top of a round's hypothesis, and those of logs that are simulated by it.
 pub struct Judgement {
     pub model: FreeModel,
@@ -65,11 +72,12 @@ pub struct Judgement {
 }
 
 impl Judgement {
-    /// What the free model of the readings gains on held-out folds beyond what it gains on simulated logs (nats).
+    /// What the free model of the readings gains on held-out folds beyond the most that it gains on a simulated log (nats): with
+    /// four of them, a log without anything left gains something in one of five.
     pub fn gains(&self) -> Vec<f64> {
-        let floors: Vec<Vec<f64>> = self.simulated.iter().map(|(model, _)| model.gains()).collect();
-        let floor = |fold: usize| floors.iter().map(|f| f[fold]).sum::<f64>() / floors.len() as f64;
-        self.model.gains().into_iter().enumerate().map(|(fold, gain)| gain - floor(fold)).collect()
+        let total = |model: &FreeModel| model.gains().iter().sum::<f64>();
+        let floor = self.simulated.iter().map(|(model, _)| total(model)).fold(0.0, f64::max);
+        beyond(&self.model.gains(), floor)
     }
 
     /// Correlation of neighbouring beams beyond that of simulated logs.
@@ -89,11 +97,11 @@ impl Judgement {
         let of_odometry = (Deviation::Lag, Covariate::Odometry, &self.lag.gains, floor, None);
         let mut all: Vec<Dependence<'_>> = of_readings
             .chain([of_odometry])
-            .map(|(deviation, covariate, gains, floor, component)| {
-                let gain: f64 = gains.iter().sum();
-                let share = if gain > 0.0 { (1.0 - floor / gain).max(0.0) } else { 0.0 };
-                let gains = gains.iter().map(|gain| share * gain).collect();
-                Dependence { deviation, covariate, gains, component }
+            .map(|(deviation, covariate, gains, floor, component)| Dependence {
+                deviation,
+                covariate,
+                gains: beyond(gains, floor),
+                component,
             })
             .filter(|found| found.gain() > LEAST_GAIN_NATS.max(LEAST_ERRORS * sum_error(&found.gains)))
             .collect();
@@ -138,4 +146,16 @@ pub fn acts_on(
         Statistic::Sector => covariate == C::Bearing && deviation == D::Short,
         _ => false,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_floor_is_taken_off_in_proportion() {
+        assert_eq!(beyond(&[30.0, 10.0], 20.0), [15.0, 5.0]);
+        assert_eq!(beyond(&[30.0, 10.0], 50.0), [0.0, 0.0]);
+        assert_eq!(beyond(&[3.0, -10.0], 0.0), [0.0, 0.0]);
+    }
 }
