@@ -59,7 +59,7 @@ impl ModelKind {
         }
     }
 
-    /// What it is, for reports and the schema of scenarios.
+    /// Description for reports and the schema of scenarios.
     pub const fn sentence(self) -> &'static str {
         match self {
             Self::Classic => {
