@@ -372,14 +372,11 @@ mod tests {
         });
     }
 
-    /// Effects of the library by the moment and the covariate that they act on.
     #[test]
-    fn moments_are_told_apart() {
+    fn biases_are_told_by_what_they_depend_on() {
         let cases = [
             (EffectKind::RangeBias, vec![0.005], Deviation::Mean, Covariate::Everywhere),
             (EffectKind::RangeScale, vec![0.02], Deviation::Mean, Covariate::Range),
-            (EffectKind::RangeNoise, vec![0.002], Deviation::Spread, Covariate::Range),
-            (EffectKind::IncidenceDropout, vec![0.5, 0.9, 0.1], Deviation::NoReturn, Covariate::Incidence),
         ];
         for (kind, values, moment, covariate) in cases {
             learnt(&with(kind, &values), |model, _| {
