@@ -109,7 +109,7 @@ fn a_log_that_lacks_something_is_inspected_all_the_same() {
     let folder = folder_with_a_drive("drive.log");
     let text = String::from_utf8(folder.read("drive.log")).unwrap();
     let lines = |keep: &dyn Fn(&str) -> bool| -> String {
-        text.lines().filter(|line| keep(line)).map(|line| format!("{line}\n")).collect()
+        text.split_inclusive('\n').filter(|line| keep(line)).collect()
     };
     // Without a reference.
     folder.write("raw.log", lines(&|line| !line.starts_with("TRUEPOS")));
@@ -122,7 +122,7 @@ fn a_log_that_lacks_something_is_inspected_all_the_same() {
     // A single scan.
     let first =
         text.lines().position(|line| line.starts_with("FLASER") || line.starts_with("ROBOTLASER")).unwrap();
-    let one: String = text.lines().take(first + 1).map(|line| format!("{line}\n")).collect();
+    let one: String = text.split_inclusive('\n').take(first + 1).collect();
     folder.write("one.log", one);
     folder.locsim("inspect one.log --picture one.svg").success().stdout(contains("1 in 0.0 s"));
 
@@ -146,7 +146,17 @@ fn a_log_that_lacks_something_is_inspected_all_the_same() {
     );
 
     // What is no log stays an error.
-    folder.write("image.log", "\u{89}PNG\r\n");
+    folder.write("image.log", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR");
     folder.locsim("inspect image.log").code(2);
     folder.locsim("inspect nothing.log").code(2);
+}
+
+/// Written bags have stamps that programs of ROS take for times.
+#[test]
+fn a_simulated_bag_has_a_date() {
+    let folder = folder_with_a_drive("drive.mcap");
+    let found = inspected(&folder, "drive.mcap");
+    assert_eq!(found["drive"]["clock"]["first_secs"], 1_704_067_200.0);
+    let found = inspected(&folder_with_a_drive("drive.log"), "drive.log");
+    assert_eq!(found["drive"]["clock"]["first_secs"], 0.0);
 }

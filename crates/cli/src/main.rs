@@ -216,7 +216,7 @@ fn simulate(arguments: &Simulate) -> anyhow::Result<ExitCode> {
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     Output { path: &arguments.out, force: arguments.force, inputs: &scenario.inputs()? }.check()?;
     let drive = run::simulate_trial(&scenario, arguments.trial)?;
-    locsim_dataset::write_log(&arguments.out, &drive)?;
+    locsim_dataset::write_simulated_log(&arguments.out, &drive)?;
     say(&format!(
         "{}: {} scans of {} beams",
         arguments.out.display(),

@@ -91,6 +91,11 @@ impl LogContents {
     }
 }
 
+/// The number that a message says, without the digits that f32 adds.
+pub fn decimal(value: f32) -> f64 {
+    value.to_string().parse().unwrap_or_else(|_| value.into())
+}
+
 /// Events per second of `count` events between the first and the last (ns).
 pub fn rate_hz(count: usize, [first, last]: [i64; 2]) -> Option<f64> {
     let secs = last.saturating_sub(first) as f64 * 1e-9;

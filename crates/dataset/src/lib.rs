@@ -27,9 +27,9 @@ mod mutations;
 mod test_drives;
 
 pub use carmen::{CarmenLaser, CarmenOptions, read_carmen, write_carmen};
-pub use contents::{LogContents, Scanner, ScannerBeams, Topic, TransformPair};
+pub use contents::{LogContents, Scanner, ScannerBeams, Topic, TransformPair, decimal};
 pub use error::DatasetError;
-pub use log::{LogFormat, LogOptions, encode_log, log_files, read_log, write_log};
+pub use log::{LogFormat, LogOptions, encode_log, log_files, read_log, write_log, write_simulated_log};
 pub use quality::{
     ClockQuality, DriveQuality, OdometryError, OdometryQuality, ReadingQuality, ReferenceQuality,
 };

@@ -98,6 +98,21 @@ pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
     write_whole(path, |out| encode_log(path, drive, out))
 }
 
+/// Writes a simulated drive, whose stamps begin at 0. In a bag they count from a fixed date, 2024-01-01 00:00 UTC: programs of
+/// ROS take a time near 0 for none.
+///
+/// # Errors
+/// Those of the format's writer.
+pub fn write_simulated_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
+    write_whole(path, |out| match LogFormat::of_name(path) {
+        LogFormat::Bag => encode_mcap(path, drive, SIMULATED_EPOCH_SECS, out),
+        LogFormat::Carmen => encode_carmen(path, drive, out),
+    })
+}
+
+/// 2024-01-01 00:00:00 UTC in Unix time (s).
+const SIMULATED_EPOCH_SECS: i32 = 1_704_067_200;
+
 /// Writes the bytes of the file that [`write_log`] writes to `out`. `path` decides the format and the compression, and
 /// is named in errors.
 ///
@@ -105,7 +120,7 @@ pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
 /// Those of the format's writer.
 pub fn encode_log(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
     match LogFormat::of_name(path) {
-        LogFormat::Bag => encode_mcap(path, drive, out),
+        LogFormat::Bag => encode_mcap(path, drive, 0, out),
         LogFormat::Carmen => encode_carmen(path, drive, out),
     }
 }

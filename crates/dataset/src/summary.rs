@@ -95,6 +95,8 @@ pub struct LogSummary {
     pub mount: MountSource,
     /// The topics of a bag, with types and numbers of messages.
     pub topics: Vec<String>,
+    /// The pairs of frames among the transforms that were read, as `parent:child`.
+    pub transforms: Vec<String>,
     /// Number of lines or messages skipped, by keyword or topic; comments count as `#`.
     pub skipped: BTreeMap<String, usize>,
     /// Number of scans whose time went backwards or leapt and was repaired.

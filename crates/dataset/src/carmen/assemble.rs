@@ -64,6 +64,7 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
         references_interpolated: 0,
         mount: mount_source,
         topics: Vec::new(),
+        transforms: Vec::new(),
         skipped: log.skipped,
         stamps_repaired: clock.repaired,
         stamps_repeated: clock.repeated,

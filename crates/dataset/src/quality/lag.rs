@@ -2,8 +2,6 @@
 
 use locsim_core::{Drive, Track, wrap_angle};
 
-use super::median;
-
 /// Scans that come more seldom \[s\] tell no lag: between them the odometry is interpolated.
 const LONGEST_INTERVAL_SECS: f64 = 0.5;
 /// Greatest lag that is looked for \[s\], and the step of the search.
@@ -16,8 +14,8 @@ const LEAST_PAIRS: usize = 30;
 const TURNING: (f64, f64) = (0.01, 0.35);
 /// A difference of readings beyond this is of another surface \[m\].
 const OTHER_SURFACE_M: f32 = 0.3;
-/// The squared residual at the best lag is at most this share of that at the worst: otherwise the turns don't agree at all.
-const AGREEMENT: f64 = 0.5;
+/// The correlation of turns by scans and by odometry at the best lag: below, they don't agree at all.
+const AGREEMENT: f64 = 0.8;
 
 /// See [`ClockQuality`](super::ClockQuality).
 pub(super) fn odometry_lag(drive: &Drive, interval_secs: f64) -> Option<f64> {
@@ -48,21 +46,28 @@ pub(super) fn odometry_lag(drive: &Drive, interval_secs: f64) -> Option<f64> {
     }
     let (most, step) = LAGS_SECS;
     let count = (most / step).round() as i32;
-    let residual = |lag: f64| {
-        let mut squares: Vec<f64> = turns
-            .iter()
-            .map(|(from, to, turn)| {
-                let [a, b] = [*from, *to].map(|secs| track.pose_at(secs + lag).theta);
-                (wrap_angle(b - a) - turn).powi(2)
-            })
-            .collect();
-        median(&mut squares)
+    let agreement = |lag: f64| {
+        let by_odometry = turns.iter().map(|(from, to, _)| {
+            let [a, b] = [*from, *to].map(|secs| track.pose_at(secs + lag).theta);
+            wrap_angle(b - a)
+        });
+        correlation(by_odometry.zip(turns.iter().map(|(.., turn)| *turn)))
     };
-    let residuals: Vec<f64> = (-count..=count).map(|i| residual(f64::from(i) * step)).collect();
-    let worst = residuals.iter().copied().fold(0.0, f64::max);
-    let (best, least) = residuals.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1))?;
-    let is_inside = (1..residuals.len() - 1).contains(&best);
-    (is_inside && *least < AGREEMENT * worst).then(|| f64::from(best as i32 - count) * step)
+    let agreements: Vec<f64> = (-count..=count).map(|i| agreement(f64::from(i) * step)).collect();
+    let (best, most) = agreements.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
+    let is_inside = (1..agreements.len() - 1).contains(&best);
+    (is_inside && *most > AGREEMENT).then(|| f64::from(best as i32 - count) * step)
+}
+
+/// Pearson's correlation: blind to the scale and to the constant bias that driving past walls gives the turns of scans.
+fn correlation(pairs: impl Iterator<Item = (f64, f64)> + Clone) -> f64 {
+    let n = pairs.clone().count() as f64;
+    let (x, y) = pairs.clone().fold((0.0, 0.0), |(x, y), pair| (x + pair.0 / n, y + pair.1 / n));
+    let (xx, xy, yy) = pairs.fold((0.0, 0.0, 0.0), |(xx, xy, yy), pair| {
+        let (dx, dy) = (pair.0 - x, pair.1 - y);
+        (xx + dx * dx, xy + dx * dy, yy + dy * dy)
+    });
+    if xx * yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
 }
 
 /// The spacing of evenly spaced beams \[rad\].

@@ -25,8 +25,8 @@ pub struct OdometryQuality {
     pub driven_m: f64,
     /// Sum of all turns \[rad\].
     pub turned_rad: f64,
-    /// Number of steps between scans that no robot can make.
-    pub jumps: usize,
+    /// Number of steps between scans that no robot can make; `None` where the stamps stand still.
+    pub jumps: Option<usize>,
     /// Its error; `None` without a reference to compare it with.
     pub error: Option<OdometryError>,
 }
@@ -70,9 +70,16 @@ impl OdometryQuality {
             (distance > JUMP.0 && distance > FASTEST.0 * secs) || (turn > JUMP.1 && turn > FASTEST.1 * secs)
         };
         Self {
-            driven_m: increments.iter().map(|step| step.position().length()).sum(),
-            turned_rad: increments.iter().map(|step| wrap_angle(step.theta).abs()).sum(),
-            jumps: increments.iter().zip(secs().map(|secs| secs.max(usual))).filter(jump).count(),
+            driven_m: increments
+                .iter()
+                .map(|step| step.position().length())
+                .fold(0.0, |sum, length| sum + length),
+            turned_rad: increments
+                .iter()
+                .map(|step| wrap_angle(step.theta).abs())
+                .fold(0.0, |sum, turn| sum + turn),
+            jumps: (usual > 0.0)
+                .then(|| increments.iter().zip(secs().map(|secs| secs.max(usual))).filter(jump).count()),
             error: error(&windows(drive)),
         }
     }

@@ -8,7 +8,7 @@ use super::messages::{
     LaserScan, MULTI_ECHO_LASER_SCAN, Message, MultiEchoLaserScan, POINT_CLOUD_2, TfMessage, decode,
 };
 use super::poses::plain;
-use crate::contents::{Topic, TransformPair, rate_hz};
+use crate::contents::{Topic, TransformPair, decimal, rate_hz};
 use crate::{DatasetError, LogContents, LogFormat, Scanner, ScannerBeams};
 
 /// Pairs of frames that are listed, at the most; robots have hundreds.
@@ -84,7 +84,7 @@ fn scanner_beams(schema: &str, data: &[u8]) -> Result<ScannerBeams, String> {
         count: scan.ranges.len(),
         first_rad: scan.angle_min.into(),
         step_rad: scan.angle_increment.into(),
-        min_range_m: scan.range_min.into(),
-        max_range_m: scan.range_max.into(),
+        min_range_m: decimal(scan.range_min),
+        max_range_m: decimal(scan.range_max),
     })
 }

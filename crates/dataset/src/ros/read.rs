@@ -100,6 +100,7 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
         references_interpolated: interpolated,
         mount: mount.source,
         topics: topics.listed(),
+        transforms: motion.transforms.pairs().take(LISTED_PAIRS).collect(),
         skipped: topics.skipped(&chosen),
         stamps_repaired: late,
         stamps_repeated: repeated,

@@ -773,7 +773,7 @@ fn a_written_bag_has_velocities_a_rate_and_all_frames() {
     let laser = Laser::new(vec![0.0], vec![0.0], 0.0, 8.0, Pose2::IDENTITY).unwrap();
     let drive = Drive { laser, steps: vec![step(1.0, 0.0, 0.0), step(1.5, 1.0, 0.0), step(3.0, 1.0, 0.75)] };
     let mut bytes = Vec::new();
-    encode_mcap(Path::new("drive.mcap"), &drive, &mut bytes).unwrap();
+    encode_mcap(Path::new("drive.mcap"), &drive, 0, &mut bytes).unwrap();
     let (mut twists, mut scan_times, mut map_from_odom) = (Vec::new(), Vec::new(), Vec::new());
     let mut latched = BTreeMap::new();
     for message in mcap::MessageStream::new(&bytes).unwrap() {

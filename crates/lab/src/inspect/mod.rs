@@ -9,8 +9,8 @@ use std::path::Path;
 
 use locsim_core::{Drive, Pose2};
 use locsim_dataset::{
-    DatasetError, DriveQuality, LogContents, LogKind, LogOptions, LogSummary, MountSource, OdometrySource,
-    read_log,
+    DatasetError, DriveQuality, LogContents, LogFormat, LogKind, LogOptions, LogSummary, MountSource,
+    OdometrySource, decimal, read_log,
 };
 use serde::Serialize;
 
@@ -34,6 +34,8 @@ pub struct Inspection {
     pub drive: Option<DriveFacts>,
     /// Why the log can't be read as a drive with odometry.
     pub problem: Option<String>,
+    /// Topics and transforms that may hold reference poses, where none was found.
+    pub reference_candidates: Vec<String>,
     /// What each command would lack.
     pub lacks: Lacks,
     /// Remarks on what may go wrong.
@@ -111,7 +113,8 @@ impl Inspection {
     /// something is no error.
     pub fn of(log: &Path, options: &LogOptions) -> Result<Self, LabError> {
         let contents = LogContents::read(log)?;
-        let (read, problem) = match read_log(log, options) {
+        let (options, chosen) = with_scanner(options, &contents);
+        let (read, problem) = match read_log(log, &options) {
             Ok(read) => (Some(read), None),
             Err(error) => {
                 let alone = LogOptions { without_odometry: true, ..options.clone() };
@@ -124,10 +127,15 @@ impl Inspection {
         let facts = read.as_ref().map(|(drive, summary)| DriveFacts::of(drive, summary));
         let recording = read.map(|(drive, _)| drive);
         let split = recording.as_ref().and_then(Split::propose);
+        let references = facts.as_ref().map_or(0, DriveFacts::references);
+        let reference_candidates = if references == 0 { reference_candidates(&contents) } else { Vec::new() };
+        let mut warnings = facts.as_ref().map(|facts| warnings(facts, split.as_ref())).unwrap_or_default();
+        warnings.extend(chosen);
         Ok(Self {
             file: log.display().to_string(),
             lacks: lacks(facts.as_ref()),
-            warnings: facts.as_ref().map(|facts| warnings(facts, split.as_ref())).unwrap_or_default(),
+            warnings,
+            reference_candidates,
             contents,
             drive: facts,
             problem,
@@ -135,6 +143,37 @@ impl Inspection {
             recording,
         })
     }
+}
+
+/// Options that name a scanner: the one with the most scans, where several are there, none is called `/scan` and none is named.
+fn with_scanner(options: &LogOptions, contents: &LogContents) -> (LogOptions, Option<String>) {
+    let scanners = &contents.scanners;
+    let is_clear = options.topics.scan.is_some()
+        || contents.format != LogFormat::Bag
+        || scanners.len() < 2
+        || scanners.iter().any(|scanner| scanner.source == "/scan");
+    let Some(most) = scanners.iter().max_by_key(|scanner| scanner.scans).filter(|_| !is_clear) else {
+        return (options.clone(), None);
+    };
+    let mut options = options.clone();
+    options.topics.scan = Some(most.source.clone());
+    let told =
+        format!("Several scanners, none called /scan: {} is read; --scan-topic names another.", most.source);
+    (options, Some(told))
+}
+
+/// Topics of poses, and transforms from a frame that REP-105 doesn't give to odometry.
+fn reference_candidates(contents: &LogContents) -> Vec<String> {
+    const TYPES: [&str; 3] = ["PoseStamped", "PoseWithCovarianceStamped", "TransformStamped"];
+    let topics = contents
+        .topics
+        .iter()
+        .filter(|topic| TYPES.iter().any(|name| topic.kind == format!("geometry_msgs/msg/{name}")));
+    let transforms = contents.transforms.iter().filter(|pair| {
+        let parent = pair.frames.split(':').next().unwrap_or_default();
+        !pair.is_static && ["map", "world", "earth", "mocap"].contains(&parent)
+    });
+    topics.map(|topic| topic.name.clone()).chain(transforms.map(|pair| pair.frames.clone())).collect()
 }
 
 /// Whether a log with this error may be readable without its odometry.
@@ -158,8 +197,8 @@ impl DriveFacts {
                 beams: bearings.len(),
                 first_rad: first,
                 step_rad: (last - first) / (bearings.len() - 1).max(1) as f64,
-                min_range_m: laser.min_range().into(),
-                max_range_m: laser.max_range().into(),
+                min_range_m: decimal(laser.min_range()),
+                max_range_m: decimal(laser.max_range()),
                 sweep_secs: f64::from(times[times.len() - 1]) - f64::from(times[0]),
                 mount: laser.base_from_laser(),
                 mount_source: summary.mount,
@@ -259,7 +298,8 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
         );
     }
     if let Some(odometry) = odometry {
-        warn(odometry.jumps > 0, format!("The odometry jumps {} times.", odometry.jumps));
+        let jumps = odometry.jumps.unwrap_or(0);
+        warn(jumps > 0, format!("The odometry jumps {jumps} times."));
         if let Some(error) = &odometry.error {
             warn(
                 error.position_per_m == 0.0,
@@ -282,8 +322,15 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
         ),
     );
     warn(
+        2 * clock.repeated > facts.scans,
+        format!(
+            "{} scans have the stamp of the scan before: speeds, gaps and lags can't be told.",
+            clock.repeated
+        ),
+    );
+    warn(
         clock.gaps > 0,
-        format!("{} gaps between scans, the longest of {:.1} s.", clock.gaps, clock.longest_gap_secs),
+        format!("Gaps between scans: {}, the longest of {:.1} s.", clock.gaps, clock.longest_gap_secs),
     );
     warn(
         readings.unusable_share > NOTABLE.unusable,

@@ -67,8 +67,8 @@ fn draw(drive: &Drive, split: Option<&Split>) -> Result<String, DrawError> {
     if !drive.steps.iter().all(|step| step.odometry == Pose2::IDENTITY) {
         legend.push(("odometry".to_owned(), Mark::Line(UNKNOWN)));
     }
-    let around =
-        Window::around(ends.iter().chain(&odometry).chain(pieces.iter().flat_map(|piece| &piece.path)));
+    let path = pieces.iter().flat_map(|piece| &piece.path);
+    let around = Window::around(usual(&ends).iter().chain(&odometry).chain(path));
     let (right, top, below) = MARGINS;
     let width = f64::from(WIDTH) - LEFT - right;
     let [x, y] = around.size();
@@ -87,6 +87,19 @@ fn draw(drive: &Drive, split: Option<&Split>) -> Result<String, DrawError> {
     })
 }
 
+/// The corners of the window that holds all points but the outermost of each side: single readings end far away.
+fn usual(points: &[Point]) -> Vec<Point> {
+    const OUTERMOST: f64 = 0.01;
+    let [xs, ys] = [0, 1].map(|axis| {
+        let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();
+        values.sort_by(f64::total_cmp);
+        values
+    });
+    let cut = (OUTERMOST * points.len() as f64) as usize;
+    let at = |i: usize| Some([*xs.get(i)?, *ys.get(i)?]);
+    at(cut).into_iter().chain(at(points.len().wrapping_sub(1 + cut))).collect()
+}
+
 /// The odometry, laid over the first reference pose.
 fn odometry(drive: &Drive) -> Vec<Pose2> {
     let anchor = drive.steps.iter().find_map(|step| Some((step.reference?, step.odometry)));
@@ -100,7 +113,7 @@ fn reference(drive: &Drive, [from, to]: [f64; 2]) -> Vec<Point> {
     let n = drive.steps.len() as f64;
     let steps = drive.steps.iter().enumerate();
     // With the first scan of the next part, so that the line goes on.
-    let inside = steps.filter(|(i, _)| (from * n..=to * n).contains(&(*i as f64)));
+    let inside = steps.filter(|(i, _)| (from * n..to * n + 1.0).contains(&(*i as f64)));
     inside.filter_map(|(_, step)| step.reference).map(|pose| [pose.x, pose.y]).collect()
 }
 

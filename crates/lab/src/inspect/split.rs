@@ -65,8 +65,8 @@ pub struct Split {
     pub localize_scans: [f64; 2],
     /// The least coverage of a localized part by the map.
     pub least_localized: f64,
-    /// The least coverage of a training part by the map.
-    pub least_trained: f64,
+    /// The least coverage of a training part by the map; `None` where scans for both alternate.
+    pub least_trained: Option<f64>,
     /// The parts of the drive.
     pub parts: Vec<Part>,
 }
@@ -117,7 +117,7 @@ impl Split {
             train_scans: shares(trained),
             localize_scans: shares(localized)[0],
             least_localized: coverage.least(localized, map),
-            least_trained,
+            least_trained: Some(least_trained),
             parts: coverage.parts(localized, trained, map),
         })
     }
@@ -144,8 +144,7 @@ impl Split {
             train_scans: pieces(1),
             localize_scans: intervals((0..PARTS).filter(|part| has(localized, *part)).map(share))[0],
             least_localized: coverage.least(localized, rest),
-            // Scans of the same places, some decimetres apart.
-            least_trained: 1.0,
+            least_trained: None,
             parts,
         }
     }

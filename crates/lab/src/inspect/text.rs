@@ -23,6 +23,9 @@ impl fmt::Display for Inspection {
         }
         if let Some(drive) = &self.drive {
             drive.sections(f)?;
+            if !self.reference_candidates.is_empty() {
+                writeln!(f, "  --reference-topic may name {}", self.reference_candidates.join(" or "))?;
+            }
         }
         let lack = |lacks: &[String]| {
             if lacks.is_empty() { "ready".to_owned() } else { format!("needs {}", lacks.join("; ")) }
@@ -133,10 +136,10 @@ impl DriveFacts {
             rows.push((
                 "odometry",
                 format!(
-                    "{:.1} m driven, {:.0} deg turned, {} jumps",
+                    "{:.1} m driven, {:.0} deg turned{}",
                     odometry.driven_m,
                     odometry.turned_rad.to_degrees(),
-                    odometry.jumps
+                    odometry.jumps.map_or_else(String::new, |jumps| format!(", {jumps} jumps"))
                 ),
             ));
             rows.push(("its error", odometry_error(odometry)));
