@@ -12,6 +12,7 @@ use locsim_mcl::{
 
 use super::detail::Detail;
 use super::laboratory::Laboratory;
+use super::rehearsal::nees;
 use super::training::TrainedModel;
 use crate::LabError;
 use locsim_report::results::{ModelTrial, StepRow};
@@ -42,6 +43,7 @@ pub(super) fn localize(
     let mut steps = Vec::with_capacity(drive.steps.len());
     let mut events = Vec::new();
     let mut spent = Duration::ZERO;
+    let mut nees_sum = 0.0;
     for (i, step) in drive.steps.iter().enumerate() {
         let input =
             StepInput { odometry: drive.odometry_increment(i), laser: &drive.laser, scan: &step.scan };
@@ -59,6 +61,7 @@ pub(super) fn localize(
             let events = events[first_event..].iter().map(|(_, event): &(u32, String)| event.clone());
             detail.push(&filter, &outcome, model, truth[i], &step.scan, events.collect());
         }
+        nees_sum += nees(&outcome.estimates.weighted_mean, truth[i]);
         steps.push(StepRow {
             step: i as u32,
             stamp_secs: step.stamp_secs,
@@ -88,14 +91,23 @@ pub(super) fn localize(
     for row in &mut steps {
         measure(row, laboratory.scenario.errors);
     }
-    let last = steps.last().map_or(0.0, StepRow::position_error_m);
+    let lost_m = laboratory.scenario.errors.lost_m;
+    let nees = nees_sum / steps.len() as f64;
     Ok(ModelTrial {
         model: model.label.clone(),
-        lost: last > laboratory.scenario.errors.lost_m,
+        lost: is_lost(&steps, lost_m),
+        nees,
         step_ms: spent.as_secs_f64() * 1e3 / steps.len() as f64,
         steps,
         events,
     })
+}
+
+/// A trial is lost when it ends farther than `lost_m` \[m\] from the truth, or is that far off in more than half of its
+/// steps: a filter that comes back for the last scan has not localized the robot.
+fn is_lost(steps: &[StepRow], lost_m: f64) -> bool {
+    let is_off = |row: &StepRow| row.position_error_m() > lost_m;
+    steps.last().is_some_and(is_off) || 2 * steps.iter().filter(|row| is_off(row)).count() > steps.len()
 }
 
 /// The reference pose of each step.
@@ -141,7 +153,7 @@ fn online_estimate(estimate: Estimate, outcome: &StepOutcome) -> Pose2 {
     }
 }
 
-fn start(settings: &scenario::Filter, truth: Pose2) -> Start {
+pub(super) fn start(settings: &scenario::Filter, truth: Pose2) -> Start {
     match settings.start {
         scenario::Start::Global => Start::Global,
         scenario::Start::Tracking(spread) => {
@@ -203,4 +215,39 @@ pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<Fil
         }),
         ancestry,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(error_along_m: f64) -> StepRow {
+        StepRow {
+            step: 0,
+            stamp_secs: 0.0,
+            truth: Pose2::IDENTITY,
+            dead_reckoning: Pose2::IDENTITY,
+            estimate: Pose2::IDENTITY,
+            error_along_m,
+            error_across_m: 0.0,
+            error_heading_rad: 0.0,
+            effective_sample_size: 1.0,
+            particles: 1,
+            log_evidence_nats: 0.0,
+            resampled: false,
+        }
+    }
+
+    #[test]
+    fn a_trial_is_lost_at_its_end_or_for_more_than_half_of_it() {
+        for (errors, lost) in [
+            (vec![0.1, 0.1, 0.1, 2.0], true),
+            (vec![2.0, 2.0, 2.0, 0.1], true),
+            (vec![2.0, 2.0, 0.1, 0.1], false),
+            (vec![0.1; 4], false),
+        ] {
+            let steps: Vec<StepRow> = errors.iter().copied().map(row).collect();
+            assert_eq!(is_lost(&steps, 1.0), lost, "{errors:?}");
+        }
+    }
 }
