@@ -32,7 +32,7 @@ filter:
   beams: 12
 ";
 
-/// What the real robot has besides.
+/// Effects of the real robot that the scenario lacks.
 const HIDDEN: &str = "  - {name: range_bias, bias_m: 0.04}\ntraining:";
 
 /// A folder with the nominal scenario, and with the log of a robot whose readings are too long.

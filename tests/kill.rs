@@ -31,7 +31,7 @@ struct Case {
     other: &'static str,
     /// Where the results are written to.
     out: &'static str,
-    /// What is written.
+    /// The content to write.
     results: &'static [&'static str],
     /// Whether the command keeps what it has finished, and goes on with `--resume`.
     resumes: bool,

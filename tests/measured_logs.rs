@@ -1,4 +1,4 @@
-//! What needs measured logs that aren't part of the project: they are in the folder `LOCSIM_DATA`. Where that isn't set,
+//! Tests on measured logs, which aren't part of the project: they are in the folder `LOCSIM_DATA`. Where that isn't set,
 //! these tests are reported as ignored.
 
 #[allow(dead_code, reason = "the scenarios of the other tests aren't needed here")]
@@ -163,7 +163,7 @@ fn a_measured_log_is_localized_on() {
 /// 2 cm from a wall; fewer readings are far off.
 fn walls_agree_with_held_out_scans_better_than_cells() {
     let folder = Folder::new();
-    for log in ["intel", "belgioioso"] {
+    for log in ["intel", "belgioioso", "freiburg-101"] {
         let file = data(&format!("{log}-corrected.log.gz"));
         let line = format!("map {} --max-range 40 --out {log}", file.display());
         let told = output(&locsim(&folder.path(""), &line).assert().success());

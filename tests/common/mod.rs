@@ -1,4 +1,4 @@
-//! What the tests of the program share: a folder with a small world in it, and the program as a user calls it there.
+//! Shared parts of the tests of the program: a folder with a small world in it, and the program as a user calls it there.
 
 use std::fs;
 use std::path::{Path, PathBuf};

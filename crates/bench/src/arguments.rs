@@ -1,4 +1,4 @@
-//! What a developer can type.
+//! Commands and options of the program.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,7 @@ use locsim_terminal::{LimitOptions, OutputOptions, Threads, whole};
 pub struct Arguments {
     #[command(flatten)]
     pub limits: LimitOptions,
-    /// What to do.
+    /// The command.
     #[command(subcommand)]
     pub command: Command,
 }

@@ -1,4 +1,4 @@
-//! What a user can type.
+//! Commands and options of the program.
 
 use std::path::PathBuf;
 
@@ -13,7 +13,7 @@ use locsim_terminal::{LimitOptions, OutputOptions, Threads, whole};
 pub struct Arguments {
     #[command(flatten)]
     pub limits: LimitOptions,
-    /// What to do.
+    /// The command.
     #[command(subcommand)]
     pub command: Command,
 }
@@ -90,7 +90,7 @@ pub struct Run {
     pub output: OutputOptions,
 }
 
-/// What to do with the recording.
+/// Destinations of the recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Record {
     /// No recording

@@ -32,7 +32,7 @@ pub enum DatasetError {
         path: PathBuf,
         /// The apparent type of the file.
         found: &'static str,
-        /// What is allowed.
+        /// The allowed content.
         allowed: &'static str,
     },
     /// The log costs more than the limits allow, or has content that a log must not have.

@@ -19,14 +19,17 @@ pub struct Lines<'a, R> {
     reader: R,
     number: usize,
     buffer: Vec<u8>,
+    /// The file ended inside line `number`.
+    is_cut_off: bool,
 }
 
 impl<'a, R: BufRead> Lines<'a, R> {
     pub fn new(path: &'a Path, reader: R, limits: &Limits) -> Self {
-        Self { path, allowed: limits.log_messages, reader, number: 0, buffer: Vec::new() }
+        Self { path, allowed: limits.log_messages, reader, number: 0, buffer: Vec::new(), is_cut_off: false }
     }
 
-    /// The next line that isn't blank; `None` at the end.
+    /// The next line that isn't blank; `None` at the end. A last line without a newline is left out, because its last number
+    /// may be cut: see [`Lines::cut_off`].
     pub fn next(&mut self) -> Result<Option<Line<'_>>, DatasetError> {
         loop {
             self.number += 1;
@@ -56,15 +59,24 @@ impl<'a, R: BufRead> Lines<'a, R> {
                 break;
             }
         }
-        let line = Line { path: self.path, number: self.number, text: String::from_utf8_lossy(&self.buffer) };
-        if self.buffer.ends_with(b"\n") {
-            return Ok(Some(line));
+        if !self.buffer.ends_with(b"\n") {
+            self.is_cut_off = true;
+            return Ok(None);
         }
-        Err(DatasetError::CutOff {
+        Ok(Some(self.line()))
+    }
+
+    /// After the last line: the error for a file that ends inside a line.
+    pub fn cut_off(&self) -> Option<DatasetError> {
+        self.is_cut_off.then(|| DatasetError::CutOff {
             path: self.path.to_owned(),
             line: self.number,
-            keyword: quoted(line.fields().keyword).into(),
+            keyword: quoted(self.line().fields().keyword).into(),
         })
+    }
+
+    fn line(&self) -> Line<'_> {
+        Line { path: self.path, number: self.number, text: String::from_utf8_lossy(&self.buffer) }
     }
 }
 

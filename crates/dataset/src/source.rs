@@ -49,7 +49,7 @@ const LOGS: &str =
 /// A text holds fewer control characters than one in this many; binary data hold more.
 const TEXT: usize = 50;
 
-/// What a file holds, by its first bytes.
+/// Content of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
     Mcap,
@@ -99,7 +99,7 @@ impl Source {
     }
 }
 
-/// What data hold that begin so.
+/// Content of data that begin so.
 fn content(path: &Path, start: &[u8]) -> Result<Content, DatasetError> {
     if let Some((_, found)) = FOREIGN.iter().find(|(magic, _)| start.starts_with(magic)) {
         return Err(not_a_log(path, found, LOGS));

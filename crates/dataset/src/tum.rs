@@ -36,10 +36,11 @@ pub fn odometry_trajectory(drive: &Drive) -> Vec<StampedPose> {
 /// Reads a trajectory in the format of the TUM RGB-D benchmark (Sturm et al., IROS 2012):
 /// `timestamp tx ty tz qx qy qz qw` in seconds, metres and a unit quaternion; `#` starts a comment line.
 ///
-/// The pose is projected to the plane: tz, roll and pitch are dropped.
+/// The pose is projected to the plane: tz, roll and pitch are dropped. A last line without its newline is left out, because
+/// its last number may be cut.
 ///
 /// # Errors
-/// The file can't be read, has no pose, costs more than the [`Limits`] allow or ends inside a line; a line doesn't have
+/// The file can't be read, has no whole pose or costs more than the [`Limits`] allow; a line doesn't have
 /// eight finite numbers, or its quaternion doesn't have unit length (to 1 %).
 pub fn read_tum(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
     let limits = Limits::current();
@@ -63,6 +64,9 @@ pub fn read_tum(path: &Path) -> Result<Vec<StampedPose>, DatasetError> {
         trajectory.push(StampedPose { stamp_secs, pose: Pose2::new(x, y, theta) });
     }
     if trajectory.is_empty() {
+        if let Some(error) = lines.cut_off() {
+            return Err(error);
+        }
         return Err(DatasetError::Empty { path: path.to_owned() });
     }
     Ok(trajectory)
@@ -147,6 +151,13 @@ mod tests {
         let pose = read(&text).unwrap()[0];
         assert_eq!((pose.stamp_secs, pose.pose.x, pose.pose.y), (1.5, 2.0, 3.0));
         assert!((pose.pose.theta - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_cut_last_line_is_left_out() {
+        let whole = "0 0 0 0 0 0 0 1\n1 2 0 0 0 0 0 1\n";
+        let cut = read(&format!("{whole}2 3 0 0 0 0 0 0.9")).unwrap();
+        assert_eq!(cut, read(whole).unwrap());
     }
 
     #[test]

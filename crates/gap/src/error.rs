@@ -16,7 +16,7 @@ pub enum GapError {
     /// The log's laser is not the scenario's.
     #[error("the log's laser {what} is {log}, the scenario's {scenario}")]
     Laser {
-        /// What differs.
+        /// The difference.
         what: &'static str,
         /// As the log says.
         log: f64,
@@ -41,7 +41,7 @@ pub enum GapError {
         option: &'static str,
         /// The refused value.
         value: f64,
-        /// What is allowed.
+        /// The allowed content.
         allowed: &'static str,
     },
     /// The simulator refused.

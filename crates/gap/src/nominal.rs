@@ -21,7 +21,7 @@ pub struct Nominal {
     pub odometry: OdometryNoise,
     /// Effects that it has already.
     pub effects: Effects,
-    /// What may be expected of its blocks.
+    /// Prior of its clutter.
     integral: Option<Arc<BlockIntegral>>,
 }
 
@@ -57,7 +57,7 @@ impl Nominal {
         self.blocks.map(|blocks| effects.blocks(blocks))
     }
 
-    /// What may be expected of these blocks.
+    /// Prior of this clutter.
     pub(crate) fn integral_over(
         &self,
         blocks: Option<&BlockOptions>,
@@ -106,7 +106,7 @@ impl Nominal {
     }
 }
 
-/// What a simulation of the log needs to know of unmapped blocks besides the nominal options, fitted to the log.
+/// Properties of clutter, fitted to the log, that a simulation of it needs besides the nominal options.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockPolicy {
     /// Factor on their density.

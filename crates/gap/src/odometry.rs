@@ -21,7 +21,7 @@ pub struct OdometryError {
     pub sigma_rad: f64,
 }
 
-/// What an increment says of distance and turn: error, and variance by the scenario's noise.
+/// Errors of an increment in distance and turn, and their variances by the scenario's noise.
 pub(crate) struct Increment {
     /// True distance \[m\] and turn \[rad\], by the reference.
     pub truth: [f64; 2],

@@ -1,4 +1,4 @@
-//! What a search found, as it is written to `gap.json`.
+//! Result of a search, as it is written to `gap.json`.
 
 use std::collections::BTreeMap;
 
@@ -77,7 +77,7 @@ pub struct Named {
     pub params: BTreeMap<&'static str, Number>,
     /// Where it acts, for effects of walls \[m\].
     pub place: Vec<[[f64; 2]; 2]>,
-    /// What speaks for it.
+    /// Its evidence.
     pub evidence: Evidence,
     /// The motion that would tell the candidates apart, if there are several.
     pub split_by: Option<&'static str>,
@@ -126,7 +126,7 @@ pub struct Region {
     pub hi: f64,
     /// The square of the map, for places: lower and upper corner \[m\].
     pub place: Option<[f64; 4]>,
-    /// What is off.
+    /// The quantity that is off.
     pub deviation: Deviation,
     /// In standard deviations of simulated logs.
     pub z: f64,
@@ -162,7 +162,7 @@ pub struct Gap {
     pub floor: Distance,
     /// Log score that the named effects gain on held-out folds (nats per scan).
     pub gained_nats_per_scan: f64,
-    /// What the best further effect would gain on held-out folds (nats per scan), 0 where none would.
+    /// Gain of the best further effect on held-out folds (nats per scan), 0 where none would.
     pub remaining_nats_per_scan: f64,
     /// Share of the gap that is closed: gained / (gained + remaining), and no more than
     /// [`closed_in_ranges`](Self::closed_in_ranges).
@@ -185,7 +185,7 @@ impl Gap {
     }
 }
 
-/// What the gap does to a filter on the measured log.
+/// Effect of the gap on a filter on the measured log.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FilterError {
     /// Root mean square of the position error \[m\], with its interval over the filter's seeds.
@@ -262,7 +262,7 @@ pub struct BeamPit {
 /// All that a search found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
-    /// What is the matter.
+    /// The verdict.
     pub verdict: Verdict,
     /// In the order in which they were named.
     pub effects: Vec<Named>,
@@ -275,17 +275,17 @@ pub struct Outcome {
     pub regions: Vec<Region>,
     /// The gap.
     pub gap: Gap,
-    /// What it does to a filter, if that was asked for.
+    /// Its effect on a filter, if that was asked for.
     pub filter: Option<FilterGap>,
     /// Effects that were tried.
     pub rivals: Vec<Rival>,
-    /// What would have been found.
+    /// Effects that would have been found.
     pub detectable: Vec<Detectable>,
     /// How far the log is off in every effect's direction, before any is added.
     pub directions: Vec<Direction>,
-    /// What that of an effect which shifts or spreads readings, or is in the odometry, has to exceed to be found.
+    /// The bound for an effect that shifts or spreads readings, or is in the odometry.
     pub threshold: f64,
-    /// What was fitted besides: blocks, errors of the reference.
+    /// Nuisance parameters that were fitted: clutter, errors of the reference.
     pub nuisances: Nuisances,
     /// PIT histograms.
     pub pit: Vec<PitHistogram>,

@@ -60,7 +60,7 @@ impl PoseError {
     }
 }
 
-/// What the beams of a scan say about the error of its pose: information matrix and vector about zero.
+/// Likelihood of the error of a scan's pose, from its beams: information matrix and vector about zero.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Information {
     pub matrix: DMat3,
@@ -158,7 +158,7 @@ pub(crate) fn fit(start: PoseError, secs: &[f64], scans: &[Information], iterati
     process
 }
 
-/// What scans say once the multiples of patterns that fit them best are taken off, by least squares.
+/// Data of scans after the least-squares fit of the patterns is subtracted.
 pub(crate) fn without_patterns(scans: &[Information], patterns: &[Vec<DVec3>]) -> Vec<Information> {
     let sum = |of: &dyn Fn(usize) -> f64| (0..scans.len()).map(of).sum::<f64>();
     let normal: Vec<Vec<f64>> = patterns
@@ -187,7 +187,7 @@ pub(crate) fn pattern_score(
     scans: &[Information],
     pattern: &[DVec3],
 ) -> f64 {
-    // What the process leaves of a vector of data.
+    // The part of a vector of data that the process doesn't explain.
     let left = |vectors: &dyn Fn(usize) -> DVec3| -> Vec<DVec3> {
         let as_data: Vec<Information> = scans
             .iter()
@@ -208,7 +208,7 @@ pub(crate) fn pattern_score(
 mod tests {
     use super::*;
 
-    /// What patterns say alone is taken off to the last bit, and what is across them stays.
+    /// Data along the patterns are subtracted to the last bit; data orthogonal to them stay.
     #[test]
     fn patterns_are_taken_off() {
         let matrix = DMat3::from_diagonal(DVec3::new(4.0, 9.0, 100.0));

@@ -1,6 +1,6 @@
 use locsim_core::{Draw, Stage};
 
-/// What a search needs random numbers for. Each purpose has a seed of its own, so that no two share a draw.
+/// Purposes for which a search draws random numbers. Each purpose has a seed of its own, so that no two share a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Purpose {
@@ -18,7 +18,7 @@ pub enum Purpose {
     Intervals = 12,
     /// The simulated logs that tell how far off the fitted density of blocks is.
     BlockDensity = 13,
-    /// What the numbers that a log says little of may be, for their intervals.
+    /// Prior draws of parameters that a log hardly constrains, for their intervals.
     Prior = 14,
     /// The filter on the measured log.
     Filter = 15,

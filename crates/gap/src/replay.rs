@@ -28,7 +28,7 @@ pub(crate) struct Replay<'a> {
     pub blocks: BlockTruth,
 }
 
-/// What is true of unmapped blocks where the fit to a log says what it says.
+/// True density of clutter as a function of the fitted one.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BlockTruth {
     pub resample: BlockResampling,

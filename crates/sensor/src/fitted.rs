@@ -70,7 +70,7 @@ impl ModelKind {
         !matches!(self, Self::LikelihoodField | Self::NpRegField)
     }
 
-    /// What it is, for reports and the schema of scenarios.
+    /// Description for reports and the schema of scenarios.
     pub const fn sentence(self) -> &'static str {
         match self {
             Self::Classic => {

@@ -34,7 +34,7 @@ pub enum Model {
     Frechet,
 }
 
-/// What cross-validation makes small.
+/// Loss that cross-validation minimizes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Criterion {

@@ -28,7 +28,7 @@ pub struct RawStudy {
     /// Folds of the cross-validation over states that chooses among them.
     #[serde(default = "default::folds")]
     pub folds: u64,
-    /// What cross-validation makes small.
+    /// Loss that cross-validation minimizes.
     #[serde(default)]
     pub criterion: Criterion,
     /// Sizes N of the training set, ascending.
@@ -101,7 +101,7 @@ pub struct RawFieldSensor {
     pub resolution_m: f64,
     /// Standard deviation of a reading next to the transmitter (m).
     pub sigma_m: f64,
-    /// What the noise of the field adds at the largest reading (m).
+    /// Standard deviation that the noise of the field adds at the largest reading (m).
     pub field_sigma_m: f64,
     /// The metal object.
     pub forceps: RawForceps,
@@ -175,11 +175,11 @@ pub struct RawTable {
     pub resolution: f64,
     /// A value that is observed with positive probability, such as a maximum.
     pub point_mass_at: Option<f64>,
-    /// What the observation follows, for registered models.
+    /// Quantity that the observation follows, for registered models.
     pub align: Option<RawAlignment>,
 }
 
-/// What the observation follows.
+/// Quantity that the observation follows.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RawAlignment {

@@ -1,4 +1,4 @@
-//! What the programs `locsim` and `locsim-bench` do alike at a terminal: common options, progress bars, Ctrl-C, printed lines,
+//! Parts that the programs `locsim` and `locsim-bench` share: common options, progress bars, Ctrl-C, printed lines,
 //! exit codes. A program parses its arguments, calls its libraries and ends with [`exit_code`].
 
 mod failure;

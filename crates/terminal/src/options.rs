@@ -59,7 +59,7 @@ impl Threads {
     }
 }
 
-/// What a command prints.
+/// Output of a command.
 #[derive(Debug, Args)]
 pub struct OutputOptions {
     /// Print nothing but errors and, with --json, the results

@@ -30,7 +30,7 @@ impl Session {
         })
     }
 
-    /// What work is given.
+    /// Clock, progress and interruption for the work.
     pub fn control(&self) -> Control<'_> {
         Control { clock: &*self.clock, progress: &self.bars, interrupted: self.interrupt.flag() }
     }

@@ -114,7 +114,7 @@ fn every_figure_is_measured_and_small_errors_are_found() {
     assert!(report["accuracy"]["range_m"]["mean"].as_f64().unwrap() < 0.05);
 }
 
-/// What standard error says of the folder, which is refused with exit code 2.
+/// Standard error for the folder, which is refused with exit code 2.
 fn refusal(folder: &Path) -> String {
     let call = bench(folder, "speed .").code(2);
     String::from_utf8(call.get_output().stderr.clone()).unwrap()

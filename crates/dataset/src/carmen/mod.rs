@@ -56,7 +56,8 @@ pub struct CarmenOptions {
 /// Reads the scans of one laser with odometry and, where the log has them, reference poses.
 ///
 /// It reads PARAM, ODOM, TRUEPOS, FLASER and ROBOTLASER1 (front), RLASER and ROBOTLASER2 (rear); other lines are
-/// skipped and counted. Of the two forms of a laser's lines the first one in the log is read.
+/// skipped and counted. Of the two forms of a laser's lines the first one in the log is read. A last line without its
+/// newline is skipped and counted as `(cut off)`, because its last number may be cut.
 ///
 /// - **Beams** of ROBOTLASER lines have the bearings that the line gives. FLASER lines give none: their beams run from
 ///   right to left in steps of 1, 0.5 or 0.25 degrees, the first at -90 degrees (180 and 360 beams are 181 and 361

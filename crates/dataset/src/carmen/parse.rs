@@ -173,8 +173,15 @@ pub fn parse<R: BufRead>(
             count(&mut log.skipped, keyword);
         }
     }
+    let cut_off = lines.cut_off();
     if !log.scans.is_empty() {
+        if cut_off.is_some() {
+            log.skipped.insert(CUT_OFF.into(), 1);
+        }
         return Ok(log);
+    }
+    if let Some(error) = cut_off {
+        return Err(error);
     }
     let known = [("PARAM", params), ("ODOM", log.odometry_lines), ("TRUEPOS", log.true_pose_lines)];
     let found: Vec<_> = known
@@ -193,6 +200,9 @@ pub fn parse<R: BufRead>(
         found: found.join(", "),
     })
 }
+
+/// Counts a last line without its newline in [`LogSummary::skipped`](crate::LogSummary::skipped).
+const CUT_OFF: &str = "(cut off)";
 
 /// Counts an unknown line. Lines without a keyword share one name, as do keywords above [`MOST_KEYWORDS`].
 fn count(skipped: &mut BTreeMap<String, usize>, keyword: &str) {

@@ -97,7 +97,7 @@ impl Pose {
     /// The pose projected to the plane.
     ///
     /// # Errors
-    /// What isn't allowed: numbers that aren't finite or too large, a quaternion that isn't of unit length.
+    /// Content that isn't allowed: numbers that aren't finite or too large, a quaternion that isn't of unit length.
     pub fn projected(&self) -> Result<Pose2, String> {
         let Self { position: Vector3 { x, y, z }, orientation: q } = self;
         if ![x, y, z].iter().all(|v| v.abs() <= COORDINATE) {

@@ -22,7 +22,7 @@ pub use bag::folder_files;
 pub use read::read;
 pub use write::{encode_mcap, write_mcap};
 
-/// What the topics of a bag are called. Odometry and reference may also be transforms of `/tf`, written `parent:child`,
+/// Topics of a bag. Odometry and reference may also be transforms of `/tf`, written `parent:child`,
 /// such as `map:base_link`, or `/tf:parent.child` as evo does.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct BagTopics {

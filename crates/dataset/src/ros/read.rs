@@ -143,7 +143,7 @@ struct Mount {
     evidence: String,
 }
 
-/// What the chosen topics of a bag hold.
+/// Messages of the chosen topics of a bag.
 fn messages(
     path: &Path,
     bag: &Bag<'_>,
@@ -222,7 +222,7 @@ struct Scans {
     /// The first scan, without readings.
     first: Option<LaserScan>,
     stamped: Stamped<Vec<f32>>,
-    /// What the scans take of the limit on readings.
+    /// Readings of the scans, as the limit counts them.
     readings: u64,
     time_increments_secs: f64,
 }

@@ -46,7 +46,7 @@ pub struct Chosen {
     /// Transforms that change.
     pub transforms: Option<Channel>,
     pub fixed_transforms: Option<Channel>,
-    /// What was taken without being asked for, in words.
+    /// Choices that the user didn't make, in words.
     pub guessed: Vec<String>,
 }
 
@@ -66,7 +66,7 @@ impl Chosen {
     }
 }
 
-/// What a topic is needed for.
+/// Use of a topic.
 struct Role {
     name: &'static str,
     defaults: &'static [&'static str],

@@ -14,7 +14,7 @@ const OF_WALL_SIGMAS: f64 = 5.0;
 /// Neighbouring ranges differ by more than this at an edge \[m\].
 const EDGE_M: f64 = 0.3;
 
-/// What becomes of a reading.
+/// Fate of a reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Change {
     /// It stays.

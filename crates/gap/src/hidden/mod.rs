@@ -37,7 +37,7 @@ const WHOLE_SCAN: u32 = u32::MAX;
 /// Item of a scan's draws of the path for the error of its reference pose; the simulator's own items are below it.
 const REFERENCE_ERROR: u32 = 2;
 
-/// What makes a log hard whatever is hidden in it.
+/// Conditions that make a log hard, whatever is hidden in it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Regime {
     /// Whether unmapped blocks stay for the whole drive; otherwise as the nominal simulator has it.
@@ -138,7 +138,7 @@ impl<'a> HiddenDrive<'a> {
         Ok(Self { nominal, truth, regime, seed, simulator })
     }
 
-    /// What is left to chance by what is hidden; item `beam` for a beam, [`WHOLE_SCAN`] for a scan. Under a seed of its
+    /// Random numbers of the hidden effect; item `beam` for a beam, [`WHOLE_SCAN`] for a scan. Under a seed of its
     /// own, so that it shares no draw with the simulator.
     fn chance(&self, scan: usize, item: u32) -> impl Rng + use<> {
         let own = Draw::new(self.seed, Stage::Effect, u32::MAX).seed(u32::MAX - 1);

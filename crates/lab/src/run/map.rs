@@ -36,7 +36,7 @@ pub struct LogMaps {
     pub walls: MeasuredMap,
     /// How both agree with held-out scans; `None` for a log too short to hold out any.
     pub check: Option<MapCheck>,
-    /// What was read.
+    /// Counts of the messages that were read.
     pub summary: LogSummary,
 }
 

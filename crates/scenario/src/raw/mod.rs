@@ -62,7 +62,7 @@ pub struct RawScenario {
     /// How errors are measured.
     #[serde(default)]
     pub errors: RawErrors,
-    /// What goes into the recording.
+    /// Content of the recording.
     #[serde(default)]
     pub record: RawRecord,
     /// Bounds on figures of `summary.json`, by label of the model: `{classic: {lost_share: {max: 0.05}}}`. Nested
@@ -108,7 +108,7 @@ impl Default for RawTraining {
 pub struct RawModel {
     /// Which model.
     pub name: ModelName,
-    /// What results call it; unique among the models. Default: its name.
+    /// Label in results; unique among the models. Default: its name.
     pub label: Option<String>,
     /// Weight of a uniform floor under the density, 0 to below 1. Default: chosen on held-out data.
     pub floor: Option<f64>,
@@ -153,7 +153,7 @@ impl Default for RawErrors {
     }
 }
 
-/// What goes into the recording.
+/// Content of the recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RawRecord {

@@ -228,7 +228,7 @@ pub struct RawLog {
     pub map_resolution_m: Option<f64>,
     /// Readings at or above this count as no return (m), 0.001 to 10000. Default: the log's own maximum.
     pub max_range_m: Option<f64>,
-    /// What the topics of a bag are called; only with a bag.
+    /// Topics of a bag; only with a bag.
     pub topics: Option<RawTopics>,
 }
 
@@ -242,7 +242,7 @@ pub enum MapFromScans {
     Walls,
 }
 
-/// What the topics of a bag are called.
+/// Topics of a bag.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawTopics {

@@ -35,7 +35,7 @@ pub struct BeamView {
     pub behind: Option<f64>,
 }
 
-/// What stands in front of a beam.
+/// Surface that a beam meets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HitKind {
     /// A wall of the map or a missing object: something with an incidence. Effects of walls act on it.

@@ -1,6 +1,6 @@
 use super::{EffectKind, Parameter, Statistic};
 
-/// What is to be said of a kind of effect.
+/// Description of a kind of effect.
 #[derive(Clone, Copy, Debug)]
 pub struct Description {
     /// The name used in files.
@@ -13,9 +13,9 @@ pub struct Description {
     pub has_place: bool,
     /// Its definition: r is the range of what a beam meets, alpha the incidence there.
     pub formula: &'static str,
-    /// What it is, in plain language.
+    /// Definition in plain language.
     pub sentence: &'static str,
-    /// What gives it away in data.
+    /// Its signature in data.
     pub signature: &'static str,
     /// Other kinds that look much like it.
     pub confused_with: &'static [EffectKind],
@@ -32,14 +32,14 @@ pub struct Description {
     /// Whether a filter can take it out of mount, odometry, stamps or readings. Any other effect it has to learn, from
     /// scans that are simulated with it.
     pub is_correctable: bool,
-    /// What it reads instead of the return.
+    /// The value that is read instead of the return.
     pub replaces: Option<Replacement>,
-    /// What a [`BeamView`](super::BeamView) has to hold for it.
+    /// Fields of a [`BeamView`](super::BeamView) that it needs.
     pub needs: Needs,
 }
 
 impl Description {
-    /// What a definition need not say.
+    /// Defaults of a definition.
     pub(super) const DEFAULT: Self = Self {
         name: "",
         site: Site::Beam,
@@ -116,7 +116,7 @@ pub enum Fit {
     Nuisance,
 }
 
-/// What is read instead of a return, in the order in which alternatives are tried: nearest to the sensor first.
+/// Values that are read instead of a return, in the order in which alternatives are tried: nearest to the sensor first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Replacement {
     /// A part of the robot.
@@ -127,13 +127,13 @@ pub enum Replacement {
     Distance,
     /// Nothing: the surface reflects to elsewhere.
     Surface,
-    /// What is behind the surface.
+    /// The surface behind this one.
     Behind,
     /// Something between the surface and its neighbour.
     Edge,
 }
 
-/// What a [`BeamView`](super::BeamView) has to hold for the effects at hand.
+/// Fields of a [`BeamView`](super::BeamView) that a list of effects needs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Needs {
     /// [`BeamView::jump`](super::BeamView::jump).
@@ -173,7 +173,7 @@ impl Experiment {
         Self::OtherViews,
     ];
 
-    /// What to do, and what it shows.
+    /// An experiment, and the result that tells the effect from its rivals.
     pub fn sentence(self) -> &'static str {
         match self {
             Self::Reverse => {

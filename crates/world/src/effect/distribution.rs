@@ -40,7 +40,7 @@ pub struct ReadingDistribution {
     pub sigma: f64,
     /// Probability of the tail, and its standard deviation in units of `sigma`.
     pub tail: [f64; 2],
-    /// What may be read instead of the return.
+    /// Alternatives to the return.
     pub alternatives: Alternatives,
     /// Readings are multiples of this \[m\]; 0 for readings that aren't quantized.
     pub step_m: f64,
@@ -50,7 +50,7 @@ pub struct ReadingDistribution {
     pub max_m: f64,
 }
 
-/// What may be read instead of the return.
+/// Alternatives to the return.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Alternative {
     /// The maximum range.
@@ -119,17 +119,6 @@ impl Parts {
     pub fn total(&self) -> f64 {
         self.alternatives + self.returned
     }
-}
-
-/// The values before rounding that give one reading.
-#[derive(Clone, Copy)]
-enum Cell {
-    /// At least this much, which is read as the maximum range.
-    From(f64),
-    /// Those around a multiple of a step.
-    Step { middle: f64, step: f64 },
-    /// The reading itself.
-    Point(f64),
 }
 
 impl ReadingDistribution {
@@ -216,41 +205,31 @@ impl ReadingDistribution {
         (self.ln_interval(lo, to) - self.ln_interval(lo, f64::INFINITY)).exp().clamp(0.0, 1.0)
     }
 
-    /// The density of a reading `z` \[m\] from the minimum range on by its parts, before it is known to be usable: the fast form of
-    /// [`ReadingDistribution::density`], which is this total over [`ReadingDistribution::usable`].
+    /// The density of a reading `z` \[m\] from the minimum range on, before it is known to be usable, and the probability that it
+    /// is usable, both by their parts: the first total over the second is the fast form of [`ReadingDistribution::density`].
     ///
     /// A quantized reading has to be a multiple of the step. Steps of at most [`FINE_STEP`] standard deviations have the normal
     /// density at their middle instead of their probability over the step: at t standard deviations that is too little by a
     /// relative (t^2 - 1) / 24 times the square of the step in standard deviations.
+    ///
+    /// `limits` are [`ReadingDistribution::limits`].
     #[inline]
-    pub(crate) fn density_parts(&self, z: f64) -> Parts {
-        let cell = if z >= self.max_m {
-            Cell::From(self.least_value(self.max_m))
-        } else if self.step_m > 0.0 {
-            Cell::Step { middle: z, step: self.step_m }
+    pub(crate) fn density_parts(&self, limits: [f64; 2], z: f64) -> [Parts; 2] {
+        let (step, [min, max]) = (self.step_m, limits);
+        if z >= self.max_m {
+            self.parts(|component| [component.at_least(max), component.at_least(min)])
+        } else if step > 0.0 {
+            self.parts(|component| [component.over_step(z, step), component.at_least(min)])
         } else {
-            Cell::Point(z)
-        };
-        self.parts(|component| component.density(cell))
+            self.parts(|component| [component.density(z), component.at_least(min)])
+        }
     }
 
-    /// P(value before rounding < `x`) by its parts: the same for every step, and also of values that aren't usable.
+    /// P(value before rounding < `x`), the same for every step and also of values that aren't usable, and the probability that a
+    /// reading is usable, both by their parts. `limits` are [`ReadingDistribution::limits`].
     #[inline]
-    pub(crate) fn below(&self, x: f64) -> Parts {
-        self.parts(|component| component.below(x))
-    }
-
-    /// Probability that a reading is below the minimum range, by its parts.
-    #[inline]
-    pub(crate) fn unusable(&self) -> Parts {
-        self.below(self.least_value(self.min_m))
-    }
-
-    /// Probability that a reading is usable.
-    #[inline]
-    pub(crate) fn usable(&self) -> f64 {
-        let from = Cell::From(self.least_value(self.min_m));
-        self.parts(|component| component.density(from)).total()
+    pub(crate) fn below(&self, [min, _]: [f64; 2], x: f64) -> [Parts; 2] {
+        self.parts(|component| [component.below(x), component.at_least(min)])
     }
 
     /// The factor that turns a density of `z` \[m\] per metre into one that can be compared with that of a distribution with
@@ -266,23 +245,24 @@ impl ReadingDistribution {
         if is_multiple { self.step_m / grid_m } else { 0.0 }
     }
 
-    /// Sums over the mixture of weight times `of`.
+    /// Sums over the mixture of weight times each value of `of`.
     #[inline]
-    fn parts(&self, of: impl Fn(Component) -> f64) -> Parts {
-        let (mut alternatives, mut rest) = (0.0, 1.0);
+    fn parts(&self, of: impl Fn(Component) -> [f64; 2]) -> [Parts; 2] {
+        let (mut alternatives, mut rest) = ([0.0; 2], 1.0);
         for &(probability, alternative) in self.alternatives.as_slice() {
             let weight = rest * probability;
-            alternatives += weight * of(alternative.into());
+            let values = of(alternative.into());
+            alternatives = [0, 1].map(|i| alternatives[i] + weight * values[i]);
             rest -= weight;
         }
         let [tail, factor] = self.tail;
         let of_return = |sigma| of(Component::Normal { mean: self.mean, sigma });
-        let returned = if tail > 0.0 {
-            (1.0 - tail) * of_return(self.sigma) + tail * of_return(factor * self.sigma)
-        } else {
-            of_return(self.sigma)
-        };
-        Parts { returned: rest * returned, alternatives, rest }
+        let mut returned = of_return(self.sigma);
+        if tail > 0.0 {
+            let wide = of_return(factor * self.sigma);
+            returned = [0, 1].map(|i| (1.0 - tail) * returned[i] + tail * wide[i]);
+        }
+        [0, 1].map(|i| Parts { returned: rest * returned[i], alternatives: alternatives[i], rest })
     }
 
     /// Which multiple of the step a reading is; `None` for one between two of them. Readings may be a few units in
@@ -293,23 +273,9 @@ impl ReadingDistribution {
         ((k * self.step_m - z).abs() <= 4.0 * f64::from(f32::EPSILON) * z).then_some(k)
     }
 
-    /// The least value before rounding whose reading is at least `limit` \[m\], an f32.
-    #[inline]
-    fn least_value(&self, limit: f64) -> f64 {
-        let step = self.step_m;
-        if step == 0.0 {
-            return limit;
-        }
-        // A multiple is read as an f32, which may be the limit itself where the multiple is a little below it.
-        let next = (limit / step).ceil();
-        let reaches = |k: f64| (k * step) as f32 >= limit as f32;
-        let multiple = [next - 1.0, next].into_iter().find(|&k| reaches(k)).unwrap_or(next + 1.0);
-        (multiple - 0.5) * step
-    }
-
-    /// Before rounding: from where on a reading is usable, and from where on it is the maximum range.
-    fn limits(&self) -> [f64; 2] {
-        [self.least_value(self.min_m), self.least_value(self.max_m)]
+    /// Before rounding: from where on a reading is usable, and from where on it is the maximum range \[m\].
+    pub(crate) fn limits(&self) -> [f64; 2] {
+        [self.min_m, self.max_m].map(|limit| least_value(limit, self.step_m))
     }
 
     /// ln P(`from` <= reading before rounding < `to`).
@@ -347,8 +313,8 @@ impl ReadingDistribution {
 impl Alternative {
     /// Density of a reading `z` \[m\] that isn't quantized \[1/m\], a probability at the maximum range `max` \[m\].
     pub fn density(self, z: f64, max: f64) -> f64 {
-        let cell = if z >= max { Cell::From(max) } else { Cell::Point(z) };
-        Component::from(self).density(cell)
+        let component = Component::from(self);
+        if z >= max { component.at_least(max) } else { component.density(z) }
     }
 }
 
@@ -365,52 +331,66 @@ impl From<Alternative> for Component {
 }
 
 impl Component {
-    /// Probability of a cell, over its width where it has one.
+    /// P(value >= `x`).
     #[inline]
-    fn density(self, cell: Cell) -> f64 {
-        let around = |z: f64, step: f64| {
-            let multiple = (z / step).round() * step;
-            [multiple - 0.5 * step, multiple + 0.5 * step]
-        };
-        match (self, cell) {
-            (Self::NoReturn, _) => f64::from(u8::from(matches!(cell, Cell::From(_)))),
-            (Self::Normal { mean, .. }, _) if mean.is_infinite() => Self::NoReturn.density(cell),
-            (Self::Normal { mean, sigma }, Cell::From(from)) if mean - SURELY * sigma > from => 1.0,
-            (Self::Normal { mean, sigma: 0.0 }, Cell::From(from)) => f64::from(u8::from(mean >= from)),
-            (Self::Normal { mean, sigma }, Cell::From(from)) => normal::tail((from - mean) / sigma),
-            (Self::Normal { mean, sigma }, Cell::Step { middle, step }) if step > FINE_STEP * sigma => {
-                let [from, to] = around(middle, step);
-                if sigma == 0.0 {
-                    f64::from(u8::from((from..to).contains(&mean))) / step
-                } else {
-                    normal_interval((from - mean) / sigma, (to - mean) / sigma) / step
-                }
-            }
-            (Self::Normal { mean, sigma: 0.0 }, Cell::Point(z)) => {
+    fn at_least(self, x: f64) -> f64 {
+        match self {
+            Self::NoReturn => 1.0,
+            Self::Normal { mean, sigma } if mean - SURELY * sigma > x => 1.0,
+            Self::Normal { mean, sigma: 0.0 } => f64::from(u8::from(mean >= x)),
+            Self::Normal { mean, sigma } => normal::tail((x - mean) / sigma),
+            Self::Between { lo, hi } => ((hi - x) / (hi - lo)).clamp(0.0, 1.0),
+        }
+    }
+
+    /// Density at `z` \[1/m\].
+    #[inline]
+    fn density(self, z: f64) -> f64 {
+        match self {
+            Self::NoReturn => 0.0,
+            Self::Normal { mean, sigma: 0.0 } => {
                 if z == mean {
                     f64::INFINITY
                 } else {
                     0.0
                 }
             }
-            (Self::Normal { mean, sigma }, Cell::Step { middle: z, .. } | Cell::Point(z)) => {
-                normal::density((z - mean) / sigma) / sigma
-            }
-            (Self::Between { lo, hi }, Cell::From(from)) => ((hi - from) / (hi - lo)).clamp(0.0, 1.0),
-            (Self::Between { lo, hi }, Cell::Step { middle, step }) => {
-                let half = 0.5 * step;
-                if middle - half >= lo && middle + half <= hi {
-                    return 1.0 / (hi - lo);
-                }
-                let [from, to] = around(middle, step);
-                (to.min(hi) - from.max(lo)).max(0.0) / (step * (hi - lo))
-            }
-            (Self::Between { lo, hi }, Cell::Point(z)) => {
+            // 0 where the mean is infinite.
+            Self::Normal { mean, sigma } => normal::density((z - mean) / sigma) / sigma,
+            Self::Between { lo, hi } => {
                 if (lo..hi).contains(&z) {
                     1.0 / (hi - lo)
                 } else {
                     0.0
                 }
+            }
+        }
+    }
+
+    /// Probability of the values that are rounded to `middle`, a multiple of `step`, over the step \[1/m\].
+    #[inline]
+    fn over_step(self, middle: f64, step: f64) -> f64 {
+        let around = || {
+            let multiple = (middle / step).round() * step;
+            [multiple - 0.5 * step, multiple + 0.5 * step]
+        };
+        match self {
+            Self::Normal { mean, sigma } if step > FINE_STEP * sigma && mean.is_finite() => {
+                let [from, to] = around();
+                if sigma == 0.0 {
+                    f64::from(u8::from((from..to).contains(&mean))) / step
+                } else {
+                    normal_interval((from - mean) / sigma, (to - mean) / sigma) / step
+                }
+            }
+            Self::NoReturn | Self::Normal { .. } => self.density(middle),
+            Self::Between { lo, hi } => {
+                let half = 0.5 * step;
+                if middle - half >= lo && middle + half <= hi {
+                    return 1.0 / (hi - lo);
+                }
+                let [from, to] = around();
+                (to.min(hi) - from.max(lo)).max(0.0) / (step * (hi - lo))
             }
         }
     }
@@ -461,7 +441,19 @@ impl Component {
     }
 }
 
-/// What a sensor makes of a return: rounded to a multiple of `step` (0: not rounded), exactly the maximum range at or
+/// The least value before rounding to multiples of `step` (0: not rounded) whose reading is at least `limit` \[m\], an f32.
+pub(crate) fn least_value(limit: f64, step: f64) -> f64 {
+    if step == 0.0 {
+        return limit;
+    }
+    // A multiple is read as an f32, which may be the limit itself where the multiple is a little below it.
+    let next = (limit / step).ceil();
+    let reaches = |k: f64| (k * step) as f32 >= limit as f32;
+    let multiple = [next - 1.0, next].into_iter().find(|&k| reaches(k)).unwrap_or(next + 1.0);
+    (multiple - 0.5) * step
+}
+
+/// Value that a sensor reports for a return: rounded to a multiple of `step` (0: not rounded), exactly the maximum range at or
 /// beyond it, NaN below the minimum.
 pub(crate) fn as_read(noisy: f64, step: f64, min: f32, max: f32) -> f32 {
     let reading = (if step > 0.0 { (noisy / step).round() * step } else { noisy }) as f32;

@@ -10,7 +10,7 @@ use crate::options::BlockOptions;
 /// The hooks are called for an [`Effect`] of the kind; by default they do nothing. At its neutral value an effect is the
 /// identity, bit for bit.
 pub(crate) trait EffectType: Sync {
-    /// What is to be said of it.
+    /// Its description.
     fn description(&self) -> &'static Description;
 
     /// Where the laser sits on the robot, for where it is said to sit.

@@ -63,7 +63,7 @@ catalogue! {
 }
 
 impl EffectKind {
-    /// What is to be said of it.
+    /// Its description.
     pub fn description(self) -> &'static Description {
         self.effect_type().description()
     }
@@ -125,12 +125,12 @@ impl EffectKind {
         self.description().formula
     }
 
-    /// What it is, in plain language.
+    /// Definition in plain language.
     pub fn sentence(self) -> &'static str {
         self.description().sentence
     }
 
-    /// What gives it away in data.
+    /// Its signature in data.
     pub fn signature(self) -> &'static str {
         self.description().signature
     }

@@ -151,7 +151,7 @@ pub struct OdometryErrors {
 }
 
 impl OdometryErrors {
-    /// What is read of a true motion `base_prev_from_base_now`.
+    /// Odometry of a true motion `base_prev_from_base_now`.
     pub fn distribution(&self, increment: &Pose2) -> OdometryDistribution {
         let scale = 1.0 + self.distance_scale;
         let distance = increment.x.hypot(increment.y).copysign(increment.x);
@@ -172,7 +172,7 @@ impl OdometryErrors {
     }
 }
 
-/// What the odometry reads of a motion, before the noise of [`OdometryNoise`](crate::simulation::OdometryNoise).
+/// Odometry of a motion, before the noise of [`OdometryNoise`](crate::simulation::OdometryNoise).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryDistribution {
     /// The increment where no wheel slips.

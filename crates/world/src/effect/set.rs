@@ -60,7 +60,7 @@ impl Effects {
         self.list.is_empty()
     }
 
-    /// What a [`BeamView`] has to hold.
+    /// Fields of a [`BeamView`] that are needed.
     pub fn needs(&self) -> Needs {
         self.needs
     }
@@ -95,7 +95,7 @@ impl Effects {
         errors
     }
 
-    /// What the odometry reads of a true motion `base_prev_from_base_now`, before its noise.
+    /// Odometry of a true motion `base_prev_from_base_now`, before its noise.
     pub fn odometry(&self, increment: &Pose2) -> OdometryDistribution {
         self.odometry_errors().distribution(increment)
     }
@@ -149,8 +149,17 @@ impl Effects {
         burst: impl Fn(usize, f64) -> f64,
     ) -> ReadingDistribution {
         let max = f64::from(laser.max_range_m as f32);
-        let mut alternatives = Alternatives::default();
-        let mut reading = Return::new(laser, &mut alternatives);
+        // Made where it is returned, because the room for alternatives makes it costly to move.
+        let mut distribution = ReadingDistribution {
+            mean: f64::INFINITY,
+            sigma: 0.0,
+            tail: [0.0, TAIL_FACTOR],
+            alternatives: Alternatives::default(),
+            step_m: laser.resolution_m,
+            min_m: f64::from(laser.min_range_m as f32),
+            max_m: max,
+        };
+        let mut reading = Return::new(laser, &mut distribution.alternatives);
         let mut hit = Hit { laser, view, met, range, mapped, max, burst: &burst, index: 0 };
         for &i in &self.order {
             let effect = &self.list[i];
@@ -158,19 +167,12 @@ impl Effects {
             effect.kind.effect_type().reading(effect, &hit, &mut reading);
         }
         let Return { scale, bias, wall_bias, wall_sigma, growth, tail, step_m, .. } = reading;
-        let (mean, sigma) = if hit.is_in_range() {
-            (scale * range + (bias + wall_bias), (hit.sigma(range) + growth * range * range) * wall_sigma)
-        } else {
-            (f64::INFINITY, 0.0)
-        };
-        ReadingDistribution {
-            mean,
-            sigma,
-            tail: [tail, TAIL_FACTOR],
-            alternatives,
-            step_m,
-            min_m: f64::from(laser.min_range_m as f32),
-            max_m: max,
+        if hit.is_in_range() {
+            distribution.mean = scale * range + (bias + wall_bias);
+            distribution.sigma = (hit.sigma(range) + growth * range * range) * wall_sigma;
         }
+        distribution.tail[0] = tail;
+        distribution.step_m = step_m;
+        distribution
     }
 }

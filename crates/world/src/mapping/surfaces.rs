@@ -262,7 +262,7 @@ fn bend(hits: &[Hit], surface: &Surface) -> Option<f64> {
     for &i in &surface.hits {
         let hit = &hits[i as usize];
         let residual = surface.distance(hit.at);
-        // What is no reading of this line doesn't bend it.
+        // Readings of other surfaces don't bend the line.
         let weight = 1.0 / (1.0 + (residual / NEAR_M).powi(2));
         let sum = &mut sums[surface.bin(surface.along(hit.at))];
         *sum = (sum.0 + weight, sum.1 + weight * residual);

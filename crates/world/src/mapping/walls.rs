@@ -17,7 +17,7 @@ const PARALLEL: f64 = 0.34;
 /// Bins that no beam reached are bridged up to this length \[m\].
 const BRIDGED_M: f64 = 0.3;
 
-/// What fewer of the beams end on is left out: it stood there for a while.
+/// Walls on which a smaller share of the beams ends are left out: they stood there for a while.
 const SELDOM_SHARE: f64 = 0.2;
 
 /// A wall has at least this many readings, of two scans or more: what one scan saw may have moved on.

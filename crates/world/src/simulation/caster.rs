@@ -44,7 +44,7 @@ pub struct Ray {
 /// A beam in a world with effects and without clutter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CastBeam {
-    /// What effects may depend on. Of a beam that meets a missing object the incidence is that on the object.
+    /// Covariates of effects. Of a beam that meets a missing object the incidence is that on the object.
     pub view: BeamView,
     /// Range of the surface \[m\], moved as effects have it; [`BeamView::range`] where no surface is met.
     pub range: f64,
@@ -52,7 +52,7 @@ pub struct CastBeam {
     pub surface: Surface,
 }
 
-/// What a beam meets.
+/// Surface that a beam meets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Surface {
     /// No surface in reach.

@@ -1,5 +1,5 @@
 use super::{ClutterSurvival, LaserOptions};
-use crate::effect::{BeamView, Effects, HitKind, Parts, ReadingDistribution};
+use crate::effect::{BeamView, Effects, HitKind, Parts, ReadingDistribution, least_value};
 
 /// The steps in which readings of a laser without a resolution are compared with quantized ones \[m\]: finer than any laser's.
 const FINEST_STEP_M: f64 = 1e-4;
@@ -10,7 +10,7 @@ const LEAST_SURVIVAL: f64 = 1e-12;
 /// A beam with everything that its reading depends on.
 #[derive(Clone, Debug)]
 pub struct ClutteredBeam {
-    /// What effects may depend on.
+    /// Covariates of effects.
     pub view: BeamView,
     /// Range of a missing object in front of the wall \[m\].
     pub object: Option<f64>,
@@ -37,6 +37,7 @@ impl ClutteredBeam {
     }
 
     /// Nominal range of the surface \[m\]: of the missing object in front of it, or of the map's wall where that isn't moved.
+    #[inline]
     pub fn range(&self) -> f64 {
         self.object.unwrap_or(self.view.range)
     }
@@ -63,12 +64,11 @@ impl ClutteredBeam {
 /// that of clutter at the reading's own range, or of clutter in the middle of where it may stand if nothing is returned.
 #[derive(Clone, Copy, Debug)]
 pub struct ReadingMixture<'a> {
-    /// The laser.
-    pub laser: &'a LaserOptions,
-    /// The effects of the world.
-    pub effects: &'a Effects,
-    /// Factor on the density of clutter.
-    pub clutter_density: f64,
+    laser: &'a LaserOptions,
+    effects: &'a Effects,
+    clutter_density: f64,
+    /// [`ReadingDistribution::limits`] of readings with the laser's own step.
+    limits: [f64; 2],
 }
 
 /// The density of a reading by what it is of: per metre, a probability at the maximum range.
@@ -84,7 +84,7 @@ pub struct MixtureDensity {
     pub unobstructed: f64,
     /// Probability that no clutter is in front.
     pub clear: f64,
-    /// What a density per metre was multiplied by to be one of usable multiples of the laser's step, as these are.
+    /// Factor from the density per metre to that of usable multiples of the laser's step.
     pub measure: f64,
     /// Mean of a reading of the surface \[m\]; infinite where nothing is met.
     pub mean: f64,
@@ -92,53 +92,53 @@ pub struct MixtureDensity {
     pub sigma: f64,
 }
 
-/// A beam without clutter in front of it.
-struct Unobstructed {
-    reading: ReadingDistribution,
-    /// Range of the surface \[m\].
-    range: f64,
-    /// Probability that no clutter is in front.
-    clear: f64,
-}
-
 /// A reading of the nearest clutter.
 struct OfClutter {
-    /// `None` for one that is the clutter's range.
-    reading: Option<ReadingDistribution>,
     /// Range of the clutter \[m\].
     range: f64,
+    /// Probability, or its density, of what is read instead of it.
+    instead: f64,
+    /// Probability that something usable is read instead of it.
+    usable_instead: f64,
+    /// Probability that nothing is read instead of it.
+    rest: f64,
 }
 
-impl OfClutter {
-    /// Parts of the alternatives, and the probability of none of them.
-    fn alternatives(&self, of: impl Fn(&ReadingDistribution) -> Parts) -> [f64; 2] {
-        self.reading.as_ref().map(of).map_or([0.0, 1.0], |parts| [parts.alternatives, parts.rest])
+impl<'a> ReadingMixture<'a> {
+    /// Readings of this laser in a world with these effects; `clutter_density` is a factor on the density of clutter.
+    pub fn new(laser: &'a LaserOptions, effects: &'a Effects, clutter_density: f64) -> Self {
+        let limits = [laser.min_range_m, laser.max_range_m]
+            .map(|m| least_value(f64::from(m as f32), laser.resolution_m));
+        Self { laser, effects, clutter_density, limits }
     }
-}
 
-impl ReadingMixture<'_> {
+    fn limits(&self, reading: &ReadingDistribution) -> [f64; 2] {
+        if reading.step_m == self.laser.resolution_m { self.limits } else { reading.limits() }
+    }
+
     /// The density of a reading `z` \[m\] from the minimum range on; `shift` is added to the range of surface and clutter \[m\].
     ///
     /// Densities are those of multiples of the laser's own step, so that worlds of coarser steps can be compared. A fine step
     /// has the density at its middle instead of its probability over the step: a relative error of (t^2 - 1) / 24 times the
     /// square of the step in standard deviations, at t standard deviations from the mean.
     pub fn density(&self, beam: &ClutteredBeam, shift: f64, z: f64) -> MixtureDensity {
-        let Unobstructed { reading, range, clear } = self.unobstructed(beam, shift);
-        let of_surface = reading.density_parts(z);
+        let view = BeamView { range: beam.view.range + shift, ..beam.view };
+        let range = self.surface_range(beam, &view, shift);
+        let reading = self.surface_reading(beam, &view, range);
+        let clear = self.clear(beam, &view, range, shift);
+        let [of_surface, usable] = reading.density_parts(self.limits(&reading), z);
         let mut total = clear * of_surface.total();
-        let mut usable = clear * reading.usable();
+        let mut usable = clear * usable.total();
         let mut clutter = 0.0;
         if clear < 1.0 {
             let is_return = z < reading.max_m;
-            let nearest = self.clutter_read_at(
-                beam,
-                if is_return { z } else { beam.survival.middle(range - shift) + shift },
-            );
-            let [instead, rest] = nearest.alternatives(|reading| reading.density_parts(z));
+            let expected = if is_return { z } else { beam.survival.middle(range - shift) + shift };
+            let nearest = self
+                .clutter_read_at(beam, expected, |reading| reading.density_parts(self.limits(reading), z));
             if is_return && nearest.range < range {
-                clutter = rest * self.nearest_density(beam, nearest.range - shift);
+                clutter = nearest.rest * self.nearest_density(beam, nearest.range - shift);
             }
-            total += (1.0 - clear) * instead + clutter;
+            total += (1.0 - clear) * nearest.instead + clutter;
             usable += self.usable_clutter(beam, shift, clear, &nearest, reading.min_m);
         }
         let measure = reading.on_grid(z, self.laser.resolution_m.max(FINEST_STEP_M)) / usable;
@@ -157,48 +157,64 @@ impl ReadingMixture<'_> {
     /// P(value before rounding < `x`) of a usable reading, for `x` from the minimum to the maximum range \[m\]: at a fine step
     /// that is the distribution function less half of the step's own probability. `shift` as in [`ReadingMixture::density`].
     pub fn cdf(&self, beam: &ClutteredBeam, shift: f64, x: f64) -> f64 {
-        let Unobstructed { reading, range, clear } = self.unobstructed(beam, shift);
-        let mut below = clear * reading.below(x).total();
-        let mut usable = clear * reading.usable();
+        let view = BeamView { range: beam.view.range + shift, ..beam.view };
+        let range = self.surface_range(beam, &view, shift);
+        let reading = self.surface_reading(beam, &view, range);
+        let clear = self.clear(beam, &view, range, shift);
+        let [of_surface, usable] = reading.below(self.limits(&reading), x);
+        let mut below = clear * of_surface.total();
+        let mut usable = clear * usable.total();
         if clear < 1.0 {
-            let nearest = self.clutter_read_at(beam, x.min(range));
-            let [instead, rest] = nearest.alternatives(|reading| reading.below(x));
+            let nearest =
+                self.clutter_read_at(beam, x.min(range), |reading| reading.below(self.limits(reading), x));
             let survival = self.survival(beam, nearest.range.min(range) - shift).max(clear);
-            below += (1.0 - clear) * instead + rest * (1.0 - survival);
+            below += (1.0 - clear) * nearest.instead + nearest.rest * (1.0 - survival);
             usable += self.usable_clutter(beam, shift, clear, &nearest, reading.min_m);
         }
         ((below - (1.0 - usable)) / usable).clamp(0.0, 1.0)
     }
 
-    fn unobstructed(&self, beam: &ClutteredBeam, shift: f64) -> Unobstructed {
-        let view = BeamView { range: beam.view.range + shift, ..beam.view };
-        let range = beam.object.map_or_else(|| self.effects.wall_range(&view), |object| object + shift);
-        let reading = self.effects.reading_of(
-            self.laser,
-            &view,
-            HitKind::Wall,
-            range,
-            beam.object.is_none(),
-            |_, share| share,
-        );
+    /// Range of the surface, where it really is \[m\].
+    fn surface_range(&self, beam: &ClutteredBeam, view: &BeamView, shift: f64) -> f64 {
+        beam.object.map_or_else(|| self.effects.wall_range(view), |object| object + shift)
+    }
+
+    fn surface_reading(&self, beam: &ClutteredBeam, view: &BeamView, range: f64) -> ReadingDistribution {
+        let is_mapped = beam.object.is_none();
+        self.effects.reading_of(self.laser, view, HitKind::Wall, range, is_mapped, |_, share| share)
+    }
+
+    /// Probability that no clutter is in front of the surface.
+    fn clear(&self, beam: &ClutteredBeam, view: &BeamView, range: f64, shift: f64) -> f64 {
         let log_clear = if beam.object.is_some() || range == view.range {
             beam.log_clear
         } else {
-            beam.log_clear_to((range - shift).min(reading.max_m))
+            beam.log_clear_to((range - shift).min(f64::from(self.laser.max_range_m as f32)))
         };
-        Unobstructed { reading, range, clear: (self.clutter_density * log_clear).exp() }
+        (self.clutter_density * log_clear).exp()
     }
 
-    /// The clutter whose reading is expected at `z` \[m\].
-    fn clutter_read_at(&self, beam: &ClutteredBeam, z: f64) -> OfClutter {
+    /// The clutter whose reading is expected at `z` \[m\], with the parts that `of` gives of what is read instead of it.
+    fn clutter_read_at(
+        &self,
+        beam: &ClutteredBeam,
+        z: f64,
+        of: impl Fn(&ReadingDistribution) -> [Parts; 2],
+    ) -> OfClutter {
         if self.effects.is_empty() {
-            return OfClutter { reading: None, range: z };
+            return OfClutter { range: z, instead: 0.0, usable_instead: 0.0, rest: 1.0 };
         }
         let reading =
             self.effects.reading_of(self.laser, &beam.view, HitKind::Object, z, false, |_, share| share);
         // A reading errs by about as much a little nearer or farther.
         let error = if reading.mean.is_finite() { reading.mean - z } else { 0.0 };
-        OfClutter { reading: Some(reading), range: z - error }
+        let [at_reading, usable] = of(&reading);
+        OfClutter {
+            range: z - error,
+            instead: at_reading.alternatives,
+            usable_instead: usable.alternatives,
+            rest: usable.rest,
+        }
     }
 
     /// Probability that no clutter stands within `range` metres.
@@ -227,9 +243,8 @@ impl ReadingMixture<'_> {
         nearest: &OfClutter,
         min_m: f64,
     ) -> f64 {
-        let [instead, rest] = nearest.alternatives(ReadingDistribution::unusable);
         let within_reach = self.survival(beam, min_m - shift).max(clear);
-        (1.0 - clear) * (1.0 - rest - instead) + rest * (within_reach - clear)
+        (1.0 - clear) * nearest.usable_instead + nearest.rest * (within_reach - clear)
     }
 }
 
@@ -277,25 +292,25 @@ mod tests {
 
     /// P(value before rounding < x), summed over millimetres of where the nearest clutter stands, each read with its noise.
     fn plain_below(mixture: &ReadingMixture<'_>, beam: &ClutteredBeam, x: f64) -> f64 {
-        let read = |met, range| {
-            mixture.effects.reading_of(
+        let below = |met, range| {
+            let reading = mixture.effects.reading_of(
                 mixture.laser,
                 &beam.view,
                 met,
                 range,
                 met == HitKind::Wall,
                 |_, share| share,
-            )
+            );
+            reading.below(reading.limits(), x)[0].total()
         };
         let survival = |range: f64| beam.survival_at(range).0.powf(mixture.clutter_density);
         let millimetres = (beam.view.range / 0.001).round() as u32;
         let of_clutter = (0..millimetres).map(|i| {
             let [near, middle, far] = [0.0, 0.5, 1.0].map(|share| 0.001 * (f64::from(i) + share));
             let probability = survival(near) - survival(far);
-            if probability > 0.0 { probability * read(HitKind::Object, middle).below(x).total() } else { 0.0 }
+            if probability > 0.0 { probability * below(HitKind::Object, middle) } else { 0.0 }
         });
-        survival(beam.view.range) * read(HitKind::Wall, beam.view.range).below(x).total()
-            + of_clutter.sum::<f64>()
+        survival(beam.view.range) * below(HitKind::Wall, beam.view.range) + of_clutter.sum::<f64>()
     }
 
     /// Where the probability of a lost return changes along the clutter, the distribution function errs by up to this.
@@ -307,7 +322,7 @@ mod tests {
         for (effects, bound) in worlds().iter().zip(BOUNDS) {
             let mut worst = 0.0_f64;
             for clutter_density in [0.5, 1.0, 3.0] {
-                let mixture = ReadingMixture { laser: &LASER, effects, clutter_density };
+                let mixture = ReadingMixture::new(&LASER, effects, clutter_density);
                 let unusable = plain_below(&mixture, &beam, LASER.min_range_m);
                 for i in 8..100 {
                     let x = 0.04 * f64::from(i);
@@ -324,7 +339,7 @@ mod tests {
     fn the_density_is_the_slope_of_the_distribution_function() {
         let beam = beam();
         for (effects, bound) in worlds().iter().zip(BOUNDS) {
-            let mixture = ReadingMixture { laser: &LASER, effects, clutter_density: 1.3 };
+            let mixture = ReadingMixture::new(&LASER, effects, 1.3);
             let step = 5e-4;
             let (mut sum, mut worst) = (0.0, 0.0_f64);
             for i in 600..8000 {
@@ -349,7 +364,7 @@ mod tests {
         let clear = |offset: f64| {
             let moved = Effect::new(EffectKind::MovedWall, vec![offset], place.clone()).unwrap();
             let effects = Effects::new(vec![moved]).unwrap();
-            let mixture = ReadingMixture { laser: &LASER, effects: &effects, clutter_density: 1.0 };
+            let mixture = ReadingMixture::new(&LASER, &effects, 1.0);
             mixture.density(&beam, 0.0, 3.0).clear
         };
         assert!((clear(0.0) - beam.log_clear.exp()).abs() < 1e-12);

@@ -25,7 +25,7 @@ pub const LONGEST_NAME: usize = 1000;
 /// Channels of a bag, at the most; robots have hundreds.
 const MOST_CHANNELS: usize = 10_000;
 
-/// What a message belongs to.
+/// Topic and type of a message.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Channel {
     pub topic: String,
