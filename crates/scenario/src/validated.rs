@@ -399,7 +399,7 @@ pub enum Estimate {
 pub struct Errors {
     /// Along which axes.
     pub frame: ErrorFrame,
-    /// A trial is lost when its last position error exceeds this (m).
+    /// A trial is lost when its last position error exceeds this (m), or more than half of its position errors do.
     pub lost_m: f64,
 }
 

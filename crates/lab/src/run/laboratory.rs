@@ -235,18 +235,17 @@ impl<'a> Laboratory<'a> {
             return Err(refuse("fewer than 4 training scans have a reference pose in the map's free space"));
         }
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
+        let stretches = log.train_scans.iter().map(|interval| {
+            let steps = selected(&drive, &[*interval]).into_iter().map(|i| drive.steps[i].clone()).collect();
+            with_filter_beams(Drive { laser: drive.laser.clone(), steps }, scenario)
+        });
+        let stretches = stretches.collect();
         let surroundings = Surroundings {
             map: Arc::<ExactRangeMap>::clone(&maps.exact),
             distance: Arc::clone(&maps.distance),
             oracle: None,
             tables: (scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
-            rehearsal: Rehearsal::new(
-                &scenario.filter,
-                &drive,
-                &log.train_scans,
-                Arc::clone(&maps.ranges),
-                seed,
-            ),
+            rehearsal: Rehearsal::new(&scenario.filter, stretches, Arc::clone(&maps.ranges), seed),
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =

@@ -4,6 +4,7 @@ mod bounds;
 mod coverage;
 mod detail;
 mod estimate;
+mod filter;
 mod laboratory;
 mod map;
 mod rehearsal;
@@ -24,13 +25,13 @@ pub use training::{ScanData, Surroundings, TrainedModel, train};
 
 use crate::LabError;
 use detail::Detail;
+pub(crate) use filter::options as filter_options;
 use laboratory::{Laboratory, TrialDrive};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store};
 use locsim_report::summary::Summary;
 use locsim_report::{self as report, ReportContext};
 use locsim_scenario::{ErrorFrame, Estimate, Scenario, Source};
-pub(crate) use trial::options as filter_options;
 
 /// The recording's name in the results folder.
 pub const RECORDING: &str = "recording.rrd";

@@ -8,14 +8,13 @@
 use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
-use locsim_core::{Draw, Drive, Pose2, RangeMap, SensorModel, Stage, wrap_angle};
+use locsim_core::{Draw, Drive, DriveStep, Pose2, RangeMap, SensorModel, Stage, wrap_angle};
 use locsim_mcl::{Estimate, Filter, StepInput};
 use locsim_scenario as scenario;
 use locsim_sensor::Tempered;
 use rayon::prelude::*;
 
-use super::laboratory::selected;
-use super::trial::{options, start};
+use super::filter::{options, start};
 use crate::LabError;
 
 /// A consistent filter has a NEES of the number of its dimensions on average.
@@ -62,25 +61,21 @@ pub(super) struct Rehearsed {
 }
 
 impl<'a> Rehearsal<'a> {
-    /// Each of the `intervals` of a drive is a stretch, as far as its scans have reference poses. `None` where the filter
-    /// starts anywhere or there are too few steps.
+    /// Localizes on each of the `stretches`, as far as its scans have reference poses. `None` where the filter starts anywhere
+    /// or there are too few steps.
     pub(super) fn new(
         filter: &'a scenario::Filter,
-        drive: &Drive,
-        intervals: &[[f64; 2]],
+        mut stretches: Vec<Drive>,
         map: Arc<dyn RangeMap>,
         seed: u64,
     ) -> Option<Self> {
-        let stretch = |interval: &[f64; 2]| {
-            let steps = selected(drive, &[*interval]).into_iter().map(|i| drive.steps[i].clone());
-            let steps: Vec<_> = steps
-                .skip_while(|step| step.reference.is_none())
-                .take_while(|step| step.reference.is_some())
-                .collect();
-            let stretch = Drive { laser: drive.laser.clone(), steps };
-            filter.beams.map_or_else(|| stretch.clone(), |beams| stretch.with_beams(beams as usize))
-        };
-        let stretches: Vec<Drive> = intervals.iter().map(stretch).collect();
+        for stretch in &mut stretches {
+            let known = |step: &DriveStep| step.reference.is_some();
+            let first = stretch.steps.iter().position(known).unwrap_or(stretch.steps.len());
+            stretch.steps.drain(..first);
+            let end = stretch.steps.iter().position(|step| !known(step)).unwrap_or(stretch.steps.len());
+            stretch.steps.truncate(end);
+        }
         let steps: usize = stretches.iter().map(|stretch| stretch.steps.len()).sum();
         let tracks = matches!(filter.start, scenario::Start::Tracking(_));
         (tracks && steps >= FEWEST_STEPS).then_some(Self { filter, map, stretches, seed })

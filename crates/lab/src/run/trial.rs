@@ -1,25 +1,18 @@
 //! One trial: every model localizes on the same drive.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use locsim_core::{Clock, Drive, Pose2, wrap_angle};
-use locsim_mcl::{
-    AnnealingOptions, Filter, FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, PoseBins,
-    Regularization, ResampleTrigger, Resampler, Residual, Start, StepInput, StepOutcome, Stratified,
-    Systematic, VelocityMotion,
-};
+use locsim_mcl::{Filter, StepInput, StepOutcome};
 
 use super::detail::Detail;
+use super::filter::{options, start};
 use super::laboratory::Laboratory;
 use super::rehearsal::nees;
 use super::training::TrainedModel;
 use crate::LabError;
 use locsim_report::results::{ModelTrial, StepRow};
-use locsim_scenario::{self as scenario, ErrorFrame, Errors, Estimate, Motion, ParticleCount, ResampleWhen};
-
-/// Side of a bin of the densest cluster when the scenario doesn't set one: AMCL's 0.5 m and 10 degrees.
-const CLUSTER_BINS: (f64, f64) = (0.5, 10.0 * std::f64::consts::PI / 180.0);
+use locsim_scenario::{ErrorFrame, Errors, Estimate};
 
 /// Runs one model's filter over a drive. With `detail`, every step is kept in full.
 ///
@@ -151,70 +144,6 @@ fn online_estimate(estimate: Estimate, outcome: &StepOutcome) -> Pose2 {
         Estimate::MaxWeight => estimates.max_weight,
         Estimate::DensestCluster => estimates.densest_cluster.map_or(mean, |cluster| cluster.estimate.pose),
     }
-}
-
-pub(super) fn start(settings: &scenario::Filter, truth: Pose2) -> Start {
-    match settings.start {
-        scenario::Start::Global => Start::Global,
-        scenario::Start::Tracking(spread) => {
-            Start::Tracking { pose: truth, sigma_m: spread.sigma_m, sigma_rad: spread.sigma_rad }
-        }
-    }
-}
-
-/// The filter that a scenario describes.
-pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions, LabError> {
-    let motion: Arc<dyn MotionModel> = match settings.motion {
-        Motion::Odometry(alpha) => Arc::new(OdometryMotion::new(alpha)?),
-        Motion::Velocity(alpha) => Arc::new(VelocityMotion::new(alpha)?),
-    };
-    let resampler: Arc<dyn Resampler> = match settings.resampler {
-        scenario::Resampler::Multinomial => Arc::new(Multinomial),
-        scenario::Resampler::Systematic => Arc::new(Systematic),
-        scenario::Resampler::Stratified => Arc::new(Stratified),
-        scenario::Resampler::Residual => Arc::new(Residual),
-    };
-    let (particles, bins) = match settings.particles {
-        ParticleCount::Fixed(n) => (locsim_mcl::ParticleCount::Fixed(n as usize), CLUSTER_BINS),
-        ParticleCount::Kld { min, max, error, quantile, bin_m, bin_rad } => (
-            locsim_mcl::ParticleCount::Kld(KldOptions {
-                min: min as usize,
-                max: max as usize,
-                error,
-                quantile,
-                bins: PoseBins::new(bin_m, bin_rad)?,
-            }),
-            (bin_m, bin_rad),
-        ),
-    };
-    let jitter = settings.regularization;
-    Ok(FilterOptions {
-        particles,
-        motion,
-        resampler,
-        trigger: match settings.resample {
-            ResampleWhen::EachStep => ResampleTrigger::EachStep,
-            ResampleWhen::EffectiveShareBelow(share) => ResampleTrigger::EffectiveShareBelow(share),
-        },
-        injection: settings.injection.map(|injection| locsim_mcl::InjectionOptions {
-            alpha_slow: injection.alpha_slow,
-            alpha_fast: injection.alpha_fast,
-        }),
-        regularization: (jitter.sigma_m > 0.0 || jitter.sigma_rad > 0.0)
-            .then_some(Regularization { sigma_m: jitter.sigma_m, sigma_rad: jitter.sigma_rad }),
-        clusters: (settings.estimate == Estimate::DensestCluster)
-            .then(|| PoseBins::new(bins.0, bins.1))
-            .transpose()?,
-        annealing: settings.annealing.map(|annealing| AnnealingOptions {
-            candidates: annealing.candidates as usize,
-            effective_share: annealing.effective_share,
-            moves: annealing.moves as usize,
-            sigma_m: annealing.step.sigma_m,
-            sigma_rad: annealing.step.sigma_rad,
-            gathered_m: annealing.gathered_m,
-        }),
-        ancestry,
-    })
 }
 
 #[cfg(test)]
