@@ -129,9 +129,11 @@ fn write_results(
         trials,
     };
     let mut warnings = laboratory.warnings.clone();
-    for warning in few_effective(&results) {
-        options.control.progress.warn(&warning);
-        warnings.push(warning);
+    if matches!(scenario.source, Source::Log(_)) {
+        for warning in few_effective(&results) {
+            options.control.progress.warn(&warning);
+            warnings.push(warning);
+        }
     }
     let context = ReportContext {
         scenario_yaml: scenario.text.clone(),
