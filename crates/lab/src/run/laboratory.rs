@@ -206,7 +206,7 @@ impl<'a> Laboratory<'a> {
     ) -> Result<Self, LabError> {
         progress.stage("reading the log", 1);
         let max_range_m = log.max_range_m.map(|max| max as f32);
-        let options = LogOptions { max_range_m, topics: log.topics.clone() };
+        let options = LogOptions { max_range_m, topics: log.topics.clone(), ..LogOptions::default() };
         let (drive, summary) = read_log(&log.file, &options)?;
         progress.advance(1);
         let refuse = |what: &str| LabError::Log { path: log.file.clone(), what: what.to_owned() };
