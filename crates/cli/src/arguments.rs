@@ -48,6 +48,8 @@ pub enum Command {
     Gap(Gap),
     /// Build maps from a log with reference poses: an occupancy grid (ROS `map_server` format) and a map of walls
     Map(Map),
+    /// Say what a log holds: topics, laser, odometry, reference, clocks, what it is good for, and how to cut it
+    Inspect(Inspect),
     /// Print a shell's completion script
     Completions {
         /// The shell
@@ -169,6 +171,24 @@ pub struct Map {
     /// Use only this share of the log, for example 0.0,0.5
     #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 1.0])]
     pub share: Vec<f64>,
+    #[command(flatten)]
+    pub log_options: LogOptions,
+}
+
+/// `locsim inspect`.
+#[derive(Debug, Args)]
+pub struct Inspect {
+    /// The log: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a CARMEN log (`.log`, `.log.gz`)
+    pub log: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Draw the drive into this file: `.svg` or `.png`
+    #[arg(long, value_name = "FILE")]
+    pub picture: Option<PathBuf>,
+    /// Replace the picture if it is there
+    #[arg(long)]
+    pub force: bool,
     #[command(flatten)]
     pub log_options: LogOptions,
 }

@@ -1,4 +1,4 @@
-//! The `locsim` command: runs scenarios, checks them, lists effects, simulates logs, builds maps.
+//! The `locsim` command: runs scenarios, checks them, lists effects, simulates and inspects logs, builds maps.
 
 mod arguments;
 mod recording;
@@ -12,13 +12,15 @@ use locsim_core::output::Output;
 use locsim_dataset::{BagTopics, LogOptions};
 use locsim_lab::LabError;
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyOptions};
+use locsim_lab::inspect::{self, Inspection};
 use locsim_lab::run::{self, LogMaps, Recorder, RunOptions};
+use locsim_report::figures::Rasterizer;
 use locsim_report::terminal_table;
 use locsim_scenario::{self as scenario, Overrides, Scenario, catalogue};
 use locsim_study::{self as study, StudyError, StudyOptions, StudyOverrides};
 use locsim_terminal::{BAD_INPUT, Failure, Session, complain, exit_code, say};
 
-use arguments::{Arguments, Command, Gap, Map, Record, Run, Simulate};
+use arguments::{Arguments, Command, Gap, Inspect, Map, Record, Run, Simulate};
 
 /// A bound that the scenario declares was missed.
 const MISSED: u8 = 1;
@@ -41,6 +43,7 @@ fn obey(command: &Command) -> Result<ExitCode, Failure> {
         Command::Simulate(arguments) => simulate(arguments)?,
         Command::Gap(arguments) => gap(arguments)?,
         Command::Map(arguments) => map(arguments)?,
+        Command::Inspect(arguments) => inspect_log(arguments)?,
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(*shell, &mut Arguments::command(), "locsim", &mut script);
@@ -213,7 +216,7 @@ fn simulate(arguments: &Simulate) -> anyhow::Result<ExitCode> {
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     Output { path: &arguments.out, force: arguments.force, inputs: &scenario.inputs()? }.check()?;
     let drive = run::simulate_trial(&scenario, arguments.trial)?;
-    locsim_dataset::write_log(&arguments.out, &drive)?;
+    locsim_dataset::write_simulated_log(&arguments.out, &drive)?;
     say(&format!(
         "{}: {} scans of {} beams",
         arguments.out.display(),
@@ -231,6 +234,7 @@ fn log_options(arguments: &arguments::LogOptions) -> LogOptions {
             odometry: arguments.odometry_topic.clone(),
             reference: arguments.reference_topic.clone(),
         },
+        without_odometry: false,
     }
 }
 
@@ -374,6 +378,35 @@ fn map(arguments: &Map) -> anyhow::Result<ExitCode> {
             picture.display(),
             run::agreement_table(check).to_terminal()
         ))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn inspect_log(arguments: &Inspect) -> anyhow::Result<ExitCode> {
+    let inputs = [arguments.log.clone()];
+    let file = arguments.picture.as_deref();
+    let picture = file.map(|path| Output { path, force: arguments.force, inputs: &inputs });
+    if let Some(picture) = &picture {
+        let extension = picture.path.extension().and_then(|extension| extension.to_str());
+        ensure!(
+            matches!(extension, Some("svg" | "png")),
+            "--picture: {} is not allowed; a file name that ends in .svg or .png",
+            picture.path.display()
+        );
+        picture.check()?;
+    }
+    let inspection = Inspection::of(&arguments.log, &log_options(&arguments.log_options))?;
+    if arguments.json {
+        say(&serde_json::to_string_pretty(&inspection)?)?;
+    } else {
+        say(inspection.to_string().trim_end())?;
+    }
+    if let Some(picture) = picture {
+        let drive = inspection.recording.as_ref().context("--picture: the log has no drive to draw")?;
+        let figure = inspect::picture(drive, inspection.split.as_ref())?;
+        let is_png = picture.path.extension().is_some_and(|extension| extension == "png");
+        let content = if is_png { Rasterizer::new().png(&figure)? } else { figure.svg.into_bytes() };
+        Output::write_all(&[(picture, &content)])?;
     }
     Ok(ExitCode::SUCCESS)
 }

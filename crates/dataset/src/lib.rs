@@ -8,11 +8,13 @@
 
 mod beams;
 mod carmen;
+mod contents;
 mod error;
 mod laser;
 mod lines;
 mod log;
 mod output;
+mod quality;
 mod quaternion;
 mod ros;
 mod source;
@@ -25,8 +27,14 @@ mod mutations;
 mod test_drives;
 
 pub use carmen::{CarmenLaser, CarmenOptions, read_carmen, write_carmen};
+pub use contents::{LogContents, Scanner, ScannerBeams, Topic, TransformPair, decimal};
 pub use error::DatasetError;
-pub use log::{LogFormat, LogOptions, encode_log, log_files, read_log, write_log};
+pub use log::{
+    LogFormat, LogOptions, encode_log, log_files, read_contents, read_log, write_log, write_simulated_log,
+};
+pub use quality::{
+    ClockQuality, DriveQuality, OdometryError, OdometryQuality, ReadingQuality, ReferenceQuality,
+};
 pub use ros::{BagOptions, BagTopics, read_bag, write_mcap};
-pub use summary::{LogKind, LogSummary, OdometrySource};
+pub use summary::{LogKind, LogSummary, MountSource, OdometrySource};
 pub use tum::{StampedPose, encode_tum, odometry_trajectory, read_tum, reference_trajectory, write_tum};

@@ -3,15 +3,17 @@ use std::path::{Path, PathBuf};
 
 use locsim_core::Drive;
 use locsim_core::limits::Limits;
+use serde::Serialize;
 
 use crate::carmen::{self, encode_carmen};
 use crate::output::write_whole;
 use crate::ros::{self, encode_mcap};
 use crate::source::{Content, Source};
-use crate::{BagOptions, BagTopics, CarmenOptions, DatasetError, LogSummary};
+use crate::{BagOptions, BagTopics, CarmenOptions, DatasetError, LogContents, LogSummary};
 
 /// The formats of measured logs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum LogFormat {
     /// A ROS 2 bag: a folder, or one file of MCAP or `SQLite`.
     Bag,
@@ -48,6 +50,8 @@ pub struct LogOptions {
     pub max_range_m: Option<f32>,
     /// Names of a bag's topics; a CARMEN log has no topics.
     pub topics: BagTopics,
+    /// Reads the scans of a bag alone; their odometry is then the origin.
+    pub without_odometry: bool,
 }
 
 /// Reads a log in the format of its content: [`read_bag`](crate::read_bag) or
@@ -60,7 +64,7 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary)
 }
 
 pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
-    let LogOptions { max_range_m, topics } = options.clone();
+    let LogOptions { max_range_m, topics, without_odometry } = options.clone();
     match LogFormat::of_content(path)? {
         LogFormat::Carmen if topics != BagTopics::default() => Err(DatasetError::Topic {
             path: path.to_owned(),
@@ -68,11 +72,24 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
             found: "a CARMEN log".to_owned(),
         }),
         LogFormat::Bag => {
-            ros::read(path, &BagOptions { topics, max_range_m, ..BagOptions::default() }, limits)
+            let options = BagOptions { topics, without_odometry, max_range_m, ..BagOptions::default() };
+            ros::read(path, &options, limits)
         }
         LogFormat::Carmen => {
             carmen::read(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }, limits)
         }
+    }
+}
+
+/// Lists the contents of a log of any format.
+///
+/// # Errors
+/// The file can't be read, is no log, is damaged or costs more than the limits allow.
+pub fn read_contents(path: &Path) -> Result<LogContents, DatasetError> {
+    let limits = Limits::current();
+    match LogFormat::of_content(path)? {
+        LogFormat::Bag => ros::contents(path, limits),
+        LogFormat::Carmen => carmen::contents(path, limits),
     }
 }
 
@@ -93,6 +110,21 @@ pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
     write_whole(path, |out| encode_log(path, drive, out))
 }
 
+/// Writes a simulated drive, whose stamps begin at 0. In a bag they count from a fixed date, 2024-01-01 00:00 UTC: programs of
+/// ROS take a time near 0 for none.
+///
+/// # Errors
+/// Those of the format's writer.
+pub fn write_simulated_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
+    write_whole(path, |out| match LogFormat::of_name(path) {
+        LogFormat::Bag => encode_mcap(path, drive, SIMULATED_EPOCH_SECS, out),
+        LogFormat::Carmen => encode_carmen(path, drive, out),
+    })
+}
+
+/// 2024-01-01 00:00:00 UTC in Unix time (s).
+const SIMULATED_EPOCH_SECS: i32 = 1_704_067_200;
+
 /// Writes the bytes of the file that [`write_log`] writes to `out`. `path` decides the format and the compression, and
 /// is named in errors.
 ///
@@ -100,7 +132,7 @@ pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
 /// Those of the format's writer.
 pub fn encode_log(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
     match LogFormat::of_name(path) {
-        LogFormat::Bag => encode_mcap(path, drive, out),
+        LogFormat::Bag => encode_mcap(path, drive, 0, out),
         LogFormat::Carmen => encode_carmen(path, drive, out),
     }
 }

@@ -1,8 +1,11 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use serde::Serialize;
+
 /// The kind of poses in a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum LogKind {
     /// As the robot recorded it: odometry, and no reference poses.
     Raw,
@@ -18,7 +21,8 @@ pub enum LogKind {
 }
 
 /// Where the odometry of a log was found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum OdometrySource {
     /// The robot pose in each scan's own line.
     ScanLines,
@@ -31,6 +35,39 @@ pub enum OdometrySource {
     Topic,
     /// Transforms of `/tf`, interpolated at the times of the scans.
     Transforms,
+    /// Nowhere: the log was read without.
+    Missing,
+}
+
+/// Where the laser's mount on the robot was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MountSource {
+    /// The caller gave it.
+    Given,
+    /// Transforms of `/tf_static`.
+    StaticTransforms,
+    /// Transforms of `/tf` that never change.
+    ConstantTransforms,
+    /// PARAM lines.
+    Parameters,
+    /// The laser's pose on the robot in the lines of the scans.
+    ScanLines,
+    /// Nowhere: the laser is taken to be at the robot's origin.
+    Unknown,
+}
+
+impl fmt::Display for MountSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Given => "as given",
+            Self::StaticTransforms => "from /tf_static",
+            Self::ConstantTransforms => "from transforms of /tf that never change",
+            Self::Parameters => "from PARAM lines",
+            Self::ScanLines => "from the lines of the scans",
+            Self::Unknown => "unknown, taken to be the robot's origin",
+        })
+    }
 }
 
 /// Content of a log, and how it was interpreted.
@@ -50,8 +87,16 @@ pub struct LogSummary {
     pub reference_messages: usize,
     /// Median standard deviations of the reference poses (m, m, rad), where they come with covariances.
     pub reference_deviation: Option<[f64; 3]>,
+    /// Median time between reference poses (s), where they come apart from the scans.
+    pub reference_interval_secs: Option<f64>,
+    /// Number of scans whose reference pose is interpolated between two others.
+    pub references_interpolated: usize,
+    /// Where the laser's mount comes from.
+    pub mount: MountSource,
     /// The topics of a bag, with types and numbers of messages.
     pub topics: Vec<String>,
+    /// The pairs of frames among the transforms that were read, as `parent:child`.
+    pub transforms: Vec<String>,
     /// Number of lines or messages skipped, by keyword or topic; comments count as `#`.
     pub skipped: BTreeMap<String, usize>,
     /// Number of scans whose time went backwards or leapt and was repaired.

@@ -7,7 +7,7 @@ use super::parse::{Log, ScanLine};
 use super::{CarmenLaser, CarmenOptions};
 use crate::beams::Beams;
 use crate::laser::checked;
-use crate::{DatasetError, LogKind, LogSummary, OdometrySource};
+use crate::{DatasetError, LogKind, LogSummary, MountSource, OdometrySource};
 
 /// Where the SICK LMS in centimetre mode begins to count error codes instead of distances (m).
 const SICK_MAX_RANGE: f32 = 81.83;
@@ -28,7 +28,7 @@ const LEAP: f64 = 1e6;
 /// Turns the lines of a log into a drive.
 pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive, LogSummary), DatasetError> {
     let recognised = Recognised::from(&log);
-    let mount = mount(&log, recognised.kind, options.laser);
+    let (mount, mount_source) = mount(&log, recognised.kind, options.laser);
     let (poses, intervals_without_odometry) = poses(&log, &recognised, &mount);
     let laser = laser(&log, options, mount, path)?;
 
@@ -59,9 +59,12 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
         scan_source: log.keyword.to_owned(),
         odometry_messages: log.odometry_lines,
         reference_messages: log.true_pose_lines,
-
         reference_deviation: None,
+        reference_interval_secs: None,
+        references_interpolated: 0,
+        mount: mount_source,
         topics: Vec::new(),
+        transforms: Vec::new(),
         skipped: log.skipped,
         stamps_repaired: clock.repaired,
         stamps_repeated: clock.repeated,
@@ -160,8 +163,8 @@ fn near(a: &Pose2, b: &Pose2, tolerance: f64) -> bool {
         && wrap_angle(a.theta - b.theta).abs() <= tolerance
 }
 
-/// `base_from_laser`.
-fn mount(log: &Log, kind: LogKind, laser: CarmenLaser) -> Pose2 {
+/// `base_from_laser`, and where it was found.
+fn mount(log: &Log, kind: LogKind, laser: CarmenLaser) -> (Pose2, MountSource) {
     let params = &log.params;
     let facing = if laser == CarmenLaser::Front { 0.0 } else { PI };
     let noted = [params.offset, params.side_offset, params.angular_offset];
@@ -169,12 +172,14 @@ fn mount(log: &Log, kind: LogKind, laser: CarmenLaser) -> Pose2 {
     let one_pose = log.scans.iter().all(|s| near(&s.laser_pose, &s.robot_pose, SAME));
     if noted.iter().any(Option::is_some) || kind == LogKind::Corrected || one_pose {
         let [x, y, theta] = noted.map(Option::unwrap_or_default);
-        return Pose2::new(x, y, facing + theta);
+        let is_noted = noted.iter().any(Option::is_some);
+        let source = if is_noted { MountSource::Parameters } else { MountSource::Unknown };
+        return (Pose2::new(x, y, facing + theta), source);
     }
     let n = log.scans.len() as f64;
     let mean = |of: fn(Pose2) -> f64| log.scans.iter().map(|s| of(mounted(s))).sum::<f64>() / n;
     let heading = circular_mean(log.scans.iter().map(|s| (mounted(s).theta, 1.0)));
-    Pose2::new(mean(|p| p.x), mean(|p| p.y), heading.unwrap_or(facing))
+    (Pose2::new(mean(|p| p.x), mean(|p| p.y), heading.unwrap_or(facing)), MountSource::ScanLines)
 }
 
 /// Odometry and reference of the base at each scan; the number of intervals without odometry.
@@ -189,7 +194,10 @@ fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Opti
         latest = last.or(latest);
         let odometry = match recognised.odometry {
             // A CARMEN log has no topics and no transforms.
-            OdometrySource::ScanLines | OdometrySource::Topic | OdometrySource::Transforms => scan.robot_pose,
+            OdometrySource::ScanLines
+            | OdometrySource::Topic
+            | OdometrySource::Transforms
+            | OdometrySource::Missing => scan.robot_pose,
             OdometrySource::OdomLines => latest.unwrap_or(scan.robot_pose),
             OdometrySource::RestartedOdomLines => {
                 let pose = match (chained, previous) {

@@ -15,7 +15,7 @@ use locsim_core::limits::Limits;
 
 use crate::lines::Lines;
 use crate::source::open_text;
-use crate::{DatasetError, LogSummary};
+use crate::{DatasetError, LogContents, LogFormat, LogSummary, Scanner, Topic};
 
 pub use write::{encode_carmen, write_carmen};
 
@@ -88,6 +88,29 @@ pub fn read(
     limits: &Limits,
 ) -> Result<(Drive, LogSummary), DatasetError> {
     read_from(path, open_text(path, limits)?, options, limits)
+}
+
+/// The keywords of a log with the number of their lines.
+pub fn contents(path: &Path, limits: &Limits) -> Result<LogContents, DatasetError> {
+    let keywords = parse::keywords(Lines::new(path, open_text(path, limits)?, limits))?;
+    let lasers = [CarmenLaser::Front, CarmenLaser::Rear].map(CarmenLaser::keywords);
+    let scanners = lasers.iter().flatten().filter_map(|keyword| {
+        let scans = *keywords.get(*keyword)?;
+        Some(Scanner { source: (*keyword).to_owned(), scans, beams: None })
+    });
+    let topic = |(name, messages): (&String, &usize)| Topic {
+        name: name.clone(),
+        kind: "line".to_owned(),
+        messages: *messages,
+        rate_hz: None,
+        longest_gap_secs: None,
+    };
+    Ok(LogContents {
+        format: LogFormat::Carmen,
+        topics: keywords.iter().map(topic).collect(),
+        scanners: scanners.collect(),
+        transforms: Vec::new(),
+    })
 }
 
 /// [`read`] from any source; `path` is for messages.

@@ -204,6 +204,15 @@ pub fn parse<R: BufRead>(
 /// Counts a last line without its newline in [`LogSummary::skipped`](crate::LogSummary::skipped).
 const CUT_OFF: &str = "(cut off)";
 
+/// Counts the lines of each keyword.
+pub fn keywords<R: BufRead>(mut lines: Lines<'_, R>) -> Result<BTreeMap<String, usize>, DatasetError> {
+    let mut counts = BTreeMap::new();
+    while let Some(line) = lines.next()? {
+        count(&mut counts, line.fields().keyword);
+    }
+    Ok(counts)
+}
+
 /// Counts an unknown line. Lines without a keyword share one name, as do keywords above [`MOST_KEYWORDS`].
 fn count(skipped: &mut BTreeMap<String, usize>, keyword: &str) {
     let name = if keyword.starts_with('#') {

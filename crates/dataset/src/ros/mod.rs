@@ -4,6 +4,7 @@
 
 mod bag;
 mod cloud;
+mod contents;
 mod messages;
 mod poses;
 mod read;
@@ -19,6 +20,7 @@ use serde::Serialize;
 use crate::{DatasetError, LogSummary};
 
 pub use bag::folder_files;
+pub use contents::contents;
 pub use read::read;
 pub use write::{encode_mcap, write_mcap};
 
@@ -43,7 +45,10 @@ pub struct BagTopics {
 pub struct BagOptions {
     /// The topics.
     pub topics: BagTopics,
-    /// Where the laser is mounted. `None`: as `/tf_static` says; the base's origin where it says nothing.
+    /// Reads the scans alone; their odometry is then the origin.
+    pub without_odometry: bool,
+    /// Where the laser is mounted. `None`: as `/tf_static` says, or transforms of `/tf` that don't change; the base's
+    /// origin where they say nothing.
     pub base_from_laser: Option<Pose2>,
     /// Readings of this range (m) or more mean "no return". `None`: the scans' `range_max`.
     pub max_range_m: Option<f32>,
@@ -71,9 +76,9 @@ pub struct BagOptions {
 /// - **Clouds** become scans of the beams that the log has points on. A beam without a point is unusable: clouds don't
 ///   tell whether it had no return. The maximum range is just above the longest reading where none is given.
 /// - **Beams** are at `angle_min + i angle_increment` and i times the mean of the scans' `time_increment`.
-/// - **Mount** of the laser: the chain of `/tf_static` from the scans' `frame_id` up to the odometry's
-///   `child_frame_id`, `base_link` or `base_footprint`, the first of them that it has. A laser mounted upside down has
-///   its bearings mirrored.
+/// - **Mount** of the laser: the chain of `/tf_static`, and of transforms of `/tf` that never change, from the scans'
+///   `frame_id` up to the odometry's `child_frame_id`, `base_link` or `base_footprint`, the first of them that it has. A
+///   laser mounted upside down has its bearings mirrored.
 ///
 /// # Errors
 /// A file can't be read, is cut off or damaged, or costs more than the [`Limits`] allow; a topic is missing or one of

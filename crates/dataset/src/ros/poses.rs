@@ -47,6 +47,16 @@ impl<T> Stamped<T> {
 }
 
 impl Stamped<Pose2> {
+    fn has(&self, stamp: i64) -> bool {
+        self.items.binary_search_by_key(&stamp, |(time, _)| *time).is_ok()
+    }
+
+    fn interval_secs(&self) -> Option<f64> {
+        let mut intervals: Vec<i64> = self.items.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+        intervals.sort_unstable();
+        intervals.get(intervals.len() / 2).map(|interval| secs(*interval))
+    }
+
     /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span.
     fn at(&self, stamp: i64, nth: usize) -> Option<Pose2> {
         let from = self.items.partition_point(|(time, _)| *time < stamp);
@@ -68,6 +78,8 @@ pub enum Poses<'a> {
     Transforms(Vec<&'a Edge>),
     /// Products of corrections and of the odometry that they correct.
     Corrected { corrections: Stamped<Pose2>, odometry: &'a Poses<'a> },
+    /// The origin at all times: no poses are known.
+    Unknown,
 }
 
 impl<'a> Poses<'a> {
@@ -92,6 +104,36 @@ impl<'a> Poses<'a> {
             Self::Corrected { corrections, odometry } => {
                 Some(corrections.at(stamp, nth)?.compose(&odometry.at(stamp, nth)?))
             }
+            Self::Unknown => Some(Pose2::IDENTITY),
+        }
+    }
+
+    /// Whether a pose of this very time (ns) was recorded; otherwise [`Self::at`] interpolates.
+    pub fn is_recorded(&self, stamp: i64) -> bool {
+        match self {
+            Self::Topic(poses) => poses.has(stamp),
+            Self::Transforms(edges) => edges.iter().all(|edge| match edge {
+                Edge::Fixed(_) => true,
+                Edge::Moving { poses, .. } => poses.has(stamp),
+            }),
+            Self::Corrected { corrections, .. } => corrections.has(stamp),
+            Self::Unknown => false,
+        }
+    }
+
+    /// Median time between poses (s): of the slowest transform where there are several.
+    pub fn interval_secs(&self) -> Option<f64> {
+        match self {
+            Self::Topic(poses) => poses.interval_secs(),
+            Self::Transforms(edges) => edges
+                .iter()
+                .filter_map(|edge| match edge {
+                    Edge::Fixed(_) => None,
+                    Edge::Moving { poses, .. } => poses.interval_secs(),
+                })
+                .max_by(f64::total_cmp),
+            Self::Corrected { corrections, .. } => corrections.interval_secs(),
+            Self::Unknown => None,
         }
     }
 }
@@ -101,14 +143,24 @@ pub enum Edge {
     /// As `/tf_static` says.
     Fixed(DAffine3),
     /// As `/tf` says, in the plane.
-    Moving(Stamped<Pose2>),
+    Moving {
+        poses: Stamped<Pose2>,
+        /// The first in space.
+        first: DAffine3,
+        /// All are equal to the first: the transform is fixed, and only its publisher isn't.
+        constant: bool,
+    },
 }
+
+/// Transforms that differ by less than this (m, and elements of the rotation) are the same: publishers compute some of
+/// them anew.
+const SAME_TRANSFORM: f64 = 1e-6;
 
 impl Edge {
     fn at(&self, stamp: i64, nth: usize) -> Option<Pose2> {
         match self {
             Self::Fixed(transform) => Some(planar(transform)),
-            Self::Moving(poses) => poses.at(stamp, nth),
+            Self::Moving { poses, .. } => poses.at(stamp, nth),
         }
     }
 }
@@ -142,9 +194,14 @@ impl Transforms {
         if !self.edges.contains_key(&key) {
             self.room()?;
         }
-        match self.edges.entry(key).or_insert_with(|| Edge::Moving(Stamped::default())) {
+        let transform = affine(&stamped.transform);
+        let new = || Edge::Moving { poses: Stamped::default(), first: transform, constant: true };
+        match self.edges.entry(key).or_insert_with(new) {
             Edge::Fixed(_) => Ok(()),
-            Edge::Moving(poses) => poses.push(stamped.header.stamp.nanos(), pose),
+            Edge::Moving { poses, first, constant } => {
+                *constant &= first.abs_diff_eq(transform, SAME_TRANSFORM);
+                poses.push(stamped.header.stamp.nanos(), pose)
+            }
         }
     }
 
@@ -157,7 +214,7 @@ impl Transforms {
 
     pub fn sort(&mut self) {
         for edge in self.edges.values_mut() {
-            if let Edge::Moving(poses) = edge {
+            if let Edge::Moving { poses, .. } = edge {
                 poses.sort();
             }
         }
@@ -196,11 +253,13 @@ impl Transforms {
         false
     }
 
-    /// The transform from one frame up to another by transforms that don't change.
-    pub fn fixed(&self, child: &str, ancestor: &str) -> Option<DAffine3> {
-        self.chain(child, ancestor)?.into_iter().try_fold(DAffine3::IDENTITY, |from_child, edge| match edge {
-            Edge::Fixed(transform) => Some(*transform * from_child),
-            Edge::Moving(_) => None,
+    /// The transform from one frame up to another by transforms that don't change, and whether all of them are static.
+    pub fn fixed(&self, child: &str, ancestor: &str) -> Option<(DAffine3, bool)> {
+        let chain = self.chain(child, ancestor)?;
+        chain.into_iter().try_fold((DAffine3::IDENTITY, true), |(from_child, all), edge| match edge {
+            Edge::Fixed(transform) => Some((*transform * from_child, all)),
+            Edge::Moving { first, constant: true, .. } => Some((*first * from_child, false)),
+            Edge::Moving { .. } => None,
         })
     }
 

@@ -14,7 +14,7 @@ use super::messages::{
 use super::poses::{Poses, Stamped, Transforms, plain, planar};
 use super::topics::{Chosen, MAP, ODOM, PoseSource, Topics};
 use crate::laser::checked;
-use crate::{DatasetError, LogKind, LogSummary, OdometrySource};
+use crate::{DatasetError, LogKind, LogSummary, MountSource, OdometrySource};
 
 /// A laser that scans in the plane has its axis this near to the vertical: the cosine of 10 degrees.
 const UPRIGHT: f64 = 0.985;
@@ -28,9 +28,10 @@ const BASE_FRAMES: [&str; 2] = ["base_link", "base_footprint"];
 pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
     let bag = Bag::open(path, limits)?;
     let topics = Topics::of(path, &bag)?;
-    let chosen = topics.choose(&options.topics)?;
+    let chosen = topics.choose(options)?;
     let (scans, motion) = messages(path, &bag, &chosen, limits)?;
-    let (odometry, base) = motion.odometry(&chosen, &topics)?;
+    let (odometry, base) =
+        if options.without_odometry { FoundOdometry::none() } else { motion.odometry(&chosen, &topics)? };
     let reference = motion.reference(&chosen, &topics, &odometry.poses, &base)?;
     let mount = motion
         .mount(options.base_from_laser, scans.frame(), &base)
@@ -43,7 +44,7 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
     let count = scans.len();
     let mut steps: Vec<DriveStep> = Vec::with_capacity(count);
     let (mut no_return, mut unusable, mut longest) = (0_usize, 0_usize, None);
-    let (mut repeated, mut nth) = (0, 0);
+    let (mut repeated, mut nth, mut interpolated) = (0, 0, 0);
     let mut previous = None;
     for (stamp, mut ranges) in scans {
         // Which of the scans of this very time.
@@ -62,12 +63,10 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
             }
         }
         repeated += usize::from(nth > 0);
-        steps.push(DriveStep {
-            stamp_secs: secs(stamp),
-            odometry,
-            reference: reference.poses.as_ref().and_then(|poses| poses.at(stamp, nth)),
-            scan: Scan { ranges },
-        });
+        let pose = reference.poses.as_ref().and_then(|poses| poses.at(stamp, nth));
+        let recorded = reference.poses.as_ref().is_some_and(|poses| poses.is_recorded(stamp));
+        interpolated += usize::from(pose.is_some() && !recorded);
+        steps.push(DriveStep { stamp_secs: secs(stamp), odometry, reference: pose, scan: Scan { ranges } });
     }
     if steps.is_empty() {
         return Err(DatasetError::NoOdometry { path: path.to_owned(), scans: count });
@@ -97,7 +96,11 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
         odometry_messages: odometry.messages,
         reference_messages: reference.messages,
         reference_deviation: motion.deviation(),
+        reference_interval_secs: reference.poses.as_ref().and_then(Poses::interval_secs),
+        references_interpolated: interpolated,
+        mount: mount.source,
         topics: topics.listed(),
+        transforms: motion.transforms.pairs().take(LISTED_PAIRS).collect(),
         skipped: topics.skipped(&chosen),
         stamps_repaired: late,
         stamps_repeated: repeated,
@@ -125,6 +128,19 @@ struct FoundOdometry<'a> {
     evidence: String,
 }
 
+impl FoundOdometry<'_> {
+    /// No odometry, of a base of the usual name.
+    fn none() -> (Self, String) {
+        let odometry = Self {
+            poses: Poses::Unknown,
+            source: OdometrySource::Missing,
+            messages: 0,
+            evidence: "nowhere".to_owned(),
+        };
+        (odometry, BASE_FRAMES[0].to_owned())
+    }
+}
+
 /// The reference of a drive.
 struct FoundReference<'a> {
     poses: Option<Poses<'a>>,
@@ -139,6 +155,7 @@ struct Mount {
     base_from_laser: Pose2,
     /// The laser hangs upside down: its beams run the other way round.
     mirrored: bool,
+    source: MountSource,
     /// How that is known, in words.
     evidence: String,
 }
@@ -449,19 +466,21 @@ impl Motion {
 
     /// Where the laser is mounted: as wanted, or by the transforms that don't change.
     fn mount(&self, wanted: Option<Pose2>, laser: &str, base: &str) -> Result<Mount, String> {
-        let found = |base_from_laser, mirrored, evidence| Ok(Mount { base_from_laser, mirrored, evidence });
+        let found = |base_from_laser, mirrored, source, evidence| {
+            Ok(Mount { base_from_laser, mirrored, source, evidence })
+        };
         if let Some(wanted) = wanted {
-            return found(wanted, false, "the laser's mount is given".to_owned());
+            return found(wanted, false, MountSource::Given, "the laser's mount is given".to_owned());
         }
         let bases = [base].into_iter().chain(BASE_FRAMES).filter(|base| !base.is_empty());
         let known = bases.clone().find_map(|base| Some((base, self.transforms.fixed(laser, base)?)));
-        let Some((base, base_from_laser)) = known else {
+        let Some((base, (base_from_laser, all_static))) = known else {
             let evidence = format!(
                 "the laser is taken to be at the base's origin, as no static transform leads from `{}` to `{}`",
                 quoted(laser),
                 quoted(bases.clone().next().unwrap_or_default())
             );
-            return found(Pose2::IDENTITY, false, evidence);
+            return found(Pose2::IDENTITY, false, MountSource::Unknown, evidence);
         };
         let (laser, base) = (quoted(laser), quoted(base));
         let axis = base_from_laser.matrix3.z_axis;
@@ -472,10 +491,12 @@ impl Motion {
                  upside down"
             ));
         }
-        found(
-            planar(&base_from_laser),
-            axis.z < 0.0,
-            format!("the laser `{laser}` is mounted on `{base}` as static transforms say"),
-        )
+        let (source, transforms) = if all_static {
+            (MountSource::StaticTransforms, "static transforms say")
+        } else {
+            (MountSource::ConstantTransforms, "transforms say that never change")
+        };
+        let evidence = format!("the laser `{laser}` is mounted on `{base}` as {transforms}");
+        found(planar(&base_from_laser), axis.z < 0.0, source, evidence)
     }
 }

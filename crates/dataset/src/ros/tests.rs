@@ -773,7 +773,7 @@ fn a_written_bag_has_velocities_a_rate_and_all_frames() {
     let laser = Laser::new(vec![0.0], vec![0.0], 0.0, 8.0, Pose2::IDENTITY).unwrap();
     let drive = Drive { laser, steps: vec![step(1.0, 0.0, 0.0), step(1.5, 1.0, 0.0), step(3.0, 1.0, 0.75)] };
     let mut bytes = Vec::new();
-    encode_mcap(Path::new("drive.mcap"), &drive, &mut bytes).unwrap();
+    encode_mcap(Path::new("drive.mcap"), &drive, 0, &mut bytes).unwrap();
     let (mut twists, mut scan_times, mut map_from_odom) = (Vec::new(), Vec::new(), Vec::new());
     let mut latched = BTreeMap::new();
     for message in mcap::MessageStream::new(&bytes).unwrap() {
@@ -872,7 +872,7 @@ fn a_carmen_log_has_no_topics() {
     let path = folder.path().join("drive.log");
     fs::write(&path, "FLASER 1 1 0 0 0 0 0 0 1 h 1\n").unwrap();
     let topics = BagTopics { scan: Some("/scan".to_owned()), ..BagTopics::default() };
-    let refused = read_log(&path, &LogOptions { max_range_m: None, topics }).unwrap_err().to_string();
+    let refused = read_log(&path, &LogOptions { topics, ..LogOptions::default() }).unwrap_err().to_string();
     assert!(
         refused.ends_with("a topic is named; allowed: topics of a ROS 2 bag; found: a CARMEN log"),
         "{refused}"

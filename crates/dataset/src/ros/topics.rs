@@ -3,8 +3,8 @@ use std::path::Path;
 
 use locsim_core::limits::quoted;
 
-use super::BagTopics;
-use super::bag::{Bag, Channel};
+use super::BagOptions;
+use super::bag::{Bag, Channel, Tally};
 use super::messages::{
     LaserScan, MULTI_ECHO_LASER_SCAN, Message, Odometry, POINT_CLOUD_2, POSE_STAMPED,
     POSE_WITH_COVARIANCE_STAMPED, TRANSFORM_STAMPED, TfMessage,
@@ -19,10 +19,10 @@ const LISTED: usize = 20;
 pub const ODOM: &str = "odom";
 pub const MAP: &str = "map";
 
-/// The channels of a bag and how many messages each has.
+/// The channels of a bag and the messages of each.
 pub struct Topics<'a> {
     path: &'a Path,
-    counts: BTreeMap<Channel, usize>,
+    tallies: BTreeMap<Channel, Tally>,
 }
 
 /// Where poses over time are found.
@@ -101,11 +101,12 @@ fn frames(name: &str) -> Option<PoseSource> {
 impl<'a> Topics<'a> {
     /// Counts the messages of a bag.
     pub fn of(path: &'a Path, bag: &Bag<'_>) -> Result<Self, DatasetError> {
-        Ok(Self { path, counts: bag.counts()? })
+        Ok(Self { path, tallies: bag.tallies()? })
     }
 
     /// Chooses the topics of a drive.
-    pub fn choose(&self, wanted: &BagTopics) -> Result<Chosen, DatasetError> {
+    pub fn choose(&self, options: &BagOptions) -> Result<Chosen, DatasetError> {
+        let wanted = &options.topics;
         let mut guessed = Vec::new();
         let reference = match wanted.reference.as_deref() {
             Some(name) if frames(name).is_some() => frames(name),
@@ -126,13 +127,15 @@ impl<'a> Topics<'a> {
         let alone = |channel: &Channel| Some(channel) != taken;
         let odometry = match wanted.odometry.as_deref() {
             Some(name) if frames(name).is_some() => frames(name),
+            _ if options.without_odometry => None,
             // Without odometry of its own, a bag may have it as a transform.
             None if transforms.is_some() && !self.candidates(&ODOMETRY).any(alone) => None,
             name => Some(PoseSource::Topic(self.named_or_only(&ODOMETRY, name, taken, &mut guessed)?)),
         };
         let localizer = if reference.is_none() { self.named(&LOCALIZER, None)? } else { None };
         let is_topic = |source: &Option<PoseSource>| matches!(source, Some(PoseSource::Topic(_)));
-        if is_topic(&odometry) && is_topic(&reference) {
+        // A laser's mount may be among the transforms where none is static.
+        if is_topic(&odometry) && is_topic(&reference) && fixed_transforms.is_some() {
             transforms = None;
         }
         Ok(Chosen { scan, odometry, reference, localizer, transforms, fixed_transforms, guessed })
@@ -159,15 +162,15 @@ impl<'a> Topics<'a> {
 
     /// Number of messages of a channel.
     pub fn count(&self, channel: &Channel) -> usize {
-        self.counts.get(channel).copied().unwrap_or_default()
+        self.tallies.get(channel).map_or(0, |tally| tally.messages)
     }
 
     /// Number of messages of every topic that isn't read.
     pub fn skipped(&self, chosen: &Chosen) -> BTreeMap<String, usize> {
         let read = chosen.channels();
         let mut skipped = BTreeMap::new();
-        for (channel, count) in self.counts.iter().filter(|(channel, _)| !read.contains(channel)) {
-            *skipped.entry(quoted(&channel.topic)).or_default() += count;
+        for (channel, tally) in self.tallies.iter().filter(|(channel, _)| !read.contains(channel)) {
+            *skipped.entry(quoted(&channel.topic)).or_default() += tally.messages;
         }
         skipped
     }
@@ -223,9 +226,9 @@ impl<'a> Topics<'a> {
     /// The channels with messages of a type that will do.
     fn candidates(&self, role: &Role) -> impl Iterator<Item = &Channel> {
         let right = |channel: &Channel| role.types.contains(&channel.schema.as_str());
-        self.counts
+        self.tallies
             .iter()
-            .filter(move |(channel, count)| **count > 0 && right(channel))
+            .filter(move |(channel, tally)| tally.messages > 0 && right(channel))
             .map(|(channel, _)| channel)
     }
 
@@ -238,12 +241,13 @@ impl<'a> Topics<'a> {
 
     /// The topics with types and numbers of messages.
     pub fn listed(&self) -> Vec<String> {
-        let found = self.counts.iter().map(|(channel, count)| {
+        let found = self.tallies.iter().map(|(channel, tally)| {
+            let count = tally.messages;
             format!("{} ({}, {count} messages)", quoted(&channel.topic), quoted(&channel.schema))
         });
         let mut found: Vec<_> = found.take(LISTED).collect();
-        if self.counts.len() > LISTED {
-            found.push(format!("{} more", self.counts.len() - LISTED));
+        if self.tallies.len() > LISTED {
+            found.push(format!("{} more", self.tallies.len() - LISTED));
         }
         found
     }

@@ -32,14 +32,21 @@ const LASER: &str = "laser";
 /// The drive has no scan, bearings or beam times that aren't evenly spaced (the first beam at the stamp), values that
 /// no log may hold, or times before 0 or from 2^31 - 1 s on; the file can't be written.
 pub fn write_mcap(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
-    write_whole(path, |out| encode_mcap(path, drive, out))
+    write_whole(path, |out| encode_mcap(path, drive, 0, out))
 }
 
-/// Writes the bytes of the file to `out`; `path` is for messages.
-pub fn encode_mcap(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
+/// Writes the bytes of the file to `out`; `path` is for messages. The drive's stamps count from `epoch_secs`, Unix time.
+pub fn encode_mcap(
+    path: &Path,
+    drive: &Drive,
+    epoch_secs: i32,
+    out: &mut dyn Write,
+) -> Result<(), DatasetError> {
     let (beams, times) = evenly_spaced(path, drive)?;
     let stamps = drive.steps.iter().enumerate().map(|(i, step)| {
-        Time::from_secs(step.stamp_secs).ok_or_else(|| DatasetError::Unwritable {
+        let stamp = Time::from_secs(step.stamp_secs)
+            .and_then(|time| Some(Time { sec: time.sec.checked_add(epoch_secs)?, ..time }));
+        stamp.ok_or_else(|| DatasetError::Unwritable {
             path: path.to_owned(),
             reason: format!("scan {i}: the time is {} s; allowed: 0 to 2147483647 s", step.stamp_secs),
         })

@@ -18,6 +18,8 @@ use locsim_world::simulation::{
 };
 use rand::RngExt;
 
+use super::coverage::{unmapped_start, untrained_states};
+use super::rehearsal::Rehearsal;
 use super::training::{ScanData, Surroundings, TrainedModel, train};
 use crate::LabError;
 use locsim_core::Progress;
@@ -123,6 +125,8 @@ pub struct Laboratory<'a> {
     pub maps: MapSet,
     /// The sensor models in the scenario's order.
     pub models: Vec<TrainedModel>,
+    /// What a reader of the results should know first.
+    pub warnings: Vec<String>,
     /// Remarks for the report: what kind of log, how much training data.
     pub notes: Vec<String>,
     drives: Drives,
@@ -177,6 +181,7 @@ impl<'a> Laboratory<'a> {
             distance: Arc::clone(&maps.distance),
             oracle,
             tables: (scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
+            rehearsal: None,
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
@@ -189,7 +194,8 @@ impl<'a> Laboratory<'a> {
             data.laser.beam_count(),
             100.0 * training.held_out_share,
         )];
-        Ok(Self { scenario, maps, models, notes, drives: Drives::Simulated(Box::new(world)) })
+        let warnings = Vec::new();
+        Ok(Self { scenario, maps, models, warnings, notes, drives: Drives::Simulated(Box::new(world)) })
     }
 
     fn measured(
@@ -200,7 +206,7 @@ impl<'a> Laboratory<'a> {
     ) -> Result<Self, LabError> {
         progress.stage("reading the log", 1);
         let max_range_m = log.max_range_m.map(|max| max as f32);
-        let options = LogOptions { max_range_m, topics: log.topics.clone() };
+        let options = LogOptions { max_range_m, topics: log.topics.clone(), ..LogOptions::default() };
         let (drive, summary) = read_log(&log.file, &options)?;
         progress.advance(1);
         let refuse = |what: &str| LabError::Log { path: log.file.clone(), what: what.to_owned() };
@@ -223,17 +229,24 @@ impl<'a> Laboratory<'a> {
         };
         let maps = MapSet::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
         let training = &scenario.training;
-        let data = measured_scans(&drive, &selected(&drive, &log.train_scans), &maps, training);
+        let train_steps = selected(&drive, &log.train_scans);
+        let (data, usable) = measured_scans(&drive, &train_steps, &maps, training);
         if data.poses.len() < 4 {
             return Err(refuse("fewer than 4 training scans have a reference pose in the map's free space"));
         }
+        let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
+        let stretches = log.train_scans.iter().map(|interval| {
+            let steps = selected(&drive, &[*interval]).into_iter().map(|i| drive.steps[i].clone()).collect();
+            with_filter_beams(Drive { laser: drive.laser.clone(), steps }, scenario)
+        });
+        let stretches = stretches.collect();
         let surroundings = Surroundings {
             map: Arc::<ExactRangeMap>::clone(&maps.exact),
             distance: Arc::clone(&maps.distance),
             oracle: None,
             tables: (scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
+            rehearsal: Rehearsal::new(&scenario.filter, stretches, Arc::clone(&maps.ranges), seed),
         };
-        let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
             train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)?;
@@ -257,7 +270,26 @@ impl<'a> Laboratory<'a> {
                 .to_owned(),
         ];
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
-        Ok(Self { scenario, maps, models, notes, drives: Drives::Measured(drive) })
+        let dropped = train_steps.len() - usable;
+        let warnings = [
+            (dropped > 0).then(|| {
+                format!(
+                    "{dropped} of {} training scans were dropped: they have no reference pose in the map's free space.",
+                    train_steps.len()
+                )
+            }),
+            (summary.intervals_without_odometry > 0).then(|| {
+                format!(
+                    "The log has no odometry in {} intervals. The motion of the reference stands in for it, so that these \
+                     steps test nothing.",
+                    summary.intervals_without_odometry
+                )
+            }),
+            unmapped_start(&*maps.exact, &*maps.distance, &drive),
+            untrained_states(&*maps.exact, (&data.laser, &data.poses), &drive),
+        ];
+        let warnings = warnings.into_iter().flatten().collect();
+        Ok(Self { scenario, maps, models, warnings, notes, drives: Drives::Measured(drive) })
     }
 
     /// Seed of a trial.
@@ -386,8 +418,13 @@ pub fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
 }
 
 /// Training scans of a log: those whose reference pose lies in the map's free space, at most as many as asked
-/// for, evenly spread.
-fn measured_scans(drive: &Drive, steps: &[usize], maps: &MapSet, training: &scenario::Training) -> ScanData {
+/// for, evenly spread; and how many there were.
+fn measured_scans(
+    drive: &Drive,
+    steps: &[usize],
+    maps: &MapSet,
+    training: &scenario::Training,
+) -> (ScanData, usize) {
     let beams = training.beams.map_or(drive.laser.beam_count(), |beams| beams as usize);
     let (laser, kept) = drive.laser.thinned(beams);
     let usable: Vec<(Pose2, &DriveStep)> = steps
@@ -396,12 +433,13 @@ fn measured_scans(drive: &Drive, steps: &[usize], maps: &MapSet, training: &scen
         .filter_map(|step| Some((step.reference?, step)))
         .filter(|(pose, _)| maps.exact.is_free(pose.x, pose.y))
         .collect();
-    let stride = usable.len().div_ceil(training.poses as usize).max(1);
+    let count = usable.len();
+    let stride = count.div_ceil(training.poses as usize).max(1);
     let (poses, scans): (Vec<Pose2>, Vec<_>) = usable
         .into_iter()
         .step_by(stride)
         .map(|(pose, step)| (pose, vec![kept.iter().map(|&beam| step.scan.ranges[beam]).collect()]))
         .unzip();
     let run = (poses.len() as u32 / 8).clamp(1, RUN);
-    ScanData { laser, poses, scans, run }
+    (ScanData { laser, poses, scans, run }, count)
 }

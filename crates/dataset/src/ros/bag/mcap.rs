@@ -20,6 +20,8 @@ const MESSAGE_HEADER: usize = 2 + 4 + 8 + 8;
 
 /// The content of a message, not yet read.
 pub struct Content<'a> {
+    /// When it was recorded (ns).
+    pub logged: i64,
     stream: &'a mut dyn Read,
     length: u64,
     buffer: &'a mut Vec<u8>,
@@ -220,10 +222,13 @@ impl<F: FnMut(&Channel, Option<Content<'_>>) -> Result<(), DatasetError>> Visito
                 let mut header = [0; MESSAGE_HEADER];
                 body.read_exact(&mut header)?;
                 let [id, ..] = [[header[0], header[1]]].map(u16::from_le_bytes);
+                let logged = header[6..].first_chunk().map_or(0, |time| u64::from_le_bytes(*time));
+                let logged = i64::try_from(logged).unwrap_or(i64::MAX);
                 let channel = channels.channels.get(&id);
                 let channel =
                     channel.ok_or_else(|| Stop::Damaged(format!("a message of unknown channel {id}")))?;
-                let content = Content { stream: body, length: length - MESSAGE_HEADER as u64, buffer };
+                let content =
+                    Content { logged, stream: body, length: length - MESSAGE_HEADER as u64, buffer };
                 visit(channel, Some(content)).map_err(Stop::Refused)
             }
             _ => Ok(()),

@@ -35,6 +35,34 @@ pub struct Channel {
     pub encoding: String,
 }
 
+/// The messages of a channel: how many, and when they were recorded.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tally {
+    pub messages: usize,
+    /// First and last time of recording (ns).
+    pub logged: Option<[i64; 2]>,
+    /// Longest time without a message (ns), by the order of the file.
+    pub longest_gap: i64,
+}
+
+impl Tally {
+    /// Takes in the next message.
+    pub fn add(&mut self, logged: i64) {
+        self.join(Self { messages: 1, logged: Some([logged; 2]), longest_gap: 0 });
+    }
+
+    /// Takes in the messages of a later file.
+    pub fn join(&mut self, later: Self) {
+        self.messages += later.messages;
+        self.longest_gap = self.longest_gap.max(later.longest_gap);
+        if let (Some([_, before]), Some([after, _])) = (self.logged, later.logged) {
+            self.longest_gap = self.longest_gap.max(after.saturating_sub(before));
+        }
+        let all = self.logged.into_iter().chain(later.logged);
+        self.logged = all.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+    }
+}
+
 /// A bag: one file, or the files of a folder in the order in which they were recorded.
 pub struct Bag<'a> {
     files: Vec<BagFile>,
@@ -71,27 +99,27 @@ impl<'a> Bag<'a> {
         Ok(Self { files: files.collect::<Result<_, _>>()?, limits })
     }
 
-    /// The channels of the bag with the number of messages of each.
+    /// The channels of the bag with the messages of each.
     ///
     /// # Errors
     /// A file is damaged or costs more than the limits allow.
-    pub fn counts(&self) -> Result<BTreeMap<Channel, usize>, DatasetError> {
-        let mut counts = BTreeMap::<Channel, usize>::new();
+    pub fn tallies(&self) -> Result<BTreeMap<Channel, Tally>, DatasetError> {
+        let mut tallies = BTreeMap::<Channel, Tally>::new();
         for file in &self.files {
-            file.count(self.limits, |channel, messages| {
-                let channels = counts.len();
-                match counts.get_mut(channel) {
-                    Some(count) => *count += messages,
+            file.count(self.limits, |channel, tally| {
+                let channels = tallies.len();
+                match tallies.get_mut(channel) {
+                    Some(earlier) => earlier.join(tally),
                     None if channels == MOST_CHANNELS => {
                         let reason = format!("more than {MOST_CHANNELS} channels; allowed: at most so many");
                         return Err(DatasetError::Refused { path: file.path.clone(), line: None, reason });
                     }
-                    None => _ = counts.insert(channel.clone(), messages),
+                    None => _ = tallies.insert(channel.clone(), tally),
                 }
                 Ok(())
             })?;
         }
-        Ok(counts)
+        Ok(tallies)
     }
 
     /// Hands the messages of the wanted channels to `take`, in the order in which they were recorded. Messages that are
@@ -156,18 +184,22 @@ impl BagFile {
             .map_err(|source| DatasetError::Open { path: self.path.clone(), source })
     }
 
-    /// Tells `add` of every channel, more than once of some, and how many messages more it has.
+    /// Hands every channel, some of them more than once, to `add` with the messages that it has more.
     fn count(
         &self,
         limits: &Limits,
-        mut add: impl FnMut(&Channel, usize) -> Result<(), DatasetError>,
+        mut add: impl FnMut(&Channel, Tally) -> Result<(), DatasetError>,
     ) -> Result<(), DatasetError> {
         match &self.storage {
             Storage::Mcap => mcap::visit_messages(&self.path, limits, |channel, message| {
-                add(channel, usize::from(message.is_some()))
+                let mut tally = Tally::default();
+                if let Some(message) = message {
+                    tally.add(message.logged);
+                }
+                add(channel, tally)
             }),
             Storage::Sqlite(database) => {
-                database.counts(&self.path)?.iter().try_for_each(|(channel, count)| add(channel, *count))
+                database.tallies(&self.path)?.iter().try_for_each(|(channel, tally)| add(channel, *tally))
             }
         }
     }

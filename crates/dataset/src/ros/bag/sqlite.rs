@@ -17,7 +17,7 @@ use rusqlite::limits::Limit;
 use rusqlite::{Connection, OpenFlags};
 use tempfile::NamedTempFile;
 
-use super::{Channel, LARGEST_RECORD, LONGEST_NAME, MOST_CHANNELS};
+use super::{Channel, LARGEST_RECORD, LONGEST_NAME, MOST_CHANNELS, Tally};
 use crate::DatasetError;
 use crate::source::Source;
 
@@ -126,23 +126,26 @@ impl Database {
         Ok(channels)
     }
 
-    /// The channels with the number of messages of each.
-    pub fn counts(&self, path: &Path) -> Result<BTreeMap<Channel, usize>, DatasetError> {
+    /// The channels with the messages of each.
+    pub fn tallies(&self, path: &Path) -> Result<BTreeMap<Channel, Tally>, DatasetError> {
         let count = || {
             self.refill();
-            let mut counts: BTreeMap<i64, usize> = self.channels.keys().map(|id| (*id, 0)).collect();
-            let mut statement = self.connection.prepare("SELECT topic_id FROM messages").map_err(in_words)?;
+            let mut tallies: BTreeMap<i64, Tally> =
+                self.channels.keys().map(|id| (*id, Tally::default())).collect();
+            let query = "SELECT topic_id, timestamp FROM messages";
+            let mut statement = self.connection.prepare(query).map_err(in_words)?;
             let mut rows = statement.query([]).map_err(in_words)?;
             while let Some(row) = rows.next().map_err(in_words)? {
                 let id: i64 = row.get(0).map_err(in_words)?;
-                *counts.get_mut(&id).ok_or_else(|| format!("a message of unknown topic {id}"))? += 1;
+                let tally = tallies.get_mut(&id).ok_or_else(|| format!("a message of unknown topic {id}"))?;
+                tally.add(row.get(1).map_err(in_words)?);
             }
-            Ok(counts)
+            Ok(tallies)
         };
-        let counts = count().map_err(|reason| damaged(path, reason))?;
-        let mut by_channel = BTreeMap::new();
-        for (id, count) in counts {
-            *by_channel.entry(self.channels[&id].clone()).or_default() += count;
+        let tallies = count().map_err(|reason| damaged(path, reason))?;
+        let mut by_channel = BTreeMap::<_, Tally>::new();
+        for (id, tally) in tallies {
+            by_channel.entry(self.channels[&id].clone()).or_default().join(tally);
         }
         Ok(by_channel)
     }

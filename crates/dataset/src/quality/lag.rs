@@ -1,0 +1,103 @@
+//! The time by which odometry lags behind the scans, from the turns that both show.
+
+use locsim_core::{Drive, Track, wrap_angle};
+
+/// Scans that come more seldom \[s\] tell no lag: between them the odometry is interpolated.
+const LONGEST_INTERVAL_SECS: f64 = 0.5;
+/// Greatest lag that is looked for \[s\], and the step of the search.
+const LAGS_SECS: (f64, f64) = (0.5, 0.01);
+/// Pairs of scans that are compared, at the most: those that turn most.
+const PAIRS: usize = 600;
+/// Fewer turning pairs tell nothing.
+const LEAST_PAIRS: usize = 30;
+/// A pair turns when it turns by this much \[rad\], and by less than this: scans that turn more have too little in common.
+const TURNING: (f64, f64) = (0.01, 0.35);
+/// A difference of readings beyond this is of another surface \[m\].
+const OTHER_SURFACE_M: f32 = 0.3;
+/// The correlation of turns by scans and by odometry at the best lag: below, they don't agree at all.
+const AGREEMENT: f64 = 0.8;
+
+/// See [`ClockQuality`](super::ClockQuality).
+pub(super) fn odometry_lag(drive: &Drive, interval_secs: f64) -> Option<f64> {
+    if !(interval_secs > 0.0 && interval_secs < LONGEST_INTERVAL_SECS) {
+        return None;
+    }
+    let beam_rad = even_spacing(drive.laser.bearings())?;
+    let track = Track::new(drive.steps.iter().map(|step| (step.stamp_secs, step.odometry))).ok()?;
+    let mut turning: Vec<(usize, f64)> = (1..drive.steps.len())
+        .map(|i| (i, wrap_angle(drive.odometry_increment(i).theta).abs()))
+        .filter(|(i, turn)| {
+            let secs = track.secs()[*i] - track.secs()[*i - 1];
+            secs > 0.0 && secs < 2.0 * interval_secs && (TURNING.0..TURNING.1).contains(turn)
+        })
+        .collect();
+    let stride = turning.len().div_ceil(PAIRS).max(1);
+    turning = turning.into_iter().step_by(stride).collect();
+    let turns: Vec<(f64, f64, f64)> = turning
+        .into_iter()
+        .filter_map(|(i, _)| {
+            let [before, after] = [i - 1, i].map(|i| drive.steps[i].scan.ranges.as_slice());
+            let turn = turn_between(before, after, beam_rad, drive.laser.max_range())?;
+            Some((track.secs()[i - 1], track.secs()[i], turn))
+        })
+        .collect();
+    if turns.len() < LEAST_PAIRS {
+        return None;
+    }
+    let (most, step) = LAGS_SECS;
+    let count = (most / step).round() as i32;
+    let agreement = |lag: f64| {
+        let by_odometry = turns.iter().map(|(from, to, _)| {
+            let [a, b] = [*from, *to].map(|secs| track.pose_at(secs + lag).theta);
+            wrap_angle(b - a)
+        });
+        correlation(by_odometry.zip(turns.iter().map(|(.., turn)| *turn)))
+    };
+    let agreements: Vec<f64> = (-count..=count).map(|i| agreement(f64::from(i) * step)).collect();
+    let (best, most) = agreements.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
+    let is_inside = (1..agreements.len() - 1).contains(&best);
+    (is_inside && *most > AGREEMENT).then(|| f64::from(best as i32 - count) * step)
+}
+
+/// Pearson's correlation: blind to the scale and to the constant bias that driving past walls gives the turns of scans.
+fn correlation(pairs: impl Iterator<Item = (f64, f64)> + Clone) -> f64 {
+    let n = pairs.clone().count() as f64;
+    let (x, y) = pairs.clone().fold((0.0, 0.0), |(x, y), pair| (x + pair.0 / n, y + pair.1 / n));
+    let (xx, xy, yy) = pairs.fold((0.0, 0.0, 0.0), |(xx, xy, yy), pair| {
+        let (dx, dy) = (pair.0 - x, pair.1 - y);
+        (xx + dx * dx, xy + dx * dy, yy + dy * dy)
+    });
+    if xx * yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
+}
+
+/// The spacing of evenly spaced beams \[rad\].
+fn even_spacing(bearings: &[f32]) -> Option<f64> {
+    let spacing = f64::from(bearings.get(1)? - bearings[0]);
+    let even = bearings.windows(2).all(|pair| (f64::from(pair[1] - pair[0]) - spacing).abs() < 1e-4);
+    (even && spacing.abs() > 1e-4).then_some(spacing)
+}
+
+/// The turn between two scans \[rad\] by the shift of their beams at which they agree best, to a fraction of a beam.
+fn turn_between(before: &[f32], after: &[f32], beam_rad: f64, max_range: f32) -> Option<f64> {
+    let most = ((1.5 * TURNING.1 / beam_rad.abs()).ceil() as usize).min(before.len() / 3);
+    let apart = |shift: isize| {
+        let (mut sum, mut count) = (0.0, 0_u32);
+        for (beam, &range) in after.iter().enumerate() {
+            let Some(&other) = beam.checked_add_signed(shift).and_then(|beam| before.get(beam)) else {
+                continue;
+            };
+            if range < max_range && other < max_range {
+                sum += (range - other).abs().min(OTHER_SURFACE_M);
+                count += 1;
+            }
+        }
+        (count > 0).then(|| f64::from(sum) / f64::from(count))
+    };
+    let shifts = -(most as isize)..=most as isize;
+    let (best, least) =
+        shifts.filter_map(|shift| Some((shift, apart(shift)?))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let [below, above] = [apart(best - 1)?, apart(best + 1)?];
+    let bend = below + above - 2.0 * least;
+    let fraction = if bend > 0.0 { 0.5 * (below - above) / bend } else { 0.0 };
+    Some((best as f64 + fraction) * beam_rad)
+}

@@ -1,0 +1,204 @@
+use locsim_core::{Drive, Pose2, wrap_angle};
+use serde::Serialize;
+
+use super::median;
+
+/// Odometry and reference are compared over windows of this length \[m\] or turn \[rad\]: in shorter ones the reference's own
+/// error of some centimetres hides the odometry's.
+const WINDOW: (f64, f64) = (1.0, 1.5);
+/// Fewer windows say nothing.
+const LEAST_WINDOWS: usize = 5;
+/// A window that turns by less is straight, by more a turn \[rad\].
+const STRAIGHT: f64 = 0.2;
+const TURN: f64 = 0.5;
+/// An error beyond this many times the median one counts as this: the reference has jumped.
+const CUT: f64 = 6.0;
+
+/// No indoor robot is faster \[m/s\] or turns faster \[rad/s\], and a shorter step is no jump \[m\] and \[rad\].
+const FASTEST: (f64, f64) = (5.0, 7.0);
+const JUMP: (f64, f64) = (0.5, 0.5);
+
+/// How the robot moved by its odometry, and how far off that is.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OdometryQuality {
+    /// Distance driven \[m\].
+    pub driven_m: f64,
+    /// Sum of all turns \[rad\].
+    pub turned_rad: f64,
+    /// Number of steps between scans that no robot can make; `None` where the stamps stand still.
+    pub jumps: Option<usize>,
+    /// Its error; `None` without a reference to compare it with.
+    pub error: Option<OdometryError>,
+}
+
+/// The error of odometry against a reference, over windows of about a metre.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OdometryError {
+    /// Number of windows.
+    pub windows: usize,
+    /// Distance by odometry over distance by reference.
+    pub distance_ratio: f64,
+    /// Position error per metre driven \[m/m\].
+    pub position_per_m: f64,
+    /// Heading error per metre on straight windows \[rad/m\].
+    pub heading_per_m: Option<f64>,
+    /// Heading error per radian turned \[rad/rad\].
+    pub heading_per_rad: Option<f64>,
+    /// Noise of the odometry motion model, alpha 1 to 4 (Probabilistic Robotics, table 5.6), that explains these errors; the
+    /// reference's own errors are taken for the odometry's.
+    pub alpha: [f64; 4],
+}
+
+/// The reference poses of a drive.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ReferenceQuality {
+    /// Number of scans that have one.
+    pub scans: usize,
+    /// Longest stretch of scans without one \[s\].
+    pub longest_gap_secs: f64,
+    /// Number of steps between scans at which it moves otherwise than the odometry by half a metre or half a radian.
+    pub jumps: usize,
+}
+
+impl OdometryQuality {
+    pub(super) fn of(drive: &Drive) -> Self {
+        let increments: Vec<Pose2> = (1..drive.steps.len()).map(|i| drive.odometry_increment(i)).collect();
+        let secs = || drive.steps.windows(2).map(|pair| pair[1].stamp_secs - pair[0].stamp_secs);
+        let usual = median(&mut secs().collect::<Vec<_>>());
+        let jump = |(step, secs): &(&Pose2, f64)| {
+            let (distance, turn) = (step.position().length(), wrap_angle(step.theta).abs());
+            (distance > JUMP.0 && distance > FASTEST.0 * secs) || (turn > JUMP.1 && turn > FASTEST.1 * secs)
+        };
+        Self {
+            driven_m: increments
+                .iter()
+                .map(|step| step.position().length())
+                .fold(0.0, |sum, length| sum + length),
+            turned_rad: increments
+                .iter()
+                .map(|step| wrap_angle(step.theta).abs())
+                .fold(0.0, |sum, turn| sum + turn),
+            jumps: (usual > 0.0)
+                .then(|| increments.iter().zip(secs().map(|secs| secs.max(usual))).filter(jump).count()),
+            error: error(&windows(drive)),
+        }
+    }
+}
+
+impl ReferenceQuality {
+    pub(super) fn of(drive: &Drive) -> Option<Self> {
+        let known: Vec<(f64, Pose2)> =
+            drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))).collect();
+        let (first, last) = (drive.steps.first()?, drive.steps.last()?);
+        let (begin, end) = (known.first()?, known.last()?);
+        let inside = known.windows(2).map(|pair| pair[1].0 - pair[0].0);
+        let gaps = if known.len() < drive.steps.len() { inside.fold(0.0, f64::max) } else { 0.0 };
+        let jumps = drive.steps.windows(2).filter(|pair| {
+            let (Some(a), Some(b)) = (pair[0].reference, pair[1].reference) else { return false };
+            let odometry = pair[1].odometry.relative_to(&pair[0].odometry);
+            let apart = b.relative_to(&a).relative_to(&odometry);
+            apart.position().length() > JUMP.0 || wrap_angle(apart.theta).abs() > JUMP.1
+        });
+        Some(Self {
+            scans: known.len(),
+            longest_gap_secs: gaps.max(begin.0 - first.stamp_secs).max(last.stamp_secs - end.0),
+            jumps: jumps.count(),
+        })
+    }
+}
+
+/// A part of the drive, as odometry and reference have it.
+#[derive(Default)]
+struct Window {
+    /// Sums over the steps by odometry: distance \[m\] and turn \[rad\], and their squares.
+    distance: f64,
+    turn: f64,
+    distance_squares: f64,
+    turn_squares: f64,
+    /// From its first step to its last.
+    odometry: Pose2,
+    reference: Pose2,
+}
+
+fn windows(drive: &Drive) -> Vec<Window> {
+    let mut windows = Vec::new();
+    let mut first = 0;
+    let mut open = Window::default();
+    for (i, pair) in drive.steps.windows(2).enumerate() {
+        let (Some(from), Some(to)) = (drive.steps[first].reference, pair[1].reference) else {
+            (first, open) = (i + 1, Window::default());
+            continue;
+        };
+        let step = pair[1].odometry.relative_to(&pair[0].odometry);
+        let (distance, turn) = (step.position().length(), wrap_angle(step.theta).abs());
+        open.distance += distance;
+        open.turn += turn;
+        open.distance_squares += distance * distance;
+        open.turn_squares += turn * turn;
+        if open.distance >= WINDOW.0 || open.turn >= WINDOW.1 {
+            open.odometry = pair[1].odometry.relative_to(&drive.steps[first].odometry);
+            open.reference = to.relative_to(&from);
+            windows.push(std::mem::take(&mut open));
+            first = i + 1;
+        }
+    }
+    windows
+}
+
+fn error(windows: &[Window]) -> Option<OdometryError> {
+    if windows.len() < LEAST_WINDOWS {
+        return None;
+    }
+    let heading = |w: &Window| wrap_angle(w.odometry.theta - w.reference.theta).abs();
+    let per = |selected: &dyn Fn(&&Window) -> bool, along: fn(&Window) -> f64| {
+        let chosen = || windows.iter().filter(selected);
+        let whole: f64 = chosen().map(along).sum();
+        (chosen().count() >= LEAST_WINDOWS && whole > 0.0).then(|| chosen().map(heading).sum::<f64>() / whole)
+    };
+    let total = |of: fn(&Window) -> f64| windows.iter().map(of).sum::<f64>();
+    let length = |pose: Pose2| pose.position().length();
+    let squares = |of: &dyn Fn(&Window) -> f64| -> Vec<f64> {
+        let errors: Vec<f64> = windows.iter().map(of).collect();
+        let cut = CUT * median(&mut errors.clone());
+        errors.into_iter().map(|error| error.min(cut).powi(2)).collect()
+    };
+    let turns = squares(&heading);
+    let distances = squares(&|w| (length(w.odometry) - length(w.reference)).abs());
+    // Of a smooth turn, each of the model's two rotations is a half, so that its square counts by half; the distance acts on
+    // both.
+    let turn_squares = |w: &Window| 0.5 * w.turn_squares;
+    let [a1, a2] = least_squares(windows.iter().map(|w| [turn_squares(w), 2.0 * w.distance_squares]), &turns);
+    let [a3, a4] = least_squares(windows.iter().map(|w| [w.distance_squares, turn_squares(w)]), &distances);
+    Some(OdometryError {
+        windows: windows.len(),
+        distance_ratio: total(|w| w.odometry.position().length())
+            / total(|w| w.reference.position().length()).max(1e-9),
+        position_per_m: total(|w| w.odometry.position().distance(w.reference.position()))
+            / total(|w| w.distance).max(1e-9),
+        heading_per_m: per(&|w| w.turn < STRAIGHT, |w| w.distance),
+        heading_per_rad: per(&|w| w.turn > TURN, |w| w.turn),
+        alpha: [a1, a2, a3, a4],
+    })
+}
+
+/// The coefficients, not negative, of the two regressors that explain the values best.
+fn least_squares(regressors: impl Iterator<Item = [f64; 2]>, values: &[f64]) -> [f64; 2] {
+    let (mut xx, mut xy, mut yy, mut xv, mut yv) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for ([x, y], value) in regressors.zip(values) {
+        xx += x * x;
+        xy += x * y;
+        yy += y * y;
+        xv += x * value;
+        yv += y * value;
+    }
+    let alone = |square: f64, product: f64| if square > 0.0 { product / square } else { 0.0 };
+    let determinant = xx * yy - xy * xy;
+    if determinant > 1e-9 * xx * yy {
+        let both = [(yy * xv - xy * yv) / determinant, (xx * yv - xy * xv) / determinant];
+        if both.iter().all(|coefficient| *coefficient >= 0.0) {
+            return both;
+        }
+    }
+    // One of them explains more alone.
+    if xv * xv * yy >= yv * yv * xx { [alone(xx, xv), 0.0] } else { [0.0, alone(yy, yv)] }
+}

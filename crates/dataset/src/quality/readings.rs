@@ -1,0 +1,187 @@
+use locsim_core::{Drive, DriveStep, wrap_angle};
+use serde::Serialize;
+
+use super::{median, quantile};
+
+/// Scans that the resolution is estimated from, at the most, evenly spread: some 100,000 readings.
+const RESOLUTION_SCANS: usize = 500;
+/// Fewer different readings don't show a step.
+const LEAST_DIFFERENT: usize = 20;
+/// Differences of quantized readings are whole steps to this share of a step.
+const WHOLE: f64 = 0.1;
+/// This share of the differences has to be whole steps; of readings that aren't quantized a fifth is, by chance.
+const WHOLE_SHARE: f64 = 0.9;
+
+/// The robot stands still while its odometry stays within this \[m\] and \[rad\] of where it was.
+const STILL: (f64, f64) = (1e-3, 2e-3);
+/// Scans of a stretch of standing still: fewer tell no deviation, and in longer ones people come and go.
+const STILL_SCANS: (usize, usize) = (10, 50);
+/// Stretches that are looked at, at the most.
+const STRETCHES: usize = 200;
+
+/// Neighbouring readings that differ by more than this share aren't of one wall, or of a grazed one.
+const ONE_WALL: f32 = 0.1;
+/// Three neighbours on one wall: the middle one's residual has this many times the variance of a reading.
+const RESIDUAL_VARIANCE: f64 = 1.5;
+/// Fewer residuals than this tell nothing.
+const LEAST_RESIDUALS: usize = 500;
+
+/// The median of |x| of a standard normal number is 1 / this.
+const NORMAL: f64 = 1.4826;
+
+/// What the readings of a drive show of the laser.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ReadingQuality {
+    /// Share of readings without return.
+    pub no_return_share: f64,
+    /// Share of unusable readings (NaN).
+    pub unusable_share: f64,
+    /// Longest return \[m\].
+    pub longest_return_m: Option<f64>,
+    /// Step of the readings \[m\]; `None` where they aren't quantized, or there are too few.
+    pub resolution_m: Option<f64>,
+    /// Number of scans in stretches in which the robot stood still.
+    pub still_scans: usize,
+    /// Standard deviation of a reading \[m\], without that of its rounding, from those stretches.
+    pub still_noise_m: Option<f64>,
+    /// Standard deviation of a reading \[m\] from neighbouring beams on flat walls, with that of its rounding: an upper
+    /// bound, as walls aren't flat.
+    pub flat_noise_m: Option<f64>,
+}
+
+impl ReadingQuality {
+    pub(super) fn of(drive: &Drive, has_odometry: bool) -> Self {
+        let max = drive.laser.max_range();
+        let all = drive.steps.iter().flat_map(|step| &step.scan.ranges);
+        let (mut count, mut no_return, mut unusable, mut longest) = (0_usize, 0_usize, 0_usize, None);
+        for &range in all {
+            count += 1;
+            no_return += usize::from(range >= max);
+            unusable += usize::from(range.is_nan());
+            if range < max {
+                longest = Some(range.max(longest.unwrap_or(range)));
+            }
+        }
+        let share = |part: usize| part as f64 / count.max(1) as f64;
+        let resolution_m = resolution(drive);
+        let (still_scans, still_noise_m) =
+            if has_odometry { still_noise(drive, resolution_m) } else { (0, None) };
+        Self {
+            no_return_share: share(no_return),
+            unusable_share: share(unusable),
+            longest_return_m: longest.map(f64::from),
+            resolution_m,
+            still_scans,
+            still_noise_m,
+            flat_noise_m: flat_noise(drive),
+        }
+    }
+
+    /// The best estimate of the standard deviation of a reading \[m\].
+    pub fn noise_m(&self) -> Option<f64> {
+        self.still_noise_m.or(self.flat_noise_m)
+    }
+}
+
+/// The step that the differences of readings are multiples of.
+fn resolution(drive: &Drive) -> Option<f64> {
+    let max = drive.laser.max_range();
+    let stride = drive.steps.len().div_ceil(RESOLUTION_SCANS).max(1);
+    let mut readings: Vec<f32> = drive
+        .steps
+        .iter()
+        .step_by(stride)
+        .flat_map(|step| step.scan.ranges.iter().copied().filter(|range| *range < max))
+        .collect();
+    readings.sort_by(f32::total_cmp);
+    readings.dedup();
+    // Rounding to f32 is no difference.
+    let rounding = |range: f32| 4.0 * f64::from(range * f32::EPSILON);
+    let differences: Vec<(f64, f64)> = readings
+        .windows(2)
+        .map(|pair| (f64::from(pair[1]) - f64::from(pair[0]), rounding(pair[1])))
+        .filter(|(difference, rounding)| difference > rounding)
+        .collect();
+    if differences.len() < LEAST_DIFFERENT {
+        return None;
+    }
+    let mut lengths: Vec<f64> = differences.iter().map(|(difference, _)| *difference).collect();
+    let rough = quantile(&mut lengths, 0.1);
+    let single: Vec<f64> = lengths.into_iter().filter(|d| (d / rough - 1.0).abs() < WHOLE).collect();
+    let step = single.iter().sum::<f64>() / single.len() as f64;
+    let is_whole = |(difference, rounding): &&(f64, f64)| {
+        (difference - (difference / step).round() * step).abs() <= (WHOLE * step).max(*rounding)
+    };
+    let whole = differences.iter().filter(is_whole).count();
+    (whole as f64 >= WHOLE_SHARE * differences.len() as f64).then_some(step)
+}
+
+/// Number of scans that were taken standing still, and the median deviation of their readings.
+fn still_noise(drive: &Drive, resolution_m: Option<f64>) -> (usize, Option<f64>) {
+    let stretches = still_stretches(&drive.steps);
+    let scans = stretches.iter().map(|stretch| stretch.len()).sum();
+    let max = drive.laser.max_range();
+    let mut variances = Vec::new();
+    let stride = stretches.len().div_ceil(STRETCHES).max(1);
+    for stretch in stretches.iter().step_by(stride) {
+        let n = stretch.len() as f64;
+        // The median of a sample's variance lies below the variance (Wilson and Hilferty).
+        let of_median = (1.0 - 2.0 / (9.0 * (n - 1.0))).powi(3);
+        for beam in 0..drive.laser.beam_count() {
+            let readings = || stretch.iter().map(|step| step.scan.ranges[beam]);
+            if readings().all(|range| range < max) {
+                let mean = readings().map(f64::from).sum::<f64>() / n;
+                let squares: f64 = readings().map(|range| (f64::from(range) - mean).powi(2)).sum();
+                variances.push(squares / (n - 1.0) / of_median);
+            }
+        }
+    }
+    if variances.is_empty() {
+        return (scans, None);
+    }
+    let rounding = resolution_m.map_or(0.0, |step| step * step / 12.0);
+    (scans, Some((median(&mut variances) - rounding).max(0.0).sqrt()))
+}
+
+/// Runs of scans during which the odometry doesn't change.
+fn still_stretches(steps: &[DriveStep]) -> Vec<&[DriveStep]> {
+    let (least, most) = STILL_SCANS;
+    let mut stretches = Vec::new();
+    let mut from = 0;
+    for to in 1..=steps.len() {
+        let still = steps.get(to).is_some_and(|step| {
+            let (here, there) = (step.odometry, steps[from].odometry);
+            here.position().distance(there.position()) < STILL.0
+                && wrap_angle(here.theta - there.theta).abs() < STILL.1
+        });
+        if !still || to - from == most {
+            if to - from >= least {
+                stretches.push(&steps[from..to]);
+            }
+            from = to;
+        }
+    }
+    stretches
+}
+
+/// The deviation of readings from the line through their neighbours: on a flat wall, 1/r is linear in the sine and the cosine
+/// of the bearing.
+fn flat_noise(drive: &Drive) -> Option<f64> {
+    let max = drive.laser.max_range();
+    let bearings = drive.laser.bearings();
+    let stride = drive.steps.len().div_ceil(RESOLUTION_SCANS).max(1);
+    let mut residuals = Vec::new();
+    for step in drive.steps.iter().step_by(stride) {
+        for (ranges, bearings) in step.scan.ranges.windows(3).zip(bearings.windows(3)) {
+            let &[left, middle, right] = ranges else { continue };
+            let alike = |range: f32| (range - middle).abs() < ONE_WALL * middle;
+            if middle > 0.0 && middle < max && alike(left) && alike(right) && left < max && right < max {
+                let [left, middle, right] = [left, middle, right].map(f64::from);
+                let apart = 0.5 * f64::from(bearings[2] - bearings[0]);
+                let on_line = 2.0 * apart.cos() / (1.0 / left + 1.0 / right);
+                residuals.push((middle - on_line).abs());
+            }
+        }
+    }
+    (residuals.len() >= LEAST_RESIDUALS).then(|| NORMAL * median(&mut residuals) / RESIDUAL_VARIANCE.sqrt())
+}

@@ -1,0 +1,216 @@
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan};
+
+use super::*;
+use crate::{LogKind, MountSource};
+
+/// The room that the robot drives in: walls at |x| = 4 m and |y| = 3 m.
+const WALLS: [f64; 2] = [4.0, 3.0];
+/// Seconds between scans.
+const INTERVAL: f64 = 0.1;
+
+/// Uniform numbers in [0, 1) of a linear congruential generator (Numerical Recipes).
+struct Uniform(u32);
+
+impl Uniform {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(self.0) / 4_294_967_296.0
+    }
+
+    /// Nearly normal, of deviation 1.
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.next()).sum::<f64>() - 6.0
+    }
+}
+
+fn range(laser: &Pose2, bearing: f64) -> f64 {
+    let (sin, cos) = (laser.theta + bearing).sin_cos();
+    let to = |at: f64, along: f64, wall: f64| {
+        if along == 0.0 { f64::INFINITY } else { (wall * along.signum() - at) / along }
+    };
+    to(laser.x, cos, WALLS[0]).min(to(laser.y, sin, WALLS[1]))
+}
+
+/// How a drive is recorded.
+#[derive(Clone, Copy)]
+struct Recording {
+    sigma_m: f64,
+    step_m: f64,
+    /// The odometry reads distances times this.
+    scale: f64,
+    /// Odometry is this late (s).
+    lag_secs: f64,
+}
+
+/// Three seconds of standing still, then a minute around the room: straight on and turning, swinging a little.
+fn drive(recording: Recording) -> Drive {
+    let Recording { sigma_m, step_m, scale, lag_secs } = recording;
+    let bearings: Vec<f32> = (0..180).map(|beam| (f64::from(beam) - 90.0).to_radians() as f32).collect();
+    let mount = Pose2::new(0.1, 0.0, 0.0);
+    let laser = Laser::new(bearings.clone(), vec![0.0; 180], 0.1, 20.0, mount).unwrap();
+    // Driven with turn rates that swing, so that turns tell the time.
+    let pose_at = |secs: f64| {
+        let t = (secs - 3.0).clamp(0.0, 60.0);
+        let angle = 0.25 * t;
+        let swing = if t > 0.0 { 0.3 * (1.3 * t).sin() } else { 0.0 };
+        Pose2::new(1.5 * angle.cos(), 1.2 * angle.sin(), angle + FRAC_PI_2 + swing)
+    };
+    let odometry_at = |secs: f64| {
+        let pose = pose_at(secs - lag_secs);
+        Pose2::new(scale * pose.x, scale * pose.y, pose.theta)
+    };
+    let mut uniform = Uniform(7);
+    let steps = (0..600).map(|i| {
+        let secs = f64::from(i) * INTERVAL;
+        let pose = pose_at(secs);
+        let at = pose.compose(&mount);
+        let reading = |&bearing: &f32| {
+            let noisy = range(&at, f64::from(bearing)) + sigma_m * uniform.normal();
+            let read = if step_m > 0.0 { (noisy / step_m).round() * step_m } else { noisy };
+            read as f32
+        };
+        let ranges = bearings.iter().map(reading).collect();
+        DriveStep {
+            stamp_secs: 1.7e9 + secs,
+            odometry: odometry_at(secs),
+            reference: Some(pose),
+            scan: Scan { ranges },
+        }
+    });
+    Drive { steps: steps.collect(), laser }
+}
+
+const PLAIN: Recording = Recording { sigma_m: 0.02, step_m: 0.0, scale: 1.0, lag_secs: 0.0 };
+
+fn summary() -> LogSummary {
+    LogSummary {
+        kind: LogKind::Referenced,
+        odometry: OdometrySource::Topic,
+        evidence: String::new(),
+        scan_source: "/scan".to_owned(),
+        odometry_messages: 600,
+        reference_messages: 600,
+        reference_deviation: None,
+        reference_interval_secs: None,
+        references_interpolated: 0,
+        mount: MountSource::Given,
+        topics: Vec::new(),
+        transforms: Vec::new(),
+        skipped: std::collections::BTreeMap::new(),
+        stamps_repaired: 0,
+        stamps_repeated: 0,
+        scans_dropped: 0,
+        intervals_without_odometry: 0,
+        no_return_share: 0.0,
+        unusable_share: 0.0,
+        longest_return_m: None,
+    }
+}
+
+fn quality(recording: Recording) -> DriveQuality {
+    DriveQuality::of(&drive(recording), &summary())
+}
+
+fn near(found: Option<f64>, wanted: f64, tolerance: f64) {
+    assert!(found.is_some_and(|found| (found - wanted).abs() <= tolerance), "{found:?}, not {wanted}");
+}
+
+#[test]
+fn noise_and_resolution_come_from_the_readings() {
+    for (sigma_m, step_m) in [(0.02, 0.0), (0.02, 0.01), (0.005, 0.001)] {
+        let readings = quality(Recording { sigma_m, step_m, ..PLAIN }).readings;
+        match readings.resolution_m {
+            None => assert_eq!(step_m, 0.0),
+            found => near(found, step_m, 1e-3 * step_m.max(1e-9)),
+        }
+        assert!(readings.still_scans >= 30, "{}", readings.still_scans);
+        near(readings.still_noise_m, sigma_m, 0.05 * sigma_m);
+        near(readings.flat_noise_m, sigma_m.hypot(step_m / 12.0_f64.sqrt()), 0.15 * sigma_m);
+        assert_eq!(readings.noise_m(), readings.still_noise_m);
+    }
+}
+
+#[test]
+fn a_robot_that_never_stands_still_tells_its_noise_by_flat_walls_alone() {
+    let mut moving = drive(PLAIN);
+    moving.steps.drain(..31);
+    let readings = DriveQuality::of(&moving, &summary()).readings;
+    assert_eq!((readings.still_scans, readings.still_noise_m), (0, None));
+    near(readings.noise_m(), PLAIN.sigma_m, 0.15 * PLAIN.sigma_m);
+}
+
+#[test]
+fn odometry_is_held_against_the_reference() {
+    let right = quality(PLAIN).odometry.unwrap().error.unwrap();
+    assert!(right.position_per_m < 1e-9 && right.alpha.iter().all(|alpha| *alpha < 1e-12), "{right:?}");
+    let long = quality(Recording { scale: 1.05, ..PLAIN }).odometry.unwrap().error.unwrap();
+    near(Some(long.distance_ratio), 1.05, 1e-3);
+    near(Some(long.position_per_m), 0.05, 0.01);
+    assert!(long.alpha[2] > 1e-3, "{long:?}");
+}
+
+#[test]
+fn jumps_are_counted() {
+    let mut jumping = drive(PLAIN);
+    for step in &mut jumping.steps[300..] {
+        step.odometry.x += 2.0;
+    }
+    let found = DriveQuality::of(&jumping, &summary());
+    assert_eq!(found.odometry.unwrap().jumps, Some(1));
+    // The reference moves otherwise than the odometry, too.
+    assert_eq!(found.reference.unwrap().jumps, 1);
+    assert_eq!(quality(PLAIN).odometry.unwrap().jumps, Some(0));
+    for step in &mut jumping.steps {
+        step.stamp_secs = 0.0;
+    }
+    assert_eq!(DriveQuality::of(&jumping, &summary()).odometry.unwrap().jumps, None);
+}
+
+#[test]
+fn a_lag_is_found_on_either_side() {
+    for lag_secs in [-0.15, 0.0, 0.2] {
+        let clock = quality(Recording { lag_secs, ..PLAIN }).clock;
+        near(clock.odometry_lag_secs, lag_secs, 0.03);
+    }
+}
+
+#[test]
+fn gaps_of_scans_and_reference_are_found() {
+    let mut holed = drive(PLAIN);
+    holed.steps.drain(200..220);
+    for step in &mut holed.steps[400..450] {
+        step.reference = None;
+    }
+    let found = DriveQuality::of(&holed, &summary());
+    assert_eq!(found.clock.gaps, 1);
+    near(Some(found.clock.longest_gap_secs), 2.1, 1e-3);
+    let reference = found.reference.unwrap();
+    assert_eq!(reference.scans, 530);
+    near(Some(reference.longest_gap_secs), 5.1, 1e-3);
+}
+
+/// Drives of nothing, of one scan, of scans without returns: estimates are missing, and nothing fails.
+#[test]
+fn poor_drives_have_no_estimates() {
+    let whole = drive(PLAIN);
+    let one = Drive { steps: whole.steps[..1].to_vec(), laser: whole.laser.clone() };
+    let mut empty = whole.clone();
+    for (i, step) in empty.steps.iter_mut().enumerate() {
+        step.scan.ranges.fill(if i % 2 == 0 { 20.0 } else { f32::NAN });
+        step.reference = None;
+        step.odometry = Pose2::new(0.0, 0.0, TAU);
+    }
+    let beam = Laser::new(vec![0.0], vec![0.0], 0.0, 20.0, Pose2::IDENTITY).unwrap();
+    let mut single = Drive { laser: beam, ..whole.clone() };
+    for step in &mut single.steps {
+        step.scan.ranges.truncate(1);
+    }
+    for poor in [one, empty, single] {
+        let found = DriveQuality::of(&poor, &summary());
+        assert_eq!(found.clock.odometry_lag_secs, None);
+        let missing = LogSummary { odometry: OdometrySource::Missing, ..summary() };
+        assert_eq!(DriveQuality::of(&poor, &missing).odometry, None);
+    }
+}

@@ -1,0 +1,350 @@
+//! `locsim inspect`: the contents of a log, the quality of its recording, and a split of it into a part for the map, one for
+//! training and one for the filter.
+
+mod picture;
+mod split;
+mod text;
+
+use std::path::Path;
+
+use locsim_core::{Drive, Pose2};
+use locsim_dataset::{
+    DatasetError, DriveQuality, LogContents, LogFormat, LogKind, LogOptions, LogSummary, MountSource,
+    OdometrySource, decimal, read_contents, read_log,
+};
+use serde::Serialize;
+
+pub use picture::picture;
+pub use split::{Part, Role, Split};
+
+use crate::LabError;
+
+/// Scans with reference poses that `locsim gap` needs at least.
+const LEAST_GAP_SCANS: usize = 40;
+
+/// What a log holds and what it is good for.
+#[derive(Debug, Serialize)]
+pub struct Inspection {
+    /// The log's file.
+    pub file: String,
+    /// Topics, scanners, transforms.
+    #[serde(flatten)]
+    pub contents: LogContents,
+    /// The drive; `None` where none can be read, not even without odometry.
+    pub drive: Option<DriveFacts>,
+    /// Why the log can't be read as a drive with odometry.
+    pub problem: Option<String>,
+    /// Topics and transforms that may hold reference poses, where none was found.
+    pub reference_candidates: Vec<String>,
+    /// What each command would lack.
+    pub lacks: Lacks,
+    /// Remarks on what may go wrong.
+    pub warnings: Vec<String>,
+    /// How to cut the log for `locsim run`; `None` where it is too short or has no reference.
+    pub split: Option<Split>,
+    /// The drive itself, for the picture.
+    #[serde(skip)]
+    pub recording: Option<Drive>,
+}
+
+/// A drive in numbers.
+#[derive(Clone, Debug, Serialize)]
+pub struct DriveFacts {
+    /// The topic or the keyword of the scans.
+    pub scan_source: String,
+    /// Number of scans.
+    pub scans: usize,
+    /// The laser.
+    pub laser: LaserFacts,
+    /// The kind of the poses.
+    pub kind: LogKind,
+    /// Where the odometry comes from.
+    pub odometry_source: OdometrySource,
+    /// How all this was recognised, in words.
+    pub evidence: String,
+    /// Median standard deviations of the reference \[m, m, rad\], where its messages have covariances.
+    pub reference_deviation: Option<[f64; 3]>,
+    /// Median time between reference poses \[s\], where they come apart from the scans.
+    pub reference_interval_secs: Option<f64>,
+    /// Number of scans whose reference pose is interpolated.
+    pub references_interpolated: usize,
+    /// Estimates from the drive.
+    #[serde(flatten)]
+    pub quality: DriveQuality,
+}
+
+/// The description of a laser.
+#[derive(Clone, Debug, Serialize)]
+pub struct LaserFacts {
+    /// Number of beams.
+    pub beams: usize,
+    /// Bearing of the first beam \[rad\].
+    pub first_rad: f64,
+    /// Mean step from one beam to the next \[rad\], counter-clockwise positive; 0 of a single beam.
+    pub step_rad: f64,
+    /// Minimum range \[m\].
+    pub min_range_m: f64,
+    /// Maximum range \[m\].
+    pub max_range_m: f64,
+    /// From the first beam to the last \[s\].
+    pub sweep_secs: f64,
+    /// Where it sits on the robot.
+    pub mount: Pose2,
+    /// How that is known.
+    pub mount_source: MountSource,
+}
+
+/// What the log lacks for each command, in words; nothing where a command can work on it.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Lacks {
+    /// For `locsim run`.
+    pub run: Vec<String>,
+    /// For `locsim map`.
+    pub map: Vec<String>,
+    /// For `locsim gap`.
+    pub gap: Vec<String>,
+}
+
+impl Inspection {
+    /// Reads a log and looks at all that it has.
+    ///
+    /// # Errors
+    /// [`LabError::Dataset`] for a file that is no log, is damaged, or costs more than the limits allow. A log that lacks
+    /// something is no error.
+    pub fn of(log: &Path, options: &LogOptions) -> Result<Self, LabError> {
+        let contents = read_contents(log)?;
+        let (options, chosen) = with_scanner(options, &contents);
+        let (read, problem) = match read_log(log, &options) {
+            Ok(read) => (Some(read), None),
+            Err(error) => {
+                let alone = LogOptions { without_odometry: true, ..options.clone() };
+                let path = format!("{}: ", log.display());
+                let reason = error.to_string();
+                let reason = reason.strip_prefix(&path).unwrap_or(&reason).to_owned();
+                (scans_alone(&error).then(|| read_log(log, &alone).ok()).flatten(), Some(reason))
+            }
+        };
+        let facts = read.as_ref().map(|(drive, summary)| DriveFacts::of(drive, summary));
+        let recording = read.map(|(drive, _)| drive);
+        let split = recording.as_ref().and_then(Split::propose);
+        let references = facts.as_ref().map_or(0, DriveFacts::references);
+        let reference_candidates = if references == 0 { reference_candidates(&contents) } else { Vec::new() };
+        let mut warnings = facts.as_ref().map(|facts| warnings(facts, split.as_ref())).unwrap_or_default();
+        warnings.extend(chosen);
+        Ok(Self {
+            file: log.display().to_string(),
+            lacks: lacks(facts.as_ref()),
+            warnings,
+            reference_candidates,
+            contents,
+            drive: facts,
+            problem,
+            split,
+            recording,
+        })
+    }
+}
+
+/// Options that name a scanner: the one with the most scans, where several are there, none is called `/scan` and none is named.
+fn with_scanner(options: &LogOptions, contents: &LogContents) -> (LogOptions, Option<String>) {
+    let scanners = &contents.scanners;
+    let is_clear = options.topics.scan.is_some()
+        || contents.format != LogFormat::Bag
+        || scanners.len() < 2
+        || scanners.iter().any(|scanner| scanner.source == "/scan");
+    let Some(most) = scanners.iter().max_by_key(|scanner| scanner.scans).filter(|_| !is_clear) else {
+        return (options.clone(), None);
+    };
+    let mut options = options.clone();
+    options.topics.scan = Some(most.source.clone());
+    let told =
+        format!("Several scanners, none called /scan: {} is read; --scan-topic names another.", most.source);
+    (options, Some(told))
+}
+
+/// Topics of poses, and transforms from a frame that REP-105 doesn't give to odometry.
+fn reference_candidates(contents: &LogContents) -> Vec<String> {
+    const TYPES: [&str; 3] = ["PoseStamped", "PoseWithCovarianceStamped", "TransformStamped"];
+    let topics = contents
+        .topics
+        .iter()
+        .filter(|topic| TYPES.iter().any(|name| topic.kind == format!("geometry_msgs/msg/{name}")));
+    let transforms = contents.transforms.iter().filter(|pair| {
+        let parent = pair.frames.split(':').next().unwrap_or_default();
+        !pair.is_static && ["map", "world", "earth", "mocap"].contains(&parent)
+    });
+    topics.map(|topic| topic.name.clone()).chain(transforms.map(|pair| pair.frames.clone())).collect()
+}
+
+/// Whether a log with this error may be readable without its odometry.
+fn scans_alone(error: &DatasetError) -> bool {
+    matches!(
+        error,
+        DatasetError::Topic { .. } | DatasetError::Message { .. } | DatasetError::NoOdometry { .. }
+    )
+}
+
+impl DriveFacts {
+    fn of(drive: &Drive, summary: &LogSummary) -> Self {
+        let laser = &drive.laser;
+        let bearings = laser.bearings();
+        let (first, last) = (f64::from(bearings[0]), f64::from(bearings[bearings.len() - 1]));
+        let times = laser.beam_times_secs();
+        Self {
+            scan_source: summary.scan_source.clone(),
+            scans: drive.steps.len(),
+            laser: LaserFacts {
+                beams: bearings.len(),
+                first_rad: first,
+                step_rad: (last - first) / (bearings.len() - 1).max(1) as f64,
+                min_range_m: decimal(laser.min_range()),
+                max_range_m: decimal(laser.max_range()),
+                sweep_secs: f64::from(times[times.len() - 1]) - f64::from(times[0]),
+                mount: laser.base_from_laser(),
+                mount_source: summary.mount,
+            },
+            kind: summary.kind,
+            odometry_source: summary.odometry,
+            evidence: summary.evidence.clone(),
+            reference_deviation: summary.reference_deviation,
+            reference_interval_secs: summary.reference_interval_secs,
+            references_interpolated: summary.references_interpolated,
+            quality: DriveQuality::of(drive, summary),
+        }
+    }
+
+    /// Number of scans with a reference pose.
+    pub fn references(&self) -> usize {
+        self.quality.reference.as_ref().map_or(0, |reference| reference.scans)
+    }
+}
+
+fn lacks(facts: Option<&DriveFacts>) -> Lacks {
+    let Some(facts) = facts else {
+        let nothing = vec!["scans that can be read".to_owned()];
+        return Lacks { run: nothing.clone(), map: nothing.clone(), gap: nothing };
+    };
+    let mut lacks = Lacks::default();
+    let references = facts.references();
+    if facts.odometry_source == OdometrySource::Missing {
+        for lack in [&mut lacks.run, &mut lacks.map, &mut lacks.gap] {
+            lack.push(
+                "odometry: a topic of nav_msgs/msg/Odometry, or the transform odom:base_link".to_owned(),
+            );
+        }
+    }
+    if references == 0 {
+        lacks.map.push("a reference: the pose from which each scan was taken".to_owned());
+        lacks.gap.push("a reference: simulated scans are taken from its poses".to_owned());
+    } else if references < LEAST_GAP_SCANS {
+        lacks.gap.push(format!(
+            "scans with a reference pose: {references} of the {LEAST_GAP_SCANS} that it needs at least"
+        ));
+    }
+    if facts.scans < 2 {
+        lacks.run.push("scans: it has one".to_owned());
+    }
+    lacks
+}
+
+/// Shares of a drive, lags and errors beyond which a remark is worth reading.
+const NOTABLE: Notable =
+    Notable { lag_secs: 0.05, position_per_m: 0.1, references: 0.95, unusable: 0.2, lag_intervals: 0.5 };
+
+struct Notable {
+    /// Half a period of odometry at 10 Hz.
+    lag_secs: f64,
+    /// Wheel odometry is off by some per cent; by a tenth, something is wrong with it or with the reference.
+    position_per_m: f64,
+    references: f64,
+    unusable: f64,
+    /// Share of the time between scans: a lag below is within their interpolation.
+    lag_intervals: f64,
+}
+
+fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let mut warn = |is_so: bool, text: String| {
+        if is_so {
+            warnings.push(text);
+        }
+    };
+    let DriveQuality { readings, odometry, reference, clock } = &facts.quality;
+    warn(
+        facts.laser.mount_source == MountSource::Unknown,
+        "The laser's mount is unknown; it is taken to be the robot's origin. A wrong mount shows as an error that turns \
+         with the robot."
+            .to_owned(),
+    );
+    warn(
+        facts.kind == LogKind::Localized,
+        "The reference is a localizer's estimate from the same scans: errors against it are differences between two \
+         localizers."
+            .to_owned(),
+    );
+    if let Some(reference) = reference {
+        let share = reference.scans as f64 / facts.scans as f64;
+        let gap = reference.longest_gap_secs;
+        warn(
+            share < NOTABLE.references,
+            format!(
+                "{:.0} % of the scans have no reference pose; the longest gap is {gap:.1} s.",
+                100.0 * (1.0 - share)
+            ),
+        );
+        warn(
+            reference.jumps > 0,
+            format!("The reference jumps {} times against the odometry.", reference.jumps),
+        );
+    }
+    if let Some(odometry) = odometry {
+        let jumps = odometry.jumps.unwrap_or(0);
+        warn(jumps > 0, format!("The odometry jumps {jumps} times."));
+        if let Some(error) = &odometry.error {
+            warn(
+                error.position_per_m == 0.0,
+                "Odometry and reference are the same poses: a filter has nothing to correct.".to_owned(),
+            );
+            warn(
+                error.position_per_m > NOTABLE.position_per_m,
+                format!("The odometry is off by {:.0} cm per metre driven.", 100.0 * error.position_per_m),
+            );
+        }
+    }
+    let lag = clock.odometry_lag_secs.unwrap_or(0.0);
+    let least = NOTABLE.lag_secs.max(NOTABLE.lag_intervals * clock.interval_secs.unwrap_or(0.0));
+    warn(
+        lag.abs() >= least,
+        format!(
+            "The odometry {} the scans by {:.0} ms: their stamps are of different clocks, or late.",
+            if lag > 0.0 { "lags behind" } else { "is ahead of" },
+            1e3 * lag.abs()
+        ),
+    );
+    warn(
+        2 * clock.repeated > facts.scans,
+        format!(
+            "{} scans have the stamp of the scan before: speeds, gaps and lags can't be told.",
+            clock.repeated
+        ),
+    );
+    warn(
+        clock.gaps > 0,
+        format!("Gaps between scans: {}, the longest of {:.1} s.", clock.gaps, clock.longest_gap_secs),
+    );
+    warn(
+        readings.unusable_share > NOTABLE.unusable,
+        format!("{:.0} % of the readings are unusable.", 100.0 * readings.unusable_share),
+    );
+    if let Some(split) = split {
+        warn(
+            split.least_localized < split::COVERED,
+            format!(
+                "In the worst part of the drive to be localized only {:.0} % of the readings end where the map knows \
+                 something: a filter may get lost there. Drive through each place twice.",
+                100.0 * split.least_localized
+            ),
+        );
+    }
+    warnings
+}

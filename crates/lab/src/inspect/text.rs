@@ -1,0 +1,311 @@
+use std::fmt::{self, Write as _};
+
+use locsim_core::Pose2;
+use locsim_dataset::{DriveQuality, LogFormat, OdometrySource, Scanner};
+use locsim_report::TextTable;
+
+use super::{DriveFacts, Inspection, Part, Role, Split};
+
+/// Topics and pairs of frames that are listed, at the most.
+const LISTED: usize = 40;
+
+impl fmt::Display for Inspection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let format = match self.contents.format {
+            LogFormat::Bag => "ROS 2 bag",
+            LogFormat::Carmen => "CARMEN log",
+        };
+        writeln!(f, "{}: {format}", self.file)?;
+        self.topics(f)?;
+        section(f, "Scanners", &self.scanners())?;
+        if let Some(problem) = &self.problem {
+            section(f, "Not readable as a drive", &[("reason", problem.clone())])?;
+        }
+        if let Some(drive) = &self.drive {
+            drive.sections(f)?;
+            if !self.reference_candidates.is_empty() {
+                writeln!(f, "  --reference-topic may name {}", self.reference_candidates.join(" or "))?;
+            }
+        }
+        let lack = |lacks: &[String]| {
+            if lacks.is_empty() { "ready".to_owned() } else { format!("needs {}", lacks.join("; ")) }
+        };
+        let lacks = &self.lacks;
+        section(
+            f,
+            "Commands",
+            &[("map", lack(&lacks.map)), ("run", self.run(lack(&lacks.run))), ("gap", lack(&lacks.gap))],
+        )?;
+        if let Some(split) = &self.split {
+            writeln!(f, "\nProposed split")?;
+            write!(f, "{}", indented(&split.table().to_terminal()))?;
+            writeln!(f, "\n{}", indented(&split.yaml()))?;
+        }
+        if !self.warnings.is_empty() {
+            writeln!(f, "\nWarnings")?;
+            for warning in &self.warnings {
+                writeln!(f, "  - {warning}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Inspection {
+    fn topics(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let contents = &self.contents;
+        let rows = contents.topics.iter().take(LISTED).map(|topic| {
+            [
+                topic.name.clone(),
+                topic.kind.clone(),
+                topic.messages.to_string(),
+                number(topic.rate_hz, 1),
+                number(topic.longest_gap_secs, 2),
+            ]
+        });
+        let header = ["topic", "type", "messages", "rate [Hz]", "longest gap [s]"];
+        write!(f, "\n{}", indented(&TextTable::new(header, rows).to_terminal()))?;
+        more(f, contents.topics.len())?;
+        if !contents.transforms.is_empty() {
+            let rows = contents.transforms.iter().take(LISTED).map(|pair| {
+                let source = if pair.is_static { "static" } else { "/tf" };
+                [pair.frames.clone(), source.to_owned(), pair.messages.to_string(), number(pair.rate_hz, 1)]
+            });
+            let header = ["transform", "source", "messages", "rate [Hz]"];
+            write!(f, "\n{}", indented(&TextTable::new(header, rows).to_terminal()))?;
+            more(f, contents.transforms.len())?;
+        }
+        Ok(())
+    }
+
+    fn scanners(&self) -> Vec<(&str, String)> {
+        let line = |scanner: &Scanner| {
+            let beams = scanner.beams.as_ref().map_or_else(String::new, |beams| {
+                let row = beams_in_words(beams.count, beams.first_rad, beams.step_rad);
+                format!("; {row}; {} to {} m; frame {}", beams.min_range_m, beams.max_range_m, beams.frame)
+            });
+            let read = self.drive.as_ref().is_some_and(|drive| drive.scan_source == scanner.source);
+            format!("{} scans{}{beams}", scanner.scans, if read { ", read here" } else { "" })
+        };
+        self.contents.scanners.iter().map(|scanner| (scanner.source.as_str(), line(scanner))).collect()
+    }
+
+    /// The state of `locsim run`, which works without a reference on a map.
+    fn run(&self, lack: String) -> String {
+        let references = self.drive.as_ref().map_or(0, DriveFacts::references);
+        if self.lacks.run.is_empty() && references == 0 {
+            "ready with a map (`map:`), but without a reference it can't tell errors".to_owned()
+        } else {
+            lack
+        }
+    }
+}
+
+impl DriveFacts {
+    fn sections(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let DriveQuality { readings, odometry, reference, clock } = &self.quality;
+        let laser = &self.laser;
+        let mut rows = vec![
+            ("beams", beams_in_words(laser.beams, laser.first_rad, laser.step_rad)),
+            ("range", format!("{} to {} m", laser.min_range_m, laser.max_range_m)),
+            (
+                "readings",
+                format!(
+                    "{:.1} % without return, {:.1} % unusable, longest return {} m",
+                    100.0 * readings.no_return_share,
+                    100.0 * readings.unusable_share,
+                    number(readings.longest_return_m, 2)
+                ),
+            ),
+            (
+                "resolution",
+                readings
+                    .resolution_m
+                    .map_or("not quantized".to_owned(), |step| format!("{:.2} mm", 1e3 * step)),
+            ),
+            ("noise", noise(self)),
+            ("mount", format!("{}, {}", pose(&laser.mount), laser.mount_source)),
+        ];
+        if laser.sweep_secs > 0.0 {
+            rows.push(("sweep", format!("{:.1} ms from the first beam to the last", 1e3 * laser.sweep_secs)));
+        }
+        section(f, "Laser", &rows)?;
+
+        let mut rows = vec![("found", self.evidence.clone())];
+        if let Some(odometry) = odometry {
+            rows.push((
+                "odometry",
+                format!(
+                    "{:.1} m driven, {:.0} deg turned{}",
+                    odometry.driven_m,
+                    odometry.turned_rad.to_degrees(),
+                    odometry.jumps.map_or_else(String::new, |jumps| format!(", {jumps} jumps"))
+                ),
+            ));
+            rows.push(("its error", odometry_error(odometry)));
+        } else {
+            rows.push(("odometry", "none".to_owned()));
+        }
+        rows.push(("reference", self.reference(reference.as_ref())));
+        section(f, "Poses", &rows)?;
+
+        let mut rows = vec![(
+            "scans",
+            format!(
+                "{} in {:.1} s, every {} s; {} gaps, the longest {:.2} s",
+                self.scans,
+                clock.duration_secs,
+                number(clock.interval_secs, 3),
+                clock.gaps,
+                clock.longest_gap_secs
+            ),
+        )];
+        rows.push((
+            "stamps",
+            format!(
+                "from {:.3} s; {} repaired, {} repeated, {} scans left out beside the odometry",
+                clock.first_secs, clock.repaired, clock.repeated, clock.dropped
+            ),
+        ));
+        let lag = clock.odometry_lag_secs.map_or("can't be told from this drive".to_owned(), |lag| {
+            format!("odometry {:+.0} ms behind the scans", 1e3 * lag)
+        });
+        rows.push(("lag", lag));
+        section(f, "Clocks", &rows)
+    }
+
+    fn reference(&self, reference: Option<&locsim_dataset::ReferenceQuality>) -> String {
+        let Some(reference) = reference else { return "none".to_owned() };
+        let mut text = format!("{} of {} scans", reference.scans, self.scans);
+        let mut add = |part: String| {
+            _ = write!(text, ", {part}");
+        };
+        if let Some(secs) = self.reference_interval_secs.filter(|secs| *secs > 0.0) {
+            add(format!("a pose every {secs:.3} s"));
+        }
+        let recorded = self.reference_interval_secs.is_some();
+        if self.references_interpolated > 0 {
+            add(format!("{} of them interpolated", self.references_interpolated));
+        } else if recorded {
+            add("none of them interpolated".to_owned());
+        }
+        if reference.longest_gap_secs > 0.0 {
+            add(format!("longest gap {:.1} s", reference.longest_gap_secs));
+        }
+        add(format!("{} jumps", reference.jumps));
+        if let Some([x, y, theta]) = self.reference_deviation {
+            add(format!("sigma {x:.3} m, {y:.3} m, {:.2} deg by its covariance", theta.to_degrees()));
+        }
+        text
+    }
+}
+
+fn noise(facts: &DriveFacts) -> String {
+    let readings = &facts.quality.readings;
+    let still = match (facts.odometry_source, readings.still_noise_m) {
+        (OdometrySource::Missing, _) => "no odometry tells when the robot stands still".to_owned(),
+        (_, None) => "the robot never stands still for long enough".to_owned(),
+        (_, Some(sigma)) => {
+            format!("sigma {:.1} mm from {} scans standing still", 1e3 * sigma, readings.still_scans)
+        }
+    };
+    let flat = readings.flat_noise_m.map_or_else(String::new, |sigma| {
+        format!("; at most {:.1} mm by neighbouring beams on flat walls", 1e3 * sigma)
+    });
+    format!("{still}{flat}")
+}
+
+fn odometry_error(odometry: &locsim_dataset::OdometryQuality) -> String {
+    let Some(error) = &odometry.error else {
+        return "no reference to compare it with over a few metres".to_owned();
+    };
+    let mut text = format!(
+        "distance x {:.3}, position {:.1} cm per metre",
+        error.distance_ratio,
+        100.0 * error.position_per_m
+    );
+    if let Some(per_m) = error.heading_per_m {
+        _ = write!(text, ", heading {:.2} deg per metre straight on", per_m.to_degrees());
+    }
+    if let Some(per_rad) = error.heading_per_rad {
+        _ = write!(text, ", {:.1} % of each turn", 100.0 * per_rad);
+    }
+    format!("{text} (over {} windows of about a metre)", error.windows)
+}
+
+/// `180 beams, the first at -90.00 deg, every +1.00 deg (counter-clockwise)`.
+fn beams_in_words(count: usize, first_rad: f64, step_rad: f64) -> String {
+    let direction = if step_rad < 0.0 { "clockwise" } else { "counter-clockwise" };
+    let [first, step] = [first_rad, step_rad].map(f64::to_degrees);
+    format!("{count} beams, the first at {first:.2} deg, every {step:+.3} deg ({direction})")
+}
+
+fn pose(pose: &Pose2) -> String {
+    format!("x {:.3} m, y {:.3} m, yaw {:.2} deg", pose.x, pose.y, pose.theta.to_degrees())
+}
+
+fn number(value: Option<f64>, decimals: usize) -> String {
+    value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
+}
+
+fn section<N: AsRef<str>>(f: &mut fmt::Formatter<'_>, title: &str, rows: &[(N, String)]) -> fmt::Result {
+    writeln!(f, "\n{title}")?;
+    let width = rows.iter().map(|(name, _)| name.as_ref().chars().count()).max().unwrap_or_default();
+    if rows.is_empty() {
+        writeln!(f, "  none")?;
+    }
+    for (name, text) in rows {
+        writeln!(f, "  {:width$}  {text}", name.as_ref())?;
+    }
+    Ok(())
+}
+
+fn more(f: &mut fmt::Formatter<'_>, count: usize) -> fmt::Result {
+    if count > LISTED { writeln!(f, "  and {} more", count - LISTED) } else { Ok(()) }
+}
+
+fn indented(text: &str) -> String {
+    text.lines().fold(String::new(), |mut all, line| {
+        _ = writeln!(all, "  {line}");
+        all
+    })
+}
+
+impl Split {
+    /// The parts of the drive, with what each is for and how much of it the map knows.
+    pub fn table(&self) -> TextTable {
+        let row = |part: &Part| {
+            let [from, to] = part.scans;
+            [
+                format!("{from:.2} to {to:.2}"),
+                format!("{:.0}", 100.0 * part.covered_by_others),
+                format!("{:.0}", 100.0 * part.covered_by_map),
+                match part.role {
+                    Role::Map => "map",
+                    Role::Train => "training",
+                    Role::Localize => "localization",
+                    Role::MapAndTrain => "map and training",
+                }
+                .to_owned(),
+            ]
+        };
+        TextTable::new(
+            ["share of the scans", "known to the others [%]", "known to the map [%]", "proposed for"],
+            self.parts.iter().map(row),
+        )
+    }
+
+    /// The keys of a scenario's `log` section.
+    pub fn yaml(&self) -> String {
+        let list = |shares: &[[f64; 2]]| {
+            let shares: Vec<String> = shares.iter().map(|[from, to]| format!("[{from}, {to}]")).collect();
+            format!("[{}]", shares.join(", "))
+        };
+        format!(
+            "log:\n  map_scans: {}\n  train_scans: {}\n  localize_scans: {}\n",
+            list(&self.map_scans),
+            list(&self.train_scans),
+            list(&[self.localize_scans])
+        )
+    }
+}

@@ -1,0 +1,162 @@
+//! The road from a recording to a report: `inspect` says what a log holds.
+
+mod common;
+
+use std::path::Path;
+
+use common::{Folder, SCENARIO, edited, output};
+use predicates::prelude::*;
+use predicates::str::contains;
+use serde_json::Value;
+
+/// A bag that the Python package rosbags wrote: no odometry topic, five scans, `/tf` and `/amcl_pose`.
+fn bag() -> String {
+    let path = "../dataset/tests/data/rosbags";
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path).canonicalize().unwrap().display().to_string()
+}
+
+/// A folder with a drive through the corridor of the room, three times there and back.
+fn folder_with_a_drive(name: &str) -> Folder {
+    let folder = Folder::new();
+    let path = "[[0.6, 0.9], [2.6, 0.9]]";
+    let rounds = "[[0.6, 0.9], [2.6, 0.9], [2.6, 0.6], [0.6, 0.6], [0.6, 1.2], [2.4, 1.0], [0.6, 0.9], [2.6, 0.8], [0.7, 0.7]]";
+    let text = edited(SCENARIO, path, rounds);
+    folder.write("drive.yaml", edited(&text, "beams: 12", "beams: 60"));
+    folder.locsim(&format!("simulate drive.yaml --out {name} --seed 5")).success();
+    folder
+}
+
+fn inspected(folder: &Folder, log: &str) -> Value {
+    serde_json::from_str(&output(&folder.locsim(&format!("inspect {log} --json")).success())).unwrap()
+}
+
+fn names(list: &Value, key: &str) -> Vec<String> {
+    list.as_array().unwrap().iter().map(|entry| entry[key].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn a_bag_of_another_program_is_described() {
+    let folder = Folder::new();
+    let found = inspected(&folder, &bag());
+    assert_eq!(found["format"], "bag");
+    assert!(names(&found["topics"], "name").contains(&"/amcl_pose".to_owned()), "{}", found["topics"]);
+    let pairs = names(&found["transforms"], "frames");
+    assert!(pairs.contains(&"odom:base_footprint".to_owned()), "{pairs:?}");
+    let scanner = &found["scanners"][0];
+    assert_eq!((&scanner["source"], &scanner["beams"]["count"]), (&"/scan".into(), &36.into()));
+    let drive = &found["drive"];
+    assert_eq!(drive["odometry_source"], "transforms");
+    assert_eq!(drive["laser"]["mount_source"], "static_transforms");
+    assert!((drive["laser"]["first_rad"].as_f64().unwrap() + std::f64::consts::PI).abs() < 1e-6);
+    assert!((drive["clock"]["interval_secs"].as_f64().unwrap() - 0.1).abs() < 1e-6);
+    assert!(found["lacks"]["gap"][0].as_str().unwrap().contains("5 of the 40"), "{}", found["lacks"]);
+    assert_eq!(found["split"], Value::Null, "five scans aren't cut");
+
+    let text = output(&folder.locsim(&format!("inspect {}", bag())).success());
+    for part in
+        ["map:odom", "36 beams, the first at -180.00 deg", "from /tf_static", "every 0.100 s", "Warnings"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+}
+
+#[test]
+fn logs_of_every_format_are_inspected_and_drawn() {
+    for name in ["drive.log.gz", "drive.mcap"] {
+        let folder = folder_with_a_drive(name);
+        let found = inspected(&folder, name);
+        let drive = &found["drive"];
+        assert!(
+            (drive["readings"]["flat_noise_m"].as_f64().unwrap() - 0.02).abs() < 0.01,
+            "{}",
+            drive["readings"]
+        );
+        assert_eq!(found["lacks"]["run"], Value::Array(Vec::new()));
+        assert_eq!(drive["reference"]["scans"], drive["scans"]);
+        // The room is small: the map knows every place.
+        assert!(found["split"]["least_localized"].as_f64().unwrap() > 0.8, "{}", found["split"]);
+        let text = output(&folder.locsim(&format!("inspect {name} --picture drive.svg")).success());
+        assert!(text.contains("map_scans: [[") && text.contains("localize_scans: [["), "{text}");
+        assert!(folder.read("drive.svg").starts_with(b"<svg"));
+        folder.locsim(&format!("inspect {name} --picture drive.png")).success();
+        assert!(folder.read("drive.png").starts_with(b"\x89PNG"));
+        // Nothing is overwritten without being asked to.
+        folder.locsim(&format!("inspect {name} --picture drive.svg")).code(2).stderr(contains("--force"));
+        folder
+            .locsim(&format!("inspect {name} --picture drive.pdf"))
+            .code(2)
+            .stderr(contains(".svg or .png"));
+    }
+}
+
+/// The proposed split is a scenario's: it runs, and no filter gets lost.
+#[test]
+fn the_proposed_split_runs() {
+    let folder = folder_with_a_drive("drive.log");
+    let text = output(&folder.locsim("inspect drive.log").success());
+    let keys: Vec<&str> = text.lines().filter(|line| line.contains("_scans: [[")).map(str::trim).collect();
+    let log = format!("log:\n  file: drive.log\n  {}\n", keys.join("\n  "));
+    let rest = "seed: 1\nmodels: [likelihood_field]\nfilter:\n  particles: 300\n  motion: {model: odometry, alpha: [0.1, \
+                0.05, 0.1, 0.05]}\n  start: {tracking: {sigma_m: 0.1, sigma_deg: 3}}\n";
+    folder.write("split.yaml", format!("{log}{rest}"));
+    let run = folder.locsim("run split.yaml --json --record none").success();
+    let summary: Value = serde_json::from_str(&output(&run)).unwrap();
+    assert_eq!(summary["models"]["likelihood_field"]["lost_share"], 0.0);
+}
+
+#[test]
+fn a_log_that_lacks_something_is_inspected_all_the_same() {
+    let folder = folder_with_a_drive("drive.log");
+    let text = String::from_utf8(folder.read("drive.log")).unwrap();
+    let lines = |keep: &dyn Fn(&str) -> bool| -> String {
+        text.split_inclusive('\n').filter(|line| keep(line)).collect()
+    };
+    // Without a reference.
+    folder.write("raw.log", lines(&|line| !line.starts_with("TRUEPOS")));
+    let found = inspected(&folder, "raw.log");
+    assert_eq!(found["drive"]["reference"], Value::Null);
+    assert_eq!(found["split"], Value::Null);
+    assert!(found["lacks"]["map"][0].as_str().unwrap().contains("a reference"), "{}", found["lacks"]);
+    folder.locsim("inspect raw.log --picture raw.svg").success().stdout(contains("can't tell errors"));
+
+    // A single scan.
+    let first =
+        text.lines().position(|line| line.starts_with("FLASER") || line.starts_with("ROBOTLASER")).unwrap();
+    let one: String = text.split_inclusive('\n').take(first + 1).collect();
+    folder.write("one.log", one);
+    folder.locsim("inspect one.log --picture one.svg").success().stdout(contains("1 in 0.0 s"));
+
+    // No scan at all: the contents are listed, and the reason is told.
+    folder.write("none.log", lines(&|line| line.starts_with("ODOM")));
+    folder
+        .locsim("inspect none.log")
+        .success()
+        .stdout(contains("no scan in this log").and(contains("needs scans that can be read")));
+    folder.locsim("inspect none.log --picture none.svg").code(2).stderr(contains("no drive to draw"));
+
+    // Odometry that isn't there.
+    let found: Value = serde_json::from_str(&output(
+        &folder.locsim(&format!("inspect {} --odometry-topic /odom --json", bag())).success(),
+    ))
+    .unwrap();
+    assert!(found["problem"].as_str().unwrap().contains("odometry topic `/odom` isn't there"), "{found}");
+    assert_eq!(
+        (&found["drive"]["odometry_source"], &found["drive"]["scans"]),
+        (&"missing".into(), &5.into())
+    );
+
+    // What is no log stays an error.
+    folder.write("image.log", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR");
+    folder.locsim("inspect image.log").code(2);
+    folder.locsim("inspect nothing.log").code(2);
+}
+
+/// Written bags have stamps that programs of ROS take for times.
+#[test]
+fn a_simulated_bag_has_a_date() {
+    let folder = folder_with_a_drive("drive.mcap");
+    let found = inspected(&folder, "drive.mcap");
+    assert_eq!(found["drive"]["clock"]["first_secs"], 1_704_067_200.0);
+    let found = inspected(&folder_with_a_drive("drive.log"), "drive.log");
+    assert_eq!(found["drive"]["clock"]["first_secs"], 0.0);
+}
