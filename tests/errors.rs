@@ -293,7 +293,7 @@ fn logs() {
     let whole = folder.read("drive.log");
     folder.write("drive.log", &whole[..whole.len() - 150]);
     folder.locsim("run s.yaml --quiet --record none --out cut").success();
-    let report = String::from_utf8(folder.read("cut/a-log/report.html")).unwrap();
+    let report = String::from_utf8(folder.read("cut/report.html")).unwrap();
     assert!(report.contains("(cut off) 1"), "{report}");
     folder.write("drive.log", &whole[whole.len() - 150..whole.len() - 1]);
     refused(&folder, "run s.yaml", "drive.log:1: (no keyword)");

@@ -36,6 +36,13 @@ pub trait DistanceMap: Send + Sync {
     /// Distance \[m\] from a point of the map frame to the nearest surface, 0 on it, saturating at a bound of the
     /// map's choice; that bound outside the map.
     fn distance(&self, x: f64, y: f64) -> f32;
+
+    /// Whether a surface is no wall but the border of what is known: a ray that meets it has no nominal range. `false` of
+    /// maps that know everything.
+    fn is_unknown(&self, surface: u32) -> bool {
+        let _ = surface;
+        false
+    }
 }
 
 /// A simulated world's knowledge of its own unmapped objects. Only the oracle may use it: it bounds the quality of any

@@ -1,11 +1,8 @@
 //! The contents of a log before anything is concluded from them.
 
-use std::path::Path;
-
-use locsim_core::limits::Limits;
 use serde::Serialize;
 
-use crate::{DatasetError, LogFormat, carmen, ros};
+use crate::LogFormat;
 
 /// The contents of a log: its topics, its scanners and its transforms.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -75,20 +72,6 @@ pub struct TransformPair {
     pub messages: usize,
     /// Transforms per second, by their stamps; `None` of a single one.
     pub rate_hz: Option<f64>,
-}
-
-impl LogContents {
-    /// Lists the contents of a log of any format.
-    ///
-    /// # Errors
-    /// The file can't be read, is no log, is damaged or costs more than the limits allow.
-    pub fn read(path: &Path) -> Result<Self, DatasetError> {
-        let limits = Limits::current();
-        match LogFormat::of_content(path)? {
-            LogFormat::Bag => ros::contents(path, limits),
-            LogFormat::Carmen => carmen::contents(path, limits),
-        }
-    }
 }
 
 /// The number that a message says, without the digits that f32 adds.

@@ -29,7 +29,9 @@ mod test_drives;
 pub use carmen::{CarmenLaser, CarmenOptions, read_carmen, write_carmen};
 pub use contents::{LogContents, Scanner, ScannerBeams, Topic, TransformPair, decimal};
 pub use error::DatasetError;
-pub use log::{LogFormat, LogOptions, encode_log, log_files, read_log, write_log, write_simulated_log};
+pub use log::{
+    LogFormat, LogOptions, encode_log, log_files, read_contents, read_log, write_log, write_simulated_log,
+};
 pub use quality::{
     ClockQuality, DriveQuality, OdometryError, OdometryQuality, ReadingQuality, ReferenceQuality,
 };

@@ -9,7 +9,7 @@ use crate::carmen::{self, encode_carmen};
 use crate::output::write_whole;
 use crate::ros::{self, encode_mcap};
 use crate::source::{Content, Source};
-use crate::{BagOptions, BagTopics, CarmenOptions, DatasetError, LogSummary};
+use crate::{BagOptions, BagTopics, CarmenOptions, DatasetError, LogContents, LogSummary};
 
 /// The formats of measured logs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -78,6 +78,18 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
         LogFormat::Carmen => {
             carmen::read(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }, limits)
         }
+    }
+}
+
+/// Lists the contents of a log of any format.
+///
+/// # Errors
+/// The file can't be read, is no log, is damaged or costs more than the limits allow.
+pub fn read_contents(path: &Path) -> Result<LogContents, DatasetError> {
+    let limits = Limits::current();
+    match LogFormat::of_content(path)? {
+        LogFormat::Bag => ros::contents(path, limits),
+        LogFormat::Carmen => carmen::contents(path, limits),
     }
 }
 

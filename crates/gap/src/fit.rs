@@ -30,6 +30,8 @@ pub(crate) struct Candidate {
     pub effect: Effect,
     /// Gain over the hypothesis without it on each fold, with parameters fitted to the other folds (nats).
     pub gains: Vec<f64>,
+    /// The same, however much of it counts; see [`Candidate::limit`].
+    pub fitted_gains: Vec<f64>,
     /// 95 % interval of each parameter.
     pub intervals: Vec<[f64; 2]>,
     /// Whether the effect's own statistics are significant at the search's false-alarm rate.
@@ -214,7 +216,15 @@ impl Search<'_, '_> {
         let gains: Vec<f64> = folds(&fitted.scans).iter().zip(&without).map(|(a, b)| a - b).collect();
         if effect.kind.is_stepped() {
             let intervals = vec![[effect.values[0]; 2]];
-            return Ok(Candidate { effect, gains, intervals, is_beyond_chance: false, score: None });
+            let fitted_gains = gains.clone();
+            return Ok(Candidate {
+                effect,
+                gains,
+                fitted_gains,
+                intervals,
+                is_beyond_chance: false,
+                score: None,
+            });
         }
         let slopes = Slopes::new(self, &effect, fitted.total())?;
         let gradient = slopes.gradient();
@@ -223,13 +233,21 @@ impl Search<'_, '_> {
             let of_fold: Vec<f64> = gradient.iter().map(|of_folds| of_folds[fold]).collect();
             quadratic(&inverse, &of_fold)
         };
-        let held_out = gains
+        let held_out: Vec<f64> = gains
             .iter()
             .enumerate()
             .map(|(fold, gain)| gain - left_out(fold).min(gain + MOST_LOST_NATS).max(0.0))
             .collect();
         let intervals = intervals(&effect, &inverse, &gradient);
-        Ok(Candidate { effect, gains: held_out, intervals, is_beyond_chance: false, score: None })
+        let fitted_gains = held_out.clone();
+        Ok(Candidate {
+            effect,
+            gains: held_out,
+            fitted_gains,
+            intervals,
+            is_beyond_chance: false,
+            score: None,
+        })
     }
 }
 

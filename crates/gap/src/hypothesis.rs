@@ -236,7 +236,7 @@ impl<'a> Comparison<'a> {
         fitted: &Fitted,
         mut visit: impl FnMut(usize, usize, &Density<'_>, f64, f64, Terms),
     ) {
-        let density = Density { laser: &self.nominal.laser, effects, blocks: fitted.nuisances.block_density };
+        let density = Density::new(&self.nominal.laser, effects, fitted.nuisances.block_density);
         let max = self.nominal.laser.max_range_m;
         for scan in 0..views.scans() {
             let correction = fitted.corrections[scan];

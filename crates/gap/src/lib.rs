@@ -11,6 +11,7 @@ mod error;
 mod fit;
 #[cfg(test)]
 mod fixtures;
+mod free_model;
 pub mod hidden;
 mod hypothesis;
 mod likelihood;
@@ -36,8 +37,8 @@ pub use hypothesis::Nuisances;
 pub use nominal::Nominal;
 pub use odometry::OdometryError;
 pub use outcome::{
-    BeamPit, Detectable, Detection, Direction, Distance, Estimate, Evidence, FilterError, FilterGap, Gap,
-    Named, Number, Outcome, PitHistogram, Region, Rival, Verdict,
+    BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Estimate, Evidence, FilterError,
+    FilterGap, Gap, Named, Number, Outcome, PitHistogram, Region, Rival, Unnamed, Verdict, Wave,
 };
 pub use pose_error::PoseError;
 pub use purpose::Purpose;

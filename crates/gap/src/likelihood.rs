@@ -33,20 +33,19 @@ pub(crate) struct Terms {
 #[derive(Clone, Copy)]
 pub(crate) struct Density<'a> {
     pub laser: &'a LaserOptions,
-    pub effects: &'a Effects,
-    /// Factor on the density of clutter.
-    pub blocks: f64,
+    mixture: ReadingMixture<'a>,
 }
 
-impl Density<'_> {
-    fn mixture(&self) -> ReadingMixture<'_> {
-        ReadingMixture { laser: self.laser, effects: self.effects, clutter_density: self.blocks }
+impl<'a> Density<'a> {
+    /// `blocks` is a factor on the density of clutter.
+    pub fn new(laser: &'a LaserOptions, effects: &'a Effects, blocks: f64) -> Self {
+        Self { laser, mixture: ReadingMixture::new(laser, effects, blocks) }
     }
 
     /// Log likelihood of a reading `z`; `shift` is added to the range of what stands there \[m\].
     pub fn terms(&self, beam: &Beam, shift: f64, z: f64) -> Terms {
         let max = self.laser.max_range_m;
-        let parts = self.mixture().density(beam, shift, z);
+        let parts = self.mixture.density(beam, shift, z);
         let density = (1.0 - FLOOR) * parts.total + FLOOR / max;
         let is_return = z < max && parts.mean < max;
         Terms {
@@ -63,7 +62,7 @@ impl Density<'_> {
 
     /// P(reading <= z), for z below the maximum range.
     pub fn cdf(&self, beam: &Beam, shift: f64, z: f64) -> f64 {
-        self.mixture().cdf(beam, shift, z)
+        self.mixture.cdf(beam, shift, z)
     }
 
     /// Density of a reading in which a beam that is not blocked reads by `other` \[1/m\] instead, relative to that by the
@@ -145,7 +144,7 @@ mod tests {
         let step = step.map(|effect| effect.values[0]).fold(nominal.laser.resolution_m, f64::max);
         let all = nominal.effects_with(effects).unwrap();
         let views = Views::new(nominal, &logs[0], &all).unwrap();
-        let density = Density { laser: &nominal.laser, effects: &all, blocks: 1.0 };
+        let density = Density::new(&nominal.laser, &all, 1.0);
         let spread = Draw::new(9, Stage::Bootstrap, 0);
         let mut pits: Vec<f64> = Vec::new();
         for (seed, log) in logs.iter().enumerate() {

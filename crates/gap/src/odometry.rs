@@ -136,6 +136,27 @@ pub(crate) fn slip_ratios(increment: &Increment, error: &OdometryError, share: f
         .map(|increment| slipped(increment, error, share) / density(increment, error, 0).max(1e-300) - 1.0)
 }
 
+/// What increments say of an odometry that lags behind the stamps, one by one: by the lag's first order, an increment is that of the
+/// truth less the lag times its rate of change. The product of error and slope, and the square of the slope, in standard
+/// deviations \[1/s, 1/s^2\]; the first one is of the second increment.
+pub(crate) fn lag_slopes(increments: &[Increment], error: &OdometryError, secs: &[f64]) -> Vec<[f64; 2]> {
+    let triples = increments.windows(3).zip(secs.windows(4));
+    triples
+        .map(|(triple, secs)| {
+            let [before, here, after] = triple else { return [0.0; 2] };
+            let errors = standardized(here, error);
+            let mut slopes = [0.0; 2];
+            for (axis, value) in errors.into_iter().enumerate() {
+                let change = 0.5 * (after.truth[axis] - before.truth[axis]) / (secs[2] - secs[1]).max(1e-6);
+                let slope = -change / deviation(here, error, axis);
+                slopes[0] += slope * value;
+                slopes[1] += slope * slope;
+            }
+            slopes
+        })
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

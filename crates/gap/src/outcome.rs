@@ -20,7 +20,9 @@ pub enum Verdict {
     Ambiguous,
     /// An effect is named, and something else is still off.
     PartlyExplained,
-    /// Something is off that no effect of the library explains.
+    /// Something is off that no effect of the library explains, and a free model of the readings says what depends on what.
+    Unnamed,
+    /// Something is off that neither an effect of the library nor the free model explains.
     Unexplained,
     /// Nothing was found, and a typical effect would not have been.
     Underpowered,
@@ -84,6 +86,56 @@ pub struct Named {
     /// The effect itself.
     #[serde(skip)]
     pub effect: Effect,
+}
+
+/// A dependence that no effect of the library explains.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Unnamed {
+    /// What of a reading depends on the covariate: its mean, its spread, a share; or the odometry's lag.
+    pub deviation: Deviation,
+    /// On what.
+    pub covariate: Covariate,
+    /// The named effect that acts on this as well, but in another form than the library's.
+    #[serde(serialize_with = "optional_name")]
+    pub form_of: Option<EffectKind>,
+    /// What speaks for it.
+    pub evidence: Evidence,
+    /// Unit of size and curve: metres of the mean, seconds of a lag; 1 of a share, of the spread's relative change, of the
+    /// correlation of neighbouring beams.
+    pub unit: &'static str,
+    /// Amplitude of the wave, where the curve is one, and otherwise the largest value of the curve; the correlation of
+    /// neighbouring beams; the odometry's lag.
+    pub size: f64,
+    /// The wave that the curve is.
+    pub wave: Option<Wave>,
+    /// The curve with its 95 % band; of a lag, the lag itself.
+    pub curve: Vec<CurvePoint>,
+}
+
+/// A wave over a covariate.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Wave {
+    /// Its period, in the covariate's SI unit.
+    pub period: f64,
+    /// How often it comes around in a full circle, or in the log.
+    pub count: f64,
+    /// Its amplitude, in the curve's unit.
+    pub amplitude: f64,
+}
+
+/// A point of a curve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct CurvePoint {
+    /// The covariate, SI unit; of places the number of the cell.
+    pub at: f64,
+    /// The cell of a place: lower and upper corner \[m\].
+    pub place: Option<[f64; 4]>,
+    /// Value.
+    pub value: f64,
+    /// Lower end of its 95 % band.
+    pub lo: f64,
+    /// Upper end.
+    pub hi: f64,
 }
 
 /// An effect that was tried.
@@ -162,8 +214,11 @@ pub struct Gap {
     pub floor: Distance,
     /// Log score that the named effects gain on held-out folds (nats per scan).
     pub gained_nats_per_scan: f64,
-    /// Gain of the best further effect on held-out folds (nats per scan), 0 where none would.
+    /// What a free model of the readings gains on top of the named effects on held-out folds (nats per scan), beyond the most that it
+    /// gains on a simulated log; or the gain of the best further effect, where that is more. At least 0.
     pub remaining_nats_per_scan: f64,
+    /// What the free model gains on top of the nominal simulator (nats per scan).
+    pub possible_nats_per_scan: f64,
     /// Share of the gap that is closed: gained / (gained + remaining), and no more than
     /// [`closed_in_ranges`](Self::closed_in_ranges).
     pub closed: Estimate,
@@ -178,7 +233,7 @@ impl Gap {
         self.closed_in_ranges.is_some_and(|share| share < 0.5)
     }
 
-    /// Share of the log score that is gained, of what effects of the library could gain on held-out scans.
+    /// Share of the log score that is gained on held-out scans, of that and what a free model gains on top.
     pub fn gained_share(&self) -> f64 {
         let all = self.gained_nats_per_scan + self.remaining_nats_per_scan;
         if self.gained_nats_per_scan > 0.0 { self.gained_nats_per_scan / all } else { 0.0 }
@@ -266,6 +321,9 @@ pub struct Outcome {
     pub verdict: Verdict,
     /// In the order in which they were named.
     pub effects: Vec<Named>,
+    /// What the effects leave, and no other effect of the library explains: dependences that a free model of the readings finds,
+    /// the one that gains most first. Empty where nothing is off with the effects.
+    pub unnamed: Vec<Unnamed>,
     /// Chances.
     pub detection: Detection,
     /// Chances with the named effects added; the same where none is.
@@ -311,4 +369,12 @@ fn name<S: Serializer>(kind: &EffectKind, serializer: S) -> Result<S::Ok, S::Err
 
 fn names<S: Serializer>(kinds: &[EffectKind], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(kinds.iter().map(|kind| kind.name()))
+}
+
+#[expect(clippy::ref_option, clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn optional_name<S: Serializer>(kind: &Option<EffectKind>, serializer: S) -> Result<S::Ok, S::Error> {
+    match kind {
+        Some(kind) => serializer.serialize_some(kind.name()),
+        None => serializer.serialize_none(),
+    }
 }

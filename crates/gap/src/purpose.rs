@@ -18,6 +18,8 @@ pub enum Purpose {
     Intervals = 12,
     /// The simulated logs that tell how far off the fitted density of blocks is.
     BlockDensity = 13,
+    /// The simulated logs that tell what a free model gains where nothing is off.
+    FreeModel = 17,
     /// Prior draws of parameters that a log hardly constrains, for their intervals.
     Prior = 14,
     /// The filter on the measured log.

@@ -315,7 +315,7 @@ mod tests {
             let recorded = Recorded::new(&drive, 60, 72, |_| true).unwrap();
             let effects = nominal.effects_with(&effects).unwrap();
             let views = Views::new(&nominal, &recorded, &effects).unwrap();
-            let density = Density { laser: &nominal.laser, effects: &effects, blocks: 1.0 };
+            let density = Density::new(&nominal.laser, &effects, 1.0);
             let (mut behind, mut slanted) = (0, 0);
             for scan in 0..recorded.scans() {
                 let readings = &recorded.readings[scan * recorded.beams()..];

@@ -31,6 +31,8 @@ pub struct ReportContext {
     pub command: String,
     /// Whether the drives were simulated; only then does the paper's experiment stand beside them.
     pub simulated: bool,
+    /// What a reader should know before the figures, one or two sentences each.
+    pub warnings: Vec<String>,
     /// Limits of the run, one or two sentences each.
     pub notes: Vec<String>,
 }

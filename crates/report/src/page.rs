@@ -84,6 +84,7 @@ pub(crate) fn markdown(
         trial_figures => Serde(pick(true)),
         descriptions => Serde(descriptions),
         replicates => crate::statistics::REPLICATES,
+        warnings => context.warnings.iter().map(|warning| text::escape(warning)).collect::<Vec<_>>(),
         notes => context.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
         command => context.command.trim(),
         scenario_yaml => context.scenario_yaml.trim_end(),

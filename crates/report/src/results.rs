@@ -48,8 +48,12 @@ pub struct ModelTrial {
     pub model: String,
     /// One row per scan.
     pub steps: Vec<StepRow>,
-    /// The trial ended further from the truth than the scenario's `lost` threshold.
+    /// The trial ended farther from the truth than the scenario's `lost_m`, or was that far off in more than half of its
+    /// steps.
     pub lost: bool,
+    /// Mean over steps of the normalized estimation error squared of the weighted mean, e^T C^-1 e over (x, y, heading):
+    /// 3 for a filter whose covariance is right, more for one that is too sure.
+    pub nees: f64,
     /// Mean wall time of a filter step \[ms\]; the only thing here that a repeated run doesn't reproduce. It is measured
     /// while trials run in parallel on all threads, so it includes contention.
     pub step_ms: f64,

@@ -188,13 +188,17 @@ pub struct Kept {
 /// Results of an experiment for one model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelSummary {
-    /// Share of the trials that ended further from the truth than the scenario's `lost` threshold.
+    /// Share of the trials that ended farther from the truth than the scenario's `lost_m`, or were that far off in more than
+    /// half of their steps.
     pub lost_share: f64,
     /// Errors over all trials, lost ones included.
     #[serde(flatten)]
     pub errors: Errors,
     /// Mean effective sample size before resampling, over all steps of all trials.
     pub ess_mean: f64,
+    /// Mean over trials of their mean normalized estimation error squared over (x, y, heading): 3 for a filter whose
+    /// covariance is right.
+    pub nees_mean: f64,
     /// Mean wall time of a filter step (ms); with `seconds` the only figure that a repeated run doesn't reproduce.
     pub step_ms: f64,
     /// How the model did on held-out training data, and what was chosen on it.
@@ -343,6 +347,7 @@ struct Sample {
     position: PooledValues,
     lost: Vec<bool>,
     ess_mean: f64,
+    nees_mean: f64,
     step_ms: f64,
 }
 
@@ -364,6 +369,7 @@ impl Sample {
             position: PooledValues::new(trials.len(), positions),
             lost: trials.iter().map(|t| t.lost).collect(),
             ess_mean: Moments::pooled(ess.iter().map(|m| (m, 1))).mean(),
+            nees_mean: trials.iter().map(|t| t.nees).sum::<f64>() / trials.len() as f64,
             step_ms: trials.iter().map(|t| t.step_ms).sum::<f64>() / trials.len() as f64,
         }
     }
@@ -429,6 +435,7 @@ impl Sample {
             lost_share: f64::from(lost) / f64::from(trials),
             errors,
             ess_mean: self.ess_mean,
+            nees_mean: self.nees_mean,
             step_ms: self.step_ms,
             train,
             intervals: intervals

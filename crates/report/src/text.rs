@@ -187,12 +187,13 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
         summary.models.iter().map(|(name, m)| (name, &m.errors, m.intervals.as_ref().map(|i| &i.errors))),
     );
     let others = TextTable::new(
-        ["model", "lost [%]", "ESS", "ms/step", "std / classic", "RMSE / classic", "RMSE / oracle"],
+        ["model", "lost [%]", "ESS", "NEES", "ms/step", "std / classic", "RMSE / classic", "RMSE / oracle"],
         summary.models.iter().zip(summary.ratios.iter()).map(|((name, model), (_, ratios))| {
             [
                 name.to_owned(),
                 percent(model.lost_share),
                 format!("{:.1}", model.ess_mean),
+                significant(model.nees_mean),
                 format!("{:.2}", model.step_ms),
                 ratio(ratios.position_std_vs_classic),
                 ratio(ratios.rmse_vs_classic),

@@ -68,6 +68,7 @@ fn model_trial(model: usize, trial: u32) -> ModelTrial {
         model: name.to_owned(),
         steps: steps.collect(),
         lost: loses == Some(trial),
+        nees: 3.0 + f64::from(trial),
         step_ms: 1.5 + model as f64,
         events: if loses == Some(trial) { vec![(33, "recovery, \"kidnapped\"".to_owned())] } else { vec![] },
     }
@@ -211,6 +212,7 @@ fn context() -> ReportContext {
         scenario_yaml: "name: synthetic_corridor\nseed: 7\n# a ``` fence inside\n".to_owned(),
         command: "locsim run scenarios/synthetic.yaml --seed 7".to_owned(),
         simulated: true,
+        warnings: vec!["The robot doesn't exist.".to_owned()],
         notes: vec!["The errors are made up.".to_owned()],
     }
 }
@@ -236,6 +238,7 @@ fn text_from_outside_is_neither_a_link_nor_html_in_a_report() {
     results.estimate = hostile.to_owned();
     let fenced = format!("{hostile}\n```\n````\n# heading\n");
     let context = ReportContext {
+        warnings: vec![hostile.to_owned()],
         notes: vec![hostile.to_owned()],
         command: fenced.clone(),
         scenario_yaml: fenced,
@@ -263,7 +266,7 @@ fn a_run_on_a_real_log_has_no_paper_and_no_ratios() {
     let dir = tempfile::tempdir().unwrap();
     let mut results = results(&[1, 5], 1);
     results.description.clear();
-    let context = ReportContext { simulated: false, notes: vec![], ..context() };
+    let context = ReportContext { simulated: false, warnings: vec![], notes: vec![], ..context() };
     write(&Folder::new(dir.path()).unwrap(), &results, None, &context).unwrap();
     let report = fs::read_to_string(dir.path().join("report.md")).unwrap();
     assert!(!report.contains("Beside the paper") && !report.contains("true pose"));

@@ -432,7 +432,7 @@ pub enum Estimate {
 pub struct Errors {
     /// Along which axes.
     pub frame: ErrorFrame,
-    /// A trial is lost when its last position error exceeds this (m).
+    /// A trial is lost when its last position error exceeds this (m), or more than half of its position errors do.
     pub lost_m: f64,
 }
 
@@ -471,7 +471,7 @@ pub struct Expectation {
 
 /// Figures of a model in `summary.json` that `expect` can bound, with dots between nested keys; `kept` leaves out
 /// the lost trials.
-pub const METRICS: [&str; 26] = [
+pub const METRICS: [&str; 27] = [
     "lost_share",
     "position_rmse_m",
     "position_median_m",
@@ -484,6 +484,7 @@ pub const METRICS: [&str; 26] = [
     "heading.mean_rad",
     "heading.std_rad",
     "ess_mean",
+    "nees_mean",
     "step_ms",
     "train.log_loss_nats",
     "train.histogram_match_m",

@@ -85,6 +85,18 @@ impl Axis {
         Self::build(-(most as f32) * quantum, quantum, ends)
     }
 
+    /// Bins over \[0, max\] \[m\] for distances: of one quantum near 0, further away about a quarter of their distance wide.
+    pub fn from_zero(max: f32, quantum: f32) -> Self {
+        let most = (max / quantum).ceil() as u32;
+        let mut ends = Vec::new();
+        let mut end = 0;
+        while end < most {
+            end = (end + (end / 4).max(1)).min(most);
+            ends.push(end);
+        }
+        Self::build(0.0, quantum, ends)
+    }
+
     fn build(origin: f32, quantum: f32, ends: Vec<u32>) -> Self {
         Self::try_from(Parts { origin, quantum, ends }).expect("ends ascend by construction")
     }

@@ -134,7 +134,7 @@ fn convolve(to: &mut [f32], from: &[f32], at: usize, n: usize, kernel: &[f32]) {
 }
 
 /// A Gaussian kernel of `bandwidth` cells at distances of 0, 1, 2.. cells.
-fn kernel(bandwidth: f32) -> Vec<f32> {
+pub(crate) fn kernel(bandwidth: f32) -> Vec<f32> {
     let reach = (CUT * bandwidth) as usize;
     (0..=reach).map(|k| if k == 0 { 1.0 } else { (-0.5 * (k as f32 / bandwidth).powi(2)).exp() }).collect()
 }

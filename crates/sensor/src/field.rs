@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use locsim_core::{Beams, DependsOn, DistanceMap, Draw, SensorModel};
+use locsim_core::{Beams, DependsOn, DistanceMap, Draw, Pose2, SensorModel};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
@@ -43,12 +43,12 @@ impl FieldParameters {
         let mut distances = Vec::new();
         let mut at_max = 0usize;
         for i in 0..train.len() {
-            let (sin, cos) = train.heading(i).sin_cos();
+            let direction = train.heading(i).sin_cos();
             for &z in train.observations(i) {
                 if z >= train.max_range() {
                     at_max += 1;
                 } else {
-                    let (x, y) = (train.pose(i).x + f64::from(z) * cos, train.pose(i).y + f64::from(z) * sin);
+                    let [x, y] = end_of(train.pose(i), direction, z);
                     distances.push(f64::from(map.distance(x, y)));
                 }
             }
@@ -126,30 +126,63 @@ impl LikelihoodField {
         (1.0 - p.z_max) * (p.z_hit * 0.398_942_3 * (-0.5 * t * t).exp() / p.sigma_m + p.z_rand / max_range)
     }
 
-    /// The running integral of the score along beam `i`, from 0 to 1 - `z_max`, at STEPS + 1 ranges.
-    fn profile(&self, beams: &Beams<'_>, i: usize, out: &mut Vec<f32>) {
-        let pose = beams.laser.get(i / beams.per_pose());
-        let (sin, cos) = beams.heading(i).sin_cos();
-        let step = f64::from(beams.max_range) / STEPS as f64;
-        out.clear();
-        out.push(0.0);
-        let mut sum = 0.0;
-        for s in 0..STEPS {
-            let z = (s as f64 + 0.5) * step;
-            sum += self.score(pose.x + z * cos, pose.y + z * sin, beams.max_range);
-            out.push(sum);
-        }
-        for value in out {
-            *value *= (1.0 - self.parameters.z_max) / sum;
-        }
+    /// The score along beam `i`, normalized to 1 - `z_max`.
+    fn profile(&self, beams: &Beams<'_>, i: usize) -> Profile {
+        Profile::along(beams, i, 1.0 - self.parameters.z_max, |_, x, y| self.score(x, y, beams.max_range))
     }
 }
 
-/// Linear interpolation in a [`LikelihoodField::profile`].
-fn interpolate(profile: &[f32], fraction: f32) -> f32 {
-    let at = fraction * STEPS as f32;
-    let i = (at as usize).min(STEPS - 1);
-    profile[i] + (at - i as f32) * (profile[i + 1] - profile[i])
+/// The running integral of a score along a beam, normalized, at STEPS + 1 ranges.
+pub(crate) struct Profile(Vec<f32>);
+
+impl Profile {
+    /// Integrates `score(z, x, y)` along beam `i`, where (x, y) \[m\] is where the reading z \[m\] ends; from 0 to
+    /// `returns`, the share of returns.
+    pub fn along(
+        beams: &Beams<'_>,
+        i: usize,
+        returns: f32,
+        mut score: impl FnMut(f32, f64, f64) -> f32,
+    ) -> Self {
+        let pose = beams.laser.get(i / beams.per_pose());
+        let (sin, cos) = beams.heading(i).sin_cos();
+        let step = f64::from(beams.max_range) / STEPS as f64;
+        let mut values = Vec::with_capacity(STEPS + 1);
+        values.push(0.0);
+        let mut sum = 0.0;
+        for s in 0..STEPS {
+            let z = (s as f64 + 0.5) * step;
+            sum += score(z as f32, pose.x + z * cos, pose.y + z * sin);
+            values.push(sum);
+        }
+        for value in &mut values {
+            *value *= returns / sum;
+        }
+        Self(values)
+    }
+
+    /// P(Z <= z) for z as a share of the maximum range, by linear interpolation.
+    pub fn below(&self, share: f32) -> f32 {
+        let at = share * STEPS as f32;
+        let i = (at as usize).min(STEPS - 1);
+        self.0[i] + (at - i as f32) * (self.0[i + 1] - self.0[i])
+    }
+
+    /// The reading below which `u` of the distribution lies, as a share of the maximum range; `None` is no return.
+    pub fn quantile(&self, u: f32) -> Option<f32> {
+        let above = self.0.partition_point(|&p| p <= u);
+        if above > STEPS {
+            return None;
+        }
+        let (lo, hi) = (self.0[above - 1], self.0[above]);
+        Some((above as f32 - 1.0 + (u - lo) / (hi - lo)) / STEPS as f32)
+    }
+}
+
+/// Where a reading z \[m\] from a laser pose ends \[m\]; `direction` is the sine and cosine of the beam's heading.
+#[inline]
+pub(crate) fn end_of(laser: Pose2, (sin, cos): (f64, f64), z: f32) -> [f64; 2] {
+    [laser.x + f64::from(z) * cos, laser.y + f64::from(z) * sin]
 }
 
 impl SensorModel for LikelihoodField {
@@ -181,30 +214,22 @@ impl SensorModel for LikelihoodField {
     }
 
     fn cdf(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
-        let mut profile = Vec::new();
         // many readings of one beam, as an evaluation asks for, share its profile
-        let mut profiled = None;
+        let mut profiled: Option<((usize, f32), Profile)> = None;
         cdfs(z, beams, out, |z, beam| {
             let key = (beam.pose, beams.bearings[beam.bearing]);
-            if profiled != Some(key) {
-                self.profile(beams, beam.pose * beams.per_pose() + beam.bearing, &mut profile);
-                profiled = Some(key);
+            if profiled.as_ref().is_none_or(|(profiled, _)| *profiled != key) {
+                let i = beam.pose * beams.per_pose() + beam.bearing;
+                profiled = Some((key, self.profile(beams, i)));
             }
-            interpolate(&profile, z / beam.max_range)
+            profiled.as_ref().map_or(0.0, |(_, profile)| profile.below(z / beam.max_range))
         });
     }
 
     fn sample(&self, beams: &Beams<'_>, draw: &Draw, out: &mut [f32]) {
-        let mut profile = Vec::new();
         samples(beams, draw, out, |beam, rng| {
-            self.profile(beams, beam.pose * beams.per_pose() + beam.bearing, &mut profile);
-            let u = rng.random::<f32>();
-            let above = profile.partition_point(|&p| p <= u);
-            if above > STEPS {
-                return beam.max_range;
-            }
-            let (lo, hi) = (profile[above - 1], profile[above]);
-            (above as f32 - 1.0 + (u - lo) / (hi - lo)) / STEPS as f32 * beam.max_range
+            let profile = self.profile(beams, beam.pose * beams.per_pose() + beam.bearing);
+            profile.quantile(rng.random::<f32>()).map_or(beam.max_range, |share| share * beam.max_range)
         });
     }
 }

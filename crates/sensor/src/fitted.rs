@@ -14,6 +14,7 @@ use crate::field::{FieldParameters, LikelihoodField};
 use crate::histogram::HistogramTable;
 use crate::mixture::BeamMixture;
 use crate::np_reg;
+use crate::np_reg_field::{self, Intensity, NpRegField as NpRegFieldModel};
 use crate::p_reg::{self, NormalTable};
 use crate::{SensorError, TrainingSet, total};
 
@@ -34,17 +35,20 @@ pub enum ModelKind {
     NpReg,
     /// Histograms of z - r smoothed over the state.
     NpRegRegistered,
+    /// Histograms of z - r and of the distance of the reading's end to the map, per metre of beam.
+    NpRegField,
 }
 
 impl ModelKind {
     /// Every kind, in the order of tables.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Classic,
         Self::BeamMixture,
         Self::LikelihoodField,
         Self::PReg,
         Self::NpReg,
         Self::NpRegRegistered,
+        Self::NpRegField,
     ];
 
     /// The name, for example `np_reg_registered`.
@@ -56,7 +60,14 @@ impl ModelKind {
             Self::PReg => "p_reg",
             Self::NpReg => "np_reg",
             Self::NpRegRegistered => "np_reg_registered",
+            Self::NpRegField => "np_reg_field",
         }
+    }
+
+    /// Whether its density of each beam integrates to 1. Models that score where readings end don't: along a wall their
+    /// density is high everywhere.
+    pub const fn is_normalized(self) -> bool {
+        !matches!(self, Self::LikelihoodField | Self::NpRegField)
     }
 
     /// Description for reports and the schema of scenarios.
@@ -79,6 +90,9 @@ impl ModelKind {
             }
             Self::NpRegRegistered => {
                 "the same on readings minus nominal ranges, with a point mass at the maximum range"
+            }
+            Self::NpRegField => {
+                "readings by offset from the nominal range and by distance of their end to the nearest mapped surface"
             }
         }
     }
@@ -104,7 +118,7 @@ impl FromStr for ModelKind {
 /// Inputs of a fit beside the data.
 #[derive(Clone, Default)]
 pub struct FitOptions {
-    /// Distances to the mapped surfaces, for `likelihood_field`; the other models don't look at it.
+    /// Distances to the mapped surfaces, for `likelihood_field` and `np_reg_field`; the other models don't look at it.
     pub distance_map: Option<Arc<dyn DistanceMap>>,
 }
 
@@ -141,6 +155,7 @@ enum Form {
     Field(FieldParameters),
     Normal(NormalTable),
     Histogram(HistogramTable),
+    Intensity(Intensity),
 }
 
 impl TryFrom<Unchecked> for FittedModel {
@@ -181,12 +196,13 @@ fn check_chosen(chosen: &BTreeMap<String, f64>) -> Result<(), String> {
 impl Form {
     /// Whether it is a model of this kind for this sensor, and its density integrates to 1 if it should.
     fn check(&self, kind: ModelKind, max_range: f32) -> Result<(), String> {
-        use ModelKind::{BeamMixture, Classic, LikelihoodField, NpReg, NpRegRegistered, PReg};
+        use ModelKind::{BeamMixture, Classic, LikelihoodField, NpReg, NpRegField, NpRegRegistered, PReg};
         let (kinds, kind_within): (&[_], _) = match self {
             Self::Mixture(mixture) => (&[Classic, BeamMixture], mixture.kind()),
             Self::Field(_) => (&[LikelihoodField], LikelihoodField),
             Self::Normal(_) => (&[PReg], PReg),
             Self::Histogram(table) => (&[NpReg, NpRegRegistered], table.kind()),
+            Self::Intensity(_) => (&[NpRegField], NpRegField),
         };
         if kind != kind_within || !kinds.contains(&kind) {
             return Err(format!("it says it is {kind}, and holds the form of {}", kinds[0]));
@@ -214,6 +230,7 @@ impl Form {
                 same(table.reach(), cast_range)?;
                 total::check(table, max_range)
             }
+            Self::Intensity(intensity) => same(intensity.max_range(), max_range),
         }
     }
 }
@@ -242,7 +259,8 @@ pub fn fit(
     if train.is_empty() {
         return Err(SensorError::TooFewData { model: kind, what: "no training states" });
     }
-    let needs_held_out = matches!(kind, ModelKind::PReg | ModelKind::NpReg | ModelKind::NpRegRegistered);
+    let chooses = [ModelKind::PReg, ModelKind::NpReg, ModelKind::NpRegRegistered, ModelKind::NpRegField];
+    let needs_held_out = chooses.contains(&kind);
     if needs_held_out && held_out.is_empty() {
         return Err(SensorError::TooFewData {
             model: kind,
@@ -267,6 +285,11 @@ pub fn fit(
         ModelKind::NpReg | ModelKind::NpRegRegistered => {
             let (table, chosen) = np_reg::fit(kind, train, held_out)?;
             (Form::Histogram(table), chosen)
+        }
+        ModelKind::NpRegField => {
+            let map = options.distance_map.as_deref().ok_or(SensorError::NoDistanceMap)?;
+            let (intensity, chosen) = np_reg_field::fit(train, held_out, map)?;
+            (Form::Intensity(intensity), chosen)
         }
     };
     Ok(FittedModel { kind, max_range: train.max_range(), chosen, form })
@@ -305,6 +328,10 @@ impl FittedModel {
             }
             Form::Normal(table) => Arc::new(table),
             Form::Histogram(table) => Arc::new(table),
+            Form::Intensity(intensity) => {
+                let map = distance_map.ok_or(SensorError::NoDistanceMap)?;
+                Arc::new(NpRegFieldModel { intensity, map })
+            }
         })
     }
 }

@@ -26,6 +26,7 @@ mod histogram;
 mod mixture;
 mod normal;
 mod np_reg;
+mod np_reg_field;
 mod oracle;
 mod p_reg;
 mod prepared;

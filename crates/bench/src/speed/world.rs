@@ -113,6 +113,7 @@ pub fn train_models(
         distance: Arc::clone(&maps.distance),
         oracle: None,
         tables: None,
+        rehearsal: None,
     };
     let models =
         MODELS.map(|name| Model { name, label: name.to_string(), floor: None, exponent: None, file: None });

@@ -16,7 +16,9 @@ use std::time::Duration;
 use locsim_core::{Control, Draw, Drive, Progress, Stage};
 use locsim_dataset::{LogOptions, read_log, write_log};
 use locsim_gap::hidden::{OtherForm, record_library, record_other, record_outside};
-use locsim_gap::{GapError, GapOptions, Nominal, Number, Outcome, Recorded, Strength, Verdict, find};
+use locsim_gap::{
+    GapError, GapOptions, Nominal, Number, Outcome, Recorded, Strength, Unnamed, Verdict, find,
+};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{Simulator, simulate_drive};
@@ -73,6 +75,8 @@ pub struct TruthFile {
     pub least_error: Option<f64>,
     /// Stages taken out of the library.
     pub without: Vec<String>,
+    /// What an effect from outside of the library depends on: any of these is right.
+    pub covariates: Vec<String>,
 }
 
 /// The findings of the search in a log.
@@ -92,6 +96,10 @@ pub struct FoundFile {
     pub p_after: f64,
     /// Share of the gap closed, with its interval.
     pub closed: [f64; 3],
+    /// Wasserstein-1 distance of range errors before and after, and its floor \[mm\].
+    pub w1_mm: [f64; 3],
+    /// Dependences without a name: what depends on what, and the effect whose form it corrects.
+    pub unnamed: Vec<UnnamedFile>,
     /// How far the log is off in every effect's direction, in standard deviations.
     pub directions: BTreeMap<String, f64>,
     /// Threshold of that statistic for effects that shift or spread readings or act on the odometry.
@@ -104,6 +112,38 @@ pub struct FoundFile {
     /// The effects themselves.
     #[serde(skip)]
     named: Vec<Effect>,
+}
+
+/// A dependence that no effect explains.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct UnnamedFile {
+    /// What of a reading, or the odometry, depends on it.
+    pub deviation: String,
+    /// On what.
+    pub covariate: String,
+    /// The named effect whose form it corrects.
+    pub form_of: Option<String>,
+    /// Log score gained (nats).
+    pub gain_nats: f64,
+}
+
+impl UnnamedFile {
+    fn of(found: &Unnamed) -> Self {
+        Self {
+            deviation: key(&found.deviation),
+            covariate: key(&found.covariate),
+            form_of: found.form_of.map(|kind| kind.name().to_owned()),
+            gain_nats: found.evidence.gain_nats.value,
+        }
+    }
+}
+
+/// The name of a value in files.
+fn key(value: &impl Serialize) -> String {
+    match serde_json::to_value(value) {
+        Ok(serde_json::Value::String(name)) => name,
+        _ => String::new(),
+    }
 }
 
 /// Position error of a filter on a log \[m\], over its seeds.
@@ -136,6 +176,8 @@ impl FoundFile {
             p: outcome.detection.p,
             p_after: outcome.detection_after.p,
             closed: [outcome.gap.closed.value, outcome.gap.closed.lo, outcome.gap.closed.hi],
+            w1_mm: [outcome.gap.before, outcome.gap.after, outcome.gap.floor].map(|side| side.w1_mm),
+            unnamed: outcome.unnamed.iter().map(UnnamedFile::of).collect(),
             directions: outcome.directions.iter().map(|d| (d.name.name().to_owned(), d.z)).collect(),
             threshold: outcome.threshold,
             seconds,
@@ -232,7 +274,7 @@ pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
 }
 
 /// Of the suite's files; those of another one are of no use.
-const FORMAT: u32 = 6;
+const FORMAT: u32 = 7;
 
 /// Name of the report in the suite's folder.
 pub const REPORT: &str = "report.md";
@@ -358,6 +400,10 @@ fn hide(world: &World, strength_of: &Strength<'_>, case: &Case, log: &Path) -> R
         strength,
         least_error,
         without: case.without.iter().map(|kind| kind.name().to_owned()).collect(),
+        covariates: match &case.hidden {
+            Hidden::Outside(kind, _) => kind.covariates().iter().map(key).collect(),
+            _ => Vec::new(),
+        },
     };
     write_log(log, &recorded)?;
     Ok(file)

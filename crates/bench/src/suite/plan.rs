@@ -39,6 +39,10 @@ pub enum Group {
     Same,
     /// One effect of the library, in another form.
     Other,
+    /// One strong effect of the library, in the library's form.
+    Strong,
+    /// One strong effect of the library, in another form.
+    StrongOther,
     /// Two effects.
     Pair,
     /// An effect that isn't in the library.
@@ -108,6 +112,11 @@ const REGULAR: [EffectKind; 24] = [
     EffectKind::OdomImbalance,
     EffectKind::WheelSlip,
 ];
+
+/// Informations of strong effects, one for each kind in turn.
+const STRONG: [f64; 3] = [400.0, 2500.0, 10_000.0];
+/// The index of the kind, and of the form, that the small suite has a strong effect of.
+const STRONG_OF_SMALL: usize = 1;
 
 /// Pairs that have little to do with each other.
 const PAIRS: [(EffectKind, EffectKind); 8] = [
@@ -216,6 +225,37 @@ fn wall_at(map: &ExactRangeMap, from: DVec2, direction: DVec2, length: f64) -> O
     Some([a + lo * along, a + hi * along])
 }
 
+/// Draws what is hidden in a log.
+type Hide<'a> = Box<dyn Fn(&Draw) -> Hidden + 'a>;
+
+/// Strong effects: each kind and each form once, of one of the informations in turn.
+fn strong_effects<'a>(
+    size: Size,
+    repeats: u32,
+    seed: u64,
+    map: &'a ExactRangeMap,
+    poses: &'a [Pose2],
+) -> Vec<(Group, String, f64, Hide<'a>)> {
+    let mut all: Vec<(Group, String, f64, Hide<'a>)> = Vec::new();
+    let is_asked = |i: usize| size != Size::Small || i == STRONG_OF_SMALL;
+    for repeat in 0..repeats {
+        let lambda = |i: usize| STRONG[(i + repeat as usize + seed as usize) % STRONG.len()];
+        for (i, kind) in REGULAR.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
+            let hide = move |draw: &Draw| Hidden::Library(vec![typical(kind, map, poses, draw)]);
+            all.push((Group::Strong, format!("strong-{kind}-{}", lambda(i)), lambda(i), Box::new(hide)));
+        }
+        for (i, form) in OtherForm::ALL.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
+            let name = format!("strong-other-{}-{}", form.kind(), lambda(i));
+            let hide = move |draw: &Draw| {
+                let (effect, index) = typical(form.kind(), map, poses, draw);
+                Hidden::Other(form, effect, index)
+            };
+            all.push((Group::StrongOther, name, lambda(i), Box::new(hide)));
+        }
+    }
+    all
+}
+
 /// All logs of a size, the ones that answer most first.
 pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<Case> {
     let (nulls, repeats, lambdas): (u32, u32, &[f64]) = match size {
@@ -306,6 +346,10 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
             let hidden = |draw: &Draw| Hidden::Library(vec![typical(kind, map, poses, draw)]);
             add(Group::Removed, format!("removed-{kind}"), 100.0, 0, &hidden, vec![kind]);
         }
+    }
+    // Last, so that the other logs are those of earlier suites.
+    for (group, name, lambda, hidden) in strong_effects(size, repeats, seed, map, poses) {
+        add(group, name, lambda, 0, &hidden, Vec::new());
     }
     // In an order of chance, so that a part of the suite is a sample of it.
     let draw = Draw::new(seed, Stage::Trial, ORDER);

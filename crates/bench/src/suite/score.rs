@@ -44,10 +44,50 @@ pub struct Forms<T> {
 /// Effects outside of the library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutsideScore {
-    /// Found, and not explained away: `unexplained` or `partly_explained`.
+    /// Found, and not explained away: `unnamed`, `unexplained` or `partly_explained`.
     pub flagged: Share,
     /// A name of the library is given as the whole explanation.
     pub named: Share,
+    /// What it depends on is told, of the effects that aren't in the library.
+    pub covariate: Share,
+}
+
+/// Strong effects of the library.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StrongScore {
+    /// Share of logs in which it is named, and no other effect.
+    pub exact: Forms<Share>,
+    /// Mean time per log \[s\].
+    pub seconds_per_log: Option<f64>,
+}
+
+impl OutsideScore {
+    fn of(all: &[(TruthFile, FoundFile)]) -> Self {
+        let outside =
+            || all.iter().filter(|(truth, _)| matches!(truth.group, Group::Outside | Group::Removed));
+        let of =
+            |verdicts: &[Verdict]| Share::of(outside().map(|(_, found)| verdicts.contains(&found.verdict)));
+        let unknown = all.iter().filter(|(truth, _)| truth.group == Group::Outside);
+        Self {
+            flagged: of(&[Verdict::Unnamed, Verdict::Unexplained, Verdict::PartlyExplained]),
+            named: of(&[Verdict::Named, Verdict::Ambiguous]),
+            covariate: Share::of(unknown.map(|(truth, found)| {
+                found.unnamed.first().is_some_and(|first| truth.covariates.contains(&first.covariate))
+            })),
+        }
+    }
+}
+
+impl StrongScore {
+    fn of(all: &[(TruthFile, FoundFile)]) -> Self {
+        let of = |group: Group| all.iter().filter(move |(truth, _)| truth.group == group);
+        let exact = |group| Share::of(of(group).map(|(truth, found)| found.effects == truth.effects));
+        let both = of(Group::Strong).chain(of(Group::StrongOther));
+        Self {
+            exact: Forms { same: exact(Group::Strong), other: exact(Group::StrongOther) },
+            seconds_per_log: mean(both.map(|(_, found)| found.seconds)),
+        }
+    }
 }
 
 /// All figures of the suite.
@@ -76,6 +116,11 @@ pub struct Score {
     pub two_named: Share,
     /// Effects outside of the library, and those whose stage was taken out.
     pub outside: OutsideScore,
+    /// Strong effects.
+    pub strong: StrongScore,
+    /// Share of all logs of which nine tenths of the gap or more count as closed although the Wasserstein distance fell by
+    /// less than half of what is above its floor.
+    pub overstated: Share,
     /// The filter's error that the effect caused and that went away, where it was measured.
     pub filter_recovered: Option<f64>,
     /// Mean time per log \[s\].
@@ -103,6 +148,12 @@ const LEAST_HARM_M: f64 = 0.002;
 
 fn is_found(found: &FoundFile) -> bool {
     !matches!(found.verdict, Verdict::None | Verdict::Underpowered)
+}
+
+/// Whether a gap counts as closed whose ranges came less than half of the way.
+fn is_overstated(found: &FoundFile) -> bool {
+    let [before, after, floor] = found.w1_mm;
+    found.closed[0] >= 0.9 && before - after < 0.5 * (before - floor)
 }
 
 /// The first effect's strength, and what was found of it with its interval.
@@ -174,16 +225,6 @@ impl Score {
             of(Group::Pair)
                 .map(|(truth, found)| truth.effects.iter().all(|name| found.effects.contains(name))),
         );
-        let outside =
-            || all.iter().filter(|(truth, _)| matches!(truth.group, Group::Outside | Group::Removed));
-        let flagged =
-            |found: &FoundFile| matches!(found.verdict, Verdict::Unexplained | Verdict::PartlyExplained);
-        let outside = OutsideScore {
-            flagged: Share::of(outside().map(|(_, found)| flagged(found))),
-            named: Share::of(
-                outside().map(|(_, found)| matches!(found.verdict, Verdict::Named | Verdict::Ambiguous)),
-            ),
-        };
         Self {
             false_alarm,
             top1,
@@ -195,7 +236,9 @@ impl Score {
             sd_over_strength,
             closed_lo: Forms { same: closed(Group::Same), other: closed(Group::Other) },
             two_named,
-            outside,
+            outside: OutsideScore::of(&all),
+            strong: StrongScore::of(&all),
+            overstated: Share::of(all.iter().map(|(_, found)| is_overstated(found))),
             filter_recovered: mean(all.iter().filter_map(|(_, found)| {
                 let filter = found.filter?;
                 let caused = filter.before_m - filter.with_truth_m;

@@ -97,6 +97,9 @@ pub fn table(score: &Score) -> String {
     row("two effects both named".to_owned(), share(&score.two_named), ">= .85", ">= .70");
     row("outside the library: flagged".to_owned(), share(&score.outside.flagged), ">= .90", ">= .75");
     row("outside the library: wrongly named".to_owned(), share(&score.outside.named), "<= .05", "<= .15");
+    for [metric, value, excellent, good] in &yardstick(score) {
+        row(metric.clone(), value.clone(), excellent, good);
+    }
     row(
         "filter error caused by the effect, recovered".to_owned(),
         number(score.filter_recovered),
@@ -114,6 +117,26 @@ pub fn table(score: &Score) -> String {
         let _ = writeln!(text, "| {metric} | {value} | {excellent} | {good} |");
     }
     text
+}
+
+/// Rows of the table: effects that have no name or another form, and whether the closed share is honest.
+fn yardstick(score: &Score) -> Vec<[String; 4]> {
+    let exact = &score.strong.exact;
+    let row = |metric: &str, value: String, excellent: &str, good: &str| {
+        [metric.to_owned(), value, excellent.to_owned(), good.to_owned()]
+    };
+    vec![
+        row(
+            "outside the library: the right covariate told",
+            share(&score.outside.covariate),
+            ">= .90",
+            ">= .70",
+        ),
+        row("strong, same form: exactly the right name", share(&exact.same), ">= .97", ">= .90"),
+        row("strong, other form: exactly the right name", share(&exact.other), ">= .90", ">= .75"),
+        row("time per strong log [s]", number(score.strong.seconds_per_log), "<= 30", "<= 60"),
+        row("nine tenths closed, though ranges are open", share(&score.overstated), "0", "0"),
+    ]
 }
 
 /// The whole report: table, how good directions and numbers are, filters, confusion matrix, every log.
@@ -227,7 +250,7 @@ fn confusion(score: &Score) -> String {
         if matches!(truth.group, Group::Same | Group::Other) {
             let given = match (found.effects.first(), found.verdict) {
                 (Some(name), _) => name.as_str(),
-                (None, Verdict::Unexplained) => "unexplained",
+                (None, Verdict::Unexplained | Verdict::Unnamed) => "unexplained",
                 _ => "nothing",
             };
             *matrix.entry(&truth.effects[0]).or_default().entry(given).or_default() += 1;

@@ -518,12 +518,16 @@ proptest! {
 
     /// A log that is cut anywhere but at a line's end is refused.
     #[test]
-    fn a_cut_log_is_refused(share in 0.0..1.0f64) {
+    fn a_cut_log_has_the_scans_of_its_whole_lines(share in 0.0..1.0f64) {
         let text = corrected_log(3);
-        let cut = (share * text.len() as f64) as usize;
-        let result = read_text(&text[..cut]);
-        let first_scan = text.find("\nFLASER").unwrap() + 1;
-        let at_line_end = text[..cut].ends_with('\n') && text[first_scan..].find('\n').unwrap() + first_scan < cut;
-        prop_assert_eq!(result.is_ok(), at_line_end);
+        let cut = &text[..(share * text.len() as f64) as usize];
+        let whole = &cut[..cut.rfind('\n').map_or(0, |end| end + 1)];
+        let scans = whole.lines().filter(|line| line.starts_with("FLASER")).count();
+        if let Ok((drive, summary)) = read_text(cut) {
+            prop_assert_eq!(drive.steps.len(), scans);
+            prop_assert_eq!(summary.skipped.contains_key("(cut off)"), cut.len() > whole.len());
+        } else {
+            prop_assert_eq!(scans, 0);
+        }
     }
 }

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::HiddenDrive;
 use super::beam::Change;
+use crate::Covariate;
 
 /// Period of the bias \[s\].
 const PERIOD_SECS: f64 = 7.0;
@@ -68,6 +69,20 @@ impl Outside {
             Self::LogNormalNoise => "log_normal_noise",
             Self::DoubleReturn => "double_return",
             Self::FloorHit => "floor_hit",
+        }
+    }
+}
+
+impl Outside {
+    /// What readings depend on with it: each of these is a right answer.
+    pub fn covariates(self) -> &'static [Covariate] {
+        match self {
+            Self::PeriodicBias => &[Covariate::Time],
+            Self::BearingBias | Self::FloorHit => &[Covariate::Bearing],
+            Self::BackgroundLight | Self::SurfaceBias => &[Covariate::Place],
+            Self::SharedScanJitter => &[Covariate::Neighbour],
+            Self::LogNormalNoise => &[Covariate::Everywhere],
+            Self::DoubleReturn => &[Covariate::Everywhere, Covariate::Range],
         }
     }
 }

@@ -1,12 +1,16 @@
 //! The search: detect, locate, name, add, and stop when nothing is off any more.
 
 mod initial_guess;
+mod judge;
+mod judgement;
 mod outcome;
 mod precision;
 mod selection;
 mod stepwise;
+mod unnamed;
 
 use std::cmp::Ordering;
+use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
 use locsim_core::Progress;
@@ -21,6 +25,7 @@ use crate::rank::Null;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::statistics::{Dictionary, Form};
 use crate::{GapError, Nominal, Purpose, Recorded};
+use judgement::Judgement;
 
 /// How a search is run.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,6 +75,8 @@ struct Round<'a> {
     blocks: BlockTruth,
     dictionary: Dictionary,
     null: Null,
+    /// The free model on top of it, where that was asked for.
+    judgement: OnceLock<Judgement>,
 }
 
 impl Round<'_> {
@@ -163,7 +170,7 @@ impl<'a> State<'a> {
         };
         let tick = |ticks| self.progress.advance(ticks);
         let null = compare(&replay, &comparison, &dictionary, &fitted, replicates, seed, self.stop, &tick)?;
-        Ok(Round { effects, comparison, fitted, blocks, dictionary, null })
+        Ok(Round { effects, comparison, fitted, blocks, dictionary, null, judgement: OnceLock::new() })
     }
 
     /// Fits the effects whose statistics are farthest off.

@@ -7,8 +7,10 @@ use rand::RngExt;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
+use super::judgement::Judgement;
 use super::selection::gain;
 use super::stepwise::Path;
+use super::unnamed::unnamed;
 use super::{Round, State};
 use crate::fit::{Candidate, folds};
 use crate::outcome::{
@@ -17,7 +19,7 @@ use crate::outcome::{
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
 use crate::replay::Replay;
-use crate::statistics::{Form, Group, Statistic, Target};
+use crate::statistics::{Form, Group, Statistic, Survey, Target, fold_count};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
@@ -31,28 +33,32 @@ impl<'a> State<'a> {
         let Path { rounds, named, rivals, gains, remaining, note, .. } = path;
         let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
         let still_off = after.null.p <= options.false_alarm;
-        let verdict = match (named.is_empty(), still_off) {
-            (true, true) => Verdict::Unexplained,
-            (true, false) => Verdict::None,
-            (false, true) => Verdict::PartlyExplained,
-            (false, false) if named.iter().any(|named| named.candidates.len() > 1) => Verdict::Ambiguous,
-            (false, false) => Verdict::Named,
-        };
         let detectable = detectable(before);
         let blind = detectable.iter().filter(|d| d.value > d.typical).count();
-        let verdict = if verdict == Verdict::None && 2 * blind > detectable.len() {
-            Verdict::Underpowered
-        } else {
-            verdict
-        };
         self.progress.stage("measuring the gap", 1);
         let (old, new) = (self.replay(before)?, self.replay(after)?);
-        let gap = self.gap(before, after, &gains, remaining.as_ref(), &old, &new);
-        // No statistic may be off any more, and the simulated ranges still be far from the measured ones.
-        let is_open = gap.is_open_in_ranges();
-        let verdict = match verdict {
-            Verdict::Named | Verdict::Ambiguous if is_open => Verdict::PartlyExplained,
-            verdict => verdict,
+        let judged = [self.judge(before)?, self.judge(after)?];
+        let gap = self.gap(&rounds, &gains, remaining.as_ref(), judged, [&old, &new]);
+        let judgement = self.judge(after)?;
+        let unnamed = if still_off {
+            let survey = Survey::new(&after.comparison);
+            unnamed(judgement, &after.effects, &survey, after.null.p)
+        } else {
+            Vec::new()
+        };
+        let is_ambiguous = named.iter().any(|named| named.candidates.len() > 1);
+        // What is still off may be an effect's form alone.
+        let only_forms = !unnamed.is_empty() && unnamed.iter().all(|found| found.form_of.is_some());
+        let is_explained = !still_off || only_forms;
+        let verdict = match (named.is_empty(), is_explained) {
+            (true, true) if 2 * blind > detectable.len() => Verdict::Underpowered,
+            (true, true) => Verdict::None,
+            (true, false) if unnamed.is_empty() => Verdict::Unexplained,
+            (true, false) => Verdict::Unnamed,
+            // No statistic may be off any more, and the simulated ranges still be far from the measured ones.
+            (false, explained) if !explained || gap.is_open_in_ranges() => Verdict::PartlyExplained,
+            (false, _) if is_ambiguous => Verdict::Ambiguous,
+            (false, _) => Verdict::Named,
         };
         let side = [before, after].map(|round| Side { dictionary: &round.dictionary, null: &round.null });
         let regions = locate(&side[0], &side[1], &before.comparison.views, recorded, &old);
@@ -70,6 +76,7 @@ impl<'a> State<'a> {
         Ok(Outcome {
             verdict,
             effects: named,
+            unnamed,
             detection: detection(&before.null),
             detection_after: detection(&after.null),
             regions,
@@ -162,25 +169,27 @@ impl<'a> State<'a> {
 
     fn gap(
         &self,
-        before: &Round<'a>,
-        after: &Round<'a>,
+        rounds: &[Round<'a>],
         gains: &[Vec<f64>],
         remaining: Option<&Candidate>,
-        old: &[Recorded],
-        new: &[Recorded],
+        judged: [&Judgement; 2],
+        [old, new]: [&[Recorded]; 2],
     ) -> Gap {
+        let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
+        let total = |values: &[f64]| values.iter().sum::<f64>();
         let scans = self.recorded.scans() as f64;
-        let folds = gains.first().map_or(0, Vec::len);
+        let folds = fold_count(self.recorded.scans());
         let gained: Vec<f64> = (0..folds).map(|b| gains.iter().map(|g| g[b]).sum()).collect();
-        let rest: Vec<f64> = match remaining {
-            Some(candidate) if candidate.gain() > 0.0 => candidate.gains.clone(),
-            _ => vec![0.0; folds.max(1)],
+        // The free model doesn't know the odometry, of which an effect of the library may say more.
+        let [possible, free] = judged.map(Judgement::gains);
+        let rest = match remaining {
+            Some(candidate) if candidate.gain() > total(&free) => candidate.gains.clone(),
+            _ => free,
         };
         let share = |gained: f64, rest: f64| {
             if gained <= 0.0 { 0.0 } else { gained / (gained + rest.max(0.0)) }
         };
-        let total = |values: &[f64]| values.iter().sum::<f64>();
-        let closed = if gained.is_empty() {
+        let closed = if gains.is_empty() {
             Estimate { value: 0.0, lo: 0.0, hi: 0.0 }
         } else {
             let draw = Draw::new(self.options.seed, Stage::Bootstrap, CLOSED_SHARE);
@@ -191,7 +200,7 @@ impl<'a> State<'a> {
                     for _ in 0..folds {
                         let fold = rng.random_range(0..folds);
                         a += gained[fold];
-                        b += rest[fold.min(rest.len() - 1)];
+                        b += rest[fold];
                     }
                     share(a, b)
                 })
@@ -216,6 +225,7 @@ impl<'a> State<'a> {
             floor: score(floor, range_floor.mean_mm),
             gained_nats_per_scan: total(&gained) / scans,
             remaining_nats_per_scan: total(&rest).max(0.0) / scans,
+            possible_nats_per_scan: total(&possible).max(0.0) / scans,
             closed: Estimate { value: at_most(closed.value), lo: at_most(closed.lo), hi: at_most(closed.hi) },
             closed_in_ranges,
         }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use glam::DVec2;
 use locsim_world::effect::{Effect, EffectKind, Experiment};
 
 use crate::GapError;
@@ -11,6 +12,24 @@ use crate::outcome::{Estimate, Evidence, Named, Number, Rival};
 /// Whether two effects are one that was fitted in two steps. The first fit of a strong effect may come out too weak.
 pub fn adds_up(known: &Effect, more: &Effect) -> bool {
     known.kind == more.kind && known.place == more.place && known.kind.adds_up()
+}
+
+/// How far from the line of a stretch of wall another one is of the same wall \[m\].
+const SAME_WALL_M: f64 = 0.3;
+
+/// Whether two effects of one kind are of the same wall. A wall that moved otherwise than the library says would be moved again and
+/// again.
+pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
+    let ends = more.place.iter().flatten();
+    known.kind == more.kind
+        && known.place.iter().any(|stretch| ends.clone().any(|end| is_of_wall(stretch, *end)))
+}
+
+/// Whether a point is of the same wall as a stretch: on its line, and no farther from its ends than it is long.
+pub fn is_of_wall([a, b]: &[DVec2; 2], point: DVec2) -> bool {
+    let (length, along) = (a.distance(*b), (*b - *a).normalize_or_zero());
+    let at = along.dot(point - *a);
+    along.perp_dot(point - *a).abs() <= SAME_WALL_M && (-length..=2.0 * length).contains(&at)
 }
 
 /// Two effects as one: strengths add up, and other parameters are those of the effect that is known.
@@ -164,6 +183,7 @@ mod tests {
         let bias = Effect::new(EffectKind::RangeBias, vec![0.01], Vec::new()).unwrap();
         let candidate = |gains: Vec<f64>, is_beyond_chance| Candidate {
             effect: bias.clone(),
+            fitted_gains: gains.clone(),
             gains,
             intervals: Vec::new(),
             is_beyond_chance,
@@ -185,6 +205,7 @@ mod tests {
         let candidate = |kind, values, gain: f64| Candidate {
             effect: Effect::new(kind, values, Vec::new()).unwrap(),
             gains: vec![gain / 10.0; 10],
+            fitted_gains: vec![gain / 10.0; 10],
             intervals: Vec::new(),
             is_beyond_chance: true,
             score: None,

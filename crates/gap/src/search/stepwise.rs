@@ -2,7 +2,7 @@
 
 use locsim_world::effect::Effect;
 
-use super::selection::{adds_up, choose, compare_rivals, gain, is_sure, name, numbers, sum_of};
+use super::selection::{adds_up, choose, compare_rivals, gain, is_one_cause, is_sure, name, numbers, sum_of};
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
 use crate::GapError;
 use crate::fit::{Candidate, Search};
@@ -76,9 +76,19 @@ impl<'a> State<'a> {
             if !off && path.named.is_empty() {
                 break;
             }
-            let candidates = self.candidates_of(round)?;
-            let accepted =
-                if off && path.named.len() < options.most_effects { choose(&candidates) } else { None };
+            let mut candidates = self.candidates_of(round)?;
+            candidates.retain(|candidate| {
+                let effect = &candidate.effect;
+                !path
+                    .named
+                    .iter()
+                    .any(|named| !adds_up(&named.effect, effect) && is_one_cause(&named.effect, effect))
+            });
+            let accepted = if off && path.named.len() < options.most_effects {
+                self.weigh(round, &candidates, choose(&candidates))?
+            } else {
+                None
+            };
             let Some(best) = accepted else {
                 let rest = most_gaining(&candidates);
                 if let Some(most) = rest.as_ref().filter(|_| off) {

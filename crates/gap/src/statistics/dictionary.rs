@@ -3,8 +3,9 @@
 use super::bins::Bins;
 use super::clutter::{ClutterDensity, ClutterDepth};
 use super::edges::Edges;
+use super::neighbours::Neighbours;
 use super::objects::Objects;
-use super::odometry::{OdometryCorrelation, Slips};
+use super::odometry::{OdometryCorrelation, OdometryLag, Slips};
 use super::pit::PitHistogram;
 use super::poses::Poses;
 use super::ratios::Ratios;
@@ -53,6 +54,8 @@ impl Dictionary {
             .chain(boxed([Scans]))
             .chain(boxed([PitHistogram]))
             .chain(boxed([Ratios]))
+            .chain(boxed([Neighbours]))
+            .chain(boxed([OdometryLag]))
             .collect();
         let (mut statistics, mut firsts) = (Vec::new(), Vec::new());
         for family in &families {

@@ -9,6 +9,7 @@ mod clutter;
 mod contamination;
 mod dictionary;
 mod edges;
+mod neighbours;
 mod objects;
 mod odometry;
 mod pit;
@@ -27,7 +28,8 @@ use glam::DVec2;
 use locsim_world::effect::EffectKind;
 
 pub(crate) use dictionary::Dictionary;
-pub(crate) use readings::{FOLD_SCANS, Readings, pit_draw};
+pub(crate) use readings::{FOLD_SCANS, Readings, fold_count, pit_draw};
+pub(crate) use survey::Survey;
 
 /// Side of a cell of the map in which walls are counted \[m\].
 pub(crate) const WALL_CELL_M: f64 = 1.0;
@@ -170,6 +172,12 @@ pub enum Covariate {
     Jump,
     /// Bearing, by turn rate.
     BearingByTurnRate,
+    /// Every beam alike.
+    Everywhere,
+    /// The error of the beam before, in its standard deviations.
+    Neighbour,
+    /// The odometry.
+    Odometry,
     /// Each scan as a whole: how much scans differ in what their beams share.
     Scan,
     /// Every beam: the PIT's tenths, from `lo` to `hi`.
@@ -186,6 +194,8 @@ pub enum Deviation {
     Mean,
     /// Readings spread too much or too little (variance of the PIT).
     Spread,
+    /// Errors have a longer tail on one side.
+    Skew,
     /// Share of readings of something unmapped in front.
     Short,
     /// Share of missing returns.
@@ -194,6 +204,8 @@ pub enum Deviation {
     Long,
     /// Share of readings that lie in this bin.
     Share,
+    /// How late something is.
+    Lag,
 }
 
 /// A cell of the omnibus search.

@@ -4,9 +4,9 @@ use locsim_world::effect::{self, Axis, EffectKind};
 
 use super::contamination::{detectable_share, score};
 use super::readings::half_of;
-use super::{Family, Form, Group, Halves, Readings, Statistic};
+use super::{Cell, Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
 use crate::catalogue::shown_by;
-use crate::odometry::{Increment, deviation, increments, slip_ratios, standardized};
+use crate::odometry::{Increment, deviation, increments, lag_slopes, slip_ratios, standardized};
 
 /// The increments of a log's odometry, with the reference's errors taken off.
 fn increments_of(log: &Readings<'_>) -> Vec<Increment> {
@@ -86,6 +86,27 @@ impl Family for Slips {
             }
         }
         sums
+    }
+}
+
+/// The score of an odometry that lags behind the stamps.
+pub(super) struct OdometryLag;
+
+impl Family for OdometryLag {
+    fn statistics(&self) -> Vec<Statistic> {
+        let (covariate, deviation) = (Covariate::Odometry, Deviation::Lag);
+        vec![Statistic::of_cell(Cell { covariate, lo: 0.0, hi: 0.0, place: None, deviation }, Form::Other)]
+    }
+
+    fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
+        let recorded = log.comparison.recorded;
+        let (increments, secs) = (increments_of(log), recorded.track.secs());
+        let mut sum = [0.0; 2];
+        let slopes = lag_slopes(&increments, &log.fitted.nuisances.odometry_error, secs);
+        for (scan, [product, _]) in slopes.into_iter().enumerate() {
+            sum[half_of(scan + 1)] += product;
+        }
+        vec![sum]
     }
 }
 

@@ -13,6 +13,11 @@ use crate::views::Beam;
 /// clutter and little error of the reference.
 pub(crate) const FOLD_SCANS: usize = 20;
 
+/// The number of folds: a last one that isn't full goes with the one before.
+pub(crate) fn fold_count(scans: usize) -> usize {
+    (scans / FOLD_SCANS).max(1)
+}
+
 /// The largest noise with which readings of the surface are separated from readings of other things \[m\]. With more, most
 /// things in front of a wall would count as the wall.
 const MOST_NOISE_M: f64 = 0.1;

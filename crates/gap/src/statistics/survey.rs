@@ -8,13 +8,13 @@ use crate::hypothesis::Comparison;
 use crate::views::jumps;
 
 /// The beams of a log, before any reading is looked at.
-pub(super) struct Survey<'a> {
+pub(crate) struct Survey<'a> {
     pub comparison: &'a Comparison<'a>,
     /// Velocity of the robot at each scan, in the map frame \[m/s, m/s, rad/s\].
     pub velocities: Vec<[f64; 3]>,
     /// The two ranges of the edge that a beam is at.
     pub jumps: Vec<Option<[f64; 2]>>,
-    pub walls: WallCells,
+    pub(super) walls: WallCells,
     /// The laser's maximum range \[m\].
     pub max_range: f64,
 }

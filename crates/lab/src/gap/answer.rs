@@ -3,6 +3,8 @@
 use locsim_gap::{Covariate, Deviation, Estimate, Gap, Named, Outcome, Region, Verdict};
 use locsim_world::effect::Parameter;
 
+use super::covariate::span;
+use super::unnamed;
 use locsim_report::text::fixed;
 use locsim_scenario::effect::{in_file, unit};
 
@@ -12,9 +14,15 @@ pub fn answer(outcome: &Outcome) -> String {
     sentences(outcome).join("\n")
 }
 
+/// Dependences without a name in the answer; gap.json has all.
+const SHOWN_UNNAMED: usize = 3;
+
 pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
     let mut text: Vec<String> = outcome.effects.iter().map(told).collect();
     text.extend(outcome.effects.iter().filter_map(doubt));
+    text.extend(outcome.unnamed.iter().filter_map(unnamed::form_sentence));
+    let without_name = outcome.unnamed.iter().filter(|found| found.form_of.is_none());
+    text.extend(without_name.take(SHOWN_UNNAMED).map(unnamed::sentence));
     let p = p_value(outcome.detection.p);
     match outcome.verdict {
         Verdict::None => {
@@ -24,6 +32,10 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
             "Nothing was found (p = {p}), but most effects of a typical strength would not have been found in this log \
              either: {}. More scans, or a path with more variety, would show them.",
             blind(outcome).join(", ")
+        )),
+        Verdict::Unnamed => text.push(format!(
+            "No effect of the library does that (p = {p}): it is what a free model of the readings finds on stretches of \
+             the drive that it wasn't fitted to.",
         )),
         Verdict::Unexplained => text.push(format!(
             "Something is off (p = {p}), and no effect of the library explains it{}.",
@@ -119,25 +131,28 @@ pub(super) fn disagreement(gap: &Gap) -> String {
         }
         Some(ranges) if ranges >= share => String::new(),
         Some(ranges) if ranges <= 0.0 => format!(
-            " The two disagree, and the gap counts as open: the log score gains {percent} % of what effects of the \
-             library could gain, but the simulated ranges are no nearer to the measured ones. Something else is \
-             missing, or the effect has another form."
+            " The two disagree, and the gap counts as open: the log score gains {percent} % of what can be gained, but \
+             the simulated ranges are no nearer to the measured ones. Something else is missing, or the effect has \
+             another form."
         ),
         Some(ranges) => format!(
-            " The smaller share counts: the log score gains {percent} % of what effects of the library could gain, the \
-             simulated ranges came {} % of the way to the measured ones.",
+            " The smaller share counts: the log score gains {percent} % of what can be gained, the simulated ranges \
+             came {} % of the way to the measured ones.",
             fixed(100.0 * ranges, 0)
         ),
     }
 }
 
-/// "94 % closed [91, 97]", or "gained" where the log score alone can tell.
+/// "94 % closed [91, 97]"; "94 % gained [91, 97]" where the log score alone can tell; "not closed, 30 % [20, 40]" where the
+/// simulated ranges came less than half of the way.
 pub(super) fn closed(outcome: &Outcome) -> String {
     let closed = outcome.gap.closed;
     let [value, lo, hi] = [closed.value, closed.lo, closed.hi].map(|share| fixed(100.0 * share, 0));
-    // A gap that ranges don't show isn't called closed.
-    let verb = if outcome.gap.closed_in_ranges.is_some() { "closed" } else { "gained" };
-    format!("{value} % {verb} [{lo}, {hi}]")
+    match outcome.gap.closed_in_ranges {
+        None => format!("{value} % gained [{lo}, {hi}]"),
+        Some(_) if outcome.gap.is_open_in_ranges() => format!("not closed, {value} % [{lo}, {hi}]"),
+        Some(_) => format!("{value} % closed [{lo}, {hi}]"),
+    }
 }
 
 fn filter(outcome: &Outcome) -> Option<String> {
@@ -174,6 +189,8 @@ pub(super) fn place_text(region: &Region) -> String {
     }
     match region.covariate {
         Covariate::Scan => "scans as a whole".to_owned(),
+        Covariate::Odometry => "odometry".to_owned(),
+        Covariate::Neighbour => "neighbouring beams".to_owned(),
         Covariate::Pit => format!("all beams, PIT {:.1} to {:.1}", region.lo, region.hi),
         covariate => span(covariate, region.lo, region.hi),
     }
@@ -182,6 +199,12 @@ pub(super) fn place_text(region: &Region) -> String {
 /// The deviation in a region.
 pub(super) fn deviation_text(region: &Region) -> &'static str {
     let more = region.z > 0.0;
+    if region.covariate == Covariate::Neighbour {
+        return if more { "they err too much alike" } else { "they err too little alike" };
+    }
+    if region.covariate == Covariate::Odometry {
+        return if more { "late" } else { "early" };
+    }
     if region.covariate == Covariate::Scan {
         return if more {
             "neighbouring scans differ too much"
@@ -190,8 +213,11 @@ pub(super) fn deviation_text(region: &Region) -> &'static str {
         };
     }
     match (region.deviation, more) {
+        (Deviation::Lag, _) => "late",
         (Deviation::Share, true) => "too many readings",
         (Deviation::Share, false) => "too few readings",
+        (Deviation::Skew, true) => "errors with a tail to the long side",
+        (Deviation::Skew, false) => "errors with a tail to the short side",
         (Deviation::Mean, true) => "readings too long",
         (Deviation::Mean, false) => "readings too short",
         (Deviation::Spread, true) => "readings spread too much",
@@ -202,43 +228,6 @@ pub(super) fn deviation_text(region: &Region) -> &'static str {
         (Deviation::Long, false) => "too few readings of something behind",
         (Deviation::NoReturn, true) => "too many missing returns",
         (Deviation::NoReturn, false) => "too few missing returns",
-    }
-}
-
-/// A part of a covariate: "range 3.0 to 4.0 m".
-pub(super) fn span(covariate: Covariate, lo: f64, hi: f64) -> String {
-    let (name, unit, degrees) = match covariate {
-        Covariate::Range => ("range", "m", false),
-        Covariate::Incidence => ("incidence", "deg", true),
-        Covariate::Bearing => ("bearing", "deg", true),
-        Covariate::Place => ("place", "", false),
-        Covariate::Time => ("time", "s", false),
-        Covariate::Speed => ("speed", "m/s", false),
-        Covariate::TurnRate => ("turn rate", "deg/s", true),
-        Covariate::Jump => ("range jump to a neighbour", "m", false),
-        Covariate::BearingByTurnRate => ("bearing in turns", "deg", true),
-        Covariate::Scan => ("scan", "", false),
-        Covariate::Pit => ("PIT", "", false),
-        Covariate::Ratio => ("reading over nominal range", "", false),
-    };
-    let in_unit = |value: f64| if degrees { value.to_degrees() } else { value };
-    let [lo, hi] = [lo, hi].map(in_unit);
-    let largest =
-        [lo, hi].into_iter().filter(|end| end.is_finite()).fold(0.0_f64, |most, end| most.max(end.abs()));
-    let decimals = if largest >= 30.0 {
-        0
-    } else if (hi - lo).abs() > 0.3 {
-        1
-    } else {
-        2
-    };
-    let shown = |value: f64| fixed(value, decimals);
-    match (lo.is_finite(), hi.is_finite()) {
-        (true, true) if shown(lo) == shown(hi) => format!("{name} about {} {unit}", shown(lo)),
-        (true, true) => format!("{name} {} to {} {unit}", shown(lo), shown(hi)),
-        (true, false) => format!("{name} above {} {unit}", shown(lo)),
-        (false, true) => format!("{name} below {} {unit}", shown(hi)),
-        (false, false) => format!("any {name}"),
     }
 }
 
@@ -280,12 +269,5 @@ mod tests {
         assert_eq!(shown(61.23, 58.9, 63.4), "61 [59, 63]");
         assert_eq!(shown(-0.000_1, -0.04, 0.04), "0.00 [-0.04, 0.04]");
         assert_eq!(shown(2.0, 2.0, 2.0), "2.000 [2.000, 2.000]");
-    }
-
-    #[test]
-    fn spans_are_told_in_degrees() {
-        assert_eq!(span(Covariate::Incidence, 1.0, f64::INFINITY), "incidence above 57 deg");
-        assert_eq!(span(Covariate::Range, 3.0, 4.5), "range 3.0 to 4.5 m");
-        assert_eq!(span(Covariate::Speed, 0.7, 0.7001), "speed about 0.70 m/s");
     }
 }

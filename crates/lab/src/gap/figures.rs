@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use locsim_gap::{BeamPit, Outcome, PitHistogram};
 use plotters::prelude::{Circle, Color, PathElement, RGBColor, Rectangle, Text};
 
-use super::{GapStudy, answer};
+use super::{GapStudy, covariate};
 use locsim_report::ReportError;
 use locsim_report::figures::Figure;
 use locsim_report::figures::canvas::{
@@ -153,7 +153,7 @@ fn histograms(outcome: &Outcome) -> Result<String, DrawError> {
             let most = row.iter().flat_map(|h| h.before.iter().chain(&h.after)).copied().fold(0.2, f64::max);
             let y = Axis::linear("", 0.0, 1.05 * most, 3.0);
             for (i, (histogram, area)) in row.iter().zip(area.split_evenly((1, row.len()))).enumerate() {
-                let name = answer::span(histogram.covariate, histogram.lo, histogram.hi);
+                let name = covariate::span(histogram.covariate, histogram.lo, histogram.hi);
                 area.draw(&Text::new(name, (px(44.0), px(2.0)), text(LABEL - 1.0, INK)))?;
                 let (_, below) = area.split_vertically(px(14.0));
                 let x = Axis::linear("", 0.0, 1.0, 2.0).unlabelled();

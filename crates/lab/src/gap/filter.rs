@@ -144,6 +144,7 @@ fn trained(
         distance: Arc::clone(&maps.distance),
         oracle: None,
         tables: (study.scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
+        rehearsal: None,
     };
     let name = ModelName::Fitted(ModelKind::NpRegRegistered);
     let model = Model { name, label: name.to_string(), floor: None, exponent: None, file: None };

@@ -2,10 +2,12 @@
 //! scenario with the effect that it lacks, and a report that says why.
 
 mod answer;
+mod covariate;
 mod figures;
 mod filter;
 mod page;
 mod proposal;
+mod unnamed;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -6,7 +6,7 @@ use minijinja::value::Serde;
 use minijinja::{Environment, context};
 use serde::Serialize;
 
-use super::{GapStudy, answer, figures};
+use super::{GapStudy, answer, covariate, figures, unnamed};
 use locsim_report::figures::Figure;
 use locsim_report::store::Folder;
 use locsim_report::text::{self, TextTable, fixed, significant};
@@ -91,13 +91,14 @@ fn markdown(
         verdict => Serde(outcome.verdict),
         answers => answers,
         named => Serde(named),
-        still_off => matches!(outcome.verdict, Verdict::PartlyExplained | Verdict::Unexplained),
+        still_off => matches!(outcome.verdict, Verdict::PartlyExplained | Verdict::Unexplained | Verdict::Unnamed),
         remaining => remaining(outcome),
         map => link("map"),
         pit => link("pit"),
         rivals => link("rivals"),
         detection_table => detection_table(outcome).to_markdown(),
         regions_table => (!outcome.regions.is_empty()).then(|| regions_table(outcome).to_markdown()),
+        unnamed_table => (!outcome.unnamed.is_empty()).then(|| unnamed_table(outcome).to_markdown()),
         rivals_table => (!outcome.rivals.is_empty()).then(|| rivals_table(outcome).to_markdown()),
         gap_table => gap_table(outcome).to_markdown(),
         closed => answer::closed(outcome),
@@ -168,6 +169,19 @@ fn regions_table(outcome: &Outcome) -> TextTable {
         ]
     });
     TextTable::new(["where", "what is off", "z", "W1 [mm]", "nats", "q", "still off"], rows)
+}
+
+fn unnamed_table(outcome: &Outcome) -> TextTable {
+    let rows = outcome.unnamed.iter().map(|found| {
+        [
+            unnamed::noun(found).to_owned(),
+            covariate::noun(found.covariate).to_owned(),
+            unnamed::extent(found),
+            answer::with_interval(&found.evidence.gain_nats, 1.0),
+            found.form_of.map_or(text::NONE, |kind| kind.name()).to_owned(),
+        ]
+    });
+    TextTable::new(["what", "depends on", "how", "gain [nats]", "form of"], rows)
 }
 
 fn rivals_table(outcome: &Outcome) -> TextTable {

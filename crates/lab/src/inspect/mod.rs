@@ -11,7 +11,7 @@ use std::path::Path;
 use locsim_core::{Drive, Pose2};
 use locsim_dataset::{
     DatasetError, DriveQuality, LogContents, LogFormat, LogKind, LogOptions, LogSummary, MountSource,
-    OdometrySource, decimal, read_log,
+    OdometrySource, decimal, read_contents, read_log,
 };
 use serde::Serialize;
 
@@ -114,7 +114,7 @@ impl Inspection {
     /// [`LabError::Dataset`] for a file that is no log, is damaged, or costs more than the limits allow. A log that lacks
     /// something is no error.
     pub fn of(log: &Path, options: &LogOptions) -> Result<Self, LabError> {
-        let contents = LogContents::read(log)?;
+        let contents = read_contents(log)?;
         let (options, chosen) = with_scanner(options, &contents);
         let (read, problem) = match read_log(log, &options) {
             Ok(read) => (Some(read), None),

@@ -90,6 +90,7 @@ mod tests {
             lost_share: 0.0,
             errors,
             ess_mean: 1.0,
+            nees_mean: 3.0,
             step_ms: 1.0,
             train,
             intervals: None,

@@ -18,6 +18,8 @@ use locsim_world::simulation::{
 };
 use rand::RngExt;
 
+use super::coverage::{unmapped_start, untrained_states};
+use super::rehearsal::Rehearsal;
 use super::training::{ScanData, Surroundings, TrainedModel, train};
 use crate::LabError;
 use locsim_core::Progress;
@@ -125,6 +127,8 @@ pub struct Laboratory<'a> {
     pub maps: MapSet,
     /// The sensor models in the scenario's order.
     pub models: Vec<TrainedModel>,
+    /// What a reader of the results should know first.
+    pub warnings: Vec<String>,
     /// Remarks for the report: what kind of log, how much training data.
     pub notes: Vec<String>,
     drives: Drives,
@@ -179,6 +183,7 @@ impl<'a> Laboratory<'a> {
             distance: Arc::clone(&maps.distance),
             oracle,
             tables: (scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
+            rehearsal: None,
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
@@ -191,7 +196,8 @@ impl<'a> Laboratory<'a> {
             data.laser.beam_count(),
             100.0 * training.held_out_share,
         )];
-        Ok(Self { scenario, maps, models, notes, drives: Drives::Simulated(Box::new(world)) })
+        let warnings = Vec::new();
+        Ok(Self { scenario, maps, models, warnings, notes, drives: Drives::Simulated(Box::new(world)) })
     }
 
     fn measured(
@@ -210,19 +216,26 @@ impl<'a> Laboratory<'a> {
         let maps = MapSet::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
         let training = &scenario.training;
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
+        let train_steps = selected(&drive, &log.train_scans);
         let simulator = log.simulator.as_ref().filter(|_| log.train_scans.is_empty());
-        let data = match simulator {
-            Some(simulator) => simulated_scans(scenario, simulator, &maps, &drive, seed, progress)?,
-            None => measured_scans(&drive, &selected(&drive, &log.train_scans), &maps, training),
+        let (data, usable) = match simulator {
+            Some(simulator) => (simulated_scans(scenario, simulator, &maps, &drive, seed, progress)?, 0),
+            None => measured_scans(&drive, &train_steps, &maps, training),
         };
         if data.poses.len() < 4 {
             return Err(refuse("fewer than 4 training scans have a reference pose in the map's free space"));
         }
+        let stretches = log.train_scans.iter().map(|interval| {
+            let steps = selected(&drive, &[*interval]).into_iter().map(|i| drive.steps[i].clone()).collect();
+            with_filter_beams(Drive { laser: drive.laser.clone(), steps }, scenario)
+        });
+        let stretches = stretches.collect();
         let surroundings = Surroundings {
             map: Arc::<ExactRangeMap>::clone(&maps.exact),
             distance: Arc::clone(&maps.distance),
             oracle: None,
             tables: (scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
+            rehearsal: Rehearsal::new(&scenario.filter, stretches, Arc::clone(&maps.ranges), seed),
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
@@ -253,7 +266,26 @@ impl<'a> Laboratory<'a> {
                 .to_owned(),
         ];
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
-        Ok(Self { scenario, maps, models, notes, drives: Drives::Measured(drive) })
+        let dropped = train_steps.len() - usable;
+        let warnings = [
+            (dropped > 0).then(|| {
+                format!(
+                    "{dropped} of {} training scans were dropped: they have no reference pose in the map's free space.",
+                    train_steps.len()
+                )
+            }),
+            (summary.intervals_without_odometry > 0).then(|| {
+                format!(
+                    "The log has no odometry in {} intervals. The motion of the reference stands in for it, so that these \
+                     steps test nothing.",
+                    summary.intervals_without_odometry
+                )
+            }),
+            unmapped_start(&*maps.exact, &*maps.distance, &drive),
+            untrained_states(&*maps.exact, (&data.laser, &data.poses), &drive),
+        ];
+        let warnings = warnings.into_iter().flatten().collect();
+        Ok(Self { scenario, maps, models, warnings, notes, drives: Drives::Measured(drive) })
     }
 
     /// The measured drive, if it has no reference pose to hold an estimate against.
@@ -510,8 +542,13 @@ pub fn read_options(log: &Log) -> LogOptions {
 }
 
 /// Training scans of a log: those whose reference pose lies in the map's free space, at most as many as asked
-/// for, evenly spread.
-fn measured_scans(drive: &Drive, steps: &[usize], maps: &MapSet, training: &scenario::Training) -> ScanData {
+/// for, evenly spread; and how many there were.
+fn measured_scans(
+    drive: &Drive,
+    steps: &[usize],
+    maps: &MapSet,
+    training: &scenario::Training,
+) -> (ScanData, usize) {
     let beams = training.beams.map_or(drive.laser.beam_count(), |beams| beams as usize);
     let (laser, kept) = drive.laser.thinned(beams);
     let usable: Vec<(Pose2, &DriveStep)> = steps
@@ -520,12 +557,13 @@ fn measured_scans(drive: &Drive, steps: &[usize], maps: &MapSet, training: &scen
         .filter_map(|step| Some((step.reference?, step)))
         .filter(|(pose, _)| maps.exact.is_free(pose.x, pose.y))
         .collect();
-    let stride = usable.len().div_ceil(training.poses as usize).max(1);
+    let count = usable.len();
+    let stride = count.div_ceil(training.poses as usize).max(1);
     let (poses, scans): (Vec<Pose2>, Vec<_>) = usable
         .into_iter()
         .step_by(stride)
         .map(|(pose, step)| (pose, vec![kept.iter().map(|&beam| step.scan.ranges[beam]).collect()]))
         .unzip();
     let run = (poses.len() as u32 / 8).clamp(1, RUN);
-    ScanData { laser, poses, scans, run }
+    (ScanData { laser, poses, scans, run }, count)
 }

@@ -1,10 +1,13 @@
 //! Runs a scenario: prepares the laboratory, runs the trials in parallel, writes the results folder.
 
 mod bounds;
+mod coverage;
 mod detail;
 mod estimate;
+mod filter;
 mod laboratory;
 mod map;
+mod rehearsal;
 mod training;
 mod trial;
 mod unreferenced;
@@ -25,15 +28,15 @@ pub use unreferenced::{Unreferenced, UnreferencedModel};
 
 use crate::LabError;
 use detail::Detail;
+pub(crate) use filter::options as filter_options;
 pub use laboratory::read_options;
 use laboratory::{Laboratory, TrialDrive};
 pub(crate) use laboratory::{log_map, no_reference, selected};
-use locsim_report::results::{DetailedTrial, RunResults, Trial};
+use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store};
 use locsim_report::summary::Summary;
 use locsim_report::{self as report, ReportContext};
 use locsim_scenario::{ErrorFrame, Estimate, Scenario, Source};
-pub(crate) use trial::options as filter_options;
 
 /// The recording's name in the results folder.
 pub const RECORDING: &str = "recording.rrd";
@@ -120,6 +123,9 @@ fn write_results(
 ) -> Result<(RunSummary, Option<DetailedTrial>), LabError> {
     let began = (options.control.clock)();
     let laboratory = Laboratory::prepare(scenario, options.cache, options.control.progress)?;
+    for warning in &laboratory.warnings {
+        options.control.progress.warn(warning);
+    }
     if let Some(drive) = laboratory.unreferenced() {
         save_models(&laboratory, store.folder())?;
         let summary = unreferenced::write(&laboratory, drive, store.folder(), options)?;
@@ -145,14 +151,44 @@ fn write_results(
         training: laboratory.models.iter().map(|model| model.row.clone()).collect(),
         trials,
     };
+    let mut warnings = laboratory.warnings.clone();
+    if matches!(scenario.source, Source::Log(_)) {
+        for warning in few_effective(&results) {
+            options.control.progress.warn(&warning);
+            warnings.push(warning);
+        }
+    }
     let context = ReportContext {
         scenario_yaml: scenario.text.clone(),
         command: options.command.clone(),
         simulated: matches!(scenario.source, Source::Simulation(_)),
+        warnings,
         notes: laboratory.notes.clone(),
     };
     let summary = report::write(folder, &results, Some(&detail), &context)?;
     Ok((RunSummary::Referenced(summary), Some(detail)))
+}
+
+/// Below this share of effective particles a posterior is a handful of poses.
+const FEW_EFFECTIVE: f64 = 0.05;
+
+/// A sentence for each model of a measured log with few effective particles in most of its steps.
+fn few_effective(results: &RunResults) -> Vec<String> {
+    let sentence = |(i, model): (usize, &String)| {
+        let rows = results.trials.iter().flat_map(|trial| &trial.models[i].steps);
+        let is_few = |row: &StepRow| row.effective_sample_size < FEW_EFFECTIVE * f64::from(row.particles);
+        let (few, all) =
+            rows.fold((0_usize, 0_usize), |(few, all), row| (few + usize::from(is_few(row)), all + 1));
+        (2 * few > all).then(|| {
+            format!(
+                "Under {model}, fewer than {:.0} % of the particles were effective in {:.0} % of the steps: more particles or a \
+                 smaller exponent may give another result.",
+                100.0 * FEW_EFFECTIVE,
+                100.0 * few as f64 / all as f64
+            )
+        })
+    };
+    results.models.iter().enumerate().filter_map(sentence).collect()
 }
 
 fn run_trials(

@@ -15,6 +15,7 @@ use locsim_sensor::{
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::rehearsal::Rehearsal;
 use crate::LabError;
 use locsim_core::Progress;
 use locsim_report::results::TrainingRow;
@@ -79,7 +80,7 @@ pub struct TrainedModel {
 }
 
 /// Parts of the world for models that need more than the training data.
-pub struct Surroundings {
+pub struct Surroundings<'a> {
     /// Exact ray casts.
     pub map: Arc<dyn RangeMap>,
     /// For the likelihood field.
@@ -88,6 +89,8 @@ pub struct Surroundings {
     pub oracle: Option<(Arc<dyn Obstructions>, [f64; 2])>,
     /// Cells of the models' tables over where readings end; `None` if the filter is to do without tables.
     pub tables: Option<EndpointGrid>,
+    /// For exponents of models that are tempered by the drive; `None` where there is none.
+    pub rehearsal: Option<Rehearsal<'a>>,
 }
 
 /// Fits every model of a scenario on the same data. `filter_beams` is how many beams of a scan the filter uses (`None`:
@@ -99,7 +102,7 @@ pub struct Surroundings {
 pub fn train(
     models: &[Model],
     data: &ScanData,
-    surroundings: &Surroundings,
+    surroundings: &Surroundings<'_>,
     held_out_share: f64,
     filter_beams: Option<usize>,
     seed: u64,
@@ -126,7 +129,7 @@ fn train_one(
     train: &TrainingSet,
     held_out: &TrainingSet,
     calibration: &[CalibrationScan],
-    surroundings: &Surroundings,
+    surroundings: &Surroundings<'_>,
     laser: &Laser,
 ) -> Result<TrainedModel, LabError> {
     let failed = |source| LabError::Sensor { label: model.label.clone(), source };
@@ -148,6 +151,11 @@ fn train_one(
         (None, None) => unreachable!("a validated scenario has an oracle in simulation only"),
     };
     let mut grid = TemperingGrid::default();
+    let is_field = model.name == ModelName::Fitted(ModelKind::NpRegField);
+    if is_field {
+        // It leans on coarser densities by itself, so that no reading is impossible.
+        grid.floors = vec![LOG_LOSS_FLOOR];
+    }
     if let Some(floor) = model.floor {
         grid.floors = vec![floor];
     }
@@ -155,7 +163,11 @@ fn train_one(
         grid.exponents = vec![exponent];
     }
     let tempering = choose_tempering(&*bare, calibration, &grid).map_err(failed)?;
-    let tempered = Tempered::new(Arc::clone(&bare), tempering.floor, tempering.exponent).map_err(failed)?;
+    // Older models keep the exponent that single scans tell, and with it their published figures.
+    let rehearsal = surroundings.rehearsal.as_ref().filter(|_| is_field && model.exponent.is_none());
+    let rehearsed = rehearsal.map(|rehearsal| rehearsal.choose(&bare, tempering.floor)).transpose()?;
+    let exponent = rehearsed.map_or(tempering.exponent, |rehearsed| rehearsed.exponent);
+    let tempered = Tempered::new(Arc::clone(&bare), tempering.floor, exponent).map_err(failed)?;
     let mut tempered: Arc<dyn SensorModel> = Arc::new(tempered);
     if let Some(endpoints) = surroundings.tables.filter(|_| tempered.depends_on() != DependsOn::Everything) {
         let states = LikelihoodGrid::for_laser(laser);
@@ -163,12 +175,15 @@ fn train_one(
     }
     // The same small floor for all: without one, a single odd reading makes the log loss infinite.
     let with_floor = Tempered::new(Arc::clone(&bare), LOG_LOSS_FLOOR, 1.0).map_err(failed)?;
-    let normalized = model.name != ModelName::Fitted(ModelKind::LikelihoodField);
+    let normalized = !matches!(model.name, ModelName::Fitted(kind) if !kind.is_normalized());
     let log_loss_nats = normalized.then(|| evaluate(&with_floor, held_out).log_loss_nats);
     let histogram_match_m = normalized.then(|| evaluate(&*bare, held_out).histogram_match_m);
     let mut chosen = fitted.as_ref().map_or_else(BTreeMap::new, |fitted| fitted.chosen().clone());
     chosen.insert("floor".to_owned(), tempering.floor);
-    chosen.insert("exponent".to_owned(), tempering.exponent);
+    chosen.insert("exponent".to_owned(), exponent);
+    if let Some(rehearsed) = rehearsed {
+        chosen.insert("training_drive_nees".to_owned(), rehearsed.nees);
+    }
     chosen.insert("pose_log_score_nats".to_owned(), tempering.score);
     Ok(TrainedModel {
         label: model.label.clone(),

@@ -1,24 +1,18 @@
 //! One trial: every model localizes on the same drive.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use locsim_core::{Clock, Drive, Pose2, wrap_angle};
-use locsim_mcl::{
-    AnnealingOptions, Filter, FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, PoseBins,
-    Regularization, ResampleTrigger, Resampler, Residual, Start, StepInput, StepOutcome, Stratified,
-    Systematic, VelocityMotion,
-};
+use locsim_mcl::{Filter, Start, StepInput, StepOutcome};
 
 use super::detail::Detail;
+use super::filter::{self, options};
 use super::laboratory::Laboratory;
+use super::rehearsal::nees;
 use super::training::TrainedModel;
 use crate::LabError;
 use locsim_report::results::{ModelTrial, StepRow};
-use locsim_scenario::{self as scenario, ErrorFrame, Errors, Estimate, Motion, ParticleCount, ResampleWhen};
-
-/// Side of a bin of the densest cluster when the scenario doesn't set one: AMCL's 0.5 m and 10 degrees.
-const CLUSTER_BINS: (f64, f64) = (0.5, 10.0 * std::f64::consts::PI / 180.0);
+use locsim_scenario::{ErrorFrame, Errors, Estimate};
 
 /// Runs one model's filter over a drive. With `detail`, every step is kept in full.
 ///
@@ -38,11 +32,12 @@ pub(super) fn localize(
     let map = &*laboratory.maps.ranges;
     // It keeps every generation of particles, so only where its trajectory is asked for.
     let ancestry = detail.is_some() || settings.estimate == Estimate::MostLikelyTrajectory;
-    let start = filter_start(settings, Some(truth[0])).unwrap_or(Start::Global);
+    let start = filter::start(settings, Some(truth[0])).unwrap_or(Start::Global);
     let mut filter = Filter::new(options(settings, ancestry)?, &start, map, seed)?;
     let mut steps = Vec::with_capacity(drive.steps.len());
     let mut events = Vec::new();
     let mut spent = Duration::ZERO;
+    let mut nees_sum = 0.0;
     for (i, step) in drive.steps.iter().enumerate() {
         let input =
             StepInput { odometry: drive.odometry_increment(i), laser: &drive.laser, scan: &step.scan };
@@ -60,6 +55,7 @@ pub(super) fn localize(
             let events = events[first_event..].iter().map(|(_, event): &(u32, String)| event.clone());
             detail.push(&filter, &outcome, model, truth[i], &step.scan, events.collect());
         }
+        nees_sum += nees(&outcome.estimates.weighted_mean, truth[i]);
         steps.push(StepRow {
             step: i as u32,
             stamp_secs: step.stamp_secs,
@@ -89,14 +85,23 @@ pub(super) fn localize(
     for row in &mut steps {
         measure(row, laboratory.scenario.errors);
     }
-    let last = steps.last().map_or(0.0, StepRow::position_error_m);
+    let lost_m = laboratory.scenario.errors.lost_m;
+    let nees = nees_sum / steps.len() as f64;
     Ok(ModelTrial {
         model: model.label.clone(),
-        lost: last > laboratory.scenario.errors.lost_m,
+        lost: is_lost(&steps, lost_m),
+        nees,
         step_ms: spent.as_secs_f64() * 1e3 / steps.len() as f64,
         steps,
         events,
     })
+}
+
+/// A trial is lost when it ends farther than `lost_m` \[m\] from the truth, or is that far off in more than half of its
+/// steps: a filter that comes back for the last scan has not localized the robot.
+fn is_lost(steps: &[StepRow], lost_m: f64) -> bool {
+    let is_off = |row: &StepRow| row.position_error_m() > lost_m;
+    steps.last().is_some_and(is_off) || 2 * steps.iter().filter(|row| is_off(row)).count() > steps.len()
 }
 
 /// The reference pose of each step.
@@ -142,71 +147,37 @@ pub(super) fn online_estimate(estimate: Estimate, outcome: &StepOutcome) -> Pose
     }
 }
 
-/// Where a filter starts; `None` where it starts at the true first pose and that isn't known.
-pub(super) fn filter_start(settings: &scenario::Filter, truth: Option<Pose2>) -> Option<Start> {
-    let around = |pose, spread: scenario::Spread| Start::Tracking {
-        pose,
-        sigma_m: spread.sigma_m,
-        sigma_rad: spread.sigma_rad,
-    };
-    Some(match settings.start {
-        scenario::Start::Global => Start::Global,
-        scenario::Start::Around(pose, spread) => around(pose, spread),
-        scenario::Start::Tracking(spread) => around(truth?, spread),
-    })
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// The filter that a scenario describes.
-pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions, LabError> {
-    let motion: Arc<dyn MotionModel> = match settings.motion {
-        Motion::Odometry(alpha) => Arc::new(OdometryMotion::new(alpha)?),
-        Motion::Velocity(alpha) => Arc::new(VelocityMotion::new(alpha)?),
-    };
-    let resampler: Arc<dyn Resampler> = match settings.resampler {
-        scenario::Resampler::Multinomial => Arc::new(Multinomial),
-        scenario::Resampler::Systematic => Arc::new(Systematic),
-        scenario::Resampler::Stratified => Arc::new(Stratified),
-        scenario::Resampler::Residual => Arc::new(Residual),
-    };
-    let (particles, bins) = match settings.particles {
-        ParticleCount::Fixed(n) => (locsim_mcl::ParticleCount::Fixed(n as usize), CLUSTER_BINS),
-        ParticleCount::Kld { min, max, error, quantile, bin_m, bin_rad } => (
-            locsim_mcl::ParticleCount::Kld(KldOptions {
-                min: min as usize,
-                max: max as usize,
-                error,
-                quantile,
-                bins: PoseBins::new(bin_m, bin_rad)?,
-            }),
-            (bin_m, bin_rad),
-        ),
-    };
-    let jitter = settings.regularization;
-    Ok(FilterOptions {
-        particles,
-        motion,
-        resampler,
-        trigger: match settings.resample {
-            ResampleWhen::EachStep => ResampleTrigger::EachStep,
-            ResampleWhen::EffectiveShareBelow(share) => ResampleTrigger::EffectiveShareBelow(share),
-        },
-        injection: settings.injection.map(|injection| locsim_mcl::InjectionOptions {
-            alpha_slow: injection.alpha_slow,
-            alpha_fast: injection.alpha_fast,
-        }),
-        regularization: (jitter.sigma_m > 0.0 || jitter.sigma_rad > 0.0)
-            .then_some(Regularization { sigma_m: jitter.sigma_m, sigma_rad: jitter.sigma_rad }),
-        clusters: (settings.estimate == Estimate::DensestCluster)
-            .then(|| PoseBins::new(bins.0, bins.1))
-            .transpose()?,
-        annealing: settings.annealing.map(|annealing| AnnealingOptions {
-            candidates: annealing.candidates as usize,
-            effective_share: annealing.effective_share,
-            moves: annealing.moves as usize,
-            sigma_m: annealing.step.sigma_m,
-            sigma_rad: annealing.step.sigma_rad,
-            gathered_m: annealing.gathered_m,
-        }),
-        ancestry,
-    })
+    fn row(error_along_m: f64) -> StepRow {
+        StepRow {
+            step: 0,
+            stamp_secs: 0.0,
+            truth: Pose2::IDENTITY,
+            dead_reckoning: Pose2::IDENTITY,
+            estimate: Pose2::IDENTITY,
+            error_along_m,
+            error_across_m: 0.0,
+            error_heading_rad: 0.0,
+            effective_sample_size: 1.0,
+            particles: 1,
+            log_evidence_nats: 0.0,
+            resampled: false,
+        }
+    }
+
+    #[test]
+    fn a_trial_is_lost_at_its_end_or_for_more_than_half_of_it() {
+        for (errors, lost) in [
+            (vec![0.1, 0.1, 0.1, 2.0], true),
+            (vec![2.0, 2.0, 2.0, 0.1], true),
+            (vec![2.0, 2.0, 0.1, 0.1], false),
+            (vec![0.1; 4], false),
+        ] {
+            let steps: Vec<StepRow> = errors.iter().copied().map(row).collect();
+            assert_eq!(is_lost(&steps, 1.0), lost, "{errors:?}");
+        }
+    }
 }

@@ -20,9 +20,10 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::RunOptions;
+use super::filter::{self, options};
 use super::laboratory::Laboratory;
 use super::training::TrainedModel;
-use super::trial::{filter_start, online_estimate, options};
+use super::trial::online_estimate;
 use crate::LabError;
 
 const MARKDOWN: &str = include_str!("templates/unreferenced.md.j2");
@@ -160,7 +161,7 @@ fn localize(
 ) -> Result<Track, LabError> {
     let settings = &laboratory.scenario.filter;
     let map = &*laboratory.maps.ranges;
-    let start = filter_start(settings, None).ok_or_else(|| LabError::Log {
+    let start = filter::start(settings, None).ok_or_else(|| LabError::Log {
         path: laboratory.scenario.file.clone(),
         what: "filter.start.tracking begins at a reference pose, and the log has none; `global`, or `around` with a pose"
             .to_owned(),

@@ -135,7 +135,7 @@ fn samples_follow_the_distribution_function() {
     let n = 4000;
     let mut models = normalized_models();
     models.push(Arc::new(Tempered::new(model(ModelKind::Classic), 0.3, 1.0).unwrap()));
-    models.push(model(ModelKind::LikelihoodField));
+    models.extend([ModelKind::LikelihoodField, ModelKind::NpRegField].map(model));
     for model in models {
         for beam in BEAMS {
             let d = distance_from(&*model, beam, &sampled(&*model, beam, n));
@@ -186,7 +186,7 @@ fn samples_of_another_beam_are_told_apart() {
 #[test]
 fn readings_out_of_the_ordinary_have_a_defined_score() {
     let mut models = normalized_models();
-    models.push(model(ModelKind::LikelihoodField));
+    models.extend([ModelKind::LikelihoodField, ModelKind::NpRegField].map(model));
     models.push(Arc::new(Tempered::new(model(ModelKind::NpRegRegistered), 0.01, 0.5).unwrap()));
     let z = [f32::NAN, MAX_RANGE, MAX_RANGE + 3.0, f32::INFINITY, 0.0, 1.0];
     for model in models {
@@ -223,7 +223,7 @@ fn a_batch_equals_its_beams_one_by_one() {
     let z = [0.9f32, 2.0, 4.3];
     let beams = hits.beams(laser.view(), &bearings, MAX_RANGE);
     let mut models = normalized_models();
-    models.push(model(ModelKind::LikelihoodField));
+    models.extend([ModelKind::LikelihoodField, ModelKind::NpRegField].map(model));
     for model in models {
         let mut all = [0.0f32; 6];
         model.log_density(&z, &beams, &mut all);

@@ -325,7 +325,7 @@ fn survive(cases: u32, seed: u64) -> usize {
         assert!(z.iter().zip(&shares).all(is_share), "{kind} case {case}: {shares:?}");
         let drawn = beam.ask(&z, |model, beams, out| model.sample(beams, &draw, out));
         assert!(drawn.iter().all(|z| (0.0..=max_range).contains(z)), "{kind} case {case}: {drawn:?}");
-        if kind != ModelKind::LikelihoodField {
+        if kind.is_normalized() {
             let totals = beam.totals();
             assert!(
                 totals.iter().all(|t| (t - 1.0).abs() < 0.02),

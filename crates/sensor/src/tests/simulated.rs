@@ -138,7 +138,7 @@ pub fn model(kind: ModelKind) -> Arc<dyn SensorModel> {
 
 /// Every model whose density is normalized, the oracle included.
 pub fn normalized_models() -> Vec<Arc<dyn SensorModel>> {
-    let kinds = ModelKind::ALL.into_iter().filter(|kind| *kind != ModelKind::LikelihoodField);
+    let kinds = ModelKind::ALL.into_iter().filter(|kind| kind.is_normalized());
     let mut models: Vec<_> = kinds.map(model).collect();
     models.push(Arc::new(Oracle::new(Arc::new(Objects::default()), 0.01, 0.002).unwrap()));
     models

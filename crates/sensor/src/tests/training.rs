@@ -70,7 +70,7 @@ fn fitting_says_what_is_missing() {
     let set = training_set(40, 2, 1);
     let empty = TrainingSet::new(MAX_RANGE).unwrap();
     let open = set.filtered(|s| s.range >= MAX_RANGE);
-    for kind in ModelKind::ALL.into_iter().filter(|kind| *kind != ModelKind::LikelihoodField) {
+    for kind in ModelKind::ALL.into_iter().filter(|kind| kind.is_normalized()) {
         for train in [&empty, &open] {
             let refused = fit(kind, train, &set, &options);
             assert!(matches!(refused, Err(SensorError::TooFewData { .. })), "{kind}");
@@ -82,8 +82,10 @@ fn fitting_says_what_is_missing() {
     let other = TrainingSet::new(8.0).unwrap();
     let refused = fit(ModelKind::Classic, &set, &other, &options);
     assert!(matches!(refused, Err(SensorError::MaxRangesDiffer { .. })));
-    let refused = fit(ModelKind::LikelihoodField, &set, &set, &options);
-    assert!(matches!(refused, Err(SensorError::NoDistanceMap)));
+    for kind in [ModelKind::LikelihoodField, ModelKind::NpRegField] {
+        let refused = fit(kind, &set, &set, &options);
+        assert!(matches!(refused, Err(SensorError::NoDistanceMap)), "{kind}");
+    }
 }
 
 #[test]

@@ -211,11 +211,12 @@ impl ReadingDistribution {
     /// A quantized reading has to be a multiple of the step. Steps of at most [`FINE_STEP`] standard deviations have the normal
     /// density at their middle instead of their probability over the step: at t standard deviations that is too little by a
     /// relative (t^2 - 1) / 24 times the square of the step in standard deviations.
+    ///
+    /// `limits` are [`ReadingDistribution::limits`].
     #[inline]
-    pub(crate) fn density_parts(&self, z: f64) -> [Parts; 2] {
-        let (step, min) = (self.step_m, self.least_value(self.min_m));
+    pub(crate) fn density_parts(&self, limits: [f64; 2], z: f64) -> [Parts; 2] {
+        let (step, [min, max]) = (self.step_m, limits);
         if z >= self.max_m {
-            let max = self.least_value(self.max_m);
             self.parts(|component| [component.at_least(max), component.at_least(min)])
         } else if step > 0.0 {
             self.parts(|component| [component.over_step(z, step), component.at_least(min)])
@@ -225,10 +226,9 @@ impl ReadingDistribution {
     }
 
     /// P(value before rounding < `x`), the same for every step and also of values that aren't usable, and the probability that a
-    /// reading is usable, both by their parts.
+    /// reading is usable, both by their parts. `limits` are [`ReadingDistribution::limits`].
     #[inline]
-    pub(crate) fn below(&self, x: f64) -> [Parts; 2] {
-        let min = self.least_value(self.min_m);
+    pub(crate) fn below(&self, [min, _]: [f64; 2], x: f64) -> [Parts; 2] {
         self.parts(|component| [component.below(x), component.at_least(min)])
     }
 
@@ -273,23 +273,9 @@ impl ReadingDistribution {
         ((k * self.step_m - z).abs() <= 4.0 * f64::from(f32::EPSILON) * z).then_some(k)
     }
 
-    /// The least value before rounding whose reading is at least `limit` \[m\], an f32.
-    #[inline]
-    fn least_value(&self, limit: f64) -> f64 {
-        let step = self.step_m;
-        if step == 0.0 {
-            return limit;
-        }
-        // A multiple is read as an f32, which may be the limit itself where the multiple is a little below it.
-        let next = (limit / step).ceil();
-        let reaches = |k: f64| (k * step) as f32 >= limit as f32;
-        let multiple = [next - 1.0, next].into_iter().find(|&k| reaches(k)).unwrap_or(next + 1.0);
-        (multiple - 0.5) * step
-    }
-
-    /// Before rounding: from where on a reading is usable, and from where on it is the maximum range.
-    fn limits(&self) -> [f64; 2] {
-        [self.least_value(self.min_m), self.least_value(self.max_m)]
+    /// Before rounding: from where on a reading is usable, and from where on it is the maximum range \[m\].
+    pub(crate) fn limits(&self) -> [f64; 2] {
+        [self.min_m, self.max_m].map(|limit| least_value(limit, self.step_m))
     }
 
     /// ln P(`from` <= reading before rounding < `to`).
@@ -453,6 +439,18 @@ impl Component {
             Self::Between { lo, hi } => ((to.clamp(lo, hi) - from.clamp(lo, hi)) / (hi - lo)).ln(),
         }
     }
+}
+
+/// The least value before rounding to multiples of `step` (0: not rounded) whose reading is at least `limit` \[m\], an f32.
+pub(crate) fn least_value(limit: f64, step: f64) -> f64 {
+    if step == 0.0 {
+        return limit;
+    }
+    // A multiple is read as an f32, which may be the limit itself where the multiple is a little below it.
+    let next = (limit / step).ceil();
+    let reaches = |k: f64| (k * step) as f32 >= limit as f32;
+    let multiple = [next - 1.0, next].into_iter().find(|&k| reaches(k)).unwrap_or(next + 1.0);
+    (multiple - 0.5) * step
 }
 
 /// Value that a sensor reports for a return: rounded to a multiple of `step` (0: not rounded), exactly the maximum range at or

@@ -38,7 +38,7 @@ pub use beam::{BeamView, HitKind, JUMP_M, jump_at};
 pub use description::{Description, Experiment, Fit, Moves, Needs, Replacement, Site};
 pub use disc::Disc;
 pub use distribution::{Alternative, Alternatives, ReadingDistribution, TAIL_FACTOR};
-pub(crate) use distribution::{Parts, as_read};
+pub(crate) use distribution::{Parts, as_read, least_value};
 pub use error::EffectError;
 pub(crate) use false_returns::burst;
 pub use false_returns::burst_window;

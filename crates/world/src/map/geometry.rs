@@ -63,7 +63,12 @@ impl Geometry {
     /// Whether a surface is the border of what is known: a ray that meets it has no nominal range, and a reading of its
     /// beam says nothing about the map.
     pub fn is_unknown(&self, surface: u32) -> bool {
-        self.surfaces.get(self.walls).is_some_and(|&border| border == surface)
+        self.unknown() == Some(surface)
+    }
+
+    /// The surface that is the border of what is known, if the map has one.
+    pub(crate) fn unknown(&self) -> Option<u32> {
+        self.surfaces.get(self.walls).copied()
     }
 
     /// Surface id of each segment: an index into [`Geometry::surface_names`].

@@ -220,6 +220,7 @@ impl Caster<'_> {
                 let corners =
                     corners.map(|corner| corner.as_ref().expect("each corner has been looked from"));
                 let centre = self.spot(2 * column + 1, 2 * row + 1);
+                let centre = Some(centre).filter(|&centre| self.is_free(centre));
                 let entries = entries.next().expect("one row of entries per cell");
                 for (bin, entry) in entries.iter_mut().enumerate() {
                     *entry = pool.index(&self.content_of_bin(corners, centre, bin, &mut samples, &mut walls));
@@ -255,7 +256,7 @@ impl Caster<'_> {
     fn content_of_bin<'a>(
         &self,
         corners: [&Spot; 4],
-        centre: DVec2,
+        centre: Option<DVec2>,
         bin: usize,
         samples: &mut Vec<Sample>,
         walls: &'a mut Vec<u32>,
@@ -277,7 +278,7 @@ impl Caster<'_> {
             let origin = samples[2 * i].origin;
             self.look_between(origin, bin, samples);
         }
-        if self.is_free(centre) {
+        if let Some(centre) = centre {
             self.look_between(centre, bin, samples);
         }
         walls.clear();

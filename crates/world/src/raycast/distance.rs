@@ -22,6 +22,8 @@ pub struct DistanceGrid {
     frame: CellFrame,
     distances: Vec<f32>,
     max_m: f32,
+    /// The surface that is the border of what is known.
+    unknown: Option<u32>,
 }
 
 impl DistanceGrid {
@@ -52,7 +54,7 @@ impl DistanceGrid {
                 }
             },
         );
-        Ok(Self { frame, distances, max_m: max_m as f32 })
+        Ok(Self { frame, distances, max_m: max_m as f32, unknown: geometry.unknown() })
     }
 }
 
@@ -70,6 +72,10 @@ impl DistanceMap for DistanceGrid {
         let below = self.distances[i] * (1.0 - right) + self.distances[i + 1] * right;
         let above = self.distances[i + columns] * (1.0 - right) + self.distances[i + columns + 1] * right;
         below * (1.0 - up) + above * up
+    }
+
+    fn is_unknown(&self, surface: u32) -> bool {
+        self.unknown == Some(surface)
     }
 }
 

@@ -1,5 +1,5 @@
 use super::{ClutterSurvival, LaserOptions};
-use crate::effect::{BeamView, Effects, HitKind, Parts, ReadingDistribution};
+use crate::effect::{BeamView, Effects, HitKind, Parts, ReadingDistribution, least_value};
 
 /// The steps in which readings of a laser without a resolution are compared with quantized ones \[m\]: finer than any laser's.
 const FINEST_STEP_M: f64 = 1e-4;
@@ -64,12 +64,11 @@ impl ClutteredBeam {
 /// that of clutter at the reading's own range, or of clutter in the middle of where it may stand if nothing is returned.
 #[derive(Clone, Copy, Debug)]
 pub struct ReadingMixture<'a> {
-    /// The laser.
-    pub laser: &'a LaserOptions,
-    /// The effects of the world.
-    pub effects: &'a Effects,
-    /// Factor on the density of clutter.
-    pub clutter_density: f64,
+    laser: &'a LaserOptions,
+    effects: &'a Effects,
+    clutter_density: f64,
+    /// [`ReadingDistribution::limits`] of readings with the laser's own step.
+    limits: [f64; 2],
 }
 
 /// The density of a reading by what it is of: per metre, a probability at the maximum range.
@@ -105,7 +104,18 @@ struct OfClutter {
     rest: f64,
 }
 
-impl ReadingMixture<'_> {
+impl<'a> ReadingMixture<'a> {
+    /// Readings of this laser in a world with these effects; `clutter_density` is a factor on the density of clutter.
+    pub fn new(laser: &'a LaserOptions, effects: &'a Effects, clutter_density: f64) -> Self {
+        let limits = [laser.min_range_m, laser.max_range_m]
+            .map(|m| least_value(f64::from(m as f32), laser.resolution_m));
+        Self { laser, effects, clutter_density, limits }
+    }
+
+    fn limits(&self, reading: &ReadingDistribution) -> [f64; 2] {
+        if reading.step_m == self.laser.resolution_m { self.limits } else { reading.limits() }
+    }
+
     /// The density of a reading `z` \[m\] from the minimum range on; `shift` is added to the range of surface and clutter \[m\].
     ///
     /// Densities are those of multiples of the laser's own step, so that worlds of coarser steps can be compared. A fine step
@@ -116,14 +126,15 @@ impl ReadingMixture<'_> {
         let range = self.surface_range(beam, &view, shift);
         let reading = self.surface_reading(beam, &view, range);
         let clear = self.clear(beam, &view, range, shift);
-        let [of_surface, usable] = reading.density_parts(z);
+        let [of_surface, usable] = reading.density_parts(self.limits(&reading), z);
         let mut total = clear * of_surface.total();
         let mut usable = clear * usable.total();
         let mut clutter = 0.0;
         if clear < 1.0 {
             let is_return = z < reading.max_m;
             let expected = if is_return { z } else { beam.survival.middle(range - shift) + shift };
-            let nearest = self.clutter_read_at(beam, expected, |reading| reading.density_parts(z));
+            let nearest = self
+                .clutter_read_at(beam, expected, |reading| reading.density_parts(self.limits(reading), z));
             if is_return && nearest.range < range {
                 clutter = nearest.rest * self.nearest_density(beam, nearest.range - shift);
             }
@@ -150,11 +161,12 @@ impl ReadingMixture<'_> {
         let range = self.surface_range(beam, &view, shift);
         let reading = self.surface_reading(beam, &view, range);
         let clear = self.clear(beam, &view, range, shift);
-        let [of_surface, usable] = reading.below(x);
+        let [of_surface, usable] = reading.below(self.limits(&reading), x);
         let mut below = clear * of_surface.total();
         let mut usable = clear * usable.total();
         if clear < 1.0 {
-            let nearest = self.clutter_read_at(beam, x.min(range), |reading| reading.below(x));
+            let nearest =
+                self.clutter_read_at(beam, x.min(range), |reading| reading.below(self.limits(reading), x));
             let survival = self.survival(beam, nearest.range.min(range) - shift).max(clear);
             below += (1.0 - clear) * nearest.instead + nearest.rest * (1.0 - survival);
             usable += self.usable_clutter(beam, shift, clear, &nearest, reading.min_m);
@@ -280,29 +292,25 @@ mod tests {
 
     /// P(value before rounding < x), summed over millimetres of where the nearest clutter stands, each read with its noise.
     fn plain_below(mixture: &ReadingMixture<'_>, beam: &ClutteredBeam, x: f64) -> f64 {
-        let read = |met, range| {
-            mixture.effects.reading_of(
+        let below = |met, range| {
+            let reading = mixture.effects.reading_of(
                 mixture.laser,
                 &beam.view,
                 met,
                 range,
                 met == HitKind::Wall,
                 |_, share| share,
-            )
+            );
+            reading.below(reading.limits(), x)[0].total()
         };
         let survival = |range: f64| beam.survival_at(range).0.powf(mixture.clutter_density);
         let millimetres = (beam.view.range / 0.001).round() as u32;
         let of_clutter = (0..millimetres).map(|i| {
             let [near, middle, far] = [0.0, 0.5, 1.0].map(|share| 0.001 * (f64::from(i) + share));
             let probability = survival(near) - survival(far);
-            if probability > 0.0 {
-                probability * read(HitKind::Object, middle).below(x)[0].total()
-            } else {
-                0.0
-            }
+            if probability > 0.0 { probability * below(HitKind::Object, middle) } else { 0.0 }
         });
-        survival(beam.view.range) * read(HitKind::Wall, beam.view.range).below(x)[0].total()
-            + of_clutter.sum::<f64>()
+        survival(beam.view.range) * below(HitKind::Wall, beam.view.range) + of_clutter.sum::<f64>()
     }
 
     /// Where the probability of a lost return changes along the clutter, the distribution function errs by up to this.
@@ -314,7 +322,7 @@ mod tests {
         for (effects, bound) in worlds().iter().zip(BOUNDS) {
             let mut worst = 0.0_f64;
             for clutter_density in [0.5, 1.0, 3.0] {
-                let mixture = ReadingMixture { laser: &LASER, effects, clutter_density };
+                let mixture = ReadingMixture::new(&LASER, effects, clutter_density);
                 let unusable = plain_below(&mixture, &beam, LASER.min_range_m);
                 for i in 8..100 {
                     let x = 0.04 * f64::from(i);
@@ -331,7 +339,7 @@ mod tests {
     fn the_density_is_the_slope_of_the_distribution_function() {
         let beam = beam();
         for (effects, bound) in worlds().iter().zip(BOUNDS) {
-            let mixture = ReadingMixture { laser: &LASER, effects, clutter_density: 1.3 };
+            let mixture = ReadingMixture::new(&LASER, effects, 1.3);
             let step = 5e-4;
             let (mut sum, mut worst) = (0.0, 0.0_f64);
             for i in 600..8000 {
@@ -356,7 +364,7 @@ mod tests {
         let clear = |offset: f64| {
             let moved = Effect::new(EffectKind::MovedWall, vec![offset], place.clone()).unwrap();
             let effects = Effects::new(vec![moved]).unwrap();
-            let mixture = ReadingMixture { laser: &LASER, effects: &effects, clutter_density: 1.0 };
+            let mixture = ReadingMixture::new(&LASER, &effects, 1.0);
             mixture.density(&beam, 0.0, 3.0).clear
         };
         assert!((clear(0.0) - beam.log_clear.exp()).abs() < 1e-12);

@@ -1,0 +1,206 @@
+//! One curve over the levels of a covariate: a histogram with a penalty on the steps between neighbours.
+
+/// The sums of what readings say of a moment at a level.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sums {
+    /// Slope of the log score by the moment's tilt.
+    pub slope: f64,
+    /// Its variance.
+    pub variance: f64,
+}
+
+impl Sums {
+    pub fn add(&mut self, [slope, variance]: [f64; 2]) {
+        self.slope += slope;
+        self.variance += variance;
+    }
+
+    fn plus(self, other: Self) -> Self {
+        Self { slope: self.slope + other.slope, variance: self.variance + other.variance }
+    }
+
+    fn minus(self, other: Self) -> Self {
+        Self { slope: self.slope - other.slope, variance: (self.variance - other.variance).max(0.0) }
+    }
+
+    /// Gain of a tilt (nats). A share's readings are few: their number is Poisson, and so is its log score.
+    fn gain(self, tilt: f64, is_share: bool) -> f64 {
+        if is_share {
+            self.slope * tilt - self.variance * (tilt.exp_m1() - tilt)
+        } else {
+            self.slope * tilt - 0.5 * self.variance * tilt * tilt
+        }
+    }
+}
+
+/// How a curve is fitted.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shape {
+    /// Information of a step between neighbouring levels.
+    pub stiffness: f64,
+    /// Whether neighbouring levels are alike. Levels without an order are drawn to 0.
+    pub is_ordered: bool,
+    /// Whether the moment is the share of a class.
+    pub is_share: bool,
+}
+
+/// Information of each level about 0, which keeps curves finite: a hundredth of a reading.
+const RIDGE: f64 = 0.01;
+/// Newton steps of a share's fit, each no longer than the largest step.
+const NEWTON_STEPS: usize = 8;
+const LARGEST_STEP: f64 = 2.0;
+/// The most that a curve of a moment of the surface moves at once: its log score is a parabola only near by.
+const LARGEST_TILT: f64 = 1.0;
+
+/// The curve of some sums and its standard errors.
+fn solve(sums: &[Sums], shape: Shape) -> (Vec<f64>, Vec<f64>) {
+    let mut curve = vec![0.0_f64; sums.len()];
+    let mut errors = curve.clone();
+    for _ in 0..if shape.is_share { NEWTON_STEPS } else { 1 } {
+        // Slope and curvature where the curve is.
+        let at: Vec<[f64; 2]> = sums
+            .iter()
+            .zip(&curve)
+            .map(|(sums, tilt)| {
+                if shape.is_share {
+                    [sums.slope - sums.variance * tilt.exp_m1(), sums.variance * tilt.exp()]
+                } else {
+                    [sums.slope, sums.variance]
+                }
+            })
+            .collect();
+        let (change, variance) = newton(&at, &curve, shape);
+        errors = variance.into_iter().map(f64::sqrt).collect();
+        let most = if shape.is_share { LARGEST_STEP } else { LARGEST_TILT };
+        let mut moved = 0.0_f64;
+        for (tilt, change) in curve.iter_mut().zip(change) {
+            let change = change.clamp(-most, most);
+            *tilt += change;
+            moved = moved.max(change.abs());
+        }
+        if moved < 1e-3 {
+            break;
+        }
+    }
+    (curve, errors)
+}
+
+/// A Newton step of the penalized log score, and the variance of each level: a tridiagonal system.
+fn newton(at: &[[f64; 2]], curve: &[f64], shape: Shape) -> (Vec<f64>, Vec<f64>) {
+    let n = at.len();
+    let step = if shape.is_ordered && n > 1 { shape.stiffness } else { 0.0 };
+    let ridge = if shape.is_ordered { RIDGE } else { RIDGE * shape.stiffness.max(1.0) };
+    let neighbours = |i: usize| f64::from(u8::from(i > 0)) + f64::from(u8::from(i + 1 < n));
+    let diagonal: Vec<f64> = (0..n).map(|i| at[i][1] + ridge + step * neighbours(i)).collect();
+    let right: Vec<f64> = (0..n)
+        .map(|i| {
+            let before = if i > 0 { step * (curve[i] - curve[i - 1]) } else { 0.0 };
+            let after = if i + 1 < n { step * (curve[i] - curve[i + 1]) } else { 0.0 };
+            at[i][0] - ridge * curve[i] - before - after
+        })
+        .collect();
+    // Forward and backward pivots: both give the diagonal of the inverse.
+    let (mut forward, mut backward) = (diagonal.clone(), diagonal.clone());
+    let mut reduced = right;
+    for i in 1..n {
+        let factor = -step / forward[i - 1];
+        forward[i] += factor * step;
+        reduced[i] -= factor * reduced[i - 1];
+    }
+    for i in (0..n.saturating_sub(1)).rev() {
+        backward[i] -= step * step / backward[i + 1];
+    }
+    let mut change = vec![0.0; n];
+    for i in (0..n).rev() {
+        let next = if i + 1 < n { step * change[i + 1] } else { 0.0 };
+        change[i] = (reduced[i] + next) / forward[i];
+    }
+    let variance = (0..n).map(|i| 1.0 / (forward[i] + backward[i] - diagonal[i])).collect();
+    (change, variance)
+}
+
+/// The curve of all folds, with its standard errors.
+pub(super) fn fit(folds: &[Vec<Sums>], shape: Shape) -> (Vec<f64>, Vec<f64>) {
+    solve(&total(folds), shape)
+}
+
+/// What curves that are fitted without a fold gain there, all together (nats), and those curves.
+pub(super) fn crossfit(folds: &[Vec<Sums>], shape: Shape) -> (f64, Vec<Vec<f64>>) {
+    let total = total(folds);
+    let mut gain = 0.0;
+    let without = folds
+        .iter()
+        .map(|fold| {
+            let rest: Vec<Sums> = total.iter().zip(fold).map(|(all, own)| all.minus(*own)).collect();
+            let (curve, _) = solve(&rest, shape);
+            gain += fold.iter().zip(&curve).map(|(own, tilt)| own.gain(*tilt, shape.is_share)).sum::<f64>();
+            curve
+        })
+        .collect();
+    (gain, without)
+}
+
+fn total(folds: &[Vec<Sums>]) -> Vec<Sums> {
+    let mut total = vec![Sums::default(); folds[0].len()];
+    for fold in folds {
+        for (sum, more) in total.iter_mut().zip(fold) {
+            *sum = sum.plus(*more);
+        }
+    }
+    total
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::matrix::invert;
+
+    fn sums(pairs: &[[f64; 2]]) -> Vec<Sums> {
+        pairs.iter().map(|&[slope, variance]| Sums { slope, variance }).collect()
+    }
+
+    /// The tridiagonal solution and the diagonal of the inverse, against those of the whole matrix.
+    #[test]
+    fn a_curve_is_the_maximum_of_its_penalized_log_score() {
+        let sums = sums(&[[3.0, 20.0], [-1.0, 5.0], [0.5, 0.0], [2.0, 40.0]]);
+        let shape = Shape { stiffness: 7.0, is_ordered: true, is_share: false };
+        let (curve, errors) = solve(&sums, shape);
+        let mut matrix = vec![vec![0.0; 4]; 4];
+        for i in 0..4 {
+            matrix[i][i] += sums[i].variance + RIDGE;
+            if i > 0 {
+                matrix[i][i] += 7.0;
+                matrix[i - 1][i - 1] += 7.0;
+                matrix[i][i - 1] -= 7.0;
+                matrix[i - 1][i] -= 7.0;
+            }
+        }
+        let inverse = invert(&matrix);
+        for i in 0..4 {
+            let expected: f64 = inverse[i].iter().zip(&sums).map(|(m, sum)| m * sum.slope).sum();
+            assert!((curve[i] - expected).abs() < 1e-9, "{} {expected}", curve[i]);
+            assert!((errors[i] - inverse[i][i].sqrt()).abs() < 1e-9, "{} {}", errors[i], inverse[i][i]);
+        }
+    }
+
+    /// 30 readings where 10 are expected: their share is 3 times as large.
+    #[test]
+    fn a_share_s_tilt_is_the_logarithm_of_observed_over_expected() {
+        let shape = Shape { stiffness: 1.0, is_ordered: true, is_share: true };
+        let (curve, _) = solve(&sums(&[[20.0, 10.0]]), shape);
+        assert!((curve[0] - 3.0_f64.ln()).abs() < 0.01, "{curve:?}");
+    }
+
+    /// Two levels that all folds agree on gain; levels on which folds contradict each other lose.
+    #[test]
+    fn a_curve_gains_where_it_was_not_fitted() {
+        let shape = Shape { stiffness: 1.0, is_ordered: true, is_share: false };
+        let alike = vec![sums(&[[10.0, 50.0], [-10.0, 50.0]]); 4];
+        let (gain, without) = crossfit(&alike, shape);
+        // Each fold gains 2 (s t - v t^2 / 2) at t = s / v.
+        assert!((gain - 4.0 * 2.0).abs() < 0.1 && without.len() == 4, "{gain}");
+        let unlike: Vec<Vec<Sums>> =
+            (0..4).map(|i| sums(&[[if i % 2 == 0 { 10.0 } else { -10.0 }, 50.0]])).collect();
+        assert!(crossfit(&unlike, shape).0 < 0.0);
+    }
+}

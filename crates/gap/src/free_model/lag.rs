@@ -1,0 +1,99 @@
+//! An odometry that lags behind the stamps.
+
+use locsim_core::{Pose2, Track, wrap_angle};
+use locsim_world::effect::Effects;
+
+use crate::Recorded;
+use crate::hypothesis::{Comparison, Fitted};
+use crate::odometry::{Increment, increments, standardized};
+use crate::statistics::{FOLD_SCANS, fold_count};
+
+/// Lags that are tried: to both sides, so many steps of this \[s\].
+const STEPS: i32 = 50;
+const STEP_SECS: f64 = 0.01;
+
+/// The odometry's lag behind the stamps, fitted to a log.
+#[derive(Clone, Debug)]
+pub(crate) struct Lag {
+    pub secs: f64,
+    /// Its standard error \[s\]: by the curvature of the log likelihood.
+    pub error_secs: f64,
+    /// Gain on each fold by the lag of the others (nats).
+    pub gains: Vec<f64>,
+}
+
+impl Lag {
+    pub fn new(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted) -> Self {
+        let recorded = comparison.recorded;
+        let corrected = comparison.corrected(&fitted.corrections);
+        let increments = increments(comparison.nominal, effects, &corrected, &recorded.odometry);
+        let track = recorded.track.with_poses(corrected);
+        let count = fold_count(recorded.scans());
+        // Log likelihood of each fold at each lag, up to a constant.
+        let at = |step: i32| -> Vec<f64> {
+            let mut folds = vec![0.0; count];
+            let lagging = lagging(&track, f64::from(step) * STEP_SECS, &increments);
+            for (i, increment) in lagging.enumerate() {
+                let errors = standardized(&increment, &fitted.nuisances.odometry_error);
+                let fold = ((i + 1) / FOLD_SCANS).min(count - 1);
+                folds[fold] -= 0.5 * errors.iter().map(|e| e * e).sum::<f64>();
+            }
+            folds
+        };
+        let all: Vec<Vec<f64>> = (-STEPS..=STEPS).map(at).collect();
+        let total: Vec<f64> = all.iter().map(|folds| folds.iter().sum()).collect();
+        let none = STEPS as usize;
+        let best = |of: &dyn Fn(usize) -> f64| {
+            (0..all.len()).max_by(|&a, &b| of(a).total_cmp(&of(b))).unwrap_or(none)
+        };
+        let gain = |fold: usize| {
+            let lag = best(&|i| total[i] - all[i][fold]);
+            all[lag][fold] - all[none][fold]
+        };
+        let lag = best(&|i| total[i]).clamp(1, all.len() - 2);
+        let curvature = (2.0 * total[lag] - total[lag - 1] - total[lag + 1]).max(1e-6);
+        Self {
+            secs: (lag as f64 - none as f64) * STEP_SECS,
+            error_secs: STEP_SECS / curvature.sqrt(),
+            gains: (0..count).map(gain).collect(),
+        }
+    }
+
+    pub fn gain(&self) -> f64 {
+        self.gains.iter().sum()
+    }
+}
+
+/// The increments against those of the track so much earlier \[s\].
+fn lagging(track: &Track, late: f64, increments: &[Increment]) -> impl Iterator<Item = Increment> {
+    let poses: Vec<Pose2> = track.secs().iter().map(|&secs| track.pose_at(secs - late)).collect();
+    let truths = Recorded::increments(&poses);
+    increments.iter().zip(truths).map(|(increment, truth)| {
+        let change = [increment.truth[0] - truth[0], wrap_angle(increment.truth[1] - truth[1])];
+        Increment { error: std::array::from_fn(|axis| increment.error[axis] + change[axis]), ..*increment }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::{DRIVE, NOMINAL};
+    use crate::hypothesis::Nuisances;
+
+    /// Odometry of the scan before: it lags by a tenth of a second.
+    #[test]
+    fn a_lag_is_found() {
+        for late in [0_u32, 1] {
+            let mut drive = DRIVE.clone();
+            for i in late as usize..drive.steps.len() {
+                drive.steps[i].odometry = DRIVE.steps[i - late as usize].odometry;
+            }
+            let recorded = Recorded::new(&drive, 400, 24, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+            let lag = Lag::new(&comparison, &NOMINAL.effects, &fitted);
+            assert!((lag.secs - 0.1 * f64::from(late)).abs() < 0.03, "{lag:?}");
+            assert_eq!(lag.gain() > 5.0, late > 0, "{lag:?}");
+        }
+    }
+}

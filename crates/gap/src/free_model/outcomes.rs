@@ -1,0 +1,300 @@
+//! A reading as the outcome of a few classes: of the surface, in bins of its PIT there, of something in front of it or
+//! behind it, or of nothing.
+
+use locsim_core::{Draw, normal};
+use locsim_world::effect::Effects;
+use rand::RngExt;
+
+use crate::hypothesis::{Comparison, Fitted};
+use crate::statistics::Deviation;
+
+/// The moments of a reading that have curves: three of the error of a reading of the surface, and the shares of the other
+/// classes.
+pub(super) const MOMENTS: [Deviation; 6] = [
+    Deviation::Mean,
+    Deviation::Spread,
+    Deviation::Skew,
+    Deviation::Short,
+    Deviation::Long,
+    Deviation::NoReturn,
+];
+/// Moments of the surface's readings, the first of [`MOMENTS`].
+const OF_SURFACE: usize = 3;
+
+/// Whether a moment is the share of a class.
+pub(super) fn is_share(moment: Deviation) -> bool {
+    matches!(moment, Deviation::Short | Deviation::Long | Deviation::NoReturn)
+}
+
+/// A reading within this of the surface's mean is one of the surface (standard deviations): noise alone brings 6 in 10^5
+/// farther.
+const NEAR: f64 = 4.0;
+/// Edges of the bins of a reading of the surface (standard deviations). Finer ones would add 1 % to what its mean says.
+const EDGES: [f64; 14] = [-NEAR, -3.0, -2.25, -1.5, -1.0, -0.6, -0.2, 0.2, 0.6, 1.0, 1.5, 2.25, 3.0, NEAR];
+const BINS: usize = EDGES.len() - 1;
+/// Share of an even density under the hypothesis, so that no reading is impossible; as in the likelihood.
+const FLOOR: f64 = 1e-6;
+/// The least variance that a class with a small probability counts as having.
+const LEAST_VARIANCE: f64 = 1e-9;
+/// The largest tilt of a class's log odds, and of a moment of the surface's readings.
+const MOST: f64 = 14.0;
+
+/// The logarithm of what the probabilities of a reading are multiplied by, for each moment (1).
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Tilt(pub [f64; MOMENTS.len()]);
+
+/// The bins of a standard normal number: their probabilities, and the mean of each moment's polynomial there (Hermite
+/// polynomials, so that the moments are orthogonal).
+struct Bins {
+    weight: [f64; BINS],
+    basis: [[f64; OF_SURFACE]; BINS],
+}
+
+impl Bins {
+    fn new() -> Self {
+        let (mut weight, mut basis) = ([0.0; BINS], [[0.0; OF_SURFACE]; BINS]);
+        for (bin, edges) in EDGES.windows(2).enumerate() {
+            let [a, b] = [edges[0], edges[1]];
+            let [at_a, at_b] = [a, b].map(normal::density);
+            let share = normal::cdf(b) - normal::cdf(a);
+            // The integral of a Hermite polynomial times the density is minus the one before it times the density.
+            basis[bin] = [
+                (at_a - at_b) / share,
+                (a * at_a - b * at_b) / share,
+                ((a * a - 1.0) * at_a - (b * b - 1.0) * at_b) / share,
+            ];
+            weight[bin] = share;
+        }
+        Self { weight, basis }
+    }
+}
+
+/// Sums of what a reading says of a moment: pull, and its variance.
+pub(super) type Pull = [[f64; 2]; MOMENTS.len()];
+
+/// The class of a reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Class {
+    /// Of the surface, in a bin.
+    Surface(u8),
+    Short,
+    Long,
+    NoReturn,
+}
+
+/// A reading with the probabilities of its classes under the hypothesis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Outcome {
+    pub scan: u32,
+    /// Index of its beam in the log.
+    pub beam: u32,
+    class: Class,
+    /// Probabilities of a reading of the surface, in front of it, behind it, and of none.
+    probabilities: [f64; 4],
+    /// Standard deviation of a reading of the surface \[m\].
+    sigma: f64,
+}
+
+/// The readings of a log under a hypothesis.
+pub(super) struct Outcomes {
+    pub all: Vec<Outcome>,
+}
+
+impl Outcomes {
+    /// The readings of a log, where what each meets is so much farther away \[m\]; all where it is, if none is given.
+    pub fn new(
+        comparison: &Comparison<'_>,
+        effects: &Effects,
+        fitted: &Fitted,
+        draw: &Draw,
+        farther: Option<&[f64]>,
+    ) -> Self {
+        let laser = &comparison.nominal.laser;
+        let (min, max) = (laser.min_range_m, laser.max_range_m);
+        let stepped = effects.list().iter().filter(|effect| effect.kind.is_stepped());
+        let step = stepped.map(|effect| effect.values[0]).fold(laser.resolution_m, f64::max);
+        let views = &*comparison.views;
+        let mut all = Vec::with_capacity(views.beams.len());
+        comparison.for_each_reading(views, effects, fitted, |scan, i, density, shift, z, terms| {
+            let beam = &views.beams[i];
+            let is_return = z < max;
+            let by = farther.map_or(0.0, |farther| farther[all.len()]);
+            let shift = shift + by;
+            let terms = if by == 0.0 { terms } else { density.terms(beam, shift, z) };
+            let probe = if is_return { z } else { 0.5 * (min + max) };
+            let terms = if is_return { terms } else { density.terms(beam, shift, probe) };
+            let (mean, sigma) =
+                if terms.sigma.is_finite() { (probe - terms.error, terms.sigma) } else { (max, 0.0) };
+            let cdf = |x: f64| density.cdf(beam, shift, x.clamp(min, max));
+            let [lo, hi] = [mean - NEAR * sigma, mean + NEAR * sigma].map(|edge| edge.clamp(min, max));
+            let [below, within, returned] = [lo, hi, max].map(cdf);
+            let (below, within) = (below.min(within), within.max(below).min(returned));
+            let class = if !is_return {
+                Class::NoReturn
+            } else if z < lo {
+                Class::Short
+            } else if z >= hi || hi <= lo {
+                Class::Long
+            } else {
+                let share: f64 = draw.at(scan as u32).item(i as u32).random();
+                let [before, after] = [-0.5, 0.5].map(|side| cdf((z + side * step).clamp(lo, hi)));
+                let u = (before + share * (after - before) - below) / (within - below).max(1e-12);
+                Class::Surface(bin_of(u))
+            };
+            let floors = [hi - lo, lo - min, max - hi].map(|width| FLOOR * width.max(0.0) / max);
+            let probabilities = [
+                (within - below) + floors[0],
+                below + floors[1],
+                (returned - within).max(0.0) + floors[2],
+                (1.0 - returned).max(0.0) + FLOOR,
+            ];
+            let total: f64 = probabilities.iter().sum();
+            all.push(Outcome {
+                scan: scan as u32,
+                beam: i as u32,
+                class,
+                probabilities: probabilities.map(|p| p / total),
+                sigma,
+            });
+        });
+        Self { all }
+    }
+}
+
+/// The bin of a PIT among the surface's readings.
+fn bin_of(u: f64) -> u8 {
+    let [first, last] = [-NEAR, NEAR].map(normal::cdf);
+    let at = first + u * (last - first);
+    let inner = &edges_cdf()[1..BINS];
+    inner.partition_point(|&edge| edge <= at) as u8
+}
+
+fn edges_cdf() -> &'static [f64; EDGES.len()] {
+    static CDF: std::sync::LazyLock<[f64; EDGES.len()]> = std::sync::LazyLock::new(|| EDGES.map(normal::cdf));
+    &CDF
+}
+
+fn bins() -> &'static Bins {
+    static BINS_OF_NORMAL: std::sync::LazyLock<Bins> = std::sync::LazyLock::new(Bins::new);
+    &BINS_OF_NORMAL
+}
+
+/// The distribution over the surface's bins under a tilt: probabilities of the bins.
+fn tilted(tilt: &Tilt) -> [f64; BINS] {
+    let Bins { weight, basis } = bins();
+    let mut shares = *weight;
+    if tilt.0[..OF_SURFACE] != [0.0; OF_SURFACE] {
+        for (share, basis) in shares.iter_mut().zip(basis) {
+            let power: f64 = basis.iter().zip(&tilt.0).map(|(b, t)| b * t.clamp(-MOST, MOST)).sum();
+            *share *= power.exp();
+        }
+    }
+    let total: f64 = shares.iter().sum();
+    shares.map(|share| share / total)
+}
+
+impl Outcome {
+    fn class(&self) -> usize {
+        match self.class {
+            Class::Surface(_) => 0,
+            Class::Short => 1,
+            Class::Long => 2,
+            Class::NoReturn => 3,
+        }
+    }
+
+    /// Probabilities of the classes under a tilt.
+    fn classes(&self, tilt: &Tilt) -> [f64; 4] {
+        let mut shares = self.probabilities;
+        for (share, tilt) in shares[1..].iter_mut().zip(&tilt.0[OF_SURFACE..]) {
+            if *tilt != 0.0 {
+                *share *= tilt.clamp(-MOST, MOST).exp();
+            }
+        }
+        let total: f64 = shares.iter().sum();
+        shares.map(|share| share / total)
+    }
+
+    /// Log score gained by a tilt (nats).
+    pub fn gain(&self, tilt: &Tilt) -> f64 {
+        let class = self.class();
+        let of_class = (self.classes(tilt)[class] / self.probabilities[class]).ln();
+        match self.class {
+            Class::Surface(bin) => {
+                of_class
+                    + (tilted(tilt)[usize::from(bin)] / bins().weight[usize::from(bin)] * total_weight()).ln()
+            }
+            _ => of_class,
+        }
+    }
+
+    /// The slope of the log score by each moment's tilt, and its variance.
+    pub fn pull(&self, tilt: &Tilt) -> Pull {
+        let mut pull = [[0.0; 2]; MOMENTS.len()];
+        if let Class::Surface(bin) = self.class {
+            let (shares, basis) = (tilted(tilt), &bins().basis);
+            for moment in 0..OF_SURFACE {
+                let [mut mean, mut square] = [0.0; 2];
+                for (share, basis) in shares.iter().zip(basis) {
+                    mean += share * basis[moment];
+                    square += share * basis[moment].powi(2);
+                }
+                pull[moment] = [basis[usize::from(bin)][moment] - mean, square - mean * mean];
+            }
+        }
+        let (shares, own) = (self.classes(tilt), self.class());
+        for class in 1..4 {
+            let hit = f64::from(u8::from(class == own));
+            pull[OF_SURFACE + class - 1] =
+                [hit - shares[class], (shares[class] * (1.0 - shares[class])).max(LEAST_VARIANCE)];
+        }
+        pull
+    }
+
+    /// What a tilt of one moment changes: the mean of a reading of the surface \[m\], its spread (a factor, less 1), its skewness,
+    /// or the share of a class. `None` of a beam that meets no surface, for the surface's moments.
+    pub fn change(&self, moment: usize, by: f64) -> Option<f64> {
+        let mut tilt = Tilt::default();
+        tilt.0[moment] = by;
+        if moment >= OF_SURFACE {
+            let class = moment - OF_SURFACE + 1;
+            return Some(self.classes(&tilt)[class] - self.probabilities[class]);
+        }
+        if self.sigma == 0.0 {
+            return None;
+        }
+        let of = |tilt: &Tilt| {
+            let mut means = [0.0; OF_SURFACE];
+            for (share, basis) in tilted(tilt).iter().zip(&bins().basis) {
+                means.iter_mut().zip(basis).for_each(|(mean, basis)| *mean += share * basis);
+            }
+            means
+        };
+        let [mean, square, cube] = of(&tilt);
+        Some(match moment {
+            0 => self.sigma * mean,
+            1 => {
+                let [_, plain, _] = of(&Tilt::default());
+                ((1.0 + square - mean * mean) / (1.0 + plain)).max(0.0).sqrt() - 1.0
+            }
+            _ => cube,
+        })
+    }
+
+    /// Standard deviation of a reading of the surface \[m\]; 0 of a beam that meets none.
+    pub fn sigma(&self) -> f64 {
+        self.sigma
+    }
+
+    /// Error of a reading of the surface beyond the model (standard deviations).
+    pub fn error(&self, tilt: &Tilt) -> Option<f64> {
+        let Class::Surface(bin) = self.class else { return None };
+        let (shares, basis) = (tilted(tilt), &bins().basis);
+        let mean: f64 = shares.iter().zip(basis).map(|(share, basis)| share * basis[0]).sum();
+        Some(basis[usize::from(bin)][0] - mean)
+    }
+}
+
+fn total_weight() -> f64 {
+    normal::cdf(NEAR) - normal::cdf(-NEAR)
+}

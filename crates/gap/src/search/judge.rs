@@ -1,0 +1,89 @@
+//! The free model as the judge of a round.
+
+use locsim_world::effect::Effect;
+use rayon::prelude::*;
+
+use super::judgement::{Judgement, acts_on};
+use super::selection::is_sure;
+use super::{Round, State};
+use crate::fit::Candidate;
+use crate::free_model::{Covariates, FreeModel, Lag};
+use crate::null::REFIT;
+use crate::replay::Replay;
+use crate::statistics::{Survey, pit_draw};
+use crate::{GapError, Purpose};
+
+/// Simulated logs of the hypothesis that the free model is learnt from as well. What it gains there is the simulator's own: beams
+/// share clutter and the error of the reference, which the hypothesis for single readings doesn't know.
+const LOGS: u32 = 4;
+
+/// An effect whose formula gains at least this share of what the free curve over its own covariate gains is the right name in
+/// another form. An effect that gains less is another effect.
+const RIGHT_NAME_SHARE: f64 = 0.5;
+
+impl<'a> State<'a> {
+    /// The free model on top of a round's hypothesis, which is learnt once.
+    pub fn judge<'r>(&self, round: &'r Round<'a>) -> Result<&'r Judgement, GapError> {
+        if let Some(judgement) = round.judgement.get() {
+            return Ok(judgement);
+        }
+        let judgement = self.learn(round)?;
+        Ok(round.judgement.get_or_init(|| judgement))
+    }
+
+    fn learn(&self, round: &Round<'a>) -> Result<Judgement, GapError> {
+        let effects = round.comparison.effects(&round.effects)?;
+        let covariates = Covariates::new(&round.comparison);
+        let replay = Replay {
+            nominal: self.nominal,
+            recorded: self.recorded,
+            effects: &round.effects,
+            nuisances: round.fitted.nuisances,
+            blocks: round.blocks,
+        };
+        let draw = Purpose::FreeModel.draw(self.options.seed);
+        let own = pit_draw(self.options.seed);
+        let model = FreeModel::new(&round.comparison, &effects, &round.fitted, &covariates, &own);
+        let lag = Lag::new(&round.comparison, &effects, &round.fitted);
+        let simulated = (0..LOGS)
+            .into_par_iter()
+            .map(|i| {
+                let seed = draw.seed(i);
+                let log = replay.simulate(seed)?;
+                let comparison = round.comparison.of(&log);
+                let fitted = comparison.find_nuisances(&effects, &round.fitted.nuisances, REFIT);
+                let model = FreeModel::new(&comparison, &effects, &fitted, &covariates, &pit_draw(seed));
+                Ok((model, Lag::new(&comparison, &effects, &fitted)))
+            })
+            .collect::<Result<_, GapError>>()?;
+        Ok(Judgement { model, covariates, lag, simulated })
+    }
+
+    /// The effect that is named, by index, where a free curve has its say: a formula that is surely behind the best curve is no
+    /// explanation. Where the curve is over what an effect acts on, that effect is the right name in another form.
+    pub fn weigh(
+        &self,
+        round: &Round<'a>,
+        candidates: &[Candidate],
+        accepted: Option<usize>,
+    ) -> Result<Option<usize>, GapError> {
+        let judgement = self.judge(round)?;
+        let dependences = judgement.dependences();
+        let Some(leading) = dependences.first() else { return Ok(accepted) };
+        if accepted.is_some_and(|best| !leading.beats(&candidates[best])) {
+            return Ok(accepted);
+        }
+        let survey = Survey::new(&round.comparison);
+        let is_right = |effect: &Effect| acts_on(effect, leading, &judgement.covariates, &survey);
+        if round.effects.iter().any(is_right) {
+            return Ok(None);
+        }
+        let right = (0..candidates.len()).filter(|&i| {
+            let candidate = &candidates[i];
+            is_sure(candidate)
+                && candidate.fitted_gains.iter().sum::<f64>() >= RIGHT_NAME_SHARE * leading.gain()
+                && is_right(&candidate.effect)
+        });
+        Ok(right.max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain())))
+    }
+}

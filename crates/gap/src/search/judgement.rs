@@ -1,0 +1,161 @@
+//! What a free model says of a hypothesis: by which dependence it gains, and which effects act on that.
+
+use glam::DVec2;
+use locsim_world::effect::{Effect, Score, Statistic};
+
+use super::selection::is_of_wall;
+use crate::fit::{Candidate, sum_error};
+use crate::free_model::{Component, Covariates, FreeModel, Lag};
+use crate::statistics::{Covariate, Deviation, Survey};
+
+/// The least gain of a dependence that is told (nats), and its least gain in standard errors over folds.
+const LEAST_GAIN_NATS: f64 = 5.0;
+const LEAST_ERRORS: f64 = 2.0;
+/// A dependence that gains less than this share of the one that gains most is left out: it is what that one's curve leaves.
+const LEAST_SHARE: f64 = 0.05;
+/// The share of the variance of an effect's weights that a covariate explains, where the effect acts on it.
+const OWN_COVARIATE: f64 = 0.9;
+
+/// What depends on what, with the gain of knowing it.
+pub struct Dependence<'j> {
+    pub deviation: Deviation,
+    pub covariate: Covariate,
+    /// Gain on held-out folds beyond that on simulated logs (nats).
+    pub gains: Vec<f64>,
+    /// Its curve, of the readings.
+    pub component: Option<&'j Component>,
+}
+
+impl Dependence<'_> {
+    pub fn gain(&self) -> f64 {
+        self.gains.iter().sum()
+    }
+
+    /// Whether it is over places, and farthest off at the wall of an effect.
+    fn is_at(&self, effect: &Effect, covariates: &Covariates) -> bool {
+        let Some(component) = self.component.filter(|_| self.covariate == Covariate::Place) else {
+            return false;
+        };
+        let cells = covariates.axes[component.axis].cells.iter().zip(&component.curve).skip(1);
+        let sureness = |[value, error]: [f64; 2]| (value / error.max(1e-12)).abs();
+        let worst = cells
+            .filter_map(|(cell, point)| Some((cell, sureness((*point)?))))
+            .max_by(|a, b| a.1.total_cmp(&b.1));
+        worst.is_some_and(|([x, y, side], _)| {
+            let middle = DVec2::new(x + 0.5 * side, y + 0.5 * side);
+            effect.place.iter().any(|stretch| is_of_wall(stretch, middle))
+        })
+    }
+
+    /// Whether it surely gains more than an effect: by two standard errors of the difference over folds.
+    pub fn beats(&self, candidate: &Candidate) -> bool {
+        let ahead: Vec<f64> =
+            self.gains.iter().zip(&candidate.fitted_gains).map(|(own, other)| own - other).collect();
+        ahead.iter().sum::<f64>() > LEAST_GAIN_NATS.max(LEAST_ERRORS * sum_error(&ahead))
+    }
+}
+
+/// Gains beyond a floor, shared out among folds as they are.
+fn beyond(gains: &[f64], floor: f64) -> Vec<f64> {
+    let gain: f64 = gains.iter().sum();
+    let share = if gain > 0.0 { (1.0 - floor / gain).max(0.0) } else { 0.0 };
+    gains.iter().map(|gain| share * gain).collect()
+}
+
+/// The free model of a log on top of a round's hypothesis, and those of logs that are simulated by it.
+pub struct Judgement {
+    pub model: FreeModel,
+    pub covariates: Covariates,
+    pub lag: Lag,
+    /// Of logs that are simulated by the hypothesis.
+    pub simulated: Vec<(FreeModel, Lag)>,
+}
+
+impl Judgement {
+    /// What the free model of the readings gains on held-out folds beyond the most that it gains on a simulated log (nats): with
+    /// four of them, a log without anything left gains something in one of five.
+    pub fn gains(&self) -> Vec<f64> {
+        let total = |model: &FreeModel| model.gains().iter().sum::<f64>();
+        let floor = self.simulated.iter().map(|(model, _)| total(model)).fold(0.0, f64::max);
+        beyond(&self.model.gains(), floor)
+    }
+
+    /// Correlation of neighbouring beams beyond that of simulated logs.
+    pub fn neighbour_correlation(&self) -> f64 {
+        let simulated = self.simulated.iter().map(|(model, _)| model.neighbour_correlation).sum::<f64>();
+        self.model.neighbour_correlation - simulated / self.simulated.len() as f64
+    }
+
+    /// The dependences that surely gain more than on any simulated log, the one that gains most first.
+    pub fn dependences(&self) -> Vec<Dependence<'_>> {
+        let of_readings = self.model.components.iter().map(|component| {
+            let Component { moment, covariate, ref gains, .. } = *component;
+            let floors = self.simulated.iter().map(|(model, _)| model.gain_of(moment, covariate));
+            (moment, covariate, gains, floors.fold(0.0, f64::max), Some(component))
+        });
+        let floor = self.simulated.iter().map(|(_, lag)| lag.gain()).fold(0.0, f64::max);
+        let of_odometry = (Deviation::Lag, Covariate::Odometry, &self.lag.gains, floor, None);
+        let mut all: Vec<Dependence<'_>> = of_readings
+            .chain([of_odometry])
+            .map(|(deviation, covariate, gains, floor, component)| Dependence {
+                deviation,
+                covariate,
+                gains: beyond(gains, floor),
+                component,
+            })
+            .filter(|found| found.gain() > LEAST_GAIN_NATS.max(LEAST_ERRORS * sum_error(&found.gains)))
+            .collect();
+        all.sort_by(|a, b| b.gain().total_cmp(&a.gain()));
+        let least = all.first().map_or(0.0, |first| LEAST_SHARE * first.gain());
+        all.retain(|found| found.gain() >= least);
+        all
+    }
+}
+
+/// Whether an effect acts on what a dependence is of: on its moment, over its covariate.
+pub fn acts_on(
+    effect: &Effect,
+    dependence: &Dependence<'_>,
+    covariates: &Covariates,
+    survey: &Survey<'_>,
+) -> bool {
+    use Covariate as C;
+    use Deviation as D;
+    let Dependence { deviation, covariate, .. } = *dependence;
+    effect.kind.description().statistics.iter().any(|statistic| match statistic {
+        Statistic::Score { score, weight, .. } => {
+            let moments: &[D] = match score {
+                Score::Location => &[D::Mean],
+                Score::Scale => &[D::Spread],
+                Score::NoReturn => &[D::NoReturn],
+                Score::Uniform => &[D::Short, D::Long],
+                Score::Tail => &[D::Spread, D::Short, D::Long],
+            };
+            moments.contains(&deviation) && {
+                let weight = |beam: usize| weight(&survey.beam_state(beam), &effect.values);
+                covariates.explained(covariate, (0..survey.beams()).map(weight)) >= OWN_COVARIATE
+            }
+        }
+        Statistic::WallShift => {
+            matches!(deviation, D::Mean | D::Short | D::Long) && dependence.is_at(effect, covariates)
+        }
+        Statistic::WallLoss => {
+            matches!(deviation, D::NoReturn | D::Long) && dependence.is_at(effect, covariates)
+        }
+        Statistic::Edge => covariate == C::Jump && deviation != D::NoReturn,
+        Statistic::Sector => covariate == C::Bearing && deviation == D::Short,
+        _ => false,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_floor_is_taken_off_in_proportion() {
+        assert_eq!(beyond(&[30.0, 10.0], 20.0), [15.0, 5.0]);
+        assert_eq!(beyond(&[30.0, 10.0], 50.0), [0.0, 0.0]);
+        assert_eq!(beyond(&[3.0, -10.0], 0.0), [0.0, 0.0]);
+    }
+}

@@ -1,0 +1,150 @@
+//! Dependences that no effect explains, for people.
+
+use std::f64::consts::TAU;
+
+use locsim_world::effect::Effect;
+
+use super::judgement::{Dependence, Judgement, acts_on};
+use super::selection::gain;
+use crate::free_model::Axis;
+use crate::outcome::{CurvePoint, Evidence, Unnamed, Wave};
+use crate::statistics::{Covariate, Deviation, Survey};
+
+/// A wave has to explain this share of a curve's variance, and to come and go more often than this over what was seen: a trend
+/// is no wave.
+const WAVE_SHARE: f64 = 0.7;
+const FEWEST_WAVES: f64 = 1.5;
+/// Levels in a wave, at the least.
+const LEVELS_PER_WAVE: f64 = 3.0;
+
+/// The dependences of a log beyond a round's effects.
+pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p: f64) -> Vec<Unnamed> {
+    let scans = survey.comparison.views.scans() as f64;
+    let told = |dependence: Dependence<'_>| {
+        let form_of = effects
+            .iter()
+            .find(|effect| acts_on(effect, &dependence, &judgement.covariates, survey))
+            .map(|effect| effect.kind);
+        let gain_nats = gain(&dependence.gains);
+        let gain_nats_per_scan = gain_nats.value / scans;
+        let evidence = Evidence { gain_nats, gain_nats_per_scan, score: None, p };
+        let lag = || vec![point(0.0, None, [judgement.lag.secs, judgement.lag.error_secs])];
+        let (curve, wave) = dependence.component.map_or_else(
+            || (lag(), None),
+            |component| {
+                let axis = &judgement.covariates.axes[component.axis];
+                (points(axis, &component.curve), wave(axis, &component.curve))
+            },
+        );
+        let unit = match (dependence.deviation, dependence.covariate) {
+            (Deviation::Lag, _) => "s",
+            (Deviation::Mean, covariate) if covariate != Covariate::Neighbour => "m",
+            _ => "1",
+        };
+        let size = match (dependence.covariate, &wave) {
+            (Covariate::Odometry, _) => judgement.lag.secs,
+            (Covariate::Neighbour, _) => judgement.neighbour_correlation(),
+            (_, Some(wave)) => wave.amplitude,
+            _ => largest(&curve),
+        };
+        let Dependence { deviation, covariate, .. } = dependence;
+        Unnamed { deviation, covariate, form_of, evidence, unit, size, wave, curve }
+    };
+    judgement.dependences().into_iter().map(told).collect()
+}
+
+fn points(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Vec<CurvePoint> {
+    let levels = axis.levels.iter().zip(curve).enumerate();
+    levels
+        .filter_map(|(i, (&at, point))| {
+            let place = axis.cells.get(i).map(|&[x, y, side]| [x, y, x + side, y + side]);
+            Some(self::point(at, place, (*point)?))
+        })
+        .collect()
+}
+
+fn point(at: f64, place: Option<[f64; 4]>, [value, error]: [f64; 2]) -> CurvePoint {
+    CurvePoint { at, place, value, lo: value - 1.96 * error, hi: value + 1.96 * error }
+}
+
+/// The largest value that is surely not 0; of none, the largest.
+fn largest(curve: &[CurvePoint]) -> f64 {
+    let most = |sure: bool| {
+        let points = curve.iter().filter(|point| !sure || point.lo * point.hi > 0.0);
+        points.map(|point| point.value).max_by(|a, b| a.abs().total_cmp(&b.abs()))
+    };
+    most(true).or_else(|| most(false)).unwrap_or(0.0)
+}
+
+/// The wave that a curve over bearing or time is, if it is one (least squares, weighted by how sure each level is).
+fn wave(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Option<Wave> {
+    let points: Vec<[f64; 3]> = axis
+        .levels
+        .iter()
+        .zip(curve)
+        .filter_map(|(&x, point)| point.map(|[y, error]| [x, y, error.max(1e-9).powi(-2)]))
+        .collect();
+    // Bearings come full circle; time doesn't.
+    let is_circle = axis.covariate == Covariate::Bearing;
+    let span = points.last()?[0] - points.first()?[0];
+    if !is_circle && axis.covariate != Covariate::Time || span <= 0.0 {
+        return None;
+    }
+    let most = points.len() as f64 / LEVELS_PER_WAVE;
+    let counts: Vec<f64> = if is_circle {
+        let circles = (span / TAU).max(1e-9);
+        (1..=(most / circles) as u32).map(f64::from).collect()
+    } else {
+        (0..=(10.0 * (most - FEWEST_WAVES)) as u32).map(|i| FEWEST_WAVES + 0.1 * f64::from(i)).collect()
+    };
+    let weight: f64 = points.iter().map(|[_, _, w]| w).sum();
+    let mean = points.iter().map(|[_, y, w]| y * w).sum::<f64>() / weight;
+    let variation: f64 = points.iter().map(|[_, y, w]| w * (y - mean).powi(2)).sum();
+    let fitted = counts.into_iter().map(|count| {
+        let period = if is_circle { TAU / count } else { span / count };
+        // Normal equations of mean, cosine and sine; the mean is nearly apart from the others.
+        let [mut cc, mut cs, mut ss, mut cy, mut sy] = [0.0; 5];
+        for [x, y, w] in &points {
+            let (sin, cos) = (TAU * x / period).sin_cos();
+            cc += w * cos * cos;
+            cs += w * cos * sin;
+            ss += w * sin * sin;
+            cy += w * cos * (y - mean);
+            sy += w * sin * (y - mean);
+        }
+        let determinant = (cc * ss - cs * cs).max(1e-300);
+        let (a, b) = ((cy * ss - sy * cs) / determinant, (sy * cc - cy * cs) / determinant);
+        let share = (a * cy + b * sy) / variation.max(1e-300);
+        (share, Wave { period, count, amplitude: a.hypot(b) })
+    });
+    let (share, wave) = fitted.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (share >= WAVE_SHARE).then_some(wave)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn axis(covariate: Covariate, levels: Vec<f64>) -> Axis {
+        Axis::of_levels(covariate, levels)
+    }
+
+    #[test]
+    fn waves_are_counted_and_trends_are_none() {
+        let bearings: Vec<f64> = (0..72).map(|i| TAU * (f64::from(i) / 72.0 - 0.5)).collect();
+        let ripple = |x: f64| 0.003 + 0.008 * (6.0 * x + 0.4).sin();
+        let curve: Vec<_> = bearings.iter().map(|&x| Some([ripple(x), 0.001])).collect();
+        let found = wave(&axis(Covariate::Bearing, bearings), &curve).unwrap();
+        assert!((found.count - 6.0).abs() < 1e-9 && (found.amplitude - 0.008).abs() < 1e-4, "{found:?}");
+
+        let secs: Vec<f64> = (0..100).map(|i| 0.5 * f64::from(i)).collect();
+        let of = |f: &dyn Fn(f64) -> f64| {
+            let curve: Vec<_> = secs.iter().map(|&t| Some([f(t), 0.001])).collect();
+            wave(&axis(Covariate::Time, secs.clone()), &curve)
+        };
+        let swing = of(&|t| 0.01 * (TAU * t / 17.0).cos()).unwrap();
+        assert!((swing.period - 17.0).abs() < 0.5 && (swing.amplitude - 0.01).abs() < 5e-4, "{swing:?}");
+        assert_eq!(of(&|t| 0.03 * (-t / 15.0).exp()), None);
+        assert_eq!(of(&|t| 0.03 * (1.0 - t / 20.0).max(0.0)), None);
+    }
+}

@@ -1,0 +1,88 @@
+//! Dependences without a name, in words.
+
+use locsim_gap::{Covariate, CurvePoint, Deviation, Unnamed, Wave};
+
+use super::covariate::{self, spot};
+use locsim_report::text::{fixed, significant};
+
+/// What depends on what, and how much: "An unnamed bias depends on bearing: 6 waves around, 8.1 mm."
+pub(super) fn sentence(found: &Unnamed) -> String {
+    match (found.deviation, found.covariate) {
+        (Deviation::Lag, _) => format!("The odometry lags by {}.", size(found)),
+        (Deviation::Mean, Covariate::Neighbour) => {
+            format!("Neighbouring beams err alike: {}.", size(found))
+        }
+        (_, Covariate::Everywhere) => format!("An unnamed {} of every beam: {}.", noun(found), size(found)),
+        _ => format!(
+            "An unnamed {} depends on {}: {}.",
+            noun(found),
+            covariate::noun(found.covariate),
+            extent(found)
+        ),
+    }
+}
+
+/// The same of an effect whose form is another one than the library's.
+pub(super) fn form_sentence(found: &Unnamed) -> Option<String> {
+    let kind = found.form_of?;
+    Some(format!(
+        "{kind} is right, but its form isn't `{}`: a {} that depends on {} is left, {}.",
+        kind.formula(),
+        noun(found),
+        covariate::noun(found.covariate),
+        extent(found)
+    ))
+}
+
+/// What of a reading depends on something.
+pub(super) fn noun(found: &Unnamed) -> &'static str {
+    match found.deviation {
+        Deviation::Mean => "bias",
+        Deviation::Spread => "change of the noise",
+        Deviation::Skew => "one-sided tail",
+        Deviation::Short => "share of readings in front",
+        Deviation::Long => "share of readings behind",
+        Deviation::NoReturn => "share of missing returns",
+        Deviation::Share => "share of readings",
+        Deviation::Lag => "lag",
+    }
+}
+
+/// How large it is.
+pub(super) fn size(found: &Unnamed) -> String {
+    match (found.deviation, found.covariate) {
+        (Deviation::Lag, _) => format!("{} s", fixed(found.size, 2)),
+        (Deviation::Mean, Covariate::Neighbour) => format!("correlation {}", fixed(found.size, 2)),
+        _ => value(found, found.size),
+    }
+}
+
+fn value(found: &Unnamed, value: f64) -> String {
+    match found.deviation {
+        Deviation::Mean => format!("{} mm", significant(1e3 * value)),
+        Deviation::Spread => format!("{} times the noise", fixed(1.0 + value, 2)),
+        Deviation::Skew => format!("skewness {}", fixed(value, 2)),
+        _ => format!("{} %", significant(100.0 * value)),
+    }
+}
+
+/// A wave with its period, or the largest value with where it is.
+pub(super) fn extent(found: &Unnamed) -> String {
+    if matches!(found.covariate, Covariate::Neighbour | Covariate::Odometry | Covariate::Everywhere) {
+        return size(found);
+    }
+    if let Some(Wave { period, count, amplitude }) = found.wave {
+        let amplitude = match found.deviation {
+            Deviation::Spread => format!("{} % of the noise", significant(100.0 * amplitude)),
+            _ => value(found, amplitude),
+        };
+        return if found.covariate == Covariate::Bearing {
+            format!("{} waves around, {amplitude}", fixed(count, 0))
+        } else {
+            format!("period {} s, {amplitude}", significant(period))
+        };
+    }
+    let at = found.curve.iter().find(|point| point.value == found.size);
+    let place = |at: &CurvePoint| format!(" at {}", spot(found.covariate, at));
+    format!("up to {}{}", value(found, found.size), at.map(place).unwrap_or_default())
+}

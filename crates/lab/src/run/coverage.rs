@@ -1,0 +1,180 @@
+//! What the training scans and the map of a log don't cover of the drive that is localized on.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use locsim_core::{DistanceMap, Drive, Hits, Laser, Particles, Pose2, RangeMap};
+
+/// Bins of incidence, of 15 degrees.
+const INCIDENCES: u8 = 6;
+
+/// A warning is due when more than this share of the beams lies outside.
+const SHARE: f64 = 0.01;
+
+/// A return that ends farther than this from any surface ends where the map has nothing \[m\]: far more than a reference
+/// pose is off.
+const NEAR_M: f32 = 0.5;
+
+/// A bin of a beam's state: nominal range by octaves of the maximum range, from 0 beyond it to 7 below a 64th, and
+/// incidence.
+type State = (u8, u8);
+
+fn state(range: f32, incidence: f32, max_range: f32) -> State {
+    let octave = (0..7).take_while(|&i| range < max_range / (1_u32 << i) as f32).count();
+    let incidence = (incidence / std::f32::consts::FRAC_PI_2 * f32::from(INCIDENCES)) as u8;
+    (octave as u8, incidence.min(INCIDENCES - 1))
+}
+
+/// Nominal ranges and incidences of every beam from every pose, poses outermost.
+fn states(map: &dyn RangeMap, laser: &Laser, poses: impl Iterator<Item = Pose2>) -> Vec<State> {
+    let poses: Particles = poses.map(|pose| pose.compose(&laser.base_from_laser())).collect();
+    let mut hits = Hits::default();
+    map.cast(poses.view(), laser.bearings(), laser.cast_range(), &mut hits);
+    let hits = hits.range.iter().zip(&hits.incidence);
+    hits.map(|(&range, &incidence)| state(range, incidence, laser.max_range())).collect()
+}
+
+/// A sentence on the beams of `localized` whose state no beam of the training scans has.
+pub(super) fn untrained_states(
+    map: &dyn RangeMap,
+    training: (&Laser, &[Pose2]),
+    localized: &Drive,
+) -> Option<String> {
+    let (laser, poses) = training;
+    let known: BTreeSet<State> = states(map, laser, poses.iter().copied()).into_iter().collect();
+    let reference = |step: &locsim_core::DriveStep| step.reference;
+    let beams = localized.laser.beam_count();
+    let found = states(map, &localized.laser, localized.steps.iter().filter_map(reference));
+    let mut outside: BTreeMap<State, u32> = BTreeMap::new();
+    let mut first = None;
+    for (i, state) in found.iter().enumerate().filter(|(_, state)| !known.contains(state)) {
+        *outside.entry(*state).or_default() += 1;
+        first.get_or_insert(i / beams);
+    }
+    let count: u32 = outside.values().sum();
+    let (&(octave, incidence), _) = outside.iter().max_by_key(|(_, count)| **count)?;
+    if f64::from(count) <= SHARE * found.len() as f64 {
+        return None;
+    }
+    let max_range = laser.max_range();
+    let at = |octave: u8| max_range / (1_u32 << octave) as f32;
+    let range = match octave {
+        0 => format!("beyond {max_range} m"),
+        7 => format!("below {:.1} m", at(6)),
+        _ => format!("of {:.1} to {:.1} m", at(octave), at(octave - 1)),
+    };
+    let degrees = 90 / u32::from(INCIDENCES);
+    Some(format!(
+        "{count} of {} beams ({:.0} %) of the localized part have a nominal range and incidence that no training beam has, \
+         the first in scan {}, most of them a range {range} at {} to {} degrees: there the models extrapolate.",
+        found.len(),
+        100.0 * f64::from(count) / found.len() as f64,
+        first.unwrap_or_default(),
+        degrees * u32::from(incidence),
+        degrees * (u32::from(incidence) + 1),
+    ))
+}
+
+/// A sentence on the first scan, if it was taken where there is no map.
+pub(super) fn unmapped_start(
+    map: &dyn RangeMap,
+    distance: &dyn DistanceMap,
+    localized: &Drive,
+) -> Option<String> {
+    let step = localized.steps.first()?;
+    let pose = step.reference?;
+    if !map.is_free(pose.x, pose.y) {
+        return Some(
+            "The first scan was taken in unmapped space: its reference pose isn't in the map's free space."
+                .to_owned(),
+        );
+    }
+    let laser = pose.compose(&localized.laser.base_from_laser());
+    let returns = step.scan.ranges.iter().zip(localized.laser.bearings());
+    let returns: Vec<bool> = returns
+        .filter(|(z, _)| **z < localized.laser.max_range())
+        .map(|(&z, &bearing)| {
+            let (sin, cos) = (laser.theta + f64::from(bearing)).sin_cos();
+            distance.distance(laser.x + f64::from(z) * cos, laser.y + f64::from(z) * sin) <= NEAR_M
+        })
+        .collect();
+    let near = returns.iter().filter(|near| **near).count();
+    (2 * near < returns.len()).then(|| {
+        format!(
+            "The first scan was taken in unmapped space: {near} of its {} returns end within {NEAR_M} m of a mapped \
+             surface.",
+            returns.len()
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_core::{DriveStep, Scan};
+
+    use super::*;
+
+    /// A wall at `range` in every direction, and free space everywhere.
+    struct Around {
+        range: f32,
+    }
+
+    impl RangeMap for Around {
+        fn cast(&self, laser: locsim_core::Poses<'_>, bearings: &[f32], _: f32, out: &mut Hits) {
+            out.resize(laser.len() * bearings.len());
+            // Farther by x.
+            for (i, range) in out.range.iter_mut().enumerate() {
+                *range = self.range + laser.x[i / bearings.len()] as f32;
+            }
+            out.incidence.fill(0.1);
+        }
+
+        fn is_free(&self, x: f64, _: f64) -> bool {
+            x < 50.0
+        }
+
+        fn bounds(&self) -> [f64; 4] {
+            [0.0, 0.0, 1.0, 1.0]
+        }
+    }
+
+    impl DistanceMap for Around {
+        fn distance(&self, x: f64, y: f64) -> f32 {
+            (x.hypot(y) as f32 - self.range).abs()
+        }
+    }
+
+    fn drive(x: &[f64], z: f32) -> Drive {
+        let laser = Laser::new(vec![-0.5, 0.0, 0.5], vec![0.0; 3], 0.0, 8.0, Pose2::IDENTITY).unwrap();
+        let step = |&x: &f64| DriveStep {
+            stamp_secs: 0.0,
+            odometry: Pose2::IDENTITY,
+            reference: Some(Pose2::new(x, 0.0, 0.0)),
+            scan: Scan { ranges: vec![z; 3] },
+        };
+        Drive { laser, steps: x.iter().map(step).collect() }
+    }
+
+    #[test]
+    fn states_that_no_training_beam_has_are_counted() {
+        let map = Around { range: 1.5 };
+        let localized = drive(&[0.0, 0.2, 1.0], 1.5);
+        let training = [Pose2::IDENTITY];
+        let sentence = untrained_states(&map, (&localized.laser, &training), &localized).unwrap();
+        let expected = "3 of 9 beams (33 %) of the localized part have a nominal range and incidence that no training beam \
+                        has, the first in scan 2, most of them a range of 2.0 to 4.0 m at 0 to 15 degrees: there the models \
+                        extrapolate.";
+        assert_eq!(sentence, expected);
+        let near = drive(&[0.0, 0.2], 1.5);
+        assert_eq!(untrained_states(&map, (&near.laser, &training), &near), None);
+    }
+
+    #[test]
+    fn a_start_without_a_map_is_said() {
+        let map = Around { range: 1.5 };
+        assert_eq!(unmapped_start(&map, &map, &drive(&[0.0], 1.6)), None);
+        let beside = unmapped_start(&map, &map, &drive(&[0.0], 3.0)).unwrap();
+        assert!(beside.contains("0 of its 3 returns"), "{beside}");
+        let outside = unmapped_start(&map, &map, &drive(&[60.0], 1.6)).unwrap();
+        assert!(outside.contains("isn't in the map's free space"), "{outside}");
+    }
+}
