@@ -101,12 +101,13 @@ fn every_documented_default_is_the_default() {
     );
     let adaptive = edited(&minimal, "particles: 1000", "particles: {kld: {min: 10, max: 20}}");
     let annealed = edited(&minimal, "particles: 1000", "particles: 1000\n  annealing: {}");
+    let placed = edited(&minimal, "{tracking: {}}", "{around: {x_m: 3, y_m: 2, heading_deg: 180}}");
     let log = edited(&text("log.yaml"), "  map_resolution_m: 0.1\n", "");
     let effects = "effects: [{name: mount_offset}, {name: incidence_dropout, p: 0.5, angle_deg: 60}, \
                    {name: range_dropout, p: 0.1}, {name: warmup_drift, bias_m: 0.1}]";
     let affected = format!("{minimal}{effects}");
     let mut seen = BTreeSet::new();
-    for text in [minimal, waypoints, adaptive, annealed, log, affected] {
+    for text in [minimal, waypoints, adaptive, annealed, placed, log, affected] {
         let mut explicit = json_of(&text);
         fill(&schema, &schema, &mut explicit, &mut seen);
         // JSON is YAML.
