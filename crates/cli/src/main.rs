@@ -462,10 +462,11 @@ fn init(arguments: &Init) -> anyhow::Result<ExitCode> {
     }
     let file = out.display();
     let reference = inspection.drive.as_ref().is_some_and(|drive| drive.references() > 0);
-    let gap = if reference { format!("`locsim gap {file} --out found` and ") } else { String::new() };
-    say(&format!(
-        "{file}: written. `locsim run {file}` localizes on the log; {gap}`locsim inspect {}` says more.",
-        log.display()
-    ))?;
+    let gap = if reference {
+        format!(" `locsim gap {file} --out found` searches for what its simulator lacks.")
+    } else {
+        String::new()
+    };
+    say(&format!("{file}: written. `locsim run {file}` localizes on the log.{gap}"))?;
     Ok(ExitCode::SUCCESS)
 }

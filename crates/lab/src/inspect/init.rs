@@ -171,7 +171,7 @@ impl NewScenario<'_> {
 }
 
 /// Models of a log with a reference, and of one without, whose models are trained on simulated scans.
-const MODELS: [&str; 4] = ["likelihood_field", "beam_mixture", "np_reg", "np_reg_registered"];
+const MODELS: [&str; 5] = ["likelihood_field", "beam_mixture", "np_reg", "np_reg_registered", "np_reg_field"];
 const SIMULATED_MODELS: [&str; 3] = ["likelihood_field", "beam_mixture", "np_reg_registered"];
 
 /// What the scans are for.
