@@ -56,6 +56,8 @@ pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p
 fn points(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Vec<CurvePoint> {
     let levels = axis.levels.iter().zip(curve).enumerate();
     levels
+        // The first cell is no place: it has the beams that end nowhere.
+        .skip(usize::from(!axis.cells.is_empty()))
         .filter_map(|(i, (&at, point))| {
             let place = axis.cells.get(i).map(|&[x, y, side]| [x, y, x + side, y + side]);
             Some(self::point(at, place, (*point)?))
