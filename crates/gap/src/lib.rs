@@ -22,6 +22,7 @@ mod odometry;
 mod outcome;
 mod pose_error;
 mod pose_pattern;
+mod profile;
 mod purpose;
 mod rank;
 mod recorded;
@@ -41,6 +42,7 @@ pub use outcome::{
     FilterGap, Gap, Named, Number, Outcome, PitHistogram, Region, Rival, Unnamed, Verdict, Wave,
 };
 pub use pose_error::PoseError;
+pub use profile::{Over, Profile, ProfileBin, Quantity};
 pub use purpose::Purpose;
 pub use recorded::Recorded;
 pub use search::{GapOptions, find};

@@ -6,6 +6,7 @@ use locsim_world::effect::{Effect, EffectKind};
 use serde::{Deserialize, Serialize, Serializer};
 
 use crate::hypothesis::Nuisances;
+use crate::profile::Profile;
 use crate::statistics::{Covariate, Deviation};
 
 /// The result of a search in one word.
@@ -347,6 +348,8 @@ pub struct Outcome {
     pub nuisances: Nuisances,
     /// PIT histograms.
     pub pit: Vec<PitHistogram>,
+    /// What each named effect does to the readings or the odometry, measured and simulated.
+    pub profiles: Vec<Profile>,
     /// Remarks for people.
     pub notes: Vec<String>,
     /// Number of scans and of beams per scan.
@@ -363,7 +366,7 @@ pub struct Outcome {
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn name<S: Serializer>(kind: &EffectKind, serializer: S) -> Result<S::Ok, S::Error> {
+pub(crate) fn name<S: Serializer>(kind: &EffectKind, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(kind.name())
 }
 
