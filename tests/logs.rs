@@ -214,7 +214,7 @@ fn validate_reads_the_log_as_a_run_does() {
         };
         let found = told("validate s.yaml");
         assert!(told("run s.yaml --quiet").ends_with(&found), "{found}");
-        assert!(!folder.path("results").exists());
+        assert!(!folder.path("results/s").exists());
     }
     folder.write("s.yaml", on_a_log(&format!("{{file: drive.log, {shares}}}\nmap: {{file: room.yaml}}")));
     folder.locsim("validate s.yaml").success().stderr(predicates::str::is_empty());

@@ -117,8 +117,8 @@ pub struct Run {
     /// Replace earlier results of locsim, and what an interrupted run has kept; nothing else is ever touched
     #[arg(long, conflicts_with = "resume")]
     pub force: bool,
-    /// Where range tables are kept between runs [default: `locsim` in the user's cache folder]
-    #[arg(long, env = "LOCSIM_CACHE", value_name = "FOLDER", hide_env_values = true)]
+    /// Where range tables are kept between runs [default: `LOCSIM_CACHE`, or `locsim` in the user's cache folder]
+    #[arg(long, value_name = "FOLDER")]
     pub cache: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputOptions,
@@ -300,8 +300,8 @@ pub struct Gap {
     pub no_filter: bool,
     #[command(flatten)]
     pub log_options: LogOptions,
-    /// Where range tables are kept between runs [default: `locsim` in the user's cache folder]
-    #[arg(long, env = "LOCSIM_CACHE", value_name = "FOLDER", hide_env_values = true)]
+    /// Where range tables are kept between runs [default: `LOCSIM_CACHE`, or `locsim` in the user's cache folder]
+    #[arg(long, value_name = "FOLDER")]
     pub cache: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputOptions,

@@ -163,7 +163,8 @@ fn run_studies(arguments: &arguments::Study) -> Result<ExitCode, Failure> {
 
 /// Where programs keep what they can do without, for this user.
 fn users_cache() -> Option<PathBuf> {
-    directories::BaseDirs::new().map(|user| user.cache_dir().join("locsim"))
+    let told = std::env::var_os("LOCSIM_CACHE").map(PathBuf::from);
+    told.or_else(|| directories::BaseDirs::new().map(|user| user.cache_dir().join("locsim")))
 }
 
 /// The command that repeats a run.

@@ -39,10 +39,10 @@ pub use nominal::Nominal;
 pub use odometry::OdometryError;
 pub use outcome::{
     BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Estimate, Evidence, FilterError,
-    FilterGap, Gap, Named, Number, Outcome, PitHistogram, Region, Rival, Unnamed, Verdict, Wave,
+    FilterGap, Gap, Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, Rival,
+    Unnamed, Verdict, Wave,
 };
 pub use pose_error::PoseError;
-pub use profile::{Over, Profile, ProfileBin, Quantity};
 pub use purpose::Purpose;
 pub use recorded::Recorded;
 pub use search::{GapOptions, find};
