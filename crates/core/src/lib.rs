@@ -20,6 +20,7 @@ mod normals;
 pub mod output;
 mod particles;
 mod pose;
+mod quantile;
 mod track;
 mod weights;
 
@@ -36,5 +37,6 @@ pub use likelihood::{
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
+pub use quantile::{median, quantile};
 pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

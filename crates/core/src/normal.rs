@@ -4,6 +4,9 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 use statrs::function::erf::erfc;
 
+/// Standard deviation over median absolute deviation (Hampel 1974).
+pub const SIGMA_OVER_MAD: f64 = 1.4826;
+
 /// Density at `t`.
 #[inline]
 pub fn density(t: f64) -> f64 {

@@ -18,7 +18,6 @@ use crate::outcome::{
 };
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
-use crate::replay::Replay;
 use crate::statistics::{Form, Group, Statistic, Survey, Target, fold_count};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
@@ -156,13 +155,7 @@ impl<'a> State<'a> {
 
     /// Some simulated logs of a round.
     fn replay(&self, round: &Round<'a>) -> Result<Vec<Recorded>, GapError> {
-        let replay = Replay {
-            nominal: self.nominal,
-            recorded: self.recorded,
-            effects: &round.effects,
-            nuisances: round.fitted.nuisances,
-            blocks: round.blocks,
-        };
+        let replay = round.replay();
         let draw = Purpose::Distance.draw(self.options.seed);
         (0..8).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
     }

@@ -30,13 +30,7 @@ impl<'a> State<'a> {
     /// in simulated logs, too.
     pub fn make_precise(&self, named: &mut [Named], round: &Round<'a>) -> Result<(), GapError> {
         let effects: Vec<Effect> = named.iter().map(|named| named.effect.clone()).collect();
-        let replay = Replay {
-            nominal: self.nominal,
-            recorded: self.recorded,
-            effects: &effects,
-            nuisances: round.fitted.nuisances,
-            blocks: round.blocks,
-        };
+        let replay = Replay { effects: &effects, ..round.replay() };
         let draw = Purpose::Intervals.draw(self.options.seed);
         let logs = (0..LOGS)
             .into_par_iter()
