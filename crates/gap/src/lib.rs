@@ -37,8 +37,8 @@ pub use hypothesis::Nuisances;
 pub use nominal::Nominal;
 pub use odometry::OdometryError;
 pub use outcome::{
-    BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Estimate, Evidence, FilterError,
-    FilterGap, Gap, Named, Number, Outcome, PitHistogram, Region, Rival, Unnamed, Verdict, Wave,
+    BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,
+    Named, Number, Outcome, PitHistogram, Region, Rival, Unnamed, Verdict, Wave,
 };
 pub use pose_error::PoseError;
 pub use purpose::Purpose;

@@ -1,5 +1,6 @@
 //! Findings: sentences that follow from the numbers alone.
 
+use locsim_core::Interval;
 use locsim_sensor::ModelKind;
 
 use super::text::{code, escape, metres, metres_with, percent, significant, with_interval};
@@ -177,7 +178,7 @@ pub fn beside_the_paper(summary: &Summary) -> Vec<String> {
     for (name, mean, std) in PAPER {
         let Some(model) = summary.models.get(name) else { continue };
         let errors = &model.errors;
-        let bias = |label: &str, ours: f64, interval: Option<crate::statistics::Interval>| {
+        let bias = |label: &str, ours: f64, interval: Option<Interval>| {
             let state = match interval {
                 None => "no interval",
                 Some(i) if i.contains(0.0) => "not to be told from zero",

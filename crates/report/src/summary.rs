@@ -1,13 +1,14 @@
 //! `summary.json`: what an experiment found, for scripts. The schema is stable: fields are added, never
 //! renamed or removed.
 
+use locsim_core::Interval;
 use serde::de::{MapAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use thiserror::Error;
 
 use crate::results::{ModelTrial, RunResults, TrainingRow};
-use crate::statistics::{Bootstrap, Interval, Moments, PooledValues, share_interval};
+use crate::statistics::{Bootstrap, Moments, PooledValues, share_interval};
 
 /// Name of the model that ratios `*_vs_classic` refer to.
 pub const CLASSIC: &str = "classic";

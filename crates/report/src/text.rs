@@ -2,9 +2,9 @@
 
 use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
 use comfy_table::{CellAlignment, Table};
+use locsim_core::Interval;
 use locsim_core::limits::is_hidden;
 
-use crate::statistics::Interval;
 use crate::summary::{Errors, Ratio, Summary};
 
 /// Placeholder of a missing value.

@@ -1,6 +1,6 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
-use locsim_core::{Draw, Stage};
+use locsim_core::{Draw, Estimate, Interval, Stage};
 use locsim_world::effect::{Effect, EffectKind};
 use locsim_world::simulation::BlockResampling;
 use rand::RngExt;
@@ -13,9 +13,7 @@ use super::stepwise::Path;
 use super::unnamed::unnamed;
 use super::{Round, State};
 use crate::fit::{Candidate, folds};
-use crate::outcome::{
-    Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
-};
+use crate::outcome::{Detectable, Detection, Direction, Evidence, Gap, Named, Number, Outcome, Verdict};
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
 use crate::statistics::{Form, Group, Statistic, Survey, Target, fold_count};
@@ -131,12 +129,7 @@ impl<'a> State<'a> {
             .map(|(with, without)| with - without)
             .collect();
         let gain_nats = gain(&gains);
-        let number = Number {
-            value: truth.exp(),
-            lo: (truth - 1.96 * error).exp(),
-            hi: (truth + 1.96 * error).exp(),
-            unit: parameter.unit,
-        };
+        let number = Number { estimate: Estimate::normal(truth, error).map(f64::exp), unit: parameter.unit };
         Ok(Some(Named {
             name: kind,
             candidates: vec![kind],
@@ -183,7 +176,7 @@ impl<'a> State<'a> {
             if gained <= 0.0 { 0.0 } else { gained / (gained + rest.max(0.0)) }
         };
         let closed = if gains.is_empty() {
-            Estimate { value: 0.0, lo: 0.0, hi: 0.0 }
+            Estimate::around(0.0, 0.0)
         } else {
             let draw = Draw::new(self.options.seed, Stage::Bootstrap, CLOSED_SHARE);
             let mut shares: Vec<f64> = (0..1000)
@@ -199,7 +192,10 @@ impl<'a> State<'a> {
                 })
                 .collect();
             shares.sort_by(f64::total_cmp);
-            Estimate { value: share(total(&gained), total(&rest)), lo: shares[25], hi: shares[974] }
+            Estimate {
+                value: share(total(&gained), total(&rest)),
+                interval: Interval { lo: shares[25], hi: shares[974] },
+            }
         };
         let view = &before.comparison.views;
         let typical = &after.null.log_likelihoods;
@@ -219,7 +215,7 @@ impl<'a> State<'a> {
             gained_nats_per_scan: total(&gained) / scans,
             remaining_nats_per_scan: total(&rest).max(0.0) / scans,
             possible_nats_per_scan: total(&possible).max(0.0) / scans,
-            closed: Estimate { value: at_most(closed.value), lo: at_most(closed.lo), hi: at_most(closed.hi) },
+            closed: closed.map(at_most),
             closed_in_ranges,
         }
     }

@@ -1,5 +1,6 @@
 //! The report of a search: what disagrees and where, why this effect and not another, what remains.
 
+use locsim_core::Estimate;
 use locsim_gap::{Outcome, Verdict};
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
@@ -192,7 +193,7 @@ fn rivals_table(outcome: &Outcome) -> TextTable {
             Some(format!(
                 "{} {}{unit}",
                 answer::label(parameter),
-                significant(in_file(parameter, number.value))
+                significant(in_file(parameter, number.estimate.value))
             ))
         });
         [
@@ -202,7 +203,7 @@ fn rivals_table(outcome: &Outcome) -> TextTable {
             if rival.behind_nats.value == 0.0 {
                 text::NONE.to_owned()
             } else {
-                answer::with_interval(&rival.behind_nats, 1.0)
+                answer::with_interval(&rival.behind_nats)
             },
         ]
     });
@@ -229,9 +230,7 @@ fn filter_table(outcome: &Outcome) -> Option<TextTable> {
         ("with the named effects", &filter.after.position_rmse_m),
         ("change", &filter.change_m),
     ];
-    let row = |(name, estimate): (&str, &locsim_gap::Estimate)| {
-        [name.to_owned(), answer::with_interval(estimate, 1.0)]
-    };
+    let row = |(name, estimate): (&str, &Estimate)| [name.to_owned(), answer::with_interval(estimate)];
     Some(TextTable::new(["simulator", "position RMSE [m]"], rows.map(row)))
 }
 

@@ -1,5 +1,6 @@
 //! Figures of errors and effective sample sizes over all trials.
 
+use locsim_core::Interval;
 use plotters::prelude::{Circle, Color, PathElement, Polygon, RGBColor, Text};
 
 use super::canvas::{
@@ -7,7 +8,7 @@ use super::canvas::{
     text,
 };
 use crate::results::{RunResults, StepRow};
-use crate::statistics::{Interval, quantile};
+use crate::statistics::quantile;
 use crate::summary::{Ratio, Ratios, Summary};
 
 /// The finest error worth an axis (m).
