@@ -3,6 +3,7 @@ use std::str::FromStr;
 
 use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
+use locsim_mcl::{AnnealingOptions, InjectionOptions, ParticleCount, ResampleTrigger, Spread};
 use locsim_sensor::ModelKind;
 use locsim_world::effect::Effect;
 use locsim_world::simulation::{BlockOptions, LaserOptions, OdometryNoise, Robot};
@@ -298,9 +299,9 @@ pub struct Filter {
     /// How ancestors are drawn.
     pub resampler: Resampler,
     /// When they are drawn.
-    pub resample: ResampleWhen,
+    pub resample: ResampleTrigger,
     /// Random particles injected when the likelihood drops; `None` for none.
-    pub injection: Option<Injection>,
+    pub injection: Option<InjectionOptions>,
     /// Where particles start.
     pub start: Start,
     /// Beams of a scan that the filter uses, spread evenly; `None` for all.
@@ -310,29 +311,7 @@ pub struct Filter {
     /// Jitter added after resampling (regularized particle filter); zero for none.
     pub regularization: Spread,
     /// How scans are taken in while the particles are spread; `None` for all at once as always.
-    pub annealing: Option<Annealing>,
-}
-
-/// How many particles the filter keeps.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub enum ParticleCount {
-    /// Always this many.
-    Fixed(u32),
-    /// By the Kullback-Leibler distance (KLD sampling; Fox 2003).
-    Kld {
-        /// At least this many.
-        min: u32,
-        /// At most this many.
-        max: u32,
-        /// Bound on the Kullback-Leibler distance, epsilon, above 0.
-        error: f64,
-        /// Probability 1 - delta with which the bound holds, in (0, 1).
-        quantile: f64,
-        /// Side of a histogram bin (m).
-        bin_m: f64,
-        /// Heading width of a histogram bin (rad).
-        bin_rad: f64,
-    },
+    pub annealing: Option<AnnealingOptions>,
 }
 
 /// Motion model with its noise parameters.
@@ -359,39 +338,6 @@ pub enum Resampler {
     Residual,
 }
 
-/// When the filter resamples.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub enum ResampleWhen {
-    /// After every scan.
-    EachStep,
-    /// When the effective sample size falls below this share of the particles, in (0, 1].
-    EffectiveShareBelow(f64),
-}
-
-/// Random particles after a drop of the likelihood (augmented MCL; Probabilistic Robotics, table 8.3).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Injection {
-    /// Decay rate of the long-term average, 0 < slow < fast.
-    pub alpha_slow: f64,
-    /// Decay rate of the short-term average, at most 1.
-    pub alpha_fast: f64,
-}
-
-/// Scans taken in by small powers of their likelihood, with Metropolis moves between them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Annealing {
-    /// Particles of a global start.
-    pub candidates: u32,
-    /// Share of the particles that each power leaves effective, in (0, 1).
-    pub effective_share: f64,
-    /// Moves of each particle after each power.
-    pub moves: u32,
-    /// Standard deviation of a move under the whole likelihood.
-    pub step: Spread,
-    /// Scans are annealed until positions have this standard deviation (m), and again from five times it.
-    pub gathered_m: f64,
-}
-
 /// Where particles start.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Start {
@@ -401,15 +347,6 @@ pub enum Start {
     Around(Pose2, Spread),
     /// Uniform over the map's free space: global localization.
     Global,
-}
-
-/// Independent Gaussian spread of a pose.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Spread {
-    /// Standard deviation of x and of y (m).
-    pub sigma_m: f64,
-    /// Standard deviation of the heading (rad).
-    pub sigma_rad: f64,
 }
 
 /// Which pose estimate of the filter errors are measured of.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use locsim_core::{Drive, DriveStep, Estimate, Laser, Pose2, RangeMap, Scan, Track};
 use locsim_gap::{FilterError, FilterGap, GapError, Outcome, Purpose};
-use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Start, StepInput};
+use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Spread, Start, StepInput};
 use locsim_world::effect::{Effect, Effects, OdometryErrors};
 use locsim_world::simulation::Simulator;
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ use crate::run::filter_options;
 use crate::run::{MapSet, free_poses};
 use crate::run::{ScanData, Surroundings, TrainedModel, train};
 use locsim_core::{Control, Progress};
-use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Source, Spread};
+use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Source};
 use locsim_sensor::ModelKind;
 
 /// Particles.
@@ -237,7 +237,7 @@ fn rmse(
     };
     let reference = |step: &DriveStep| step.reference.unwrap_or(Pose2::IDENTITY);
     let pose = reference(&log.drive.steps[0]).compose(&log.to_stamp[0].inverse());
-    let start = Start::Tracking { pose, sigma_m: spread.sigma_m, sigma_rad: spread.sigma_rad };
+    let start = Start::Tracking { pose, spread };
     let mut filter = Filter::new(options, &start, map, seed)?;
     let mut squares = 0.0;
     for (i, step) in log.drive.steps.iter().enumerate() {

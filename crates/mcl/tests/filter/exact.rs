@@ -200,7 +200,7 @@ impl Reference {
 }
 
 fn sampled(options: &FilterOptions, reference: &Reference, seed: u64) -> Vec<Vec<f64>> {
-    let start = Start::Tracking { pose: START, sigma_m: SIGMA, sigma_rad: SIGMA };
+    let start = Start::Tracking { pose: START, spread: Spread { sigma_m: SIGMA, sigma_rad: SIGMA } };
     let mut filter = Filter::new(options.clone(), &start, &ROOM, seed).unwrap();
     INCREMENTS
         .iter()
