@@ -47,7 +47,8 @@ fn ratio_text(ratio: Ratio) -> String {
 /// Which models did best and how each compares with `classic`.
 pub fn comparisons(summary: &Summary) -> Vec<String> {
     let mut sentences = Vec::new();
-    let mut ranked: Vec<(&str, &ModelSummary)> = summary.models.iter().collect();
+    let mut ranked: Vec<(&str, &ModelSummary)> =
+        summary.models.iter().map(|(name, model)| (name.as_str(), model)).collect();
     ranked.sort_by(|a, b| a.1.errors.position_rmse_m.total_cmp(&b.1.errors.position_rmse_m));
     let figure = |(name, model): (&str, &ModelSummary)| {
         let interval = model.intervals.map(|i| i.errors.position_rmse_m);
@@ -67,7 +68,7 @@ pub fn comparisons(summary: &Summary) -> Vec<String> {
             metres(median(model))
         ));
     }
-    for ((name, all), (_, kept)) in summary.ratios.iter().zip(summary.ratios_kept.iter()) {
+    for ((name, all), kept) in summary.ratios.iter().zip(summary.ratios_kept.values()) {
         let (Some(ratio), true) = (all.rmse_vs_classic, name != CLASSIC) else { continue };
         let without_lost =
             kept.rmse_vs_classic.filter(|k| k.value != ratio.value).map_or_else(String::new, |k| {

@@ -184,11 +184,14 @@ pub fn errors_table<'a>(
 /// The two halves of the headline table: errors, then everything else.
 pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
     let errors = errors_table(
-        summary.models.iter().map(|(name, m)| (name, &m.errors, m.intervals.as_ref().map(|i| &i.errors))),
+        summary
+            .models
+            .iter()
+            .map(|(name, m)| (name.as_str(), &m.errors, m.intervals.as_ref().map(|i| &i.errors))),
     );
     let others = TextTable::new(
         ["model", "lost [%]", "ESS", "NEES", "ms/step", "std / classic", "RMSE / classic", "RMSE / oracle"],
-        summary.models.iter().zip(summary.ratios.iter()).map(|((name, model), (_, ratios))| {
+        summary.models.iter().zip(summary.ratios.values()).map(|((name, model), ratios)| {
             [
                 name.to_owned(),
                 percent(model.lost_share),
