@@ -211,6 +211,17 @@ impl ModelName {
         all
     };
 
+    /// Their names.
+    pub const NAMES: [&'static str; Self::ALL.len()] = {
+        let mut names = [""; Self::ALL.len()];
+        let mut i = 0;
+        while i < names.len() {
+            names[i] = Self::ALL[i].as_str();
+            i += 1;
+        }
+        names
+    };
+
     /// The name used in files.
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -237,17 +248,8 @@ impl Serialize for ModelName {
 
 impl<'de> Deserialize<'de> for ModelName {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        const NAMES: [&str; ModelName::ALL.len()] = {
-            let mut names = [""; ModelName::ALL.len()];
-            let mut i = 0;
-            while i < names.len() {
-                names[i] = ModelName::ALL[i].as_str();
-                i += 1;
-            }
-            names
-        };
         let word = String::deserialize(deserializer)?;
-        word.parse().map_err(|_| de::Error::unknown_variant(&word, &NAMES))
+        word.parse().map_err(|_| de::Error::unknown_variant(&word, &Self::NAMES))
     }
 }
 
@@ -272,7 +274,7 @@ impl std::fmt::Display for ModelName {
 
 /// There is no sensor model of this name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{name:?} is not a sensor model; one of {}", ModelName::ALL.map(ModelName::as_str).join(", "))]
+#[error("{name:?} is not a sensor model; one of {}", ModelName::NAMES.join(", "))]
 pub struct UnknownModel {
     /// The name that was asked for.
     pub name: String,

@@ -95,7 +95,7 @@ fn refusal(kind: ModelKind, path: &[&str], new: impl Into<Value>) -> String {
 #[test]
 fn each_field_is_checked() {
     use ModelKind::{BeamMixture, Classic, LikelihoodField, NpReg, NpRegRegistered, PReg};
-    for kind in ModelKind::ALL {
+    for &kind in ModelKind::ALL {
         loaded(&sound(kind)).unwrap();
     }
     let weights = |weights: [f32; 4]| Value::Array(weights.map(|w| Value::Float(w.into())).into());
