@@ -294,7 +294,7 @@ fn mutate(value: &mut Value, others: &Value, rng: &mut impl Rng) {
 fn survive(cases: u32, seed: u64) -> usize {
     let draw = Draw::new(seed, Stage::Training, 9);
     let kinds = ModelKind::ALL;
-    let sound = kinds.map(sound);
+    let sound: Vec<_> = kinds.iter().copied().map(sound).collect();
     let mut accepted = 0;
     for case in 0..cases {
         let rng = &mut draw.item(case);
