@@ -110,7 +110,7 @@ fn a_hidden_effect_is_named_with_its_number() {
         // Four half-widths of the interval: 1e-14 if it is normal.
         let Estimate { value, interval } = number.estimate;
         assert!((value - values[0]).abs() < 4.0 * interval.half(), "{kind}: {number:?}");
-        assert!(half < 0.6 * values[0].abs(), "{kind}: an interval that says nothing: {number:?}");
+        assert!(interval.half() < 0.6 * values[0].abs(), "{kind}: an interval that says nothing: {number:?}");
         assert!(outcome.gap.closed.value > 0.7 && outcome.detection.p <= 0.01, "{kind}: {:?}", outcome.gap);
     }
 }

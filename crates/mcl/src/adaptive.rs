@@ -92,8 +92,8 @@ mod tests {
     use super::*;
 
     fn options() -> KldOptions {
-        let bins = PoseBins::new(0.5, 10_f64.to_radians()).unwrap();
-        KldOptions { min: 10, max: 1_000_000, error: 0.05, quantile: 0.99, bins }
+        let bin_rad = 10_f64.to_radians();
+        KldOptions { min: 10, max: 1_000_000, error: 0.05, quantile: 0.99, bin_m: 0.5, bin_rad }
     }
 
     /// Wilson and Hilferty's approximation is within 1 % of the exact chi-square quantile from 3 degrees of

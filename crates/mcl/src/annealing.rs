@@ -3,7 +3,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::error::check;
+use crate::error::{check, check_sigma};
 use crate::resampling::Resampler;
 use crate::{Estimate, FilterError, Spread, Systematic};
 

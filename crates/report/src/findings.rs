@@ -100,7 +100,7 @@ pub fn lost_trials(summary: &Summary) -> Vec<String> {
     let lost: Vec<(&str, u32)> = summary
         .models
         .iter()
-        .map(|(name, m)| (name, (m.lost_share * f64::from(summary.trials)).round() as u32))
+        .map(|(name, m)| (name.as_str(), (m.lost_share * f64::from(summary.trials)).round() as u32))
         .collect();
     let bound = |k| share_interval(k, summary.trials);
     if lost.iter().all(|(_, k)| *k == 0) {

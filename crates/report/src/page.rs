@@ -96,7 +96,7 @@ pub(crate) fn markdown(
 /// The paper's Table II beside ours.
 fn paper_table(summary: &Summary) -> TextTable {
     let rows = PAPER.iter().filter_map(|(name, mean, std)| {
-        let errors = summary.models.get(name)?.errors;
+        let errors = summary.models.get(*name)?.errors;
         Some([
             (*name).to_owned(),
             text::mean_std(*mean, *std, 3),

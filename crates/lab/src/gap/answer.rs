@@ -162,8 +162,8 @@ fn filter(outcome: &Outcome) -> Option<String> {
     let [before, after] = [filter.before, filter.after].map(|side| side.position_rmse_m);
     Some(format!(
         "Filter error {} -> {} m (position RMSE on the log).",
-        with_interval(&before, 1.0),
-        with_interval(&after, 1.0)
+        with_interval(&before),
+        with_interval(&after)
     ))
 }
 

@@ -129,7 +129,7 @@ fn named_text(named: &locsim_gap::Named) -> NamedText {
         formula: named.name.formula(),
         signature: named.name.signature(),
         numbers: answer::numbers(named).join(", "),
-        gain: answer::with_interval(&named.evidence.gain_nats, 1.0),
+        gain: answer::with_interval(&named.evidence.gain_nats),
         p: answer::p_value(named.evidence.p),
         others: answer::others(named).collect(),
         split_by: named.split_by,
@@ -178,7 +178,7 @@ fn unnamed_table(outcome: &Outcome) -> TextTable {
             unnamed::noun(found).to_owned(),
             covariate::noun(found.covariate).to_owned(),
             unnamed::extent(found),
-            answer::with_interval(&found.evidence.gain_nats, 1.0),
+            answer::with_interval(&found.evidence.gain_nats),
             found.form_of.map_or(text::NONE, |kind| kind.name()).to_owned(),
         ]
     });
@@ -199,7 +199,7 @@ fn rivals_table(outcome: &Outcome) -> TextTable {
         [
             format!("{}. {}", rival.round, rival.name),
             values.collect::<Vec<_>>().join(", "),
-            answer::with_interval(&rival.gain_nats, 1.0),
+            answer::with_interval(&rival.gain_nats),
             if rival.behind_nats.value == 0.0 {
                 text::NONE.to_owned()
             } else {

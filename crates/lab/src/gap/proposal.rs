@@ -44,7 +44,7 @@ fn entry(study: &GapStudy, named: &Named) -> Entry {
         format!("{}.", numbers(named)),
         format!(
             "It gains {} nats on held-out scans; chance of a false alarm {}.",
-            super::answer::with_interval(&evidence.gain_nats, 1.0),
+            super::answer::with_interval(&evidence.gain_nats),
             super::answer::p_value(evidence.p),
         ),
     ];

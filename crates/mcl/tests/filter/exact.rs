@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use locsim_core::{Hits, Laser, Particles, Pose2, RangeMap, Scan, SensorModel, wrap_angle};
 use locsim_mcl::{
-    Filter, FilterOptions, Multinomial, OdometryMotion, ResampleTrigger, Resampler, Residual, Start,
+    Filter, FilterOptions, Multinomial, OdometryMotion, ResampleTrigger, Resampler, Residual, Spread, Start,
     StepInput, Stratified, Systematic,
 };
 use statrs::distribution::{ContinuousCDF, StudentsT};
