@@ -18,7 +18,7 @@ const LAYERS: [(&str, &[&str]); 15] = [
     ("locsim-dataset", &["locsim-core"]),
     ("locsim-gap", &["locsim-core", "locsim-world"]),
     ("locsim-report", &["locsim-core", "locsim-sensor"]),
-    ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-sensor", "locsim-world"]),
+    ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"]),
     ("locsim-study", &["distreg", "locsim-core", "locsim-report", "locsim-scenario", "locsim-world"]),
     (
         "locsim-lab",

@@ -440,7 +440,7 @@ pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
     };
     let mut seeds = vec![("range_table", "table.bin".to_owned(), read(&kept_table().1))];
     let out = FOLDER.path().join("models");
-    let models = ModelKind::ALL.map(ModelKind::as_str);
+    let models = ModelKind::NAMES;
     let progress = FirstTrial::default();
     let all = scenario(&|text| text.replace("[classic]", &format!("{models:?}")));
     let control =

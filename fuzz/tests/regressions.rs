@@ -16,7 +16,7 @@ use tempfile::TempDir;
 type Most = (u64, f64);
 
 /// Every input.
-const INPUT: Most = (1_000_000_000, 10.0);
+const INPUT: Most = (1_000_000_000, 30.0);
 /// A YAML file.
 const YAML: Most = (100_000_000, 1.0);
 

@@ -11,6 +11,7 @@ mod draw;
 mod drive;
 mod elementary;
 mod endpoint;
+mod interval;
 mod lanes;
 mod likelihood;
 pub mod limits;
@@ -20,6 +21,7 @@ mod normals;
 pub mod output;
 mod particles;
 mod pose;
+mod quantile;
 mod track;
 mod weights;
 
@@ -29,6 +31,7 @@ pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
 pub use elementary::{sin_cos, sin_cos_near_zero};
 pub use endpoint::{EndpointGrid, EndpointScan, EndpointTable};
+pub use interval::{Estimate, Interval};
 pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
     turn,
@@ -36,5 +39,6 @@ pub use likelihood::{
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
+pub use quantile::{median, quantile};
 pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

@@ -4,6 +4,12 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 use statrs::function::erf::erfc;
 
+/// Standard deviation over median absolute deviation (Hampel 1974).
+pub const SIGMA_OVER_MAD: f64 = 1.4826;
+
+/// 97.5 % quantile, to two decimals: the half-width of a 95 % interval in standard deviations.
+pub const QUANTILE_975: f64 = 1.96;
+
 /// Density at `t`.
 #[inline]
 pub fn density(t: f64) -> f64 {

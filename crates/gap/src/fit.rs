@@ -2,6 +2,7 @@
 
 use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
+use locsim_core::{Interval, normal};
 use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -33,7 +34,7 @@ pub(crate) struct Candidate {
     /// The same, however much of it counts; see [`Candidate::limit`].
     pub fitted_gains: Vec<f64>,
     /// 95 % interval of each parameter.
-    pub intervals: Vec<[f64; 2]>,
+    pub intervals: Vec<Interval>,
     /// Whether the effect's own statistics are significant at the search's false-alarm rate.
     pub is_beyond_chance: bool,
     /// See [`crate::outcome::Evidence::score`].
@@ -215,7 +216,7 @@ impl Search<'_, '_> {
         let without = folds(&self.without.scans);
         let gains: Vec<f64> = folds(&fitted.scans).iter().zip(&without).map(|(a, b)| a - b).collect();
         if effect.kind.is_stepped() {
-            let intervals = vec![[effect.values[0]; 2]];
+            let intervals = vec![Interval::around(effect.values[0], 0.0)];
             let fitted_gains = gains.clone();
             return Ok(Candidate {
                 effect,
@@ -256,13 +257,13 @@ impl Search<'_, '_> {
 const MOST_LOST_NATS: f64 = 5.0;
 
 /// 95 % intervals of an effect's parameters, by the inverse of their information and the gradient \[parameter\]\[fold\].
-fn intervals(effect: &Effect, inverse: &[Vec<f64>], gradient: &[Vec<f64>]) -> Vec<[f64; 2]> {
+fn intervals(effect: &Effect, inverse: &[Vec<f64>], gradient: &[Vec<f64>]) -> Vec<Interval> {
     /// The least share of the half-width by the curvature alone: the sandwich of few folds is now and then far too small.
     const LEAST_SHARE: f64 = 0.8;
     let count = gradient.first().map_or(0, Vec::len);
     // One less than folds, and no fewer than have a variance.
     let degrees = (count as f64 - 1.0).max(2.0);
-    let quantile = StudentsT::new(0.0, 1.0, degrees).map_or(1.96, |t| t.inverse_cdf(0.975));
+    let quantile = StudentsT::new(0.0, 1.0, degrees).map_or(normal::QUANTILE_975, |t| t.inverse_cdf(0.975));
     let half = |row: &[f64], variance: f64| {
         let projected = (0..count).map(|b| row.iter().zip(gradient).map(|(r, g)| r * g[b]).sum::<f64>());
         let sandwich = projected.map(|p| p * p).sum::<f64>() * count as f64 / degrees;
@@ -270,7 +271,7 @@ fn intervals(effect: &Effect, inverse: &[Vec<f64>], gradient: &[Vec<f64>]) -> Ve
         let curvature = variance.max(0.0).sqrt();
         // The mean of both variances: each is a poor estimate by itself.
         let both = (0.5 * (error * error + curvature * curvature)).sqrt();
-        (quantile * both).max(1.96 * LEAST_SHARE * curvature)
+        (quantile * both).max(normal::QUANTILE_975 * LEAST_SHARE * curvature)
     };
     let parameters = effect.kind.parameters().iter().zip(&effect.values);
     parameters
@@ -278,7 +279,7 @@ fn intervals(effect: &Effect, inverse: &[Vec<f64>], gradient: &[Vec<f64>]) -> Ve
         .enumerate()
         .map(|(i, ((parameter, value), row))| {
             let half = half(row, row[i]);
-            [(value - half).max(parameter.lo), (value + half).min(parameter.hi)]
+            Interval { lo: (value - half).max(parameter.lo), hi: (value + half).min(parameter.hi) }
         })
         .collect()
 }

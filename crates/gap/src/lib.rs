@@ -38,9 +38,9 @@ pub use hypothesis::Nuisances;
 pub use nominal::Nominal;
 pub use odometry::OdometryError;
 pub use outcome::{
-    BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Estimate, Evidence, FilterError,
-    FilterGap, Gap, Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, Rival,
-    Unnamed, Verdict, Wave,
+    BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,
+    Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, Rival, Unnamed,
+    Verdict, Wave,
 };
 pub use pose_error::PoseError;
 pub use purpose::Purpose;

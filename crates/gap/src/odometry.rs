@@ -1,6 +1,6 @@
 //! Increments of the odometry against those of the reference.
 
-use locsim_core::{Pose2, normal};
+use locsim_core::{Pose2, median, normal};
 use locsim_world::effect::Effects;
 
 use crate::{Nominal, Recorded};
@@ -58,18 +58,15 @@ impl OdometryError {
     pub(crate) fn fit(nominal: &Nominal, effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Self {
         let increments = increments(nominal, effects, track, odometry);
         let extra = |axis: usize| {
-            let mut errors: Vec<f64> = increments.iter().map(|i| i.error[axis]).collect();
-            if errors.is_empty() {
+            if increments.is_empty() {
                 return 0.0;
             }
-            errors.sort_by(f64::total_cmp);
-            let median = errors[errors.len() / 2];
-            let mut away: Vec<f64> = errors.iter().map(|e| (e - median).abs()).collect();
-            away.sort_by(f64::total_cmp);
-            let spread = 1.4826 * away[away.len() / 2];
+            let mut errors: Vec<f64> = increments.iter().map(|i| i.error[axis]).collect();
+            let middle = median(&mut errors);
+            let mut deviations: Vec<f64> = errors.iter().map(|error| (error - middle).abs()).collect();
+            let spread = normal::SIGMA_OVER_MAD * median(&mut deviations);
             let mut known: Vec<f64> = increments.iter().map(|i| i.variance[axis]).collect();
-            known.sort_by(f64::total_cmp);
-            (spread * spread - known[known.len() / 2]).max(0.0).sqrt()
+            (spread * spread - median(&mut known)).max(0.0).sqrt()
         };
         Self { sigma_m: extra(0), sigma_rad: extra(1) }
     }

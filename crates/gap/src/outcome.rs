@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use locsim_core::Estimate;
 use locsim_world::effect::{Effect, EffectKind};
 use serde::{Deserialize, Serialize, Serializer};
 
@@ -28,26 +29,12 @@ pub enum Verdict {
     Underpowered,
 }
 
-/// A value with its 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Estimate {
-    /// The value.
-    pub value: f64,
-    /// Lower end.
-    pub lo: f64,
-    /// Upper end.
-    pub hi: f64,
-}
-
 /// A number of an effect.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Number {
-    /// The value, in SI units.
-    pub value: f64,
-    /// Lower end of its 95 % interval.
-    pub lo: f64,
-    /// Upper end.
-    pub hi: f64,
+    /// Its value, in SI units.
+    #[serde(flatten)]
+    pub estimate: Estimate,
     /// Its unit.
     pub unit: &'static str,
 }
@@ -130,12 +117,9 @@ pub struct CurvePoint {
     pub at: f64,
     /// The cell of a place: lower and upper corner \[m\].
     pub place: Option<[f64; 4]>,
-    /// Value.
-    pub value: f64,
-    /// Lower end of its 95 % band.
-    pub lo: f64,
-    /// Upper end.
-    pub hi: f64,
+    /// The curve's value there.
+    #[serde(flatten)]
+    pub estimate: Estimate,
 }
 
 /// An effect that was tried.

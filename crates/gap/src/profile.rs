@@ -2,12 +2,13 @@
 //! shows what the effect does.
 
 use glam::DVec2;
+use locsim_core::{Estimate, Interval};
 use locsim_world::effect::{self, BeamState, EffectKind, Moves, Score};
 use rayon::prelude::*;
 
 use crate::Recorded;
 use crate::hypothesis::Comparison;
-use crate::outcome::{Estimate, Named, Over, Profile, ProfileBin, Quantity};
+use crate::outcome::{Named, Over, Profile, ProfileBin, Quantity};
 use crate::views::Views;
 
 /// Bins of a profile over a covariate, of as many readings each.
@@ -251,7 +252,7 @@ fn equal_bins(mut items: Vec<(f64, usize)>) -> Vec<Bin> {
 fn band(mut values: Vec<f64>) -> Estimate {
     values.sort_by(f64::total_cmp);
     let [lo, value, hi] = [0.025, 0.5, 0.975].map(|probability| quantile(&values, probability));
-    Estimate { value, lo, hi }
+    Estimate { value, interval: Interval { lo, hi } }
 }
 
 /// A quantile of a sorted sample, between its values in proportion; 0 of none.
@@ -308,7 +309,7 @@ mod tests {
     #[test]
     fn a_band_holds_95_percent() {
         let values = (0..=40).rev().map(f64::from).collect();
-        assert_eq!(band(values), Estimate { value: 20.0, lo: 1.0, hi: 39.0 });
+        assert_eq!(band(values), Estimate { value: 20.0, interval: Interval { lo: 1.0, hi: 39.0 } });
     }
 
     #[test]

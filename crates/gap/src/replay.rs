@@ -36,7 +36,18 @@ pub(crate) struct BlockTruth {
     pub density_over_fit: f64,
 }
 
-impl Replay<'_> {
+impl<'a> Replay<'a> {
+    /// The simulator with the effects and the nuisance parameters that were fitted to a log.
+    pub fn new(
+        comparison: &Comparison<'a>,
+        effects: &'a [Effect],
+        fitted: &Fitted,
+        blocks: BlockTruth,
+    ) -> Self {
+        let (nominal, recorded) = (comparison.nominal, comparison.recorded);
+        Self { nominal, recorded, effects, nuisances: fitted.nuisances, blocks }
+    }
+
     /// One simulated log.
     pub fn simulate(&self, seed: u64) -> Result<Recorded, GapError> {
         let effects = self.nominal.effects_with(self.effects)?;
@@ -95,19 +106,11 @@ pub(crate) fn fit_persistence(
     fitted: &Fitted,
     seed: u64,
 ) -> Result<BlockTruth, GapError> {
-    let (nominal, recorded) = (comparison.nominal, comparison.recorded);
-    let Some(blocks) = nominal.blocks else {
+    let Some(blocks) = comparison.nominal.blocks else {
         return Ok(BlockTruth { resample: BlockResampling::EachObservation, density_over_fit: 1.0 });
     };
-    let replay = |resample| Replay {
-        nominal,
-        recorded,
-        effects: &[],
-        nuisances: fitted.nuisances,
-        blocks: BlockTruth { resample, density_over_fit: 1.0 },
-    };
     let shared = |recorded: &Recorded| shared_shorts(&comparison.of(recorded), fitted);
-    let own = shared(recorded);
+    let own = shared(comparison.recorded);
     let mut policies = vec![
         BlockResampling::EachObservation,
         BlockResampling::EachScanN(3),
@@ -122,7 +125,7 @@ pub(crate) fn fit_persistence(
     let distances = policies
         .iter()
         .map(|&resample| {
-            let replay = replay(resample);
+            let replay = Replay::new(comparison, &[], fitted, BlockTruth { resample, density_over_fit: 1.0 });
             let logs = (0..6)
                 .into_par_iter()
                 .map(|i| Ok(shared(&replay.simulate(draw.seed(i))?)))
@@ -161,12 +164,11 @@ impl BlockTruth {
         fitted: &Fitted,
         seed: u64,
     ) -> Result<Self, GapError> {
-        let (nominal, recorded) = (comparison.nominal, comparison.recorded);
-        if nominal.blocks.is_none() {
+        if comparison.nominal.blocks.is_none() {
             return Ok(self);
         }
-        let all = nominal.effects_with(effects)?;
-        let replay = Replay { nominal, recorded, effects, nuisances: fitted.nuisances, blocks: self };
+        let all = comparison.effects(effects)?;
+        let replay = Replay::new(comparison, effects, fitted, self);
         let draw = Purpose::BlockDensity.draw(seed);
         let densities = (0..12)
             .into_par_iter()

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use glam::DVec2;
-use locsim_core::{Pose2, Track};
+use locsim_core::{Estimate, Pose2, Track};
 use locsim_gap::hidden::{OtherForm, Regime, record_library};
 use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find, oracle_power};
 use locsim_world::effect::{Effect, EffectKind, Effects};
@@ -108,9 +108,9 @@ fn a_hidden_effect_is_named_with_its_number() {
         let named = &outcome.effects[0];
         let number = named.params[kind.parameters()[0].name];
         // Four half-widths of the interval: 1e-14 if it is normal.
-        let half = 0.5 * (number.hi - number.lo);
-        assert!((number.value - values[0]).abs() < 4.0 * half, "{kind}: {number:?}");
-        assert!(half < 0.6 * values[0].abs(), "{kind}: an interval that says nothing: {number:?}");
+        let Estimate { value, interval } = number.estimate;
+        assert!((value - values[0]).abs() < 4.0 * interval.half(), "{kind}: {number:?}");
+        assert!(interval.half() < 0.6 * values[0].abs(), "{kind}: an interval that says nothing: {number:?}");
         assert!(outcome.gap.closed.value > 0.7 && outcome.detection.p <= 0.01, "{kind}: {:?}", outcome.gap);
     }
 }
@@ -239,7 +239,7 @@ fn an_object_is_named_among_blocks_that_stay() {
     let outcome = search(&nominal, &log(&nominal, &[hidden], regime, 3), Vec::new());
     let first = outcome.effects.first().expect("something is named");
     assert_eq!(first.name, EffectKind::MissingObject, "{:?}", outcome.rivals);
-    let at = DVec2::new(first.params["x_m"].value, first.params["y_m"].value);
+    let at = DVec2::new(first.params["x_m"].estimate.value, first.params["y_m"].estimate.value);
     assert!(at.distance(DVec2::new(2.6, 1.9)) < 0.1, "{at}");
 }
 
@@ -251,9 +251,8 @@ fn bursts_of_crosstalk_are_seen_as_bursts() {
     let outcome = search(&nominal, &log(&nominal, &[hidden], Regime::default(), 3), Vec::new());
     let first = outcome.effects.first().expect("something is named");
     assert_eq!(first.name, EffectKind::Crosstalk, "{:?}", outcome.rivals);
-    let [p, share] = ["p", "share"].map(|name| first.params[name]);
-    let half = |number: locsim_gap::Number| 0.5 * (number.hi - number.lo);
+    let [p, share] = ["p", "share"].map(|name| first.params[name].estimate);
     // In a burst some 2,000 readings; of 16 seconds a share of 0.4 has an error of 0.12.
-    assert!((p.value - 0.2).abs() < 0.05 && half(p) < 0.06, "{p:?}");
-    assert!((share.value - 0.4).abs() < 0.37 && (0.1..0.35).contains(&half(share)), "{share:?}");
+    assert!((p.value - 0.2).abs() < 0.05 && p.interval.half() < 0.06, "{p:?}");
+    assert!((share.value - 0.4).abs() < 0.37 && (0.1..0.35).contains(&share.interval.half()), "{share:?}");
 }

@@ -10,7 +10,7 @@ use divan::counter::ItemsCount;
 use locsim_core::{Draw, Laser, Particles, Pose2, Scan, Stage, Weights};
 use locsim_mcl::{
     Clusters, Filter, FilterOptions, MotionModel, Multinomial, OdometryMotion, ParticleCount, PoseBins,
-    ResampleTrigger, Resampler, Residual, Start, StepInput, Stratified, Systematic, VelocityMotion,
+    ResampleTrigger, Resampler, Residual, Spread, Start, StepInput, Stratified, Systematic, VelocityMotion,
     max_weight, weighted_mean,
 };
 use toy::{Gaussian, Room};
@@ -154,7 +154,8 @@ fn step(bencher: Bencher<'_, '_>, n: usize) {
         annealing: None,
         ancestry: false,
     };
-    let start = Start::Tracking { pose: Pose2::new(5.0, 3.0, 0.0), sigma_m: 0.3, sigma_rad: 0.1 };
+    let start =
+        Start::Tracking { pose: Pose2::new(5.0, 3.0, 0.0), spread: Spread { sigma_m: 0.3, sigma_rad: 0.1 } };
     let mut filter = Filter::new(options, &start, &room, 1).unwrap();
     let input = StepInput { odometry: Pose2::IDENTITY, laser: &laser, scan: &scan };
     let model = Gaussian { sigma_m: 1.0 };

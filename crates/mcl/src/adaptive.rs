@@ -1,6 +1,7 @@
 use std::collections::HashSet;
 
 use locsim_core::Pose2;
+use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::FilterError;
@@ -9,7 +10,7 @@ use crate::error::{check, check_positive};
 
 /// KLD sampling (Fox 2003; Probabilistic Robotics, table 8.4): as many particles as keep the Kullback-Leibler
 /// distance between the sampled and the true posterior, both as histograms, below a bound.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct KldOptions {
     /// Least number of particles.
     pub min: usize,
@@ -19,14 +20,17 @@ pub struct KldOptions {
     pub error: f64,
     /// Probability 1 - delta with which the bound holds.
     pub quantile: f64,
-    /// The histogram.
-    pub bins: PoseBins,
+    /// Side of a histogram bin (m).
+    pub bin_m: f64,
+    /// Heading width of a histogram bin (rad).
+    pub bin_rad: f64,
 }
 
 /// Finds the sample size of [`KldOptions`].
 #[derive(Clone, Debug)]
 pub struct KldSampler {
     options: KldOptions,
+    bins: PoseBins,
     /// Upper 1 - delta quantile of the standard normal distribution.
     z: f64,
     occupied: HashSet<BinKey>,
@@ -36,14 +40,15 @@ impl KldSampler {
     /// Checks the options.
     ///
     /// # Errors
-    /// [`FilterError::Option`] unless 1 <= min <= max, error > 0 and 0.5 <= quantile < 1.
+    /// [`FilterError::Option`] unless 1 <= min <= max, error > 0, 0.5 <= quantile < 1, and as [`PoseBins::new`].
     pub fn new(options: KldOptions) -> Result<Self, FilterError> {
-        let KldOptions { min, max, error, quantile, .. } = options;
+        let KldOptions { min, max, error, quantile, bin_m, bin_rad } = options;
         check("least particle count", min as f64, min >= 1, "at least 1")?;
         check("greatest particle count", max as f64, max >= min, "at least the least one")?;
         check_positive("KLD error", error)?;
         check("KLD quantile", quantile, (0.5..1.0).contains(&quantile), "at least 0.5 and below 1")?;
-        Ok(Self { options, z: Normal::standard().inverse_cdf(quantile), occupied: HashSet::new() })
+        let z = Normal::standard().inverse_cdf(quantile);
+        Ok(Self { options, bins: PoseBins::new(bin_m, bin_rad)?, z, occupied: HashSet::new() })
     }
 
     /// Sample size n for `k` occupied bins: the chi-square quantile with k - 1 degrees of freedom over
@@ -69,7 +74,7 @@ impl KldSampler {
         let mut enough = self.options.min;
         let mut drawn = 0;
         while drawn < enough {
-            if self.occupied.insert(self.options.bins.key(&pose()?)) {
+            if self.occupied.insert(self.bins.key(&pose()?)) {
                 enough = self.sample_size(self.occupied.len());
             }
             drawn += 1;
@@ -87,8 +92,8 @@ mod tests {
     use super::*;
 
     fn options() -> KldOptions {
-        let bins = PoseBins::new(0.5, 10_f64.to_radians()).unwrap();
-        KldOptions { min: 10, max: 1_000_000, error: 0.05, quantile: 0.99, bins }
+        let bin_rad = 10_f64.to_radians();
+        KldOptions { min: 10, max: 1_000_000, error: 0.05, quantile: 0.99, bin_m: 0.5, bin_rad }
     }
 
     /// Wilson and Hilferty's approximation is within 1 % of the exact chi-square quantile from 3 degrees of

@@ -1,11 +1,11 @@
 use locsim_core::{Draw, Particles, Poses, RangeMap, Stage, WeightError, Weights};
 use rand::RngExt;
 use rayon::prelude::*;
+use serde::Serialize;
 
 use crate::error::{check, check_sigma};
-use crate::motion::spread;
 use crate::resampling::Resampler;
-use crate::{Estimate, FilterError, Systematic};
+use crate::{Estimate, FilterError, Spread, Systematic};
 
 /// Annealed updates for global localization: a scan is taken in by small powers of its likelihood, with resampling and
 /// Metropolis moves between them (the sequential Monte Carlo sampler of Del Moral, Doucet and Jasra, J. Royal
@@ -14,7 +14,7 @@ use crate::{Estimate, FilterError, Systematic};
 /// When particles are spread over a map, a sharp likelihood has its peaks between them. Which of several similar places
 /// survives then depends on the distance of its nearest particle. In small steps, particles climb to the peaks before
 /// the peaks are compared. Each scan costs some hundred weighings of the set, until the set has gathered.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AnnealingOptions {
     /// Particles of a global start. The first scan that distinguishes them resamples the set to the filter's count.
     pub candidates: usize,
@@ -22,11 +22,9 @@ pub struct AnnealingOptions {
     pub effective_share: f64,
     /// Metropolis moves of each particle after each power.
     pub moves: usize,
-    /// Standard deviation of a move along x and y under the whole likelihood (m): about that of a posterior from one
-    /// scan. Under smaller powers moves are larger, up to 0.3 m.
-    pub sigma_m: f64,
-    /// The same of the heading (rad), up to 0.3 rad.
-    pub sigma_rad: f64,
+    /// Standard deviations of a move under the whole likelihood: about those of a posterior from one scan. Under smaller
+    /// powers moves are larger, up to 0.3 m and 0.3 rad.
+    pub step: Spread,
     /// Scans are annealed until the weighted positions have this standard deviation (m), and again from five times it.
     pub gathered_m: f64,
 }
@@ -39,8 +37,7 @@ impl Default for AnnealingOptions {
             candidates: 20_000,
             effective_share: 0.9,
             moves: 12,
-            sigma_m: 0.01,
-            sigma_rad: 0.005,
+            step: Spread { sigma_m: 0.01, sigma_rad: 0.005 },
             gathered_m: 0.2,
         }
     }
@@ -82,8 +79,7 @@ impl Annealer {
     pub fn new(options: AnnealingOptions) -> Result<Self, FilterError> {
         let share = options.effective_share;
         check("annealing effective share", share, share > 0.0 && share < 1.0, "above 0 and below 1")?;
-        check_sigma("annealing sigma_m", options.sigma_m)?;
-        check_sigma("annealing sigma_rad", options.sigma_rad)?;
+        options.step.check(["annealing sigma_m", "annealing sigma_rad"])?;
         check_sigma("annealing gathered_m", options.gathered_m)?;
         Ok(Self {
             options,
@@ -190,7 +186,9 @@ impl Annealer {
         let draw = Draw::new(seed, Stage::Annealing, self.round);
         let largest = |sigma: f64| (scale * sigma).min(LARGEST_MOVE);
         self.moved.clone_from(particles);
-        spread(&mut self.moved, &draw, largest(self.options.sigma_m), largest(self.options.sigma_rad));
+        let Spread { sigma_m, sigma_rad } = self.options.step;
+        let step = Spread { sigma_m: largest(sigma_m), sigma_rad: largest(sigma_rad) };
+        step.add_to(&mut self.moved, &draw);
         self.moved_log_likelihood.resize(particles.len(), 0.0);
         score(self.moved.view(), &mut self.moved_log_likelihood);
         let decide = Draw::new(draw.seed(u32::MAX), Stage::Annealing, self.round);

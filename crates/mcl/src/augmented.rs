@@ -1,9 +1,11 @@
+use serde::Serialize;
+
 use crate::FilterError;
 use crate::error::check;
 
 /// Random particles while observations are less likely than they used to be (augmented MCL, Probabilistic
 /// Robotics, table 8.3).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct InjectionOptions {
     /// Decay rate of the long-term average likelihood: above 0, below `alpha_fast`.
     pub alpha_slow: f64,

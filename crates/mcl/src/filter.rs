@@ -3,21 +3,23 @@ use std::sync::Arc;
 
 use locsim_core::{Draw, Laser, Particles, Pose2, RangeMap, Scan, SensorModel, Stage, WeightError, Weights};
 use rand::RngExt;
+use serde::Serialize;
 
 use crate::adaptive::{KldOptions, KldSampler};
 use crate::ancestry::{Ancestry, NO_PARENT};
 use crate::annealing::{Annealer, AnnealingOptions, Set};
 use crate::augmented::{Augmented, InjectionOptions};
 use crate::bins::PoseBins;
-use crate::error::{FilterError, check, check_sigma};
+use crate::error::{FilterError, check};
 use crate::estimate::{Cluster, Clusters, Estimate, max_weight, weighted_mean};
-use crate::motion::{MotionModel, spread};
+use crate::motion::MotionModel;
 use crate::resampling::Resampler;
+use crate::spread::Spread;
 use crate::start::{Start, free_pose};
 use crate::weigh::Weigher;
 
 /// How many particles a filter has.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum ParticleCount {
     /// Always the same number, at least 1.
     Fixed(usize),
@@ -26,22 +28,12 @@ pub enum ParticleCount {
 }
 
 /// When a filter resamples. A step that injects random particles always resamples.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum ResampleTrigger {
     /// At the end of each step.
     EachStep,
     /// When the effective sample size is below this share of the particle count, from 0 to 1.
     EffectiveShareBelow(f64),
-}
-
-/// Gaussian jitter of the resampled particles, which keeps copies of one ancestor apart (the regularized
-/// particle filter of Musso, Oudjane and Le Gland 2001, with a bandwidth of the user's choice).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Regularization {
-    /// Standard deviation along x and y (m).
-    pub sigma_m: f64,
-    /// Standard deviation of the heading (rad).
-    pub sigma_rad: f64,
 }
 
 /// Options of a filter.
@@ -57,8 +49,9 @@ pub struct FilterOptions {
     pub trigger: ResampleTrigger,
     /// Random particles for recovery, `None` for none.
     pub injection: Option<InjectionOptions>,
-    /// Jitter after resampling, `None` for none.
-    pub regularization: Option<Regularization>,
+    /// Gaussian jitter of the resampled particles, which keeps copies of one ancestor apart (the regularized particle
+    /// filter of Musso, Oudjane and Le Gland 2001, with a bandwidth of the user's choice); `None` for none.
+    pub regularization: Option<Spread>,
     /// Bins for the cluster estimate, `None` to do without it.
     pub clusters: Option<PoseBins>,
     /// Annealed updates while the particles are spread, `None` for plain ones.
@@ -198,9 +191,8 @@ impl Filter {
         if let ResampleTrigger::EffectiveShareBelow(share) = options.trigger {
             check("effective share", share, (0.0..=1.0).contains(&share), "from 0 to 1")?;
         }
-        if let Some(Regularization { sigma_m, sigma_rad }) = options.regularization {
-            check_sigma("regularization sigma_m", sigma_m)?;
-            check_sigma("regularization sigma_rad", sigma_rad)?;
+        if let Some(spread) = options.regularization {
+            spread.check(["regularization sigma_m", "regularization sigma_rad"])?;
         }
         let annealer = options.annealing.map(Annealer::new).transpose()?;
         let first = match (start, options.annealing) {
@@ -402,9 +394,9 @@ impl Filter {
         self.ancestors.reserve_exact(injected);
         self.next.reserve(count);
         self.next.gather(&self.particles, &self.ancestors);
-        if let Some(Regularization { sigma_m, sigma_rad }) = self.options.regularization {
+        if let Some(spread) = self.options.regularization {
             let draw = Draw::new(self.seeds.jitter, Stage::Resample, self.step);
-            spread(&mut self.next, &draw, sigma_m, sigma_rad);
+            spread.add_to(&mut self.next, &draw);
         }
         for i in 0..injected {
             self.next.push(free_pose(map, &mut injection.item(i as u32))?);

@@ -17,6 +17,7 @@ mod estimate;
 mod filter;
 mod motion;
 mod resampling;
+mod spread;
 mod start;
 mod weigh;
 
@@ -28,9 +29,9 @@ pub use bins::PoseBins;
 pub use error::FilterError;
 pub use estimate::{Cluster, Clusters, Estimate, max_weight, weighted_mean};
 pub use filter::{
-    Estimates, Filter, FilterOptions, ParticleCount, Recovery, Regularization, ResampleTrigger, StepInput,
-    StepOutcome,
+    Estimates, Filter, FilterOptions, ParticleCount, Recovery, ResampleTrigger, StepInput, StepOutcome,
 };
 pub use motion::{MotionModel, OdometryMotion, VelocityMotion};
 pub use resampling::{Multinomial, Resampler, Residual, Stratified, Systematic};
+pub use spread::Spread;
 pub use start::Start;

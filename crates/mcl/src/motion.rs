@@ -129,22 +129,13 @@ fn sinc(a: f64) -> f64 {
     if a.abs() < 2e-8 { 1.0 } else { ratio }
 }
 
-/// Adds Gaussian noise of these standard deviations (m, rad) to each pose; particle `i` draws from item `i`.
-pub(crate) fn spread(particles: &mut Particles, draw: &Draw, sigma_m: f64, sigma_rad: f64) {
-    for_each_with_normals(particles, draw, |[n1, n2, n3], x, y, theta| {
-        *x += sigma_m * n1;
-        *y += sigma_m * n2;
-        *theta = wrap_angle(*theta + sigma_rad * n3);
-    });
-}
-
 /// Particles per parallel batch.
 const CHUNK: usize = 16 * BATCH;
 
 /// Calls `f(normals, x, y, theta)` for each particle, in parallel, with three standard normal numbers of the
 /// particle's own. Where `f` has no branches and calls nothing but such functions, the loop over particles becomes
 /// vector instructions.
-fn for_each_with_normals(
+pub(crate) fn for_each_with_normals(
     particles: &mut Particles,
     draw: &Draw,
     f: impl Fn([f64; 3], &mut f64, &mut f64, &mut f64) + Sync,

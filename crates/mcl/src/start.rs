@@ -3,9 +3,7 @@ use std::f64::consts::PI;
 use locsim_core::{Draw, Particles, Pose2, RangeMap, Stage};
 use rand::{Rng, RngExt};
 
-use crate::FilterError;
-use crate::error::check_sigma;
-use crate::motion::spread;
+use crate::{FilterError, Spread};
 
 /// The robot's pose before the first step: unknown, or known with an uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,10 +12,8 @@ pub enum Start {
     Tracking {
         /// Mean, `map_from_base`.
         pose: Pose2,
-        /// Standard deviation along x and y (m).
-        sigma_m: f64,
-        /// Standard deviation of the heading (rad).
-        sigma_rad: f64,
+        /// Standard deviations about it.
+        spread: Spread,
     },
     /// Global localization: uniform over the map's free space and all headings.
     Global,
@@ -33,12 +29,11 @@ impl Start {
     ) -> Result<Particles, FilterError> {
         let draw = Draw::new(seed, Stage::Initial, 0);
         match *self {
-            Self::Tracking { pose, sigma_m, sigma_rad } => {
-                check_sigma("start sigma_m", sigma_m)?;
-                check_sigma("start sigma_rad", sigma_rad)?;
+            Self::Tracking { pose, spread } => {
+                spread.check(["start sigma_m", "start sigma_rad"])?;
                 let mut particles = Particles::zeros(n);
                 (0..n).for_each(|i| particles.set(i, pose));
-                spread(&mut particles, &draw, sigma_m, sigma_rad);
+                spread.add_to(&mut particles, &draw);
                 Ok(particles)
             }
             Self::Global => {

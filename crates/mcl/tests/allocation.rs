@@ -9,8 +9,8 @@ use locsim_core::{
     Beams, Draw, Laser, LikelihoodGrid, LikelihoodTable, ModelTable, Pose2, Scan, SensorModel,
 };
 use locsim_mcl::{
-    Filter, FilterOptions, InjectionOptions, OdometryMotion, ParticleCount, PoseBins, Regularization,
-    ResampleTrigger, Start, StepInput, Systematic,
+    Filter, FilterOptions, InjectionOptions, OdometryMotion, ParticleCount, PoseBins, ResampleTrigger,
+    Spread, Start, StepInput, Systematic,
 };
 use toy::{Gaussian, Room};
 
@@ -97,7 +97,7 @@ fn options(particles: usize, ancestry: bool) -> FilterOptions {
         resampler: Arc::new(Systematic),
         trigger: ResampleTrigger::EachStep,
         injection: Some(InjectionOptions { alpha_slow: 0.01, alpha_fast: 0.5 }),
-        regularization: Some(Regularization { sigma_m: 0.01, sigma_rad: 0.01 }),
+        regularization: Some(Spread { sigma_m: 0.01, sigma_rad: 0.01 }),
         // One bin: the number of occupied bins is not fixed, but here it is.
         clusters: Some(PoseBins::new(1000.0, 7.0).unwrap()),
         annealing: None,
@@ -117,7 +117,8 @@ fn with_filter<R: Send>(
     let laser = Laser::new(bearings, vec![0.0; 12], 0.0, 50.0, Pose2::IDENTITY).unwrap();
     let scan = Scan { ranges: vec![2.0; 12] };
     let options = options(particles, ancestry);
-    let start = Start::Tracking { pose: Pose2::new(3.0, 2.0, 0.0), sigma_m: 0.3, sigma_rad: 0.3 };
+    let start =
+        Start::Tracking { pose: Pose2::new(3.0, 2.0, 0.0), spread: Spread { sigma_m: 0.3, sigma_rad: 0.3 } };
     let input = StepInput { odometry: Pose2::new(0.01, 0.0, 0.1), laser: &laser, scan: &scan };
     rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap().install(|| {
         let mut filter = Filter::new(options, &start, &room, 1).unwrap();
@@ -158,7 +159,8 @@ fn most_bytes_of_injection(particles: usize) -> usize {
         injection: Some(InjectionOptions { alpha_slow: 0.01, alpha_fast: 0.2 }),
         ..options(particles, false)
     };
-    let start = Start::Tracking { pose: Pose2::new(3.0, 2.0, 0.0), sigma_m: 0.3, sigma_rad: 0.3 };
+    let start =
+        Start::Tracking { pose: Pose2::new(3.0, 2.0, 0.0), spread: Spread { sigma_m: 0.3, sigma_rad: 0.3 } };
     rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap().install(|| {
         let before = BYTES_IN_USE.load(Ordering::Relaxed);
         MOST_BYTES_IN_USE.store(before, Ordering::Relaxed);

@@ -1,5 +1,6 @@
 //! Findings: sentences that follow from the numbers alone.
 
+use locsim_core::Interval;
 use locsim_sensor::ModelKind;
 
 use super::text::{code, escape, metres, metres_with, percent, significant, with_interval};
@@ -98,7 +99,8 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
 /// Which models did best and how each compares with the baseline.
 pub fn comparisons(summary: &Summary) -> Vec<String> {
     let mut sentences = Vec::new();
-    let mut ranked: Vec<(&str, &ModelSummary)> = summary.models.iter().collect();
+    let mut ranked: Vec<(&str, &ModelSummary)> =
+        summary.models.iter().map(|(name, model)| (name.as_str(), model)).collect();
     ranked.sort_by(|a, b| a.1.errors.position_rmse_m.total_cmp(&b.1.errors.position_rmse_m));
     let figure = |(name, model): (&str, &ModelSummary)| {
         let interval = model.intervals.map(|i| i.errors.position_rmse_m);
@@ -118,7 +120,7 @@ pub fn comparisons(summary: &Summary) -> Vec<String> {
             metres(median(model))
         ));
     }
-    for ((name, all), (_, kept)) in summary.ratios.iter().zip(summary.ratios_kept.iter()) {
+    for ((name, all), kept) in summary.ratios.iter().zip(summary.ratios_kept.values()) {
         let (Some(ratio), true) = (all.rmse(), name != summary.baseline()) else { continue };
         let without_lost = kept.rmse().filter(|k| k.value != ratio.value).map_or_else(String::new, |k| {
             format!("; {} on the trials that neither lost, {}", ratio_text(k), direction(k))
@@ -149,7 +151,7 @@ pub fn lost_trials(summary: &Summary) -> Vec<String> {
     let lost: Vec<(&str, u32)> = summary
         .models
         .iter()
-        .map(|(name, m)| (name, (m.lost_share * f64::from(summary.trials)).round() as u32))
+        .map(|(name, m)| (name.as_str(), (m.lost_share * f64::from(summary.trials)).round() as u32))
         .collect();
     let bound = |k| share_interval(k, summary.trials);
     if lost.iter().all(|(_, k)| *k == 0) {
@@ -228,7 +230,7 @@ pub fn beside_the_paper(summary: &Summary) -> Vec<String> {
     for (name, mean, std) in PAPER {
         let Some(model) = summary.models.get(name) else { continue };
         let errors = &model.errors;
-        let bias = |label: &str, ours: f64, interval: Option<crate::statistics::Interval>| {
+        let bias = |label: &str, ours: f64, interval: Option<Interval>| {
             let state = match interval {
                 None => "no interval",
                 Some(i) if i.contains(0.0) => "not to be told from zero",

@@ -5,9 +5,8 @@
 //! Tibshirani, An Introduction to the Bootstrap, section 8.4), and every model gets the same draws, which
 //! keeps comparisons on the same trials paired.
 
-use locsim_core::{Draw, Stage};
+use locsim_core::{Draw, Interval, Stage};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use statrs::distribution::{Beta, ContinuousCDF};
 
 /// Number of bootstrap resamples behind each interval.
@@ -15,22 +14,6 @@ pub const REPLICATES: u32 = 2000;
 
 /// Tail probability left out at each end of an interval: together they make it a 95 % interval.
 const TAIL: f64 = 0.025;
-
-/// A 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Interval {
-    /// Lower end.
-    pub lo: f64,
-    /// Upper end.
-    pub hi: f64,
-}
-
-impl Interval {
-    /// Whether it covers `value`, ends included.
-    pub fn contains(&self, value: f64) -> bool {
-        self.lo <= value && value <= self.hi
-    }
-}
 
 /// Count, sum and sum of squares of a sample; those of a union are the sums of its parts'.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

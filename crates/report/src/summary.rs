@@ -1,13 +1,13 @@
 //! `summary.json`: what an experiment found, for scripts. The schema is stable: fields are added, never
 //! renamed or removed.
 
-use serde::de::{MapAccess, Visitor};
-use serde::ser::SerializeMap;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use indexmap::IndexMap;
+use locsim_core::Interval;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::results::{ModelTrial, RunResults, TrainingRow};
-use crate::statistics::{Bootstrap, Interval, Moments, PooledValues, share_interval};
+use crate::statistics::{Bootstrap, Moments, PooledValues, share_interval};
 
 /// Name of the model that ratios `*_vs_classic` refer to.
 pub const CLASSIC: &str = "classic";
@@ -56,58 +56,6 @@ pub enum SummaryError {
         /// Index of the scan.
         step: u32,
     },
-}
-
-/// A map from names to values that keeps its order (the scenario's), in memory and in JSON.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Ordered<T>(Vec<(String, T)>);
-
-impl<T> Ordered<T> {
-    /// The value of `name`, if there is one.
-    pub fn get(&self, name: &str) -> Option<&T> {
-        self.0.iter().find(|(key, _)| key == name).map(|(_, value)| value)
-    }
-
-    /// Names and values in order.
-    pub fn iter(&self) -> impl ExactSizeIterator<Item = (&str, &T)> {
-        self.0.iter().map(|(name, value)| (name.as_str(), value))
-    }
-}
-
-impl<T> FromIterator<(String, T)> for Ordered<T> {
-    fn from_iter<I: IntoIterator<Item = (String, T)>>(entries: I) -> Self {
-        Self(entries.into_iter().collect())
-    }
-}
-
-impl<T: Serialize> Serialize for Ordered<T> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(Some(self.0.len()))?;
-        for (name, value) in &self.0 {
-            map.serialize_entry(name, value)?;
-        }
-        map.end()
-    }
-}
-
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for Ordered<T> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Entries<T>(std::marker::PhantomData<T>);
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for Entries<T> {
-            type Value = Ordered<T>;
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("a map by model name")
-            }
-            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
-                let mut entries = Vec::new();
-                while let Some(entry) = map.next_entry()? {
-                    entries.push(entry);
-                }
-                Ok(Ordered(entries))
-            }
-        }
-        deserializer.deserialize_map(Entries(std::marker::PhantomData))
-    }
 }
 
 /// Mean and standard deviation of a signed error (m).
@@ -269,17 +217,17 @@ pub struct Summary {
     /// Wall time of the run (s).
     pub seconds: f64,
     /// The models in the scenario's order.
-    pub models: Ordered<ModelSummary>,
+    pub models: IndexMap<String, ModelSummary>,
     /// Ratios over all trials, in the same order.
-    pub ratios: Ordered<Ratios>,
+    pub ratios: IndexMap<String, Ratios>,
     /// The same ratios over the trials that neither of the two models lost.
-    pub ratios_kept: Ordered<Ratios>,
+    pub ratios_kept: IndexMap<String, Ratios>,
 }
 
 impl Summary {
     /// The model that the others are compared with: `classic`, or the first where that isn't in the run.
     pub fn baseline(&self) -> &str {
-        let first = self.models.iter().next().map(|(name, _)| name);
+        let first = self.models.keys().next().map(String::as_str);
         self.models.get(CLASSIC).map(|_| CLASSIC).or(first).unwrap_or(CLASSIC)
     }
 

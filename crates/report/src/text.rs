@@ -2,9 +2,9 @@
 
 use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
 use comfy_table::{CellAlignment, LineStyle, Table};
+use locsim_core::Interval;
 use locsim_core::limits::is_hidden;
 
-use crate::statistics::Interval;
 use crate::summary::{Errors, Ratio, Summary};
 
 /// Placeholder of a missing value.
@@ -217,12 +217,15 @@ pub fn errors_table<'a>(
 /// The two halves of the headline table: errors, then everything else.
 pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
     let errors = errors_table(
-        summary.models.iter().map(|(name, m)| (name, &m.errors, m.intervals.as_ref().map(|i| &i.errors))),
+        summary
+            .models
+            .iter()
+            .map(|(name, m)| (name.as_str(), &m.errors, m.intervals.as_ref().map(|i| &i.errors))),
     );
     let [std, rmse] = ["std", "RMSE"].map(|figure| format!("{figure} / {}", summary.baseline()));
     let others = TextTable::new(
         ["model", "lost [%]", "ESS", "NEES", "ms/step", &std, &rmse, "RMSE / oracle"],
-        summary.models.iter().zip(summary.ratios.iter()).map(|((name, model), (_, ratios))| {
+        summary.models.iter().zip(summary.ratios.values()).map(|((name, model), ratios)| {
             [
                 name.to_owned(),
                 percent(model.lost_share),

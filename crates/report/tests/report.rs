@@ -421,7 +421,7 @@ fn lost_trials_are_in_the_main_figures_and_not_in_the_kept_ones() {
     assert!(classic.errors.position_rmse_m > 2.0 * kept.errors.position_rmse_m);
     let intact = summary.models.get("p_reg").unwrap();
     assert_eq!(intact.kept.unwrap().errors, intact.errors);
-    let pick = |ratios: &locsim_report::summary::Ordered<locsim_report::summary::Ratios>| {
+    let pick = |ratios: &indexmap::IndexMap<String, locsim_report::summary::Ratios>| {
         ratios.get("np_reg").unwrap().rmse_vs_classic.unwrap().value
     };
     assert!(pick(&summary.ratios) < 0.5 * pick(&summary.ratios_kept));

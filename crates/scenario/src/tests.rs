@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
+use locsim_mcl::{AnnealingOptions, InjectionOptions, KldOptions, ParticleCount, ResampleTrigger, Spread};
 use locsim_sensor::ModelKind;
 use locsim_world::effect::EffectKind;
 use locsim_world::simulation::{
@@ -117,23 +118,23 @@ fn every_key_arrives_in_si_units_and_radians() {
     assert_eq!(
         scenario.filter,
         Filter {
-            particles: ParticleCount::Kld {
+            particles: ParticleCount::Kld(KldOptions {
                 min: 500,
                 max: 5000,
                 error: 0.02,
                 quantile: 0.95,
                 bin_m: 0.25,
                 bin_rad: degrees(5.0),
-            },
+            }),
             motion: Motion::Odometry([0.1, 0.05, 0.1, 0.05]),
             resampler: Resampler::Residual,
-            resample: ResampleWhen::EffectiveShareBelow(0.5),
-            injection: Some(Injection { alpha_slow: 0.001, alpha_fast: 0.1 }),
+            resample: ResampleTrigger::EffectiveShareBelow(0.5),
+            injection: Some(InjectionOptions { alpha_slow: 0.001, alpha_fast: 0.1 }),
             start: Start::Tracking(Spread { sigma_m: 0.1, sigma_rad: degrees(3.0) }),
             beams: Some(12),
             estimate: Estimate::MostLikelyTrajectory,
             regularization: Spread { sigma_m: 0.01, sigma_rad: degrees(0.5) },
-            annealing: Some(Annealing {
+            annealing: Some(AnnealingOptions {
                 candidates: 4000,
                 effective_share: 0.8,
                 moves: 6,

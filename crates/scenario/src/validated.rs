@@ -3,6 +3,7 @@ use std::str::FromStr;
 
 use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
+use locsim_mcl::{AnnealingOptions, InjectionOptions, ParticleCount, ResampleTrigger, Spread};
 use locsim_sensor::ModelKind;
 use locsim_world::effect::Effect;
 use locsim_world::simulation::{BlockOptions, LaserOptions, OdometryNoise, Robot};
@@ -210,6 +211,17 @@ impl ModelName {
         all
     };
 
+    /// Their names.
+    pub const NAMES: [&'static str; Self::ALL.len()] = {
+        let mut names = [""; Self::ALL.len()];
+        let mut i = 0;
+        while i < names.len() {
+            names[i] = Self::ALL[i].as_str();
+            i += 1;
+        }
+        names
+    };
+
     /// The name used in files.
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -236,17 +248,8 @@ impl Serialize for ModelName {
 
 impl<'de> Deserialize<'de> for ModelName {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        const NAMES: [&str; ModelName::ALL.len()] = {
-            let mut names = [""; ModelName::ALL.len()];
-            let mut i = 0;
-            while i < names.len() {
-                names[i] = ModelName::ALL[i].as_str();
-                i += 1;
-            }
-            names
-        };
         let word = String::deserialize(deserializer)?;
-        word.parse().map_err(|_| de::Error::unknown_variant(&word, &NAMES))
+        word.parse().map_err(|_| de::Error::unknown_variant(&word, &Self::NAMES))
     }
 }
 
@@ -271,7 +274,7 @@ impl std::fmt::Display for ModelName {
 
 /// There is no sensor model of this name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{name:?} is not a sensor model; one of {}", ModelName::ALL.map(ModelName::as_str).join(", "))]
+#[error("{name:?} is not a sensor model; one of {}", ModelName::NAMES.join(", "))]
 pub struct UnknownModel {
     /// The name that was asked for.
     pub name: String,
@@ -298,9 +301,9 @@ pub struct Filter {
     /// How ancestors are drawn.
     pub resampler: Resampler,
     /// When they are drawn.
-    pub resample: ResampleWhen,
+    pub resample: ResampleTrigger,
     /// Random particles injected when the likelihood drops; `None` for none.
-    pub injection: Option<Injection>,
+    pub injection: Option<InjectionOptions>,
     /// Where particles start.
     pub start: Start,
     /// Beams of a scan that the filter uses, spread evenly; `None` for all.
@@ -310,29 +313,7 @@ pub struct Filter {
     /// Jitter added after resampling (regularized particle filter); zero for none.
     pub regularization: Spread,
     /// How scans are taken in while the particles are spread; `None` for all at once as always.
-    pub annealing: Option<Annealing>,
-}
-
-/// How many particles the filter keeps.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub enum ParticleCount {
-    /// Always this many.
-    Fixed(u32),
-    /// By the Kullback-Leibler distance (KLD sampling; Fox 2003).
-    Kld {
-        /// At least this many.
-        min: u32,
-        /// At most this many.
-        max: u32,
-        /// Bound on the Kullback-Leibler distance, epsilon, above 0.
-        error: f64,
-        /// Probability 1 - delta with which the bound holds, in (0, 1).
-        quantile: f64,
-        /// Side of a histogram bin (m).
-        bin_m: f64,
-        /// Heading width of a histogram bin (rad).
-        bin_rad: f64,
-    },
+    pub annealing: Option<AnnealingOptions>,
 }
 
 /// Motion model with its noise parameters.
@@ -359,39 +340,6 @@ pub enum Resampler {
     Residual,
 }
 
-/// When the filter resamples.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub enum ResampleWhen {
-    /// After every scan.
-    EachStep,
-    /// When the effective sample size falls below this share of the particles, in (0, 1].
-    EffectiveShareBelow(f64),
-}
-
-/// Random particles after a drop of the likelihood (augmented MCL; Probabilistic Robotics, table 8.3).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Injection {
-    /// Decay rate of the long-term average, 0 < slow < fast.
-    pub alpha_slow: f64,
-    /// Decay rate of the short-term average, at most 1.
-    pub alpha_fast: f64,
-}
-
-/// Scans taken in by small powers of their likelihood, with Metropolis moves between them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Annealing {
-    /// Particles of a global start.
-    pub candidates: u32,
-    /// Share of the particles that each power leaves effective, in (0, 1).
-    pub effective_share: f64,
-    /// Moves of each particle after each power.
-    pub moves: u32,
-    /// Standard deviation of a move under the whole likelihood.
-    pub step: Spread,
-    /// Scans are annealed until positions have this standard deviation (m), and again from five times it.
-    pub gathered_m: f64,
-}
-
 /// Where particles start.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Start {
@@ -401,15 +349,6 @@ pub enum Start {
     Around(Pose2, Spread),
     /// Uniform over the map's free space: global localization.
     Global,
-}
-
-/// Independent Gaussian spread of a pose.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Spread {
-    /// Standard deviation of x and of y (m).
-    pub sigma_m: f64,
-    /// Standard deviation of the heading (rad).
-    pub sigma_rad: f64,
 }
 
 /// Which pose estimate of the filter errors are measured of.

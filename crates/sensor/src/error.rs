@@ -51,7 +51,7 @@ pub enum SensorError {
     /// A model of this name doesn't exist.
     #[error(
         "unknown sensor model {0:?}; known are {known}",
-        known = ModelKind::ALL.map(ModelKind::as_str).join(", ")
+        known = ModelKind::NAMES.join(", ")
     )]
     UnknownModel(String),
     /// Parameters of a model are out of bounds.

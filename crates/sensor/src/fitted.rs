@@ -9,6 +9,7 @@ use std::sync::Arc;
 use locsim_core::limits::quoted;
 use locsim_core::{CAST_REACH, DistanceMap, SensorModel};
 use serde::{Deserialize, Serialize};
+use strum::{VariantArray, VariantNames};
 
 use crate::field::{FieldParameters, LikelihoodField};
 use crate::histogram::HistogramTable;
@@ -19,8 +20,22 @@ use crate::p_reg::{self, NormalTable};
 use crate::{SensorError, TrainingSet, total};
 
 /// The models that are fitted to data, by the names that scenarios and tables use.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    PartialEq,
+    Eq,
+    Hash,
+    PartialOrd,
+    Ord,
+    Serialize,
+    Deserialize,
+    VariantArray,
+    VariantNames,
+)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum ModelKind {
     /// Gaussian at the nominal range and exponential, the paper's baseline: Probabilistic Robotics, eqs. 6.4
     /// to 6.9.
@@ -41,27 +56,14 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// Every kind, in the order of tables.
-    pub const ALL: [Self; 7] = [
-        Self::Classic,
-        Self::BeamMixture,
-        Self::LikelihoodField,
-        Self::PReg,
-        Self::NpReg,
-        Self::NpRegRegistered,
-        Self::NpRegField,
-    ];
+    pub const ALL: &[Self] = <Self as VariantArray>::VARIANTS;
+
+    /// Their names.
+    pub const NAMES: &[&str] = <Self as VariantNames>::VARIANTS;
 
     /// The name, for example `np_reg_registered`.
     pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Classic => "classic",
-            Self::BeamMixture => "beam_mixture",
-            Self::LikelihoodField => "likelihood_field",
-            Self::PReg => "p_reg",
-            Self::NpReg => "np_reg",
-            Self::NpRegRegistered => "np_reg_registered",
-            Self::NpRegField => "np_reg_field",
-        }
+        Self::NAMES[self as usize]
     }
 
     /// Whether its density of each beam integrates to 1. Models that score where readings end don't: along a wall their
@@ -109,7 +111,8 @@ impl FromStr for ModelKind {
 
     fn from_str(name: &str) -> Result<Self, SensorError> {
         Self::ALL
-            .into_iter()
+            .iter()
+            .copied()
             .find(|kind| kind.as_str() == name)
             .ok_or_else(|| SensorError::UnknownModel(name.to_owned()))
     }

@@ -53,12 +53,8 @@ const PSEUDO_COUNTS: [f32; 4] = [1.0, 4.0, 16.0, 64.0];
 /// intensity over d alone, which is a learnt likelihood field, and that on the mean intensity. Each is a
 /// gamma-Poisson estimate (n + k) / (metres + k / coarser intensity).
 #[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(try_from = "Parts", into = "Parts")]
-pub(crate) struct Intensity {
-    parts: Parts,
-    /// Bins of offset and of distance.
-    bins: [usize; 2],
-}
+#[serde(try_from = "Parts")]
+pub(crate) struct Intensity(Parts);
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -73,12 +69,6 @@ struct Parts {
     log_density: Vec<f32>,
     /// ln of the share of beams without return \[class\].
     log_no_return: Vec<f32>,
-}
-
-impl From<Intensity> for Parts {
-    fn from(model: Intensity) -> Self {
-        model.parts
-    }
 }
 
 impl TryFrom<Parts> for Intensity {
@@ -99,21 +89,21 @@ impl TryFrom<Parts> for Intensity {
         if let Some(value) = parts.log_no_return.iter().find(|value| **value > 0.0) {
             return Err(format!("{value} is not allowed as the log of a share"));
         }
-        Ok(Self { parts, bins })
+        Ok(Self(parts))
     }
 }
 
 impl Intensity {
     /// Maximum range of the sensor \[m\].
     pub fn max_range(&self) -> f32 {
-        self.parts.max_range
+        self.0.max_range
     }
 
     #[inline]
     fn at(&self, class: usize, offset: f32, distance: f32) -> f32 {
-        let [offsets, distances] = self.bins;
-        let (u, d) = (self.parts.offset.bin(offset), self.parts.distance.bin(distance));
-        self.parts.log_density[(class * offsets + u) * distances + d]
+        let Parts { offset: offsets, distance: distances, log_density, .. } = &self.0;
+        let row = class * offsets.bins() + offsets.bin(offset);
+        log_density[row * distances.bins() + distances.bin(distance)]
     }
 }
 
@@ -408,7 +398,7 @@ impl NpRegField {
     /// The running integral of the density along beam `i`, from 0 to the share of returns.
     fn profile(&self, beams: &Beams<'_>, i: usize, beam: &Beam) -> Profile {
         let class = class_of(beam, beams.surface[i], &*self.map);
-        let no_return = self.intensity.parts.log_no_return[class].exp();
+        let no_return = self.intensity.0.log_no_return[class].exp();
         Profile::along(beams, i, 1.0 - no_return, |z, x, y| {
             self.intensity.at(class, z - beam.nominal, self.map.distance(x, y)).exp()
         })
@@ -431,7 +421,7 @@ impl SensorModel for NpRegField {
         log_densities(z, beams, out, |z, beam| {
             let class = class_of(&beam, beams.surface[beam.pose * k + beam.bearing], &*self.map);
             if z >= beam.max_range {
-                return self.intensity.parts.log_no_return[class];
+                return self.intensity.0.log_no_return[class];
             }
             if beam.pose != last {
                 (sin, cos) = beams.laser.theta[beam.pose].sin_cos();
@@ -566,7 +556,7 @@ mod tests {
                         step * model.intensity.at(class, z - state.range, d).exp()
                     })
                     .sum();
-                sum += f64::from(along + model.intensity.parts.log_no_return[class].exp());
+                sum += f64::from(along + model.intensity.0.log_no_return[class].exp());
                 beams += 1.0;
             }
             assert!((sum / beams - 1.0).abs() < 0.1, "unknown {unknown}: {}", sum / beams);

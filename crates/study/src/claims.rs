@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::results::{Claim, ConditionResults, LossAgainstObservations, ModelRisk, Results, Verdict};
 use super::{Kind, Model, Study};
-use locsim_report::statistics::Interval;
+use locsim_core::Interval;
 use locsim_report::text::{fixed, percent, significant};
 
 /// A number within this factor of the paper's is the paper's: its text says "near".

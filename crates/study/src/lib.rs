@@ -68,7 +68,8 @@ pub struct Study {
 }
 
 /// Which of the paper's experiments a study is, and so which of its statements stand beside it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 enum Kind {
     Laser,
     FieldSensor,

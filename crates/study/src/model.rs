@@ -19,8 +19,9 @@ const LEAST_OBSERVATIONS: usize = 20;
 const MOST_QUANTILES: usize = 100;
 
 /// A model under comparison.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Model {
     /// Procedure 1 with a Gaussian, as published.
     PReg,
@@ -48,13 +49,7 @@ pub enum Criterion {
 impl Model {
     /// Its name in files.
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::PReg => "p_reg",
-            Self::PRegTwoGaussians => "p_reg_two_gaussians",
-            Self::NpReg => "np_reg",
-            Self::NpRegRegistered => "np_reg_registered",
-            Self::Frechet => "frechet",
-        }
+        self.into()
     }
 
     /// Its definition, for reports.

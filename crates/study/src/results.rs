@@ -1,9 +1,8 @@
 //! Results of a study: the content of `results.json`.
 
 use distreg::Distribution;
+use locsim_core::Interval;
 use serde::{Deserialize, Serialize};
-
-use locsim_report::statistics::Interval;
 
 /// Everything a study finds.
 #[derive(Clone, Debug, Serialize)]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use locsim_core::{Draw, Hits, Particles, Pose2, RangeMap, SensorModel, Stage, Weights};
 use locsim_mcl::{
-    Filter, FilterOptions, MotionModel, OdometryMotion, ResampleTrigger, Resampler, Start, StepInput,
+    Filter, FilterOptions, MotionModel, OdometryMotion, ResampleTrigger, Resampler, Spread, Start, StepInput,
     Systematic, weighted_mean,
 };
 
@@ -50,7 +50,7 @@ pub fn placed_filter(
         trigger: if whole { ResampleTrigger::EachStep } else { ResampleTrigger::EffectiveShareBelow(0.0) },
         ..filter_options(workload.alpha, count)?
     };
-    let start = Start::Tracking { pose: workload.truth, sigma_m: 0.0, sigma_rad: 0.0 };
+    let start = Start::Tracking { pose: workload.truth, spread: Spread { sigma_m: 0.0, sigma_rad: 0.0 } };
     Ok(Filter::new(options, &start, map, 1)?)
 }
 
@@ -170,8 +170,10 @@ pub fn bytes_per_million_particles(
         Some(PAGE_BYTES * statm.split_whitespace().nth(1)?.parse::<f64>().ok()?)
     };
     let before = resident();
-    let start =
-        Start::Tracking { pose: workload.truth, sigma_m: workload.spread.0, sigma_rad: workload.spread.1 };
+    let start = Start::Tracking {
+        pose: workload.truth,
+        spread: Spread { sigma_m: workload.spread.0, sigma_rad: workload.spread.1 },
+    };
     let options =
         FilterOptions { trigger: ResampleTrigger::EachStep, ..filter_options(workload.alpha, PARTICLES)? };
     let mut filter = Filter::new(options, &start, map, 1)?;

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use locsim_core::{Drive, Pose2, RangeMap, SensorModel, wrap_angle};
 use locsim_mcl::{
-    Filter, FilterOptions, OdometryMotion, ParticleCount, ResampleTrigger, Start, StepInput, Systematic,
+    Filter, FilterOptions, OdometryMotion, ParticleCount, ResampleTrigger, Spread, Start, StepInput,
+    Systematic,
 };
 use rayon::prelude::*;
 use serde::Serialize;
@@ -126,7 +127,7 @@ pub fn replays(
 
 /// A start that is known exactly.
 pub fn known_start(drive: &Drive) -> Start {
-    Start::Tracking { pose: truth(drive, 0), sigma_m: 0.0, sigma_rad: 0.0 }
+    Start::Tracking { pose: truth(drive, 0), spread: Spread { sigma_m: 0.0, sigma_rad: 0.0 } }
 }
 
 #[cfg(test)]

@@ -13,12 +13,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use locsim_core::{Control, Draw, Drive, Progress, Stage};
+use locsim_core::{Control, Draw, Drive, Estimate, Progress, Stage};
 use locsim_dataset::{LogOptions, read_log, write_log};
 use locsim_gap::hidden::{OtherForm, record_library, record_other, record_outside};
-use locsim_gap::{
-    GapError, GapOptions, Nominal, Number, Outcome, Recorded, Strength, Unnamed, Verdict, find,
-};
+use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Unnamed, Verdict, find};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{Simulator, simulate_drive};
@@ -159,7 +157,7 @@ pub struct FilterFile {
 
 impl FoundFile {
     fn of(outcome: &Outcome, seconds: f64) -> Self {
-        let triple = |n: &Number| [n.value, n.lo, n.hi];
+        let triple = |&Estimate { value, interval }: &Estimate| [value, interval.lo, interval.hi];
         Self {
             verdict: outcome.verdict,
             effects: outcome.effects.iter().map(|e| e.name.name().to_owned()).collect(),
@@ -171,11 +169,11 @@ impl FoundFile {
             numbers: outcome
                 .effects
                 .iter()
-                .map(|e| e.params.iter().map(|(name, n)| ((*name).to_owned(), triple(n))).collect())
+                .map(|e| e.params.iter().map(|(name, n)| ((*name).to_owned(), triple(&n.estimate))).collect())
                 .collect(),
             p: outcome.detection.p,
             p_after: outcome.detection_after.p,
-            closed: [outcome.gap.closed.value, outcome.gap.closed.lo, outcome.gap.closed.hi],
+            closed: triple(&outcome.gap.closed),
             w1_mm: [outcome.gap.before, outcome.gap.after, outcome.gap.floor].map(|side| side.w1_mm),
             unnamed: outcome.unnamed.iter().map(UnnamedFile::of).collect(),
             directions: outcome.directions.iter().map(|d| (d.name.name().to_owned(), d.z)).collect(),

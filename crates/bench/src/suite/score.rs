@@ -5,7 +5,8 @@ use serde::Serialize;
 
 use super::plan::Group;
 use super::{FoundFile, TruthFile};
-use locsim_report::statistics::{Interval, share_interval};
+use locsim_core::Interval;
+use locsim_report::statistics::share_interval;
 
 /// A share with its 95 % interval (Clopper and Pearson).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -1,8 +1,7 @@
-use locsim_core::Drive;
+use locsim_core::{Drive, median};
 use serde::Serialize;
 
 use super::lag::odometry_lag;
-use super::median;
 use crate::LogSummary;
 
 /// A gap is an interval this many times the usual one.

@@ -40,18 +40,5 @@ impl DriveQuality {
     }
 }
 
-/// The quantile of values in any order; NaN of none.
-fn quantile(values: &mut [f64], share: f64) -> f64 {
-    if values.is_empty() {
-        return f64::NAN;
-    }
-    let index = ((values.len() - 1) as f64 * share).round() as usize;
-    *values.select_nth_unstable_by(index, f64::total_cmp).1
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    quantile(values, 0.5)
-}
-
 #[cfg(test)]
 mod tests;

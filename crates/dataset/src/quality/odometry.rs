@@ -1,7 +1,5 @@
-use locsim_core::{Drive, Pose2, wrap_angle};
+use locsim_core::{Drive, Pose2, median, wrap_angle};
 use serde::Serialize;
-
-use super::median;
 
 /// Odometry and reference are compared over windows of this length \[m\] or turn \[rad\]: in shorter ones the reference's own
 /// error of some centimetres hides the odometry's.

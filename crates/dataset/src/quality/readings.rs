@@ -1,7 +1,5 @@
-use locsim_core::{Drive, DriveStep, wrap_angle};
+use locsim_core::{Drive, DriveStep, median, normal, quantile, wrap_angle};
 use serde::Serialize;
-
-use super::{median, quantile};
 
 /// Scans that the resolution is estimated from, at the most, evenly spread: some 100,000 readings.
 const RESOLUTION_SCANS: usize = 500;
@@ -25,9 +23,6 @@ const ONE_WALL: f32 = 0.1;
 const RESIDUAL_VARIANCE: f64 = 1.5;
 /// Fewer residuals than this tell nothing.
 const LEAST_RESIDUALS: usize = 500;
-
-/// The median of |x| of a standard normal number is 1 / this.
-const NORMAL: f64 = 1.4826;
 
 /// What the readings of a drive show of the laser.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -183,5 +178,6 @@ fn flat_noise(drive: &Drive) -> Option<f64> {
             }
         }
     }
-    (residuals.len() >= LEAST_RESIDUALS).then(|| NORMAL * median(&mut residuals) / RESIDUAL_VARIANCE.sqrt())
+    (residuals.len() >= LEAST_RESIDUALS)
+        .then(|| normal::SIGMA_OVER_MAD * median(&mut residuals) / RESIDUAL_VARIANCE.sqrt())
 }

@@ -4,6 +4,7 @@ use locsim_core::Drive;
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
+use strum::VariantArray;
 
 use super::HiddenDrive;
 use super::beam::Change;
@@ -21,8 +22,9 @@ const FLOOR_SHARE: f64 = 0.6;
 const PITCHING: (f64, f64) = (0.3, 2.0);
 
 /// An effect that no stage of the library describes, and what its strength is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, strum::IntoStaticStr, VariantArray)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Outside {
     /// All returns are off by A sin(2 pi t / 7 s); A \[m\].
     PeriodicBias,
@@ -47,29 +49,11 @@ pub enum Outside {
 
 impl Outside {
     /// All of them.
-    pub const ALL: [Self; 8] = [
-        Self::PeriodicBias,
-        Self::BearingBias,
-        Self::BackgroundLight,
-        Self::SurfaceBias,
-        Self::SharedScanJitter,
-        Self::LogNormalNoise,
-        Self::DoubleReturn,
-        Self::FloorHit,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// The name used in files.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::PeriodicBias => "periodic_bias",
-            Self::BearingBias => "bearing_bias",
-            Self::BackgroundLight => "background_light",
-            Self::SurfaceBias => "surface_bias",
-            Self::SharedScanJitter => "shared_scan_jitter",
-            Self::LogNormalNoise => "log_normal_noise",
-            Self::DoubleReturn => "double_return",
-            Self::FloorHit => "floor_hit",
-        }
+        self.into()
     }
 }
 

@@ -159,7 +159,7 @@ fn at_strength_0_every_drive_is_the_nominal_one_bit_for_bit() {
         for form in OtherForm::ALL {
             assert_eq!(format!("{:?}", other(form, false, regime)), format!("{nominal:?}"), "{form:?}");
         }
-        for kind in Outside::ALL {
+        for &kind in Outside::ALL {
             let drive = record_outside(&NOMINAL, &TRUTH, kind, 0.0, regime, SEED).unwrap();
             assert_eq!(format!("{drive:?}"), format!("{nominal:?}"), "{kind:?}");
         }
@@ -195,7 +195,7 @@ fn a_strong_effect_shows_where_it_acts_and_a_seed_decides_all() {
         assert!(drive.steps.iter().zip(&nominal.steps).all(|(a, b)| a.reference == b.reference));
         assert_eq!(format!("{:?}", other(form, true, Regime::default())), format!("{drive:?}"), "{form:?}");
     }
-    for kind in Outside::ALL {
+    for &kind in Outside::ALL {
         let drive = outside(kind, strength(kind));
         assert_ne!(readings(&drive), readings(&nominal), "{kind:?}");
         assert_eq!(odometry(&drive), odometry(&nominal), "{kind:?}");

@@ -9,7 +9,6 @@ use super::{Round, State};
 use crate::fit::Candidate;
 use crate::free_model::{Covariates, FreeModel, Lag};
 use crate::null::REFIT;
-use crate::replay::Replay;
 use crate::statistics::{Survey, pit_draw};
 use crate::{GapError, Purpose};
 
@@ -34,13 +33,7 @@ impl<'a> State<'a> {
     fn learn(&self, round: &Round<'a>) -> Result<Judgement, GapError> {
         let effects = round.comparison.effects(&round.effects)?;
         let covariates = Covariates::new(&round.comparison);
-        let replay = Replay {
-            nominal: self.nominal,
-            recorded: self.recorded,
-            effects: &round.effects,
-            nuisances: round.fitted.nuisances,
-            blocks: round.blocks,
-        };
+        let replay = round.replay();
         let draw = Purpose::FreeModel.draw(self.options.seed);
         let own = pit_draw(self.options.seed);
         let model = FreeModel::new(&round.comparison, &effects, &round.fitted, &covariates, &own);

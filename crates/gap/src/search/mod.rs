@@ -80,6 +80,11 @@ struct Round<'a> {
 }
 
 impl Round<'_> {
+    /// The simulator that was fitted in this round.
+    fn replay(&self) -> Replay<'_> {
+        Replay::new(&self.comparison, &self.effects, &self.fitted, self.blocks)
+    }
+
     /// The statistics of an effect, by index.
     fn own(&self, kind: EffectKind) -> impl Iterator<Item = usize> {
         let statistics = self.dictionary.statistics.iter().enumerate();
@@ -161,13 +166,7 @@ impl<'a> State<'a> {
             if effects.is_empty() { "simulating the nominal world" } else { "simulating with the effects" },
             u64::from(replicates),
         );
-        let replay = Replay {
-            nominal: self.nominal,
-            recorded: self.recorded,
-            effects: &effects,
-            nuisances: fitted.nuisances,
-            blocks,
-        };
+        let replay = Replay::new(&comparison, &effects, &fitted, blocks);
         let tick = |ticks| self.progress.advance(ticks);
         let null = compare(&replay, &comparison, &dictionary, &fitted, replicates, seed, self.stop, &tick)?;
         Ok(Round { effects, comparison, fitted, blocks, dictionary, null, judgement: OnceLock::new() })

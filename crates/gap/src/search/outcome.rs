@@ -1,6 +1,6 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
-use locsim_core::{Draw, Stage};
+use locsim_core::{Draw, Estimate, Interval, Stage};
 use locsim_world::effect::{Effect, EffectKind};
 use locsim_world::simulation::BlockResampling;
 use rand::RngExt;
@@ -13,13 +13,10 @@ use super::stepwise::Path;
 use super::unnamed::unnamed;
 use super::{Round, State};
 use crate::fit::{Candidate, folds};
-use crate::outcome::{
-    Detectable, Detection, Direction, Estimate, Evidence, Gap, Named, Number, Outcome, Verdict,
-};
+use crate::outcome::{Detectable, Detection, Direction, Evidence, Gap, Named, Number, Outcome, Verdict};
 use crate::profile::profiles;
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
-use crate::replay::Replay;
 use crate::statistics::{Form, Group, Statistic, Survey, Target, fold_count};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
@@ -141,12 +138,7 @@ impl<'a> State<'a> {
             .map(|(with, without)| with - without)
             .collect();
         let gain_nats = gain(&gains);
-        let number = Number {
-            value: truth.exp(),
-            lo: (truth - 1.96 * error).exp(),
-            hi: (truth + 1.96 * error).exp(),
-            unit: parameter.unit,
-        };
+        let number = Number { estimate: Estimate::normal(truth, error).map(f64::exp), unit: parameter.unit };
         Ok(Some(Named {
             name: kind,
             candidates: vec![kind],
@@ -165,13 +157,7 @@ impl<'a> State<'a> {
 
     /// Some simulated logs of a round.
     fn replay(&self, round: &Round<'a>, logs: usize) -> Result<Vec<Recorded>, GapError> {
-        let replay = Replay {
-            nominal: self.nominal,
-            recorded: self.recorded,
-            effects: &round.effects,
-            nuisances: round.fitted.nuisances,
-            blocks: round.blocks,
-        };
+        let replay = round.replay();
         let draw = Purpose::Distance.draw(self.options.seed);
         (0..logs as u32).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
     }
@@ -199,7 +185,7 @@ impl<'a> State<'a> {
             if gained <= 0.0 { 0.0 } else { gained / (gained + rest.max(0.0)) }
         };
         let closed = if gains.is_empty() {
-            Estimate { value: 0.0, lo: 0.0, hi: 0.0 }
+            Estimate::around(0.0, 0.0)
         } else {
             let draw = Draw::new(self.options.seed, Stage::Bootstrap, CLOSED_SHARE);
             let mut shares: Vec<f64> = (0..1000)
@@ -215,7 +201,10 @@ impl<'a> State<'a> {
                 })
                 .collect();
             shares.sort_by(f64::total_cmp);
-            Estimate { value: share(total(&gained), total(&rest)), lo: shares[25], hi: shares[974] }
+            Estimate {
+                value: share(total(&gained), total(&rest)),
+                interval: Interval { lo: shares[25], hi: shares[974] },
+            }
         };
         let view = &before.comparison.views;
         let typical = &after.null.log_likelihoods;
@@ -235,7 +224,7 @@ impl<'a> State<'a> {
             gained_nats_per_scan: total(&gained) / scans,
             remaining_nats_per_scan: total(&rest).max(0.0) / scans,
             possible_nats_per_scan: total(&possible).max(0.0) / scans,
-            closed: Estimate { value: at_most(closed.value), lo: at_most(closed.lo), hi: at_most(closed.hi) },
+            closed: closed.map(at_most),
             closed_in_ranges,
         }
     }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use locsim_core::{Estimate, normal};
 use locsim_world::effect::{Effect, EffectKind, Fit, Parameter, Role};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
@@ -30,13 +31,7 @@ impl<'a> State<'a> {
     /// in simulated logs, too.
     pub fn make_precise(&self, named: &mut [Named], round: &Round<'a>) -> Result<(), GapError> {
         let effects: Vec<Effect> = named.iter().map(|named| named.effect.clone()).collect();
-        let replay = Replay {
-            nominal: self.nominal,
-            recorded: self.recorded,
-            effects: &effects,
-            nuisances: round.fitted.nuisances,
-            blocks: round.blocks,
-        };
+        let replay = Replay { effects: &effects, ..round.replay() };
         let draw = Purpose::Intervals.draw(self.options.seed);
         let logs = (0..LOGS)
             .into_par_iter()
@@ -54,7 +49,8 @@ impl<'a> State<'a> {
                     let number = named.params.get(parameter.name)?;
                     let room = room(&effects[index], i);
                     let least = if parameter.is_strength() { least } else { 0.0 };
-                    let step = (0.5 * (number.hi - number.lo) / 1.96).max(least).min(room);
+                    let error = number.estimate.interval.half() / normal::QUANTILE_975;
+                    let step = error.max(least).min(room);
                     (step > 0.0).then_some((i, step))
                 })
                 .collect();
@@ -76,25 +72,18 @@ impl<'a> State<'a> {
                 for ((i, _), shifts) in numbers.iter().zip(shifts) {
                     let parameter = &kind.parameters()[*i];
                     let fit = named.params[parameter.name];
-                    let least = if parameter.is_strength() { 1.96 * least } else { 0.0 };
-                    let half_of = |number: &Number| 0.5 * (number.hi - number.lo);
-                    let mut number =
-                        corrected(named.effect.values[*i], parameter.neutral, &shifts, parameter.unit);
-                    if half_of(&number) > MOST_WIDENED * half_of(&fit).max(least) {
+                    let least = if parameter.is_strength() { normal::QUANTILE_975 * least } else { 0.0 };
+                    let mut estimate = corrected(named.effect.values[*i], parameter.neutral, &shifts);
+                    if estimate.interval.half() > MOST_WIDENED * fit.estimate.interval.half().max(least) {
                         // The information is nearly singular, and steps lead anywhere.
-                        number = fit;
+                        estimate = fit.estimate;
                     }
                     // No number is surer than by its bound, however steep a rough likelihood is here or there.
-                    let half = half_of(&number).max(least);
-                    let within = |value: f64| value.clamp(parameter.lo, parameter.hi);
-                    let number = Number {
-                        value: within(number.value),
-                        lo: within(number.value - half),
-                        hi: within(number.value + half),
-                        ..number
-                    };
-                    named.effect.values[*i] = number.value;
-                    named.params.insert(parameter.name, number);
+                    let half = estimate.interval.half().max(least);
+                    let estimate = Estimate::around(estimate.value, half)
+                        .map(|value| value.clamp(parameter.lo, parameter.hi));
+                    named.effect.values[*i] = estimate.value;
+                    named.params.insert(parameter.name, Number { estimate, unit: parameter.unit });
                 }
             }
             self.progress.advance(1);
@@ -212,11 +201,11 @@ fn newton_steps(totals: &[Vec<f64>], steps: &[f64]) -> Option<Vec<Vec<f64>>> {
 
 /// A fitted value less its bias, with the 95 % interval of its spread. A bias that would take away most of it, or
 /// add as much, is beyond what a Newton step can say: then the value stays, and the bias is part of its uncertainty.
-fn corrected(value: f64, neutral: f64, shifts: &[f64], unit: &'static str) -> Number {
+fn corrected(value: f64, neutral: f64, shifts: &[f64]) -> Estimate {
     let n = shifts.len() as f64;
     let bias = shifts.iter().sum::<f64>() / n;
     let spread = shifts.iter().map(|shift| (shift - bias).powi(2)).sum::<f64>() / (n - 1.0);
-    let quantile = StudentsT::new(0.0, 1.0, n - 1.0).map_or(1.96, |t| t.inverse_cdf(0.975));
+    let quantile = StudentsT::new(0.0, 1.0, n - 1.0).map_or(normal::QUANTILE_975, |t| t.inverse_cdf(0.975));
     let mut variance = spread * (1.0 + 1.0 / n);
     let (away, left) = ((value - neutral).abs(), (value - bias - neutral) * (value - neutral).signum());
     let is_plausible = left > 0.3 * away && left < 1.7 * away;
@@ -226,14 +215,12 @@ fn corrected(value: f64, neutral: f64, shifts: &[f64], unit: &'static str) -> Nu
         variance += bias * bias;
         value
     };
-    let half = quantile * variance.sqrt();
-    Number { value, lo: value - half, hi: value + half, unit }
+    Estimate::around(value, quantile * variance.sqrt())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::outcome::Estimate;
 
     /// Of a quadratic log likelihood the step leads to the maximum.
     #[test]
@@ -269,7 +256,7 @@ mod tests {
     fn the_bound_is_that_of_the_gain_or_of_the_score() {
         let bias = Effect::new(EffectKind::RangeBias, vec![0.02], Vec::new()).unwrap();
         let by = |gain: f64, score| {
-            let gain_nats = Estimate { value: gain, lo: gain, hi: gain };
+            let gain_nats = Estimate::around(gain, 0.0);
             bound(&bias, &Evidence { gain_nats, gain_nats_per_scan: 0.0, score, p: 0.01 })
         };
         assert!((by(50.0, None) - 0.002).abs() < 1e-12);
@@ -281,10 +268,12 @@ mod tests {
     /// Steps of 1, 2, 3 from the truth: a bias of 2 and a spread of 1.
     #[test]
     fn a_bias_is_taken_off() {
-        let number = corrected(10.0, 0.0, &[1.0, 2.0, 3.0], "m");
+        let number = corrected(10.0, 0.0, &[1.0, 2.0, 3.0]);
         assert!((number.value - 8.0).abs() < 1e-12);
-        assert!((number.hi - 8.0 - 4.302_653 * (4.0_f64 / 3.0).sqrt()).abs() < 1e-5, "{}", number.hi);
-        let doubtful = corrected(2.5, 0.0, &[1.0, 2.0, 3.0], "m");
-        assert!((doubtful.value - 2.5).abs() < 1e-12 && doubtful.lo < 0.0 && doubtful.hi > 5.0);
+        let hi = number.interval.hi;
+        assert!((hi - 8.0 - 4.302_653 * (4.0_f64 / 3.0).sqrt()).abs() < 1e-5, "{hi}");
+        let doubtful = corrected(2.5, 0.0, &[1.0, 2.0, 3.0]);
+        assert!((doubtful.value - 2.5).abs() < 1e-12);
+        assert!(doubtful.interval.lo < 0.0 && doubtful.interval.hi > 5.0);
     }
 }

@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use glam::DVec2;
+use locsim_core::Estimate;
 use locsim_world::effect::{Effect, EffectKind, Experiment};
 
 use crate::GapError;
 use crate::fit::{Candidate, sum_error};
-use crate::outcome::{Estimate, Evidence, Named, Number, Rival};
+use crate::outcome::{Evidence, Named, Number, Rival};
 
 /// Whether two effects are one that was fitted in two steps. The first fit of a strong effect may come out too weak.
 pub fn adds_up(known: &Effect, more: &Effect) -> bool {
@@ -83,15 +84,15 @@ fn behind(best: &Candidate, other: &Candidate) -> (f64, f64) {
 
 pub fn gain(folds: &[f64]) -> Estimate {
     let (value, error) = (folds.iter().sum::<f64>(), sum_error(folds));
-    Estimate { value, lo: value - 1.96 * error, hi: value + 1.96 * error }
+    Estimate::normal(value, error)
 }
 
 pub fn numbers(candidate: &Candidate) -> BTreeMap<&'static str, Number> {
     let effect = &candidate.effect;
     let parameters = effect.kind.parameters().iter().zip(&effect.values).zip(&candidate.intervals);
     parameters
-        .map(|((parameter, &value), &[lo, hi])| {
-            (parameter.name, Number { value, lo, hi, unit: parameter.unit })
+        .map(|((parameter, &value), &interval)| {
+            (parameter.name, Number { estimate: Estimate { value, interval }, unit: parameter.unit })
         })
         .collect()
 }
@@ -165,7 +166,7 @@ pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) 
                 name: candidate.kind(),
                 params: numbers(candidate),
                 gain_nats: gain(&candidate.gains),
-                behind_nats: Estimate { value, lo: value - 1.96 * error, hi: value + 1.96 * error },
+                behind_nats: Estimate::normal(value, error),
             }
         })
         .collect();

@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use locsim_core::Estimate;
 use locsim_world::effect::Effect;
 
 use super::judgement::{Dependence, Judgement, acts_on};
@@ -66,13 +67,14 @@ fn points(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Vec<CurvePoint> {
 }
 
 fn point(at: f64, place: Option<[f64; 4]>, [value, error]: [f64; 2]) -> CurvePoint {
-    CurvePoint { at, place, value, lo: value - 1.96 * error, hi: value + 1.96 * error }
+    CurvePoint { at, place, estimate: Estimate::normal(value, error) }
 }
 
 /// The largest value that is surely not 0; of none, the largest.
 fn largest(curve: &[CurvePoint]) -> f64 {
     let most = |sure: bool| {
-        let points = curve.iter().filter(|point| !sure || point.lo * point.hi > 0.0);
+        let points = curve.iter().map(|point| point.estimate);
+        let points = points.filter(|point| !sure || point.interval.lo * point.interval.hi > 0.0);
         points.map(|point| point.value).max_by(|a, b| a.abs().total_cmp(&b.abs()))
     };
     most(true).or_else(|| most(false)).unwrap_or(0.0)

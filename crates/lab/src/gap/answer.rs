@@ -1,6 +1,7 @@
 //! The findings in a few sentences: angles in degrees, numbers with their significant digits.
 
-use locsim_gap::{Covariate, Deviation, Estimate, Gap, Named, Outcome, Region, Verdict};
+use locsim_core::{Estimate, Interval};
+use locsim_gap::{Covariate, Deviation, Gap, Named, Outcome, Region, Verdict};
 use locsim_world::effect::Parameter;
 
 use super::covariate::span;
@@ -74,9 +75,9 @@ pub(super) fn told(named: &Named) -> String {
 pub(super) fn numbers(named: &Named) -> Vec<String> {
     let number = |parameter: &Parameter| {
         let number = named.params.get(parameter.name)?;
-        let [value, lo, hi] = [number.value, number.lo, number.hi].map(|value| in_file(parameter, value));
+        let estimate = number.estimate.map(|value| in_file(parameter, value));
         let unit = unit(parameter).map(|unit| format!(" {unit}")).unwrap_or_default();
-        Some(format!("{} = {}{unit}", label(parameter), with_interval(&Estimate { value, lo, hi }, 1.0)))
+        Some(format!("{} = {}{unit}", label(parameter), with_interval(&estimate)))
     };
     named.name.parameters().iter().filter_map(number).collect()
 }
@@ -147,7 +148,8 @@ pub(super) fn disagreement(gap: &Gap) -> String {
 /// simulated ranges came less than half of the way.
 pub(super) fn closed(outcome: &Outcome) -> String {
     let closed = outcome.gap.closed;
-    let [value, lo, hi] = [closed.value, closed.lo, closed.hi].map(|share| fixed(100.0 * share, 0));
+    let Interval { lo, hi } = closed.interval;
+    let [value, lo, hi] = [closed.value, lo, hi].map(|share| fixed(100.0 * share, 0));
     match outcome.gap.closed_in_ranges {
         None => format!("{value} % gained [{lo}, {hi}]"),
         Some(_) if outcome.gap.is_open_in_ranges() => format!("not closed, {value} % [{lo}, {hi}]"),
@@ -160,16 +162,16 @@ fn filter(outcome: &Outcome) -> Option<String> {
     let [before, after] = [filter.before, filter.after].map(|side| side.position_rmse_m);
     Some(format!(
         "Filter error {} -> {} m (position RMSE on the log): {}.",
-        with_interval(&before, 1.0),
-        with_interval(&after, 1.0),
+        with_interval(&before),
+        with_interval(&after),
         change_in_words(&filter.change_m)
     ))
 }
 
 /// A paired change of an error in metres: "-0.012 [-0.015, -0.009] m"; "no difference (...)" where its interval holds 0.
 pub(super) fn change_in_words(change: &Estimate) -> String {
-    let numbers = format!("{} m", with_interval(change, 1.0));
-    if change.lo <= 0.0 && change.hi >= 0.0 { format!("no difference ({numbers})") } else { numbers }
+    let numbers = format!("{} m", with_interval(change));
+    if change.interval.contains(0.0) { format!("no difference ({numbers})") } else { numbers }
 }
 
 /// The region that is farthest off, as the end of a sentence.
@@ -239,15 +241,14 @@ pub(super) fn deviation_text(region: &Region) -> &'static str {
 }
 
 /// "0.42 [0.38, 0.46]", all times `scale`.
-pub(super) fn with_interval(estimate: &Estimate, scale: f64) -> String {
-    let [value, lo, hi] = [estimate.value, estimate.lo, estimate.hi].map(|value| value * scale);
-    let decimals = decimals(lo, hi);
-    let [value, lo, hi] = [value, lo, hi].map(|value| fixed(value, decimals));
+pub(super) fn with_interval(&Estimate { value, interval }: &Estimate) -> String {
+    let decimals = decimals(interval);
+    let [value, lo, hi] = [value, interval.lo, interval.hi].map(|value| fixed(value, decimals));
     format!("{value} [{lo}, {hi}]")
 }
 
 /// Decimals with which an interval has one or two digits.
-pub(super) fn decimals(lo: f64, hi: f64) -> usize {
+pub(super) fn decimals(Interval { lo, hi }: Interval) -> usize {
     let width = (hi - lo).abs();
     if width > 0.0 && width.is_finite() { (0.3 - width.log10()).ceil().clamp(0.0, 6.0) as usize } else { 3 }
 }
@@ -271,7 +272,8 @@ mod tests {
 
     #[test]
     fn numbers_have_the_digits_that_their_intervals_are_worth() {
-        let shown = |value: f64, lo: f64, hi: f64| with_interval(&Estimate { value, lo, hi }, 1.0);
+        let shown =
+            |value: f64, lo: f64, hi: f64| with_interval(&Estimate { value, interval: Interval { lo, hi } });
         assert_eq!(shown(0.4217, 0.3812, 0.4622), "0.42 [0.38, 0.46]");
         assert_eq!(shown(61.23, 58.9, 63.4), "61 [59, 63]");
         assert_eq!(shown(-0.000_1, -0.04, 0.04), "0.00 [-0.04, 0.04]");
@@ -280,7 +282,9 @@ mod tests {
 
     #[test]
     fn a_change_whose_interval_holds_zero_is_no_difference() {
-        let told = |value: f64, lo: f64, hi: f64| change_in_words(&Estimate { value, lo, hi });
+        let told = |value: f64, lo: f64, hi: f64| {
+            change_in_words(&Estimate { value, interval: Interval { lo, hi } })
+        };
         assert_eq!(told(-0.02, -0.05, 0.01), "no difference (-0.02 [-0.05, 0.01] m)");
         assert_eq!(told(-0.04, -0.05, -0.03), "-0.04 [-0.05, -0.03] m");
         assert_eq!(told(0.04, 0.03, 0.05), "0.04 [0.03, 0.05] m");

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use locsim_core::Interval;
 use locsim_gap::{BeamPit, Outcome, PitHistogram, Profile};
 use plotters::prelude::{Circle, Color, PathElement, RGBColor, Rectangle, Text};
 
@@ -203,8 +204,8 @@ fn rivals(outcome: &Outcome) -> Result<String, DrawError> {
     let labels: Vec<String> =
         outcome.rivals.iter().map(|rival| format!("{}. {}", rival.round, rival.name)).collect();
     let gains = outcome.rivals.iter().map(|rival| rival.gain_nats);
-    let lo = gains.clone().map(|gain| gain.lo).fold(0.0, f64::min);
-    let hi = gains.clone().map(|gain| gain.hi).fold(1.0, f64::max);
+    let lo = gains.clone().map(|gain| gain.interval.lo).fold(0.0, f64::min);
+    let hi = gains.clone().map(|gain| gain.interval.hi).fold(1.0, f64::max);
     let left = labels.iter().map(|label| text_width(label, LABEL)).fold(0.0, f64::max) + 28.0;
     let named: Vec<bool> = outcome
         .rivals
@@ -221,7 +222,8 @@ fn rivals(outcome: &Outcome) -> Result<String, DrawError> {
         let mut chart = chart(area, &x, &Axis::rows(&labels), left)?;
         for (i, (gain, named)) in gains.zip(named).enumerate() {
             let (y, color) = (-(i as f64), if named { color } else { plain });
-            chart.draw_series([PathElement::new(vec![(gain.lo, y), (gain.hi, y)], line(color, 2.0))])?;
+            let Interval { lo, hi } = gain.interval;
+            chart.draw_series([PathElement::new(vec![(lo, y), (hi, y)], line(color, 2.0))])?;
             chart.draw_series([Circle::new((gain.value, y), px(4.5), color.filled())])?;
         }
         Ok(())

@@ -4,9 +4,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use locsim_core::{Drive, DriveStep, Laser, Pose2, RangeMap, Scan, Track};
-use locsim_gap::{Estimate, FilterError, FilterGap, GapError, Outcome, Purpose};
-use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Start, StepInput};
+use locsim_core::{Drive, DriveStep, Estimate, Laser, Pose2, RangeMap, Scan, Track};
+use locsim_gap::{FilterError, FilterGap, GapError, Outcome, Purpose};
+use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Spread, Start, StepInput};
 use locsim_world::effect::{Effect, Effects, OdometryErrors};
 use locsim_world::simulation::Simulator;
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ use crate::run::filter_options;
 use crate::run::{MapSet, free_poses};
 use crate::run::{ScanData, Surroundings, TrainedModel, train};
 use locsim_core::{Control, Progress};
-use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Source, Spread};
+use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Source};
 use locsim_sensor::ModelKind;
 
 /// Particles.
@@ -237,7 +237,7 @@ fn rmse(
     };
     let reference = |step: &DriveStep| step.reference.unwrap_or(Pose2::IDENTITY);
     let pose = reference(&log.drive.steps[0]).compose(&log.to_stamp[0].inverse());
-    let start = Start::Tracking { pose, sigma_m: spread.sigma_m, sigma_rad: spread.sigma_rad };
+    let start = Start::Tracking { pose, spread };
     let mut filter = Filter::new(options, &start, map, seed)?;
     let mut squares = 0.0;
     for (i, step) in log.drive.steps.iter().enumerate() {
@@ -256,8 +256,7 @@ fn mean(values: &[f64]) -> Estimate {
     let value = values.iter().sum::<f64>() / n;
     let variance = values.iter().map(|v| (v - value).powi(2)).sum::<f64>() / (n - 1.0);
     let quantile = StudentsT::new(0.0, 1.0, n - 1.0).map_or(f64::NAN, |t| t.inverse_cdf(0.975));
-    let half = quantile * (variance / n).sqrt();
-    Estimate { value, lo: value - half, hi: value + half }
+    Estimate::around(value, quantile * (variance / n).sqrt())
 }
 
 #[cfg(test)]
@@ -303,6 +302,7 @@ mod tests {
     fn a_mean_has_the_interval_of_student() {
         let mean = mean(&[1.0, 2.0, 3.0]);
         assert!((mean.value - 2.0).abs() < 1e-12);
-        assert!((mean.hi - 2.0 - 4.302_653 / 3.0_f64.sqrt()).abs() < 1e-5, "{}", mean.hi);
+        let hi = mean.interval.hi;
+        assert!((hi - 2.0 - 4.302_653 / 3.0_f64.sqrt()).abs() < 1e-5, "{hi}");
     }
 }

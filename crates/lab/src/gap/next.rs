@@ -87,9 +87,9 @@ fn use_in_filter(outcome: &Outcome) -> String {
         return "Measure what a particle filter gains: repeat the search without `--no-filter`.".to_owned();
     };
     let change = change_in_words(&filter.change_m);
-    if filter.change_m.hi < 0.0 {
+    if filter.change_m.interval.hi < 0.0 {
         format!("Use it in the filter: its position error on this log changes by {change}.")
-    } else if filter.change_m.lo > 0.0 {
+    } else if filter.change_m.interval.lo > 0.0 {
         format!("Do not use it in the filter yet: its position error on this log changes by {change}.")
     } else {
         format!("Expect the same accuracy of the filter: {change}.")

@@ -142,7 +142,7 @@ fn named_text<'a>(named: &locsim_gap::Named, figure: Option<FigureLink<'a>>) -> 
         formula: named.name.formula(),
         signature: named.name.signature(),
         numbers: answer::numbers(named).join(", "),
-        gain: answer::with_interval(&named.evidence.gain_nats, 1.0),
+        gain: answer::with_interval(&named.evidence.gain_nats),
         p: answer::p_value(named.evidence.p),
         others: answer::others(named).collect(),
         split_by: named.split_by,
@@ -196,7 +196,7 @@ fn unnamed_table(outcome: &Outcome) -> TextTable {
             unnamed::noun(found).to_owned(),
             covariate::noun(found.covariate).to_owned(),
             unnamed::extent(found),
-            answer::with_interval(&found.evidence.gain_nats, 1.0),
+            answer::with_interval(&found.evidence.gain_nats),
             found.form_of.map_or(text::NONE, |kind| kind.name()).to_owned(),
         ]
     });
@@ -211,17 +211,17 @@ fn rivals_table(outcome: &Outcome) -> TextTable {
             Some(format!(
                 "{} {}{unit}",
                 answer::label(parameter),
-                significant(in_file(parameter, number.value))
+                significant(in_file(parameter, number.estimate.value))
             ))
         });
         [
             format!("{}. {}", rival.round, rival.name),
             values.collect::<Vec<_>>().join(", "),
-            answer::with_interval(&rival.gain_nats, 1.0),
+            answer::with_interval(&rival.gain_nats),
             if rival.behind_nats.value == 0.0 {
                 text::NONE.to_owned()
             } else {
-                answer::with_interval(&rival.behind_nats, 1.0)
+                answer::with_interval(&rival.behind_nats)
             },
         ]
     });
@@ -245,8 +245,8 @@ fn filter_table(outcome: &Outcome) -> Option<TextTable> {
     let filter = outcome.filter.as_ref()?;
     let row = |name: &str, cell: String| [name.to_owned(), cell];
     let rows = [
-        row("scenario as it is", answer::with_interval(&filter.before.position_rmse_m, 1.0)),
-        row("with the named effects", answer::with_interval(&filter.after.position_rmse_m, 1.0)),
+        row("scenario as it is", answer::with_interval(&filter.before.position_rmse_m)),
+        row("with the named effects", answer::with_interval(&filter.after.position_rmse_m)),
         row("change", answer::change_in_words(&filter.change_m)),
     ];
     Some(TextTable::new(["simulator", "position RMSE [m]"], rows))

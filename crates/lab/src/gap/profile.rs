@@ -1,6 +1,7 @@
 //! Figures of profiles: what a named effect does, measured and simulated, without it and with it.
 
-use locsim_gap::{Estimate, Over, Profile, ProfileBin, Quantity};
+use locsim_core::Estimate;
+use locsim_gap::{Over, Profile, ProfileBin, Quantity};
 use locsim_report::figures::canvas::{
     Area, Axis, DrawError, Drawn, INK, Mark, chart, figure, heading, line, px,
 };
@@ -80,7 +81,14 @@ fn panel(
     let (x, y) = (over(profile.over), quantity(profile.quantity));
     let bins = &profile.bins;
     let values = bins.iter().flat_map(|bin| {
-        [bin.measured, bin.before.lo, bin.before.hi, bin.after.lo, bin.after.hi].map(|value| value * y.scale)
+        [
+            bin.measured,
+            bin.before.interval.lo,
+            bin.before.interval.hi,
+            bin.after.interval.lo,
+            bin.after.interval.hi,
+        ]
+        .map(|value| value * y.scale)
     });
     let (lo, hi) = values.fold((0.0_f64, 0.0_f64), |(lo, hi), value| (lo.min(value), hi.max(value)));
     let room = 0.06 * (hi - lo).max(1e-9);
@@ -94,8 +102,10 @@ fn panel(
         let value = move |bin: &ProfileBin| (bin.at * x.scale, pick(side(bin)) * y.scale);
         bins.iter().map(value).collect::<Vec<_>>()
     };
-    let outline: Vec<(f64, f64)> =
-        ends(|band| band.hi).into_iter().chain(ends(|band| band.lo).into_iter().rev()).collect();
+    let outline: Vec<(f64, f64)> = ends(|band| band.interval.hi)
+        .into_iter()
+        .chain(ends(|band| band.interval.lo).into_iter().rev())
+        .collect();
     chart.draw_series([Polygon::new(outline, color.mix(0.25).filled())])?;
     chart.draw_series([PathElement::new(ends(|band| band.value), line(color, 2.0))])?;
     let dots =

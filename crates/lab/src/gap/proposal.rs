@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use locsim_core::limits::quoted;
+use locsim_core::{Estimate, Interval};
 use locsim_gap::{Named, Outcome};
 use locsim_report::store::StoreError;
 use locsim_scenario::edit::Entry;
@@ -43,7 +44,7 @@ fn entry(study: &GapStudy, named: &Named) -> Entry {
         format!("{}.", numbers(named)),
         format!(
             "It gains {} nats on held-out scans; chance of a false alarm {}.",
-            super::answer::with_interval(&evidence.gain_nats, 1.0),
+            super::answer::with_interval(&evidence.gain_nats),
             super::answer::p_value(evidence.p),
         ),
     ];
@@ -60,8 +61,9 @@ fn entry(study: &GapStudy, named: &Named) -> Entry {
 fn numbers(named: &Named) -> String {
     let number = |parameter: &Parameter| {
         let Some(number) = named.params.get(parameter.name) else { return String::new() };
-        let [value, lo, hi] = [number.value, number.lo, number.hi].map(|value| in_file(parameter, value));
-        let decimals = super::answer::decimals(lo, hi);
+        let Estimate { value, interval } = number.estimate.map(|value| in_file(parameter, value));
+        let decimals = super::answer::decimals(interval);
+        let Interval { lo, hi } = interval;
         format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", parameter.key)
     };
     named.name.parameters().iter().map(number).collect::<Vec<_>>().join(", ")
@@ -72,7 +74,8 @@ fn round_to_interval(named: &Named, parameter: &Parameter, value: f64) -> f64 {
     let [least, most] = [parameter.lo, parameter.hi].map(|limit| in_file(parameter, limit));
     let Some(number) = named.params.get(parameter.name) else { return value };
     // A hundredth of the interval.
-    let decimals = super::answer::decimals(in_file(parameter, number.lo), in_file(parameter, number.hi)) + 1;
+    let interval = number.estimate.interval.map(|value| in_file(parameter, value));
+    let decimals = super::answer::decimals(interval) + 1;
     let scale = 10_f64.powi(decimals as i32);
     ((value * scale).round() / scale).clamp(least, most)
 }

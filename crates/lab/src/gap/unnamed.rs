@@ -82,7 +82,7 @@ pub(super) fn extent(found: &Unnamed) -> String {
             format!("period {} s, {amplitude}", significant(period))
         };
     }
-    let at = found.curve.iter().find(|point| point.value == found.size);
+    let at = found.curve.iter().find(|point| point.estimate.value == found.size);
     let place = |at: &CurvePoint| format!(" at {}", spot(found.covariate, at));
     format!("up to {}{}", value(found, found.size), at.map(place).unwrap_or_default())
 }

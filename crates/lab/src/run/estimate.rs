@@ -6,9 +6,10 @@ use serde::de::IgnoredAny;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
 use crate::LabError;
+use locsim_mcl::{KldOptions, ParticleCount};
 use locsim_scenario::yaml;
 use locsim_scenario::{
-    Estimate as PoseEstimate, ModelName, ParticleCount, Problem, RayCast, Scenario, ScenarioError, Source,
+    Estimate as PoseEstimate, ModelName, Problem, RayCast, Scenario, ScenarioError, Source,
 };
 
 /// Bytes of a training reading in all the forms that it has at once: as scanned, in the training set, as the list of
@@ -66,10 +67,10 @@ impl Estimate {
             Some((path.duration_secs() * simulation.laser.rate_hz).floor() + 1.0)
         });
         let particles = match scenario.filter.particles {
-            ParticleCount::Fixed(count) => f64::from(count),
-            ParticleCount::Kld { max, .. } => f64::from(max),
+            ParticleCount::Fixed(count) => count as f64,
+            ParticleCount::Kld(KldOptions { max, .. }) => max as f64,
         };
-        let candidates = scenario.filter.annealing.map_or(0.0, |annealing| f64::from(annealing.candidates));
+        let candidates = scenario.filter.annealing.map_or(0.0, |annealing| annealing.candidates as f64);
 
         let readings = poses * observations * training_beams;
         let trajectories = match scenario.filter.estimate {

@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use locsim_core::Pose2;
 use locsim_mcl::{
-    AnnealingOptions, FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, PoseBins,
-    Regularization, ResampleTrigger, Resampler, Residual, Start, Stratified, Systematic, VelocityMotion,
+    FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, ParticleCount, PoseBins, Resampler,
+    Residual, Spread, Start, Stratified, Systematic, VelocityMotion,
 };
-use locsim_scenario::{self as scenario, Estimate, Motion, ParticleCount, ResampleWhen};
+use locsim_scenario::{self as scenario, Estimate, Motion};
 
 use crate::LabError;
 
@@ -16,15 +16,10 @@ const CLUSTER_BINS: (f64, f64) = (0.5, 10.0 * std::f64::consts::PI / 180.0);
 
 /// Where the filter starts; `None` where it starts at the true first pose and that isn't known.
 pub(super) fn start(settings: &scenario::Filter, truth: Option<Pose2>) -> Option<Start> {
-    let around = |pose, spread: scenario::Spread| Start::Tracking {
-        pose,
-        sigma_m: spread.sigma_m,
-        sigma_rad: spread.sigma_rad,
-    };
     Some(match settings.start {
         scenario::Start::Global => Start::Global,
-        scenario::Start::Around(pose, spread) => around(pose, spread),
-        scenario::Start::Tracking(spread) => around(truth?, spread),
+        scenario::Start::Around(pose, spread) => Start::Tracking { pose, spread },
+        scenario::Start::Tracking(spread) => Start::Tracking { pose: truth?, spread },
     })
 }
 
@@ -40,45 +35,22 @@ pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<Fil
         scenario::Resampler::Stratified => Arc::new(Stratified),
         scenario::Resampler::Residual => Arc::new(Residual),
     };
-    let (particles, bins) = match settings.particles {
-        ParticleCount::Fixed(n) => (locsim_mcl::ParticleCount::Fixed(n as usize), CLUSTER_BINS),
-        ParticleCount::Kld { min, max, error, quantile, bin_m, bin_rad } => (
-            locsim_mcl::ParticleCount::Kld(KldOptions {
-                min: min as usize,
-                max: max as usize,
-                error,
-                quantile,
-                bins: PoseBins::new(bin_m, bin_rad)?,
-            }),
-            (bin_m, bin_rad),
-        ),
+    let (bin_m, bin_rad) = match settings.particles {
+        ParticleCount::Fixed(_) => CLUSTER_BINS,
+        ParticleCount::Kld(KldOptions { bin_m, bin_rad, .. }) => (bin_m, bin_rad),
     };
     let jitter = settings.regularization;
     Ok(FilterOptions {
-        particles,
+        particles: settings.particles,
         motion,
         resampler,
-        trigger: match settings.resample {
-            ResampleWhen::EachStep => ResampleTrigger::EachStep,
-            ResampleWhen::EffectiveShareBelow(share) => ResampleTrigger::EffectiveShareBelow(share),
-        },
-        injection: settings.injection.map(|injection| locsim_mcl::InjectionOptions {
-            alpha_slow: injection.alpha_slow,
-            alpha_fast: injection.alpha_fast,
-        }),
-        regularization: (jitter.sigma_m > 0.0 || jitter.sigma_rad > 0.0)
-            .then_some(Regularization { sigma_m: jitter.sigma_m, sigma_rad: jitter.sigma_rad }),
+        trigger: settings.resample,
+        injection: settings.injection,
+        regularization: (jitter != Spread::default()).then_some(jitter),
         clusters: (settings.estimate == Estimate::DensestCluster)
-            .then(|| PoseBins::new(bins.0, bins.1))
+            .then(|| PoseBins::new(bin_m, bin_rad))
             .transpose()?,
-        annealing: settings.annealing.map(|annealing| AnnealingOptions {
-            candidates: annealing.candidates as usize,
-            effective_share: annealing.effective_share,
-            moves: annealing.moves as usize,
-            sigma_m: annealing.step.sigma_m,
-            sigma_rad: annealing.step.sigma_rad,
-            gathered_m: annealing.gathered_m,
-        }),
+        annealing: settings.annealing,
         ancestry,
     })
 }

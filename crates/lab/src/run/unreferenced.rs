@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use locsim_core::{Clock, Drive, Pose2};
+use locsim_core::{Clock, Drive, Pose2, median};
 use locsim_dataset::{StampedPose, write_tum};
 use locsim_mcl::{Filter, StepInput};
 use locsim_report::figures::Figure;
@@ -197,10 +197,12 @@ fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&
     let scans = drive.steps.len() as f64;
     let count = tracks.len() as f64;
     let mean = |of: &dyn Fn(&Track) -> f64| tracks.iter().map(|track| of(track)).sum::<f64>() / count;
-    let spread =
-        |axis: usize| median(tracks.iter().flat_map(|t| t.spreads.iter().map(move |s| s[axis])).collect());
+    let spread = |axis: usize| {
+        let spreads = tracks.iter().flat_map(|track| &track.spreads);
+        median(&mut spreads.map(|spread| spread[axis]).collect::<Vec<_>>())
+    };
     let begin = drive.steps[0].stamp_secs;
-    let gathered: Vec<f64> = tracks
+    let mut gathered: Vec<f64> = tracks
         .iter()
         .filter_map(|track| {
             // From here on to the end.
@@ -209,6 +211,8 @@ fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&
             Some(drive.steps.get(first)?.stamp_secs - begin)
         })
         .collect();
+    let mut last_spreads: Vec<f64> =
+        tracks.iter().filter_map(|track| track.spreads.last()).map(|spread| spread[0]).collect();
     let last: Vec<Pose2> = tracks.iter().filter_map(|track| track.estimates.last().copied()).collect();
     let apart = last.iter().flat_map(|a| last.iter().map(|b| a.position().distance(b.position())));
     // A likelihood field is no density of readings.
@@ -220,19 +224,13 @@ fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&
         effective_share: mean(&|track| track.effective_shares.iter().sum::<f64>()) / scans,
         spread_median_m: spread(0),
         heading_spread_median_rad: spread(1),
-        spread_last_m: median(tracks.iter().filter_map(|t| t.spreads.last()).map(|s| s[0]).collect()),
+        spread_last_m: median(&mut last_spreads),
         gathered_share: gathered.len() as f64 / count,
-        gathered_secs: (!gathered.is_empty()).then(|| median(gathered)),
+        gathered_secs: (!gathered.is_empty()).then(|| median(&mut gathered)),
         disagreement_m: apart.fold(0.0, f64::max),
         recoveries: tracks.iter().map(|track| track.recoveries).sum(),
         step_ms: mean(&|track| track.spent.as_secs_f64()) * 1e3 / scans,
     }
-}
-
-/// The upper median; NaN of nothing.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 fn findings(models: &[UnreferencedModel]) -> Vec<String> {

@@ -1,7 +1,7 @@
 //! Scans that are annealed while the robot may be anywhere.
 
 use locsim_core::{Pose2, wrap_angle};
-use locsim_mcl::{AnnealingOptions, Filter, FilterOptions, Start, StepInput};
+use locsim_mcl::{AnnealingOptions, Filter, FilterOptions, Spread, Start, StepInput};
 
 use super::toy::{Gaussian, Room};
 use super::{laser, options, scan};
@@ -72,7 +72,7 @@ fn annealing_keeps_the_history_whole() {
 fn annealing_options_are_checked() {
     for annealing in [
         AnnealingOptions { effective_share: 1.0, ..AnnealingOptions::default() },
-        AnnealingOptions { sigma_m: -1.0, ..AnnealingOptions::default() },
+        AnnealingOptions { step: Spread { sigma_m: -1.0, sigma_rad: 0.0 }, ..AnnealingOptions::default() },
         AnnealingOptions { gathered_m: f64::NAN, ..AnnealingOptions::default() },
     ] {
         let options = FilterOptions { annealing: Some(annealing), ..options(10) };

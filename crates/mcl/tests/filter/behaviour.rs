@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use locsim_core::{Beams, Draw, Laser, Pose2, Scan, SensorModel, wrap_angle};
 use locsim_mcl::{
     Filter, FilterError, FilterOptions, InjectionOptions, KldOptions, NO_PARENT, ParticleCount, PoseBins,
-    Recovery, Regularization, ResampleTrigger, Start, StepInput, StepOutcome, weighted_mean,
+    Recovery, ResampleTrigger, Spread, Start, StepInput, StepOutcome, weighted_mean,
 };
 
 use crate::toy::{Gaussian, Room};
@@ -38,7 +38,7 @@ impl SensorModel for Constant {
 }
 
 fn tracking(sigma: f64) -> Start {
-    Start::Tracking { pose: START, sigma_m: sigma, sigma_rad: sigma }
+    Start::Tracking { pose: START, spread: Spread { sigma_m: sigma, sigma_rad: sigma } }
 }
 
 fn filter(options: FilterOptions, start: &Start) -> Filter {
@@ -91,7 +91,14 @@ fn tracking_removes_an_error_of_the_start() {
 #[test]
 fn a_global_start_finds_the_pose_and_its_mirror_image_and_needs_few_particles_then() {
     let bins = PoseBins::new(0.5, 10_f64.to_radians()).unwrap();
-    let kld = KldOptions { min: 100, max: 20_000, error: 0.05, quantile: 0.99, bins };
+    let kld = KldOptions {
+        min: 100,
+        max: 20_000,
+        error: 0.05,
+        quantile: 0.99,
+        bin_m: 0.5,
+        bin_rad: 10_f64.to_radians(),
+    };
     let options = FilterOptions { particles: ParticleCount::Kld(kld), clusters: Some(bins), ..options(1) };
     let mut filter = filter(options, &Start::Global);
     let (truth, outcomes) = drive(&mut filter, START, 15);
@@ -204,7 +211,7 @@ fn weights_accumulate_until_resampling() {
 #[test]
 fn regularization_spreads_resampled_particles_as_told() {
     let n = 50_000;
-    let regularization = Some(Regularization { sigma_m: 0.02, sigma_rad: 0.03 });
+    let regularization = Some(Spread { sigma_m: 0.02, sigma_rad: 0.03 });
     let mut filter = filter(FilterOptions { regularization, ..options(n) }, &tracking(0.0));
     stand(&mut filter, &MODEL).unwrap();
     assert!(filter.particles().iter().all(|pose| pose == START), "jitter comes with the next step");
@@ -323,7 +330,7 @@ fn options_out_of_range_are_named() {
         refused(FilterOptions { trigger, ..options(1) }, &Start::Global),
         "effective share must be from 0 to 1, got 1.5"
     );
-    let regularization = Some(Regularization { sigma_m: -1.0, sigma_rad: 0.0 });
+    let regularization = Some(Spread { sigma_m: -1.0, sigma_rad: 0.0 });
     assert_eq!(
         refused(FilterOptions { regularization, ..options(1) }, &Start::Global),
         "regularization sigma_m must be finite and at least 0, got -1"

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use locsim_core::{Hits, Laser, Particles, Pose2, RangeMap, Scan, SensorModel, wrap_angle};
 use locsim_mcl::{
-    Filter, FilterOptions, Multinomial, OdometryMotion, ResampleTrigger, Resampler, Residual, Start,
+    Filter, FilterOptions, Multinomial, OdometryMotion, ResampleTrigger, Resampler, Residual, Spread, Start,
     StepInput, Stratified, Systematic,
 };
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -200,7 +200,7 @@ impl Reference {
 }
 
 fn sampled(options: &FilterOptions, reference: &Reference, seed: u64) -> Vec<Vec<f64>> {
-    let start = Start::Tracking { pose: START, sigma_m: SIGMA, sigma_rad: SIGMA };
+    let start = Start::Tracking { pose: START, spread: Spread { sigma_m: SIGMA, sigma_rad: SIGMA } };
     let mut filter = Filter::new(options.clone(), &start, &ROOM, seed).unwrap();
     INCREMENTS
         .iter()

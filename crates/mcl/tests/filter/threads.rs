@@ -1,9 +1,7 @@
 //! The number of threads changes no bit of a result.
 
 use locsim_core::{Laser, Particles, Pose2, Weights};
-use locsim_mcl::{
-    Filter, FilterOptions, InjectionOptions, PoseBins, Regularization, Start, StepInput, StepOutcome,
-};
+use locsim_mcl::{Filter, FilterOptions, InjectionOptions, PoseBins, Spread, Start, StepInput, StepOutcome};
 
 use crate::toy::{Gaussian, Room};
 use crate::{laser, options, scan};
@@ -15,7 +13,7 @@ fn run(threads: usize, seed: u64) -> (Vec<StepOutcome>, Particles, Weights, Vec<
     let laser: Laser = laser(12);
     let options = FilterOptions {
         injection: Some(InjectionOptions { alpha_slow: 0.1, alpha_fast: 0.9 }),
-        regularization: Some(Regularization { sigma_m: 0.01, sigma_rad: 0.01 }),
+        regularization: Some(Spread { sigma_m: 0.01, sigma_rad: 0.01 }),
         clusters: Some(PoseBins::new(0.5, 0.2).unwrap()),
         ancestry: true,
         // Not a multiple of any chunk.

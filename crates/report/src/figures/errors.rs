@@ -1,5 +1,6 @@
 //! Figures of errors and effective sample sizes over all trials.
 
+use locsim_core::Interval;
 use plotters::prelude::{Circle, Color, PathElement, Polygon, RGBColor, Text};
 
 use super::canvas::{
@@ -7,7 +8,7 @@ use super::canvas::{
     text,
 };
 use crate::results::{RunResults, StepRow};
-use crate::statistics::{Interval, quantile};
+use crate::statistics::quantile;
 use crate::summary::{Ratio, Ratios, Summary};
 
 /// The finest error worth an axis (m).
@@ -205,8 +206,8 @@ impl Forest {
 /// RMSE of each model with its interval, over all trials and without lost ones, and its ratios to `classic` and
 /// `oracle` where these are in the run.
 pub fn forest(summary: &Summary) -> Result<String, DrawError> {
-    let models: Vec<String> = summary.models.iter().map(|(name, _)| name.to_owned()).collect();
-    let rmse = summary.models.iter().map(|(_, m)| {
+    let models: Vec<String> = summary.models.keys().cloned().collect();
+    let rmse = summary.models.values().map(|m| {
         let all = Estimate {
             value: m.errors.position_rmse_m,
             interval: m.intervals.map(|i| i.errors.position_rmse_m),
@@ -228,9 +229,9 @@ pub fn forest(summary: &Summary) -> Result<String, DrawError> {
     let ratio_panel = |title: String, pick: fn(&Ratios) -> Option<Ratio>| {
         let rows: Vec<Vec<Estimate>> = summary
             .ratios
-            .iter()
-            .zip(summary.ratios_kept.iter())
-            .map(|((_, all), (_, kept))| {
+            .values()
+            .zip(summary.ratios_kept.values())
+            .map(|(all, kept)| {
                 let estimate =
                     |ratio: Ratio, all| Estimate { value: ratio.value, interval: ratio.interval(), all };
                 let all = pick(all).map(|r| estimate(r, true));

@@ -47,7 +47,7 @@ pub(crate) fn markdown(
             .map(|f| FigureLink { name: f.name, caption: &f.caption, path: f.path() })
             .collect()
     };
-    let has = |name: &str| summary.models.get(name).is_some();
+    let has = |name: &str| summary.models.contains_key(name);
     let with_paper = context.simulated && has(CLASSIC) && has(NP_REG);
     let descriptions: Vec<(String, &str)> = results
         .models
@@ -75,7 +75,7 @@ pub(crate) fn markdown(
         aims => findings::aims(summary),
         reasons => findings::reasons(summary),
         lost => findings::lost_trials(summary),
-        any_lost => summary.models.iter().any(|(_, m)| m.lost_share > 0.0),
+        any_lost => summary.models.values().any(|m| m.lost_share > 0.0),
         kept_table => kept_table(summary).to_markdown(),
         kept_ratios => kept_ratios(summary).to_markdown(),
         training_table => training_table(summary).to_markdown(),
@@ -97,7 +97,7 @@ pub(crate) fn markdown(
 /// The paper's Table II beside ours.
 fn paper_table(summary: &Summary) -> TextTable {
     let rows = PAPER.iter().filter_map(|(name, mean, std)| {
-        let errors = summary.models.get(name)?.errors;
+        let errors = summary.models.get(*name)?.errors;
         Some([
             (*name).to_owned(),
             text::mean_std(*mean, *std, 3),
@@ -111,7 +111,7 @@ fn paper_table(summary: &Summary) -> TextTable {
 /// Errors of each model over the trials it kept.
 fn kept_table(summary: &Summary) -> TextTable {
     let kept: Vec<(&str, &Kept)> =
-        summary.models.iter().filter_map(|(name, m)| Some((name, m.kept.as_ref()?))).collect();
+        summary.models.iter().filter_map(|(name, m)| Some((name.as_str(), m.kept.as_ref()?))).collect();
     let mut table = text::errors_table(kept.iter().map(|(name, k)| (*name, &k.errors, k.intervals.as_ref())));
     table.header.insert(1, "trials kept".to_owned());
     for (row, (_, kept)) in table.rows.iter_mut().zip(kept) {

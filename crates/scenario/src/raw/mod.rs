@@ -126,7 +126,7 @@ impl Short for ModelName {
             ["{name: ..., label: ..., floor: ..., exponent: ..., file: ...}"; ModelName::ALL.len() + 1];
         let mut i = 0;
         while i < ModelName::ALL.len() {
-            forms[i] = ModelName::ALL[i].as_str();
+            forms[i] = ModelName::NAMES[i];
             i += 1;
         }
         forms

@@ -1,4 +1,5 @@
 use locsim_core::Pose2;
+use locsim_mcl::{AnnealingOptions, InjectionOptions, KldOptions, ParticleCount, ResampleTrigger, Spread};
 
 use super::{MAX_PARTICLES, beams};
 use crate::check::Allowed::{AboveUpTo, Between, Within};
@@ -9,22 +10,22 @@ use crate::raw::{
     Count, MotionModelName, No, NotAnnealed, RawAdaptive, RawAnnealing, RawAround, RawFilter, RawInjection,
     RawKld, RawLaser, RawMotion, RawResample, RawSpread, RawStart,
 };
-use crate::{Annealing, Filter, Injection, Motion, ParticleCount, ResampleWhen, Spread, Start};
+use crate::{Filter, Motion, Start};
 
 pub(super) fn filter(check: &mut Checker<'_>, raw: &RawFilter, laser: Option<&RawLaser>) -> Filter {
     let laser_beams = laser.and_then(|laser| u32::try_from(laser.beams).ok());
     Filter {
         particles: match &raw.particles {
             Form::Short(Count(count)) => {
-                ParticleCount::Fixed(check.count("filter.particles", *count, 1, MAX_PARTICLES))
+                ParticleCount::Fixed(check.count("filter.particles", *count, 1, MAX_PARTICLES) as usize)
             }
             Form::Full(RawAdaptive { kld }) => adaptive(check, kld),
         },
         motion: motion(check, &raw.motion),
         resampler: raw.resampler,
         resample: match raw.resample {
-            RawResample::EachStep => ResampleWhen::EachStep,
-            RawResample::EffectiveShareBelow(share) => ResampleWhen::EffectiveShareBelow(check.number(
+            RawResample::EachStep => ResampleTrigger::EachStep,
+            RawResample::EffectiveShareBelow(share) => ResampleTrigger::EffectiveShareBelow(check.number(
                 "filter.resample.effective_share_below",
                 share,
                 AboveUpTo(0.0, 1.0),
@@ -64,14 +65,14 @@ fn adaptive(check: &mut Checker<'_>, raw: &RawKld) -> ParticleCount {
     let min = check.count(&key("min"), raw.min, 1, MAX_PARTICLES);
     let max = check.count(&key("max"), raw.max, 1, MAX_PARTICLES);
     check.refuse(min > max, &key("max"), || format!("{max} is not allowed; not below `min`, which is {min}"));
-    ParticleCount::Kld {
-        min,
-        max,
+    ParticleCount::Kld(KldOptions {
+        min: min as usize,
+        max: max as usize,
         error: check.number(&key("error"), raw.error, Within(1e-6, 1e3)),
         quantile: check.number(&key("quantile"), raw.quantile, Between(0.0, 1.0)),
         bin_m: check.number(&key("bin_m"), raw.bin_m, POSITIVE_LENGTH),
         bin_rad: check.degrees(&key("bin_deg"), raw.bin_deg, Within(1e-3, 360.0)),
-    }
+    })
 }
 
 fn motion(check: &mut Checker<'_>, raw: &RawMotion) -> Motion {
@@ -94,7 +95,7 @@ fn motion(check: &mut Checker<'_>, raw: &RawMotion) -> Motion {
     }
 }
 
-fn injection(check: &mut Checker<'_>, raw: RawInjection) -> Injection {
+fn injection(check: &mut Checker<'_>, raw: RawInjection) -> InjectionOptions {
     let [slow, fast] = [raw.alpha_slow, raw.alpha_fast];
     let alpha_slow = check.number("filter.injection.alpha_slow", slow, AboveUpTo(0.0, 1.0));
     let alpha_fast = check.number("filter.injection.alpha_fast", fast, AboveUpTo(0.0, 1.0));
@@ -102,16 +103,16 @@ fn injection(check: &mut Checker<'_>, raw: RawInjection) -> Injection {
         let [slow, fast] = [slow, fast].map(number);
         format!("{slow} is not allowed; below `alpha_fast`, which is {fast}")
     });
-    Injection { alpha_slow, alpha_fast }
+    InjectionOptions { alpha_slow, alpha_fast }
 }
 
-fn annealing(check: &mut Checker<'_>, raw: RawAnnealing) -> Annealing {
+fn annealing(check: &mut Checker<'_>, raw: RawAnnealing) -> AnnealingOptions {
     let key = |key| join("filter.annealing", key);
     let share = check.number(&key("effective_share"), raw.effective_share, Between(0.0, 1.0));
-    Annealing {
-        candidates: check.count(&key("candidates"), raw.candidates, 1, MAX_PARTICLES),
+    AnnealingOptions {
+        candidates: check.count(&key("candidates"), raw.candidates, 1, MAX_PARTICLES) as usize,
         effective_share: share,
-        moves: check.count(&key("moves"), raw.moves, 1, 1000),
+        moves: check.count(&key("moves"), raw.moves, 1, 1000) as usize,
         step: spread(check, "filter.annealing", RawSpread { sigma_m: raw.sigma_m, sigma_deg: raw.sigma_deg }),
         gathered_m: check.number(&key("gathered_m"), raw.gathered_m, LENGTH),
     }

@@ -217,10 +217,7 @@ fn beams(check: &mut Checker<'_>, key: &str, beams: Option<u64>, of_laser: Optio
 
 fn models(check: &mut Checker<'_>, raw: &[Form<ModelName, RawModel>], measured: bool) -> Vec<Model> {
     check.refuse(raw.is_empty(), "models", || {
-        format!(
-            "an empty list is not allowed; at least one of {}",
-            ModelName::ALL.map(ModelName::as_str).join(", ")
-        )
+        format!("an empty list is not allowed; at least one of {}", ModelName::NAMES.join(", "))
     });
     check.length("models", raw, MOST_MODELS);
     let mut models: Vec<Model> = Vec::new();

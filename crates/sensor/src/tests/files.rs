@@ -19,7 +19,7 @@ fn saved(kind: ModelKind) -> (TempDir, PathBuf) {
 #[test]
 fn a_loaded_model_is_the_saved_one_bit_for_bit() {
     let data = training_set(100, 5, 8);
-    for kind in ModelKind::ALL {
+    for &kind in ModelKind::ALL {
         let (_folder, path) = saved(kind);
         let before = fitted(kind);
         let after = FittedModel::load(&path).unwrap();

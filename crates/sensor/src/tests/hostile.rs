@@ -95,7 +95,7 @@ fn refusal(kind: ModelKind, path: &[&str], new: impl Into<Value>) -> String {
 #[test]
 fn each_field_is_checked() {
     use ModelKind::{BeamMixture, Classic, LikelihoodField, NpReg, NpRegRegistered, PReg};
-    for kind in ModelKind::ALL {
+    for &kind in ModelKind::ALL {
         loaded(&sound(kind)).unwrap();
     }
     let weights = |weights: [f32; 4]| Value::Array(weights.map(|w| Value::Float(w.into())).into());
@@ -294,7 +294,7 @@ fn mutate(value: &mut Value, others: &Value, rng: &mut impl Rng) {
 fn survive(cases: u32, seed: u64) -> usize {
     let draw = Draw::new(seed, Stage::Training, 9);
     let kinds = ModelKind::ALL;
-    let sound = kinds.map(sound);
+    let sound: Vec<_> = kinds.iter().copied().map(sound).collect();
     let mut accepted = 0;
     for case in 0..cases {
         let rng = &mut draw.item(case);

@@ -170,7 +170,7 @@ fn the_number_of_threads_changes_no_bit() {
 
 #[test]
 fn what_was_chosen_can_be_reported() {
-    for kind in ModelKind::ALL {
+    for &kind in ModelKind::ALL {
         let chosen = fitted(kind).chosen().clone();
         assert!(!chosen.is_empty() && chosen.values().all(|v| v.is_finite()), "{kind}: {chosen:?}");
     }

@@ -126,7 +126,7 @@ pub fn fitted(kind: ModelKind) -> FittedModel {
     static FITTED: LazyLock<BTreeMap<ModelKind, FittedModel>> = LazyLock::new(|| {
         let (train, held_out) = training_set(1000, 70, 1).split(0.3, 1).unwrap();
         let options = FitOptions { distance_map: Some(Arc::new(Wall)) };
-        ModelKind::ALL.map(|kind| (kind, fit(kind, &train, &held_out, &options).unwrap())).into()
+        ModelKind::ALL.iter().map(|&kind| (kind, fit(kind, &train, &held_out, &options).unwrap())).collect()
     });
     FITTED[&kind].clone()
 }
@@ -138,7 +138,7 @@ pub fn model(kind: ModelKind) -> Arc<dyn SensorModel> {
 
 /// Every model whose density is normalized, the oracle included.
 pub fn normalized_models() -> Vec<Arc<dyn SensorModel>> {
-    let kinds = ModelKind::ALL.into_iter().filter(|kind| kind.is_normalized());
+    let kinds = ModelKind::ALL.iter().copied().filter(|kind| kind.is_normalized());
     let mut models: Vec<_> = kinds.map(model).collect();
     models.push(Arc::new(Oracle::new(Arc::new(Objects::default()), 0.01, 0.002).unwrap()));
     models

@@ -129,7 +129,7 @@ fn bad_constants_and_calibrations_are_refused() {
 #[test]
 fn a_floor_bounds_every_score_from_below() {
     let data = training_set(50, 3, 12);
-    for kind in ModelKind::ALL {
+    for &kind in ModelKind::ALL {
         let tempered = Tempered::new(model(kind), 0.01, 1.0).unwrap();
         let loss = evaluate(&tempered, &data).log_loss_nats;
         assert!(loss <= 900.0f64.ln(), "{kind}: {loss}");

@@ -70,7 +70,7 @@ fn fitting_says_what_is_missing() {
     let set = training_set(40, 2, 1);
     let empty = TrainingSet::new(MAX_RANGE).unwrap();
     let open = set.filtered(|s| s.range >= MAX_RANGE);
-    for kind in ModelKind::ALL.into_iter().filter(|kind| kind.is_normalized()) {
+    for kind in ModelKind::ALL.iter().copied().filter(|kind| kind.is_normalized()) {
         for train in [&empty, &open] {
             let refused = fit(kind, train, &set, &options);
             assert!(matches!(refused, Err(SensorError::TooFewData { .. })), "{kind}");
@@ -90,7 +90,7 @@ fn fitting_says_what_is_missing() {
 
 #[test]
 fn names_of_models_are_read_back() {
-    for kind in ModelKind::ALL {
+    for &kind in ModelKind::ALL {
         assert_eq!(kind.to_string().parse::<ModelKind>().unwrap(), kind);
         assert_eq!(model(kind).name(), kind.as_str());
     }

@@ -92,12 +92,6 @@ impl Study {
 impl Kind {
     /// As in a study's file.
     pub(super) fn as_str(self) -> &'static str {
-        match self {
-            Self::Laser => "laser",
-            Self::FieldSensor => "field_sensor",
-            Self::Grass => "grass",
-            Self::StaticLidar => "static_lidar",
-            Self::Table => "table",
-        }
+        self.into()
     }
 }

@@ -61,8 +61,9 @@ impl Description {
 }
 
 /// The part of the simulation that an effect changes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Site {
     /// The surroundings of the robot.
     World,
@@ -77,12 +78,7 @@ pub enum Site {
 impl Site {
     /// The word for it.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::World => "world",
-            Self::Beam => "beam",
-            Self::Odometry => "odometry",
-            Self::Clock => "clock",
-        }
+        self.into()
     }
 }
 

@@ -6,6 +6,7 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
 use super::EffectError;
+use crate::options::LaserOptions;
 
 /// How much wider than the base the tail of a reading is.
 pub const TAIL_FACTOR: f64 = 5.0;
@@ -122,6 +123,19 @@ impl Parts {
 }
 
 impl ReadingDistribution {
+    /// That of a beam which meets nothing.
+    pub(crate) fn nothing(laser: &LaserOptions) -> Self {
+        Self {
+            mean: f64::INFINITY,
+            sigma: 0.0,
+            tail: [0.0, TAIL_FACTOR],
+            alternatives: Alternatives::default(),
+            step_m: laser.resolution_m,
+            min_m: f64::from(laser.min_range_m as f32),
+            max_m: f64::from(laser.max_range_m as f32),
+        }
+    }
+
     /// A draw. `noise` gives the standard normal number of the return, as its first and only draw; `chance` decides
     /// everything else.
     pub fn sample(&self, noise: &mut impl Rng, chance: &mut impl Rng) -> f32 {

@@ -47,6 +47,7 @@ pub(crate) use odometry::slip_draw;
 pub use odometry::{OdometryDistribution, OdometryErrors, Slip};
 pub use parameter::{Parameter, Prior, Role};
 pub use set::Effects;
+pub(crate) use set::Met;
 pub use statistic::{Axis, BeamState, Direction, PoseState, Score, Statistic};
 
 /// A beam ends on a stretch of wall if its nominal endpoint is no farther from it than this \[m\].

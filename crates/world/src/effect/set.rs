@@ -3,7 +3,7 @@ use locsim_core::Pose2;
 use super::reading::{Hit, Return};
 use super::{
     Alternatives, BeamView, Disc, Effect, EffectError, HitKind, Needs, OdometryDistribution, OdometryErrors,
-    ReadingDistribution, TAIL_FACTOR,
+    ReadingDistribution,
 };
 use crate::options::{BlockOptions, LaserOptions};
 
@@ -131,34 +131,27 @@ impl Effects {
         met: HitKind,
         range: f64,
     ) -> ReadingDistribution {
-        let mapped = met == HitKind::Wall && range >= view.range;
-        let range = if mapped { self.wall_range(view) } else { range };
-        self.reading_of(laser, view, met, range, mapped, |_, share| share)
+        let is_mapped = met == HitKind::Wall && range >= view.range;
+        let range = if is_mapped { self.wall_range(view) } else { range };
+        let mut distribution = ReadingDistribution::nothing(laser);
+        let met = Met { kind: met, range, is_mapped };
+        self.fill(&mut distribution, laser, view, met, |_, share| share);
+        distribution
     }
 
-    /// As [`Effects::reading`], where it is known whether it is the wall of the map that was met, moved as it may be, and
-    /// when bursts come: that of the crosstalk which is number `i` of the list and has this share falls on the beam
-    /// with probability `burst(i, share)`.
-    pub(crate) fn reading_of(
+    /// As [`Effects::reading`], where it is known when bursts come: that of the crosstalk which is number `i` of the list and has
+    /// this share falls on the beam with probability `burst(i, share)`.
+    ///
+    /// `distribution` is [`ReadingDistribution::nothing`] and filled in place: the room for alternatives makes it costly to move.
+    pub(crate) fn fill(
         &self,
+        distribution: &mut ReadingDistribution,
         laser: &LaserOptions,
         view: &BeamView,
-        met: HitKind,
-        range: f64,
-        mapped: bool,
+        Met { kind: met, range, is_mapped: mapped }: Met,
         burst: impl Fn(usize, f64) -> f64,
-    ) -> ReadingDistribution {
-        let max = f64::from(laser.max_range_m as f32);
-        // Made where it is returned, because the room for alternatives makes it costly to move.
-        let mut distribution = ReadingDistribution {
-            mean: f64::INFINITY,
-            sigma: 0.0,
-            tail: [0.0, TAIL_FACTOR],
-            alternatives: Alternatives::default(),
-            step_m: laser.resolution_m,
-            min_m: f64::from(laser.min_range_m as f32),
-            max_m: max,
-        };
+    ) {
+        let max = distribution.max_m;
         let mut reading = Return::new(laser, &mut distribution.alternatives);
         let mut hit = Hit { laser, view, met, range, mapped, max, burst: &burst, index: 0 };
         for &i in &self.order {
@@ -173,6 +166,15 @@ impl Effects {
         }
         distribution.tail[0] = tail;
         distribution.step_m = step_m;
-        distribution
     }
+}
+
+/// What a beam has met.
+#[derive(Clone, Copy)]
+pub(crate) struct Met {
+    pub kind: HitKind,
+    /// Where it is \[m\].
+    pub range: f64,
+    /// Whether it is the wall of the map, moved as it may be.
+    pub is_mapped: bool,
 }

@@ -1,7 +1,7 @@
 //! Maps held against scans that they weren't made from.
 
 use glam::DVec2;
-use locsim_core::Drive;
+use locsim_core::{Drive, median};
 
 use super::beams::{Scan, scan_of};
 use super::hits::{Hit, hits_of};
@@ -145,18 +145,12 @@ fn errors(
 
 fn agreement(errors: impl Iterator<Item = Option<f64>>) -> Agreement {
     let all: Vec<Option<f64>> = errors.collect();
-    let errors: Vec<f64> = all.iter().copied().flatten().collect();
+    let mut errors: Vec<f64> = all.iter().copied().flatten().collect();
     let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
     Agreement {
         nominal_share: share(errors.len(), all.len()),
-        median_abs_m: median(errors.iter().map(|error| error.abs()).collect()),
-        median_m: median(errors.clone()),
+        median_abs_m: median(&mut errors.iter().map(|error| error.abs()).collect::<Vec<_>>()),
+        median_m: median(&mut errors),
         far_share: share(errors.iter().filter(|error| error.abs() > FAR_M).count(), errors.len()),
     }
-}
-
-/// The upper median; NaN of nothing.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }

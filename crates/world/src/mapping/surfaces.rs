@@ -5,6 +5,7 @@ use std::cmp::Reverse;
 use std::collections::HashMap;
 
 use glam::{DMat2, DVec2};
+use locsim_core::{median, normal};
 
 use super::beams::Scan;
 use super::hits::{Hit, least_direction};
@@ -30,6 +31,10 @@ const SPLIT_BINS: usize = 3;
 
 /// The scale of Cauchy's weight in standard deviations: 95 % efficient at normal errors.
 const CAUCHY: f64 = 2.385;
+
+/// The scale of residuals is at least this \[m\], about that of a laser without the errors of its poses: the hits of a short
+/// wall may agree by chance, and its weights would then leave out all but a few of them.
+const LEAST_SCALE_M: f64 = 0.005;
 
 /// Sums over points.
 #[derive(Clone, Copy, Debug, Default)]
@@ -218,9 +223,7 @@ fn fit(hits: &[Hit], members: Vec<u32>) -> Surface {
     for _ in 0..6 {
         residuals.clear();
         residuals.extend(points().map(|hit| (normal.dot(hit.at) - offset).abs()));
-        let middle = residuals.len() / 2;
-        let (_, median, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
-        scale = (1.4826 * *median).max(0.005);
+        scale = (normal::SIGMA_OVER_MAD * median(&mut residuals)).max(LEAST_SCALE_M);
         moments = Moments::default();
         for hit in points() {
             let share = (normal.dot(hit.at) - offset) / (CAUCHY * scale);

@@ -1,5 +1,5 @@
 use super::{ClutterSurvival, LaserOptions};
-use crate::effect::{BeamView, Effects, HitKind, Parts, ReadingDistribution, least_value};
+use crate::effect::{BeamView, Effects, HitKind, Met, Parts, ReadingDistribution, least_value};
 
 /// The steps in which readings of a laser without a resolution are compared with quantized ones \[m\]: finer than any laser's.
 const FINEST_STEP_M: f64 = 1e-4;
@@ -128,7 +128,8 @@ impl<'a> ReadingMixture<'a> {
     pub fn density(&self, beam: &ClutteredBeam, shift: f64, z: f64) -> MixtureDensity {
         let view = BeamView { range: beam.view.range + shift, ..beam.view };
         let range = self.surface_range(beam, &view, shift);
-        let reading = self.surface_reading(beam, &view, range);
+        let mut reading = ReadingDistribution::nothing(self.laser);
+        self.effects.fill(&mut reading, self.laser, &view, surface(beam, range), |_, share| share);
         let clear = self.clear(beam, &view, range, shift);
         let [of_surface, usable] = reading.density_parts(self.limits(&reading), z);
         let mut total = clear * of_surface.total();
@@ -165,7 +166,8 @@ impl<'a> ReadingMixture<'a> {
     pub fn cdf(&self, beam: &ClutteredBeam, shift: f64, x: f64) -> f64 {
         let view = BeamView { range: beam.view.range + shift, ..beam.view };
         let range = self.surface_range(beam, &view, shift);
-        let reading = self.surface_reading(beam, &view, range);
+        let mut reading = ReadingDistribution::nothing(self.laser);
+        self.effects.fill(&mut reading, self.laser, &view, surface(beam, range), |_, share| share);
         let clear = self.clear(beam, &view, range, shift);
         let [of_surface, usable] = reading.below(self.limits(&reading), x);
         let mut below = clear * of_surface.total();
@@ -183,11 +185,6 @@ impl<'a> ReadingMixture<'a> {
     /// Range of the surface, where it really is \[m\].
     fn surface_range(&self, beam: &ClutteredBeam, view: &BeamView, shift: f64) -> f64 {
         beam.object.map_or_else(|| self.effects.wall_range(view), |object| object + shift)
-    }
-
-    fn surface_reading(&self, beam: &ClutteredBeam, view: &BeamView, range: f64) -> ReadingDistribution {
-        let is_mapped = beam.object.is_none();
-        self.effects.reading_of(self.laser, view, HitKind::Wall, range, is_mapped, |_, share| share)
     }
 
     /// Probability that no clutter is in front of the surface.
@@ -210,8 +207,9 @@ impl<'a> ReadingMixture<'a> {
         if self.effects.is_empty() {
             return OfClutter { range: z, instead: 0.0, usable_instead: 0.0, rest: 1.0 };
         }
-        let reading =
-            self.effects.reading_of(self.laser, &beam.view, HitKind::Object, z, false, |_, share| share);
+        let mut reading = ReadingDistribution::nothing(self.laser);
+        let met = Met { kind: HitKind::Object, range: z, is_mapped: false };
+        self.effects.fill(&mut reading, self.laser, &beam.view, met, |_, share| share);
         // A reading errs by about as much a little nearer or farther.
         let error = if reading.mean.is_finite() { reading.mean - z } else { 0.0 };
         let [at_reading, usable] = of(&reading);
@@ -252,6 +250,10 @@ impl<'a> ReadingMixture<'a> {
         let within_reach = self.survival(beam, min_m - shift).max(clear);
         (1.0 - clear) * nearest.usable_instead + nearest.rest * (within_reach - clear)
     }
+}
+
+fn surface(beam: &ClutteredBeam, range: f64) -> Met {
+    Met { kind: HitKind::Wall, range, is_mapped: beam.object.is_none() }
 }
 
 #[cfg(test)]
@@ -299,14 +301,9 @@ mod tests {
     /// P(value before rounding < x), summed over millimetres of where the nearest clutter stands, each read with its noise.
     fn plain_below(mixture: &ReadingMixture<'_>, beam: &ClutteredBeam, x: f64) -> f64 {
         let below = |met, range| {
-            let reading = mixture.effects.reading_of(
-                mixture.laser,
-                &beam.view,
-                met,
-                range,
-                met == HitKind::Wall,
-                |_, share| share,
-            );
+            let mut reading = ReadingDistribution::nothing(mixture.laser);
+            let met = Met { kind: met, range, is_mapped: met == HitKind::Wall };
+            mixture.effects.fill(&mut reading, mixture.laser, &beam.view, met, |_, share| share);
             reading.below(reading.limits(), x)[0].total()
         };
         let survival = |range: f64| beam.survival_at(range).0.powf(mixture.clutter_density);

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::blocks::Placement;
 use super::view::View;
 use super::{BeamCaster, BlockModel, BlockOptions, LaserOptions, LaserSimulator, SimulationError};
-use crate::effect::{Effects, HitKind, burst, burst_window};
+use crate::effect::{Effects, HitKind, Met, ReadingDistribution, burst, burst_window};
 use crate::raycast::ExactRangeMap;
 
 /// A world that is not quite as its map, and a laser in it.
@@ -181,10 +181,12 @@ impl Simulator {
             let cast = &view.beams[beam];
             let is_blocked = range < cast.range;
             let met = if is_blocked { HitKind::Object } else { HitKind::Wall };
-            let mapped = cast.is_mapped() && !is_blocked;
+            let is_mapped = cast.is_mapped() && !is_blocked;
             let burst = burst(seed, window(cast.view.secs));
-            let distribution =
-                self.effects.reading_of(self.laser.options(), &cast.view, met, range, mapped, burst);
+            let options = self.laser.options();
+            let mut distribution = ReadingDistribution::nothing(options);
+            let met = Met { kind: met, range, is_mapped };
+            self.effects.fill(&mut distribution, options, &cast.view, met, burst);
             *reading = distribution.sample(&mut noise.item(beam as u32), &mut chance.item(beam as u32));
         }
     }

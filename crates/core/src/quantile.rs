@@ -1,0 +1,30 @@
+//! Quantiles of samples by nearest rank: each is a value of the sample.
+
+/// The quantile of values in any order, which this reorders; NaN of none.
+pub fn quantile(values: &mut [f64], share: f64) -> f64 {
+    if values.is_empty() {
+        return f64::NAN;
+    }
+    let index = ((values.len() - 1) as f64 * share).round() as usize;
+    *values.select_nth_unstable_by(index, f64::total_cmp).1
+}
+
+/// The median of values in any order, which this reorders: the upper one of an even number of values, NaN of none.
+pub fn median(values: &mut [f64]) -> f64 {
+    quantile(values, 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_values_of_the_sample() {
+        assert!(median(&mut []).is_nan());
+        assert_eq!(median(&mut [3.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(&mut [4.0, 1.0, 3.0, 2.0]), 3.0, "the upper one of two");
+        assert_eq!(quantile(&mut [4.0, 1.0, 3.0, 2.0, 0.0], 0.0), 0.0);
+        assert_eq!(quantile(&mut [4.0, 1.0, 3.0, 2.0, 0.0], 0.3), 1.0);
+        assert_eq!(quantile(&mut [4.0, 1.0, 3.0, 2.0, 0.0], 1.0), 4.0);
+    }
+}
