@@ -203,7 +203,7 @@ fn validate_reads_the_log_as_a_run_does() {
         (format!("{{file: drive.mcap, topics: {{scan: /front}}, {shares}}}\nmap: {{file: room.yaml}}"), "/front"),
         (format!("{{file: blind.log, {shares}}}\nmap: {{file: room.yaml}}"), "log.train_scans: no scan has a reference pose"),
         (
-            "{file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 0.501]]}\nmap: {file: room.yaml}".to_owned(),
+            "{file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.501, 0.502]]}\nmap: {file: room.yaml}".to_owned(),
             "no scan is left to localize on",
         ),
     ] {
