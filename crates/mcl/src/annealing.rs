@@ -190,7 +190,7 @@ impl Annealer {
         let step = Spread { sigma_m: largest(sigma_m), sigma_rad: largest(sigma_rad) };
         step.add_to(&mut self.moved, &draw);
         self.moved_log_likelihood.resize(particles.len(), 0.0);
-        score(self.moved.view(), &mut self.moved_log_likelihood);
+        score(self.moved.as_poses(), &mut self.moved_log_likelihood);
         let decide = Draw::new(draw.seed(u32::MAX), Stage::Annealing, self.round);
         let (moved, there) = (&self.moved, &self.moved_log_likelihood);
         let Particles { x, y, theta } = particles;

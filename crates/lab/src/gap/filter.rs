@@ -134,7 +134,7 @@ fn trained(
         Source::Log(_) => most_observations,
     };
     progress.stage("simulating training scans", 1);
-    let readings = simulator.observe_many(poses.view(), observations, seed);
+    let readings = simulator.observe_many(poses.as_poses(), observations, seed);
     progress.advance(1);
     let laser = simulator.laser().laser();
     let beams = training.beams.map_or(most_beams, |beams| (beams as usize).min(most_beams));
