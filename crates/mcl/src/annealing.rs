@@ -49,7 +49,7 @@ const SCALES: [f64; 3] = [1.0, 0.3, 2.0];
 const LARGEST_MOVE: f64 = 0.3;
 /// Smallest step of the power, so that a set without information about the scan makes headway.
 const LEAST_STEP: f64 = 1e-5;
-/// Halvings in search of a power.
+/// Halvings in search of a power: 2^-30 is far below [`LEAST_STEP`].
 const HALVINGS: usize = 30;
 
 /// Anneals scans; its buffers live on between steps.
