@@ -66,11 +66,46 @@ fn the_missing_effect_is_named_and_added() {
     let saved: Value = serde_json::from_slice(&folder.read("results/found/gap.json")).unwrap();
     assert_eq!(saved, outcome);
 
-    for name in
-        ["report.md", "report.html", "gap.rrd", "figures/map.svg", "figures/pit.png", "figures/rivals.svg"]
-    {
+    for name in [
+        "report.md",
+        "report.html",
+        "gap.rrd",
+        "figures/map.svg",
+        "figures/pit.png",
+        "figures/rivals.svg",
+        "figures/range_bias.svg",
+    ] {
         assert!(folder.path("results/found").join(name).is_file(), "{name}");
     }
+    // Readings are 4 cm too long, which the simulated logs aren't until they have the effect.
+    let profile = &outcome["profiles"][0];
+    assert_eq!(
+        (&profile["quantity"], &profile["over"]),
+        (&Value::from("error"), &Value::from("range")),
+        "{profile}"
+    );
+    let bins = profile["bins"].as_array().unwrap();
+    let inside = |side: &str| {
+        let is_inside = |bin: &&Value| {
+            let [value, lo, hi] = [&bin["measured"], &bin[side]["lo"], &bin[side]["hi"]].map(number);
+            lo <= value && value <= hi
+        };
+        bins.iter().filter(is_inside).count()
+    };
+    assert!(bins.len() >= 6 && inside("before") == 0, "{profile:#}");
+    assert!(3 * inside("after") >= 2 * bins.len(), "{profile:#}");
+    let steps = next_steps(&folder, "results/found");
+    assert!(steps[0].contains("range_bias") && steps[0].contains("`scenario.yaml`"), "{steps:?}");
+    let [report, page] = ["report.md", "report.html"]
+        .map(|name| String::from_utf8(folder.read(&format!("results/found/{name}"))).unwrap());
+    let holds_zero = number(&filter["change_m"]["lo"]) <= 0.0 && number(&filter["change_m"]["hi"]) >= 0.0;
+    assert_eq!(report.contains("| change | no difference ("), holds_zero, "{filter}");
+    // The bias was everywhere, so that what was off follows from it.
+    let regions = outcome["where"].as_array().unwrap();
+    let followed = regions.iter().filter(|region| region["remains"] == false).count();
+    assert!(followed > 0, "{regions:?}");
+    assert!(report.contains(&format!("<summary>{followed} region")), "{report}");
+    assert!(page.contains("<details>\n<summary>") && page.contains("<blockquote>"));
     let text = String::from_utf8(folder.read("results/found/scenario.yaml")).unwrap();
     assert!(text.starts_with("# As the developers think it is.\n"), "{text}");
     assert!(
@@ -93,6 +128,17 @@ fn the_missing_effect_is_named_and_added() {
     let again: Value = serde_json::from_str(&output(&folder.locsim(again).success())).unwrap();
     assert_eq!(again["effects"], serde_json::json!([]), "{again:#}");
     assert_eq!(again["filter"], Value::Null);
+}
+
+/// The box at the top of a report: three steps, numbered.
+fn next_steps(folder: &Folder, found: &str) -> Vec<String> {
+    let report = String::from_utf8(folder.read(&format!("{found}/report.md"))).unwrap();
+    let (before, rest) = report.split_once("> **What to do next**\n>\n").unwrap();
+    assert!(!before.contains("\n## ") && !before.contains("**"), "the box comes first\n{report}");
+    let lines: Vec<&str> = rest.lines().take_while(|line| !line.is_empty()).collect();
+    assert_eq!(lines.len(), 3, "{lines:?}");
+    let step = |(i, line): (usize, &&str)| line.strip_prefix(&format!("> {}. ", i + 1)).unwrap().to_owned();
+    lines.iter().enumerate().map(step).collect()
 }
 
 /// Every section that a scenario may leave out, left out once: a search ends with an answer, whether something is hidden or
@@ -130,6 +176,7 @@ fn a_scenario_may_leave_out_what_is_optional() {
             } else {
                 assert!(found.contains(&"range_bias"), "{name}: {found:?}");
             }
+            next_steps(&folder, &format!("{name}{log}"));
             folder.locsim(&format!("validate {name}{log}/scenario.yaml")).success();
         }
     };

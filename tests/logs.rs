@@ -188,6 +188,61 @@ fn the_scenarios_of_measured_logs_say_where_they_look_for_data() {
     }
 }
 
+/// What a run refuses once it has read the log is found without running it.
+#[test]
+fn validate_reads_the_log_as_a_run_does() {
+    let folder = folder_with_a_drive();
+    for name in ["drive.log", "drive.mcap"] {
+        folder.locsim(&format!("simulate drive.yaml --out {name}")).success();
+    }
+    let text = String::from_utf8(folder.read("drive.log")).unwrap();
+    let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("TRUEPOS")).collect();
+    folder.write("blind.log", lines.join("\n") + "\n");
+    let shares = "train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]";
+    for (log, said) in [
+        (format!("{{file: drive.mcap, topics: {{scan: /front}}, {shares}}}\nmap: {{file: room.yaml}}"), "/front"),
+        (format!("{{file: blind.log, {shares}}}\nmap: {{file: room.yaml}}"), "log.train_scans: no scan has a reference pose"),
+        (
+            "{file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 0.501]]}\nmap: {file: room.yaml}".to_owned(),
+            "no scan is left to localize on",
+        ),
+    ] {
+        folder.write("s.yaml", on_a_log(&log));
+        let told = |line: &str| {
+            let call = folder.locsim(line).code(2).stdout(predicates::str::is_empty()).stderr(contains(said));
+            String::from_utf8(call.get_output().stderr.clone()).unwrap()
+        };
+        let found = told("validate s.yaml");
+        assert!(told("run s.yaml --quiet").ends_with(&found), "{found}");
+        assert!(!folder.path("results/s").exists());
+    }
+    folder.write("s.yaml", on_a_log(&format!("{{file: drive.log, {shares}}}\nmap: {{file: room.yaml}}")));
+    folder.locsim("validate s.yaml").success().stderr(predicates::str::is_empty());
+}
+
+/// The end of a corridor that the scans of the map never saw.
+#[test]
+fn validate_warns_of_a_split_without_a_map() {
+    let folder = Folder::new();
+    let corridor = root().join("maps/corridor.yaml");
+    let text = edited(SCENARIO, "room.yaml", corridor.to_str().unwrap());
+    folder.write("s.yaml", edited(&text, "[[0.6, 0.9], [2.6, 0.9]]", "[[1, 1.5], [15, 1.5]]"));
+    folder.locsim("simulate s.yaml --out drive.log").success();
+    for (map, is_known) in [("[[0.0, 0.2]]", false), ("[[0.0, 0.2], [0.5, 0.79], [0.9, 1.0]]", true)] {
+        let log = format!(
+            "{{file: drive.log, map_scans: {map}, train_scans: [[0.2, 0.4]], localize_scans: [[0.8, 0.9]]}}"
+        );
+        folder.write("split.yaml", on_a_log(&log));
+        let said = contains("split.yaml: In one stretch of `log.localize_scans` only");
+        let call = folder.locsim("validate split.yaml").success();
+        if is_known {
+            call.stderr(said.not())
+        } else {
+            call.stderr(said)
+        };
+    }
+}
+
 #[test]
 fn schema_and_completions_are_what_editors_and_shells_take() {
     let folder = Folder::new();
@@ -198,7 +253,33 @@ fn schema_and_completions_are_what_editors_and_shells_take() {
     }
     let script = output(&folder.locsim("completions bash").success());
     assert!(script.contains("complete -F _locsim"), "{script}");
-    for option in ["--resume", "--trials", "--share"] {
-        assert!(script.contains(option), "{option}");
+    for word in ["--resume", "--trials", "--share", "incidence_dropout", "glass"] {
+        assert!(script.contains(word), "{word}");
     }
+}
+
+#[test]
+fn help_is_plain_and_shows_the_arguments_that_are_needed() {
+    let folder = Folder::new();
+    let help = |command: &str| output(&folder.locsim(&format!("{command} --help")).success());
+    assert!(help("map").contains("Cell size [m]"), "{}", help("map"));
+    let gap = help("gap");
+    assert!(gap.contains("gap [OPTIONS] --out <OUT> <SCENARIO>") && !gap.contains("[SCENARIO]"), "{gap}");
+    let width = |text: &str| text.lines().map(|line| line.chars().count()).max().unwrap();
+    let narrow = locsim(&root(), "effects").env("COLUMNS", "80").assert().success();
+    assert!(width(&output(&narrow)) <= 80, "{}", output(&narrow));
+}
+
+#[test]
+fn a_manual_page_has_every_option_of_its_command() {
+    let folder = Folder::new();
+    let page = |line: &str| output(&folder.locsim(line).success());
+    let whole = page("manual");
+    assert!(whole.contains(".TH locsim 1") && whole.contains(r"locsim\-run(1)"), "{whole}");
+    let run = page("manual run");
+    assert!(run.contains(".TH locsim-run 1"), "{run}");
+    for option in ["resume", "trials", "cache", "limit"] {
+        assert!(run.contains(&format!(r"\-\-{option}")), "{option} is not in\n{run}");
+    }
+    folder.locsim("manual drive").code(2).stderr(contains("drive is not a command of locsim"));
 }

@@ -83,7 +83,10 @@ fn a_run_prints_a_table_and_leaves_every_documented_file_and_figure() {
     for name in ["classic", "np_reg_registered"] {
         assert!(found.contains_key(&format!("models/{name}.model")), "no saved {name}");
     }
-    for name in models.into_iter().chain(["reference", "odometry"]) {
+    let estimates = models.map(|model| format!("{model}-estimate"));
+    for name in
+        models.into_iter().chain(["reference", "odometry"]).chain(estimates.iter().map(String::as_str))
+    {
         let text = std::str::from_utf8(&found[&format!("trajectories/{name}.tum")]).unwrap();
         let poses: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).collect();
         assert_eq!(poses.len(), 21, "{name}: a scan every 0.2 s over 2 m at 0.5 m/s");
@@ -122,6 +125,52 @@ fn a_run_prints_a_table_and_leaves_every_documented_file_and_figure() {
     }
     assert_eq!(number("/ratios/classic/rmse_vs_classic/value"), 1.0);
     assert_eq!(number("/ratios/oracle/rmse_vs_oracle/value"), 1.0);
+}
+
+/// Positions and stamps of a trajectory.
+fn trajectory(file: &[u8]) -> Vec<[f64; 3]> {
+    let lines = std::str::from_utf8(file).unwrap().lines().filter(|line| !line.starts_with('#'));
+    let numbers = |line: &str| -> Vec<f64> { line.split(' ').map(|field| field.parse().unwrap()).collect() };
+    lines.map(|line| numbers(line)[..3].try_into().unwrap()).collect()
+}
+
+/// The root of the mean squared distance, as `evo_ape tum reference.tum MODEL-estimate.tum` gives it: no alignment.
+#[test]
+fn the_absolute_pose_error_of_the_trajectories_is_the_tables() {
+    let folder = Folder::new();
+    for estimate in ["weighted_mean", "max_weight", "most_likely_trajectory"] {
+        let scenario = edited(SCENARIO, "filter:\n", &format!("filter:\n  estimate: {estimate}\n"));
+        folder.write("room-run.yaml", edited(&scenario, "trials: 3", "trials: 1"));
+        folder.locsim("run room-run.yaml --out o --force --quiet --record none").success();
+        let summary: Value = serde_json::from_slice(&folder.read("o/summary.json")).unwrap();
+        let reference = trajectory(&folder.read("o/trajectories/reference.tum"));
+        for model in ["classic", "np_reg_registered"] {
+            let file = format!("o/trajectories/{model}-estimate.tum");
+            let estimates = trajectory(&folder.read(&file));
+            assert_eq!(estimates.len(), reference.len());
+            let square = |(a, b): (&[f64; 3], &[f64; 3])| {
+                assert_eq!(a[0], b[0], "the same stamps");
+                (a[1] - b[1]).powi(2) + (a[2] - b[2]).powi(2)
+            };
+            let sum: f64 = estimates.iter().zip(&reference).map(square).sum();
+            let rmse = (sum / reference.len() as f64).sqrt();
+            let table = summary["models"][model]["position_rmse_m"].as_f64().unwrap();
+            assert!((rmse - table).abs() < 1e-9, "{model}, {estimate}: {rmse} and {table}");
+        }
+    }
+}
+
+#[test]
+fn a_terminal_of_80_columns_shows_whole_tables() {
+    let folder = Folder::new();
+    let line = "run room-run.yaml --out o --record none";
+    let run = common::locsim(&folder.path(""), line).env("COLUMNS", "80").assert().success();
+    let table = output(&run);
+    let rows: Vec<&str> = table.lines().take_while(|line| !line.starts_with("mean ±")).collect();
+    assert!(rows.len() > 10 && rows.iter().all(|row| row.chars().count() <= 80), "{table}");
+    assert!(["p95", "RMSE", "ms/step", "/ oracle"].iter().all(|word| table.contains(word)), "{table}");
+    let wide = output(&folder.locsim(&format!("{line} --force")).success());
+    assert!(wide.lines().any(|row| row.chars().count() > 100), "the control\n{wide}");
 }
 
 #[test]
@@ -178,6 +227,7 @@ fn seed_trials_and_models_of_the_command_line_change_just_what_they_say() {
     let summary: Value = serde_json::from_slice(&folder.read("o/summary.json")).unwrap();
     assert_eq!(summary["models"].as_object().unwrap().keys().collect::<Vec<_>>(), ["np_reg_registered"]);
     assert!(summary.pointer("/ratios/np_reg_registered/rmse_vs_classic").unwrap().is_null());
+    assert_eq!(summary.pointer("/ratios/np_reg_registered/rmse_vs_first"), None, "it is alone");
 }
 
 #[test]
@@ -376,7 +426,7 @@ mod interrupted {
         folder
             .locsim(&format!("{LONG} --resume"))
             .success()
-            .stderr("note: trial 1 was kept, but its file is damaged; it is run again\n");
+            .stderr(contains("note: trial 1 was kept, but its file is damaged; it is run again\n"));
         let resumed = files(&folder.path("o"));
         for name in ["steps.csv", "steps.parquet", "trials.csv", "trials.parquet"] {
             assert!(resumed[name] == whole[name], "{name} differs from that of an uninterrupted run");

@@ -1,8 +1,11 @@
 //! Commands and options of the program.
 
+use std::ffi::OsStr;
 use std::path::PathBuf;
 
+use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use locsim_scenario::catalogue;
 use locsim_terminal::{LimitOptions, OutputOptions, Threads, whole};
 
 /// A laboratory for particle-filter localization with range sensors.
@@ -40,6 +43,7 @@ pub enum Command {
     /// List the effects: named ways in which a simulated world can differ from the nominal one; or tell all about one
     Effects {
         /// Which one
+        #[arg(value_parser = EffectName, hide_possible_values = true)]
         name: Option<String>,
     },
     /// Write one simulated drive of a scenario as a measured log (ROS 2 bag or CARMEN log)
@@ -52,11 +56,37 @@ pub enum Command {
     Inspect(Inspect),
     /// Write a scenario for a log, which `run`, `map` and `gap` take as it is
     Init(Init),
+    /// Print the manual page of locsim or of a command (`locsim manual run | man -l -`)
+    Manual {
+        /// The command [default: locsim as a whole]
+        command: Option<String>,
+    },
     /// Print a shell's completion script
     Completions {
         /// The shell
         shell: clap_complete::Shell,
     },
+}
+
+/// The name of an effect. Completions know all of them. The catalogue refuses others, and says what is meant.
+#[derive(Clone)]
+struct EffectName;
+
+impl TypedValueParser for EffectName {
+    type Value = String;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        argument: Option<&clap::Arg>,
+        value: &OsStr,
+    ) -> Result<String, clap::Error> {
+        StringValueParser::new().parse_ref(command, argument, value)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(catalogue::names().map(PossibleValue::new)))
+    }
 }
 
 /// `locsim run`.
@@ -87,8 +117,8 @@ pub struct Run {
     /// Replace earlier results of locsim, and what an interrupted run has kept; nothing else is ever touched
     #[arg(long, conflicts_with = "resume")]
     pub force: bool,
-    /// Where range tables are kept between runs [default: `locsim` in the user's cache folder]
-    #[arg(long, env = "LOCSIM_CACHE", value_name = "FOLDER", hide_env_values = true)]
+    /// Where range tables are kept between runs [default: `LOCSIM_CACHE`, or `locsim` in the user's cache folder]
+    #[arg(long, value_name = "FOLDER")]
     pub cache: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputOptions,
@@ -168,8 +198,8 @@ pub struct Map {
     /// Replace the map if it is there
     #[arg(long)]
     pub force: bool,
-    /// Cell size \[m\]
-    #[arg(long, default_value_t = 0.05)]
+    // Not a doc comment: rustdoc takes brackets for a link.
+    #[arg(long, default_value_t = 0.05, help = "Cell size [m]")]
     pub resolution: f64,
     /// Use only this share of the log, for example 0.0,0.5
     #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 1.0])]
@@ -236,14 +266,14 @@ pub struct LogOptions {
 #[derive(Debug, Args)]
 pub struct Gap {
     /// The scenario: a simulation of the robot as it is thought to be
-    #[arg(required_unless_present = "explain")]
+    #[arg(required = true)]
     pub scenario: Option<PathBuf>,
     /// The measured log, with reference poses: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a CARMEN log (`.log`, `.log.gz`)
     /// [default: the scenario's]
     #[arg(long)]
     pub log: Option<PathBuf>,
     /// Results folder
-    #[arg(long, required_unless_present = "explain")]
+    #[arg(long, required = true)]
     pub out: Option<PathBuf>,
     /// Replace earlier results of locsim; nothing else is ever touched
     #[arg(long)]
@@ -263,19 +293,19 @@ pub struct Gap {
     #[arg(long, default_value_t = 72, allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub beams: usize,
     /// Effects that are left out of the library, separated by commas
-    #[arg(long, value_name = "EFFECT", value_delimiter = ',')]
+    #[arg(long, value_name = "EFFECT", value_delimiter = ',', value_parser = EffectName, hide_possible_values = true)]
     pub without: Vec<String>,
     /// Don't run the particle filter with the old and the new simulator
     #[arg(long)]
     pub no_filter: bool,
     #[command(flatten)]
     pub log_options: LogOptions,
-    /// Where range tables are kept between runs [default: `locsim` in the user's cache folder]
-    #[arg(long, env = "LOCSIM_CACHE", value_name = "FOLDER", hide_env_values = true)]
+    /// Where range tables are kept between runs [default: `LOCSIM_CACHE`, or `locsim` in the user's cache folder]
+    #[arg(long, value_name = "FOLDER")]
     pub cache: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputOptions,
     /// Only say what an effect is, what gives it away and what it is confused with
-    #[arg(long, value_name = "EFFECT", conflicts_with_all = ["scenario", "log", "out"])]
+    #[arg(long, value_name = "EFFECT", exclusive = true, value_parser = EffectName, hide_possible_values = true)]
     pub explain: Option<String>,
 }

@@ -17,8 +17,8 @@ use locsim_lab::run::{self, LogMaps, Recorder, RunOptions, RunSummary};
 use locsim_report::figures::Rasterizer;
 use locsim_report::terminal_table;
 use locsim_scenario::{self as scenario, LogMap, Overrides, Scenario, Source, catalogue};
-use locsim_study::{self as study, StudyError, StudyOptions, StudyOverrides};
-use locsim_terminal::{BAD_INPUT, Failure, Session, complain, exit_code, say};
+use locsim_study::{self as study, StudyOptions, StudyOverrides};
+use locsim_terminal::{BAD_INPUT, Failure, Session, columns, complain, exit_code, say};
 
 use arguments::{Arguments, Command, Gap, Init, Inspect, Map, Record, Run, Simulate};
 
@@ -45,6 +45,7 @@ fn obey(command: &Command) -> Result<ExitCode, Failure> {
         Command::Map(arguments) => map(arguments)?,
         Command::Inspect(arguments) => inspect_log(arguments)?,
         Command::Init(arguments) => init(arguments)?,
+        Command::Manual { command } => manual(command.as_deref())?,
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(*shell, &mut Arguments::command(), "locsim", &mut script);
@@ -52,6 +53,24 @@ fn obey(command: &Command) -> Result<ExitCode, Failure> {
             ExitCode::SUCCESS
         }
     })
+}
+
+/// Prints the manual page of the program, or of one of its commands.
+fn manual(name: Option<&str>) -> anyhow::Result<ExitCode> {
+    let mut program = Arguments::command();
+    // Names the commands' pages, and gives them the options that every command takes.
+    program.build();
+    let command = match name {
+        None => program,
+        Some(name) => program
+            .find_subcommand(name)
+            .with_context(|| format!("{name} is not a command of locsim"))?
+            .clone(),
+    };
+    let mut page = Vec::new();
+    clap_mangen::Man::new(command).render(&mut page)?;
+    say(&String::from_utf8(page)?)?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// The failure of a run or a search.
@@ -84,9 +103,9 @@ fn run(arguments: &Run) -> Result<ExitCode, Failure> {
         say(&serde_json::to_string_pretty(&outcome.summary)?)?;
     } else if !arguments.output.quiet {
         match &outcome.summary {
-            RunSummary::Referenced(summary) => say(&terminal_table(summary))?,
+            RunSummary::Referenced(summary) => say(&terminal_table(summary, columns()))?,
             RunSummary::Unreferenced(summary) => {
-                say(&summary.table().to_terminal())?;
+                say(&summary.table().to_terminal(columns()))?;
                 summary.findings.iter().try_for_each(|finding| say(&format!("- {finding}")))?;
             }
         }
@@ -135,7 +154,7 @@ fn run_studies(arguments: &arguments::Study) -> Result<ExitCode, Failure> {
         if arguments.output.json {
             say(&serde_json::to_string(&results)?)?;
         } else if !arguments.output.quiet {
-            say(&study::terminal_summary(&results))?;
+            say(&study::terminal_summary(&results, columns()))?;
             say(&format!("Results in {} (open report.html)", out.display()))?;
         }
     }
@@ -144,7 +163,8 @@ fn run_studies(arguments: &arguments::Study) -> Result<ExitCode, Failure> {
 
 /// Where programs keep what they can do without, for this user.
 fn users_cache() -> Option<PathBuf> {
-    directories::BaseDirs::new().map(|user| user.cache_dir().join("locsim"))
+    let told = std::env::var_os("LOCSIM_CACHE").map(PathBuf::from);
+    told.or_else(|| directories::BaseDirs::new().map(|user| user.cache_dir().join("locsim")))
 }
 
 /// The command that repeats a run.
@@ -192,13 +212,16 @@ fn validate(files: &[PathBuf]) -> anyhow::Result<ExitCode> {
     Ok(if refused { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS })
 }
 
-/// Checks a scenario or a study, and describes its content.
-fn validate_one(path: &Path) -> Result<String, StudyError> {
+/// Checks a scenario or a study, and describes its content. A scenario's log and map are read.
+fn validate_one(path: &Path) -> anyhow::Result<String> {
     Ok(if study::is_study(path)? {
         let study = study::Study::load(path, StudyOverrides::default())?;
         format!("study, {} models, {} repeats", study.models().len(), study.repeats())
     } else {
         let scenario = Scenario::load(path, &Overrides::default())?;
+        for warning in run::check(&scenario)? {
+            complain(&format!("warning: {}: {warning}", path.display()));
+        }
         let threads = rayon::current_num_threads();
         let cost = run::CostEstimate::of(&scenario, threads).in_words(threads);
         format!("{} models, {} trials; {cost}", scenario.models.len(), scenario.trials)
@@ -213,7 +236,7 @@ fn print_schema(study: bool) -> anyhow::Result<ExitCode> {
 
 fn effects(name: Option<&str>) -> anyhow::Result<ExitCode> {
     match name {
-        None => say(&format!("{}\n`locsim effects NAME` tells more.", catalogue::table()))?,
+        None => say(&format!("{}\n`locsim effects NAME` tells more.", catalogue::table(columns())))?,
         Some(name) => say(&catalogue::page(name)?)?,
     }
     Ok(ExitCode::SUCCESS)
@@ -384,7 +407,7 @@ fn map(arguments: &Map) -> anyhow::Result<ExitCode> {
             "Maps from four fifths of the scans against the other {} ({}):\n{}",
             check.scans,
             picture.display(),
-            run::agreement_table(check).to_terminal()
+            run::agreement_table(check).to_terminal(columns())
         ))?;
     }
     Ok(ExitCode::SUCCESS)

@@ -22,6 +22,7 @@ mod odometry;
 mod outcome;
 mod pose_error;
 mod pose_pattern;
+mod profile;
 mod purpose;
 mod rank;
 mod recorded;
@@ -38,7 +39,8 @@ pub use nominal::Nominal;
 pub use odometry::OdometryError;
 pub use outcome::{
     BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,
-    Named, Number, Outcome, PitHistogram, Region, Rival, Unnamed, Verdict, Wave,
+    Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, Rival, Unnamed,
+    Verdict, Wave,
 };
 pub use pose_error::PoseError;
 pub use purpose::Purpose;

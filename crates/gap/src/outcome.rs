@@ -285,6 +285,75 @@ pub struct PitHistogram {
     pub readings: usize,
 }
 
+/// A quantity of the readings or of the odometry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Quantity {
+    /// Median of the reading less the nominal range \[m\], over returns.
+    Error,
+    /// Spread of it \[m\]: half of the distance between its 16 % and 84 % quantiles.
+    Spread,
+    /// Share of readings without a return.
+    NoReturn,
+    /// Share of readings of something in front of the surface.
+    InFront,
+    /// Share of readings with such an error.
+    Share,
+    /// Mean error of the distance between two scans \[m\].
+    OdometryDistance,
+    /// Mean error of the turn between two scans \[rad\].
+    OdometryTurn,
+}
+
+/// The covariate of a profile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Over {
+    /// Nominal range \[m\].
+    Range,
+    /// Incidence \[rad\].
+    Incidence,
+    /// Bearing \[rad\].
+    Bearing,
+    /// Time \[s\].
+    Time,
+    /// Reading less the nominal range \[m\].
+    Error,
+    /// Distance between two scans \[m\], negative backward.
+    Distance,
+    /// Turn between two scans \[rad\].
+    Turn,
+}
+
+/// A profile of a named effect.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Profile {
+    /// The effect.
+    #[serde(serialize_with = "name")]
+    pub name: EffectKind,
+    /// The quantity.
+    pub quantity: Quantity,
+    /// Its covariate.
+    pub over: Over,
+    /// The bins, in order.
+    pub bins: Vec<ProfileBin>,
+}
+
+/// A bin of a profile.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ProfileBin {
+    /// Mean of the covariate.
+    pub at: f64,
+    /// Readings or increments in it.
+    pub count: usize,
+    /// The log's value.
+    pub measured: f64,
+    /// Median of the simulated logs' values under the nominal simulator, and the interval that holds 95 % of them.
+    pub before: Estimate,
+    /// The same with the named effects.
+    pub after: Estimate,
+}
+
 /// A beam of the log, for figures and recordings.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BeamPit {
@@ -331,6 +400,8 @@ pub struct Outcome {
     pub nuisances: Nuisances,
     /// PIT histograms.
     pub pit: Vec<PitHistogram>,
+    /// What each named effect does to the readings or the odometry, measured and simulated.
+    pub profiles: Vec<Profile>,
     /// Remarks for people.
     pub notes: Vec<String>,
     /// Number of scans and of beams per scan.

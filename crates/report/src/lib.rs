@@ -19,6 +19,7 @@ use crate::store::{Folder, StoreError};
 use crate::summary::{Summary, SummaryError};
 
 use figures::{Figure, Rasterizer};
+pub use findings::warnings;
 pub use text::TextTable;
 pub use text::terminal_table;
 

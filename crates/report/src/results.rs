@@ -111,6 +111,8 @@ pub struct RunResults {
 /// One trial in full, for pictures and recordings.
 #[derive(Clone, Debug)]
 pub struct DetailedTrial {
+    /// All models of the run in the scenario's order, which their colours follow.
+    pub labels: Vec<String>,
     /// The drive that was localized on (beams as the filter saw them).
     pub drive: Drive,
     /// Wall segments of the map \[m\].

@@ -175,8 +175,8 @@ impl Ratio {
     }
 }
 
-/// One model against the models it is judged by. `None` where that model isn't in the run, where its figure is
-/// zero, or where no trial is left to compare on.
+/// One model against the models it is judged by: `classic` and `oracle`, and the first of several models where `classic`
+/// isn't in the run. `None` where that model isn't in the run, where its figure is zero, or where no trial is left to compare on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ratios {
     /// `position_std_m` over that of `classic`.
@@ -185,6 +185,24 @@ pub struct Ratios {
     pub rmse_vs_classic: Option<Ratio>,
     /// `position_rmse_m` over that of `oracle`.
     pub rmse_vs_oracle: Option<Ratio>,
+    /// `position_std_m` over that of the first model; only in a run without `classic`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position_std_vs_first: Option<Ratio>,
+    /// `position_rmse_m` over that of the first model; only in a run without `classic`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rmse_vs_first: Option<Ratio>,
+}
+
+impl Ratios {
+    /// `position_std_m` over that of the [baseline](Summary::baseline).
+    pub fn position_std(&self) -> Option<Ratio> {
+        self.position_std_vs_classic.or(self.position_std_vs_first)
+    }
+
+    /// `position_rmse_m` over that of the [baseline](Summary::baseline).
+    pub fn rmse(&self) -> Option<Ratio> {
+        self.rmse_vs_classic.or(self.rmse_vs_first)
+    }
 }
 
 /// `summary.json`: everything an experiment found. All errors are pooled over all steps of all trials.
@@ -207,6 +225,12 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// The model that the others are compared with: `classic`, or the first where that isn't in the run.
+    pub fn baseline(&self) -> &str {
+        let first = self.models.keys().next().map(String::as_str);
+        self.models.get(CLASSIC).map(|_| CLASSIC).or(first).unwrap_or(CLASSIC)
+    }
+
     /// Summarizes a run. A pure function of its results: the bootstrap is keyed by the run's seed.
     ///
     /// # Errors
@@ -219,17 +243,18 @@ impl Summary {
             (0..results.models.len()).map(|model| Sample::new(results, model)).collect();
         let by_model = |name: &str| results.models.iter().position(|m| m == name).map(|i| &samples[i]);
         let (classic, oracle) = (by_model(CLASSIC), by_model(ORACLE));
+        let first = samples.first().filter(|_| classic.is_none() && samples.len() > 1);
         let ratios = |kept: bool| {
-            let of = |sample: &Sample| Ratios {
-                position_std_vs_classic: ratio(
-                    sample,
-                    classic,
-                    kept,
-                    bootstrap.as_ref(),
-                    Sample::position_std,
-                ),
-                rmse_vs_classic: ratio(sample, classic, kept, bootstrap.as_ref(), Sample::position_rmse),
-                rmse_vs_oracle: ratio(sample, oracle, kept, bootstrap.as_ref(), Sample::position_rmse),
+            let of = |sample: &Sample| {
+                let std = |base| ratio(sample, base, kept, bootstrap.as_ref(), Sample::position_std);
+                let rmse = |base| ratio(sample, base, kept, bootstrap.as_ref(), Sample::position_rmse);
+                Ratios {
+                    position_std_vs_classic: std(classic),
+                    rmse_vs_classic: rmse(classic),
+                    rmse_vs_oracle: rmse(oracle),
+                    position_std_vs_first: std(first),
+                    rmse_vs_first: rmse(first),
+                }
             };
             results.models.iter().cloned().zip(samples.iter().map(of)).collect()
         };

@@ -1,7 +1,7 @@
 //! Tables and numbers as text, for the terminal and for Markdown.
 
 use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
-use comfy_table::{CellAlignment, Table};
+use comfy_table::{CellAlignment, LineStyle, Table};
 use locsim_core::Interval;
 use locsim_core::limits::is_hidden;
 
@@ -9,6 +9,10 @@ use crate::summary::{Errors, Ratio, Summary};
 
 /// Placeholder of a missing value.
 pub const NONE: &str = "-";
+
+/// Where cells of a table that is too wide are broken: nowhere, then before units, intervals and deviations, then within intervals
+/// as well.
+const BREAKS: [&[&str]; 3] = [&[], &[" [", " ±", " /"], &[" [", " ±", " /", ", "]];
 
 /// A table of text; the first column is aligned left, the others right.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,12 +29,41 @@ impl TextTable {
         Self { header: header.map(str::to_owned).to_vec(), rows: rows.into_iter().map(Vec::from).collect() }
     }
 
-    /// For a terminal: as wide as its content.
-    pub fn to_terminal(&self) -> String {
+    /// For a terminal of `width` columns; `None` where the table may be as wide as its content. In a table that is too wide,
+    /// a cell's interval stands below its value. If that does not do, columns are left out from the right, and named.
+    pub fn to_terminal(&self, width: Option<usize>) -> String {
+        let fits =
+            |text: &String| width.is_none_or(|width| text.lines().all(|line| line.chars().count() <= width));
+        let broken = BREAKS.iter().map(|breaks| self.drawn(self.header.len(), breaks)).find(fits);
+        broken.unwrap_or_else(|| {
+            let narrower = (1..self.header.len()).rev().map(|columns| {
+                let table = self.drawn(columns, BREAKS[BREAKS.len() - 1]);
+                (fits(&table) || columns == 1)
+                    .then(|| format!("{table}\nleft out: {}", self.header[columns..].join(", ")))
+            });
+            narrower.flatten().next().unwrap_or_default()
+        })
+    }
+
+    /// The first columns of the table, with lines of cells broken at some places.
+    fn drawn(&self, columns: usize, breaks: &[&str]) -> String {
+        let cells = |row: &[String]| -> Vec<String> {
+            let broken = |cell: &String| {
+                breaks.iter().fold(cell.clone(), |cell, at| cell.replace(at, &at.replace(' ', "\n")))
+            };
+            row.iter().take(columns).map(broken).collect()
+        };
         let mut table = Table::new();
-        table.load_style(UTF8_HORIZONTAL_ONLY).set_header(&self.header).add_rows(&self.rows);
+        let rows = self.rows.iter().map(|row| cells(row));
+        table.load_style(UTF8_HORIZONTAL_ONLY).set_header(cells(&self.header)).add_rows(rows);
         // Rules between rows only cost lines.
-        table.style_mut().row_separator = comfy_table::LineStyle::none();
+        table.style_mut().row_separator = LineStyle::none();
+        if !breaks.is_empty() {
+            // Two blanks between columns, not three.
+            table.column_iter_mut().for_each(|column| {
+                column.set_padding((0, 1));
+            });
+        }
         for column in table.column_iter_mut().skip(1) {
             column.set_cell_alignment(CellAlignment::Right);
         }
@@ -189,8 +222,9 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
             .iter()
             .map(|(name, m)| (name.as_str(), &m.errors, m.intervals.as_ref().map(|i| &i.errors))),
     );
+    let [std, rmse] = ["std", "RMSE"].map(|figure| format!("{figure} / {}", summary.baseline()));
     let others = TextTable::new(
-        ["model", "lost [%]", "ESS", "NEES", "ms/step", "std / classic", "RMSE / classic", "RMSE / oracle"],
+        ["model", "lost [%]", "ESS", "NEES", "ms/step", &std, &rmse, "RMSE / oracle"],
         summary.models.iter().zip(summary.ratios.values()).map(|((name, model), ratios)| {
             [
                 name.to_owned(),
@@ -198,8 +232,8 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
                 format!("{:.1}", model.ess_mean),
                 significant(model.nees_mean),
                 format!("{:.2}", model.step_ms),
-                ratio(ratios.position_std_vs_classic),
-                ratio(ratios.rmse_vs_classic),
+                ratio(ratios.position_std()),
+                ratio(ratios.rmse()),
                 ratio(ratios.rmse_vs_oracle),
             ]
         }),
@@ -207,8 +241,8 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
     [errors, others]
 }
 
-/// The headline table for a terminal of 120 columns, in two halves, with a line on how to read it.
-pub fn terminal_table(summary: &Summary) -> String {
+/// The headline table for a terminal of `width` columns (`None`: of any), in two halves, with a line on how to read it.
+pub fn terminal_table(summary: &Summary, width: Option<usize>) -> String {
     let [errors, others] = headline_tables(summary);
     format!(
         "{}: {} trials, seed {}\n{}\n{}\nmean ± standard deviation of signed errors over all steps; [lo, hi]: 95 % \
@@ -216,8 +250,8 @@ pub fn terminal_table(summary: &Summary) -> String {
         summary.scenario,
         summary.trials,
         summary.seed,
-        errors.to_terminal(),
-        others.to_terminal()
+        errors.to_terminal(width),
+        others.to_terminal(width)
     )
 }
 
@@ -242,6 +276,24 @@ mod tests {
         ] {
             assert_eq!(escape(text), escaped);
         }
+    }
+
+    #[test]
+    fn a_table_becomes_as_narrow_as_the_terminal() {
+        let cells = ["np_reg", "0.0016 ± 0.0170", "0.0214 [0.0192, 0.0238]"].map(str::to_owned);
+        let table = TextTable::new(["model", "along [m]", "RMSE [m]"], [cells]);
+        let drawn = |width: Option<usize>| {
+            let text = table.to_terminal(width);
+            let widest = text.lines().map(|line| line.chars().count()).max().unwrap();
+            assert!(width.is_none_or(|width| widest <= width), "{widest} columns:\n{text}");
+            text
+        };
+        assert!(drawn(None).contains("0.0016 ± 0.0170   0.0214 [0.0192, 0.0238]"), "{}", drawn(None));
+        assert_eq!(drawn(None), drawn(Some(60)));
+        let [value, interval] = ["0.0016             0.0214", "± 0.0170   [0.0192, 0.0238]"];
+        assert!(drawn(Some(40)).contains(value) && drawn(Some(40)).contains(interval), "{}", drawn(Some(40)));
+        assert!(drawn(Some(30)).contains("[0.0192,\n"), "{}", drawn(Some(30)));
+        assert!(drawn(Some(20)).ends_with("left out: RMSE [m]"), "{}", drawn(Some(20)));
     }
 
     #[test]

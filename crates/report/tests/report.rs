@@ -162,6 +162,7 @@ fn detail(models: &[usize]) -> DetailedTrial {
         }
     };
     DetailedTrial {
+        labels: models.iter().map(|&m| MODELS[m].0.to_owned()).collect(),
         drive: Drive { laser: laser.clone(), steps: steps.collect() },
         walls,
         blocks: (0..STEPS)
@@ -275,9 +276,57 @@ fn a_run_on_a_real_log_has_no_paper_and_no_ratios() {
 
 #[test]
 fn the_terminal_table_reads_as_agreed() {
-    let table = terminal_table(&Summary::new(&results(&ALL, 30)).unwrap());
+    let table = terminal_table(&Summary::new(&results(&ALL, 30)).unwrap(), None);
     assert!(table.lines().all(|line| line.chars().count() <= 120), "wider than 120 columns");
     insta::assert_snapshot!("terminal_table", table);
+}
+
+#[test]
+fn a_terminal_of_80_columns_has_every_figure() {
+    let summary = Summary::new(&results(&ALL, 30)).unwrap();
+    let table = terminal_table(&summary, Some(80));
+    let drawn = table.lines().filter(|line| !line.starts_with("mean ±"));
+    assert!(drawn.clone().all(|line| line.chars().count() <= 80), "wider than 80 columns:\n{table}");
+    for figure in ["0.1402", "[0.0326,", "0.2382]", "± 0.1377", "0.0665", "[2.62,"] {
+        assert!(table.contains(figure), "{figure} is not in\n{table}");
+    }
+}
+
+#[test]
+fn without_classic_the_first_model_is_the_baseline() {
+    let summary = Summary::new(&results(&[5, 1], 30)).unwrap();
+    let rmse = |name: &str| summary.models.get(name).unwrap().errors.position_rmse_m;
+    let ratios = summary.ratios.get("beam_mixture").unwrap();
+    let ratio = ratios.rmse_vs_first.unwrap();
+    assert!((ratio.value - rmse("beam_mixture") / rmse("np_reg_registered")).abs() < 1e-12, "{ratio:?}");
+    assert!(ratio.interval().unwrap().lo > 1.0 && ratios.rmse_vs_classic.is_none());
+    assert!(terminal_table(&summary, None).contains("RMSE / np_reg_registered"));
+    // With `classic`, or alone, a model has no other to be compared with.
+    for models in [&[1, 0][..], &[5]] {
+        let summary = Summary::new(&results(models, 30)).unwrap();
+        assert!(summary.ratios.iter().all(|(_, ratios)| ratios.rmse_vs_first.is_none()));
+    }
+}
+
+#[test]
+fn lost_trials_large_errors_and_few_effective_particles_are_warned_of() {
+    let of = |models: &[usize]| locsim_report::warnings(&results(models, 30));
+    assert_eq!(of(&[1, 5]), Vec::<String>::new());
+    let classic = of(&[0]);
+    assert_eq!(classic.len(), 2, "{classic:?}");
+    assert!(classic[0].starts_with("classic lost 1 of 30 trials"), "{classic:?}");
+    assert!(
+        classic[1].starts_with("Under classic, the RMSE (0.1402 m) is 4.8 times the median"),
+        "{classic:?}"
+    );
+    let mut few = results(&[5], 2);
+    let rows = few.trials.iter_mut().flat_map(|trial| &mut trial.models[0].steps);
+    rows.for_each(|row| row.effective_sample_size = 0.04 * f64::from(row.particles));
+    let few = locsim_report::warnings(&few);
+    assert!(
+        few.len() == 1 && few[0].contains("fewer than 5 % of the particles were effective in 100 %"),
+        "{few:?}"
+    );
 }
 
 #[test]
@@ -387,7 +436,7 @@ fn one_trial_has_figures_without_intervals() {
     let rmse = |name: &str| summary.models.get(name).unwrap().errors.position_rmse_m;
     assert!((ratio.value - rmse("np_reg_registered") / rmse("classic")).abs() < 1e-12, "{}", ratio.value);
     assert_eq!(ratio.interval(), None);
-    assert!(terminal_table(&summary).contains("np_reg_registered"));
+    assert!(terminal_table(&summary, None).contains("np_reg_registered"));
 }
 
 #[test]

@@ -11,11 +11,18 @@ use crate::effect::{in_file, unit};
 /// Width of the table, in characters.
 const WIDTH: u16 = 110;
 
-/// All effects as a table: name, what it is, parameters as scenarios write them.
-pub fn table() -> String {
+/// The names of all effects.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    EffectKind::ALL.into_iter().map(EffectKind::name)
+}
+
+/// All effects as a table: name, what it is, parameters as scenarios write them. At most `width` columns wide.
+pub fn table(width: Option<usize>) -> String {
     let mut table = Table::new();
     table.load_style(UTF8_HORIZONTAL_ONLY);
-    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH);
+    table
+        .set_content_arrangement(ContentArrangement::Dynamic)
+        .set_width(width.map_or(WIDTH, |width| WIDTH.min(width as u16)));
     // Rules between rows only cost lines.
     table.style_mut().row_separator = comfy_table::LineStyle::none();
     table.set_header(["effect", "what it is", "parameters"]);

@@ -191,7 +191,11 @@ fn notes(results: &Results) -> Vec<String> {
 }
 
 /// The verdicts on the paper's statements, for a terminal.
-pub fn terminal_summary(results: &Results) -> String {
+pub fn terminal_summary(results: &Results, width: Option<usize>) -> String {
     let head = format!("{}: {} repeats, seed {}", results.study, results.repeats, results.seed);
-    if results.claims.is_empty() { head } else { format!("{head}\n{}", claims_table(results).to_terminal()) }
+    if results.claims.is_empty() {
+        head
+    } else {
+        format!("{head}\n{}", claims_table(results).to_terminal(width))
+    }
 }

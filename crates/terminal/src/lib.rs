@@ -10,5 +10,5 @@ mod session;
 
 pub use failure::{BAD_INPUT, Failure, INTERRUPTED, exit_code};
 pub use options::{LimitOptions, OutputOptions, Threads, whole};
-pub use output::{complain, say};
+pub use output::{columns, complain, say};
 pub use session::Session;

@@ -16,6 +16,14 @@ pub fn say(text: &str) -> Result<()> {
     }
 }
 
+/// Columns of the terminal: `COLUMNS`, or else those of the terminal that standard output goes to; `None` where it goes
+/// elsewhere.
+pub fn columns() -> Option<usize> {
+    let told =
+        std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok()).filter(|&columns| columns > 0);
+    told.or_else(|| console::Term::stdout().size_checked().map(|(_, columns)| usize::from(columns)))
+}
+
 /// Prints a line on standard error, if that can be done.
 pub fn complain(text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{text}");

@@ -266,8 +266,8 @@ pub fn terminal_text(report: &BenchReport) -> String {
         "{}\n{OTHERS}\n\n{}\nTable against exact casts: range {:.4} m on average, {:.4} m at most in 99 %, log \
          likelihood {:.3} nats at most in 99 %, replay error {:.4} m on average.\nThe plain loop needs {:.0} ns per \
          particle and beam, {:.0} ns of them for the cast.\nTimings: {}.\n",
-        table.to_terminal(),
-        replays.to_terminal(),
+        table.to_terminal(None),
+        replays.to_terminal(None),
         accuracy.range_m.mean,
         accuracy.range_m.p99,
         accuracy.log_likelihood.p99,

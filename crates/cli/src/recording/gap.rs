@@ -61,7 +61,7 @@ fn layout(walls: &[[[f64; 2]; 2]]) -> Blueprint {
     let wide = super::is_wide(walls);
     let maps = SIDES.map(|(name, title)| {
         Spatial2DView::new(title)
-            .with_origin("/world")
+            .with_origin("/")
             .with_contents(
                 ["/world/map/**", "/world/robot/**", &format!("/world/{name}/**")].map(str::to_owned),
             )

@@ -14,12 +14,17 @@ use super::unnamed::unnamed;
 use super::{Round, State};
 use crate::fit::{Candidate, folds};
 use crate::outcome::{Detectable, Detection, Direction, Evidence, Gap, Named, Number, Outcome, Verdict};
+use crate::profile::profiles;
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
 use crate::statistics::{Form, Group, Statistic, Survey, Target, fold_count};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
+/// Simulated logs that the measured one's distance is taken to.
+const LOGS: usize = 8;
+/// Simulated logs behind the 95 % bands of profiles: one of them lies beyond each end.
+const PROFILE_LOGS: usize = 40;
 /// Step of the bootstrap of the closed share.
 const CLOSED_SHARE: u32 = 3;
 
@@ -33,9 +38,12 @@ impl<'a> State<'a> {
         let detectable = detectable(before);
         let blind = detectable.iter().filter(|d| d.value > d.typical).count();
         self.progress.stage("measuring the gap", 1);
-        let (old, new) = (self.replay(before)?, self.replay(after)?);
+        let logs = if named.is_empty() { LOGS } else { PROFILE_LOGS };
+        let (old, new) = (self.replay(before, logs)?, self.replay(after, logs)?);
+        let profiles = profiles(&named, &before.comparison, &after.comparison, [&old, &new]);
+        let (old, new) = (&old[..LOGS], &new[..LOGS]);
         let judged = [self.judge(before)?, self.judge(after)?];
-        let gap = self.gap(&rounds, &gains, remaining.as_ref(), judged, [&old, &new]);
+        let gap = self.gap(&rounds, &gains, remaining.as_ref(), judged, [old, new]);
         let judgement = self.judge(after)?;
         let unnamed = if still_off {
             let survey = Survey::new(&after.comparison);
@@ -58,7 +66,7 @@ impl<'a> State<'a> {
             (false, _) => Verdict::Named,
         };
         let side = [before, after].map(|round| Side { dictionary: &round.dictionary, null: &round.null });
-        let regions = locate(&side[0], &side[1], &before.comparison.views, recorded, &old);
+        let regions = locate(&side[0], &side[1], &before.comparison.views, recorded, old);
         let beam_pits = pits(
             &before.comparison,
             &before.fitted,
@@ -85,6 +93,7 @@ impl<'a> State<'a> {
             threshold: before.null.thresholds[Group::Wide as usize],
             nuisances: before.fitted.nuisances,
             pit,
+            profiles,
             notes: notes(nominal, self.blocks.resample).into_iter().chain(note).collect(),
             scans: recorded.scans(),
             beams: recorded.beams(),
@@ -147,10 +156,10 @@ impl<'a> State<'a> {
     }
 
     /// Some simulated logs of a round.
-    fn replay(&self, round: &Round<'a>) -> Result<Vec<Recorded>, GapError> {
+    fn replay(&self, round: &Round<'a>, logs: usize) -> Result<Vec<Recorded>, GapError> {
         let replay = round.replay();
         let draw = Purpose::Distance.draw(self.options.seed);
-        (0..8).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
+        (0..logs as u32).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
     }
 
     fn gap(

@@ -161,10 +161,17 @@ fn filter(outcome: &Outcome) -> Option<String> {
     let filter = outcome.filter.as_ref()?;
     let [before, after] = [filter.before, filter.after].map(|side| side.position_rmse_m);
     Some(format!(
-        "Filter error {} -> {} m (position RMSE on the log).",
+        "Filter error {} -> {} m (position RMSE on the log): {}.",
         with_interval(&before),
-        with_interval(&after)
+        with_interval(&after),
+        change_in_words(&filter.change_m)
     ))
+}
+
+/// A paired change of an error in metres: "-0.012 [-0.015, -0.009] m"; "no difference (...)" where its interval holds 0.
+pub(super) fn change_in_words(change: &Estimate) -> String {
+    let numbers = format!("{} m", with_interval(change));
+    if change.interval.contains(0.0) { format!("no difference ({numbers})") } else { numbers }
 }
 
 /// The region that is farthest off, as the end of a sentence.
@@ -271,5 +278,16 @@ mod tests {
         assert_eq!(shown(61.23, 58.9, 63.4), "61 [59, 63]");
         assert_eq!(shown(-0.000_1, -0.04, 0.04), "0.00 [-0.04, 0.04]");
         assert_eq!(shown(2.0, 2.0, 2.0), "2.000 [2.000, 2.000]");
+    }
+
+    #[test]
+    fn a_change_whose_interval_holds_zero_is_no_difference() {
+        let told = |value: f64, lo: f64, hi: f64| {
+            change_in_words(&Estimate { value, interval: Interval { lo, hi } })
+        };
+        assert_eq!(told(-0.02, -0.05, 0.01), "no difference (-0.02 [-0.05, 0.01] m)");
+        assert_eq!(told(-0.04, -0.05, -0.03), "-0.04 [-0.05, -0.03] m");
+        assert_eq!(told(0.04, 0.03, 0.05), "0.04 [0.03, 0.05] m");
+        assert_eq!(told(0.0, 0.0, 0.0), "no difference (0.000 [0.000, 0.000] m)");
     }
 }

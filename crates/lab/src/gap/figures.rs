@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use locsim_core::Interval;
-use locsim_gap::{BeamPit, Outcome, PitHistogram};
+use locsim_gap::{BeamPit, Outcome, PitHistogram, Profile};
 use plotters::prelude::{Circle, Color, PathElement, RGBColor, Rectangle, Text};
 
-use super::{GapStudy, covariate};
+use super::{GapStudy, covariate, profile};
 use locsim_report::ReportError;
 use locsim_report::figures::Figure;
 use locsim_report::figures::canvas::{
@@ -57,6 +57,25 @@ pub(super) fn all(study: &GapStudy, outcome: &Outcome) -> Result<Vec<Figure>, Re
             histograms(outcome),
         )?,
     ];
+    for named in &outcome.effects {
+        let kind = named.name;
+        if figures.iter().any(|figure| figure.name == kind.name()) {
+            continue;
+        }
+        let of_kind: Vec<&Profile> = outcome
+            .profiles
+            .iter()
+            .filter(|profile| profile.name == kind && !profile.bins.is_empty())
+            .collect();
+        if !of_kind.is_empty() {
+            figures.push(figure(
+                kind.name(),
+                "What the effect does. Dots: the measured log. Lines and bands: median and 95 % of 40 simulated logs, without \
+                 and with the named effects. Dots within the band agree with the simulation.",
+                profile::draw(&of_kind, sides()),
+            )?);
+        }
+    }
     if !outcome.rivals.is_empty() {
         figures.push(figure(
             "rivals",

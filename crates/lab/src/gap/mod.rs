@@ -5,7 +5,9 @@ mod answer;
 mod covariate;
 mod figures;
 mod filter;
+mod next;
 mod page;
+mod profile;
 mod proposal;
 mod unnamed;
 

@@ -1,13 +1,12 @@
 //! The report of a search: what disagrees and where, why this effect and not another, what remains.
 
-use locsim_core::Estimate;
-use locsim_gap::{Outcome, Verdict};
+use locsim_gap::{Outcome, Region, Verdict};
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
 use serde::Serialize;
 
-use super::{GapStudy, answer, covariate, figures, unnamed};
+use super::{GapStudy, answer, covariate, figures, next, unnamed};
 use locsim_report::figures::Figure;
 use locsim_report::store::Folder;
 use locsim_report::text::{self, TextTable, fixed, significant};
@@ -29,7 +28,7 @@ struct FigureLink<'a> {
 
 /// An effect as the template names it.
 #[derive(Serialize)]
-struct NamedText {
+struct NamedText<'a> {
     name: &'static str,
     sentence: &'static str,
     formula: &'static str,
@@ -39,6 +38,7 @@ struct NamedText {
     p: String,
     others: Vec<&'static str>,
     split_by: Option<&'static str>,
+    figure: Option<FigureLink<'a>>,
 }
 
 /// Writes `figures/`, `report.md` and `report.html` into `folder`. `diff` is between the scenario and the one with the
@@ -72,13 +72,22 @@ fn markdown(
     let mut environment = Environment::new();
     environment.set_syntax(SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build()?);
     environment.add_template("gap.md", MARKDOWN)?;
-    let link = |name: &str| {
+    let figure = |name: &str| {
         let figure = figures.iter().find(|figure| figure.name == name)?;
-        Some(Serde(FigureLink { name: figure.name, caption: &figure.caption, path: figure.path() }))
+        Some(FigureLink { name: figure.name, caption: &figure.caption, path: figure.path() })
     };
-    let named: Vec<NamedText> = outcome.effects.iter().map(named_text).collect();
+    let link = |name: &str| figure(name).map(Serde);
+    // Effects of one kind share a figure.
+    let is_first = |i: usize| outcome.effects[..i].iter().all(|named| named.name != outcome.effects[i].name);
+    let named = outcome
+        .effects
+        .iter()
+        .enumerate()
+        .map(|(i, named)| named_text(named, figure(named.name.name()).filter(|_| is_first(i))));
+    let named: Vec<NamedText<'_>> = named.collect();
     let answers: Vec<String> = answer::sentences(outcome).iter().map(|line| text::escape(line)).collect();
     let nuisances = &outcome.nuisances;
+    let (regions, followed) = regions(outcome);
     let page = context! {
         title => text::escape(&title(study)),
         description => text::escape(&study.scenario.description),
@@ -90,6 +99,7 @@ fn markdown(
         replicates => outcome.detection.replicates,
         seconds => fixed(outcome.seconds, 1),
         verdict => Serde(outcome.verdict),
+        steps => next::steps(outcome),
         answers => answers,
         named => Serde(named),
         still_off => matches!(outcome.verdict, Verdict::PartlyExplained | Verdict::Unexplained | Verdict::Unnamed),
@@ -98,13 +108,16 @@ fn markdown(
         pit => link("pit"),
         rivals => link("rivals"),
         detection_table => detection_table(outcome).to_markdown(),
-        regions_table => (!outcome.regions.is_empty()).then(|| regions_table(outcome).to_markdown()),
+        regions_table => (!regions.is_empty()).then(|| regions_table(&regions).to_markdown()),
+        more_regions => regions.len().saturating_sub(SHOWN_REGIONS),
+        followed_table => (!followed.is_empty()).then(|| regions_table(&followed).to_markdown()),
+        followed => followed.len(),
+        more_followed => followed.len().saturating_sub(SHOWN_REGIONS),
         unnamed_table => (!outcome.unnamed.is_empty()).then(|| unnamed_table(outcome).to_markdown()),
         rivals_table => (!outcome.rivals.is_empty()).then(|| rivals_table(outcome).to_markdown()),
         gap_table => gap_table(outcome).to_markdown(),
         closed => answer::closed(outcome),
         disagreement => answer::disagreement(&outcome.gap),
-        more_regions => outcome.regions.len().saturating_sub(SHOWN_REGIONS),
         false_alarm => significant(super::false_alarm(outcome.detection.replicates)),
         filter_table => filter_table(outcome).map(|table| table.to_markdown()),
         detectable_table => detectable_table(outcome).to_markdown(),
@@ -122,7 +135,7 @@ fn markdown(
     Ok(environment.get_template("gap.md")?.render(page)?)
 }
 
-fn named_text(named: &locsim_gap::Named) -> NamedText {
+fn named_text<'a>(named: &locsim_gap::Named, figure: Option<FigureLink<'a>>) -> NamedText<'a> {
     NamedText {
         name: named.name.name(),
         sentence: named.name.sentence(),
@@ -133,6 +146,7 @@ fn named_text(named: &locsim_gap::Named) -> NamedText {
         p: answer::p_value(named.evidence.p),
         others: answer::others(named).collect(),
         split_by: named.split_by,
+        figure,
     }
 }
 
@@ -157,8 +171,13 @@ fn detection_table(outcome: &Outcome) -> TextTable {
     TextTable::new(["simulator", "p, effects of the library", "p, PIT anywhere", "p, both"], rows)
 }
 
-fn regions_table(outcome: &Outcome) -> TextTable {
-    let rows = outcome.regions.iter().take(SHOWN_REGIONS).map(|region| {
+/// Regions to look at, and those that follow from the named effects: with them, nothing is off there.
+fn regions(outcome: &Outcome) -> (Vec<&Region>, Vec<&Region>) {
+    outcome.regions.iter().partition(|region| region.remains || outcome.effects.is_empty())
+}
+
+fn regions_table(regions: &[&Region]) -> TextTable {
+    let rows = regions.iter().take(SHOWN_REGIONS).map(|region| {
         [
             answer::place_text(region),
             answer::deviation_text(region).to_owned(),
@@ -166,10 +185,9 @@ fn regions_table(outcome: &Outcome) -> TextTable {
             fixed(region.w1_mm, 1),
             fixed(region.nats, 1),
             answer::p_value(region.q),
-            if region.remains { "yes" } else { "no" }.to_owned(),
         ]
     });
-    TextTable::new(["where", "what is off", "z", "W1 [mm]", "nats", "q", "still off"], rows)
+    TextTable::new(["where", "what is off", "z", "W1 [mm]", "nats", "q"], rows)
 }
 
 fn unnamed_table(outcome: &Outcome) -> TextTable {
@@ -225,13 +243,13 @@ fn gap_table(outcome: &Outcome) -> TextTable {
 
 fn filter_table(outcome: &Outcome) -> Option<TextTable> {
     let filter = outcome.filter.as_ref()?;
+    let row = |name: &str, cell: String| [name.to_owned(), cell];
     let rows = [
-        ("scenario as it is", &filter.before.position_rmse_m),
-        ("with the named effects", &filter.after.position_rmse_m),
-        ("change", &filter.change_m),
+        row("scenario as it is", answer::with_interval(&filter.before.position_rmse_m)),
+        row("with the named effects", answer::with_interval(&filter.after.position_rmse_m)),
+        row("change", answer::change_in_words(&filter.change_m)),
     ];
-    let row = |(name, estimate): (&str, &Estimate)| [name.to_owned(), answer::with_interval(estimate)];
-    Some(TextTable::new(["simulator", "position RMSE [m]"], rows.map(row)))
+    Some(TextTable::new(["simulator", "position RMSE [m]"], rows))
 }
 
 fn detectable_table(outcome: &Outcome) -> TextTable {

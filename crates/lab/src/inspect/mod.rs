@@ -17,7 +17,7 @@ use serde::Serialize;
 
 pub use init::NewScenario;
 pub use picture::picture;
-pub use split::{Part, Role, Split};
+pub use split::{COVERED, Part, Role, Split, least_covered};
 
 use crate::LabError;
 

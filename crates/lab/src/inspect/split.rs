@@ -1,6 +1,7 @@
 //! A split of a log into scans for the map, for training and for the filter, such that the map knows where the others drive.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::ops::Range;
 
 use locsim_core::{Drive, Pose2};
 use serde::Serialize;
@@ -150,6 +151,34 @@ impl Split {
     }
 }
 
+/// The least share of the readings of a stretch of the localized scans that end where scans of the map have readings, as
+/// [`Part::covered_by_map`] of a split that the scenario chooses. `None` without reference poses.
+pub fn least_covered(drive: &Drive, localized: &[[f64; 2]], map: &[[f64; 2]]) -> Option<f64> {
+    let all = drive.steps.len();
+    let steps = |[from, to]: [f64; 2]| {
+        let [from, to] = [from, to].map(|share| ((share * all as f64).ceil() as usize).min(all));
+        from..to.max(from)
+    };
+    let known: HashSet<[i32; 2]> = map.iter().flat_map(|&share| cells(drive, steps(share))).collect();
+    let stretch = all.div_ceil(PARTS).max(1);
+    let stretches = localized.iter().flat_map(|&share| {
+        let steps = steps(share);
+        let end = steps.end;
+        steps.step_by(stretch).map(move |from| from..(from + stretch).min(end))
+    });
+    let shares = stretches.filter_map(|steps| {
+        let cells = cells(drive, steps);
+        let found = cells.iter().filter(|cell| around(**cell).any(|cell| known.contains(&cell))).count();
+        (!cells.is_empty()).then(|| found as f64 / cells.len() as f64)
+    });
+    shares.reduce(f64::min)
+}
+
+/// A cell and those beside it.
+fn around([x, y]: [i32; 2]) -> impl Iterator<Item = [i32; 2]> {
+    (-1..=1).flat_map(move |i| (-1..=1).map(move |j| [x + i, y + j]))
+}
+
 /// `count` parts from one on.
 fn run(from: usize, count: usize) -> Parts {
     ((1 << count) - 1) << from
@@ -165,7 +194,7 @@ fn share(part: usize) -> [f64; 2] {
 }
 
 /// The steps of a part: those that [`share`] selects.
-fn scans(drive: &Drive, part: usize) -> std::ops::Range<usize> {
+fn scans(drive: &Drive, part: usize) -> Range<usize> {
     let at = |share: f64| (share * drive.steps.len() as f64).ceil() as usize;
     let [from, to] = share(part).map(at);
     from..to.min(drive.steps.len())
@@ -195,21 +224,19 @@ struct Coverage {
 
 impl Coverage {
     fn of(drive: &Drive) -> Self {
-        let ends: Vec<Vec<[i32; 2]>> = (0..PARTS).map(|part| cells(drive, part)).collect();
+        let ends: Vec<Vec<[i32; 2]>> = (0..PARTS).map(|part| cells(drive, scans(drive, part))).collect();
         let mut known = HashMap::<[i32; 2], Parts>::new();
         for (part, cells) in ends.iter().enumerate() {
             for cell in cells {
                 *known.entry(*cell).or_default() |= 1 << part;
             }
         }
-        let around = |[x, y]: [i32; 2]| {
-            let beside = (-1..=1).flat_map(|i| (-1..=1).map(move |j| [x + i, y + j]));
-            beside.filter_map(|cell| known.get(&cell)).fold(0, |all, parts| all | parts)
-        };
+        let parts_at =
+            |cell| around(cell).filter_map(|cell| known.get(&cell)).fold(0, |all, parts| all | parts);
         let counts = ends.iter().enumerate().map(|(part, cells)| {
             let mut counts = BTreeMap::new();
             for cell in cells {
-                *counts.entry(around(*cell) & !(1 << part)).or_default() += 1;
+                *counts.entry(parts_at(*cell) & !(1 << part)).or_default() += 1;
             }
             counts
         });
@@ -247,9 +274,8 @@ impl Coverage {
     }
 }
 
-/// The cells in which readings of a part end.
-fn cells(drive: &Drive, part: usize) -> Vec<[i32; 2]> {
-    let steps = scans(drive, part);
+/// The cells in which readings of some steps end.
+fn cells(drive: &Drive, steps: Range<usize>) -> Vec<[i32; 2]> {
     let stride = steps.len().div_ceil(SCANS).max(1);
     let (laser, kept) = drive.laser.thinned(BEAMS);
     let mut cells = Vec::new();

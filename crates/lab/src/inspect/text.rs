@@ -38,7 +38,7 @@ impl fmt::Display for Inspection {
         )?;
         if let Some(split) = &self.split {
             writeln!(f, "\nProposed split")?;
-            write!(f, "{}", indented(&split.table().to_terminal()))?;
+            write!(f, "{}", indented(&split.table().to_terminal(None)))?;
             writeln!(f, "\n{}", indented(&split.yaml()))?;
         }
         if !self.warnings.is_empty() {
@@ -64,7 +64,7 @@ impl Inspection {
             ]
         });
         let header = ["topic", "type", "messages", "rate [Hz]", "longest gap [s]"];
-        write!(f, "\n{}", indented(&TextTable::new(header, rows).to_terminal()))?;
+        write!(f, "\n{}", indented(&TextTable::new(header, rows).to_terminal(None)))?;
         more(f, contents.topics.len())?;
         if !contents.transforms.is_empty() {
             let rows = contents.transforms.iter().take(LISTED).map(|pair| {
@@ -72,7 +72,7 @@ impl Inspection {
                 [pair.frames.clone(), source.to_owned(), pair.messages.to_string(), number(pair.rate_hz, 1)]
             });
             let header = ["transform", "source", "messages", "rate [Hz]"];
-            write!(f, "\n{}", indented(&TextTable::new(header, rows).to_terminal()))?;
+            write!(f, "\n{}", indented(&TextTable::new(header, rows).to_terminal(None)))?;
             more(f, contents.transforms.len())?;
         }
         Ok(())

@@ -22,6 +22,7 @@ use super::coverage::{unmapped_start, untrained_states};
 use super::rehearsal::Rehearsal;
 use super::training::{ScanData, Surroundings, TrainedModel, train};
 use crate::LabError;
+use crate::inspect::{COVERED, least_covered};
 use locsim_core::Progress;
 use locsim_scenario::{
     self as scenario, Log, LogMap, ModelName, RayCast, Scenario, Simulation, SimulatorOptions, Source,
@@ -207,11 +208,9 @@ impl<'a> Laboratory<'a> {
         progress: &dyn Progress,
     ) -> Result<Self, LabError> {
         progress.stage("reading the log", 1);
-        let (drive, summary) = read_log(&log.file, &read_options(log))?;
+        let MeasuredLog { drive, summary, warning } = MeasuredLog::read(scenario, log)?;
         progress.advance(1);
         let refuse = |what: &str| LabError::Log { path: log.file.clone(), what: what.to_owned() };
-        // Before the map and its table, which take time.
-        check_drive(scenario, log, &drive, &summary)?;
         let map = log_map(log, &drive, progress)?;
         let maps = MapSet::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
         let training = &scenario.training;
@@ -268,6 +267,7 @@ impl<'a> Laboratory<'a> {
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
         let dropped = train_steps.len() - usable;
         let warnings = [
+            warning,
             (dropped > 0).then(|| {
                 format!(
                     "{dropped} of {} training scans were dropped: they have no reference pose in the map's free space.",
@@ -421,17 +421,46 @@ pub fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
         .collect()
 }
 
+/// The log of a scenario, which has all that the scenario wants of it.
+pub(super) struct MeasuredLog {
+    drive: Drive,
+    summary: LogSummary,
+    /// A defect of the split that a run survives, in words.
+    pub warning: Option<String>,
+}
+
+impl MeasuredLog {
+    /// Reads the log and checks it, before anything that takes time.
+    ///
+    /// # Errors
+    /// [`LabError::Dataset`] for a log that can't be read, and those of [`check_drive`].
+    pub fn read(scenario: &Scenario, log: &Log) -> Result<Self, LabError> {
+        let (drive, summary) = read_log(&log.file, &read_options(log))?;
+        check_drive(scenario, log, &drive, &summary)?;
+        let warning = uncovered(log, &drive);
+        Ok(Self { drive, summary, warning })
+    }
+}
+
+/// A sentence on localized scans that see what no scan of the map saw.
+fn uncovered(log: &Log, drive: &Drive) -> Option<String> {
+    let (LogMap::FromScans { scans, .. } | LogMap::Walls { scans }) = &log.map else { return None };
+    let covered = least_covered(drive, &log.localize_scans, scans)?;
+    (covered < COVERED).then(|| {
+        format!(
+            "In one stretch of `log.localize_scans` only {:.0} % of the readings end where scans of `log.map_scans` have \
+             readings, and filters get lost there. `locsim inspect` proposes another split.",
+            100.0 * covered
+        )
+    })
+}
+
 /// Whether a log has all that a scenario wants of it.
 ///
 /// # Errors
 /// [`LabError::Log`]: no scan to localize on, no reference poses where the map, the training or the start needs them, a
 /// simulated laser of another maximum range.
-pub(super) fn check_drive(
-    scenario: &Scenario,
-    log: &Log,
-    drive: &Drive,
-    summary: &LogSummary,
-) -> Result<(), LabError> {
+fn check_drive(scenario: &Scenario, log: &Log, drive: &Drive, summary: &LogSummary) -> Result<(), LabError> {
     let refuse = |what: String| Err(LabError::Log { path: log.file.clone(), what });
     let referenced = |steps: &[usize]| steps.iter().filter(|&&i| drive.steps[i].reference.is_some()).count();
     let map_scans = match &log.map {

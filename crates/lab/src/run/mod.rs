@@ -30,7 +30,7 @@ use crate::LabError;
 use detail::Detail;
 pub(crate) use filter::options as filter_options;
 pub use laboratory::read_options;
-use laboratory::{Laboratory, TrialDrive};
+use laboratory::{Laboratory, MeasuredLog, TrialDrive};
 pub(crate) use laboratory::{log_map, no_reference, selected};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store};
@@ -79,6 +79,17 @@ pub enum RunSummary {
     Referenced(Summary),
     /// Of estimates on a log without reference poses.
     Unreferenced(Unreferenced),
+}
+
+/// Finds what a run of a scenario would refuse before its first costly step: too little memory, a log that can't be read or
+/// lacks what the scenario wants of it. Returns what a run would warn of.
+///
+/// # Errors
+/// [`LabError`], as [`run`].
+pub fn check(scenario: &Scenario) -> Result<Vec<String>, LabError> {
+    CostEstimate::of(scenario, rayon::current_num_threads()).check(scenario)?;
+    let Source::Log(log) = &scenario.source else { return Ok(Vec::new()) };
+    Ok(MeasuredLog::read(scenario, log)?.warning.into_iter().collect())
 }
 
 /// Runs every trial of a scenario under every model and writes the results folder.
@@ -136,7 +147,7 @@ fn write_results(
     let detail = detailed_trial(&laboratory, scenario.record.trial, options.control.clock)?;
     let folder = store.folder();
     save_models(&laboratory, folder)?;
-    save_trajectories(&detail, folder)?;
+    save_trajectories(&detail, &trials[scenario.record.trial as usize], folder)?;
     let results = RunResults {
         scenario: scenario.name.clone(),
         description: scenario.description.clone(),
@@ -152,11 +163,9 @@ fn write_results(
         trials,
     };
     let mut warnings = laboratory.warnings.clone();
-    if matches!(scenario.source, Source::Log(_)) {
-        for warning in few_effective(&results) {
-            options.control.progress.warn(&warning);
-            warnings.push(warning);
-        }
+    for warning in report::warnings(&results) {
+        options.control.progress.warn(&warning);
+        warnings.push(warning);
     }
     let context = ReportContext {
         scenario_yaml: scenario.text.clone(),
@@ -167,28 +176,6 @@ fn write_results(
     };
     let summary = report::write(folder, &results, Some(&detail), &context)?;
     Ok((RunSummary::Referenced(summary), Some(detail)))
-}
-
-/// Below this share of effective particles a posterior is a handful of poses.
-const FEW_EFFECTIVE: f64 = 0.05;
-
-/// A sentence for each model of a measured log with few effective particles in most of its steps.
-fn few_effective(results: &RunResults) -> Vec<String> {
-    let sentence = |(i, model): (usize, &String)| {
-        let rows = results.trials.iter().flat_map(|trial| &trial.models[i].steps);
-        let is_few = |row: &StepRow| row.effective_sample_size < FEW_EFFECTIVE * f64::from(row.particles);
-        let (few, all) =
-            rows.fold((0_usize, 0_usize), |(few, all), row| (few + usize::from(is_few(row)), all + 1));
-        (2 * few > all).then(|| {
-            format!(
-                "Under {model}, fewer than {:.0} % of the particles were effective in {:.0} % of the steps: more particles or a \
-                 smaller exponent may give another result.",
-                100.0 * FEW_EFFECTIVE,
-                100.0 * few as f64 / all as f64
-            )
-        })
-    };
-    results.models.iter().enumerate().filter_map(sentence).collect()
 }
 
 fn run_trials(
@@ -276,7 +263,8 @@ fn detailed_trial(
         probes = Some(used);
     }
     let dead_reckoning = trial::dead_reckoning(&drive, drive.steps[0].reference.unwrap_or(Pose2::IDENTITY));
-    Ok(DetailedTrial { walls: laboratory.maps.walls(), blocks, dead_reckoning, models, drive })
+    let labels = laboratory.models.iter().map(|model| model.label.clone()).collect();
+    Ok(DetailedTrial { labels, walls: laboratory.maps.walls(), blocks, dead_reckoning, models, drive })
 }
 
 /// `models/LABEL.model`: what a scenario's `file` key takes.
@@ -291,8 +279,9 @@ fn save_models(laboratory: &Laboratory<'_>, folder: &Folder) -> Result<(), LabEr
     Ok(())
 }
 
-/// `trajectories/*.tum` of the recorded trial, as `evo` reads them.
-fn save_trajectories(detail: &DetailedTrial, folder: &Folder) -> Result<(), LabError> {
+/// `trajectories/*.tum` of the recorded trial, as `evo` reads them: the most likely trajectory of each recorded model, and the
+/// estimates of each model that the tables are of.
+fn save_trajectories(detail: &DetailedTrial, trial: &Trial, folder: &Folder) -> Result<(), LabError> {
     let path = |name: &str| folder.claim(&format!("trajectories/{name}.tum"));
     let stamped = |poses: &[Pose2]| -> Vec<StampedPose> {
         // A path that begins at a random particle lacks its first steps.
@@ -304,6 +293,11 @@ fn save_trajectories(detail: &DetailedTrial, folder: &Folder) -> Result<(), LabE
     write_tum(&path("odometry")?, &stamped(&detail.dead_reckoning))?;
     for model in &detail.models {
         write_tum(&path(&model.name)?, &stamped(&model.most_likely_trajectory))?;
+    }
+    for model in &trial.models {
+        let pose = |row: &StepRow| StampedPose { stamp_secs: row.stamp_secs, pose: row.estimate };
+        let estimates: Vec<StampedPose> = model.steps.iter().map(pose).collect();
+        write_tum(&path(&format!("{}-estimate", model.model))?, &estimates)?;
     }
     Ok(())
 }

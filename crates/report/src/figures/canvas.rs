@@ -40,7 +40,7 @@ pub const READING: RGBColor = RGBColor(0x7b, 0x3f, 0xb5);
 
 /// The colour of a model: fixed by its place among the models of the run, in every figure.
 pub fn model_color(models: &[String], name: &str) -> RGBColor {
-    let [red, green, blue] = palette::rgb(models.iter().position(|m| m == name).unwrap_or(models.len()));
+    let [red, green, blue] = palette::of_model(models, name);
     RGBColor(red, green, blue)
 }
 
@@ -93,6 +93,8 @@ pub enum Mark {
     Area(RGBColor),
 }
 
+/// Least room between two labels of an axis (px).
+const LABEL_GAP: f64 = 4.0;
 const LINE_HEIGHT: f64 = 22.0;
 const SWATCH: f64 = 22.0;
 
@@ -172,6 +174,8 @@ pub struct Axis {
     /// Values with a grid line, and what is written at them.
     ticks: Vec<(f64, String)>,
     logarithmic: bool,
+    /// Of rows with a name each.
+    is_list: bool,
 }
 
 impl Axis {
@@ -189,7 +193,7 @@ impl Axis {
             .filter(|tick| *tick >= lo - slack && *tick <= hi + slack)
             .map(|tick| (tick, format!("{tick:.decimals$}")))
             .collect();
-        Self { label: label.to_owned(), lo, hi, ticks, logarithmic: false }
+        Self { label: label.to_owned(), lo, hi, ticks, logarithmic: false, is_list: false }
     }
 
     /// From `lo` to `hi`, both positive, with ticks at powers of ten and the more multiples of them the shorter
@@ -209,14 +213,23 @@ impl Axis {
                 let decimals = (-decade).max(0) as usize;
                 (tick, if decade < -4 { format!("{tick:e}") } else { format!("{tick:.decimals$}") })
             })
-            .collect();
-        Self { label: label.to_owned(), lo, hi, ticks, logarithmic: true }
+            .collect::<Vec<_>>();
+        // Within less than an octave few of these lie; a step in metres then has more.
+        let ticks = if ticks.len() < 3 { Self::linear(label, lo, hi, 4.0).ticks } else { ticks };
+        Self { label: label.to_owned(), lo, hi, ticks, logarithmic: true, is_list: false }
     }
 
     /// Rows of a list, the first on top, at 0, -1, -2 and so on.
     pub fn rows(labels: &[String]) -> Self {
         let ticks = labels.iter().enumerate().map(|(i, label)| (-(i as f64), label.clone())).collect();
-        Self { label: String::new(), lo: 0.5 - labels.len() as f64, hi: 0.5, ticks, logarithmic: false }
+        Self {
+            label: String::new(),
+            lo: 0.5 - labels.len() as f64,
+            hi: 0.5,
+            ticks,
+            logarithmic: false,
+            is_list: true,
+        }
     }
 
     /// The same axis with its ticks but without their labels.
@@ -224,6 +237,26 @@ impl Axis {
     pub fn unlabelled(mut self) -> Self {
         self.label.clear();
         self.ticks.iter_mut().for_each(|(_, label)| label.clear());
+        self
+    }
+
+    /// The same axis without the labels that would touch the one before, where a label takes `extent` of `length` pixels.
+    fn without_collisions(mut self, length: f64, extent: impl Fn(&str) -> f64) -> Self {
+        let mut free_from = f64::NEG_INFINITY;
+        for i in 0..self.ticks.len() {
+            let (tick, label) = &mut self.ticks[i];
+            let share = if self.logarithmic {
+                (*tick / self.lo).ln() / (self.hi / self.lo).ln()
+            } else {
+                (*tick - self.lo) / (self.hi - self.lo)
+            };
+            let half = 0.5 * extent(label);
+            if share * length - half < free_from {
+                label.clear();
+            } else {
+                free_from = share * length + half + LABEL_GAP;
+            }
+        }
         self
     }
 
@@ -304,12 +337,19 @@ pub fn heading<'a>(area: &Area<'a>, title: &str, left: f64) -> Result<Area<'a>, 
 /// # Errors
 /// As [`figure`].
 pub fn chart<'a, 'b>(area: &'a Area<'b>, x: &Axis, y: &Axis, left: f64) -> Result<Chart<'a, 'b>, DrawError> {
+    let (width, height) = area.dim_in_pixel();
+    let [width, height] = [width, height].map(|pixels| f64::from(pixels) / f64::from(UNITS));
+    let (right, bottom) = (x.overhang(), x.height());
+    let x = x.clone().without_collisions(width - left - right, |label| text_width(label, LABEL));
+    // A list names each of its rows.
+    let y =
+        if y.is_list { y.clone() } else { y.clone().without_collisions(height - 8.0 - bottom, |_| LABEL) };
     let mut chart = ChartBuilder::on(area)
         .margin_top(px(8.0))
-        .margin_right(px(x.overhang()))
+        .margin_right(px(right))
         // The backend sets the axis title on the very edge of its area.
         .margin_left(px(EDGE))
-        .x_label_area_size(px(x.height()))
+        .x_label_area_size(px(bottom))
         .y_label_area_size(px(left - EDGE))
         .build_cartesian_2d(x.clone(), y.clone())?;
     chart
@@ -340,6 +380,19 @@ mod tests {
         );
         assert_eq!(labels(Axis::logarithmic("", 45.0, 220.0)), ["50", "60", "80", "100", "200"]);
         assert_eq!(labels(Axis::logarithmic("", 0.001, 100.0)), ["0.001", "0.01", "0.1", "1", "10", "100"]);
+    }
+
+    #[test]
+    fn labels_do_not_touch() {
+        let labels = |axis: Axis, length: f64| {
+            let axis = axis.without_collisions(length, |label| text_width(label, LABEL));
+            axis.ticks.into_iter().map(|tick| tick.1).filter(|label| !label.is_empty()).collect::<Vec<_>>()
+        };
+        let axis = || Axis::logarithmic("", 1.0, 7.0);
+        assert_eq!(labels(axis(), 400.0), ["1", "2", "3", "4", "5", "6"]);
+        assert_eq!(labels(axis(), 70.0), ["1", "2", "3", "5"]);
+        // Less than an octave.
+        assert_eq!(labels(Axis::logarithmic("", 0.0174, 0.0222), 400.0), ["0.018", "0.020", "0.022"]);
     }
 
     /// A label of the last tick is centred on the panel's right end.

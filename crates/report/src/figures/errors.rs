@@ -154,7 +154,7 @@ struct Estimate {
 
 /// A forest plot's panel: estimates by row, with a reference line.
 struct Forest {
-    title: &'static str,
+    title: String,
     rows: Vec<Vec<Estimate>>,
     reference: Option<f64>,
     unit: &'static str,
@@ -173,7 +173,7 @@ impl Forest {
         let y = Axis::rows(models);
         let y = if left.is_some() { y } else { y.unlabelled() };
         let left = left.unwrap_or(18.0);
-        area.draw(&Text::new(self.title.to_owned(), (px(left), px(6.0)), text(HEADING, INK)))?;
+        area.draw(&Text::new(self.title.clone(), (px(left), px(6.0)), text(HEADING, INK)))?;
         let (_, below) = area.split_vertically(px(24.0));
         let mut chart = chart(&below, &x, &y, left)?;
         if let Some(reference) = self.reference {
@@ -220,9 +220,13 @@ pub fn forest(summary: &Summary) -> Result<String, DrawError> {
         });
         [all].into_iter().chain(kept).collect()
     });
-    let mut panels =
-        vec![Forest { title: "position RMSE", rows: rmse.collect(), reference: None, unit: "RMSE [m]" }];
-    let ratio_panel = |title, pick: fn(&Ratios) -> Option<Ratio>| {
+    let mut panels = vec![Forest {
+        title: "position RMSE".to_owned(),
+        rows: rmse.collect(),
+        reference: None,
+        unit: "RMSE [m]",
+    }];
+    let ratio_panel = |title: String, pick: fn(&Ratios) -> Option<Ratio>| {
         let rows: Vec<Vec<Estimate>> = summary
             .ratios
             .values()
@@ -243,8 +247,8 @@ pub fn forest(summary: &Summary) -> Result<String, DrawError> {
             unit: "ratio",
         })
     };
-    panels.extend(ratio_panel("RMSE / classic", |r| r.rmse_vs_classic));
-    panels.extend(ratio_panel("RMSE / oracle", |r| r.rmse_vs_oracle));
+    panels.extend(ratio_panel(format!("RMSE / {}", summary.baseline()), Ratios::rmse));
+    panels.extend(ratio_panel("RMSE / oracle".to_owned(), |r| r.rmse_vs_oracle));
     let legend = [
         ("all trials, 95 % interval".to_owned(), Mark::Dot(INK)),
         ("without lost trials".to_owned(), Mark::Ring(INK)),

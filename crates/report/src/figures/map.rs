@@ -8,6 +8,7 @@ use super::canvas::{
     model_color, px, text,
 };
 use super::geometry::{Point, Window, join};
+use crate::palette;
 use crate::results::{DetailedModel, DetailedStep, DetailedTrial};
 use crate::statistics::quantile;
 
@@ -16,7 +17,10 @@ pub const LEFT: f64 = 74.0;
 /// Margins of [`chart`] at the right, at the top and below a labelled x axis (px).
 pub const MARGINS: (f64, f64, f64) = (18.0, 8.0, 46.0);
 /// Colour of dead reckoning.
-const DEAD_RECKONING: RGBColor = RGBColor(0x99, 0x99, 0x99);
+const DEAD_RECKONING: RGBColor = {
+    let [red, green, blue] = palette::DEAD_RECKONING;
+    RGBColor(red, green, blue)
+};
 /// Colour of the true path: drawn broad, under the others.
 const TRUTH: RGBColor = RGBColor(0xf2, 0xd6, 0x30);
 /// Most particles drawn of one filter.

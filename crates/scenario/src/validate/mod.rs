@@ -242,6 +242,11 @@ fn models(check: &mut Checker<'_>, raw: &[Form<ModelName, RawModel>], measured: 
         check.refuse(!is_plain_name(label), &join(&key, "label"), || {
             format!("`{}` is not allowed; up to {MOST_LETTERS} letters, digits, `-` and `_`", quoted(label))
         });
+        // Of files in `trajectories/`.
+        let is_taken = ["reference", "odometry"].contains(&label.as_str()) || label.ends_with("-estimate");
+        check.refuse(is_taken, &join(&key, "label"), || {
+            format!("`{}` is not allowed; a label other than `reference`, `odometry` and those that end in `-estimate`", quoted(label))
+        });
         check.refuse(models.iter().any(|other| other.label == *label), &key, || {
             format!(
                 "`{}` is not allowed; a model before it has this label, give one a `label` of its own",

@@ -1,10 +1,11 @@
 //! The report: Markdown from a template, and the same Markdown as a page that needs nothing else.
 
-use locsim_core::limits::is_hidden;
+mod body;
+
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
-use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html as to_html};
+use pulldown_cmark::html as to_html;
 use serde::Serialize;
 
 use super::figures::Figure;
@@ -14,8 +15,8 @@ use super::{ReportContext, ReportError};
 use crate::results::RunResults;
 use crate::summary::{CLASSIC, Kept, ORACLE, Summary};
 
-const MARKDOWN: &str = include_str!("templates/report.md.j2");
-const PAGE: &str = include_str!("templates/page.html.j2");
+const MARKDOWN: &str = include_str!("../templates/report.md.j2");
+const PAGE: &str = include_str!("../templates/page.html.j2");
 
 /// A figure as the template names it.
 #[derive(Serialize)]
@@ -66,7 +67,7 @@ pub(crate) fn markdown(
         estimate => text::escape(&results.estimate),
         errors_table => errors,
         others_table => others,
-        has_classic => has(CLASSIC),
+        first => (!has(CLASSIC) && results.models.len() > 1).then(|| text::code(summary.baseline())),
         has_oracle => has(ORACLE),
         comparisons => findings::comparisons(summary),
         paper_table => with_paper.then(|| paper_table(summary).to_markdown()),
@@ -121,13 +122,14 @@ fn kept_table(summary: &Summary) -> TextTable {
 
 /// Ratios over the trials that neither model lost.
 fn kept_ratios(summary: &Summary) -> TextTable {
+    let [std, rmse] = ["std", "RMSE"].map(|figure| format!("{figure} / {}", summary.baseline()));
     TextTable::new(
-        ["model", "std / classic", "RMSE / classic", "RMSE / oracle"],
+        ["model", &std, &rmse, "RMSE / oracle"],
         summary.ratios_kept.iter().map(|(name, ratios)| {
             [
                 name.to_owned(),
-                text::ratio(ratios.position_std_vs_classic),
-                text::ratio(ratios.rmse_vs_classic),
+                text::ratio(ratios.position_std()),
+                text::ratio(ratios.rmse()),
                 text::ratio(ratios.rmse_vs_oracle),
             ]
         }),
@@ -154,60 +156,16 @@ pub fn fence(texts: &[&str]) -> String {
 }
 
 /// The Markdown as one self-contained page: figures inline, no script, no links, nothing loaded from elsewhere. HTML in the
-/// Markdown is shown as text, and so are hidden characters.
+/// Markdown is shown as text, but for a fold's (`<details>`), and so are hidden characters.
 ///
 /// # Errors
 /// [`ReportError::Template`].
 pub fn html(title: &str, markdown: &str, figures: &[Figure]) -> Result<String, ReportError> {
     let mut body = String::new();
-    to_html::push_html(&mut body, page_events(markdown, figures).into_iter());
+    to_html::push_html(&mut body, body::events(markdown, figures).into_iter());
     let mut environment = Environment::new();
     environment.add_template("page.html", PAGE)?;
     Ok(environment.get_template("page.html")?.render(context! { title => text::visible(title), body })?)
-}
-
-/// The Markdown's events with figures in place of images, tables that scroll by themselves, no links and no raw HTML. Ours
-/// has no links, so one that is there comes from outside.
-fn page_events<'a>(markdown: &'a str, figures: &'a [Figure]) -> Vec<Event<'a>> {
-    let mut events = Vec::new();
-    let mut in_image = false;
-    for event in Parser::new_ext(markdown, Options::ENABLE_TABLES) {
-        match event {
-            Event::Start(Tag::Image { dest_url, .. }) => {
-                in_image = true;
-                let figure = figures.iter().find(|f| *dest_url == *f.path());
-                events.extend(figure.map(|f| Event::InlineHtml(CowStr::from(inline(f)))));
-            }
-            Event::End(TagEnd::Image) => in_image = false,
-            _ if in_image => {}
-            Event::Start(Tag::Link { .. }) | Event::End(TagEnd::Link) => {}
-            Event::Html(text) | Event::InlineHtml(text) | Event::Text(text) => {
-                events.push(Event::Text(shown(text)));
-            }
-            Event::Code(code) => events.push(Event::Code(shown(code))),
-            Event::Start(Tag::Table(alignments)) => {
-                events.push(Event::Html("<div class=\"wide\">".into()));
-                events.push(Event::Start(Tag::Table(alignments)));
-            }
-            Event::End(TagEnd::Table) => {
-                events.push(Event::End(TagEnd::Table));
-                events.push(Event::Html("</div>\n".into()));
-            }
-            other => events.push(other),
-        }
-    }
-    events
-}
-
-/// Text on a page.
-fn shown(text: CowStr<'_>) -> CowStr<'_> {
-    if text.contains(is_hidden) { text::visible(&text).into() } else { text }
-}
-
-/// A figure as inline SVG, named for screen readers, in a box that scrolls on a narrow screen.
-fn inline(figure: &Figure) -> String {
-    let label = format!("<svg role=\"img\" aria-label=\"{}\" ", figure.name.replace('_', " "));
-    format!("<span class=\"wide\">{}</span>", figure.svg.trim_end().replacen("<svg ", &label, 1))
 }
 
 #[cfg(test)]
@@ -218,6 +176,29 @@ mod tests {
     fn a_fence_is_longer_than_what_it_holds() {
         assert_eq!(fence(&["plain"]), "```");
         assert_eq!(fence(&["a ```` b", "`"]), "`````");
+    }
+
+    #[test]
+    fn a_fold_is_the_only_html() {
+        let fold = "<details>\n<summary>2 of <b>them</b></summary>\n\n| a |\n| :-- |\n| x |\n\n</details>\n";
+        let page = html("t", fold, &[]).unwrap();
+        let start = "<details>\n<summary>2 of &lt;b&gt;them&lt;/b&gt;</summary>\n";
+        assert!(page.contains(start) && page.contains("</details>\n"), "{page}");
+        for other in ["<details open>", "<details onclick=\"x\">", "<div>", "</div>", "<summary>"] {
+            let page = html("t", &format!("{other}\n"), &[]).unwrap();
+            let shown = other.replace('<', "&lt;").replace('>', "&gt;");
+            assert!(page.contains(&shown) && !page.contains(&format!("\n{other}")), "{page}");
+        }
+    }
+
+    #[test]
+    fn a_cell_knows_its_column() {
+        let header = ["model", "a \"b\" <c> & d"];
+        let table = TextTable::new(header, [["classic".to_owned(), "0.1 [0.0, 0.2]".to_owned()]]);
+        let page = html("t", &table.to_markdown(), &[]).unwrap();
+        assert!(page.contains("<td data-column=\"model\">classic</td>"), "{page}");
+        let cell = "<td data-column=\"a &quot;b&quot; &lt;c> &amp; d\" style=\"text-align: right\">0.1 [0.0, 0.2]</td>";
+        assert!(page.contains(cell), "{page}");
     }
 
     #[test]

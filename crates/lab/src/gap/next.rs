@@ -1,0 +1,133 @@
+//! What to do next, in three lines that follow from the verdict.
+
+use locsim_gap::{Named, Outcome, Region, Verdict};
+
+use super::answer::{change_in_words, others, p_value, region_text};
+use super::{covariate, unnamed};
+
+/// Typical effects that an underpowered log names at the most.
+const SHOWN_BLIND: usize = 3;
+
+/// Three steps, the most urgent first.
+pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
+    match outcome.verdict {
+        Verdict::None => [
+            "Keep the scenario: this log shows no difference from its simulations.".to_owned(),
+            "Read the detectable strengths below: a weaker effect would not have been found.".to_owned(),
+            "Repeat the search on a log from other surroundings before you rely on the simulator there.".to_owned(),
+        ],
+        Verdict::Named => [remedy(&outcome.effects), use_in_filter(outcome), CONFIRM.to_owned()],
+        Verdict::Ambiguous => [
+            undecided(&outcome.effects),
+            experiment(&outcome.effects),
+            "Use `scenario.yaml` until then: its effect fits this log as well as its rivals do.".to_owned(),
+        ],
+        Verdict::PartlyExplained => [
+            remedy(&outcome.effects),
+            look_at(outcome.regions.iter().filter(|region| region.remains)),
+            "Check the map and the reference poses there first: their errors look like effects of the laser.".to_owned(),
+        ],
+        Verdict::Unnamed => [
+            outcome.unnamed.first().map_or_else(
+                || "Look for a dependence that the library lacks.".to_owned(),
+                |found| {
+                    format!(
+                        "Look on the robot for a {} that depends on {}: {}.",
+                        unnamed::noun(found),
+                        covariate::noun(found.covariate),
+                        unnamed::extent(found)
+                    )
+                },
+            ),
+            "Repeat the search on another log of this robot: a property of the sensor comes back, one of the place \
+             does not."
+                .to_owned(),
+            "Do not rely on the simulator where this matters: `gap.json` (`unnamed`) has the curve with its band."
+                .to_owned(),
+        ],
+        Verdict::Unexplained => [
+            look_at(outcome.regions.iter()),
+            "Check the map, the reference poses and the scenario's laser: maximum range, mount, noise.".to_owned(),
+            "Record a longer log, or search in more of it (`--scans`, `--beams`).".to_owned(),
+        ],
+        Verdict::Underpowered => [
+            format!(
+                "Do not take this for agreement (p = {}): the log is too short or too uniform.",
+                p_value(outcome.detection.p)
+            ),
+            record_more(outcome),
+            "Search in more of the log if it has more scans or beams than were looked at (`--scans`, `--beams`)."
+                .to_owned(),
+        ],
+    }
+}
+
+const CONFIRM: &str =
+    "Confirm it on another log: `locsim gap scenario.yaml --log OTHER --out FOLDER` should name nothing.";
+
+/// Effects of mount, odometry, stamps or drift are corrected on the robot. A sensor model has to learn the others.
+fn remedy(effects: &[Named]) -> String {
+    let names = |correctable: bool| {
+        let of_kind = effects.iter().filter(|named| named.name.description().is_correctable == correctable);
+        let names: Vec<&str> = of_kind.map(|named| named.name.name()).collect();
+        (!names.is_empty()).then(|| names.join(" and "))
+    };
+    match (names(true), names(false)) {
+        (Some(corrected), None) => format!("Correct {corrected} on the robot; `scenario.yaml` simulates it."),
+        (Some(corrected), Some(learnt)) => format!(
+            "Correct {corrected} on the robot, and train sensor models with {learnt}: `scenario.yaml` has both."
+        ),
+        (None, Some(learnt)) => format!("Train sensor models with {learnt}: `scenario.yaml` has it."),
+        (None, None) => "Add nothing to the scenario yet: no effect explains the log.".to_owned(),
+    }
+}
+
+fn use_in_filter(outcome: &Outcome) -> String {
+    let Some(filter) = &outcome.filter else {
+        return "Measure what a particle filter gains: repeat the search without `--no-filter`.".to_owned();
+    };
+    let change = change_in_words(&filter.change_m);
+    if filter.change_m.interval.hi < 0.0 {
+        format!("Use it in the filter: its position error on this log changes by {change}.")
+    } else if filter.change_m.interval.lo > 0.0 {
+        format!("Do not use it in the filter yet: its position error on this log changes by {change}.")
+    } else {
+        format!("Expect the same accuracy of the filter: {change}.")
+    }
+}
+
+fn undecided(effects: &[Named]) -> String {
+    let rivals = effects.iter().find(|named| others(named).next().is_some());
+    rivals.map_or_else(
+        || "Do not decide yet: several effects fit this log.".to_owned(),
+        |named| {
+            let rivals: Vec<_> = others(named).collect();
+            format!("Do not decide yet: the log fits {} or {}.", named.name, rivals.join(" or "))
+        },
+    )
+}
+
+fn experiment(effects: &[Named]) -> String {
+    let split = effects.iter().find_map(|named| named.split_by);
+    split.map_or_else(
+        || "Record another log, with other motions and in other surroundings.".to_owned(),
+        |split| format!("Record another log: {split}."),
+    )
+}
+
+/// The region that is farthest off.
+fn look_at<'a>(regions: impl Iterator<Item = &'a Region>) -> String {
+    regions.max_by(|a, b| a.z.abs().total_cmp(&b.z.abs())).map_or_else(
+        || "Record a longer log: something is off as a whole, but in no single region for sure.".to_owned(),
+        |region| format!("Look where the log is farthest off: {}.", region_text(region)),
+    )
+}
+
+fn record_more(outcome: &Outcome) -> String {
+    let blind: Vec<&str> =
+        outcome.detectable.iter().filter(|d| d.value > d.typical).map(|d| d.name.name()).collect();
+    let more = blind.len().saturating_sub(SHOWN_BLIND);
+    let names = blind[..blind.len() - more].join(", ");
+    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("Record more scans on a path with more variety, to see {names}{rest} of a typical strength.")
+}
