@@ -143,7 +143,7 @@ fn use_map(path: &Path) -> Outcome {
 fn cast(map: &dyn RangeMap, poses: &Particles) {
     const MAX_RANGE_M: f32 = 8.0;
     let mut hits = Hits::default();
-    map.cast(poses.view(), &[-3.0, -1.5, 0.0, 0.7, 1.5], MAX_RANGE_M, &mut hits);
+    map.cast(poses.as_poses(), &[-3.0, -1.5, 0.0, 0.7, 1.5], MAX_RANGE_M, &mut hits);
     assert!(hits.range.iter().all(|range| (0.0..=MAX_RANGE_M).contains(range)), "{:?}", hits.range);
 }
 
@@ -248,7 +248,7 @@ fn use_model(model: &dyn SensorModel, max_range: f32) {
         incidence: vec![0.0, 0.1, 0.5, 1.0, 0.0, 1.57, 0.8, 0.3, 1.2, 0.0],
         surface: vec![0; 10],
     };
-    let beams = hits.beams(poses.view(), &bearings, max_range);
+    let beams = hits.beams(poses.as_poses(), &bearings, max_range);
     let mut out = vec![0.0; beams.len()];
     let mut below = vec![0.0; beams.len()];
     for z in [0.0, 1e-6, 0.1, 0.3, 0.5, 0.9, 0.999_999, 1.0].map(share) {

@@ -81,8 +81,8 @@ impl Particles {
         }
     }
 
-    /// A borrowed view of all poses.
-    pub fn view(&self) -> Poses<'_> {
+    /// All poses, borrowed.
+    pub fn as_poses(&self) -> Poses<'_> {
         Poses { x: &self.x, y: &self.y, theta: &self.theta }
     }
 }

@@ -3,7 +3,7 @@ use locsim_core::{Drive, Laser, Pose2, Track, wrap_angle};
 
 use crate::GapError;
 
-/// Fewer scans say nothing.
+/// Two folds of 20 scans, the least that an effect can be fitted to and scored on apart.
 const LEAST_SCANS: usize = 40;
 
 /// The part of a measured log that is held against the simulation: scans with reference poses, in order.

@@ -12,7 +12,7 @@ use crate::statistics::{Cell, Covariate, Dictionary, WALL_CELL_M, pit_draw};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
-/// False discovery rate of regions.
+/// False discovery rate of regions: on average, at most one of ten regions is there by chance.
 const DISCOVERY_RATE: f64 = 0.1;
 /// A region has to be off on the other half of the log too, with this p-value.
 const OTHER_HALF: f64 = 0.05;

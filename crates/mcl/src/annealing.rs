@@ -49,7 +49,7 @@ const SCALES: [f64; 3] = [1.0, 0.3, 2.0];
 const LARGEST_MOVE: f64 = 0.3;
 /// Smallest step of the power, so that a set without information about the scan makes headway.
 const LEAST_STEP: f64 = 1e-5;
-/// Halvings in search of a power.
+/// Halvings in search of a power: 2^-30 is far below [`LEAST_STEP`].
 const HALVINGS: usize = 30;
 
 /// Anneals scans; its buffers live on between steps.
@@ -190,7 +190,7 @@ impl Annealer {
         let step = Spread { sigma_m: largest(sigma_m), sigma_rad: largest(sigma_rad) };
         step.add_to(&mut self.moved, &draw);
         self.moved_log_likelihood.resize(particles.len(), 0.0);
-        score(self.moved.view(), &mut self.moved_log_likelihood);
+        score(self.moved.as_poses(), &mut self.moved_log_likelihood);
         let decide = Draw::new(draw.seed(u32::MAX), Stage::Annealing, self.round);
         let (moved, there) = (&self.moved, &self.moved_log_likelihood);
         let Particles { x, y, theta } = particles;

@@ -254,7 +254,7 @@ impl Filter {
         );
         self.log_likelihood.resize(self.particles.len(), 0.0);
         self.weigher.log_likelihoods(
-            self.particles.view(),
+            self.particles.as_poses(),
             laser,
             scan,
             map,

@@ -94,5 +94,5 @@ fn laser_poses<'a>(base: Poses<'a>, mount: Pose2, room: &'a mut Particles) -> Po
     for i in 0..base.len() {
         room.set(i, base.get(i).compose(&mount));
     }
-    room.view()
+    room.as_poses()
 }

@@ -78,7 +78,7 @@ impl Scorer {
         self.hits.incidence.fill(state.incidence);
         self.hits.surface.fill(state.surface);
         self.out.resize(k, 0.0);
-        f(&self.z, &self.hits.beams(laser.view(), &self.bearings, data.max_range()), &mut self.out);
+        f(&self.z, &self.hits.beams(laser.as_poses(), &self.bearings, data.max_range()), &mut self.out);
     }
 
     /// Sum of -ln p over the readings of state `i`.

@@ -12,7 +12,7 @@ use crate::mixture::{check_sigma, check_weights};
 use crate::normal;
 use crate::{ModelKind, SensorError, TrainingSet};
 
-/// Steps of the quadrature along a beam.
+/// Steps of the quadrature along a beam: of 1.5 cm at a maximum range of 30 m, a third of a cell of the distances.
 const STEPS: usize = 2048;
 
 /// Most rounds of expectation maximization.

@@ -511,7 +511,7 @@ mod tests {
         let hits = Hits { range: vec![nominal], incidence: vec![0.0], surface: vec![surface] };
         let laser: Particles = std::iter::once(Pose2::new(1.0, 0.0, 0.0)).collect();
         let mut out = [0.0];
-        model.log_density(&[z], &hits.beams(laser.view(), &[0.0], MAX_RANGE), &mut out);
+        model.log_density(&[z], &hits.beams(laser.as_poses(), &[0.0], MAX_RANGE), &mut out);
         out[0]
     }
 

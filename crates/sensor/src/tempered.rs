@@ -197,7 +197,7 @@ fn log_posteriors(model: &dyn SensorModel, scan: &CalibrationScan, grid: &Temper
     let mut density = vec![0.0f32; scan.hits.len()];
     model.log_density(
         &scan.z,
-        &scan.hits.beams(scan.laser.view(), &scan.bearings, scan.max_range),
+        &scan.hits.beams(scan.laser.as_poses(), &scan.bearings, scan.max_range),
         &mut density,
     );
     for l in &mut density {

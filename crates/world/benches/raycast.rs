@@ -45,7 +45,7 @@ fn cast(bencher: Bencher<'_, '_>, map: &dyn RangeMap, poses: &Particles) {
     let mut hits = Hits::default();
     bencher
         .counter(ItemsCount::new(poses.len() * bearings.len()))
-        .bench_local(|| map.cast(poses.view(), &bearings, MAX_RANGE_M, &mut hits));
+        .bench_local(|| map.cast(poses.as_poses(), &bearings, MAX_RANGE_M, &mut hits));
 }
 
 fn exact() -> ExactRangeMap {

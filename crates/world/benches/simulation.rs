@@ -109,5 +109,5 @@ fn observe_many(bencher: Bencher<'_, '_>, beams: u32) {
     let pool = one_thread();
     bencher
         .counter(ItemsCount::new(20 * 100 * beams))
-        .bench_local(|| pool.install(|| simulator.observe_many(poses.view(), 100, 1)));
+        .bench_local(|| pool.install(|| simulator.observe_many(poses.as_poses(), 100, 1)));
 }

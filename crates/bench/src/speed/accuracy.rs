@@ -72,7 +72,7 @@ fn ranges(workload: &Workload, exact: &dyn RangeMap, table: &dyn RangeMap) -> Di
         workload.particles.iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
     let [exact, table] = [exact, table].map(|map| {
         let mut hits = Hits::default();
-        map.cast(poses.view(), laser.bearings(), laser.cast_range(), &mut hits);
+        map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
         hits.range
     });
     let seen = |range: f32| f64::from(range.min(laser.max_range()));

@@ -103,7 +103,7 @@ pub fn raycast(clock: Clock<'_>, workload: &Workload, map: &dyn RangeMap) -> Tim
     let mut hits = Hits::default();
     time(clock, n * laser.beam_count(), || {
         for start in (0..n).step_by(CAST_POSES) {
-            let poses = poses.view().slice(start, (start + CAST_POSES).min(n));
+            let poses = poses.as_poses().slice(start, (start + CAST_POSES).min(n));
             map.cast(poses, laser.bearings(), laser.cast_range(), &mut hits);
             black_box(&hits);
         }

@@ -128,7 +128,7 @@ fn seen_from(
             .map_err(|error| BenchError::Laser(error.to_string()))?;
     let pose: Particles = [truth.compose(&laser.base_from_laser())].into_iter().collect();
     let mut hits = Hits::default();
-    exact.cast(pose.view(), laser.bearings(), laser.max_range(), &mut hits);
+    exact.cast(pose.as_poses(), laser.bearings(), laser.max_range(), &mut hits);
     let draw = Draw::new(1, Stage::Initial, 0);
     let (sigma_m, sigma_rad) = workload.spread;
     let around = |i: usize| {

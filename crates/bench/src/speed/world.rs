@@ -103,7 +103,7 @@ pub fn train_models(
     let simulator = Simulator::new(Arc::clone(&maps.exact), Some(blocks), laser, Effects::none())?;
     let poses = free_poses(maps, world.poses, world.seed);
     progress.stage("simulating training scans", 1);
-    let mut readings = simulator.observe_many(poses.view(), world.observations, world.seed);
+    let mut readings = simulator.observe_many(poses.as_poses(), world.observations, world.seed);
     spoil(&mut readings, world, workload.laser.max_range());
     progress.advance(1);
     let laser = simulator.laser().laser();

@@ -8,7 +8,7 @@ use crate::hypothesis::{Comparison, Fitted};
 use crate::odometry::{Increment, increments, standardized};
 use crate::statistics::{FOLD_SCANS, fold_count};
 
-/// Lags that are tried: to both sides, so many steps of this \[s\].
+/// Lags that are tried: to both sides up to half a second, in steps of this \[s\]: 1 cm at 1 m/s, the noise of a laser.
 const STEPS: i32 = 50;
 const STEP_SECS: f64 = 0.01;
 

@@ -18,7 +18,7 @@ use crate::replay::Replay;
 use crate::views::Views;
 use crate::{GapError, Purpose, Recorded};
 
-/// Simulated logs.
+/// Simulated logs. The standard deviation over 24 has an error of 15 %, and makes an interval 5 % wider than a known one would.
 const LOGS: u32 = 24;
 /// An interval that is wider than the fit's own by more than this factor isn't used: the information is nearly singular.
 const MOST_WIDENED: f64 = 5.0;

@@ -153,7 +153,7 @@ fn split_by(set: &[EffectKind]) -> Option<&'static str> {
     let tells = |experiment: &Experiment| {
         set.iter().filter(|kind| kind.description().experiments.contains(experiment)).count() >= 2
     };
-    Some(Experiment::ALL.into_iter().find(tells).unwrap_or(Experiment::OtherViews).sentence())
+    Some(Experiment::ALL.into_iter().find(tells).unwrap_or(Experiment::OtherViewpoints).sentence())
 }
 
 pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) -> Vec<Rival> {

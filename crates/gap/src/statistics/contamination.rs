@@ -1,9 +1,10 @@
 //! Scores of contaminations: readings that follow another density with a small probability.
 
-/// About as many events of a kind can just be told from chance.
+/// About as many events of a kind can just be told from chance. At the share that gives them the score is near the best test, and
+/// bounded; at a share of 0 it is a ratio of densities, which can be 10,000 for a single reading.
 const EVENTS: f64 = 15.0;
 
-/// The largest share of a contamination at which its score is taken.
+/// The largest share of a contamination at which its score is taken: that of fewer than 50 beams.
 const MOST: f64 = 0.3;
 
 /// The share at which a contamination of `beams` beams can just be told from chance. Its score is taken there.

@@ -169,7 +169,7 @@ impl GapStudy {
         let poses: Particles =
             track.poses().iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
         let mut hits = Hits::default();
-        self.map.cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
+        self.map.cast(poses.as_poses(), laser.bearings(), laser.max_range(), &mut hits);
         let beams = laser.beam_count();
         let end = |(i, &range): (usize, &f32)| {
             let pose = poses.get(i / beams);

@@ -28,7 +28,7 @@ fn state(range: f32, incidence: f32, max_range: f32) -> State {
 fn states(map: &dyn RangeMap, laser: &Laser, poses: impl Iterator<Item = Pose2>) -> Vec<State> {
     let poses: Particles = poses.map(|pose| pose.compose(&laser.base_from_laser())).collect();
     let mut hits = Hits::default();
-    map.cast(poses.view(), laser.bearings(), laser.cast_range(), &mut hits);
+    map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
     let hits = hits.range.iter().zip(&hits.incidence);
     hits.map(|(&range, &incidence)| state(range, incidence, laser.max_range())).collect()
 }

@@ -94,7 +94,7 @@ impl<'a> Detail<'a> {
         let laser_pose: Particles = std::iter::once(probe.pose.compose(&laser.base_from_laser())).collect();
         let mut nominal = Hits::default();
         let bearing = &laser.bearings()[probe.beam..=probe.beam];
-        self.map.cast(laser_pose.view(), bearing, laser.cast_range(), &mut nominal);
+        self.map.cast(laser_pose.as_poses(), bearing, laser.cast_range(), &mut nominal);
 
         // One pose whose beams all point the same way: a density over z in one call.
         let mut z: Vec<f32> = (0..PROBE_POINTS)
@@ -108,7 +108,7 @@ impl<'a> Detail<'a> {
             surface: vec![nominal.surface[0]; z.len()],
         };
         let mut density = vec![0.0; z.len()];
-        model.log_density(&z, &hits.beams(laser_pose.view(), &bearings, max_range), &mut density);
+        model.log_density(&z, &hits.beams(laser_pose.as_poses(), &bearings, max_range), &mut density);
         for l in &mut density {
             *l = l.exp();
         }
@@ -151,6 +151,6 @@ fn cast_scan<'a>(
     laser_pose: &'a Particles,
     hits: &'a mut Hits,
 ) -> Beams<'a> {
-    map.cast(laser_pose.view(), laser.bearings(), laser.cast_range(), hits);
-    hits.beams(laser_pose.view(), laser.bearings(), laser.max_range())
+    map.cast(laser_pose.as_poses(), laser.bearings(), laser.cast_range(), hits);
+    hits.beams(laser_pose.as_poses(), laser.bearings(), laser.max_range())
 }

@@ -165,7 +165,7 @@ impl<'a> Laboratory<'a> {
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let poses = free_poses(&maps, training.poses, seed);
         progress.stage("simulating training scans", 1);
-        let readings = world.simulator.observe_many(poses.view(), training.observations, seed);
+        let readings = world.simulator.observe_many(poses.as_poses(), training.observations, seed);
         progress.advance(1);
         let laser = world.simulator.laser().laser();
         let beams = training.beams.map_or(laser.beam_count(), |beams| beams as usize);
@@ -538,7 +538,7 @@ fn simulated_scans(
         .map_err(refused(scenario))?;
     let poses = free_poses(maps, training.poses, seed);
     progress.stage("simulating training scans", 1);
-    let readings = simulator.observe_many(poses.view(), training.observations, seed);
+    let readings = simulator.observe_many(poses.as_poses(), training.observations, seed);
     progress.advance(1);
     let laser = simulator.laser().laser();
     let beams = training.beams.map_or(drive.laser.beam_count(), |beams| beams as usize);

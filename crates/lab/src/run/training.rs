@@ -215,7 +215,7 @@ fn training_set(data: &ScanData, map: &dyn RangeMap) -> Result<TrainingSet, Sens
     let laser = &data.laser;
     let poses: Particles = data.poses.iter().map(|pose| pose.compose(&laser.base_from_laser())).collect();
     let mut hits = Hits::default();
-    map.cast(poses.view(), laser.bearings(), laser.cast_range(), &mut hits);
+    map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
     let mut set = TrainingSet::new(laser.max_range())?;
     let beams = laser.beam_count();
     let mut readings = Vec::new();
@@ -281,7 +281,7 @@ fn calibration_scans(
                 .map(|pose| pose.compose(&laser.base_from_laser()))
                 .collect();
             let mut hits = Hits::default();
-            map.cast(poses.view(), laser.bearings(), laser.cast_range(), &mut hits);
+            map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
             CalibrationScan {
                 z: kept.iter().map(|&beam| data.scans[pose][scan][beam]).collect(),
                 laser: poses,

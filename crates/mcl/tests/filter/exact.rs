@@ -106,8 +106,8 @@ impl Histogram {
     fn correct(&mut self, laser: &Laser, scan: &Scan) -> f64 {
         let centres: Particles = (0..self.mass.len()).map(centre).collect();
         let mut hits = Hits::default();
-        ROOM.cast(centres.view(), laser.bearings(), laser.max_range(), &mut hits);
-        let beams = hits.beams(centres.view(), laser.bearings(), laser.max_range());
+        ROOM.cast(centres.as_poses(), laser.bearings(), laser.max_range(), &mut hits);
+        let beams = hits.beams(centres.as_poses(), laser.bearings(), laser.max_range());
         let mut log_likelihood = vec![0.0; self.mass.len()];
         MODEL.log_likelihood(&scan.ranges, &beams, &mut Vec::new(), &mut log_likelihood);
         for (mass, l) in self.mass.iter_mut().zip(log_likelihood) {

@@ -23,9 +23,9 @@ fn laser(beams: usize) -> Laser {
 fn scan(room: &Room, laser: &Laser, model: &Gaussian, base: Pose2, step: u32) -> Scan {
     let pose: Particles = [base.compose(&laser.base_from_laser())].into_iter().collect();
     let mut hits = Hits::default();
-    room.cast(pose.view(), laser.bearings(), laser.max_range(), &mut hits);
+    room.cast(pose.as_poses(), laser.bearings(), laser.max_range(), &mut hits);
     let mut ranges = vec![0.0; laser.beam_count()];
-    let beams = hits.beams(pose.view(), laser.bearings(), laser.max_range());
+    let beams = hits.beams(pose.as_poses(), laser.bearings(), laser.max_range());
     model.sample(&beams, &Draw::new(99, Stage::Laser, step), &mut ranges);
     Scan { ranges }
 }

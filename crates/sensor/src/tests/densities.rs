@@ -37,7 +37,7 @@ impl OneBeam {
     }
 
     fn beams(&self) -> Beams<'_> {
-        self.hits.beams(self.laser.view(), &self.bearings, MAX_RANGE)
+        self.hits.beams(self.laser.as_poses(), &self.bearings, MAX_RANGE)
     }
 }
 
@@ -221,7 +221,7 @@ fn a_batch_equals_its_beams_one_by_one() {
         (hits.range[i], hits.incidence[i]) = (*range, *incidence);
     }
     let z = [0.9f32, 2.0, 4.3];
-    let beams = hits.beams(laser.view(), &bearings, MAX_RANGE);
+    let beams = hits.beams(laser.as_poses(), &bearings, MAX_RANGE);
     let mut models = normalized_models();
     models.extend([ModelKind::LikelihoodField, ModelKind::NpRegField].map(model));
     for model in models {
@@ -235,7 +235,7 @@ fn a_batch_equals_its_beams_one_by_one() {
             };
             let (pose, bearing) = (i / 3, i % 3);
             let one =
-                alone.beams(laser.view().slice(pose, pose + 1), &bearings[bearing..=bearing], MAX_RANGE);
+                alone.beams(laser.as_poses().slice(pose, pose + 1), &bearings[bearing..=bearing], MAX_RANGE);
             let mut out = [0.0];
             model.log_density(&z[bearing..=bearing], &one, &mut out);
             assert_eq!(out[0].to_bits(), batched.to_bits(), "{} beam {i}", model.name());

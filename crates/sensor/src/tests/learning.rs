@@ -141,7 +141,7 @@ fn the_registered_peak_is_not_blurred() {
     hits.incidence.fill(0.3);
     let bearings = vec![0.0; z.len()];
     let laser = Particles::zeros(1);
-    let beams = hits.beams(laser.view(), &bearings, MAX_RANGE);
+    let beams = hits.beams(laser.as_poses(), &bearings, MAX_RANGE);
     let width = |kind| {
         let mut out = vec![0.0; z.len()];
         model(kind).log_density(&z, &beams, &mut out);

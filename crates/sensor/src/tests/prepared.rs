@@ -34,7 +34,7 @@ fn both(kind: ModelKind, states_and_readings: &[(f32, f32, f32)]) -> Vec<(f64, f
         z.push(reading);
     }
     let mut exact = vec![0.0; n];
-    model.log_density(&z, &hits.beams(laser.view(), &vec![0.0; n], MAX_RANGE), &mut exact);
+    model.log_density(&z, &hits.beams(laser.as_poses(), &vec![0.0; n], MAX_RANGE), &mut exact);
     let tabled = states_and_readings.iter().map(|&(r, a, z)| table.log_density(z, r, a.cos()));
     exact.into_iter().map(f64::from).zip(tabled.map(f64::from)).collect()
 }
@@ -91,10 +91,10 @@ fn the_likelihood_field_is_a_table_over_the_plane() {
     let mut scan = EndpointScan::default();
     scan.prepare(&bearings, &z, table);
     let mut tabled = vec![0.0; poses.len()];
-    table.log_likelihood(poses.view(), &scan, &mut tabled);
+    table.log_likelihood(poses.as_poses(), &scan, &mut tabled);
     let (mut hits, mut exact) = (Hits::default(), vec![0.0; poses.len()]);
     hits.resize(poses.len() * bearings.len());
-    let beams = hits.beams(poses.view(), &bearings, MAX_RANGE);
+    let beams = hits.beams(poses.as_poses(), &bearings, MAX_RANGE);
     model.log_likelihood(&z, &beams, &mut Vec::new(), &mut exact);
     for (exact, tabled) in exact.iter().zip(&tabled) {
         // The score's slope is below 60 nats per metre, and a cell's corner 7 mm from its centre.

@@ -87,7 +87,7 @@ fn tempering_is_its_formula() {
     let tempered = Tempered::new(model(ModelKind::NpRegRegistered), floor, exponent).unwrap();
     assert_eq!(tempered.name(), "np_reg_registered");
     let scan = &scans(1, 0.3)[0];
-    let beams = scan.hits.beams(scan.laser.view(), &scan.bearings, MAX_RANGE);
+    let beams = scan.hits.beams(scan.laser.as_poses(), &scan.bearings, MAX_RANGE);
     let mut z = scan.z.clone();
     (z[0], z[1]) = (MAX_RANGE, f32::NAN);
     let (mut plain, mut out) = (vec![0.0f32; beams.len()], vec![0.0f32; beams.len()]);

@@ -154,7 +154,7 @@ pub enum Experiment {
     /// A turn on the spot.
     Turn,
     /// The same places again.
-    OtherViews,
+    OtherViewpoints,
 }
 
 impl Experiment {
@@ -166,7 +166,7 @@ impl Experiment {
         Self::WarmedUp,
         Self::RangeAndIncidence,
         Self::Turn,
-        Self::OtherViews,
+        Self::OtherViewpoints,
     ];
 
     /// An experiment, and the result that tells the effect from its rivals.
@@ -183,7 +183,7 @@ impl Experiment {
             Self::WarmedUp => "go on after the sensor has warmed up: a drift dies away, a bias stays",
             Self::RangeAndIncidence => "see walls at right angles from far away, and slanted ones from near",
             Self::Turn => "turn the robot on the spot: what is on the robot turns along",
-            Self::OtherViews => "see the same places again from other sides and distances",
+            Self::OtherViewpoints => "see the same places again from other sides and distances",
         }
     }
 }

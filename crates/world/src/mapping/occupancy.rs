@@ -38,9 +38,9 @@ impl Default for MappingOptions {
     }
 }
 
-/// A cell that is more probably occupied than this is [`Cell::Occupied`].
+/// A cell that is more probably occupied than this is [`Cell::Occupied`]: the default of ROS's `map_server`.
 const OCCUPIED_ABOVE: f64 = 0.65;
-/// A cell that is less probably occupied than this is [`Cell::Free`].
+/// A cell that is less probably occupied than this is [`Cell::Free`]: as far from 0.5 as [`OCCUPIED_ABOVE`].
 const FREE_BELOW: f64 = 0.35;
 
 /// Makes a map from the scans of some steps of a drive, each taken from its reference pose. Steps without a

@@ -7,8 +7,8 @@ use wide::f32x4;
 /// Two walls and the corner that divides the rays between them, shared by all cells and bins that see the same.
 ///
 /// A ray that passes clockwise of the corner meets the first wall, any other the second. That is exact for the corner
-/// between two walls as for a wall's end in front of another wall, wherever the ray comes from. Where one wall fills
-/// the view, both are that wall.
+/// between two walls as for a wall's end in front of another wall, wherever the ray comes from. Where one wall is
+/// all that is seen, both are that wall.
 ///
 /// A wall is its line, the points q with normal . q = offset; no wall at all is a line without normal, which makes
 /// every range infinite.
@@ -33,12 +33,12 @@ pub(super) struct SightKey {
 }
 
 impl SightKey {
-    /// One wall, or nothing, fills the view.
+    /// One wall, or nothing, is all that is seen.
     pub const fn single(wall: u32) -> Self {
         Self { walls: [wall, wall], corner: 0 }
     }
 
-    /// The corner \[m\]; any point where one wall fills the view.
+    /// The corner \[m\]; any point where one wall is all that is seen.
     pub fn corner(&self, segments: &[[DVec2; 2]]) -> DVec2 {
         let wall = self.walls[(self.corner >> 1) as usize];
         segments.get(wall as usize).map_or(DVec2::ZERO, |ends| ends[(self.corner & 1) as usize])

@@ -103,7 +103,7 @@ fn effects_are_the_same_on_any_number_of_threads() {
     let run = |threads| {
         on_threads(threads, || {
             let drive = simulate_drive(&simulator, &robot(), 7).unwrap();
-            let many = simulator.observe_many(poses.view(), 3, 1);
+            let many = simulator.observe_many(poses.as_poses(), 3, 1);
             (scan_bits(&drive), odometry_bits(&drive), many.into_iter().map(f32::to_bits).collect::<Vec<_>>())
         })
     };

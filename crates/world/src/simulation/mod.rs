@@ -12,6 +12,7 @@
 mod affected;
 mod block_integral;
 mod blocks;
+mod cast_scan;
 mod caster;
 mod drive;
 mod error;
@@ -26,7 +27,6 @@ mod odometry;
 mod path;
 mod rectangle;
 mod survival;
-mod view;
 
 pub use block_integral::BlockIntegral;
 pub use blocks::{Block, BlockModel};

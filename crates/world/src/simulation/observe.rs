@@ -4,7 +4,7 @@ use locsim_core::{Draw, Pose2, Poses, Scan, Stage, Track};
 use rayon::prelude::*;
 
 use super::blocks::Placement;
-use super::view::View;
+use super::cast_scan::CastScan;
 use super::{BeamCaster, BlockModel, BlockOptions, LaserOptions, LaserSimulator, SimulationError};
 use crate::effect::{Effects, HitKind, Met, ReadingDistribution, burst, burst_window};
 use crate::raycast::ExactRangeMap;
@@ -23,7 +23,7 @@ pub struct Simulator {
 /// Buffers that are kept between scans.
 #[derive(Default)]
 pub(super) struct Scratch {
-    view: View,
+    cast: CastScan,
     /// The blocks of the last scan.
     pub blocks: Vec<Placement>,
     ranges: Vec<f64>,
@@ -86,7 +86,7 @@ impl Simulator {
     pub fn observe(&self, pose: &Pose2, seed: u64, observation: u32) -> Vec<f32> {
         let mut out = vec![0.0; self.laser.laser().beam_count()];
         let mut scratch = Scratch::default();
-        scratch.view.update(&self.caster(), 0.0, |_| *pose);
+        scratch.cast.update(&self.caster(), 0.0, |_| *pose);
         self.observe_into(pose, seed, observation, &mut scratch, &mut out);
         out
     }
@@ -109,7 +109,7 @@ impl Simulator {
             |scratch, (i, out)| {
                 let pose = poses.get(i);
                 let seed = draw.seed(i as u32);
-                scratch.view.update(&self.caster(), 0.0, |_| pose);
+                scratch.cast.update(&self.caster(), 0.0, |_| pose);
                 for (observation, out) in out.chunks_mut(beams).enumerate() {
                     self.observe_into(&pose, seed, observation as u32, scratch, out);
                 }
@@ -118,7 +118,7 @@ impl Simulator {
         out
     }
 
-    /// The readings of a robot at `pose`, from where `scratch` has the view.
+    /// The readings of a robot at `pose`, from where `scratch` has cast the beams.
     fn observe_into(
         &self,
         pose: &Pose2,
@@ -127,12 +127,12 @@ impl Simulator {
         scratch: &mut Scratch,
         out: &mut [f32],
     ) {
-        let Scratch { view, blocks, ranges } = scratch;
+        let Scratch { cast, blocks, ranges } = scratch;
         if let Some(model) = &self.blocks {
             model.place_blocks(&Draw::new(seed, Stage::Blocks, observation), 0.0, pose.position(), blocks);
         }
-        view.ranges_among(blocks, &self.mounted, ranges);
-        self.read(view, ranges, seed, observation, |_| observation, out);
+        cast.ranges_among(blocks, &self.mounted, ranges);
+        self.read(cast, ranges, seed, observation, |_| observation, out);
     }
 
     /// The scan number `step` of a drive, which a robot takes from `stamp_secs` on: each beam from where robot and
@@ -145,15 +145,15 @@ impl Simulator {
         map_from_base_at: impl Fn(f64) -> Pose2,
         scratch: &mut Scratch,
     ) -> Scan {
-        let Scratch { view, blocks, ranges } = scratch;
+        let Scratch { cast, blocks, ranges } = scratch;
         if let Some(model) = &self.blocks {
             let robot = map_from_base_at(stamp_secs).position();
             model.place_blocks(&model.draw(seed, step), stamp_secs, robot, blocks);
         }
-        view.update(&self.caster(), stamp_secs, map_from_base_at);
-        view.ranges_among(blocks, &self.mounted, ranges);
+        cast.update(&self.caster(), stamp_secs, map_from_base_at);
+        cast.ranges_among(blocks, &self.mounted, ranges);
         let mut scan = Scan { ranges: vec![0.0; ranges.len()] };
-        self.read(view, ranges, seed, step, burst_window, &mut scan.ranges);
+        self.read(cast, ranges, seed, step, burst_window, &mut scan.ranges);
         scan
     }
 
@@ -161,7 +161,7 @@ impl Simulator {
     /// `window` tells in which window of bursts a time \[s\] lies.
     fn read(
         &self,
-        view: &View,
+        scan: &CastScan,
         ranges: &[f64],
         seed: u64,
         step: u32,
@@ -178,7 +178,7 @@ impl Simulator {
         }
         let chance = Draw::new(seed, Stage::Effect, step);
         for (beam, (reading, &range)) in out.iter_mut().zip(ranges).enumerate() {
-            let cast = &view.beams[beam];
+            let cast = &scan.beams[beam];
             let is_blocked = range < cast.range;
             let met = if is_blocked { HitKind::Object } else { HitKind::Wall };
             let is_mapped = cast.is_mapped() && !is_blocked;
@@ -257,8 +257,8 @@ mod tests {
             let simulator = Simulator::new(room_map(), blocks, laser_options(), Effects::none()).unwrap();
             let mut hits = Hits::default();
             let laser = simulator.laser().laser();
-            simulator.map().cast(poses.view(), laser.bearings(), laser.max_range(), &mut hits);
-            for (reading, range) in simulator.observe_many(poses.view(), 1, 1).iter().zip(&hits.range) {
+            simulator.map().cast(poses.as_poses(), laser.bearings(), laser.max_range(), &mut hits);
+            for (reading, range) in simulator.observe_many(poses.as_poses(), 1, 1).iter().zip(&hits.range) {
                 assert!((reading - range).abs() < 1e-5);
             }
         }
@@ -267,24 +267,24 @@ mod tests {
     #[test]
     fn many_observations_are_single_ones_in_order_and_new_ones_leave_the_old() {
         let (simulator, poses) = (simulator(noisy_laser()), some_poses());
-        let many = simulator.observe_many(poses.view(), 5, 9);
+        let many = simulator.observe_many(poses.as_poses(), 5, 9);
         assert_eq!(many.len(), 7 * 5 * 36);
         let draw = Draw::new(9, Stage::Training, 3);
         for (i, scan) in many.chunks(36).enumerate() {
             let single = simulator.observe(&poses.get(i / 5), draw.seed((i / 5) as u32), (i % 5) as u32);
             assert_eq!(bits(scan), bits(&single));
         }
-        let fewer = simulator.observe_many(poses.view().slice(0, 3), 2, 9);
+        let fewer = simulator.observe_many(poses.as_poses().slice(0, 3), 2, 9);
         for (few, many) in fewer.chunks(2 * 36).zip(many.chunks(5 * 36)) {
             assert_eq!(bits(few), bits(&many[..2 * 36]));
         }
-        assert!(simulator.observe_many(poses.view(), 0, 9).is_empty());
+        assert!(simulator.observe_many(poses.as_poses(), 0, 9).is_empty());
     }
 
     #[test]
     fn observations_are_the_same_on_any_number_of_threads() {
         let (simulator, poses) = (simulator(noisy_laser()), some_poses());
-        let run = |threads| on_threads(threads, || bits(&simulator.observe_many(poses.view(), 20, 9)));
+        let run = |threads| on_threads(threads, || bits(&simulator.observe_many(poses.as_poses(), 20, 9)));
         let one = run(1);
         assert_eq!(one, run(2));
         assert_eq!(one, run(8));

@@ -307,7 +307,7 @@ mod tests {
         let poses =
             viewpoints().map(|point| Pose2::new(point.x, point.y, 0.0)).collect::<locsim_core::Particles>();
         let per_pose = 20_000;
-        let all = simulator.observe_many(poses.view(), per_pose, 3);
+        let all = simulator.observe_many(poses.as_poses(), per_pose, 3);
         let readings: Vec<Vec<f32>> = all.chunks(per_pose as usize * 8).map(<[f32]>::to_vec).collect();
         let worst = |blocks| worst_deviation(&table(blocks, &options()), &readings);
 

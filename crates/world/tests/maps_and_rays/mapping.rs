@@ -26,7 +26,7 @@ fn drive() -> Drive {
             let pose = Pose2::new(2.5 + 1.2 * angle.cos(), 2.0 + 1.2 * angle.sin(), 3.0 * angle);
             let mut hits = Hits::default();
             let eye: Particles = std::iter::once(pose.compose(&base_from_laser)).collect();
-            map.cast(eye.view(), laser.bearings(), MAX_RANGE_M, &mut hits);
+            map.cast(eye.as_poses(), laser.bearings(), MAX_RANGE_M, &mut hits);
             DriveStep {
                 stamp_secs: f64::from(i),
                 odometry: Pose2::IDENTITY,

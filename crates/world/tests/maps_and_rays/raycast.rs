@@ -135,7 +135,7 @@ fn a_surface_at_exactly_the_maximum_range_is_no_return() {
     let mut hits = Hits::default();
     for (max_range, expected) in [(3.5, (3.0, 0.0, 1)), (3.0, (3.0, 0.0, NO_SURFACE))] {
         for map in [&map as &dyn RangeMap, &table(&map, 0.5)] {
-            map.cast(laser.view(), &[0.0], max_range, &mut hits);
+            map.cast(laser.as_poses(), &[0.0], max_range, &mut hits);
             assert_eq!((hits.range[0], hits.incidence[0], hits.surface[0]), expected);
         }
     }
@@ -201,7 +201,7 @@ fn batches_are_single_casts_in_pose_major_order() {
     // More rays than are cast on one thread, more beams than are prepared at once.
     let (poses, bearings, max_range) = (random_poses(70, map.bounds()), bearings(130), 4.5);
     let mut hits = Hits::default();
-    map.cast(poses.view(), &bearings, max_range, &mut hits);
+    map.cast(poses.as_poses(), &bearings, max_range, &mut hits);
     assert_eq!(hits.len(), 70 * 130);
     for (i, pose) in poses.iter().enumerate() {
         for (j, &bearing) in bearings.iter().enumerate() {
@@ -211,7 +211,7 @@ fn batches_are_single_casts_in_pose_major_order() {
             assert!((hits.range[i * 130 + j] - expected).abs() < 1e-5);
         }
     }
-    map.cast(poses.view(), &[], max_range, &mut hits);
+    map.cast(poses.as_poses(), &[], max_range, &mut hits);
     assert!(hits.is_empty());
 }
 
@@ -230,8 +230,8 @@ fn table_ranges_are_exact_but_for_slivers() {
         let table = table(&exact, 0.1);
         let (poses, bearings) = (random_poses(2000, exact.bounds()), bearings(60));
         let (mut expected, mut hits) = (Hits::default(), Hits::default());
-        exact.cast(poses.view(), &bearings, 30.0, &mut expected);
-        table.cast(poses.view(), &bearings, 30.0, &mut hits);
+        exact.cast(poses.as_poses(), &bearings, 30.0, &mut expected);
+        table.cast(poses.as_poses(), &bearings, 30.0, &mut hits);
         let (mut wrong, mut sum, mut count) = (0, 0.0, 0);
         let is_free = |pose: Pose2| exact.is_free(pose.x, pose.y);
         for i in (0..hits.len()).filter(|i| is_free(poses.get(i / bearings.len()))) {
@@ -270,8 +270,8 @@ fn a_scan_is_scored_as_its_casts_say() {
     let mut scan = PreparedScan::default();
     scan.prepare(&bearings, &z, &likelihood);
     let (mut hits, mut fused) = (Hits::default(), vec![0.0; poses.len()]);
-    table.log_likelihood(poses.view(), &scan, &likelihood, &mut hits, &mut fused);
-    table.cast(poses.view(), &bearings, 6.75, &mut hits);
+    table.log_likelihood(poses.as_poses(), &scan, &likelihood, &mut hits, &mut fused);
+    table.cast(poses.as_poses(), &bearings, 6.75, &mut hits);
     let mut differing = 0;
     for (i, fused) in fused.iter().enumerate() {
         let by_beam: f64 = (0..23)
@@ -296,7 +296,7 @@ fn the_table_does_not_depend_on_the_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let mut hits = Hits::default();
         pool.install(|| {
-            table(&exact, 0.2).cast(poses.view(), &bearings(60), 30.0, &mut hits);
+            table(&exact, 0.2).cast(poses.as_poses(), &bearings(60), 30.0, &mut hits);
         });
         hits
     };
@@ -331,8 +331,8 @@ fn a_table_that_does_not_fit_gets_larger_cells() {
     assert!(table.bytes() < 2000);
     let (poses, bearings) = (random_poses(20, exact.bounds()), bearings(30));
     let (mut expected, mut hits) = (Hits::default(), Hits::default());
-    exact.cast(poses.view(), &bearings, 30.0, &mut expected);
-    table.cast(poses.view(), &bearings, 30.0, &mut hits);
+    exact.cast(poses.as_poses(), &bearings, 30.0, &mut expected);
+    table.cast(poses.as_poses(), &bearings, 30.0, &mut hits);
     assert!(
         hits.range.iter().zip(&expected.range).all(|(a, b)| (a - b).abs() < 1e-5),
         "without a table, casts are exact"
@@ -347,7 +347,7 @@ fn a_cached_table_is_the_built_one_or_is_built_anew() {
     let cached = |options: &RangeTableOptions| {
         let table = RangeTable::cached(&exact, options, Some(folder.path()), &|_| ()).unwrap();
         let (poses, mut hits) = (random_poses(100, exact.bounds()), Hits::default());
-        table.cast(poses.view(), &bearings(60), 30.0, &mut hits);
+        table.cast(poses.as_poses(), &bearings(60), 30.0, &mut hits);
         hits
     };
     let files = || {
@@ -387,7 +387,7 @@ fn a_cached_table_of_absurd_content_is_built_anew() {
     let cached = || {
         let table = RangeTable::cached(&exact, &options, Some(folder.path()), &|_| ()).unwrap();
         let (poses, mut hits) = (random_poses(100, exact.bounds()), Hits::default());
-        table.cast(poses.view(), &bearings(60), 30.0, &mut hits);
+        table.cast(poses.as_poses(), &bearings(60), 30.0, &mut hits);
         hits
     };
     let built = cached();
@@ -444,7 +444,7 @@ fn a_map_without_walls_returns_nothing() {
     assert_eq!(exact.cast_ray(DVec2::splat(0.5), DVec2::X, f64::INFINITY), None);
     let table = table(&exact, 0.5);
     let mut hits = Hits::default();
-    table.cast(random_poses(3, [0.0, 0.0, 2.0, 1.0]).view(), &bearings(4), 5.0, &mut hits);
+    table.cast(random_poses(3, [0.0, 0.0, 2.0, 1.0]).as_poses(), &bearings(4), 5.0, &mut hits);
     assert!(hits.range.iter().all(|&range| range == 5.0));
     assert_eq!(DistanceGrid::new(exact.geometry(), 0.1, 1.0).unwrap().distance(1.0, 0.5), 1.0);
 }

@@ -26,7 +26,7 @@ fn drive<'a>(scans: impl IntoIterator<Item = (Pose2, &'a Geometry)>) -> Drive {
         .map(|((pose, world), step)| {
             let mut hits = Hits::default();
             let eye: Particles = std::iter::once(pose).collect();
-            ExactRangeMap::new(world.clone()).cast(eye.view(), laser.bearings(), MAX_RANGE_M, &mut hits);
+            ExactRangeMap::new(world.clone()).cast(eye.as_poses(), laser.bearings(), MAX_RANGE_M, &mut hits);
             let mut rng = Draw::new(3, Stage::Laser, step).item(0);
             for range in hits.range.iter_mut().filter(|range| **range < MAX_RANGE_M) {
                 *range += noise.sample(&mut rng) as f32;

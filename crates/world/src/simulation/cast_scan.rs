@@ -10,7 +10,7 @@ use super::{BeamCaster, CastBeam, LaserSimulator, Ray};
 /// A block is looked for by those beams alone whose bearing may meet it: a circle holds the block, another one
 /// all places of the laser during the sweep, and the tangents between them bound the bearings.
 #[derive(Default)]
-pub(super) struct View {
+pub(super) struct CastScan {
     /// When the sweep begins \[s\].
     start_secs: f64,
     /// `map_from_laser` then.
@@ -29,8 +29,8 @@ pub(super) struct View {
     nominal: Vec<f64>,
 }
 
-impl View {
-    /// The view of a laser whose robot is at `map_from_base_at(secs)`, for a scan that starts at `start_secs`.
+impl CastScan {
+    /// Casts the beams of a laser whose robot is at `map_from_base_at(secs)`, for a scan that starts at `start_secs`.
     pub fn update(
         &mut self,
         caster: &BeamCaster<'_>,
