@@ -290,7 +290,7 @@ mod tests {
         };
         assert!(drawn(None).contains("0.0016 ± 0.0170   0.0214 [0.0192, 0.0238]"), "{}", drawn(None));
         assert_eq!(drawn(None), drawn(Some(60)));
-        let [value, interval] = ["0.0016             0.0214", "± 0.0170   [0.0192, 0.0238]"];
+        let [value, interval] = ["0.0016            0.0214", "± 0.0170  [0.0192, 0.0238]"];
         assert!(drawn(Some(40)).contains(value) && drawn(Some(40)).contains(interval), "{}", drawn(Some(40)));
         assert!(drawn(Some(30)).contains("[0.0192,\n"), "{}", drawn(Some(30)));
         assert!(drawn(Some(20)).ends_with("left out: RMSE [m]"), "{}", drawn(Some(20)));
