@@ -17,6 +17,7 @@ use std::time::{Duration, Instant};
 use clap::{Args, Parser, Subcommand};
 use locsim_fuzz::{TARGETS, Target, mutate, target};
 use peak_alloc::PeakAlloc;
+use sysinfo::{Pid, Process, ProcessRefreshKind, ProcessesToUpdate, System};
 
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
@@ -24,6 +25,9 @@ static MEMORY: PeakAlloc = PeakAlloc;
 /// The system gives a worker this much address space \[KiB\], so that an input that wants everything ends the worker
 /// and not the machine.
 const ADDRESS_SPACE_KIB: u32 = 6 << 20;
+
+/// An input may take this many times its processor time by the clock.
+const PATIENCE: u32 = 10;
 
 /// How many inputs are kept that fail in the same way.
 const KEPT_ALIKE: usize = 3;
@@ -121,7 +125,7 @@ struct Most {
     /// Memory that an input may take [bytes]
     #[arg(long, default_value_t = 1_000_000_000)]
     most_bytes: usize,
-    /// Time that an input may take [s]
+    /// Processor time that an input may take [s]; by the clock it may take ten times as long
     #[arg(long, default_value_t = 10.0)]
     most_seconds: f64,
 }
@@ -161,6 +165,14 @@ fn now() -> Instant {
     Instant::now()
 }
 
+/// Processor time of this process so far.
+fn processor_time(system: &mut System) -> Duration {
+    let own = Pid::from_u32(std::process::id());
+    let what = ProcessRefreshKind::nothing().with_cpu();
+    system.refresh_processes_specifics(ProcessesToUpdate::Some(&[own]), false, what);
+    Duration::from_millis(system.process(own).map_or(0, Process::accumulated_cpu_time))
+}
+
 fn folder(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
@@ -192,15 +204,24 @@ impl Watch {
         watch
     }
 
+    /// A machine with other work takes longer by the clock, so the bound is on processor time. An input that waits for
+    /// something uses none.
     fn look(&self) {
+        let mut system = System::new();
+        let mut input = (0, Duration::ZERO);
         loop {
             thread::sleep(Duration::from_millis(20));
             let began = self.began.load(Ordering::Relaxed);
-            let waited = now() - self.start;
-            if began > 0
-                && waited.saturating_sub(Duration::from_millis(began)).as_secs_f64() > self.most.most_seconds
-            {
-                Self::fail(&format!("more than {} s", self.most.most_seconds));
+            let worked = processor_time(&mut system);
+            if began != input.0 {
+                input = (began, worked);
+            }
+            if began > 0 {
+                let waited = (now() - self.start).saturating_sub(Duration::from_millis(began));
+                let time = worked.saturating_sub(input.1).max(waited / PATIENCE);
+                if time.as_secs_f64() > self.most.most_seconds {
+                    Self::fail(&format!("more than {} s", self.most.most_seconds));
+                }
             }
             self.check_memory();
         }
