@@ -9,7 +9,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Each crate of the workspace and the crates of the workspace that it uses, which stand above it.
-const LAYERS: [(&str, &[&str]); 15] = [
+const LAYERS: [(&str, &[&str]); 16] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
@@ -33,6 +33,7 @@ const LAYERS: [(&str, &[&str]); 15] = [
             "locsim-world",
         ],
     ),
+    ("locsim-sweep", &["locsim-core", "locsim-lab", "locsim-report", "locsim-scenario"]),
     ("locsim-terminal", &["locsim-core", "locsim-report"]),
     (
         "locsim",
@@ -43,6 +44,7 @@ const LAYERS: [(&str, &[&str]); 15] = [
             "locsim-report",
             "locsim-scenario",
             "locsim-study",
+            "locsim-sweep",
             "locsim-terminal",
         ],
     ),

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use locsim_scenario::catalogue;
+use locsim_sweep::Shard;
 use locsim_terminal::{LimitOptions, OutputOptions, Threads, whole};
 
 /// A laboratory for particle-filter localization with range sensors.
@@ -28,9 +29,13 @@ pub enum Command {
     Run(Run),
     /// Run studies of distribution regression (the paper's sensor experiments): figures, report, results.json
     Study(Study),
-    /// Check scenarios and studies without running them
+    /// Run a scenario with every combination of other values at some of its keys, here or in shards on a cluster
+    Sweep(Sweep),
+    /// Merge the shards of a sweep into the results that one machine would have written
+    Merge(Merge),
+    /// Check scenarios, studies and sweeps without running them
     Validate {
-        /// Scenario and study files
+        /// Scenario, study and sweep files
         #[arg(required = true)]
         scenarios: Vec<PathBuf>,
     },
@@ -39,6 +44,9 @@ pub enum Command {
         /// Of study files instead
         #[arg(long)]
         study: bool,
+        /// Of sweep files instead
+        #[arg(long, conflicts_with = "study")]
+        sweep: bool,
     },
     /// List the effects: named ways in which a simulated world can differ from the nominal one; or tell all about one
     Effects {
@@ -162,6 +170,94 @@ pub struct Study {
     pub resume: bool,
     /// Replace earlier results of locsim, and what an interrupted study has kept; nothing else is ever touched
     #[arg(long, conflicts_with = "resume")]
+    pub force: bool,
+    #[command(flatten)]
+    pub output: OutputOptions,
+}
+
+/// `locsim sweep`.
+#[derive(Debug, Args)]
+pub struct Sweep {
+    /// The sweep's file
+    pub sweep: PathBuf,
+    /// Results folder; shards get folders in it [default: results/ and the name of the sweep]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// Print the number of cells, time and memory, and run nothing
+    #[arg(long, conflicts_with_all = ["shard", "engine", "json"])]
+    pub dry_run: bool,
+    /// Run more than 10000 cells
+    #[arg(long)]
+    pub yes: bool,
+    /// Trials of each cell, instead of the sweep's
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    pub trials: Option<u32>,
+    /// Seed, instead of the sweep's
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    pub seed: Option<u64>,
+    /// Run one of N equal shares of the cells, from 1/N to N/N; `locsim merge` puts them together
+    /// [default: a Slurm array's task]
+    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
+    pub shard: Option<Shard>,
+    /// Number of shards; which one is this is the engine's task number (`SLURM_ARRAY_TASK_ID`, `HQ_TASK_ID`, `PARALLEL_SEQ`)
+    #[arg(long, value_name = "N", conflicts_with_all = ["shard", "dry_run"], allow_negative_numbers = true, value_parser = whole::<u32>)]
+    pub shards: Option<u32>,
+    #[command(flatten)]
+    pub batch: Batch,
+    #[command(flatten)]
+    pub threads: Threads,
+    #[command(flatten)]
+    pub earlier: Earlier,
+    /// Where range tables are kept between cells [default: `LOCSIM_CACHE`, or `locsim` in the user's cache folder]
+    #[arg(long, value_name = "FOLDER")]
+    pub cache: Option<PathBuf>,
+    #[command(flatten)]
+    pub output: OutputOptions,
+}
+
+/// Scripts of a batch engine.
+#[derive(Debug, Args)]
+pub struct Batch {
+    /// Write the scripts that run --shards shards on a batch engine
+    #[arg(long, value_enum, requires = "shards")]
+    pub engine: Option<EngineName>,
+    /// Submit them as well
+    #[arg(long, requires = "engine")]
+    pub submit: bool,
+}
+
+/// What becomes of earlier results.
+#[derive(Debug, Args)]
+pub struct Earlier {
+    /// Go on with an interrupted sweep; a shard always does
+    #[arg(long)]
+    pub resume: bool,
+    /// Replace earlier results of locsim, and what an interrupted sweep has kept; nothing else is ever touched
+    #[arg(long, conflicts_with = "resume")]
+    pub force: bool,
+}
+
+/// Batch engines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum EngineName {
+    /// Slurm: an array job
+    Slurm,
+    /// `HyperQueue`: a task array
+    Hyperqueue,
+    /// GNU parallel, on this machine
+    Parallel,
+}
+
+/// `locsim merge`.
+#[derive(Debug, Args)]
+pub struct Merge {
+    /// The folder with the shards
+    pub shards: PathBuf,
+    /// Results folder [default: `merged` in the folder with the shards]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// Replace earlier results of locsim; nothing else is ever touched
+    #[arg(long)]
     pub force: bool,
     #[command(flatten)]
     pub output: OutputOptions,

@@ -2,6 +2,7 @@
 
 mod arguments;
 mod recording;
+mod sweep;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -37,8 +38,10 @@ fn obey(command: &Command) -> Result<ExitCode, Failure> {
     Ok(match command {
         Command::Run(arguments) => run(arguments)?,
         Command::Study(arguments) => run_studies(arguments)?,
+        Command::Sweep(arguments) => sweep::run(arguments)?,
+        Command::Merge(arguments) => sweep::merge(arguments)?,
         Command::Validate { scenarios } => validate(scenarios)?,
-        Command::Schema { study } => print_schema(*study)?,
+        Command::Schema { study, sweep } => print_schema(*study, *sweep)?,
         Command::Effects { name } => effects(name.as_deref())?,
         Command::Simulate(arguments) => simulate(arguments)?,
         Command::Gap(arguments) => gap(arguments)?,
@@ -212,11 +215,14 @@ fn validate(files: &[PathBuf]) -> anyhow::Result<ExitCode> {
     Ok(if refused { ExitCode::from(BAD_INPUT) } else { ExitCode::SUCCESS })
 }
 
-/// Checks a scenario or a study, and describes its content. A scenario's log and map are read.
+/// Checks a scenario, a study or a sweep, and describes its content. A scenario's log and map are read.
 fn validate_one(path: &Path) -> anyhow::Result<String> {
     Ok(if study::is_study(path)? {
         let study = study::Study::load(path, StudyOverrides::default())?;
         format!("study, {} models, {} repeats", study.models().len(), study.repeats())
+    } else if locsim_sweep::is_sweep(path)? {
+        let sweep = locsim_sweep::Sweep::load(path, locsim_sweep::SweepOverrides::default())?;
+        format!("sweep, {}", sweep.estimate(rayon::current_num_threads())?)
     } else {
         let scenario = Scenario::load(path, &Overrides::default())?;
         for warning in run::check(&scenario)? {
@@ -228,8 +234,12 @@ fn validate_one(path: &Path) -> anyhow::Result<String> {
     })
 }
 
-fn print_schema(study: bool) -> anyhow::Result<ExitCode> {
-    let schema = if study { study::schema() } else { scenario::schema() };
+fn print_schema(study: bool, sweep: bool) -> anyhow::Result<ExitCode> {
+    let schema = match (study, sweep) {
+        (true, _) => study::schema(),
+        (_, true) => locsim_sweep::schema(),
+        _ => scenario::schema(),
+    };
     say(&serde_json::to_string_pretty(&schema)?)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -35,6 +35,8 @@ pub enum Stage {
     Annealing = 14,
     /// The random parts of effects, the ways in which a world differs from the nominal one.
     Effect = 15,
+    /// Seeds of cells, derived from a sweep's seed.
+    Sweep = 16,
 }
 
 /// Number of items that [`Draw::normals`] serves at once.

@@ -11,6 +11,8 @@ pub mod store;
 pub mod summary;
 mod tables;
 pub mod text;
+mod trial_row;
+pub mod trial_set;
 
 use thiserror::Error;
 
@@ -22,6 +24,7 @@ use figures::{Figure, Rasterizer};
 pub use findings::warnings;
 pub use text::TextTable;
 pub use text::terminal_table;
+pub use trial_row::TrialRow;
 
 /// Content of a report beside the results.
 #[derive(Clone, Debug, Default)]

@@ -7,7 +7,7 @@
 
 use locsim_core::{Draw, Interval, Stage};
 use rayon::prelude::*;
-use statrs::distribution::{Beta, ContinuousCDF};
+use statrs::distribution::{Beta, ContinuousCDF, StudentsT};
 
 /// Number of bootstrap resamples behind each interval.
 pub const REPLICATES: u32 = 2000;
@@ -39,6 +39,19 @@ impl Moments {
     /// Mean; NaN of an empty sample.
     pub fn mean(&self) -> f64 {
         self.sum / self.count
+    }
+
+    /// Number of values.
+    pub fn count(&self) -> f64 {
+        self.count
+    }
+
+    /// The 95 % interval of the mean by Student's t; `None` for fewer than two values.
+    pub fn mean_interval(&self) -> Option<Interval> {
+        let freedom = self.count - 1.0;
+        let t = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - TAIL);
+        let half = t * (self.variance() / freedom).sqrt();
+        half.is_finite().then(|| Interval { lo: self.mean() - half, hi: self.mean() + half })
     }
 
     /// Mean of the squares; NaN of an empty sample.
@@ -279,6 +292,18 @@ mod tests {
         let some = share_interval(3, 200);
         assert!((some.lo - 0.003_102).abs() < 1e-5 && (some.hi - 0.043_208).abs() < 1e-4, "{some:?}");
         assert_eq!(share_interval(5, 5).hi, 1.0);
+    }
+
+    /// Reference values: R's `t.test(c(1, 2, 4, 9))$conf.int`.
+    #[test]
+    fn a_mean_has_student_s_interval() {
+        let interval = [1.0, 2.0, 4.0, 9.0].into_iter().collect::<Moments>().mean_interval().unwrap();
+        assert!(
+            (interval.lo + 1.663_20).abs() < 1e-3 && (interval.hi - 9.663_20).abs() < 1e-3,
+            "{interval:?}"
+        );
+        assert_eq!([1.0].into_iter().collect::<Moments>().mean_interval(), None);
+        assert_eq!(Moments::default().mean_interval(), None);
     }
 
     #[test]

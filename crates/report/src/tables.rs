@@ -10,11 +10,11 @@ use arrow::datatypes::{DataType, Float64Type, UInt32Type, UInt64Type};
 use locsim_core::Pose2;
 use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;
-use parquet::file::properties::WriterProperties;
+use parquet::file::properties::{WriterProperties, WriterPropertiesBuilder};
 
 use super::ReportError;
-use crate::results::{ModelTrial, RunResults, StepRow, Trial};
-use crate::statistics::{Moments, quantile};
+use crate::results::{ModelTrial, RunResults, StepRow};
+use crate::trial_row::TrialRow;
 
 /// One row per trial, model and step.
 pub fn steps(results: &RunResults) -> Result<RecordBatch, ReportError> {
@@ -63,55 +63,44 @@ pub fn steps(results: &RunResults) -> Result<RecordBatch, ReportError> {
 
 /// One row per trial and model.
 pub fn trials(results: &RunResults) -> Result<RecordBatch, ReportError> {
-    let rows: Vec<(&Trial, &ModelTrial)> =
-        results.trials.iter().flat_map(|t| t.models.iter().map(move |m| (t, m))).collect();
-    let count = |value: fn(&ModelTrial) -> usize| -> ArrayRef {
-        Arc::new(UInt32Array::from_iter_values(rows.iter().map(|(_, m)| value(m) as u32)))
-    };
-    let real = |value: &dyn Fn(&ModelTrial) -> f64| -> ArrayRef {
-        Arc::new(Float64Array::from_iter_values(rows.iter().map(|(_, m)| value(m))))
-    };
-    let mean = |value: fn(&StepRow) -> f64| real(&move |m| moments(m, value).mean());
-    let std = |value: fn(&StepRow) -> f64| real(&move |m| moments(m, value).variance().sqrt());
-    let position = |probability: f64| {
-        real(&move |m| {
-            let mut errors: Vec<f64> = m.steps.iter().map(StepRow::position_error_m).collect();
-            errors.sort_by(f64::total_cmp);
-            quantile(&errors, probability)
-        })
-    };
-    let columns = [
-        ("trial", Arc::new(UInt32Array::from_iter_values(rows.iter().map(|(t, _)| t.trial))) as ArrayRef),
-        ("seed", Arc::new(UInt64Array::from_iter_values(rows.iter().map(|(t, _)| t.seed)))),
-        ("model", Arc::new(StringArray::from_iter_values(rows.iter().map(|(_, m)| &m.model)))),
-        ("steps", count(|m| m.steps.len())),
-        ("lost", Arc::new(rows.iter().map(|(_, m)| Some(m.lost)).collect::<BooleanArray>())),
-        ("position_rmse_m", real(&|m| moments(m, StepRow::position_error_m).mean_square().sqrt())),
-        ("position_median_m", position(0.5)),
-        ("position_p95_m", position(0.95)),
-        ("position_max_m", position(1.0)),
-        ("position_final_m", real(&|m| m.steps.last().map_or(f64::NAN, StepRow::position_error_m))),
-        ("along_mean_m", mean(|s| s.error_along_m)),
-        ("along_std_m", std(|s| s.error_along_m)),
-        ("across_mean_m", mean(|s| s.error_across_m)),
-        ("across_std_m", std(|s| s.error_across_m)),
-        ("heading_mean_rad", mean(|s| s.error_heading_rad)),
-        ("heading_std_rad", std(|s| s.error_heading_rad)),
-        ("ess_mean", mean(|s| s.effective_sample_size)),
-        ("resamplings", count(|m| m.steps.iter().filter(|s| s.resampled).count())),
-        ("log_evidence_nats", real(&|m| m.steps.iter().map(|s| s.log_evidence_nats).sum())),
-        ("events", Arc::new(StringArray::from_iter_values(rows.iter().map(|(_, m)| events(m))))),
-    ];
+    let rows =
+        results.trials.iter().flat_map(|trial| trial.models.iter().map(move |m| TrialRow::new(trial, m)));
+    let rows: Vec<TrialRow> = rows.collect();
+    let events = rows.iter().map(TrialRow::events_text);
+    let columns = trial_columns(&rows).into_iter();
+    let columns = columns.chain([("events", Arc::new(StringArray::from_iter_values(events)) as ArrayRef)]);
     Ok(RecordBatch::try_from_iter(columns)?)
 }
 
-fn moments(model: &ModelTrial, value: fn(&StepRow) -> f64) -> Moments {
-    model.steps.iter().map(value).collect()
-}
-
-/// `step: what happened`, separated by semicolons.
-fn events(model: &ModelTrial) -> String {
-    model.events.iter().map(|(step, event)| format!("{step}: {event}")).collect::<Vec<_>>().join("; ")
+/// The figures of rows, a column each.
+pub fn trial_columns(rows: &[TrialRow]) -> Vec<(&'static str, ArrayRef)> {
+    let count = |value: fn(&TrialRow) -> u32| -> ArrayRef {
+        Arc::new(UInt32Array::from_iter_values(rows.iter().map(value)))
+    };
+    let real = |value: fn(&TrialRow) -> f64| -> ArrayRef {
+        Arc::new(Float64Array::from_iter_values(rows.iter().map(value)))
+    };
+    vec![
+        ("trial", count(|row| row.trial)),
+        ("seed", Arc::new(UInt64Array::from_iter_values(rows.iter().map(|row| row.seed)))),
+        ("model", Arc::new(StringArray::from_iter_values(rows.iter().map(|row| &row.model)))),
+        ("steps", count(|row| row.steps)),
+        ("lost", Arc::new(rows.iter().map(|row| Some(row.lost)).collect::<BooleanArray>())),
+        ("position_rmse_m", real(|row| row.position_rmse_m)),
+        ("position_median_m", real(|row| row.position_median_m)),
+        ("position_p95_m", real(|row| row.position_p95_m)),
+        ("position_max_m", real(|row| row.position_max_m)),
+        ("position_final_m", real(|row| row.position_final_m)),
+        ("along_mean_m", real(|row| row.along_mean_m)),
+        ("along_std_m", real(|row| row.along_std_m)),
+        ("across_mean_m", real(|row| row.across_mean_m)),
+        ("across_std_m", real(|row| row.across_std_m)),
+        ("heading_mean_rad", real(|row| row.heading_mean_rad)),
+        ("heading_std_rad", real(|row| row.heading_std_rad)),
+        ("ess_mean", real(|row| row.ess_mean)),
+        ("resamplings", count(|row| row.resamplings)),
+        ("log_evidence_nats", real(|row| row.log_evidence_nats)),
+    ]
 }
 
 /// The table as CSV (RFC 4180, header first). Reals have as many digits as they need to be read back exactly;
@@ -140,13 +129,16 @@ fn cell(column: &ArrayRef, row: usize) -> String {
 
 /// The table as Parquet, snappy-compressed.
 pub fn parquet(batch: &RecordBatch) -> Result<Vec<u8>, ReportError> {
-    let properties = WriterProperties::builder()
-        .set_compression(Compression::SNAPPY)
-        .set_created_by(concat!("locsim ", env!("CARGO_PKG_VERSION")).to_owned())
-        .build();
     let mut bytes = Vec::new();
-    let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), Some(properties))?;
+    let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), Some(properties().build()))?;
     writer.write(batch)?;
     writer.close()?;
     Ok(bytes)
+}
+
+/// How Parquet files are written.
+pub fn properties() -> WriterPropertiesBuilder {
+    WriterProperties::builder()
+        .set_compression(Compression::SNAPPY)
+        .set_created_by(concat!("locsim ", env!("CARGO_PKG_VERSION")).to_owned())
 }

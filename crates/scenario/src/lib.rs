@@ -20,6 +20,7 @@ pub mod testing;
 mod tests;
 mod validate;
 mod validated;
+mod variant;
 pub mod yaml;
 
 use std::path::Path;
@@ -29,6 +30,7 @@ pub use error::{Problem, ScenarioError};
 pub use map_file::{LoadedMap, load_map};
 pub use validate::name;
 pub use validated::*;
+pub use variant::Template;
 
 /// Settings that the command line overrides.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

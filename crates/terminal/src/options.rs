@@ -42,6 +42,11 @@ pub struct Threads {
 }
 
 impl Threads {
+    /// The number asked for, if any.
+    pub fn asked(&self) -> Option<usize> {
+        self.threads
+    }
+
     /// Limits the worker threads of the process.
     ///
     /// # Errors

@@ -160,7 +160,7 @@ fn free_memory() -> f64 {
 }
 
 /// Bytes as people say them.
-fn size(bytes: f64) -> String {
+pub fn size(bytes: f64) -> String {
     let units = ["B", "kB", "MB", "GB", "TB", "PB", "EB"];
     let step = ((bytes.max(1.0).log10() / 3.0) as usize).min(units.len() - 1);
     let value = bytes / 1000_f64.powi(step as i32);
@@ -168,7 +168,7 @@ fn size(bytes: f64) -> String {
 }
 
 /// A time as people say it.
-fn duration(secs: f64) -> String {
+pub fn duration(secs: f64) -> String {
     let (value, unit) = match secs {
         ..60.0 => (secs, "s"),
         ..3600.0 => (secs / 60.0, "min"),

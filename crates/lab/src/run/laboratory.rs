@@ -296,6 +296,17 @@ impl<'a> Laboratory<'a> {
         }
     }
 
+    /// Beams of a scan that the filter uses.
+    pub fn beams(&self) -> usize {
+        match &self.drives {
+            Drives::Measured(drive) => drive.laser.beam_count(),
+            Drives::Simulated(world) => {
+                let beams = world.simulator.laser().laser().beam_count();
+                self.scenario.filter.beams.map_or(beams, |most| beams.min(most as usize))
+            }
+        }
+    }
+
     /// Seed of a trial.
     pub fn trial_seed(&self, trial: u32) -> u64 {
         Draw::new(self.scenario.seed, Stage::Trial, 0).seed(trial)

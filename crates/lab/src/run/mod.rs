@@ -7,6 +7,7 @@ mod estimate;
 mod filter;
 mod laboratory;
 mod map;
+mod measure;
 mod rehearsal;
 mod training;
 mod trial;
@@ -20,9 +21,10 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 pub use bounds::MissedBound;
-pub use estimate::Estimate as CostEstimate;
+pub use estimate::{Estimate as CostEstimate, duration, size};
 pub use laboratory::{MapSet, free_poses, simulate_trial};
 pub use map::{LogMaps, agreement_figure, agreement_table};
+pub use measure::{Measurement, measure};
 pub use training::{ScanData, Surroundings, TrainedModel, train};
 pub use unreferenced::{Unreferenced, UnreferencedModel};
 

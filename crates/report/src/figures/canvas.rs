@@ -219,6 +219,13 @@ impl Axis {
         Self { label: label.to_owned(), lo, hi, ticks, logarithmic: true, is_list: false }
     }
 
+    /// Words at 0, 1, 2 and so on.
+    pub fn words(label: &str, words: &[String]) -> Self {
+        let ticks = words.iter().enumerate().map(|(i, word)| (i as f64, word.clone())).collect();
+        let hi = words.len() as f64 - 0.5;
+        Self { label: label.to_owned(), lo: -0.5, hi, ticks, logarithmic: false, is_list: false }
+    }
+
     /// Rows of a list, the first on top, at 0, -1, -2 and so on.
     pub fn rows(labels: &[String]) -> Self {
         let ticks = labels.iter().enumerate().map(|(i, label)| (-(i as f64), label.clone())).collect();

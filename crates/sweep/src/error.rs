@@ -1,0 +1,99 @@
+use std::path::PathBuf;
+
+use locsim_lab::LabError;
+use locsim_report::ReportError;
+use locsim_report::store::StoreError;
+use locsim_scenario::ScenarioError;
+use thiserror::Error;
+
+/// Why a sweep could not be run or merged.
+#[derive(Debug, Error)]
+pub enum SweepError {
+    /// The sweep, its scenario or the scenario of a cell is refused.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// A cell could not be run.
+    #[error("cell {cell} ({name}): {source}")]
+    Cell {
+        /// Its number.
+        cell: u32,
+        /// Its values.
+        name: String,
+        /// The cause.
+        source: Box<LabError>,
+    },
+    /// There are more shards than cells.
+    #[error("--shard: {shards} shards of {cells} cells are not allowed; at most one for each cell")]
+    TooManyShards {
+        /// Shards asked for.
+        shards: u32,
+        /// Cells of the sweep.
+        cells: u32,
+    },
+    /// The place of a shard is taken.
+    #[error(
+        "{} holds a shard of something else: scenario, axes, seed, inputs or version of locsim differ. Name another folder, \
+         or add --force to replace it",
+        folder.display()
+    )]
+    OtherShard {
+        /// The folder of the shard.
+        folder: PathBuf,
+    },
+    /// A shard's file was cut or changed.
+    #[error("{} {what}; remove it and run the shard again", path.display())]
+    DamagedShard {
+        /// The file or folder.
+        path: PathBuf,
+        /// The defect.
+        what: String,
+    },
+    /// The shards in a folder can't be merged.
+    #[error("{}", problems.join("\n"))]
+    Unmergeable {
+        /// Each shard at fault, and the commands that mend it.
+        problems: Vec<String>,
+    },
+    /// Results can't be written.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// A folder can't be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The system can't read or write something.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// Worker threads can't be started.
+    #[error("threads: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
+    /// The engine's program failed.
+    #[error("--submit: {} {what}", script.display())]
+    Submit {
+        /// The script.
+        script: PathBuf,
+        /// What happened.
+        what: String,
+    },
+    /// The user stopped the sweep; finished cells are kept.
+    #[error("interrupted after {finished} of {cells} cells; {again}")]
+    Interrupted {
+        /// Cells that are kept.
+        finished: usize,
+        /// Cells asked for.
+        cells: u32,
+        /// How to go on.
+        again: &'static str,
+    },
+}
+
+impl SweepError {
+    /// Whether the user stopped the work.
+    pub fn is_interruption(&self) -> bool {
+        matches!(self, Self::Interrupted { .. })
+    }
+}
