@@ -11,7 +11,7 @@ use crate::{Overrides, Problem, Scenario, ScenarioError, yaml};
 pub struct Template {
     /// The file.
     pub file: PathBuf,
-    /// Its keys and values.
+    /// Its keys and values, without `expect` and `record`: bounds and recordings are of the scenario as it stands in the file.
     pub tree: Value,
 }
 
@@ -22,8 +22,11 @@ impl Template {
     /// [`ScenarioError`], as [`Scenario::load`].
     pub fn load(path: &Path) -> Result<Self, ScenarioError> {
         Scenario::load(path, &Overrides::default())?;
-        let (tree, _) = yaml::parse(path, &yaml::read(path)?)?;
-        Ok(Self { file: path.to_owned(), tree })
+        let (mut tree, _) = yaml::parse::<Map<String, Value>>(path, &yaml::read(path)?)?;
+        for key in ["expect", "record"] {
+            tree.remove(key);
+        }
+        Ok(Self { file: path.to_owned(), tree: Value::Object(tree) })
     }
 
     /// The scenario with other values at these key paths, such as `filter.particles` or `models[0].floor`.

@@ -203,7 +203,9 @@ mod tests {
     fn models_that_cannot_be_told_apart_are_tied() {
         let tally = |values: &[f64]| {
             let mut tally = Tally::default();
-            values.iter().for_each(|rmse| tally.add(&Tally::of(&row("a", *rmse, false))));
+            for rmse in values {
+                tally.add(&Tally::of(&row("a", *rmse, false)));
+            }
             tally
         };
         let tallies = [tally(&[0.2, 0.3, 0.25]), tally(&[0.21, 0.31, 0.22]), tally(&[0.9, 0.91, 0.92])];
