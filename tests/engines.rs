@@ -49,7 +49,9 @@ fn kill_a_worker(out: &Path, engine: &mut Child) -> u32 {
         assert!(engine.try_wait().unwrap().is_none(), "the engine ended before a worker could be killed");
         for number in 1..=SHARDS {
             let partial = out.join(format!("shard-{number:05}-of-{SHARDS:05}.partial"));
-            let parts = fs::read_dir(partial.join("parts")).map_or(0, Iterator::count);
+            let is_part = |name: &Path| name.extension().is_some_and(|extension| extension == "part");
+            let kept = fs::read_dir(partial.join("parts")).into_iter().flatten().flatten();
+            let parts = kept.filter(|entry| is_part(&entry.path())).count();
             // `process 1234 on host`
             let lock = fs::read_to_string(partial.join("lock")).unwrap_or_default();
             let process = lock.split_whitespace().nth(1).and_then(|word| word.parse::<u32>().ok());

@@ -4,6 +4,7 @@ use indexmap::IndexSet;
 use locsim_core::Interval;
 use locsim_report::statistics::{Moments, share_interval};
 use locsim_report::trial_set::Measured;
+use rayon::prelude::*;
 
 /// The trials of one model, in one cell or in several.
 #[derive(Clone, Copy, Debug, Default)]
@@ -161,16 +162,13 @@ impl Figures {
         total
     }
 
-    /// Cells in which a model has a place.
-    pub fn placed(&self, model: usize, place: Place) -> usize {
-        let has = |cell: &&CellFigures| {
+    /// The place of each model in each cell.
+    pub fn places(&self) -> Vec<Vec<Place>> {
+        let of_cell = |cell: &CellFigures| {
             let tallies: Vec<Tally> = cell.models.iter().map(|(_, tally)| *tally).collect();
-            cell.models
-                .iter()
-                .zip(places(&tallies))
-                .any(|((other, _), found)| *other == model && found == place)
+            places(&tallies)
         };
-        self.cells.iter().filter(has).count()
+        self.cells.par_iter().map(of_cell).collect()
     }
 }
 

@@ -10,6 +10,7 @@ mod merge;
 mod page;
 pub mod plan;
 mod raw;
+mod results;
 mod run;
 pub mod shard;
 mod sweep;
@@ -18,8 +19,9 @@ use std::path::Path;
 
 pub use engine::{Engine, Job};
 pub use error::SweepError;
-pub use merge::{MergeOptions, Merged, merge, run_sweep};
+pub use merge::{MergeOptions, merge, run_sweep};
 pub use plan::Shard;
+pub use results::{Merged, ModelFigures};
 pub use run::SweepOptions;
 pub use shard::{ShardOutcome, run_shard};
 pub use sweep::{Sweep, SweepEstimate, SweepOverrides};

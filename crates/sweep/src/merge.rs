@@ -5,16 +5,16 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use indexmap::IndexMap;
-use locsim_core::{Control, Interval};
+use locsim_core::Control;
 use locsim_report::ReportError;
 use locsim_report::store::{Folder, Request};
 use locsim_report::trial_set::{CellRows, Table, TrialSet, for_each, plain, read};
 use rayon::prelude::*;
-use serde::Serialize;
 
-use crate::cells::{Figures, Place, places};
+use crate::cells::{Figures, Place};
 use crate::page;
-use crate::plan::{Cells, Plan, Shard};
+use crate::plan::{Cells, Shard};
+use crate::results::{Merged, ModelFigures};
 use crate::run::{Inputs, SweepOptions, check, finished_cell, run_cells};
 use crate::shard::{ShardSummary, SweepSummary, TRIALS, check_trials, mean_step_ms, read_summary};
 use crate::{Sweep, SweepError};
@@ -23,48 +23,6 @@ use crate::{Sweep, SweepError};
 const DATA_SET: &str = "trials";
 /// An error lists this many shards of a kind at the most.
 const LISTED: usize = 20;
-
-/// The content of `sweep.json`.
-#[derive(Clone, Debug, Serialize)]
-pub struct Merged {
-    /// Name of the sweep.
-    pub name: String,
-    /// One line for people.
-    pub description: String,
-    /// Version of locsim.
-    pub version: String,
-    /// Hash of version, scenario and plan.
-    pub digest: String,
-    /// Files that the cells read, with their BLAKE3.
-    pub inputs: Inputs,
-    /// Axes, groups, conditions, seed and trials.
-    pub plan: Plan,
-    /// Number of cells.
-    pub cells: u32,
-    /// Number of rows of the data set.
-    pub rows: u64,
-    /// Each model over all cells.
-    pub models: IndexMap<String, ModelFigures>,
-}
-
-/// A model over all cells that have it.
-#[derive(Clone, Debug, Serialize)]
-pub struct ModelFigures {
-    /// Number of trials.
-    pub trials: u32,
-    /// Share of lost trials.
-    pub lost_share: f64,
-    /// Its exact 95 % interval.
-    pub lost_share_interval: Interval,
-    /// Root of the mean over trials of the mean squared position error \[m\].
-    pub position_rmse_m: f64,
-    /// Its 95 % interval.
-    pub position_rmse_interval: Option<Interval>,
-    /// Cells in which its RMSE is the lowest.
-    pub cells_best: usize,
-    /// Cells in which its interval meets that of the lowest.
-    pub cells_tied: usize,
-}
 
 /// How to merge.
 pub struct MergeOptions<'a> {
@@ -184,7 +142,13 @@ impl Whole {
             set.push(&table)?;
         }
         let rows = set.finish()?.values().sum();
-        write_cells(folder, cells, &figures)?;
+        let places = figures.places();
+        write_cells(folder, cells, &figures, &places)?;
+        let placed = |model: usize, place: Place| {
+            let found =
+                figures.cells.iter().zip(&places).flat_map(|(cell, places)| cell.models.iter().zip(places));
+            found.filter(|((other, _), found)| *other == model && **found == place).count()
+        };
         let models = figures.models.iter().enumerate().map(|(i, label)| {
             let total = figures.total(i);
             let model = ModelFigures {
@@ -193,8 +157,8 @@ impl Whole {
                 lost_share_interval: total.lost_interval(),
                 position_rmse_m: total.rmse_m(),
                 position_rmse_interval: total.rmse_interval(),
-                cells_best: figures.placed(i, Place::Best),
-                cells_tied: figures.placed(i, Place::Tied),
+                cells_best: placed(i, Place::Best),
+                cells_tied: placed(i, Place::Tied),
             };
             (label.clone(), model)
         });
@@ -216,7 +180,12 @@ impl Whole {
 }
 
 /// `cells.csv`: one row for each cell and model.
-fn write_cells(folder: &Folder, cells: &Cells, figures: &Figures) -> Result<(), SweepError> {
+fn write_cells(
+    folder: &Folder,
+    cells: &Cells,
+    figures: &Figures,
+    places: &[Vec<Place>],
+) -> Result<(), SweepError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let axes = cells.plan().axes.iter().map(crate::plan::Axis::column);
     let fixed = [
@@ -239,11 +208,11 @@ fn write_cells(folder: &Folder, cells: &Cells, figures: &Figures) -> Result<(), 
     let lines: Vec<Vec<Vec<String>>> = figures
         .cells
         .par_iter()
-        .map(|cell| {
-            let tallies: Vec<_> = cell.models.iter().map(|(_, tally)| *tally).collect();
+        .zip(places)
+        .map(|(cell, places)| {
             let values = cells.values(cell.cell);
             let seed = seeded.map_or_else(|| cells.seed(cell.cell).to_string(), |axis| plain(&values[axis]));
-            let line = |((model, tally), place): (&(usize, crate::cells::Tally), Place)| {
+            let line = |((model, tally), place): (&(usize, crate::cells::Tally), &Place)| {
                 let lost = tally.lost_interval();
                 let rmse = tally.rmse_interval();
                 let mut line = vec![cell.cell.to_string()];
@@ -257,7 +226,7 @@ fn write_cells(folder: &Folder, cells: &Cells, figures: &Figures) -> Result<(), 
                 line.extend([number(tally.particles()), cell.beams.to_string(), place.word().to_owned()]);
                 line
             };
-            cell.models.iter().zip(places(&tallies)).map(line).collect()
+            cell.models.iter().zip(places).map(line).collect()
         })
         .collect();
     for line in lines.iter().flatten() {
@@ -445,7 +414,7 @@ mod tests {
         use locsim_report::TrialRow;
         use locsim_report::trial_set::TrialFile;
 
-        use crate::plan::Axis;
+        use crate::plan::{Axis, Plan};
         use crate::shard::write_summary;
 
         let out = PathBuf::from(std::env::var("LOCSIM_SYNTHETIC_SHARDS").unwrap());
@@ -465,7 +434,7 @@ mod tests {
         let (columns, cells) = (plan.columns(), Cells::of(plan.clone()).unwrap());
         let row = |cell: u32, trial: u32, model: u32| {
             // Figures without a pattern, which don't shrink.
-            let draw = locsim_core::Draw::new(u64::from(cell), locsim_core::Stage::Sweep, trial).at(model);
+            let draw = locsim_core::Draw::new(u64::from(cell), locsim_core::Stage::Sweep, 7 * trial + model);
             let real = |item: u32| draw.seed(item) as f64 / u64::MAX as f64;
             TrialRow {
                 trial,

@@ -12,8 +12,8 @@ use serde::Serialize;
 
 use crate::cells::Figures;
 use crate::figures;
-use crate::merge::Merged;
 use crate::plan::{Cells, Operand, Plan};
+use crate::results::Merged;
 
 const MARKDOWN: &str = include_str!("templates/sweep.md.j2");
 /// Values of an axis, and files, that a table lists.
