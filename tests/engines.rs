@@ -119,7 +119,7 @@ fn hyperqueue_goes_on_after_a_worker_was_killed() {
     }
     let (folder, out) = prepared();
     folder.locsim(&format!("sweep s.yaml --out o --engine hyperqueue --shards {SHARDS}")).success();
-    let cluster = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/engines/hyperqueue.py");
+    let cluster = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/engines/hyperqueue_cluster.py");
     let mut engine = Command::new(&python)
         .arg(cluster)
         .arg(out.join("engine/shard.sh"))

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Runs a task array on a HyperQueue cluster of this machine, for tests.
 
-usage: tools/engines/hyperqueue.py SCRIPT TASKS
+usage: tools/engines/hyperqueue_cluster.py SCRIPT TASKS
 
 Needs the package `hyperqueue` from PyPI. It starts a server and a worker of two cores, submits `sh SCRIPT` as tasks 1 to TASKS,
 waits for them, prints the failed ones and stops both. The exit code is 1 if a task failed. The package has no `hq` program; tasks get
