@@ -130,12 +130,18 @@ fn encodings_and_whole_numbers() {
 }
 
 #[test]
-fn numbers_that_would_overflow() {
+fn numbers_that_would_overflow_or_are_missing() {
     for (from, to, message) in [
         (
             "alpha: [0.1, 0.05, 0.1, 0.05]",
             "alpha: [1e300, 0.05, 0.1, 0.05]",
             "s.yaml:16: filter.motion.alpha[0]: 1e300 is not allowed; a number from 0 to 1000",
+        ),
+        (
+            ", alpha: [0.1, 0.05, 0.1, 0.05]",
+            "",
+            "s.yaml:16: filter.motion.alpha: the key is missing; only the noise of `odometry` may be left out, on a `log`, to \
+             which it is then fitted",
         ),
         (
             "speed_m_s: 0.5",

@@ -72,6 +72,16 @@ fn a_simulated_log_is_mapped_learnt_from_and_localized_on() {
                localize_scans: [[0.7, 1.0]]}";
     localizes(&folder, "mapped-walls.yaml", &on_a_log(log), 0.2);
 
+    // Without numbers, motion noise is fitted to the log's odometry on what isn't localized on.
+    let unfitted = edited(&on_a_log(log), ", alpha: [0.1, 0.05, 0.1, 0.05]", "");
+    localizes(&folder, "fitted.yaml", &unfitted, 0.2);
+    let report = String::from_utf8(folder.read("fitted.yaml.d/report.md")).unwrap();
+    let told = "is fitted to the odometry's errors against the reference poses of all other scans.";
+    assert!(
+        report.contains("The filter's motion noise (alpha 1 to 4: ") && report.contains(told),
+        "{report}"
+    );
+
     // A map that `map` wrote, in a file. What follows a dot in its name is no extension.
     let call = folder.locsim("map drive.log --out room-0.05 --share 0.0,0.5").success();
     let told = output(&call);

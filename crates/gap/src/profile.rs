@@ -2,7 +2,7 @@
 //! shows what the effect does.
 
 use glam::DVec2;
-use locsim_core::{Estimate, Interval};
+use locsim_core::{Estimate, Interval, median, quantile};
 use locsim_world::effect::{self, BeamState, EffectKind, Moves, Score};
 use rayon::prelude::*;
 
@@ -78,7 +78,7 @@ impl Source<'_> {
                 after: band(after.iter().map(value).collect()),
             }
         });
-        Profile { name: named.name, quantity, over, bins: bins.collect() }
+        Profile { name: named.name, quantity, over, bins: bins.filter(is_known).collect() }
     }
 
     /// Readings, or increments, each with its covariate.
@@ -150,17 +150,13 @@ impl Source<'_> {
         let share = |holds: &dyn Fn(usize) -> bool| {
             items.iter().filter(|&&i| holds(i)).count() as f64 / items.len() as f64
         };
-        let errors = || {
-            let mut errors: Vec<f64> = items.iter().filter_map(|&i| self.error(log, i)).collect();
-            errors.sort_by(f64::total_cmp);
-            errors
-        };
+        let errors = || items.iter().filter_map(|&i| self.error(log, i)).collect::<Vec<f64>>();
         match quantity {
-            Quantity::Error => quantile(&errors(), 0.5),
+            Quantity::Error => median(&mut errors()),
             Quantity::Spread => {
-                let errors = errors();
+                let mut errors = errors();
                 // Of a normal distribution: one standard deviation.
-                0.5 * (quantile(&errors, 0.841) - quantile(&errors, 0.159))
+                0.5 * (quantile(&mut errors, 0.841) - quantile(&mut errors, 0.159))
             }
             Quantity::NoReturn => share(&|i| log.readings[i] >= log.laser.max_range()),
             Quantity::InFront | Quantity::Share => {
@@ -235,6 +231,11 @@ fn depends_on(weight: impl Fn(&BeamState) -> f64, max_range: f64) -> Over {
     candidates.into_iter().reduce(|a, b| if b.1 > a.1 { b } else { a }).map_or(Over::Range, |(over, _)| over)
 }
 
+/// Whether every log has a value in a bin: without a return in it there is no error.
+fn is_known(bin: &ProfileBin) -> bool {
+    [bin.measured, bin.before.value, bin.after.value].iter().all(|value| value.is_finite())
+}
+
 /// Bins of as many items each, with their mean covariate.
 fn equal_bins(mut items: Vec<(f64, usize)>) -> Vec<Bin> {
     items.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -248,20 +249,13 @@ fn equal_bins(mut items: Vec<(f64, usize)>) -> Vec<Bin> {
         .collect()
 }
 
-/// The median of simulated values, and the interval that holds 95 % of them.
+/// The median of simulated values, and the interval that holds 95 % of them; NaN if a value is.
 fn band(mut values: Vec<f64>) -> Estimate {
-    values.sort_by(f64::total_cmp);
-    let [lo, value, hi] = [0.025, 0.5, 0.975].map(|probability| quantile(&values, probability));
+    if values.iter().any(|value| value.is_nan()) {
+        return Estimate::around(f64::NAN, 0.0);
+    }
+    let [lo, value, hi] = [0.025, 0.5, 0.975].map(|share| quantile(&mut values, share));
     Estimate { value, interval: Interval { lo, hi } }
-}
-
-/// A quantile of a sorted sample, between its values in proportion; 0 of none.
-fn quantile(sorted: &[f64], probability: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else { return 0.0 };
-    let at = probability * last as f64;
-    let below = at.floor();
-    let (a, b) = (sorted[below as usize], sorted[(below as usize + 1).min(last)]);
-    a + (at - below) * (b - a)
 }
 
 /// Distance of a point from a segment \[m\].
@@ -310,6 +304,18 @@ mod tests {
     fn a_band_holds_95_percent() {
         let values = (0..=40).rev().map(f64::from).collect();
         assert_eq!(band(values), Estimate { value: 20.0, interval: Interval { lo: 1.0, hi: 39.0 } });
+    }
+
+    #[test]
+    fn a_bin_without_a_return_in_one_log_is_left_out() {
+        let bin = |measured: f64, simulated: f64| {
+            let before = band(vec![1.0; 40]);
+            let mut values = vec![1.0; 40];
+            values[3] = simulated;
+            ProfileBin { at: 1.0, count: 50, measured, before, after: band(values) }
+        };
+        assert!(is_known(&bin(1.0, 2.0)));
+        assert!(!is_known(&bin(f64::NAN, 2.0)) && !is_known(&bin(1.0, f64::NAN)));
     }
 
     #[test]

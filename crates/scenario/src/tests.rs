@@ -126,7 +126,7 @@ fn every_key_arrives_in_si_units_and_radians() {
                 bin_m: 0.25,
                 bin_rad: degrees(5.0),
             }),
-            motion: Motion::Odometry([0.1, 0.05, 0.1, 0.05]),
+            motion: Motion::Odometry(Some([0.1, 0.05, 0.1, 0.05])),
             resampler: Resampler::Residual,
             resample: ResampleTrigger::EffectiveShareBelow(0.5),
             injection: Some(InjectionOptions { alpha_slow: 0.001, alpha_fast: 0.1 }),

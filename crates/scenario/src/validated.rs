@@ -319,8 +319,8 @@ pub struct Filter {
 /// Motion model with its noise parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Motion {
-    /// Odometry model, alpha 1 to 4 (Probabilistic Robotics, table 5.6).
-    Odometry([f64; 4]),
+    /// Odometry model, alpha 1 to 4 (Probabilistic Robotics, table 5.6); `None` to fit them to the log.
+    Odometry(Option<[f64; 4]>),
     /// Velocity model, alpha 1 to 6 (Probabilistic Robotics, table 5.3).
     Velocity([f64; 6]),
 }

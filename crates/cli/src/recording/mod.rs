@@ -57,7 +57,7 @@ mod order {
 
 /// Bounds of half of the side of a close-up \[m\].
 const CLOSE_M: std::ops::RangeInclusive<f64> = 0.2..=5.0;
-/// On the whole floor every so manieth particle is drawn: a close-up has them all.
+/// On the whole floor every fourth particle is drawn. A close-up has them all.
 const FLOOR_STRIDE: usize = 4;
 
 /// Length at which a beam without a return is drawn \[m\].

@@ -78,7 +78,7 @@ impl OdometryQuality {
                 .fold(0.0, |sum, turn| sum + turn),
             jumps: (usual > 0.0)
                 .then(|| increments.iter().zip(secs().map(|secs| secs.max(usual))).filter(jump).count()),
-            error: error(&windows(drive)),
+            error: OdometryError::of(drive),
         }
     }
 }
@@ -143,10 +143,15 @@ fn windows(drive: &Drive) -> Vec<Window> {
     windows
 }
 
-fn error(windows: &[Window]) -> Option<OdometryError> {
-    if windows.len() < LEAST_WINDOWS {
-        return None;
+impl OdometryError {
+    /// The errors on the steps whose scans have reference poses; `None` where there are too few of them.
+    pub fn of(drive: &Drive) -> Option<Self> {
+        let windows = windows(drive);
+        (windows.len() >= LEAST_WINDOWS).then(|| error(&windows))
     }
+}
+
+fn error(windows: &[Window]) -> OdometryError {
     let heading = |w: &Window| wrap_angle(w.odometry.theta - w.reference.theta).abs();
     let per = |selected: &dyn Fn(&&Window) -> bool, along: fn(&Window) -> f64| {
         let chosen = || windows.iter().filter(selected);
@@ -167,7 +172,7 @@ fn error(windows: &[Window]) -> Option<OdometryError> {
     let turn_squares = |w: &Window| 0.5 * w.turn_squares;
     let [a1, a2] = least_squares(windows.iter().map(|w| [turn_squares(w), 2.0 * w.distance_squares]), &turns);
     let [a3, a4] = least_squares(windows.iter().map(|w| [w.distance_squares, turn_squares(w)]), &distances);
-    Some(OdometryError {
+    OdometryError {
         windows: windows.len(),
         distance_ratio: total(|w| w.odometry.position().length())
             / total(|w| w.reference.position().length()).max(1e-9),
@@ -176,7 +181,7 @@ fn error(windows: &[Window]) -> Option<OdometryError> {
         heading_per_m: per(&|w| w.turn < STRAIGHT, |w| w.distance),
         heading_per_rad: per(&|w| w.turn > TURN, |w| w.turn),
         alpha: [a1, a2, a3, a4],
-    })
+    }
 }
 
 /// The coefficients, not negative, of the two regressors that explain the values best.

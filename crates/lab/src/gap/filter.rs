@@ -14,9 +14,9 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{GapStudy, GapStudyOptions};
 use crate::LabError;
-use crate::run::filter_options;
 use crate::run::{MapSet, free_poses};
 use crate::run::{ScanData, Surroundings, TrainedModel, train};
+use crate::run::{USUAL_ALPHA, filter_options};
 use locsim_core::{Control, Progress};
 use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Source};
 use locsim_sensor::ModelKind;
@@ -56,7 +56,8 @@ impl<'a> FilterOnLog<'a> {
     pub fn new(study: &'a GapStudy, cache: Option<&Path>, control: Control<'a>) -> Result<Self, LabError> {
         let map = study.map.geometry().clone();
         let unusable = |source| LabError::Map { path: study.scenario.file.clone(), source };
-        let maps = MapSet::new(map, study.scenario.ray_cast, cache, control.progress).map_err(unusable)?;
+        let maps =
+            MapSet::new(map, study.scenario.ray_cast, None, cache, control.progress).map_err(unusable)?;
         let nominal = trained(study, &maps, Vec::new(), control.progress)?;
         Ok(Self { study, control, maps, nominal })
     }
@@ -223,7 +224,7 @@ fn rmse(
     let settings = &study.scenario.filter;
     let alpha = match (study.simulator.odometry_noise.alpha(), settings.motion) {
         // Odometry without any noise is a simulation's; a filter needs some.
-        (alpha, Motion::Odometry(own)) if alpha == [0.0; 4] => own,
+        (alpha, Motion::Odometry(own)) if alpha == [0.0; 4] => own.unwrap_or([USUAL_ALPHA; 4]),
         (alpha, _) => alpha,
     };
     let spread = match settings.start {

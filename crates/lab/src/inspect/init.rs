@@ -10,6 +10,7 @@ use minijinja::{Environment, context};
 
 use super::{DriveFacts, Inspection, Split};
 use crate::LabError;
+use crate::run::USUAL_ALPHA;
 use locsim_report::ReportError;
 
 const TEMPLATE: &str = include_str!("templates/scenario.yaml.j2");
@@ -23,11 +24,6 @@ const GLOBAL_PARTICLES: &str =
 /// Beams that models are trained on and that the filter uses, at the most: neighbours tell the same.
 const TRAINING_BEAMS: usize = 90;
 const FILTER_BEAMS: usize = 36;
-/// The filter's motion noise is this many times the odometry's, and at least this: with less than that of the sensor models'
-/// own errors, it loses its particles.
-const FILTER_ALPHA: (f64, f64) = (2.0, 0.05);
-/// The motion noise of an odometry that nothing is known of.
-const USUAL_ALPHA: f64 = 0.1;
 /// The deviation of a reading where nothing is known of it \[m\]: that of most lidars.
 const USUAL_SIGMA_M: f64 = 0.02;
 /// A field of view that lacks less than this many beams of a full circle is one.
@@ -86,7 +82,6 @@ impl NewScenario<'_> {
         let shares = Shares::of(split, self.map.is_some(), has_reference);
         let error = facts.quality.odometry.as_ref().and_then(|odometry| odometry.error.as_ref());
         let (alpha, alpha_comment) = odometry_noise(error);
-        let filter_alpha = alpha.map(|alpha| (FILTER_ALPHA.0 * alpha).max(FILTER_ALPHA.1));
         let laser = Laser::of(facts);
         let readings = &facts.quality.readings;
         let (sigma_m, noise_comment) = match (readings.still_noise_m, readings.flat_noise_m) {
@@ -124,11 +119,7 @@ impl NewScenario<'_> {
             beams => facts.laser.beams,
             models => if has_reference { MODELS.to_vec() } else { SIMULATED_MODELS.to_vec() },
             particles => if has_reference { PARTICLES } else { GLOBAL_PARTICLES },
-            filter_alpha => numbers(&filter_alpha),
-            filter_alpha_comment => format!(
-                "{} times the odometry's, at least {}: the filter's noise stands in for errors of its models, too",
-                FILTER_ALPHA.0, FILTER_ALPHA.1
-            ),
+            usual_alpha => numbers(&[USUAL_ALPHA; 4]),
             trained => if has_reference { "" } else { ", and what `locsim run` trains its models on" },
             alpha => numbers(&alpha),
             alpha_comment => alpha_comment,

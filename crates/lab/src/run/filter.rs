@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use locsim_core::Pose2;
+use locsim_core::{Drive, Pose2};
+use locsim_dataset::OdometryError;
 use locsim_mcl::{
     FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, ParticleCount, PoseBins, Resampler,
     Residual, Spread, Start, Stratified, Systematic, VelocityMotion,
@@ -14,6 +15,24 @@ use crate::LabError;
 /// Side of a bin of the densest cluster when the scenario doesn't set one: AMCL's 0.5 m and 10 degrees.
 const CLUSTER_BINS: (f64, f64) = (0.5, 10.0 * std::f64::consts::PI / 180.0);
 
+/// Noise of an odometry that nothing is known of, each alpha.
+pub(crate) const USUAL_ALPHA: f64 = 0.1;
+
+/// Fitted motion noise is this many times the odometry's, and each alpha at least this. The errors of nominal ranges are alike
+/// from scan to scan; with less motion noise than that the filter loses its particles.
+const FITTED_ALPHA: (f64, f64) = (2.0, 0.002);
+
+/// Motion noise fitted to the odometry's error against the reference, on the scans of a log without those that trials localize
+/// on; `None` with too few of them.
+pub(crate) fn fitted_alpha(drive: &Drive, localized: &[usize]) -> Option<[f64; 4]> {
+    let mut others = drive.clone();
+    for &i in localized {
+        others.steps[i].reference = None;
+    }
+    let error = OdometryError::of(&others)?;
+    Some(error.alpha.map(|alpha| (FITTED_ALPHA.0 * alpha).max(FITTED_ALPHA.1)))
+}
+
 /// Where the filter starts; `None` where it starts at the true first pose and that isn't known.
 pub(super) fn start(settings: &scenario::Filter, truth: Option<Pose2>) -> Option<Start> {
     Some(match settings.start {
@@ -23,10 +42,10 @@ pub(super) fn start(settings: &scenario::Filter, truth: Option<Pose2>) -> Option
     })
 }
 
-/// The filter that a scenario describes.
+/// The filter that a scenario describes; motion noise that isn't known is the usual.
 pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions, LabError> {
     let motion: Arc<dyn MotionModel> = match settings.motion {
-        Motion::Odometry(alpha) => Arc::new(OdometryMotion::new(alpha)?),
+        Motion::Odometry(alpha) => Arc::new(OdometryMotion::new(alpha.unwrap_or([USUAL_ALPHA; 4]))?),
         Motion::Velocity(alpha) => Arc::new(VelocityMotion::new(alpha)?),
     };
     let resampler: Arc<dyn Resampler> = match settings.resampler {

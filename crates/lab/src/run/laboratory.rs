@@ -12,24 +12,29 @@ use locsim_dataset::{LogOptions, LogSummary, read_log};
 use locsim_world::effect::Effects;
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive, walls_from_drive};
-use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
+use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions, Vicinity};
 use locsim_world::simulation::{
     Block, ObstructionOptions, ObstructionTable, Robot, SimulationError, Simulator, simulate_drive,
 };
 use rand::RngExt;
 
 use super::coverage::{unmapped_start, untrained_states};
+use super::filter::{USUAL_ALPHA, fitted_alpha};
 use super::rehearsal::Rehearsal;
 use super::training::{ScanData, Surroundings, TrainedModel, train};
 use crate::LabError;
 use crate::inspect::{COVERED, least_covered};
 use locsim_core::Progress;
 use locsim_scenario::{
-    self as scenario, Log, LogMap, ModelName, RayCast, Scenario, Simulation, SimulatorOptions, Source,
+    self as scenario, Log, LogMap, ModelName, Motion, RayCast, Scenario, Simulation, SimulatorOptions, Source,
 };
 
 /// Training poses keep this far from walls \[m\]: a robot has a body.
 const WALL_CLEARANCE_M: f64 = 0.25;
+
+/// A filter that tracks is expected to be this near to the reference \[m\]: three times the distance at which it usually counts
+/// as lost. A ray from elsewhere is cast exactly, which takes longer.
+const VICINITY_M: f64 = 3.0;
 
 /// Cell \[m\] and saturation \[m\] of the distance grid behind the likelihood field.
 const DISTANCE_GRID_M: (f64, f64) = (0.05, 2.0);
@@ -57,13 +62,15 @@ pub struct MapSet {
 }
 
 impl MapSet {
-    /// Prepares a map; a range table can take seconds, unless `cache` has it.
+    /// Prepares a map; a range table can take seconds, unless `cache` has it. With `drive`, the poses that a filter follows,
+    /// the table holds only what is near to it.
     ///
     /// # Errors
     /// `MapError` for a table above the limits.
     pub fn new(
         geometry: Geometry,
         ray_cast: RayCast,
+        drive: Option<&[[f64; 2]]>,
         cache: Option<&Path>,
         progress: &dyn Progress,
     ) -> Result<Self, MapError> {
@@ -76,7 +83,8 @@ impl MapSet {
                 let most_bytes = (memory_mb as usize) << 20;
                 let options = RangeTableOptions { cell_m, most_bytes, ..RangeTableOptions::default() };
                 let done = AtomicU64::new(0);
-                let table = RangeTable::cached(&exact, &options, cache, &|share| {
+                let vicinity = drive.map(|points| Vicinity { points, distance_m: VICINITY_M });
+                let table = RangeTable::near(&exact, &options, vicinity, cache, &|share| {
                     let now = (share * TABLE_TICKS as f64) as u64;
                     progress.advance(now.saturating_sub(done.fetch_max(now, Ordering::Relaxed)));
                 })?;
@@ -124,6 +132,8 @@ struct World {
 pub struct Laboratory<'a> {
     /// The scenario.
     pub scenario: &'a Scenario,
+    /// The scenario's filter, with the motion noise that was fitted to a log.
+    pub filter: scenario::Filter,
     /// The map.
     pub maps: MapSet,
     /// The sensor models in the scenario's order.
@@ -157,9 +167,14 @@ impl<'a> Laboratory<'a> {
         cache: Option<&Path>,
         progress: &dyn Progress,
     ) -> Result<Self, LabError> {
-        let maps =
-            MapSet::new(scenario::load_map(&simulation.map)?.geometry, scenario.ray_cast, cache, progress)
-                .map_err(unusable(&simulation.map))?;
+        let maps = MapSet::new(
+            scenario::load_map(&simulation.map)?.geometry,
+            scenario.ray_cast,
+            None,
+            cache,
+            progress,
+        )
+        .map_err(unusable(&simulation.map))?;
         let world = world(simulation, &maps).map_err(refused(scenario))?;
         let training = &scenario.training;
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
@@ -198,7 +213,9 @@ impl<'a> Laboratory<'a> {
             100.0 * training.held_out_share,
         )];
         let warnings = Vec::new();
-        Ok(Self { scenario, maps, models, warnings, notes, drives: Drives::Simulated(Box::new(world)) })
+        let filter = scenario.filter.clone();
+        let drives = Drives::Simulated(Box::new(world));
+        Ok(Self { scenario, filter, maps, models, warnings, notes, drives })
     }
 
     fn measured(
@@ -212,7 +229,9 @@ impl<'a> Laboratory<'a> {
         progress.advance(1);
         let refuse = |what: &str| LabError::Log { path: log.file.clone(), what: what.to_owned() };
         let map = log_map(log, &drive, progress)?;
-        let maps = MapSet::new(map, scenario.ray_cast, cache, progress).map_err(unusable(&log.file))?;
+        let followed = followed(&scenario.filter, log, &drive);
+        let maps = MapSet::new(map, scenario.ray_cast, followed.as_deref(), cache, progress)
+            .map_err(unusable(&log.file))?;
         let training = &scenario.training;
         let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(TRAINING_SEED);
         let train_steps = selected(&drive, &log.train_scans);
@@ -224,6 +243,8 @@ impl<'a> Laboratory<'a> {
         if data.poses.len() < 4 {
             return Err(refuse("fewer than 4 training scans have a reference pose in the map's free space"));
         }
+        let localized = selected(&drive, &log.localize_scans);
+        let (filter, motion_note) = with_motion_noise(&scenario.filter, &drive, &localized);
         let stretches = log.train_scans.iter().map(|interval| {
             let steps = selected(&drive, &[*interval]).into_iter().map(|i| drive.steps[i].clone()).collect();
             with_filter_beams(Drive { laser: drive.laser.clone(), steps }, scenario)
@@ -234,14 +255,13 @@ impl<'a> Laboratory<'a> {
             distance: Arc::clone(&maps.distance),
             oracle: None,
             tables: (scenario.ray_cast != RayCast::Exact).then(|| maps.endpoints()),
-            rehearsal: Rehearsal::new(&scenario.filter, stretches, Arc::clone(&maps.ranges), seed),
+            rehearsal: Rehearsal::new(&filter, stretches, Arc::clone(&maps.ranges), seed),
         };
         let beams = scenario.filter.beams.map(|beams| beams as usize);
         let models =
             train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)?;
-        let localized: Vec<DriveStep> =
-            selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
-        let notes = vec![
+        let localized: Vec<DriveStep> = localized.into_iter().map(|i| drive.steps[i].clone()).collect();
+        let mut notes = vec![
             summary.to_string(),
             match simulator {
                 None => format!(
@@ -264,6 +284,7 @@ impl<'a> Laboratory<'a> {
              else."
                 .to_owned(),
         ];
+        notes.extend(motion_note);
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
         let dropped = train_steps.len() - usable;
         let warnings = [
@@ -285,7 +306,7 @@ impl<'a> Laboratory<'a> {
             untrained_states(&*maps.exact, (&data.laser, &data.poses), &drive),
         ];
         let warnings = warnings.into_iter().flatten().collect();
-        Ok(Self { scenario, maps, models, warnings, notes, drives: Drives::Measured(drive) })
+        Ok(Self { scenario, filter, maps, models, warnings, notes, drives: Drives::Measured(drive) })
     }
 
     /// The measured drive, if it has no reference pose to hold an estimate against.
@@ -336,7 +357,7 @@ pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, LabError
         let what = "a scenario of a measured log has nothing to simulate".to_owned();
         return Err(LabError::Log { path: scenario.file.clone(), what });
     };
-    let maps = MapSet::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, &())
+    let maps = MapSet::new(scenario::load_map(&simulation.map)?.geometry, RayCast::Exact, None, None, &())
         .map_err(unusable(&simulation.map))?;
     let world = world(simulation, &maps).map_err(refused(scenario))?;
     let seed = Draw::new(scenario.seed, Stage::Trial, 0).seed(trial);
@@ -377,6 +398,36 @@ pub(crate) fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
         shares.iter().any(|[from, to]| (*from..*to).contains(&share))
     };
     (0..n).filter(|&i| inside(i)).collect()
+}
+
+/// Where the filters of a log are expected: on the reference poses of the scans that trials localize on and of those that
+/// exponents are rehearsed on. `None` where a filter may be anywhere.
+fn followed(settings: &scenario::Filter, log: &Log, drive: &Drive) -> Option<Vec<[f64; 2]>> {
+    let tracks = matches!(settings.start, scenario::Start::Tracking(_)) && settings.injection.is_none();
+    let steps = [&log.localize_scans, &log.train_scans].map(|scans| selected(drive, scans)).concat();
+    let points: Option<Vec<_>> =
+        steps.into_iter().map(|i| drive.steps[i].reference.map(|pose| [pose.x, pose.y])).collect();
+    points.filter(|_| tracks)
+}
+
+/// A scenario's filter with motion noise fitted to a log where the scenario has none, and a remark on it.
+fn with_motion_noise(
+    settings: &scenario::Filter,
+    drive: &Drive,
+    localized: &[usize],
+) -> (scenario::Filter, Option<String>) {
+    if settings.motion != Motion::Odometry(None) {
+        return (settings.clone(), None);
+    }
+    let fitted = fitted_alpha(drive, localized);
+    let alpha = fitted.unwrap_or([USUAL_ALPHA; 4]);
+    let from = match fitted {
+        Some(_) => "fitted to the odometry's errors against the reference poses of all other scans",
+        None => "a guess: too few of the other scans have reference poses to fit it to",
+    };
+    let numbers = alpha.map(|alpha| format!("{alpha:.2e}")).join(", ");
+    let note = format!("The filter's motion noise (alpha 1 to 4: {numbers}) is {from}.");
+    (scenario::Filter { motion: Motion::Odometry(Some(alpha)), ..settings.clone() }, Some(note))
 }
 
 fn world(simulation: &Simulation, maps: &MapSet) -> Result<World, SimulationError> {

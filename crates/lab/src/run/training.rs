@@ -163,8 +163,7 @@ fn train_one(
         grid.exponents = vec![exponent];
     }
     let tempering = choose_tempering(&*bare, calibration, &grid).map_err(failed)?;
-    // Older models keep the exponent that single scans tell, and with it their published figures.
-    let rehearsal = surroundings.rehearsal.as_ref().filter(|_| is_field && model.exponent.is_none());
+    let rehearsal = surroundings.rehearsal.as_ref().filter(|_| model.exponent.is_none());
     let rehearsed = rehearsal.map(|rehearsal| rehearsal.choose(&bare, tempering.floor)).transpose()?;
     let exponent = rehearsed.map_or(tempering.exponent, |rehearsed| rehearsed.exponent);
     let tempered = Tempered::new(Arc::clone(&bare), tempering.floor, exponent).map_err(failed)?;

@@ -26,7 +26,7 @@ pub(super) fn localize(
     clock: Clock<'_>,
     mut detail: Option<&mut Detail<'_>>,
 ) -> Result<ModelTrial, LabError> {
-    let settings = &laboratory.scenario.filter;
+    let settings = &laboratory.filter;
     let truth = truth_of(laboratory, drive)?;
     let dead_reckoning = dead_reckoning(drive, truth[0]);
     let map = &*laboratory.maps.ranges;

@@ -159,7 +159,7 @@ fn localize(
     seed: u64,
     clock: Clock<'_>,
 ) -> Result<Track, LabError> {
-    let settings = &laboratory.scenario.filter;
+    let settings = &laboratory.filter;
     let map = &*laboratory.maps.ranges;
     let start = filter::start(settings, None).ok_or_else(|| LabError::Log {
         path: laboratory.scenario.file.clone(),

@@ -89,8 +89,10 @@ pub struct RawKld {
 pub struct RawMotion {
     /// Which model.
     pub model: MotionModelName,
-    /// Noise parameters, each 0 to 1000: alpha 1 to 4 (`odometry`) or 1 to 6 (`velocity`).
-    pub alpha: Vec<f64>,
+    /// Noise parameters, each 0 to 1000: alpha 1 to 4 (`odometry`) or 1 to 6 (`velocity`). On a log, those of `odometry` may be
+    /// left out: they are then fitted to the log's odometry, on scans with a reference pose that no trial localizes on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alpha: Option<Vec<f64>>,
 }
 
 /// The motion models there are.

@@ -12,7 +12,12 @@ use crate::raw::{
 };
 use crate::{Filter, Motion, Start};
 
-pub(super) fn filter(check: &mut Checker<'_>, raw: &RawFilter, laser: Option<&RawLaser>) -> Filter {
+pub(super) fn filter(
+    check: &mut Checker<'_>,
+    raw: &RawFilter,
+    laser: Option<&RawLaser>,
+    has_log: bool,
+) -> Filter {
     let laser_beams = laser.and_then(|laser| u32::try_from(laser.beams).ok());
     Filter {
         particles: match &raw.particles {
@@ -21,7 +26,7 @@ pub(super) fn filter(check: &mut Checker<'_>, raw: &RawFilter, laser: Option<&Ra
             }
             Form::Full(RawAdaptive { kld }) => adaptive(check, kld),
         },
-        motion: motion(check, &raw.motion),
+        motion: motion(check, &raw.motion, has_log),
         resampler: raw.resampler,
         resample: match raw.resample {
             RawResample::EachStep => ResampleTrigger::EachStep,
@@ -75,22 +80,26 @@ fn adaptive(check: &mut Checker<'_>, raw: &RawKld) -> ParticleCount {
     })
 }
 
-fn motion(check: &mut Checker<'_>, raw: &RawMotion) -> Motion {
+fn motion(check: &mut Checker<'_>, raw: &RawMotion, has_log: bool) -> Motion {
     let key = "filter.motion.alpha";
-    check.numbers(key, &raw.alpha, NOISE);
+    let Some(given) = &raw.alpha else {
+        let is_odometry = raw.model == MotionModelName::Odometry;
+        check.refuse(!(is_odometry && has_log), key, || {
+            "the key is missing; only the noise of `odometry` may be left out, on a `log`, to which it is then fitted".to_owned()
+        });
+        return Motion::Odometry(None);
+    };
+    check.numbers(key, given, NOISE);
     let wanted = match raw.model {
         MotionModelName::Odometry => 4,
         MotionModelName::Velocity => 6,
     };
-    check.refuse(raw.alpha.len() != wanted, key, || {
-        format!(
-            "a list of length {} is not allowed; this motion model has {wanted} parameters",
-            raw.alpha.len()
-        )
+    check.refuse(given.len() != wanted, key, || {
+        format!("a list of length {} is not allowed; this motion model has {wanted} parameters", given.len())
     });
-    let alpha = |i: usize| raw.alpha.get(i).copied().unwrap_or_default();
+    let alpha = |i: usize| given.get(i).copied().unwrap_or_default();
     match raw.model {
-        MotionModelName::Odometry => Motion::Odometry(std::array::from_fn(alpha)),
+        MotionModelName::Odometry => Motion::Odometry(Some(std::array::from_fn(alpha))),
         MotionModelName::Velocity => Motion::Velocity(std::array::from_fn(alpha)),
     }
 }

@@ -51,7 +51,7 @@ pub(crate) fn validate(
         "0 is not allowed with the model `oracle`, which is a density; a finite number above 0".to_owned()
     });
     let models = select(&mut check, &all_models, overrides.models.as_deref());
-    let filter = filter::filter(&mut check, &raw.filter, raw.laser.as_ref());
+    let filter = filter::filter(&mut check, &raw.filter, raw.laser.as_ref(), raw.log.is_some());
     let errors = Errors {
         frame: raw.errors.frame,
         lost_m: check.number("errors.lost_m", raw.errors.lost_m, POSITIVE_LENGTH),

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::ExactRangeMap;
 use super::segment::range_to;
-use super::sight::{NOTHING, SightKey};
+use super::sight::{NOTHING, SightKey, is_beyond};
 use crate::map::CellFrame;
 
 /// Cell rows per unit of parallel work; neighbouring bands both cast from the row of corners between them.
@@ -208,7 +208,7 @@ impl Caster<'_> {
         // Casts from each corner of the cell row along each edge; `None` where none was needed yet.
         let mut below: Vec<Option<Spot>> = (0..=columns).map(|_| None).collect();
         let mut above: Vec<Option<Spot>> = (0..=columns).map(|_| None).collect();
-        let (mut samples, mut walls) = (Vec::new(), Vec::new());
+        let mut scratch = Scratch::default();
         let mut entries = entries.chunks_mut(self.edges.len());
         for (row, inside) in (first_row..).zip(inside.chunks(columns)) {
             for column in (0..columns).filter(|&column| inside[column]) {
@@ -223,7 +223,7 @@ impl Caster<'_> {
                 let centre = Some(centre).filter(|&centre| self.is_free(centre));
                 let entries = entries.next().expect("one row of entries per cell");
                 for (bin, entry) in entries.iter_mut().enumerate() {
-                    *entry = pool.index(&self.content_of_bin(corners, centre, bin, &mut samples, &mut walls));
+                    *entry = pool.index(&self.content_of_bin(corners, centre, bin, &mut scratch));
                 }
             }
             std::mem::swap(&mut below, &mut above);
@@ -258,8 +258,7 @@ impl Caster<'_> {
         corners: [&Spot; 4],
         centre: Option<DVec2>,
         bin: usize,
-        samples: &mut Vec<Sample>,
-        walls: &'a mut Vec<u32>,
+        Scratch { samples, walls, trials }: &'a mut Scratch,
     ) -> BinContent<'a> {
         let next = (bin + 1) % self.edges.len();
         samples.clear();
@@ -285,29 +284,25 @@ impl Caster<'_> {
         walls.extend(samples.iter().map(|sample| sample.wall));
         walls.sort_unstable();
         walls.dedup();
-        let segments = self.map.geometry().segments();
-        let singles = walls.iter().map(|&wall| SightKey::single(wall));
-        let pairs = walls.iter().flat_map(|&first| {
-            walls.iter().filter(move |&&second| second != first).flat_map(move |&second| {
-                (0..4).map(move |corner| SightKey { walls: [first, second], corner })
-            })
+        trials.compare(self.map.geometry().segments(), walls, samples);
+        let count = walls.len();
+        let singles = (0..count).map(|wall| ([wall, wall], 0));
+        let pairs = (0..count).flat_map(|first| {
+            (0..count)
+                .filter(move |&second| second != first)
+                .flat_map(move |second| (0..4).map(move |corner| ([first, second], corner)))
         });
         // Worse than this, and the walls are listed.
         let most_error = self.tolerance_m * samples.len() as f64;
         let mut best = None;
         let mut least_error = most_error;
-        for key in singles.chain(pairs) {
-            if key.walls[(key.corner >> 1) as usize] == NOTHING && key.walls[0] != key.walls[1] {
+        for (pair, corner) in singles.chain(pairs) {
+            if walls[pair[corner >> 1]] == NOTHING && pair[0] != pair[1] {
                 continue;
             }
-            let mut error = 0.0;
-            for sample in samples.iter() {
-                error += error_of(segments, &key, sample);
-                if error > least_error {
-                    break;
-                }
-            }
+            let error = trials.error(pair, corner, least_error);
             if error < least_error || (error <= least_error && best.is_none()) {
+                let key = SightKey { walls: pair.map(|wall| walls[wall]), corner: corner as u32 };
                 (least_error, best) = (error, Some(key));
             }
         }
@@ -325,9 +320,58 @@ impl Caster<'_> {
     }
 }
 
-/// By how much a sight misses an exact cast \[m\], at most [`MOST_ERROR_M`].
-fn error_of(segments: &[[DVec2; 2]], key: &SightKey, sample: &Sample) -> f64 {
-    let wall = key.wall(segments, sample.origin, sample.direction);
+/// Allocations that are used again for each bin of a cell.
+#[derive(Default)]
+struct Scratch {
+    samples: Vec<Sample>,
+    walls: Vec<u32>,
+    trials: Trials,
+}
+
+/// How each wall would explain each sample. Sights are made of two walls and a corner, so that all pairs need nothing else.
+#[derive(Default)]
+struct Trials {
+    samples: usize,
+    /// By how much the wall misses the exact cast \[wall\]\[sample\] \[m\], at most [`MOST_ERROR_M`].
+    errors: Vec<f64>,
+    /// Whether the ray passes counter-clockwise of the corner at an end of a wall \[wall\]\[end\]\[sample\].
+    beyond: Vec<bool>,
+}
+
+impl Trials {
+    fn compare(&mut self, segments: &[[DVec2; 2]], walls: &[u32], samples: &[Sample]) {
+        self.samples = samples.len();
+        self.errors.clear();
+        self.beyond.clear();
+        for &wall in walls {
+            self.errors.extend(samples.iter().map(|sample| error_of(segments, wall, sample)));
+            for end in 0..2 {
+                let corner = SightKey { walls: [wall, wall], corner: end }.corner(segments);
+                self.beyond
+                    .extend(samples.iter().map(|sample| is_beyond(corner, sample.origin, sample.direction)));
+            }
+        }
+    }
+
+    /// The sum of the errors of a sight, or anything above `most` if it is more: of a pair of the walls that were compared, and
+    /// a corner as in [`SightKey`].
+    fn error(&self, pair: [usize; 2], corner: usize, most: f64) -> f64 {
+        let n = self.samples;
+        let [first, second] = pair.map(|wall| &self.errors[wall * n..][..n]);
+        let corner = 2 * pair[corner >> 1] + (corner & 1);
+        let mut sum = 0.0;
+        for ((a, b), beyond) in first.iter().zip(second).zip(&self.beyond[corner * n..][..n]) {
+            sum += if *beyond { b } else { a };
+            if sum > most {
+                break;
+            }
+        }
+        sum
+    }
+}
+
+/// By how much a wall misses an exact cast \[m\], at most [`MOST_ERROR_M`].
+fn error_of(segments: &[[DVec2; 2]], wall: u32, sample: &Sample) -> f64 {
     if wall == sample.wall {
         return 0.0;
     }

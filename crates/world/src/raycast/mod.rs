@@ -14,4 +14,4 @@ pub(crate) use boxes::Boxes;
 pub use distance::DistanceGrid;
 pub use exact::{BEHIND_M, ExactRangeMap, RayHit};
 pub(crate) use segment::distance_to;
-pub use table::{RangeTable, RangeTableOptions};
+pub use table::{RangeTable, RangeTableOptions, Vicinity};

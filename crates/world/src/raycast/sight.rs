@@ -32,6 +32,11 @@ pub(super) struct SightKey {
     pub corner: u32,
 }
 
+/// Whether a ray meets the second wall of a sight: it passes counter-clockwise of the corner, or through it.
+pub(super) fn is_beyond(corner: DVec2, origin: DVec2, direction: DVec2) -> bool {
+    direction.perp_dot(corner - origin) <= 0.0
+}
+
 impl SightKey {
     /// One wall, or nothing, is all that is seen.
     pub const fn single(wall: u32) -> Self {
@@ -42,12 +47,6 @@ impl SightKey {
     pub fn corner(&self, segments: &[[DVec2; 2]]) -> DVec2 {
         let wall = self.walls[(self.corner >> 1) as usize];
         segments.get(wall as usize).map_or(DVec2::ZERO, |ends| ends[(self.corner & 1) as usize])
-    }
-
-    /// Index of the segment that a ray meets.
-    pub fn wall(&self, segments: &[[DVec2; 2]], origin: DVec2, direction: DVec2) -> u32 {
-        let side = direction.perp_dot(self.corner(segments) - origin);
-        self.walls[usize::from(side <= 0.0)]
     }
 
     /// The sight for queries, in coordinates relative to `origin` \[m\].
@@ -128,7 +127,8 @@ mod tests {
         };
         for (direction, wall, range) in [((0.5, 1.49), 0, 0.5), ((0.5, 1.51), 1, 2.5)] {
             let direction = DVec2::new(direction.0, direction.1);
-            assert_eq!(key.wall(&segments, origin, direction), wall);
+            let second = is_beyond(key.corner(&segments), origin, direction);
+            assert_eq!(key.walls[usize::from(second)], wall);
             let [met, cosine] = meet(&sight, direction.normalize());
             assert!((f64::from(met) - range / 0.5 * direction.length()).abs() < 1e-5);
             assert!((f64::from(cosine) - 0.5 / direction.length()).abs() < 1e-6);

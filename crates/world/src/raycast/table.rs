@@ -34,6 +34,38 @@ impl Default for RangeTableOptions {
     }
 }
 
+/// The part of the plane that is no farther than `distance_m` from any of the `points` \[m\], to a cell.
+#[derive(Clone, Copy, Debug)]
+pub struct Vicinity<'a> {
+    /// Such as the poses of a drive.
+    pub points: &'a [[f64; 2]],
+    /// \[m\].
+    pub distance_m: f64,
+}
+
+impl Vicinity<'_> {
+    /// Whether each cell lies in it.
+    fn cells(&self, frame: &CellFrame) -> Vec<bool> {
+        let mut inside = vec![false; frame.rows * frame.columns];
+        let radius = self.distance_m / frame.cell_m;
+        let span = |centre: f64, count: usize| {
+            // Saturates, so that points far off the map have no cells.
+            let bound = |at: f64| (at.max(0.0) as usize).min(count);
+            bound((centre - radius).floor())..bound((centre + radius).ceil() + 1.0)
+        };
+        for [x, y] in self.points {
+            let at = [(x - frame.x0) / frame.cell_m, (y - frame.y0) / frame.cell_m];
+            for row in span(at[1], frame.rows) {
+                for column in span(at[0], frame.columns) {
+                    let [dx, dy] = [column as f64 + 0.5 - at[0], row as f64 + 0.5 - at[1]];
+                    inside[row * frame.columns + column] |= dx * dx + dy * dy <= radius * radius;
+                }
+            }
+        }
+        inside
+    }
+}
+
 /// Fast ray casts: a table holds, for each cell of the plane and bin of headings, the wall that a ray meets, or the two
 /// walls and the corner that divides the rays between them; the ray is then intersected with that wall's line.
 ///
@@ -136,7 +168,21 @@ impl RangeTable {
         folder: Option<&Path>,
         progress: &(dyn Fn(f64) + Sync),
     ) -> Result<Self, MapError> {
-        let (frame, in_sight) = fitting_frame(map, options)?;
+        Self::near(map, options, None, folder, progress)
+    }
+
+    /// As [`RangeTable::cached`], but only for cells that a filter can be expected in. Rays from elsewhere are cast exactly.
+    ///
+    /// # Errors
+    /// As [`RangeTable::new`].
+    pub fn near(
+        map: &ExactRangeMap,
+        options: &RangeTableOptions,
+        vicinity: Option<Vicinity<'_>>,
+        folder: Option<&Path>,
+        progress: &(dyn Fn(f64) + Sync),
+    ) -> Result<Self, MapError> {
+        let (frame, in_sight) = fitting_frame(map, options, vicinity)?;
         let cached = folder.map(|folder| Cached::new(folder, map, options, &frame, &in_sight, HEADINGS));
         if let Some(built) = cached.as_ref().and_then(Cached::read) {
             progress(1.0);
@@ -228,6 +274,7 @@ fn shifted([x0, y0, x1, y1]: [f64; 4], cell_m: f64) -> [f64; 4] {
 fn fitting_frame(
     map: &ExactRangeMap,
     options: &RangeTableOptions,
+    vicinity: Option<Vicinity<'_>>,
 ) -> Result<(CellFrame, Vec<bool>), MapError> {
     let mut cell_m = options.cell_m;
     let corners = map.geometry().corners_of_free_space().max(1);
@@ -239,7 +286,10 @@ fn fitting_frame(
                 if frame.rows * frame.columns <= options.most_bytes / size_of::<u32>()
                     && frame.rows * frame.columns <= MOST_COMPARED / corners =>
             {
-                let in_sight = cells_in_sight(map, &frame);
+                let mut in_sight = cells_in_sight(map, &frame);
+                if let Some(vicinity) = vicinity {
+                    in_sight.iter_mut().zip(vicinity.cells(&frame)).for_each(|(cell, near)| *cell &= near);
+                }
                 let rows = in_sight.iter().filter(|inside| **inside).count();
                 if (rows * HEADINGS + in_sight.len()) * size_of::<u32>() <= options.most_bytes {
                     return Ok((frame, in_sight));

@@ -8,7 +8,7 @@ use locsim_core::{
     RangeMap, Stage,
 };
 use locsim_world::map::{Cell, Geometry, MapError, OccupancyGrid};
-use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions};
+use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions, Vicinity};
 use proptest::prelude::*;
 use rand::RngExt;
 
@@ -336,6 +336,45 @@ fn a_table_that_does_not_fit_gets_larger_cells() {
     assert!(
         hits.range.iter().zip(&expected.range).all(|(a, b)| (a - b).abs() < 1e-5),
         "without a table, casts are exact"
+    );
+}
+
+/// A table of a vicinity answers like the whole one inside, and like exact casts outside.
+#[test]
+fn a_table_may_hold_the_vicinity_of_a_drive_only() {
+    let exact = ExactRangeMap::new(cluttered(2));
+    let options = RangeTableOptions::default();
+    let whole = RangeTable::new(&exact, &options, &|_| ()).unwrap();
+    let [x0, y0, x1, y1] = exact.bounds();
+    let vicinity = Vicinity {
+        points: &[[x0 + 0.3 * (x1 - x0), y0 + 0.1 * (y1 - y0)], [1e300, -1e300]],
+        distance_m: 2.0,
+    };
+    let near = RangeTable::near(&exact, &options, Some(vicinity), None, &|_| ()).unwrap();
+    assert!(near.bytes() < whole.bytes() / 2, "{} of {} bytes", near.bytes(), whole.bytes());
+    let bearings = bearings(30);
+    let cell = options.cell_m;
+    let (mut inside, mut outside, mut wrong) = (0, 0, 0);
+    for pose in random_poses(2000, exact.bounds()).iter() {
+        let cast = |map: &dyn RangeMap| {
+            let mut hits = Hits::default();
+            map.cast(Particles::from_iter([pose]).as_poses(), &bearings, 30.0, &mut hits);
+            hits.range
+        };
+        let [x, y] = vicinity.points[0];
+        let distance = pose.position().distance(DVec2::new(x, y));
+        if distance < 2.0 - cell {
+            inside += 1;
+            assert_eq!(cast(&near), cast(&whole));
+        } else if distance > 2.0 + cell {
+            outside += bearings.len();
+            wrong += cast(&near).iter().zip(cast(&exact)).filter(|(a, b)| (*a - b).abs() > 1e-4).count();
+        }
+    }
+    // Directions are rounded to f32, which decides at corners. The whole table is wrong on 1.6 % here.
+    assert!(
+        inside > 20 && wrong < outside / 1000,
+        "{inside} poses inside; {wrong} of {outside} ranges outside"
     );
 }
 
