@@ -161,7 +161,14 @@ fn a_new_scenario_serves_run_map_and_gap_without_an_edit() {
         .success()
         .stdout(contains("`locsim run my.yaml`").and(contains("`locsim gap my.yaml --out found`")));
     let text = String::from_utf8(folder.read("my.yaml")).unwrap();
-    for part in ["file: drive.mcap", "map: walls", "against the reference", "flat walls", "from /tf_static"] {
+    for part in [
+        "file: drive.mcap",
+        "map_scans: [[",
+        "is fitted to the log's odometry",
+        "against the reference",
+        "flat walls",
+        "from /tf_static",
+    ] {
         assert!(text.contains(part), "{part}: {text}");
     }
     folder.locsim("validate my.yaml").success();

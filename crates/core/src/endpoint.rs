@@ -109,6 +109,12 @@ impl EndpointTable {
         Self { grid, max_range, entries, nats }
     }
 
+    /// The same log densities times a positive factor.
+    #[must_use]
+    pub fn scaled(self, factor: f64) -> Self {
+        Self { nats: self.nats.scaled(factor), ..self }
+    }
+
     /// Log likelihood (nats) of a scan for each of the laser poses.
     pub fn log_likelihood(&self, laser: Poses<'_>, scan: &EndpointScan, out: &mut [f64]) {
         let EndpointGrid { x0, y0, cell_m, columns, rows } = self.grid;

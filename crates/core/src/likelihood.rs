@@ -41,6 +41,11 @@ impl Nats {
         (entries, Self { base, unit })
     }
 
+    /// The same log densities times a factor.
+    pub fn scaled(self, factor: f64) -> Self {
+        Self { base: factor * self.base, unit: factor * self.unit }
+    }
+
     /// The sum of `beams` log densities (nats) from that of their entries.
     #[inline]
     pub fn sum(self, beams: usize, entries: i32) -> f64 {
@@ -121,6 +126,12 @@ impl LikelihoodTable {
         let (mut entries, nats) = Nats::of(log_density);
         entries.resize(count + ranges * INCIDENCE_KNOTS, 0);
         Self { grid, ranges, entries, nats }
+    }
+
+    /// The same log densities times a positive factor.
+    #[must_use]
+    pub fn scaled(self, factor: f64) -> Self {
+        Self { nats: self.nats.scaled(factor), ..self }
     }
 
     /// Where the knots are.

@@ -41,6 +41,17 @@ impl Prepared {
         };
         Ok(Self { inner, table })
     }
+
+    /// The table for `inner`, a model whose log density is `factor` times that of the model it was made of: the same with another
+    /// exponent.
+    #[must_use]
+    pub fn scaled(self, inner: Arc<dyn SensorModel>, factor: f64) -> Self {
+        let table = match self.table {
+            Table::State(table) => Table::State(table.scaled(factor)),
+            Table::Endpoint(table) => Table::Endpoint(table.scaled(factor)),
+        };
+        Self { inner, table }
+    }
 }
 
 fn over_states(model: &dyn SensorModel, grid: LikelihoodGrid) -> LikelihoodTable {

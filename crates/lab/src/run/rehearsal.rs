@@ -8,13 +8,16 @@
 use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
-use locsim_core::{Draw, Drive, DriveStep, Pose2, RangeMap, SensorModel, Stage, wrap_angle};
-use locsim_mcl::{Estimate, Filter, Start, StepInput};
+use locsim_core::{
+    DependsOn, Draw, Drive, DriveStep, EndpointGrid, LikelihoodGrid, Pose2, RangeMap, SensorModel, Stage,
+    wrap_angle,
+};
+use locsim_mcl::{Estimate, Filter, Spread, Start, StepInput};
 use locsim_scenario as scenario;
-use locsim_sensor::Tempered;
+use locsim_sensor::{Prepared, Tempered};
 use rayon::prelude::*;
 
-use super::filter::{self, options};
+use super::filter::options;
 use crate::LabError;
 
 /// A consistent filter has a NEES of the number of its dimensions on average.
@@ -26,6 +29,9 @@ const EXPONENTS: [f64; 12] = [0.02, 0.03, 0.04, 0.055, 0.075, 0.1, 0.14, 0.2, 0.
 /// Stretches are repeated with other draws until there are this many steps: their errors come in runs, and a few tens of
 /// steps would leave the mean to chance.
 const STEPS: usize = 200;
+
+/// Spread of the start where the scenario's filter starts anywhere: an exponent is that of a filter that has gathered.
+const START: Spread = Spread { sigma_m: 0.1, sigma_rad: 0.05 };
 
 /// Stretches with fewer steps than this in all tell nothing.
 const FEWEST_STEPS: usize = 10;
@@ -61,8 +67,8 @@ pub(super) struct Rehearsed {
 }
 
 impl<'a> Rehearsal<'a> {
-    /// Localizes on each of the `stretches`, as far as its scans have reference poses. `None` where the filter starts anywhere
-    /// or there are too few steps.
+    /// Localizes on each of the `stretches`, as far as its scans have reference poses, from the first of these on. `None` where
+    /// there are too few steps.
     pub(super) fn new(
         filter: &'a scenario::Filter,
         mut stretches: Vec<Drive>,
@@ -77,18 +83,40 @@ impl<'a> Rehearsal<'a> {
             stretch.steps.truncate(end);
         }
         let steps: usize = stretches.iter().map(|stretch| stretch.steps.len()).sum();
-        let tracks = matches!(filter.start, scenario::Start::Tracking(_));
-        (tracks && steps >= FEWEST_STEPS).then_some(Self { filter, map, stretches, seed })
+        (steps >= FEWEST_STEPS).then_some(Self { filter, map, stretches, seed })
     }
 
     /// The greatest exponent with which the filter's own covariance accounts for its errors: up to it, the mean NEES of the
     /// stretches is no more than a consistent filter's. The least that is tried, if there is none.
-    pub(super) fn choose(&self, model: &Arc<dyn SensorModel>, floor: f64) -> Result<Rehearsed, LabError> {
+    ///
+    /// # Errors
+    /// [`LabError`] for a filter that gives up.
+    pub(super) fn choose(
+        &self,
+        model: &Arc<dyn SensorModel>,
+        floor: f64,
+        tables: Option<(LikelihoodGrid, &EndpointGrid)>,
+    ) -> Result<Rehearsed, LabError> {
+        let failed = |source| LabError::TrainingData { source };
+        let tempered = |exponent: f64| -> Result<Arc<dyn SensorModel>, LabError> {
+            Ok(Arc::new(Tempered::new(Arc::clone(model), floor, exponent).map_err(failed)?))
+        };
+        let mut last = EXPONENTS[0];
+        let mut prepared = match tables {
+            Some((states, endpoints)) if model.depends_on() != DependsOn::Everything => {
+                Some(Prepared::new(tempered(last)?, states, endpoints).map_err(failed)?)
+            }
+            _ => None,
+        };
         let mut chosen: Option<Rehearsed> = None;
         for exponent in EXPONENTS {
-            let tempered = Tempered::new(Arc::clone(model), floor, exponent)
-                .map_err(|source| LabError::TrainingData { source })?;
-            let nees = self.mean_nees(&tempered)?;
+            let tempered = tempered(exponent)?;
+            prepared = prepared.map(|table| table.scaled(Arc::clone(&tempered), exponent / last));
+            last = exponent;
+            let nees = match &prepared {
+                Some(prepared) => self.mean_nees(prepared)?,
+                None => self.mean_nees(&*tempered)?,
+            };
             if nees > DIMENSIONS && chosen.is_some() {
                 break;
             }
@@ -121,7 +149,11 @@ impl<'a> Rehearsal<'a> {
 
     fn sum_of_nees(&self, drive: &Drive, model: &dyn SensorModel, seed: u64) -> Result<f64, LabError> {
         let Some(pose) = drive.steps.first().and_then(|step| step.reference) else { return Ok(0.0) };
-        let start = filter::start(self.filter, Some(pose)).unwrap_or(Start::Global);
+        let spread = match self.filter.start {
+            scenario::Start::Tracking(spread) | scenario::Start::Around(_, spread) => spread,
+            scenario::Start::Global => START,
+        };
+        let start = Start::Tracking { pose, spread };
         let mut filter = Filter::new(options(self.filter, false)?, &start, &*self.map, seed)?;
         let mut sum = 0.0;
         for (i, step) in drive.steps.iter().enumerate() {

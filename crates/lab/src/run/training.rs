@@ -163,14 +163,15 @@ fn train_one(
         grid.exponents = vec![exponent];
     }
     let tempering = choose_tempering(&*bare, calibration, &grid).map_err(failed)?;
+    let tables = surroundings.tables.as_ref().map(|endpoints| (LikelihoodGrid::for_laser(laser), endpoints));
     let rehearsal = surroundings.rehearsal.as_ref().filter(|_| model.exponent.is_none());
-    let rehearsed = rehearsal.map(|rehearsal| rehearsal.choose(&bare, tempering.floor)).transpose()?;
+    let rehearsed =
+        rehearsal.map(|rehearsal| rehearsal.choose(&bare, tempering.floor, tables)).transpose()?;
     let exponent = rehearsed.map_or(tempering.exponent, |rehearsed| rehearsed.exponent);
     let tempered = Tempered::new(Arc::clone(&bare), tempering.floor, exponent).map_err(failed)?;
     let mut tempered: Arc<dyn SensorModel> = Arc::new(tempered);
-    if let Some(endpoints) = surroundings.tables.filter(|_| tempered.depends_on() != DependsOn::Everything) {
-        let states = LikelihoodGrid::for_laser(laser);
-        tempered = Arc::new(Prepared::new(tempered, states, &endpoints).map_err(failed)?);
+    if let Some((states, endpoints)) = tables.filter(|_| tempered.depends_on() != DependsOn::Everything) {
+        tempered = Arc::new(Prepared::new(tempered, states, endpoints).map_err(failed)?);
     }
     // The same small floor for all: without one, a single odd reading makes the log loss infinite.
     let with_floor = Tempered::new(Arc::clone(&bare), LOG_LOSS_FLOOR, 1.0).map_err(failed)?;

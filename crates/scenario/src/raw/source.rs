@@ -212,8 +212,8 @@ pub struct RawLog {
     /// A ROS 2 bag (a folder, `.mcap` or `.db3`) or a CARMEN log (`.log`), also compressed with gzip or zstd. Relative to the scenario file; `${VARIABLE}` is replaced from the
     /// environment.
     pub file: String,
-    /// The map that is built from the log: cells of an occupancy grid, or walls where its readings end. Default: `cells`.
-    #[schemars(extend("default" = "cells"))]
+    /// The map that is built from the log: cells of an occupancy grid, or walls where its readings end. Default: `walls`, but `cells`
+    /// beside `map_resolution_m`.
     pub map: Option<MapFromScans>,
     /// Scans that the map is built from. Needed where `map` is absent, not allowed beside it.
     pub map_scans: Option<Vec<[f64; 2]>>,
@@ -224,8 +224,7 @@ pub struct RawLog {
     /// scan.
     #[schemars(length(min = 1, max = 1))]
     pub localize_scans: Vec<[f64; 2]>,
-    /// Side of a cell of the map built from the log (m), 0.001 to 10; only with cells. Default: 0.05.
-    #[schemars(extend("default" = default::MAP_RESOLUTION_M))]
+    /// Side of a cell of the map built from the log (m), 0.001 to 10; only with cells, for which it is 0.05 where it isn't given.
     pub map_resolution_m: Option<f64>,
     /// Readings at or above this count as no return (m), 0.001 to 10000. Default: the log's own maximum.
     pub max_range_m: Option<f64>,

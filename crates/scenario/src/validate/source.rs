@@ -272,7 +272,9 @@ fn log(check: &mut Checker<'_>, raw: &RawLog, map: Option<PathBuf>) -> Log {
         });
         let scans =
             raw.map_scans.as_ref().map_or_else(Vec::new, |scans| check.shares("log.map_scans", scans));
-        match raw.map.unwrap_or(MapFromScans::Cells) {
+        let has_resolution = raw.map_resolution_m.is_some();
+        let default = if has_resolution { MapFromScans::Cells } else { MapFromScans::Walls };
+        match raw.map.unwrap_or(default) {
             MapFromScans::Cells => {
                 let resolution_m = raw.map_resolution_m.unwrap_or(default::MAP_RESOLUTION_M);
                 let resolution_m = check.number("log.map_resolution_m", resolution_m, Within(0.001, 10.0));
