@@ -105,6 +105,34 @@ fn the_likelihood_field_is_a_table_over_the_plane() {
 }
 
 #[test]
+fn a_scaled_table_is_that_of_another_exponent() {
+    for kind in [ModelKind::BeamMixture, ModelKind::NpRegRegistered, ModelKind::LikelihoodField] {
+        let made = |exponent: f64| Arc::new(Tempered::new(model(kind), 0.01, exponent).unwrap());
+        let prepared = |exponent: f64| Prepared::new(made(exponent), states(), &ENDPOINTS).unwrap();
+        let scaled = prepared(0.2).scaled(made(0.6), 3.0);
+        match (scaled.table().unwrap(), prepared(0.6).table().unwrap()) {
+            (ModelTable::State(a), ModelTable::State(b)) => {
+                for (range, z) in [(1.0, 1.0), (1.0, 0.4), (2.0, 2.01), (2.0, MAX_RANGE)] {
+                    let [a, b] = [a, b].map(|table| table.log_density(z, range, 0.7));
+                    assert!((a - b).abs() < 3e-3, "{kind}: {a} and {b} at {z} of {range} m");
+                }
+            }
+            (ModelTable::Endpoint(a), ModelTable::Endpoint(b)) => {
+                let poses: Particles = [Pose2::new(0.3, 0.3, 0.1)].into_iter().collect();
+                let [a, b] = [a, b].map(|table| {
+                    let (mut scan, mut sum) = (EndpointScan::default(), [0.0]);
+                    scan.prepare(&[0.0, 1.0], &[0.5, 1.0], table);
+                    table.log_likelihood(poses.as_poses(), &scan, &mut sum);
+                    sum[0]
+                });
+                assert!((a - b).abs() < 6e-3, "{a} and {b}");
+            }
+            _ => panic!("{kind}: tables of two kinds"),
+        }
+    }
+}
+
+#[test]
 fn the_oracle_has_no_table() {
     let oracle = Arc::new(Oracle::new(Arc::new(Objects::default()), 0.01, 0.002).unwrap());
     let refused = Prepared::new(oracle, states(), &ENDPOINTS).err();
