@@ -13,6 +13,8 @@ use arrow::datatypes::{DataType, Field, Float64Type, Schema, SchemaRef, UInt32Ty
 use indexmap::IndexMap;
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::schema::types::ColumnPath;
+use rayon::prelude::*;
 use serde_json::Value;
 
 use crate::ReportError;
@@ -159,8 +161,13 @@ impl TrialFile {
 
     fn with_schema(path: &Path, schema: SchemaRef) -> Result<Self, ReportError> {
         let file = File::create(path).map_err(parquet::errors::ParquetError::from)?;
-        let properties = properties().set_max_row_group_row_count(Some(ROW_GROUP)).build();
-        let writer = ArrowWriter::try_new(file, Arc::clone(&schema), Some(properties))?;
+        let mut properties = properties().set_max_row_group_row_count(Some(ROW_GROUP));
+        // Measured numbers hardly repeat: a dictionary of them takes time and saves nothing.
+        for field in schema.fields().iter().filter(|field| *field.data_type() == DataType::Float64) {
+            let column = ColumnPath::new(vec![field.name().clone()]);
+            properties = properties.set_column_dictionary_enabled(column, false);
+        }
+        let writer = ArrowWriter::try_new(file, Arc::clone(&schema), Some(properties.build()))?;
         Ok(Self { writer, schema, waiting: Vec::new(), waiting_rows: 0, rows: 0 })
     }
 
@@ -233,31 +240,22 @@ impl<'a> TrialSet<'a> {
         let labels = table.column(place).as_string::<i32>();
         let mut rest = table.clone();
         rest.remove_column(place);
-        // Index of each row's model; neighbours often share it.
-        let mut present: Vec<&str> = Vec::new();
-        let models: Vec<usize> = labels
-            .iter()
-            .flatten()
-            .map(|label| {
-                present.iter().position(|known| *known == label).unwrap_or_else(|| {
-                    present.push(label);
-                    present.len() - 1
-                })
-            })
-            .collect();
-        for (i, label) in present.iter().enumerate() {
-            let mask: BooleanArray = models.iter().map(|model| Some(*model == i)).collect();
-            let rows = filter_record_batch(&rest, &mask)?;
-            let part = match self.models.entry((*label).to_owned()) {
-                indexmap::map::Entry::Occupied(entry) => entry.into_mut(),
-                indexmap::map::Entry::Vacant(entry) => {
-                    let path = self.folder.claim(&format!("{}/model={label}/part-0.parquet", self.name))?;
-                    entry.insert(TrialFile::with_schema(&path, rows.schema())?)
-                }
-            };
-            part.push(rows)?;
+        // Index of the file of each row.
+        let mut places = Vec::with_capacity(table.num_rows());
+        for label in labels.iter().flatten() {
+            places.push(if let Some(place) = self.models.get_index_of(label) {
+                place
+            } else {
+                let path = self.folder.claim(&format!("{}/model={label}/part-0.parquet", self.name))?;
+                self.models.insert_full(label.to_owned(), TrialFile::with_schema(&path, rest.schema())?).0
+            });
         }
-        Ok(())
+        // Writing the files is most of the work of a merge.
+        let files: Vec<(usize, &mut TrialFile)> = self.models.values_mut().enumerate().collect();
+        files.into_par_iter().try_for_each(|(i, file)| {
+            let mask: BooleanArray = places.iter().map(|place| Some(*place == i)).collect();
+            file.push(filter_record_batch(&rest, &mask)?)
+        })
     }
 
     /// Completes the files. Returns the number of rows of each model.
