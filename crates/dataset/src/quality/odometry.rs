@@ -144,6 +144,9 @@ fn windows(drive: &Drive) -> Vec<Window> {
 }
 
 impl OdometryError {
+    /// Alpha 1 to 4 of an odometry that nothing is known of: half of AMCL's default.
+    pub const USUAL_ALPHA: [f64; 4] = [0.1; 4];
+
     /// The errors on the steps whose scans have reference poses; `None` where there are too few of them.
     pub fn of(drive: &Drive) -> Option<Self> {
         let windows = windows(drive);

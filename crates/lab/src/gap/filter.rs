@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use locsim_core::{Drive, DriveStep, Estimate, Laser, Pose2, RangeMap, Scan, Track};
+use locsim_dataset::OdometryError;
 use locsim_gap::{FilterError, FilterGap, GapError, Outcome, Purpose};
 use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Spread, Start, StepInput};
 use locsim_world::effect::{Effect, Effects, OdometryErrors};
@@ -14,9 +15,9 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{GapStudy, GapStudyOptions};
 use crate::LabError;
+use crate::run::filter_options;
 use crate::run::{MapSet, free_poses};
 use crate::run::{ScanData, Surroundings, TrainedModel, train};
-use crate::run::{USUAL_ALPHA, filter_options};
 use locsim_core::{Control, Progress};
 use locsim_scenario::{self as scenario, Model, ModelName, Motion, RayCast, Source};
 use locsim_sensor::ModelKind;
@@ -224,7 +225,7 @@ fn rmse(
     let settings = &study.scenario.filter;
     let alpha = match (study.simulator.odometry_noise.alpha(), settings.motion) {
         // Odometry without any noise is a simulation's; a filter needs some.
-        (alpha, Motion::Odometry(own)) if alpha == [0.0; 4] => own.unwrap_or([USUAL_ALPHA; 4]),
+        (alpha, Motion::Odometry(own)) if alpha == [0.0; 4] => own.unwrap_or(OdometryError::USUAL_ALPHA),
         (alpha, _) => alpha,
     };
     let spread = match settings.start {

@@ -10,7 +10,6 @@ use minijinja::{Environment, context};
 
 use super::{DriveFacts, Inspection, Split};
 use crate::LabError;
-use crate::run::USUAL_ALPHA;
 use locsim_report::ReportError;
 
 const TEMPLATE: &str = include_str!("templates/scenario.yaml.j2");
@@ -119,7 +118,7 @@ impl NewScenario<'_> {
             beams => facts.laser.beams,
             models => if has_reference { MODELS.to_vec() } else { SIMULATED_MODELS.to_vec() },
             particles => if has_reference { PARTICLES } else { GLOBAL_PARTICLES },
-            usual_alpha => numbers(&[USUAL_ALPHA; 4]),
+            usual_alpha => numbers(&OdometryError::USUAL_ALPHA),
             trained => if has_reference { "" } else { ", and what `locsim run` trains its models on" },
             alpha => numbers(&alpha),
             alpha_comment => alpha_comment,
@@ -241,7 +240,10 @@ fn odometry_noise(error: Option<&OdometryError>) -> ([f64; 4], String) {
             error.alpha.map(|alpha| rounded(alpha, 2)),
             format!("estimated from {} windows of about a metre against the reference", error.windows),
         ),
-        None => ([USUAL_ALPHA; 4], "a guess: there is no reference to compare the odometry with".to_owned()),
+        None => (
+            OdometryError::USUAL_ALPHA,
+            "a guess: there is no reference to compare the odometry with".to_owned(),
+        ),
     }
 }
 

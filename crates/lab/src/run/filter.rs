@@ -15,9 +15,6 @@ use crate::LabError;
 /// Side of a bin of the densest cluster when the scenario doesn't set one: AMCL's 0.5 m and 10 degrees.
 const CLUSTER_BINS: (f64, f64) = (0.5, 10.0 * std::f64::consts::PI / 180.0);
 
-/// Noise of an odometry that nothing is known of, each alpha.
-pub(crate) const USUAL_ALPHA: f64 = 0.1;
-
 /// Fitted motion noise is this many times the odometry's, and each alpha at least this. The errors of nominal ranges are alike
 /// from scan to scan; with less motion noise than that the filter loses its particles.
 const FITTED_ALPHA: (f64, f64) = (2.0, 0.002);
@@ -45,7 +42,9 @@ pub(super) fn start(settings: &scenario::Filter, truth: Option<Pose2>) -> Option
 /// The filter that a scenario describes; motion noise that isn't known is the usual.
 pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<FilterOptions, LabError> {
     let motion: Arc<dyn MotionModel> = match settings.motion {
-        Motion::Odometry(alpha) => Arc::new(OdometryMotion::new(alpha.unwrap_or([USUAL_ALPHA; 4]))?),
+        Motion::Odometry(alpha) => {
+            Arc::new(OdometryMotion::new(alpha.unwrap_or(OdometryError::USUAL_ALPHA))?)
+        }
         Motion::Velocity(alpha) => Arc::new(VelocityMotion::new(alpha)?),
     };
     let resampler: Arc<dyn Resampler> = match settings.resampler {

@@ -8,7 +8,7 @@ use locsim_core::{
     DistanceMap, Draw, Drive, DriveStep, EndpointGrid, Obstructions, Particles, Pose2, RangeMap, Stage,
     Survival,
 };
-use locsim_dataset::{LogOptions, LogSummary, read_log};
+use locsim_dataset::{LogOptions, LogSummary, OdometryError, read_log};
 use locsim_world::effect::Effects;
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive, walls_from_drive};
@@ -19,7 +19,7 @@ use locsim_world::simulation::{
 use rand::RngExt;
 
 use super::coverage::{unmapped_start, untrained_states};
-use super::filter::{USUAL_ALPHA, fitted_alpha};
+use super::filter::fitted_alpha;
 use super::rehearsal::Rehearsal;
 use super::training::{ScanData, Surroundings, TrainedModel, train};
 use crate::LabError;
@@ -420,7 +420,7 @@ fn with_motion_noise(
         return (settings.clone(), None);
     }
     let fitted = fitted_alpha(drive, localized);
-    let alpha = fitted.unwrap_or([USUAL_ALPHA; 4]);
+    let alpha = fitted.unwrap_or(OdometryError::USUAL_ALPHA);
     let from = match fitted {
         Some(_) => "fitted to the odometry's errors against the reference poses of all other scans",
         None => "a guess: too few of the other scans have reference poses to fit it to",

@@ -30,7 +30,7 @@ pub use unreferenced::{Unreferenced, UnreferencedModel};
 
 use crate::LabError;
 use detail::Detail;
-pub(crate) use filter::{USUAL_ALPHA, options as filter_options};
+pub(crate) use filter::options as filter_options;
 pub use laboratory::read_options;
 use laboratory::{Laboratory, MeasuredLog, TrialDrive};
 pub(crate) use laboratory::{log_map, no_reference, selected};
