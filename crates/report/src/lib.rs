@@ -9,7 +9,7 @@ pub mod results;
 pub mod statistics;
 pub mod store;
 pub mod summary;
-mod tables;
+pub mod tables;
 pub mod text;
 mod trial_row;
 pub mod trial_set;

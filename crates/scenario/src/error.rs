@@ -36,6 +36,21 @@ pub enum ScenarioError {
     },
 }
 
+impl ScenarioError {
+    /// The same error without the lines of this file, which nobody has written.
+    #[must_use]
+    pub(crate) fn without_lines_of(mut self, written: &Path) -> Self {
+        if let Self::Invalid { file, problems } = &mut self
+            && file == written
+        {
+            for problem in problems {
+                problem.line = None;
+            }
+        }
+        self
+    }
+}
+
 /// One thing wrong in a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
