@@ -45,8 +45,10 @@ impl<T: Number> Array<T> {
         let py = value.py();
         let read = || -> PyResult<Self> {
             let array = py.import("numpy")?.call_method1("asarray", (value, T::DTYPE))?;
-            let buffer = PyBuffer::<T>::get(&array)?;
-            Ok(Self { values: buffer.to_vec(py)?, shape: buffer.shape().to_vec() })
+            let shape = array.getattr("shape")?.extract()?;
+            // A single number has no buffer with a shape.
+            let values = PyBuffer::<T>::get(&array.call_method0("ravel")?)?.to_vec(py)?;
+            Ok(Self { values, shape })
         };
         read().map_err(|error| refused(format!("{name}: {}", error.value(py))))
     }

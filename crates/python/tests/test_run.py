@@ -80,7 +80,7 @@ def test_a_missed_bound_is_told(scenario: Path) -> None:
 
 
 def test_ctrl_c_stops_a_run(scenario: Path) -> None:
-    long = locsim.Scenario(scenario, trials=200_000, models=["classic"])
+    long = locsim.Scenario(scenario, trials=20_000, models=["classic"])
 
     def interrupt() -> None:
         time.sleep(1.5)

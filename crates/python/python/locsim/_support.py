@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import json
 import sys
 import warnings
@@ -39,11 +41,8 @@ class Bars:
         self._tqdm: Any = None
         in_notebook = "ipykernel" in sys.modules
         if progress if progress is not None else in_notebook or sys.stderr.isatty():
-            try:
-                from tqdm.auto import tqdm
-            except ImportError:
-                return
-            self._tqdm = tqdm
+            with contextlib.suppress(ImportError):
+                self._tqdm = importlib.import_module("tqdm.auto").tqdm
 
     def stage(self, name: str, total: int) -> None:
         self.finish()
