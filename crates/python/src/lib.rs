@@ -2,7 +2,11 @@
 //! around the crates. `python/locsim/_locsim.pyi` has the signatures and the documentation that users read.
 
 #![allow(clippy::needless_pass_by_value, reason = "Python's arguments are handed over by value")]
-#![allow(clippy::doc_markdown, rustdoc::broken_intra_doc_links, reason = "docstrings of Python, where [m] is a unit")]
+#![allow(
+    clippy::doc_markdown,
+    rustdoc::broken_intra_doc_links,
+    reason = "docstrings of Python, where [m] is a unit"
+)]
 
 mod array;
 mod error;
