@@ -290,12 +290,24 @@ fn gap(arguments: &Gap) -> Result<ExitCode, Failure> {
         cache: cache.as_deref(),
         recorder: Some(&|study, outcome, path| Ok(recording::record_gap(study, outcome, path)?)),
     };
+    let finished =
+        || say(&format!("Results in {} (open report.html; scenario.yaml runs as it is)", out.display()));
+    if arguments.baseline.is_some() {
+        let changes = gap::run_since(&study, &options).map_err(of_lab)?;
+        if arguments.output.json {
+            say(&gap::json_since(&study, &changes).map_err(of_lab)?)?;
+        } else if !arguments.output.quiet {
+            say(&gap::answer_since(&changes))?;
+            finished()?;
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
     let outcome = gap::run(&study, &options).map_err(of_lab)?;
     if arguments.output.json {
         say(&serde_json::to_string_pretty(&outcome)?)?;
     } else if !arguments.output.quiet {
         say(&gap::answer(&outcome))?;
-        say(&format!("Results in {} (open report.html; scenario.yaml runs as it is)", out.display()))?;
+        finished()?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -318,6 +330,7 @@ fn gap_settings(arguments: &Gap) -> anyhow::Result<GapSettings> {
         beams: arguments.beams,
         without: kinds.collect::<Result<_, _>>().context("--without")?,
         log: log_options(&arguments.log_options),
+        baseline: arguments.baseline.clone(),
     })
 }
 
@@ -334,6 +347,10 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
         arguments.scans,
         arguments.beams
     );
+    if let Some(baseline) = &arguments.baseline {
+        command += " --baseline ";
+        command += &baseline.display().to_string();
+    }
     if !arguments.without.is_empty() {
         command += " --without ";
         command += &arguments.without.join(",");

@@ -5,7 +5,10 @@
 //! one false-alarm rate; fits the effects of [`locsim_world::effect`] by maximum likelihood; names the one that gains
 //! most on held-out scans, with those that can't be told from it; adds it, and starts again until nothing is off. The
 //! [`Outcome`] says what was found and how sure that is.
+//!
+//! [`find_changes`] holds a log against another one of the same robot instead: it names what changed since that baseline.
 
+mod baseline;
 mod catalogue;
 mod error;
 mod fit;
@@ -33,6 +36,7 @@ mod statistics;
 mod strength;
 mod views;
 
+pub use baseline::{BaselineOptions, ChangeVerdict, Changes, Tried, find_changes};
 pub use error::GapError;
 pub use hypothesis::Nuisances;
 pub use nominal::Nominal;

@@ -52,6 +52,11 @@ impl Nominal {
         Ok(Self { map, laser, blocks, odometry, effects, integral })
     }
 
+    /// The same simulator without clutter.
+    pub(crate) fn without_blocks(&self) -> Result<Self, GapError> {
+        Self::new(Arc::clone(&self.map), self.laser, None, self.odometry, self.effects.clone())
+    }
+
     /// The blocks of its world with these effects.
     pub(crate) fn blocks_with(&self, effects: &Effects) -> Option<BlockOptions> {
         self.blocks.map(|blocks| effects.blocks(blocks))

@@ -96,7 +96,7 @@ pub(crate) fn log_likelihoods(
 }
 
 /// Density of the error of a distance (`axis` 0) or a turn (1) where nothing slips.
-fn density(increment: &Increment, error: &OdometryError, axis: usize) -> f64 {
+pub(crate) fn density(increment: &Increment, error: &OdometryError, axis: usize) -> f64 {
     let (sigma, (share, factor)) = (deviation(increment, error, axis), WIDE);
     let t = increment.error[axis] / sigma;
     ((1.0 - share) * normal::density(t) + share * normal::density(t / factor) / factor) / sigma
