@@ -309,12 +309,24 @@ fn gap(arguments: &Gap) -> Result<u8, Failure> {
         cache: cache.as_deref(),
         recorder: Some(&|study, outcome, path| Ok(recording::record_gap(study, outcome, path)?)),
     };
+    let finished =
+        || say(&format!("Results in {} (open report.html; scenario.yaml runs as it is)", out.display()));
+    if arguments.baseline.is_some() {
+        let changes = gap::run_since(&study, &options).map_err(of_lab)?;
+        if arguments.output.json {
+            say(&gap::json_since(&study, &changes).map_err(of_lab)?)?;
+        } else if !arguments.output.quiet {
+            say(&gap::answer_since(&changes))?;
+            finished()?;
+        }
+        return Ok(DONE);
+    }
     let outcome = gap::run(&study, &options).map_err(of_lab)?;
     if arguments.output.json {
         say(&serde_json::to_string_pretty(&outcome)?)?;
     } else if !arguments.output.quiet {
         say(&gap::answer(&outcome))?;
-        say(&format!("Results in {} (open report.html; scenario.yaml runs as it is)", out.display()))?;
+        finished()?;
     }
     Ok(DONE)
 }
@@ -323,12 +335,16 @@ fn gap(arguments: &Gap) -> Result<u8, Failure> {
 fn gap_settings(arguments: &Gap) -> anyhow::Result<GapSettings> {
     let kinds = arguments.without.iter().map(|name| name.parse());
     let settings = GapSettings {
-        replicates: arguments.replicates,
+        replicates: arguments.replicates.unwrap_or(match arguments.baseline {
+            None => GapSettings::REPLICATES,
+            Some(_) => GapSettings::PERMUTATIONS,
+        }),
         seed: arguments.seed,
         scans: arguments.scans,
         beams: arguments.beams,
         without: kinds.collect::<Result<_, _>>().context("--without")?,
         log: log_options(&arguments.log_options),
+        baseline: arguments.baseline.clone(),
     };
     settings.check().map_err(|refused| anyhow!("--{refused}"))?;
     Ok(settings)
@@ -342,11 +358,15 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
         path(&arguments.scenario),
         arguments.log.as_ref().map_or_else(String::new, |log| format!(" --log {}", log.display())),
         path(&arguments.out),
-        arguments.replicates,
+        study.settings().replicates,
         study.seed(),
         arguments.scans,
         arguments.beams
     );
+    if let Some(baseline) = &arguments.baseline {
+        command += " --baseline ";
+        command += &baseline.display().to_string();
+    }
     if !arguments.without.is_empty() {
         command += " --without ";
         command += &arguments.without.join(",");

@@ -42,7 +42,7 @@ pub struct Answer {
 ///     ScenarioError, LogError, LocsimError, KeyboardInterrupt: As for `run`.
 #[pyfunction]
 #[pyo3(signature = (
-    source, log = None, out = None, *, replicates = 999, seed = None, scans = 600, beams = 72, without = None,
+    source, log = None, out = None, *, replicates = GapSettings::REPLICATES, seed = None, scans = 600, beams = 72, without = None,
     filter = true, max_range_m = None, scan_topic = None, odometry_topic = None, reference_topic = None,
     force = false, threads = None, progress = None,
 ))]
@@ -80,6 +80,7 @@ pub fn gap(
             topics: BagTopics { scan: scan_topic, odometry: odometry_topic, reference: reference_topic },
             without_odometry: false,
         },
+        baseline: None,
     };
     settings.check().map_err(refused)?;
     let command = format!("locsim.gap({})", scenario::named(&scenario));
@@ -102,7 +103,7 @@ pub fn gap(
             }
         };
         let folder = out.as_deref().unwrap_or(Path::new("."));
-        let scenario = laboratory::scenario_with(&study, &outcome, folder)?;
+        let scenario = laboratory::scenario_with(&study, &outcome.effects, folder)?;
         Ok::<_, locsim_lab::LabError>((outcome, scenario))
     })?;
     Ok(Answer { outcome, scenario, out })
