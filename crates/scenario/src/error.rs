@@ -12,7 +12,7 @@ pub const LISTED: usize = 20;
 /// This many of the words that are allowed.
 const LISTED_WORDS: usize = 50;
 
-/// The nearest of so many words is looked for; it takes its time.
+/// The nearest word is looked for among at most this many, because it takes time.
 const COMPARED_WORDS: usize = 200;
 
 /// Why a scenario, or a map that it names, is refused.

@@ -413,7 +413,7 @@ pub fn find(
     Ok(outcome)
 }
 
-/// The chance of a false alarm: the usual one, or the least p-value that so many simulations can give.
+/// The chance of a false alarm: the usual one, or the least p-value that this number of simulations can give.
 fn false_alarm(replicates: u32) -> f64 {
     GapOptions::default().false_alarm.max(1.0 / (f64::from(replicates) + 1.0))
 }

@@ -139,7 +139,7 @@ pub struct Laboratory<'a> {
     pub maps: MapSet,
     /// The sensor models in the scenario's order.
     pub models: Vec<TrainedModel>,
-    /// What a reader of the results should know first.
+    /// Remarks to read before the results.
     pub warnings: Vec<String>,
     /// Remarks for the report: what kind of log, how much training data.
     pub notes: Vec<String>,
