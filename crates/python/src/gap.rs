@@ -16,7 +16,8 @@ use crate::work::Work;
 #[pyclass(frozen, module = "locsim")]
 pub struct Answer {
     outcome: Outcome,
-    /// The scenario with the effects that were found, as YAML.
+    /// The scenario with the effects that were found, as YAML for a file in the results folder or, without one, in the scenario's
+    /// own folder.
     #[pyo3(get)]
     scenario: String,
     /// The results folder; `None` where nothing was written.
@@ -85,6 +86,7 @@ pub fn gap(
     settings.check().map_err(refused)?;
     let command = format!("locsim.gap({})", scenario::named(&scenario));
     let cache = locsim::users_cache();
+    let beside = scenario.file.parent().unwrap_or(Path::new("")).to_owned();
     let (outcome, scenario) = Work::new(py, progress, threads)?.run(py, |control| {
         let study = GapStudy::new(scenario, log.as_deref(), settings)?;
         let outcome = match &out {
@@ -102,7 +104,7 @@ pub fn gap(
                 laboratory::run(&study, &options)?
             }
         };
-        let folder = out.as_deref().unwrap_or(Path::new("."));
+        let folder = out.as_ref().unwrap_or(&beside);
         let scenario = laboratory::scenario_with(&study, &outcome.effects, folder)?;
         Ok::<_, locsim_lab::LabError>((outcome, scenario))
     })?;

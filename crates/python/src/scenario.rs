@@ -73,7 +73,9 @@ impl Scenario {
         let values = tree(values)?;
         let template = Template { file: self.checked.file.clone(), tree: self.checked.tree()? };
         let values = values.as_object().into_iter().flatten().map(|(key, value)| (key.as_str(), value));
-        Ok(Self { checked: template.with(values, &Overrides { trials, seed, models })? })
+        let checked = template.with(values, &Overrides { trials, seed, models });
+        // The lines are those of a text that nobody has written.
+        Ok(Self { checked: checked.map_err(|error| error.without_lines_of(&self.checked.file))? })
     }
 
     /// The name.

@@ -22,7 +22,7 @@ def test_a_hidden_effect_is_named(scenario: Path, tmp_path: Path) -> None:
     assert found["evidence"]["p"] <= 0.05
     assert answer.text == str(answer)
     assert answer.out is None
-    proposed = tmp_path / "proposed.yaml"
+    proposed = scenario.parent / "proposed.yaml"
     proposed.write_text(answer.scenario)
     effects = locsim.Scenario(proposed).to_dict()["effects"]
     assert len(effects) == len(answer.effects)

@@ -85,8 +85,9 @@ def test_values_are_replaced(scenario: Path) -> None:
     changed = locsim.Scenario(scenario).replace({"filter.particles": 50, "laser.beams": 8}, trials=7)
     keys = changed.to_dict()
     assert (keys["filter"]["particles"], keys["laser"]["beams"], changed.trials) == (50, 8, 7)
-    with pytest.raises(locsim.ScenarioError, match=r"filter\.particles"):
+    with pytest.raises(locsim.ScenarioError, match=r"filter\.particles") as caught:
         locsim.Scenario(scenario).replace({"filter.particles": -1})
+    assert caught.value.line is None
 
 
 def test_overrides_are_those_of_the_command(scenario: Path) -> None:

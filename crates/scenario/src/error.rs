@@ -39,7 +39,7 @@ pub enum ScenarioError {
 impl ScenarioError {
     /// The same error without the lines of this file, which nobody has written.
     #[must_use]
-    pub(crate) fn without_lines_of(mut self, written: &Path) -> Self {
+    pub fn without_lines_of(mut self, written: &Path) -> Self {
         if let Self::Invalid { file, problems } = &mut self
             && file == written
         {
