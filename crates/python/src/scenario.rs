@@ -46,12 +46,6 @@ impl Scenario {
         Ok(Self { checked })
     }
 
-    /// The scenario that a function was given: itself, or a path or dict.
-    #[staticmethod]
-    fn of(source: &Bound<'_, PyAny>) -> Result<Self, Error> {
-        of(source, Overrides::default()).map(|checked| Self { checked })
-    }
-
     /// The scenario's keys and values as they were written. `trials`, `seed` and `models` that were given beside them are not in it.
     fn to_dict<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyAny>, Error> {
         python(py, &self.checked.tree()?)

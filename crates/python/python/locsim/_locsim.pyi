@@ -10,6 +10,35 @@ _Path: TypeAlias = str | PathLike[str]
 _Keys: TypeAlias = dict[str, Any]
 _Source: TypeAlias = "Scenario | _Path | _Keys"
 
+__all__ = [
+    "Answer",
+    "Beams",
+    "Estimate",
+    "Filter",
+    "FilterError",
+    "LocsimError",
+    "Log",
+    "LogError",
+    "Map",
+    "Prediction",
+    "Regression",
+    "Run",
+    "Scenario",
+    "ScenarioError",
+    "SensorError",
+    "SensorModel",
+    "Table",
+    "Update",
+    "__version__",
+    "fit",
+    "gap",
+    "main",
+    "read_log",
+    "risk",
+    "run",
+    "simulate",
+]
+
 __version__: str
 
 class LocsimError(Exception): ...
@@ -168,7 +197,7 @@ class SensorModel:
     NAMES: ClassVar[list[str]]
     @staticmethod
     def fit(
-        name: str, readings: ArrayLike, beams: Beams, *, held_out_share: float = 0.25, seed: int = 0
+        name: str, readings: ArrayLike, beams: Beams, *, held_out_share: float = ..., seed: int = 0
     ) -> SensorModel: ...
     @staticmethod
     def load(path: _Path, map: Map | None = None) -> SensorModel: ...
@@ -217,7 +246,7 @@ class Filter:
         start: ArrayLike | None = None,
         start_sigma: tuple[float, float] = ...,
         alpha: Sequence[float] = ...,
-        mount: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        mount: tuple[float, float, float] = ...,
         tempering: tuple[float, float] = ...,
         resampler: str = "systematic",
         table: bool = True,
@@ -255,7 +284,7 @@ def gap(
     log: _Path | None = None,
     out: _Path | None = None,
     *,
-    replicates: int = 999,
+    replicates: int = ...,
     seed: int | None = None,
     scans: int = 600,
     beams: int = 72,
@@ -313,8 +342,8 @@ def fit(
     degree: str | None = None,
     smoothing: float | None = None,
     family: str = "gaussian",
-    least_observations: int = 10,
-    quantiles: int = 200,
+    least_observations: int = ...,
+    quantiles: int = ...,
 ) -> Regression: ...
 def risk(losses: ArrayLike, *, seed: int = 0) -> tuple[float, float, float]: ...
 def main(arguments: Iterable[_Path]) -> int: ...
