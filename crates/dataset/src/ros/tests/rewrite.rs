@@ -67,9 +67,10 @@ type Content = (String, String, Vec<u8>, BTreeMap<String, String>, [u64; 2], Vec
 fn messages(bytes: &[u8]) -> Vec<Content> {
     let of = |message: mcap::Message<'_>| {
         let channel = &message.channel;
-        let schema = channel.schema.as_ref().unwrap();
         let times = [message.log_time, message.publish_time];
-        let (name, text) = (schema.name.clone(), schema.data.to_vec());
+        let schema = channel.schema.as_ref();
+        let (name, text) =
+            schema.map(|schema| (schema.name.clone(), schema.data.to_vec())).unwrap_or_default();
         (channel.topic.clone(), name, text, channel.metadata.clone(), times, message.data.to_vec())
     };
     mcap::MessageStream::new(bytes).unwrap().map(|message| of(message.unwrap())).collect()
