@@ -86,9 +86,8 @@ fn folder(perfect: &str) -> Folder {
     folder
 }
 
-/// Applies a case to the perfect recording, and searches for it with so many simulated logs. The answer, and what is wrong with
-/// it.
-fn search(folder: &Folder, case: &Case, perfect: &str, worse: &str, replicates: u32) -> (Value, Vec<String>) {
+/// Applies a case to the perfect recording, and searches for it with these options. The answer, and what is wrong with it.
+fn search(folder: &Folder, case: &Case, perfect: &str, worse: &str, options: &str) -> (Value, Vec<String>) {
     let nominal = String::from_utf8(folder.read("nominal.yaml")).unwrap();
     let hidden = format!("{USUAL}  - {}\n", case.effect);
     folder.write("hidden.yaml", edited(&nominal, USUAL, &hidden));
@@ -100,9 +99,8 @@ fn search(folder: &Folder, case: &Case, perfect: &str, worse: &str, replicates: 
         _ => nominal,
     };
     folder.write("believed.yaml", believed);
-    let line = format!(
-        "gap believed.yaml --log {worse} --out found --force --no-filter --json --quiet --replicates {replicates}"
-    );
+    let line =
+        format!("gap believed.yaml --log {worse} --out found --force --no-filter --json --quiet {options}");
     let outcome: Value = serde_json::from_str(&output(&folder.locsim(&line).success())).unwrap();
     let mut wrong = Vec::new();
     let found = &outcome["effects"][0];
@@ -133,7 +131,8 @@ fn effects_applied_to_a_perfect_recording_are_found_again() {
     ] {
         let folder = folder(perfect);
         for case in CASES.iter().filter(|case| names.contains(&case.name())) {
-            let (outcome, wrong) = search(&folder, case, perfect, worse, 29);
+            let (outcome, wrong) =
+                search(&folder, case, perfect, worse, "--replicates 19 --scans 300 --beams 36");
             assert!(wrong.is_empty(), "{}: {wrong:?} {:#}", case.effect, outcome["effects"]);
         }
     }
@@ -141,13 +140,13 @@ fn effects_applied_to_a_perfect_recording_are_found_again() {
 
 /// Run by hand: `cargo test -p locsim --test apply -- --ignored --nocapture` prints the table of docs/simulators.md.
 #[test]
-#[ignore = "a quarter of an hour: 26 searches with 99 simulated logs each"]
+#[ignore = "20 minutes: 26 searches with 99 simulated logs each"]
 fn all_effects_applied_to_a_perfect_recording_are_found_again() {
     let folder = folder("perfect.mcap");
     let mut failed = Vec::new();
     println!("| effect | found | numbers |\n| --- | --- | --- |");
     for case in &CASES {
-        let (outcome, wrong) = search(&folder, case, "perfect.mcap", "worse.mcap", 99);
+        let (outcome, wrong) = search(&folder, case, "perfect.mcap", "worse.mcap", "--replicates 99");
         let effects = outcome["effects"].as_array().cloned().unwrap_or_default();
         let names: Vec<&str> = effects.iter().filter_map(|effect| effect["name"].as_str()).collect();
         let numbers = case.numbers.iter().map(|(name, _, _)| {
