@@ -251,3 +251,46 @@ fn an_effect_is_explained_as_in_the_list() {
         .stdout(is_empty())
         .stderr(contains("not an effect").and(contains("glass")));
 }
+
+#[test]
+fn what_changed_since_a_baseline_is_named() {
+    let folder = folder();
+    folder.locsim("simulate nominal.yaml --seed 21 --out good.log").success();
+    let line = "gap nominal.yaml --baseline good.log --log measured.log --replicates 99";
+    let call = folder.locsim(&format!("{line} --out since --json")).success();
+    let found: Value = serde_json::from_str(&output(&call)).unwrap();
+    assert_eq!(found["verdict"], "changed", "{found:#}");
+    let first = &found["baseline"]["effects"][0];
+    assert_eq!(first["name"], "range_bias", "{found:#}");
+    let bias = first["params"]["bias_m"]["value"].as_f64().unwrap();
+    assert!((bias - 0.04).abs() < 0.01, "{bias}");
+    assert_eq!(found["baseline"]["log"], "good.log");
+    let report = std::fs::read_to_string(folder.path("since/report.md")).unwrap();
+    assert!(report.contains("Since the baseline: Every return is too long or too short"), "{report}");
+    assert!(report.contains("--baseline good.log"), "{report}");
+    // The scenario has the change, and runs.
+    folder.locsim("validate since/scenario.yaml").success();
+    // The log itself: nothing has changed, and the report says why.
+    let same = "gap nominal.yaml --baseline good.log --log good.log --replicates 19 --out same";
+    folder.locsim(same).success().stdout(contains("Nothing has changed since the baseline"));
+    let report = std::fs::read_to_string(folder.path("same/report.md")).unwrap();
+    assert!(report.contains("The baseline is the log itself"), "{report}");
+}
+
+#[test]
+fn a_baseline_that_cannot_be_one_is_refused() {
+    let folder = folder();
+    let other = edited(NOMINAL, "beams: 24, max_range_m: 5", "beams: 24, max_range_m: 6");
+    folder.write("other.yaml", other);
+    folder.locsim("simulate other.yaml --out other.log").success();
+    folder.write("empty.log", "");
+    for (baseline, part) in [
+        ("missing.log", "missing.log"),
+        ("empty.log", "empty.log"),
+        ("other.log", "other.log: a maximum range of 6 m doesn't fit the scenario's laser"),
+    ] {
+        let line = format!("gap nominal.yaml --baseline {baseline} --log measured.log --out since");
+        folder.locsim(&line).code(2).stderr(contains(part));
+        assert!(!folder.path("since").exists());
+    }
+}

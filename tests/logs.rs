@@ -74,7 +74,11 @@ fn a_simulated_log_is_mapped_learnt_from_and_localized_on() {
 
     // Without numbers, motion noise is fitted to the log's odometry on what isn't localized on.
     let unfitted = edited(&on_a_log(log), ", alpha: [0.1, 0.05, 0.1, 0.05]", "");
-    localizes(&folder, "fitted.yaml", &unfitted, 0.2);
+    let fitted = localizes(&folder, "fitted.yaml", &unfitted, 0.2);
+    for name in ["classic", "np_reg_registered"] {
+        let chosen = &fitted["models"][name]["train"]["chosen"];
+        assert!(chosen["training_drive_nees"].as_f64().is_some_and(|nees| nees > 0.0), "{name}: {chosen}");
+    }
     let report = String::from_utf8(folder.read("fitted.yaml.d/report.md")).unwrap();
     let told = "is fitted to the odometry's errors against the reference poses of all other scans.";
     assert!(

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use common::{Folder, edited, locsim, output};
 use predicates::str::contains;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// 6 cells of 2 trials.
 const SWEEP: &str = "\
@@ -211,7 +211,25 @@ fn a_merge_refuses_what_is_not_one_sweep_and_says_how_to_mend_it() {
         "o/shard-00001-of-00003/trials.parquet was cut or changed since it was written",
         "1 of 3 shards are missing: 1; run them:\n  rm -r o/shard-00001-of-00003\n  locsim sweep s.yaml --out o --shard 1/3",
     ]);
-    // Nor does the shard itself take it for done.
+    // A summary that somebody edited: the plan isn't one, or there are more shards than any memory holds.
+    fs::write(&trials, &bytes).unwrap();
+    let summary = fs::read_to_string(first.join("shard.json")).unwrap();
+    let mut value: Value = serde_json::from_str(&summary).unwrap();
+    for (path, other, told) in [
+        ("/sweep/plan/groups/0/0", json!(7), "has axes that don't belong together"),
+        ("/sweep/plan/axes/0/values", json!([]), "has axes that don't belong together"),
+        ("/shard/of", json!(u32::MAX), "says that 4294967295 shards are not allowed; at most 100000"),
+        ("/shard/number", json!(4), "says that shard 4 of 3 is not there"),
+        ("/first_cell", json!(1), "has the cells 1..3, which aren't those of shard 1 of 3"),
+    ] {
+        let before = std::mem::replace(value.pointer_mut(path).unwrap(), other);
+        fs::write(first.join("shard.json"), value.to_string()).unwrap();
+        refused(&[told]);
+        *value.pointer_mut(path).unwrap() = before;
+    }
+    fs::write(first.join("shard.json"), summary).unwrap();
+    fs::write(&trials, &bytes[..bytes.len() / 2]).unwrap();
+    // Nor does the shard itself take a truncated file for done.
     folder.locsim("sweep s.yaml --out o --shard 1/3").code(2).stderr(contains("was cut or changed"));
     fs::remove_dir_all(&first).unwrap();
     folder.locsim("sweep s.yaml --out o --shard 1/3 --quiet").success();

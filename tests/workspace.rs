@@ -9,7 +9,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Each crate of the workspace and the crates of the workspace that it uses, which stand above it.
-const LAYERS: [(&str, &[&str]); 16] = [
+const LAYERS: [(&str, &[&str]); 17] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
@@ -17,12 +17,14 @@ const LAYERS: [(&str, &[&str]); 16] = [
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
     ("locsim-gap", &["locsim-core", "locsim-world"]),
+    ("locsim-baseline", &["locsim-core", "locsim-gap", "locsim-world"]),
     ("locsim-report", &["locsim-core", "locsim-sensor"]),
     ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"]),
     ("locsim-study", &["distreg", "locsim-core", "locsim-report", "locsim-scenario", "locsim-world"]),
     (
         "locsim-lab",
         &[
+            "locsim-baseline",
             "locsim-core",
             "locsim-dataset",
             "locsim-gap",
@@ -52,6 +54,7 @@ const LAYERS: [(&str, &[&str]); 16] = [
         "locsim-bench",
         &[
             "distreg",
+            "locsim-baseline",
             "locsim-core",
             "locsim-dataset",
             "locsim-gap",

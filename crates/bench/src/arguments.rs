@@ -56,6 +56,13 @@ pub struct Gap {
     /// The nominal scenario
     #[arg(default_value = "scenarios/gap/nominal.yaml")]
     pub scenario: PathBuf,
+    /// Instead of simulated logs, edit the corrected CARMEN logs of this folder (`.log`, `.log.gz`), and hold each against its own
+    /// other half: the test of `locsim gap --baseline`
+    #[arg(long, value_name = "DIR")]
+    pub real: Option<PathBuf>,
+    /// Range from which a reading of these logs is no return [m]
+    #[arg(long, default_value_t = 40.0, requires = "real")]
+    pub max_range: f64,
     /// How much: small (minutes), medium (an hour on two cores), full (a day)
     #[arg(long, value_enum, default_value_t)]
     pub size: Size,

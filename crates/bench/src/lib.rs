@@ -1,7 +1,8 @@
 //! Benchmarks for developers: [`speed`] on fixed files, the [`suite`] of logs with hidden effects that the search has to find,
-//! and [`regression`] on a fixed task. The program `locsim-bench` runs them.
+//! [`real`] logs with known edits, and [`regression`] on a fixed task. The program `locsim-bench` runs them.
 
 mod error;
+pub mod real;
 pub mod regression;
 pub mod speed;
 pub mod suite;

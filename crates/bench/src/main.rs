@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::ensure;
 use clap::Parser;
+use locsim_bench::real::{self, RealOptions};
 use locsim_bench::speed::{self, Workbench};
 use locsim_bench::suite::{self, SuiteOptions};
 use locsim_bench::{BenchError, regression};
@@ -60,6 +61,9 @@ fn measure_speed(arguments: &Speed) -> Result<(), Failure> {
 fn run_suite(arguments: &Gap) -> Result<(), Failure> {
     arguments.threads.set()?;
     let session = Session::begin(arguments.output.quiet)?;
+    if let Some(logs) = &arguments.real {
+        return edit_logs(logs, arguments, &session);
+    }
     let options = SuiteOptions {
         scenario: arguments.scenario.clone(),
         out: arguments.out.clone(),
@@ -77,6 +81,29 @@ fn run_suite(arguments: &Gap) -> Result<(), Failure> {
         say(&suite::table(&score))?;
         let report = arguments.out.join(suite::REPORT);
         say(&format!("{} of {} logs; report in {}", score.runs, score.planned, report.display()))?;
+    }
+    Ok(())
+}
+
+/// Searches edited logs that haven't been searched, and prints the table.
+fn edit_logs(logs: &Path, arguments: &Gap, session: &Session) -> Result<(), Failure> {
+    let options = RealOptions {
+        logs: logs.to_owned(),
+        out: arguments.out.clone(),
+        seed: arguments.seed,
+        permutations: arguments.replicates,
+        scans: arguments.scans as usize,
+        max_range_m: arguments.max_range,
+        control: session.control(),
+        no_later: arguments.minutes.map(|minutes| Duration::from_secs(60 * minutes)),
+    };
+    let score = real::run(&options).map_err(failure)?;
+    if arguments.output.json {
+        say(&serde_json::to_string_pretty(&score)?)?;
+    } else if !arguments.output.quiet {
+        say(&real::table(&score))?;
+        let report = arguments.out.join(real::REPORT);
+        say(&format!("{} of {} searches; report in {}", score.runs, score.planned, report.display()))?;
     }
     Ok(())
 }

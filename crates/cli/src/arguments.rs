@@ -423,15 +423,19 @@ pub struct Gap {
     /// [default: the scenario's]
     #[arg(long)]
     pub log: Option<PathBuf>,
+    /// An earlier log of the same robot: name what has changed since, instead of what the simulation lacks
+    #[arg(long, value_name = "LOG")]
+    pub baseline: Option<PathBuf>,
     /// Results folder
     #[arg(long, required = true)]
     pub out: Option<PathBuf>,
     /// Replace earlier results of locsim; nothing else is ever touched
     #[arg(long)]
     pub force: bool,
-    /// Simulated logs behind a p-value, at least 19; its least value is 1 / (replicates + 1)
-    #[arg(long, default_value_t = 999, allow_negative_numbers = true, value_parser = whole::<u32>)]
-    pub replicates: u32,
+    /// Simulated logs (beside a baseline: permutations) behind a p-value, at least 19; its least value is 1 / (replicates + 1)
+    /// [default: 999; beside a baseline 399]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    pub replicates: Option<u32>,
     /// Seed, instead of the scenario's
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,

@@ -351,12 +351,24 @@ fn gap(arguments: &Gap) -> Result<ExitCode, Failure> {
         cache: cache.as_deref(),
         recorder: Some(&|study, outcome, path| Ok(recording::record_gap(study, outcome, path)?)),
     };
+    let finished =
+        || say(&format!("Results in {} (open report.html; scenario.yaml runs as it is)", out.display()));
+    if arguments.baseline.is_some() {
+        let changes = gap::run_since(&study, &options).map_err(of_lab)?;
+        if arguments.output.json {
+            say(&gap::json_since(&study, &changes).map_err(of_lab)?)?;
+        } else if !arguments.output.quiet {
+            say(&gap::answer_since(&changes))?;
+            finished()?;
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
     let outcome = gap::run(&study, &options).map_err(of_lab)?;
     if arguments.output.json {
         say(&serde_json::to_string_pretty(&outcome)?)?;
     } else if !arguments.output.quiet {
         say(&gap::answer(&outcome))?;
-        say(&format!("Results in {} (open report.html; scenario.yaml runs as it is)", out.display()))?;
+        finished()?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -368,21 +380,25 @@ fn effect_kinds(names: &[String]) -> anyhow::Result<Vec<EffectKind>> {
 
 /// The settings of a search.
 fn gap_settings(arguments: &Gap) -> anyhow::Result<GapSettings> {
+    let replicates = arguments.replicates.unwrap_or(match arguments.baseline {
+        None => GapSettings::REPLICATES,
+        Some(_) => GapSettings::PERMUTATIONS,
+    });
     ensure!(
-        arguments.replicates >= LEAST_REPLICATES,
-        "--replicates: {} is not allowed; a whole number from {LEAST_REPLICATES}",
-        arguments.replicates
+        replicates >= LEAST_REPLICATES,
+        "--replicates: {replicates} is not allowed; a whole number from {LEAST_REPLICATES}"
     );
     for (option, value) in [("--scans", arguments.scans), ("--beams", arguments.beams)] {
         ensure!(value > 0, "{option}: 0 is not allowed; a whole number from 1");
     }
     Ok(GapSettings {
-        replicates: arguments.replicates,
+        replicates,
         seed: arguments.seed,
         scans: arguments.scans,
         beams: arguments.beams,
         without: effect_kinds(&arguments.without)?,
         log: log_options(&arguments.log_options),
+        baseline: arguments.baseline.clone(),
     })
 }
 
@@ -394,11 +410,15 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
         path(&arguments.scenario),
         arguments.log.as_ref().map_or_else(String::new, |log| format!(" --log {}", log.display())),
         path(&arguments.out),
-        arguments.replicates,
+        study.settings().replicates,
         study.seed(),
         arguments.scans,
         arguments.beams
     );
+    if let Some(baseline) = &arguments.baseline {
+        command += " --baseline ";
+        command += &baseline.display().to_string();
+    }
     if !arguments.without.is_empty() {
         command += " --without ";
         command += &arguments.without.join(",");

@@ -18,7 +18,7 @@ pub(crate) fn kinds_shown_by(is_of_kind: impl Fn(&Statistic) -> bool) -> impl It
 }
 
 /// Typical values of an effect's parameters, but for those that a direction gives.
-pub(crate) fn values_along(kind: EffectKind, direction: Direction) -> Vec<f64> {
+pub fn values_along(kind: EffectKind, direction: Direction) -> Vec<f64> {
     let mut values: Vec<f64> = kind.parameters().iter().map(|parameter| parameter.start).collect();
     for &(parameter, value) in direction {
         values[parameter] = value;

@@ -68,7 +68,7 @@ impl Candidate {
 }
 
 /// Standard error of a sum over folds.
-pub(crate) fn sum_error(folds: &[f64]) -> f64 {
+pub fn sum_error(folds: &[f64]) -> f64 {
     let n = folds.len() as f64;
     let mean = folds.iter().sum::<f64>() / n;
     (n / (n - 1.0) * folds.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt()

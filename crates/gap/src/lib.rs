@@ -33,10 +33,12 @@ mod statistics;
 mod strength;
 mod views;
 
+pub use catalogue::values_along;
 pub use error::GapError;
+pub use fit::sum_error;
 pub use hypothesis::Nuisances;
 pub use nominal::Nominal;
-pub use odometry::OdometryError;
+pub use odometry::{Increment, OdometryError};
 pub use outcome::{
     BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,
     Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, Rival, Unnamed,
@@ -45,6 +47,7 @@ pub use outcome::{
 pub use pose_error::PoseError;
 pub use purpose::Purpose;
 pub use recorded::Recorded;
-pub use search::{GapOptions, find};
-pub use statistics::{Cell, Covariate, Deviation};
+pub use search::{GapOptions, find, split_by};
+pub use statistics::{Cell, Covariate, Deviation, OBJECT_CELL_M, WALL_CELL_M, cell_at};
 pub use strength::{Strength, oracle_power};
+pub use views::Views;

@@ -52,6 +52,14 @@ impl Nominal {
         Ok(Self { map, laser, blocks, odometry, effects, integral })
     }
 
+    /// The same simulator without clutter.
+    ///
+    /// # Errors
+    /// As [`Nominal::new`].
+    pub fn without_blocks(&self) -> Result<Self, GapError> {
+        Self::new(Arc::clone(&self.map), self.laser, None, self.odometry, self.effects.clone())
+    }
+
     /// The blocks of its world with these effects.
     pub(crate) fn blocks_with(&self, effects: &Effects) -> Option<BlockOptions> {
         self.blocks.map(|blocks| effects.blocks(blocks))
@@ -86,12 +94,18 @@ impl Nominal {
     }
 
     /// Its own effects and more.
-    pub(crate) fn effects_with(&self, more: &[Effect]) -> Result<Effects, GapError> {
+    ///
+    /// # Errors
+    /// [`GapError::Effect`] for effects that exclude each other.
+    pub fn effects_with(&self, more: &[Effect]) -> Result<Effects, GapError> {
         Ok(Effects::new([self.effects.list(), more].concat())?)
     }
 
     /// Whether the log's laser can be the scenario's: number of beams and maximum range.
-    pub(crate) fn check(&self, recorded: &Recorded) -> Result<(), GapError> {
+    ///
+    /// # Errors
+    /// [`GapError::Laser`] where it can't.
+    pub fn check(&self, recorded: &Recorded) -> Result<(), GapError> {
         let differs = |log: f64, scenario: f64| (log - scenario).abs() > 1e-3 * scenario.abs().max(1.0);
         let all = f64::from(self.laser.beams);
         if differs(recorded.log_laser.beam_count() as f64, all) {

@@ -21,42 +21,63 @@ pub struct OdometryError {
     pub sigma_rad: f64,
 }
 
-/// Errors of an increment in distance and turn, and their variances by the scenario's noise.
-pub(crate) struct Increment {
+/// Errors of an increment in distance \[m\] and turn \[rad\], and their variances by the scenario's noise.
+pub struct Increment {
     /// True distance \[m\] and turn \[rad\], by the reference.
     pub truth: [f64; 2],
+    /// Error of the odometry.
     pub error: [f64; 2],
+    /// Variance of the error.
     pub variance: [f64; 2],
 }
 
-pub(crate) fn increments(
-    nominal: &Nominal,
-    effects: &Effects,
-    track: &[Pose2],
-    odometry: &[Pose2],
-) -> Vec<Increment> {
-    let [a1, a2, a3, a4] = nominal.odometry.alpha();
-    let truth = Recorded::increments(track);
-    let read = Recorded::increments(odometry);
-    let steps = track.windows(2).zip(truth).zip(read);
-    steps
-        .map(|((pair, truth), read)| {
-            let distribution = effects.odometry(&pair[1].relative_to(&pair[0]));
-            let [mean] = [Recorded::increments(&[Pose2::IDENTITY, distribution.mean])[0]];
-            let [distance, turn] = mean.map(|value| value * value);
-            // Two rotations are half of a smooth turn each; a turn in place is one.
-            let share = if distance > 1e-4 { 0.5 } else { 1.0 };
-            let variance = [a3 * distance + share * a4 * turn, share * a1 * turn + 2.0 * a2 * distance];
-            let error = [read[0] - mean[0], locsim_core::wrap_angle(read[1] - mean[1])];
-            Increment { truth, error, variance }
-        })
-        .collect()
+impl Increment {
+    /// The increments of a log, from its second scan on.
+    pub fn all(nominal: &Nominal, effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Vec<Self> {
+        let [a1, a2, a3, a4] = nominal.odometry.alpha();
+        let truth = Recorded::increments(track);
+        let read = Recorded::increments(odometry);
+        let steps = track.windows(2).zip(truth).zip(read);
+        steps
+            .map(|((pair, truth), read)| {
+                let distribution = effects.odometry(&pair[1].relative_to(&pair[0]));
+                let [mean] = [Recorded::increments(&[Pose2::IDENTITY, distribution.mean])[0]];
+                let [distance, turn] = mean.map(|value| value * value);
+                // Two rotations are half of a smooth turn each; a turn in place is one.
+                let share = if distance > 1e-4 { 0.5 } else { 1.0 };
+                let variance = [a3 * distance + share * a4 * turn, share * a1 * turn + 2.0 * a2 * distance];
+                let error = [read[0] - mean[0], locsim_core::wrap_angle(read[1] - mean[1])];
+                Self { truth, error, variance }
+            })
+            .collect()
+    }
+
+    /// Density of the error of a distance (`axis` 0) or a turn (1) where nothing slips.
+    pub fn density(&self, error: &OdometryError, axis: usize) -> f64 {
+        let (sigma, (share, factor)) = (self.deviation(error, axis), WIDE);
+        let t = self.error[axis] / sigma;
+        ((1.0 - share) * normal::density(t) + share * normal::density(t / factor) / factor) / sigma
+    }
+
+    /// Standard deviation of the error of a distance \[m\] or a turn \[rad\].
+    pub fn deviation(&self, error: &OdometryError, axis: usize) -> f64 {
+        let extra = [error.sigma_m, error.sigma_rad][axis];
+        (self.variance[axis] + extra * extra + LEAST[axis].powi(2)).sqrt()
+    }
+
+    /// How much more likely a distance is of a slip than without one, less 1; and the same if it erred by as much the other way.
+    /// Slips only lengthen: the two differ, however large the errors are that make no difference between them.
+    pub fn slip_ratios(&self, error: &OdometryError, share: f64) -> [f64; 2] {
+        let mirrored = Self { error: self.error.map(|e| -e), ..*self };
+        [self, &mirrored]
+            .map(|increment| slipped(increment, error, share) / increment.density(error, 0).max(1e-300) - 1.0)
+    }
 }
 
 impl OdometryError {
     /// By the median of squares over what the scenario's noise explains.
     pub(crate) fn fit(nominal: &Nominal, effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Self {
-        let increments = increments(nominal, effects, track, odometry);
+        let increments = Increment::all(nominal, effects, track, odometry);
         let extra = |axis: usize| {
             if increments.is_empty() {
                 return 0.0;
@@ -81,30 +102,23 @@ pub(crate) fn log_likelihoods(
     odometry: &[Pose2],
 ) -> Vec<f64> {
     let slip = effects.odometry(&Pose2::new(1.0, 0.0, 0.0)).slip;
-    increments(nominal, effects, track, odometry)
+    Increment::all(nominal, effects, track, odometry)
         .iter()
         .map(|increment| {
-            let plain = density(increment, error, 0);
+            let plain = increment.density(error, 0);
             let distance = if slip.p > 0.0 && slip.share > 0.0 {
                 (1.0 - slip.p) * plain + slip.p * slipped(increment, error, slip.share)
             } else {
                 plain
             };
-            distance.max(1e-300).ln() + density(increment, error, 1).max(1e-300).ln()
+            distance.max(1e-300).ln() + increment.density(error, 1).max(1e-300).ln()
         })
         .collect()
 }
 
-/// Density of the error of a distance (`axis` 0) or a turn (1) where nothing slips.
-fn density(increment: &Increment, error: &OdometryError, axis: usize) -> f64 {
-    let (sigma, (share, factor)) = (deviation(increment, error, axis), WIDE);
-    let t = increment.error[axis] / sigma;
-    ((1.0 - share) * normal::density(t) + share * normal::density(t / factor) / factor) / sigma
-}
-
 /// The same of a distance with a half-normal slip: the sum of a normal and a half-normal number is skew normal (Azzalini 1985).
 fn slipped(increment: &Increment, error: &OdometryError, share: f64) -> f64 {
-    let (sigma, (wide, factor)) = (deviation(increment, error, 0), WIDE);
+    let (sigma, (wide, factor)) = (increment.deviation(error, 0), WIDE);
     let slip = share * increment.truth[0].abs();
     let longer = increment.error[0] * increment.truth[0].signum();
     let skew_normal = |sigma: f64| {
@@ -114,23 +128,9 @@ fn slipped(increment: &Increment, error: &OdometryError, share: f64) -> f64 {
     (1.0 - wide) * skew_normal(sigma) + wide * skew_normal(factor * sigma)
 }
 
-/// Standard deviation of the error of a distance \[m\] or a turn \[rad\].
-pub(crate) fn deviation(increment: &Increment, error: &OdometryError, axis: usize) -> f64 {
-    let extra = [error.sigma_m, error.sigma_rad][axis];
-    (increment.variance[axis] + extra * extra + LEAST[axis].powi(2)).sqrt()
-}
-
 /// Errors in standard deviations, cut where they say nothing more.
 pub(crate) fn standardized(increment: &Increment, error: &OdometryError) -> [f64; 2] {
-    std::array::from_fn(|axis| (increment.error[axis] / deviation(increment, error, axis)).clamp(-CUT, CUT))
-}
-
-/// How much more likely a distance is of a slip than without one, less 1; and the same if it erred by as much the other way.
-/// Slips only lengthen: the two differ, however large the errors are that make no difference between them.
-pub(crate) fn slip_ratios(increment: &Increment, error: &OdometryError, share: f64) -> [f64; 2] {
-    let mirrored = Increment { error: increment.error.map(|e| -e), ..*increment };
-    [increment, &mirrored]
-        .map(|increment| slipped(increment, error, share) / density(increment, error, 0).max(1e-300) - 1.0)
+    std::array::from_fn(|axis| (increment.error[axis] / increment.deviation(error, axis)).clamp(-CUT, CUT))
 }
 
 /// What increments say of an odometry that lags behind the stamps, one by one: by the lag's first order, an increment is that of the
@@ -145,7 +145,7 @@ pub(crate) fn lag_slopes(increments: &[Increment], error: &OdometryError, secs: 
             let mut slopes = [0.0; 2];
             for (axis, value) in errors.into_iter().enumerate() {
                 let change = 0.5 * (after.truth[axis] - before.truth[axis]) / (secs[2] - secs[1]).max(1e-6);
-                let slope = -change / deviation(here, error, axis);
+                let slope = -change / here.deviation(error, axis);
                 slopes[0] += slope * value;
                 slopes[1] += slope * slope;
             }

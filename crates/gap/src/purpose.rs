@@ -22,6 +22,8 @@ pub enum Purpose {
     FreeModel = 17,
     /// Prior draws of parameters that a log hardly constrains, for their intervals.
     Prior = 14,
+    /// The stretches of two logs, dealt out anew.
+    Permutations = 18,
     /// The filter on the measured log.
     Filter = 15,
     /// The scans that the filter's sensor model is learnt from.

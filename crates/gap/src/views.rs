@@ -24,8 +24,10 @@ const MANY_FACES: usize = 500;
 
 /// All beams of a log from its reference poses, \[scan\]\[beam\].
 #[derive(Clone)]
-pub(crate) struct Views {
+pub struct Views {
+    /// The beams, \[scan\]\[beam\].
     pub beams: Vec<Beam>,
+    /// Beams of a scan.
     pub per_scan: usize,
     /// The effects that they depend on.
     shaped_by: Vec<Effect>,
@@ -108,11 +110,11 @@ impl Views {
         self.blocks.as_ref().map_or_else(HashSet::new, |blocks| blocks.model().lattice_in_reach(side, half))
     }
 
-    pub fn scans(&self) -> usize {
+    pub(crate) fn scans(&self) -> usize {
         self.beams.len() / self.per_scan
     }
 
-    pub fn scan(&self, scan: usize) -> &[Beam] {
+    pub(crate) fn scan(&self, scan: usize) -> &[Beam] {
         &self.beams[scan * self.per_scan..][..self.per_scan]
     }
 }

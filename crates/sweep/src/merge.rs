@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use indexmap::IndexMap;
 use locsim_core::Control;
 use locsim_report::ReportError;
-use locsim_report::store::{Folder, Request};
+use locsim_report::store::{Folder, Request, Store};
 use locsim_report::trial_set::{CellRows, Table, TrialSet, for_each, plain, read};
 use rayon::prelude::*;
 
@@ -45,16 +45,7 @@ pub fn run_sweep(sweep: &Sweep, options: &SweepOptions<'_>) -> Result<Merged, Sw
     let all = 0..sweep.cells().count();
     let inputs = check(sweep, all.clone(), options.control)?;
     let whole = Whole { summary: SweepSummary::of(sweep), digest: sweep.digest(), inputs };
-    let settings = serde_json::json!([whole.digest, whole.inputs]);
-    let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex();
-    let request = Request {
-        out: &options.out,
-        kind: "sweep",
-        fingerprint: &fingerprint,
-        resume: options.resume,
-        force: options.force,
-    };
-    let merged = request.fill(|store| {
+    let merged = whole.fill(&options.out, options.resume, options.force, |store| {
         run_cells(sweep, all.clone(), store, options, "add --resume to go on")?;
         options.control.progress.stage("writing results", u64::from(all.end));
         let columns = sweep.cells().plan().columns();
@@ -70,7 +61,7 @@ pub fn run_sweep(sweep: &Sweep, options: &SweepOptions<'_>) -> Result<Merged, Sw
         let (merged, figures) = whole.write_trials(store.folder(), sweep.cells(), tables)?;
         write_times(store.folder(), &times)?;
         page::write(store.folder(), sweep.cells(), &merged, &figures)?;
-        Ok::<_, SweepError>(merged)
+        Ok(merged)
     })?;
     options.control.progress.finish();
     Ok(merged)
@@ -91,16 +82,14 @@ pub fn merge(options: &MergeOptions<'_>) -> Result<Merged, SweepError> {
         path: shards.whole[0].0.clone(),
         what: "has more cells than are allowed".to_owned(),
     })?;
-    let settings = serde_json::json!([whole.digest, whole.inputs]);
-    let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex();
-    let request = Request {
-        out: &options.out,
-        kind: "sweep",
-        fingerprint: &fingerprint,
-        resume: false,
-        force: options.force,
-    };
-    let merged = request.fill(|store| {
+    for (folder, summary) in &shards.whole {
+        let found = summary.first_cell..summary.first_cell.saturating_add(summary.cells);
+        if found != summary.shard.cells(cells.count()) {
+            let what = format!("has the cells {found:?}, which aren't those of {}", summary.shard);
+            return Err(SweepError::DamagedShard { path: folder.clone(), what });
+        }
+    }
+    let merged = whole.fill(&options.out, false, options.force, |store| {
         options.control.progress.stage("merging shards", shards.whole.len() as u64);
         let tables = shards.whole.iter().flat_map(|(folder, _)| {
             options.control.progress.advance(1);
@@ -113,7 +102,7 @@ pub fn merge(options: &MergeOptions<'_>) -> Result<Merged, SweepError> {
         let times: Vec<_> = shards.whole.iter().flat_map(|(_, summary)| summary.step_ms.clone()).collect();
         write_times(store.folder(), &times)?;
         page::write(store.folder(), &cells, &merged, &figures)?;
-        Ok::<_, SweepError>(merged)
+        Ok(merged)
     })?;
     options.control.progress.finish();
     Ok(merged)
@@ -127,6 +116,19 @@ struct Whole {
 }
 
 impl Whole {
+    /// Fills a results folder, which is then renamed into place.
+    fn fill(
+        &self,
+        out: &Path,
+        resume: bool,
+        force: bool,
+        write: impl FnOnce(&Store) -> Result<Merged, SweepError>,
+    ) -> Result<Merged, SweepError> {
+        let settings = serde_json::json!([self.digest, self.inputs]);
+        let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex();
+        Request { out, kind: "sweep", fingerprint: &fingerprint, resume, force }.fill(write)
+    }
+
     /// Writes the data set, `cells.csv` and `sweep.json`.
     fn write_trials(
         &self,

@@ -13,6 +13,9 @@ pub const MOST_CELLS: u64 = 1 << 31;
 /// The most combinations under conditions: each of them is looked at, which takes a second for this many.
 pub const MOST_COMBINATIONS: u64 = 10_000_000;
 
+/// The most shards of a sweep: each is a folder, and a file system has its limits, too.
+pub const MOST_SHARDS: u32 = 100_000;
+
 /// The axes of a sweep and how they are combined. Equal plans have equal cells.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Plan {
@@ -137,6 +140,28 @@ impl Plan {
             .into_iter()
             .try_fold(1_u64, |product, size| product.checked_mul(size as u64))
             .filter(|n| *n <= MOST_CELLS)
+    }
+
+    /// Whether every axis has values and varies once, with axes of its own length, and conditions are on axes that are there. A
+    /// plan from a file may be anything.
+    pub fn is_sound(&self) -> bool {
+        let count = self.axes.len();
+        let mut varied: Vec<usize> = self.groups.concat();
+        varied.sort_unstable();
+        let is_axis = |axis: usize| axis < count;
+        varied == (0..count).collect::<Vec<_>>()
+            && self.axes.iter().all(|axis| !axis.values.is_empty())
+            && self
+                .groups
+                .iter()
+                .all(|group| group.iter().all(|&axis| self.axes[axis].values.len() == self.size(group)))
+            && self.conditions.iter().all(|condition| {
+                let right = match condition.right {
+                    Operand::Axis(axis) => is_axis(axis),
+                    Operand::Value(_) => true,
+                };
+                is_axis(condition.left) && right
+            })
     }
 
     fn size(&self, group: &[usize]) -> usize {
@@ -294,7 +319,9 @@ impl Shard {
     /// # Errors
     /// What is allowed.
     pub fn new(number: u32, of: u32) -> Result<Self, String> {
-        if (1..=of).contains(&number) {
+        if of > MOST_SHARDS {
+            Err(format!("{of} shards are not allowed; at most {MOST_SHARDS}"))
+        } else if (1..=of).contains(&number) {
             Ok(Self { of, number })
         } else {
             Err(format!("shard {number} of {of} is not there; shards are numbered from 1 to their number"))

@@ -1,5 +1,7 @@
 //! A shard: a share of the cells, run on its own into a folder of its own.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::PathBuf;
 
 use indexmap::IndexMap;
@@ -13,6 +15,8 @@ use crate::{Sweep, SweepError};
 
 /// The trials of a shard, in its folder.
 pub const TRIALS: &str = "trials.parquet";
+/// A summary has fewer bytes than this: some 40 for each cell and model.
+const MOST_SUMMARY_BYTES: u64 = 256 << 20;
 /// Its summary.
 pub const SUMMARY: &str = "shard.json";
 
@@ -185,11 +189,21 @@ pub fn read_summary(folder: &std::path::Path) -> Result<Option<ShardSummary>, Sw
         return Ok(None);
     }
     let damaged = |what: String| SweepError::DamagedShard { path: folder.join(SUMMARY), what };
-    let text =
-        std::fs::read(folder.join(SUMMARY)).map_err(|error| damaged(format!("can't be read: {error}")))?;
-    serde_json::from_slice(&text)
-        .map(Some)
-        .map_err(|error| damaged(format!("is not a shard's summary: {error}")))
+    let unreadable = |error: std::io::Error| damaged(format!("can't be read: {error}"));
+    let mut text = Vec::new();
+    let file = File::open(folder.join(SUMMARY)).map_err(unreadable)?;
+    file.take(MOST_SUMMARY_BYTES + 1).read_to_end(&mut text).map_err(unreadable)?;
+    if text.len() as u64 > MOST_SUMMARY_BYTES {
+        return Err(damaged(format!("has more than {MOST_SUMMARY_BYTES} bytes")));
+    }
+    let summary: ShardSummary = serde_json::from_slice(&text)
+        .map_err(|error| damaged(format!("is not a shard's summary: {error}")))?;
+    let Shard { of, number } = summary.shard;
+    Shard::new(number, of).map_err(|error| damaged(format!("says that {error}")))?;
+    if !summary.sweep.plan.is_sound() {
+        return Err(damaged("has axes that don't belong together".to_owned()));
+    }
+    Ok(Some(summary))
 }
 
 /// Fails for a shard whose trials aren't as they were written.

@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
 
 pub use plan::Size;
-pub use score::Score;
+pub use score::{Score, Share};
 pub use text::table;
 
 use crate::BenchError;
@@ -441,6 +441,7 @@ fn localize(
         beams: usize::MAX,
         without: Vec::new(),
         log: LogOptions::default(),
+        baseline: None,
     };
     let study = GapStudy::load(&options.scenario, Some(log), settings)?;
     let filter = FilterOnLog::new(&study, None, Control { progress: &(), ..options.control })?;

@@ -22,7 +22,7 @@ pub struct Share {
 }
 
 impl Share {
-    fn of(hits: impl Iterator<Item = bool>) -> Self {
+    pub(crate) fn of(hits: impl Iterator<Item = bool>) -> Self {
         let (mut count, mut of) = (0, 0);
         for hit in hits {
             count += u32::from(hit);

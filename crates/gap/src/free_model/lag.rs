@@ -5,7 +5,7 @@ use locsim_world::effect::Effects;
 
 use crate::Recorded;
 use crate::hypothesis::{Comparison, Fitted};
-use crate::odometry::{Increment, increments, standardized};
+use crate::odometry::{Increment, standardized};
 use crate::statistics::{FOLD_SCANS, fold_count};
 
 /// Lags that are tried: to both sides up to half a second, in steps of this \[s\]: 1 cm at 1 m/s, the noise of a laser.
@@ -26,7 +26,7 @@ impl Lag {
     pub fn new(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted) -> Self {
         let recorded = comparison.recorded;
         let corrected = comparison.corrected(&fitted.corrections);
-        let increments = increments(comparison.nominal, effects, &corrected, &recorded.odometry);
+        let increments = Increment::all(comparison.nominal, effects, &corrected, &recorded.odometry);
         let track = recorded.track.with_poses(corrected);
         let count = fold_count(recorded.scans());
         // Log likelihood of each fold at each lag, up to a constant.

@@ -27,6 +27,8 @@ use crate::statistics::{Dictionary, Form};
 use crate::{GapError, Nominal, Purpose, Recorded};
 use judgement::Judgement;
 
+pub use selection::split_by;
+
 /// How a search is run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GapOptions {

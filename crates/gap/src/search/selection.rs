@@ -146,7 +146,7 @@ pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Name
 }
 
 /// A drive that tells effects apart which look alike on this log: the first experiment in which two of them differ.
-fn split_by(set: &[EffectKind]) -> Option<&'static str> {
+pub fn split_by(set: &[EffectKind]) -> Option<&'static str> {
     if set.len() < 2 {
         return None;
     }

@@ -32,9 +32,9 @@ pub(crate) use readings::{FOLD_SCANS, Readings, fold_count, pit_draw};
 pub(crate) use survey::Survey;
 
 /// Side of a cell of the map in which walls are counted \[m\].
-pub(crate) const WALL_CELL_M: f64 = 1.0;
+pub const WALL_CELL_M: f64 = 1.0;
 /// Side of a cell of the map in which readings in front of walls are counted \[m\]: about a small object's size.
-pub(crate) const OBJECT_CELL_M: f64 = 0.25;
+pub const OBJECT_CELL_M: f64 = 0.25;
 
 /// Statistics of one kind, with all that depends on the kind. A new kind is a type that implements this, and a line in
 /// [`Dictionary::new`].
@@ -278,6 +278,6 @@ fn typical_guesses(found: &[Found<'_>]) -> Vec<Start> {
 }
 
 /// The cell of a lattice of squares that a point is in, by their side \[m\].
-pub(crate) fn cell_at(point: DVec2, side: f64) -> [i32; 2] {
+pub fn cell_at(point: DVec2, side: f64) -> [i32; 2] {
     [(point.x / side).floor() as i32, (point.y / side).floor() as i32]
 }

@@ -6,13 +6,13 @@ use super::contamination::{detectable_share, score};
 use super::readings::half_of;
 use super::{Cell, Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
 use crate::catalogue::shown_by;
-use crate::odometry::{Increment, deviation, increments, lag_slopes, slip_ratios, standardized};
+use crate::odometry::{Increment, lag_slopes, standardized};
 
 /// The increments of a log's odometry, with the reference's errors taken off.
 fn increments_of(log: &Readings<'_>) -> Vec<Increment> {
     let comparison = log.comparison;
     let track = comparison.corrected(&log.fitted.corrections);
-    increments(comparison.nominal, log.effects, &track, &comparison.recorded.odometry)
+    Increment::all(comparison.nominal, log.effects, &track, &comparison.recorded.odometry)
 }
 
 /// The correlation of an error of the odometry with a motion.
@@ -43,7 +43,7 @@ impl Family for OdometryCorrelation {
         let (error, motion) = (self.error as usize, self.motion as usize);
         let mut correlations = [Correlation::default(); 2];
         for (scan, increment) in increments_of(log).iter().enumerate() {
-            let deviation = deviation(increment, odometry_error, error);
+            let deviation = increment.deviation(odometry_error, error);
             correlations[half_of(scan)]
                 .add(standardized(increment, odometry_error)[error], increment.truth[motion] / deviation);
         }
@@ -81,7 +81,7 @@ impl Family for Slips {
         for (scan, increment) in increments.iter().enumerate() {
             for (sum, &share) in sums.iter_mut().zip(self.shares) {
                 let [longer, shorter] =
-                    slip_ratios(increment, odometry_error, share).map(|ratio| score(ratio, detectable));
+                    increment.slip_ratios(odometry_error, share).map(|ratio| score(ratio, detectable));
                 sum[half_of(scan)] += longer - shorter;
             }
         }

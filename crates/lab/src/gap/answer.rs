@@ -92,7 +92,7 @@ pub(super) fn label(parameter: &Parameter) -> String {
 }
 
 /// The rivals of an effect, and the motion that would distinguish them.
-fn doubt(named: &Named) -> Option<String> {
+pub(super) fn doubt(named: &Named) -> Option<String> {
     let others: Vec<_> = others(named).collect();
     if others.is_empty() {
         return None;

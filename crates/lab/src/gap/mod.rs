@@ -2,6 +2,7 @@
 //! scenario with the effect that it lacks, and a report that says why.
 
 mod answer;
+mod baseline;
 mod covariate;
 mod figures;
 mod filter;
@@ -22,6 +23,7 @@ use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::Simulator;
 
 pub use answer::answer;
+pub use baseline::{answer_since, json as json_since, run as run_since};
 pub use locsim_gap::{BeamPit, Outcome};
 
 pub use filter::FilterOnLog;
@@ -45,7 +47,7 @@ const SAME_MOUNT: f64 = 2e-3;
 /// The part of the log that the search uses, and how.
 #[derive(Clone, Debug)]
 pub struct GapSettings {
-    /// Simulated logs behind a p-value.
+    /// Simulated logs, or beside a baseline permutations, behind a p-value.
     pub replicates: u32,
     /// Seed; `None` for the scenario's.
     pub seed: Option<u64>,
@@ -55,8 +57,17 @@ pub struct GapSettings {
     pub beams: usize,
     /// Effects that aren't thought of.
     pub without: Vec<EffectKind>,
-    /// How to read the log.
+    /// How to read the logs.
     pub log: LogOptions,
+    /// An earlier log of the same robot: what has changed since is searched, instead of what the simulation lacks.
+    pub baseline: Option<PathBuf>,
+}
+
+impl GapSettings {
+    /// Simulated logs behind a p-value, unless the user says otherwise.
+    pub const REPLICATES: u32 = 999;
+    /// Permutations beside a baseline, unless the user says otherwise.
+    pub const PERMUTATIONS: u32 = 399;
 }
 
 /// A measured log and the scenario that it is held against, read and checked.
@@ -69,9 +80,17 @@ pub struct GapStudy {
     /// The log with the scenario's laser mount.
     drive: Drive,
     recorded: Recorded,
+    /// The log that it is held against, if there is one.
+    baseline: Option<Baseline>,
     settings: GapSettings,
     /// Remarks on the log.
     notes: Vec<String>,
+}
+
+/// An earlier log of the same robot.
+struct Baseline {
+    log: PathBuf,
+    recorded: Recorded,
 }
 
 /// How to do it.
@@ -130,27 +149,20 @@ impl GapStudy {
         let effects = Effects::new(simulator.effects.clone()).map_err(GapError::from)?;
         let simulated = Simulator::new(Arc::clone(&map), simulator.blocks, simulator.laser, effects)
             .map_err(GapError::from)?;
-        let drive = with_mount(drive, simulated.laser().laser(), &mut notes);
-        let refuse = |what: String| LabError::Log { path: log.clone(), what };
-        let drive = with_beams(drive, simulated.laser().laser()).map_err(refuse)?;
-        let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
-        let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
-        let recorded = Recorded::new(&drive, settings.scans, settings.beams, free).map_err(|error| {
-            refuse(match references {
-                0 => format!(
-                    "{}; without one nothing can be compared",
-                    no_reference(&summary.topics, &summary.transforms)
-                ),
-                _ => error.to_string(),
-            })
-        })?;
-        let outside = drive.steps.iter().filter(|s| s.reference.is_some_and(|pose| !free(&pose))).count();
-        if outside > 0 {
-            notes.push(format!(
-                "{outside} scans were left out: their reference pose is not in the map's free space."
-            ));
-        }
-        Ok(Self { scenario, simulator, log, map, drive, recorded, settings, notes })
+        let baseline = settings.baseline.clone().map(|path| -> Result<Baseline, LabError> {
+            if same_file(&path, &log) {
+                notes.push("The baseline is the log itself: nothing can have changed.".to_owned());
+            }
+            let (drive, summary) = read_log(&path, &settings.log)?;
+            notes.push(format!("Baseline: {}", summary.to_string().replace('\n', "; ")));
+            let laser = simulated.laser().laser();
+            let (_, recorded) = usable(&path, drive, &summary, laser, &map, &settings, &mut notes)?;
+            Ok(Baseline { log: path, recorded })
+        });
+        let baseline = baseline.transpose()?;
+        let laser = simulated.laser().laser();
+        let (drive, recorded) = usable(&log, drive, &summary, laser, &map, &settings, &mut notes)?;
+        Ok(Self { scenario, simulator, log, map, drive, recorded, baseline, settings, notes })
     }
 
     /// The scenario's name.
@@ -188,6 +200,11 @@ impl GapStudy {
     /// The seed that everything random derives from.
     pub fn seed(&self) -> u64 {
         self.scenario.seed
+    }
+
+    /// How the log is searched.
+    pub fn settings(&self) -> &GapSettings {
+        &self.settings
     }
 
     /// Scans that can be compared: those with a reference pose in the map's free space.
@@ -251,6 +268,54 @@ impl Held {
         let drive = Drive { steps, laser: drive.laser };
         Ok(Self { log: of_scenario.file.clone(), map, drive, summary })
     }
+}
+
+/// The part of a log that is looked at, with the scenario's laser.
+///
+/// Beside a baseline the scans are spread evenly over the log, so that both see the same places.
+fn usable(
+    log: &Path,
+    drive: Drive,
+    summary: &LogSummary,
+    laser: &Laser,
+    map: &ExactRangeMap,
+    settings: &GapSettings,
+    notes: &mut Vec<String>,
+) -> Result<(Drive, Recorded), LabError> {
+    let refuse = |what: String| LabError::Log { path: log.to_owned(), what };
+    let drive = with_mount(drive, laser, notes);
+    let drive = with_beams(drive, laser).map_err(refuse)?;
+    let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
+    let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
+    let is_usable = |step: &&DriveStep| step.reference.is_some_and(|pose| free(&pose));
+    let part = if settings.baseline.is_some() {
+        let each = drive.steps.iter().filter(is_usable).count().div_ceil(settings.scans).max(1);
+        let steps = drive.steps.iter().filter(is_usable).step_by(each).cloned().collect();
+        &Drive { laser: drive.laser.clone(), steps }
+    } else {
+        &drive
+    };
+    let recorded = Recorded::new(part, settings.scans, settings.beams, free).map_err(|error| {
+        refuse(match references {
+            0 => format!(
+                "{}; without one nothing can be compared",
+                no_reference(&summary.topics, &summary.transforms)
+            ),
+            _ => error.to_string(),
+        })
+    })?;
+    let outside = drive.steps.iter().filter(|s| s.reference.is_some_and(|pose| !free(&pose))).count();
+    if outside > 0 {
+        notes.push(format!(
+            "{outside} scans were left out: their reference pose is not in the map's free space."
+        ));
+    }
+    Ok((drive, recorded))
+}
+
+/// Whether two paths are of one file.
+fn same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// Holds the log against the scenario and writes the results folder, which is made beside its place and renamed when
@@ -323,7 +388,7 @@ fn write(
 ) -> Result<(), LabError> {
     let json = serde_json::to_string_pretty(outcome).map_err(ReportError::from)?;
     folder.write("gap.json", format!("{json}\n").as_bytes())?;
-    let scenario = proposal::scenario_with(study, outcome, &options.out)?;
+    let scenario = proposal::scenario_with(study, &outcome.effects, &options.out)?;
     folder.write("scenario.yaml", scenario.as_bytes())?;
     let old = study.scenario.file.display().to_string();
     let diff = proposal::diff(

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use locsim_core::limits::quoted;
 use locsim_core::{Estimate, Interval};
-use locsim_gap::{Named, Outcome};
+use locsim_gap::Named;
 use locsim_report::store::StoreError;
 use locsim_scenario::edit::Entry;
 use locsim_scenario::effect::{effect_yaml_with, in_file};
@@ -14,9 +14,9 @@ use similar::TextDiff;
 use super::GapStudy;
 use crate::LabError;
 
-/// The scenario with the effects of `outcome`, to be read from the folder `out`.
-pub(super) fn scenario_with(study: &GapStudy, outcome: &Outcome, out: &Path) -> Result<String, LabError> {
-    let entries: Vec<Entry> = outcome.effects.iter().map(|named| entry(study, named)).collect();
+/// The scenario with these effects, to be read from the folder `out`.
+pub(super) fn scenario_with(study: &GapStudy, effects: &[Named], out: &Path) -> Result<String, LabError> {
+    let entries: Vec<Entry> = effects.iter().map(|named| entry(study, named)).collect();
     Ok(study.scenario.with_effects(&entries, &out_folder(out)?, &proposed_name(&study.scenario.name)))
 }
 

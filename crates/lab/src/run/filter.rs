@@ -72,3 +72,59 @@ pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<Fil
         ancestry,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use locsim_core::{Draw, DriveStep, Laser, Particles, Scan, Stage};
+
+    use super::*;
+
+    const ALPHA: [f64; 4] = [0.03, 0.02, 0.02, 0.01];
+
+    /// A drive of steps of half a metre in wide curves, with odometry that is as noisy as the motion model has it.
+    fn drive(alpha: [f64; 4], steps: u32) -> Drive {
+        let motion = OdometryMotion::new(alpha).unwrap();
+        let draw = Draw::new(3, Stage::Motion, 1);
+        let (mut truth, mut odometry) = (Pose2::IDENTITY, Particles::from_iter([Pose2::IDENTITY]));
+        let steps = (0..steps).map(|i| {
+            let increment = Pose2::new(0.5, 0.0, if i / 8 % 3 == 0 { 0.0 } else { 0.6 });
+            truth = truth.compose(&increment);
+            motion.propagate(&increment, &draw.at(i), &mut odometry);
+            DriveStep {
+                stamp_secs: f64::from(i),
+                odometry: odometry.get(0),
+                reference: Some(truth),
+                scan: Scan { ranges: vec![1.0] },
+            }
+        });
+        let laser = Laser::new(vec![0.0], vec![0.0], 0.0, 10.0, Pose2::IDENTITY).unwrap();
+        Drive { steps: steps.collect(), laser }
+    }
+
+    /// A variance of 1,000 windows is known to 4.5 % (one standard deviation); each alpha is one of two regressors that share
+    /// it, so that it is known to about 20 %.
+    #[test]
+    fn motion_noise_is_fitted_on_scans_that_are_not_localized_on() {
+        let measured = drive(ALPHA, 4000);
+        let fitted = fitted_alpha(&measured, &[]).unwrap();
+        for (fitted, alpha) in fitted.iter().zip(ALPHA) {
+            let ratio = fitted / (2.0 * alpha);
+            assert!((0.5..2.0).contains(&ratio), "{fitted} for {alpha}");
+        }
+
+        let localized: Vec<usize> = (1000..2000).collect();
+        let without = fitted_alpha(&measured, &localized).unwrap();
+        assert_ne!(without, fitted);
+        let mut garbage = measured;
+        for &i in &localized {
+            garbage.steps[i].odometry = Pose2::new(i as f64, -7.0, 1.0);
+        }
+        assert_eq!(fitted_alpha(&garbage, &localized), Some(without));
+    }
+
+    #[test]
+    fn perfect_odometry_keeps_the_least_noise_and_a_short_drive_says_nothing() {
+        assert_eq!(fitted_alpha(&drive([0.0; 4], 400), &[]), Some([FITTED_ALPHA.1; 4]));
+        assert_eq!(fitted_alpha(&drive(ALPHA, 4), &[]), None);
+    }
+}

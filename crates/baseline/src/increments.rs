@@ -1,0 +1,191 @@
+//! The odometry of both logs: errors of its increments, beyond those that the baseline has.
+
+use locsim_core::{median, normal};
+use locsim_gap::{Increment, OdometryError};
+use locsim_world::effect::{Axis, Effect, EffectKind, Moves, Statistic};
+
+use super::pool::Pool;
+use super::trials::strengths;
+
+/// Least squares are repeated without errors of more than these standard deviations.
+const CUT: f64 = 3.0;
+const ROUNDS: usize = 4;
+
+/// Increments of both logs, with their stretches.
+pub(super) struct Increments {
+    all: Vec<(u32, Increment)>,
+    stretches: usize,
+}
+
+/// What the baseline says of the odometry: errors in proportion to distance and turn, and the spread of the rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Usual {
+    /// Error of the distance per metre.
+    distance: f64,
+    /// Error of the turn per radian and per metre.
+    turn: [f64; 2],
+    spread: OdometryError,
+}
+
+impl Increments {
+    pub fn new(pool: &Pool<'_>) -> Self {
+        let mut all = Vec::new();
+        for (log, cast) in pool.logs.iter().enumerate() {
+            let recorded = cast.recorded;
+            let own = Increment::all(
+                pool.nominal,
+                &pool.nominal.effects,
+                recorded.track.poses(),
+                &recorded.odometry,
+            );
+            all.extend(
+                own.into_iter().enumerate().map(|(i, increment)| (pool.stretch(log, i + 1), increment)),
+            );
+        }
+        Self { all, stretches: pool.stretches[1] }
+    }
+
+    /// The effects that are tried.
+    pub fn trials() -> Vec<Effect> {
+        let kinds = EffectKind::ALL.into_iter().filter(|kind| kind.moves() == Moves::Odometry);
+        kinds
+            .flat_map(|kind| {
+                let shares = kind.description().statistics.iter().find_map(|statistic| match statistic {
+                    Statistic::Slip { shares } => Some(*shares),
+                    _ => None,
+                });
+                match shares {
+                    Some(shares) => {
+                        let values = shares.iter().flat_map(|&share| [0.05, 0.3].map(|p| vec![p, share]));
+                        values.filter_map(|values| Effect::new(kind, values, Vec::new()).ok()).collect()
+                    }
+                    None => strengths(kind),
+                }
+            })
+            .collect()
+    }
+
+    /// Learns from the stretches that `is_baseline` holds for.
+    pub fn learn(&self, is_baseline: &[bool]) -> Usual {
+        let own: Vec<&Increment> = self
+            .all
+            .iter()
+            .filter(|(stretch, increment)| {
+                is_baseline[*stretch as usize] && increment.error.iter().all(|e| e.is_finite())
+            })
+            .map(|(_, increment)| increment)
+            .collect();
+        let mut usual = Usual { distance: 0.0, turn: [0.0; 2], spread: OdometryError::default() };
+        for _ in 0..ROUNDS {
+            let mut deviations: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
+            let mut known: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
+            for increment in &own {
+                let rest = usual.without(increment);
+                for axis in 0..2 {
+                    deviations[axis].push(rest.error[axis].abs());
+                    known[axis].push(rest.variance[axis]);
+                }
+            }
+            let spread: [f64; 2] = std::array::from_fn(|axis| {
+                let sigma = normal::SIGMA_OVER_MAD * median(&mut deviations[axis]);
+                (sigma * sigma - median(&mut known[axis])).max(0.0).sqrt()
+            });
+            usual.spread = OdometryError { sigma_m: spread[0], sigma_rad: spread[1] };
+            let [mut dd, mut de, mut tt, mut td, mut te, mut ds, mut se] = [0.0; 7];
+            for increment in &own {
+                let rest = usual.without(increment);
+                let [d, t] = increment.truth;
+                let within: [f64; 2] = std::array::from_fn(|axis| {
+                    let sigma = rest.deviation(&usual.spread, axis);
+                    if rest.error[axis].abs() < CUT * sigma { sigma.powi(-2) } else { 0.0 }
+                });
+                dd += within[0] * d * d;
+                de += within[0] * d * increment.error[0];
+                tt += within[1] * t * t;
+                td += within[1] * t * d;
+                ds += within[1] * d * d;
+                te += within[1] * t * increment.error[1];
+                se += within[1] * d * increment.error[1];
+            }
+            if dd > 0.0 {
+                usual.distance = de / dd;
+            }
+            let determinant = tt * ds - td * td;
+            if determinant > 1e-12 * (tt * ds) {
+                usual.turn = [(te * ds - se * td) / determinant, (se * tt - te * td) / determinant];
+            }
+        }
+        usual
+    }
+
+    /// Gain of an effect beside the given ones on each stretch (nats).
+    pub fn gains(&self, usual: &Usual, given: &[Effect], effect: &Effect, is_used: &[bool]) -> Vec<f64> {
+        let mut gains = vec![0.0; self.stretches];
+        let without = Changed::of(given);
+        let with = Changed::of(&[given, std::slice::from_ref(effect)].concat());
+        for (stretch, increment) in &self.all {
+            if is_used[*stretch as usize] {
+                let rest = usual.without(increment);
+                gains[*stretch as usize] +=
+                    with.log_density(&rest, usual) - without.log_density(&rest, usual);
+            }
+        }
+        gains
+    }
+}
+
+impl Usual {
+    /// An increment without the errors that the baseline has.
+    fn without(&self, increment: &Increment) -> Increment {
+        let [d, t] = increment.truth;
+        let [distance, turn] = increment.error;
+        let error = [distance - self.distance * d, turn - self.turn[0] * t - self.turn[1] * d];
+        Increment { error, ..*increment }
+    }
+}
+
+/// Effects on increments.
+struct Changed {
+    distance: f64,
+    turn: [f64; 2],
+    slip: Option<[f64; 2]>,
+}
+
+impl Changed {
+    fn of(effects: &[Effect]) -> Self {
+        let mut changed = Self { distance: 0.0, turn: [0.0; 2], slip: None };
+        for effect in effects {
+            for statistic in effect.kind.description().statistics {
+                match statistic {
+                    Statistic::Odometry { error: Axis::Distance, .. } => changed.distance += effect.values[0],
+                    Statistic::Odometry { error: Axis::Turn, motion: Axis::Turn } => {
+                        changed.turn[0] += effect.values[0];
+                    }
+                    Statistic::Odometry { error: Axis::Turn, motion: Axis::Distance } => {
+                        changed.turn[1] += effect.values[0];
+                    }
+                    Statistic::Slip { .. } => changed.slip = Some([effect.values[0], effect.values[1]]),
+                    _ => {}
+                }
+            }
+        }
+        changed
+    }
+
+    fn log_density(&self, rest: &Increment, usual: &Usual) -> f64 {
+        let [d, t] = rest.truth;
+        let error = [rest.error[0] - self.distance * d, rest.error[1] - self.turn[0] * t - self.turn[1] * d];
+        let increment = Increment { error, ..*rest };
+        let mut log: f64 = (0..2).map(|axis| increment.density(&usual.spread, axis).max(1e-300).ln()).sum();
+        if let Some([p, share]) = self.slip {
+            let [ratio, _] = increment.slip_ratios(&usual.spread, share);
+            log += (p * ratio).max(-0.999).ln_1p();
+        }
+        log
+    }
+}
+
+/// The world of the odometry alone.
+pub(super) fn is_of_odometry(effect: &Effect) -> bool {
+    effect.kind.moves() == Moves::Odometry
+}

@@ -1,0 +1,109 @@
+//! Today's log against yesterday's: what has changed since a baseline.
+//!
+//! The nominal simulator is learnt from the baseline: at each place of the map the distribution of the readings' errors, of
+//! lost returns and of readings in front and behind, and the odometry's errors in proportion to the motion. Errors of the map
+//! and of the simulator are in both logs, and cancel. An effect of the library then changes today's readings from what they are
+//! expected to be; its strength is the change since the baseline.
+//!
+//! The null distribution is of permutations. Both logs are cut into stretches, and the stretches are dealt out anew to two
+//! logs; each time the baseline is learnt and all effects are tried again. So a p-value knows how well the baseline is known,
+//! how stretches differ from one another, and how many effects were tried. It supposes that stretches of one log are
+//! exchangeable with those of the other where nothing changed.
+//!
+//! | step | code |
+//! | --- | --- |
+//! | readings of both logs at the places that both have seen | [`pool`] |
+//! | the distribution of readings at each place | [`learnt`] |
+//! | the odometry | [`increments`] |
+//! | effects with the readings that they change | [`trials`] |
+//! | permutations, names, numbers | [`search`] |
+
+mod increments;
+mod learnt;
+mod pool;
+mod search;
+#[cfg(test)]
+mod tests;
+mod trials;
+
+use locsim_gap::Named;
+use locsim_world::effect::EffectKind;
+use serde::Serialize;
+
+pub use search::find_changes;
+
+/// How changes since a baseline are searched.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BaselineOptions {
+    /// Permutations behind a p-value.
+    pub permutations: u32,
+    /// Chance of finding a change where there is none.
+    pub false_alarm: f64,
+    /// The most effects that are named.
+    pub most_effects: usize,
+    /// Effects that are left out of the library.
+    pub without: Vec<EffectKind>,
+    /// Everything random derives from it.
+    pub seed: u64,
+}
+
+impl Default for BaselineOptions {
+    fn default() -> Self {
+        Self { permutations: 399, false_alarm: 0.01, most_effects: 3, without: Vec::new(), seed: 0 }
+    }
+}
+
+/// The result of a comparison with a baseline in one word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ChangeVerdict {
+    /// The log is as the baseline.
+    None,
+    /// Something changed, and effects of the library say what.
+    Changed,
+    /// Something changed, and no effect of the library surely explains it.
+    Unexplained,
+    /// The logs have too few places in common.
+    Underpowered,
+}
+
+/// An effect that was tried.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Tried {
+    /// Its kind.
+    pub name: EffectKind,
+    /// Log score that its best strength gains on today's log (nats).
+    pub gain_nats: f64,
+    /// How far that is above permutations', in their standard deviations.
+    pub z: f64,
+}
+
+/// What changed since the baseline.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Changes {
+    /// The verdict.
+    pub verdict: ChangeVerdict,
+    /// Effects that today's log has beyond the baseline, in the order in which they were named. Numbers are changes.
+    pub effects: Vec<Named>,
+    /// Chance that two logs without a change look as different.
+    pub p: f64,
+    /// Permutations behind it.
+    pub permutations: u32,
+    /// All kinds of effects, the one that gains most first.
+    pub tried: Vec<Tried>,
+    /// Share of today's readings at places that the baseline has seen.
+    pub shared: f64,
+    /// Wasserstein-1 distance of range errors between the baseline and today's log at the places that both have seen \[mm\]: as
+    /// it is, with the named effects, and between permutations (median). Errors count as at most 1 m, and so do lost returns.
+    pub w1_mm: [f64; 3],
+    /// Scans of the baseline and of today's log.
+    pub scans: [usize; 2],
+    /// Beams per scan.
+    pub beams: usize,
+    /// Remarks for people.
+    pub notes: Vec<String>,
+    /// Everything random derives from it.
+    pub seed: u64,
+    /// Time it took \[s\]; the caller's clock.
+    pub seconds: f64,
+}

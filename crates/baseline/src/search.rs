@@ -1,0 +1,681 @@
+//! Permutations of stretches, and the effects that explain what changed.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use locsim_core::{Estimate, Progress};
+use locsim_gap::{Evidence, GapError, Named, Nominal, Number, Purpose, Recorded, split_by, sum_error};
+use locsim_world::effect::{Effect, EffectKind, Role};
+use rand::seq::SliceRandom;
+use rayon::prelude::*;
+
+use super::increments::{Increments, Usual, is_of_odometry};
+use super::learnt::{ERROR_BIN_M, ERROR_BINS, Learnt, bin_of};
+use super::pool::{Expected, Pool};
+use super::trials::{Given, Trial, trials, usual};
+use super::{BaselineOptions, ChangeVerdict, Changes, Tried};
+
+/// Fewer of today's readings than this, at places that the baseline has seen, say nothing.
+const LEAST_SHARED: usize = 1000;
+/// Permutations after which a p-value that is surely too large is left as it is (Besag and Clifford 1991).
+const SCREENING: u32 = 99;
+const PLAUSIBLE: f64 = 0.1;
+/// Kinds of effect that are fitted in a round: those whose best trial gains most.
+const FITTED_KINDS: usize = 5;
+/// Halvings of the steps of a fit.
+const HALVINGS: usize = 6;
+/// Gain that each parameter has to have (nats); see [`locsim_gap::find`]'s choice.
+const BY_CHANCE: f64 = 1.92;
+/// The step of a strength over which the likelihood is taken for a parabola, in strengths.
+const PARABOLA: f64 = 0.15;
+
+/// Finds what today's log has that the baseline hasn't.
+///
+/// # Errors
+/// [`GapError`] for a log that isn't of the simulator's laser, and when `stop` is set.
+pub fn find_changes(
+    nominal: &Nominal,
+    baseline: &Recorded,
+    today: &Recorded,
+    options: &BaselineOptions,
+    progress: &dyn Progress,
+    stop: &AtomicBool,
+) -> Result<Changes, GapError> {
+    nominal.check(baseline)?;
+    nominal.check(today)?;
+    // Clutter is learnt with the rest.
+    let plain = nominal.without_blocks()?;
+    progress.stage("casting both logs", 1);
+    let pool = Pool::new(&plain, baseline, today)?;
+    progress.advance(1);
+    let mut changes = Changes {
+        verdict: ChangeVerdict::Underpowered,
+        effects: Vec::new(),
+        p: 1.0,
+        permutations: 0,
+        tried: Vec::new(),
+        shared: pool.shared,
+        w1_mm: [0.0; 3],
+        scans: [baseline.scans(), today.scans()],
+        beams: today.beams(),
+        notes: Vec::new(),
+        seed: options.seed,
+        seconds: 0.0,
+    };
+    if pool.readings.iter().filter(|reading| reading.log == 1).count() < LEAST_SHARED {
+        changes.notes.push("The two logs have too few places in common to be compared.".to_owned());
+        return Ok(changes);
+    }
+    let search = Search { increments: Increments::new(&pool), pool: &pool, options, progress, stop };
+    search.run(&mut changes)?;
+    Ok(changes)
+}
+
+struct Search<'a> {
+    pool: &'a Pool<'a>,
+    increments: Increments,
+    options: &'a BaselineOptions,
+    progress: &'a dyn Progress,
+    stop: &'a AtomicBool,
+}
+
+/// Which stretches are of the baseline.
+struct Deal {
+    is_baseline: Vec<bool>,
+    is_today: Vec<bool>,
+}
+
+impl Deal {
+    fn used(&self) -> Vec<bool> {
+        self.is_baseline.iter().zip(&self.is_today).map(|(baseline, today)| baseline | today).collect()
+    }
+
+    /// The gain on today's stretches beyond that on as many stretches of the baseline: an effect that both logs have gains on
+    /// both, as does one that makes up for what the baseline's histograms can't express.
+    fn net(&self, today: &[f64], baseline: &[f64]) -> Vec<f64> {
+        let of_baseline =
+            || baseline.iter().zip(&self.is_baseline).filter(|(_, is)| **is).map(|(gain, _)| *gain);
+        let stretches = of_baseline().count().max(1);
+        let usual = (of_baseline().sum::<f64>() / stretches as f64).max(0.0);
+        let gains = today.iter().zip(&self.is_today);
+        gains.map(|(gain, is_today)| if *is_today { gain - usual } else { 0.0 }).collect()
+    }
+}
+
+/// What a deal's baseline says.
+struct Known {
+    learnt: Learnt,
+    usual: Usual,
+}
+
+/// An effect with its gain on today's stretches (nats).
+#[derive(Clone)]
+struct Fit {
+    effect: Effect,
+    gains: Vec<f64>,
+}
+
+impl Fit {
+    fn gain(&self) -> f64 {
+        self.gains.iter().sum()
+    }
+
+    /// Less what its parameters gain by chance.
+    fn worth(&self) -> f64 {
+        self.gain() - BY_CHANCE * self.effect.values.len() as f64
+    }
+}
+
+/// The best gain of each kind (nats), negative where nothing gains, and the index of the trial.
+type Best = BTreeMap<EffectKind, (f64, usize)>;
+
+impl Search<'_> {
+    fn run(&self, changes: &mut Changes) -> Result<(), GapError> {
+        let options = self.options;
+        self.progress.stage("trying effects", 1);
+        let given = Given { effects: Vec::new() };
+        let expected = usual(self.pool);
+        let tried = trials(self.pool, &given, &expected, &options.without);
+        self.progress.advance(1);
+        let odometry = self.odometry_trials();
+        let deal = self.true_deal();
+        let known = self.learn(&deal);
+        let own = self.best(&tried, &odometry, &deal, &known);
+        let screening = options.permutations.min(SCREENING);
+        let (mut others, mut distances) = self.permute(&tried, &odometry, 0..screening)?;
+        let mut null = Null::new(&own, &others);
+        if null.p(&own) <= PLAUSIBLE && options.permutations > screening {
+            let more = self.permute(&tried, &odometry, screening..options.permutations)?;
+            others.extend(more.0);
+            distances.extend(more.1);
+            null = Null::new(&own, &others);
+        }
+        changes.permutations = others.len() as u32;
+        changes.p = null.p(&own);
+        changes.tried = own
+            .iter()
+            .map(|(&name, &(gain, _))| Tried { name, gain_nats: gain.max(0.0), z: null.z(name, gain) })
+            .collect();
+        changes.tried.sort_by(|a, b| b.gain_nats.total_cmp(&a.gain_nats));
+        let mut named = Vec::new();
+        if changes.p <= options.false_alarm {
+            named = self.name(&tried, &odometry, &own, &null, &deal, &known, changes.p)?;
+        }
+        changes.verdict = match (changes.p <= options.false_alarm, named.is_empty()) {
+            (true, false) => ChangeVerdict::Changed,
+            (true, true) => ChangeVerdict::Unexplained,
+            (false, _) => ChangeVerdict::None,
+        };
+        let effects: Vec<Effect> = named.iter().map(|named: &Named| named.effect.clone()).collect();
+        let after = self.expected_with(&effects)?;
+        changes.w1_mm = [
+            self.distance(&known.learnt, &expected, &deal),
+            self.distance(&known.learnt, &after, &deal),
+            locsim_core::median(&mut distances.clone()),
+        ];
+        changes.effects = named;
+        Ok(())
+    }
+
+    fn true_deal(&self) -> Deal {
+        let [first, all] = self.pool.stretches;
+        Deal {
+            is_baseline: (0..all).map(|stretch| stretch < first).collect(),
+            is_today: (0..all).map(|stretch| stretch >= first).collect(),
+        }
+    }
+
+    fn learn(&self, deal: &Deal) -> Known {
+        Known {
+            learnt: Learnt::new(self.pool, &deal.is_baseline),
+            usual: self.increments.learn(&deal.is_baseline),
+        }
+    }
+
+    fn odometry_trials(&self) -> Vec<Effect> {
+        let trials = Increments::trials().into_iter();
+        trials.filter(|effect| !self.options.without.contains(&effect.kind)).collect()
+    }
+
+    /// Log density of readings without more effects.
+    fn log_density(&self, learnt: &Learnt, expected: &[Expected]) -> Vec<f64> {
+        let readings = self.pool.readings.iter().zip(expected);
+        readings.map(|(reading, expected)| learnt.density(expected, reading.z).ln()).collect()
+    }
+
+    /// The best trial of each kind.
+    fn best(&self, tried: &[Trial], odometry: &[Effect], deal: &Deal, known: &Known) -> Best {
+        let expected = usual(self.pool);
+        let log = self.log_density(&known.learnt, &expected);
+        let used = deal.used();
+        let mut best = Best::new();
+        let mut add = |kind: EffectKind, gain: f64, index: usize| {
+            let entry = best.entry(kind).or_insert((gain, index));
+            if gain > entry.0 {
+                *entry = (gain, index);
+            }
+        };
+        for (index, trial) in tried.iter().enumerate() {
+            let gains = trial.gains(self.pool, &known.learnt, &log, &used);
+            add(trial.effect.kind, deal.net(&gains, &gains).iter().sum(), index);
+        }
+        for (index, effect) in odometry.iter().enumerate() {
+            let gains = self.increments.gains(&known.usual, &[], effect, &used);
+            add(effect.kind, deal.net(&gains, &gains).iter().sum(), tried.len() + index);
+        }
+        best
+    }
+
+    /// The best gains, and the distance of range errors \[mm\], where stretches are dealt out anew.
+    fn permute(
+        &self,
+        tried: &[Trial],
+        odometry: &[Effect],
+        permutations: Range<u32>,
+    ) -> Result<(Vec<Best>, Vec<f64>), GapError> {
+        self.progress.stage("dealing out stretches", u64::from(permutations.end - permutations.start));
+        let draw = Purpose::Permutations.draw(self.options.seed);
+        let expected = usual(self.pool);
+        let all = permutations
+            .into_par_iter()
+            .map(|i| {
+                if self.stop.load(Ordering::Relaxed) {
+                    return Err(GapError::Interrupted);
+                }
+                let mut deal = self.true_deal();
+                deal.is_baseline.shuffle(&mut draw.item(i));
+                deal.is_today = deal.is_baseline.iter().map(|is_baseline| !is_baseline).collect();
+                let known = self.learn(&deal);
+                let best = self.best(tried, odometry, &deal, &known);
+                self.progress.advance(1);
+                Ok((best, self.distance(&known.learnt, &expected, &deal)))
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        Ok(all.into_iter().unzip())
+    }
+
+    /// Names the effect that gains most, adds it, and looks again.
+    #[expect(clippy::too_many_arguments, reason = "the first round, part by part")]
+    fn name(
+        &self,
+        tried: &[Trial],
+        odometry: &[Effect],
+        own: &Best,
+        null: &Null,
+        deal: &Deal,
+        known: &Known,
+        p: f64,
+    ) -> Result<Vec<Named>, GapError> {
+        let mut named: Vec<Named> = Vec::new();
+        let mut given = Given { effects: Vec::new() };
+        let mut expected = usual(self.pool);
+        let effect_of = |tried: &[Trial], index: usize| {
+            tried
+                .get(index)
+                .map_or_else(|| odometry[index - tried.len()].clone(), |trial| trial.effect.clone())
+        };
+        let starts = |tried: &[Trial], best: &Best| -> Vec<Effect> {
+            let mut kinds: Vec<(f64, usize)> = best
+                .iter()
+                .filter(|(kind, (gain, _))| null.is_beyond(**kind, *gain, self.options.false_alarm))
+                .map(|(_, &(gain, index))| (gain, index))
+                .collect();
+            kinds.sort_by(|a, b| b.0.total_cmp(&a.0));
+            kinds.into_iter().take(FITTED_KINDS).map(|(_, index)| effect_of(tried, index)).collect()
+        };
+        let mut next = starts(tried, own);
+        while !next.is_empty() && named.len() < self.options.most_effects {
+            self.progress.stage("fitting effects", next.len() as u64);
+            let logs =
+                [&usual(self.pool), &expected].map(|expected| self.log_density(&known.learnt, expected));
+            let fits = next
+                .into_par_iter()
+                .map(|effect| {
+                    let fit = self.fit(effect, &given, &expected, &logs, deal, known);
+                    self.progress.advance(1);
+                    fit
+                })
+                .collect::<Result<Vec<Fit>, _>>()?;
+            let Some(best) = choose(&fits, deal) else { break };
+            let number = self.numbers(&fits[best], &given, &expected, deal)?;
+            named.push(name(&fits, best, number, deal, null, p, self.pool.logs[1].recorded.scans()));
+            given.effects.push(fits[best].effect.clone());
+            if named.len() == self.options.most_effects {
+                break;
+            }
+            expected = self.expected_with(&given.effects)?;
+            let more = trials(self.pool, &given, &expected, &self.options.without);
+            let logs =
+                [&usual(self.pool), &expected].map(|expected| self.log_density(&known.learnt, expected));
+            let mut best = Best::new();
+            let mut add = |kind: EffectKind, gain: f64, index: usize| {
+                // What is left of a named effect is its form.
+                if given.effects.iter().all(|known| known.kind != kind || !kind.adds_up()) {
+                    let entry = best.entry(kind).or_insert((0.0, index));
+                    if gain > entry.0 {
+                        *entry = (gain, index);
+                    }
+                }
+            };
+            for (index, trial) in more.iter().enumerate() {
+                let Some(plain) = tried.iter().find(|plain| plain.effect == trial.effect) else { continue };
+                let usual = plain.gains(self.pool, &known.learnt, &logs[0], &deal.is_baseline);
+                let gains = trial.gains(self.pool, &known.learnt, &logs[1], &deal.is_today);
+                add(trial.effect.kind, deal.net(&gains, &usual).iter().sum(), index);
+            }
+            for (index, effect) in odometry.iter().enumerate() {
+                let gains = self.gains_of(effect, &given, &expected, &logs, deal, known)?;
+                add(effect.kind, gains.iter().sum(), more.len() + index);
+            }
+            next = starts(&more, &best);
+        }
+        Ok(named)
+    }
+
+    /// What the readings are expected to be with these effects.
+    fn expected_with(&self, effects: &[Effect]) -> Result<Vec<Expected>, GapError> {
+        let on_laser: Vec<Effect> = effects
+            .iter()
+            .filter(|effect| !is_of_odometry(effect))
+            .map(|effect| effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread))
+            .collect();
+        if on_laser.is_empty() {
+            return Ok(usual(self.pool));
+        }
+        let world = self.pool.world(&on_laser)?;
+        Ok(self.pool.readings.iter().map(|reading| self.pool.expected(&world, reading)).collect())
+    }
+
+    /// Net gain of an effect beside the given ones on today's stretches (nats). `logs` are log densities of the readings without
+    /// and with the given ones.
+    fn gains_of(
+        &self,
+        effect: &Effect,
+        given: &Given,
+        expected: &[Expected],
+        logs: &[Vec<f64>; 2],
+        deal: &Deal,
+        known: &Known,
+    ) -> Result<Vec<f64>, GapError> {
+        if is_of_odometry(effect) {
+            let given: Vec<Effect> = given.effects.iter().filter(|e| is_of_odometry(e)).cloned().collect();
+            let [today, baseline] = [(&given[..], &deal.is_today), (&[], &deal.is_baseline)]
+                .map(|(given, used)| self.increments.gains(&known.usual, given, effect, used));
+            return Ok(deal.net(&today, &baseline));
+        }
+        let given = Given { effects: given.effects.iter().filter(|e| !is_of_odometry(e)).cloned().collect() };
+        let trial = Trial::new(self.pool, &given, effect.clone(), expected, None)?;
+        let today = trial.gains(self.pool, &known.learnt, &logs[1], &deal.is_today);
+        let plain = if given.effects.is_empty() {
+            trial
+        } else {
+            Trial::new(self.pool, &Given { effects: Vec::new() }, effect.clone(), &usual(self.pool), None)?
+        };
+        Ok(deal.net(&today, &plain.gains(self.pool, &known.learnt, &logs[0], &deal.is_baseline)))
+    }
+
+    /// The strength near a trial that gains most, by a pattern search (Hooke and Jeeves 1961).
+    fn fit(
+        &self,
+        start: Effect,
+        given: &Given,
+        expected: &[Expected],
+        logs: &[Vec<f64>; 2],
+        deal: &Deal,
+        known: &Known,
+    ) -> Result<Fit, GapError> {
+        let gains = |effect: &Effect| self.gains_of(effect, given, expected, logs, deal, known);
+        let mut best = Fit { gains: gains(&start)?, effect: start };
+        let kind = best.effect.kind;
+        let mut share = 0.5;
+        for _ in 0..HALVINGS {
+            for (i, parameter) in kind.parameters().iter().enumerate() {
+                if parameter.role == Role::Step {
+                    continue;
+                }
+                for sign in [1.0, -1.0] {
+                    loop {
+                        if self.stop.load(Ordering::Relaxed) {
+                            return Err(GapError::Interrupted);
+                        }
+                        let value = best.effect.values[i];
+                        let step = match parameter.role {
+                            Role::Position { first_step } => 2.0 * first_step,
+                            Role::Shape(_) => value.abs().max(0.1 * parameter.start.abs()),
+                            _ => (value - parameter.neutral)
+                                .abs()
+                                .max(0.3 * (parameter.start - parameter.neutral).abs()),
+                        };
+                        let mut effect = best.effect.clone();
+                        effect.values[i] = (value + sign * share * step).clamp(parameter.lo, parameter.hi);
+                        let more = Fit { gains: gains(&effect)?, effect };
+                        if more.gain() <= best.gain() + 0.01 {
+                            break;
+                        }
+                        best = more;
+                    }
+                }
+            }
+            share *= 0.5;
+        }
+        Ok(best)
+    }
+
+    /// The numbers of a fit. The interval of the strength is of the jackknife over stretches of both logs: without a stretch of the
+    /// baseline it is learnt anew.
+    fn numbers(
+        &self,
+        fit: &Fit,
+        given: &Given,
+        expected: &[Expected],
+        deal: &Deal,
+    ) -> Result<BTreeMap<&'static str, Number>, GapError> {
+        let kind = fit.effect.kind;
+        let parameters = kind.parameters();
+        let strengths: Vec<usize> =
+            kind.strengths().filter(|&i| parameters[i].role == Role::Strength).collect();
+        let stretches = self.pool.stretches[1];
+        let mut errors = vec![0.0; parameters.len()];
+        for &i in &strengths {
+            let value = fit.effect.values[i];
+            let typical = (parameters[i].start - parameters[i].neutral).abs();
+            let step = PARABOLA * (value - parameters[i].neutral).abs().max(0.3 * typical);
+            let at: Vec<Effect> = [-step, 0.0, step]
+                .into_iter()
+                .map(|by| {
+                    let mut effect = fit.effect.clone();
+                    effect.values[i] = (value + by).clamp(parameters[i].lo, parameters[i].hi);
+                    effect
+                })
+                .collect();
+            let optimum = |deal: &Deal| -> Result<f64, GapError> {
+                let known = self.learn(deal);
+                let logs = [&usual(self.pool)[..], expected].map(|e| self.log_density(&known.learnt, e));
+                let mut totals = [0.0; 3];
+                for (total, effect) in totals.iter_mut().zip(&at) {
+                    *total = self.gains_of(effect, given, expected, &logs, deal, &known)?.iter().sum();
+                }
+                let [lo, mid, hi] = totals;
+                let (lower, upper) = (mid - lo, hi - mid);
+                let bend = (lower - upper).max(1e-9);
+                Ok((0.5 * (lower + upper) / bend).clamp(-3.0, 3.0) * step)
+            };
+            let left_out = (0..stretches)
+                .into_par_iter()
+                .map(|stretch| {
+                    let mut rest =
+                        Deal { is_baseline: deal.is_baseline.clone(), is_today: deal.is_today.clone() };
+                    rest.is_baseline[stretch] = false;
+                    rest.is_today[stretch] = false;
+                    optimum(&rest)
+                })
+                .collect::<Result<Vec<f64>, _>>()?;
+            let n = left_out.len() as f64;
+            let mean = left_out.iter().sum::<f64>() / n;
+            errors[i] = ((n - 1.0) / n * left_out.iter().map(|v| (v - mean).powi(2)).sum::<f64>()).sqrt();
+        }
+        let numbers = parameters.iter().zip(&fit.effect.values).zip(errors);
+        Ok(numbers
+            .map(|((parameter, &value), error)| {
+                let estimate =
+                    Estimate::normal(value, error).map(|value| value.clamp(parameter.lo, parameter.hi));
+                (parameter.name, Number { estimate, unit: parameter.unit })
+            })
+            .collect())
+    }
+
+    /// Wasserstein-1 distance between errors of today's readings and what they are expected to be \[mm\].
+    fn distance(&self, learnt: &Learnt, expected: &[Expected], deal: &Deal) -> f64 {
+        let mut simulated = vec![0.0; ERROR_BINS];
+        let mut measured = vec![0.0; ERROR_BINS];
+        let max = self.pool.nominal.laser.max_range_m as f32;
+        let mut count = 0.0;
+        for (reading, expected) in self.pool.readings.iter().zip(expected) {
+            if !deal.is_today[reading.stretch as usize] || !reading.expected.mean.is_finite() {
+                continue;
+            }
+            count += 1.0;
+            learnt.add_errors(expected, reading.expected.mean, &mut simulated);
+            let lost = reading.z >= max;
+            let error = if lost { f64::INFINITY } else { f64::from(reading.z - reading.expected.mean) };
+            measured[bin_of(error, ERROR_BINS)] += 1.0;
+        }
+        let (mut sum, mut distance) = (0.0, 0.0);
+        for (measured, simulated) in measured.iter().zip(&simulated) {
+            sum += measured - simulated;
+            distance += sum.abs();
+        }
+        1e3 * ERROR_BIN_M * distance / f64::max(count, 1.0)
+    }
+}
+
+/// The most that kinds of effect gain in permutations.
+struct Null {
+    /// Roots of twice the gains of each kind.
+    roots: BTreeMap<EffectKind, Roots>,
+    /// The largest weight of each permutation, in order.
+    largest: Vec<f64>,
+}
+
+/// Roots of one kind, of the true logs and of permutations, in order.
+struct Roots {
+    sorted: Vec<f64>,
+    mean: f64,
+    deviation: f64,
+    /// Where the tail begins, and its mean excess.
+    begin: f64,
+    scale: f64,
+}
+
+impl Roots {
+    fn new(own: f64, others: Vec<f64>) -> Self {
+        let n = others.len() as f64;
+        let mean = others.iter().sum::<f64>() / n;
+        let variance = others.iter().map(|root| (root - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        let mut sorted = others;
+        sorted.push(own);
+        sorted.sort_by(f64::total_cmp);
+        // The last tenth but for the largest value, which is the true logs' where something changed.
+        let beyond = (sorted.len() / 10).max(FEWEST).min(sorted.len() - 1);
+        let first = sorted.len() - beyond;
+        let begin = sorted[first - 1];
+        let tail = &sorted[first..sorted.len() - 1];
+        let excess = tail.iter().map(|root| root - begin).sum::<f64>() / f64::max(tail.len() as f64, 1.0);
+        Self {
+            mean,
+            deviation: variance.sqrt().max(LEAST_SCALE),
+            begin,
+            scale: excess.max(LEAST_SCALE),
+            sorted,
+        }
+    }
+
+    /// Minus the logarithm of the chance of a root as large: its rank, and beyond the last tenth an exponential tail.
+    fn weight(&self, root: f64) -> f64 {
+        let count = self.sorted.len() as f64;
+        let above = |value: f64| count - self.sorted.partition_point(|v| *v < value) as f64;
+        if root > self.begin {
+            let beyond = count - self.sorted.partition_point(|v| *v <= self.begin) as f64;
+            (count / beyond.max(1.0)).ln() + (root - self.begin) / self.scale
+        } else {
+            -(above(root) / count).ln()
+        }
+    }
+}
+
+/// A gain as a number of standard deviations, were its effect a shift of one direction; negative where it loses, so that kinds
+/// which hardly ever gain have a distribution, too.
+fn root(gain: f64) -> f64 {
+    gain.signum() * (2.0 * gain.abs()).sqrt()
+}
+
+impl Null {
+    fn new(own: &Best, others: &[Best]) -> Self {
+        let of = |best: &Best, kind: EffectKind| root(best.get(&kind).map_or(0.0, |(gain, _)| *gain));
+        let roots = own
+            .keys()
+            .map(|&kind| {
+                (kind, Roots::new(of(own, kind), others.iter().map(|best| of(best, kind)).collect()))
+            })
+            .collect();
+        let mut null = Self { roots, largest: Vec::new() };
+        let mut largest: Vec<f64> = others.iter().map(|best| null.most(best)).collect();
+        largest.sort_by(f64::total_cmp);
+        null.largest = largest;
+        null
+    }
+
+    /// Standard deviations of permutations.
+    fn z(&self, kind: EffectKind, gain: f64) -> f64 {
+        self.roots.get(&kind).map_or(0.0, |roots| (root(gain) - roots.mean) / roots.deviation)
+    }
+
+    fn weight(&self, kind: EffectKind, gain: f64) -> f64 {
+        // A kind that doesn't gain says nothing, however rare its small loss is.
+        self.roots.get(&kind).filter(|_| gain > 0.0).map_or(0.0, |roots| roots.weight(root(gain)))
+    }
+
+    fn most(&self, best: &Best) -> f64 {
+        best.iter().map(|(&kind, &(gain, _))| self.weight(kind, gain)).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Share of logs without a change that are as far off.
+    fn p(&self, own: &Best) -> f64 {
+        let most = self.most(own);
+        let above = self.largest.len() - self.largest.partition_point(|&weight| weight < most);
+        (above as f64 + 1.0) / (self.largest.len() as f64 + 1.0)
+    }
+
+    /// Whether a kind gains more than chance lets it gain.
+    fn is_beyond(&self, kind: EffectKind, gain: f64, chance: f64) -> bool {
+        self.weight(kind, gain) > -chance.ln()
+    }
+}
+
+/// The least scale of a root, that of independent readings: a kind that gains in few permutations isn't found by one reading.
+const LEAST_SCALE: f64 = 1.0;
+/// A tail is of no fewer values.
+const FEWEST: usize = 4;
+
+/// The fit that is named: the one that is worth most, and surely gains; one with fewer parameters within a standard error.
+fn choose(fits: &[Fit], deal: &Deal) -> Option<usize> {
+    let of_today = |fit: &Fit| -> Vec<f64> {
+        fit.gains.iter().zip(&deal.is_today).filter(|(_, today)| **today).map(|(gain, _)| *gain).collect()
+    };
+    let is_sure = |fit: &Fit| fit.worth() > 0.0 && fit.gain() - sum_error(&of_today(fit)) > 0.0;
+    let most = (0..fits.len())
+        .filter(|&i| is_sure(&fits[i]))
+        .max_by(|&a, &b| fits[a].worth().total_cmp(&fits[b].worth()))?;
+    let count = |i: usize| fits[i].effect.values.len();
+    let simpler =
+        (0..fits.len()).filter(|&i| i != most && is_sure(&fits[i]) && count(i) < count(most)).filter(|&i| {
+            let behind: Vec<f64> =
+                of_today(&fits[most]).iter().zip(of_today(&fits[i])).map(|(a, b)| a - b).collect();
+            behind.iter().sum::<f64>() < sum_error(&behind)
+        });
+    let gain = |i: usize| fits[i].gain();
+    simpler.max_by(|&a, &b| gain(a).total_cmp(&gain(b))).or(Some(most))
+}
+
+/// A rival that is behind by fewer standard errors can't be told from the best: the one-sided 90 % quantile.
+const BEHIND_ERRORS: f64 = 1.3;
+
+fn name(
+    fits: &[Fit],
+    best: usize,
+    params: BTreeMap<&'static str, Number>,
+    deal: &Deal,
+    null: &Null,
+    p: f64,
+    scans: usize,
+) -> Named {
+    let fit = &fits[best];
+    let of_today = |fit: &Fit| -> Vec<f64> {
+        fit.gains.iter().zip(&deal.is_today).filter(|(_, today)| **today).map(|(gain, _)| *gain).collect()
+    };
+    let own = of_today(fit);
+    let is_rival = |other: &&Fit| {
+        let behind: Vec<f64> = own.iter().zip(of_today(other)).map(|(a, b)| a - b).collect();
+        other.effect.kind != fit.effect.kind
+            && other.gain() - 1.645 * sum_error(&of_today(other)) > 0.0
+            && behind.iter().sum::<f64>() < BEHIND_ERRORS * sum_error(&behind)
+    };
+    let mut candidates = vec![fit.effect.kind];
+    candidates.extend(fits.iter().filter(is_rival).map(|other| other.effect.kind));
+    let gain_nats = Estimate::normal(fit.gain(), sum_error(&own));
+    Named {
+        name: fit.effect.kind,
+        split_by: split_by(&candidates),
+        candidates,
+        params,
+        place: fit.effect.place.iter().map(|stretch| stretch.map(|end| end.to_array())).collect(),
+        evidence: Evidence {
+            gain_nats,
+            gain_nats_per_scan: gain_nats.value / scans as f64,
+            score: Some(null.z(fit.effect.kind, fit.gain())),
+            p,
+        },
+        effect: fit.effect.clone(),
+    }
+}

@@ -1,0 +1,134 @@
+use std::f64::consts::TAU;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, LazyLock};
+
+use locsim_core::{Pose2, Track};
+use locsim_gap::hidden::{Regime, record_library};
+use locsim_gap::{GapError, Nominal, Recorded};
+use locsim_world::effect::EffectKind as E;
+use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::map::{Polyline, VectorMap, Wall};
+use locsim_world::raycast::ExactRangeMap;
+use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, OdometryNoise};
+
+use super::*;
+
+/// An L-shaped room with a screen, some clutter and lost returns.
+static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
+    let corners = [[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [2.5, 4.0], [2.5, 5.0], [0.0, 5.0]];
+    let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
+    let screen = Wall { name: "screen".to_owned(), from_m: [5.0, 1.0], to_m: [5.0, 2.0] };
+    let map = VectorMap { outline, obstacles: Vec::new(), walls: vec![screen] };
+    let laser = LaserOptions {
+        rate_hz: 10.0,
+        beams: 72,
+        field_of_view_rad: TAU,
+        first_bearing_rad: None,
+        min_range_m: 0.05,
+        max_range_m: 5.0,
+        resolution_m: 0.001,
+        sigma_m: 0.01,
+        sigma_per_m: 0.0,
+        mount: Pose2::new(0.1, 0.0, 0.0),
+        scan_secs: 0.0,
+    };
+    let clutter = BlockOptions {
+        per_metre_of_wall: 0.3,
+        length_m: [0.15, 0.35],
+        width_m: [0.1, 0.25],
+        yaw_rad: [-0.5, 0.5],
+        wall_distance_m: [0.1, 0.3],
+        resample: BlockResampling::EachObservation,
+        speed_m_s: [0.0; 2],
+        clearance_m: 0.35,
+    };
+    let dropout = Effect::new(E::RangeDropout, vec![0.02, 0.0], vec![]).unwrap();
+    let odometry = OdometryNoise::new([0.02, 0.005, 0.01, 0.005]).unwrap();
+    let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
+    Nominal::new(map, laser, Some(clutter), odometry, Effects::new(vec![dropout]).unwrap()).unwrap()
+});
+
+/// Two and a half laps around an ellipse, a minute and a half at ten scans a second.
+static TRUTH: LazyLock<Track> = LazyLock::new(|| {
+    let poses = (0..900_u32).map(|i| {
+        let (sin, cos) = (f64::from(i) / 360.0 * TAU).sin_cos();
+        let pose = Pose2::new(2.7 + 1.6 * cos, 2.0 + 0.9 * sin, (0.9 * cos).atan2(-1.6 * sin));
+        (0.1 * f64::from(i), pose)
+    });
+    Track::new(poses).unwrap()
+});
+
+/// A log of a robot with these effects, which the scenario doesn't know.
+fn log(effects: &[(EffectKind, &[f64])], seed: u64) -> Recorded {
+    let effects: Vec<Effect> = effects
+        .iter()
+        .map(|(kind, values)| Effect::new(*kind, values.to_vec(), Vec::new()).unwrap())
+        .collect();
+    let drive = record_library(&NOMINAL, &TRUTH, &effects, Regime::default(), seed).unwrap();
+    Recorded::new(&drive, 400, 36, |_| true).unwrap()
+}
+
+fn changes(baseline: &[(EffectKind, &[f64])], today: &[(EffectKind, &[f64])]) -> Changes {
+    let options =
+        BaselineOptions { permutations: 99, false_alarm: 0.01, seed: 5, ..BaselineOptions::default() };
+    let stop = AtomicBool::new(false);
+    find_changes(&NOMINAL, &log(baseline, 1), &log(today, 2), &options, &(), &stop).unwrap()
+}
+
+fn names(changes: &Changes) -> Vec<EffectKind> {
+    changes.effects.iter().map(|named| named.name).collect()
+}
+
+/// A strong effect that both logs have isn't named, though the scenario lacks it.
+#[test]
+fn what_both_logs_have_cancels() {
+    let both: &[(EffectKind, &[f64])] = &[(E::RangeScale, &[0.03]), (E::MountYaw, &[0.03])];
+    let found = changes(both, both);
+    assert_eq!((names(&found), found.verdict), (Vec::new(), ChangeVerdict::None), "{found:#?}");
+    assert!(found.shared > 0.9, "{}", found.shared);
+}
+
+/// Its number is the change.
+#[test]
+fn a_bias_that_grew_is_named_by_how_much() {
+    let turned: (EffectKind, &[f64]) = (E::MountYaw, &[0.03]);
+    let found = changes(&[turned, (E::RangeBias, &[0.02])], &[turned, (E::RangeBias, &[0.06])]);
+    assert_eq!(names(&found)[0], E::RangeBias, "{found:#?}");
+    let bias = found.effects[0].params["bias_m"].estimate;
+    assert!((bias.value - 0.04).abs() < 0.006, "{bias:?}");
+    assert!(bias.interval.lo > 0.03 && bias.interval.hi < 0.05, "{bias:?}");
+    let [before, after, floor] = found.w1_mm;
+    assert!(after < 0.3 * before && floor < before, "{:?}", found.w1_mm);
+}
+
+#[test]
+fn a_wheel_that_wore_since_is_named() {
+    let scale: (EffectKind, &[f64]) = (E::OdomDistanceScale, &[0.05]);
+    let turn: (EffectKind, &[f64]) = (E::OdomImbalance, &[0.1]);
+    let found = changes(&[scale], &[scale, turn]);
+    assert_eq!(names(&found), [E::OdomImbalance], "{found:#?}");
+}
+
+#[test]
+fn a_sector_that_a_part_of_the_robot_hides_is_named() {
+    let found = changes(&[], &[(E::SectorOcclusion, &[0.2, 0.6, 0.5, 0.9])]);
+    assert_eq!(names(&found)[0], E::SectorOcclusion, "{found:#?}");
+    let range = found.effects[0].params["range_m"].estimate.value;
+    assert!((range - 0.5).abs() < 0.05, "{range}");
+}
+
+/// The baseline's log is of another room.
+#[test]
+fn logs_without_a_place_in_common_are_not_compared() {
+    let today = log(&[], 2);
+    let mut baseline = today.clone();
+    let poses =
+        baseline.track.poses().iter().map(|pose| locsim_core::Pose2::new(pose.x + 1e3, pose.y, pose.theta));
+    baseline.track = baseline.track.with_poses(poses.collect());
+    let stop = AtomicBool::new(false);
+    let options = BaselineOptions { permutations: 39, ..BaselineOptions::default() };
+    let found = find_changes(&NOMINAL, &baseline, &today, &options, &(), &stop).unwrap();
+    assert_eq!(found.verdict, ChangeVerdict::Underpowered, "{found:#?}");
+    let interrupted = find_changes(&NOMINAL, &today, &today, &options, &(), &AtomicBool::new(true));
+    assert!(matches!(interrupted, Err(GapError::Interrupted)));
+}

@@ -1,0 +1,202 @@
+//! A log against an earlier one of the same robot: what changed since the baseline.
+
+use locsim_baseline::{BaselineOptions, ChangeVerdict, Changes, find_changes};
+use locsim_gap::Named;
+use locsim_report::store::{Folder, Request};
+use locsim_report::text::{self, TextTable, fixed};
+use locsim_report::{ReportError, page};
+use minijinja::syntax::SyntaxConfig;
+use minijinja::{Environment, context};
+use serde_json::{Value, json as json_of};
+
+use super::{Baseline, GapStudy, GapStudyOptions, answer, false_alarm, proposal};
+use crate::LabError;
+use locsim_core::Control;
+
+const MARKDOWN: &str = include_str!("templates/baseline.md.j2");
+/// Kinds of effect in the report's table; gap.json has all.
+const SHOWN: usize = 10;
+/// Share of today's readings at places that the baseline has seen, below which the answer says so.
+const FEW_SHARED: f64 = 0.3;
+
+/// Holds the log against the baseline and writes the results folder, which is made beside its place and renamed when complete.
+///
+/// # Errors
+/// [`LabError`]; earlier results at `options.out` are then untouched.
+pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Changes, LabError> {
+    let GapStudyOptions { out, force, .. } = options;
+    let Some(baseline) = &study.baseline else {
+        let what = "there is no baseline to hold it against".to_owned();
+        return Err(LabError::Log { path: study.log.clone(), what });
+    };
+    let fingerprint = study.scenario.content_hash()?;
+    let request = Request { out, kind: "gap", fingerprint: &fingerprint, resume: false, force: *force };
+    let changes = request.fill(|store| {
+        let changes = find(study, baseline, options)?;
+        options.control.progress.stage("writing the report", 1);
+        write(store.folder(), study, &changes, options)?;
+        Ok::<_, LabError>(changes)
+    })?;
+    options.control.progress.finish();
+    Ok(changes)
+}
+
+fn find(study: &GapStudy, baseline: &Baseline, options: &GapStudyOptions<'_>) -> Result<Changes, LabError> {
+    let Control { clock, progress, interrupted } = options.control;
+    let began = clock();
+    let replicates = study.settings.replicates;
+    let search = BaselineOptions {
+        permutations: replicates,
+        false_alarm: false_alarm(replicates),
+        without: study.settings.without.clone(),
+        seed: study.scenario.seed,
+        ..BaselineOptions::default()
+    };
+    let nominal = study.nominal()?;
+    let mut changes =
+        find_changes(&nominal, &baseline.recorded, &study.recorded, &search, progress, interrupted)?;
+    if changes.shared < FEW_SHARED {
+        changes.notes.push(format!(
+            "Only {} % of the log's readings are at places that the baseline has seen; the others weren't compared.",
+            fixed(100.0 * changes.shared, 0)
+        ));
+    }
+    changes.notes.splice(0..0, study.notes.iter().cloned());
+    changes.seconds = options.control.seconds_since(began);
+    Ok(changes)
+}
+
+/// The findings as `gap.json` has them.
+///
+/// # Errors
+/// [`LabError::Report`] for numbers that JSON can't have.
+pub fn json(study: &GapStudy, changes: &Changes) -> Result<String, LabError> {
+    let baseline = study.baseline.as_ref().map(|baseline| baseline.log.display().to_string());
+    let mut section = serde_json::to_value(changes).map_err(ReportError::from)?;
+    if let Value::Object(fields) = &mut section {
+        fields.insert("log".to_owned(), json_of!(baseline));
+    }
+    let all = json_of!({
+        "verdict": changes.verdict,
+        "log": study.log.display().to_string(),
+        "baseline": section,
+    });
+    Ok(serde_json::to_string_pretty(&all).map_err(ReportError::from)?)
+}
+
+fn write(
+    folder: &Folder,
+    study: &GapStudy,
+    changes: &Changes,
+    options: &GapStudyOptions<'_>,
+) -> Result<(), LabError> {
+    folder.write("gap.json", format!("{}\n", json(study, changes)?).as_bytes())?;
+    let scenario = proposal::scenario_with(study, &changes.effects, &options.out)?;
+    folder.write("scenario.yaml", scenario.as_bytes())?;
+    let [old, new] = [study.scenario.file.clone(), options.out.join("scenario.yaml")];
+    let diff = proposal::diff(
+        &study.scenario.text,
+        &scenario,
+        &old.display().to_string(),
+        &new.display().to_string(),
+    );
+    folder.write("scenario.diff", diff.as_bytes())?;
+    let markdown = markdown(study, changes, &diff, &options.command)?;
+    folder.write("report.md", markdown.as_bytes())?;
+    Ok(folder.write("report.html", page::html(&title(study), &markdown, &[])?.as_bytes())?)
+}
+
+fn title(study: &GapStudy) -> String {
+    let name = |path: &std::path::Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let baseline = study.baseline.as_ref().map_or_else(String::new, |baseline| name(&baseline.log));
+    format!("{} since {baseline}", name(&study.log))
+}
+
+fn markdown(study: &GapStudy, changes: &Changes, diff: &str, command: &str) -> Result<String, ReportError> {
+    let mut environment = Environment::new();
+    environment.set_syntax(SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build()?);
+    environment.add_template("baseline.md", MARKDOWN)?;
+    let baseline = study.baseline.as_ref().map(|baseline| baseline.log.display().to_string());
+    let page = context! {
+        title => text::escape(&title(study)),
+        steps => steps(changes),
+        answers => sentences(changes).iter().map(|line| text::escape(line)).collect::<Vec<_>>(),
+        log => text::escape(&study.log.display().to_string()),
+        baseline => text::escape(&baseline.unwrap_or_default()),
+        scenario => text::escape(&study.scenario.file.display().to_string()),
+        verdict => minijinja::value::Serde(changes.verdict),
+        scans => changes.scans[1],
+        baseline_scans => changes.scans[0],
+        beams => changes.beams,
+        shared => fixed(100.0 * changes.shared, 0),
+        permutations => changes.permutations,
+        seed => changes.seed,
+        p => answer::p_value(changes.p),
+        seconds => fixed(changes.seconds, 1),
+        tried_table => (!changes.tried.is_empty()).then(|| tried_table(changes).to_markdown()),
+        notes => changes.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
+        command => command.trim(),
+        diff => diff.trim_end(),
+        fence => page::fence(&[diff, command]),
+    };
+    Ok(environment.get_template("baseline.md")?.render(page)?)
+}
+
+fn tried_table(changes: &Changes) -> TextTable {
+    let rows = changes
+        .tried
+        .iter()
+        .take(SHOWN)
+        .map(|tried| [tried.name.name().to_owned(), fixed(tried.gain_nats, 1), fixed(tried.z, 1)]);
+    TextTable::new(["effect", "gain [nats]", "z"], rows)
+}
+
+/// The short answer.
+pub fn answer_since(changes: &Changes) -> String {
+    sentences(changes).join("\n")
+}
+
+fn sentences(changes: &Changes) -> Vec<String> {
+    let p = answer::p_value(changes.p);
+    let mut text: Vec<String> =
+        changes.effects.iter().map(|named| format!("Since the baseline: {}", answer::told(named))).collect();
+    text.extend(changes.effects.iter().filter_map(answer::doubt));
+    match changes.verdict {
+        ChangeVerdict::None => text.push(format!("Nothing has changed since the baseline (p = {p}).")),
+        ChangeVerdict::Unexplained => text.push(format!(
+            "Something has changed since the baseline (p = {p}), and no effect of the library surely explains it."
+        )),
+        ChangeVerdict::Underpowered => text.push(format!(
+            "The log can't be compared with the baseline: {} % of its readings are at places that the baseline has seen.",
+            fixed(100.0 * changes.shared, 0)
+        )),
+        ChangeVerdict::Changed => {
+            let [before, after, floor] = changes.w1_mm.map(|distance| fixed(distance, 1));
+            text.push(format!(
+                "Range errors {before} -> {after} mm from the baseline's with what is named, {floor} mm between stretches of both \
+                 logs (p = {p})."
+            ));
+        }
+    }
+    text
+}
+
+/// What to do next.
+fn steps(changes: &Changes) -> Vec<String> {
+    let named = |named: &Named| format!("Look on the robot for this change: {}", answer::told(named));
+    match changes.verdict {
+        ChangeVerdict::None => vec!["Nothing: the robot is as it was on the baseline's drive.".to_owned()],
+        ChangeVerdict::Underpowered => {
+            vec!["Drive where the baseline drove, or take a baseline that has seen these places.".to_owned()]
+        }
+        ChangeVerdict::Unexplained => vec![
+            "Compare both logs by eye where the robot drove twice.".to_owned(),
+            "Search each log by itself, without --baseline.".to_owned(),
+        ],
+        ChangeVerdict::Changed => {
+            let mut steps: Vec<String> = changes.effects.iter().map(named).collect();
+            steps.push("Repeat the drive when it is mended: nothing should be named then.".to_owned());
+            steps
+        }
+    }
+}
