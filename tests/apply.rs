@@ -122,15 +122,14 @@ fn search(folder: &Folder, case: &Case, perfect: &str, worse: &str, options: &st
     (outcome, wrong)
 }
 
-/// A shift of readings, lost ones by the map, stamps, and odometry.
+/// Stamps in a bag, and lost returns by the map in a CARMEN log; the others are searched for by hand, below.
 #[test]
 fn effects_applied_to_a_perfect_recording_are_found_again() {
-    for (perfect, worse, names) in [
-        ("perfect.mcap", "worse.mcap", ["incidence_dropout", "time_offset"]),
-        ("perfect.log", "worse.log.gz", ["range_bias", "odom_distance_scale"]),
-    ] {
+    for (perfect, worse, name) in
+        [("perfect.mcap", "worse.mcap", "time_offset"), ("perfect.log", "worse.log.gz", "incidence_dropout")]
+    {
         let folder = folder(perfect);
-        for case in CASES.iter().filter(|case| names.contains(&case.name())) {
+        for case in CASES.iter().filter(|case| case.name() == name) {
             let (outcome, wrong) =
                 search(&folder, case, perfect, worse, "--replicates 19 --scans 300 --beams 36");
             assert!(wrong.is_empty(), "{}: {wrong:?} {:#}", case.effect, outcome["effects"]);
