@@ -9,7 +9,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Each crate of the workspace and the crates of the workspace that it uses, which stand above it.
-const LAYERS: [(&str, &[&str]); 17] = [
+const LAYERS: [(&str, &[&str]); 18] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
@@ -48,6 +48,23 @@ const LAYERS: [(&str, &[&str]); 17] = [
             "locsim-study",
             "locsim-sweep",
             "locsim-terminal",
+        ],
+    ),
+    (
+        "locsim-python",
+        &[
+            "distreg",
+            "locsim",
+            "locsim-core",
+            "locsim-dataset",
+            "locsim-gap",
+            "locsim-lab",
+            "locsim-mcl",
+            "locsim-report",
+            "locsim-scenario",
+            "locsim-sensor",
+            "locsim-terminal",
+            "locsim-world",
         ],
     ),
     (

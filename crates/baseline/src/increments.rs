@@ -17,7 +17,7 @@ pub(super) struct Increments {
     stretches: usize,
 }
 
-/// What the baseline says of the odometry: errors in proportion to distance and turn, and the spread of the rest.
+/// The odometry by the baseline: errors in proportion to distance and turn, and the spread of the rest.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Usual {
     /// Error of the distance per metre.

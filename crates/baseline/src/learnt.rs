@@ -22,7 +22,7 @@ const FRONT: usize = 0;
 const BEHIND: usize = 1;
 const LOST: usize = 2;
 
-/// What the baseline says of each place.
+/// The readings' distribution at each place, by the baseline.
 pub(super) struct Learnt {
     /// Density of the error at each place \[1/m\], \[width\]\[place\]\[bin\].
     errors: Vec<Vec<[f32; BINS]>>,
@@ -42,7 +42,7 @@ struct Counts {
 impl Counts {
     const NONE: Self = Self { errors: [0.0; BINS], shares: [0.0; 3], all: 0.0 };
 
-    /// Drawn to a distribution that counts as so many readings.
+    /// Drawn to a distribution that counts as `readings` readings.
     fn drawn_to(&self, other: &Self, readings: f32) -> Self {
         let factor = 1.0 / (self.all + readings);
         let mix = |own: f32, other: f32| factor * (own + readings * other);
@@ -138,7 +138,7 @@ impl Learnt {
         (1.0 - FLOOR) * density + FLOOR / self.max
     }
 
-    /// What a coarser step makes of a density: readings that are no multiples are impossible.
+    /// The factor on a density that a coarser step makes: readings that are no multiples are impossible.
     fn on_step(&self, expected: &Expected, z: f64) -> f64 {
         let step = f64::from(expected.step);
         if step <= 0.0 || z >= self.max {
@@ -197,7 +197,7 @@ pub(super) fn bin_of(error: f64, bins: usize) -> usize {
     (((error + REACH_M) / BIN_M).floor() + 1.0).clamp(0.0, bins as f64 - 1.0) as usize
 }
 
-/// What a reading is.
+/// The outcome of a beam.
 enum Outcome {
     /// A return of what the beam meets, with its error \[m\].
     Error(f64),

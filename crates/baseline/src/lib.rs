@@ -5,7 +5,7 @@
 //! and of the simulator are in both logs, and cancel. An effect of the library then changes today's readings from what they are
 //! expected to be; its strength is the change since the baseline.
 //!
-//! The null distribution is of permutations. Both logs are cut into stretches, and the stretches are dealt out anew to two
+//! The null distribution is of permutations. Both logs are cut into stretches, and the stretches are assigned anew to two
 //! logs; each time the baseline is learnt and all effects are tried again. So a p-value knows how well the baseline is known,
 //! how stretches differ from one another, and how many effects were tried. It supposes that stretches of one log are
 //! exchangeable with those of the other where nothing changed.
@@ -78,7 +78,7 @@ pub struct Tried {
     pub z: f64,
 }
 
-/// What changed since the baseline.
+/// The changes since the baseline.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Changes {
     /// The verdict.

@@ -25,7 +25,7 @@ const LEAST_READINGS: usize = 4;
 const STRETCHES: usize = 16;
 const LEAST_SCANS: usize = 10;
 
-/// What a reading is expected to be, beyond what the baseline says of its place.
+/// The expected reading of a beam, relative to the baseline's distribution at its place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Expected {
     /// Where the beam ends.
@@ -58,7 +58,7 @@ pub(super) struct Reading {
     pub window: u32,
     /// The reading, at most the maximum range \[m\].
     pub z: f32,
-    /// What it is by the scenario.
+    /// The expected reading by the scenario.
     pub expected: Expected,
 }
 
@@ -233,7 +233,7 @@ impl<'a> Pool<'a> {
         Ok(World { effects: self.nominal.effects_with(effects)?, views: self.behind.clone() })
     }
 
-    /// What a reading is expected to be in a world.
+    /// The expected reading in a world.
     pub fn expected(&self, world: &World, reading: &Reading) -> Expected {
         let beam = &world.views[reading.log].beams[reading.index];
         self.expect(world, beam, f64::from(reading.z))

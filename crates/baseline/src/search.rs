@@ -80,13 +80,13 @@ struct Search<'a> {
     stop: &'a AtomicBool,
 }
 
-/// Which stretches are of the baseline.
-struct Deal {
+/// The stretches of the baseline and of today's log; a permutation assigns them anew.
+struct Assignment {
     is_baseline: Vec<bool>,
     is_today: Vec<bool>,
 }
 
-impl Deal {
+impl Assignment {
     fn used(&self) -> Vec<bool> {
         self.is_baseline.iter().zip(&self.is_today).map(|(baseline, today)| baseline | today).collect()
     }
@@ -103,7 +103,7 @@ impl Deal {
     }
 }
 
-/// What a deal's baseline says.
+/// The distributions that are learnt from an assignment's baseline.
 struct Known {
     learnt: Learnt,
     usual: Usual,
@@ -139,9 +139,9 @@ impl Search<'_> {
         let tried = trials(self.pool, &given, &expected, &options.without);
         self.progress.advance(1);
         let odometry = self.odometry_trials();
-        let deal = self.true_deal();
-        let known = self.learn(&deal);
-        let own = self.best(&tried, &odometry, &deal, &known);
+        let assignment = self.true_assignment();
+        let known = self.learn(&assignment);
+        let own = self.best(&tried, &odometry, &assignment, &known);
         let screening = options.permutations.min(SCREENING);
         let (mut others, mut distances) = self.permute(&tried, &odometry, 0..screening)?;
         let mut null = Null::new(&own, &others);
@@ -160,7 +160,7 @@ impl Search<'_> {
         changes.tried.sort_by(|a, b| b.gain_nats.total_cmp(&a.gain_nats));
         let mut named = Vec::new();
         if changes.p <= options.false_alarm {
-            named = self.name(&tried, &odometry, &own, &null, &deal, &known, changes.p)?;
+            named = self.name(&tried, &odometry, &own, &null, &assignment, &known, changes.p)?;
         }
         changes.verdict = match (changes.p <= options.false_alarm, named.is_empty()) {
             (true, false) => ChangeVerdict::Changed,
@@ -170,26 +170,26 @@ impl Search<'_> {
         let effects: Vec<Effect> = named.iter().map(|named: &Named| named.effect.clone()).collect();
         let after = self.expected_with(&effects)?;
         changes.w1_mm = [
-            self.distance(&known.learnt, &expected, &deal),
-            self.distance(&known.learnt, &after, &deal),
+            self.distance(&known.learnt, &expected, &assignment),
+            self.distance(&known.learnt, &after, &assignment),
             locsim_core::median(&mut distances.clone()),
         ];
         changes.effects = named;
         Ok(())
     }
 
-    fn true_deal(&self) -> Deal {
+    fn true_assignment(&self) -> Assignment {
         let [first, all] = self.pool.stretches;
-        Deal {
+        Assignment {
             is_baseline: (0..all).map(|stretch| stretch < first).collect(),
             is_today: (0..all).map(|stretch| stretch >= first).collect(),
         }
     }
 
-    fn learn(&self, deal: &Deal) -> Known {
+    fn learn(&self, assignment: &Assignment) -> Known {
         Known {
-            learnt: Learnt::new(self.pool, &deal.is_baseline),
-            usual: self.increments.learn(&deal.is_baseline),
+            learnt: Learnt::new(self.pool, &assignment.is_baseline),
+            usual: self.increments.learn(&assignment.is_baseline),
         }
     }
 
@@ -205,10 +205,10 @@ impl Search<'_> {
     }
 
     /// The best trial of each kind.
-    fn best(&self, tried: &[Trial], odometry: &[Effect], deal: &Deal, known: &Known) -> Best {
+    fn best(&self, tried: &[Trial], odometry: &[Effect], assignment: &Assignment, known: &Known) -> Best {
         let expected = usual(self.pool);
         let log = self.log_density(&known.learnt, &expected);
-        let used = deal.used();
+        let used = assignment.used();
         let mut best = Best::new();
         let mut add = |kind: EffectKind, gain: f64, index: usize| {
             let entry = best.entry(kind).or_insert((gain, index));
@@ -218,23 +218,23 @@ impl Search<'_> {
         };
         for (index, trial) in tried.iter().enumerate() {
             let gains = trial.gains(self.pool, &known.learnt, &log, &used);
-            add(trial.effect.kind, deal.net(&gains, &gains).iter().sum(), index);
+            add(trial.effect.kind, assignment.net(&gains, &gains).iter().sum(), index);
         }
         for (index, effect) in odometry.iter().enumerate() {
             let gains = self.increments.gains(&known.usual, &[], effect, &used);
-            add(effect.kind, deal.net(&gains, &gains).iter().sum(), tried.len() + index);
+            add(effect.kind, assignment.net(&gains, &gains).iter().sum(), tried.len() + index);
         }
         best
     }
 
-    /// The best gains, and the distance of range errors \[mm\], where stretches are dealt out anew.
+    /// The best gains, and the distance of range errors \[mm\], where stretches are permuted.
     fn permute(
         &self,
         tried: &[Trial],
         odometry: &[Effect],
         permutations: Range<u32>,
     ) -> Result<(Vec<Best>, Vec<f64>), GapError> {
-        self.progress.stage("dealing out stretches", u64::from(permutations.end - permutations.start));
+        self.progress.stage("permuting stretches", u64::from(permutations.end - permutations.start));
         let draw = Purpose::Permutations.draw(self.options.seed);
         let expected = usual(self.pool);
         let all = permutations
@@ -243,13 +243,13 @@ impl Search<'_> {
                 if self.stop.load(Ordering::Relaxed) {
                     return Err(GapError::Interrupted);
                 }
-                let mut deal = self.true_deal();
-                deal.is_baseline.shuffle(&mut draw.item(i));
-                deal.is_today = deal.is_baseline.iter().map(|is_baseline| !is_baseline).collect();
-                let known = self.learn(&deal);
-                let best = self.best(tried, odometry, &deal, &known);
+                let mut assignment = self.true_assignment();
+                assignment.is_baseline.shuffle(&mut draw.item(i));
+                assignment.is_today = assignment.is_baseline.iter().map(|is_baseline| !is_baseline).collect();
+                let known = self.learn(&assignment);
+                let best = self.best(tried, odometry, &assignment, &known);
                 self.progress.advance(1);
-                Ok((best, self.distance(&known.learnt, &expected, &deal)))
+                Ok((best, self.distance(&known.learnt, &expected, &assignment)))
             })
             .collect::<Result<Vec<_>, _>>()?;
         Ok(all.into_iter().unzip())
@@ -263,7 +263,7 @@ impl Search<'_> {
         odometry: &[Effect],
         own: &Best,
         null: &Null,
-        deal: &Deal,
+        assignment: &Assignment,
         known: &Known,
         p: f64,
     ) -> Result<Vec<Named>, GapError> {
@@ -292,14 +292,14 @@ impl Search<'_> {
             let fits = next
                 .into_par_iter()
                 .map(|effect| {
-                    let fit = self.fit(effect, &given, &expected, &logs, deal, known);
+                    let fit = self.fit(effect, &given, &expected, &logs, assignment, known);
                     self.progress.advance(1);
                     fit
                 })
                 .collect::<Result<Vec<Fit>, _>>()?;
-            let Some(best) = choose(&fits, deal) else { break };
-            let number = self.numbers(&fits[best], &given, &expected, deal)?;
-            named.push(name(&fits, best, number, deal, null, p, self.pool.logs[1].recorded.scans()));
+            let Some(best) = choose(&fits, assignment) else { break };
+            let number = self.numbers(&fits[best], &given, &expected, assignment)?;
+            named.push(name(&fits, best, number, assignment, null, p, self.pool.logs[1].recorded.scans()));
             given.effects.push(fits[best].effect.clone());
             if named.len() == self.options.most_effects {
                 break;
@@ -310,7 +310,7 @@ impl Search<'_> {
                 [&usual(self.pool), &expected].map(|expected| self.log_density(&known.learnt, expected));
             let mut best = Best::new();
             let mut add = |kind: EffectKind, gain: f64, index: usize| {
-                // What is left of a named effect is its form.
+                // The rest of a named effect is its form.
                 if given.effects.iter().all(|known| known.kind != kind || !kind.adds_up()) {
                     let entry = best.entry(kind).or_insert((0.0, index));
                     if gain > entry.0 {
@@ -320,12 +320,12 @@ impl Search<'_> {
             };
             for (index, trial) in more.iter().enumerate() {
                 let Some(plain) = tried.iter().find(|plain| plain.effect == trial.effect) else { continue };
-                let usual = plain.gains(self.pool, &known.learnt, &logs[0], &deal.is_baseline);
-                let gains = trial.gains(self.pool, &known.learnt, &logs[1], &deal.is_today);
-                add(trial.effect.kind, deal.net(&gains, &usual).iter().sum(), index);
+                let usual = plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline);
+                let gains = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
+                add(trial.effect.kind, assignment.net(&gains, &usual).iter().sum(), index);
             }
             for (index, effect) in odometry.iter().enumerate() {
-                let gains = self.gains_of(effect, &given, &expected, &logs, deal, known)?;
+                let gains = self.gains_of(effect, &given, &expected, &logs, assignment, known)?;
                 add(effect.kind, gains.iter().sum(), more.len() + index);
             }
             next = starts(&more, &best);
@@ -333,7 +333,7 @@ impl Search<'_> {
         Ok(named)
     }
 
-    /// What the readings are expected to be with these effects.
+    /// The expected readings with these effects.
     fn expected_with(&self, effects: &[Effect]) -> Result<Vec<Expected>, GapError> {
         let on_laser: Vec<Effect> = effects
             .iter()
@@ -355,24 +355,24 @@ impl Search<'_> {
         given: &Given,
         expected: &[Expected],
         logs: &[Vec<f64>; 2],
-        deal: &Deal,
+        assignment: &Assignment,
         known: &Known,
     ) -> Result<Vec<f64>, GapError> {
         if is_of_odometry(effect) {
             let given: Vec<Effect> = given.effects.iter().filter(|e| is_of_odometry(e)).cloned().collect();
-            let [today, baseline] = [(&given[..], &deal.is_today), (&[], &deal.is_baseline)]
+            let [today, baseline] = [(&given[..], &assignment.is_today), (&[], &assignment.is_baseline)]
                 .map(|(given, used)| self.increments.gains(&known.usual, given, effect, used));
-            return Ok(deal.net(&today, &baseline));
+            return Ok(assignment.net(&today, &baseline));
         }
         let given = Given { effects: given.effects.iter().filter(|e| !is_of_odometry(e)).cloned().collect() };
         let trial = Trial::new(self.pool, &given, effect.clone(), expected, None)?;
-        let today = trial.gains(self.pool, &known.learnt, &logs[1], &deal.is_today);
+        let today = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
         let plain = if given.effects.is_empty() {
             trial
         } else {
             Trial::new(self.pool, &Given { effects: Vec::new() }, effect.clone(), &usual(self.pool), None)?
         };
-        Ok(deal.net(&today, &plain.gains(self.pool, &known.learnt, &logs[0], &deal.is_baseline)))
+        Ok(assignment.net(&today, &plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline)))
     }
 
     /// The strength near a trial that gains most, by a pattern search (Hooke and Jeeves 1961).
@@ -382,10 +382,10 @@ impl Search<'_> {
         given: &Given,
         expected: &[Expected],
         logs: &[Vec<f64>; 2],
-        deal: &Deal,
+        assignment: &Assignment,
         known: &Known,
     ) -> Result<Fit, GapError> {
-        let gains = |effect: &Effect| self.gains_of(effect, given, expected, logs, deal, known);
+        let gains = |effect: &Effect| self.gains_of(effect, given, expected, logs, assignment, known);
         let mut best = Fit { gains: gains(&start)?, effect: start };
         let kind = best.effect.kind;
         let mut share = 0.5;
@@ -429,7 +429,7 @@ impl Search<'_> {
         fit: &Fit,
         given: &Given,
         expected: &[Expected],
-        deal: &Deal,
+        assignment: &Assignment,
     ) -> Result<BTreeMap<&'static str, Number>, GapError> {
         let kind = fit.effect.kind;
         let parameters = kind.parameters();
@@ -449,12 +449,12 @@ impl Search<'_> {
                     effect
                 })
                 .collect();
-            let optimum = |deal: &Deal| -> Result<f64, GapError> {
-                let known = self.learn(deal);
+            let optimum = |assignment: &Assignment| -> Result<f64, GapError> {
+                let known = self.learn(assignment);
                 let logs = [&usual(self.pool)[..], expected].map(|e| self.log_density(&known.learnt, e));
                 let mut totals = [0.0; 3];
                 for (total, effect) in totals.iter_mut().zip(&at) {
-                    *total = self.gains_of(effect, given, expected, &logs, deal, &known)?.iter().sum();
+                    *total = self.gains_of(effect, given, expected, &logs, assignment, &known)?.iter().sum();
                 }
                 let [lo, mid, hi] = totals;
                 let (lower, upper) = (mid - lo, hi - mid);
@@ -464,8 +464,10 @@ impl Search<'_> {
             let left_out = (0..stretches)
                 .into_par_iter()
                 .map(|stretch| {
-                    let mut rest =
-                        Deal { is_baseline: deal.is_baseline.clone(), is_today: deal.is_today.clone() };
+                    let mut rest = Assignment {
+                        is_baseline: assignment.is_baseline.clone(),
+                        is_today: assignment.is_today.clone(),
+                    };
                     rest.is_baseline[stretch] = false;
                     rest.is_today[stretch] = false;
                     optimum(&rest)
@@ -486,13 +488,13 @@ impl Search<'_> {
     }
 
     /// Wasserstein-1 distance between errors of today's readings and what they are expected to be \[mm\].
-    fn distance(&self, learnt: &Learnt, expected: &[Expected], deal: &Deal) -> f64 {
+    fn distance(&self, learnt: &Learnt, expected: &[Expected], assignment: &Assignment) -> f64 {
         let mut simulated = vec![0.0; ERROR_BINS];
         let mut measured = vec![0.0; ERROR_BINS];
         let max = self.pool.nominal.laser.max_range_m as f32;
         let mut count = 0.0;
         for (reading, expected) in self.pool.readings.iter().zip(expected) {
-            if !deal.is_today[reading.stretch as usize] || !reading.expected.mean.is_finite() {
+            if !assignment.is_today[reading.stretch as usize] || !reading.expected.mean.is_finite() {
                 continue;
             }
             count += 1.0;
@@ -619,9 +621,14 @@ const LEAST_SCALE: f64 = 1.0;
 const FEWEST: usize = 4;
 
 /// The fit that is named: the one that is worth most, and surely gains; one with fewer parameters within a standard error.
-fn choose(fits: &[Fit], deal: &Deal) -> Option<usize> {
+fn choose(fits: &[Fit], assignment: &Assignment) -> Option<usize> {
     let of_today = |fit: &Fit| -> Vec<f64> {
-        fit.gains.iter().zip(&deal.is_today).filter(|(_, today)| **today).map(|(gain, _)| *gain).collect()
+        fit.gains
+            .iter()
+            .zip(&assignment.is_today)
+            .filter(|(_, today)| **today)
+            .map(|(gain, _)| *gain)
+            .collect()
     };
     let is_sure = |fit: &Fit| fit.worth() > 0.0 && fit.gain() - sum_error(&of_today(fit)) > 0.0;
     let most = (0..fits.len())
@@ -645,14 +652,19 @@ fn name(
     fits: &[Fit],
     best: usize,
     params: BTreeMap<&'static str, Number>,
-    deal: &Deal,
+    assignment: &Assignment,
     null: &Null,
     p: f64,
     scans: usize,
 ) -> Named {
     let fit = &fits[best];
     let of_today = |fit: &Fit| -> Vec<f64> {
-        fit.gains.iter().zip(&deal.is_today).filter(|(_, today)| **today).map(|(gain, _)| *gain).collect()
+        fit.gains
+            .iter()
+            .zip(&assignment.is_today)
+            .filter(|(_, today)| **today)
+            .map(|(gain, _)| *gain)
+            .collect()
     };
     let own = of_today(fit);
     let is_rival = |other: &&Fit| {

@@ -24,13 +24,13 @@ const BEARINGS: usize = 24;
 const SECTORS: [usize; 3] = [2, 4, 8];
 /// A part of the robot is within this \[m\].
 const ROBOT_M: f64 = 6.0;
-/// An object is tried where so many readings of this many scans lie in front of the walls, and its radii \[m\].
+/// An object is tried where at least this many readings, of at least this many scans, lie in front of the walls; and its radii \[m\].
 const LEAST_OF_OBJECT: usize = 6;
 const LEAST_SCANS_OF_OBJECT: usize = 3;
 const RADII_M: [f64; 2] = [0.15, 0.3];
 /// The most objects: those that most readings point to.
 const MOST_OBJECTS: usize = 150;
-/// A stretch of wall is tried where so many beams end.
+/// A stretch of wall is tried where at least this many beams end.
 const LEAST_OF_WALL: usize = 20;
 /// The most panes and displaced walls: those where most beams end.
 const MOST_WALLS: usize = 300;

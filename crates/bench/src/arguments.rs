@@ -69,7 +69,7 @@ pub struct Gap {
     /// Everything random derives from it: tune on one seed, score on another
     #[arg(long, default_value_t = 1, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: u64,
-    /// Begin no log after so many minutes, and score what is done; the same command goes on
+    /// Begin no log after this many minutes, and score what is done; the same command goes on
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub minutes: Option<u64>,
     /// Folder for logs, truths, findings and the report; what it holds already isn't run again

@@ -13,14 +13,14 @@ use locsim_bench::speed::{self, Workbench};
 use locsim_bench::suite::{self, SuiteOptions};
 use locsim_bench::{BenchError, regression};
 use locsim_report::store::{Request, Store};
-use locsim_terminal::{Failure, Session, exit_code, say};
+use locsim_terminal::{DONE, Failure, Session, exit_code, say};
 
 use arguments::{Arguments, Command, Gap, Regression, Speed};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let done = arguments.limits.set().map_err(Failure::from).and_then(|()| obey(&arguments.command));
-    exit_code(done.map(|()| ExitCode::SUCCESS))
+    exit_code(done.map(|()| DONE)).into()
 }
 
 fn obey(command: &Command) -> Result<(), Failure> {

@@ -230,7 +230,7 @@ pub struct Batch {
     pub submit: bool,
 }
 
-/// What becomes of earlier results.
+/// The treatment of earlier results.
 #[derive(Debug, Args)]
 pub struct Earlier {
     /// Go on with an interrupted sweep; a shard always does

@@ -1,13 +1,12 @@
 //! `locsim sweep` and `locsim merge`.
 
 use std::path::Path;
-use std::process::ExitCode;
 
 use anyhow::{Context, anyhow, ensure};
 use locsim_sweep::{
     Engine, Job, MergeOptions, Merged, Shard, ShardOutcome, Sweep, SweepError, SweepOptions, SweepOverrides,
 };
-use locsim_terminal::{Failure, OutputOptions, Session, columns, say};
+use locsim_terminal::{DONE, Failure, OutputOptions, Session, columns, say};
 
 use crate::arguments::{self, EngineName};
 use crate::users_cache;
@@ -20,14 +19,14 @@ fn of_sweep(error: SweepError) -> Failure {
     Failure::of_work(error, is_interruption)
 }
 
-/// Runs a sweep or a shard of it, or writes the scripts that do.
-pub fn run(arguments: &arguments::Sweep) -> Result<ExitCode, Failure> {
+/// Runs a sweep or a shard of it, or writes the scripts that call `program` to do it.
+pub fn run(arguments: &arguments::Sweep, program: &Path) -> Result<u8, Failure> {
     let overrides = SweepOverrides { trials: arguments.trials, seed: arguments.seed };
     let sweep = Sweep::load(&arguments.sweep, overrides)?;
     arguments.threads.set()?;
     if arguments.dry_run {
         say(&format!("{}: {}", sweep.name, sweep.estimate(rayon::current_num_threads())?))?;
-        return Ok(ExitCode::SUCCESS);
+        return Ok(DONE);
     }
     let count = sweep.cells().count();
     if count > UNCONFIRMED_CELLS && !arguments.yes {
@@ -41,7 +40,7 @@ pub fn run(arguments: &arguments::Sweep) -> Result<ExitCode, Failure> {
     }
     let out = arguments.out.clone().unwrap_or_else(|| Path::new("results").join(&sweep.name));
     if let Some(engine) = arguments.batch.engine {
-        return Ok(submit(arguments, &sweep, engine, &out)?);
+        return Ok(submit(arguments, program, &sweep, engine, &out)?);
     }
     let environment = |name: &str| std::env::var(name).ok();
     let shard = match arguments.shard {
@@ -61,7 +60,7 @@ pub fn run(arguments: &arguments::Sweep) -> Result<ExitCode, Failure> {
         session.work_on(&out, "cells");
         let merged = locsim_sweep::run_sweep(&sweep, &options).map_err(of_sweep)?;
         report(&merged, &out, &arguments.output)?;
-        return Ok(ExitCode::SUCCESS);
+        return Ok(DONE);
     };
     let folder = out.join(shard.folder());
     session.work_on(&folder, "cells");
@@ -73,16 +72,17 @@ pub fn run(arguments: &arguments::Sweep) -> Result<ExitCode, Failure> {
             ShardOutcome::AlreadyDone => format!("{shard}: nothing to do; {} is complete", folder.display()),
         })?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(DONE)
 }
 
 /// Writes the scripts of an engine, and submits them if asked for.
 fn submit(
     arguments: &arguments::Sweep,
+    program: &Path,
     sweep: &Sweep,
     engine: EngineName,
     out: &Path,
-) -> anyhow::Result<ExitCode> {
+) -> anyhow::Result<u8> {
     let shards = arguments.shards.unwrap_or(1);
     let cells = sweep.cells().count();
     ensure!(
@@ -112,7 +112,7 @@ fn submit(
         shards,
         // One thread for each shard wastes no core.
         threads: arguments.threads.asked().unwrap_or(1),
-        program: std::env::current_exe().context("the path of locsim")?,
+        program: program.to_owned(),
         arguments: words,
         out: out.clone(),
         template: sweep.template.clone(),
@@ -125,11 +125,11 @@ fn submit(
     } else {
         say(&format!("`sh {}` runs {shards} shards; {then}", script.display()))?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(DONE)
 }
 
 /// Merges shards.
-pub fn merge(arguments: &arguments::Merge) -> Result<ExitCode, Failure> {
+pub fn merge(arguments: &arguments::Merge) -> Result<u8, Failure> {
     let session = Session::begin(arguments.output.quiet)?;
     let out = arguments.out.clone().unwrap_or_else(|| arguments.shards.join("merged"));
     let options = MergeOptions {
@@ -140,7 +140,7 @@ pub fn merge(arguments: &arguments::Merge) -> Result<ExitCode, Failure> {
     };
     let merged = locsim_sweep::merge(&options).map_err(of_sweep)?;
     report(&merged, &out, &arguments.output)?;
-    Ok(ExitCode::SUCCESS)
+    Ok(DONE)
 }
 
 /// Prints the results.

@@ -78,7 +78,7 @@ impl Nominal {
         Ok(Some(Arc::new(BlockIntegral::new(&model))))
     }
 
-    /// The simulator with more effects, as many blocks as `blocks` says and blocks that stay for so many scans.
+    /// The simulator with more effects, as many blocks as `blocks` says and clutter that stays as long as `blocks` says.
     pub(crate) fn simulator(&self, effects: &Effects, blocks: BlockPolicy) -> Result<Simulator, GapError> {
         let options = self.blocks.map(|nominal| BlockOptions {
             per_metre_of_wall: nominal.per_metre_of_wall * blocks.density,

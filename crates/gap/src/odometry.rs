@@ -7,7 +7,7 @@ use crate::{Nominal, Recorded};
 
 /// Least standard deviation of an increment's distance \[m\] and turn \[rad\].
 const LEAST: [f64; 2] = [1e-4, 1e-4];
-/// An error of so many standard deviations counts as this: a reference that jumps tells nothing of the odometry.
+/// An error beyond this many standard deviations counts as this many: a reference that jumps tells nothing of the odometry.
 const CUT: f64 = 4.0;
 /// Under the increments' normal density lies another one, this much wider, of this share.
 const WIDE: (f64, f64) = (0.01, 6.0);
@@ -133,7 +133,7 @@ pub(crate) fn standardized(increment: &Increment, error: &OdometryError) -> [f64
     std::array::from_fn(|axis| (increment.error[axis] / increment.deviation(error, axis)).clamp(-CUT, CUT))
 }
 
-/// What increments say of an odometry that lags behind the stamps, one by one: by the lag's first order, an increment is that of the
+/// Evidence of each increment for an odometry that lags behind the stamps: by the lag's first order, an increment is that of the
 /// truth less the lag times its rate of change. The product of error and slope, and the square of the slope, in standard
 /// deviations \[1/s, 1/s^2\]; the first one is of the second increment.
 pub(crate) fn lag_slopes(increments: &[Increment], error: &OdometryError, secs: &[f64]) -> Vec<[f64; 2]> {

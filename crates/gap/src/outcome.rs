@@ -78,14 +78,14 @@ pub struct Named {
 /// A dependence that no effect of the library explains.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unnamed {
-    /// What of a reading depends on the covariate: its mean, its spread, a share; or the odometry's lag.
+    /// The quantity that depends on the covariate: a reading's mean, its spread, a share; or the odometry's lag.
     pub deviation: Deviation,
     /// On what.
     pub covariate: Covariate,
     /// The named effect that acts on this as well, but in another form than the library's.
     #[serde(serialize_with = "optional_name")]
     pub form_of: Option<EffectKind>,
-    /// What speaks for it.
+    /// The evidence for it.
     pub evidence: Evidence,
     /// Unit of size and curve: metres of the mean, seconds of a lag; 1 of a share, of the spread's relative change, of the
     /// correlation of neighbouring beams.
@@ -198,10 +198,10 @@ pub struct Gap {
     pub floor: Distance,
     /// Log score that the named effects gain on held-out folds (nats per scan).
     pub gained_nats_per_scan: f64,
-    /// What a free model of the readings gains on top of the named effects on held-out folds (nats per scan), beyond the most that it
+    /// The held-out gain of a free model of the readings on top of the named effects (nats per scan), beyond the most that it
     /// gains on a simulated log; or the gain of the best further effect, where that is more. At least 0.
     pub remaining_nats_per_scan: f64,
-    /// What the free model gains on top of the nominal simulator (nats per scan).
+    /// The gain of the free model on top of the nominal simulator (nats per scan).
     pub possible_nats_per_scan: f64,
     /// Share of the gap that is closed: gained / (gained + remaining), and no more than
     /// [`closed_in_ranges`](Self::closed_in_ranges).
@@ -374,7 +374,7 @@ pub struct Outcome {
     pub verdict: Verdict,
     /// In the order in which they were named.
     pub effects: Vec<Named>,
-    /// What the effects leave, and no other effect of the library explains: dependences that a free model of the readings finds,
+    /// Dependences that no effect of the library explains, which a free model of the readings finds,
     /// the one that gains most first. Empty where nothing is off with the effects.
     pub unnamed: Vec<Unnamed>,
     /// Chances.
@@ -400,7 +400,7 @@ pub struct Outcome {
     pub nuisances: Nuisances,
     /// PIT histograms.
     pub pit: Vec<PitHistogram>,
-    /// What each named effect does to the readings or the odometry, measured and simulated.
+    /// The profile of each named effect: readings or odometry, measured and simulated.
     pub profiles: Vec<Profile>,
     /// Remarks for people.
     pub notes: Vec<String>,

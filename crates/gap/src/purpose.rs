@@ -22,7 +22,7 @@ pub enum Purpose {
     FreeModel = 17,
     /// Prior draws of parameters that a log hardly constrains, for their intervals.
     Prior = 14,
-    /// The stretches of two logs, dealt out anew.
+    /// Permutations of the stretches of two logs.
     Permutations = 18,
     /// The filter on the measured log.
     Filter = 15,

@@ -187,7 +187,7 @@ impl BlockTruth {
 /// Numbers of scans after which blocks are looked for where they were.
 const LAGS: [usize; 4] = [1, 4, 16, 64];
 
-/// Share of cells of the map with a short reading in a scan that have one again so many scans later.
+/// Share of cells of the map with a short reading in a scan that have one again a given number of scans later.
 fn shared_shorts(comparison: &Comparison<'_>, fitted: &Fitted) -> [f64; LAGS.len()] {
     let mut cells = vec![HashSet::new(); comparison.views.scans()];
     let effects = &comparison.nominal.effects;

@@ -132,7 +132,7 @@ impl<'a> Strength<'a> {
         self.information_by(effect, form, LOGS)
     }
 
-    /// The same by so many logs with the effect and as many without.
+    /// The same by `logs` logs with the effect and as many without.
     fn information_by(&self, effect: &Effect, form: Option<OtherForm>, logs: u32) -> Result<f64, GapError> {
         let effects = &[evenly_spread(effect)];
         let all = self.nominal.effects_with(effects)?;

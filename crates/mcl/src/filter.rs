@@ -117,22 +117,43 @@ pub struct StepOutcome {
     pub estimates: Estimates,
 }
 
+/// The outcome of an update.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Update {
+    /// `ln p(z_t | z_1..t-1)` (nats), the log of the weighted mean likelihood; minus infinity if all were zero.
+    pub log_evidence: f64,
+    /// A recovery, where one was needed.
+    pub recovered: Option<Recovery>,
+    /// Estimates from the weighted set.
+    pub estimates: Estimates,
+}
+
 /// A particle filter that localizes a robot with a planar range sensor in a known map (Probabilistic Robotics,
 /// table 8.2).
 ///
+/// [`Filter::step`] is [`Filter::predict`], [`Filter::update`] and a resampling by the options' rules.
 /// Between steps [`Filter::particles`] and [`Filter::weights`] are the posterior as it was weighted; a resampling
-/// that the step decided on takes effect when the next step begins.
+/// that the step decided on takes effect when the next step begins. Callers who decide themselves call these one by one, and
+/// [`Filter::resample`].
 #[derive(Clone, Debug)]
 pub struct Filter {
     options: FilterOptions,
     seeds: Seeds,
     step: u32,
+    phase: Phase,
     particles: Particles,
     weights: Weights,
-    /// The resampled set that the next step starts from, valid if `resampled`.
+    /// The resampled set, valid if `pending`.
     next: Particles,
     ancestors: Vec<u32>,
+    /// Whether the last decision was to resample.
     resampled: bool,
+    /// `next` waits to take the place of `particles`.
+    pending: bool,
+    /// `particles` descend from `ancestors` of the generation that was last weighted.
+    descended: bool,
+    /// Share of random particles in the next set, by the last update.
+    random_share: f64,
     log_likelihood: Vec<f64>,
     weigher: Weigher,
     /// Number of particles, the greatest where it varies.
@@ -146,6 +167,17 @@ pub struct Filter {
     ancestry: Option<Ancestry>,
     /// Parents of annealed particles, for the history.
     parents: Vec<u32>,
+}
+
+/// How far a step has come: what it draws next must not be what it has drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// It has drawn nothing.
+    Begun,
+    /// It has drawn its motion.
+    Predicted,
+    /// It has decided whether to resample.
+    Decided,
 }
 
 /// The stage [`Stage::Resample`] serves three purposes, each with a seed of its own.
@@ -202,11 +234,15 @@ impl Filter {
         Ok(Self {
             seeds: Seeds::new(seed),
             step: 0,
+            phase: Phase::Begun,
             particles: start.particles(first, map, seed)?,
             weights: Weights::uniform(first),
             next: Particles::default(),
             ancestors: Vec::new(),
             resampled: false,
+            pending: false,
+            descended: false,
+            random_share: 0.0,
             log_likelihood: Vec::new(),
             weigher: Weigher::default(),
             kld,
@@ -233,25 +269,62 @@ impl Filter {
         map: &dyn RangeMap,
         model: &dyn SensorModel,
     ) -> Result<StepOutcome, FilterError> {
-        let (step, scan, laser) = (self.step, input.scan, input.laser);
-        if !input.odometry.is_finite() {
-            return Err(FilterError::Odometry { step });
-        }
-        if scan.ranges.len() != laser.beam_count() {
-            let (ranges, beams) = (scan.ranges.len(), laser.beam_count());
-            return Err(FilterError::ScanLength { step, ranges, beams });
-        }
+        // Both are refused before anything moves.
+        self.check_odometry(&input.odometry)?;
+        check_scan(self.next_step(), input.laser, input.scan)?;
+        self.predict(&input.odometry)?;
+        let Update { log_evidence, recovered, estimates } =
+            self.update(input.laser, input.scan, map, model)?;
+        let effective_sample_size = self.weights.effective_sample_size();
+        let particle_count = self.particles.len();
+        let triggered = recovered.is_none()
+            && match self.options.trigger {
+                ResampleTrigger::EachStep => true,
+                ResampleTrigger::EffectiveShareBelow(share) => {
+                    effective_sample_size < share * particle_count as f64
+                }
+            };
+        let injected = self.draw_next(triggered, map)?;
+        Ok(StepOutcome {
+            log_evidence,
+            effective_sample_size,
+            particle_count,
+            resampled: self.resampled,
+            injected,
+            recovered,
+            estimates,
+        })
+    }
 
-        let was_resampled = self.resampled;
-        if was_resampled {
-            std::mem::swap(&mut self.particles, &mut self.next);
-            self.weights.reset(self.particles.len());
-        }
-        self.options.motion.propagate(
-            &input.odometry,
-            &Draw::new(self.seeds.filter, Stage::Motion, step),
-            &mut self.particles,
-        );
+    /// Moves the particles by draws from the motion model, given the motion since the last prediction by odometry,
+    /// `base_prev_from_base_now`. Every prediction draws numbers of its own.
+    ///
+    /// # Errors
+    /// [`FilterError::Odometry`] for motion that is not finite, which leaves the filter as it was.
+    pub fn predict(&mut self, odometry: &Pose2) -> Result<(), FilterError> {
+        self.check_odometry(odometry)?;
+        self.step = self.next_step();
+        self.phase = Phase::Predicted;
+        self.take_next();
+        let draw = Draw::new(self.seeds.filter, Stage::Motion, self.step);
+        self.options.motion.propagate(odometry, &draw, &mut self.particles);
+        Ok(())
+    }
+
+    /// Weights the particles by a scan of the laser; NaN readings are ignored.
+    ///
+    /// # Errors
+    /// As [`Filter::step`], but for the odometry.
+    pub fn update(
+        &mut self,
+        laser: &Laser,
+        scan: &Scan,
+        map: &dyn RangeMap,
+        model: &dyn SensorModel,
+    ) -> Result<Update, FilterError> {
+        let step = self.step;
+        check_scan(step, laser, scan)?;
+        self.take_next();
         self.log_likelihood.resize(self.particles.len(), 0.0);
         self.weigher.log_likelihoods(
             self.particles.as_poses(),
@@ -291,19 +364,22 @@ impl Filter {
             }
             Err(WeightError::Length { .. }) => unreachable!("one log likelihood per particle"),
         };
+        let descended = std::mem::take(&mut self.descended);
         if let Some(ancestry) = &mut self.ancestry {
-            let parents =
-                match &self.annealer {
-                    // The particles of the first step have no parents.
-                    Some(annealer) if annealed && step > 0 => {
-                        self.parents.clear();
-                        self.parents.extend(annealer.origins().iter().map(|&origin| {
-                            if was_resampled { self.ancestors[origin as usize] } else { origin }
-                        }));
-                        Some(self.parents.as_slice())
-                    }
-                    _ => was_resampled.then_some(self.ancestors.as_slice()),
-                };
+            let parents = match &self.annealer {
+                // The particles of the first step have no parents.
+                Some(annealer) if annealed && step > 0 => {
+                    self.parents.clear();
+                    self.parents.extend(
+                        annealer
+                            .origins()
+                            .iter()
+                            .map(|&origin| if descended { self.ancestors[origin as usize] } else { origin }),
+                    );
+                    Some(self.parents.as_slice())
+                }
+                _ => descended.then_some(self.ancestors.as_slice()),
+            };
             let likelihoods = recovered.is_none().then_some((self.log_likelihood.as_slice(), log_evidence));
             ancestry.record(&self.particles, parents, likelihoods);
         }
@@ -311,32 +387,47 @@ impl Filter {
         if let Some(annealer) = &mut self.annealer {
             annealer.observe(&estimates.weighted_mean);
         }
-
         let usable_beams = scan.ranges.iter().filter(|z| !z.is_nan()).count();
-        let share = self.augmented.as_mut().map_or(0.0, |a| a.update(log_evidence, usable_beams));
-        let effective_sample_size = self.weights.effective_sample_size();
-        let particle_count = self.particles.len();
-        let triggered = recovered.is_none()
-            && match self.options.trigger {
-                ResampleTrigger::EachStep => true,
-                ResampleTrigger::EffectiveShareBelow(share) => {
-                    effective_sample_size < share * particle_count as f64
-                }
-            };
-        let injected = self.resample(triggered, share, map)?;
-        self.step += 1;
-        Ok(StepOutcome {
-            log_evidence,
-            effective_sample_size,
-            particle_count,
-            resampled: self.resampled,
-            injected,
-            recovered,
-            estimates,
-        })
+        self.random_share = self.augmented.as_mut().map_or(0.0, |a| a.update(log_evidence, usable_beams));
+        Ok(Update { log_evidence, recovered, estimates })
     }
 
-    /// The particles: those that the last step weighted, or the start set before the first step.
+    /// Resamples at once: the new particles, equally weighted, take the place of the old ones. Returns how many of them are
+    /// random, by the options' injection.
+    ///
+    /// # Errors
+    /// [`FilterError::NoFreeSpace`] where a random particle finds no place, after which the filter cannot go on.
+    pub fn resample(&mut self, map: &dyn RangeMap) -> Result<usize, FilterError> {
+        self.take_next();
+        if self.phase == Phase::Decided {
+            // A second resampling without a motion between them draws numbers of its own.
+            self.step = self.next_step();
+        }
+        let injected = self.draw_next(true, map)?;
+        self.take_next();
+        Ok(injected)
+    }
+
+    /// The step that a prediction belongs to: the one at hand until it has moved or resampled.
+    fn next_step(&self) -> u32 {
+        self.step + u32::from(self.phase != Phase::Begun)
+    }
+
+    fn check_odometry(&self, odometry: &Pose2) -> Result<(), FilterError> {
+        if odometry.is_finite() { Ok(()) } else { Err(FilterError::Odometry { step: self.next_step() }) }
+    }
+
+    /// Goes on with the resampled set, if one waits.
+    fn take_next(&mut self) {
+        if std::mem::take(&mut self.pending) {
+            std::mem::swap(&mut self.particles, &mut self.next);
+            self.weights.reset(self.particles.len());
+            self.descended = true;
+        }
+    }
+
+    /// The particles: those that were last weighted, moved or resampled, or the start set before the first step. What a step
+    /// resamples takes their place when the next step begins.
     pub fn particles(&self) -> &Particles {
         &self.particles
     }
@@ -362,7 +453,11 @@ impl Filter {
         self.ancestry.as_ref()
     }
 
-    fn estimates(&mut self) -> Estimates {
+    /// Estimates from the weighted particles.
+    ///
+    /// # Panics
+    /// Never: a filter has particles.
+    pub fn estimates(&mut self) -> Estimates {
         let (particles, weights) = (&self.particles, &self.weights);
         Estimates {
             weighted_mean: weighted_mean(particles, weights).expect("a filter has particles"),
@@ -371,14 +466,17 @@ impl Filter {
         }
     }
 
-    /// Draws the next step's particles if `triggered`, or if random ones are due; a `share` of them, on average,
-    /// is random. Returns how many are.
-    fn resample(&mut self, triggered: bool, share: f64, map: &dyn RangeMap) -> Result<usize, FilterError> {
+    /// Draws the next step's particles if `triggered`, or if random ones are due, whose share on average is that of the
+    /// last update. Returns how many are random.
+    fn draw_next(&mut self, triggered: bool, map: &dyn RangeMap) -> Result<usize, FilterError> {
+        let share = std::mem::take(&mut self.random_share);
+        self.phase = Phase::Decided;
         let injection = Draw::new(self.seeds.filter, Stage::Injection, self.step);
         // The share is rounded to whole particles up or down at random, so that small shares count, too.
         let rounding: f64 = injection.item(u32::MAX).random();
         let random_of = |count: usize| (share * count as f64 + rounding) as usize;
         self.resampled = triggered || random_of(self.particles.len()) > 0;
+        self.pending = self.resampled;
         if !self.resampled {
             return Ok(0);
         }
@@ -425,4 +523,10 @@ impl Filter {
             Ok(self.particles.get(cumulative.partition_point(|&c| c <= u).min(last)))
         })
     }
+}
+
+/// A scan has a reading for each beam.
+fn check_scan(step: u32, laser: &Laser, scan: &Scan) -> Result<(), FilterError> {
+    let (ranges, beams) = (scan.ranges.len(), laser.beam_count());
+    if ranges == beams { Ok(()) } else { Err(FilterError::ScanLength { step, ranges, beams }) }
 }

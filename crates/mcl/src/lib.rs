@@ -30,6 +30,7 @@ pub use error::FilterError;
 pub use estimate::{Cluster, Clusters, Estimate, max_weight, weighted_mean};
 pub use filter::{
     Estimates, Filter, FilterOptions, ParticleCount, Recovery, ResampleTrigger, StepInput, StepOutcome,
+    Update,
 };
 pub use motion::{MotionModel, OdometryMotion, VelocityMotion};
 pub use resampling::{Multinomial, Resampler, Residual, Stratified, Systematic};

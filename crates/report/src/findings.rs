@@ -52,7 +52,7 @@ const FEW_EFFECTIVE: f64 = 0.05;
 /// the median, of one with twice the spread in a tenth of the steps 1.4 times.
 const FAR_FROM_MEDIAN: f64 = 2.0;
 
-/// What a reader should know before the figures: lost trials, an RMSE far from the median, few effective particles.
+/// Remarks to read before the figures: lost trials, an RMSE far from the median, few effective particles.
 pub fn warnings(results: &RunResults) -> Vec<String> {
     results.models.iter().enumerate().flat_map(|(i, model)| warnings_of(results, i, model)).collect()
 }

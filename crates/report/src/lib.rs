@@ -9,7 +9,7 @@ pub mod results;
 pub mod statistics;
 pub mod store;
 pub mod summary;
-mod tables;
+pub mod tables;
 pub mod text;
 mod trial_row;
 pub mod trial_set;
@@ -35,7 +35,7 @@ pub struct ReportContext {
     pub command: String,
     /// Whether the drives were simulated; only then does the paper's experiment stand beside them.
     pub simulated: bool,
-    /// What a reader should know before the figures, one or two sentences each.
+    /// Remarks to read before the figures, one or two sentences each.
     pub warnings: Vec<String>,
     /// Limits of the run, one or two sentences each.
     pub notes: Vec<String>,

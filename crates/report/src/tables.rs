@@ -17,6 +17,9 @@ use crate::results::{ModelTrial, RunResults, StepRow};
 use crate::trial_row::TrialRow;
 
 /// One row per trial, model and step.
+///
+/// # Errors
+/// None: the columns are of one length.
 pub fn steps(results: &RunResults) -> Result<RecordBatch, ReportError> {
     let rows: Vec<(u32, &ModelTrial, &StepRow)> = results
         .trials
@@ -62,6 +65,9 @@ pub fn steps(results: &RunResults) -> Result<RecordBatch, ReportError> {
 }
 
 /// One row per trial and model.
+///
+/// # Errors
+/// None: the columns are of one length.
 pub fn trials(results: &RunResults) -> Result<RecordBatch, ReportError> {
     let rows =
         results.trials.iter().flat_map(|trial| trial.models.iter().map(move |m| TrialRow::new(trial, m)));
@@ -105,6 +111,9 @@ pub fn trial_columns(rows: &[TrialRow]) -> Vec<(&'static str, ArrayRef)> {
 
 /// The table as CSV (RFC 4180, header first). Reals have as many digits as they need to be read back exactly;
 /// one that isn't finite is an empty field.
+///
+/// # Errors
+/// None: memory takes every byte.
 pub fn csv(batch: &RecordBatch) -> Result<Vec<u8>, ReportError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(batch.schema_ref().fields().iter().map(|field| field.name()))?;
@@ -128,6 +137,9 @@ fn cell(column: &ArrayRef, row: usize) -> String {
 }
 
 /// The table as Parquet, snappy-compressed.
+///
+/// # Errors
+/// None: memory takes every byte.
 pub fn parquet(batch: &RecordBatch) -> Result<Vec<u8>, ReportError> {
     let mut bytes = Vec::new();
     let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), Some(properties().build()))?;

@@ -12,7 +12,7 @@ pub const LISTED: usize = 20;
 /// This many of the words that are allowed.
 const LISTED_WORDS: usize = 50;
 
-/// The nearest of so many words is looked for; it takes its time.
+/// The nearest word is looked for among at most this many, because it takes time.
 const COMPARED_WORDS: usize = 200;
 
 /// Why a scenario, or a map that it names, is refused.
@@ -34,6 +34,21 @@ pub enum ScenarioError {
         /// At least one, in the order of the checks.
         problems: Vec<Problem>,
     },
+}
+
+impl ScenarioError {
+    /// The same error without the lines of this file, which nobody has written.
+    #[must_use]
+    pub fn without_lines_of(mut self, written: &Path) -> Self {
+        if let Self::Invalid { file, problems } = &mut self
+            && file == written
+        {
+            for problem in problems {
+                problem.line = None;
+            }
+        }
+        self
+    }
 }
 
 /// One thing wrong in a file.

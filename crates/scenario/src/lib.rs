@@ -25,6 +25,8 @@ pub mod yaml;
 
 use std::path::Path;
 
+use serde_json::Value;
+
 pub use effect::effect_yaml;
 pub use error::{Problem, ScenarioError};
 pub use map_file::{LoadedMap, load_map};
@@ -52,6 +54,23 @@ impl Scenario {
     pub fn load(path: &Path, overrides: &Overrides) -> Result<Self, ScenarioError> {
         let text = yaml::read(path)?;
         Self::parse_text(path, &text, overrides)
+    }
+
+    /// Checks a scenario that isn't read from a file: a tree of its keys and values. `file` stands for it in errors; files that
+    /// the scenario names are looked up in the folder of that path.
+    ///
+    /// # Errors
+    /// As [`Scenario::load`], without lines.
+    pub fn of_tree(file: &Path, tree: &Value, overrides: &Overrides) -> Result<Self, ScenarioError> {
+        Self::parse_text(file, &yaml::text(tree), overrides).map_err(|error| error.without_lines_of(file))
+    }
+
+    /// The scenario's keys and values as they were written. Overrides are not among them.
+    ///
+    /// # Errors
+    /// None: the text was read before.
+    pub fn tree(&self) -> Result<Value, ScenarioError> {
+        Ok(Value::Object(yaml::parse(&self.file, &self.text)?.0))
     }
 
     /// [`Scenario::load`] of a text that was read from `path`.

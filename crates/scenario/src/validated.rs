@@ -114,7 +114,7 @@ pub struct Log {
     pub simulator: Option<SimulatorOptions>,
 }
 
-/// What is simulated in a map, whatever path the robot takes.
+/// The simulator's settings in a map, whatever path the robot takes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SimulatorOptions {
     /// Unmapped blocks; `None` for a world that is as mapped.

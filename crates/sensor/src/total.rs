@@ -10,11 +10,11 @@ const INCIDENCES: [f32; 3] = [0.0, 0.8, 1.5];
 /// 3e-3 off.
 const TOLERANCE: f64 = 0.01;
 
-/// Readings from 0 to the maximum range are first cut into so many parts.
+/// Readings from 0 to the maximum range are first cut into this many parts.
 const PARTS: u16 = 64;
 /// A part in which the midpoint rule and the distribution function differ by more than this is halved, ..
 const PART_ERROR: f64 = 1e-6;
-/// .. but so many times at most, and not where more parts than this would have to be.
+/// Parts are halved at most this many times, and only while there are fewer parts than the second number.
 const HALVINGS: usize = 22;
 const MOST_HALVED: usize = 1 << 12;
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use locsim_core::{CAST_REACH, Draw, Pose2, Stage};
+use locsim_core::{Beams, CAST_REACH, Draw, Pose2, Stage};
 use rand::RngExt;
 
 use crate::SensorError;
@@ -79,6 +79,35 @@ impl TrainingSet {
             self.ends.push(self.readings.len());
         }
         Ok(kept)
+    }
+
+    /// Adds a state for each beam, with its readings in `scans`, each one with a reading for every beam. `scan_of` tells which scan
+    /// pose a beam (pose-major index) belongs to.
+    ///
+    /// # Errors
+    /// As [`TrainingSet::push`].
+    pub fn push_beams(
+        &mut self,
+        beams: &Beams<'_>,
+        scans: &[&[f32]],
+        scan_of: impl Fn(usize) -> u32,
+    ) -> Result<(), SensorError> {
+        let k = beams.per_pose();
+        let mut readings = Vec::with_capacity(scans.len());
+        for i in 0..beams.len() {
+            let state = BeamState {
+                laser: beams.laser.get(i / k),
+                bearing: beams.bearings[i % k],
+                range: beams.range[i],
+                incidence: beams.incidence[i],
+                surface: beams.surface[i],
+                scan: scan_of(i),
+            };
+            readings.clear();
+            readings.extend(scans.iter().map(|scan| scan[i]));
+            self.push(state, &readings)?;
+        }
+        Ok(())
     }
 
     /// Number of states, N.

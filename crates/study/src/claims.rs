@@ -15,7 +15,7 @@ const FAR: f64 = 3.0;
 const LITTLE: f64 = 0.5;
 /// Exponent of N above which a falling risk is called flat.
 const FLAT: f64 = -0.1;
-/// A prediction resembles the truth where its risk is at most so many times that of measuring at the state itself.
+/// A prediction resembles the truth where its risk is at most this many times that of measuring at the state itself.
 const LIKE: f64 = 2.0;
 /// Of Gaussians the test of level 1 % may find this share wanting, and of anything else it must find this share.
 const MOSTLY: f64 = 0.1;

@@ -40,7 +40,7 @@ const QUICK_REPEATS: u32 = 2;
 const QUICK_STATES: usize = 60;
 const QUICK_TESTS: usize = 20;
 const QUICK_TRUTH: usize = 2000;
-/// Every so many-th ray is fitted with families.
+/// Families are fitted to one ray in this many.
 const QUICK_RAYS: usize = 10;
 
 /// Checks everything; the error holds every problem of the first step that finds one.

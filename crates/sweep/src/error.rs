@@ -76,7 +76,7 @@ pub enum SweepError {
     Submit {
         /// The script.
         script: PathBuf,
-        /// What happened.
+        /// The reason.
         what: String,
     },
     /// The user stopped the sweep; finished cells are kept.

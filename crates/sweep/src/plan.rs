@@ -27,7 +27,7 @@ pub struct Plan {
     pub axes: Vec<Axis>,
     /// Axes that vary together, by number; the last group varies fastest.
     pub groups: Vec<Vec<usize>>,
-    /// What a cell must meet.
+    /// The conditions that a cell must meet.
     pub conditions: Vec<Condition>,
 }
 
@@ -59,7 +59,7 @@ pub struct Condition {
     pub left: usize,
     /// How they are compared.
     pub comparison: Comparison,
-    /// What is on the right.
+    /// The right side.
     pub right: Operand,
 }
 
@@ -307,7 +307,7 @@ impl Shard {
     /// Reads `I/N`.
     ///
     /// # Errors
-    /// What is allowed.
+    /// A sentence that says what is allowed.
     pub fn parse(text: &str) -> Result<Self, String> {
         let numbers = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
         let (number, of) = numbers.ok_or("I/N is allowed, such as 3/50: shard 3 of 50")?;
@@ -317,7 +317,7 @@ impl Shard {
     /// Shard `number` of `of`.
     ///
     /// # Errors
-    /// What is allowed.
+    /// A sentence that says what is allowed.
     pub fn new(number: u32, of: u32) -> Result<Self, String> {
         if of > MOST_SHARDS {
             Err(format!("{of} shards are not allowed; at most {MOST_SHARDS}"))
@@ -332,7 +332,7 @@ impl Shard {
     /// `shards`. Slurm tells the number of tasks as well, the others don't. `None` outside of an engine.
     ///
     /// # Errors
-    /// What is not allowed, and what is.
+    /// A sentence that says what is not allowed, and what is.
     pub fn from_environment(
         environment: &dyn Fn(&str) -> Option<String>,
         shards: Option<u32>,

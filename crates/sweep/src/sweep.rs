@@ -208,7 +208,7 @@ impl Sweep {
     }
 }
 
-/// What a sweep costs.
+/// The cost of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SweepEstimate {
     /// Number of cells.

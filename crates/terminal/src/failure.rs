@@ -1,7 +1,7 @@
-use std::process::ExitCode;
-
 use crate::complain;
 
+/// Exit code for work that is done.
+pub const DONE: u8 = 0;
 /// Exit code for bad input.
 pub const BAD_INPUT: u8 = 2;
 /// Exit code for work that the user stopped, as shells report it.
@@ -21,7 +21,7 @@ impl Failure {
     }
 
     /// The error with its causes. A cause that the message quotes already is left out.
-    fn explain(&self) -> String {
+    pub fn explain(&self) -> String {
         let mut text = self.error.to_string();
         for cause in self.error.chain().skip(1).map(ToString::to_string) {
             if !text.contains(&cause) {
@@ -39,9 +39,9 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
 }
 
 /// Prints the failure of a command, if it failed. Returns the exit code of the program.
-pub fn exit_code(done: Result<ExitCode, Failure>) -> ExitCode {
+pub fn exit_code(done: Result<u8, Failure>) -> u8 {
     done.unwrap_or_else(|failure| {
         complain(&format!("error: {}", failure.explain()));
-        ExitCode::from(failure.code)
+        failure.code
     })
 }

@@ -8,7 +8,7 @@ mod output;
 mod progress;
 mod session;
 
-pub use failure::{BAD_INPUT, Failure, INTERRUPTED, exit_code};
+pub use failure::{BAD_INPUT, DONE, Failure, INTERRUPTED, exit_code};
 pub use options::{LimitOptions, OutputOptions, Threads, whole};
 pub use output::{columns, complain, say};
 pub use session::Session;

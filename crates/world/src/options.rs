@@ -41,7 +41,7 @@ pub struct BlockOptions {
 pub enum BlockResampling {
     /// At every scan.
     EachObservation,
-    /// Every so many scans, at least 1.
+    /// The number of scans between two draws, at least 1.
     EachScanN(u32),
     /// Never: the blocks of a drive stay, or move at their speed.
     Never,

@@ -216,7 +216,7 @@ fn turn(drive: &mut Drive) -> Truth {
     let spacing = (bearings[1] - bearings[0]).abs();
     let beams = (TURN_DEG.to_radians() / spacing).round().max(1.0);
     for step in &mut drive.steps {
-        // Each beam reads what the one so many to its left read.
+        // Each beam reads what its neighbour `beams` to the left read.
         let before = step.scan.ranges.clone();
         for (beam, z) in step.scan.ranges.iter_mut().enumerate() {
             *z = before.get(beam + beams as usize).copied().unwrap_or(f32::NAN);

@@ -83,10 +83,10 @@ pub struct Case {
     pub edit: Edit,
 }
 
-/// What a search found.
+/// The findings of a search.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Found {
-    /// What was edited; `None` where the log had no room for the edit.
+    /// The edit; `None` where the log had no room for the edit.
     pub truth: Option<Truth>,
     /// The verdict.
     pub verdict: String,

@@ -73,7 +73,7 @@ pub struct TruthFile {
     pub least_error: Option<f64>,
     /// Stages taken out of the library.
     pub without: Vec<String>,
-    /// What an effect from outside of the library depends on: any of these is right.
+    /// The covariates of an effect from outside the library: any of these is right.
     pub covariates: Vec<String>,
 }
 
@@ -115,7 +115,7 @@ pub struct FoundFile {
 /// A dependence that no effect explains.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UnnamedFile {
-    /// What of a reading, or the odometry, depends on it.
+    /// The quantity of a reading, or of the odometry, that depends on it.
     pub deviation: String,
     /// On what.
     pub covariate: String,

@@ -49,7 +49,7 @@ pub struct OutsideScore {
     pub flagged: Share,
     /// A name of the library is given as the whole explanation.
     pub named: Share,
-    /// What it depends on is told, of the effects that aren't in the library.
+    /// Share of the effects from outside the library whose covariate is named.
     pub covariate: Share,
 }
 

@@ -287,7 +287,7 @@ fn log_model(
     Ok(())
 }
 
-/// What one model's filter knows around the robot, in a frame that moves with it and keeps the map's directions.
+/// The surroundings of the robot by one model's filter, in a frame that moves with it and keeps the map's directions.
 fn log_close_up(
     stream: &RecordingStream,
     trial: &DetailedTrial,

@@ -24,7 +24,7 @@ const RESIDUAL_VARIANCE: f64 = 1.5;
 /// Fewer residuals than this tell nothing.
 const LEAST_RESIDUALS: usize = 500;
 
-/// What the readings of a drive show of the laser.
+/// The laser's properties by the readings of a drive.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReadingQuality {
     /// Share of readings without return.

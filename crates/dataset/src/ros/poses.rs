@@ -209,7 +209,7 @@ impl Transforms {
         if self.edges.len() < MOST_PAIRS {
             return Ok(());
         }
-        Err(format!("more than {MOST_PAIRS} pairs of frames; allowed: at most so many"))
+        Err(format!("more than {MOST_PAIRS} pairs of frames; allowed: at most {MOST_PAIRS}"))
     }
 
     pub fn sort(&mut self) {

@@ -1,4 +1,4 @@
-//! What a beam is: levels of the covariates that curves are over.
+//! Covariates of a beam: the levels that curves are over.
 
 use std::collections::HashMap;
 use std::f64::consts::FRAC_PI_2;

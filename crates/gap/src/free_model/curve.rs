@@ -124,7 +124,7 @@ pub(super) fn fit(folds: &[Vec<Sums>], shape: Shape) -> (Vec<f64>, Vec<f64>) {
     solve(&total(folds), shape)
 }
 
-/// What curves that are fitted without a fold gain there, all together (nats), and those curves.
+/// The held-out gain of curves on all folds together (nats), and the curves.
 pub(super) fn crossfit(folds: &[Vec<Sums>], shape: Shape) -> (f64, Vec<Vec<f64>>) {
     let total = total(folds);
     let mut gain = 0.0;

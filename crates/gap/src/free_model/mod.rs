@@ -48,7 +48,7 @@ pub(crate) struct Component {
     pub covariate: Covariate,
     /// The covariate's index among [`Covariates`].
     pub axis: usize,
-    /// What it changes at each level, with its standard error: the mean of a reading of the surface \[m\], its spread (a factor,
+    /// Its value at each level, with its standard error: the mean of a reading of the surface \[m\], its spread (a factor,
     /// less 1), its skewness, or the share of readings of a kind. `None` where no reading is.
     pub curve: Vec<Option<[f64; 2]>>,
     /// Log score gained on held-out folds (nats).
@@ -119,7 +119,7 @@ impl FreeModel {
             let Some(step) = state.best_step() else { break };
             let before = state.tilts.clone();
             if covariates.axes[step.axis].covariate == Covariate::Neighbour {
-                // What neighbours tell of each other is the correlation itself.
+                // The correlation of neighbours is its own covariate.
                 correlation.get_or_insert_with(|| state.neighbour_correlation());
             }
             state.apply(&step);
@@ -153,7 +153,7 @@ impl FreeModel {
         (0..self.folds).map(of_fold).collect()
     }
 
-    /// What a moment gains over a covariate (nats); 0 where it has no curve.
+    /// The gain of a moment over a covariate (nats); 0 where it has no curve.
     pub fn gain_of(&self, moment: Deviation, covariate: Covariate) -> f64 {
         let own = |c: &&Component| c.moment == moment && c.covariate == covariate;
         self.components.iter().filter(own).map(Component::gain).sum()

@@ -251,7 +251,7 @@ impl Outcome {
         pull
     }
 
-    /// What a tilt of one moment changes: the mean of a reading of the surface \[m\], its spread (a factor, less 1), its skewness,
+    /// The change that a tilt of one moment makes: the mean of a reading of the surface \[m\], its spread (a factor, less 1), its skewness,
     /// or the share of a class. `None` of a beam that meets no surface, for the surface's moments.
     pub fn change(&self, moment: usize, by: f64) -> Option<f64> {
         let mut tilt = Tilt::default();

@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::HiddenDrive;
 
-/// A reading no farther from the wall than so many standard deviations is the wall's.
+/// A reading within this many standard deviations of the wall is the wall's.
 const OF_WALL_SIGMAS: f64 = 5.0;
 
 /// Neighbouring ranges differ by more than this at an edge \[m\].

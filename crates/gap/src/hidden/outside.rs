@@ -58,7 +58,7 @@ impl Outside {
 }
 
 impl Outside {
-    /// What readings depend on with it: each of these is a right answer.
+    /// The covariates that readings depend on with it: each is a right answer.
     pub fn covariates(self) -> &'static [Covariate] {
         match self {
             Self::PeriodicBias => &[Covariate::Time],

@@ -1,4 +1,4 @@
-//! What a free model says of a hypothesis: by which dependence it gains, and which effects act on that.
+//! A hypothesis judged by a free model: the dependence by which it gains, and the effects that act on it.
 
 use glam::DVec2;
 use locsim_world::effect::{Effect, Score, Statistic};
@@ -16,7 +16,7 @@ const LEAST_SHARE: f64 = 0.05;
 /// The share of the variance of an effect's weights that a covariate explains, where the effect acts on it.
 const OWN_COVARIATE: f64 = 0.9;
 
-/// What depends on what, with the gain of knowing it.
+/// A dependence, with the gain of knowing it.
 pub struct Dependence<'j> {
     pub deviation: Deviation,
     pub covariate: Covariate,
@@ -72,7 +72,7 @@ pub struct Judgement {
 }
 
 impl Judgement {
-    /// What the free model of the readings gains on held-out folds beyond the most that it gains on a simulated log (nats): with
+    /// The held-out gain of the free model of the readings beyond the most that it gains on a simulated log (nats): with
     /// four of them, a log without anything left gains something in one of five.
     pub fn gains(&self) -> Vec<f64> {
         let total = |model: &FreeModel| model.gains().iter().sum::<f64>();

@@ -52,7 +52,7 @@ impl<'a> State<'a> {
             Vec::new()
         };
         let is_ambiguous = named.iter().any(|named| named.candidates.len() > 1);
-        // What is still off may be an effect's form alone.
+        // The rest may be due to the form of an effect alone.
         let only_forms = !unnamed.is_empty() && unnamed.iter().all(|found| found.form_of.is_some());
         let is_explained = !still_off || only_forms;
         let verdict = match (named.is_empty(), is_explained) {

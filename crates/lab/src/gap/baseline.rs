@@ -181,7 +181,7 @@ fn sentences(changes: &Changes) -> Vec<String> {
     text
 }
 
-/// What to do next.
+/// The next steps for the reader.
 fn steps(changes: &Changes) -> Vec<String> {
     let named = |named: &Named| format!("Look on the robot for this change: {}", answer::told(named));
     match changes.verdict {

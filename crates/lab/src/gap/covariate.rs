@@ -4,7 +4,7 @@ use locsim_gap::{Covariate, CurvePoint};
 
 use locsim_report::text::fixed;
 
-/// What something depends on.
+/// A covariate in words.
 pub(super) fn noun(covariate: Covariate) -> &'static str {
     match covariate {
         Covariate::Range => "range",

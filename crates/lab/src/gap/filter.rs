@@ -13,7 +13,7 @@ use locsim_world::simulation::Simulator;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::{GapStudy, GapStudyOptions};
+use super::GapStudy;
 use crate::LabError;
 use crate::run::filter_options;
 use crate::run::{MapSet, free_poses};
@@ -99,12 +99,13 @@ impl<'a> FilterOnLog<'a> {
 pub(super) fn filter_gap(
     study: &GapStudy,
     outcome: &Outcome,
-    options: &GapStudyOptions<'_>,
+    cache: Option<&Path>,
+    control: Control<'_>,
 ) -> Result<Option<FilterGap>, LabError> {
     if outcome.effects.is_empty() {
         return Ok(None);
     }
-    let filter = FilterOnLog::new(study, options.cache, options.control)?;
+    let filter = FilterOnLog::new(study, cache, control)?;
     let before = filter.errors(Vec::new())?;
     let after = filter.errors(outcome.effects.iter().map(|named| named.effect.clone()).collect())?;
     let change: Vec<f64> = after.iter().zip(&before).map(|(after, before)| after - before).collect();

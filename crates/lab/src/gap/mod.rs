@@ -27,6 +27,7 @@ pub use baseline::{answer_since, json as json_since, run as run_since};
 pub use locsim_gap::{BeamPit, Outcome};
 
 pub use filter::FilterOnLog;
+pub use proposal::scenario_with;
 
 use crate::LabError;
 use crate::run::{log_map, no_reference, read_options, selected};
@@ -43,6 +44,9 @@ const SAME_BEARING_RAD: f64 = 2e-3;
 
 /// Mounts that differ by less than this are the same \[m\] and \[rad\]: logs round.
 const SAME_MOUNT: f64 = 2e-3;
+
+/// Fewer simulated logs than this can't tell a chance of 5 %.
+const LEAST_REPLICATES: u32 = 19;
 
 /// The part of the log that the search uses, and how.
 #[derive(Clone, Debug)]
@@ -68,6 +72,23 @@ impl GapSettings {
     pub const REPLICATES: u32 = 999;
     /// Permutations beside a baseline, unless the user says otherwise.
     pub const PERMUTATIONS: u32 = 399;
+
+    /// Whether the numbers make sense.
+    ///
+    /// # Errors
+    /// `name: value is not allowed; what is`.
+    pub fn check(&self) -> Result<(), String> {
+        if self.replicates < LEAST_REPLICATES {
+            let found = self.replicates;
+            return Err(format!(
+                "replicates: {found} is not allowed; a whole number from {LEAST_REPLICATES}"
+            ));
+        }
+        match [("scans", self.scans), ("beams", self.beams)].into_iter().find(|(_, value)| *value == 0) {
+            Some((name, _)) => Err(format!("{name}: 0 is not allowed; a whole number from 1")),
+            None => Ok(()),
+        }
+    }
 }
 
 /// A measured log and the scenario that it is held against, read and checked.
@@ -126,11 +147,19 @@ impl GapStudy {
     /// # Errors
     /// [`LabError`]: what is wrong with the scenario, its map or the log, or that they are of different lasers.
     pub fn load(scenario: &Path, log: Option<&Path>, settings: GapSettings) -> Result<Self, LabError> {
-        let file = scenario;
-        let scenario = Scenario::load(file, &Overrides { seed: settings.seed, ..Overrides::default() })?;
+        let overrides = Overrides { seed: settings.seed, ..Overrides::default() };
+        Self::new(Scenario::load(scenario, &overrides)?, log, settings)
+    }
+
+    /// [`GapStudy::load`] of a scenario that was read before, whose seed counts.
+    ///
+    /// # Errors
+    /// As [`GapStudy::load`].
+    pub fn new(scenario: Scenario, log: Option<&Path>, settings: GapSettings) -> Result<Self, LabError> {
+        let file = scenario.file.clone();
         let refuse = |key: &str, message: &str| {
             let problem = Problem { line: None, key: key.to_owned(), message: message.to_owned() };
-            ScenarioError::Invalid { file: file.to_owned(), problems: vec![problem] }
+            ScenarioError::Invalid { file: file.clone(), problems: vec![problem] }
         };
         let Some(simulator) = scenario.simulator() else {
             let message =
@@ -329,7 +358,7 @@ pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, L
     // A search has no parts that could be kept.
     let request = Request { out, kind: "gap", fingerprint: &fingerprint, resume: false, force: *force };
     let (outcome, recorded) = request.fill(|store| {
-        let outcome = find(study, options)?;
+        let outcome = find(study, options.filter, options.cache, options.control)?;
         options.control.progress.stage("writing the report", 1);
         write(store.folder(), study, &outcome, options)?;
         let recorded = match options.recorder {
@@ -343,8 +372,18 @@ pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, L
     Ok(outcome)
 }
 
-fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, LabError> {
-    let Control { clock, progress, interrupted } = options.control;
+/// Holds the log against the scenario, as [`run`] does, and writes nothing. With `filter`, a filter is run with the old and the
+/// new simulator; `cache` keeps its range tables.
+///
+/// # Errors
+/// [`LabError`].
+pub fn find(
+    study: &GapStudy,
+    filter: bool,
+    cache: Option<&Path>,
+    control: Control<'_>,
+) -> Result<Outcome, LabError> {
+    let Control { clock, progress, interrupted } = control;
     let began = clock();
     progress.stage("integrating over blocks", 1);
     let nominal = study.nominal()?;
@@ -359,8 +398,8 @@ fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, LabE
         ..usual
     };
     let mut outcome = locsim_gap::find(&nominal, &study.recorded, &search, progress, interrupted)?;
-    if options.filter {
-        outcome.filter = filter::filter_gap(study, &outcome, options)?;
+    if filter {
+        outcome.filter = filter::filter_gap(study, &outcome, cache, control)?;
     }
     if search.false_alarm > GapOptions::default().false_alarm {
         outcome.notes.push(format!(
@@ -370,11 +409,11 @@ fn find(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Outcome, LabE
         ));
     }
     outcome.notes.splice(0..0, study.notes.iter().cloned());
-    outcome.seconds = options.control.seconds_since(began);
+    outcome.seconds = control.seconds_since(began);
     Ok(outcome)
 }
 
-/// The chance of a false alarm: the usual one, or the least p-value that so many simulations can give.
+/// The chance of a false alarm: the usual one, or the least p-value that this number of simulations can give.
 fn false_alarm(replicates: u32) -> f64 {
     GapOptions::default().false_alarm.max(1.0 / (f64::from(replicates) + 1.0))
 }
@@ -388,7 +427,7 @@ fn write(
 ) -> Result<(), LabError> {
     let json = serde_json::to_string_pretty(outcome).map_err(ReportError::from)?;
     folder.write("gap.json", format!("{json}\n").as_bytes())?;
-    let scenario = proposal::scenario_with(study, &outcome.effects, &options.out)?;
+    let scenario = scenario_with(study, &outcome.effects, &options.out)?;
     folder.write("scenario.yaml", scenario.as_bytes())?;
     let old = study.scenario.file.display().to_string();
     let diff = proposal::diff(

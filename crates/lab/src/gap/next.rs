@@ -1,4 +1,4 @@
-//! What to do next, in three lines that follow from the verdict.
+//! The next steps for the reader, in three lines that follow from the verdict.
 
 use locsim_gap::{Named, Outcome, Region, Verdict};
 

@@ -15,7 +15,10 @@ use super::GapStudy;
 use crate::LabError;
 
 /// The scenario with these effects, to be read from the folder `out`.
-pub(super) fn scenario_with(study: &GapStudy, effects: &[Named], out: &Path) -> Result<String, LabError> {
+///
+/// # Errors
+/// [`LabError::Store`] for a folder whose path can't be told.
+pub fn scenario_with(study: &GapStudy, effects: &[Named], out: &Path) -> Result<String, LabError> {
     let entries: Vec<Entry> = effects.iter().map(|named| entry(study, named)).collect();
     Ok(study.scenario.with_effects(&entries, &out_folder(out)?, &proposed_name(&study.scenario.name)))
 }

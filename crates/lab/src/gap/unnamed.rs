@@ -5,7 +5,7 @@ use locsim_gap::{Covariate, CurvePoint, Deviation, Unnamed, Wave};
 use super::covariate::{self, spot};
 use locsim_report::text::{fixed, significant};
 
-/// What depends on what, and how much: "An unnamed bias depends on bearing: 6 waves around, 8.1 mm."
+/// A dependence in words, with its size: "An unnamed bias depends on bearing: 6 waves around, 8.1 mm."
 pub(super) fn sentence(found: &Unnamed) -> String {
     match (found.deviation, found.covariate) {
         (Deviation::Lag, _) => format!("The odometry lags by {}.", size(found)),
@@ -34,7 +34,7 @@ pub(super) fn form_sentence(found: &Unnamed) -> Option<String> {
     ))
 }
 
-/// What of a reading depends on something.
+/// The dependent quantity of a reading, in words.
 pub(super) fn noun(found: &Unnamed) -> &'static str {
     match found.deviation {
         Deviation::Mean => "bias",

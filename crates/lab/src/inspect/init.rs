@@ -164,7 +164,7 @@ impl NewScenario<'_> {
 const MODELS: [&str; 5] = ["likelihood_field", "beam_mixture", "np_reg", "np_reg_registered", "np_reg_field"];
 const SIMULATED_MODELS: [&str; 3] = ["likelihood_field", "beam_mixture", "np_reg_registered"];
 
-/// What the scans are for.
+/// The use of the scans.
 struct Shares {
     map: Vec<[f64; 2]>,
     train: Vec<[f64; 2]>,
@@ -247,7 +247,7 @@ fn odometry_noise(error: Option<&OdometryError>) -> ([f64; 4], String) {
     }
 }
 
-/// A number with so many significant digits.
+/// A number with `digits` significant digits.
 fn rounded(value: f64, digits: i32) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return 0.0;

@@ -24,7 +24,7 @@ use crate::LabError;
 /// Scans with reference poses that `locsim gap` needs at least.
 const LEAST_GAP_SCANS: usize = 40;
 
-/// What a log holds and what it is good for.
+/// The contents of a log, and the commands that can work on it.
 #[derive(Debug, Serialize)]
 pub struct Inspection {
     /// The log's file.
@@ -38,7 +38,7 @@ pub struct Inspection {
     pub problem: Option<String>,
     /// Topics and transforms that may hold reference poses, where none was found.
     pub reference_candidates: Vec<String>,
-    /// What each command would lack.
+    /// The inputs that each command would lack.
     pub lacks: Lacks,
     /// Remarks on what may go wrong.
     pub warnings: Vec<String>,
@@ -96,7 +96,7 @@ pub struct LaserFacts {
     pub mount_source: MountSource,
 }
 
-/// What the log lacks for each command, in words; nothing where a command can work on it.
+/// The inputs that the log lacks for each command, in words; nothing where a command can work on it.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Lacks {
     /// For `locsim run`.

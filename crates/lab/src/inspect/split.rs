@@ -27,7 +27,7 @@ pub const COVERED: f64 = 0.5;
 /// stands still shows nothing.
 const LEAST_MOTION: f64 = 0.5;
 
-/// What the scans of a part are for.
+/// The use of a part's scans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
@@ -51,7 +51,7 @@ pub struct Part {
     /// Share of its readings that end where the parts of the map have readings; of a part of the map itself, where its
     /// others have.
     pub covered_by_map: f64,
-    /// What its scans are for.
+    /// The use of its scans.
     pub role: Role,
 }
 

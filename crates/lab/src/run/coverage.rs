@@ -1,4 +1,4 @@
-//! What the training scans and the map of a log don't cover of the drive that is localized on.
+//! The parts of the localized drive that the training scans and the map of a log don't cover.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -47,7 +47,7 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// The estimate for a scenario whose trials run on so many threads.
+    /// The estimate for a scenario whose trials run on `threads` threads.
     pub fn of(scenario: &Scenario, threads: usize) -> Self {
         let threads = threads as f64;
         let trials = f64::from(scenario.trials);
@@ -141,7 +141,7 @@ impl Estimate {
         Err(ScenarioError::Invalid { file: scenario.file.clone(), problems: vec![problem] }.into())
     }
 
-    /// The estimate in words, for a run on so many threads.
+    /// The estimate in words, for a run on `threads` threads.
     pub fn in_words(&self, threads: usize) -> String {
         let memory = format!("at most {} of memory", size(self.memory_bytes));
         match self.cpu_secs {

@@ -52,6 +52,7 @@ const RUN: u32 = 20;
 const TRAINING_SEED: u32 = u32::MAX;
 
 /// A map in the forms that a run needs.
+#[derive(Clone)]
 pub struct MapSet {
     /// Exact ray casts.
     pub exact: Arc<ExactRangeMap>,
@@ -138,7 +139,7 @@ pub struct Laboratory<'a> {
     pub maps: MapSet,
     /// The sensor models in the scenario's order.
     pub models: Vec<TrainedModel>,
-    /// What a reader of the results should know first.
+    /// Remarks to read before the results.
     pub warnings: Vec<String>,
     /// Remarks for the report: what kind of log, how much training data.
     pub notes: Vec<String>,
@@ -315,6 +316,18 @@ impl<'a> Laboratory<'a> {
             Drives::Measured(drive) if drive.steps.iter().all(|step| step.reference.is_none()) => Some(drive),
             _ => None,
         }
+    }
+
+    /// Refuses a log without reference poses.
+    ///
+    /// # Errors
+    /// [`LabError::Log`].
+    pub fn with_reference(&self) -> Result<(), LabError> {
+        if self.unreferenced().is_none() {
+            return Ok(());
+        }
+        let what = "errors need reference poses, and no scan that is localized on has one".to_owned();
+        Err(LabError::Log { path: self.scenario.file.clone(), what })
     }
 
     /// Beams of a scan that the filter uses.

@@ -29,10 +29,7 @@ pub fn measure(
     control: Control<'_>,
 ) -> Result<Measurement, LabError> {
     let laboratory = Laboratory::prepare(scenario, cache, &())?;
-    if laboratory.unreferenced().is_some() {
-        let what = "errors need reference poses, and no scan that is localized on has one".to_owned();
-        return Err(LabError::Log { path: scenario.file.clone(), what });
-    }
+    laboratory.with_reference()?;
     let rows: Vec<Vec<TrialRow>> = (0..scenario.trials)
         .into_par_iter()
         .map(|number| {

@@ -25,7 +25,7 @@ pub use estimate::{Estimate as CostEstimate, duration, size};
 pub use laboratory::{MapSet, free_poses, simulate_trial};
 pub use map::{LogMaps, agreement_figure, agreement_table};
 pub use measure::{Measurement, measure};
-pub use training::{ScanData, Surroundings, TrainedModel, train};
+pub use training::{ScanData, Surroundings, TrainedModel, temper, train};
 pub use unreferenced::{Unreferenced, UnreferencedModel};
 
 use crate::LabError;
@@ -37,7 +37,7 @@ pub(crate) use laboratory::{log_map, no_reference, refused, selected};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store};
 use locsim_report::summary::Summary;
-use locsim_report::{self as report, ReportContext};
+use locsim_report::{self as report, ReportContext, ReportError};
 use locsim_scenario::{ErrorFrame, Estimate, Scenario, Source};
 
 /// The recording's name in the results folder.
@@ -71,6 +71,8 @@ pub struct Outcome {
     pub summary: RunSummary,
     /// Bounds of the scenario's `expect` that the results miss.
     pub missed: Vec<MissedBound>,
+    /// Every step of every trial; `None` on a log without reference poses, which has no errors to tell.
+    pub results: Option<RunResults>,
 }
 
 /// The content of `summary.json`.
@@ -110,51 +112,60 @@ pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, Lab
     let fingerprint = scenario.content_hash()?;
     let RunOptions { resume, force, .. } = *options;
     let request = Request { out: &options.out, kind: "run", fingerprint: &fingerprint, resume, force };
-    let (summary, recorded) = request.fill(|store| {
-        let (summary, detail) = write_results(scenario, store, options)?;
+    let (outcome, recorded) = request.fill(|store| {
+        let (outcome, detail) = write_results(scenario, store, options)?;
         let recorded = match (options.recorder, detail) {
             (Some(recorder), Some(detail)) => recorder(&detail, &store.folder().claim(RECORDING)?),
             _ => Ok(()),
         };
-        Ok::<_, LabError>((summary, recorded))
+        Ok::<_, LabError>((outcome, recorded))
     })?;
     options.control.progress.advance(1);
     options.control.progress.finish();
     recorded.map_err(|source| LabError::Recording { out: options.out.clone(), source })?;
-    let missed = match &summary {
-        RunSummary::Referenced(summary) => bounds::missed(&scenario.expect, summary),
-        RunSummary::Unreferenced(_) => Vec::new(),
-    };
-    Ok(Outcome { summary, missed })
+    Ok(outcome)
 }
 
-/// Runs the trials and writes everything but the recording. Without reference poses there is no trial to record.
-fn write_results(
-    scenario: &Scenario,
-    store: &Store,
-    options: &RunOptions<'_>,
-) -> Result<(RunSummary, Option<DetailedTrial>), LabError> {
-    let began = (options.control.clock)();
-    let laboratory = Laboratory::prepare(scenario, options.cache, options.control.progress)?;
-    for warning in &laboratory.warnings {
-        options.control.progress.warn(warning);
+/// Runs every trial of a scenario under every model, as [`run`] does, and writes nothing.
+///
+/// # Errors
+/// [`LabError`], as [`run`], and for a log without reference poses, whose results are a report alone.
+pub fn compute(scenario: &Scenario, cache: Option<&Path>, control: Control<'_>) -> Result<Outcome, LabError> {
+    let threads = rayon::current_num_threads();
+    let cost = CostEstimate::of(scenario, threads);
+    cost.check(scenario)?;
+    control.progress.note(&format!("{}: {}", scenario.name, cost.in_words(threads)));
+    let began = (control.clock)();
+    let laboratory = Laboratory::prepare(scenario, cache, control.progress)?;
+    laboratory.with_reference()?;
+    warn(&laboratory.warnings, control.progress);
+    let trials = run_trials(&laboratory, None, control)?;
+    let results = results_of(&laboratory, trials, control.seconds_since(began));
+    warn(&report::warnings(&results), control.progress);
+    control.progress.finish();
+    let summary = Summary::new(&results).map_err(ReportError::from)?;
+    Ok(outcome(scenario, summary, results))
+}
+
+fn outcome(scenario: &Scenario, summary: Summary, results: RunResults) -> Outcome {
+    let missed = bounds::missed(&scenario.expect, &summary);
+    Outcome { summary: RunSummary::Referenced(summary), missed, results: Some(results) }
+}
+
+fn warn(warnings: &[String], progress: &dyn Progress) {
+    for warning in warnings {
+        progress.warn(warning);
     }
-    if let Some(drive) = laboratory.unreferenced() {
-        save_models(&laboratory, store.folder())?;
-        let summary = unreferenced::write(&laboratory, drive, store.folder(), options)?;
-        return Ok((RunSummary::Unreferenced(summary), None));
-    }
-    let trials = run_trials(&laboratory, store, options)?;
-    options.control.progress.stage("report and recording", 1);
-    let detail = detailed_trial(&laboratory, scenario.record.trial, options.control.clock)?;
-    let folder = store.folder();
-    save_models(&laboratory, folder)?;
-    save_trajectories(&detail, &trials[scenario.record.trial as usize], folder)?;
-    let results = RunResults {
+}
+
+/// The results of trials that took `seconds`.
+fn results_of(laboratory: &Laboratory<'_>, trials: Vec<Trial>, seconds: f64) -> RunResults {
+    let scenario = laboratory.scenario;
+    RunResults {
         scenario: scenario.name.clone(),
         description: scenario.description.clone(),
         seed: scenario.seed,
-        seconds: options.control.seconds_since(began),
+        seconds,
         error_frame: match scenario.errors.frame {
             ErrorFrame::Map => "map: along is x, across is y".to_owned(),
             ErrorFrame::Robot => "robot: along is forward, across is left".to_owned(),
@@ -163,12 +174,35 @@ fn write_results(
         models: scenario.models.iter().map(|model| model.label.clone()).collect(),
         training: laboratory.models.iter().map(|model| model.row.clone()).collect(),
         trials,
-    };
-    let mut warnings = laboratory.warnings.clone();
-    for warning in report::warnings(&results) {
-        options.control.progress.warn(&warning);
-        warnings.push(warning);
     }
+}
+
+/// Runs the trials and writes everything but the recording. Without reference poses there is no trial to record.
+fn write_results(
+    scenario: &Scenario,
+    store: &Store,
+    options: &RunOptions<'_>,
+) -> Result<(Outcome, Option<DetailedTrial>), LabError> {
+    let began = (options.control.clock)();
+    let laboratory = Laboratory::prepare(scenario, options.cache, options.control.progress)?;
+    warn(&laboratory.warnings, options.control.progress);
+    if let Some(drive) = laboratory.unreferenced() {
+        save_models(&laboratory, store.folder())?;
+        let summary = unreferenced::write(&laboratory, drive, store.folder(), options)?;
+        let summary = RunSummary::Unreferenced(summary);
+        return Ok((Outcome { summary, missed: Vec::new(), results: None }, None));
+    }
+    let trials = run_trials(&laboratory, Some(store), options.control)?;
+    options.control.progress.stage("report and recording", 1);
+    let detail = detailed_trial(&laboratory, scenario.record.trial, options.control.clock)?;
+    let folder = store.folder();
+    save_models(&laboratory, folder)?;
+    save_trajectories(&detail, &trials[scenario.record.trial as usize], folder)?;
+    let results = results_of(&laboratory, trials, options.control.seconds_since(began));
+    let mut warnings = laboratory.warnings.clone();
+    let noticed = report::warnings(&results);
+    warn(&noticed, options.control.progress);
+    warnings.extend(noticed);
     let context = ReportContext {
         scenario_yaml: scenario.text.clone(),
         command: options.command.clone(),
@@ -177,36 +211,40 @@ fn write_results(
         notes: laboratory.notes.clone(),
     };
     let summary = report::write(folder, &results, Some(&detail), &context)?;
-    Ok((RunSummary::Referenced(summary), Some(detail)))
+    Ok((outcome(scenario, summary, results), Some(detail)))
 }
 
+/// Runs the trials, or takes them from `store`, which keeps them.
 fn run_trials(
     laboratory: &Laboratory<'_>,
-    store: &Store,
-    options: &RunOptions<'_>,
+    store: Option<&Store>,
+    control: Control<'_>,
 ) -> Result<Vec<Trial>, LabError> {
     let count = laboratory.scenario.trials;
-    options.control.progress.stage("trials", u64::from(count));
+    control.progress.stage("trials", u64::from(count));
     let trials: Vec<Option<Trial>> = (0..count)
         .into_par_iter()
         .map(|number| {
-            if options.control.is_interrupted() {
+            if control.is_interrupted() {
                 return Ok(None);
             }
-            let trial = if let Some(trial) = kept_trial(laboratory, store, number, options.control.progress) {
+            let kept = store.and_then(|store| kept_trial(laboratory, store, number, control.progress));
+            let trial = if let Some(trial) = kept {
                 trial
             } else {
-                let trial = run_trial(laboratory, number, options.control.clock)?;
-                store.parts().save(number, &trial)?;
+                let trial = run_trial(laboratory, number, control.clock)?;
+                if let Some(store) = store {
+                    store.parts().save(number, &trial)?;
+                }
                 trial
             };
-            options.control.progress.advance(1);
+            control.progress.advance(1);
             Ok(Some(trial))
         })
         .collect::<Result<_, LabError>>()?;
-    // A trial that wasn't looked at may be kept all the same.
-    let finished = store.parts().kept()?;
     if trials.iter().any(Option::is_none) {
+        // A trial that wasn't looked at may be kept all the same.
+        let finished = store.map_or(Ok(0), |store| store.parts().kept())?;
         return Err(LabError::Interrupted { finished, trials: trials.len() });
     }
     Ok(trials.into_iter().flatten().collect())

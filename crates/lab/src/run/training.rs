@@ -10,7 +10,7 @@ use locsim_core::{
 };
 use locsim_sensor::{
     BeamState, CalibrationScan, FitOptions, FittedModel, ModelKind, Oracle, Prepared, SensorError, Tempered,
-    TemperingGrid, TrainingSet, choose_tempering, evaluate, fit,
+    Tempering, TemperingGrid, TrainingSet, choose_tempering, evaluate, fit,
 };
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -192,6 +192,22 @@ fn train_one(
         fitted,
         row: TrainingRow { log_loss_nats, histogram_match_m, chosen },
     })
+}
+
+/// Chooses floor and exponent of a model for a filter that uses all beams of `data`, which the model must not have been fitted to:
+/// those under which the pose that a scan was taken from is likeliest among poses around it.
+///
+/// # Errors
+/// [`SensorError`] for data that are refused.
+pub fn temper(
+    model: &dyn SensorModel,
+    data: &ScanData,
+    map: &dyn RangeMap,
+    seed: u64,
+) -> Result<Tempering, SensorError> {
+    let set = training_set(data, map)?;
+    let calibration = calibration_scans(data, &set, map, data.laser.beam_count(), seed);
+    choose_tempering(model, &calibration, &TemperingGrid::default())
 }
 
 /// A model from a file, if it is of the right kind and for the same sensor.

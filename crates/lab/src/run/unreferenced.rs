@@ -50,7 +50,7 @@ pub struct Unreferenced {
     pub has_reference: bool,
     /// The models in the scenario's order.
     pub models: Vec<UnreferencedModel>,
-    /// What follows from the numbers, and what doesn't, in words.
+    /// The conclusions that the numbers allow, and those that they don't, in words.
     pub findings: Vec<String>,
 }
 

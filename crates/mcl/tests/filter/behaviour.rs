@@ -340,3 +340,55 @@ fn options_out_of_range_are_named() {
         "start sigma_m must be finite and at least 0, got NaN"
     );
 }
+
+/// A caller who predicts, updates and resamples by the same rule gets the particles of [`Filter::step`], bit for bit.
+#[test]
+fn the_parts_of_a_step_are_a_step() {
+    let options = FilterOptions {
+        trigger: ResampleTrigger::EffectiveShareBelow(0.5),
+        injection: Some(InjectionOptions { alpha_slow: 0.05, alpha_fast: 0.5 }),
+        ..options(500)
+    };
+    let mut whole = filter(options.clone(), &tracking(0.3));
+    let mut parts = filter(options, &tracking(0.3));
+    let laser = laser(12);
+    let (mut truth, mut resampled) = (START, 0);
+    for step in 0..20 {
+        truth = truth.compose(&INCREMENT);
+        let scan = scan(&ROOM, &laser, &MODEL, truth, step);
+        let input = StepInput { odometry: INCREMENT, laser: &laser, scan: &scan };
+        let outcome = whole.step(&input, &ROOM, &MODEL).unwrap();
+        parts.predict(&INCREMENT).unwrap();
+        let update = parts.update(&laser, &scan, &ROOM, &MODEL).unwrap();
+        assert_eq!(whole.particles(), parts.particles(), "step {step}");
+        assert_eq!(whole.weights().linear(), parts.weights().linear(), "step {step}");
+        assert_eq!((outcome.log_evidence, outcome.estimates), (update.log_evidence, update.estimates));
+        if outcome.resampled {
+            resampled += 1;
+            assert_eq!(parts.resample(&ROOM).unwrap(), outcome.injected);
+            assert_eq!(parts.weights().effective_sample_size(), parts.particles().len() as f64);
+        }
+    }
+    assert!((3..20).contains(&resampled), "{resampled} of 20 steps resampled");
+}
+
+#[test]
+fn predictions_and_resamplings_without_a_scan_between_them_draw_anew() {
+    let mut moved = filter(options(200), &tracking(0.0));
+    moved.predict(&INCREMENT).unwrap();
+    let first = moved.particles().get(0).relative_to(&START);
+    let before = moved.particles().get(0);
+    moved.predict(&INCREMENT).unwrap();
+    let second = moved.particles().get(0).relative_to(&before);
+    assert!(distance(&first, &second) > 1e-6, "{first:?} {second:?}");
+
+    // From equal weights each particle has one copy, which the jitter alone moves.
+    let jitter = Some(Spread { sigma_m: 0.1, sigma_rad: 0.1 });
+    let mut resampled = filter(FilterOptions { regularization: jitter, ..options(200) }, &tracking(0.3));
+    let poses = [(); 3].map(|()| {
+        let before = resampled.particles().get(0);
+        resampled.resample(&ROOM).unwrap();
+        resampled.particles().get(0).x - before.x
+    });
+    assert!(poses[0] != poses[1] && poses[1] != poses[2], "{poses:?}");
+}

@@ -33,7 +33,7 @@ pub struct MapPanel<'a, 'b> {
 }
 
 impl<'a, 'b> MapPanel<'a, 'b> {
-    /// The window, with about so many ticks on x and y.
+    /// The window, with about this many ticks on x and y.
     ///
     /// # Errors
     /// [`DrawError`], as every shape here.

@@ -257,7 +257,7 @@ pub mod default {
     }
 
     pub fn annealing_candidates() -> u64 {
-        20_000
+        100_000
     }
 
     pub fn annealing_effective_share() -> f64 {

@@ -68,7 +68,7 @@ pub enum RawBlockResampling {
     EachObservation,
     /// Never: they stay, or move at their speed.
     Never,
-    /// Every so many scans, at least 1.
+    /// The number of scans between two draws, at least 1.
     EachScanN(u64),
 }
 

@@ -162,5 +162,5 @@ fn at_end_share(study: &Study, repeats: &[Repeat], model: usize, place: usize) -
     repeats.iter().filter(at_end).count() as f64 / repeats.len() as f64
 }
 
-/// With a bandwidth of so many spans of a coordinate, weights of a Gaussian kernel differ by at most 0.5 %.
+/// With a bandwidth of this many spans of a coordinate, weights of a Gaussian kernel differ by at most 0.5 %.
 const SPANS_THAT_ARE_ALL: f64 = 10.0;

@@ -90,7 +90,7 @@ impl Effect {
         Ok(Self { kind, values, place })
     }
 
-    /// Its numbers, to be taken apart by a kind that has so many parameters.
+    /// Its numbers as an array, for a kind with `N` parameters.
     fn numbers<const N: usize>(&self) -> [f64; N] {
         std::array::from_fn(|i| self.values[i])
     }

@@ -172,7 +172,7 @@ impl Effects {
     }
 }
 
-/// What a beam has met.
+/// The surface that a beam has met.
 #[derive(Clone, Copy)]
 pub(crate) struct Met {
     pub kind: HitKind,

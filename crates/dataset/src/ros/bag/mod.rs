@@ -130,7 +130,8 @@ impl<'a> Bag<'a> {
                 match tallies.get_mut(channel) {
                     Some(earlier) => earlier.join(tally),
                     None if channels == MOST_CHANNELS => {
-                        let reason = format!("more than {MOST_CHANNELS} channels; allowed: at most so many");
+                        let reason =
+                            format!("more than {MOST_CHANNELS} channels; allowed: at most {MOST_CHANNELS}");
                         return Err(DatasetError::Refused { path: file.path.clone(), line: None, reason });
                     }
                     None => _ = tallies.insert(channel.clone(), tally),

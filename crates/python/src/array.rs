@@ -1,0 +1,120 @@
+//! numpy arrays in and out, and Python values as JSON. An array is copied once each way: the crates reuse their buffers, so that a
+//! view of them would change under the user's hands.
+
+use bytemuck::Pod;
+use locsim_core::{Particles, Pose2};
+use pyo3::buffer::{Element, PyBuffer};
+use pyo3::prelude::*;
+use pyo3::types::PyByteArray;
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::error::{Error, refused};
+
+/// A number that arrays hold.
+pub trait Number: Element + Pod {
+    /// Its name in numpy.
+    const DTYPE: &'static str;
+}
+
+impl Number for f32 {
+    const DTYPE: &'static str = "f4";
+}
+
+impl Number for f64 {
+    const DTYPE: &'static str = "f8";
+}
+
+impl Number for u32 {
+    const DTYPE: &'static str = "u4";
+}
+
+impl Number for u8 {
+    const DTYPE: &'static str = "u1";
+}
+
+/// An array in C order.
+pub struct Array<T> {
+    pub values: Vec<T>,
+    pub shape: Vec<usize>,
+}
+
+impl<T: Number> Array<T> {
+    /// Anything that `numpy.asarray` takes; `name` is the argument's.
+    pub fn of(value: &Bound<'_, PyAny>, name: &str) -> Result<Self, Error> {
+        let py = value.py();
+        let read = || -> PyResult<Self> {
+            let array = py.import("numpy")?.call_method1("asarray", (value, T::DTYPE))?;
+            let shape = array.getattr("shape")?.extract()?;
+            // A single number has no buffer with a shape.
+            let values = PyBuffer::<T>::get(&array.call_method0("ravel")?)?.to_vec(py)?;
+            Ok(Self { values, shape })
+        };
+        read().map_err(|error| refused(format!("{name}: {}", error.value(py))))
+    }
+
+    /// [`Array::of`] with `N` axes, whose names are for the error.
+    pub fn with_axes<const N: usize>(
+        value: &Bound<'_, PyAny>,
+        name: &str,
+        axes: [&str; N],
+    ) -> Result<(Vec<T>, [usize; N]), Error> {
+        let Self { values, shape } = Self::of(value, name)?;
+        let shape = <[usize; N]>::try_from(shape.as_slice()).map_err(|_| wrong(name, &shape, &axes))?;
+        Ok((values, shape))
+    }
+}
+
+/// The error of an array of another shape.
+pub fn wrong(name: &str, shape: &[usize], axes: &[&str]) -> Error {
+    refused(format!("{name}: the shape {shape:?} is not allowed; [{}]", axes.join(", ")))
+}
+
+/// Poses \[n, 3\] as x \[m\], y \[m\] and heading \[rad\]; a single pose may have the shape \[3\].
+pub fn poses(value: &Bound<'_, PyAny>, name: &str) -> Result<Particles, Error> {
+    let Array { values, shape } = Array::<f64>::of(value, name)?;
+    if !matches!(shape.as_slice(), [3] | [_, 3]) {
+        return Err(wrong(name, &shape, &["poses", "3 (x, y, theta)"]));
+    }
+    if values.iter().any(|value| !value.is_finite()) {
+        return Err(refused(format!("{name}: a pose is not finite")));
+    }
+    let (rows, _) = values.as_chunks();
+    Ok(rows.iter().map(|&[x, y, theta]| Pose2::new(x, y, theta)).collect())
+}
+
+/// A writable numpy array of its own.
+pub fn numpy<'py, T: Number>(py: Python<'py>, values: &[T], shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+    let bytes = PyByteArray::new(py, bytemuck::cast_slice(values));
+    let array = py.import("numpy")?.call_method1("frombuffer", (bytes, T::DTYPE))?;
+    array.call_method1("reshape", (shape,))
+}
+
+/// A numpy array of booleans.
+pub fn booleans<'py>(
+    py: Python<'py>,
+    values: impl IntoIterator<Item = bool>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyAny>> {
+    let values: Vec<u8> = values.into_iter().map(u8::from).collect();
+    numpy(py, &values, shape)?.call_method1("view", ("?",))
+}
+
+/// Poses as an array \[n, 3\].
+pub fn pose_array(py: Python<'_>, poses: impl ExactSizeIterator<Item = Pose2>) -> PyResult<Bound<'_, PyAny>> {
+    let shape = [poses.len(), 3];
+    let values: Vec<f64> = poses.flat_map(|pose| [pose.x, pose.y, pose.theta]).collect();
+    numpy(py, &values, &shape)
+}
+
+/// A value as Python's own dicts, lists and numbers.
+pub fn python<'py>(py: Python<'py>, value: &impl Serialize) -> Result<Bound<'py, PyAny>, Error> {
+    let text = serde_json::to_string(value)?;
+    Ok(py.import("json")?.call_method1("loads", (text,))?)
+}
+
+/// Python's dicts, lists and numbers, numpy's among them, as a tree.
+pub fn tree(value: &Bound<'_, PyAny>) -> Result<Value, Error> {
+    let text: String = value.py().import("locsim._support")?.call_method1("to_json", (value,))?.extract()?;
+    Ok(serde_json::from_str(&text)?)
+}

@@ -1,0 +1,258 @@
+use std::sync::Arc;
+
+use locsim_core::{DependsOn, Laser, LikelihoodGrid, Pose2, Scan, SensorModel as Density};
+use locsim_dataset::OdometryError;
+use locsim_lab::run::MapSet;
+use locsim_mcl::{
+    self as mcl, FilterOptions, Multinomial, OdometryMotion, ParticleCount, ResampleTrigger, Resampler,
+    Residual, Spread, Start, Stratified, Systematic,
+};
+use locsim_sensor::{Prepared, Tempered};
+use pyo3::prelude::*;
+
+use crate::array::{Array, numpy, pose_array, poses};
+use crate::error::{Error, refused};
+use crate::map::Map;
+use crate::sensor::SensorModel;
+
+/// Floor and exponent where the caller doesn't say: a floor that keeps a single odd reading from ruling a particle out, and the
+/// beams as if they were independent.
+const TEMPERING: (f64, f64) = (1e-3, 1.0);
+
+/// Standard deviations of the start where the caller doesn't say \[m\] and \[rad\].
+const START_SIGMA: (f64, f64) = (0.2, 0.1);
+
+/// A particle filter that localizes a robot in a map (Probabilistic Robotics, table 8.2). All its random numbers derive from the
+/// seed; the number of threads changes no bit.
+///
+/// Args:
+///     map: The map.
+///     model: The sensor model.
+///     bearings: Bearings of the beams in the frame of the laser [rad], [beams].
+///     particles: Number of particles.
+///     start: Pose of the robot (x, y, theta) around which the particles start; by default anywhere in the map.
+///     start_sigma: Standard deviations of the start, of position [m] and heading [rad].
+///     alpha: Noise of the odometry motion model (table 5.6 there).
+///     mount: Where the laser is on the robot (x, y, theta).
+///     tempering: Floor and exponent of the density, as `SensorModel.choose_tempering` gives them.
+///     resampler: systematic, stratified, multinomial or residual.
+///     table: Whether ray casts and densities come from tables, which are prepared first.
+///     seed: Everything random derives from it.
+///
+/// Raises:
+///     FilterError, SensorError: A value is out of its range.
+#[pyclass(module = "locsim")]
+pub struct Filter {
+    filter: mcl::Filter,
+    laser: Laser,
+    maps: Arc<MapSet>,
+    model: Arc<dyn Density>,
+}
+
+/// The outcome of an update. `log_evidence` is ln p(z_t | z_1..t-1) [nats]. After a scan that no particle explains the weights are
+/// made equal, and `recovered` is true.
+#[pyclass(frozen, get_all, module = "locsim")]
+pub struct Update {
+    log_evidence: f64,
+    recovered: bool,
+}
+
+/// Estimates from the weighted particles.
+#[pyclass(frozen, module = "locsim")]
+pub struct Estimate {
+    mean: mcl::Estimate,
+    max_weight: Pose2,
+}
+
+/// A pose \[3\].
+fn pose(value: &Bound<'_, PyAny>, name: &str) -> Result<Pose2, Error> {
+    let one = poses(value, name)?;
+    if one.len() == 1 { Ok(one.get(0)) } else { Err(refused(format!("{name}: one pose is needed"))) }
+}
+
+fn resampler(name: &str) -> Result<Arc<dyn Resampler>, Error> {
+    Ok(match name {
+        "systematic" => Arc::new(Systematic),
+        "stratified" => Arc::new(Stratified),
+        "multinomial" => Arc::new(Multinomial),
+        "residual" => Arc::new(Residual),
+        _ => {
+            return Err(refused(format!(
+                "resampler: {name:?} is not allowed; systematic, stratified, multinomial, residual"
+            )));
+        }
+    })
+}
+
+#[pymethods]
+impl Filter {
+    #[new]
+    #[pyo3(signature = (
+        map, model, bearings, *, particles = 1000, start = None, start_sigma = START_SIGMA,
+        alpha = OdometryError::USUAL_ALPHA, mount = (0.0, 0.0, 0.0), tempering = TEMPERING,
+        resampler = "systematic", table = true, seed = 0,
+    ))]
+    #[expect(clippy::too_many_arguments, reason = "keyword arguments")]
+    fn new(
+        py: Python<'_>,
+        map: &Map,
+        model: &SensorModel,
+        bearings: &Bound<'_, PyAny>,
+        particles: usize,
+        start: Option<&Bound<'_, PyAny>>,
+        start_sigma: (f64, f64),
+        alpha: [f64; 4],
+        mount: (f64, f64, f64),
+        tempering: (f64, f64),
+        resampler: &str,
+        table: bool,
+        seed: u64,
+    ) -> Result<Self, Error> {
+        let (bearings, [beams]) = Array::<f32>::with_axes(bearings, "bearings", ["beams"])?;
+        let mount = Pose2::new(mount.0, mount.1, mount.2);
+        let laser = Laser::new(bearings, vec![0.0; beams], 0.0, model.fitted.max_range(), mount)?;
+        let (floor, exponent) = tempering;
+        let start = match start {
+            None => Start::Global,
+            Some(start) => Start::Tracking {
+                pose: pose(start, "start")?,
+                spread: Spread { sigma_m: start_sigma.0, sigma_rad: start_sigma.1 },
+            },
+        };
+        let options = FilterOptions {
+            particles: ParticleCount::Fixed(particles),
+            motion: Arc::new(OdometryMotion::new(alpha)?),
+            resampler: self::resampler(resampler)?,
+            trigger: ResampleTrigger::EachStep,
+            injection: None,
+            regularization: None,
+            clusters: None,
+            annealing: None,
+            ancestry: false,
+        };
+        py.detach(|| {
+            let bare = Arc::clone(&model.density);
+            let mut model: Arc<dyn Density> = Arc::new(Tempered::new(bare, floor, exponent)?);
+            let maps = if table { map.fast()? } else { Arc::new(map.exact.clone()) };
+            if table && model.depends_on() != DependsOn::Everything {
+                let states = LikelihoodGrid::for_laser(&laser);
+                model = Arc::new(Prepared::new(model, states, &maps.endpoints())?);
+            }
+            let filter = mcl::Filter::new(options, &start, &*maps.ranges, seed)?;
+            Ok(Self { filter, laser, maps, model })
+        })
+    }
+
+    /// Moves the particles by draws from the motion model.
+    ///
+    /// Args:
+    ///     odometry: Motion since the last prediction (x, y, theta), in the frame of the robot before it.
+    fn predict(&mut self, py: Python<'_>, odometry: &Bound<'_, PyAny>) -> Result<(), Error> {
+        let odometry = pose(odometry, "odometry")?;
+        Ok(py.detach(|| self.filter.predict(&odometry))?)
+    }
+
+    /// Weights the particles by a scan.
+    ///
+    /// Args:
+    ///     ranges: Readings [m], [beams]. The maximum range means "no return"; NaN are ignored.
+    ///
+    /// Raises:
+    ///     FilterError: Another number of readings than of beams.
+    fn update(&mut self, py: Python<'_>, ranges: &Bound<'_, PyAny>) -> Result<Update, Error> {
+        let (ranges, _) = Array::<f32>::with_axes(ranges, "ranges", ["beams"])?;
+        let Self { filter, laser, maps, model } = self;
+        let scan = Scan { ranges };
+        let update = py.detach(|| filter.update(laser, &scan, &*maps.ranges, &**model))?;
+        Ok(Update { log_evidence: update.log_evidence, recovered: update.recovered.is_some() })
+    }
+
+    /// Resamples the particles, whose weights are then equal.
+    ///
+    /// Args:
+    ///     below: Resamples only where the effective sample size is below this share of the number of particles.
+    ///
+    /// Returns:
+    ///     Whether it did.
+    #[pyo3(signature = (*, below = None))]
+    fn resample(&mut self, py: Python<'_>, below: Option<f64>) -> Result<bool, Error> {
+        let count = self.filter.particles().len() as f64;
+        if below.is_some_and(|share| self.effective_sample_size() >= share * count) {
+            return Ok(false);
+        }
+        py.detach(|| self.filter.resample(&*self.maps.ranges))?;
+        Ok(true)
+    }
+
+    /// Mean, covariance and the heaviest particle.
+    fn estimate(&mut self, py: Python<'_>) -> Estimate {
+        let estimates = py.detach(|| self.filter.estimates());
+        Estimate { mean: estimates.weighted_mean, max_weight: estimates.max_weight }
+    }
+
+    /// The particles (x, y, theta), float64 [particles, 3]. An array of your own: the filter goes on without touching it.
+    #[getter]
+    fn particles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        pose_array(py, self.filter.particles().iter())
+    }
+
+    /// Weights that sum to 1, float64 [particles].
+    #[getter]
+    fn weights<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let weights = self.filter.weights().linear();
+        numpy(py, weights, &[weights.len()])
+    }
+
+    /// Log likelihood of the last scan for each particle [nats], float64 [particles]; empty before the first.
+    #[getter]
+    fn log_likelihood<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let values = self.filter.log_likelihood();
+        numpy(py, values, &[values.len()])
+    }
+
+    /// 1 / sum of the squared weights.
+    #[getter]
+    fn effective_sample_size(&self) -> f64 {
+        self.filter.weights().effective_sample_size()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Filter({} particles, {} beams)", self.filter.particles().len(), self.laser.beam_count())
+    }
+}
+
+#[pymethods]
+impl Update {
+    fn __repr__(&self) -> String {
+        let recovered = if self.recovered { "True" } else { "False" };
+        format!("Update(log_evidence={:.3}, recovered={recovered})", self.log_evidence)
+    }
+}
+
+#[pymethods]
+impl Estimate {
+    /// Weighted mean (x, y, theta), circular for the heading, float64 [3].
+    #[getter]
+    fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let Pose2 { x, y, theta } = self.mean.pose;
+        numpy(py, &[x, y, theta], &[3])
+    }
+
+    /// Covariance of (x, y, theta) [m, m, rad], float64 [3, 3].
+    #[getter]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        numpy(py, self.mean.covariance.as_flattened(), &[3, 3])
+    }
+
+    /// The particle of the greatest weight (x, y, theta), float64 [3].
+    #[getter]
+    fn max_weight<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let Pose2 { x, y, theta } = self.max_weight;
+        numpy(py, &[x, y, theta], &[3])
+    }
+
+    fn __repr__(&self) -> String {
+        let Pose2 { x, y, theta } = self.mean.pose;
+        format!("Estimate(x={x:.3}, y={y:.3}, theta={theta:.4})")
+    }
+}

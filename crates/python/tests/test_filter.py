@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import locsim
+
+
+def test_a_filter_from_python_is_that_of_a_run(folder: Path, tmp_path: Path) -> None:
+    """The estimates of a run on a log, bit for bit: Python predicts, updates and resamples, the crates do the same in `run`."""
+    pyarrow = pytest.importorskip("pyarrow")
+    compute = pytest.importorskip("pyarrow.compute")
+    room_file = folder / "room.yaml"
+    often = locsim.Scenario(folder / "room-run.yaml").replace({"laser.rate_hz": 20})
+    locsim.simulate(often).save(tmp_path / "drive.mcap")
+    keys = {
+        "name": "log",
+        "seed": 3,
+        "trials": 2,
+        "map": {"file": room_file},
+        "log": {"file": "drive.mcap", "train_scans": [[0.5, 1.0]], "localize_scans": [[0.0, 0.5]]},
+        "training": {"poses": 100},
+        "models": [{"name": "np_reg_registered", "floor": 0.01, "exponent": 0.4}],
+        "filter": often.to_dict()["filter"],
+    }
+    out = tmp_path / "out"
+    ran = locsim.run(locsim.Scenario(keys, base=tmp_path), out=out)
+    steps, trials = (pyarrow.table(ran.tables[name]) for name in ["steps", "trials"])
+
+    log = locsim.read_log(tmp_path / "drive.mcap")
+    room = locsim.Map.load(room_file)
+    model = locsim.SensorModel.load(out / "models/np_reg_registered.model")
+    for trial, seed in zip(trials["trial"].to_pylist(), trials["seed"].to_pylist(), strict=True):
+        rows = steps.filter(compute.equal(steps["trial"], trial)).to_pydict()
+        pf = locsim.Filter(
+            room,
+            model,
+            log.bearings,
+            particles=100,
+            start=log.poses[0],
+            start_sigma=(0.1, np.radians(3)),
+            alpha=(0.1, 0.05, 0.1, 0.05),
+            mount=log.mount,
+            tempering=(0.01, 0.4),
+            seed=seed,
+        )
+        resampled = 0
+        for i in rows["step"]:
+            pf.predict(log.increments[i])
+            update = pf.update(log.ranges[i])
+            x, y, theta = pf.estimate().pose
+            assert x == rows["estimate_x_m"][i]
+            assert y == rows["estimate_y_m"][i]
+            assert theta == rows["estimate_theta_rad"][i]
+            assert update.log_evidence == rows["log_evidence_nats"][i]
+            assert pf.effective_sample_size == rows["effective_sample_size"][i]
+            assert pf.resample(below=0.5) == rows["resampled"][i]
+            resampled += rows["resampled"][i]
+        assert 2 < resampled < len(rows["step"]) < len(log)
+
+
+@pytest.fixture(scope="module")
+def world(scenario: Path, room: locsim.Map) -> tuple[locsim.Log, locsim.SensorModel]:
+    log = locsim.simulate(locsim.Scenario(scenario).replace({"laser.rate_hz": 40}))
+    beams = room.beams(log.laser_poses, log.bearings, log.max_range)
+    return log, locsim.SensorModel.fit("np_reg_registered", log.ranges, beams)
+
+
+@pytest.mark.parametrize("resampler", ["systematic", "stratified", "multinomial", "residual"])
+def test_a_filter_follows_the_robot(resampler: str, room: locsim.Map, world) -> None:
+    log, model = world
+    pf = locsim.Filter(
+        room, model, log.bearings, particles=500, start=log.poses[0], tempering=(0.01, 0.3), resampler=resampler
+    )
+    for increment, ranges in zip(log.increments, log.ranges, strict=True):
+        pf.predict(increment)
+        pf.update(ranges)
+        estimate = pf.estimate()
+        pf.resample(below=0.5)
+    assert np.hypot(*(estimate.pose - log.poses[-1])[:2]) < 0.1
+    assert estimate.covariance.shape == (3, 3)
+    np.testing.assert_array_equal(estimate.covariance, estimate.covariance.T)
+    assert np.hypot(*(estimate.max_weight - log.poses[-1])[:2]) < 0.3
+
+
+def test_particles_are_the_users_own(room: locsim.Map, world) -> None:
+    log, model = world
+    pf = locsim.Filter(room, model, log.bearings, particles=300, seed=4)
+    before = pf.particles
+    assert (before.shape, before.dtype) == ((300, 3), np.float64)
+    assert room.is_free(before[:, :2]).all()
+    kept = before.copy()
+    pf.predict([0.1, 0.0, 0.2])
+    pf.update(log.ranges[0])
+    np.testing.assert_array_equal(before, kept)
+    assert (pf.particles != kept).any()
+    weights = pf.weights
+    assert weights.sum() == pytest.approx(1.0)
+    assert 1.0 / (weights**2).sum() == pytest.approx(pf.effective_sample_size)
+    mean = (weights[:, None] * pf.particles)[:, :2].sum(0)
+    np.testing.assert_allclose(pf.estimate().pose[:2], mean, rtol=1e-9)
+    assert pf.resample()
+    np.testing.assert_allclose(pf.weights, 1 / 300)
+    assert not pf.resample(below=0.9)
+
+
+def test_the_same_seed_gives_the_same_particles(room: locsim.Map, world) -> None:
+    log, model = world
+
+    def particles(seed: int, *, table: bool = True) -> np.ndarray:
+        pf = locsim.Filter(room, model, log.bearings, particles=200, start=log.poses[0], seed=seed, table=table)
+        for increment, ranges in zip(log.increments[:5], log.ranges[:5], strict=True):
+            pf.predict(increment)
+            pf.update(ranges)
+            pf.resample()
+        return pf.particles
+
+    np.testing.assert_array_equal(particles(1), particles(1))
+    assert (particles(1) != particles(2)).any()
+    exact = particles(1, table=False)
+    assert np.abs(exact[:, :2].mean(0) - particles(1)[:, :2].mean(0)).max() < 0.05
+
+
+def test_what_a_filter_refuses(room: locsim.Map, world) -> None:
+    log, model = world
+    pf = locsim.Filter(room, model, log.bearings)
+    with pytest.raises(locsim.FilterError, match="a scan of 3 ranges from a laser of 12 beams"):
+        pf.update([1.0, 2.0, 3.0])
+    with pytest.raises(ValueError, match="odometry: a pose is not finite"):
+        pf.predict([np.nan, 0, 0])
+    with pytest.raises(locsim.FilterError, match="particle count"):
+        locsim.Filter(room, model, log.bearings, particles=0)
+    with pytest.raises(locsim.FilterError, match="motion alpha"):
+        locsim.Filter(room, model, log.bearings, alpha=(-1, 0, 0, 0))
+    with pytest.raises(locsim.SensorError, match="exponent"):
+        locsim.Filter(room, model, log.bearings, tempering=(0.1, 0.0))
+    with pytest.raises(ValueError, match="resampler"):
+        locsim.Filter(room, model, log.bearings, resampler="roulette")
