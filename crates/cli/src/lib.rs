@@ -282,7 +282,7 @@ fn simulate(arguments: &Simulate) -> anyhow::Result<u8> {
     Ok(DONE)
 }
 
-fn apply(arguments: &Apply) -> anyhow::Result<ExitCode> {
+fn apply(arguments: &Apply) -> anyhow::Result<u8> {
     let Apply { scenario, log, out, force, seed, without, log_options: options } = arguments;
     let without = effect_kinds(without)?;
     let scenario = Scenario::load(scenario, &Overrides { seed: *seed, ..Overrides::default() })?;
@@ -290,10 +290,10 @@ fn apply(arguments: &Apply) -> anyhow::Result<ExitCode> {
     Output { path: out, force: *force, inputs: &inputs }.check()?;
     let applied = apply_effects(&scenario, log, &without, &self::log_options(options), out)?;
     say(&format!("{}: {applied}", out.display()))?;
-    Ok(ExitCode::SUCCESS)
+    Ok(DONE)
 }
 
-fn export(arguments: &Export) -> anyhow::Result<ExitCode> {
+fn export(arguments: &Export) -> anyhow::Result<u8> {
     let Export { format, found, out, force } = arguments;
     let file = if found.is_dir() { found.join("scenario.yaml") } else { found.clone() };
     let scenario = Scenario::load(&file, &Overrides::default())?;
@@ -324,7 +324,7 @@ fn export(arguments: &Export) -> anyhow::Result<ExitCode> {
             file.display()
         ))?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(DONE)
 }
 
 fn log_options(arguments: &arguments::LogOptions) -> LogOptions {
