@@ -58,6 +58,10 @@ pub enum Command {
     Simulate(Simulate),
     /// Find where a measured log and a simulated scenario disagree, name the effect that the scenario lacks, and add it
     Gap(Gap),
+    /// Apply a scenario's effects to a recording: its scans, stamps and odometry become those of a worse robot
+    Apply(Apply),
+    /// Write a scenario's laser, with as many effects as the format can have, for a simulator
+    Export(Export),
     /// Build maps from a log with reference poses: an occupancy grid (ROS `map_server` format) and a map of walls
     Map(Map),
     /// Say what a log holds: topics, laser, odometry, reference, clocks, what it is good for, and how to cut it
@@ -280,6 +284,57 @@ pub struct Simulate {
     /// Seed, instead of the scenario's
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
+}
+
+/// `locsim apply`.
+#[derive(Debug, Args)]
+pub struct Apply {
+    /// The scenario with the effects, such as `found/scenario.yaml` of a search
+    pub scenario: PathBuf,
+    /// The recording: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a CARMEN log (`.log`, `.log.gz`)
+    #[arg(long = "in", value_name = "LOG")]
+    pub log: PathBuf,
+    /// The recording to write: a ROS 2 bag (`.mcap`), with all other messages of a bag, or a CARMEN log (`.log`, `.log.gz`)
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Replace the recording if it is there
+    #[arg(long)]
+    pub force: bool,
+    /// Effects that are left out, separated by commas: those that the recording has already
+    #[arg(long, value_name = "EFFECT", value_delimiter = ',', value_parser = EffectName, hide_possible_values = true)]
+    pub without: Vec<String>,
+    /// Seed of the effects' draws, instead of the scenario's
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    pub seed: Option<u64>,
+    #[command(flatten)]
+    pub log_options: LogOptions,
+}
+
+/// `locsim export`.
+#[derive(Debug, Args)]
+pub struct Export {
+    /// The format
+    #[arg(value_enum)]
+    pub format: ExportFormat,
+    /// The scenario, or the results folder of a search
+    pub found: PathBuf,
+    /// The file to write
+    #[arg(short, long)]
+    pub out: PathBuf,
+    /// Replace the file if it is there
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Formats of other programs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExportFormat {
+    /// Gazebo: a model with a `gpu_lidar`, in `SDFormat` 1.9
+    Sdf,
+    /// Stage: a `ranger`
+    Stage,
+    /// Webots: a `Lidar` node
+    Webots,
 }
 
 /// `locsim map`.

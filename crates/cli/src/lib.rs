@@ -12,17 +12,21 @@ use anyhow::{Context, anyhow, bail, ensure};
 use clap::{CommandFactory, Parser};
 use locsim_core::output::Output;
 use locsim_dataset::{BagTopics, LogOptions};
-use locsim_lab::LabError;
+use locsim_lab::apply::apply as apply_effects;
+use locsim_lab::export::{SimulatorFormat, sensor as export_sensor};
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyOptions};
 use locsim_lab::inspect::{self, Inspection, NewScenario};
 use locsim_lab::run::{self, LogMaps, Recorder, RunOptions, RunSummary};
+use locsim_lab::{EffectKind, LabError};
 use locsim_report::figures::Rasterizer;
 use locsim_report::terminal_table;
 use locsim_scenario::{self as scenario, LogMap, Overrides, Scenario, Source, catalogue};
 use locsim_study::{self as study, StudyOptions, StudyOverrides};
 use locsim_terminal::{BAD_INPUT, DONE, Failure, Session, columns, complain, exit_code, say};
 
-use arguments::{Arguments, Command, Gap, Init, Inspect, Map, Record, Run, Simulate};
+use arguments::{
+    Apply, Arguments, Command, Export, ExportFormat, Gap, Init, Inspect, Map, Record, Run, Simulate,
+};
 
 /// A bound that the scenario declares was missed.
 const MISSED: u8 = 1;
@@ -54,6 +58,8 @@ fn obey(command: &Command, program: &Path) -> Result<u8, Failure> {
         Command::Effects { name } => effects(name.as_deref())?,
         Command::Simulate(arguments) => simulate(arguments)?,
         Command::Gap(arguments) => gap(arguments)?,
+        Command::Apply(arguments) => apply(arguments)?,
+        Command::Export(arguments) => export(arguments)?,
         Command::Map(arguments) => map(arguments)?,
         Command::Inspect(arguments) => inspect_log(arguments)?,
         Command::Init(arguments) => init(arguments)?,
@@ -276,6 +282,51 @@ fn simulate(arguments: &Simulate) -> anyhow::Result<u8> {
     Ok(DONE)
 }
 
+fn apply(arguments: &Apply) -> anyhow::Result<u8> {
+    let Apply { scenario, log, out, force, seed, without, log_options: options } = arguments;
+    let without = effect_kinds(without)?;
+    let scenario = Scenario::load(scenario, &Overrides { seed: *seed, ..Overrides::default() })?;
+    let inputs = [scenario.inputs()?, locsim_dataset::log_files(log)?].concat();
+    Output { path: out, force: *force, inputs: &inputs }.check()?;
+    let applied = apply_effects(&scenario, log, &without, &self::log_options(options), out)?;
+    say(&format!("{}: {applied}", out.display()))?;
+    Ok(DONE)
+}
+
+fn export(arguments: &Export) -> anyhow::Result<u8> {
+    let Export { format, found, out, force } = arguments;
+    let file = if found.is_dir() { found.join("scenario.yaml") } else { found.clone() };
+    let scenario = Scenario::load(&file, &Overrides::default())?;
+    let output = Output { path: out, force: *force, inputs: &scenario.inputs()? };
+    output.check()?;
+    let format = match format {
+        ExportFormat::Sdf => SimulatorFormat::Sdf,
+        ExportFormat::Stage => SimulatorFormat::Stage,
+        ExportFormat::Webots => SimulatorFormat::Webots,
+    };
+    let exported = export_sensor(&scenario, format)?;
+    Output::write_all(&[(output, exported.text.as_bytes())])?;
+    say(&format!("{}: written", out.display()))?;
+    for (kind, part) in &exported.said {
+        say(&format!("  {kind}: {part}"))?;
+    }
+    for kind in &exported.left {
+        say(&format!("  {kind}: left to `locsim apply`"))?;
+    }
+    for note in &exported.notes {
+        say(&format!("  {note}"))?;
+    }
+    if !exported.left.is_empty() {
+        let said: Vec<&str> = exported.said.iter().map(|(kind, _)| kind.name()).collect();
+        let without = if said.is_empty() { String::new() } else { format!(" --without {}", said.join(",")) };
+        say(&format!(
+            "A recording gets the others by `locsim apply {}{without} --in RECORDING --out worse.mcap`.",
+            file.display()
+        ))?;
+    }
+    Ok(DONE)
+}
+
 fn log_options(arguments: &arguments::LogOptions) -> LogOptions {
     LogOptions {
         max_range_m: arguments.max_range.map(|max| max as f32),
@@ -331,9 +382,13 @@ fn gap(arguments: &Gap) -> Result<u8, Failure> {
     Ok(DONE)
 }
 
+/// The effects that `--without` names.
+fn effect_kinds(names: &[String]) -> anyhow::Result<Vec<EffectKind>> {
+    names.iter().map(|name| name.parse()).collect::<Result<_, _>>().context("--without")
+}
+
 /// The settings of a search.
 fn gap_settings(arguments: &Gap) -> anyhow::Result<GapSettings> {
-    let kinds = arguments.without.iter().map(|name| name.parse());
     let settings = GapSettings {
         replicates: arguments.replicates.unwrap_or(match arguments.baseline {
             None => GapSettings::REPLICATES,
@@ -342,7 +397,7 @@ fn gap_settings(arguments: &Gap) -> anyhow::Result<GapSettings> {
         seed: arguments.seed,
         scans: arguments.scans,
         beams: arguments.beams,
-        without: kinds.collect::<Result<_, _>>().context("--without")?,
+        without: effect_kinds(&arguments.without)?,
         log: log_options(&arguments.log_options),
         baseline: arguments.baseline.clone(),
     };

@@ -37,6 +37,9 @@ pub enum Stage {
     Effect = 15,
     /// Seeds of cells, derived from a sweep's seed.
     Sweep = 16,
+    /// The seed of effects that are applied to a recording, so that none of their draws are those of the simulation that may
+    /// have made it.
+    Recording = 17,
 }
 
 /// Number of items that [`Draw::normals`] serves at once.

@@ -35,6 +35,6 @@ pub use log::{
 pub use quality::{
     ClockQuality, DriveQuality, OdometryError, OdometryQuality, ReadingQuality, ReferenceQuality,
 };
-pub use ros::{BagOptions, BagTopics, read_bag, write_mcap};
+pub use ros::{BagCopy, BagOptions, BagTopics, DriveEdit, OdometryEdit, read_bag, write_mcap};
 pub use summary::{LogKind, LogSummary, MountSource, OdometrySource};
 pub use tum::{StampedPose, encode_tum, odometry_trajectory, read_tum, reference_trajectory, write_tum};

@@ -42,6 +42,12 @@ impl Time {
         })
     }
 
+    /// The time of nanoseconds since the clock's zero; `None` before 0 and from 2^31 s on.
+    pub fn from_nanos(nanos: i64) -> Option<Self> {
+        let sec = i32::try_from(nanos.div_euclid(SECOND)).ok().filter(|sec| *sec >= 0)?;
+        Some(Self { sec, nanosec: nanos.rem_euclid(SECOND) as u32 })
+    }
+
     /// Nanoseconds since the clock's zero.
     pub fn nanos(self) -> i64 {
         i64::from(self.sec) * SECOND + i64::from(self.nanosec)
@@ -272,7 +278,7 @@ pub fn decode<'a, T: Deserialize<'a>>(data: &'a [u8]) -> Result<T, String> {
 ///
 /// # Errors
 /// The library's, for types that CDR can't hold; none of ours is one.
-pub fn encode(message: &impl Message) -> Result<Vec<u8>, re_cdr::Error> {
+pub fn encode(message: &impl Serialize) -> Result<Vec<u8>, re_cdr::Error> {
     let mut data = vec![0, 1, 0, 0];
     data.extend(re_cdr::to_vec::<_, LittleEndian>(message)?);
     Ok(data)

@@ -8,6 +8,7 @@ mod contents;
 mod messages;
 mod poses;
 mod read;
+mod rewrite;
 mod topics;
 mod write;
 
@@ -22,6 +23,7 @@ use crate::{DatasetError, LogSummary};
 pub use bag::folder_files;
 pub use contents::contents;
 pub use read::read;
+pub use rewrite::{BagCopy, DriveEdit, OdometryEdit};
 pub use write::{encode_mcap, write_mcap};
 
 /// Topics of a bag. Odometry and reference may also be transforms of `/tf`, written `parent:child`,

@@ -263,6 +263,16 @@ impl Transforms {
         })
     }
 
+    /// A laser's frame, its parent on the fixed way up to a base, and `base_from_parent`.
+    pub fn laser_edge(&self, laser: &str, base: &str) -> Option<(String, String, DAffine3)> {
+        let edges = self.edges.range((laser.to_owned(), String::new())..);
+        let mut parents = edges.take_while(|((child, _), _)| child == laser).map(|((_, parent), _)| parent);
+        parents.find_map(|parent| {
+            let (base_from_parent, _) = self.fixed(parent, base)?;
+            Some((laser.to_owned(), parent.clone(), base_from_parent))
+        })
+    }
+
     /// The pairs of frames, as `parent:child`.
     pub fn pairs(&self) -> impl Iterator<Item = String> {
         self.edges.keys().map(|(child, parent)| format!("{}:{}", quoted(parent), quoted(child)))
@@ -288,7 +298,7 @@ pub fn plain(frame: &str) -> &str {
     frame.trim_start_matches('/')
 }
 
-fn affine(transform: &Pose) -> DAffine3 {
+pub fn affine(transform: &Pose) -> DAffine3 {
     let Pose { position: p, orientation: q } = transform;
     let rotation = DQuat::from_xyzw(q.x, q.y, q.z, q.w).normalize();
     DAffine3::from_rotation_translation(rotation, DVec3::new(p.x, p.y, p.z))

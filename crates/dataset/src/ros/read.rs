@@ -1,5 +1,6 @@
 use std::path::Path;
 
+use glam::DAffine3;
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
 use locsim_core::{Drive, DriveStep, Laser, LaserError, Pose2, Scan};
 
@@ -26,6 +27,62 @@ const LISTED_PAIRS: usize = 20;
 const BASE_FRAMES: [&str; 2] = ["base_link", "base_footprint"];
 
 pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
+    read_with_layout(path, options, limits).map(|(drive, summary, _)| (drive, summary))
+}
+
+/// Where a drive is found in a bag.
+pub struct Layout {
+    pub chosen: Chosen,
+    /// Frame of the odometry.
+    pub odom: String,
+    /// The transform that mounts the laser; `None` where none does.
+    pub laser: Option<LaserEdge>,
+    pub convention: Convention,
+}
+
+/// The transform from a laser to its parent.
+pub struct LaserEdge {
+    pub frame: String,
+    pub parent: String,
+    pub base_from_parent: DAffine3,
+}
+
+/// How a driver writes readings that are none.
+#[derive(Clone, Copy)]
+pub struct Convention {
+    pub min: f32,
+    pub max: f32,
+    /// 0 is no return.
+    pub zero_is_no_return: bool,
+}
+
+impl Convention {
+    /// The reading as a drive has it: the maximum range without return, NaN where it isn't usable.
+    pub fn reading(self, range: f32) -> f32 {
+        if range >= self.max || (range == 0.0 && self.zero_is_no_return) {
+            self.max
+        } else if range.is_nan() || range < self.min || range == 0.0 {
+            f32::NAN
+        } else {
+            range
+        }
+    }
+
+    /// A reading of a drive as the driver would write it.
+    pub fn written(self, reading: f32) -> f32 {
+        match reading {
+            none if none == self.max && self.zero_is_no_return => 0.0,
+            none if none == self.max => f32::INFINITY,
+            reading => reading,
+        }
+    }
+}
+
+pub fn read_with_layout(
+    path: &Path,
+    options: &BagOptions,
+    limits: &Limits,
+) -> Result<(Drive, LogSummary, Layout), DatasetError> {
     let bag = Bag::open(path, limits)?;
     let topics = Topics::of(path, &bag)?;
     let chosen = topics.choose(options)?;
@@ -40,6 +97,8 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
 
     let (max, min) = (laser.max_range(), laser.min_range());
     let zero_is_no_return = scans.zero_is_no_return(max);
+    let convention = Convention { min, max, zero_is_no_return };
+    let laser_edge = motion.transforms.laser_edge(scans.frame(), &base);
     let Stamped { items: scans, late, .. } = scans.stamped;
     let count = scans.len();
     let mut steps: Vec<DriveStep> = Vec::with_capacity(count);
@@ -52,11 +111,10 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
         previous = Some(stamp);
         let Some(odometry) = odometry.poses.at(stamp, nth) else { continue };
         for range in &mut ranges {
-            if *range >= max || (*range == 0.0 && zero_is_no_return) {
-                *range = max;
+            *range = convention.reading(*range);
+            if *range == max {
                 no_return += 1;
-            } else if range.is_nan() || *range < min || *range == 0.0 {
-                *range = f32::NAN;
+            } else if range.is_nan() {
                 unusable += 1;
             } else {
                 longest = Some(range.max(longest.unwrap_or(0.0)));
@@ -111,7 +169,10 @@ pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive
         longest_return_m: longest,
         scan_source: quoted(&chosen.scan.topic),
     };
-    Ok((Drive { laser, steps }, summary))
+    let odom = motion.odometry_frame(&chosen);
+    let laser_edge =
+        laser_edge.map(|(frame, parent, base_from_parent)| LaserEdge { frame, parent, base_from_parent });
+    Ok((Drive { laser, steps }, summary, Layout { chosen, odom, laser: laser_edge, convention }))
 }
 
 /// The error of what all scans have in common.
@@ -190,6 +251,7 @@ fn messages(
             let odometry: Odometry = decode(data)?;
             if motion.odometry.items.is_empty() {
                 motion.base_frame = odometry.child_frame_id;
+                motion.odometry_frame = odometry.header.frame_id;
             }
             motion.odometry.push(odometry.header.stamp.nanos(), odometry.pose.pose.projected()?)?;
         }
@@ -328,6 +390,8 @@ struct Motion {
     odometry: Stamped<Pose2>,
     /// The odometry's own name of the base.
     base_frame: String,
+    /// The frame that a topic's odometry is in.
+    odometry_frame: String,
     /// Poses of the reference, or of the localizer that stands in for it.
     reference: Stamped<Pose2>,
     /// Variances of x, y and heading of these poses (m^2, m^2, rad^2).
@@ -336,6 +400,15 @@ struct Motion {
 }
 
 impl Motion {
+    /// The frame that the odometry is in.
+    fn odometry_frame(&self, chosen: &Chosen) -> String {
+        match &chosen.odometry {
+            Some(PoseSource::Topic(_)) => plain(&self.odometry_frame).to_owned(),
+            Some(PoseSource::Transform { parent, .. }) => parent.clone(),
+            None => ODOM.to_owned(),
+        }
+    }
+
     /// A pose with its time (ns); keeps its variances.
     fn reference_pose(&mut self, channel: &Channel, data: &[u8]) -> Result<(i64, Pose2), String> {
         let mut known = |PoseWithCovariance { pose, covariance }: PoseWithCovariance| {

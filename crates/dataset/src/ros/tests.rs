@@ -25,6 +25,7 @@ use locsim_core::{DriveStep, Laser, Scan, wrap_angle};
 mod container;
 mod messages;
 mod poses;
+mod rewrite;
 mod storage;
 mod topics;
 mod write;

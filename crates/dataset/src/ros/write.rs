@@ -158,7 +158,7 @@ fn quality_of_service(topic: &str) -> String {
 
 /// Puts the schemas and channels of a summary in the order of their numbers. The library has them in that of a hash
 /// map, which differs from run to run.
-fn order(summary: &mut [u8]) {
+pub fn order(summary: &mut [u8]) {
     // The summary ends with the footer, which ends with a check sum, and the magic.
     let (footer, sum) = (9 + 20 + MAGIC.len(), 4 + MAGIC.len());
     let mut records = Vec::new();

@@ -391,7 +391,7 @@ pub(super) fn unusable(path: &Path) -> impl FnOnce(MapError) -> LabError {
 }
 
 /// Attaches the scenario's file to what the simulator refuses.
-fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> LabError {
+pub(crate) fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> LabError {
     let path = scenario.file.clone();
     move |source| LabError::Simulation { path, source }
 }

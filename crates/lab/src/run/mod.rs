@@ -33,7 +33,7 @@ use detail::Detail;
 pub(crate) use filter::options as filter_options;
 pub use laboratory::read_options;
 use laboratory::{Laboratory, MeasuredLog, TrialDrive};
-pub(crate) use laboratory::{log_map, no_reference, selected};
+pub(crate) use laboratory::{log_map, no_reference, refused, selected};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store};
 use locsim_report::summary::Summary;

@@ -1,7 +1,7 @@
 //! Effects on the unmapped blocks along the walls.
 
 use super::effect_type::EffectType;
-use super::{Description, Effect, EffectKind, Fit, Moves, Parameter, Site, Statistic};
+use super::{Description, Effect, EffectKind, Fit, Moves, Needs, Parameter, Site, Statistic};
 use crate::options::BlockOptions;
 
 /// More or fewer unmapped blocks.
@@ -21,6 +21,7 @@ impl EffectType for BlockDensity {
                 statistics: &[Statistic::ClutterDensity],
                 moves: Moves::Clutter,
                 fit: Fit::Nuisance,
+                needs: Needs::MAP,
                 ..Description::DEFAULT
             }
         }
@@ -49,6 +50,7 @@ impl EffectType for BlockDepth {
                 statistics: &[Statistic::ClutterDepth],
                 moves: Moves::Clutter,
                 fit: Fit::WithClutter,
+                needs: Needs::MAP,
                 ..Description::DEFAULT
             }
         }

@@ -34,7 +34,7 @@ pub struct Description {
     pub is_correctable: bool,
     /// The value that is read instead of the return.
     pub replaces: Option<Replacement>,
-    /// Fields of a [`BeamView`](super::BeamView) that it needs.
+    /// Parts of a beam that it needs.
     pub needs: Needs,
 }
 
@@ -56,7 +56,7 @@ impl Description {
         is_single: false,
         is_correctable: false,
         replaces: None,
-        needs: Needs { jump: false, behind: false },
+        needs: Needs { map: false, jump: false, behind: false },
     };
 }
 
@@ -129,13 +129,20 @@ pub enum Replacement {
     Edge,
 }
 
-/// Fields of a [`BeamView`](super::BeamView) that a list of effects needs.
+/// Parts of a beam that a list of effects needs beside its reading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Needs {
+    /// Whatever only a cast into the map tells: the incidence, the place, objects, clutter.
+    pub map: bool,
     /// [`BeamView::jump`](super::BeamView::jump).
     pub jump: bool,
     /// [`BeamView::behind`](super::BeamView::behind).
     pub behind: bool,
+}
+
+impl Needs {
+    /// The map alone.
+    pub(super) const MAP: Self = Self { map: true, jump: false, behind: false };
 }
 
 /// A drive in which effects that look alike on other logs don't, the most telling first.

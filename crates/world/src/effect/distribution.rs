@@ -139,20 +139,50 @@ impl ReadingDistribution {
     /// A draw. `noise` gives the standard normal number of the return, as its first and only draw; `chance` decides
     /// everything else.
     pub fn sample(&self, noise: &mut impl Rng, chance: &mut impl Rng) -> f32 {
-        let mut normal = || -> f64 { StandardNormal.sample(&mut *noise) };
+        let value = match self.replacement(noise, chance) {
+            Some(replacement) => replacement,
+            None => self.mean + self.spread(chance) * standard_normal(noise),
+        };
+        self.read(value)
+    }
+
+    /// A draw for a beam that was read before: `reading` has noise of standard deviation `sigma` \[m\] and steps of `step_m`, and
+    /// the mean is that reading as effects shift it. The noise that it lacks is added. What nothing changes stays as it is, bit for
+    /// bit. `noise` and `chance` are as in [`ReadingDistribution::sample`].
+    pub(crate) fn sample_again(
+        &self,
+        (reading, sigma, step_m): (f32, f64, f64),
+        noise: &mut impl Rng,
+        chance: &mut impl Rng,
+    ) -> f32 {
+        if let Some(replacement) = self.replacement(noise, chance) {
+            return self.read(replacement);
+        }
+        let spread = self.spread(chance);
+        let lacking = (spread * spread - sigma * sigma).max(0.0).sqrt();
+        let value = self.mean + lacking * standard_normal(noise);
+        if value == f64::from(reading) && self.step_m <= step_m { reading } else { self.read(value) }
+    }
+
+    /// The value of the first alternative that comes true.
+    fn replacement(&self, noise: &mut impl Rng, chance: &mut impl Rng) -> Option<f64> {
         for &(probability, alternative) in self.alternatives.as_slice() {
             if chance.random::<f64>() < probability {
-                return self.read(match alternative {
+                return Some(match alternative {
                     Alternative::NoReturn => f64::INFINITY,
-                    Alternative::Near { mean, sigma } => mean + sigma * normal(),
+                    Alternative::Near { mean, sigma } => mean + sigma * standard_normal(noise),
                     Alternative::Between { lo, hi } => lo + (hi - lo) * chance.random::<f64>(),
                 });
             }
         }
+        None
+    }
+
+    /// The standard deviation of the return, in the tail or not.
+    fn spread(&self, chance: &mut impl Rng) -> f64 {
         let [p, factor] = self.tail;
         let wide = p > 0.0 && chance.random::<f64>() < p;
-        let sigma = if wide { factor * self.sigma } else { self.sigma };
-        self.read(self.mean + sigma * normal())
+        if wide { factor * self.sigma } else { self.sigma }
     }
 
     fn read(&self, noisy: f64) -> f32 {
@@ -472,6 +502,10 @@ pub(crate) fn least_value(limit: f64, step: f64) -> f64 {
 pub(crate) fn as_read(noisy: f64, step: f64, min: f32, max: f32) -> f32 {
     let reading = (if step > 0.0 { (noisy / step).round() * step } else { noisy }) as f32;
     if reading < min { f32::NAN } else { reading.min(max) }
+}
+
+fn standard_normal(noise: &mut impl Rng) -> f64 {
+    StandardNormal.sample(noise)
 }
 
 /// P(`a` <= N(0, 1) < `b`), exact in both tails.

@@ -29,7 +29,7 @@ impl EffectType for MixedPixels {
                 confused_with: &[EffectKind::Crosstalk],
                 statistics: &[Statistic::Edge],
                 replaces: Some(Replacement::Edge),
-                needs: Needs { jump: true, behind: false },
+                needs: Needs { map: true, jump: true, behind: false },
                 ..Description::DEFAULT
             }
         }

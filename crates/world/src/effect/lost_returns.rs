@@ -6,7 +6,7 @@ use super::effect_type::EffectType;
 use super::reading::{Hit, Return};
 use super::statistic::Score;
 use super::{
-    Alternative, Description, Effect, EffectKind, Experiment, HitKind, Parameter, Prior, Replacement,
+    Alternative, Description, Effect, EffectKind, Experiment, HitKind, Needs, Parameter, Prior, Replacement,
     Statistic,
 };
 
@@ -54,6 +54,7 @@ impl EffectType for IncidenceDropout {
                     ],
                 }],
                 replaces: Some(Replacement::Surface),
+                needs: Needs::MAP,
                 ..Description::DEFAULT
             }
         }

@@ -4,7 +4,7 @@ use super::beam::tan_squared;
 use super::effect_type::EffectType;
 use super::reading::{Hit, Return};
 use super::statistic::{Score, TYPICAL};
-use super::{Description, Effect, EffectKind, Parameter, Statistic};
+use super::{Description, Effect, EffectKind, Needs, Parameter, Statistic};
 
 /// Noise that grows faster with range.
 pub(super) struct RangeNoise;
@@ -53,6 +53,7 @@ impl EffectType for IncidenceNoise {
                     weight: |beam, _| tan_squared(beam.incidence),
                     directions: TYPICAL,
                 }],
+                needs: Needs::MAP,
                 ..Description::DEFAULT
             }
         }

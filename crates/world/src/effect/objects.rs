@@ -8,8 +8,8 @@ use super::beam::BEARING_MARGIN;
 use super::effect_type::EffectType;
 use super::reading::{Hit, Return};
 use super::{
-    Alternative, Description, Disc, Effect, EffectKind, Experiment, Fit, Moves, Parameter, Replacement, Site,
-    Statistic,
+    Alternative, Description, Disc, Effect, EffectKind, Experiment, Fit, Moves, Needs, Parameter,
+    Replacement, Site, Statistic,
 };
 
 /// A round object that the map lacks.
@@ -34,6 +34,7 @@ impl EffectType for MissingObject {
                 statistics: &[Statistic::Object],
                 moves: Moves::Objects,
                 fit: Fit::WithClutter,
+                needs: Needs::MAP,
                 ..Description::DEFAULT
             }
         }

@@ -4,7 +4,7 @@ use super::beam::tan_squared;
 use super::effect_type::EffectType;
 use super::reading::{Hit, Return};
 use super::statistic::{Score, TYPICAL};
-use super::{Description, Effect, EffectKind, Experiment, Moves, Parameter, Prior, Statistic};
+use super::{Description, Effect, EffectKind, Experiment, Moves, Needs, Parameter, Prior, Statistic};
 
 /// Every return is off by the same length.
 pub(super) struct RangeBias;
@@ -88,6 +88,7 @@ impl EffectType for IncidenceBias {
                     directions: TYPICAL,
                 }],
                 moves: Moves::Readings,
+                needs: Needs::MAP,
                 ..Description::DEFAULT
             }
         }

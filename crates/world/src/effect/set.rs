@@ -44,8 +44,11 @@ impl Effects {
             return Err(EffectError::Twice { kind });
         }
         let needs = || list.iter().map(|effect| effect.kind.description().needs);
-        let needs =
-            Needs { jump: needs().any(|needs| needs.jump), behind: needs().any(|needs| needs.behind) };
+        let needs = Needs {
+            map: needs().any(|needs| needs.map),
+            jump: needs().any(|needs| needs.jump),
+            behind: needs().any(|needs| needs.behind),
+        };
         let objects = list.iter().filter_map(|effect| effect.kind.effect_type().object(effect)).collect();
         Ok(Self { list, order, objects, needs })
     }
@@ -60,7 +63,7 @@ impl Effects {
         self.list.is_empty()
     }
 
-    /// Fields of a [`BeamView`] that are needed.
+    /// Parts of a beam that are needed.
     pub fn needs(&self) -> Needs {
         self.needs
     }

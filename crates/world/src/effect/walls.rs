@@ -26,7 +26,7 @@ impl EffectType for Glass {
                 statistics: &[Statistic::WallLoss],
                 moves: Moves::Walls,
                 replaces: Some(Replacement::Behind),
-                needs: Needs { jump: false, behind: true },
+                needs: Needs { map: true, jump: false, behind: true },
                 ..Description::DEFAULT
             }
         }
@@ -62,6 +62,7 @@ impl EffectType for MovedWall {
                 confused_with: &[EffectKind::Glass, EffectKind::MissingObject],
                 statistics: &[Statistic::WallShift],
                 moves: Moves::Walls,
+                needs: Needs::MAP,
                 ..Description::DEFAULT
             }
         }

@@ -6,7 +6,7 @@ use locsim_core::{Draw, Pose2, Stage, Track};
 use super::fixtures::{block_options, laser_options, on_threads, room_map};
 use super::*;
 use crate::effect::tests::{distance_from, place, strong};
-use crate::effect::{BeamView, Effect, EffectKind, Effects, HitKind, Site, jump_at};
+use crate::effect::{BeamView, Effect, EffectKind, Effects, HitKind, Moves, Site, jump_at};
 
 fn effects(list: Vec<Effect>) -> Effects {
     Effects::new(list).unwrap()
@@ -341,4 +341,168 @@ fn scans_and_odometry_along_a_drive_are_the_drives() {
 #[test]
 fn draws_of_effects_are_their_own() {
     assert_ne!(Draw::new(1, Stage::Effect, 2).seed(3), Draw::new(1, Stage::Laser, 2).seed(3));
+}
+
+/// A filter of scans of [`laser`] in the room.
+fn filter(list: &[Effect]) -> ScanFilter {
+    let recorded = LaserSimulator::new(laser()).unwrap().laser().clone();
+    ScanFilter::new(list, recorded, laser(), 9).unwrap().with_map(room_map(), None).unwrap()
+}
+
+/// Scans of a nominal robot that stands still, with the effects applied, have the distribution that the map's view of each beam
+/// gives; one test per beam at a false-alarm probability of 1e-6. Without the effects they haven't.
+#[test]
+fn filtered_readings_have_the_law_of_their_beam() {
+    let pose = Pose2::new(2.0, 1.0, 0.4);
+    let nominal = Simulator::new(room_map(), None, laser(), Effects::none()).unwrap();
+    let observed: Vec<Vec<f32>> = (0..400).map(|i| nominal.observe(&pose, 4, i)).collect();
+    for kind in EffectKind::ALL {
+        let moves = kind.description().moves;
+        // Objects are new surfaces; mounts, clocks and odometry leave readings as they are.
+        if matches!(moves, Moves::Scans | Moves::Odometry | Moves::Objects) {
+            continue;
+        }
+        let simulator = Simulator::new(room_map(), None, laser(), effects(vec![strong(kind)])).unwrap();
+        let views = views(&simulator, &pose);
+        let mut filter = filter(&[strong(kind)]);
+        let still = |_: f64| pose;
+        let filtered: Vec<Vec<f32>> = observed
+            .iter()
+            .enumerate()
+            .map(|(i, scan)| {
+                let mut scan = scan.clone();
+                // Bursts fall on windows of time: each scan in another, at the first scan for a drift that fades.
+                let secs = if kind == EffectKind::Crosstalk { i as f64 * 3.0 } else { 0.0 };
+                filter.apply(i as u32, secs, Some(&still), &mut scan);
+                scan
+            })
+            .collect();
+        let greatest = |effects: &Effects| {
+            let distance = |(beam, view): (usize, &BeamView)| {
+                let view = BeamView { secs: view.secs + f64::from(laser_times()[beam]), ..*view };
+                let distribution =
+                    effects.reading(simulator.laser().options(), &view, HitKind::Wall, view.range);
+                let readings: Vec<f32> = filtered.iter().map(|scan| scan[beam]).collect();
+                distance_from(|_| distribution.clone(), &readings)
+            };
+            views.iter().enumerate().map(distance).fold(0.0, f64::max)
+        };
+        let distance = greatest(simulator.effects());
+        assert!(distance < 1.0, "{kind}: {distance}");
+        // There is no edge in an empty room, and no clutter.
+        let shows =
+            !matches!(kind, EffectKind::MixedPixels | EffectKind::BlockDensity | EffectKind::BlockDepth);
+        if shows {
+            assert!(greatest(&Effects::none()) > 1.0, "{kind} is told from nothing");
+        }
+    }
+}
+
+fn laser_times() -> Vec<f32> {
+    LaserSimulator::new(laser()).unwrap().laser().beam_times_secs().to_vec()
+}
+
+#[test]
+fn neutral_effects_change_no_bit_of_a_recording_and_scans_are_filtered_one_by_one() {
+    let nominal = simulate_drive(&simulator(Effects::none()), &robot(), 7).unwrap().drive;
+    let track =
+        Track::new(nominal.steps.iter().map(|step| (step.stamp_secs, step.reference.unwrap()))).unwrap();
+    let at = |secs: f64| track.pose_at(secs);
+    let run = |filter: &mut ScanFilter, step: usize| {
+        let mut readings = nominal.steps[step].scan.ranges.clone();
+        filter.apply(step as u32, nominal.steps[step].stamp_secs, Some(&at), &mut readings);
+        readings.into_iter().map(f32::to_bits).collect::<Vec<u32>>()
+    };
+    let neutral: Vec<Effect> = EffectKind::ALL.map(|kind| Effect::neutral(kind, place(kind))).to_vec();
+    let (mut neutral, count) = (filter(&neutral), nominal.steps.len());
+    for step in 0..count {
+        let recorded: Vec<u32> = nominal.steps[step].scan.ranges.iter().map(|z| z.to_bits()).collect();
+        assert_eq!(run(&mut neutral, step), recorded, "scan {step}");
+    }
+    // In any order, and again: the same.
+    let all: Vec<Effect> = EffectKind::ALL.map(strong).to_vec();
+    let mut one = filter(&all);
+    let forth: Vec<_> = (0..count).map(|step| run(&mut one, step)).collect();
+    let mut other = filter(&all);
+    for step in (0..count).rev() {
+        assert_eq!(run(&mut other, step), forth[step], "scan {step}");
+    }
+    // Without a pose, effects that need the map are left out, and the others act.
+    let mut readings = nominal.steps[0].scan.ranges.clone();
+    let only = |kind| filter(&[strong(kind)]);
+    only(EffectKind::MissingObject).apply(0, 0.0, None, &mut readings);
+    only(EffectKind::IncidenceDropout).apply(0, 0.0, None, &mut readings);
+    let same = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
+    assert!(same(&readings, &nominal.steps[0].scan.ranges));
+    only(EffectKind::RangeBias).apply(0, 0.0, None, &mut readings);
+    assert!(!same(&readings, &nominal.steps[0].scan.ranges));
+}
+
+/// Clutter that effects change is drawn anew: recorded readings in front of walls make way for the scenario's.
+#[test]
+fn clutter_of_a_recording_makes_way_for_that_of_the_effects() {
+    let blocks = BlockOptions { resample: BlockResampling::EachObservation, ..block_options() };
+    let pose = Pose2::new(2.0, 1.0, 0.4);
+    let world = |list| Simulator::new(room_map(), Some(blocks), laser(), effects(list)).unwrap();
+    let short = |scans: &[Vec<f32>]| {
+        let clear =
+            Simulator::new(room_map(), None, LaserOptions { sigma_m: 0.0, ..laser() }, Effects::none());
+        let clear = clear.unwrap().observe(&pose, 0, 0);
+        let is_short = |scan: &Vec<f32>| scan.iter().zip(&clear).filter(|(z, r)| **z < **r - 0.08).count();
+        scans.iter().map(is_short).sum::<usize>() as f64 / (scans.len() * clear.len()) as f64
+    };
+    let nominal = world(vec![]);
+    let recorded: Vec<Vec<f32>> = (0..300).map(|i| nominal.observe(&pose, 4, i)).collect();
+    for factor in [0.0, 0.5, 3.0] {
+        let density = Effect::new(EffectKind::BlockDensity, vec![factor], vec![]).unwrap();
+        let expected = world(vec![density.clone()]);
+        let expected: Vec<Vec<f32>> = (0..300).map(|i| expected.observe(&pose, 5, i)).collect();
+        let recorded_laser = nominal.laser().laser().clone();
+        let filter = ScanFilter::new(&[density], recorded_laser, laser(), 9).unwrap();
+        let mut filter = filter.with_map(room_map(), Some(blocks)).unwrap();
+        let filtered: Vec<Vec<f32>> = recorded
+            .iter()
+            .enumerate()
+            .map(|(i, scan)| {
+                let mut scan = scan.clone();
+                filter.apply(i as u32, 0.0, Some(&|_| pose), &mut scan);
+                scan
+            })
+            .collect();
+        let (found, expected, before) = (short(&filtered), short(&expected), short(&recorded));
+        assert!(
+            (found - expected).abs() < 0.25 * (expected - before).abs(),
+            "{factor}: {found} {expected} {before}"
+        );
+    }
+}
+
+/// At the scans an affected odometry reads what [`odometry_along`] reads without noise, and between them it goes on evenly;
+/// what corrects it leaves the robot where it is in the map.
+#[test]
+fn an_affected_odometry_is_a_simulated_one() {
+    let trajectory = Trajectory::new(&robot().path).unwrap();
+    let track = Track::new((0..40).map(|i| 0.1 * f64::from(i)).map(|t| (t, trajectory.pose_at(t)))).unwrap();
+    for kind in EffectKind::ALL.into_iter().filter(|kind| kind.site() == Site::Odometry) {
+        let list = [strong(kind)];
+        let filter = OdometryFilter::new(&list, track.clone(), 3).unwrap();
+        let seed = Draw::new(3, Stage::Recording, 0).seed(0);
+        let quiet = OdometryNoise::default();
+        let expected = odometry_along(track.poses(), &quiet, &effects(list.to_vec()), seed);
+        let mut moved = 0.0_f64;
+        for (i, (secs, pose)) in track.secs().iter().zip(track.poses()).enumerate() {
+            let read = filter.pose(*secs, pose);
+            let simulated = track.poses()[0].compose(&expected[i]);
+            assert!(read.position().distance(simulated.position()) < 1e-9, "{kind} at scan {i}");
+            moved = moved.max(read.position().distance(pose.position()));
+            let map_from_odom = Pose2::new(1.0, 2.0, 0.5);
+            let back = filter.correction(*secs, &map_from_odom).compose(&read);
+            let stays = map_from_odom.compose(pose);
+            assert!(back.position().distance(stays.position()) < 1e-9, "{kind} at scan {i}");
+            // Just after a scan, just beyond its pose.
+            let later = filter.pose(secs + 1e-9, &track.pose_at(secs + 1e-9));
+            assert!(later.position().distance(read.position()) < 1e-6, "{kind} after scan {i}");
+        }
+        assert!(moved > 0.01, "{kind}: {moved}");
+    }
 }

@@ -2,7 +2,8 @@
 //!
 //! A [`Simulator`] puts them together. [`simulate_drive`] records a drive; [`Simulator::observe_many`]
 //! gathers repeated readings at given poses, to learn sensor models from; [`Simulator::scan_along`] repeats the scans of
-//! a recorded drive; [`ObstructionTable`] knows how likely a block stands in a beam's way, for the oracle, and
+//! a recorded drive; [`ScanFilter`] and its neighbours apply effects to a recording;
+//! [`ObstructionTable`] knows how likely a block stands in a beam's way, for the oracle, and
 //! [`BlockIntegral`] for any ray.
 //!
 //! Every draw is keyed by (seed, stage, step, item), see [`locsim_core::Draw`]: the same seed gives the same
@@ -24,8 +25,10 @@ mod mixture;
 mod observe;
 mod obstruction;
 mod odometry;
+mod odometry_filter;
 mod path;
 mod rectangle;
+mod scan_filter;
 mod survival;
 
 pub use block_integral::BlockIntegral;
@@ -38,7 +41,9 @@ pub use mixture::{ClutteredBeam, MixtureDensity, ReadingMixture};
 pub use observe::Simulator;
 pub use obstruction::{ObstructionOptions, ObstructionTable};
 pub use odometry::OdometryNoise;
+pub use odometry_filter::{MountFilter, OdometryFilter};
 pub use path::{RobotPath, Trajectory, VelocitySegment};
+pub use scan_filter::ScanFilter;
 pub use survival::ClutterSurvival;
 
 pub use crate::options::{BlockOptions, BlockResampling, LaserOptions};

@@ -11,7 +11,7 @@ use mcap::records::op;
 use mcap::{MAGIC, McapError};
 use ruzstd::decoding::StreamingDecoder;
 
-use super::{Channel, LARGEST_RECORD, LONGEST_NAME};
+use super::{Channel, Definition, Envelope, LARGEST_RECORD, LONGEST_NAME};
 use crate::DatasetError;
 use crate::source::{Allowance, Counted, READ_AHEAD, Source};
 
@@ -20,8 +20,7 @@ const MESSAGE_HEADER: usize = 2 + 4 + 8 + 8;
 
 /// The content of a message, not yet read.
 pub struct Content<'a> {
-    /// When it was recorded (ns).
-    pub logged: i64,
+    pub envelope: Envelope<'a>,
     stream: &'a mut dyn Read,
     length: u64,
     buffer: &'a mut Vec<u8>,
@@ -222,13 +221,16 @@ impl<F: FnMut(&Channel, Option<Content<'_>>) -> Result<(), DatasetError>> Visito
                 let mut header = [0; MESSAGE_HEADER];
                 body.read_exact(&mut header)?;
                 let [id, ..] = [[header[0], header[1]]].map(u16::from_le_bytes);
-                let logged = header[6..].first_chunk().map_or(0, |time| u64::from_le_bytes(*time));
-                let logged = i64::try_from(logged).unwrap_or(i64::MAX);
+                let [logged, published] = [6, 14].map(|at| {
+                    let time = header[at..].first_chunk().map_or(0, |time| u64::from_le_bytes(*time));
+                    i64::try_from(time).unwrap_or(i64::MAX)
+                });
                 let channel = channels.channels.get(&id);
-                let channel =
+                let (channel, definition) =
                     channel.ok_or_else(|| Stop::Damaged(format!("a message of unknown channel {id}")))?;
+                let envelope = Envelope { logged, published, definition };
                 let content =
-                    Content { logged, stream: body, length: length - MESSAGE_HEADER as u64, buffer };
+                    Content { envelope, stream: body, length: length - MESSAGE_HEADER as u64, buffer };
                 visit(channel, Some(content)).map_err(Stop::Refused)
             }
             _ => Ok(()),
@@ -301,8 +303,11 @@ impl<R: Read> Read for Summed<R> {
 /// The channels announced so far.
 #[derive(Default)]
 struct Channels {
-    schemas: BTreeMap<u16, String>,
-    channels: BTreeMap<u16, Channel>,
+    /// Name of each type, and its definition.
+    schemas: BTreeMap<u16, (String, Definition)>,
+    channels: BTreeMap<u16, (Channel, Definition)>,
+    /// Bytes of the definitions taken in.
+    length: u64,
 }
 
 impl Channels {
@@ -313,17 +318,28 @@ impl Channels {
         let body = &mut body;
         match opcode {
             op::SCHEMA => {
-                let id = number(body)?;
-                self.schemas.insert(id, name(body)?);
+                let (id, name) = (number(body)?, name(body)?);
+                self.schemas.insert(id, (name, definition(body).unwrap_or_default()));
                 Ok(None)
             }
             op::CHANNEL => {
                 let [id, schema] = [number(body)?, number(body)?];
                 // Schema 0 is none.
-                let schema = self.schemas.get(&schema).cloned().unwrap_or_default();
+                let (schema, definition) = self.schemas.get(&schema).cloned().unwrap_or_default();
                 let (topic, encoding) = (name(body)?, name(body)?);
-                self.channels.insert(id, Channel { topic, schema, encoding });
-                Ok(self.channels.get(&id))
+                let metadata = metadata(body).unwrap_or_default();
+                let channel = (Channel { topic, schema, encoding }, Definition { metadata, ..definition });
+                // Writers repeat their channels.
+                if self.channels.get(&id) != Some(&channel) {
+                    self.length += channel.1.text.len() as u64;
+                    if self.length > LARGEST_RECORD {
+                        return Err(Stop::Large(format!(
+                            "the definitions of its channels have more than {LARGEST_RECORD} bytes; allowed: at most so many"
+                        )));
+                    }
+                    self.channels.insert(id, channel);
+                }
+                Ok(self.channels.get(&id).map(|(channel, _)| channel))
             }
             _ => Ok(None),
         }
@@ -339,11 +355,8 @@ fn number(body: &mut &[u8]) -> Result<u16, Stop> {
 
 /// The name that a record's content goes on with.
 fn name(body: &mut &[u8]) -> Result<String, Stop> {
-    let (length, rest) = body.split_first_chunk().ok_or_else(short)?;
-    let length = u32::from_le_bytes(*length) as usize;
-    let (name, rest) = rest.split_at_checked(length).ok_or_else(short)?;
-    *body = rest;
-    let text = std::str::from_utf8(name).map_err(|error| Stop::Damaged(error.to_string()))?;
+    let text = text(body)?;
+    let length = text.len();
     if length > LONGEST_NAME {
         return Err(Stop::Large(format!(
             "the name `{}` has {length} bytes; allowed: at most {LONGEST_NAME}",
@@ -351,6 +364,35 @@ fn name(body: &mut &[u8]) -> Result<String, Stop> {
         )));
     }
     Ok(text.to_owned())
+}
+
+/// The text that a record's content goes on with.
+fn text<'a>(body: &mut &'a [u8]) -> Result<&'a str, Stop> {
+    std::str::from_utf8(bytes(body)?).map_err(|error| Stop::Damaged(error.to_string()))
+}
+
+/// The bytes that a record's content goes on with, their number first.
+fn bytes<'a>(body: &mut &'a [u8]) -> Result<&'a [u8], Stop> {
+    let (length, rest) = body.split_first_chunk().ok_or_else(short)?;
+    let (bytes, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize).ok_or_else(short)?;
+    *body = rest;
+    Ok(bytes)
+}
+
+/// The definition of a schema, after its name.
+fn definition(body: &mut &[u8]) -> Result<Definition, Stop> {
+    let (encoding, text) = (name(body)?, bytes(body)?.to_vec());
+    Ok(Definition { encoding, text, metadata: BTreeMap::new() })
+}
+
+/// The metadata of a channel, at the end of its record.
+fn metadata(body: &mut &[u8]) -> Result<BTreeMap<String, String>, Stop> {
+    let mut pairs = bytes(body)?;
+    let mut metadata = BTreeMap::new();
+    while !pairs.is_empty() {
+        metadata.insert(text(&mut pairs)?.to_owned(), text(&mut pairs)?.to_owned());
+    }
+    Ok(metadata)
 }
 
 fn short() -> Stop {

@@ -35,6 +35,25 @@ pub struct Channel {
     pub encoding: String,
 }
 
+/// How the messages of a channel are defined, and what their recorder noted of them; empty where the file doesn't tell.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Definition {
+    /// Language of the definition, such as `ros2msg`.
+    pub encoding: String,
+    pub text: Vec<u8>,
+    /// Quality of service among other things.
+    pub metadata: BTreeMap<String, String>,
+}
+
+/// What a file says of a message beside its bytes.
+#[derive(Clone, Copy)]
+pub struct Envelope<'a> {
+    /// When it was recorded and when it was published (ns).
+    pub logged: i64,
+    pub published: i64,
+    pub definition: &'a Definition,
+}
+
 /// The messages of a channel: how many, and when they were recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tally {
@@ -135,12 +154,21 @@ impl<'a> Bag<'a> {
         wanted: &[&Channel],
         mut take: impl FnMut(&Channel, &[u8]) -> Result<(), String>,
     ) -> Result<(), DatasetError> {
+        self.visit(|channel| wanted.contains(&channel), |channel, _, data| take(channel, data))
+    }
+
+    /// As [`Self::read`], with what the file says of each message.
+    pub fn visit(
+        &self,
+        wanted: impl Fn(&Channel) -> bool,
+        mut take: impl FnMut(&Channel, Envelope<'_>, &[u8]) -> Result<(), String>,
+    ) -> Result<(), DatasetError> {
         let mut numbers = BTreeMap::<Channel, usize>::new();
         let mut messages = 0;
         let mut unpacked = Vec::new();
         for file in &self.files {
             let mut allowance = Allowance::of(file.length()?, self.limits);
-            let mut take = |channel: &Channel, data: Result<&[u8], String>| {
+            let mut take = |channel: &Channel, envelope: Envelope<'_>, data: Result<&[u8], String>| {
                 let number = numbers.entry(channel.clone()).or_default();
                 *number += 1;
                 messages += 1;
@@ -152,9 +180,9 @@ impl<'a> Bag<'a> {
                     if data.starts_with(ZSTD) {
                         unpack_message(data, LARGEST_RECORD, &mut allowance, &mut unpacked)
                             .map_err(|error| format!("the message can't be unpacked: {error}"))?;
-                        return take(channel, &unpacked);
+                        return take(channel, envelope, &unpacked);
                     }
-                    take(channel, data)
+                    take(channel, envelope, data)
                 });
                 taken.map_err(|reason| DatasetError::Message {
                     path: file.path.clone(),
@@ -165,12 +193,12 @@ impl<'a> Bag<'a> {
             };
             match &file.storage {
                 Storage::Mcap => mcap::visit_messages(&file.path, self.limits, |channel, content| {
-                    match content.filter(|_| wanted.contains(&channel)) {
-                        Some(content) => take(channel, content.bytes()),
+                    match content.filter(|_| wanted(channel)) {
+                        Some(content) => take(channel, content.envelope, content.bytes()),
                         None => Ok(()),
                     }
                 })?,
-                Storage::Sqlite(database) => database.read(&file.path, wanted, &mut take)?,
+                Storage::Sqlite(database) => database.read(&file.path, &wanted, &mut take)?,
             }
         }
         Ok(())
@@ -195,7 +223,7 @@ impl BagFile {
             Storage::Mcap => mcap::visit_messages(&self.path, limits, |channel, message| {
                 let mut tally = Tally::default();
                 if let Some(message) = message {
-                    tally.add(message.logged);
+                    tally.add(message.envelope.logged);
                 }
                 add(channel, tally)
             }),

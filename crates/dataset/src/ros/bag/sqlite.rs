@@ -17,7 +17,7 @@ use rusqlite::limits::Limit;
 use rusqlite::{Connection, OpenFlags};
 use tempfile::NamedTempFile;
 
-use super::{Channel, LARGEST_RECORD, LONGEST_NAME, MOST_CHANNELS, Tally};
+use super::{Channel, Definition, Envelope, LARGEST_RECORD, LONGEST_NAME, MOST_CHANNELS, Tally};
 use crate::DatasetError;
 use crate::source::Source;
 
@@ -34,6 +34,7 @@ const INSTRUCTIONS_OF_A_FILE: u64 = 1_000_000;
 pub struct Database {
     connection: Connection,
     channels: BTreeMap<i64, Channel>,
+    definitions: BTreeMap<i64, Definition>,
     length: u64,
     /// Looks at the budget that are left to the query under way.
     budget: Arc<AtomicU64>,
@@ -88,10 +89,42 @@ impl Database {
             left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_err()
         };
         connection.progress_handler(INSTRUCTIONS as i32, Some(exhausted)).map_err(refuse)?;
-        let mut database =
-            Self { connection, channels: BTreeMap::new(), length, budget, _unpacked: unpacked };
+        let mut database = Self {
+            connection,
+            channels: BTreeMap::new(),
+            definitions: BTreeMap::new(),
+            length,
+            budget,
+            _unpacked: unpacked,
+        };
         database.channels = database.topics().map_err(|reason| damaged(path, reason))?;
+        // A recorder of another version notes other things; messages are read all the same.
+        database.definitions = database.definitions().unwrap_or_default();
         Ok(database)
+    }
+
+    /// Definitions of the channels' messages, which rosbag2 has noted since ROS Iron, and the quality of service.
+    fn definitions(&self) -> rusqlite::Result<BTreeMap<i64, Definition>> {
+        self.refill();
+        let mut definitions = BTreeMap::<i64, Definition>::new();
+        let mut of_topics = self.connection.prepare("SELECT id, offered_qos_profiles FROM topics")?;
+        let mut rows = of_topics.query([])?;
+        while let Some(row) = rows.next()? {
+            let quality = ("offered_qos_profiles".to_owned(), row.get(1)?);
+            definitions.entry(row.get(0)?).or_default().metadata.extend([quality]);
+        }
+        let query =
+            "SELECT encoding, encoded_message_definition FROM message_definitions WHERE topic_type = ?";
+        let Ok(mut of_type) = self.connection.prepare(query) else { return Ok(definitions) };
+        for (id, channel) in &self.channels {
+            let found =
+                of_type.query_row([&channel.schema], |row| Ok((row.get(0)?, row.get::<_, String>(1)?)));
+            if let Ok((encoding, text)) = found {
+                let definition = definitions.entry(*id).or_default();
+                (definition.encoding, definition.text) = (encoding, text.into_bytes());
+            }
+        }
+        Ok(definitions)
     }
 
     /// The channels and their numbers.
@@ -154,20 +187,21 @@ impl Database {
     pub fn read(
         &self,
         path: &Path,
-        wanted: &[&Channel],
-        take: &mut impl FnMut(&Channel, Result<&[u8], String>) -> Result<(), DatasetError>,
+        wanted: &impl Fn(&Channel) -> bool,
+        take: &mut impl FnMut(&Channel, Envelope<'_>, Result<&[u8], String>) -> Result<(), DatasetError>,
     ) -> Result<(), DatasetError> {
         self.refill();
         let fail = |error| damaged(path, in_words(error));
         let mut ids = String::new();
-        for (id, _) in self.channels.iter().filter(|(_, channel)| wanted.contains(channel)) {
+        for (id, _) in self.channels.iter().filter(|(_, channel)| wanted(channel)) {
             _ = write!(ids, "{}{id}", if ids.is_empty() { "" } else { ", " });
         }
         // `+` keeps an index from changing the order of the rows.
-        let query = format!("SELECT topic_id, data FROM messages WHERE +topic_id IN ({ids})");
+        let query = format!("SELECT topic_id, data, timestamp FROM messages WHERE +topic_id IN ({ids})");
         let mut statement = self.connection.prepare(&query).map_err(fail)?;
         let mut rows = statement.query([]).map_err(fail)?;
         let mut left = self.length;
+        let unknown = Definition::default();
         while let Some(row) = rows.next().map_err(fail)? {
             let id: i64 = row.get(0).map_err(fail)?;
             let data = row.get_ref(1).map_err(fail)?;
@@ -177,7 +211,9 @@ impl Database {
                 .checked_sub(data.len() as u64)
                 .ok_or_else(|| damaged(path, "the messages are longer than the file".to_owned()))?;
             let channel = self.channels.get(&id).ok_or_else(|| damaged(path, format!("no topic {id}")))?;
-            take(channel, Ok(data))?;
+            let logged = row.get(2).map_err(fail)?;
+            let definition = self.definitions.get(&id).unwrap_or(&unknown);
+            take(channel, Envelope { logged, published: logged, definition }, Ok(data))?;
         }
         Ok(())
     }
