@@ -12,11 +12,11 @@
 //!
 //! | step | code |
 //! | --- | --- |
-//! | readings of both logs at the places that both have seen | [`pool`] |
-//! | the distribution of readings at each place | [`learnt`] |
-//! | the odometry | [`increments`] |
-//! | effects with the readings that they change | [`trials`] |
-//! | permutations, names, numbers | [`search`] |
+//! | readings of both logs at the places that both have seen | `pool` |
+//! | the distribution of readings at each place | `learnt` |
+//! | the odometry | `increments` |
+//! | effects with the readings that they change | `trials` |
+//! | permutations, names, numbers | `search` |
 
 mod increments;
 mod learnt;
