@@ -26,7 +26,7 @@ use crate::{GapError, Nominal, PoseError, Purpose, Recorded};
 const LOGS: u32 = 16;
 /// Simulated logs behind a least error: its own error is a seventh.
 const LOGS_OF_BOUND: u32 = 24;
-/// A likelihood is known at values so far from each other, and so many on either side of the true one (strength over
+/// A likelihood is known at values this far from each other, and this many on either side of the true one (strength over
 /// sqrt(lambda)). Rare events need the most: their number errs by up to sqrt(2) of that, and values that end too soon would make
 /// the estimate surer than it can be.
 const GRID: f64 = 0.75;

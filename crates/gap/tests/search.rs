@@ -140,6 +140,18 @@ fn a_strong_effect_is_named_alone() {
 
 /// A log whose effect was taken out of the library is off, and isn't explained away.
 #[test]
+fn coarse_steps_are_named_with_their_step_and_not_with_a_part_of_it() {
+    let nominal = nominal();
+    for step_m in [0.05, 0.02] {
+        let hidden = effect(EffectKind::Quantization, &[step_m]);
+        let outcome = search(&nominal, &log(&nominal, &[hidden], Regime::default(), 31), Vec::new());
+        let named: Vec<_> =
+            outcome.effects.iter().map(|named| (named.name, named.effect.values[0])).collect();
+        assert_eq!(named, [(EffectKind::Quantization, step_m)], "{outcome:#?}");
+    }
+}
+
+#[test]
 fn what_the_library_lacks_is_not_explained() {
     let nominal = nominal();
     let hidden = effect(EffectKind::SectorOcclusion, &[0.3, 1.2, 0.5, 0.3]);

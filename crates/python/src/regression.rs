@@ -60,7 +60,7 @@ fn word<T: DeserializeOwned>(name: &str, word: &str) -> Result<T, Error> {
 ///     values: First and last value that can be observed, and the resolution: the bins.
 ///     point_mass: A value with a probability of its own, such as a laser's maximum range.
 ///     bandwidths: Weights come from a kernel with one bandwidth for each coordinate, in its unit.
-///     neighbours, scales: Or from so many nearest states, with distances in these units.
+///     neighbours, scales: Or from this number of nearest states, with distances in these units.
 ///     kernel: gaussian, boxcar or epanechnikov.
 ///     shift_by, scale_by: The coordinate that observations follow, by their difference or their ratio to it.
 ///     degree: constant (weighted mean) or linear (plane); linear for p_reg by default.

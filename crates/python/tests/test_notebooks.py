@@ -21,5 +21,6 @@ def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
     cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert all(cell.outputs == [] and cell.execution_count is None for cell in cells), "committed with outputs"
     nbclient.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    warned = [out.text for cell in cells for out in cell.outputs if out.get("name") == "stderr"]
-    assert warned == []
+    # Progress bars are drawn there, too.
+    errors = [out.text for cell in cells for out in cell.outputs if out.get("name") == "stderr"]
+    assert [text for text in errors if "warn" in text.lower()] == []

@@ -413,10 +413,13 @@ mod tests {
 
     #[test]
     fn the_slant_is_that_of_the_wall() {
-        let drive = drive();
-        let bearings = bearings(&drive);
-        let slant = incidence(&drive.steps[0].scan.ranges, &bearings, 1, 10.0).unwrap();
+        let bearings: Vec<f64> = (0..5).map(|beam| f64::from(78 + beam).to_radians()).collect();
+        let ranges: Vec<f32> = bearings.iter().map(|bearing| (2.0 / bearing.sin()) as f32).collect();
+        let slant = incidence(&ranges, &bearings, 2, 10.0).unwrap();
         assert!((slant - 10.0_f64.to_radians()).abs() < 1e-3, "{slant}");
+        // Beams that end far from each other are of an edge, or too few to say.
+        let drive = drive();
+        assert_eq!(incidence(&drive.steps[0].scan.ranges, &super::bearings(&drive), 1, 10.0), None);
     }
 
     #[test]

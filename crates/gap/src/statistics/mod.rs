@@ -265,8 +265,13 @@ fn typical_guesses(found: &[Found<'_>]) -> Vec<Start> {
         }
         return vec![at(values)];
     }
-    // A shape that isn't typical is worth a second start.
-    let most = if kind.parameters().len() > 1 { 2 } else { 1 };
+    let most = match kind.parameters().len() {
+        // Readings in steps of 5 cm are in steps of 1 cm, too: the likelihood tells which.
+        _ if kind.is_stepped() => found.len(),
+        1 => 1,
+        // A shape that isn't typical is worth a second start.
+        _ => 2,
+    };
     let starts = found.iter().take(most).map(|found| {
         let mut values = typical_values(kind, found.z);
         for (parameter, value) in along(found) {

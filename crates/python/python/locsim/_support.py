@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.util
 import json
 import sys
 import warnings
@@ -29,6 +30,11 @@ def to_json(value: Any) -> str:
     return json.dumps(value, default=_plain, allow_nan=False)
 
 
+def _in_notebook() -> bool:
+    ipython = sys.modules.get("IPython")
+    return ipython is not None and type(ipython.get_ipython()).__name__ == "ZMQInteractiveShell"
+
+
 class Bars:
     """The progress of a call: one bar for each stage, by tqdm where it is installed.
 
@@ -39,10 +45,11 @@ class Bars:
     def __init__(self, progress: bool | None) -> None:
         self._bar: Any = None
         self._tqdm: Any = None
-        in_notebook = "ipykernel" in sys.modules
-        if progress if progress is not None else in_notebook or sys.stderr.isatty():
+        if progress if progress is not None else _in_notebook() or sys.stderr.isatty():
+            # Bars of a notebook need ipywidgets; without them tqdm.auto warns.
+            module = "tqdm.auto" if importlib.util.find_spec("ipywidgets") else "tqdm.std"
             with contextlib.suppress(ImportError):
-                self._tqdm = importlib.import_module("tqdm.auto").tqdm
+                self._tqdm = importlib.import_module(module).tqdm
 
     def stage(self, name: str, total: int) -> None:
         self.finish()

@@ -60,7 +60,7 @@ impl BlockIntegral {
         Self::with_shapes(model, SHAPES)
     }
 
-    /// As [`BlockIntegral::new`], summed over so many shapes (at least one): more are exacter, and take as much longer.
+    /// As [`BlockIntegral::new`], summed over this number of shapes of a face (at least one): more are exacter, and take as much longer.
     pub fn with_shapes(model: &BlockModel, shapes_per_face: u32) -> Self {
         let mut shapes = [Vec::new(), Vec::new()];
         let (mut depth_m, mut diameter_m) = (0.0_f64, 0.0_f64);
@@ -90,7 +90,7 @@ impl BlockIntegral {
     }
 
     /// Calls `met` with (near, far, count) of every stretch of a ray from `origin` along the unit vector `direction`, up to
-    /// `limit`, in which it is expected to meet so many blocks, evenly between two ranges \[m\]; blocks too near a robot at
+    /// `limit`, in which it is expected to meet `count` blocks, evenly between two ranges \[m\]; blocks too near a robot at
     /// `robot` are left out. Stretches come in no order, and many of them overlap.
     pub fn stretches(
         &self,

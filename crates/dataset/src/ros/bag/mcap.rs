@@ -334,7 +334,7 @@ impl Channels {
                     self.length += channel.1.text.len() as u64;
                     if self.length > LARGEST_RECORD {
                         return Err(Stop::Large(format!(
-                            "the definitions of its channels have more than {LARGEST_RECORD} bytes; allowed: at most so many"
+                            "the definitions of its channels have more than {LARGEST_RECORD} bytes; allowed: at most {LARGEST_RECORD}"
                         )));
                     }
                     self.channels.insert(id, channel);
