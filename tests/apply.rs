@@ -139,7 +139,7 @@ fn effects_applied_to_a_perfect_recording_are_found_again() {
 
 /// Run by hand: `cargo test -p locsim --test apply -- --ignored --nocapture` prints the table of docs/simulators.md.
 #[test]
-#[ignore = "20 minutes: 26 searches; moved_wall, mount_offset, motion_skew and quantization were not found (docs/simulators.md)"]
+#[ignore = "20 minutes: 26 searches; moved_wall, mount_offset and motion_skew were not found (docs/simulators.md)"]
 fn all_effects_applied_to_a_perfect_recording_are_found_again() {
     let folder = folder("perfect.mcap");
     let mut failed = Vec::new();
