@@ -5,6 +5,7 @@ use locsim_gap::{Increment, OdometryError};
 use locsim_world::effect::{Axis, Effect, EffectKind, Moves, Statistic};
 
 use super::pool::Pool;
+use super::search::Assignment;
 use super::trials::strengths;
 
 /// Least squares are repeated without errors of more than these standard deviations.
@@ -134,6 +135,46 @@ impl Increments {
     }
 }
 
+/// Errors beyond these standard deviations count as these: a reference that jumps tells nothing of the odometry.
+const MOST_DEVIATIONS: f64 = 3.0;
+/// The slip whose likelihood tells of slips: share of the increments, and standard deviation as a share of the distance.
+const SLIP: [f64; 2] = [0.1, 0.3];
+
+impl Increments {
+    /// How surely the odometry errs in another way today: the mean by which an effect of the kind would err on each stretch, today's
+    /// less the baseline's, in standard errors between stretches.
+    pub fn contrast(
+        &self,
+        usual: &Usual,
+        given: &[Effect],
+        kind: EffectKind,
+        assignment: &Assignment,
+    ) -> f64 {
+        // The given effects are today's.
+        let [none, given] = [&[], given].map(Changed::of);
+        let mut sums = vec![[0.0; 2]; self.stretches];
+        for (stretch, increment) in &self.all {
+            let known = if assignment.is_today[*stretch as usize] { &given } else { &none };
+            let [score, information] = known.score(&usual.without(increment), usual, kind);
+            if score.is_finite() {
+                let sum = &mut sums[*stretch as usize];
+                sum[0] += score;
+                sum[1] += information;
+            }
+        }
+        let [today, baseline] = [&assignment.is_today, &assignment.is_baseline].map(|is_used| {
+            let own: Vec<[f64; 2]> =
+                sums.iter().zip(is_used).filter(|(_, is)| **is).map(|(sum, _)| *sum).collect();
+            let n = f64::max(own.len() as f64, 2.0);
+            let information: f64 = own.iter().map(|sum| sum[1]).sum::<f64>().max(1e-12);
+            let mean = own.iter().map(|sum| sum[0]).sum::<f64>() / information;
+            let squares: f64 = own.iter().map(|[score, part]| (score - mean * part).powi(2)).sum();
+            [mean, n / (n - 1.0) * squares / information.powi(2)]
+        });
+        (today[0] - baseline[0]) / (today[1] + baseline[1]).sqrt().max(1e-12)
+    }
+}
+
 impl Usual {
     /// An increment without the errors that the baseline has.
     fn without(&self, increment: &Increment) -> Increment {
@@ -172,10 +213,42 @@ impl Changed {
         changed
     }
 
-    fn log_density(&self, rest: &Increment, usual: &Usual) -> f64 {
+    /// Error of an increment along an effect of a kind, cut where it is an outlier, and how much the increment tells of it.
+    fn score(&self, rest: &Increment, usual: &Usual, kind: EffectKind) -> [f64; 2] {
+        let rest = self.without(rest);
+        let [d, t] = rest.truth;
+        let mut sum = [0.0; 2];
+        for statistic in kind.description().statistics {
+            let (axis, slope) = match statistic {
+                Statistic::Odometry { error: Axis::Distance, .. } => (0, d),
+                Statistic::Odometry { error: Axis::Turn, motion: Axis::Turn } => (1, t),
+                Statistic::Odometry { error: Axis::Turn, motion: Axis::Distance } => (1, d),
+                Statistic::Slip { .. } => {
+                    let [p, share] = SLIP;
+                    let [ratio, mirrored] =
+                        rest.slip_ratios(&usual.spread, share).map(|ratio| (p * ratio).max(-0.999).ln_1p());
+                    sum[0] += ratio - mirrored;
+                    sum[1] += 1.0;
+                    continue;
+                }
+                _ => continue,
+            };
+            let sigma = rest.deviation(&usual.spread, axis);
+            let error = (rest.error[axis] / sigma).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS);
+            sum[0] += slope / sigma * error;
+            sum[1] += (slope / sigma).powi(2);
+        }
+        sum
+    }
+
+    fn without(&self, rest: &Increment) -> Increment {
         let [d, t] = rest.truth;
         let error = [rest.error[0] - self.distance * d, rest.error[1] - self.turn[0] * t - self.turn[1] * d];
-        let increment = Increment { error, ..*rest };
+        Increment { error, ..*rest }
+    }
+
+    fn log_density(&self, rest: &Increment, usual: &Usual) -> f64 {
+        let increment = self.without(rest);
         let mut log: f64 = (0..2).map(|axis| increment.density(&usual.spread, axis).max(1e-300).ln()).sum();
         if let Some([p, share]) = self.slip {
             let [ratio, _] = increment.slip_ratios(&usual.spread, share);

@@ -22,8 +22,43 @@ const FRONT: usize = 0;
 const BEHIND: usize = 1;
 const LOST: usize = 2;
 
-/// The readings' distribution at each place, by the baseline.
+/// The readings' distributions by the baseline. Readings of the baseline itself are held against what is learnt from its other half,
+/// every other stretch: a place that the histograms don't fit then looks the same on both logs.
 pub(super) struct Learnt {
+    whole: Distribution,
+    halves: [Distribution; 2],
+    /// The half that a stretch of the baseline is held against.
+    half_of: Vec<Option<usize>>,
+}
+
+impl Learnt {
+    /// Learns from the stretches that `is_baseline` holds for.
+    pub fn new(pool: &Pool<'_>, is_baseline: &[bool]) -> Self {
+        let mut half_of = vec![None; is_baseline.len()];
+        let own = half_of.iter_mut().zip(is_baseline).filter(|(_, is)| **is);
+        own.enumerate().for_each(|(i, (half, _))| *half = Some(i % 2));
+        let half = |which: usize| {
+            let is_other: Vec<bool> = half_of.iter().map(|half| *half == Some(1 - which)).collect();
+            Distribution::new(pool, &is_other)
+        };
+        Self { whole: Distribution::new(pool, is_baseline), halves: [half(0), half(1)], half_of }
+    }
+
+    /// Density of a reading of a stretch \[1/m\], a probability at the maximum range.
+    #[inline]
+    pub fn density(&self, stretch: u32, expected: &Expected, z: f32) -> f64 {
+        let half = self.half_of[stretch as usize];
+        half.map_or(&self.whole, |half| &self.halves[half]).density(expected, z)
+    }
+
+    /// Adds the expected distribution of errors to a histogram, with those in front, behind and without a return at its ends.
+    pub fn add_errors(&self, expected: &Expected, base: f32, histogram: &mut [f64]) {
+        self.whole.add_errors(expected, base, histogram);
+    }
+}
+
+/// The readings' distribution at each place.
+struct Distribution {
     /// Density of the error at each place \[1/m\], \[width\]\[place\]\[bin\].
     errors: Vec<Vec<[f32; BINS]>>,
     shares: Vec<[f32; 3]>,
@@ -54,13 +89,13 @@ impl Counts {
     }
 }
 
-impl Learnt {
-    /// Learns from the stretches that `is_baseline` holds for.
-    pub fn new(pool: &Pool<'_>, is_baseline: &[bool]) -> Self {
+impl Distribution {
+    /// Learns from the stretches that `is_used` holds for.
+    fn new(pool: &Pool<'_>, is_used: &[bool]) -> Self {
         let max = pool.nominal.laser.max_range_m;
         let mut counts = vec![Counts::NONE; pool.places];
         for reading in &pool.readings {
-            if !is_baseline[reading.stretch as usize] {
+            if !is_used[reading.stretch as usize] {
                 continue;
             }
             let place = &mut counts[reading.expected.place as usize];
@@ -106,9 +141,8 @@ impl Learnt {
         Self { errors, shares, max, grid: pool.nominal.laser.resolution_m.max(1e-3) }
     }
 
-    /// Density of a reading \[1/m\], a probability at the maximum range.
     #[inline]
-    pub fn density(&self, expected: &Expected, z: f32) -> f64 {
+    fn density(&self, expected: &Expected, z: f32) -> f64 {
         let z = f64::from(z);
         let place = expected.place as usize;
         let learnt = match outcome(z, f64::from(expected.mean), self.max) {
@@ -160,8 +194,7 @@ impl Learnt {
         (1.0 - share) * here + share * at(&self.errors[above][place], error)
     }
 
-    /// Adds the expected distribution of errors to a histogram, with those in front, behind and without a return at its ends.
-    pub fn add_errors(&self, expected: &Expected, base: f32, histogram: &mut [f64]) {
+    fn add_errors(&self, expected: &Expected, base: f32, histogram: &mut [f64]) {
         let shift = f64::from(expected.mean - base);
         let [p, sigma] = expected.tail.map(f64::from);
         let widened = widened_for(expected, f64::from(expected.widened));

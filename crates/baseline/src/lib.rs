@@ -17,9 +17,11 @@
 //! | the odometry | `increments` |
 //! | effects with the readings that they change | `trials` |
 //! | permutations, names, numbers | `search` |
+//! | how rare a gain is | `null` |
 
 mod increments;
 mod learnt;
+mod null;
 mod pool;
 mod search;
 #[cfg(test)]

@@ -6,12 +6,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::{Estimate, Progress};
 use locsim_gap::{Evidence, GapError, Named, Nominal, Number, Purpose, Recorded, split_by, sum_error};
-use locsim_world::effect::{Effect, EffectKind, Role};
+use locsim_world::effect::{Effect, EffectKind, Parameter, Role};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use super::increments::{Increments, Usual, is_of_odometry};
 use super::learnt::{ERROR_BIN_M, ERROR_BINS, Learnt, bin_of};
+use super::null::{Best, Null, Score, add};
 use super::pool::{Expected, Pool};
 use super::trials::{Given, Trial, trials, usual};
 use super::{BaselineOptions, ChangeVerdict, Changes, Tried};
@@ -81,14 +82,28 @@ struct Search<'a> {
 }
 
 /// The stretches of the baseline and of today's log; a permutation assigns them anew.
-struct Assignment {
-    is_baseline: Vec<bool>,
-    is_today: Vec<bool>,
+pub(super) struct Assignment {
+    pub is_baseline: Vec<bool>,
+    pub is_today: Vec<bool>,
 }
 
 impl Assignment {
+    /// The gains on today's stretches.
+    fn of_today(&self, gains: &[f64]) -> Vec<f64> {
+        gains.iter().zip(&self.is_today).filter(|(_, is_today)| **is_today).map(|(gain, _)| *gain).collect()
+    }
+
     fn used(&self) -> Vec<bool> {
         self.is_baseline.iter().zip(&self.is_today).map(|(baseline, today)| baseline | today).collect()
+    }
+
+    /// Mean gain of today's stretches less that of the baseline's, in its standard errors (Welch 1947). What all of today's stretches
+    /// gain stands out in it even where permutations gain as well, because they mix stretches that gain with others. Gains that
+    /// sum up to a nat or so are noise.
+    fn contrast(&self, gains: &[f64]) -> f64 {
+        let [today, baseline] = [&self.is_today, &self.is_baseline].map(|is_used| mean_of(gains, is_used));
+        let stretches = self.is_today.iter().filter(|is| **is).count().max(1) as f64;
+        (today[0] - baseline[0].max(0.0)) / (today[1] + baseline[1] + stretches.powi(-2)).sqrt()
     }
 
     /// The gain on today's stretches beyond that on as many stretches of the baseline: an effect that both logs have gains on
@@ -101,6 +116,14 @@ impl Assignment {
         let gains = today.iter().zip(&self.is_today);
         gains.map(|(gain, is_today)| if *is_today { gain - usual } else { 0.0 }).collect()
     }
+}
+
+/// Mean over stretches and its variance.
+fn mean_of(gains: &[f64], is_used: &[bool]) -> [f64; 2] {
+    let own = || gains.iter().zip(is_used).filter(|(_, is)| **is).map(|(gain, _)| *gain);
+    let n = f64::max(own().count() as f64, 2.0);
+    let mean = own().sum::<f64>() / n;
+    [mean, own().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))]
 }
 
 /// The distributions that are learnt from an assignment's baseline.
@@ -127,9 +150,6 @@ impl Fit {
     }
 }
 
-/// The best gain of each kind (nats), negative where nothing gains, and the index of the trial.
-type Best = BTreeMap<EffectKind, (f64, usize)>;
-
 impl Search<'_> {
     fn run(&self, changes: &mut Changes) -> Result<(), GapError> {
         let options = self.options;
@@ -142,20 +162,21 @@ impl Search<'_> {
         let assignment = self.true_assignment();
         let known = self.learn(&assignment);
         let own = self.best(&tried, &odometry, &assignment, &known);
+        let stretches = assignment.is_today.iter().filter(|is| **is).count();
         let screening = options.permutations.min(SCREENING);
         let (mut others, mut distances) = self.permute(&tried, &odometry, 0..screening)?;
-        let mut null = Null::new(&own, &others);
+        let mut null = Null::new(&own, &others, stretches);
         if null.p(&own) <= PLAUSIBLE && options.permutations > screening {
             let more = self.permute(&tried, &odometry, screening..options.permutations)?;
             others.extend(more.0);
             distances.extend(more.1);
-            null = Null::new(&own, &others);
+            null = Null::new(&own, &others, stretches);
         }
         changes.permutations = others.len() as u32;
         changes.p = null.p(&own);
         changes.tried = own
             .iter()
-            .map(|(&name, &(gain, _))| Tried { name, gain_nats: gain.max(0.0), z: null.z(name, gain) })
+            .map(|(&name, score)| Tried { name, gain_nats: score.gain.max(0.0), z: null.z(name, score) })
             .collect();
         changes.tried.sort_by(|a, b| b.gain_nats.total_cmp(&a.gain_nats));
         let mut named = Vec::new();
@@ -201,7 +222,9 @@ impl Search<'_> {
     /// Log density of readings without more effects.
     fn log_density(&self, learnt: &Learnt, expected: &[Expected]) -> Vec<f64> {
         let readings = self.pool.readings.iter().zip(expected);
-        readings.map(|(reading, expected)| learnt.density(expected, reading.z).ln()).collect()
+        readings
+            .map(|(reading, expected)| learnt.density(reading.stretch, expected, reading.z).ln())
+            .collect()
     }
 
     /// The best trial of each kind.
@@ -210,19 +233,16 @@ impl Search<'_> {
         let log = self.log_density(&known.learnt, &expected);
         let used = assignment.used();
         let mut best = Best::new();
-        let mut add = |kind: EffectKind, gain: f64, index: usize| {
-            let entry = best.entry(kind).or_insert((gain, index));
-            if gain > entry.0 {
-                *entry = (gain, index);
-            }
-        };
         for (index, trial) in tried.iter().enumerate() {
             let gains = trial.gains(self.pool, &known.learnt, &log, &used);
-            add(trial.effect.kind, assignment.net(&gains, &gains).iter().sum(), index);
+            let gain = assignment.net(&gains, &gains).iter().sum();
+            add(&mut best, trial.effect.kind, Score { gain, contrast: assignment.contrast(&gains), index });
         }
         for (index, effect) in odometry.iter().enumerate() {
             let gains = self.increments.gains(&known.usual, &[], effect, &used);
-            add(effect.kind, assignment.net(&gains, &gains).iter().sum(), tried.len() + index);
+            let gain = assignment.net(&gains, &gains).iter().sum();
+            let contrast = self.increments.contrast(&known.usual, &[], effect.kind, assignment);
+            add(&mut best, effect.kind, Score { gain, contrast, index: tried.len() + index });
         }
         best
     }
@@ -275,21 +295,24 @@ impl Search<'_> {
                 .get(index)
                 .map_or_else(|| odometry[index - tried.len()].clone(), |trial| trial.effect.clone())
         };
-        let starts = |tried: &[Trial], best: &Best| -> Vec<Effect> {
+        let starts = |tried: &[Trial], best: &Best, least: f64| -> Vec<Effect> {
             let mut kinds: Vec<(f64, usize)> = best
                 .iter()
-                .filter(|(kind, (gain, _))| null.is_beyond(**kind, *gain, self.options.false_alarm))
-                .map(|(_, &(gain, index))| (gain, index))
+                .filter(|(kind, score)| null.weight(**kind, score) > least)
+                .map(|(_, score)| (score.gain, score.index))
                 .collect();
             kinds.sort_by(|a, b| b.0.total_cmp(&a.0));
             kinds.into_iter().take(FITTED_KINDS).map(|(_, index)| effect_of(tried, index)).collect()
         };
-        let mut next = starts(tried, own);
+        // That something changed is known in the first round; later on, each kind might be there by chance.
+        let chance = self.options.false_alarm;
+        let mut next = starts(tried, own, -chance.ln());
+        let mut scores = own.clone();
         while !next.is_empty() && named.len() < self.options.most_effects {
             self.progress.stage("fitting effects", next.len() as u64);
             let logs =
                 [&usual(self.pool), &expected].map(|expected| self.log_density(&known.learnt, expected));
-            let fits = next
+            let mut fits = next
                 .into_par_iter()
                 .map(|effect| {
                     let fit = self.fit(effect, &given, &expected, &logs, assignment, known);
@@ -297,10 +320,20 @@ impl Search<'_> {
                     fit
                 })
                 .collect::<Result<Vec<Fit>, _>>()?;
-            let Some(best) = choose(&fits, assignment) else { break };
-            let number = self.numbers(&fits[best], &given, &expected, assignment)?;
-            named.push(name(&fits, best, number, assignment, null, p, self.pool.logs[1].recorded.scans()));
-            given.effects.push(fits[best].effect.clone());
+            let mut sure = None;
+            while let Some(best) = choose(&fits, assignment) {
+                let numbers = self.numbers(&fits[best], &given, &expected, assignment)?;
+                if is_known(&fits[best].effect, &numbers) {
+                    sure = Some((best, numbers));
+                    break;
+                }
+                fits.remove(best);
+            }
+            let Some((best, numbers)) = sure else { break };
+            let effect = fits[best].effect.clone();
+            let evidence = [scores.get(&effect.kind).map_or(0.0, |score| null.z(effect.kind, score)), p];
+            named.push(name(&fits, best, numbers, assignment, evidence, self.pool.logs[1].recorded.scans()));
+            given.effects.push(effect);
             if named.len() == self.options.most_effects {
                 break;
             }
@@ -309,26 +342,27 @@ impl Search<'_> {
             let logs =
                 [&usual(self.pool), &expected].map(|expected| self.log_density(&known.learnt, expected));
             let mut best = Best::new();
-            let mut add = |kind: EffectKind, gain: f64, index: usize| {
-                // The rest of a named effect is its form.
-                if given.effects.iter().all(|known| known.kind != kind || !kind.adds_up()) {
-                    let entry = best.entry(kind).or_insert((0.0, index));
-                    if gain > entry.0 {
-                        *entry = (gain, index);
-                    }
-                }
-            };
-            for (index, trial) in more.iter().enumerate() {
+            // The rest of a named effect is its form.
+            let is_new =
+                |kind: EffectKind| given.effects.iter().all(|known| known.kind != kind || !kind.adds_up());
+            for (index, trial) in more.iter().enumerate().filter(|(_, trial)| is_new(trial.effect.kind)) {
                 let Some(plain) = tried.iter().find(|plain| plain.effect == trial.effect) else { continue };
                 let usual = plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline);
                 let gains = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
-                add(trial.effect.kind, assignment.net(&gains, &usual).iter().sum(), index);
+                let gain = assignment.net(&gains, &usual).iter().sum();
+                let both: Vec<f64> =
+                    gains.iter().zip(usual).map(|(today, baseline)| today + baseline).collect();
+                let contrast = assignment.contrast(&both);
+                add(&mut best, trial.effect.kind, Score { gain, contrast, index });
             }
-            for (index, effect) in odometry.iter().enumerate() {
-                let gains = self.gains_of(effect, &given, &expected, &logs, assignment, known)?;
-                add(effect.kind, gains.iter().sum(), more.len() + index);
+            for (index, effect) in odometry.iter().enumerate().filter(|(_, effect)| is_new(effect.kind)) {
+                let gain = self.gains_of(effect, &given, &expected, &logs, assignment, known)?.iter().sum();
+                let contrast =
+                    self.increments.contrast(&known.usual, &given.effects, effect.kind, assignment);
+                add(&mut best, effect.kind, Score { gain, contrast, index: more.len() + index });
             }
-            next = starts(&more, &best);
+            next = starts(&more, &best, null.least_weight(chance));
+            scores = best;
         }
         Ok(named)
     }
@@ -512,124 +546,9 @@ impl Search<'_> {
     }
 }
 
-/// The most that kinds of effect gain in permutations.
-struct Null {
-    /// Roots of twice the gains of each kind.
-    roots: BTreeMap<EffectKind, Roots>,
-    /// The largest weight of each permutation, in order.
-    largest: Vec<f64>,
-}
-
-/// Roots of one kind, of the true logs and of permutations, in order.
-struct Roots {
-    sorted: Vec<f64>,
-    mean: f64,
-    deviation: f64,
-    /// Where the tail begins, and its mean excess.
-    begin: f64,
-    scale: f64,
-}
-
-impl Roots {
-    fn new(own: f64, others: Vec<f64>) -> Self {
-        let n = others.len() as f64;
-        let mean = others.iter().sum::<f64>() / n;
-        let variance = others.iter().map(|root| (root - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        let mut sorted = others;
-        sorted.push(own);
-        sorted.sort_by(f64::total_cmp);
-        // The last tenth but for the largest value, which is the true logs' where something changed.
-        let beyond = (sorted.len() / 10).max(FEWEST).min(sorted.len() - 1);
-        let first = sorted.len() - beyond;
-        let begin = sorted[first - 1];
-        let tail = &sorted[first..sorted.len() - 1];
-        let excess = tail.iter().map(|root| root - begin).sum::<f64>() / f64::max(tail.len() as f64, 1.0);
-        Self {
-            mean,
-            deviation: variance.sqrt().max(LEAST_SCALE),
-            begin,
-            scale: excess.max(LEAST_SCALE),
-            sorted,
-        }
-    }
-
-    /// Minus the logarithm of the chance of a root as large: its rank, and beyond the last tenth an exponential tail.
-    fn weight(&self, root: f64) -> f64 {
-        let count = self.sorted.len() as f64;
-        let above = |value: f64| count - self.sorted.partition_point(|v| *v < value) as f64;
-        if root > self.begin {
-            let beyond = count - self.sorted.partition_point(|v| *v <= self.begin) as f64;
-            (count / beyond.max(1.0)).ln() + (root - self.begin) / self.scale
-        } else {
-            -(above(root) / count).ln()
-        }
-    }
-}
-
-/// A gain as a number of standard deviations, were its effect a shift of one direction; negative where it loses, so that kinds
-/// which hardly ever gain have a distribution, too.
-fn root(gain: f64) -> f64 {
-    gain.signum() * (2.0 * gain.abs()).sqrt()
-}
-
-impl Null {
-    fn new(own: &Best, others: &[Best]) -> Self {
-        let of = |best: &Best, kind: EffectKind| root(best.get(&kind).map_or(0.0, |(gain, _)| *gain));
-        let roots = own
-            .keys()
-            .map(|&kind| {
-                (kind, Roots::new(of(own, kind), others.iter().map(|best| of(best, kind)).collect()))
-            })
-            .collect();
-        let mut null = Self { roots, largest: Vec::new() };
-        let mut largest: Vec<f64> = others.iter().map(|best| null.most(best)).collect();
-        largest.sort_by(f64::total_cmp);
-        null.largest = largest;
-        null
-    }
-
-    /// Standard deviations of permutations.
-    fn z(&self, kind: EffectKind, gain: f64) -> f64 {
-        self.roots.get(&kind).map_or(0.0, |roots| (root(gain) - roots.mean) / roots.deviation)
-    }
-
-    fn weight(&self, kind: EffectKind, gain: f64) -> f64 {
-        // A kind that doesn't gain says nothing, however rare its small loss is.
-        self.roots.get(&kind).filter(|_| gain > 0.0).map_or(0.0, |roots| roots.weight(root(gain)))
-    }
-
-    fn most(&self, best: &Best) -> f64 {
-        best.iter().map(|(&kind, &(gain, _))| self.weight(kind, gain)).fold(f64::NEG_INFINITY, f64::max)
-    }
-
-    /// Share of logs without a change that are as far off.
-    fn p(&self, own: &Best) -> f64 {
-        let most = self.most(own);
-        let above = self.largest.len() - self.largest.partition_point(|&weight| weight < most);
-        (above as f64 + 1.0) / (self.largest.len() as f64 + 1.0)
-    }
-
-    /// Whether a kind gains more than chance lets it gain.
-    fn is_beyond(&self, kind: EffectKind, gain: f64, chance: f64) -> bool {
-        self.weight(kind, gain) > -chance.ln()
-    }
-}
-
-/// The least scale of a root, that of independent readings: a kind that gains in few permutations isn't found by one reading.
-const LEAST_SCALE: f64 = 1.0;
-/// A tail is of no fewer values.
-const FEWEST: usize = 4;
-
 /// The fit that is named: the one that is worth most, and surely gains; one with fewer parameters within a standard error.
 fn choose(fits: &[Fit], assignment: &Assignment) -> Option<usize> {
-    let of_today = |fit: &Fit| -> Vec<f64> {
-        fit.gains
-            .iter()
-            .zip(&assignment.is_today)
-            .filter(|(_, today)| **today)
-            .map(|(gain, _)| *gain)
-            .collect()
-    };
+    let of_today = |fit: &Fit| assignment.of_today(&fit.gains);
     let is_sure = |fit: &Fit| fit.worth() > 0.0 && fit.gain() - sum_error(&of_today(fit)) > 0.0;
     let most = (0..fits.len())
         .filter(|&i| is_sure(&fits[i]))
@@ -645,6 +564,22 @@ fn choose(fits: &[Fit], assignment: &Assignment) -> Option<usize> {
     simpler.max_by(|&a, &b| gain(a).total_cmp(&gain(b))).or(Some(most))
 }
 
+/// Whether the interval of a strength leaves out the strength of nothing.
+fn is_known(effect: &Effect, numbers: &BTreeMap<&'static str, Number>) -> bool {
+    let parameters = effect.kind.parameters();
+    let mut strengths = effect
+        .kind
+        .strengths()
+        .map(|i| &parameters[i])
+        .filter(|parameter| parameter.role == Role::Strength)
+        .peekable();
+    let is_apart = |parameter: &Parameter| {
+        let interval = numbers.get(parameter.name).map(|number| number.estimate.interval);
+        interval.is_some_and(|interval| interval.lo > parameter.neutral || interval.hi < parameter.neutral)
+    };
+    strengths.peek().is_none() || strengths.any(is_apart)
+}
+
 /// A rival that is behind by fewer standard errors can't be told from the best: the one-sided 90 % quantile.
 const BEHIND_ERRORS: f64 = 1.3;
 
@@ -653,23 +588,17 @@ fn name(
     best: usize,
     params: BTreeMap<&'static str, Number>,
     assignment: &Assignment,
-    null: &Null,
-    p: f64,
+    [z, p]: [f64; 2],
     scans: usize,
 ) -> Named {
     let fit = &fits[best];
-    let of_today = |fit: &Fit| -> Vec<f64> {
-        fit.gains
-            .iter()
-            .zip(&assignment.is_today)
-            .filter(|(_, today)| **today)
-            .map(|(gain, _)| *gain)
-            .collect()
-    };
+    let of_today = |fit: &Fit| assignment.of_today(&fit.gains);
     let own = of_today(fit);
     let is_rival = |other: &&Fit| {
         let behind: Vec<f64> = own.iter().zip(of_today(other)).map(|(a, b)| a - b).collect();
+        // Readings and odometry are different data: what explains one is no rival of what explains the other.
         other.effect.kind != fit.effect.kind
+            && is_of_odometry(&other.effect) == is_of_odometry(&fit.effect)
             && other.gain() - 1.645 * sum_error(&of_today(other)) > 0.0
             && behind.iter().sum::<f64>() < BEHIND_ERRORS * sum_error(&behind)
     };
@@ -685,7 +614,7 @@ fn name(
         evidence: Evidence {
             gain_nats,
             gain_nats_per_scan: gain_nats.value / scans as f64,
-            score: Some(null.z(fit.effect.kind, fit.gain())),
+            score: Some(z),
             p,
         },
         effect: fit.effect.clone(),

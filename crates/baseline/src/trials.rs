@@ -92,7 +92,7 @@ impl Trial {
             if !is_used[reading.stretch as usize] {
                 continue;
             }
-            let gain = learnt.density(expected, reading.z).ln() - log[*index as usize];
+            let gain = learnt.density(reading.stretch, expected, reading.z).ln() - log[*index as usize];
             if self.share.is_none() {
                 gains[reading.stretch as usize] += gain;
             } else if window.0 == reading.window {

@@ -15,9 +15,15 @@ use crate::LabError;
 /// Side of a bin of the densest cluster when the scenario doesn't set one: AMCL's 0.5 m and 10 degrees.
 const CLUSTER_BINS: (f64, f64) = (0.5, 10.0 * std::f64::consts::PI / 180.0);
 
-/// Fitted motion noise is this many times the odometry's, and each alpha at least this. The errors of nominal ranges are alike
-/// from scan to scan; with less motion noise than that the filter loses its particles.
-const FITTED_ALPHA: (f64, f64) = (2.0, 0.002);
+/// Fitted motion noise is this many times the odometry's (variances).
+const FITTED_TIMES: f64 = 2.0;
+/// Least variance of fitted motion noise, in m^2 and rad^2 per metre driven and per radian turned. The errors of nominal ranges are
+/// alike from scan to scan; with less motion noise than that the filter loses its particles. It is of the way, not of a step: a
+/// log with ten times the scans isn't ten times as sure.
+const LEAST_VARIANCE: f64 = 0.001;
+
+/// Of steps of a few millimetres, most of the way is jitter of the encoders.
+const MOST_LEAST_ALPHA: f64 = 0.1;
 
 /// Motion noise fitted to the odometry's error against the reference, on the scans of a log without those that trials localize
 /// on; `None` with too few of them.
@@ -27,7 +33,23 @@ pub(crate) fn fitted_alpha(drive: &Drive, localized: &[usize]) -> Option<[f64; 4
         others.steps[i].reference = None;
     }
     let error = OdometryError::of(&others)?;
-    Some(error.alpha.map(|alpha| (FITTED_ALPHA.0 * alpha).max(FITTED_ALPHA.1)))
+    let least = least_alpha(drive);
+    Some(std::array::from_fn(|i| (FITTED_TIMES * error.alpha[i]).max(least[i])))
+}
+
+/// The alphas that add [`LEAST_VARIANCE`]: a step's variance goes with its square, and the way is the sum of the steps.
+fn least_alpha(drive: &Drive) -> [f64; 4] {
+    let [mut way, mut squares] = [[0.0; 2]; 2];
+    for i in 1..drive.steps.len() {
+        let step = drive.odometry_increment(i);
+        for (axis, length) in [step.theta.abs(), step.position().length()].into_iter().enumerate() {
+            way[axis] += length;
+            squares[axis] += length * length;
+        }
+    }
+    let of = |axis: usize| if squares[axis] > 0.0 { LEAST_VARIANCE * way[axis] / squares[axis] } else { 0.0 };
+    let [turn, distance] = [of(0), of(1)];
+    [turn, distance, distance, turn].map(|alpha| alpha.clamp(LEAST_VARIANCE, MOST_LEAST_ALPHA))
 }
 
 /// Where the filter starts; `None` where it starts at the true first pose and that isn't known.
@@ -122,9 +144,40 @@ mod tests {
         assert_eq!(fitted_alpha(&garbage, &localized), Some(without));
     }
 
+    /// Ten times the scans, each with a tenth of the way, have as much noise over the same way.
+    #[test]
+    fn the_least_noise_is_of_the_way_and_not_of_the_scans() {
+        let over_a_metre = |steps_per_m: u32| {
+            let mut plain = drive([0.0; 4], 1);
+            let step = Pose2::new(1.0 / f64::from(steps_per_m), 0.0, 0.0);
+            for i in 0..20 * steps_per_m {
+                let last = plain.steps.last().unwrap().clone();
+                let pose = last.odometry.compose(&step);
+                plain.steps.push(DriveStep {
+                    stamp_secs: f64::from(i),
+                    odometry: pose,
+                    reference: Some(pose),
+                    ..last
+                });
+            }
+            let [_, _, alpha, _] = fitted_alpha(&plain, &[]).unwrap();
+            f64::from(steps_per_m) * alpha * step.x * step.x
+        };
+        let [sparse, dense] = [2, 20].map(over_a_metre);
+        assert!(
+            (sparse - LEAST_VARIANCE).abs() < 1e-6 && (dense / sparse - 1.0).abs() < 0.1,
+            "{sparse} {dense}"
+        );
+    }
+
     #[test]
     fn perfect_odometry_keeps_the_least_noise_and_a_short_drive_says_nothing() {
-        assert_eq!(fitted_alpha(&drive([0.0; 4], 400), &[]), Some([FITTED_ALPHA.1; 4]));
+        // Steps of half a metre, and turns of 0.6 rad where there are any.
+        let [turn, distance] = [LEAST_VARIANCE / 0.6, LEAST_VARIANCE / 0.5];
+        let fitted = fitted_alpha(&drive([0.0; 4], 400), &[]).unwrap();
+        for (fitted, least) in fitted.iter().zip([turn, distance, distance, turn]) {
+            assert!((fitted / least - 1.0).abs() < 1e-9, "{fitted} for {least}");
+        }
         assert_eq!(fitted_alpha(&drive(ALPHA, 4), &[]), None);
     }
 }

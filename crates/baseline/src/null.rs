@@ -1,0 +1,244 @@
+//! How rare gains of each kind of effect are, by permutations of stretches.
+
+use std::collections::BTreeMap;
+
+use locsim_world::effect::{EffectKind, Moves};
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+/// The trial of a kind that gains most.
+#[derive(Clone, Copy)]
+pub(super) struct Score {
+    /// Its gain (nats), negative where nothing gains.
+    pub gain: f64,
+    /// How surely the kind gains today and not in the baseline, in standard errors: the most of any trial. That of odometry is
+    /// signed.
+    pub contrast: f64,
+    /// Index of the trial.
+    pub index: usize,
+}
+
+/// The best trial of each kind.
+pub(super) type Best = BTreeMap<EffectKind, Score>;
+
+/// Keeps the better one.
+pub(super) fn add(best: &mut Best, kind: EffectKind, score: Score) {
+    let entry = best.entry(kind).or_insert(score);
+    let contrast = entry.contrast.max(score.contrast);
+    if score.gain > entry.gain {
+        *entry = score;
+    }
+    entry.contrast = contrast;
+}
+
+/// The most that kinds of effect gain in permutations.
+pub(super) struct Null {
+    roots: BTreeMap<EffectKind, Roots>,
+    contrasts: BTreeMap<EffectKind, Contrasts>,
+    /// The largest weight of each permutation, in order.
+    largest: Vec<f64>,
+}
+
+/// Roots of twice the gains of one kind, of the true logs and of permutations, in order.
+struct Roots {
+    sorted: Vec<f64>,
+    mean: f64,
+    deviation: f64,
+    /// Where the tail begins, and its mean excess.
+    begin: f64,
+    scale: f64,
+}
+
+impl Roots {
+    fn new(own: f64, others: Vec<f64>) -> Self {
+        let n = others.len() as f64;
+        let mean = others.iter().sum::<f64>() / n;
+        let variance = others.iter().map(|root| (root - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        let mut sorted = others;
+        sorted.push(own);
+        sorted.sort_by(f64::total_cmp);
+        // The last tenth but for the largest value, which is the true logs' where something changed.
+        let beyond = (sorted.len() / 10).max(FEWEST).min(sorted.len() - 1);
+        let first = sorted.len() - beyond;
+        // A kind that loses in most permutations isn't found by a gain of nothing.
+        let begin = sorted[first - 1].max(0.0);
+        let tail =
+            sorted[first..sorted.len() - 1].iter().map(|root| root - begin).filter(|excess| *excess > 0.0);
+        let excess = tail.clone().sum::<f64>() / f64::max(tail.count() as f64, 1.0);
+        Self {
+            mean,
+            deviation: variance.sqrt().max(LEAST_SCALE),
+            begin,
+            scale: excess.max(LEAST_SCALE),
+            sorted,
+        }
+    }
+
+    /// Minus the logarithm of the chance of a root as large: its rank, and beyond the last tenth an exponential tail.
+    fn weight(&self, root: f64) -> f64 {
+        let count = self.sorted.len() as f64;
+        let above = |value: f64| count - self.sorted.partition_point(|v| *v < value) as f64;
+        if root > self.begin {
+            let beyond = (count / 10.0).max(FEWEST as f64);
+            (count / beyond).ln() + (root - self.begin) / self.scale
+        } else {
+            -(above(root) / count).ln()
+        }
+    }
+}
+
+/// Contrasts of one kind in permutations: they follow Student's distribution about a mean that the best of several trials has.
+struct Contrasts {
+    mean: f64,
+    deviation: f64,
+    degrees: f64,
+    is_two_sided: bool,
+}
+
+impl Contrasts {
+    fn new(kind: EffectKind, others: &[f64], stretches: usize) -> Self {
+        let n = others.len() as f64;
+        let mean = others.iter().sum::<f64>() / n;
+        let variance = others.iter().map(|contrast| (contrast - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        let is_two_sided = kind.moves() == Moves::Odometry && !kind.is_one_sided();
+        Self {
+            mean: if is_two_sided { mean } else { mean.max(0.0) },
+            deviation: variance.sqrt().max(LEAST_SCALE),
+            degrees: f64::max(stretches as f64 - 1.0, 1.0),
+            is_two_sided,
+        }
+    }
+
+    fn z(&self, contrast: f64) -> f64 {
+        let z = (contrast - self.mean) / self.deviation;
+        if self.is_two_sided { z.abs() } else { z }
+    }
+
+    /// Minus the logarithm of the chance of a contrast as large.
+    fn weight(&self, contrast: f64) -> f64 {
+        let chance =
+            StudentsT::new(0.0, 1.0, self.degrees).map_or(1.0, |student| student.sf(self.z(contrast)));
+        -(if self.is_two_sided { 2.0 * chance } else { chance }).max(f64::MIN_POSITIVE).ln()
+    }
+}
+
+/// A gain as a number of standard deviations, were its effect a shift of one direction; negative where it loses, so that kinds
+/// which hardly ever gain have a distribution, too.
+fn root(gain: f64) -> f64 {
+    gain.signum() * (2.0 * gain.abs()).sqrt()
+}
+
+impl Null {
+    pub fn new(own: &Best, others: &[Best], stretches: usize) -> Self {
+        let of = |kind: EffectKind, number: &dyn Fn(&Score) -> f64| -> Vec<f64> {
+            others.iter().map(|best| best.get(&kind).map_or(0.0, number)).collect()
+        };
+        let roots = |(&kind, score): (&EffectKind, &Score)| {
+            (kind, Roots::new(root(score.gain), of(kind, &|score| root(score.gain))))
+        };
+        let contrasts =
+            |&kind: &EffectKind| (kind, Contrasts::new(kind, &of(kind, &|score| score.contrast), stretches));
+        let mut null = Self {
+            roots: own.iter().map(roots).collect(),
+            contrasts: own.keys().map(contrasts).collect(),
+            largest: Vec::new(),
+        };
+        let mut largest: Vec<f64> = others.iter().map(|best| null.most(best)).collect();
+        largest.sort_by(f64::total_cmp);
+        null.largest = largest;
+        null
+    }
+
+    /// Gain or contrast in standard deviations of permutations, the larger one.
+    pub fn z(&self, kind: EffectKind, score: &Score) -> f64 {
+        let (Some(roots), Some(contrasts)) = (self.roots.get(&kind), self.contrasts.get(&kind)) else {
+            return 0.0;
+        };
+        ((root(score.gain) - roots.mean) / roots.deviation).max(contrasts.z(score.contrast))
+    }
+
+    /// The larger of the weights of gain and contrast.
+    pub fn weight(&self, kind: EffectKind, score: &Score) -> f64 {
+        // A kind that doesn't gain says nothing, however rare its small loss is.
+        if score.gain <= 0.0 {
+            return 0.0;
+        }
+        let of_gain = self.roots.get(&kind).map_or(0.0, |roots| roots.weight(root(score.gain)));
+        self.contrasts.get(&kind).map_or(of_gain, |contrasts| contrasts.weight(score.contrast).max(of_gain))
+    }
+
+    fn most(&self, best: &Best) -> f64 {
+        best.iter().map(|(&kind, score)| self.weight(kind, score)).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Share of logs without a change that are as far off.
+    pub fn p(&self, own: &Best) -> f64 {
+        let most = self.most(own);
+        let above = self.largest.len() - self.largest.partition_point(|&weight| weight < most);
+        (above as f64 + 1.0) / (self.largest.len() as f64 + 1.0)
+    }
+
+    /// The weight that the largest one of all kinds exceeds with this chance where nothing changed.
+    pub fn least_weight(&self, chance: f64) -> f64 {
+        let beyond = (chance * self.largest.len() as f64) as usize;
+        let at = self.largest.len().checked_sub(beyond + 1);
+        at.map_or(f64::INFINITY, |at| self.largest[at])
+    }
+}
+
+/// The least scale of a root, that of independent readings: a kind that gains in few permutations isn't found by one reading.
+const LEAST_SCALE: f64 = 1.0;
+/// A tail is of no fewer values.
+const FEWEST: usize = 4;
+
+#[cfg(test)]
+mod tests {
+    use locsim_world::effect::EffectKind as E;
+
+    use super::*;
+
+    fn of(kind: EffectKind, gain: f64, contrast: f64) -> Best {
+        Best::from([(kind, Score { gain, contrast, index: 0 })])
+    }
+
+    /// Quantiles of Student's distribution with 15 degrees of freedom: 2.131 at .975, 2.947 at .995.
+    #[test]
+    fn contrasts_weigh_as_student_s_table_has_it() {
+        let others = [-1.0, 1.0].repeat(100);
+        for (kind, sides) in [(E::OdomDistanceScale, 2.0), (E::RangeBias, 1.0)] {
+            let contrasts = Contrasts::new(kind, &others, 16);
+            let deviation = contrasts.deviation;
+            for (quantile, tail) in [(2.131, 0.025), (2.947, 0.005)] {
+                let chance = (-contrasts.weight(quantile * deviation)).exp();
+                // The table has four digits.
+                assert!((chance / (sides * tail) - 1.0).abs() < 2e-3, "{kind:?} {chance}");
+            }
+            let of_other_side = (-contrasts.weight(-2.131 * deviation)).exp();
+            let expected = if sides == 2.0 { 0.05 } else { 0.975 };
+            assert!((of_other_side - expected).abs() < 1e-4, "{kind:?} {of_other_side}");
+        }
+    }
+
+    /// A kind that loses in each permutation isn't found where it gains hardly anything, and is where it gains much.
+    #[test]
+    fn a_gain_of_nothing_is_no_discovery() {
+        let others: Vec<Best> = (0..99).map(|i| of(E::MissingObject, -50.0 - f64::from(i), -3.0)).collect();
+        let least = Score { gain: 0.5, contrast: 0.1, index: 0 };
+        let much = Score { gain: 40.0, ..least };
+        let null = Null::new(&of(E::MissingObject, 0.5, 0.1), &others, 16);
+        let needed = -0.01_f64.ln();
+        assert!(null.weight(E::MissingObject, &least) < needed);
+        assert!(null.weight(E::MissingObject, &much) > needed);
+    }
+
+    /// What gains on all of today's stretches is found by its contrast, although permutations gain more: they mix stretches that
+    /// gain with others.
+    #[test]
+    fn a_contrast_finds_what_permutations_hide() {
+        let others: Vec<Best> =
+            (0..99).map(|i| of(E::OdomDistanceScale, f64::from(i), f64::from(i % 5 - 2))).collect();
+        let own = of(E::OdomDistanceScale, 50.0, 12.0);
+        assert!(Null::new(&own, &others, 16).p(&own) <= 0.01);
+        let unsure = of(E::OdomDistanceScale, 50.0, 1.0);
+        assert!(Null::new(&unsure, &others, 16).p(&unsure) > 0.2);
+    }
+}
