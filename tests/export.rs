@@ -95,3 +95,91 @@ fn what_is_left_is_applied_by_the_command_that_is_printed() {
         .code(2)
         .stderr(contains("this command reads it"));
 }
+
+/// The room with a drive to and fro: 8 m, which tell the noise of its odometry.
+fn to_and_fro() -> Folder {
+    let folder = Folder::new();
+    let path = "[[0.6, 0.9], [2.6, 0.9]]";
+    let longer = "[[0.6, 0.9], [2.6, 0.9], [0.6, 0.9], [2.6, 0.9], [0.6, 0.9]]";
+    folder.write("room-run.yaml", edited(common::SCENARIO, path, longer));
+    folder
+}
+
+#[test]
+fn exported_parameters_of_amcl_are_those_of_a_run() {
+    let folder = to_and_fro();
+    let command = "export nav2 room-run.yaml -o amcl.yaml --evaluations 16 --trials 3";
+    let printed = output(&folder.locsim(&format!("{command} --threads 1")).success());
+    assert!(printed.contains("nav2's defaults") && printed.contains("exported"), "{printed}");
+    let files = ["amcl.yaml", "amcl.beluga.yaml", "amcl.report.md", "amcl.report.html"];
+    let first = files.map(|file| folder.read(file));
+    folder.locsim(command).code(2).stderr(contains("it exists (--force replaces it)"));
+    folder.locsim(&format!("{command} --threads 2 --force --quiet")).success();
+    assert_eq!(first, files.map(|file| folder.read(file)), "the same bytes on any number of threads");
+    let text = String::from_utf8(folder.read("amcl.yaml")).unwrap();
+    assert!(text.contains("\namcl:\n  ros__parameters:\n"), "{text}");
+    let value = |name: &str| {
+        let line = text.lines().find(|line| line.trim_start().starts_with(&format!("{name}: ")));
+        let line = line.unwrap_or_else(|| panic!("{name} is not in {text}"));
+        let (value, origin) = line.split_once(": ").unwrap().1.split_once(" # ").unwrap();
+        assert!(!origin.is_empty(), "{line}");
+        value.trim().to_owned()
+    };
+    // Of ROS 2, a float has a point, and a whole number none.
+    for name in ["z_hit", "z_short", "z_max", "z_rand", "sigma_hit", "lambda_short", "alpha1", "alpha5"] {
+        assert!(value(name).contains('.') && value(name).parse::<f64>().is_ok(), "{name}: {}", value(name));
+    }
+    assert!(value("max_beams").parse::<u32>().unwrap() >= 2);
+    assert_eq!(value("laser_max_range"), "3.0");
+    // The file is a model of a scenario.
+    let kind = value("laser_model_type").replace('"', "");
+    let models =
+        format!("models: [{{name: amcl_{kind}, file: amcl.yaml}}, amcl_likelihood_field_prob, amcl_beam]");
+    let models = models
+        .replace("name: amcl_likelihood_field_prob", "label: exported, name: amcl_likelihood_field_prob");
+    let models = models.replace("name: amcl_beam", "label: exported, name: amcl_beam");
+    folder.write("run.yaml", edited(common::SCENARIO, "models: [classic, np_reg_registered]", &models));
+    folder.locsim("run run.yaml --record none --out results").success();
+    let other = if kind == "beam" { "likelihood_field" } else { "beam" };
+    let wrong = format!("models: [{{name: amcl_{other}, file: amcl.yaml}}]");
+    folder.write("run.yaml", edited(common::SCENARIO, "models: [classic, np_reg_registered]", &wrong));
+    folder
+        .locsim("run run.yaml --out wrong")
+        .code(2)
+        .stderr(contains(format!("has laser_model_type `{kind}`, the scenario asks for amcl_{other}")));
+}
+
+#[test]
+fn what_nav2_parameters_cannot_be_searched_on_is_refused() {
+    let folder = to_and_fro();
+    folder.write("other.txt", "no log");
+    folder.write(
+        "floor.yaml",
+        edited(
+            common::SCENARIO,
+            "models: [classic, np_reg_registered]",
+            "models: [{name: amcl_beam, exponent: 0.5}]",
+        ),
+    );
+    for (line, message) in [
+        ("room-run.yaml --evaluations 3", "--evaluations: 3 is not allowed; from 16 to 100000"),
+        ("room-run.yaml --trials 1", "--trials: 1 is not allowed; from 2 to 100000"),
+        ("nothing.yaml", "nothing.yaml: cannot be read"),
+        ("nothing.mcap", "nothing.mcap: cannot be read"),
+        ("other.txt", "other.txt"),
+        ("floor.yaml", "models[0].exponent: the key is not allowed here; AMCL has none"),
+    ] {
+        folder.locsim(&format!("export nav2 {line} -o amcl.yaml")).code(2).stderr(contains(message));
+        assert!(!folder.path("amcl.yaml").exists());
+    }
+    // 2 m are too short a drive.
+    folder.write("short.yaml", common::SCENARIO);
+    folder
+        .locsim("export nav2 short.yaml -o amcl.yaml --evaluations 16")
+        .code(2)
+        .stderr(contains("too few metres of odometry with reference poses"));
+    folder
+        .locsim("export nav2 room-run.yaml -o room-run.yaml --force")
+        .code(2)
+        .stderr(contains("this command reads it"));
+}

@@ -60,7 +60,8 @@ pub enum Command {
     Gap(Gap),
     /// Apply a scenario's effects to a recording: its scans, stamps and odometry become those of a worse robot
     Apply(Apply),
-    /// Write a scenario's laser, with as many effects as the format can have, for a simulator
+    /// Write a scenario's laser, with as many effects as the format can have, for a simulator; or parameters for AMCL and Beluga
+    #[command(subcommand)]
     Export(Export),
     /// Build maps from a log with reference poses: an occupancy grid (ROS `map_server` format) and a map of walls
     Map(Map),
@@ -310,12 +311,22 @@ pub struct Apply {
     pub log_options: LogOptions,
 }
 
-/// `locsim export`.
+/// `locsim export`: the formats of other programs.
+#[derive(Debug, Subcommand)]
+pub enum Export {
+    /// Gazebo: a model with a `gpu_lidar`, in `SDFormat` 1.9
+    Sdf(ExportSensor),
+    /// Stage: a `ranger`
+    Stage(ExportSensor),
+    /// Webots: a `Lidar` node
+    Webots(ExportSensor),
+    /// nav2's AMCL and Beluga: parameters that are searched on the robot's own drives
+    Nav2(ExportNav2),
+}
+
+/// `locsim export sdf`, `stage`, `webots`.
 #[derive(Debug, Args)]
-pub struct Export {
-    /// The format
-    #[arg(value_enum)]
-    pub format: ExportFormat,
+pub struct ExportSensor {
     /// The scenario, or the results folder of a search
     pub found: PathBuf,
     /// The file to write
@@ -326,15 +337,37 @@ pub struct Export {
     pub force: bool,
 }
 
-/// Formats of other programs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ExportFormat {
-    /// Gazebo: a model with a `gpu_lidar`, in `SDFormat` 1.9
-    Sdf,
-    /// Stage: a `ranger`
-    Stage,
-    /// Webots: a `Lidar` node
-    Webots,
+/// `locsim export nav2`.
+#[derive(Debug, Args)]
+pub struct ExportNav2 {
+    /// A scenario, the results folder of a search, or a log with reference poses: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a
+    /// CARMEN log (`.log`, `.log.gz`)
+    pub source: PathBuf,
+    /// AMCL's parameter file; beside NAME.yaml come NAME.beluga.yaml, NAME.report.md and NAME.report.html
+    #[arg(short, long)]
+    pub out: PathBuf,
+    /// Replace these files if they are there
+    #[arg(long)]
+    pub force: bool,
+    /// Sets of parameters that are tried, 16 to 100000
+    #[arg(long, default_value_t = 400, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    pub evaluations: u32,
+    /// Trials of the comparison with nav2's defaults, 2 to 100000
+    #[arg(long, default_value_t = 20, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    pub trials: u32,
+    /// Seed, instead of the scenario's
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    pub seed: Option<u64>,
+    #[command(flatten)]
+    pub threads: Threads,
+    #[command(flatten)]
+    pub log_options: LogOptions,
+    /// Where range tables are kept between runs [default: `LOCSIM_CACHE`, or `locsim` in the user's cache folder]
+    #[arg(long, value_name = "FOLDER")]
+    pub cache: Option<PathBuf>,
+    /// No progress and no table
+    #[arg(long)]
+    pub quiet: bool,
 }
 
 /// `locsim map`.

@@ -2,6 +2,7 @@
 //! so that the Python package runs the same command.
 
 mod arguments;
+mod export;
 mod recording;
 mod sweep;
 
@@ -13,7 +14,6 @@ use clap::{CommandFactory, Parser};
 use locsim_core::output::Output;
 use locsim_dataset::{BagTopics, LogOptions};
 use locsim_lab::apply::apply as apply_effects;
-use locsim_lab::export::{SimulatorFormat, sensor as export_sensor};
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyOptions};
 use locsim_lab::inspect::{self, Inspection, NewScenario};
 use locsim_lab::run::{self, LogMaps, Recorder, RunOptions, RunSummary};
@@ -24,9 +24,7 @@ use locsim_scenario::{self as scenario, LogMap, Overrides, Scenario, Source, cat
 use locsim_study::{self as study, StudyOptions, StudyOverrides};
 use locsim_terminal::{BAD_INPUT, DONE, Failure, Session, columns, complain, exit_code, say};
 
-use arguments::{
-    Apply, Arguments, Command, Export, ExportFormat, Gap, Init, Inspect, Map, Record, Run, Simulate,
-};
+use arguments::{Apply, Arguments, Command, Gap, Init, Inspect, Map, Record, Run, Simulate};
 
 /// A bound that the scenario declares was missed.
 const MISSED: u8 = 1;
@@ -59,7 +57,7 @@ fn obey(command: &Command, program: &Path) -> Result<u8, Failure> {
         Command::Simulate(arguments) => simulate(arguments)?,
         Command::Gap(arguments) => gap(arguments)?,
         Command::Apply(arguments) => apply(arguments)?,
-        Command::Export(arguments) => export(arguments)?,
+        Command::Export(arguments) => export::export(arguments)?,
         Command::Map(arguments) => map(arguments)?,
         Command::Inspect(arguments) => inspect_log(arguments)?,
         Command::Init(arguments) => init(arguments)?,
@@ -290,40 +288,6 @@ fn apply(arguments: &Apply) -> anyhow::Result<u8> {
     Output { path: out, force: *force, inputs: &inputs }.check()?;
     let applied = apply_effects(&scenario, log, &without, &self::log_options(options), out)?;
     say(&format!("{}: {applied}", out.display()))?;
-    Ok(DONE)
-}
-
-fn export(arguments: &Export) -> anyhow::Result<u8> {
-    let Export { format, found, out, force } = arguments;
-    let file = if found.is_dir() { found.join("scenario.yaml") } else { found.clone() };
-    let scenario = Scenario::load(&file, &Overrides::default())?;
-    let output = Output { path: out, force: *force, inputs: &scenario.inputs()? };
-    output.check()?;
-    let format = match format {
-        ExportFormat::Sdf => SimulatorFormat::Sdf,
-        ExportFormat::Stage => SimulatorFormat::Stage,
-        ExportFormat::Webots => SimulatorFormat::Webots,
-    };
-    let exported = export_sensor(&scenario, format)?;
-    Output::write_all(&[(output, exported.text.as_bytes())])?;
-    say(&format!("{}: written", out.display()))?;
-    for (kind, part) in &exported.said {
-        say(&format!("  {kind}: {part}"))?;
-    }
-    for kind in &exported.left {
-        say(&format!("  {kind}: left to `locsim apply`"))?;
-    }
-    for note in &exported.notes {
-        say(&format!("  {note}"))?;
-    }
-    if !exported.left.is_empty() {
-        let said: Vec<&str> = exported.said.iter().map(|(kind, _)| kind.name()).collect();
-        let without = if said.is_empty() { String::new() } else { format!(" --without {}", said.join(",")) };
-        say(&format!(
-            "A recording gets the others by `locsim apply {}{without} --in RECORDING --out worse.mcap`.",
-            file.display()
-        ))?;
-    }
     Ok(DONE)
 }
 

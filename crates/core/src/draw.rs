@@ -40,6 +40,8 @@ pub enum Stage {
     /// The seed of effects that are applied to a recording, so that none of their draws are those of the simulation that may
     /// have made it.
     Recording = 17,
+    /// The search for the parameters of a filter.
+    Search = 18,
 }
 
 /// Number of items that [`Draw::normals`] serves at once.

@@ -118,12 +118,16 @@ impl Laser {
         let n = self.beam_count();
         let count = count.clamp(1, n);
         let kept: Vec<usize> = (0..count).map(|i| (2 * i + 1) * n / (2 * count)).collect();
-        let laser = Self {
+        (self.with_beams(&kept), kept)
+    }
+
+    /// This laser with these of its beams.
+    fn with_beams(&self, kept: &[usize]) -> Self {
+        Self {
             bearings: kept.iter().map(|&i| self.bearings[i]).collect(),
             beam_times_secs: kept.iter().map(|&i| self.beam_times_secs[i]).collect(),
             ..self.clone()
-        };
-        (laser, kept)
+        }
     }
 }
 
@@ -180,6 +184,18 @@ impl Drive {
     #[must_use]
     pub fn with_beams(&self, count: usize) -> Self {
         let (laser, kept) = self.laser.thinned(count);
+        self.seen_by(laser, &kept)
+    }
+
+    /// The same drive with every so manieth beam (at least 1), from the first on.
+    #[must_use]
+    pub fn with_every_beam(&self, stride: usize) -> Self {
+        let kept: Vec<usize> = (0..self.laser.beam_count()).step_by(stride.max(1)).collect();
+        self.seen_by(self.laser.with_beams(&kept), &kept)
+    }
+
+    /// The same drive with these beams, those of `laser`.
+    fn seen_by(&self, laser: Laser, kept: &[usize]) -> Self {
         let steps = self
             .steps
             .iter()

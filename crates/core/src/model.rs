@@ -115,8 +115,13 @@ pub trait SensorModel: Send + Sync {
         None
     }
 
-    /// Log likelihood of a whole scan for each pose: the sum over its k beams (nats). `scratch` is resized to
-    /// n*k and holds the beams' log densities afterwards.
+    /// Whether the likelihood of a particle depends on where the others are: a filter then asks for all at once.
+    fn needs_all_particles(&self) -> bool {
+        false
+    }
+
+    /// Log likelihood of a whole scan for each pose: the sum over its k beams (nats), unless the model says otherwise. `scratch`
+    /// is room to work in.
     fn log_likelihood(&self, z: &[f32], beams: &Beams<'_>, scratch: &mut Vec<f32>, out: &mut [f64]) {
         scratch.resize(beams.len(), 0.0);
         self.log_density(z, beams, scratch);

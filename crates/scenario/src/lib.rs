@@ -1,6 +1,7 @@
 //! Scenarios: YAML files that say what an experiment is. [`Scenario::load`] reads and checks one; nothing runs
 //! before every check has passed. [`schema`] describes the files to editors.
 
+mod amcl;
 pub mod catalogue;
 pub mod check;
 mod digest;
@@ -27,6 +28,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
+pub use amcl::load_amcl;
 pub use effect::effect_yaml;
 pub use error::{Problem, ScenarioError};
 pub use map_file::{LoadedMap, load_map};

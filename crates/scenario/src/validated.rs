@@ -4,7 +4,7 @@ use std::str::FromStr;
 use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
 use locsim_mcl::{AnnealingOptions, InjectionOptions, ParticleCount, ResampleTrigger, Spread};
-use locsim_sensor::ModelKind;
+use locsim_sensor::{AmclKind, ModelKind};
 use locsim_world::effect::Effect;
 use locsim_world::simulation::{BlockOptions, LaserOptions, OdometryNoise, Robot};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -185,7 +185,7 @@ pub struct Model {
     pub floor: Option<f64>,
     /// Tempering exponent, in (0, 1]; `None`: chosen on held-out data.
     pub exponent: Option<f64>,
-    /// A fitted model to load; `None`: fit it.
+    /// A fitted model, or AMCL's parameters, to load; `None`: fit it, or take nav2's defaults.
     #[serde(skip)]
     pub file: Option<PathBuf>,
 }
@@ -195,18 +195,25 @@ pub struct Model {
 pub enum ModelName {
     /// A model that is fitted to readings.
     Fitted(ModelKind),
+    /// A laser model of AMCL, with the parameters of a file, or nav2's defaults.
+    Amcl(AmclKind),
     /// The true density, from the simulated blocks on a lattice of cells and headings; simulation only.
     Oracle,
 }
 
 impl ModelName {
     /// Every model, in the order of the documentation.
-    pub const ALL: [Self; ModelKind::ALL.len() + 1] = {
-        let mut all = [Self::Oracle; ModelKind::ALL.len() + 1];
+    pub const ALL: [Self; ModelKind::ALL.len() + AmclKind::ALL.len() + 1] = {
+        let mut all = [Self::Oracle; ModelKind::ALL.len() + AmclKind::ALL.len() + 1];
         let mut i = 0;
         while i < ModelKind::ALL.len() {
             all[i] = Self::Fitted(ModelKind::ALL[i]);
             i += 1;
+        }
+        let mut j = 0;
+        while j < AmclKind::ALL.len() {
+            all[i + j] = Self::Amcl(AmclKind::ALL[j]);
+            j += 1;
         }
         all
     };
@@ -226,6 +233,7 @@ impl ModelName {
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Fitted(kind) => kind.as_str(),
+            Self::Amcl(kind) => kind.as_str(),
             Self::Oracle => "oracle",
         }
     }
@@ -233,6 +241,7 @@ impl ModelName {
     fn sentence(self) -> &'static str {
         match self {
             Self::Fitted(kind) => kind.sentence(),
+            Self::Amcl(kind) => kind.sentence(),
             Self::Oracle => {
                 "the true density, from the simulated blocks on a lattice of cells and headings; simulation only"
             }

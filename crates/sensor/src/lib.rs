@@ -14,6 +14,7 @@
 //! Modeling", IROS 2016 ("the paper"); Thrun, Burgard and Fox, "Probabilistic Robotics", MIT Press 2005,
 //! chapter 6.
 
+mod amcl;
 mod axis;
 mod beam;
 mod binned;
@@ -38,6 +39,7 @@ mod training;
 #[cfg(test)]
 mod tests;
 
+pub use amcl::{Amcl, AmclKind, AmclParameters};
 pub use error::SensorError;
 pub use evaluate::{Evaluation, evaluate};
 pub use fitted::{FitOptions, FittedModel, ModelKind, fit};

@@ -248,7 +248,7 @@ fn odometry_noise(error: Option<&OdometryError>) -> ([f64; 4], String) {
 }
 
 /// A number with `digits` significant digits.
-fn rounded(value: f64, digits: i32) -> f64 {
+pub(crate) fn rounded(value: f64, digits: i32) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return 0.0;
     }

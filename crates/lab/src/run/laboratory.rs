@@ -124,7 +124,7 @@ enum Drives {
 }
 
 /// A simulated world and the robot in it.
-struct World {
+pub(super) struct World {
     simulator: Simulator,
     robot: Robot,
 }
@@ -377,7 +377,7 @@ pub fn simulate_trial(scenario: &Scenario, trial: u32) -> Result<Drive, LabError
     Ok(drive_of(&world, seed, scenario)?.drive)
 }
 
-fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, LabError> {
+pub(super) fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<TrialDrive, LabError> {
     let simulated = simulate_drive(&world.simulator, &world.robot, seed).map_err(refused(scenario))?;
     let corners = |block: &Block| block.corners.map(|corner| corner.to_array());
     let blocks = simulated.blocks.iter().map(|blocks| blocks.iter().map(corners).collect()).collect();
@@ -415,7 +415,7 @@ pub(crate) fn selected(drive: &Drive, shares: &[[f64; 2]]) -> Vec<usize> {
 
 /// Where the filters of a log are expected: on the reference poses of the scans that trials localize on and of those that
 /// exponents are rehearsed on. `None` where a filter may be anywhere.
-fn followed(settings: &scenario::Filter, log: &Log, drive: &Drive) -> Option<Vec<[f64; 2]>> {
+pub(super) fn followed(settings: &scenario::Filter, log: &Log, drive: &Drive) -> Option<Vec<[f64; 2]>> {
     let tracks = matches!(settings.start, scenario::Start::Tracking(_)) && settings.injection.is_none();
     let steps = [&log.localize_scans, &log.train_scans].map(|scans| selected(drive, scans)).concat();
     let points: Option<Vec<_>> =
@@ -443,7 +443,7 @@ fn with_motion_noise(
     (scenario::Filter { motion: Motion::Odometry(Some(alpha)), ..settings.clone() }, Some(note))
 }
 
-fn world(simulation: &Simulation, maps: &MapSet) -> Result<World, SimulationError> {
+pub(super) fn world(simulation: &Simulation, maps: &MapSet) -> Result<World, SimulationError> {
     let Simulation { blocks, laser, robot, effects, .. } = simulation;
     let effects = Effects::new(effects.clone())?;
     let simulator = Simulator::new(Arc::clone(&maps.exact), *blocks, *laser, effects)?;
@@ -498,7 +498,7 @@ pub fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
 
 /// The log of a scenario, which has all that the scenario wants of it.
 pub(super) struct MeasuredLog {
-    drive: Drive,
+    pub drive: Drive,
     summary: LogSummary,
     /// A defect of the split that a run survives, in words.
     pub warning: Option<String>,

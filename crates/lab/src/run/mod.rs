@@ -5,6 +5,7 @@ mod coverage;
 mod detail;
 mod estimate;
 mod filter;
+mod grounds;
 mod laboratory;
 mod map;
 mod measure;
@@ -31,6 +32,7 @@ pub use unreferenced::{Unreferenced, UnreferencedModel};
 use crate::LabError;
 use detail::Detail;
 pub(crate) use filter::options as filter_options;
+pub(crate) use grounds::Grounds;
 pub use laboratory::read_options;
 use laboratory::{Laboratory, MeasuredLog, TrialDrive};
 pub(crate) use laboratory::{log_map, no_reference, refused, selected};
@@ -39,6 +41,7 @@ use locsim_report::store::{Folder, Part, Request, Store};
 use locsim_report::summary::Summary;
 use locsim_report::{self as report, ReportContext, ReportError};
 use locsim_scenario::{ErrorFrame, Estimate, Scenario, Source};
+pub(crate) use rehearsal::START;
 
 /// The recording's name in the results folder.
 pub const RECORDING: &str = "recording.rrd";

@@ -31,7 +31,7 @@ const EXPONENTS: [f64; 12] = [0.02, 0.03, 0.04, 0.055, 0.075, 0.1, 0.14, 0.2, 0.
 const STEPS: usize = 200;
 
 /// Spread of the start where the scenario's filter starts anywhere: an exponent is that of a filter that has gathered.
-const START: Spread = Spread { sigma_m: 0.1, sigma_rad: 0.05 };
+pub(crate) const START: Spread = Spread { sigma_m: 0.1, sigma_rad: 0.05 };
 
 /// Stretches with fewer steps than this in all tell nothing.
 const FEWEST_STEPS: usize = 10;
@@ -58,6 +58,15 @@ pub struct Rehearsal<'a> {
     seed: u64,
 }
 
+/// Keeps the steps of a stretch from the first with a reference pose to the last before one without.
+pub(super) fn keep_referenced(stretch: &mut Drive) {
+    let known = |step: &DriveStep| step.reference.is_some();
+    let first = stretch.steps.iter().position(known).unwrap_or(stretch.steps.len());
+    stretch.steps.drain(..first);
+    let end = stretch.steps.iter().position(|step| !known(step)).unwrap_or(stretch.steps.len());
+    stretch.steps.truncate(end);
+}
+
 /// The exponent that a rehearsal chose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rehearsed {
@@ -75,13 +84,7 @@ impl<'a> Rehearsal<'a> {
         map: Arc<dyn RangeMap>,
         seed: u64,
     ) -> Option<Self> {
-        for stretch in &mut stretches {
-            let known = |step: &DriveStep| step.reference.is_some();
-            let first = stretch.steps.iter().position(known).unwrap_or(stretch.steps.len());
-            stretch.steps.drain(..first);
-            let end = stretch.steps.iter().position(|step| !known(step)).unwrap_or(stretch.steps.len());
-            stretch.steps.truncate(end);
-        }
+        stretches.iter_mut().for_each(keep_referenced);
         let steps: usize = stretches.iter().map(|stretch| stretch.steps.len()).sum();
         (steps >= FEWEST_STEPS).then_some(Self { filter, map, stretches, seed })
     }

@@ -9,8 +9,8 @@ use locsim_core::{
     RangeMap, SensorModel, Stage,
 };
 use locsim_sensor::{
-    BeamState, CalibrationScan, FitOptions, FittedModel, ModelKind, Oracle, Prepared, SensorError, Tempered,
-    Tempering, TemperingGrid, TrainingSet, choose_tempering, evaluate, fit,
+    Amcl, AmclKind, AmclParameters, BeamState, CalibrationScan, FitOptions, FittedModel, ModelKind, Oracle,
+    Prepared, SensorError, Tempered, Tempering, TemperingGrid, TrainingSet, choose_tempering, evaluate, fit,
 };
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -19,7 +19,7 @@ use super::rehearsal::Rehearsal;
 use crate::LabError;
 use locsim_core::Progress;
 use locsim_report::results::TrainingRow;
-use locsim_scenario::{Model, ModelName};
+use locsim_scenario::{Model, ModelName, load_amcl};
 
 /// Candidate poses per calibration scan, the true one not counted.
 const CANDIDATES: u32 = 256;
@@ -133,9 +133,12 @@ fn train_one(
     laser: &Laser,
 ) -> Result<TrainedModel, LabError> {
     let failed = |source| LabError::Sensor { label: model.label.clone(), source };
+    if let ModelName::Amcl(kind) = model.name {
+        return amcl(model, kind, &surroundings.distance);
+    }
     let distance_map = Some(Arc::clone(&surroundings.distance));
     let fitted = match (&model.file, model.name) {
-        (_, ModelName::Oracle) => None,
+        (_, ModelName::Oracle | ModelName::Amcl(_)) => None,
         (Some(file), ModelName::Fitted(kind)) => Some(load(file, kind, train.max_range())?),
         (None, ModelName::Fitted(kind)) => {
             let options = FitOptions { distance_map: distance_map.clone() };
@@ -191,6 +194,39 @@ fn train_one(
         bare,
         fitted,
         row: TrainingRow { log_loss_nats, histogram_match_m, chosen },
+    })
+}
+
+/// A laser model of AMCL, which has its parameters from a file or nav2, and neither floor nor exponent: as it is, and without a
+/// table, because its weight of a scan is no product.
+fn amcl(model: &Model, kind: AmclKind, distance: &Arc<dyn DistanceMap>) -> Result<TrainedModel, LabError> {
+    let parameters = match &model.file {
+        None => AmclParameters::defaults(kind),
+        Some(file) => {
+            let parameters = load_amcl(file)?;
+            if parameters.kind != kind {
+                let (path, found) = (file.clone(), parameters.kind.laser_model_type());
+                let what = format!("has laser_model_type `{found}`, the scenario asks for {kind}");
+                return Err(LabError::ModelFile { path, what });
+            }
+            parameters
+        }
+    };
+    let failed = |source| LabError::Sensor { label: model.label.clone(), source };
+    let bare: Arc<dyn SensorModel> = Arc::new(Amcl::new(parameters, Arc::clone(distance)).map_err(failed)?);
+    let chosen = [
+        ("z_hit", parameters.z_hit),
+        ("z_rand", parameters.z_rand),
+        ("sigma_hit", parameters.sigma_hit),
+        ("max_beams", parameters.max_beams as f64),
+    ];
+    let chosen = chosen.map(|(name, value)| (name.to_owned(), value)).into();
+    Ok(TrainedModel {
+        label: model.label.clone(),
+        tempered: Arc::clone(&bare),
+        bare,
+        fitted: None,
+        row: TrainingRow { log_loss_nats: None, histogram_match_m: None, chosen },
     })
 }
 

@@ -217,7 +217,9 @@ fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&
     let apart = last.iter().flat_map(|a| last.iter().map(|b| a.position().distance(b.position())));
     // A likelihood field is no density of readings.
     let named = scenario.models.iter().find(|named| named.label == model.label);
-    let is_density = named.is_some_and(|named| named.name != ModelName::Fitted(ModelKind::LikelihoodField));
+    let is_density = named.is_some_and(|named| {
+        !matches!(named.name, ModelName::Fitted(ModelKind::LikelihoodField) | ModelName::Amcl(_))
+    });
     UnreferencedModel {
         model: model.label.clone(),
         log_evidence_nats: is_density.then(|| mean(&|track| track.log_evidence) / scans),

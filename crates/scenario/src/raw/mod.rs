@@ -115,8 +115,8 @@ pub struct RawModel {
     pub floor: Option<f64>,
     /// Exponent of the likelihood, above 0 to 1. Default: chosen on held-out data.
     pub exponent: Option<f64>,
-    /// A fitted model to load instead of fitting it. Relative to the scenario file; `${VARIABLE}` is replaced
-    /// from the environment.
+    /// A fitted model to load instead of fitting it; for a laser model of AMCL a parameter file of ROS 2. Relative to the scenario
+    /// file; `${VARIABLE}` is replaced from the environment.
     pub file: Option<String>,
 }
 

@@ -261,6 +261,15 @@ fn models(check: &mut Checker<'_>, raw: &[Form<ModelName, RawModel>], measured: 
                 "the key is not allowed here; `oracle` isn't fitted".to_owned()
             });
         }
+        if matches!(model.name, ModelName::Amcl(_)) {
+            for (key_of_value, is_there) in
+                [("floor", model.floor.is_some()), ("exponent", model.exponent.is_some())]
+            {
+                check.refuse(is_there, &join(&key, key_of_value), || {
+                    "the key is not allowed here; AMCL has none".to_owned()
+                });
+            }
+        }
         models.push(model);
     }
     models
