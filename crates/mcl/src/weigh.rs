@@ -137,7 +137,7 @@ mod tests {
     }
 
     impl SensorModel for Census {
-        fn name(&self) -> &str {
+        fn name(&self) -> &'static str {
             "census"
         }
 

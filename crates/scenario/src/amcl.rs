@@ -118,10 +118,7 @@ mod tests {
     fn what_amcl_would_not_take_is_refused_with_line_and_key() {
         for (line, expected) in [
             ("z_hit: 2.0", ":3: amcl.ros__parameters.z_hit: 2 is not allowed; from 0 to 1"),
-            (
-                "sigma_hit: 0.0",
-                ":3: amcl.ros__parameters.sigma_hit: 0 is not allowed; positive and finite",
-            ),
+            ("sigma_hit: 0.0", ":3: amcl.ros__parameters.sigma_hit: 0 is not allowed; positive and finite"),
             ("max_beams: 1", ":3: amcl.ros__parameters.max_beams: 1 is not allowed; at least 2"),
             ("laser_model_type: laser", "amcl.ros__parameters.laser_model_type: `laser` is not"),
             ("z_hit: many", "amcl.ros__parameters.z_hit:"),

@@ -26,10 +26,12 @@ struct Row {
     name: &'static str,
     trials: u32,
     lost: u32,
-    /// Root mean squares of position \[m\] and heading \[rad\], and of the position over that of the first row, each with its interval.
+    /// Root mean squares of position \[m\] and heading \[rad\], and that of the position over those of the first row and of the row
+    /// above, each with its interval.
     position_m: (f64, Option<Interval>),
     heading_rad: (f64, Option<Interval>),
     ratio: (f64, Option<Interval>),
+    ratio_above: (f64, Option<Interval>),
 }
 
 impl Comparison {
@@ -71,14 +73,22 @@ impl Comparison {
     /// The table of errors.
     pub fn table(&self) -> TextTable {
         TextTable::new(
-            ["parameters", "position RMSE [m]", "of the defaults'", "heading RMSE [deg]", "lost trials"],
+            [
+                "parameters",
+                "position RMSE [m]",
+                "/ defaults",
+                "/ row above",
+                "heading RMSE [deg]",
+                "lost trials",
+            ],
             self.rows.iter().map(|row| {
                 let degrees = |value: f64| value.to_degrees();
                 let lost = share_interval(row.lost, row.trials);
                 [
                     row.name.to_owned(),
                     with_interval(row.position_m.0, row.position_m.1, 4),
-                    with_interval(row.ratio.0, row.ratio.1, 2),
+                    share(row.ratio),
+                    share(row.ratio_above),
                     with_interval(
                         degrees(row.heading_rad.0),
                         row.heading_rad.1.map(|interval| interval.map(degrees)),
@@ -92,8 +102,22 @@ impl Comparison {
 
     /// The result in a sentence.
     pub fn sentence(&self) -> String {
-        let (value, interval) = self.rows[NAMES.len() - 1].ratio;
-        let ratio = with_interval(value, interval, 2);
+        let (defaults, exported) = (&self.rows[0], &self.rows[NAMES.len() - 1]);
+        let lost = match (defaults.lost, exported.lost) {
+            (0, 0) => String::new(),
+            (before, after) => {
+                format!(
+                    " The defaults lose the robot in {before} of {} trials, these in {after}.",
+                    exported.trials
+                )
+            }
+        };
+        Self::of_errors(exported) + &lost
+    }
+
+    fn of_errors(exported: &Row) -> String {
+        let interval = exported.ratio.1;
+        let ratio = share(exported.ratio);
         match interval {
             Some(Interval { hi, .. }) if hi < 1.0 => {
                 format!("The exported parameters have {ratio} times the error of nav2's defaults.")
@@ -106,6 +130,11 @@ impl Comparison {
             _ => format!("No difference from nav2's defaults: {ratio} times their error."),
         }
     }
+}
+
+/// A ratio, with more decimals where it is small.
+fn share((value, interval): (f64, Option<Interval>)) -> String {
+    with_interval(value, interval, if value < 0.1 { 4 } else { 2 })
 }
 
 fn percent(share: f64) -> String {
@@ -124,9 +153,10 @@ impl Row {
         };
         let statistics = |copies: &[u32]| {
             let position = rms(i, 0, copies);
-            [position, rms(i, 1, copies), position / rms(0, 0, copies)]
+            let above = rms(i.saturating_sub(1), 0, copies);
+            [position, rms(i, 1, copies), position / rms(0, 0, copies), position / above]
         };
-        let [position, heading, ratio] = statistics(&vec![1; trials.len()]);
+        let [position, heading, ratio, ratio_above] = statistics(&vec![1; trials.len()]);
         let intervals = bootstrap.and_then(|bootstrap| bootstrap.intervals(statistics));
         let interval = |k: usize| intervals.map(|intervals| intervals[k]);
         Self {
@@ -136,6 +166,7 @@ impl Row {
             position_m: (position, interval(0)),
             heading_rad: (heading, interval(1)),
             ratio: (ratio, interval(2).filter(|_| i > 0)),
+            ratio_above: (ratio_above, interval(3).filter(|_| i > 0)),
         }
     }
 }
