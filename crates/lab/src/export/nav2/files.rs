@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use locsim_sensor::{AmclKind, AmclParameters};
 
 use super::amcl::{PARTICLES, PF_ERR, PF_Z, UPDATE_MIN_A, UPDATE_MIN_D, USUAL_ALPHA};
-use super::search::Found;
+use super::search::{Found, LEAST_ALPHA};
 use crate::inspect::rounded;
 
 /// What the comments tell of a search.
@@ -120,11 +120,15 @@ fn motion(found: &Found, origin: &Origin<'_>) -> Vec<Parameter> {
     let mut parameters: Vec<Parameter> = alphas
         .map(|((name, value), noise)| {
             let origin = match found.noise_factor {
-                Some(factor) => format!(
-                    "odometry against reference, {} windows: {}, times {factor} (search)",
-                    origin.windows,
-                    rounded(noise, 3)
-                ),
+                Some(factor) => {
+                    let noise = if noise < LEAST_ALPHA {
+                        format!("{LEAST_ALPHA}, the least")
+                    } else {
+                        rounded(noise, 3).to_string()
+                    };
+                    let windows = origin.windows;
+                    format!("odometry against reference, {windows} windows: {noise}, times {factor} (search)")
+                }
                 None => "nav2's default: the search found nothing better".to_owned(),
             };
             Parameter { name, value: Value::Float(value), origin }
@@ -223,6 +227,13 @@ mod tests {
                 assert!(is_right, "{name}: {value}");
             }
             assert_eq!(parameters["alpha2"], 1e-7);
+            assert!(
+                text.contains("# odometry against reference, 9 windows: 0.01, times 2 (search)"),
+                "{text}"
+            );
+            let quiet = Origin { alpha: [0.0; 4], ..ORIGIN };
+            let text = yaml(&amcl(&found, &quiet), "nav2's AMCL", &quiet);
+            assert!(text.contains(" windows: 0.0005, the least, times 2 (search)"), "{text}");
         }
     }
 

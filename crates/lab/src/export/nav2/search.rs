@@ -25,7 +25,7 @@ const ELITES: usize = 8;
 /// A localization that is this many times as far off as a lost robot is given up.
 const GIVEN_UP: f64 = 2.0;
 /// Least noise of an odometry that looks perfect: a filter without any can't follow the errors of its map.
-const LEAST_ALPHA: f64 = 5e-4;
+pub(super) const LEAST_ALPHA: f64 = 5e-4;
 
 /// A searched quantity, by its logarithm.
 struct Coordinate {
