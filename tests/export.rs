@@ -149,6 +149,18 @@ fn exported_parameters_of_amcl_are_those_of_a_run() {
         .stderr(contains(format!("has laser_model_type `{kind}`, the scenario asks for amcl_{other}")));
 }
 
+/// A log is cut as `locsim inspect` proposes; its name has endings and a sign.
+#[test]
+fn parameters_are_searched_on_a_log_without_a_scenario() {
+    let folder = to_and_fro();
+    let long = String::from_utf8(folder.read("room-run.yaml")).unwrap();
+    folder.write("long.yaml", edited(&long, "speed_m_s: 0.5", "speed_m_s: 0.15"));
+    folder.locsim("simulate long.yaml --out my~drive.log.gz").success();
+    folder.locsim("export nav2 my~drive.log.gz -o amcl.yaml --evaluations 16 --trials 2 --quiet").success();
+    let text = String::from_utf8(folder.read("amcl.yaml")).unwrap();
+    assert!(text.starts_with("# Parameters of nav2's AMCL, found by locsim on my_drive:"), "{text}");
+}
+
 #[test]
 fn what_nav2_parameters_cannot_be_searched_on_is_refused() {
     let folder = to_and_fro();

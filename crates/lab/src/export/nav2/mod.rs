@@ -64,7 +64,12 @@ pub struct Nav2Export {
 /// [`LabError`] for a log that can't be read, or lacks what a scenario needs.
 pub fn nav2_scenario(log: &Path, options: &LogOptions, overrides: &Overrides) -> Result<Scenario, LabError> {
     let inspection = Inspection::of(log, options)?;
-    let out = log.with_extension("yaml");
+    let name = log.file_name().unwrap_or_default().to_string_lossy();
+    // As the name of a scenario: without endings and without signs.
+    let stem = name.split('.').next().unwrap_or_default();
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+    let plain: String = stem.chars().map(|c| if is_plain(c) { c } else { '_' }).take(100).collect();
+    let out = log.with_file_name(if plain.is_empty() { "log" } else { &plain }).with_extension("yaml");
     let new = NewScenario { log, map: None, out: &out, options: options.clone() };
     let (tree, _) = yaml::parse::<Map<String, Value>>(&out, &new.text(&inspection)?)?;
     Ok(Scenario::of_tree(&out, &Value::Object(tree), overrides)?)
