@@ -324,6 +324,10 @@ fn saved_models() {
     folder.locsim("run room-run.yaml --out fitted --quiet --record none --trials 1").success();
     let models =
         |text: &str| edited(SCENARIO, "models: [classic, np_reg_registered]", &format!("models: [{text}]"));
+    let refused = |folder: &Folder, message: &str| {
+        refused(folder, "validate s.yaml", message);
+        refused(folder, "run s.yaml", message);
+    };
 
     let file = folder.read("fitted/models/np_reg_registered.model");
     folder.write("half.model", &file[..file.len() / 2]);
@@ -333,12 +337,11 @@ fn saved_models() {
 
     folder.write("empty.model", "");
     folder.write("s.yaml", models("{name: classic, file: empty.model}"));
-    refused(&folder, "run s.yaml", "model empty.model: empty.model is not a locsim sensor model");
+    refused(&folder, "model empty.model: empty.model is not a locsim sensor model");
 
     folder.write("s.yaml", models("{name: classic, file: fitted/models/np_reg_registered.model}"));
     refused(
         &folder,
-        "run s.yaml",
         "model fitted/models/np_reg_registered.model: holds a np_reg_registered model, the scenario asks for classic",
     );
 
@@ -346,7 +349,6 @@ fn saved_models() {
     folder.write("s.yaml", edited(&other_laser, "max_range_m: 3", "max_range_m: 4"));
     refused(
         &folder,
-        "run s.yaml",
         "model fitted/models/classic.model: was fitted to a sensor of 3 m maximum range, the scenario's reaches 4 m",
     );
 }

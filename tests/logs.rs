@@ -136,6 +136,69 @@ fn a_ros_bag_is_written_mapped_and_localized_on() {
     folder.locsim("map cut.mcap --out m").code(2).stderr(contains("cut.mcap: not a complete MCAP file"));
 }
 
+/// What came before CARMEN: `L` and `O` lines in centimetres without a reference, and cells by the probability that they are free.
+#[test]
+fn a_log_and_a_map_of_beesoft_are_converted_and_run() {
+    let folder = Folder::new();
+    // A hall of 5 m x 3 m in cells of 10 cm; a line of cells for each place along x.
+    let cell = |x: usize, y: usize| match (x, y) {
+        (0 | 49, _) | (_, 0 | 29) => "0.000",
+        (30..=34, 12..=16) => "-1.000",
+        _ => "1.000",
+    };
+    let lines = (0..50).map(|x| (0..30).map(|y| cell(x, y)).collect::<Vec<_>>().join(" ") + "\n");
+    let head = "robot_specifications->resolution   10\nglobal_map[0]: 30 50\n";
+    folder.write("hall.dat", head.to_owned() + &lines.collect::<String>());
+    let scans = (0..40).map(|i| {
+        let x = 100 + 2 * i;
+        let line =
+            |ts: f64| format!("O {x} 150 0 {ts}\nL {x} 150 0 {} 150 0{} {ts}\n", x + 25, " 140".repeat(180));
+        line(0.1 + 0.2 * f64::from(i))
+    });
+    folder.write("hall.log", scans.collect::<String>());
+
+    let told = output(&folder.locsim("convert hall.dat --out hall").success());
+    assert_eq!(told, "hall.yaml: 50 x 30 cells of 0.1 m\n");
+    let image = folder.read("hall.pgm");
+    let pixels = &image[image.len() - 50 * 30..];
+    let at = |x: usize, y: usize| pixels[(29 - y) * 50 + x];
+    assert_eq!([at(10, 10), at(0, 10), at(31, 14), at(31, 20)], [254, 0, 205, 254]);
+
+    let told = output(&folder.locsim("convert hall.log --out hall.mcap").success());
+    assert!(
+        told.ends_with("hall.mcap: 40 scans\n") && told.contains("raw log without reference poses"),
+        "{told}"
+    );
+    // A bag's stamps are dates, which the log's aren't.
+    let found: Value =
+        serde_json::from_str(&output(&folder.locsim("inspect hall.mcap --json").success())).unwrap();
+    assert_eq!(found["drive"]["laser"]["mount"]["x"], 0.25, "{found:#}");
+    assert!(found["drive"]["clock"]["first_secs"].as_f64().unwrap() > 1.7e9, "{found:#}");
+
+    for log in ["hall.log", "hall.mcap"] {
+        folder.locsim(&format!("init {log} --map hall.yaml -o s.yaml --force")).success();
+        let text = String::from_utf8(folder.read("s.yaml")).unwrap();
+        assert!(text.contains("noise: {sigma_m: 0.1} # a cell of the map, 0.1 m"), "{text}");
+        let near = "start: {around: {x_m: 1, y_m: 1.5, heading_deg: 0, sigma_m: 0.2, sigma_deg: 5}}";
+        folder.write("s.yaml", edited(&edited(&text, "start: global", near), "  annealing: {}\n", ""));
+        let run = format!("run s.yaml --trials 1 --models likelihood_field --out {log}.d");
+        folder.locsim(&run).success().stdout(contains("no error is known"));
+    }
+
+    for (call, part) in [
+        ("convert hall.dat --out hall", "--out: hall.pgm is not allowed; it exists (--force replaces it)"),
+        ("convert hall.log --out hall.mcap", "hall.mcap is not allowed; it exists"),
+        (
+            "convert hall.dat --out other --max-range 20",
+            "hall.dat: options of a log are given, and this is a map",
+        ),
+        ("inspect hall.dat", "hall.dat: this is a map of BeeSoft, which `locsim convert` makes a ROS map of"),
+        ("init hall.log --map hall.dat -o n.yaml", "`locsim convert` makes a ROS map of"),
+    ] {
+        folder.locsim(call).code(2).stderr(contains(part));
+    }
+}
+
 #[test]
 fn a_log_depends_on_seed_and_trial_alone() {
     let folder = Folder::new();

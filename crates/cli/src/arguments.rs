@@ -65,6 +65,8 @@ pub enum Command {
     Export(Export),
     /// Build maps from a log with reference poses: an occupancy grid (ROS `map_server` format) and a map of walls
     Map(Map),
+    /// Read what older programs wrote: any log into a ROS 2 bag or a CARMEN log, a map of CMU's `BeeSoft` into a map of ROS
+    Convert(Convert),
     /// Say what a log holds: topics, laser, odometry, reference, clocks, what it is good for, and how to cut it
     Inspect(Inspect),
     /// Write a scenario for a log, which `run`, `map` and `gap` take as it is
@@ -388,6 +390,21 @@ pub struct Map {
     /// Use only this share of the log, for example 0.0,0.5
     #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 1.0])]
     pub share: Vec<f64>,
+    #[command(flatten)]
+    pub log_options: LogOptions,
+}
+
+/// `locsim convert`.
+#[derive(Debug, Args)]
+pub struct Convert {
+    /// A log that locsim reads, or a map of `BeeSoft` (`wean.dat`)
+    pub file: PathBuf,
+    /// Of a log: the ROS 2 bag (`.mcap`) or the CARMEN log (`.log`, `.log.gz`) to write. Of a map: OUT.yaml and OUT.pgm
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Replace what is there
+    #[arg(long)]
+    pub force: bool,
     #[command(flatten)]
     pub log_options: LogOptions,
 }

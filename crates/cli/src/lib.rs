@@ -14,6 +14,7 @@ use clap::{CommandFactory, Parser};
 use locsim_core::output::Output;
 use locsim_dataset::{BagTopics, LogOptions};
 use locsim_lab::apply::apply as apply_effects;
+use locsim_lab::convert::{convert_log, convert_map};
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyOptions};
 use locsim_lab::inspect::{self, Inspection, NewScenario};
 use locsim_lab::run::{self, LogMaps, Recorder, RunOptions, RunSummary};
@@ -24,7 +25,7 @@ use locsim_scenario::{self as scenario, LogMap, Overrides, Scenario, Source, cat
 use locsim_study::{self as study, StudyOptions, StudyOverrides};
 use locsim_terminal::{BAD_INPUT, DONE, Failure, Session, columns, complain, exit_code, say};
 
-use arguments::{Apply, Arguments, Command, Gap, Init, Inspect, Map, Record, Run, Simulate};
+use arguments::{Apply, Arguments, Command, Convert, Gap, Init, Inspect, Map, Record, Run, Simulate};
 
 /// A bound that the scenario declares was missed.
 const MISSED: u8 = 1;
@@ -59,6 +60,7 @@ fn obey(command: &Command, program: &Path) -> Result<u8, Failure> {
         Command::Apply(arguments) => apply(arguments)?,
         Command::Export(arguments) => export::export(arguments)?,
         Command::Map(arguments) => map(arguments)?,
+        Command::Convert(arguments) => convert(arguments)?,
         Command::Inspect(arguments) => inspect_log(arguments)?,
         Command::Init(arguments) => init(arguments)?,
         Command::Manual { command } => manual(command.as_deref())?,
@@ -420,17 +422,9 @@ fn map(arguments: &Map) -> anyhow::Result<u8> {
         0.0 <= from && from < to && to <= 1.0,
         "--share: {from},{to} is not allowed; 0 <= from < to <= 1"
     );
-    let named_yaml = arguments.out.extension().is_some_and(|extension| extension == "yaml");
-    let stem = if named_yaml { arguments.out.with_extension("") } else { arguments.out.clone() };
-    // Appended: what follows a dot in a name such as `floor-0.05` is no extension.
-    let file = |extension: &str| {
-        let mut name = stem.clone().into_os_string();
-        name.push(extension);
-        PathBuf::from(name)
-    };
-    let [image, yaml, walls, picture] = [".pgm", ".yaml", ".walls.yaml", ".check.svg"].map(file);
-    let name = image.file_name().context("--out needs a file name")?;
-    let name = name.to_str().context("--out: a map names its image in UTF-8; this name is not")?;
+    let [image, yaml, walls, picture] =
+        map_files(&arguments.out, [".pgm", ".yaml", ".walls.yaml", ".check.svg"]);
+    let name = image_name(&image)?;
     let source = map_source(arguments, [from, to])?;
     let inputs = [arguments.log.clone(), source.log.clone()];
     let outputs = [&image, &yaml, &walls, &picture].map(|path| Output {
@@ -442,7 +436,7 @@ fn map(arguments: &Map) -> anyhow::Result<u8> {
         output.check()?;
     }
     let maps = LogMaps::from_log(&source.log, &source.shares, arguments.resolution, &source.options)?;
-    let [pgm, description] = maps.grid_files(name);
+    let [pgm, description] = run::grid_files(&maps.grid, name);
     let mut contents = vec![pgm, description, maps.walls.to_yaml().into_bytes()];
     if let Some(check) = &maps.check {
         contents.push(run::agreement_figure(check)?.svg.into_bytes());
@@ -462,6 +456,54 @@ fn map(arguments: &Map) -> anyhow::Result<u8> {
             run::agreement_table(check).to_terminal(columns())
         ))?;
     }
+    Ok(DONE)
+}
+
+/// The files of a map, of which `--out` names one (`floor.yaml`) or all (`floor`).
+fn map_files<const N: usize>(out: &Path, extensions: [&str; N]) -> [PathBuf; N] {
+    let named_yaml = out.extension().is_some_and(|extension| extension == "yaml");
+    let stem = if named_yaml { out.with_extension("") } else { out.to_owned() };
+    // Appended: what follows a dot in a name such as `floor-0.05` is no extension.
+    extensions.map(|extension| {
+        let mut name = stem.clone().into_os_string();
+        name.push(extension);
+        PathBuf::from(name)
+    })
+}
+
+/// The name of a map's image, which its description holds.
+fn image_name(image: &Path) -> anyhow::Result<&str> {
+    let name = image.file_name().context("--out needs a file name")?;
+    name.to_str().context("--out: a map names its image in UTF-8; this name is not")
+}
+
+fn convert(arguments: &Convert) -> anyhow::Result<u8> {
+    let Convert { file, out, force, log_options: options } = arguments;
+    let options = log_options(options);
+    if !locsim_dataset::is_beesoft_map(file) {
+        let inputs = locsim_dataset::log_files(file)?;
+        Output { path: out, force: *force, inputs: &inputs }.check()?;
+        let (scans, summary) = convert_log(file, &options, out)?;
+        say(&format!("{summary}\n{}: {scans} scans", out.display()))?;
+        return Ok(DONE);
+    }
+    ensure!(
+        options == LogOptions::default(),
+        "{}: options of a log are given, and this is a map",
+        file.display()
+    );
+    let inputs = [file.clone()];
+    let [image, yaml] = map_files(out, [".pgm", ".yaml"]);
+    let outputs = [&image, &yaml].map(|path| Output { path, force: *force, inputs: &inputs });
+    for output in &outputs {
+        output.check()?;
+    }
+    let grid = convert_map(file)?;
+    let [pgm, description] = run::grid_files(&grid, image_name(&image)?);
+    let [of_image, of_yaml] = outputs;
+    Output::write_all(&[(of_image, &pgm), (of_yaml, &description)])?;
+    let (width, height, cell) = (grid.width(), grid.height(), grid.resolution_m());
+    say(&format!("{}: {width} x {height} cells of {cell} m", yaml.display()))?;
     Ok(DONE)
 }
 
@@ -525,12 +567,13 @@ fn init(arguments: &Init) -> anyhow::Result<u8> {
     let inputs: Vec<PathBuf> = map.iter().chain([log]).cloned().collect();
     let output = Output { path: out, force: *force, inputs: &inputs };
     output.check()?;
-    if let Some(map) = map {
-        scenario::load_map(map)?;
-    }
+    let cell_m = match map {
+        Some(map) => scenario::load_map(map)?.cell_m,
+        None => None,
+    };
     let options = log_options(options);
     let inspection = Inspection::of(log, &options)?;
-    let text = NewScenario { log, map: map.as_deref(), out, options }.text(&inspection)?;
+    let text = NewScenario { log, map: map.as_deref(), cell_m, out, options }.text(&inspection)?;
     Output::write_all(&[(output, text.as_bytes())])?;
     for warning in &inspection.warnings {
         complain(&format!("warning: {warning}"));

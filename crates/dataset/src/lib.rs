@@ -1,5 +1,7 @@
 //! Measured logs in and out, as [`locsim_core::Drive`]: ROS 2 bags, CARMEN logs and TUM trajectories.
 //!
+//! [`read_beesoft_map`] reads the map that comes with one kind of log.
+//!
 //! [`read_log`] recognises the format by the first bytes, [`write_log`] by the file's name. [`read_bag`] and
 //! [`write_mcap`] exchange bags with ROS 2. [`read_carmen`] reads the logs of the Radish repository and its mirrors;
 //! [`write_carmen`] writes a drive so that [`read_carmen`] returns it again. [`read_tum`] and [`write_tum`] exchange trajectories with `evo`.
@@ -7,6 +9,7 @@
 //! Files that are read may be compressed with gzip or zstd; text files are written with gzip where their name says so.
 
 mod beams;
+mod beesoft;
 mod carmen;
 mod contents;
 mod error;
@@ -26,6 +29,7 @@ mod mutations;
 #[cfg(test)]
 mod test_drives;
 
+pub use beesoft::{BeesoftMap, is_beesoft_map, read_beesoft_map};
 pub use carmen::{CarmenLaser, CarmenOptions, read_carmen, write_carmen};
 pub use contents::{LogContents, Scanner, ScannerBeams, Topic, TransformPair, decimal};
 pub use error::DatasetError;

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::carmen::{self, encode_carmen};
 use crate::output::write_whole;
 use crate::ros::{self, encode_mcap};
-use crate::source::{Content, Source};
+use crate::source::{BEESOFT_MAP, Content, LOGS, Source, not_a_log};
 use crate::{BagOptions, BagTopics, CarmenOptions, DatasetError, LogContents, LogSummary};
 
 /// The formats of measured logs.
@@ -39,6 +39,7 @@ impl LogFormat {
         Ok(match Source::open(path, Limits::current())?.content {
             Content::Mcap | Content::Sqlite => Self::Bag,
             Content::Text => Self::Carmen,
+            Content::BeesoftMap => return Err(not_a_log(path, BEESOFT_MAP, LOGS)),
         })
     }
 }

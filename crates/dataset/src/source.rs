@@ -11,6 +11,7 @@ use mcap::MAGIC as MCAP;
 use ruzstd::decoding::{FrameDecoder, StreamingDecoder};
 
 use crate::DatasetError;
+use crate::beesoft;
 
 /// Bytes of a file that are read at once.
 pub const READ_AHEAD: usize = 1 << 16;
@@ -43,8 +44,11 @@ const FOREIGN: [(&[u8], &str); 12] = [
 ];
 
 /// Formats that are read.
-const LOGS: &str =
+pub const LOGS: &str =
     "a ROS 2 bag (a folder, MCAP or SQLite) or a CARMEN log, also compressed with gzip or zstd";
+
+/// A map of BeeSoft where a log is wanted.
+pub const BEESOFT_MAP: &str = "a map of BeeSoft, which `locsim convert` makes a ROS map of";
 
 /// A text holds fewer control characters than one in this many; binary data hold more.
 const TEXT: usize = 50;
@@ -54,6 +58,7 @@ const TEXT: usize = 50;
 pub enum Content {
     Mcap,
     Sqlite,
+    BeesoftMap,
     Text,
 }
 
@@ -110,6 +115,9 @@ fn content(path: &Path, start: &[u8]) -> Result<Content, DatasetError> {
     if start.starts_with(SQLITE) {
         return Ok(Content::Sqlite);
     }
+    if beesoft::STARTS.iter().any(|begin| start.starts_with(begin)) {
+        return Ok(Content::BeesoftMap);
+    }
     let controls = start.iter().filter(|byte| byte.is_ascii_control() && !byte.is_ascii_whitespace()).count();
     if controls * TEXT > start.len() {
         return Err(not_a_log(path, "a binary file of an unknown format", LOGS));
@@ -126,6 +134,7 @@ pub fn open_text(path: &Path, limits: &Limits) -> Result<Box<dyn BufRead>, Datas
     match content {
         Content::Mcap => Err(not_a_log(path, "a ROS 2 bag (MCAP)", "a text file")),
         Content::Sqlite => Err(not_a_log(path, "a SQLite file, perhaps a ROS 2 bag", "a text file")),
+        Content::BeesoftMap => Err(not_a_log(path, BEESOFT_MAP, "a text log or a trajectory")),
         Content::Text => {
             // The first bytes were read above.
             if stream.fill_buf().is_ok_and(|start| start.starts_with(BYTE_ORDER_MARK)) {

@@ -14,6 +14,8 @@ pub struct LoadedMap {
     pub geometry: Geometry,
     /// The image that a ROS `map_server` YAML names; `None` for a vector map.
     pub image: Option<PathBuf>,
+    /// Side of a cell \[m\]; `None` for a map of lines.
+    pub cell_m: Option<f64>,
 }
 
 /// The keys that distinguish the kinds of map files.
@@ -29,8 +31,13 @@ struct Kind {
 /// # Errors
 /// [`ScenarioError`] naming the map file, and where it can the line and the key that are wrong.
 pub fn load_map(path: &Path) -> Result<LoadedMap, ScenarioError> {
-    let text = yaml::read(path)?;
-    let (kind, locations) = yaml::parse::<Kind>(path, &text)?;
+    let read = || {
+        let text = yaml::read(path)?;
+        let (kind, locations) = yaml::parse::<Kind>(path, &text)?;
+        Ok((text, kind, locations))
+    };
+    let (text, kind, locations) =
+        read().map_err(|error| if locsim_dataset::is_beesoft_map(path) { beesoft(path) } else { error })?;
     let invalid = |key: String, error: &MapError| ScenarioError::Invalid {
         file: path.to_owned(),
         problems: vec![Problem { line: locations.line(&key), key, message: error.to_string() }],
@@ -42,17 +49,23 @@ pub fn load_map(path: &Path) -> Result<LoadedMap, ScenarioError> {
             .load(folder)
             .and_then(|grid| grid.to_geometry())
             .map_err(|error| invalid(key_of_grid_error(&error).to_owned(), &error))?;
-        Ok(LoadedMap { geometry, image: Some(folder.join(&map.image)) })
+        Ok(LoadedMap { geometry, image: Some(folder.join(&map.image)), cell_m: Some(map.resolution) })
     } else if kind.seen.is_some() {
         let (map, _) = yaml::parse::<MeasuredMap>(path, &text)?;
         let geometry = map.to_geometry().map_err(|error| invalid(key_of_measured_error(&error), &error))?;
-        Ok(LoadedMap { geometry, image: None })
+        Ok(LoadedMap { geometry, image: None, cell_m: None })
     } else {
         let (map, _) = yaml::parse::<VectorMap>(path, &text)?;
         let geometry =
             map.to_geometry().map_err(|error| invalid(key_of_vector_error(&map, &error), &error))?;
-        Ok(LoadedMap { geometry, image: None })
+        Ok(LoadedMap { geometry, image: None, cell_m: None })
     }
+}
+
+/// The error for a map that has to be converted.
+fn beesoft(path: &Path) -> ScenarioError {
+    let message = "this is a map of BeeSoft, which `locsim convert` makes a ROS map of".to_owned();
+    ScenarioError::Invalid { file: path.to_owned(), problems: vec![Problem::of_file(message)] }
 }
 
 /// The key of a `map_server` file that an error is about; empty for the whole file.

@@ -1,7 +1,7 @@
 //! CARMEN logs: one message per line, `KEYWORD fields.. ipc_timestamp hostname logger_timestamp`.
 //!
 //! Formats: `readlog.c` and `writelog.c` of CARMEN (Montemerlo, Roy and Thrun, IROS 2003), and the variants in the logs
-//! of the Radish repository.
+//! of the Radish repository. The lines `L` and `O` are those of Carnegie Mellon University before CARMEN (Wean Hall).
 
 mod assemble;
 mod parse;
@@ -22,7 +22,7 @@ pub use write::{encode_carmen, write_carmen};
 /// Which of a robot's lasers to read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CarmenLaser {
-    /// The forward one: FLASER or ROBOTLASER1.
+    /// The forward one: FLASER, ROBOTLASER1 or L.
     #[default]
     Front,
     /// The backward one: RLASER or ROBOTLASER2.
@@ -30,11 +30,11 @@ pub enum CarmenLaser {
 }
 
 impl CarmenLaser {
-    /// The old and the new keyword of its lines.
-    fn keywords(self) -> [&'static str; 2] {
+    /// The keywords of its lines.
+    fn keywords(self) -> &'static [&'static str] {
         match self {
-            Self::Front => ["FLASER", "ROBOTLASER1"],
-            Self::Rear => ["RLASER", "ROBOTLASER2"],
+            Self::Front => &["FLASER", "ROBOTLASER1", "L"],
+            Self::Rear => &["RLASER", "ROBOTLASER2"],
         }
     }
 }
@@ -45,7 +45,7 @@ pub struct CarmenOptions {
     /// Which laser's scans.
     pub laser: CarmenLaser,
     /// Readings of this range (m) or more mean "no return". `None`: the maximum range in the ROBOTLASER line;
-    /// for FLASER lines, which have none, 81.83 m, where the SICK LMS begins to count its error codes. Some
+    /// for FLASER and L lines, which have none, 81.83 m, where the SICK LMS begins to count its error codes. Some
     /// logs need another value; [`LogSummary::longest_return_m`] shows it.
     pub max_range_m: Option<f32>,
     /// Readings below this range (m) are unusable. `None`: the minimum range that [`write_carmen`] noted in the log,
@@ -55,11 +55,12 @@ pub struct CarmenOptions {
 
 /// Reads the scans of one laser with odometry and, where the log has them, reference poses.
 ///
-/// It reads PARAM, ODOM, TRUEPOS, FLASER and ROBOTLASER1 (front), RLASER and ROBOTLASER2 (rear); other lines are
-/// skipped and counted. Of the two forms of a laser's lines the first one in the log is read. A last line without its
+/// It reads PARAM, ODOM, TRUEPOS, FLASER and ROBOTLASER1 (front), RLASER and ROBOTLASER2 (rear), and the older O
+/// (odometry) and L (front), whose lengths are centimetres; other lines are skipped and counted. Of the forms of a laser's
+/// lines the first one in the log is read. A last line without its
 /// newline is skipped and counted as `(cut off)`, because its last number may be cut.
 ///
-/// - **Beams** of ROBOTLASER lines have the bearings that the line gives. FLASER lines give none: their beams run from
+/// - **Beams** of ROBOTLASER lines have the bearings that the line gives. FLASER and L lines give none: their beams run from
 ///   right to left in steps of 1, 0.5 or 0.25 degrees, the first at -90 degrees (180 and 360 beams are 181 and 361
 ///   without the last one), unless `PARAM laser_front_laser_resolution` and `laser_front_laser_fov` (degrees) give other
 ///   values. Other numbers of beams are spread evenly over 180 degrees with both ends.
@@ -94,7 +95,7 @@ pub fn read(
 pub fn contents(path: &Path, limits: &Limits) -> Result<LogContents, DatasetError> {
     let keywords = parse::keywords(Lines::new(path, open_text(path, limits)?, limits))?;
     let lasers = [CarmenLaser::Front, CarmenLaser::Rear].map(CarmenLaser::keywords);
-    let scanners = lasers.iter().flatten().filter_map(|keyword| {
+    let scanners = lasers.iter().copied().flatten().filter_map(|keyword| {
         let scans = *keywords.get(*keyword)?;
         Some(Scanner { source: (*keyword).to_owned(), scans, beams: None })
     });

@@ -13,7 +13,7 @@ use crate::lines::{Fields, Lines};
 /// Greatest number of unknown keywords that are counted by name; logs have few.
 const MOST_KEYWORDS: usize = 100;
 
-/// Every message ends with `ipc_timestamp hostname logger_timestamp`.
+/// Every message of CARMEN ends with `ipc_timestamp hostname logger_timestamp`.
 const TRAILER: usize = 3;
 
 /// A log's lines as read, before anything is concluded from them.
@@ -31,6 +31,17 @@ pub struct Log {
     pub first_odometry: Option<Pose2>,
 }
 
+impl Log {
+    /// Takes in a line of odometry.
+    fn count_odometry(&mut self, between: &mut Between, stamp_secs: f64, pose: Pose2) {
+        self.odometry_lines += 1;
+        self.first_odometry.get_or_insert(pose);
+        between.odometry_lines += 1;
+        between.first_odometry.get_or_insert(pose);
+        between.last_odometry = Some((stamp_secs, pose));
+    }
+}
+
 /// One scan with the lines between it and the scan before.
 pub struct ScanLine {
     pub stamp_secs: f64,
@@ -43,7 +54,7 @@ pub struct ScanLine {
 /// The lines between two scans.
 #[derive(Clone, Copy, Default)]
 pub struct Between {
-    /// Number of ODOM lines.
+    /// Number of ODOM or O lines.
     pub odometry_lines: usize,
     /// Pose of the first ODOM line.
     pub first_odometry: Option<Pose2>,
@@ -114,9 +125,9 @@ pub fn parse<R: BufRead>(
     limits: &Limits,
     path: &Path,
 ) -> Result<Log, DatasetError> {
-    let [old, new] = laser.keywords();
+    let forms = laser.keywords();
     let mut log = Log {
-        keyword: old,
+        keyword: forms[0],
         scans: Vec::new(),
         layout: None,
         params: Params::default(),
@@ -130,8 +141,9 @@ pub fn parse<R: BufRead>(
     while let Some(line) = lines.next()? {
         let mut fields = line.fields();
         let keyword = fields.keyword;
-        // The first scan decides which of the two forms is read.
-        let is_scan = |form| keyword == form && (log.scans.is_empty() || log.keyword == form);
+        // The first scan decides which of the forms is read.
+        let form = forms.iter().find(|form| keyword == **form);
+        let form = form.filter(|form| log.scans.is_empty() || log.keyword == **form);
         if keyword == "PARAM" {
             log.params.read(fields, laser)?;
             params += 1;
@@ -141,26 +153,26 @@ pub fn parse<R: BufRead>(
             for speed in ["translational velocity", "rotational velocity", "acceleration"] {
                 fields.number(speed)?;
             }
-            let stamp_secs = trailer(&mut fields)?;
-            log.odometry_lines += 1;
-            log.first_odometry.get_or_insert(pose);
-            between.odometry_lines += 1;
-            between.first_odometry.get_or_insert(pose);
-            between.last_odometry = Some((stamp_secs, pose));
+            log.count_odometry(&mut between, trailer(&mut fields)?, pose);
+        } else if keyword == "O" {
+            fields.expect_remaining(4, 1, "(O x y theta, time)")?;
+            let pose = in_metres(fields.pose("robot")?);
+            log.count_odometry(&mut between, fields.stamp("time")?, pose);
         } else if keyword == "TRUEPOS" {
             fields.expect_remaining(6 + TRAILER, 1, "(TRUEPOS true pose, odometry pose, times and host)")?;
             between.truth = Some((fields.pose("true")?, fields.pose("odometry")?));
             trailer(&mut fields)?;
             log.true_pose_lines += 1;
-        } else if is_scan(old) || is_scan(new) {
+        } else if let Some(form) = form {
+            log.keyword = form;
             let first_count = log.scans.first().map(|scan| scan.ranges.len());
-            let (layout, scan) = if keyword == old {
-                log.keyword = old;
-                (None, old_scan(fields, first_count, &between)?)
-            } else {
-                log.keyword = new;
-                let (layout, scan) = new_scan(fields, first_count, log.layout, &between)?;
-                (Some(layout), scan)
+            let (layout, scan) = match *form {
+                "L" => (None, centimetre_scan(fields, first_count, &between)?),
+                "ROBOTLASER1" | "ROBOTLASER2" => {
+                    let (layout, scan) = new_scan(fields, first_count, log.layout, &between)?;
+                    (Some(layout), scan)
+                }
+                _ => (None, old_scan(fields, first_count, &between)?),
             };
             readings += READINGS_PER_SCAN + scan.ranges.len() as u64;
             if readings > limits.log_readings {
@@ -194,11 +206,7 @@ pub fn parse<R: BufRead>(
     if found.is_empty() {
         return Err(DatasetError::Empty { path: path.to_owned() });
     }
-    Err(DatasetError::NoScans {
-        path: path.to_owned(),
-        wanted: format!("{old} or {new}"),
-        found: found.join(", "),
-    })
+    Err(DatasetError::NoScans { path: path.to_owned(), wanted: forms.join(" or "), found: found.join(", ") })
 }
 
 /// Counts a last line without its newline in [`LogSummary::skipped`](crate::LogSummary::skipped).
@@ -252,6 +260,30 @@ fn old_scan(
     let (laser_pose, robot_pose) = (fields.pose("laser")?, fields.pose("robot")?);
     let stamp_secs = trailer(&mut fields)?;
     Ok(ScanLine { stamp_secs, ranges, laser_pose, robot_pose, before: *before })
+}
+
+/// `L robot_pose laser_pose r1..rn time`, lengths in centimetres. The number of beams follows from that of the fields.
+fn centimetre_scan(
+    mut fields: Fields<'_>,
+    first_count: Option<usize>,
+    before: &Between,
+) -> Result<ScanLine, DatasetError> {
+    const BESIDE: usize = 6 + 1;
+    let n = first_count.unwrap_or_else(|| fields.remaining().saturating_sub(BESIDE)).max(1);
+    let why = match first_count {
+        Some(n) => format!("for {n} beams, as in the first scan"),
+        None => "or more (L robot pose, laser pose, ranges, time)".to_owned(),
+    };
+    fields.expect_remaining(n.saturating_add(BESIDE), 1, &why)?;
+    let (robot_pose, laser_pose) = (in_metres(fields.pose("robot")?), in_metres(fields.pose("laser")?));
+    let ranges = ranges(&mut fields, n)?.into_iter().map(|centimetres| centimetres / 100.0).collect();
+    let stamp_secs = fields.stamp("time")?;
+    Ok(ScanLine { stamp_secs, ranges, laser_pose, robot_pose, before: *before })
+}
+
+/// A pose whose position is in centimetres.
+fn in_metres(pose: Pose2) -> Pose2 {
+    Pose2::new(pose.x / 100.0, pose.y / 100.0, pose.theta)
 }
 
 /// `ROBOTLASER1 type start_angle field_of_view resolution max_range accuracy remission_mode n r1..rn m e1..em
@@ -316,14 +348,14 @@ fn beam_count(fields: &mut Fields<'_>, first: Option<usize>) -> Result<usize, Da
     }
 }
 
-/// Readings as written (m). Infinity, which some writers use, is above every maximum range.
+/// Readings as written. Infinity, which some writers use, is above every maximum range.
 fn ranges(fields: &mut Fields<'_>, n: usize) -> Result<Vec<f32>, DatasetError> {
     let mut ranges = Vec::with_capacity(n);
     for i in 0..n {
         let word = fields.word();
         match word.parse::<f32>() {
             Ok(range) if range >= 0.0 => ranges.push(range),
-            _ => return Err(fields.refuse(&format!("range {}", i + 1), word, "a range of 0 m or more")),
+            _ => return Err(fields.refuse(&format!("range {}", i + 1), word, "a range of 0 or more")),
         }
     }
     Ok(ranges)

@@ -233,6 +233,30 @@ fn a_robotlaser_line_describes_its_laser() {
     assert_eq!(read_text(&no_resolution).unwrap().0.laser, drive.laser);
 }
 
+/// Lines of CMU's Wean Hall logs: centimetres, the laser 25 cm ahead, codes from 8183 on for no return.
+#[test]
+fn lines_of_cmu_are_in_centimetres() {
+    let text = "O 100 200 1.5707963267948966 0.5\n\
+                L 110 200 1.5707963267948966 110 225 1.5707963267948966 66 500 8183 8191 1\n\
+                O 120 200 1.5707963267948966 1.5\n\
+                L 130 200 1.5707963267948966 130 225 1.5707963267948966 66 501 0 8187 2\n";
+    let (drive, summary) = read_text(text).unwrap();
+    assert_eq!((summary.kind, summary.odometry), (LogKind::Raw, OdometrySource::ScanLines));
+    assert_eq!((summary.scan_source.as_str(), summary.odometry_messages), ("L", 2));
+    assert!(summary.skipped.is_empty());
+    let mount = drive.laser.base_from_laser();
+    assert!(near(&mount, &Pose2::new(0.25, 0.0, 0.0)), "{mount:?}");
+    assert_eq!(drive.laser.max_range(), 81.83);
+    assert_eq!(drive.steps[0].scan.ranges, [0.66, 5.0, 81.83, 81.83]);
+    assert!(drive.steps[1].scan.ranges[2].is_nan());
+    assert!(near(&drive.steps[1].odometry, &Pose2::new(1.3, 2.0, std::f64::consts::FRAC_PI_2)));
+    assert_eq!((drive.steps[1].stamp_secs, drive.steps[1].reference), (2.0, None));
+    // 180 readings begin at the right, a degree apart.
+    let whole = format!("L 0 0 0 25 0 0{} 1\n", " 66".repeat(180));
+    let bearings = read_text(&whole).unwrap().0.laser.bearings().to_vec();
+    assert_eq!((bearings[0].to_degrees(), bearings[179].to_degrees().round()), (-90.0, 89.0));
+}
+
 #[test]
 fn the_rear_laser_looks_backwards() {
     let text = "PARAM robot_rearlaser_offset -0.3 h 0\nPARAM robot_frontlaser_offset 0.2 h 0\n\
@@ -294,7 +318,11 @@ fn errors_name_file_line_keyword_value_and_what_is_allowed() {
     for (text, parts) in [
         (String::new(), &["test.log", "empty"][..]),
         ("\n# nothing\n".into(), &["empty"]),
-        ("O 1 2 3\nL 1\nL 2\n".into(), &["no scan", "FLASER or ROBOTLASER1", "L 2, O 1"]),
+        ("M 1 2 3\nN 1\nN 2\n".into(), &["no scan", "FLASER or ROBOTLASER1 or L", "M 1, N 2"]),
+        ("O 1 2 3\n".into(), &[":1: O", "4 fields", "5 (O x y theta, time)"]),
+        ("L 0 0 0 0 0 0 1\n".into(), &[":1: L", "8 fields", "9 or more (L robot pose"]),
+        ("L 0 0 0 0 0 0 1 1 1\nL 0 0 0 0 0 0 1 1\n".into(), &[":2: L", "9 fields", "10 for 2 beams"]),
+        ("L 0 0 0 0 0 0 -1 1\n".into(), &["range 1 is `-1`"]),
         ("ODOM 0 0 0 0 0 0 0 h 0\n".into(), &["no scan", "found: ODOM 1"]),
         ("PARAM a 1 h 0\nPARAM b\n# end\n".into(), &["no scan", "found: PARAM 2"]),
         (good.trim_end().into(), &["test.log:1: FLASER", "cut off", "newline"]),
@@ -306,8 +334,8 @@ fn errors_name_file_line_keyword_value_and_what_is_allowed() {
         ("FLASER 0 0 0 0 0 0 0 1 h 1\n".into(), &["number of beams is `0`", "1 or more"]),
         ("FLASER 18446744073709551615 1\n".into(), &["3 fields", "18446744073709551615 for"]),
         (format!("{good}FLASER 1 1 0 0 0 0 0 0 1 h 1\n"), &[":2:", "number of beams is `1`", "2, as in"]),
-        (good.replace("2 1 1", "2 1 -1"), &["range 2 is `-1`", "a range of 0 m or more"]),
-        (good.replace("2 1 1", "2 nan 1"), &["range 1 is `nan`", "a range of 0 m or more"]),
+        (good.replace("2 1 1", "2 1 -1"), &["range 2 is `-1`", "a range of 0 or more"]),
+        (good.replace("2 1 1", "2 nan 1"), &["range 1 is `nan`", "a range of 0 or more"]),
         (good.replace("2 1 1", "2 1 x1"), &["range 2 is `x1`"]),
         ("FLASER 1 1 0 inf 0 0 0 0 1 h 1\n".into(), &["laser y is `inf`", "a finite number"]),
         ("ODOM 0 0 0 0 0 0 noon h 0\n".into(), &["ODOM", "ipc_timestamp is `noon`"]),
@@ -507,7 +535,7 @@ proptest! {
     fn no_words_make_the_reader_panic(
         words in prop::collection::vec(
             prop::sample::select(vec![
-                "FLASER", "ROBOTLASER1", "ODOM", "TRUEPOS", "PARAM", "robot_frontlaser_offset", "laser_front_laser_fov",
+                "FLASER", "ROBOTLASER1", "L", "O", "ODOM", "TRUEPOS", "PARAM", "robot_frontlaser_offset", "laser_front_laser_fov",
                 "laser_front_laser_resolution", "locsim_laser_min_range_m", "1", "2", "0", "-1", "1e308", "-1e308",
                 "1e999", "nan", "inf", "18446744073709551615", "h", "\n", "\n", " ",
             ]), 0..120),

@@ -39,6 +39,8 @@ pub struct NewScenario<'a> {
     pub log: &'a Path,
     /// The map; `None` to build one from the log.
     pub map: Option<&'a Path>,
+    /// Side of the map's cells \[m\], if it has any.
+    pub cell_m: Option<f64>,
     /// The scenario's file.
     pub out: &'a Path,
     /// How the log is read.
@@ -83,7 +85,7 @@ impl NewScenario<'_> {
         let (alpha, alpha_comment) = odometry_noise(error);
         let laser = Laser::of(facts);
         let readings = &facts.quality.readings;
-        let (sigma_m, noise_comment) = match (readings.still_noise_m, readings.flat_noise_m) {
+        let (sigma_m, mut noise_comment) = match (readings.still_noise_m, readings.flat_noise_m) {
             (Some(sigma), _) if sigma > 0.0 => {
                 (sigma, format!("estimated from {} scans standing still", readings.still_scans))
             }
@@ -92,6 +94,15 @@ impl NewScenario<'_> {
             }
             _ => (USUAL_SIGMA_M, "a guess: the recording doesn't tell".to_owned()),
         };
+        // Models that are trained on simulated scans take the map for exact; a grid's walls are no finer than its cells.
+        let cell_m = self.cell_m.filter(|cell| !has_reference && *cell > sigma_m);
+        if let Some(cell) = cell_m {
+            noise_comment = format!(
+                "a cell of the map, {cell} m, which simulated scans don't err by otherwise; the readings' own noise: {} m, {noise_comment}",
+                rounded(sigma_m, 2)
+            );
+        }
+        let sigma_m = cell_m.unwrap_or(sigma_m);
         let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let mount = facts.laser.mount;
         let mut environment = Environment::new();
@@ -136,9 +147,9 @@ impl NewScenario<'_> {
             },
             sigma_m => rounded(sigma_m.max(1e-5), 3),
             noise_comment => noise_comment,
-            mount_x => rounded(mount.x, 6),
-            mount_y => rounded(mount.y, 6),
-            mount_yaw => rounded(mount.theta.to_degrees(), 6),
+            mount_x => micro(mount.x),
+            mount_y => micro(mount.y),
+            mount_yaw => micro(mount.theta.to_degrees()),
             mount_comment => facts.laser.mount_source.to_string(),
             scan_secs => (laser.scan_secs > 0.0).then(|| rounded(laser.scan_secs, 4)),
         };
@@ -245,6 +256,12 @@ fn odometry_noise(error: Option<&OdometryError>) -> ([f64; 4], String) {
             "a guess: there is no reference to compare the odometry with".to_owned(),
         ),
     }
+}
+
+/// A length or an angle to a millionth: the rest is rounding in messages.
+fn micro(value: f64) -> f64 {
+    // Not -0.
+    (value * 1e6).round() / 1e6 + 0.0
 }
 
 /// A number with `digits` significant digits.

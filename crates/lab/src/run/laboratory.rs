@@ -21,7 +21,7 @@ use rand::RngExt;
 use super::coverage::{unmapped_start, untrained_states};
 use super::filter::fitted_alpha;
 use super::rehearsal::Rehearsal;
-use super::training::{ScanData, Surroundings, TrainedModel, train};
+use super::training::{ScanData, Surroundings, TrainedModel, check_files, train};
 use crate::LabError;
 use crate::inspect::{COVERED, least_covered};
 use locsim_core::Progress;
@@ -168,6 +168,7 @@ impl<'a> Laboratory<'a> {
         cache: Option<&Path>,
         progress: &dyn Progress,
     ) -> Result<Self, LabError> {
+        check_simulation(scenario, simulation)?;
         let maps = MapSet::new(
             scenario::load_map(&simulation.map)?.geometry,
             scenario.ray_cast,
@@ -534,7 +535,7 @@ fn uncovered(log: &Log, drive: &Drive) -> Option<String> {
 ///
 /// # Errors
 /// [`LabError::Log`]: no scan to localize on, no reference poses where the map, the training or the start needs them, a
-/// simulated laser of another maximum range.
+/// simulated laser of another maximum range. [`LabError::ModelFile`]: a model that is of no use here.
 fn check_drive(scenario: &Scenario, log: &Log, drive: &Drive, summary: &LogSummary) -> Result<(), LabError> {
     let refuse = |what: String| Err(LabError::Log { path: log.file.clone(), what });
     let referenced = |steps: &[usize]| steps.iter().filter(|&&i| drive.steps[i].reference.is_some()).count();
@@ -576,7 +577,15 @@ fn check_drive(scenario: &Scenario, log: &Log, drive: &Drive, summary: &LogSumma
             drive.laser.max_range()
         ));
     }
-    Ok(())
+    check_files(&scenario.models, drive.laser.max_range())
+}
+
+/// Whether a simulation can begin: the same for its models.
+///
+/// # Errors
+/// [`LabError::ModelFile`].
+pub(super) fn check_simulation(scenario: &Scenario, simulation: &Simulation) -> Result<(), LabError> {
+    check_files(&scenario.models, simulation.laser.max_range_m as f32)
 }
 
 /// The error of a log without reference poses; lists its topics and transforms.

@@ -59,12 +59,12 @@ impl LogMaps {
         let check = check_maps(&drive, &steps, &options).map_err(unusable(log))?;
         Ok(Self { grid, walls, check, summary })
     }
+}
 
-    /// The grid as ROS `map_server` reads it: the image, to be written as `image`, and its description.
-    pub fn grid_files(&self, image: &str) -> [Vec<u8>; 2] {
-        let description = yaml::text(&self.grid.map_file(Path::new(image)));
-        [self.grid.image_bytes(ImageFormat::Pgm), description.into_bytes()]
-    }
+/// A grid as ROS `map_server` reads it: the image, to be written as `image`, and its description.
+pub fn grid_files(grid: &OccupancyGrid, image: &str) -> [Vec<u8>; 2] {
+    let description = yaml::text(&grid.map_file(Path::new(image)));
+    [grid.image_bytes(ImageFormat::Pgm), description.into_bytes()]
 }
 
 /// How maps agree with held-out readings, as a table.

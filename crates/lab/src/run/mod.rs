@@ -24,7 +24,7 @@ use serde::Serialize;
 pub use bounds::MissedBound;
 pub use estimate::{Estimate as CostEstimate, duration, size};
 pub use laboratory::{MapSet, free_poses, simulate_trial};
-pub use map::{LogMaps, agreement_figure, agreement_table};
+pub use map::{LogMaps, agreement_figure, agreement_table, grid_files};
 pub use measure::{Measurement, measure};
 pub use training::{ScanData, Surroundings, TrainedModel, temper, train};
 pub use unreferenced::{Unreferenced, UnreferencedModel};
@@ -34,7 +34,7 @@ use detail::Detail;
 pub(crate) use filter::options as filter_options;
 pub(crate) use grounds::Grounds;
 pub use laboratory::read_options;
-use laboratory::{Laboratory, MeasuredLog, TrialDrive};
+use laboratory::{Laboratory, MeasuredLog, TrialDrive, check_simulation};
 pub(crate) use laboratory::{log_map, no_reference, refused, selected};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store};
@@ -88,15 +88,17 @@ pub enum RunSummary {
     Unreferenced(Unreferenced),
 }
 
-/// Finds what a run of a scenario would refuse before its first costly step: too little memory, a log that can't be read or
-/// lacks what the scenario wants of it. Returns what a run would warn of.
+/// Finds what a run of a scenario would refuse before its first costly step: too little memory, a fitted model of no use
+/// here, a log that can't be read or lacks what the scenario wants of it. Returns what a run would warn of.
 ///
 /// # Errors
 /// [`LabError`], as [`run`].
 pub fn check(scenario: &Scenario) -> Result<Vec<String>, LabError> {
     CostEstimate::of(scenario, rayon::current_num_threads()).check(scenario)?;
-    let Source::Log(log) = &scenario.source else { return Ok(Vec::new()) };
-    Ok(MeasuredLog::read(scenario, log)?.warning.into_iter().collect())
+    match &scenario.source {
+        Source::Simulation(simulation) => check_simulation(scenario, simulation).map(|()| Vec::new()),
+        Source::Log(log) => Ok(MeasuredLog::read(scenario, log)?.warning.into_iter().collect()),
+    }
 }
 
 /// Runs every trial of a scenario under every model and writes the results folder.

@@ -246,6 +246,19 @@ pub fn temper(
     choose_tempering(model, &calibration, &TemperingGrid::default())
 }
 
+/// Whether every model that comes from a file can be loaded for a sensor of this maximum range \[m\].
+///
+/// # Errors
+/// [`LabError::ModelFile`].
+pub fn check_files(models: &[Model], max_range: f32) -> Result<(), LabError> {
+    for model in models {
+        if let (Some(file), ModelName::Fitted(kind)) = (&model.file, model.name) {
+            load(file, kind, max_range)?;
+        }
+    }
+    Ok(())
+}
+
 /// A model from a file, if it is of the right kind and for the same sensor.
 fn load(file: &Path, kind: ModelKind, max_range: f32) -> Result<FittedModel, LabError> {
     let refuse = |what| LabError::ModelFile { path: file.to_owned(), what };

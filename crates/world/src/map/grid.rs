@@ -24,6 +24,9 @@ pub enum Cell {
     Unknown,
 }
 
+/// Occupancies below the first are free, above the second occupied: the default thresholds of `map_saver`.
+const THRESHOLDS: [f64; 2] = [0.196, 0.65];
+
 /// The format of a grid's image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageFormat {
@@ -89,6 +92,27 @@ impl OccupancyGrid {
             return Ok(grid);
         }
         Err(MapError::Origin([origin.x, origin.y, origin.theta]))
+    }
+
+    /// A grid of the cells that the default thresholds of ROS make of probabilities; the arguments are those of
+    /// [`OccupancyGrid::new`].
+    ///
+    /// # Errors
+    /// Those of [`OccupancyGrid::new`].
+    pub fn of_occupancy(
+        width: usize,
+        height: usize,
+        resolution_m: f64,
+        origin: Pose2,
+        occupancy: Vec<f32>,
+    ) -> Result<Self, MapError> {
+        let [free, occupied] = THRESHOLDS;
+        let cells = occupancy.iter().map(|&p| match f64::from(p) {
+            p if p < free => Cell::Free,
+            p if p > occupied => Cell::Occupied,
+            _ => Cell::Unknown,
+        });
+        Self::new(width, height, resolution_m, origin, cells.collect(), occupancy)
     }
 
     fn corners(&self) -> [DVec2; 4] {
@@ -195,8 +219,8 @@ impl OccupancyGrid {
             resolution: self.resolution_m,
             origin: [self.origin.x, self.origin.y, self.origin.theta],
             negate: false,
-            occupied_thresh: 0.65,
-            free_thresh: 0.196,
+            occupied_thresh: THRESHOLDS[1],
+            free_thresh: THRESHOLDS[0],
         }
     }
 

@@ -109,7 +109,7 @@ impl<'a> Bag<'a> {
             let storage = match source.content {
                 Content::Mcap => Storage::Mcap,
                 Content::Sqlite => Storage::Sqlite(sqlite::Database::open(&path, source)?),
-                Content::Text => {
+                Content::Text | Content::BeesoftMap => {
                     return Err(not_a_log(&path, "a text file", "a ROS 2 bag (a folder, MCAP or SQLite)"));
                 }
             };
