@@ -70,7 +70,7 @@ pub fn nav2_scenario(log: &Path, options: &LogOptions, overrides: &Overrides) ->
     let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
     let plain: String = stem.chars().map(|c| if is_plain(c) { c } else { '_' }).take(100).collect();
     let out = log.with_file_name(if plain.is_empty() { "log" } else { &plain }).with_extension("yaml");
-    let new = NewScenario { log, map: None, out: &out, options: options.clone() };
+    let new = NewScenario { log, map: None, cell_m: None, out: &out, options: options.clone() };
     let (tree, _) = yaml::parse::<Map<String, Value>>(&out, &new.text(&inspection)?)?;
     Ok(Scenario::of_tree(&out, &Value::Object(tree), overrides)?)
 }
