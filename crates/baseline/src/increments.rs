@@ -4,8 +4,8 @@ use locsim_core::{median, normal};
 use locsim_gap::{Increment, OdometryError};
 use locsim_world::effect::{Axis, Effect, EffectKind, Moves, Statistic};
 
+use super::assignment::Assignment;
 use super::pool::Pool;
-use super::search::Assignment;
 use super::trials::strengths;
 
 /// Least squares are repeated without errors of more than these standard deviations.

@@ -19,6 +19,7 @@
 //! | permutations, names, numbers | `search` |
 //! | how rare a gain is | `null` |
 
+mod assignment;
 mod increments;
 mod learnt;
 mod null;

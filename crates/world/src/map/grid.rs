@@ -24,7 +24,7 @@ pub enum Cell {
     Unknown,
 }
 
-/// Occupancies below the first are free, above the second occupied: the default thresholds of `map_saver`.
+/// Default thresholds of `map_saver`.
 const THRESHOLDS: [f64; 2] = [0.196, 0.65];
 
 /// The format of a grid's image.
@@ -94,22 +94,19 @@ impl OccupancyGrid {
         Err(MapError::Origin([origin.x, origin.y, origin.theta]))
     }
 
-    /// A grid of the cells that the default thresholds of ROS make of probabilities; the arguments are those of
-    /// [`OccupancyGrid::new`].
+    /// [`OccupancyGrid::new`] with the cells that the default thresholds of ROS make of probabilities.
     ///
     /// # Errors
     /// Those of [`OccupancyGrid::new`].
     pub fn of_occupancy(
-        width: usize,
-        height: usize,
+        [width, height]: [usize; 2],
         resolution_m: f64,
         origin: Pose2,
         occupancy: Vec<f32>,
     ) -> Result<Self, MapError> {
-        let [free, occupied] = THRESHOLDS;
         let cells = occupancy.iter().map(|&p| match f64::from(p) {
-            p if p < free => Cell::Free,
-            p if p > occupied => Cell::Occupied,
+            p if p < THRESHOLDS[0] => Cell::Free,
+            p if p > THRESHOLDS[1] => Cell::Occupied,
             _ => Cell::Unknown,
         });
         Self::new(width, height, resolution_m, origin, cells.collect(), occupancy)
