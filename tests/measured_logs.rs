@@ -21,7 +21,7 @@ fn main() -> ExitCode {
             corrected_logs_are_recognised_and_their_odometry_is_recovered,
         ),
         ("another_maximum_range_shows_in_the_summary", another_maximum_range_shows_in_the_summary),
-        ("a_wean_hall_log_is_refused_by_name", a_wean_hall_log_is_refused_by_name),
+        ("a_wean_hall_log_and_its_map_are_read", a_wean_hall_log_and_its_map_are_read),
         ("a_measured_log_is_explained_for_the_most_part", a_measured_log_is_explained_for_the_most_part),
         ("the_scenarios_of_measured_logs_are_valid", the_scenarios_of_measured_logs_are_valid),
         ("a_measured_log_is_localized_on", a_measured_log_is_localized_on),
@@ -109,11 +109,28 @@ fn another_maximum_range_shows_in_the_summary() {
     assert_eq!(drive.laser.max_range(), 50.0);
 }
 
-/// Logs in another format say what they have instead.
-fn a_wean_hall_log_is_refused_by_name() {
-    let path = data("wean-hall/robotdata1.log.gz");
-    let message = read_carmen(&path, &CarmenOptions::default()).unwrap_err().to_string();
-    assert!(message.contains("no scan") && message.contains("L ") && message.contains("O "), "{message}");
+/// CMU's own format: counts of its lines by `grep -c`, the laser 25 cm ahead, no reference; the map's bounds are its header's.
+fn a_wean_hall_log_and_its_map_are_read() {
+    for (file, scans, odometry) in
+        [("robotdata1", 713, 1505), ("robotdata2", 2251, 3126), ("robotdata3", 1241, 1735)]
+    {
+        let (drive, summary) =
+            read_carmen(&data(&format!("wean-hall/{file}.log.gz")), &CarmenOptions::default()).unwrap();
+        assert_eq!((summary.kind, summary.scan_source.as_str()), (LogKind::Raw, "L"));
+        assert_eq!(
+            (drive.steps.len(), summary.odometry_messages, drive.laser.beam_count()),
+            (scans, odometry, 180)
+        );
+        assert!((drive.laser.base_from_laser().x - 0.25).abs() < 1e-3);
+        assert!(drive.steps.iter().all(|step| step.reference.is_none()));
+    }
+    let folder = Folder::new();
+    let map = data("wean-hall/wean.dat.gz");
+    locsim(&folder.path(""), &format!("convert {} --out wean", map.display())).assert().success();
+    let description = std::fs::read_to_string(folder.path("wean.yaml")).unwrap();
+    assert!(description.contains("resolution: 0.1\n"), "{description}");
+    let image = std::fs::read(folder.path("wean.pgm")).unwrap();
+    assert!(image.starts_with(b"P5\n800 800 "), "{:?}", String::from_utf8_lossy(&image[..20]));
 }
 
 /// A real laser, a real building, and a plain simulator of both: something is named, and on scans that the fit hasn't seen

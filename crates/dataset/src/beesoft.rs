@@ -12,9 +12,6 @@ use crate::source::{Content, Source, not_a_log};
 const SPECIFICATION: &str = "robot_specifications->";
 const CELLS: &str = "global_map[0]:";
 
-/// First bytes of such a map.
-pub const STARTS: [&[u8]; 2] = [SPECIFICATION.as_bytes(), CELLS.as_bytes()];
-
 /// A map of BeeSoft: cells by the probability that they are free.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BeesoftMap {

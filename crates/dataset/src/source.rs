@@ -11,7 +11,6 @@ use mcap::MAGIC as MCAP;
 use ruzstd::decoding::{FrameDecoder, StreamingDecoder};
 
 use crate::DatasetError;
-use crate::beesoft;
 
 /// Bytes of a file that are read at once.
 pub const READ_AHEAD: usize = 1 << 16;
@@ -24,6 +23,9 @@ pub const ZSTD: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
 
 /// <https://www.sqlite.org/fileformat.html>.
 const SQLITE: &[u8] = b"SQLite format 3\0";
+
+/// A map of BeeSoft.
+const BEESOFT: [&[u8]; 2] = [b"robot_specifications->", b"global_map[0]:"];
 
 const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
 
@@ -115,7 +117,7 @@ fn content(path: &Path, start: &[u8]) -> Result<Content, DatasetError> {
     if start.starts_with(SQLITE) {
         return Ok(Content::Sqlite);
     }
-    if beesoft::STARTS.iter().any(|begin| start.starts_with(begin)) {
+    if BEESOFT.iter().any(|begin| start.starts_with(begin)) {
         return Ok(Content::BeesoftMap);
     }
     let controls = start.iter().filter(|byte| byte.is_ascii_control() && !byte.is_ascii_whitespace()).count();

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use locsim_core::Pose2;
 use locsim_dataset::{
     BeesoftMap, LogOptions, LogSummary, read_beesoft_map, read_log, write_log, write_simulated_log,
 };
@@ -35,6 +34,6 @@ pub fn convert_log(log: &Path, options: &LogOptions, out: &Path) -> Result<(usiz
 pub fn convert_map(map: &Path) -> Result<OccupancyGrid, LabError> {
     let BeesoftMap { width, height, resolution_m, free } = read_beesoft_map(map)?;
     let occupancy = free.iter().map(|free| free.map_or(0.5, |free| 1.0 - free)).collect();
-    OccupancyGrid::of_occupancy([width, height], resolution_m, Pose2::IDENTITY, occupancy)
+    OccupancyGrid::of_occupancy([width, height], resolution_m, occupancy)
         .map_err(|source| LabError::Map { path: map.to_owned(), source })
 }

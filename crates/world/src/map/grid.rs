@@ -94,14 +94,13 @@ impl OccupancyGrid {
         Err(MapError::Origin([origin.x, origin.y, origin.theta]))
     }
 
-    /// [`OccupancyGrid::new`] with the cells that the default thresholds of ROS make of probabilities.
+    /// [`OccupancyGrid::new`] from the origin, with the cells that the default thresholds of ROS make of probabilities.
     ///
     /// # Errors
     /// Those of [`OccupancyGrid::new`].
     pub fn of_occupancy(
         [width, height]: [usize; 2],
         resolution_m: f64,
-        origin: Pose2,
         occupancy: Vec<f32>,
     ) -> Result<Self, MapError> {
         let cells = occupancy.iter().map(|&p| match f64::from(p) {
@@ -109,7 +108,7 @@ impl OccupancyGrid {
             p if p > THRESHOLDS[1] => Cell::Occupied,
             _ => Cell::Unknown,
         });
-        Self::new(width, height, resolution_m, origin, cells.collect(), occupancy)
+        Self::new(width, height, resolution_m, Pose2::IDENTITY, cells.collect(), occupancy)
     }
 
     fn corners(&self) -> [DVec2; 4] {
