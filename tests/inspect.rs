@@ -260,3 +260,101 @@ fn a_simulated_bag_has_a_date() {
     let found = inspected(&folder_with_a_drive("drive.log"), "drive.log");
     assert_eq!(found["drive"]["clock"]["first_secs"], 0.0);
 }
+
+/// Bags that other programs wrote (`crates/dataset/tests/data/recordings.py`), and their room.
+struct Recordings {
+    folder: Folder,
+}
+
+impl Recordings {
+    fn new() -> Self {
+        let folder = Folder::new();
+        folder.write(
+            "floor.yaml",
+            "outline: {name: floor, points_m: [[0, 0], [4, 0], [4, 3], [0, 3]]}\n\
+             obstacles: [{name: pillar, points_m: [[3, 0.6], [3.4, 0.6], [3.4, 1], [3, 1]]}]\n",
+        );
+        Self { folder }
+    }
+
+    fn file(name: &str) -> String {
+        let path = format!("../dataset/tests/data/recordings/{name}");
+        Path::new(env!("CARGO_MANIFEST_DIR")).join(path).canonicalize().unwrap().display().to_string()
+    }
+
+    /// The scenario that `init` writes for a recording.
+    fn scenario(&self, name: &str, options: &str) -> String {
+        let file = Self::file(name);
+        let line = format!("init {file} --map floor.yaml -o my.robot.yaml --force {options}");
+        self.folder.locsim(&line).success();
+        self.folder.locsim("validate my.robot.yaml").success();
+        String::from_utf8(self.folder.read("my.robot.yaml")).unwrap()
+    }
+}
+
+/// A driver of 37 beams from -180 to 180 degrees has one twice: the scenario has 36, and `gap` finds them all.
+#[test]
+fn recordings_of_other_programs_become_scenarios() {
+    let recordings = Recordings::new();
+    for (name, options, laser) in [
+        ("split", "", "beams: 36\n  field_of_view_deg: 360.0\n  first_beam_deg: -180.0\n"),
+        ("humble.db3", "", "beams: 36\n"),
+        ("chunks_lz4.mcap", "", "beams: 36\n"),
+        ("tf_only.mcap.zstd", "", "beams: 36\n"),
+        ("amcl_pose.mcap.zstd", "", "beams: 36\n"),
+        ("mocap_pose.mcap.zstd", "--reference-topic /vrpn_mocap/robot/pose", "beams: 36\n"),
+        ("two_scanners.mcap.zstd", "", "beams: 20\n"),
+        ("two_scanners.mcap.zstd", "--scan-topic /scan_rear", "beams: 12\n"),
+        ("cloud.mcap.zstd", "", "beams: 34\n  field_of_view_deg: 330.0"),
+        ("multi_echo.mcap.zstd", "", "beams: 30\n"),
+        (
+            "clockwise.mcap.zstd",
+            "",
+            "beams: 36\n  field_of_view_deg: 360.0\n  first_beam_deg: -170.0 # the log's beams run clockwise",
+        ),
+        (
+            "at_maximum.mcap.zstd",
+            "",
+            "beams: 36 # the log's last beam points where its first does\n  field_of_view_deg: 360.0\n",
+        ),
+        ("upside_down.mcap.zstd", "", "beams: 31\n"),
+        ("prefixed_frames.mcap.zstd", "", "mount: {x_m: 0.2, y_m: 0.1, yaw_deg: 180.0}"),
+        ("empty_scan.mcap.zstd", "", "beams: 36\n"),
+        ("two_odometries.mcap.zstd", "", "beams: 36\n"),
+    ] {
+        let text = recordings.scenario(name, options);
+        assert!(text.contains(laser), "{name}: {text}");
+        // 40 scans are the fewest that `gap` takes.
+        if ["at_maximum.mcap.zstd", "clockwise.mcap.zstd"].contains(&name) {
+            let gap = "gap my.robot.yaml --out found --replicates 19 --beams 12 --no-filter --force";
+            recordings.folder.locsim(gap).success();
+        }
+    }
+}
+
+/// Errors on the road say what to do next.
+#[test]
+fn a_missing_choice_is_named() {
+    let folder = Folder::new();
+    let init = |name: &str| folder.locsim(&format!("init {} -o my.yaml", Recordings::file(name)));
+    for (name, part) in [
+        ("mocap_pose.mcap.zstd", "--map names a map, --reference-topic may name /vrpn_mocap/robot/pose"),
+        ("mocap_transform.mcap.zstd", "--reference-topic may name /vicon/robot/robot"),
+        (
+            "no_reference.mcap.zstd",
+            "--reference-topic names a topic of poses; found: /diagnostics, /odom, /scan",
+        ),
+    ] {
+        init(name).code(2).stderr(contains(part));
+    }
+    let map = |name: &str| folder.locsim(&format!("map {} --out floor", Recordings::file(name)));
+    map("mocap_pose.mcap.zstd").code(2).stderr(
+        contains("no scan has a reference pose").and(contains("/vrpn_mocap/robot/pose (geometry_msgs")),
+    );
+    // Of a chain of transforms, the robot's base is named, not the odometry's frame.
+    let found = inspected(
+        &folder,
+        &format!("{} --reference-topic nowhere:base", Recordings::file("tf_only.mcap.zstd")),
+    );
+    assert_eq!(found["reference_candidates"][0], "map:base_link", "{found}");
+}

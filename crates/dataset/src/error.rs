@@ -167,14 +167,20 @@ pub enum DatasetError {
     },
     /// No scan was taken while there was odometry.
     #[error(
-        "{}: none of the {scans} scans lies within the time of the odometry; allowed: stamps of one clock",
-        path.display()
+        "{}: none of the {scans} scans, from {:.3} s to {:.3} s, lies within the time of the odometry{}; allowed: stamps of \
+         one clock",
+        path.display(), scan_secs[0], scan_secs[1],
+        odometry_secs.map_or_else(String::new, |[from, to]| format!(", from {from:.3} s to {to:.3} s"))
     )]
     NoOdometry {
         /// The file.
         path: PathBuf,
         /// Number of scans.
         scans: usize,
+        /// Stamps of the first and the last of them (s).
+        scan_secs: [f64; 2],
+        /// Times of the odometry (s), where it has any.
+        odometry_secs: Option<[f64; 2]>,
     },
     /// The log or the options describe an impossible laser.
     #[error("{}: {source}", path.display())]

@@ -178,10 +178,10 @@ impl<R: BufRead> Read for ZstdFrames<R> {
                     if stream.fill_buf()?.is_empty() {
                         return Ok(0);
                     }
-                    ZstdState::Within(Box::new(StreamingDecoder::new(stream).map_err(io::Error::other)?))
+                    ZstdState::Within(Box::new(StreamingDecoder::new(stream).map_err(|_| cut_off())?))
                 }
                 ZstdState::Within(mut frame) => {
-                    let read = frame.read(buffer)?;
+                    let read = frame.read(buffer).map_err(|_| cut_off())?;
                     if read > 0 || buffer.is_empty() {
                         self.state = ZstdState::Within(frame);
                         return Ok(read);
@@ -196,6 +196,11 @@ impl<R: BufRead> Read for ZstdFrames<R> {
             }
         }
     }
+}
+
+/// The error of the library names its own steps.
+fn cut_off() -> io::Error {
+    io::Error::other("the compressed data are damaged or cut off")
 }
 
 /// Unpacks a message of at most `largest` bytes that is compressed with zstd.
@@ -324,7 +329,8 @@ mod tests {
         let message = read_log(&path, &LogOptions::default()).unwrap_err().to_string();
         assert!(message.contains("check sum of the compressed data is wrong"), "{message}");
         fs::write(&path, &frame[..frame.len() - 6]).unwrap();
-        assert!(read_log(&path, &LogOptions::default()).is_err());
+        let message = read_log(&path, &LogOptions::default()).unwrap_err().to_string();
+        assert!(message.ends_with("the compressed data are damaged or cut off"), "{message}");
     }
 
     #[test]

@@ -197,6 +197,19 @@ fn effects_arrive_in_si_units_and_on_their_walls() {
     );
 }
 
+/// A file may be called as its user likes.
+#[test]
+fn a_name_comes_from_the_file() {
+    let text = text("minimal.yaml");
+    for (file, name) in
+        [("my.robot.yaml", "my-robot"), ("lab 2, left.yaml", "lab-2--left"), ("l\u{fc}bke.yaml", "l-bke")]
+    {
+        let path = Path::new(FIXTURES).join(file);
+        let scenario = Scenario::parse(&path, &text, &Overrides::default(), &environment).unwrap();
+        assert_eq!(scenario.name, name);
+    }
+}
+
 #[test]
 fn a_log_is_read_with_its_parts() {
     let scenario = parse(&text("log.yaml")).unwrap();

@@ -12,7 +12,7 @@ use super::{Criterion, Model};
 #[serde(deny_unknown_fields)]
 #[schemars(title = "locsim study")]
 pub struct RawStudy {
-    /// Name of the results: up to 100 letters, digits, `-` and `_`. Default: the file's name without `.yaml`.
+    /// Name of the results: up to 100 letters, digits, `-` and `_`. Default: the file's name without `.yaml`, with `-` for other signs.
     pub name: Option<String>,
     /// One line for people.
     #[serde(default)]

@@ -15,7 +15,7 @@ use serde_json::{Number, Value};
 #[serde(deny_unknown_fields)]
 #[schemars(title = "locsim sweep")]
 pub struct RawSweep {
-    /// Name of the results: up to 100 letters, digits, `-` and `_`. Default: the file's name without `.yaml`.
+    /// Name of the results: up to 100 letters, digits, `-` and `_`. Default: the file's name without `.yaml`, with `-` for other signs.
     pub name: Option<String>,
     /// One line for people.
     #[serde(default)]

@@ -27,14 +27,15 @@ pub use rewrite::{BagCopy, DriveEdit, OdometryEdit};
 pub use write::{encode_mcap, write_mcap};
 
 /// Topics of a bag. Odometry and reference may also be transforms of `/tf`, written `parent:child`,
-/// such as `map:base_link`, or `/tf:parent.child` as evo does.
+/// such as `map:base_link`, or `/tf:parent.child` as evo does. Topics of a default name are also taken from the namespace
+/// of the scans, or from the only one that has them, such as `/robot1/tf`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct BagTopics {
     /// Laser scans, `sensor_msgs/msg/LaserScan`; `MultiEchoLaserScan`, of which the first echoes are taken; `PointCloud2`
     /// of a 2D lidar. `None`: `/scan`, the only topic of scans, or the only topic of clouds.
     pub scan: Option<String>,
-    /// Odometry, `nav_msgs/msg/Odometry`. `None`: `/odom`, the only topic of that type beside the reference, or, where
-    /// there is none, the transform from `base_link` or `base_footprint` to `odom`.
+    /// Odometry, `nav_msgs/msg/Odometry`. `None`: `/odom` or `/odometry/filtered`, the only topic of that type beside the
+    /// reference, or, where there is none, the transform from `base_link` or `base_footprint` to `odom`.
     pub odometry: Option<String>,
     /// Reference poses, `nav_msgs/msg/Odometry`, or `PoseStamped`, `PoseWithCovarianceStamped` or `TransformStamped` of
     /// `geometry_msgs`. `None`: `/reference` or `/ground_truth`; where neither is there, what a localizer found: the
@@ -75,6 +76,7 @@ pub struct BagOptions {
 /// - **Readings**: infinity and `range_max` or more are no return; NaN and less than `range_min` are unusable. Exactly 0
 ///   is no return in a log that has no other reading without return, as its driver knows no other way to say so;
 ///   otherwise it is unusable.
+/// - **Scans without readings**, which some drivers publish as they start, are left out and counted.
 /// - **Clouds** become scans of the beams that the log has points on. A beam without a point is unusable: clouds don't
 ///   tell whether it had no return. The maximum range is just above the longest reading where none is given.
 /// - **Beams** are at `angle_min + i angle_increment` and i times the mean of the scans' `time_increment`.

@@ -51,6 +51,11 @@ impl Stamped<Pose2> {
         self.items.binary_search_by_key(&stamp, |(time, _)| *time).is_ok()
     }
 
+    /// The first and the last time (ns) of sorted poses.
+    fn span(&self) -> Option<[i64; 2]> {
+        Some([self.items.first()?.0, self.items.last()?.0])
+    }
+
     fn interval_secs(&self) -> Option<f64> {
         let mut intervals: Vec<i64> = self.items.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
         intervals.sort_unstable();
@@ -105,6 +110,23 @@ impl<'a> Poses<'a> {
                 Some(corrections.at(stamp, nth)?.compose(&odometry.at(stamp, nth)?))
             }
             Self::Unknown => Some(Pose2::IDENTITY),
+        }
+    }
+
+    /// The first and the last time (ns) of which a pose is known; `None` where there is none.
+    pub fn span(&self) -> Option<[i64; 2]> {
+        let common = |a: [i64; 2], b: [i64; 2]| [a[0].max(b[0]), a[1].min(b[1])];
+        match self {
+            Self::Topic(poses) => poses.span(),
+            Self::Transforms(edges) => edges
+                .iter()
+                .filter_map(|edge| match edge {
+                    Edge::Fixed(_) => None,
+                    Edge::Moving { poses, .. } => poses.span(),
+                })
+                .reduce(common),
+            Self::Corrected { corrections, odometry } => Some(common(corrections.span()?, odometry.span()?)),
+            Self::Unknown => None,
         }
     }
 

@@ -99,8 +99,10 @@ pub fn read_with_layout(
     let zero_is_no_return = scans.zero_is_no_return(max);
     let convention = Convention { min, max, zero_is_no_return };
     let laser_edge = motion.transforms.laser_edge(scans.frame(), &base);
+    let empty = scans.empty;
     let Stamped { items: scans, late, .. } = scans.stamped;
     let count = scans.len();
+    let span = [scans.first(), scans.last()].map(|scan| scan.map_or(0.0, |(stamp, _)| secs(*stamp)));
     let mut steps: Vec<DriveStep> = Vec::with_capacity(count);
     let (mut no_return, mut unusable, mut longest) = (0_usize, 0_usize, None);
     let (mut repeated, mut nth, mut interpolated) = (0, 0, 0);
@@ -127,7 +129,12 @@ pub fn read_with_layout(
         steps.push(DriveStep { stamp_secs: secs(stamp), odometry, reference: pose, scan: Scan { ranges } });
     }
     if steps.is_empty() {
-        return Err(DatasetError::NoOdometry { path: path.to_owned(), scans: count });
+        return Err(DatasetError::NoOdometry {
+            path: path.to_owned(),
+            scans: count,
+            scan_secs: span,
+            odometry_secs: odometry.poses.span().map(|span| span.map(secs)),
+        });
     }
     let readings = (steps.len() * laser.beam_count()) as f64;
     let mut evidence = format!(
@@ -162,7 +169,7 @@ pub fn read_with_layout(
         skipped: topics.skipped(&chosen),
         stamps_repaired: late,
         stamps_repeated: repeated,
-        scans_dropped: count - steps.len(),
+        scans_dropped: count - steps.len() + empty,
         intervals_without_odometry: 0,
         no_return_share: no_return as f64 / readings,
         unusable_share: unusable as f64 / readings,
@@ -304,6 +311,8 @@ struct Scans {
     /// Readings of the scans, as the limit counts them.
     readings: u64,
     time_increments_secs: f64,
+    /// Number of scans without readings, which aren't kept.
+    empty: usize,
 }
 
 impl Scans {
@@ -317,7 +326,8 @@ impl Scans {
             return Err(Limits::refusal_above("log_readings", limits.log_readings));
         }
         if ranges.is_empty() {
-            return Err("the scan has no ranges; allowed: at least one".to_owned());
+            self.empty += 1;
+            return Ok(());
         }
         if let Some(first) = &self.first {
             let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());

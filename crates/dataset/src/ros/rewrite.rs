@@ -176,6 +176,10 @@ impl BagCopy {
     }
 
     fn change_scan(&self, scan: &mut LaserScan, edit: &mut dyn DriveEdit) -> Result<bool, String> {
+        // No step of the drive is of a scan without readings.
+        if scan.ranges.is_empty() {
+            return Ok(true);
+        }
         let convention = self.layout.convention;
         let before: Vec<f32> = scan.ranges.iter().map(|range| convention.reading(*range)).collect();
         let mut after = before.clone();

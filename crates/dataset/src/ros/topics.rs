@@ -77,7 +77,8 @@ const SCAN: Role =
     Role { name: "scan", defaults: &["/scan"], types: &[LaserScan::TYPE, MULTI_ECHO_LASER_SCAN] };
 /// Clouds are asked where there are no scans: other sensors than lidars publish them, too.
 const CLOUD: Role = Role { name: "scan", defaults: &[], types: &[POINT_CLOUD_2] };
-const ODOMETRY: Role = Role { name: "odometry", defaults: &["/odom"], types: &[Odometry::TYPE] };
+const ODOMETRY: Role =
+    Role { name: "odometry", defaults: &["/odom", "/odometry/filtered"], types: &[Odometry::TYPE] };
 const REFERENCE: Role = Role {
     name: "reference",
     defaults: &["/reference", "/ground_truth"],
@@ -108,13 +109,14 @@ impl<'a> Topics<'a> {
     pub fn choose(&self, options: &BagOptions) -> Result<Chosen, DatasetError> {
         let wanted = &options.topics;
         let mut guessed = Vec::new();
+        let scan = self.scan(wanted.scan.as_deref(), &mut guessed)?;
+        let space = scan.topic.rsplit_once('/').map_or("", |(space, _)| space);
         let reference = match wanted.reference.as_deref() {
             Some(name) if frames(name).is_some() => frames(name),
-            name => self.named(&REFERENCE, name)?.map(PoseSource::Topic),
+            name => self.named(&REFERENCE, name, space)?.map(PoseSource::Topic),
         };
-        let fixed_transforms = self.named(&FIXED_TRANSFORMS, None)?;
-        let mut transforms = self.named(&TRANSFORMS, None)?;
-        let scan = self.scan(wanted.scan.as_deref(), &mut guessed)?;
+        let fixed_transforms = self.named(&FIXED_TRANSFORMS, None, space)?;
+        let mut transforms = self.named(&TRANSFORMS, None, space)?;
         let others: Vec<_> =
             self.candidates(&SCAN).filter(|channel| **channel != scan).map(|c| self.in_words(c)).collect();
         if !others.is_empty() {
@@ -130,9 +132,11 @@ impl<'a> Topics<'a> {
             _ if options.without_odometry => None,
             // Without odometry of its own, a bag may have it as a transform.
             None if transforms.is_some() && !self.candidates(&ODOMETRY).any(alone) => None,
-            name => Some(PoseSource::Topic(self.named_or_only(&ODOMETRY, name, taken, &mut guessed)?)),
+            name => {
+                Some(PoseSource::Topic(self.named_or_only(&ODOMETRY, name, space, taken, &mut guessed)?))
+            }
         };
-        let localizer = if reference.is_none() { self.named(&LOCALIZER, None)? } else { None };
+        let localizer = if reference.is_none() { self.named(&LOCALIZER, None, space)? } else { None };
         let is_topic = |source: &Option<PoseSource>| matches!(source, Some(PoseSource::Topic(_)));
         // A laser's mount may be among the transforms where none is static.
         if is_topic(&odometry) && is_topic(&reference) && fixed_transforms.is_some() {
@@ -150,8 +154,8 @@ impl<'a> Topics<'a> {
             None => clouds.next().filter(|_| clouds.next().is_none()),
         };
         match cloud {
-            Some(topic) => Ok(self.named(&CLOUD, Some(&topic))?.unwrap_or_default()),
-            None => self.named_or_only(&SCAN, wanted, None, guessed),
+            Some(topic) => Ok(self.named(&CLOUD, Some(&topic), "")?.unwrap_or_default()),
+            None => self.named_or_only(&SCAN, wanted, "", None, guessed),
         }
     }
 
@@ -175,13 +179,21 @@ impl<'a> Topics<'a> {
         skipped
     }
 
-    /// The channel of the name that is wanted, or else of a default name; `None` where neither is there and no name
-    /// was wanted.
-    fn named(&self, role: &Role, wanted: Option<&str>) -> Result<Option<Channel>, DatasetError> {
-        let names = wanted.as_slice();
-        let names = if names.is_empty() { role.defaults } else { names };
-        let of_name = |name: &&str| self.candidates(role).find(|channel| channel.topic == **name);
-        match names.iter().find_map(of_name) {
+    /// The channel of the name that is wanted, or else of a default name: as it is, in the namespace `space`, or in the
+    /// only namespace that has it. `None` where none is there and no name was wanted.
+    fn named(&self, role: &Role, wanted: Option<&str>, space: &str) -> Result<Option<Channel>, DatasetError> {
+        let of_name = |name: &str| self.candidates(role).find(|channel| channel.topic == name);
+        let in_a_namespace = |name: &&str| {
+            let mut found = self.candidates(role).filter(|channel| channel.topic.ends_with(*name));
+            found.next().filter(|_| found.next().is_none())
+        };
+        let found = match wanted {
+            Some(name) => of_name(name),
+            None => (role.defaults.iter().find_map(|name| of_name(name)))
+                .or_else(|| role.defaults.iter().find_map(|name| of_name(&format!("{space}{name}"))))
+                .or_else(|| role.defaults.iter().find_map(in_a_namespace)),
+        };
+        match found {
             Some(channel) if channel.encoding == "cdr" => Ok(Some(channel.clone())),
             Some(Channel { topic, encoding, .. }) => {
                 let (topic, encoding) = (quoted(topic), quoted(encoding));
@@ -199,10 +211,11 @@ impl<'a> Topics<'a> {
         &self,
         role: &Role,
         wanted: Option<&str>,
+        space: &str,
         taken: Option<&Channel>,
         guessed: &mut Vec<String>,
     ) -> Result<Channel, DatasetError> {
-        if let Some(channel) = self.named(role, wanted)? {
+        if let Some(channel) = self.named(role, wanted, space)? {
             return Ok(channel);
         }
         let candidates: Vec<_> = self
@@ -214,12 +227,17 @@ impl<'a> Topics<'a> {
         if let [topic] = candidates[..] {
             let quoted = quoted(topic);
             guessed.push(format!("{quoted} is taken for {name} as the only topic of its type"));
-            return Ok(self.named(role, Some(topic))?.unwrap_or_default());
+            return Ok(self.named(role, Some(topic), "")?.unwrap_or_default());
         }
-        let among = if candidates.is_empty() { "no" } else { "no single" };
+        let others = if candidates.is_empty() {
+            format!("no other topic of type {types}")
+        } else {
+            let candidates: Vec<_> = candidates.into_iter().take(LISTED).map(quoted).collect();
+            format!("no single other topic of type {types}, but {}", candidates.join(" and "))
+        };
         Err(self.refuse(format!(
-            "no topic `{default}` for {name}, and {among} other topic of type {types}; allowed: a topic that is named, \
-             `{default}`, or one alone of its type"
+            "no topic `{default}` for {name}, and {others}; allowed: a topic that is named, `{default}`, or one alone of \
+             its type"
         )))
     }
 

@@ -54,13 +54,14 @@ impl NewScenario<'_> {
     /// [`LabError::Log`] for a log without scans, or without odometry, or without both a reference and a map.
     pub fn text(&self, inspection: &Inspection) -> Result<String, LabError> {
         let refuse = |what: String| LabError::Log { path: self.log.to_owned(), what };
-        let facts =
-            inspection.drive.as_ref().filter(|_| inspection.lacks.run.is_empty()).ok_or_else(|| {
-                let lack = inspection.lacks.run.join("; ");
-                let reason =
-                    inspection.problem.as_ref().map_or_else(String::new, |reason| format!(" ({reason})"));
-                refuse(format!("a scenario needs {lack}{reason}"))
-            })?;
+        if let Some(problem) = &inspection.problem {
+            return Err(refuse(problem.clone()));
+        }
+        let facts = inspection
+            .drive
+            .as_ref()
+            .filter(|_| inspection.lacks.run.is_empty())
+            .ok_or_else(|| refuse(format!("a scenario needs {}", inspection.lacks.run.join("; "))))?;
         let has_reference = facts.references() > 0;
         let split = inspection.split.as_ref();
         if self.map.is_none() && split.is_none() {
@@ -71,7 +72,10 @@ impl NewScenario<'_> {
                     facts.references()
                 )
             } else {
-                "without reference poses no map can be built from the log; --map names a map".to_owned()
+                format!(
+                    "without reference poses no map can be built from the log; --map names a map, {}",
+                    inspection.reference_in_words()
+                )
             }));
         }
         Ok(self.render(facts, split).map_err(ReportError::from)?)
@@ -127,6 +131,8 @@ impl NewScenario<'_> {
             training_beams => facts.laser.beams.min(TRAINING_BEAMS),
             filter_beams => facts.laser.beams.min(FILTER_BEAMS),
             beams => facts.laser.beams,
+            laser_beams => laser.beams,
+            beams_comment => laser.beams_comment,
             models => if has_reference { MODELS.to_vec() } else { SIMULATED_MODELS.to_vec() },
             particles => if has_reference { PARTICLES } else { GLOBAL_PARTICLES },
             usual_alpha => numbers(&OdometryError::USUAL_ALPHA),
@@ -214,6 +220,8 @@ impl Shares {
 
 /// A laser in the keys of a scenario.
 struct Laser {
+    beams: usize,
+    beams_comment: &'static str,
     field_of_view_deg: f64,
     first_beam_deg: f64,
     /// A comment on the direction of the beams.
@@ -226,6 +234,8 @@ impl Laser {
         let laser = &facts.laser;
         let (count, step) = (laser.beams as f64, laser.step_rad.to_degrees());
         let all = step.abs() * (count - 1.0);
+        // Many drivers have a beam at both ends of the circle; a scenario's circle has one there.
+        let is_double = laser.beams > 2 && all > 360.0 - 0.5 * step.abs();
         let is_full = count > 1.0 && all > 360.0 - FULL_CIRCLE_BEAMS * step.abs();
         let first = laser.first_rad.to_degrees();
         let (first, direction) = if step < 0.0 {
@@ -237,6 +247,8 @@ impl Laser {
         let first = (first + 180.0 + ROUNDING_DEG).rem_euclid(360.0) - 180.0 - ROUNDING_DEG;
         let period = facts.quality.clock.interval_secs.unwrap_or(0.0);
         Self {
+            beams: laser.beams - usize::from(is_double),
+            beams_comment: if is_double { " # the log's last beam points where its first does" } else { "" },
             field_of_view_deg: if is_full { 360.0 } else { rounded(all.max(1e-3), 7) },
             first_beam_deg: rounded(first, 7),
             direction,

@@ -11,7 +11,7 @@ use std::path::Path;
 use locsim_core::{Drive, Pose2};
 use locsim_dataset::{
     DatasetError, DriveQuality, LogContents, LogFormat, LogKind, LogOptions, LogSummary, MountSource,
-    OdometrySource, decimal, read_contents, read_log,
+    OdometrySource, Scanner, decimal, read_contents, read_log,
 };
 use serde::Serialize;
 
@@ -24,6 +24,9 @@ use crate::LabError;
 
 /// Scans with reference poses that `locsim gap` needs at least.
 const LEAST_GAP_SCANS: usize = 40;
+
+/// Topics that an error lists, at the most.
+const LISTED_TOPICS: usize = 20;
 
 /// The contents of a log, and the commands that can work on it.
 #[derive(Debug, Serialize)]
@@ -148,14 +151,36 @@ impl Inspection {
     }
 }
 
-/// Options that name a scanner: the one with the most scans, where several are there, none is called `/scan` and none is named.
+impl Inspection {
+    /// How the log's reference may be named, where none was found.
+    fn reference_in_words(&self) -> String {
+        match (&self.reference_candidates[..], &self.contents.topics[..]) {
+            ([], _) if self.contents.format == LogFormat::Carmen => {
+                "TRUEPOS lines are reference poses".to_owned()
+            }
+            ([], topics) => {
+                let topics: Vec<_> =
+                    topics.iter().take(LISTED_TOPICS).map(|topic| topic.name.as_str()).collect();
+                format!("--reference-topic names a topic of poses; found: {}", topics.join(", "))
+            }
+            (candidates, _) => format!("--reference-topic may name {}", candidates.join(" or ")),
+        }
+    }
+}
+
+/// Options that name a scanner: the one with the most readings, where several are there, none is called `/scan` and none is named.
 fn with_scanner(options: &LogOptions, contents: &LogContents) -> (LogOptions, Option<String>) {
     let scanners = &contents.scanners;
     let is_clear = options.topics.scan.is_some()
         || contents.format != LogFormat::Bag
         || scanners.len() < 2
         || scanners.iter().any(|scanner| scanner.source == "/scan");
-    let Some(most) = scanners.iter().max_by_key(|scanner| scanner.scans).filter(|_| !is_clear) else {
+    let readings = |scanner: &Scanner| {
+        scanner.scans.saturating_mul(scanner.beams.as_ref().map_or(1, |beams| beams.count))
+    };
+    // The first of those with most readings.
+    let most = scanners.iter().rev().max_by_key(|scanner| readings(scanner));
+    let Some(most) = most.filter(|_| !is_clear) else {
         return (options.clone(), None);
     };
     let mut options = options.clone();
@@ -172,11 +197,22 @@ fn reference_candidates(contents: &LogContents) -> Vec<String> {
         .topics
         .iter()
         .filter(|topic| TYPES.iter().any(|name| topic.kind == format!("geometry_msgs/msg/{name}")));
-    let transforms = contents.transforms.iter().filter(|pair| {
-        let parent = pair.frames.split(':').next().unwrap_or_default();
-        !pair.is_static && ["map", "world", "earth", "mocap"].contains(&parent)
+    let pairs = || {
+        let moving = contents.transforms.iter().filter(|pair| !pair.is_static);
+        moving.filter_map(|pair| pair.frames.split_once(':'))
+    };
+    let origins = pairs().filter(|(parent, _)| ["map", "world", "earth", "mocap"].contains(parent));
+    let transforms = origins.map(|(origin, child)| {
+        // The last frame that moves on the way down is the robot's base; `odom` isn't.
+        let mut base = child;
+        for _ in pairs() {
+            let mut below = pairs().filter(|(parent, _)| *parent == base).map(|(_, child)| child);
+            let Some(only) = below.next().filter(|_| below.next().is_none()) else { break };
+            base = only;
+        }
+        format!("{origin}:{base}")
     });
-    topics.map(|topic| topic.name.clone()).chain(transforms.map(|pair| pair.frames.clone())).collect()
+    topics.map(|topic| topic.name.clone()).chain(transforms).collect()
 }
 
 /// Whether a log with this error may be readable without its odometry.
@@ -232,7 +268,7 @@ fn lacks(facts: Option<&DriveFacts>) -> Lacks {
     if facts.odometry_source == OdometrySource::Missing {
         for lack in [&mut lacks.run, &mut lacks.map, &mut lacks.gap] {
             lack.push(
-                "odometry: a topic of nav_msgs/msg/Odometry, or the transform odom:base_link".to_owned(),
+                "odometry at the times of the scans: a topic of nav_msgs/msg/Odometry, or the transform odom:base_link".to_owned(),
             );
         }
     }

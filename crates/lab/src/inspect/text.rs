@@ -163,7 +163,7 @@ impl DriveFacts {
         rows.push((
             "stamps",
             format!(
-                "from {:.3} s; {} repaired, {} repeated, {} scans left out beside the odometry",
+                "from {:.3} s; {} repaired, {} repeated, {} scans left out, empty or beside the odometry",
                 clock.first_secs, clock.repaired, clock.repeated, clock.dropped
             ),
         ));

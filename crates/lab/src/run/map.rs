@@ -15,7 +15,7 @@ use locsim_world::mapping::{
 };
 use plotters::prelude::{Color, RGBColor};
 
-use super::laboratory::{selected, unusable};
+use super::laboratory::{no_reference, selected, unusable};
 use crate::LabError;
 
 /// The figure shows at most this many readings: more hide each other.
@@ -52,6 +52,10 @@ impl LogMaps {
         options: &LogOptions,
     ) -> Result<Self, LabError> {
         let (drive, summary) = read_log(log, options)?;
+        if drive.steps.iter().all(|step| step.reference.is_none()) {
+            let what = no_reference(&summary.topics, &summary.transforms);
+            return Err(LabError::Log { path: log.to_owned(), what });
+        }
         let options = MappingOptions { resolution_m, ..MappingOptions::default() };
         let steps = selected(&drive, shares);
         let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(log))?;

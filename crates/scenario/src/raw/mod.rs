@@ -25,7 +25,7 @@ pub use source::*;
 #[serde(deny_unknown_fields)]
 #[schemars(title = "locsim scenario")]
 pub struct RawScenario {
-    /// Name of the results: up to 100 letters, digits, `-` and `_`. Default: the file's name without `.yaml`.
+    /// Name of the results: up to 100 letters, digits, `-` and `_`. Default: the file's name without `.yaml`, with `-` for other signs.
     pub name: Option<String>,
     /// One line for people.
     #[serde(default)]

@@ -157,22 +157,21 @@ pub(crate) fn without_map(walls: &[Option<String>], mut check: Checker<'_>) -> R
 
 /// Whether files and columns can be called so.
 fn is_plain_name(name: &str) -> bool {
-    (1..=MOST_LETTERS).contains(&name.len())
-        && name.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c))
+    (1..=MOST_LETTERS).contains(&name.len()) && name.chars().all(is_plain)
 }
 
-/// The name that is given, or that of the file.
+fn is_plain(c: char) -> bool {
+    c.is_ascii_alphanumeric() || "-_".contains(c)
+}
+
+/// The name that is given, or that of the file with `-` for what a name may not have.
 pub fn name(check: &mut Checker<'_>, name: Option<&str>, path: &Path) -> String {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let (name, origin) = match name {
-        Some(name) => (name, ""),
-        None => (stem.as_ref(), " (the file's name)"),
+    let Some(name) = name else {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        return stem.chars().take(MOST_LETTERS).map(|c| if is_plain(c) { c } else { '-' }).collect();
     };
     check.refuse(!is_plain_name(name), "name", || {
-        format!(
-            "`{}`{origin} is not allowed; up to {MOST_LETTERS} letters, digits, `-` and `_`",
-            quoted(name)
-        )
+        format!("`{}` is not allowed; up to {MOST_LETTERS} letters, digits, `-` and `_`", quoted(name))
     });
     name.to_owned()
 }

@@ -1,6 +1,9 @@
-use std::collections::BTreeMap;
-use std::fs;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File};
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
+
+use locsim_core::limits::quoted;
 
 use crate::DatasetError;
 
@@ -9,7 +12,7 @@ const ENDINGS: [&str; 6] = [".mcap", ".db3", ".mcap.zstd", ".mcap.zst", ".db3.zs
 
 /// The files of a bag's folder in the order of their numbers: `NAME_0.mcap`, `NAME_1.mcap`, ...
 ///
-/// `ros2 bag reindex` orders them so, too. `metadata.yaml` isn't needed: a recording that was killed has none.
+/// `ros2 bag reindex` orders them so, too. `metadata.yaml` isn't needed: a recording that was killed has none. Where it is there, so are the files that it lists.
 pub fn files(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     let failed = |source| DatasetError::Open { path: folder.to_owned(), source };
     let refuse = |reason: String| DatasetError::Folder { path: folder.to_owned(), reason };
@@ -34,6 +37,44 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     };
     match stems.find(|stem| *stem != first) {
         Some(other) => Err(refuse(format!("the folder holds several bags, `{first}` and `{other}`"))),
-        None => Ok(files.into_values().collect()),
+        None => {
+            complete(folder, &files)?;
+            Ok(files.into_values().collect())
+        }
     }
+}
+
+/// Bytes of `metadata.yaml` that are looked at.
+const LONGEST_METADATA: u64 = 1 << 24;
+
+/// Whether the files are there that `metadata.yaml` lists under `relative_file_paths`, compressed or not.
+///
+/// Without that file, and where it isn't as rosbag2 writes it, nothing is said.
+fn complete(folder: &Path, files: &BTreeMap<(String, Option<u64>), PathBuf>) -> Result<(), DatasetError> {
+    let Ok(metadata) = File::open(folder.join("metadata.yaml")) else { return Ok(()) };
+    let mut text = String::new();
+    if metadata.take(LONGEST_METADATA).read_to_string(&mut text).is_err() {
+        return Ok(());
+    }
+    let unpacked = |name: &str| {
+        let ending = [".zstd", ".zst"].iter().find_map(|ending| name.strip_suffix(ending));
+        ending.unwrap_or(name).to_owned()
+    };
+    let there: BTreeSet<String> =
+        files.values().filter_map(|path| Some(unpacked(path.file_name()?.to_str()?))).collect();
+    let lines = text.lines().skip_while(|line| line.trim() != "relative_file_paths:").skip(1);
+    let listed = lines.map_while(|line| line.trim().strip_prefix("- "));
+    for path in listed.map(|path| path.trim_matches(['"', '\''])) {
+        let name = path.rsplit('/').next().unwrap_or(path);
+        if !there.contains(&unpacked(name)) {
+            return Err(DatasetError::Folder {
+                path: folder.to_owned(),
+                reason: format!(
+                    "`{}` isn't there, which metadata.yaml lists; allowed: all files of the bag, or no metadata.yaml",
+                    quoted(name)
+                ),
+            });
+        }
+    }
+    Ok(())
 }

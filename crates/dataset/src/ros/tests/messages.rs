@@ -58,7 +58,13 @@ fn poses_are_interpolated_at_the_scans() {
         .add("/odom", &odometry(1.0, &Pose2::IDENTITY))
         .add("/odom", &odometry(2.0, &Pose2::IDENTITY))
         .add("/scan", &scan(2.5, &[1.0]));
-    assert!(late.message().contains("none of the 1 scans lies within the time of the odometry"));
+    let message = late.message();
+    assert!(
+        message.contains(
+            "none of the 1 scans, from 2.500 s to 2.500 s, lies within the time of the odometry, from 1.000 s to 2.000 s"
+        ),
+        "{message}"
+    );
 }
 
 #[test]
@@ -128,7 +134,6 @@ fn errors_name_file_topic_message_value_and_what_is_allowed() {
             with(&|scan| scan.ranges.truncate(4)),
             &["test.mcap: /scan: message 4:", "4 ranges; allowed: 5"][..],
         ),
-        (with(&|scan| scan.ranges.clear()), &["/scan: message 4:", "no ranges; allowed: at least one"]),
         (with(&|scan| scan.angle_min = -1.0), &["angle_min is -1; allowed: -0.5, as in the first"]),
         (with(&|scan| scan.angle_increment = 0.5), &["angle_increment is 0.5; allowed: 0.25"]),
         (with(&|scan| scan.range_min = 0.5), &["range_min is 0.5; allowed: 0.25"]),
