@@ -161,6 +161,26 @@ fn parameters_are_searched_on_a_log_without_a_scenario() {
     assert!(text.starts_with("# Parameters of nav2's AMCL, found by locsim on my_drive:"), "{text}");
 }
 
+/// The folder of a run has its scenario: 2 m of drive, six of which tell the odometry's noise together.
+#[test]
+fn the_results_of_a_run_are_a_source() {
+    let folder = Folder::new();
+    folder.write("room-run.yaml", common::SCENARIO);
+    folder.locsim("run room-run.yaml --quiet --record none --trials 1 --out results/room").success();
+    let options = "--evaluations 16 --trials 2 --quiet";
+    folder.locsim(&format!("export nav2 results/room -o of-results.yaml {options}")).success();
+    folder.locsim(&format!("export nav2 room-run.yaml -o of-scenario.yaml {options}")).success();
+    let parameters = |name: &str| {
+        let text = String::from_utf8(folder.read(name)).unwrap();
+        text.split_once("\namcl:\n").unwrap().1.to_owned()
+    };
+    assert_eq!(parameters("of-results.yaml"), parameters("of-scenario.yaml"));
+    folder.locsim("export sdf results/room -o lidar.sdf").success();
+    // As it is, from its place.
+    folder.locsim("run results/room/scenario.yaml --quiet --record none --trials 1 --out again").success();
+    assert_eq!(folder.read("again/steps.csv"), folder.read("results/room/steps.csv"));
+}
+
 #[test]
 fn what_nav2_parameters_cannot_be_searched_on_is_refused() {
     let folder = to_and_fro();
@@ -184,8 +204,8 @@ fn what_nav2_parameters_cannot_be_searched_on_is_refused() {
         folder.locsim(&format!("export nav2 {line} -o amcl.yaml")).code(2).stderr(contains(message));
         assert!(!folder.path("amcl.yaml").exists());
     }
-    // 2 m are too short a drive.
-    folder.write("short.yaml", common::SCENARIO);
+    // Six drives of 0.4 m are too short.
+    folder.write("short.yaml", edited(common::SCENARIO, "[2.6, 0.9]", "[1.0, 0.9]"));
     folder
         .locsim("export nav2 short.yaml -o amcl.yaml --evaluations 16")
         .code(2)

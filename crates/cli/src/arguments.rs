@@ -329,7 +329,7 @@ pub enum Export {
 /// `locsim export sdf`, `stage`, `webots`.
 #[derive(Debug, Args)]
 pub struct ExportSensor {
-    /// The scenario, or the results folder of a search
+    /// The scenario, or the results folder of a search or a run
     pub found: PathBuf,
     /// The file to write
     #[arg(short, long)]
@@ -342,7 +342,7 @@ pub struct ExportSensor {
 /// `locsim export nav2`.
 #[derive(Debug, Args)]
 pub struct ExportNav2 {
-    /// A scenario, the results folder of a search, or a log with reference poses: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a
+    /// A scenario, the results folder of a search or a run, or a log with reference poses: a ROS 2 bag (a folder, `.mcap`, `.db3`) or a
     /// CARMEN log (`.log`, `.log.gz`)
     pub source: PathBuf,
     /// AMCL's parameter file; beside NAME.yaml come NAME.beluga.yaml, NAME.report.md and NAME.report.html

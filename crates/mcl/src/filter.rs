@@ -392,20 +392,20 @@ impl Filter {
         Ok(Update { log_evidence, recovered, estimates })
     }
 
-    /// Resamples at once: the new particles, equally weighted, take the place of the old ones. Returns how many of them are
-    /// random, by the options' injection.
+    /// Resamples at once where `wanted`, or where random particles are due by the options' injection: the new particles, equally
+    /// weighted, take the place of the old ones. Returns how many of them are random; `None` where it didn't resample.
     ///
     /// # Errors
     /// [`FilterError::NoFreeSpace`] where a random particle finds no place, after which the filter cannot go on.
-    pub fn resample(&mut self, map: &dyn RangeMap) -> Result<usize, FilterError> {
+    pub fn resample(&mut self, wanted: bool, map: &dyn RangeMap) -> Result<Option<usize>, FilterError> {
         self.take_next();
         if self.phase == Phase::Decided {
-            // A second resampling without a motion between them draws numbers of its own.
+            // A second decision without a motion between them draws numbers of its own.
             self.step = self.next_step();
         }
-        let injected = self.draw_next(true, map)?;
+        let injected = self.draw_next(wanted, map)?;
         self.take_next();
-        Ok(injected)
+        Ok(self.resampled.then_some(injected))
     }
 
     /// The step that a prediction belongs to: the one at hand until it has moved or resampled.

@@ -109,8 +109,12 @@ pub fn pose_array(py: Python<'_>, poses: impl ExactSizeIterator<Item = Pose2>) -
 
 /// A value as Python's own dicts, lists and numbers.
 pub fn python<'py>(py: Python<'py>, value: &impl Serialize) -> Result<Bound<'py, PyAny>, Error> {
-    let text = serde_json::to_string(value)?;
-    Ok(py.import("json")?.call_method1("loads", (text,))?)
+    loads(py, &serde_json::to_string(value)?)
+}
+
+/// JSON as Python's own dicts, lists and numbers.
+pub fn loads<'py>(py: Python<'py>, json: &str) -> Result<Bound<'py, PyAny>, Error> {
+    Ok(py.import("json")?.call_method1("loads", (json,))?)
 }
 
 /// Python's dicts, lists and numbers, numpy's among them, as a tree.

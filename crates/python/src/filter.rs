@@ -4,8 +4,8 @@ use locsim_core::{DependsOn, Laser, LikelihoodGrid, Pose2, Scan, SensorModel as 
 use locsim_dataset::OdometryError;
 use locsim_lab::run::MapSet;
 use locsim_mcl::{
-    self as mcl, FilterOptions, Multinomial, OdometryMotion, ParticleCount, ResampleTrigger, Resampler,
-    Residual, Spread, Start, Stratified, Systematic,
+    self as mcl, AnnealingOptions, FilterOptions, InjectionOptions, KldOptions, Multinomial, OdometryMotion,
+    ParticleCount, ResampleTrigger, Resampler, Residual, Spread, Start, Stratified, Systematic,
 };
 use locsim_sensor::{Prepared, Tempered};
 use pyo3::prelude::*;
@@ -29,13 +29,17 @@ const START_SIGMA: (f64, f64) = (0.2, 0.1);
 ///     map: The map.
 ///     model: The sensor model.
 ///     bearings: Bearings of the beams in the frame of the laser [rad], [beams].
-///     particles: Number of particles.
+///     particles: Number of particles, 1000 by default, or a KldSampling that adapts it.
 ///     start: Pose of the robot (x, y, theta) around which the particles start; by default anywhere in the map.
 ///     start_sigma: Standard deviations of the start, of position [m] and heading [rad].
 ///     alpha: Noise of the odometry motion model (table 5.6 there).
 ///     mount: Where the laser is on the robot (x, y, theta).
 ///     tempering: Floor and exponent of the density, as `SensorModel.choose_tempering` gives them.
 ///     resampler: systematic, stratified, multinomial or residual.
+///     injection: Decay rates (alpha_slow, alpha_fast) of augmented MCL (table 8.3 there), which replaces particles by random ones
+///         while scans are less likely than they used to be; by default none are.
+///     regularization: Standard deviations of the jitter after a resampling, of position [m] and heading [rad]; by default none.
+///     annealing: How scans are taken in while the particles are spread, for a start anywhere in the map; by default at once.
 ///     table: Whether ray casts and densities come from tables, which are prepared first.
 ///     seed: Everything random derives from it.
 ///
@@ -47,6 +51,82 @@ pub struct Filter {
     laser: Laser,
     maps: Arc<MapSet>,
     model: Arc<dyn Density>,
+}
+
+/// A number of particles that adapts to their spread (KLD sampling; Fox, IJRR 22(12), 2003), chosen anew at each resampling: as many as
+/// keep the Kullback-Leibler distance of their histogram from the posterior below a bound.
+///
+/// Args:
+///     min, max: The least number of particles, and the greatest, which a filter starts with.
+///     error: The bound on the distance [nats].
+///     quantile: Probability with which it holds, from 0.5 to 1.
+///     bin_m, bin_rad: Side of a bin of the histogram [m], and its width in heading [rad].
+#[pyclass(frozen, module = "locsim")]
+pub struct KldSampling(KldOptions);
+
+#[pymethods]
+impl KldSampling {
+    #[new]
+    #[pyo3(signature = (min, max, *, error = 0.05, quantile = 0.99, bin_m = 0.5, bin_rad = BIN_RAD))]
+    fn new(min: usize, max: usize, error: f64, quantile: f64, bin_m: f64, bin_rad: f64) -> Self {
+        Self(KldOptions { min, max, error, quantile, bin_m, bin_rad })
+    }
+
+    fn __repr__(&self) -> String {
+        let KldOptions { min, max, error, quantile, bin_m, bin_rad } = self.0;
+        format!(
+            "KldSampling({min}, {max}, error={error}, quantile={quantile}, bin_m={bin_m}, bin_rad={bin_rad})"
+        )
+    }
+}
+
+/// Scans taken in by small powers of their likelihood while the particles are spread (Del Moral, Doucet and Jasra, JRSS B 68(3), 2006):
+/// particles climb to the peaks before the peaks are compared. Each such scan costs some hundred updates.
+///
+/// Args:
+///     candidates: Particles of a start anywhere in the map, until a scan tells them apart.
+///     effective_share: Each power is the largest that leaves this share of the particles effective, above 0 and below 1.
+///     moves: Metropolis moves of each particle after each power.
+///     sigma_m, sigma_rad: Standard deviations of a move under the whole likelihood [m] and [rad].
+///     gathered_m: Scans are annealed until positions have this standard deviation [m], and again from five times it.
+#[pyclass(frozen, module = "locsim")]
+pub struct Annealing(AnnealingOptions);
+
+#[pymethods]
+impl Annealing {
+    #[new]
+    #[pyo3(signature = (
+        *, candidates = 20_000, effective_share = 0.9, moves = 12, sigma_m = 0.01, sigma_rad = 0.005, gathered_m = 0.2,
+    ))]
+    fn new(
+        candidates: usize,
+        effective_share: f64,
+        moves: usize,
+        sigma_m: f64,
+        sigma_rad: f64,
+        gathered_m: f64,
+    ) -> Self {
+        let step = Spread { sigma_m, sigma_rad };
+        Self(AnnealingOptions { candidates, effective_share, moves, step, gathered_m })
+    }
+
+    fn __repr__(&self) -> String {
+        let AnnealingOptions { candidates, effective_share, moves, step, gathered_m } = self.0;
+        let Spread { sigma_m, sigma_rad } = step;
+        format!(
+            "Annealing(candidates={candidates}, effective_share={effective_share}, moves={moves}, sigma_m={sigma_m}, \
+             sigma_rad={sigma_rad}, gathered_m={gathered_m})"
+        )
+    }
+}
+
+/// A fixed number of particles, or one that adapts.
+#[derive(FromPyObject)]
+enum Particles {
+    #[pyo3(annotation = "int")]
+    Fixed(usize),
+    #[pyo3(annotation = "KldSampling")]
+    Kld(Py<KldSampling>),
 }
 
 /// The outcome of an update. `log_evidence` is ln p(z_t | z_1..t-1) [nats]. After a scan that no particle explains the weights are
@@ -63,6 +143,9 @@ pub struct Estimate {
     mean: mcl::Estimate,
     max_weight: Pose2,
 }
+
+/// Width of a bin in heading where the caller doesn't say: AMCL's 10 degrees.
+const BIN_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
 /// A pose \[3\].
 fn pose(value: &Bound<'_, PyAny>, name: &str) -> Result<Pose2, Error> {
@@ -88,9 +171,9 @@ fn resampler(name: &str) -> Result<Arc<dyn Resampler>, Error> {
 impl Filter {
     #[new]
     #[pyo3(signature = (
-        map, model, bearings, *, particles = 1000, start = None, start_sigma = START_SIGMA,
+        map, model, bearings, *, particles = Particles::Fixed(1000), start = None, start_sigma = START_SIGMA,
         alpha = OdometryError::USUAL_ALPHA, mount = (0.0, 0.0, 0.0), tempering = TEMPERING,
-        resampler = "systematic", table = true, seed = 0,
+        resampler = "systematic", injection = None, regularization = None, annealing = None, table = true, seed = 0,
     ))]
     #[expect(clippy::too_many_arguments, reason = "keyword arguments")]
     fn new(
@@ -98,13 +181,16 @@ impl Filter {
         map: &Map,
         model: &SensorModel,
         bearings: &Bound<'_, PyAny>,
-        particles: usize,
+        particles: Particles,
         start: Option<&Bound<'_, PyAny>>,
         start_sigma: (f64, f64),
         alpha: [f64; 4],
         mount: (f64, f64, f64),
         tempering: (f64, f64),
         resampler: &str,
+        injection: Option<(f64, f64)>,
+        regularization: Option<(f64, f64)>,
+        annealing: Option<&Annealing>,
         table: bool,
         seed: u64,
     ) -> Result<Self, Error> {
@@ -120,14 +206,17 @@ impl Filter {
             },
         };
         let options = FilterOptions {
-            particles: ParticleCount::Fixed(particles),
+            particles: match particles {
+                Particles::Fixed(count) => ParticleCount::Fixed(count),
+                Particles::Kld(kld) => ParticleCount::Kld(kld.get().0),
+            },
             motion: Arc::new(OdometryMotion::new(alpha)?),
             resampler: self::resampler(resampler)?,
             trigger: ResampleTrigger::EachStep,
-            injection: None,
-            regularization: None,
+            injection: injection.map(|(alpha_slow, alpha_fast)| InjectionOptions { alpha_slow, alpha_fast }),
+            regularization: regularization.map(|(sigma_m, sigma_rad)| Spread { sigma_m, sigma_rad }),
             clusters: None,
-            annealing: None,
+            annealing: annealing.map(|annealing| annealing.0),
             ancestry: false,
         };
         py.detach(|| {
@@ -167,21 +256,19 @@ impl Filter {
         Ok(Update { log_evidence: update.log_evidence, recovered: update.recovered.is_some() })
     }
 
-    /// Resamples the particles, whose weights are then equal.
+    /// Resamples the particles, whose weights are then equal, and draws random ones among them where injection asks for them.
     ///
     /// Args:
-    ///     below: Resamples only where the effective sample size is below this share of the number of particles.
+    ///     below: Resamples only where the effective sample size is below this share of the number of particles, or where random
+    ///         particles are due.
     ///
     /// Returns:
     ///     Whether it did.
     #[pyo3(signature = (*, below = None))]
     fn resample(&mut self, py: Python<'_>, below: Option<f64>) -> Result<bool, Error> {
         let count = self.filter.particles().len() as f64;
-        if below.is_some_and(|share| self.effective_sample_size() >= share * count) {
-            return Ok(false);
-        }
-        py.detach(|| self.filter.resample(&*self.maps.ranges))?;
-        Ok(true)
+        let wanted = below.is_none_or(|share| self.effective_sample_size() < share * count);
+        Ok(py.detach(|| self.filter.resample(wanted, &*self.maps.ranges))?.is_some())
     }
 
     /// Mean, covariance and the heaviest particle.

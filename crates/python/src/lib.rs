@@ -33,7 +33,7 @@ mod _locsim {
     #[pymodule_export]
     use crate::error::{FilterError, LocsimError, LogError, ScenarioError, SensorError};
     #[pymodule_export]
-    use crate::filter::{Estimate, Filter, Update};
+    use crate::filter::{Annealing, Estimate, Filter, KldSampling, Update};
     #[pymodule_export]
     use crate::gap::{Answer, gap};
     #[pymodule_export]

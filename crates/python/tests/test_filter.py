@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,10 +9,38 @@ import pytest
 import locsim
 
 
-def test_a_filter_from_python_is_that_of_a_run(folder: Path, tmp_path: Path) -> None:
+#: Options of a scenario's filter, and the same in Python.
+OPTIONS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "fixed": ({}, {"particles": 100}),
+    "adaptive": (
+        {
+            "particles": {"kld": {"min": 60, "max": 300, "bin_m": 0.1}},
+            "injection": {"alpha_slow": 0.05, "alpha_fast": 0.5},
+            "regularization": {"sigma_m": 0.01, "sigma_deg": 0.5},
+        },
+        {
+            "particles": locsim.KldSampling(60, 300, bin_m=0.1),
+            "injection": (0.05, 0.5),
+            "regularization": (0.01, np.radians(0.5)),
+        },
+    ),
+    "annealed": (
+        {"start": "global", "annealing": {"candidates": 2000, "sigma_deg": 0.5, "moves": 4}},
+        {
+            "particles": 100,
+            "start": None,
+            "annealing": locsim.Annealing(candidates=2000, sigma_rad=np.radians(0.5), moves=4),
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_a_filter_from_python_is_that_of_a_run(name: str, folder: Path, tmp_path: Path) -> None:
     """The estimates of a run on a log, bit for bit: Python predicts, updates and resamples, the crates do the same in `run`."""
     pyarrow = pytest.importorskip("pyarrow")
     compute = pytest.importorskip("pyarrow.compute")
+    of_scenario, of_filter = OPTIONS[name]
     room_file = folder / "room.yaml"
     often = locsim.Scenario(folder / "room-run.yaml").replace({"laser.rate_hz": 20})
     locsim.simulate(often).save(tmp_path / "drive.mcap")
@@ -23,7 +52,7 @@ def test_a_filter_from_python_is_that_of_a_run(folder: Path, tmp_path: Path) -> 
         "log": {"file": "drive.mcap", "train_scans": [[0.5, 1.0]], "localize_scans": [[0.0, 0.5]]},
         "training": {"poses": 100},
         "models": [{"name": "np_reg_registered", "floor": 0.01, "exponent": 0.4}],
-        "filter": often.to_dict()["filter"],
+        "filter": often.to_dict()["filter"] | of_scenario,
     }
     out = tmp_path / "out"
     ran = locsim.run(locsim.Scenario(keys, base=tmp_path), out=out)
@@ -32,20 +61,18 @@ def test_a_filter_from_python_is_that_of_a_run(folder: Path, tmp_path: Path) -> 
     log = locsim.read_log(tmp_path / "drive.mcap")
     room = locsim.Map.load(room_file)
     model = locsim.SensorModel.load(out / "models/np_reg_registered.model")
+    counts = set()
     for trial, seed in zip(trials["trial"].to_pylist(), trials["seed"].to_pylist(), strict=True):
         rows = steps.filter(compute.equal(steps["trial"], trial)).to_pydict()
-        pf = locsim.Filter(
-            room,
-            model,
-            log.bearings,
-            particles=100,
-            start=log.poses[0],
-            start_sigma=(0.1, np.radians(3)),
-            alpha=(0.1, 0.05, 0.1, 0.05),
-            mount=log.mount,
-            tempering=(0.01, 0.4),
-            seed=seed,
-        )
+        options = {
+            "start": log.poses[0],
+            "start_sigma": (0.1, np.radians(3)),
+            "alpha": (0.1, 0.05, 0.1, 0.05),
+            "mount": log.mount,
+            "tempering": (0.01, 0.4),
+            "seed": seed,
+        }
+        pf = locsim.Filter(room, model, log.bearings, **(options | of_filter))
         resampled = 0
         for i in rows["step"]:
             pf.predict(log.increments[i])
@@ -56,9 +83,13 @@ def test_a_filter_from_python_is_that_of_a_run(folder: Path, tmp_path: Path) -> 
             assert theta == rows["estimate_theta_rad"][i]
             assert update.log_evidence == rows["log_evidence_nats"][i]
             assert pf.effective_sample_size == rows["effective_sample_size"][i]
+            assert len(pf.weights) == rows["particles"][i]
             assert pf.resample(below=0.5) == rows["resampled"][i]
             resampled += rows["resampled"][i]
-        assert 2 < resampled < len(rows["step"]) < len(log)
+            counts.add(len(pf.weights))
+        assert 2 < resampled <= len(rows["step"]) < len(log)
+    injected = [text for text in trials["events"].to_pylist() if "random" in text or "inject" in text]
+    assert (len(counts) > 1, bool(injected)) == (name == "adaptive", name == "adaptive")
 
 
 @pytest.fixture(scope="module")
@@ -132,6 +163,16 @@ def test_what_a_filter_refuses(room: locsim.Map, world) -> None:
         pf.predict([np.nan, 0, 0])
     with pytest.raises(locsim.FilterError, match="particle count"):
         locsim.Filter(room, model, log.bearings, particles=0)
+    with pytest.raises(locsim.FilterError, match="greatest particle count"):
+        locsim.Filter(room, model, log.bearings, particles=locsim.KldSampling(200, 100))
+    with pytest.raises(locsim.FilterError, match="alpha_fast"):
+        locsim.Filter(room, model, log.bearings, injection=(0.1, 0.05))
+    with pytest.raises(locsim.FilterError, match="regularization sigma_m"):
+        locsim.Filter(room, model, log.bearings, regularization=(-0.1, 0.0))
+    with pytest.raises(locsim.FilterError, match="annealing effective share"):
+        locsim.Filter(room, model, log.bearings, annealing=locsim.Annealing(effective_share=1.0))
+    with pytest.raises(TypeError, match="particles"):
+        locsim.Filter(room, model, log.bearings, particles="many")
     with pytest.raises(locsim.FilterError, match="motion alpha"):
         locsim.Filter(room, model, log.bearings, alpha=(-1, 0, 0, 0))
     with pytest.raises(locsim.SensorError, match="exponent"):

@@ -26,6 +26,11 @@ impl Scenario {
         renamed(&moved(&grown(&self.text, effects), &self.file, folder), name)
     }
 
+    /// The text for a file in the folder `folder`, an absolute path, as [`with_effects`](Self::with_effects) has it.
+    pub fn text_in(&self, folder: &Path) -> String {
+        moved(&self.text, &self.file, folder)
+    }
+
     /// Whether [`with_effects`](Self::with_effects) gives a scenario with those effects.
     pub fn can_grow(&self) -> bool {
         let count = |text: &str| {

@@ -204,16 +204,21 @@ impl Amcl {
     }
 
     /// Distance of a reading's end from the nearest surface \[m\].
-    fn distance(&self, laser: Poses<'_>, pose: usize, bearing: f32, z: f32) -> f64 {
+    fn distance(&self, laser: Poses<'_>, pose: usize, bearing: f32, z: f32) -> f32 {
         let (sin, cos) = sin_cos(laser.theta[pose] + f64::from(bearing));
         let z = f64::from(z);
-        let distance = self.map.distance(laser.x[pose] + z * cos, laser.y[pose] + z * sin);
+        self.map.distance(laser.x[pose] + z * cos, laser.y[pose] + z * sin)
+    }
+
+    /// A distance as AMCL's map has it \[m\].
+    fn cut(&self, distance: f32) -> f64 {
         f64::from(distance).min(self.parameters.laser_likelihood_max_dist)
     }
 
     /// The term of a reading in the likelihood fields, whose end is at this distance \[m\] from the nearest surface.
-    fn field_term(&self, distance: f64, max_range: f32) -> f64 {
+    fn field_term(&self, distance: f32, max_range: f32) -> f64 {
         let p = &self.parameters;
+        let distance = self.cut(distance);
         p.z_hit * (-distance * distance / (2.0 * p.sigma_hit * p.sigma_hit)).exp()
             + p.z_rand / f64::from(max_range)
     }
@@ -260,12 +265,12 @@ impl Amcl {
         distances.resize(n * k, 0.0);
         for (i, distances) in distances.chunks_mut(k).enumerate() {
             for (j, z) in self.used(z, max_range) {
-                distances[j] = self.distance(beams.laser, i, beams.bearings[j], z) as f32;
+                distances[j] = self.distance(beams.laser, i, beams.bearings[j], z);
             }
         }
         let of_beam = |j: usize| distances[j..].iter().step_by(k);
         let agrees = |j: usize| {
-            let near = of_beam(j).filter(|d| f64::from(**d) < p.beam_skip_distance).count();
+            let near = of_beam(j).filter(|d| self.cut(**d) < p.beam_skip_distance).count();
             near as f64 / n as f64 > p.beam_skip_threshold
         };
         let agreeing = self.used(z, max_range).filter(|(j, _)| agrees(*j)).count();
@@ -274,7 +279,7 @@ impl Amcl {
         out.fill(0.0);
         for (j, _) in self.used(z, max_range).filter(|(j, _)| is_lost || agrees(*j)) {
             for (out, distance) in out.iter_mut().zip(of_beam(j)) {
-                *out += self.field_term(f64::from(*distance), max_range).max(LEAST_TERM).ln();
+                *out += self.field_term(*distance, max_range).max(LEAST_TERM).ln();
             }
         }
     }
@@ -294,8 +299,7 @@ impl Amcl {
             }
             AmclKind::AmclLikelihoodField | AmclKind::AmclLikelihoodFieldProb => {
                 Profile::along(beams, i, 1.0, |_, x, y| {
-                    let distance = f64::from(self.map.distance(x, y)).min(p.laser_likelihood_max_dist);
-                    self.field_term(distance, max_range).max(LEAST_TERM) as f32
+                    self.field_term(self.map.distance(x, y), max_range).max(LEAST_TERM) as f32
                 })
             }
         }

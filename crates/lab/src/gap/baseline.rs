@@ -9,7 +9,7 @@ use minijinja::syntax::SyntaxConfig;
 use minijinja::{Environment, context};
 use serde_json::{Value, json as json_of};
 
-use super::{Baseline, GapStudy, GapStudyOptions, answer, false_alarm, proposal};
+use super::{GapStudy, GapStudyOptions, answer, false_alarm, proposal};
 use crate::LabError;
 use locsim_core::Control;
 
@@ -25,14 +25,10 @@ const FEW_SHARED: f64 = 0.3;
 /// [`LabError`]; earlier results at `options.out` are then untouched.
 pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Changes, LabError> {
     let GapStudyOptions { out, force, .. } = options;
-    let Some(baseline) = &study.baseline else {
-        let what = "there is no baseline to hold it against".to_owned();
-        return Err(LabError::Log { path: study.log.clone(), what });
-    };
     let fingerprint = study.scenario.content_hash()?;
     let request = Request { out, kind: "gap", fingerprint: &fingerprint, resume: false, force: *force };
     let changes = request.fill(|store| {
-        let changes = find(study, baseline, options)?;
+        let changes = find(study, options.control)?;
         options.control.progress.stage("writing the report", 1);
         write(store.folder(), study, &changes, options)?;
         Ok::<_, LabError>(changes)
@@ -41,8 +37,16 @@ pub fn run(study: &GapStudy, options: &GapStudyOptions<'_>) -> Result<Changes, L
     Ok(changes)
 }
 
-fn find(study: &GapStudy, baseline: &Baseline, options: &GapStudyOptions<'_>) -> Result<Changes, LabError> {
-    let Control { clock, progress, interrupted } = options.control;
+/// Holds the log against the baseline, and writes nothing.
+///
+/// # Errors
+/// [`LabError`], also without a baseline.
+pub fn find(study: &GapStudy, control: Control<'_>) -> Result<Changes, LabError> {
+    let Some(baseline) = &study.baseline else {
+        let what = "there is no baseline to hold it against".to_owned();
+        return Err(LabError::Log { path: study.log.clone(), what });
+    };
+    let Control { clock, progress, interrupted } = control;
     let began = clock();
     let replicates = study.settings.replicates;
     let search = BaselineOptions {
@@ -62,7 +66,7 @@ fn find(study: &GapStudy, baseline: &Baseline, options: &GapStudyOptions<'_>) ->
         ));
     }
     changes.notes.splice(0..0, study.notes.iter().cloned());
-    changes.seconds = options.control.seconds_since(began);
+    changes.seconds = control.seconds_since(began);
     Ok(changes)
 }
 

@@ -23,7 +23,7 @@ use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::Simulator;
 
 pub use answer::answer;
-pub use baseline::{answer_since, json as json_since, run as run_since};
+pub use baseline::{answer_since, find as find_since, json as json_since, run as run_since};
 pub use locsim_gap::{BeamPit, Outcome};
 
 pub use filter::FilterOnLog;

@@ -1,11 +1,10 @@
 //! The scenario with the effects that were found, and the difference to what it was.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use locsim_core::limits::quoted;
 use locsim_core::{Estimate, Interval};
 use locsim_gap::Named;
-use locsim_report::store::StoreError;
 use locsim_scenario::edit::Entry;
 use locsim_scenario::effect::{effect_yaml_with, in_file};
 use locsim_world::effect::Parameter;
@@ -13,6 +12,7 @@ use similar::TextDiff;
 
 use super::GapStudy;
 use crate::LabError;
+use crate::run::out_folder;
 
 /// The scenario with these effects, to be read from the folder `out`.
 ///
@@ -81,12 +81,4 @@ fn round_to_interval(named: &Named, parameter: &Parameter, value: f64) -> f64 {
     let decimals = super::answer::decimals(interval) + 1;
     let scale = 10_f64.powi(decimals as i32);
     ((value * scale).round() / scale).clamp(least, most)
-}
-
-/// The results folder, which need not be there yet, without links.
-fn out_folder(out: &Path) -> Result<PathBuf, LabError> {
-    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let parent =
-        parent.canonicalize().map_err(|source| StoreError::File { path: parent.to_owned(), source })?;
-    Ok(parent.join(out.file_name().unwrap_or_default()))
 }

@@ -37,7 +37,7 @@ pub use laboratory::read_options;
 use laboratory::{Laboratory, MeasuredLog, TrialDrive, check_simulation};
 pub(crate) use laboratory::{log_map, no_reference, refused, selected};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
-use locsim_report::store::{Folder, Part, Request, Store};
+use locsim_report::store::{Folder, Part, Request, Store, StoreError};
 use locsim_report::summary::Summary;
 use locsim_report::{self as report, ReportContext, ReportError};
 use locsim_scenario::{ErrorFrame, Estimate, Scenario, Source};
@@ -192,6 +192,7 @@ fn write_results(
     let laboratory = Laboratory::prepare(scenario, options.cache, options.control.progress)?;
     warn(&laboratory.warnings, options.control.progress);
     if let Some(drive) = laboratory.unreferenced() {
+        save_scenario(scenario, store.folder(), &options.out)?;
         save_models(&laboratory, store.folder())?;
         let summary = unreferenced::write(&laboratory, drive, store.folder(), options)?;
         let summary = RunSummary::Unreferenced(summary);
@@ -201,6 +202,7 @@ fn write_results(
     options.control.progress.stage("report and recording", 1);
     let detail = detailed_trial(&laboratory, scenario.record.trial, options.control.clock)?;
     let folder = store.folder();
+    save_scenario(scenario, folder, &options.out)?;
     save_models(&laboratory, folder)?;
     save_trajectories(&detail, &trials[scenario.record.trial as usize], folder)?;
     let results = results_of(&laboratory, trials, options.control.seconds_since(began));
@@ -217,6 +219,22 @@ fn write_results(
     };
     let summary = report::write(folder, &results, Some(&detail), &context)?;
     Ok((outcome(scenario, summary, results), Some(detail)))
+}
+
+/// The scenario as a file of the results folder `out`, for commands that take the folder.
+fn save_scenario(scenario: &Scenario, folder: &Folder, out: &Path) -> Result<(), LabError> {
+    Ok(folder.write("scenario.yaml", scenario.text_in(&out_folder(out)?).as_bytes())?)
+}
+
+/// A results folder, which need not be there yet, without links.
+///
+/// # Errors
+/// [`LabError::Store`] for a folder whose path can't be told.
+pub(crate) fn out_folder(out: &Path) -> Result<PathBuf, LabError> {
+    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent =
+        parent.canonicalize().map_err(|source| StoreError::File { path: parent.to_owned(), source })?;
+    Ok(parent.join(out.file_name().unwrap_or_default()))
 }
 
 /// Runs the trials, or takes them from `store`, which keeps them.

@@ -7,11 +7,13 @@ is taken. A range equal to the sensor's maximum means "no return", NaN "no usabl
 
 from locsim import distreg
 from locsim._locsim import (
+    Annealing,
     Answer,
     Beams,
     Estimate,
     Filter,
     FilterError,
+    KldSampling,
     LocsimError,
     Log,
     LogError,
@@ -31,11 +33,13 @@ from locsim._locsim import (
 )
 
 __all__ = [
+    "Annealing",
     "Answer",
     "Beams",
     "Estimate",
     "Filter",
     "FilterError",
+    "KldSampling",
     "LocsimError",
     "Log",
     "LogError",

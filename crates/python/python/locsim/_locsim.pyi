@@ -11,11 +11,13 @@ _Keys: TypeAlias = dict[str, Any]
 _Source: TypeAlias = "Scenario | _Path | _Keys"
 
 __all__ = [
+    "Annealing",
     "Answer",
     "Beams",
     "Estimate",
     "Filter",
     "FilterError",
+    "KldSampling",
     "LocsimError",
     "Log",
     "LogError",
@@ -235,6 +237,32 @@ class Estimate:
     def max_weight(self) -> NDArray[np.float64]: ...
 
 @final
+class KldSampling:
+    def __new__(
+        cls,
+        min: int,
+        max: int,
+        *,
+        error: float = 0.05,
+        quantile: float = 0.99,
+        bin_m: float = 0.5,
+        bin_rad: float = ...,
+    ) -> KldSampling: ...
+
+@final
+class Annealing:
+    def __new__(
+        cls,
+        *,
+        candidates: int = 20_000,
+        effective_share: float = 0.9,
+        moves: int = 12,
+        sigma_m: float = 0.01,
+        sigma_rad: float = 0.005,
+        gathered_m: float = 0.2,
+    ) -> Annealing: ...
+
+@final
 class Filter:
     def __new__(
         cls,
@@ -242,13 +270,16 @@ class Filter:
         model: SensorModel,
         bearings: ArrayLike,
         *,
-        particles: int = 1000,
+        particles: int | KldSampling = ...,
         start: ArrayLike | None = None,
         start_sigma: tuple[float, float] = ...,
         alpha: Sequence[float] = ...,
         mount: tuple[float, float, float] = ...,
         tempering: tuple[float, float] = ...,
         resampler: str = "systematic",
+        injection: tuple[float, float] | None = None,
+        regularization: tuple[float, float] | None = None,
+        annealing: Annealing | None = None,
         table: bool = True,
         seed: int = 0,
     ) -> Filter: ...
@@ -284,7 +315,8 @@ def gap(
     log: _Path | None = None,
     out: _Path | None = None,
     *,
-    replicates: int = ...,
+    baseline: _Path | None = None,
+    replicates: int | None = None,
     seed: int | None = None,
     scans: int = 600,
     beams: int = 72,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use locsim_core::{Drive, Pose2, SensorModel, wrap_angle};
+use locsim_core::{Drive, DriveStep, Pose2, SensorModel, wrap_angle};
 use locsim_dataset::OdometryError;
 use locsim_mcl::{
     Filter, FilterOptions, KldOptions, Multinomial, OdometryMotion, ParticleCount, PoseBins, ResampleTrigger,
@@ -62,14 +62,34 @@ pub(super) fn updates(drive: &Drive) -> Drive {
 }
 
 /// The noise of the odometry between AMCL's updates, alpha 1 to 4, and the number of windows that it is estimated from; `None`
-/// with too few of them.
+/// with too few of them. Drives that are too short by themselves are taken end to end.
 pub(super) fn odometry_noise(drives: &[Drive]) -> Option<([f64; 4], usize)> {
-    let errors: Vec<OdometryError> = drives.iter().filter_map(OdometryError::of).collect();
+    let mut errors: Vec<OdometryError> = drives.iter().filter_map(OdometryError::of).collect();
+    if errors.is_empty() {
+        errors.extend(end_to_end(drives).as_ref().and_then(OdometryError::of));
+    }
     let windows: usize = errors.iter().map(|error| error.windows).sum();
     let mean = |i: usize| {
         errors.iter().map(|error| error.alpha[i] * error.windows as f64).sum::<f64>() / windows as f64
     };
     (windows > 0).then(|| (std::array::from_fn(mean), windows))
+}
+
+/// The drives as one, each from where the one before ended; `None` where its first or last reference pose isn't known.
+fn end_to_end(drives: &[Drive]) -> Option<Drive> {
+    let (first, others) = drives.split_first()?;
+    let mut all = first.clone();
+    for drive in others {
+        let (begin, end) = (drive.steps.first()?, all.steps.last()?);
+        let (begin_reference, end_reference) = (begin.reference?, end.reference?);
+        let odometry = end.odometry;
+        all.steps.extend(drive.steps.iter().map(|step| DriveStep {
+            odometry: odometry.compose(&step.odometry.relative_to(&begin.odometry)),
+            reference: step.reference.map(|pose| end_reference.compose(&pose.relative_to(&begin_reference))),
+            ..step.clone()
+        }));
+    }
+    Some(all)
 }
 
 /// The errors of one localization.
@@ -166,9 +186,35 @@ fn options(settings: &Settings) -> Result<FilterOptions, LabError> {
 
 #[cfg(test)]
 mod tests {
-    use locsim_core::{DriveStep, Laser, Scan};
+    use locsim_core::{Laser, Scan};
 
     use super::*;
+
+    /// A drive of `metres` in steps of a quarter of a metre, whose odometry says 10 % more.
+    fn straight(metres: f64) -> Drive {
+        let steps = (0..=(4.0 * metres) as u32).map(|i| {
+            let x = 0.25 * f64::from(i);
+            DriveStep {
+                stamp_secs: f64::from(i),
+                odometry: Pose2::new(1.1 * x, 0.0, 0.0),
+                reference: Some(Pose2::new(3.0, 2.0 + x, std::f64::consts::FRAC_PI_2)),
+                scan: Scan { ranges: vec![1.0] },
+            }
+        });
+        let laser = Laser::new(vec![0.0], vec![0.0], 0.0, 10.0, Pose2::IDENTITY).unwrap();
+        Drive { laser, steps: steps.collect() }
+    }
+
+    /// Six drives of 2 m tell the noise as one of 12 m does, one alone is too short.
+    #[test]
+    fn short_drives_tell_the_odometrys_noise_end_to_end() {
+        assert_eq!(odometry_noise(&[straight(2.0)]), None);
+        let short: [Drive; 6] = std::array::from_fn(|_| straight(2.0));
+        let ([_, _, distance, _], windows) = odometry_noise(&short).unwrap();
+        let ([_, _, expected, _], expected_windows) = odometry_noise(&[straight(12.0)]).unwrap();
+        assert_eq!(windows, expected_windows);
+        assert!((distance / expected - 1.0).abs() < 1e-9, "{distance} {expected}");
+    }
 
     /// AMCL compares along x and y, each alone: 0.24 m along both is 0.34 m, and no update.
     #[test]

@@ -3,7 +3,7 @@
 use locsim_core::{Draw, Drive, Interval, Stage};
 use locsim_report::TextTable;
 use locsim_report::statistics::{Bootstrap, share_interval};
-use locsim_report::text::{fixed, with_interval};
+use locsim_report::text::{self, fixed, with_interval};
 use rayon::prelude::*;
 
 use super::amcl::{Errors, Localizer, Settings};
@@ -11,9 +11,9 @@ use super::search::{Found, Search};
 use crate::LabError;
 
 /// Under which name the rows stand, the first that the others are compared with.
-const NAMES: [&str; 3] = ["nav2's defaults", "nav2's defaults, alphas of this odometry", "exported"];
+const NAMES: [&str; 3] = ["nav2's defaults", "+ odometry's alphas", "exported"];
 
-/// The noise of the odometry alone, as `locsim run` has it: twice that, and at least this.
+/// The noise of the odometry alone: twice what it is, as `locsim run` has it, and at least this.
 const ODOMETRY: (f64, f64) = (2.0, 0.002);
 
 /// The trials under each set of parameters.
@@ -27,11 +27,11 @@ struct Row {
     trials: u32,
     lost: u32,
     /// Root mean squares of position \[m\] and heading \[rad\], and that of the position over those of the first row and of the row
-    /// above, each with its interval.
+    /// above (where that isn't the first), each with its interval.
     position_m: (f64, Option<Interval>),
     heading_rad: (f64, Option<Interval>),
     ratio: (f64, Option<Interval>),
-    ratio_above: (f64, Option<Interval>),
+    ratio_above: Option<(f64, Option<Interval>)>,
 }
 
 impl Comparison {
@@ -75,26 +75,31 @@ impl Comparison {
         TextTable::new(
             [
                 "parameters",
-                "position RMSE [m]",
+                "RMSE [m]",
                 "/ defaults",
                 "/ row above",
-                "heading RMSE [deg]",
-                "lost trials",
+                "RMSE [deg]",
+                "lost [%]",
             ],
             self.rows.iter().map(|row| {
                 let degrees = |value: f64| value.to_degrees();
                 let lost = share_interval(row.lost, row.trials);
+                let lost_share = f64::from(row.lost) / f64::from(row.trials);
                 [
                     row.name.to_owned(),
-                    with_interval(row.position_m.0, row.position_m.1, 4),
+                    with_interval(
+                        row.position_m.0,
+                        row.position_m.1,
+                        if row.position_m.0 < 10.0 { 3 } else { 2 },
+                    ),
                     share(row.ratio),
-                    share(row.ratio_above),
+                    row.ratio_above.map_or(text::NONE.to_owned(), share),
                     with_interval(
                         degrees(row.heading_rad.0),
                         row.heading_rad.1.map(|interval| interval.map(degrees)),
-                        2,
+                        1,
                     ),
-                    format!("{} of {} [{}, {}] %", row.lost, row.trials, percent(lost.lo), percent(lost.hi)),
+                    format!("{} [{}, {}]", percent(lost_share), percent(lost.lo), percent(lost.hi)),
                 ]
             }),
         )
@@ -134,7 +139,7 @@ impl Comparison {
 
 /// A ratio, with more decimals where it is small.
 fn share((value, interval): (f64, Option<Interval>)) -> String {
-    with_interval(value, interval, if value < 0.1 { 4 } else { 2 })
+    with_interval(value, interval, if value < 0.1 { 3 } else { 2 })
 }
 
 fn percent(share: f64) -> String {
@@ -166,7 +171,7 @@ impl Row {
             position_m: (position, interval(0)),
             heading_rad: (heading, interval(1)),
             ratio: (ratio, interval(2).filter(|_| i > 0)),
-            ratio_above: (ratio_above, interval(3).filter(|_| i > 0)),
+            ratio_above: (i > 1).then(|| (ratio_above, interval(3))),
         }
     }
 }

@@ -45,16 +45,34 @@ impl Value {
     }
 }
 
-/// A parameter with its origin.
+/// A parameter with its origin in a few words, and what else there is to say of it.
 pub(super) struct Parameter {
     pub name: &'static str,
     pub value: Value,
-    pub origin: String,
+    pub origin: &'static str,
+    pub details: String,
 }
+
+impl Parameter {
+    /// The comment in the file.
+    fn comment(&self) -> String {
+        if self.details.is_empty() {
+            self.origin.to_owned()
+        } else {
+            format!("{}: {}", self.origin, self.details)
+        }
+    }
+}
+
+/// Where values come from.
+const SEARCH: &str = "search";
+const ODOMETRY: &str = "odometry";
+const USUAL: &str = "nav2's default";
+const LASER: &str = "the laser";
 
 /// AMCL's parameters of nav2.
 pub(super) fn amcl(found: &Found, origin: &Origin<'_>) -> Vec<Parameter> {
-    let mut parameters = laser(&found.settings.laser, origin, "");
+    let mut parameters = laser(&found.settings.laser, origin);
     parameters.extend(motion(found, origin));
     let laser = &found.settings.laser;
     let beam_skip = [
@@ -69,48 +87,62 @@ pub(super) fn amcl(found: &Found, origin: &Origin<'_>) -> Vec<Parameter> {
 }
 
 /// Beluga's parameters, which has other weights: its Gaussian is normalized. `found` is of a likelihood field.
+///
+/// Beluga refuses a weight above 1. Both are then divided by it, which changes no product of terms, and a sum of their cubes beside 1.
 pub(super) fn beluga(found: &Found, origin: &Origin<'_>) -> Vec<Parameter> {
-    let laser_of_nav2 = &found.settings.laser;
-    let factor = laser_of_nav2.sigma_hit * TAU.sqrt();
-    let converted = AmclParameters { z_hit: rounded(laser_of_nav2.z_hit * factor, 4), ..*laser_of_nav2 };
-    let note = format!(
-        "AMCL's z_hit {} x sigma_hit x sqrt(2 pi): Beluga divides by the latter",
-        Value::Float(laser_of_nav2.z_hit).text()
-    );
-    let mut parameters = laser(&converted, origin, &note);
+    let of_nav2 = &found.settings.laser;
+    let weight = of_nav2.z_hit * of_nav2.sigma_hit * TAU.sqrt();
+    let above = weight.max(1.0);
+    let converted = AmclParameters {
+        z_hit: rounded(weight / above, 4),
+        z_rand: rounded(of_nav2.z_rand / above, 4),
+        ..*of_nav2
+    };
+    let mut parameters = laser(&converted, origin);
+    let divided = if above > 1.0 { format!(", over {}", rounded(above, 4)) } else { String::new() };
+    for parameter in &mut parameters {
+        let of_amcl = match parameter.name {
+            "z_hit" => format!("{} x sigma_hit x sqrt(2 pi), by which Beluga divides", of_nav2.z_hit),
+            "z_rand" if above > 1.0 => of_nav2.z_rand.to_string(),
+            _ => continue,
+        };
+        parameter.details = format!("AMCL's {of_amcl}{divided}");
+    }
     parameters.extend(motion(found, origin));
     parameters.extend(filter());
     parameters
 }
 
 fn usual(name: &'static str, value: Value) -> Parameter {
-    Parameter { name, value, origin: "nav2's default".to_owned() }
+    Parameter { name, value, origin: USUAL, details: String::new() }
 }
 
-/// Parameters of the laser model; `hit` is the origin of `z_hit` where it isn't the search's.
-fn laser(laser: &AmclParameters, origin: &Origin<'_>, hit: &str) -> Vec<Parameter> {
+/// Parameters of the laser model.
+fn laser(laser: &AmclParameters, origin: &Origin<'_>) -> Vec<Parameter> {
     let is_beam = laser.kind == AmclKind::AmclBeam;
-    let searched =
-        format!("search: best of {} sets on {} training drives", origin.evaluations, origin.drives);
-    let unused = format!("nav2's default; {} doesn't use it", laser.kind.laser_model_type());
-    let of = |is_used: bool| if is_used { searched.clone() } else { unused.clone() };
-    let float = |name, value, origin| Parameter { name, value: Value::Float(value), origin };
-    let hit = if hit.is_empty() { searched.clone() } else { hit.to_owned() };
+    let drives = if origin.drives == 1 { "drive" } else { "drives" };
+    let details = format!("best of {} sets on {} training {drives}", origin.evaluations, origin.drives);
+    let searched = |name, value| Parameter { name, value, origin: SEARCH, details: details.clone() };
+    let of = |is_used: bool, name, value| {
+        let details = format!("{} doesn't use it", laser.kind.laser_model_type());
+        if is_used { searched(name, value) } else { Parameter { name, value, origin: USUAL, details } }
+    };
     vec![
+        searched("laser_model_type", Value::Word(laser.kind.laser_model_type())),
+        searched("max_beams", Value::Whole(laser.max_beams)),
+        searched("z_hit", Value::Float(laser.z_hit)),
+        searched("z_rand", Value::Float(laser.z_rand)),
+        searched("sigma_hit", Value::Float(laser.sigma_hit)),
+        of(!is_beam, "laser_likelihood_max_dist", Value::Float(laser.laser_likelihood_max_dist)),
+        of(is_beam, "z_short", Value::Float(laser.z_short)),
+        of(is_beam, "z_max", Value::Float(laser.z_max)),
+        of(is_beam, "lambda_short", Value::Float(laser.lambda_short)),
         Parameter {
-            name: "laser_model_type",
-            value: Value::Word(laser.kind.laser_model_type()),
-            origin: searched.clone(),
+            name: "laser_max_range",
+            value: Value::Float(origin.max_range_m),
+            origin: LASER,
+            details: "z_rand is divided by it".to_owned(),
         },
-        Parameter { name: "max_beams", value: Value::Whole(laser.max_beams), origin: searched.clone() },
-        float("z_hit", laser.z_hit, hit),
-        float("z_rand", laser.z_rand, searched.clone()),
-        float("sigma_hit", laser.sigma_hit, searched.clone()),
-        float("laser_likelihood_max_dist", laser.laser_likelihood_max_dist, of(!is_beam)),
-        float("z_short", laser.z_short, of(is_beam)),
-        float("z_max", laser.z_max, of(is_beam)),
-        float("lambda_short", laser.lambda_short, of(is_beam)),
-        float("laser_max_range", origin.max_range_m, "the laser's; z_rand is divided by it".to_owned()),
     ]
 }
 
@@ -119,7 +151,7 @@ fn motion(found: &Found, origin: &Origin<'_>) -> Vec<Parameter> {
     let alphas = names.into_iter().zip(found.settings.alpha).zip(origin.alpha);
     let mut parameters: Vec<Parameter> = alphas
         .map(|((name, value), noise)| {
-            let origin = match found.noise_factor {
+            let (origin, details) = match found.noise_factor {
                 Some(factor) => {
                     let noise = if noise < LEAST_ALPHA {
                         format!("{LEAST_ALPHA}, the least")
@@ -127,17 +159,19 @@ fn motion(found: &Found, origin: &Origin<'_>) -> Vec<Parameter> {
                         rounded(noise, 3).to_string()
                     };
                     let windows = origin.windows;
-                    format!("odometry against reference, {windows} windows: {noise}, times {factor} (search)")
+                    (
+                        ODOMETRY,
+                        format!("{noise} against reference, {windows} windows, times {factor} (search)"),
+                    )
                 }
-                None => "nav2's default: the search found nothing better".to_owned(),
+                None => (USUAL, "the search found nothing better".to_owned()),
             };
-            Parameter { name, value: Value::Float(value), origin }
+            Parameter { name, value: Value::Float(value), origin, details }
         })
         .collect();
     parameters.push(Parameter {
-        name: "alpha5",
-        value: Value::Float(USUAL_ALPHA),
-        origin: "nav2's default; only omnidirectional robots use it".to_owned(),
+        details: "only omnidirectional robots use it".to_owned(),
+        ..usual("alpha5", Value::Float(USUAL_ALPHA))
     });
     parameters.push(usual("robot_model_type", Value::Word("nav2_amcl::DifferentialMotionModel")));
     parameters.push(usual("update_min_d", Value::Float(UPDATE_MIN_D)));
@@ -162,15 +196,13 @@ pub(super) fn yaml(parameters: &[Parameter], program: &str, origin: &Origin<'_>)
         "# Parameters of {program}, found by locsim on {}:\n# {}\namcl:\n  ros__parameters:\n",
         origin.source, origin.command
     );
-    let lines: Vec<(String, &str)> = parameters
+    let lines: Vec<String> = parameters
         .iter()
-        .map(|parameter| {
-            (format!("{}: {}", parameter.name, parameter.value.text()), parameter.origin.as_str())
-        })
+        .map(|parameter| format!("{}: {}", parameter.name, parameter.value.text()))
         .collect();
-    let width = lines.iter().map(|(line, _)| line.len()).max().unwrap_or(0);
-    for (line, origin) in lines {
-        _ = writeln!(text, "    {line:width$} # {origin}");
+    let width = lines.iter().map(String::len).max().unwrap_or(0);
+    for (line, parameter) in lines.iter().zip(parameters) {
+        _ = writeln!(text, "    {line:width$} # {}", parameter.comment());
     }
     text
 }
@@ -201,6 +233,69 @@ mod tests {
         Found { settings, noise_factor: Some(2.0), error_m: 0.1, defaults_error_m: 0.2 }
     }
 
+    /// The type of a parameter in ROS 2. There, a double isn't set from an integer.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    enum Type {
+        Double,
+        Integer,
+        Text,
+        Bool,
+    }
+    use Type::{Bool, Double, Integer, Text};
+
+    /// What `nav2_amcl::AmclNode` declares of what the files have (navigation2, `nav2_amcl/src/amcl_node.cpp`, `add_parameter`).
+    const OF_NAV2: [(&str, Type); 27] = [
+        ("alpha1", Double),
+        ("alpha2", Double),
+        ("alpha3", Double),
+        ("alpha4", Double),
+        ("alpha5", Double),
+        ("beam_skip_distance", Double),
+        ("beam_skip_error_threshold", Double),
+        ("beam_skip_threshold", Double),
+        ("do_beamskip", Bool),
+        ("lambda_short", Double),
+        ("laser_likelihood_max_dist", Double),
+        ("laser_max_range", Double),
+        ("laser_model_type", Text),
+        ("max_beams", Integer),
+        ("max_particles", Integer),
+        ("min_particles", Integer),
+        ("pf_err", Double),
+        ("pf_z", Double),
+        ("resample_interval", Integer),
+        ("robot_model_type", Text),
+        ("sigma_hit", Double),
+        ("update_min_a", Double),
+        ("update_min_d", Double),
+        ("z_hit", Double),
+        ("z_max", Double),
+        ("z_rand", Double),
+        ("z_short", Double),
+    ];
+
+    /// Parameters of [`OF_NAV2`] that `beluga_amcl::AmclNode` doesn't declare, and those that it declares with a range from 0 to 1
+    /// (beluga, `beluga_amcl/src/ros2_common.cpp` and `amcl_node.cpp`). All others of type double are at least 0 there.
+    const NOT_OF_BELUGA: [&str; 4] =
+        ["beam_skip_distance", "beam_skip_error_threshold", "beam_skip_threshold", "do_beamskip"];
+    const UP_TO_ONE_IN_BELUGA: [&str; 5] = ["pf_err", "z_hit", "z_max", "z_rand", "z_short"];
+
+    /// Parameters of a file, by name.
+    fn read(text: &str) -> Map<String, Json> {
+        let (tree, _) = yaml::parse::<Map<String, Json>>(std::path::Path::new("amcl.yaml"), text).unwrap();
+        tree["amcl"]["ros__parameters"].as_object().unwrap().clone()
+    }
+
+    fn type_of(value: &Json) -> Option<Type> {
+        match value {
+            Json::Number(number) if number.is_f64() => Some(Double),
+            Json::Number(_) => Some(Integer),
+            Json::String(_) => Some(Text),
+            Json::Bool(_) => Some(Bool),
+            _ => None,
+        }
+    }
+
     #[test]
     fn a_file_has_nav2s_keys_and_types_and_is_read_again() {
         let folder = tempfile::tempdir().unwrap();
@@ -210,30 +305,20 @@ mod tests {
             let path = folder.path().join("amcl.yaml");
             std::fs::write(&path, &text).unwrap();
             assert_eq!(load_amcl(&path).unwrap(), found.settings.laser, "{text}");
-            let (tree, _) = yaml::parse::<Map<String, Json>>(&path, &text).unwrap();
-            let parameters = tree["amcl"]["ros__parameters"].as_object().unwrap();
-            let whole = ["max_beams", "min_particles", "max_particles", "resample_interval"];
-            let words = ["laser_model_type", "robot_model_type"];
-            assert_eq!(parameters.len(), 27, "{text}");
-            for (name, value) in parameters {
-                let name = name.as_str();
-                let is_right = match value {
-                    Json::Number(number) if whole.contains(&name) => number.is_u64(),
-                    Json::Number(number) => number.is_f64(),
-                    Json::String(_) => words.contains(&name),
-                    Json::Bool(_) => name == "do_beamskip",
-                    _ => false,
-                };
-                assert!(is_right, "{name}: {value}");
+            let parameters = read(&text);
+            assert_eq!(parameters.len(), OF_NAV2.len(), "{text}");
+            for (name, kind) in OF_NAV2 {
+                assert_eq!(parameters.get(name).and_then(type_of), Some(kind), "{name} in {text}");
             }
             assert_eq!(parameters["alpha2"], 1e-7);
             assert!(
-                text.contains("# odometry against reference, 9 windows: 0.01, times 2 (search)"),
+                text.contains("# odometry: 0.01 against reference, 9 windows, times 2 (search)"),
                 "{text}"
             );
+            assert!(text.contains("# search: best of 16 sets on 1 training drive\n"), "{text}");
             let quiet = Origin { alpha: [0.0; 4], ..ORIGIN };
             let text = yaml(&amcl(&found, &quiet), "nav2's AMCL", &quiet);
-            assert!(text.contains(" windows: 0.0005, the least, times 2 (search)"), "{text}");
+            assert!(text.contains("0.0005, the least against reference, 9 windows"), "{text}");
         }
     }
 
@@ -244,5 +329,25 @@ mod tests {
         let text = yaml(&parameters, "beluga_amcl", &ORIGIN);
         assert!(text.contains("    z_hit: 0.2507 "), "{text}");
         assert!(!text.contains("beam_skip") && text.contains("    z_rand: 0.000005 "), "{text}");
+    }
+
+    /// 0.9 x 0.5 x sqrt(2 pi) = 1.128, which Beluga refuses: 1 and 0.4 / 1.128 keep their ratio.
+    #[test]
+    fn beluga_has_its_keys_types_and_ranges() {
+        for (z_hit, sigma_hit) in [(1.0, 0.1), (0.9, 0.5)] {
+            let mut found = found(AmclKind::AmclLikelihoodFieldProb);
+            found.settings.laser = AmclParameters { z_hit, sigma_hit, z_rand: 0.4, ..found.settings.laser };
+            let text = yaml(&beluga(&found, &ORIGIN), "beluga_amcl", &ORIGIN);
+            let parameters = read(&text);
+            assert_eq!(parameters.len(), OF_NAV2.len() - NOT_OF_BELUGA.len(), "{text}");
+            for (name, kind) in OF_NAV2.into_iter().filter(|(name, _)| !NOT_OF_BELUGA.contains(name)) {
+                assert_eq!(parameters.get(name).and_then(type_of), Some(kind), "{name} in {text}");
+                let most = if UP_TO_ONE_IN_BELUGA.contains(&name) { 1.0 } else { f64::MAX };
+                let value = parameters[name].as_f64();
+                assert!(value.is_none_or(|value| (0.0..=most).contains(&value)), "{name}: {value:?}");
+            }
+            let ratio = parameters["z_hit"].as_f64().unwrap() / parameters["z_rand"].as_f64().unwrap();
+            assert!((ratio / (z_hit * sigma_hit * TAU.sqrt() / 0.4) - 1.0).abs() < 1e-3, "{text}");
+        }
     }
 }

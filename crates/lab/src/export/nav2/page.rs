@@ -45,6 +45,8 @@ pub(super) fn markdown(
             parameters => table(parameters, found, origin).to_markdown(),
             evaluations => origin.evaluations,
             training_drives => origin.drives,
+            windows => origin.windows,
+            noise_factor => found.noise_factor.map(|factor| factor.to_string()),
             rehearsed => metres(found.error_m),
             rehearsed_defaults => metres(found.defaults_error_m),
             seed => scenario.seed,
@@ -71,7 +73,7 @@ fn table(parameters: &[Parameter], found: &Found, origin: &Origin<'_>) -> TextTa
             parameter.name.to_owned(),
             parameter.value.text().replace('"', ""),
             usual.value.text().replace('"', ""),
-            parameter.origin.clone(),
+            parameter.origin.to_owned(),
         ]
     });
     TextTable::new(["parameter", "exported", "nav2's default", "from"], rows)
