@@ -240,6 +240,61 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     assert!(!folder.path("found.partial").exists() && !folder.path("new.partial").exists());
 }
 
+/// Returns of a log are off by 3 cm sin(2 bearing), which no effect of the library is, and the log is edited here. The curve is
+/// learnt, the simulator carries it, and with it nothing is off any more.
+#[test]
+fn a_curve_without_a_name_becomes_a_part_of_the_simulator() {
+    let folder = folder();
+    // Long enough for halves of which each has several folds.
+    folder.write("dense.yaml", edited(NOMINAL, "rate_hz: 6", "rate_hz: 12"));
+    folder.locsim("simulate dense.yaml --seed 12 --out plain.log").success();
+    let text = String::from_utf8(folder.read("plain.log")).unwrap();
+    let off = |line: &str| {
+        let mut words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+        if words[0] == "ROBOTLASER1" {
+            let [first, step, count] = [2, 4, 8].map(|i| words[i].parse::<f64>().unwrap());
+            for i in 0..count as usize {
+                let range: f64 = words[9 + i].parse().unwrap();
+                let bias = 0.03 * (2.0 * (first + step * i as f64)).sin();
+                if range < 4.9 {
+                    words[9 + i] = format!("{:.3}", range + bias);
+                }
+            }
+        }
+        words.join(" ")
+    };
+    folder.write("measured.log", text.lines().map(off).collect::<Vec<_>>().join("\n") + "\n");
+    let search = |scenario: &str, out: &str| -> Value {
+        let line =
+            format!("gap {scenario} --log measured.log --out {out} --replicates 99 --no-filter --json");
+        serde_json::from_str(&output(&folder.locsim(&line).success())).unwrap()
+    };
+    let outcome = search("dense.yaml", "found");
+    let found = &outcome["unnamed"][0];
+    assert_eq!(
+        (&outcome["verdict"], &found["covariate"]),
+        (&"unnamed".into(), &"bearing".into()),
+        "{outcome:#}"
+    );
+    let amplitude = found["wave"]["amplitude"].as_f64().unwrap();
+    assert!((amplitude - 0.03).abs() < 0.006, "{found:#}");
+    let stage = &outcome["residual"];
+    let [without, with] = ["w1_without_mm", "w1_mm"].map(|key| stage[key].as_f64().unwrap());
+    assert!(with < 0.6 * without, "{stage:#}");
+    let proposed = String::from_utf8(folder.read("found/scenario.yaml")).unwrap();
+    assert!(proposed.contains("residuals:\n") && proposed.contains("- {bearing_deg: ["), "{proposed}");
+    assert!(folder.path("found/figures/unnamed.svg").is_file());
+    let again = search("found/scenario.yaml", "again");
+    assert!(again["detection"]["p"].as_f64().unwrap() > 0.01, "{again:#}");
+    assert_eq!(
+        (&again["unnamed"], &again["residual"]),
+        (&Value::Array(Vec::new()), &Value::Null),
+        "{again:#}"
+    );
+    let apply = "apply found/scenario.yaml --in measured.log --out worse.log";
+    folder.locsim(apply).code(2).stderr(contains("residuals: the key is not allowed here"));
+}
+
 #[test]
 fn an_effect_is_explained_as_in_the_list() {
     let folder = Folder::new();

@@ -335,7 +335,7 @@ impl Bursts {
         let with = |state: Effect| {
             let mut list = effects.list().to_vec();
             list[at] = state;
-            Effects::new(list).ok()
+            effects.replaced(list).ok()
         };
         Some(Self { on: with(bursts.on)?, off: with(bursts.off)?, share: bursts.share })
     }

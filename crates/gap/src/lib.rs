@@ -41,8 +41,8 @@ pub use nominal::Nominal;
 pub use odometry::{Increment, OdometryError};
 pub use outcome::{
     BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,
-    Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, Rival, Unnamed,
-    Verdict, Wave,
+    Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, ResidualStage, Rival,
+    Unnamed, Verdict, Wave,
 };
 pub use pose_error::PoseError;
 pub use purpose::Purpose;

@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use locsim_world::effect::{Effect, Effects};
+use locsim_world::effect::{Effect, Effects, Residual};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{
     BlockIntegral, BlockModel, BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Simulator,
@@ -93,12 +93,18 @@ impl Nominal {
         Ok(Simulator::new(Arc::clone(&self.map), options, self.laser, effects.clone())?)
     }
 
+    /// The same simulator with more residuals.
+    pub(crate) fn with_residuals(&self, more: &[Residual]) -> Result<Self, GapError> {
+        let residuals = [self.effects.residuals(), more].concat();
+        Ok(Self { effects: self.effects.clone().with_residuals(residuals)?, ..self.clone() })
+    }
+
     /// Its own effects and more.
     ///
     /// # Errors
     /// [`GapError::Effect`] for effects that exclude each other.
     pub fn effects_with(&self, more: &[Effect]) -> Result<Effects, GapError> {
-        Ok(Effects::new([self.effects.list(), more].concat())?)
+        Ok(self.effects.replaced([self.effects.list(), more].concat())?)
     }
 
     /// Whether the log's laser can be the scenario's: number of beams and maximum range.

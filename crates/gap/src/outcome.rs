@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use locsim_core::Estimate;
-use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::effect::{Effect, EffectKind, Residual};
 use serde::{Deserialize, Serialize, Serializer};
 
 use crate::hypothesis::Nuisances;
@@ -97,6 +97,25 @@ pub struct Unnamed {
     pub wave: Option<Wave>,
     /// The curve with its 95 % band; of a lag, the lag itself.
     pub curve: Vec<CurvePoint>,
+}
+
+/// The curves without a name as a part of the simulator, learnt and without a cause.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ResidualStage {
+    /// The curves that a simulator can carry.
+    pub curves: Vec<Residual>,
+    /// Wasserstein-1 distance of range errors between log and simulation with the named effects alone \[mm\].
+    pub w1_without_mm: f64,
+    /// The same with the curves: each half of the log, every other fold of it, against simulations with curves that were learnt
+    /// from the other half \[mm\].
+    pub w1_mm: f64,
+}
+
+impl ResidualStage {
+    /// Whether simulated ranges come nearer to the measured ones.
+    pub fn is_nearer(&self) -> bool {
+        self.w1_mm < self.w1_without_mm
+    }
 }
 
 /// A wave over a covariate.
@@ -377,6 +396,8 @@ pub struct Outcome {
     /// Dependences that no effect of the library explains, which a free model of the readings finds,
     /// the one that gains most first. Empty where nothing is off with the effects.
     pub unnamed: Vec<Unnamed>,
+    /// Their curves as a part of the simulator; `None` where it can carry none of them.
+    pub residual: Option<ResidualStage>,
     /// Chances.
     pub detection: Detection,
     /// Chances with the named effects added; the same where none is.

@@ -94,20 +94,34 @@ pub(crate) fn distance(views: &Views, recorded: &Recorded, simulated: &[Recorded
     distance_of(&all, views, recorded, simulated)
 }
 
+/// The same where each half of the log is held against simulations of its own; `half_of` tells the half of a scan.
+pub(crate) fn distance_in_halves(
+    views: &Views,
+    recorded: &Recorded,
+    simulated: [&[Recorded]; 2],
+    half_of: impl Fn(usize) -> usize,
+) -> f64 {
+    let all = 0..views.beams.len() as u32;
+    let own = range_errors(&all.clone().collect::<Vec<_>>(), views, recorded);
+    let others = simulated.into_iter().enumerate().flat_map(|(half, logs)| {
+        let beams: Vec<u32> = all.clone().filter(|&i| half_of(i as usize / views.per_scan) == half).collect();
+        logs.iter().flat_map(|log| range_errors(&beams, views, log)).collect::<Vec<f64>>()
+    });
+    1e3 * wasserstein(own, others.collect())
+}
+
 /// The same over some beams.
 fn distance_of(beams: &[u32], views: &Views, recorded: &Recorded, simulated: &[Recorded]) -> f64 {
-    let max = recorded.laser.max_range();
-    let errors = |log: &Recorded| -> Vec<f64> {
-        beams
-            .iter()
-            .map(|&i| i as usize)
-            .filter(|&i| !log.readings[i].is_nan())
-            .map(|i| f64::from(log.readings[i].min(max)) - views.beams[i].range().min(f64::from(max)))
-            .collect()
-    };
-    let own = errors(recorded);
-    let others: Vec<f64> = simulated.iter().flat_map(errors).collect();
+    let own = range_errors(beams, views, recorded);
+    let others: Vec<f64> = simulated.iter().flat_map(|log| range_errors(beams, views, log)).collect();
     1e3 * wasserstein(own, others)
+}
+
+/// Readings of some beams less the map's ranges \[m\], both no more than the maximum range.
+fn range_errors(beams: &[u32], views: &Views, log: &Recorded) -> Vec<f64> {
+    let max = log.laser.max_range();
+    let usable = beams.iter().map(|&i| i as usize).filter(|&i| !log.readings[i].is_nan());
+    usable.map(|i| f64::from(log.readings[i].min(max)) - views.beams[i].range().min(f64::from(max))).collect()
 }
 
 /// Wasserstein-1 distance between two samples: the area between their quantile functions.

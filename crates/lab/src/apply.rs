@@ -75,6 +75,12 @@ pub fn apply(
         let problem = Problem { line: None, key: "effects".to_owned(), message };
         return Err(ScenarioError::Invalid { file: scenario.file.clone(), problems: vec![problem] }.into());
     };
+    if !simulator.residuals.is_empty() {
+        let message =
+            "the key is not allowed here; only effects are applied to a recording, not curves".to_owned();
+        let problem = Problem { line: None, key: "residuals".to_owned(), message };
+        return Err(ScenarioError::Invalid { file: scenario.file.clone(), problems: vec![problem] }.into());
+    }
     let is_bag = LogFormat::of_name(out) == LogFormat::Bag && LogFormat::of_content(log)? == LogFormat::Bag;
     let moves_odometry =
         simulator.effects.iter().any(|effect| effect.kind.description().moves == Moves::Odometry);

@@ -121,7 +121,7 @@ pub fn gap(
                 Some(options) => laboratory::run_since(&study, options)?,
             };
             let content = laboratory::json_since(&study, &changes)?;
-            let scenario = laboratory::scenario_with(&study, &changes.effects, folder)?;
+            let scenario = laboratory::scenario_with(&study, &changes.effects, None, folder)?;
             return Answer::new(laboratory::answer_since(&changes), &changes.effects, content, scenario, out);
         }
         let outcome = match &options {
@@ -129,7 +129,7 @@ pub fn gap(
             Some(options) => laboratory::run(&study, options)?,
         };
         let content = serde_json::to_string(&outcome)?;
-        let scenario = laboratory::scenario_with(&study, &outcome.effects, folder)?;
+        let scenario = laboratory::scenario_with(&study, &outcome.effects, outcome.residual.as_ref(), folder)?;
         Answer::new(laboratory::answer(&outcome), &outcome.effects, content, scenario, out)
     })
 }

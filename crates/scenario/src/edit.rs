@@ -11,7 +11,7 @@ use crate::effect::{effect_yaml, quoted_text};
 use crate::key_path::join;
 use crate::{Overrides, Scenario};
 
-/// An entry of the list `effects`.
+/// An entry of the list `effects` or `residuals`.
 pub struct Entry {
     /// Comments above it, without `#`.
     pub comments: Vec<String>,
@@ -20,10 +20,11 @@ pub struct Entry {
 }
 
 impl Scenario {
-    /// The text with effects appended and a name of its own, for a file in the folder `folder`, an absolute path: files that are
+    /// The text with effects and residuals appended and a name of its own, for a file in the folder `folder`, an absolute path: files that are
     /// named relative to the scenario's folder are named relative to `folder`.
-    pub fn with_effects(&self, effects: &[Entry], folder: &Path, name: &str) -> String {
-        renamed(&moved(&grown(&self.text, effects), &self.file, folder), name)
+    pub fn with_effects(&self, effects: &[Entry], residuals: &[Entry], folder: &Path, name: &str) -> String {
+        let grown = grown(&grown(&self.text, "effects", effects), "residuals", residuals);
+        renamed(&moved(&grown, &self.file, folder), name)
     }
 
     /// The text for a file in the folder `folder`, an absolute path, as [`with_effects`](Self::with_effects) has it.
@@ -35,17 +36,21 @@ impl Scenario {
     pub fn can_grow(&self) -> bool {
         let count = |text: &str| {
             let scenario = Self::parse_text(&self.file, text, &Overrides::default()).ok()?;
-            Some(scenario.simulator()?.effects.len())
+            let simulator = scenario.simulator()?;
+            Some([simulator.effects.len(), simulator.residuals.len()])
         };
         let neutral = Effect::neutral(EffectKind::RangeBias, Vec::new());
         let lines = vec![effect_yaml(&neutral, None)];
         let entry = || Entry { comments: vec!["a comment".to_owned()], lines: lines.clone() };
-        let grown = grown(&self.text, &[entry(), entry()]);
-        matches!((count(&self.text), count(&grown)), (Some(before), Some(after)) if after == before + 2)
+        let curve = || Entry { comments: Vec::new(), lines: vec!["- {bias_m: [0]}".to_owned()] };
+        let grown = grown(&self.text, "effects", &[entry(), entry()]);
+        let grown = self::grown(&grown, "residuals", &[curve()]);
+        let more = |[effects, residuals]: [usize; 2]| [effects + 2, residuals + 1];
+        matches!((count(&self.text), count(&grown)), (Some(before), Some(after)) if after == more(before))
     }
 }
 
-/// Where a list `effects` is in a text.
+/// Where a list is in a text.
 enum List {
     /// None.
     Absent,
@@ -55,15 +60,15 @@ enum List {
     Flow { close: usize, empty: bool },
 }
 
-/// A text with entries appended to its list `effects`, or with such a list.
-fn grown(text: &str, entries: &[Entry]) -> String {
+/// A text with entries appended to its list of this key, or with such a list.
+fn grown(text: &str, key: &str, entries: &[Entry]) -> String {
     if entries.is_empty() {
         return text.to_owned();
     }
-    match find_list(text) {
+    match find_list(text, key) {
         List::Absent => {
             let mut text = with_final_newline(text);
-            text.push_str("effects:\n");
+            let _ = writeln!(text, "{key}:");
             text + &block(entries, 2)
         }
         List::Block { indent, end } => {
@@ -118,18 +123,18 @@ fn indent_at(text: &str, byte: usize) -> usize {
 }
 
 /// The nodes of a YAML text that are asked for, with the bytes where they stand.
-fn find_list(text: &str) -> List {
+fn find_list(text: &str, key: &str) -> List {
     let mut found = List::Absent;
     let mut end_of_last = 0;
     let mut inside = false;
     let mut count = 0;
     let mut start = 0;
     walk(text, &mut |path, event, bytes, _| match event {
-        Event::SequenceStart(..) if path == "effects" => {
+        Event::SequenceStart(..) if path == key => {
             inside = true;
             start = bytes.start;
         }
-        Event::SequenceEnd if path == "effects" => {
+        Event::SequenceEnd if path == key => {
             inside = false;
             found = if text[start..].starts_with('[') {
                 List::Flow { close: text[..bytes.end].rfind(']').unwrap_or(bytes.end), empty: count == 0 }
@@ -324,7 +329,7 @@ mod tests {
                 "a: [ä]\neffects: [{b: 1},\n  # why\n  {name: heavy_tail, p: 0.1}\n] # x\nz: 1\n",
             ),
         ] {
-            assert_eq!(grown(text, &entries()), expected);
+            assert_eq!(grown(text, "effects", &entries()), expected);
         }
     }
 
@@ -359,7 +364,7 @@ mod tests {
         for name in hostile_names() {
             for text in ["seed: 1\n", "seed: 1\neffects: [{name: glass}]\n"] {
                 let comments = vec![format!("Found in {} by us", quoted(&name))];
-                let grown = grown(text, &[Entry { comments, ..entries().remove(0) }]);
+                let grown = grown(text, "effects", &[Entry { comments, ..entries().remove(0) }]);
                 assert_eq!(keys(&grown), ["effects", "seed"], "{grown:?}");
                 assert!(grown.len() < 1000 && !grown.contains(|c| is_hidden(c) && c != '\n'), "{grown:?}");
             }

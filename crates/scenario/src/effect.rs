@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use locsim_core::limits::is_hidden;
-use locsim_world::effect::{Effect, Parameter};
+use locsim_world::effect::{BeamCovariate, Effect, Levels, Moment, Parameter, Residual};
 
 /// Whether a parameter is an angle, or an angle per metre.
 pub fn is_angle(parameter: &Parameter) -> bool {
@@ -66,6 +66,42 @@ pub fn effect_yaml_with(
             lines.join("\n")
         }
     }
+}
+
+/// A residual as an entry of a scenario's list `residuals`: `- {bearing_deg: [-90, 0, 90], bias_m: [0, 0.01, 0]}`.
+///
+/// Numbers are rounded: levels to four digits after the point, values to six.
+pub fn residual_yaml(residual: &Residual) -> String {
+    let list = |values: &mut dyn Iterator<Item = f64>, decimals: i32| {
+        let scale = 10_f64.powi(decimals);
+        // 0 without a sign, as people write it.
+        let words = values.map(|value| ((value * scale).round() / scale + 0.0).to_string());
+        format!("[{}]", words.collect::<Vec<_>>().join(", "))
+    };
+    let levels = match residual.levels() {
+        Levels::Everywhere => String::new(),
+        Levels::Over(covariate, at) => {
+            let (key, unit) = match covariate {
+                BeamCovariate::Range => ("range_m", 1.0),
+                BeamCovariate::Incidence => ("incidence_deg", 1_f64.to_radians()),
+                BeamCovariate::Bearing => ("bearing_deg", 1_f64.to_radians()),
+                BeamCovariate::Time => ("time_secs", 1.0),
+            };
+            format!("{key}: {}, ", list(&mut at.iter().map(|value| value / unit), 4))
+        }
+        Levels::Cells(cells) => {
+            let cells: Vec<String> = cells.iter().map(|cell| list(&mut cell.iter().copied(), 4)).collect();
+            format!("cells_m: [{}], ", cells.join(", "))
+        }
+    };
+    let key = match residual.moment() {
+        Moment::Bias => "bias_m",
+        Moment::Spread => "spread",
+        Moment::NoReturn => "no_return",
+        Moment::Short => "short",
+        Moment::Long => "long",
+    };
+    format!("- {{{levels}{key}: {}}}", list(&mut residual.values().iter().copied(), 6))
 }
 
 /// A text in YAML: as it is where it can't be taken for something else, in quotes otherwise.
@@ -134,6 +170,30 @@ mod tests {
                 assert_eq!(read[0].place, if name.is_some() { south } else { effect.place.clone() });
             }
         }
+    }
+
+    #[test]
+    fn residuals_come_back_as_they_were_written() {
+        let curve = |moment, levels, values: &[f64]| Residual::new(moment, levels, values.to_vec()).unwrap();
+        let over = |covariate, at: &[f64]| Levels::Over(covariate, at.to_vec());
+        let curves = [
+            curve(Moment::Bias, Levels::Everywhere, &[-0.0125]),
+            curve(Moment::Spread, over(BeamCovariate::Range, &[0.5, 2.25]), &[-0.5, 3.0]),
+            curve(Moment::NoReturn, over(BeamCovariate::Time, &[0.0, 60.0]), &[0.0, 1.0]),
+            curve(Moment::Short, Levels::Cells(vec![[-1.0, 0.0, 1.0, 0.5]]), &[0.25]),
+            curve(Moment::Long, over(BeamCovariate::Incidence, &[0.0, 60_f64.to_radians()]), &[0.25, 0.5]),
+            curve(Moment::Bias, over(BeamCovariate::Bearing, &[-1_f64.to_radians()]), &[0.5]),
+        ];
+        let entries: Vec<String> =
+            curves.iter().map(|curve| format!("  {}\n", residual_yaml(curve))).collect();
+        let scenario = parse(&format!("{}residuals:\n{}", text("minimal.yaml"), entries.concat())).unwrap();
+        let crate::Source::Simulation(simulation) = scenario.source else { panic!() };
+        assert_eq!(simulation.residuals.len(), curves.len());
+        for (read, written) in simulation.residuals.iter().zip(&curves) {
+            assert_eq!((read.moment(), read.values()), (written.moment(), written.values()));
+            assert_eq!(residual_yaml(read), residual_yaml(written));
+        }
+        assert_eq!(entries[3], "  - {cells_m: [[-1, 0, 1, 0.5]], short: [0.25]}\n");
     }
 
     #[test]

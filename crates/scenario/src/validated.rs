@@ -5,7 +5,7 @@ use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
 use locsim_mcl::{AnnealingOptions, InjectionOptions, ParticleCount, ResampleTrigger, Spread};
 use locsim_sensor::{AmclKind, ModelKind};
-use locsim_world::effect::Effect;
+use locsim_world::effect::{Effect, EffectError, Effects, Residual};
 use locsim_world::simulation::{BlockOptions, LaserOptions, OdometryNoise, Robot};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
@@ -91,6 +91,9 @@ pub struct Simulation {
     pub laser: LaserOptions,
     /// Ways in which the world differs from all this.
     pub effects: Vec<Effect>,
+    /// Curves by which readings differ from all this without a known cause.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub residuals: Vec<Residual>,
 }
 
 /// A measured log, cut into parts by share of its scans. Each part is a list of half-open intervals
@@ -125,18 +128,44 @@ pub struct SimulatorOptions {
     pub odometry_noise: OdometryNoise,
     /// Ways in which the world differs from all this.
     pub effects: Vec<Effect>,
+    /// Curves by which readings differ from all this without a known cause.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub residuals: Vec<Residual>,
+}
+
+impl SimulatorOptions {
+    /// Effects and residuals, as a simulator takes them.
+    ///
+    /// # Errors
+    /// [`EffectError`] for effects that exclude each other.
+    pub fn effects(&self) -> Result<Effects, EffectError> {
+        Effects::new(self.effects.clone())?.with_residuals(self.residuals.clone())
+    }
+}
+
+impl Simulation {
+    /// Effects and residuals, as a simulator takes them.
+    ///
+    /// # Errors
+    /// [`EffectError`] for effects that exclude each other.
+    pub fn effects(&self) -> Result<Effects, EffectError> {
+        Effects::new(self.effects.clone())?.with_residuals(self.residuals.clone())
+    }
 }
 
 impl Scenario {
     /// The simulator: that of a simulated robot, or the one beside a log.
     pub fn simulator(&self) -> Option<SimulatorOptions> {
         match &self.source {
-            Source::Simulation(Simulation { blocks, robot, laser, effects, .. }) => Some(SimulatorOptions {
-                blocks: *blocks,
-                laser: *laser,
-                odometry_noise: robot.odometry_noise,
-                effects: effects.clone(),
-            }),
+            Source::Simulation(Simulation { blocks, robot, laser, effects, residuals, .. }) => {
+                Some(SimulatorOptions {
+                    blocks: *blocks,
+                    laser: *laser,
+                    odometry_noise: robot.odometry_noise,
+                    effects: effects.clone(),
+                    residuals: residuals.clone(),
+                })
+            }
             Source::Log(log) => log.simulator.clone(),
         }
     }

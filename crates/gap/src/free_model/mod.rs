@@ -41,6 +41,29 @@ const MEAN: usize = 0;
 /// neighbouring levels of one standard deviation of the noise is one standard deviation of the prior.
 const STIFFNESSES: [f64; 3] = [1.0, 30.0, 1000.0];
 
+/// The folds of a log that a model is learnt from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// All of them.
+    Whole,
+    /// Every other one, of which this is the first: 0 or 1.
+    Half(usize),
+}
+
+impl Part {
+    fn includes(self, fold: usize) -> bool {
+        match self {
+            Self::Whole => true,
+            Self::Half(first) => fold % 2 == first,
+        }
+    }
+}
+
+/// The fold of a scan.
+pub(crate) fn fold_of(scan: usize, folds: usize) -> usize {
+    (scan / FOLD_SCANS).min(folds - 1)
+}
+
 /// One moment of a reading as a curve over one covariate.
 #[derive(Clone, Debug)]
 pub(crate) struct Component {
@@ -79,20 +102,23 @@ impl FreeModel {
         fitted: &Fitted,
         covariates: &Covariates,
         draw: &Draw,
+        part: Part,
     ) -> Self {
         let folds = fold_count(comparison.recorded.scans());
-        let outcomes = Outcomes::new(comparison, effects, fitted, draw, None);
+        let outcomes_of = |farther: Option<&[f64]>| {
+            let mut outcomes = Outcomes::new(comparison, effects, fitted, draw, farther);
+            outcomes.all.retain(|outcome| part.includes(fold_of(outcome.scan as usize, folds)));
+            outcomes
+        };
+        let outcomes = outcomes_of(None);
         let plain = Self::of(&outcomes, covariates, folds, None);
         let gain = |model: &Self| model.gains().iter().sum::<f64>();
         if gain(&plain) < STRONG_NATS {
             return plain;
         }
-        let fold_of = State::new(&outcomes, covariates, folds).fold_of;
-        let readings: Vec<(usize, usize)> =
-            outcomes.all.iter().zip(fold_of).map(|(outcome, fold)| (outcome.beam as usize, fold)).collect();
-        let shift = Shift::new(comparison, effects, fitted, covariates, &readings, folds);
+        let shift = Shift::new(comparison, effects, fitted, covariates, folds, part);
         let shifted = shift.map(|shift| {
-            let outcomes = Outcomes::new(comparison, effects, fitted, draw, Some(&shift.of_readings));
+            let outcomes = outcomes_of(Some(&shift.of_readings));
             Self::of(&outcomes, covariates, folds, Some(shift))
         });
         shifted.filter(|shifted| gain(shifted) > gain(&plain)).unwrap_or(plain)
@@ -102,16 +128,10 @@ impl FreeModel {
     fn of(outcomes: &Outcomes, covariates: &Covariates, folds: usize, shift: Option<Shift>) -> Self {
         let mut state = State::new(outcomes, covariates, folds);
         let mut components: Vec<Draft> = Vec::new();
-        if let Some(Shift { axis, levels, gains, .. }) = shift {
-            let none = vec![0.0; levels.len()];
-            components.push(Draft {
-                moment: MEAN,
-                axis,
-                shifts: levels,
-                tilts: none.clone(),
-                errors: none,
-                gains,
-            });
+        if let Some(Shift { axis, levels, errors, gains, .. }) = shift {
+            let tilts = vec![0.0; levels.len()];
+            // A tilt of the mean is in standard deviations, too.
+            components.push(Draft { moment: MEAN, axis, shifts: levels, tilts, errors, gains });
         }
         let mut score = state.score();
         let mut correlation = None;
@@ -197,12 +217,11 @@ struct Step {
 
 impl<'a> State<'a> {
     fn new(outcomes: &'a Outcomes, covariates: &'a Covariates, folds: usize) -> Self {
-        let fold = |scan: u32| (scan as usize / FOLD_SCANS).min(folds - 1);
         Self {
             outcomes,
             covariates,
             folds,
-            fold_of: outcomes.all.iter().map(|outcome| fold(outcome.scan)).collect(),
+            fold_of: outcomes.all.iter().map(|outcome| fold_of(outcome.scan as usize, folds)).collect(),
             tilts: vec![Tilt::default(); outcomes.all.len()],
             spent: vec![[false; MOMENTS.len()]; covariates.axes.len()],
         }
@@ -281,7 +300,8 @@ impl<'a> State<'a> {
         })
     }
 
-    /// A curve in units that people know: the mean over the readings of each level.
+    /// A curve in units that people know: the mean over the readings of each level. A share is of the readings that weren't of
+    /// its kind before: the probability by which an effect makes them so.
     fn finish(&self, draft: Draft) -> Component {
         let Draft { moment, axis, shifts, tilts, errors, gains } = draft;
         let mut sums = vec![[0.0; 4]; tilts.len()];
@@ -291,7 +311,7 @@ impl<'a> State<'a> {
                 [0.0, 1.0, -1.0].map(|side| outcome.change(moment, tilts[level] + side * errors[level]));
             if let (Some(at), Some(up), Some(down)) = (at, up, down) {
                 let bias = shifts[level] * outcome.sigma();
-                let more = [1.0, bias + at, bias + up, bias + down];
+                let more = [outcome.weight(moment), bias + at, bias + up, bias + down];
                 sums[level].iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
             }
         }
@@ -336,7 +356,8 @@ mod tests {
         let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
         let covariates = Covariates::new(&comparison);
-        let model = FreeModel::new(&comparison, &NOMINAL.effects, &fitted, &covariates, &pit_draw(1));
+        let model =
+            FreeModel::new(&comparison, &NOMINAL.effects, &fitted, &covariates, &pit_draw(1), Part::Whole);
         check(&model, &covariates);
     }
 

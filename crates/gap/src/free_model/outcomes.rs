@@ -281,6 +281,12 @@ impl Outcome {
         })
     }
 
+    /// What a reading counts for in the mean change of a moment: 1, or the probability that it isn't of the share's class.
+    pub fn weight(&self, moment: usize) -> f64 {
+        let class = (moment + 1).checked_sub(OF_SURFACE).filter(|class| *class > 0);
+        class.map_or(1.0, |class| 1.0 - self.probabilities[class])
+    }
+
     /// Standard deviation of a reading of the surface \[m\]; 0 of a beam that meets none.
     pub fn sigma(&self) -> f64 {
         self.sigma

@@ -7,7 +7,7 @@ use super::judgement::{Judgement, acts_on};
 use super::selection::is_sure;
 use super::{Round, State};
 use crate::fit::Candidate;
-use crate::free_model::{Covariates, FreeModel, Lag};
+use crate::free_model::{Covariates, FreeModel, Lag, Part};
 use crate::null::REFIT;
 use crate::statistics::{Survey, pit_draw};
 use crate::{GapError, Purpose};
@@ -36,7 +36,8 @@ impl<'a> State<'a> {
         let replay = round.replay();
         let draw = Purpose::FreeModel.draw(self.options.seed);
         let own = pit_draw(self.options.seed);
-        let model = FreeModel::new(&round.comparison, &effects, &round.fitted, &covariates, &own);
+        let model =
+            FreeModel::new(&round.comparison, &effects, &round.fitted, &covariates, &own, Part::Whole);
         let lag = Lag::new(&round.comparison, &effects, &round.fitted);
         let simulated = (0..LOGS)
             .into_par_iter()
@@ -45,7 +46,8 @@ impl<'a> State<'a> {
                 let log = replay.simulate(seed)?;
                 let comparison = round.comparison.of(&log);
                 let fitted = comparison.find_nuisances(&effects, &round.fitted.nuisances, REFIT);
-                let model = FreeModel::new(&comparison, &effects, &fitted, &covariates, &pit_draw(seed));
+                let own = pit_draw(seed);
+                let model = FreeModel::new(&comparison, &effects, &fitted, &covariates, &own, Part::Whole);
                 Ok((model, Lag::new(&comparison, &effects, &fitted)))
             })
             .collect::<Result<_, GapError>>()?;

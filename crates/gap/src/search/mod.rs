@@ -5,6 +5,7 @@ mod judge;
 mod judgement;
 mod outcome;
 mod precision;
+mod residual;
 mod selection;
 mod stepwise;
 mod unnamed;
@@ -132,11 +133,12 @@ pub fn find(
     }
     // Deeper blocks also stand in the way of more beams.
     let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);
+    let nameless = state.nameless(path.last())?;
     if !deeper && !options.without.contains(&EffectKind::BlockDensity) {
-        let more = state.block_density(path.first(), path.last())?;
+        let more = state.block_density(path.first(), path.last(), &nameless.curves)?;
         path.named.extend(more);
     }
-    state.outcome(path)
+    state.outcome(path, nameless)
 }
 
 struct State<'a> {

@@ -70,7 +70,7 @@ impl Sensor<'_> {
 /// # Errors
 /// [`LabError`]: the scenario has no `laser`.
 pub fn sensor(scenario: &Scenario, format: SimulatorFormat) -> Result<Exported, LabError> {
-    let Some(SimulatorOptions { laser, effects, .. }) = scenario.simulator() else {
+    let Some(SimulatorOptions { laser, effects, residuals, .. }) = scenario.simulator() else {
         let message = "the key is missing; it describes the sensor that is written".to_owned();
         let problem = Problem { line: None, key: "laser".to_owned(), message };
         return Err(ScenarioError::Invalid { file: scenario.file.clone(), problems: vec![problem] }.into());
@@ -102,7 +102,7 @@ pub fn sensor(scenario: &Scenario, format: SimulatorFormat) -> Result<Exported, 
         text: String::new(),
         said: effects.iter().filter_map(|effect| Some((effect.kind, part(effect)?))).collect(),
         left: effects.iter().filter(|effect| part(effect).is_none()).map(|effect| effect.kind).collect(),
-        notes: notes(&laser, format),
+        notes: notes(&laser, !residuals.is_empty(), format),
     };
     let comment = comment(scenario, &exported);
     exported.text = match format {
@@ -130,7 +130,7 @@ fn part(effect: &Effect, format: SimulatorFormat) -> Option<&'static str> {
 }
 
 /// What a format can't say of a laser.
-fn notes(laser: &LaserOptions, format: SimulatorFormat) -> Vec<&'static str> {
+fn notes(laser: &LaserOptions, has_residuals: bool, format: SimulatorFormat) -> Vec<&'static str> {
     let mut notes = Vec::new();
     if laser.sigma_per_m > 0.0 && format != SimulatorFormat::Stage {
         notes.push("the noise's growth with range (laser.noise.sigma_per_m) is left out");
@@ -140,6 +140,9 @@ fn notes(laser: &LaserOptions, format: SimulatorFormat) -> Vec<&'static str> {
     }
     if laser.scan_secs > 0.0 {
         notes.push("all beams of a scan are taken at once (laser.scan_secs is left out)");
+    }
+    if has_residuals {
+        notes.push("`residuals` are left out; `locsim apply` doesn't have them either");
     }
     notes
 }

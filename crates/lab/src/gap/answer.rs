@@ -1,7 +1,7 @@
 //! The findings in a few sentences: angles in degrees, numbers with their significant digits.
 
 use locsim_core::{Estimate, Interval};
-use locsim_gap::{Covariate, Deviation, Gap, Named, Outcome, Region, Verdict};
+use locsim_gap::{Covariate, Deviation, Gap, Named, Outcome, Region, ResidualStage, Verdict};
 use locsim_world::effect::Parameter;
 
 use super::covariate::span;
@@ -56,6 +56,7 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
     if !outcome.effects.is_empty() {
         text.push(gap(outcome));
     }
+    text.extend(outcome.residual.as_ref().map(|stage| residual(stage, outcome.gap.floor.w1_mm)));
     text.extend(filter(outcome));
     text
 }
@@ -154,6 +155,21 @@ pub(super) fn closed(outcome: &Outcome) -> String {
         None => format!("{value} % gained [{lo}, {hi}]"),
         Some(_) if outcome.gap.is_open_in_ranges() => format!("not closed, {value} % [{lo}, {hi}]"),
         Some(_) => format!("{value} % closed [{lo}, {hi}]"),
+    }
+}
+
+/// What the curves without a name do as a part of the simulator.
+fn residual(stage: &ResidualStage, floor_mm: f64) -> String {
+    let change = format!(
+        "range errors {:.1} -> {:.1} mm on stretches that they weren't learnt from, floor {floor_mm:.1} mm",
+        stage.w1_without_mm, stage.w1_mm
+    );
+    if stage.is_nearer() {
+        format!(
+            "As a part of the simulation, learnt and without a cause, the curves help: {change}. scenario.yaml has them."
+        )
+    } else {
+        format!("As a part of the simulation the curves don't help: {change}. scenario.yaml leaves them out.")
     }
 }
 

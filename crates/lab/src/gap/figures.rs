@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 
 use locsim_core::Interval;
-use locsim_gap::{BeamPit, Outcome, PitHistogram, Profile};
+use locsim_gap::{BeamPit, Covariate, Outcome, PitHistogram, Profile, Unnamed};
 use plotters::prelude::{Circle, Color, PathElement, RGBColor, Rectangle, Text};
 
-use super::{GapStudy, covariate, profile};
+use super::{GapStudy, covariate, curve, profile, unnamed};
 use locsim_report::ReportError;
 use locsim_report::figures::Figure;
 use locsim_report::figures::canvas::{
-    Axis, DrawError, HEADING, INK, LABEL, Mark, WIDTH, chart, figure, line, px, text, text_width,
+    Area, Axis, DrawError, Drawn, HEADING, INK, LABEL, Mark, WIDTH, chart, figure, line, px, text, text_width,
 };
 use locsim_report::figures::geometry::{Point, Window, join};
 use locsim_report::figures::map::{LEFT, MARGINS, MapPanel, aspect};
@@ -76,6 +76,24 @@ pub(super) fn all(study: &GapStudy, outcome: &Outcome) -> Result<Vec<Figure>, Re
             )?);
         }
     }
+    let curves = curve::drawn(&outcome.unnamed);
+    if !curves.is_empty() {
+        figures.push(figure(
+            "unnamed",
+            "Dependences that have no name, as a free model of the readings learns them from the log, with 95 % bands. At 0 \
+             (grey line) the log is as the simulation.",
+            curve::draw(&curves, sides()[1]),
+        )?);
+    }
+    let places = outcome.unnamed.iter().find(|found| found.covariate == Covariate::Place);
+    if let Some(found) = places {
+        figures.push(figure(
+            "unnamed-places",
+            "Where the readings differ from the simulation: each mark is a cell of the map that beams end in, its colour the \
+             difference there, full at the largest. Line: the reference path.",
+            map_of_cells(study, found),
+        )?);
+    }
     if !outcome.rivals.is_empty() {
         figures.push(figure(
             "rivals",
@@ -107,17 +125,59 @@ fn by_wall(study: &GapStudy, outcome: &Outcome) -> Vec<(Point, [f64; 2])> {
     .collect()
 }
 
-fn map(study: &GapStudy, outcome: &Outcome) -> Result<String, DrawError> {
-    let walls = study.walls();
+/// Height of the title of a map's panel (px).
+const TITLE: f64 = 22.0;
+
+/// Height of a panel of the map (px), and the part of the plane that it shows.
+fn map_panel(walls: &[[Point; 2]]) -> (f64, Window) {
     let bounds = Window::around(walls.iter().flatten());
     let (right, top, below) = MARGINS;
     let [width, height] = bounds.size();
     let plot_width = f64::from(WIDTH) - LEFT - right;
     let panel = (plot_width * 1.06 * height / width.max(1e-9)).clamp(130.0, 560.0) + top + below;
-    let title = 22.0;
-    let window = bounds.with_aspect(aspect(f64::from(WIDTH), panel));
-    let cells = by_wall(study, outcome);
+    (panel, bounds.with_aspect(aspect(f64::from(WIDTH), panel)))
+}
+
+/// Marks on one panel of the map, above the walls and the reference path.
+fn marks(
+    study: &GapStudy,
+    area: &Area<'_>,
+    (title, panel, window): (&str, f64, Window),
+    marks: impl Iterator<Item = (Point, RGBColor)>,
+) -> Drawn {
+    area.draw(&Text::new(title.to_owned(), (px(LEFT), px(4.0)), text(HEADING, INK)))?;
+    let (_, below) = area.split_vertically(px(TITLE));
+    let mut panel = MapPanel::new(&below, window, [10.0, panel / 60.0])?;
+    panel.map(&join(&study.walls()), &[])?;
     let path: Vec<Point> = study.recorded.track.poses().iter().map(|pose| [pose.x, pose.y]).collect();
+    panel.line(&path, line(RGBColor(0xaa, 0xaa, 0xaa), 1.0))?;
+    for (place, color) in marks {
+        panel.dot(place, 4.5, color.filled())?;
+    }
+    Ok(())
+}
+
+/// The cells of a dependence on places, by how much readings differ there.
+fn map_of_cells(study: &GapStudy, found: &Unnamed) -> Result<String, DrawError> {
+    let (panel, window) = map_panel(&study.walls());
+    let most = found.curve.iter().fold(1e-12_f64, |most, point| most.max(point.estimate.value.abs()));
+    let cells = found.curve.iter().filter_map(|point| {
+        let [x0, y0, x1, y1] = point.place?;
+        Some(([0.5 * (x0 + x1), 0.5 * (y0 + y1)], shade(point.estimate.value / most)))
+    });
+    let legend = [
+        ("less".to_owned(), Mark::Dot(SHORT)),
+        ("as simulated".to_owned(), Mark::Dot(EXPECTED)),
+        ("more".to_owned(), Mark::Dot(LONG)),
+    ];
+    figure("What has no name, by place", &legend, panel + TITLE, |area| {
+        marks(study, area, (&unnamed::sentence(found), panel, window), cells)
+    })
+}
+
+fn map(study: &GapStudy, outcome: &Outcome) -> Result<String, DrawError> {
+    let (panel, window) = map_panel(&study.walls());
+    let cells = by_wall(study, outcome);
     let legend = [
         ("shorter than expected".to_owned(), Mark::Dot(SHORT)),
         ("as expected".to_owned(), Mark::Dot(EXPECTED)),
@@ -128,24 +188,18 @@ fn map(study: &GapStudy, outcome: &Outcome) -> Result<String, DrawError> {
     } else {
         &["Scenario as it is", "With the named effects"]
     };
-    figure("What is off, and where", &legend, panels.len() as f64 * (panel + title), |area| {
+    figure("What is off, and where", &legend, panels.len() as f64 * (panel + TITLE), |area| {
         for (side, (name, area)) in panels.iter().zip(area.split_evenly((panels.len(), 1))).enumerate() {
-            area.draw(&Text::new((*name).to_owned(), (px(LEFT), px(4.0)), text(HEADING, INK)))?;
-            let (_, below) = area.split_vertically(px(title));
-            let mut panel = MapPanel::new(&below, window, [10.0, panel / 60.0])?;
-            panel.map(&join(&walls), &[])?;
-            panel.line(&path, line(RGBColor(0xaa, 0xaa, 0xaa), 1.0))?;
-            for (place, pits) in &cells {
-                panel.dot(*place, 4.5, by_pit(pits[side]).filled())?;
-            }
+            let shaded = cells.iter().map(|(place, pits)| (*place, shade((pits[side] - 0.5) / FULL)));
+            marks(study, &area, (name, panel, window), shaded)?;
         }
         Ok(())
     })
 }
 
-/// The colour of a mean PIT.
-fn by_pit(pit: f64) -> RGBColor {
-    let off = ((pit - 0.5) / FULL).clamp(-1.0, 1.0);
+/// The colour of a difference: -1 for as much too short, or too few, as is shown, 1 for as much too long.
+fn shade(off: f64) -> RGBColor {
+    let off = off.clamp(-1.0, 1.0);
     let to = if off < 0.0 { SHORT } else { LONG };
     let mix =
         |from: u8, to: u8| (f64::from(from) + off.abs() * (f64::from(to) - f64::from(from))).round() as u8;

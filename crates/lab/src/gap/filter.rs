@@ -125,7 +125,8 @@ fn trained(
 ) -> Result<TrainedModel, LabError> {
     let nominal = &study.simulator;
     let training = &study.scenario.training;
-    let effects = Effects::new([nominal.effects.clone(), more].concat()).map_err(GapError::from)?;
+    let effects = nominal.effects().and_then(|effects| effects.replaced([effects.list(), &more].concat()));
+    let effects = effects.map_err(GapError::from)?;
     let simulator = Simulator::new(Arc::clone(&maps.exact), nominal.blocks, nominal.laser, effects)
         .map_err(GapError::from)?;
     let (most_poses, most_observations, most_beams) = TRAINING;

@@ -4,6 +4,7 @@
 mod answer;
 mod baseline;
 mod covariate;
+mod curve;
 mod figures;
 mod filter;
 mod next;
@@ -18,7 +19,7 @@ use std::sync::Arc;
 use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, Scan, wrap_angle};
 use locsim_dataset::{LogOptions, LogSummary, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Recorded};
-use locsim_world::effect::{EffectKind, Effects};
+use locsim_world::effect::EffectKind;
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::Simulator;
 
@@ -175,7 +176,7 @@ impl GapStudy {
         let Held { log, map, drive, summary } = Held::of(&scenario, log, &settings, &refuse)?;
         let map = Arc::new(ExactRangeMap::new(map));
         let mut notes = vec![summary.to_string().replace('\n', "; ")];
-        let effects = Effects::new(simulator.effects.clone()).map_err(GapError::from)?;
+        let effects = simulator.effects().map_err(GapError::from)?;
         let simulated = Simulator::new(Arc::clone(&map), simulator.blocks, simulator.laser, effects)
             .map_err(GapError::from)?;
         let baseline = settings.baseline.clone().map(|path| -> Result<Baseline, LabError> {
@@ -244,9 +245,9 @@ impl GapStudy {
 
     /// The scenario as it simulates now.
     fn nominal(&self) -> Result<Nominal, GapError> {
-        let SimulatorOptions { blocks, laser, odometry_noise, effects } = &self.simulator;
-        let effects = Effects::new(effects.clone())?;
-        Nominal::new(Arc::clone(&self.map), *laser, *blocks, *odometry_noise, effects)
+        let SimulatorOptions { blocks, laser, odometry_noise, .. } = self.simulator;
+        let effects = self.simulator.effects()?;
+        Nominal::new(Arc::clone(&self.map), laser, blocks, odometry_noise, effects)
     }
 }
 
@@ -427,7 +428,7 @@ fn write(
 ) -> Result<(), LabError> {
     let json = serde_json::to_string_pretty(outcome).map_err(ReportError::from)?;
     folder.write("gap.json", format!("{json}\n").as_bytes())?;
-    let scenario = scenario_with(study, &outcome.effects, &options.out)?;
+    let scenario = scenario_with(study, &outcome.effects, outcome.residual.as_ref(), &options.out)?;
     folder.write("scenario.yaml", scenario.as_bytes())?;
     let old = study.scenario.file.display().to_string();
     let diff = proposal::diff(

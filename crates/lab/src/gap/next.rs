@@ -1,6 +1,6 @@
 //! The next steps for the reader, in three lines that follow from the verdict.
 
-use locsim_gap::{Named, Outcome, Region, Verdict};
+use locsim_gap::{Named, Outcome, Region, ResidualStage, Verdict};
 
 use super::answer::{change_in_words, others, p_value, region_text};
 use super::{covariate, unnamed};
@@ -42,8 +42,12 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
             "Repeat the search on another log of this robot: a property of the sensor comes back, one of the place \
              does not."
                 .to_owned(),
-            "Do not rely on the simulator where this matters: `gap.json` (`unnamed`) has the curve with its band."
-                .to_owned(),
+            if outcome.residual.as_ref().is_some_and(ResidualStage::is_nearer) {
+                "Use `scenario.yaml` until then: it has the curve as it was learnt, for drives like this one."
+            } else {
+                "Do not rely on the simulator where this matters: `gap.json` (`unnamed`) has the curve with its band."
+            }
+            .to_owned(),
         ],
         Verdict::Unexplained => [
             look_at(outcome.regions.iter()),

@@ -113,6 +113,8 @@ fn markdown(
         followed_table => (!followed.is_empty()).then(|| regions_table(&followed).to_markdown()),
         followed => followed.len(),
         more_followed => followed.len().saturating_sub(SHOWN_REGIONS),
+        unnamed_curves => link("unnamed"),
+        unnamed_places => link("unnamed-places"),
         unnamed_table => (!outcome.unnamed.is_empty()).then(|| unnamed_table(outcome).to_markdown()),
         rivals_table => (!outcome.rivals.is_empty()).then(|| rivals_table(outcome).to_markdown()),
         gap_table => gap_table(outcome).to_markdown(),

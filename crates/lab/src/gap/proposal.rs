@@ -4,9 +4,9 @@ use std::path::Path;
 
 use locsim_core::limits::quoted;
 use locsim_core::{Estimate, Interval};
-use locsim_gap::Named;
+use locsim_gap::{Named, ResidualStage};
 use locsim_scenario::edit::Entry;
-use locsim_scenario::effect::{effect_yaml_with, in_file};
+use locsim_scenario::effect::{effect_yaml_with, in_file, residual_yaml};
 use locsim_world::effect::Parameter;
 use similar::TextDiff;
 
@@ -14,13 +14,39 @@ use super::GapStudy;
 use crate::LabError;
 use crate::run::out_folder;
 
-/// The scenario with these effects, to be read from the folder `out`.
+/// The scenario with these effects and curves, to be read from the folder `out`.
 ///
 /// # Errors
 /// [`LabError::Store`] for a folder whose path can't be told.
-pub fn scenario_with(study: &GapStudy, effects: &[Named], out: &Path) -> Result<String, LabError> {
+pub fn scenario_with(
+    study: &GapStudy,
+    effects: &[Named],
+    residual: Option<&ResidualStage>,
+    out: &Path,
+) -> Result<String, LabError> {
     let entries: Vec<Entry> = effects.iter().map(|named| entry(study, named)).collect();
-    Ok(study.scenario.with_effects(&entries, &out_folder(out)?, &proposed_name(&study.scenario.name)))
+    // Curves that bring the ranges no nearer make no better simulator.
+    let curves: Vec<Entry> = residual
+        .filter(|stage| stage.is_nearer())
+        .map_or_else(Vec::new, |stage| residual_entries(study, stage));
+    let name = proposed_name(&study.scenario.name);
+    Ok(study.scenario.with_effects(&entries, &curves, &out_folder(out)?, &name))
+}
+
+/// The curves, the first with what is known of all.
+fn residual_entries(study: &GapStudy, stage: &ResidualStage) -> Vec<Entry> {
+    let log = quoted(&study.log.file_name().unwrap_or_default().to_string_lossy());
+    let mut comments = vec![
+        format!(
+            "Learnt from {log} by `locsim gap`; the cause is not known. Range errors on stretches that the curves"
+        ),
+        format!(
+            "were not learnt from: {:.1} -> {:.1} mm from the simulation's.",
+            stage.w1_without_mm, stage.w1_mm
+        ),
+    ];
+    let entry = |curve| Entry { comments: std::mem::take(&mut comments), lines: vec![residual_yaml(curve)] };
+    stage.curves.iter().map(entry).collect()
 }
 
 /// A name of its own: under that of the old scenario, its results would replace the old ones.

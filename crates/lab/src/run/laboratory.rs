@@ -9,7 +9,6 @@ use locsim_core::{
     Survival,
 };
 use locsim_dataset::{LogOptions, LogSummary, OdometryError, read_log};
-use locsim_world::effect::Effects;
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::mapping::{MappingOptions, occupancy_from_drive, walls_from_drive};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions, Vicinity};
@@ -445,9 +444,8 @@ fn with_motion_noise(
 }
 
 pub(super) fn world(simulation: &Simulation, maps: &MapSet) -> Result<World, SimulationError> {
-    let Simulation { blocks, laser, robot, effects, .. } = simulation;
-    let effects = Effects::new(effects.clone())?;
-    let simulator = Simulator::new(Arc::clone(&maps.exact), *blocks, *laser, effects)?;
+    let Simulation { blocks, laser, robot, .. } = simulation;
+    let simulator = Simulator::new(Arc::clone(&maps.exact), *blocks, *laser, simulation.effects()?)?;
     Ok(World { simulator, robot: robot.clone() })
 }
 
@@ -616,8 +614,7 @@ fn simulated_scans(
     progress: &dyn Progress,
 ) -> Result<ScanData, LabError> {
     let training = &scenario.training;
-    let effects =
-        Effects::new(simulator.effects.clone()).map_err(SimulationError::from).map_err(refused(scenario))?;
+    let effects = simulator.effects().map_err(SimulationError::from).map_err(refused(scenario))?;
     let simulator = Simulator::new(Arc::clone(&maps.exact), simulator.blocks, simulator.laser, effects)
         .map_err(refused(scenario))?;
     let poses = free_poses(maps, training.poses, seed);

@@ -3,6 +3,7 @@
 
 mod effect;
 mod filter;
+mod residual;
 mod source;
 
 use std::collections::BTreeMap;
@@ -17,6 +18,7 @@ use super::{ErrorFrame, ModelName};
 
 pub use effect::*;
 pub use filter::*;
+pub use residual::*;
 pub use source::*;
 
 /// An experiment of locsim: a world or a measured log, sensor models learnt from data, and a particle filter
@@ -51,6 +53,10 @@ pub struct RawScenario {
     /// same may come twice, 1000 at the most. `locsim effects` lists them. Only with `laser`.
     #[serde(default)]
     pub effects: Vec<RawEffect>,
+    /// Curves by which readings differ from the simulator's without a known cause, 100 at the most; they add up. Only with
+    /// `laser`.
+    #[serde(default)]
+    pub residuals: Vec<RawResidual>,
     /// A measured log. Without it, the robot's drive is simulated.
     pub log: Option<RawLog>,
     /// How much training data the sensor models get.

@@ -1,7 +1,7 @@
 //! Effects: numbers first, places once the map is known.
 
 use glam::DVec2;
-use locsim_world::effect::{Effect, Effects, Moves};
+use locsim_world::effect::{Effect, Effects, Moves, Residual};
 
 use crate::LoadedMap;
 use crate::check::Allowed::Within;
@@ -88,6 +88,7 @@ fn stretch(check: &mut Checker<'_>, at: &str, raw: &RawEffect) -> Vec<[DVec2; 2]
 pub(super) fn places(
     check: &mut Checker<'_>,
     effects: &mut [Effect],
+    residuals: &[Residual],
     walls: &[Option<String>],
     map: &LoadedMap,
 ) {
@@ -110,7 +111,8 @@ pub(super) fn places(
             on_it.filter(|(_, of)| Some(**of as usize) == surface).map(|(ends, _)| *ends).collect();
     }
     if check.is_clean()
-        && let Err(error) = Effects::new(effects.to_vec())
+        && let Err(error) =
+            Effects::new(effects.to_vec()).and_then(|effects| effects.with_residuals(residuals.to_vec()))
     {
         check.problem("effects", error.to_string());
     }

@@ -2,6 +2,7 @@
 
 mod effect;
 mod filter;
+mod residual;
 mod source;
 
 use std::collections::BTreeMap;
@@ -92,12 +93,12 @@ pub(crate) fn in_map(
         Source::Simulation(simulation) => simulation,
         Source::Log(log) => {
             if let Some(simulator) = &mut log.simulator {
-                effect::places(&mut check, &mut simulator.effects, walls, map);
+                effect::places(&mut check, &mut simulator.effects, &simulator.residuals, walls, map);
             }
             return if check.is_clean() { Ok(()) } else { Err(check.into_error()) };
         }
     };
-    effect::places(&mut check, &mut simulation.effects, walls, map);
+    effect::places(&mut check, &mut simulation.effects, &simulation.residuals, walls, map);
     let mut visit = |key: &str, x: f64, y: f64| {
         check.refuse(!map.geometry.is_free(x, y), key, || {
             let [x, y] = [x, y].map(number);

@@ -6,7 +6,7 @@ use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath, VelocitySegment,
 };
 
-use super::{MAX_BEAMS, effect};
+use super::{MAX_BEAMS, effect, residual};
 use crate::check::Allowed::{Within, ZeroOrWithin};
 use crate::check::{ANGLE, COORDINATE, Checker, LENGTH, MAX_RANGE, NOISE, POSITIVE_LENGTH, STEP, number};
 use crate::key_path::join;
@@ -62,7 +62,9 @@ pub(super) fn source(check: &mut Checker<'_>, raw: &RawScenario) -> Option<Sourc
                 "the key is missing; `robot` carries a laser".to_owned()
             });
             let effects = effect::effects(check, raw);
-            Some(Source::Simulation(Simulation { map: map?, blocks, robot: robot?, laser: laser?, effects }))
+            let residuals = residual::residuals(check, raw);
+            let (map, robot, laser) = (map?, robot?, laser?);
+            Some(Source::Simulation(Simulation { map, blocks, robot, laser, effects, residuals }))
         }
         (robot, Some(log)) => {
             let simulator = simulator(check, raw, robot.as_ref());
@@ -96,6 +98,7 @@ fn simulator(
         let why = "without `laser`, nothing is simulated beside a log";
         check.absent("", "blocks", raw.blocks.as_ref(), why);
         check.absent("", "effects", raw.effects.first(), why);
+        check.absent("", "residuals", raw.residuals.first(), why);
         check.absent("", "robot", robot, why);
         return None;
     };
@@ -104,6 +107,7 @@ fn simulator(
         laser: self::laser(check, laser),
         odometry_noise,
         effects: effect::effects(check, raw),
+        residuals: residual::residuals(check, raw),
     })
 }
 

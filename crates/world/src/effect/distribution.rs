@@ -77,9 +77,9 @@ pub enum Alternative {
 pub struct Alternatives(ArrayVec<(f64, Alternative), MAX_ALTERNATIVES>);
 
 impl Alternatives {
-    /// Refuses more alternatives than there is room for.
-    pub(super) fn check(count: usize) -> Result<(), EffectError> {
-        let max = MAX_ALTERNATIVES;
+    /// Refuses more alternatives than there is room for beside `reserved` ones.
+    pub(super) fn check(count: usize, reserved: usize) -> Result<(), EffectError> {
+        let max = MAX_ALTERNATIVES - reserved;
         if count <= max { Ok(()) } else { Err(EffectError::TooMany { count, max }) }
     }
 

@@ -23,6 +23,7 @@ mod odometry;
 mod parameter;
 mod ranges;
 mod reading;
+mod residual;
 mod set;
 mod statistic;
 #[cfg(test)]
@@ -46,6 +47,7 @@ pub use kind::EffectKind;
 pub(crate) use odometry::slip_draw;
 pub use odometry::{OdometryDistribution, OdometryErrors, Slip};
 pub use parameter::{Parameter, Prior, Role};
+pub use residual::{BeamCovariate, Levels, MOST_VALUES, Moment, Residual, ResidualError};
 pub use set::Effects;
 pub(crate) use set::Met;
 pub use statistic::{Axis, BeamState, Direction, PoseState, Score, Statistic};

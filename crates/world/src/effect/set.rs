@@ -3,7 +3,7 @@ use locsim_core::Pose2;
 use super::reading::{Hit, Return};
 use super::{
     Alternatives, BeamView, Disc, Effect, EffectError, HitKind, Needs, OdometryDistribution, OdometryErrors,
-    ReadingDistribution,
+    ReadingDistribution, Residual, residual,
 };
 use crate::options::{BlockOptions, LaserOptions};
 
@@ -15,6 +15,7 @@ pub struct Effects {
     order: Vec<usize>,
     objects: Vec<Disc>,
     needs: Needs,
+    residuals: Vec<Residual>,
 }
 
 impl Effects {
@@ -37,7 +38,8 @@ impl Effects {
         // Effects that shape the return come before those that replace it.
         let mut order: Vec<usize> = (0..list.len()).collect();
         order.sort_by_key(|&i| replaces(i));
-        Alternatives::check(order.iter().filter(|&&i| replaces(i).is_some()).count())?;
+        let replacing = order.iter().filter(|&&i| replaces(i).is_some()).count();
+        Alternatives::check(replacing, 0)?;
         let count = |kind| list.iter().filter(|effect| effect.kind == kind).count();
         let mut singles = list.iter().map(|effect| effect.kind).filter(|kind| kind.description().is_single);
         if let Some(kind) = singles.find(|&kind| count(kind) > 1) {
@@ -50,7 +52,35 @@ impl Effects {
             behind: needs().any(|needs| needs.behind),
         };
         let objects = list.iter().filter_map(|effect| effect.kind.effect_type().object(effect)).collect();
-        Ok(Self { list, order, objects, needs })
+        Ok(Self { list, order, objects, needs, residuals: Vec::new() })
+    }
+
+    /// The same world with residuals, which act on a reading after all effects that shape it.
+    ///
+    /// # Errors
+    /// [`EffectError::TooMany`] where effects leave no room for what residuals read instead of a return.
+    pub fn with_residuals(mut self, residuals: Vec<Residual>) -> Result<Self, EffectError> {
+        if !residuals.is_empty() {
+            let replaces = |effect: &&Effect| effect.kind.description().replaces.is_some();
+            let count = self.list.iter().filter(replaces).count();
+            Alternatives::check(count, residual::MOST_ALTERNATIVES)?;
+        }
+        self.needs.map |= residuals.iter().any(|residual| residual.needs().map);
+        self.residuals = residuals;
+        Ok(self)
+    }
+
+    /// The same world with these effects instead of its own; residuals stay.
+    ///
+    /// # Errors
+    /// As [`Effects::new`] and [`Effects::with_residuals`].
+    pub fn replaced(&self, list: Vec<Effect>) -> Result<Self, EffectError> {
+        Self::new(list)?.with_residuals(self.residuals.clone())
+    }
+
+    /// Curves without a cause that it has beside the effects.
+    pub fn residuals(&self) -> &[Residual] {
+        &self.residuals
     }
 
     /// The effects as they were given.
@@ -58,9 +88,9 @@ impl Effects {
         &self.list
     }
 
-    /// Whether there are none.
+    /// Whether the world is the nominal one: without effects and residuals.
     pub fn is_empty(&self) -> bool {
-        self.list.is_empty()
+        self.list.is_empty() && self.residuals.is_empty()
     }
 
     /// Parts of a beam that are needed.
@@ -161,6 +191,9 @@ impl Effects {
             let effect = &self.list[i];
             hit.index = i;
             effect.kind.effect_type().reading(effect, &hit, &mut reading);
+        }
+        if !self.residuals.is_empty() {
+            residual::act(&self.residuals, &hit, &mut reading);
         }
         let Return { scale, bias, wall_bias, wall_sigma, growth, tail, step_m, .. } = reading;
         if hit.is_in_range() {
