@@ -9,10 +9,11 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Each crate of the workspace and the crates of the workspace that it uses, which stand above it.
-const LAYERS: [(&str, &[&str]); 18] = [
+const LAYERS: [(&str, &[&str]); 19] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
+    ("locsim-mapping", &["locsim-core", "locsim-world"]),
     ("locsim-sensor", &["distreg", "locsim-core"]),
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
@@ -28,6 +29,7 @@ const LAYERS: [(&str, &[&str]); 18] = [
             "locsim-core",
             "locsim-dataset",
             "locsim-gap",
+            "locsim-mapping",
             "locsim-mcl",
             "locsim-report",
             "locsim-scenario",
@@ -76,6 +78,7 @@ const LAYERS: [(&str, &[&str]); 18] = [
             "locsim-dataset",
             "locsim-gap",
             "locsim-lab",
+            "locsim-mapping",
             "locsim-mcl",
             "locsim-report",
             "locsim-scenario",

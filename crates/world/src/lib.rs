@@ -2,7 +2,6 @@
 
 pub mod effect;
 pub mod map;
-pub mod mapping;
 mod options;
 pub mod raycast;
 pub mod simulation;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::judgement::Judgement;
-use super::residual::Nameless;
+use super::residual::{LOGS, Nameless};
 use super::selection::gain;
 use super::stepwise::Path;
 use super::{Round, State};
@@ -24,8 +24,6 @@ use crate::statistics::{Form, Group, Statistic, Target, fold_count};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
-/// Simulated logs that the measured one's distance is taken to.
-pub(super) const LOGS: usize = 8;
 /// Simulated logs behind the 95 % bands of profiles: one of them lies beyond each end.
 const PROFILE_LOGS: usize = 40;
 /// Simulated logs with curves that have no name, by which the bias of the fitted density of clutter is known.

@@ -3,7 +3,6 @@
 use locsim_world::effect::{BeamCovariate, Levels, Moment, Residual};
 use rayon::prelude::*;
 
-use super::outcome::LOGS;
 use super::unnamed::unnamed;
 use super::{Round, State};
 use crate::free_model::{Axis, Component, Covariates, FreeModel, Part, fold_of};
@@ -13,6 +12,9 @@ use crate::regions::{distance, distance_in_halves};
 use crate::replay::Replay;
 use crate::statistics::{Covariate, Deviation, Survey, fold_count, pit_draw};
 use crate::{GapError, Purpose, Recorded};
+
+/// Simulated logs that the measured one's distance is taken to.
+pub(super) const LOGS: usize = 8;
 
 /// Passes in which curves are learnt, each beside the clutter and the errors of the reference that the curves before leave.
 const PASSES: usize = 3;

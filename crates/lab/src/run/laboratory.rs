@@ -9,8 +9,8 @@ use locsim_core::{
     Survival,
 };
 use locsim_dataset::{LogOptions, LogSummary, OdometryError, read_log};
+use locsim_mapping::{MappingOptions, occupancy_from_drive, walls_from_drive};
 use locsim_world::map::{Geometry, MapError};
-use locsim_world::mapping::{MappingOptions, occupancy_from_drive, walls_from_drive};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions, Vicinity};
 use locsim_world::simulation::{
     Block, ObstructionOptions, ObstructionTable, Robot, SimulationError, Simulator, simulate_drive,

@@ -3,6 +3,9 @@
 use std::path::Path;
 
 use locsim_dataset::{LogOptions, LogSummary, read_log};
+use locsim_mapping::{
+    Agreement, HeldOutReading, MapCheck, MappingOptions, check_maps, occupancy_from_drive, walls_from_drive,
+};
 use locsim_report::figures::Figure;
 use locsim_report::figures::canvas::{DrawError, INK, Mark, WIDTH, figure, line};
 use locsim_report::figures::geometry::{Point, Window};
@@ -10,9 +13,6 @@ use locsim_report::figures::map::{LEFT, MARGINS, MapPanel};
 use locsim_report::{ReportError, TextTable, palette};
 use locsim_scenario::yaml;
 use locsim_world::map::{ImageFormat, MeasuredMap, OccupancyGrid};
-use locsim_world::mapping::{
-    Agreement, HeldOutReading, MapCheck, MappingOptions, check_maps, occupancy_from_drive, walls_from_drive,
-};
 use plotters::prelude::{Color, RGBColor};
 
 use super::laboratory::{no_reference, selected, unusable};

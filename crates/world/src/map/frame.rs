@@ -6,17 +6,17 @@ use super::MapError;
 
 /// Square cells over an axis-aligned box of the map frame, counted from its lower left corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct CellFrame {
+pub struct CellFrame {
     /// Lower left corner \[m\].
-    pub(crate) x0: f64,
+    pub x0: f64,
     /// Lower left corner \[m\].
-    pub(crate) y0: f64,
+    pub y0: f64,
     /// Edge length of a cell \[m\].
-    pub(crate) cell_m: f64,
+    pub cell_m: f64,
     /// Cells along x.
-    pub(crate) columns: usize,
+    pub columns: usize,
     /// Cells along y.
-    pub(crate) rows: usize,
+    pub rows: usize,
 }
 
 impl CellFrame {
@@ -25,7 +25,7 @@ impl CellFrame {
     /// # Errors
     /// [`MapError::Resolution`] for a cell size that is not positive, [`MapError::Extent`] for an empty box or too
     /// many cells.
-    pub(crate) fn covering([x0, y0, x1, y1]: [f64; 4], cell_m: f64) -> Result<Self, MapError> {
+    pub fn covering([x0, y0, x1, y1]: [f64; 4], cell_m: f64) -> Result<Self, MapError> {
         if !(cell_m > 0.0 && cell_m.is_finite()) {
             return Err(MapError::Resolution(cell_m));
         }
@@ -39,20 +39,20 @@ impl CellFrame {
     }
 
     /// A position of the lattice with half the cell size: even indices are cell borders, odd ones cell centres.
-    pub(crate) fn half_cell(&self, column2: usize, row2: usize) -> [f64; 2] {
+    pub fn half_cell(&self, column2: usize, row2: usize) -> [f64; 2] {
         let half = 0.5 * self.cell_m;
         [self.x0 + half * column2 as f64, self.y0 + half * row2 as f64]
     }
 
     /// Column and row of the cell that holds a point of the box \[m\].
-    pub(crate) fn cell_of(&self, point: DVec2) -> [usize; 2] {
+    pub fn cell_of(&self, point: DVec2) -> [usize; 2] {
         let cell = |value: f64, origin: f64| ((value - origin) / self.cell_m) as usize;
         [cell(point.x, self.x0), cell(point.y, self.y0)]
     }
 
     /// The cells that a line passes before the cell it ends in, in order (Amanatides and Woo, Eurographics 1987).
     /// Both points \[m\] are in the box.
-    pub(crate) fn cells_between(&self, start: DVec2, end: DVec2) -> impl Iterator<Item = [usize; 2]> {
+    pub fn cells_between(&self, start: DVec2, end: DVec2) -> impl Iterator<Item = [usize; 2]> {
         let [mut column, mut row] = self.cell_of(start);
         let [last_column, last_row] = self.cell_of(end);
         let direction = end - start;

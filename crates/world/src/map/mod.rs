@@ -21,7 +21,7 @@
 //! An [`OccupancyMapFile`] is the yaml file of ROS `map_server`; it loads an [`OccupancyGrid`] from its image.
 //!
 //! # Measured maps
-//! A [`MeasuredMap`] is made from scans (see [`crate::mapping`]): walls that face one way, and the area that was seen.
+//! A [`MeasuredMap`] is made from scans (see the crate `locsim-mapping`): walls that face one way, and the area that was seen.
 //! ```yaml
 //! seen:                            # closed polylines; the first around what was seen, the others around holes in it
 //!   - [[0, 0], [20, 0], [20, 4], [0, 4]]
@@ -51,7 +51,7 @@ pub const FINEST_M: f64 = 1e-4;
 const COINCIDENT_M: f64 = 1e-6;
 
 pub use error::MapError;
-pub(crate) use frame::CellFrame;
+pub use frame::CellFrame;
 pub use geometry::Geometry;
 pub use grid::{Cell, ImageFormat, OccupancyGrid};
 pub use measured::{MeasuredMap, MeasuredWall};

@@ -7,7 +7,7 @@ const MARGIN_M: f64 = 1e-6;
 
 /// Boxes along the axes, many of which rays meet.
 #[derive(Clone, Debug)]
-pub(crate) struct Boxes {
+pub struct Boxes {
     tree: Bvh,
 }
 

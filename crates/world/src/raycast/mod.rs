@@ -10,8 +10,8 @@ mod segment;
 mod sight;
 mod table;
 
-pub(crate) use boxes::Boxes;
+pub use boxes::Boxes;
 pub use distance::DistanceGrid;
 pub use exact::{BEHIND_M, ExactRangeMap, RayHit};
-pub(crate) use segment::distance_to;
+pub use segment::distance_to;
 pub use table::{RangeTable, RangeTableOptions, Vicinity};

@@ -45,7 +45,7 @@ pub(super) fn incidence(angle: f64, heading: f64) -> f64 {
 }
 
 /// Distance from a point to a segment \[m\].
-pub(crate) fn distance_to(&[a, b]: &[DVec2; 2], point: DVec2) -> f64 {
+pub fn distance_to(&[a, b]: &[DVec2; 2], point: DVec2) -> f64 {
     let edge = b - a;
     let share = ((point - a).dot(edge) / edge.length_squared()).clamp(0.0, 1.0);
     point.distance(a + share * edge)

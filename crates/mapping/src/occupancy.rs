@@ -4,7 +4,7 @@ use glam::DVec2;
 use locsim_core::limits::Limits;
 use locsim_core::{Drive, Pose2};
 
-use crate::map::{Cell, CellFrame, FARTHEST_M, MapError, OccupancyGrid};
+use locsim_world::map::{Cell, CellFrame, FARTHEST_M, MapError, OccupancyGrid};
 
 /// How scans become a map.
 #[derive(Clone, Copy, Debug, PartialEq)]

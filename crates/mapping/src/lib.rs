@@ -32,7 +32,7 @@ pub use self::occupancy::{MappingOptions, occupancy_from_drive};
 use self::surface::Surface;
 use self::surfaces::surfaces_of;
 use self::walls::{Piece, walls_of};
-use crate::map::{FARTHEST_M, MapError, MeasuredMap};
+use locsim_world::map::{FARTHEST_M, MapError, MeasuredMap};
 
 /// Makes a map of walls from the scans of some steps of a drive, each taken from its reference pose, which may be
 /// corrected by some centimetres so that the scans agree. Steps without a reference pose are left out, and so are readings

@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 
 use glam::DVec2;
 
-use super::beams::Scan;
-use crate::map::{CellFrame, MapError};
+use crate::beams::Scan;
+use locsim_world::map::{CellFrame, MapError};
 
 /// The border follows cells of this size \[m\].
 const CELL_M: f64 = 0.1;
@@ -27,7 +27,7 @@ const SIMPLIFIED_M: f64 = 0.08;
 ///
 /// # Errors
 /// [`MapError::Extent`] for an area that is too large.
-pub(super) fn border_of(scans: &[Scan]) -> Result<Vec<Vec<DVec2>>, MapError> {
+pub(crate) fn border_of(scans: &[Scan]) -> Result<Vec<Vec<DVec2>>, MapError> {
     let ends = scans.iter().flat_map(|scan| scan.beams.iter().map(|beam| beam.end).chain([scan.origin]));
     let (lower, upper) = ends.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(a, b), p| (a.min(p), b.max(p)));
     let margin = DVec2::splat(CELL_M * (MARGIN_CELLS + 2) as f64);
@@ -189,7 +189,7 @@ fn simplified(ring: &[DVec2]) -> Vec<DVec2> {
     while let Some((a, b)) = stack.pop() {
         let (p, q) = (ring[a], ring[b % ring.len()]);
         let worst = (a + 1..b)
-            .map(|i| (i, crate::raycast::distance_to(&[p, q], ring[i])))
+            .map(|i| (i, locsim_world::raycast::distance_to(&[p, q], ring[i])))
             .max_by(|x, y| x.1.total_cmp(&y.1));
         if let Some((i, distance)) = worst
             && distance > SIMPLIFIED_M

@@ -4,8 +4,8 @@ use std::f32::consts::PI;
 
 use glam::DVec2;
 use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, Scan};
+use locsim_mapping::{MappingOptions, occupancy_from_drive};
 use locsim_world::map::{Cell, MapError, OccupancyGrid};
-use locsim_world::mapping::{MappingOptions, occupancy_from_drive};
 use locsim_world::raycast::ExactRangeMap;
 
 use crate::common;

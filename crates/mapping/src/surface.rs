@@ -3,11 +3,11 @@
 use glam::DVec2;
 
 /// The wall is cut into bins of this length along the line \[m\].
-pub(super) const BIN_M: f64 = 0.05;
+pub(crate) const BIN_M: f64 = 0.05;
 
 /// A face of a wall: hits along a line.
 #[derive(Clone, Debug)]
-pub(super) struct Surface {
+pub(crate) struct Surface {
     /// Unit normal, towards the laser.
     pub normal: DVec2,
     /// `normal . q` of the points q on the line \[m\].

@@ -2,11 +2,11 @@
 
 use glam::DVec2;
 
-use super::beams::Scan;
-use super::hits::Hit;
-use super::surface::{BIN_M, Surface};
-use crate::map::MeasuredWall;
-use crate::raycast::Boxes;
+use crate::beams::Scan;
+use crate::hits::Hit;
+use crate::surface::{BIN_M, Surface};
+use locsim_world::map::MeasuredWall;
+use locsim_world::raycast::Boxes;
 
 /// A beam that ends farther than this behind a surface \[m\] has passed it.
 const PASSED_M: f64 = 0.1;
@@ -31,7 +31,7 @@ const JOINED_M: f64 = 0.15;
 
 /// A part of a surface that beams ended on.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Piece {
+pub(crate) struct Piece {
     /// The laser stood left of the line from the first to the second \[m\].
     pub ends: [DVec2; 2],
     pub normal: DVec2,
@@ -50,7 +50,7 @@ impl Piece {
 }
 
 /// The walls.
-pub(super) fn walls_of(scans: &[Scan], hits: &[Hit], surfaces: &[Surface]) -> Vec<Piece> {
+pub(crate) fn walls_of(scans: &[Scan], hits: &[Hit], surfaces: &[Surface]) -> Vec<Piece> {
     let boxes = Boxes::new(surfaces.iter().map(|surface| {
         let ends = [surface.point(surface.from), surface.point(surface.to)];
         [ends[0].min(ends[1]), ends[0].max(ends[1])]

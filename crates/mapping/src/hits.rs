@@ -2,11 +2,11 @@
 
 use glam::{DMat2, DVec2};
 
-use super::beams::Scan;
+use crate::beams::Scan;
 
 /// Where a beam ended.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Hit {
+pub(crate) struct Hit {
     /// \[m\].
     pub at: DVec2,
     /// Unit normal of the surface, on the side that the laser stood on.
@@ -39,7 +39,7 @@ const GRAZING: f64 = 0.07;
 
 /// The hits of a scan. Normals come from neighbouring readings by total least squares; a reading without neighbours
 /// faces the laser.
-pub(super) fn hits_of(number: u32, scan: &Scan) -> Vec<Hit> {
+pub(crate) fn hits_of(number: u32, scan: &Scan) -> Vec<Hit> {
     let beams = &scan.beams;
     let links: Vec<bool> = (0..beams.len()).map(|i| is_linked(scan, i)).collect();
     let hit = |i: usize| {
@@ -94,7 +94,7 @@ fn principal_normal(points: &[DVec2]) -> DVec2 {
 }
 
 /// Unit eigenvector of the smaller eigenvalue of a symmetric matrix.
-pub(super) fn least_direction(scatter: DMat2) -> DVec2 {
+pub(crate) fn least_direction(scatter: DMat2) -> DVec2 {
     let (xx, xy, yy) = (scatter.x_axis.x, scatter.x_axis.y, scatter.y_axis.y);
     let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
     DVec2::from_angle(angle).perp()

@@ -7,10 +7,10 @@ use std::collections::HashMap;
 use glam::{DMat2, DVec2};
 use locsim_core::{median, normal};
 
-use super::beams::Scan;
-use super::hits::{Hit, least_direction};
-use super::poses::correct_poses;
-use super::surface::{BIN_M, Surface};
+use crate::beams::Scan;
+use crate::hits::{Hit, least_direction};
+use crate::poses::correct_poses;
+use crate::surface::{BIN_M, Surface};
 
 /// Cells in which hits are gathered \[m\].
 const CELL_M: f64 = 0.05;
@@ -96,7 +96,7 @@ struct Cell {
 }
 
 /// The lines of all hits, whose scans are moved so that their hits agree.
-pub(super) fn surfaces_of(scans: &mut [Scan], hits: &mut [Hit]) -> Vec<Surface> {
+pub(crate) fn surfaces_of(scans: &mut [Scan], hits: &mut [Hit]) -> Vec<Surface> {
     let mut order: Vec<u32> = (0..hits.len() as u32).collect();
     let keys: Vec<Key> = hits.iter().map(key_of).collect();
     order.sort_by_key(|&i| keys[i as usize]);
@@ -289,7 +289,7 @@ fn bend(hits: &[Hit], surface: &Surface) -> Option<f64> {
 }
 
 /// Finds the surface that a hit is of.
-pub(super) struct Nearest<'a> {
+pub(crate) struct Nearest<'a> {
     surfaces: &'a [Surface],
     /// The surfaces with hits in each cell.
     cells: HashMap<[i32; 2], Vec<u32>>,

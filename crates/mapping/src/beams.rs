@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 use locsim_core::{Drive, Pose2};
 
 /// The beams of a scan, from right to left, with those that have no reading.
-pub(super) struct Scan {
+pub(crate) struct Scan {
     /// Where the laser was \[m\].
     pub origin: DVec2,
     pub beams: Vec<Beam>,
@@ -13,14 +13,14 @@ pub(super) struct Scan {
 }
 
 /// Where a beam ends \[m\].
-pub(super) struct Beam {
+pub(crate) struct Beam {
     pub end: DVec2,
     /// Whether it ends at a surface.
     pub hit: bool,
 }
 
 /// The scan of a step, relative to a point of the map \[m\]; `None` without a reference pose.
-pub(super) fn scan_of(drive: &Drive, step: usize, centre: DVec2, usable_range_m: f64) -> Option<Scan> {
+pub(crate) fn scan_of(drive: &Drive, step: usize, centre: DVec2, usable_range_m: f64) -> Option<Scan> {
     let laser = &drive.laser;
     let step = &drive.steps[step];
     let map_from_base = step.reference.filter(Pose2::is_finite)?;

@@ -2,9 +2,9 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
-use super::beams::Scan;
-use super::hits::Hit;
-use super::surface::Surface;
+use crate::beams::Scan;
+use crate::hits::Hit;
+use crate::surface::Surface;
 
 /// Standard deviations of a reference pose \[m, rad\]: 5 cm and half a degree. They decide only where the walls don't, as
 /// along a corridor.
@@ -17,7 +17,7 @@ const NEAR_M: f64 = 0.03;
 const READING_SIGMA_M: f64 = 0.1;
 
 /// Moves each scan so that its hits come nearer to their surfaces, given with the hits' numbers: one step of Gauss and Newton with Cauchy's weights.
-pub(super) fn correct_poses<'a>(
+pub(crate) fn correct_poses<'a>(
     scans: &mut [Scan],
     hits: &mut [Hit],
     surfaces: impl Iterator<Item = (&'a Surface, &'a [u32])>,

@@ -5,8 +5,8 @@ use std::f64::consts::TAU;
 
 use glam::DVec2;
 use locsim_core::{Draw, Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, Scan, Stage};
+use locsim_mapping::{MappingOptions, check_maps, walls_from_drive};
 use locsim_world::map::{Geometry, MapError, MeasuredMap, MeasuredWall};
-use locsim_world::mapping::{MappingOptions, check_maps, walls_from_drive};
 use locsim_world::raycast::ExactRangeMap;
 use rand_distr::{Distribution, Normal};
 

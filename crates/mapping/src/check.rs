@@ -3,13 +3,13 @@
 use glam::DVec2;
 use locsim_core::{Drive, median};
 
-use super::beams::{Scan, scan_of};
-use super::hits::{Hit, hits_of};
-use super::poses::correct_poses;
-use super::surfaces::Nearest;
-use super::{Built, MappingOptions, occupancy_from_drive};
-use crate::map::{Geometry, MapError};
-use crate::raycast::ExactRangeMap;
+use crate::beams::{Scan, scan_of};
+use crate::hits::{Hit, hits_of};
+use crate::poses::correct_poses;
+use crate::surfaces::Nearest;
+use crate::{Built, MappingOptions, occupancy_from_drive};
+use locsim_world::map::{Geometry, MapError};
+use locsim_world::raycast::ExactRangeMap;
 
 /// Scans in a row that are held out together: neighbouring scans have the error of their poses in common. Some metres of
 /// driving.
