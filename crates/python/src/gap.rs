@@ -129,7 +129,8 @@ pub fn gap(
             Some(options) => laboratory::run(&study, options)?,
         };
         let content = serde_json::to_string(&outcome)?;
-        let scenario = laboratory::scenario_with(&study, &outcome.effects, outcome.residual.as_ref(), folder)?;
+        let scenario =
+            laboratory::scenario_with(&study, &outcome.effects, outcome.residual.as_ref(), folder)?;
         Answer::new(laboratory::answer(&outcome), &outcome.effects, content, scenario, out)
     })
 }

@@ -73,14 +73,7 @@ impl Comparison {
     /// The table of errors.
     pub fn table(&self) -> TextTable {
         TextTable::new(
-            [
-                "parameters",
-                "RMSE [m]",
-                "/ defaults",
-                "/ row above",
-                "RMSE [deg]",
-                "lost [%]",
-            ],
+            ["parameters", "RMSE [m]", "/ defaults", "/ row above", "RMSE [deg]", "lost [%]"],
             self.rows.iter().map(|row| {
                 let degrees = |value: f64| value.to_degrees();
                 let lost = share_interval(row.lost, row.trials);
