@@ -59,7 +59,7 @@ impl<'a> FilterOnLog<'a> {
         let unusable = |source| LabError::Map { path: study.scenario.file.clone(), source };
         let maps =
             MapSet::new(map, study.scenario.ray_cast, None, cache, control.progress).map_err(unusable)?;
-        let nominal = trained(study, &maps, Vec::new(), control.progress)?;
+        let nominal = trained(study, &maps, &[], control.progress)?;
         Ok(Self { study, control, maps, nominal })
     }
 
@@ -77,7 +77,7 @@ impl<'a> FilterOnLog<'a> {
         let model = if learnt.is_empty() {
             None
         } else {
-            Some(trained(self.study, &self.maps, learnt, self.control.progress)?)
+            Some(trained(self.study, &self.maps, &learnt, self.control.progress)?)
         };
         let model = model.as_ref().unwrap_or(&self.nominal);
         let log = corrected(self.study, &Effects::new(correctable).map_err(GapError::from)?)?;
@@ -120,12 +120,12 @@ pub(super) fn filter_gap(
 fn trained(
     study: &GapStudy,
     maps: &MapSet,
-    more: Vec<Effect>,
+    more: &[Effect],
     progress: &dyn Progress,
 ) -> Result<TrainedModel, LabError> {
     let nominal = &study.simulator;
     let training = &study.scenario.training;
-    let effects = nominal.effects().and_then(|effects| effects.replaced([effects.list(), &more].concat()));
+    let effects = nominal.effects().and_then(|effects| effects.replaced([effects.list(), more].concat()));
     let effects = effects.map_err(GapError::from)?;
     let simulator = Simulator::new(Arc::clone(&maps.exact), nominal.blocks, nominal.laser, effects)
         .map_err(GapError::from)?;

@@ -70,7 +70,7 @@ pub enum Levels {
     Everywhere,
     /// Values at points of a covariate in ascending order: linear between them, constant beyond them.
     Over(BeamCovariate, Vec<f64>),
-    /// Values in cells of the map, \[x_min, y_min, x_max, y_max\] each \[m\], by where the nominal ray ends; 0 outside.
+    /// Values in cells of the map, `[x_min, y_min, x_max, y_max]` each \[m\], by where the nominal ray ends; 0 outside.
     Cells(Vec<[f64; 4]>),
 }
 

@@ -35,13 +35,11 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     let Some(first) = stems.next() else {
         return Err(refuse("the folder holds no file of a bag (.mcap, .db3)".to_owned()));
     };
-    match stems.find(|stem| *stem != first) {
-        Some(other) => Err(refuse(format!("the folder holds several bags, `{first}` and `{other}`"))),
-        None => {
-            complete(folder, &files)?;
-            Ok(files.into_values().collect())
-        }
+    if let Some(other) = stems.find(|stem| *stem != first) {
+        return Err(refuse(format!("the folder holds several bags, `{first}` and `{other}`")));
     }
+    complete(folder, &files)?;
+    Ok(files.into_values().collect())
 }
 
 /// Bytes of `metadata.yaml` that are looked at.
