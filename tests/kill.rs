@@ -155,7 +155,9 @@ fn is_a(name: &str, extension: &str) -> bool {
 /// Whether a file tells times, or what only one recording is.
 fn tells_time(name: &str) -> bool {
     let name = name.rsplit('/').next().unwrap();
-    name.starts_with("report.") || is_a(name, "rrd") || ["summary.json", "gap.json"].contains(&name)
+    name.starts_with("report.")
+        || is_a(name, "rrd")
+        || ["summary.json", "gap.json", "times.csv"].contains(&name)
 }
 
 fn timeless(name: &str, content: Vec<u8>) -> Vec<u8> {
@@ -301,6 +303,64 @@ fn a_killed_command_is_repeated_as_if_nothing_had_happened() {
             };
             succeeds(&folder, &there(&format!("{line} {go_on}")));
             assert!(content(&folder, results) == new, "{place}: results differ");
+        }
+    }
+}
+
+const SWEEP: &str = "\
+name: kills
+scenario: room-run.yaml
+seed: 5
+trials: 8
+axes:
+  filter.particles: {from: 100, to: 600, step: 100}
+";
+
+/// Files of merged shards, or of an undisturbed command, by path in their folder.
+fn merged(folder: &Folder, out: &str) -> BTreeMap<String, Vec<u8>> {
+    let found = content(folder, &[out]);
+    found.into_iter().map(|(name, content)| (name[out.len()..].to_owned(), content)).collect()
+}
+
+#[test]
+fn a_killed_shard_is_run_again_and_merges_into_the_bytes_of_one_machine() {
+    let lines =
+        [("sweep s.yaml", ""), ("run room-run.yaml --seed 3 --trials 24 --models classic", "--record none")];
+    for (number, (line, whole)) in lines.into_iter().enumerate() {
+        let folder = Folder::new();
+        folder.write(
+            "room-run.yaml",
+            edited(SCENARIO, "[classic, np_reg_registered]", "[classic, likelihood_field]"),
+        );
+        folder.write("s.yaml", SWEEP);
+        succeeds(&folder, &format!("{line} {whole} --out one --quiet"));
+        let one = merged(&folder, "one");
+        succeeds(&folder, &format!("{line} --out o --quiet --shard 1/3"));
+        succeeds(&folder, &format!("{line} --out o --quiet --shard 3/3"));
+        let start = now();
+        succeeds(&folder, &format!("{line} --out timed --quiet --shard 2/3"));
+        let whole_time = now() - start;
+        for kill in 0..KILLS {
+            let chance = Draw::new(23, Stage::Trial, number as u32).seed(kill) as f64 / u64::MAX as f64;
+            let moment = whole_time.mul_f64((f64::from(kill) + chance) / f64::from(KILLS));
+            let shard = format!("{line} --out o --quiet --shard 2/3");
+            let mut child = command(&folder, &shard).spawn().unwrap();
+            sleep(moment);
+            child.kill().unwrap();
+            child.wait().unwrap();
+            let place = format!("{shard}, killed after {moment:?} of {whole_time:?}");
+            if !folder.path("o/shard-00002-of-00003").exists() {
+                let refused = command(&folder, "merge o").output().unwrap();
+                let error = String::from_utf8(refused.stderr).unwrap();
+                assert_eq!(refused.status.code(), Some(2), "{place}: {error}");
+                assert!(error.contains("1 of 3 shards are missing: 2"), "{place}: {error}");
+                assert!(error.contains(&format!("locsim {line} --out o --shard 2/3")), "{place}: {error}");
+                succeeds(&folder, &shard);
+            }
+            succeeds(&folder, &format!("merge o --out merged {whole} --quiet"));
+            assert!(merged(&folder, "merged") == one, "{place}: results differ");
+            fs::remove_dir_all(folder.path("merged")).unwrap();
+            fs::remove_dir_all(folder.path("o/shard-00002-of-00003")).unwrap();
         }
     }
 }

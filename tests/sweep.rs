@@ -155,6 +155,84 @@ fn the_environment_of_an_engine_names_the_shard() {
         .stderr(contains("no task number in the environment"));
 }
 
+/// Without what tells times: reports, and the times of a summary.
+fn timeless(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files = results(folder);
+    files.retain(|name, _| !name.to_str().unwrap().starts_with("report."));
+    let summary = files.get_mut(Path::new("summary.json")).unwrap();
+    let mut value: Value = serde_json::from_slice(summary).unwrap();
+    value.as_object_mut().unwrap().remove("seconds").unwrap();
+    for model in value["models"].as_object_mut().unwrap().values_mut() {
+        model.as_object_mut().unwrap().retain(|key, _| !key.contains("step_ms"));
+    }
+    *summary = value.to_string().into_bytes();
+    files
+}
+
+#[test]
+fn shards_of_a_run_merge_into_the_bytes_of_one_run() {
+    let folder = folder();
+    folder.locsim("run room-run.yaml --trials 5 --seed 9 --record none --quiet --out one").success();
+    let one = timeless(&folder.path("one"));
+    assert!(one.contains_key(Path::new("trials.parquet")) || one.len() > 5, "{:?}", one.keys());
+    for shards in [1, 2, 5] {
+        let out = format!("o{shards}");
+        for number in (1..=shards).rev() {
+            let line = format!("run room-run.yaml --trials 5 --seed 9 --out {out} --shard {number}/{shards}");
+            let told = output(&folder.locsim(&line).success());
+            assert!(told.contains(&format!("shard {number} of {shards}: ")), "{told}");
+            let again = output(&folder.locsim(&line).success());
+            assert!(again.contains("nothing to do"), "{again}");
+        }
+        // As deep as the other: the copy of the scenario names its map from there.
+        folder.locsim(&format!("merge {out} --out merged{shards} --record none --quiet")).success();
+        let merged = timeless(&folder.path(&format!("merged{shards}")));
+        assert_eq!(one.keys().collect::<Vec<_>>(), merged.keys().collect::<Vec<_>>());
+        for (name, bytes) in &one {
+            assert!(*bytes == merged[name], "{shards} shards: {}", name.display());
+        }
+    }
+    // The report names the command of the whole run.
+    let report = String::from_utf8(folder.read("merged2/report.md")).unwrap();
+    assert!(report.contains("locsim run room-run.yaml --seed 9 --trials 5"), "{report}");
+}
+
+#[test]
+fn a_merge_of_a_run_says_which_shards_to_run_again() {
+    let folder = folder();
+    let shard = |number: u32, more: &str| {
+        let line = format!("run room-run.yaml --models classic --out o --shard {number}/3 --quiet {more}");
+        folder.locsim(&line)
+    };
+    shard(1, "").success();
+    let call = folder.locsim("merge o").code(2);
+    let error = String::from_utf8(call.get_output().stderr.clone()).unwrap();
+    let again = "for i in 2 3; do locsim run room-run.yaml --seed 3 --trials 3 --models classic --out o --shard $i/3; done";
+    assert!(error.contains("2 of 3 shards are missing: 2-3") && error.contains(again), "{error}");
+    shard(2, "").success();
+    shard(3, "--seed 4").success();
+    folder.locsim("merge o").code(2).stderr(contains("o/shard-00003-of-00003 is of another run: its digest"));
+    shard(3, "").code(2).stderr(contains("holds a shard of something else"));
+    shard(3, "--force").success();
+    // A scenario that has changed since.
+    folder.write("room-run.yaml", edited(&scenario(), "particles: 100", "particles: 101"));
+    folder.locsim("merge o").code(2).stderr(contains("isn't what the shards were run with"));
+    folder.write("room-run.yaml", scenario());
+    let trials = folder.path("o/shard-00002-of-00003/trials.cbor");
+    let bytes = fs::read(&trials).unwrap();
+    fs::write(&trials, &bytes[..bytes.len() / 2]).unwrap();
+    folder.locsim("merge o").code(2).stderr(contains("trials.cbor was cut or changed"));
+    fs::write(&trials, bytes).unwrap();
+    folder.locsim("merge o --record none --quiet").success();
+    // More shards than trials; an engine's variables.
+    folder
+        .locsim("run room-run.yaml --shard 1/4")
+        .code(2)
+        .stderr(contains("4 shards of 3 trials are not allowed"));
+    let mut command = locsim(&folder.path("."), "run room-run.yaml --models classic --out p --shards 3");
+    command.env("HQ_TASK_ID", "2").assert().success().stdout(contains("shard 2 of 3: 1 trials in p"));
+}
+
 #[test]
 fn a_merge_refuses_what_is_not_one_sweep_and_says_how_to_mend_it() {
     let folder = folder();

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 use locsim_bench::suite::Size;
-use locsim_terminal::{LimitOptions, OutputOptions, Threads, whole};
+use locsim_terminal::{LimitOptions, OutputOptions, Share, Threads, whole};
 
 /// Benchmarks of locsim.
 ///
@@ -81,6 +81,11 @@ pub struct Gap {
     /// The most scans of a log
     #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..))]
     pub scans: u32,
+    #[command(flatten)]
+    pub share: Share,
+    /// Put the shards in the folder together in its folder `merged`, and score all logs
+    #[arg(long, conflicts_with_all = ["shard", "shards", "real"])]
+    pub merge: bool,
     #[command(flatten)]
     pub threads: Threads,
     #[command(flatten)]

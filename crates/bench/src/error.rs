@@ -42,6 +42,26 @@ pub enum BenchError {
         /// The defect, and the needed content.
         what: String,
     },
+    /// There are more shards than logs.
+    #[error("--shard: {shards} shards of {logs} logs are not allowed; at most one for each log")]
+    TooManyShards {
+        /// Shards asked for.
+        shards: u32,
+        /// Logs of the suite.
+        logs: u32,
+    },
+    /// Shards don't hold all logs.
+    #[error("{}: {missing} of {of} logs are missing; run with --shard {again}", folder.display())]
+    MissingLogs {
+        /// The folder with the shards.
+        folder: PathBuf,
+        /// Logs that no shard holds.
+        missing: usize,
+        /// Logs of the suite.
+        of: usize,
+        /// The shards to run.
+        again: String,
+    },
     /// The map can't be used.
     #[error("map: {0}")]
     Map(#[from] locsim_world::map::MapError),

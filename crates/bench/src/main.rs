@@ -13,7 +13,7 @@ use locsim_bench::speed::{self, Workbench};
 use locsim_bench::suite::{self, SuiteOptions};
 use locsim_bench::{BenchError, regression};
 use locsim_report::store::{Request, Store};
-use locsim_terminal::{DONE, Failure, Session, exit_code, say};
+use locsim_terminal::{DONE, Failure, Session, Share, exit_code, say};
 
 use arguments::{Arguments, Command, Gap, Regression, Speed};
 
@@ -62,11 +62,20 @@ fn run_suite(arguments: &Gap) -> Result<(), Failure> {
     arguments.threads.set()?;
     let session = Session::begin(arguments.output.quiet)?;
     if let Some(logs) = &arguments.real {
+        ensure_whole(arguments)?;
         return edit_logs(logs, arguments, &session);
     }
+    let shard = if arguments.merge { None } else { arguments.share.asked()? };
+    let out = match shard {
+        Some(shard) => arguments.out.join(shard.folder()),
+        None if arguments.merge => arguments.out.join("merged"),
+        None => arguments.out.clone(),
+    };
     let options = SuiteOptions {
         scenario: arguments.scenario.clone(),
-        out: arguments.out.clone(),
+        out: out.clone(),
+        shard,
+        shards: arguments.merge.then(|| arguments.out.clone()),
         size: arguments.size,
         seed: arguments.seed,
         replicates: arguments.replicates,
@@ -79,9 +88,16 @@ fn run_suite(arguments: &Gap) -> Result<(), Failure> {
         say(&serde_json::to_string_pretty(&score)?)?;
     } else if !arguments.output.quiet {
         say(&suite::table(&score))?;
-        let report = arguments.out.join(suite::REPORT);
+        let report = out.join(suite::REPORT);
         say(&format!("{} of {} logs; report in {}", score.runs, score.planned, report.display()))?;
     }
+    Ok(())
+}
+
+/// Edited logs are not run in shards.
+fn ensure_whole(arguments: &Gap) -> anyhow::Result<()> {
+    let Share { shard, shards } = arguments.share;
+    ensure!(shard.is_none() && shards.is_none(), "--shard and --shards are not allowed beside --real");
     Ok(())
 }
 

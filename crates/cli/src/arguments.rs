@@ -6,8 +6,7 @@ use std::path::PathBuf;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use locsim_scenario::catalogue;
-use locsim_sweep::Shard;
-use locsim_terminal::{LimitOptions, OutputOptions, Threads, whole};
+use locsim_terminal::{LimitOptions, OutputOptions, Share, Threads, whole};
 
 /// A laboratory for particle-filter localization with range sensors.
 ///
@@ -119,6 +118,8 @@ pub struct Run {
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
     #[command(flatten)]
+    pub share: Share,
+    #[command(flatten)]
     pub threads: Threads,
     /// Only these models of the scenario, separated by commas
     #[arg(long, value_delimiter = ',')]
@@ -191,7 +192,7 @@ pub struct Sweep {
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Print the number of cells, time and memory, and run nothing
-    #[arg(long, conflicts_with_all = ["shard", "engine", "json"])]
+    #[arg(long, conflicts_with_all = ["shard", "shards", "engine", "json"])]
     pub dry_run: bool,
     /// Run more than 10000 cells
     #[arg(long)]
@@ -202,13 +203,8 @@ pub struct Sweep {
     /// Seed, instead of the sweep's
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: Option<u64>,
-    /// Run one of N equal shares of the cells, from 1/N to N/N; `locsim merge` puts them together
-    /// [default: a Slurm array's task]
-    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
-    pub shard: Option<Shard>,
-    /// Number of shards; which one is this is the engine's task number (`SLURM_ARRAY_TASK_ID`, `HQ_TASK_ID`, `PARALLEL_SEQ`)
-    #[arg(long, value_name = "N", conflicts_with_all = ["shard", "dry_run"], allow_negative_numbers = true, value_parser = whole::<u32>)]
-    pub shards: Option<u32>,
+    #[command(flatten)]
+    pub share: Share,
     #[command(flatten)]
     pub batch: Batch,
     #[command(flatten)]
@@ -266,6 +262,14 @@ pub struct Merge {
     /// Replace earlier results of locsim; nothing else is ever touched
     #[arg(long)]
     pub force: bool,
+    #[command(flatten)]
+    pub threads: Threads,
+    /// Where the recording of one trial of a run goes: a file in the results folder, a running viewer, a new viewer
+    #[arg(long, value_enum, default_value_t = Record::File)]
+    pub record: Record,
+    /// Where range tables of a run are kept [default: `LOCSIM_CACHE`, or `locsim` in the user's cache folder]
+    #[arg(long, value_name = "FOLDER")]
+    pub cache: Option<PathBuf>,
     #[command(flatten)]
     pub output: OutputOptions,
 }

@@ -23,7 +23,7 @@ use locsim_report::figures::Rasterizer;
 use locsim_report::terminal_table;
 use locsim_scenario::{self as scenario, LogMap, Overrides, Scenario, Source, catalogue};
 use locsim_study::{self as study, StudyOptions, StudyOverrides};
-use locsim_terminal::{BAD_INPUT, DONE, Failure, Session, columns, complain, exit_code, say};
+use locsim_terminal::{BAD_INPUT, DONE, Failure, OutputOptions, Session, columns, complain, exit_code, say};
 
 use arguments::{Apply, Arguments, Command, Convert, Gap, Init, Inspect, Map, Record, Run, Simulate};
 
@@ -102,6 +102,9 @@ fn run_scenario(arguments: &Run) -> Result<u8, Failure> {
         Overrides { trials: arguments.trials, seed: arguments.seed, models: arguments.models.clone() };
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     arguments.threads.set()?;
+    if let Some(shard) = arguments.share.asked()? {
+        return sweep::run_trials(arguments, scenario, shard);
+    }
     let session = Session::begin(arguments.output.quiet)?;
     let out = arguments.out.clone().unwrap_or_else(|| Path::new("results").join(&scenario.name));
     let recorder = recorder(arguments.record, &scenario.name);
@@ -110,16 +113,26 @@ fn run_scenario(arguments: &Run) -> Result<u8, Failure> {
         out: out.clone(),
         resume: arguments.resume,
         force: arguments.force,
-        command: command_line(arguments, &scenario),
+        command: command_line(&scenario, arguments.models.as_deref()),
         control: session.control(),
         cache: cache.as_deref(),
         recorder: recorder.as_deref(),
     };
     session.work_on(&out, "trials");
     let outcome = run::run(&scenario, &options).map_err(of_lab)?;
-    if arguments.output.json {
+    Ok(report_run(&outcome, &out, &arguments.output, arguments.record)?)
+}
+
+/// Prints the results of a run and the bounds that they miss, and returns the exit code.
+fn report_run(
+    outcome: &run::Outcome,
+    out: &Path,
+    output: &OutputOptions,
+    record: Record,
+) -> anyhow::Result<u8> {
+    if output.json {
         say(&serde_json::to_string_pretty(&outcome.summary)?)?;
-    } else if !arguments.output.quiet {
+    } else if !output.quiet {
         match &outcome.summary {
             RunSummary::Referenced(summary) => say(&terminal_table(summary, columns()))?,
             RunSummary::Unreferenced(summary) => {
@@ -128,7 +141,7 @@ fn run_scenario(arguments: &Run) -> Result<u8, Failure> {
             }
         }
         let is_recorded = matches!(outcome.summary, RunSummary::Referenced(_));
-        let replay = if arguments.record == Record::File && is_recorded {
+        let replay = if record == Record::File && is_recorded {
             format!("; `rerun {}` replays", out.join(run::RECORDING).display())
         } else {
             String::new()
@@ -186,14 +199,14 @@ pub fn users_cache() -> Option<PathBuf> {
 }
 
 /// The command that repeats a run.
-fn command_line(arguments: &Run, scenario: &Scenario) -> String {
+fn command_line(scenario: &Scenario, models: Option<&[String]>) -> String {
     let mut command = format!(
         "locsim run {} --seed {} --trials {}",
-        arguments.scenario.display(),
+        scenario.file.display(),
         scenario.seed,
         scenario.trials
     );
-    if let Some(models) = &arguments.models {
+    if let Some(models) = models {
         command += " --models ";
         command += &models.join(",");
     }

@@ -1,15 +1,19 @@
-//! `locsim sweep` and `locsim merge`.
+//! `locsim sweep`, `locsim merge` and the shards of `locsim run`.
 
 use std::path::Path;
 
 use anyhow::{Context, anyhow, ensure};
+use locsim_core::Shard;
+use locsim_lab::run::RunOptions;
+use locsim_scenario::Scenario;
 use locsim_sweep::{
-    Engine, Job, MergeOptions, Merged, Shard, ShardOutcome, Sweep, SweepError, SweepOptions, SweepOverrides,
+    Engine, Job, MergeOptions, Merged, RunShards, ShardOutcome, ShardedRun, Sweep, SweepError, SweepOptions,
+    SweepOverrides,
 };
 use locsim_terminal::{DONE, Failure, OutputOptions, Session, columns, say};
 
 use crate::arguments::{self, EngineName};
-use crate::users_cache;
+use crate::{command_line, recorder, report_run, users_cache};
 
 /// A sweep of more cells has to be confirmed: at a second for each this takes hours, and a slip in a range is the usual reason.
 const UNCONFIRMED_CELLS: u32 = 10_000;
@@ -42,11 +46,7 @@ pub fn run(arguments: &arguments::Sweep, program: &Path) -> Result<u8, Failure> 
     if let Some(engine) = arguments.batch.engine {
         return Ok(submit(arguments, program, &sweep, engine, &out)?);
     }
-    let environment = |name: &str| std::env::var(name).ok();
-    let shard = match arguments.shard {
-        Some(shard) => Some(shard),
-        None => Shard::from_environment(&environment, arguments.shards).map_err(|error| anyhow!(error))?,
-    };
+    let shard = arguments.share.asked()?;
     let session = Session::begin(arguments.output.quiet)?;
     let cache = arguments.cache.clone().or_else(users_cache);
     let options = SweepOptions {
@@ -66,11 +66,38 @@ pub fn run(arguments: &arguments::Sweep, program: &Path) -> Result<u8, Failure> 
     session.work_on(&folder, "cells");
     let outcome = locsim_sweep::run_shard(&sweep, shard, &options).map_err(of_sweep)?;
     if !arguments.output.quiet {
-        let cells = shard.cells(count).len();
-        say(&match outcome {
-            ShardOutcome::Done => format!("{shard}: {cells} cells in {}", folder.display()),
-            ShardOutcome::AlreadyDone => format!("{shard}: nothing to do; {} is complete", folder.display()),
-        })?;
+        say(&told(outcome, shard, shard.range(count).len(), "cells", &folder))?;
+    }
+    Ok(DONE)
+}
+
+/// What became of a shard.
+fn told(outcome: ShardOutcome, shard: Shard, count: usize, parts: &str, folder: &Path) -> String {
+    match outcome {
+        ShardOutcome::Done => format!("{shard}: {count} {parts} in {}", folder.display()),
+        ShardOutcome::AlreadyDone => format!("{shard}: nothing to do; {} is complete", folder.display()),
+    }
+}
+
+/// Runs a shard of the trials of a run.
+pub fn run_trials(arguments: &arguments::Run, scenario: Scenario, shard: Shard) -> Result<u8, Failure> {
+    let out = arguments.out.clone().unwrap_or_else(|| Path::new("results").join(&scenario.name));
+    let session = Session::begin(arguments.output.quiet)?;
+    let cache = arguments.cache.clone().or_else(users_cache);
+    let folder = out.join(shard.folder());
+    let options = SweepOptions {
+        out,
+        resume: arguments.resume,
+        force: arguments.force,
+        control: session.control(),
+        cache: cache.as_deref(),
+    };
+    session.work_on(&folder, "trials");
+    let trials = shard.range(scenario.trials).len();
+    let run = ShardedRun { scenario, models: arguments.models.clone() };
+    let outcome = run.run_shard(shard, &options).map_err(of_sweep)?;
+    if !arguments.output.quiet {
+        say(&told(outcome, shard, trials, "trials", &folder))?;
     }
     Ok(DONE)
 }
@@ -83,7 +110,7 @@ fn submit(
     engine: EngineName,
     out: &Path,
 ) -> anyhow::Result<u8> {
-    let shards = arguments.shards.unwrap_or(1);
+    let shards = arguments.share.shards.unwrap_or(1);
     let cells = sweep.cells().count();
     ensure!(
         (1..=cells).contains(&shards),
@@ -130,8 +157,25 @@ fn submit(
 
 /// Merges shards.
 pub fn merge(arguments: &arguments::Merge) -> Result<u8, Failure> {
+    arguments.threads.set()?;
     let session = Session::begin(arguments.output.quiet)?;
     let out = arguments.out.clone().unwrap_or_else(|| arguments.shards.join("merged"));
+    if let Some(shards) = RunShards::find(&arguments.shards).map_err(of_sweep)? {
+        let ShardedRun { scenario, models } = &shards.run;
+        let recorder = recorder(arguments.record, &scenario.name);
+        let cache = arguments.cache.clone().or_else(users_cache);
+        let options = RunOptions {
+            out: out.clone(),
+            resume: false,
+            force: arguments.force,
+            command: command_line(scenario, models.as_deref()),
+            control: session.control(),
+            cache: cache.as_deref(),
+            recorder: recorder.as_deref(),
+        };
+        let outcome = shards.merge(&options).map_err(of_sweep)?;
+        return Ok(report_run(&outcome, &out, &arguments.output, arguments.record)?);
+    }
     let options = MergeOptions {
         shards: arguments.shards.clone(),
         out: out.clone(),

@@ -1,5 +1,5 @@
 //! The vocabulary of all other crates: poses, frames and tracks, scans and ray-cast hits, particles and their weights,
-//! keyed random draws, and the traits between a world, a sensor model and a filter.
+//! keyed random draws, shares of long work, and the traits between a world, a sensor model and a filter.
 //!
 //! Conventions (REP-103, REP-105): SI units, radians in (-pi, pi], x forward, y left, counter-clockwise
 //! positive; frames `map`, `odom`, `base`, `laser`; a transform named `map_from_base` takes coordinates of
@@ -22,6 +22,7 @@ pub mod output;
 mod particles;
 mod pose;
 mod quantile;
+mod shard;
 mod track;
 mod weights;
 
@@ -40,5 +41,6 @@ pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, Sens
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
 pub use quantile::{median, quantile};
+pub use shard::Shard;
 pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

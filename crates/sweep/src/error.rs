@@ -22,13 +22,27 @@ pub enum SweepError {
         /// The cause.
         source: Box<LabError>,
     },
-    /// There are more shards than cells.
-    #[error("--shard: {shards} shards of {cells} cells are not allowed; at most one for each cell")]
+    /// A run could not be done.
+    #[error(transparent)]
+    Run(#[from] LabError),
+    /// A run's scenario isn't what its shards were run with.
+    #[error(
+        "{}: it, or a file that it reads, isn't what the shards were run with; bring that back, or run the shards again",
+        file.display()
+    )]
+    ChangedScenario {
+        /// The scenario's file.
+        file: PathBuf,
+    },
+    /// There are more shards than cells of a sweep or trials of a run.
+    #[error("--shard: {shards} shards of {parts} {part}s are not allowed; at most one for each {part}")]
     TooManyShards {
         /// Shards asked for.
         shards: u32,
-        /// Cells of the sweep.
-        cells: u32,
+        /// Cells of the sweep, or trials of the run.
+        parts: u32,
+        /// The name of one.
+        part: &'static str,
     },
     /// The place of a shard is taken.
     #[error(
@@ -79,13 +93,15 @@ pub enum SweepError {
         /// The reason.
         what: String,
     },
-    /// The user stopped the sweep; finished cells are kept.
-    #[error("interrupted after {finished} of {cells} cells; {again}")]
+    /// The user stopped the work; what is finished is kept.
+    #[error("interrupted after {finished} of {of} {parts}; {again}")]
     Interrupted {
-        /// Cells that are kept.
+        /// Cells or trials that are kept.
         finished: usize,
-        /// Cells asked for.
-        cells: u32,
+        /// Cells or trials asked for.
+        of: u32,
+        /// The name of either.
+        parts: &'static str,
         /// How to go on.
         again: &'static str,
     },
@@ -94,6 +110,10 @@ pub enum SweepError {
 impl SweepError {
     /// Whether the user stopped the work.
     pub fn is_interruption(&self) -> bool {
-        matches!(self, Self::Interrupted { .. })
+        match self {
+            Self::Interrupted { .. } => true,
+            Self::Run(error) => error.is_interruption(),
+            _ => false,
+        }
     }
 }

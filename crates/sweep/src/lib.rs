@@ -1,6 +1,6 @@
 //! Sweeps: one scenario, run with every combination of other values at some of its keys. [`Sweep::load`] reads and checks a
 //! file; [`run_sweep`] runs all cells on this machine; [`run_shard`] runs a share of them, and [`merge()`] puts shards together
-//! into the same bytes.
+//! into the same bytes. [`ShardedRun`] and [`RunShards`] do it for the trials of one run.
 
 mod cells;
 mod engine;
@@ -12,6 +12,7 @@ pub mod plan;
 mod raw;
 mod results;
 mod run;
+mod run_shard;
 pub mod shard;
 mod sweep;
 
@@ -20,9 +21,9 @@ use std::path::Path;
 pub use engine::{Engine, Job};
 pub use error::SweepError;
 pub use merge::{MergeOptions, merge, run_sweep};
-pub use plan::Shard;
 pub use results::{Merged, ModelFigures};
 pub use run::SweepOptions;
+pub use run_shard::{RunShards, ShardedRun};
 pub use shard::{ShardOutcome, run_shard};
 pub use sweep::{Sweep, SweepEstimate, SweepOverrides};
 

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use indexmap::IndexMap;
-use locsim_core::Control;
+use locsim_core::{Control, Shard};
 use locsim_report::ReportError;
 use locsim_report::store::{Folder, Request, Store};
 use locsim_report::trial_set::{CellRows, Table, TrialSet, for_each, plain, read};
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::cells::{Figures, Place};
 use crate::page;
-use crate::plan::{Cells, Shard};
+use crate::plan::Cells;
 use crate::results::{Merged, ModelFigures};
 use crate::run::{Inputs, SweepOptions, check, finished_cell, run_cells};
 use crate::shard::{ShardSummary, SweepSummary, TRIALS, check_trials, mean_step_ms, read_summary};
@@ -84,7 +84,7 @@ pub fn merge(options: &MergeOptions<'_>) -> Result<Merged, SweepError> {
     })?;
     for (folder, summary) in &shards.whole {
         let found = summary.first_cell..summary.first_cell.saturating_add(summary.cells);
-        if found != summary.shard.cells(cells.count()) {
+        if found != summary.shard.range(cells.count()) {
             let what = format!("has the cells {found:?}, which aren't those of {}", summary.shard);
             return Err(SweepError::DamagedShard { path: folder.clone(), what });
         }
@@ -250,14 +250,18 @@ fn write_times(folder: &Folder, times: &[IndexMap<String, f64>]) -> Result<(), S
     Ok(folder.write("times.csv", text.as_bytes())?)
 }
 
-/// The shards of a sweep, each of them once, in their order.
-struct Shards {
+/// The shards of a sweep or a run, each of them once, in their order.
+pub struct Shards {
     /// Folders and summaries.
-    whole: Vec<(PathBuf, ShardSummary)>,
+    pub whole: Vec<(PathBuf, ShardSummary)>,
 }
 
 impl Shards {
-    fn find(folder: &Path) -> Result<Self, SweepError> {
+    /// The folders of shards in a folder, whole or not.
+    ///
+    /// # Errors
+    /// [`SweepError::File`].
+    pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, SweepError> {
         let unreadable = |source| SweepError::File { path: folder.to_owned(), source };
         let mut folders = Vec::new();
         for entry in std::fs::read_dir(folder).map_err(unreadable)? {
@@ -269,6 +273,15 @@ impl Shards {
             }
         }
         folders.sort_unstable();
+        Ok(folders)
+    }
+
+    /// The shards in a folder.
+    ///
+    /// # Errors
+    /// [`SweepError::Unmergeable`] unless each is there once, whole, and of the same work.
+    pub fn find(folder: &Path) -> Result<Self, SweepError> {
+        let folders = Self::folders(folder)?;
         let read = folders.into_par_iter().map(|folder| {
             let found = read_summary(&folder).and_then(|summary| {
                 summary.iter().try_for_each(|summary| check_trials(&folder, summary))?;
@@ -339,9 +352,10 @@ fn other(folder: &Path, summary: &ShardSummary, first: &ShardSummary) -> Option<
     } else if summary.digest != first.digest {
         let short = |digest: &str| digest.chars().take(12).collect::<String>();
         format!(
-            "its digest {} is not {}: scenario, axes, seed or trials differ",
+            "its digest {} is not {}: scenario, {}seed or trials differ",
             short(&summary.digest),
-            short(&first.digest)
+            short(&first.digest),
+            if first.run.is_some() { "a file that it reads, " } else { "axes, " }
         )
     } else if summary.shard.of != first.shard.of {
         format!("it is one of {} shards, not of {}", summary.shard.of, first.shard.of)
@@ -351,7 +365,8 @@ fn other(folder: &Path, summary: &ShardSummary, first: &ShardSummary) -> Option<
         let path = summary.inputs.iter().find(|(path, hash)| differs((path, hash))).map(|(path, _)| path)?;
         format!("it read another content of {path}")
     };
-    Some(format!("{} is of another sweep: {reason}; remove it and run the shard again", folder.display()))
+    let work = if first.run.is_some() { "run" } else { "sweep" };
+    Some(format!("{} is of another {work}: {reason}; remove it and run the shard again", folder.display()))
 }
 
 /// The first lines, and how many others there are.
@@ -375,15 +390,15 @@ fn absent(folder: &Path, missing: &[u32], damaged: &BTreeSet<PathBuf>, first: &S
     let begun = missing.iter().filter(kept).count();
     let mut text = format!("{} of {of} shards are missing: {}", missing.len(), ranges(missing));
     if begun > 0 {
-        let _ = write!(text, " ({begun} of them keep finished cells)");
+        let parts = if first.run.is_some() { "trials" } else { "cells" };
+        let _ = write!(text, " ({begun} of them keep finished {parts})");
     }
     text.push_str("; run them:\n");
     for folder in damaged {
         let _ = writeln!(text, "  rm -r {}", folder.display());
     }
-    let command = |shard: &str| {
-        format!("locsim sweep {} --out {} --shard {shard}/{of}", first.sweep.file.display(), folder.display())
-    };
+    let command =
+        |shard: &str| format!("{} --out {} --shard {shard}/{of}", first.command(), folder.display());
     let line = if let [one] = missing {
         command(&one.to_string())
     } else {
@@ -468,7 +483,7 @@ mod tests {
             let folder = Folder::new(&out.join(shard.folder())).unwrap();
             let path = folder.claim(TRIALS).unwrap();
             let mut file = TrialFile::create(&path, &columns).unwrap();
-            let range = shard.cells(cells.count());
+            let range = shard.range(cells.count());
             let mut step_ms = Vec::new();
             for cell in range.clone() {
                 let rows: Vec<TrialRow> =
@@ -495,6 +510,7 @@ mod tests {
                     file: PathBuf::from("synthetic.yaml"),
                     plan: plan.clone(),
                 },
+                run: None,
                 step_ms,
             };
             write_summary(&folder, &summary).unwrap();

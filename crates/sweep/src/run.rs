@@ -135,7 +135,8 @@ pub fn run_cells(
     match failure.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {
         Some(SweepError::Cell { source, .. }) if source.is_interruption() => Err(SweepError::Interrupted {
             finished: store.parts().kept()?,
-            cells: cells.end - cells.start,
+            of: cells.end - cells.start,
+            parts: "cells",
             again,
         }),
         Some(error) => Err(error),

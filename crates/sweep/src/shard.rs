@@ -2,14 +2,15 @@
 
 use std::fs::File;
 use std::io::Read;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use indexmap::IndexMap;
+use locsim_core::Shard;
 use locsim_report::store::{Folder, Request, Store};
 use locsim_report::trial_set::{CellRows, TrialFile};
 use serde::{Deserialize, Serialize};
 
-use crate::plan::{Plan, Shard};
+use crate::plan::Plan;
 use crate::run::{Inputs, SweepOptions, check, finished_cell, hash, run_cells};
 use crate::{Sweep, SweepError};
 
@@ -33,16 +34,47 @@ pub struct ShardSummary {
     pub first_cell: u32,
     /// Number of cells.
     pub cells: u32,
-    /// Rows of `trials.parquet`.
+    /// Number of pairs of a trial and a model.
     pub rows: u64,
-    /// BLAKE3 of `trials.parquet`.
+    /// BLAKE3 of `trials.parquet`, or of a run's `trials.cbor`.
     pub blake3: String,
     /// Files that the cells read.
     pub inputs: Inputs,
-    /// The sweep.
+    /// The sweep; of a run, a sweep without axes whose cells are trials.
     pub sweep: SweepSummary,
+    /// The run, where the shard holds trials of one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub run: Option<RunSummary>,
     /// Mean wall time of a filter step \[ms\] of each cell, by model. A repeated run doesn't reproduce it.
     pub step_ms: Vec<IndexMap<String, f64>>,
+}
+
+/// The run that a shard is of.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct RunSummary {
+    /// The models that the scenario was restricted to, if it was.
+    pub models: Option<Vec<String>>,
+}
+
+impl RunSummary {
+    /// The trials of a shard, in its folder.
+    pub const TRIALS: &str = "trials.cbor";
+}
+
+impl ShardSummary {
+    /// The command that runs a shard, without its place and number.
+    pub fn command(&self) -> String {
+        let SweepSummary { file, plan, .. } = &self.sweep;
+        let Some(run) = &self.run else { return format!("locsim sweep {}", file.display()) };
+        let mut command = format!("locsim run {} --seed {}", file.display(), plan.seed);
+        if let Some(trials) = plan.trials {
+            command += &format!(" --trials {trials}");
+        }
+        if let Some(models) = &run.models {
+            command += &format!(" --models {}", models.join(","));
+        }
+        command
+    }
 }
 
 /// The sweep that a shard is of.
@@ -90,21 +122,14 @@ pub fn run_shard(
 ) -> Result<ShardOutcome, SweepError> {
     let count = sweep.cells().count();
     if shard.of > count {
-        return Err(SweepError::TooManyShards { shards: shard.of, cells: count });
+        return Err(SweepError::TooManyShards { shards: shard.of, parts: count, part: "cell" });
     }
-    let cells = shard.cells(count);
+    let cells = shard.range(count);
     let inputs = check(sweep, cells.clone(), options.control)?;
     let digest = sweep.digest();
     let out = options.out.join(shard.folder());
-    if let Some(found) = read_summary(&out)? {
-        let is_same = found.digest == digest && found.shard == shard && found.inputs == inputs;
-        if is_same {
-            check_trials(&out, &found)?;
-            return Ok(ShardOutcome::AlreadyDone);
-        }
-        if !options.force {
-            return Err(SweepError::OtherShard { folder: out });
-        }
+    if complete(&out, &digest, shard, &inputs, options.force)? {
+        return Ok(ShardOutcome::AlreadyDone);
     }
     let settings = serde_json::json!([digest, shard, inputs]);
     let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex();
@@ -123,6 +148,27 @@ pub fn run_shard(
     Ok(ShardOutcome::Done)
 }
 
+/// Whether a shard's folder holds it already, whole.
+///
+/// # Errors
+/// [`SweepError::OtherShard`] for a folder of something else, unless `force`, and [`SweepError::DamagedShard`].
+pub fn complete(
+    folder: &Path,
+    digest: &str,
+    shard: Shard,
+    inputs: &Inputs,
+    force: bool,
+) -> Result<bool, SweepError> {
+    let Some(found) = read_summary(folder)? else { return Ok(false) };
+    let is_same = found.digest == digest && found.shard == shard && found.inputs == *inputs;
+    if is_same {
+        check_trials(folder, &found)?;
+    } else if !force {
+        return Err(SweepError::OtherShard { folder: folder.to_owned() });
+    }
+    Ok(is_same)
+}
+
 /// Writes `trials.parquet` and `shard.json`.
 fn write(
     sweep: &Sweep,
@@ -132,7 +178,7 @@ fn write(
     store: &Store,
     options: &SweepOptions<'_>,
 ) -> Result<(), SweepError> {
-    let cells = shard.cells(sweep.cells().count());
+    let cells = shard.range(sweep.cells().count());
     let path = store.folder().claim(TRIALS)?;
     let columns = sweep.cells().plan().columns();
     let mut file = TrialFile::create(&path, &columns)?;
@@ -155,6 +201,7 @@ fn write(
         blake3: hash(&path)?,
         inputs: inputs.clone(),
         sweep: SweepSummary::of(sweep),
+        run: None,
         step_ms,
     };
     write_summary(store.folder(), &summary)
@@ -184,7 +231,7 @@ pub fn mean_step_ms(rows: &[locsim_report::TrialRow]) -> IndexMap<String, f64> {
 ///
 /// # Errors
 /// [`SweepError::DamagedShard`] for a folder without a summary that can be read.
-pub fn read_summary(folder: &std::path::Path) -> Result<Option<ShardSummary>, SweepError> {
+pub fn read_summary(folder: &Path) -> Result<Option<ShardSummary>, SweepError> {
     if !folder.exists() {
         return Ok(None);
     }
@@ -210,8 +257,8 @@ pub fn read_summary(folder: &std::path::Path) -> Result<Option<ShardSummary>, Sw
 ///
 /// # Errors
 /// [`SweepError::DamagedShard`].
-pub fn check_trials(folder: &std::path::Path, summary: &ShardSummary) -> Result<(), SweepError> {
-    let path = folder.join(TRIALS);
+pub fn check_trials(folder: &Path, summary: &ShardSummary) -> Result<(), SweepError> {
+    let path = folder.join(if summary.run.is_some() { RunSummary::TRIALS } else { TRIALS });
     match hash(&path) {
         Ok(found) if found == summary.blake3 => Ok(()),
         Ok(_) => {

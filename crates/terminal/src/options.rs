@@ -2,6 +2,7 @@ use std::fmt::Write;
 
 use anyhow::Result;
 use clap::Args;
+use locsim_core::Shard;
 use locsim_core::limits::{Limit, Limits, THREADS_PER_CORE};
 
 /// `--limit`, which every command takes.
@@ -61,6 +62,34 @@ impl Threads {
             rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
         }
         Ok(())
+    }
+}
+
+/// One of several shares of the work.
+#[derive(Debug, Args)]
+pub struct Share {
+    /// Run one of N equal shares, of the cells of a sweep, the trials of a run or the logs of a suite, from 1/N to N/N; a merge puts them together
+    /// [default: a Slurm array's task]
+    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
+    pub shard: Option<Shard>,
+    /// Number of shards; which one is this is the engine's task number (`SLURM_ARRAY_TASK_ID`, `HQ_TASK_ID`, `PARALLEL_SEQ`)
+    #[arg(long, value_name = "N", conflicts_with = "shard", allow_negative_numbers = true, value_parser = whole::<u32>)]
+    pub shards: Option<u32>,
+}
+
+impl Share {
+    /// The shard that the command line or a batch engine asks for, if any.
+    ///
+    /// # Errors
+    /// Variables of an engine that don't name a shard.
+    pub fn asked(&self) -> Result<Option<Shard>> {
+        let environment = |name: &str| std::env::var(name).ok();
+        match self.shard {
+            Some(shard) => Ok(Some(shard)),
+            None => {
+                Shard::from_environment(&environment, self.shards).map_err(|error| anyhow::anyhow!(error))
+            }
+        }
     }
 }
 

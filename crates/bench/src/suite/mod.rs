@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use locsim_core::{Control, Draw, Drive, Estimate, Progress, Stage};
+use locsim_core::{Control, Draw, Drive, Estimate, Progress, Shard, Stage};
 use locsim_dataset::{LogOptions, read_log, write_log};
 use locsim_gap::hidden::{OtherForm, record_library, record_other, record_outside};
 use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Unnamed, Verdict, find};
@@ -38,8 +38,12 @@ use plan::{Case, Group, Hidden, REGIMES, plan};
 pub struct SuiteOptions<'a> {
     /// The nominal scenario.
     pub scenario: PathBuf,
-    /// Where logs, truths and findings go.
+    /// Where truths and findings go.
     pub out: PathBuf,
+    /// The share of the logs that is run; `None` for all.
+    pub shard: Option<Shard>,
+    /// A folder of shards whose truths and findings are taken over; nothing is run then.
+    pub shards: Option<PathBuf>,
     /// How much.
     pub size: Size,
     /// Everything random derives from it.
@@ -220,13 +224,25 @@ pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
     let world = World::load(options)?;
     options.control.progress.advance(1);
     let suite = Suite::open(options, &world)?;
+    let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
+    let mut cases = plan(options.size, options.seed, &world.nominal.map, &poses);
+    if let Some(shards) = &options.shards {
+        suite.merge(&cases, shards, options.control.progress)?;
+        return suite.score(&cases, options);
+    }
+    if let Some(shard) = options.shard {
+        let count = cases.len() as u32;
+        if shard.of > count {
+            return Err(BenchError::TooManyShards { shards: shard.of, logs: count });
+        }
+        let range = shard.range(count);
+        cases = cases.drain(range.start as usize..range.end as usize).collect();
+    }
     let template = Recorded::new(&world.drive, usize::MAX, usize::MAX, |_| true)?;
     let strengths = REGIMES
         .iter()
         .map(|(_, regime)| Strength::new(&world.nominal, &template, *regime, options.seed))
         .collect::<Result<Vec<_>, GapError>>()?;
-    let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
-    let cases = plan(options.size, options.seed, &world.nominal.map, &poses);
     options.control.progress.stage("hidden effects", cases.len() as u64);
     // Logs side by side, each on one thread: nothing waits for anything.
     let next = AtomicUsize::new(0);
@@ -264,15 +280,14 @@ pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
         })
     })?;
     options.control.progress.finish();
-    let scored = cases.iter().filter_map(|case| suite.done(case, options.control.progress).transpose());
-    let score = Score::new(scored.collect::<Result<_, _>>()?, cases.len(), options.replicates, options.seed);
-    suite.folder.write(REPORT, text::report(&score).as_bytes())?;
-    suite.folder.write(SCORE, serde_json::to_string_pretty(&score)?.as_bytes())?;
-    Ok(score)
+    suite.score(&cases, options)
 }
 
 /// Of the suite's files; those of another one are of no use.
 const FORMAT: u32 = 7;
+
+/// What the suite's folders are of, in their manifests.
+const KIND: &str = "gap-bench";
 
 /// Name of the report in the suite's folder.
 pub const REPORT: &str = "report.md";
@@ -283,6 +298,8 @@ const SCORE: &str = "score.json";
 /// The suite's folder. Truths and findings in it count only if they are as they were written.
 struct Suite {
     folder: Folder,
+    /// Hash of all that its files depend on.
+    fingerprint: String,
     /// Logs, as long as they are searched.
     logs: TempDir,
     /// Held, so that no other process works in the folder.
@@ -297,9 +314,9 @@ impl Suite {
             "replicates": options.replicates,
             "scans": world.drive.steps.len(), "beams": world.drive.laser.beam_count(),
         });
-        let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex();
+        let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex().to_string();
         // Looked at before it is locked: a lock is a file, and a stranger's folder gets none.
-        let open = || Folder::go_on(&options.out, "gap-bench", &fingerprint);
+        let open = || Folder::go_on(&options.out, KIND, &fingerprint);
         open()?;
         let lock = Lock::take(&options.out.join("lock"), &options.out)?;
         let folder = open()?;
@@ -307,7 +324,7 @@ impl Suite {
             folder.check(name)?;
         }
         let logs = tempfile::tempdir().map_err(BenchError::Temporary)?;
-        Ok(Self { folder, logs, _lock: lock })
+        Ok(Self { folder, fingerprint, logs, _lock: lock })
     }
 
     /// Truth and finding of a case, if both are there.
@@ -325,6 +342,59 @@ impl Suite {
             progress.warn(&format!("{} was done, but its files are damaged; it is done again", case.id));
         }
         Ok(both)
+    }
+
+    /// Scores what is done, and writes the report.
+    fn score(&self, cases: &[Case], options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
+        let scored = cases.iter().filter_map(|case| self.done(case, options.control.progress).transpose());
+        let score =
+            Score::new(scored.collect::<Result<_, _>>()?, cases.len(), options.replicates, options.seed);
+        self.folder.write(REPORT, text::report(&score).as_bytes())?;
+        self.folder.write(SCORE, serde_json::to_string_pretty(&score)?.as_bytes())?;
+        Ok(score)
+    }
+
+    /// Takes over what the shards in a folder hold.
+    fn merge(&self, cases: &[Case], folder: &Path, progress: &dyn Progress) -> Result<(), BenchError> {
+        let at = |source| BenchError::System { path: folder.to_owned(), source };
+        let mut shards = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(at)? {
+            let path = entry.map_err(at)?.path();
+            if let Some(shard) = path.file_name().and_then(|name| Shard::of_folder(name.to_str()?)) {
+                shards.push((shard, Folder::go_on(&path, KIND, &self.fingerprint)?));
+            }
+        }
+        shards.sort_by_key(|(shard, _)| *shard);
+        let mut missing = Vec::new();
+        for (number, case) in (0..).zip(cases) {
+            if self.done(case, progress)?.is_some() {
+                continue;
+            }
+            let names = [truth_file(case), found_file(case)];
+            let read = |(_, folder): &(Shard, Folder)| {
+                names.iter().map(|name| folder.read(name)).collect::<Result<Option<Vec<_>>, _>>().transpose()
+            };
+            match shards.iter().find_map(read).transpose()? {
+                Some(files) => {
+                    names.iter().zip(files).try_for_each(|(name, file)| self.folder.write(name, &file))?
+                }
+                None => missing.push(number),
+            }
+        }
+        if missing.is_empty() {
+            return Ok(());
+        }
+        let count = cases.len() as u32;
+        let of = shards.first().map_or(1, |(shard, _)| shard.of);
+        let is_asked = |shard: &Shard| missing.iter().any(|log| shard.range(count).contains(log));
+        let asked = (1..=of).map(|number| Shard { of, number }).filter(is_asked);
+        let again = asked.map(|shard| format!("{}/{of}", shard.number)).collect::<Vec<_>>().join(", ");
+        Err(BenchError::MissingLogs {
+            folder: folder.to_owned(),
+            missing: missing.len(),
+            of: cases.len(),
+            again,
+        })
     }
 
     fn save(&self, name: &str, value: &impl Serialize) -> Result<(), BenchError> {

@@ -6,6 +6,7 @@
 
 use std::fs;
 
+use predicates::str::contains;
 use serde_json::Value;
 
 use crate::{bench, output};
@@ -22,8 +23,16 @@ fn scenario() -> String {
 fn most_hidden_effects_are_named_and_nothing_else_is() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("small.yaml"), scenario()).unwrap();
-    let line = "gap small.yaml --size small --seed 3 --replicates 99 --scans 200 --out suite --json";
-    let score: Value = serde_json::from_str(&output(&bench(folder.path(), line).success())).unwrap();
+    // In two shards, as two machines would.
+    let line = |more: &str| {
+        let line =
+            format!("gap small.yaml --size small --seed 3 --replicates 99 --scans 200 --out suite {more}");
+        bench(folder.path(), &line)
+    };
+    line("--shard 1/2 --quiet").success();
+    line("--merge").code(2).stderr(contains("suite: 16 of 31 logs are missing; run with --shard 2/2"));
+    line("--shard 2/2 --quiet").success();
+    let score: Value = serde_json::from_str(&output(&line("--merge --json").success())).unwrap();
     assert_eq!(score["runs"], score["planned"]);
     for (regime, share) in score["false_alarm"].as_object().unwrap() {
         assert_eq!(share["count"], 0, "{regime}: {share}");
@@ -33,9 +42,10 @@ fn most_hidden_effects_are_named_and_nothing_else_is() {
     let other = &score["top1"]["100"]["other"];
     assert!(other["count"].as_u64().unwrap() >= 1 && other["of"] == 2, "{other}");
     assert_eq!(score["outside"]["flagged"]["count"], 1, "{}", score["outside"]);
-    // Done is done: the same command runs nothing again, and says the same.
-    let again: Value = serde_json::from_str(&output(&bench(folder.path(), line).success())).unwrap();
+    // Done is done: the same commands run nothing again, and say the same.
+    line("--shard 1/2 --quiet").success();
+    let again: Value = serde_json::from_str(&output(&line("--merge --json").success())).unwrap();
     assert_eq!(again, score);
-    let report = fs::read_to_string(folder.path().join("suite/report.md")).unwrap();
+    let report = fs::read_to_string(folder.path().join("suite/merged/report.md")).unwrap();
     assert!(report.contains("| range_bias |") && report.contains("31 of 31 logs"), "{report}");
 }

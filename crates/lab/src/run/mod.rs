@@ -14,6 +14,7 @@ mod training;
 mod trial;
 mod unreferenced;
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use locsim_core::{Clock, Control, Pose2, Progress};
@@ -110,25 +111,56 @@ pub fn check(scenario: &Scenario) -> Result<Vec<String>, LabError> {
 /// [`LabError`]; earlier results at `options.out` are then untouched, save with [`LabError::Recording`], when the new
 /// ones are complete.
 pub fn run(scenario: &Scenario, options: &RunOptions<'_>) -> Result<Outcome, LabError> {
+    run_with(scenario, options, |_| Ok(()))
+}
+
+/// Runs a scenario, as [`run`] does, without the trials that `keep` puts among the finished parts of the store, under their numbers.
+///
+/// # Errors
+/// [`LabError`], as [`run`], and those of `keep`.
+pub fn run_with<E: From<LabError> + From<StoreError>>(
+    scenario: &Scenario,
+    options: &RunOptions<'_>,
+    keep: impl FnOnce(&Store) -> Result<(), E>,
+) -> Result<Outcome, E> {
     let threads = rayon::current_num_threads();
     let cost = CostEstimate::of(scenario, threads);
     cost.check(scenario)?;
     options.control.progress.note(&format!("{}: {}", scenario.name, cost.in_words(threads)));
-    let fingerprint = scenario.content_hash()?;
+    let fingerprint = scenario.content_hash().map_err(LabError::from)?;
     let RunOptions { resume, force, .. } = *options;
     let request = Request { out: &options.out, kind: "run", fingerprint: &fingerprint, resume, force };
     let (outcome, recorded) = request.fill(|store| {
+        keep(store)?;
         let (outcome, detail) = write_results(scenario, store, options)?;
         let recorded = match (options.recorder, detail) {
             (Some(recorder), Some(detail)) => recorder(&detail, &store.folder().claim(RECORDING)?),
             _ => Ok(()),
         };
-        Ok::<_, LabError>((outcome, recorded))
+        Ok::<_, E>((outcome, recorded))
     })?;
     options.control.progress.advance(1);
     options.control.progress.finish();
     recorded.map_err(|source| LabError::Recording { out: options.out.clone(), source })?;
     Ok(outcome)
+}
+
+/// Runs a share of a scenario's trials, or takes them from `store`, which keeps them.
+///
+/// # Errors
+/// [`LabError`], as [`run`], and for a log without reference poses, whose results are a report alone.
+pub fn run_share(
+    scenario: &Scenario,
+    trials: Range<u32>,
+    store: &Store,
+    cache: Option<&Path>,
+    control: Control<'_>,
+) -> Result<Vec<Trial>, LabError> {
+    CostEstimate::of(scenario, rayon::current_num_threads()).check(scenario)?;
+    let laboratory = Laboratory::prepare(scenario, cache, control.progress)?;
+    laboratory.with_reference()?;
+    warn(&laboratory.warnings, control.progress);
+    run_trials(&laboratory, trials, Some(store), control)
 }
 
 /// Runs every trial of a scenario under every model, as [`run`] does, and writes nothing.
@@ -144,7 +176,7 @@ pub fn compute(scenario: &Scenario, cache: Option<&Path>, control: Control<'_>) 
     let laboratory = Laboratory::prepare(scenario, cache, control.progress)?;
     laboratory.with_reference()?;
     warn(&laboratory.warnings, control.progress);
-    let trials = run_trials(&laboratory, None, control)?;
+    let trials = run_trials(&laboratory, 0..scenario.trials, None, control)?;
     let results = results_of(&laboratory, trials, control.seconds_since(began));
     warn(&report::warnings(&results), control.progress);
     control.progress.finish();
@@ -198,7 +230,7 @@ fn write_results(
         let summary = RunSummary::Unreferenced(summary);
         return Ok((Outcome { summary, missed: Vec::new(), results: None }, None));
     }
-    let trials = run_trials(&laboratory, Some(store), options.control)?;
+    let trials = run_trials(&laboratory, 0..scenario.trials, Some(store), options.control)?;
     options.control.progress.stage("report and recording", 1);
     let detail = detailed_trial(&laboratory, scenario.record.trial, options.control.clock)?;
     let folder = store.folder();
@@ -237,15 +269,15 @@ pub(crate) fn out_folder(out: &Path) -> Result<PathBuf, LabError> {
     Ok(parent.join(out.file_name().unwrap_or_default()))
 }
 
-/// Runs the trials, or takes them from `store`, which keeps them.
+/// Runs these trials, or takes them from `store`, which keeps them.
 fn run_trials(
     laboratory: &Laboratory<'_>,
+    numbers: Range<u32>,
     store: Option<&Store>,
     control: Control<'_>,
 ) -> Result<Vec<Trial>, LabError> {
-    let count = laboratory.scenario.trials;
-    control.progress.stage("trials", u64::from(count));
-    let trials: Vec<Option<Trial>> = (0..count)
+    control.progress.stage("trials", numbers.len() as u64);
+    let trials: Vec<Option<Trial>> = numbers
         .into_par_iter()
         .map(|number| {
             if control.is_interrupted() {
