@@ -68,10 +68,12 @@ impl ShardSummary {
         let Some(run) = &self.run else { return format!("locsim sweep {}", file.display()) };
         let mut command = format!("locsim run {} --seed {}", file.display(), plan.seed);
         if let Some(trials) = plan.trials {
-            command += &format!(" --trials {trials}");
+            command += " --trials ";
+            command += &trials.to_string();
         }
         if let Some(models) = &run.models {
-            command += &format!(" --models {}", models.join(","));
+            command += " --models ";
+            command += &models.join(",");
         }
         command
     }
