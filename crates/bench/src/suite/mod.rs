@@ -376,7 +376,9 @@ impl Suite {
             };
             match shards.iter().find_map(read).transpose()? {
                 Some(files) => {
-                    names.iter().zip(files).try_for_each(|(name, file)| self.folder.write(name, &file))?
+                    for (name, file) in names.iter().zip(files) {
+                        self.folder.write(name, &file)?;
+                    }
                 }
                 None => missing.push(number),
             }
