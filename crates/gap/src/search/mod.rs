@@ -128,9 +128,7 @@ pub fn find(
     let mut path = state.name_effects(state.round(Vec::new(), fitted.nuisances, options.replicates)?)?;
     state.delete(&mut path)?;
     state.simplify(&mut path)?;
-    if !path.named.is_empty() {
-        state.make_precise(&mut path.named, &path.rounds[path.rounds.len() - 1])?;
-    }
+    state.make_sure(&mut path)?;
     // Deeper blocks also stand in the way of more beams.
     let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);
     let nameless = state.nameless(path.last())?;

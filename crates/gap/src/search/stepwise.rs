@@ -145,6 +145,28 @@ impl<'a> State<'a> {
         Ok(())
     }
 
+    /// Makes the numbers of the named effects precise, and drops later ones whose strength has an interval that holds its neutral
+    /// value: a further name is one more chance to be wrong, and what an earlier one leaves is often its form.
+    pub fn make_sure(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        if path.named.is_empty() {
+            return Ok(());
+        }
+        self.make_precise(&mut path.named, &path.rounds[path.rounds.len() - 1])?;
+        let count = path.named.len();
+        let mut index = 0;
+        path.named.retain(|named| {
+            index += 1;
+            index == 1 || is_there(named)
+        });
+        if path.named.len() < count {
+            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
+            path.remaining = most_gaining(&self.candidates_of(&next)?);
+            path.rounds.push(next);
+            self.make_precise(&mut path.named, &path.rounds[path.rounds.len() - 1])?;
+        }
+        Ok(())
+    }
+
     /// Fits the effects that a round's statistics point to: where nothing is off any more, the few that may still gain.
     fn candidates_of(&self, round: &Round<'a>) -> Result<Vec<Candidate>, GapError> {
         if round.null.p <= self.options.false_alarm {
@@ -217,10 +239,20 @@ impl<'a> State<'a> {
     }
 }
 
+/// Whether a strength of an effect surely isn't its neutral value; an effect without numbers or strengths is there.
+fn is_there(named: &Named) -> bool {
+    let strengths = named.name.parameters().iter().filter(|parameter| parameter.is_strength());
+    let mut intervals = strengths
+        .filter_map(|parameter| Some((parameter, named.params.get(parameter.name)?.estimate.interval)))
+        .peekable();
+    intervals.peek().is_none() || intervals.any(|(parameter, interval)| !interval.contains(parameter.neutral))
+}
+
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use locsim_core::Estimate;
     use locsim_world::effect::EffectKind;
 
     use super::*;
@@ -228,6 +260,7 @@ mod tests {
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
     use crate::hypothesis::{Comparison, Nuisances};
+    use crate::outcome::Number;
     use crate::replay::fit_persistence;
     use crate::search::GapOptions;
 
@@ -283,5 +316,52 @@ mod tests {
         state.simplify(&mut without).unwrap();
         assert_eq!(names(&without), wrong);
         assert!(without.note.is_none());
+    }
+
+    /// A yaw is hidden. A bias of nothing beside it is dropped; the first name stays, however weak.
+    #[test]
+    fn a_further_name_has_to_be_surely_there() {
+        let yaw = Effect::new(EffectKind::MountYaw, vec![0.02], Vec::new()).unwrap();
+        let drive = record_library(&NOMINAL, &TRUTH, &[yaw], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 100, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 39, seed: 5, ..GapOptions::default() };
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let blocks = fit_persistence(&comparison, &fitted, options.seed).unwrap();
+        let stop = AtomicBool::new(false);
+        let (nominal, recorded) = (&NOMINAL, &recorded);
+        let state =
+            State { nominal, recorded, comparison, options: &options, progress: &(), stop: &stop, blocks };
+        let first = state.round(Vec::new(), fitted.nuisances, options.replicates).unwrap();
+        let fits = state.candidates(&first, options.fitted_kinds, FAR_OFF).unwrap();
+        let at = fits.iter().position(|fit| fit.kind() == EffectKind::MountYaw).unwrap();
+        let yaw = name(&fits, at, 0.01, recorded.scans());
+        let mut weak = yaw.clone();
+        weak.name = EffectKind::HeavyTail;
+        weak.effect = Effect::new(EffectKind::HeavyTail, vec![1e-5], Vec::new()).unwrap();
+        let estimate = Estimate::around(1e-5, 1e-3).map(|p| p.max(0.0));
+        weak.params = [("p", Number { estimate, unit: "1" })].into();
+        assert!(is_there(&yaw) && !is_there(&weak));
+        for (named, kept) in [
+            (vec![yaw.clone(), weak.clone()], vec![EffectKind::MountYaw]),
+            (vec![weak, yaw], vec![EffectKind::HeavyTail, EffectKind::MountYaw]),
+        ] {
+            let effects = named.iter().map(|named| named.effect.clone()).collect();
+            let round = || state.round(Vec::new(), fitted.nuisances, options.replicates).unwrap();
+            let last = state.round(effects, fitted.nuisances, options.replicates).unwrap();
+            let mut path = Path {
+                rounds: vec![round(), last],
+                named,
+                first_fits: fits.clone(),
+                first_choice: at,
+                rivals: Vec::new(),
+                gains: Vec::new(),
+                remaining: None,
+                note: None,
+            };
+            state.make_sure(&mut path).unwrap();
+            assert_eq!(path.named.iter().map(|named| named.name).collect::<Vec<_>>(), kept);
+            assert_eq!(path.last().effects.len(), kept.len());
+        }
     }
 }
