@@ -8,8 +8,8 @@ pub mod mutate;
 mod targets;
 
 pub use targets::{
-    carmen, csv, db3, map_image, mcap, model, range_table, resume, seeds, study, tum, vector_map, workload,
-    yaml,
+    beesoft_map, carmen, csv, db3, map_image, mcap, model, range_table, resume, seeds, study, tum,
+    vector_map, workload, yaml,
 };
 
 /// What a reader says of an input: nothing if it accepts it, or why not.
@@ -40,12 +40,13 @@ pub struct Target {
 }
 
 /// Every kind of input.
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 14] = [
     Target { name: "yaml", run: yaml, form: Form::Yaml, words: mutate::SCENARIO_WORDS },
     Target { name: "study", run: study, form: Form::Yaml, words: mutate::STUDY_WORDS },
     Target { name: "vector_map", run: vector_map, form: Form::Yaml, words: mutate::MAP_WORDS },
     Target { name: "map_image", run: map_image, form: Form::Binary, words: mutate::IMAGE_WORDS },
     Target { name: "carmen", run: carmen, form: Form::Text, words: mutate::CARMEN_WORDS },
+    Target { name: "beesoft_map", run: beesoft_map, form: Form::Text, words: mutate::BEESOFT_WORDS },
     Target { name: "mcap", run: mcap, form: Form::Binary, words: mutate::BAG_WORDS },
     Target { name: "db3", run: db3, form: Form::Binary, words: mutate::BAG_WORDS },
     Target { name: "tum", run: tum, form: Form::Text, words: mutate::TABLE_WORDS },

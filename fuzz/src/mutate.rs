@@ -150,6 +150,20 @@ pub const CARMEN_WORDS: &[&str] = &[
     " nohost ",
     "FLASER 4294967295 ",
     "FLASER 1000000000 1 1",
+    "L 0 0 0 25 0 0 66 1",
+    "O 0 0 0 1",
+];
+/// Words of `BeeSoft`'s maps.
+pub const BEESOFT_WORDS: &[&str] = &[
+    "robot_specifications->",
+    "robot_specifications->resolution ",
+    "robot_specifications->global_mapsize_x ",
+    "global_map[0]:",
+    "global_map[0]: 4294967295 4294967295",
+    "global_map[0]: 100000 100000",
+    "-1.000",
+    "1.000",
+    "\n",
 ];
 /// Words of bags.
 pub const BAG_WORDS: &[&str] = &[

@@ -15,6 +15,7 @@ use std::time::Duration;
 use locsim_bench::speed::Workload;
 use locsim_core::{Control, Draw, Hits, Particles, Pose2, Progress, RangeMap, SensorModel, Stage};
 use locsim_dataset::{LogOptions, read_log, read_tum};
+use locsim_lab::convert::convert_map;
 use locsim_lab::run::{self, LogMaps, RunOptions};
 use locsim_scenario::{Overrides, Scenario, load_map};
 use locsim_sensor::{FittedModel, ModelKind};
@@ -153,6 +154,14 @@ fn cast(map: &dyn RangeMap, poses: &Particles) {
 /// Why it is refused.
 pub fn carmen(data: &[u8]) -> Outcome {
     use_log(&written("input.log", data))
+}
+
+/// A map of BeeSoft, plain or compressed.
+///
+/// # Errors
+/// Why it is refused.
+pub fn beesoft_map(data: &[u8]) -> Outcome {
+    convert_map(&written("input.dat", data)).map(drop).map_err(refused)
 }
 
 /// A ROS 2 bag in an MCAP file.

@@ -1,7 +1,7 @@
-//! Logs with mutations that keep them plausible: numbers replaced by extremes, fields and records left out or repeated,
+//! Logs and maps with mutations that keep them plausible: numbers replaced by extremes, fields and records left out or repeated,
 //! wrong lengths under correct check sums. For every mutation a reader returns a sound drive or an error.
 //!
-//! `LOCSIM_MUTATIONS` sets the number of logs of each format; log i is the same in every run.
+//! `LOCSIM_MUTATIONS` sets the number of files of each format; file i is the same in every run.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ use locsim_core::{Drive, DriveStep, Laser, Pose2, Scan};
 
 use crate::log::read;
 use crate::ros::tests::{packed, plain, records_of};
-use crate::{DatasetError, LogOptions, encode_log};
+use crate::{BeesoftMap, DatasetError, LogOptions, encode_log, read_beesoft_map};
 
 /// Small limits, so that mutations reach them.
 const LIMITS: Limits =
@@ -129,6 +129,40 @@ fn carmen(numbers: &mut Numbers) -> Vec<u8> {
         });
         text = lines.collect();
     }
+    if numbers.below(4) == 0 {
+        text = centimetre_lines(numbers);
+    }
+    changed_lines(&text, numbers)
+}
+
+/// A log of L and O lines.
+fn centimetre_lines(numbers: &mut Numbers) -> String {
+    let beams = 1 + numbers.below(6);
+    let step = |i: usize| {
+        let t = i as f64 * 0.5;
+        let ranges: String = (0..beams).map(|k| format!("{} ", 60 + (7 * k + 3 * i) % 700)).collect();
+        format!("O {i} {t} 0.{i} {t}\nL {i} {t} 0.{i} {} {t} 0.{i} {ranges}{t}\n", i + 25)
+    };
+    (0..3 + numbers.below(20)).map(step).collect()
+}
+
+/// A map of `BeeSoft`.
+fn beesoft_map(numbers: &mut Numbers) -> Vec<u8> {
+    let [width, height] = [1 + numbers.below(6), 1 + numbers.below(6)];
+    let mut text = format!(
+        "robot_specifications->global_mapsize_x {}\nrobot_specifications->resolution 10\n\nglobal_map[0]: {height} {width}\n",
+        10 * width
+    );
+    for _ in 0..width {
+        let cells: Vec<&str> =
+            (0..height).map(|_| *numbers.of(&["-1.0", "0.000", "0.25", "1.000"])).collect();
+        text += &(cells.join(" ") + "\n");
+    }
+    changed_lines(&text, numbers)
+}
+
+/// A text with some of its lines and fields changed.
+fn changed_lines(text: &str, numbers: &mut Numbers) -> Vec<u8> {
     let mut lines: Vec<Vec<String>> =
         text.lines().map(|line| line.split(' ').map(str::to_owned).collect()).collect();
     for _ in 0..=numbers.below(4) {
@@ -227,13 +261,17 @@ fn mcap(numbers: &mut Numbers) -> Vec<u8> {
     bytes
 }
 
+fn is_short(error: &DatasetError, of: &str) {
+    let message = error.to_string();
+    assert!(message.len() < 2000 && !message.contains(char::is_control), "{of}: {message:?}");
+}
+
 /// The promise of every reader for every log.
 fn check(result: Result<Drive, DatasetError>, log: &str) {
     let drive = match result {
         Ok(drive) => drive,
         Err(error) => {
-            let message = error.to_string();
-            assert!(message.len() < 2000 && !message.contains(char::is_control), "{log}: {message:?}");
+            is_short(&error, log);
             return;
         }
     };
@@ -253,8 +291,12 @@ fn check(result: Result<Drive, DatasetError>, log: &str) {
     }
 }
 
+fn number_of_files() -> u64 {
+    std::env::var("LOCSIM_MUTATIONS").map_or(3000, |count| count.parse().unwrap())
+}
+
 fn all_end_well(name: &str, log: fn(&mut Numbers) -> Vec<u8>) {
-    let count = std::env::var("LOCSIM_MUTATIONS").map_or(3000, |count| count.parse().unwrap());
+    let count = number_of_files();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
     let mut read_well = 0;
@@ -266,6 +308,27 @@ fn all_end_well(name: &str, log: fn(&mut Numbers) -> Vec<u8>) {
     }
     println!("{name}: {read_well} of {count} are read");
     // Mutations that always give an error test little.
+    assert!(10 * read_well > count && 10 * read_well < 9 * count, "{read_well} of {count}");
+}
+
+#[test]
+fn changed_maps_end_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("changed.dat");
+    let (count, mut read_well) = (number_of_files(), 0);
+    for i in 0..count {
+        fs::write(&path, beesoft_map(&mut Numbers(i))).unwrap();
+        match read_beesoft_map(&path) {
+            Ok(BeesoftMap { width, height, resolution_m, free }) => {
+                read_well += 1;
+                assert!(width > 0 && height > 0 && free.len() == width * height, "map {i}");
+                assert!((1e-4..=1e3).contains(&resolution_m), "map {i}: {resolution_m}");
+                let sound = |free: &Option<f32>| free.is_none_or(|free| (0.0..=1.0).contains(&free));
+                assert!(free.iter().all(sound), "map {i}");
+            }
+            Err(error) => is_short(&error, &format!("map {i}")),
+        }
+    }
     assert!(10 * read_well > count && 10 * read_well < 9 * count, "{read_well} of {count}");
 }
 
