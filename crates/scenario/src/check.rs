@@ -218,9 +218,11 @@ impl<'a> Checker<'a> {
         });
     }
 
-    /// A path with its variables replaced, relative to the file that names it.
+    /// A path with its variables replaced, relative to the file that names it; to the current folder where it begins with a
+    /// variable, as whoever sets that means it.
     fn path(&mut self, key: &str, text: &str) -> Option<PathBuf> {
         match expand(text, self.environment) {
+            Ok(expanded) if text.starts_with("${") => Some(PathBuf::from(expanded)),
             Ok(expanded) => Some(self.file.parent().unwrap_or(Path::new("")).join(&expanded)),
             Err(message) => {
                 self.problem(key, format!("`{}` is not allowed; {message}", quoted(text)));

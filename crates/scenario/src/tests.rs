@@ -22,7 +22,7 @@ use crate::testing::{assert_told, hostile_texts};
 const FIXTURES: &str = "src/fixtures";
 
 fn environment(name: &str) -> Option<String> {
-    (name == "LOGS").then(|| ".".to_owned())
+    (name == "LOGS").then(|| format!("{FIXTURES}/."))
 }
 
 pub(super) fn text(fixture: &str) -> String {
