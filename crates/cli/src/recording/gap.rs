@@ -19,6 +19,9 @@ const SHORT: [u8; 3] = [0xff, 0x4d, 0x4d];
 const EXPECTED: [u8; 3] = [0x6a, 0x6a, 0x6a];
 const LONG: [u8; 3] = [0x4d, 0xa6, 0xff];
 
+/// The nominal scenario and the one with the named effects, apart from the colours of readings.
+const SERIES: [[u8; 3]; 2] = [[0xc8, 0xc8, 0xc8], [0xff, 0xc4, 0x3d]];
+
 /// A PIT outside of this is improbable: two readings in a hundred lie there if the simulation is right.
 const CENTRAL: std::ops::Range<f32> = 0.01..0.99;
 
@@ -70,7 +73,7 @@ fn layout(walls: &[[[f64; 2]; 2]]) -> Blueprint {
     let maps = Grid::new(maps).with_grid_columns(if wide { 1 } else { 2 });
     let beneath = Horizontal::new([
         TimeSeriesView::new("Share of improbable readings (0.02 expected)").with_origin("/improbable").into(),
-        TextDocumentView::new("What was found").with_origin("/legend").into(),
+        TextDocumentView::new("Colours, and what was found").with_origin("/legend").into(),
     ]);
     Blueprint::new(Vertical::new([maps.into(), beneath.into()]).with_row_shares([2.2, 1.0]))
         .with_blueprint_panel(BlueprintPanel::from_state(PanelState::Collapsed))
@@ -95,7 +98,7 @@ fn log_static(
             .with_colors([color(WALL)])
             .with_radii([rerun::Radius::new_ui_points(1.0)]),
     )?;
-    for (side, ((name, _), rgb)) in SIDES.iter().zip([SHORT, LONG]).enumerate() {
+    for (side, ((name, _), rgb)) in SIDES.iter().zip(SERIES).enumerate() {
         stream.log_static(format!("world/{name}/all"), &scans.all(side))?;
         let line = rerun::SeriesLines::new().with_colors([color(rgb)]).with_names([*name]).with_widths([1.5]);
         stream.log_static(format!("improbable/{name}"), &line)?;
@@ -104,10 +107,10 @@ fn log_static(
     stream.log_static(
         "legend",
         &rerun::TextDocument::from_markdown(format!(
-            "{found}\n\n\
-             - white: reference path and pose\n\
+            "- red: shorter than the simulation expected, grey: as expected, blue: longer, or lost (PIT from 0 to 1)\n\
              - points: where the readings of the whole drive end, or should have ended; rays: the scan of this moment\n\
-             - red: shorter than the simulation expected, grey: as expected, blue: longer, or lost (PIT from 0 to 1)\n"
+             - white: reference path and pose\n\n\
+             {found}\n"
         )),
     )
 }

@@ -250,7 +250,7 @@ impl Laser {
             beams: laser.beams - usize::from(is_double),
             beams_comment: if is_double { " # the log's last beam points where its first does" } else { "" },
             field_of_view_deg: if is_full { 360.0 } else { rounded(all.max(1e-3), 7) },
-            first_beam_deg: rounded(first, 7),
+            first_beam_deg: if first.abs() < ROUNDING_DEG { 0.0 } else { rounded(first, 7) },
             direction,
             scan_secs: laser.sweep_secs.clamp(0.0, 0.999 * period),
         }
