@@ -140,8 +140,9 @@ fn centimetre_lines(numbers: &mut Numbers) -> String {
     let beams = 1 + numbers.below(6);
     let step = |i: usize| {
         let t = i as f64 * 0.5;
-        let ranges: String = (0..beams).map(|k| format!("{} ", 60 + (7 * k + 3 * i) % 700)).collect();
-        format!("O {i} {t} 0.{i} {t}\nL {i} {t} 0.{i} {} {t} 0.{i} {ranges}{t}\n", i + 25)
+        let ranges: Vec<String> = (0..beams).map(|k| (60 + (7 * k + 3 * i) % 700).to_string()).collect();
+        let ranges = ranges.join(" ");
+        format!("O {i} {t} 0.{i} {t}\nL {i} {t} 0.{i} {} {t} 0.{i} {ranges} {t}\n", i + 25)
     };
     (0..3 + numbers.below(20)).map(step).collect()
 }
