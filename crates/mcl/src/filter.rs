@@ -141,10 +141,10 @@ pub struct Filter {
     seeds: Seeds,
     step: u32,
     phase: Phase,
-    particles: Particles,
-    weights: Weights,
+    particles: Arc<Particles>,
+    weights: Arc<Weights>,
     /// The resampled set, valid if `pending`.
-    next: Particles,
+    next: Arc<Particles>,
     ancestors: Vec<u32>,
     /// Whether the last decision was to resample.
     resampled: bool,
@@ -154,7 +154,7 @@ pub struct Filter {
     descended: bool,
     /// Share of random particles in the next set, by the last update.
     random_share: f64,
-    log_likelihood: Vec<f64>,
+    log_likelihood: Arc<Vec<f64>>,
     weigher: Weigher,
     /// Number of particles, the greatest where it varies.
     count: usize,
@@ -235,15 +235,15 @@ impl Filter {
             seeds: Seeds::new(seed),
             step: 0,
             phase: Phase::Begun,
-            particles: start.particles(first, map, seed)?,
-            weights: Weights::uniform(first),
-            next: Particles::default(),
+            particles: Arc::new(start.particles(first, map, seed)?),
+            weights: Arc::new(Weights::uniform(first)),
+            next: Arc::default(),
             ancestors: Vec::new(),
             resampled: false,
             pending: false,
             descended: false,
             random_share: 0.0,
-            log_likelihood: Vec::new(),
+            log_likelihood: Arc::default(),
             weigher: Weigher::default(),
             kld,
             cumulative: Vec::new(),
@@ -307,7 +307,7 @@ impl Filter {
         self.phase = Phase::Predicted;
         self.take_next();
         let draw = Draw::new(self.seeds.filter, Stage::Motion, self.step);
-        self.options.motion.propagate(odometry, &draw, &mut self.particles);
+        self.options.motion.propagate(odometry, &draw, Arc::make_mut(&mut self.particles));
         Ok(())
     }
 
@@ -325,28 +325,22 @@ impl Filter {
         let step = self.step;
         check_scan(step, laser, scan)?;
         self.take_next();
-        self.log_likelihood.resize(self.particles.len(), 0.0);
-        self.weigher.log_likelihoods(
-            self.particles.as_poses(),
-            laser,
-            scan,
-            map,
-            model,
-            &mut self.log_likelihood,
-        );
+        let log_likelihood = overwritten(&mut self.log_likelihood);
+        log_likelihood.resize(self.particles.len(), 0.0);
+        self.weigher.log_likelihoods(self.particles.as_poses(), laser, scan, map, model, log_likelihood);
         let annealing = self.annealer.as_mut().filter(|annealer| annealer.is_due());
         let annealed = annealing.is_some();
         let weighed = match annealing {
-            None => self.weights.update(&self.log_likelihood),
+            None => Arc::make_mut(&mut self.weights).update(log_likelihood),
             Some(annealer) => {
                 // A varying number of particles is chosen when the step resamples.
                 let count =
                     if self.kld.is_some() { self.particles.len().min(self.count) } else { self.count };
                 let weigher = &mut self.weigher;
                 let set = Set {
-                    particles: &mut self.particles,
-                    weights: &mut self.weights,
-                    log_likelihood: &mut self.log_likelihood,
+                    particles: Arc::make_mut(&mut self.particles),
+                    weights: Arc::make_mut(&mut self.weights),
+                    log_likelihood,
                 };
                 annealer.weigh(set, count, map, self.seeds.filter, |poses, out| {
                     weigher.log_likelihoods(poses, laser, scan, map, model, out);
@@ -356,7 +350,7 @@ impl Filter {
         let (log_evidence, recovered) = match weighed {
             Ok(log_evidence) => (log_evidence, None),
             Err(WeightError::AllZero) => {
-                self.weights.reset(self.particles.len());
+                self.equal_weights();
                 (f64::NEG_INFINITY, Some(Recovery::WeightsReset))
             }
             Err(WeightError::NotANumber { particle }) => {
@@ -421,24 +415,35 @@ impl Filter {
     fn take_next(&mut self) {
         if std::mem::take(&mut self.pending) {
             std::mem::swap(&mut self.particles, &mut self.next);
-            self.weights.reset(self.particles.len());
+            self.equal_weights();
             self.descended = true;
+        }
+    }
+
+    fn equal_weights(&mut self) {
+        let count = self.particles.len();
+        match Arc::get_mut(&mut self.weights) {
+            Some(weights) => weights.reset(count),
+            None => self.weights = Arc::new(Weights::uniform(count)),
         }
     }
 
     /// The particles: those that were last weighted, moved or resampled, or the start set before the first step. What a step
     /// resamples takes their place when the next step begins.
-    pub fn particles(&self) -> &Particles {
+    ///
+    /// A clone of the `Arc` keeps them as they are, without a copy; the filter then goes on in other memory. The same holds for
+    /// [`Filter::weights`] and [`Filter::log_likelihood`].
+    pub fn particles(&self) -> &Arc<Particles> {
         &self.particles
     }
 
     /// The particles' weights at the last step, before its resampling.
-    pub fn weights(&self) -> &Weights {
+    pub fn weights(&self) -> &Arc<Weights> {
         &self.weights
     }
 
     /// Log likelihood of the last scan for each particle (nats); empty before the first step.
-    pub fn log_likelihood(&self) -> &[f64] {
+    pub fn log_likelihood(&self) -> &Arc<Vec<f64>> {
         &self.log_likelihood
     }
 
@@ -490,14 +495,15 @@ impl Filter {
         );
         // Random particles are appended; without room for them the first one would double the set's memory.
         self.ancestors.reserve_exact(injected);
-        self.next.reserve(count);
-        self.next.gather(&self.particles, &self.ancestors);
+        let next = overwritten(&mut self.next);
+        next.reserve(count);
+        next.gather(&self.particles, &self.ancestors);
         if let Some(spread) = self.options.regularization {
             let draw = Draw::new(self.seeds.jitter, Stage::Resample, self.step);
-            spread.add_to(&mut self.next, &draw);
+            spread.add_to(next, &draw);
         }
         for i in 0..injected {
-            self.next.push(free_pose(map, &mut injection.item(i as u32))?);
+            next.push(free_pose(map, &mut injection.item(i as u32))?);
             self.ancestors.push(NO_PARENT);
         }
         Ok(injected)
@@ -523,6 +529,14 @@ impl Filter {
             Ok(self.particles.get(cumulative.partition_point(|&c| c <= u).min(last)))
         })
     }
+}
+
+/// Memory whose values don't matter any more: other memory, empty, where someone else keeps these.
+fn overwritten<T: Clone + Default>(shared: &mut Arc<T>) -> &mut T {
+    if Arc::get_mut(shared).is_none() {
+        *shared = Arc::default();
+    }
+    Arc::make_mut(shared)
 }
 
 /// A scan has a reading for each beam.

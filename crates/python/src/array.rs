@@ -1,11 +1,14 @@
-//! numpy arrays in and out, and Python values as JSON. An array is copied once each way: the crates reuse their buffers, so that a
-//! view of them would change under the user's hands.
+//! numpy arrays in and out, and Python values as JSON. An array is copied once each way, but for views of memory that the crates
+//! share and don't write to meanwhile.
+
+use std::any::Any;
+use std::sync::Arc;
 
 use bytemuck::Pod;
 use locsim_core::{Particles, Pose2};
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::prelude::*;
-use pyo3::types::PyByteArray;
+use pyo3::types::{PyByteArray, PyDict};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -88,6 +91,47 @@ pub fn numpy<'py, T: Number>(py: Python<'py>, values: &[T], shape: &[usize]) -> 
     let bytes = PyByteArray::new(py, bytemuck::cast_slice(values));
     let array = py.import("numpy")?.call_method1("frombuffer", (bytes, T::DTYPE))?;
     array.call_method1("reshape", (shape,))
+}
+
+/// Memory that numpy reads: its values stay where and as they are while this is held, which the array does.
+#[pyclass(frozen, module = "locsim")]
+struct View {
+    _owner: Arc<dyn Any + Send + Sync>,
+    address: usize,
+    length: usize,
+    kind: String,
+}
+
+#[pymethods]
+impl View {
+    /// numpy's array interface, version 3; `True` for memory that isn't to be written to.
+    #[getter]
+    fn __array_interface__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let interface = PyDict::new(py);
+        interface.set_item("version", 3)?;
+        interface.set_item("shape", (self.length,))?;
+        interface.set_item("typestr", &self.kind)?;
+        interface.set_item("data", (self.address, true))?;
+        Ok(interface)
+    }
+}
+
+/// A read-only numpy array \[n\] in the memory of `owner`, without a copy. The array keeps the owner. No one writes to what an [`Arc`]
+/// shares, so that the values stay.
+pub fn view<'py, O: Any + Send + Sync, T: Number>(
+    py: Python<'py>,
+    owner: &Arc<O>,
+    values: fn(&O) -> &[T],
+) -> PyResult<Bound<'py, PyAny>> {
+    let values = values(owner);
+    let order = if cfg!(target_endian = "big") { '>' } else { '<' };
+    let view = View {
+        _owner: Arc::<O>::clone(owner),
+        address: values.as_ptr().expose_provenance(),
+        length: values.len(),
+        kind: format!("{order}{}", T::DTYPE),
+    };
+    py.import("numpy")?.call_method1("asarray", (view,))
 }
 
 /// A numpy array of booleans.

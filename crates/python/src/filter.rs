@@ -1,6 +1,8 @@
 use std::sync::Arc;
 
-use locsim_core::{DependsOn, Laser, LikelihoodGrid, Pose2, Scan, SensorModel as Density};
+use locsim_core::{
+    DependsOn, Laser, LikelihoodGrid, Particles as Set, Pose2, Scan, SensorModel as Density, Weights,
+};
 use locsim_dataset::OdometryError;
 use locsim_lab::run::MapSet;
 use locsim_mcl::{
@@ -10,7 +12,7 @@ use locsim_mcl::{
 use locsim_sensor::{Prepared, Tempered};
 use pyo3::prelude::*;
 
-use crate::array::{Array, numpy, pose_array, poses};
+use crate::array::{Array, numpy, pose_array, poses, view};
 use crate::error::{Error, refused};
 use crate::map::Map;
 use crate::sensor::SensorModel;
@@ -24,6 +26,9 @@ const START_SIGMA: (f64, f64) = (0.2, 0.1);
 
 /// A particle filter that localizes a robot in a map (Probabilistic Robotics, table 8.2). All its random numbers derive from the
 /// seed; the number of threads changes no bit.
+///
+/// `x`, `y`, `theta`, `weights` and `log_likelihood` are read-only views of the filter's own memory, without a copy. A view keeps the
+/// values of its moment: after the next step ask for a new one. While a view is held, the filter goes on in other memory.
 ///
 /// Args:
 ///     map: The map.
@@ -277,24 +282,42 @@ impl Filter {
         Estimate { mean: estimates.weighted_mean, max_weight: estimates.max_weight }
     }
 
-    /// The particles (x, y, theta), float64 [particles, 3]. An array of your own: the filter goes on without touching it.
+    /// x of the particles [m], float64 [particles]. A read-only view, which keeps these values when the filter goes on.
+    #[getter]
+    fn x<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        view(py, self.filter.particles(), |set: &Set| &set.x)
+    }
+
+    /// y of the particles [m], float64 [particles]. A read-only view, which keeps these values when the filter goes on.
+    #[getter]
+    fn y<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        view(py, self.filter.particles(), |set: &Set| &set.y)
+    }
+
+    /// Headings of the particles [rad], in (-pi, pi], float64 [particles]. A read-only view, which keeps these values when the filter
+    /// goes on.
+    #[getter]
+    fn theta<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        view(py, self.filter.particles(), |set: &Set| &set.theta)
+    }
+
+    /// The particles (x, y, theta), float64 [particles, 3]. A copy that is yours to write to; `x`, `y` and `theta` come without one.
     #[getter]
     fn particles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         pose_array(py, self.filter.particles().iter())
     }
 
-    /// Weights that sum to 1, float64 [particles].
+    /// Weights that sum to 1, float64 [particles]. A read-only view, which keeps these values when the filter goes on.
     #[getter]
     fn weights<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let weights = self.filter.weights().linear();
-        numpy(py, weights, &[weights.len()])
+        view(py, self.filter.weights(), Weights::linear)
     }
 
-    /// Log likelihood of the last scan for each particle [nats], float64 [particles]; empty before the first.
+    /// Log likelihood of the last scan for each particle [nats], float64 [particles]; empty before the first. A read-only view, which
+    /// keeps these values when the filter goes on.
     #[getter]
     fn log_likelihood<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let values = self.filter.log_likelihood();
-        numpy(py, values, &[values.len()])
+        view(py, self.filter.log_likelihood(), |values: &Vec<f64>| values)
     }
 
     /// 1 / sum of the squared weights.

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,104 @@ def test_particles_are_the_users_own(room: locsim.Map, world) -> None:
     assert pf.resample()
     np.testing.assert_allclose(pf.weights, 1 / 300)
     assert not pf.resample(below=0.9)
+
+
+#: The arrays of a filter that are views of its memory.
+VIEWS = ["x", "y", "theta", "weights", "log_likelihood"]
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_a_view_is_the_filters_memory(name: str, room: locsim.Map, world) -> None:
+    log, model = world
+    pf = locsim.Filter(room, model, log.bearings, particles=300, seed=4)
+    pf.update(log.ranges[0])
+    view = getattr(pf, name)
+    assert (view.shape, view.dtype, view.flags.owndata) == ((300,), np.float64, False)
+    assert np.shares_memory(view, getattr(pf, name))
+    assert not np.shares_memory(view, pf.particles)
+    assert not view.flags.writeable
+    with pytest.raises(ValueError, match="read-only"):
+        view[0] = 1.0
+    with pytest.raises(ValueError, match="WRITEABLE"):
+        view.flags.writeable = True
+
+
+def test_views_are_the_particles(room: locsim.Map, world) -> None:
+    log, model = world
+    pf = locsim.Filter(room, model, log.bearings, particles=300, seed=4)
+    assert pf.log_likelihood.shape == (0,)
+    pf.update(log.ranges[0])
+    np.testing.assert_array_equal(np.stack([pf.x, pf.y, pf.theta], axis=1), pf.particles)
+    weights = np.exp(pf.log_likelihood - pf.log_likelihood.max())
+    np.testing.assert_allclose(pf.weights, weights / weights.sum(), rtol=1e-9, atol=1e-15)
+
+
+#: Steps of a filter, each with the views that it gives other values.
+STEPS: dict[str, tuple[Any, list[str]]] = {
+    "predict": (lambda pf, log: pf.predict([0.1, 0.02, 0.2]), ["x", "y", "theta"]),
+    "update": (lambda pf, log: pf.update(log.ranges[1]), ["weights", "log_likelihood"]),
+    "resample": (lambda pf, log: pf.resample(), ["x", "y", "theta", "weights"]),
+    "annealed update": (lambda pf, log: pf.update(log.ranges[0]), VIEWS),
+}
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_a_view_keeps_its_values_when_the_filter_goes_on(name: str, room: locsim.Map, world) -> None:
+    log, model = world
+    step, changed = STEPS[name]
+    annealing = locsim.Annealing(candidates=400, moves=2) if name == "annealed update" else None
+    pf = locsim.Filter(room, model, log.bearings, particles=300, annealing=annealing, seed=4)
+    if annealing is None:
+        pf.update(log.ranges[0])
+    views = {view: getattr(pf, view) for view in VIEWS}
+    kept = {view: values.copy() for view, values in views.items()}
+    step(pf, log)
+    for view, values in views.items():
+        np.testing.assert_array_equal(values, kept[view])
+        now = getattr(pf, view)
+        assert np.array_equal(now, kept[view]) != (view in changed), view
+        assert np.shares_memory(now, values) != (view in changed), view
+
+
+def test_views_change_no_bit_of_what_follows(room: locsim.Map, world) -> None:
+    log, model = world
+
+    def drive(*, hold: bool) -> np.ndarray:
+        options: dict[str, Any] = {
+            "particles": locsim.KldSampling(60, 300, bin_m=0.1),
+            "injection": (0.05, 0.5),
+            "regularization": (0.01, 0.01),
+        }
+        pf = locsim.Filter(room, model, log.bearings, start=log.poses[0], seed=1, **options)
+        held = []
+        for increment, ranges in zip(log.increments, log.ranges, strict=True):
+            for step in [lambda: pf.predict(increment), lambda: pf.update(ranges), lambda: pf.resample(below=0.9)]:
+                step()
+                views = [getattr(pf, view) for view in VIEWS]
+                held.append((views, [view.copy() for view in views]) if hold else None)
+        for views, copies in filter(None, held):
+            for view, copy in zip(views, copies, strict=True):
+                np.testing.assert_array_equal(view, copy)
+        return np.concatenate([pf.particles.ravel(), pf.weights, pf.log_likelihood])
+
+    np.testing.assert_array_equal(drive(hold=True), drive(hold=False))
+
+
+def test_a_view_outlives_its_filter(room: locsim.Map, world) -> None:
+    log, model = world
+    pf = locsim.Filter(room, model, log.bearings, particles=100_000, seed=4)
+    pf.update(log.ranges[0])
+    views = [getattr(pf, view) for view in VIEWS]
+    part = pf.x[10:20]
+    kept = [view.copy() for view in views]
+    del pf
+    gc.collect()
+    # Memory that had been freed would be taken for these.
+    others = [np.full(100_000, -1.0) for _ in range(20)]
+    for view, values in zip(views, kept, strict=True):
+        np.testing.assert_array_equal(view, values)
+    np.testing.assert_array_equal(part, kept[0][10:20])
+    assert all((other == -1.0).all() for other in others)
 
 
 def test_the_same_seed_gives_the_same_particles(room: locsim.Map, world) -> None:

@@ -1,8 +1,9 @@
 //! The promises of a filter, step by step.
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
-use locsim_core::{Beams, Draw, Laser, Pose2, Scan, SensorModel, wrap_angle};
+use locsim_core::{Beams, Draw, Laser, Particles, Pose2, Scan, SensorModel, wrap_angle};
 use locsim_mcl::{
     Filter, FilterError, FilterOptions, InjectionOptions, KldOptions, NO_PARENT, ParticleCount, PoseBins,
     Recovery, ResampleTrigger, Spread, Start, StepInput, StepOutcome, weighted_mean,
@@ -204,6 +205,31 @@ fn weights_accumulate_until_resampling() {
         let (once, twice) = (once[i] - once[0], twice[i] - twice[0]);
         assert!((twice - 2.0 * once).abs() < 1e-9, "{twice}, {once}");
     }
+}
+
+/// What a caller keeps stays as it was, and changes nothing of what follows; without such a caller no memory is given up.
+#[test]
+fn kept_particles_stay_and_change_nothing() {
+    let options = || FilterOptions {
+        injection: Some(InjectionOptions { alpha_slow: 0.1, alpha_fast: 0.9 }),
+        regularization: Some(Spread { sigma_m: 0.01, sigma_rad: 0.01 }),
+        ..options(200)
+    };
+    let (mut kept, mut alone) = (filter(options(), &tracking(0.05)), filter(options(), &tracking(0.05)));
+    let mut held = Vec::new();
+    for _ in 0..10 {
+        held.push((Arc::clone(kept.particles()), Particles::clone(kept.particles())));
+        stand(&mut kept, &MODEL).unwrap();
+        stand(&mut alone, &MODEL).unwrap();
+        assert_eq!(kept.particles(), alone.particles());
+        assert_eq!(kept.weights(), alone.weights());
+        assert_eq!(kept.log_likelihood(), alone.log_likelihood());
+    }
+    assert!(held.iter().all(|(shared, copy)| **shared == *copy));
+    let set = Arc::as_ptr(alone.particles());
+    stand(&mut alone, &MODEL).unwrap();
+    stand(&mut alone, &MODEL).unwrap();
+    assert_eq!(Arc::as_ptr(alone.particles()), set, "two sets take turns");
 }
 
 /// All particles start at one point and are moved by the jitter alone, so that their variance is sigma^2, to within

@@ -32,7 +32,7 @@ fn run(threads: usize, seed: u64) -> (Vec<StepOutcome>, Particles, Weights, Vec<
             })
             .collect();
         let paths = filter.ancestry().unwrap().log_weights().to_vec();
-        (outcomes, filter.particles().clone(), filter.weights().clone(), paths)
+        (outcomes, Particles::clone(filter.particles()), Weights::clone(filter.weights()), paths)
     })
 }
 
