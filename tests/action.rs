@@ -77,3 +77,38 @@ fn the_action_uses_the_inputs_that_it_declares() {
     assert_eq!(used, declared);
     assert!(steps.contains("$GITHUB_ACTION_PATH/tools/action/run.sh"));
 }
+
+/// What `cargo binstall` asks for is what a release holds, and everything is built with the oldest Rust that the crates are for.
+#[test]
+fn the_release_is_where_binstall_looks_for_it() {
+    const MANIFEST: &str = include_str!("../crates/cli/Cargo.toml");
+    const RELEASE: &str = include_str!("../.github/workflows/release.yml");
+    const DOCKERFILE: &str = include_str!("../Dockerfile");
+    const EXAMPLE: &str = include_str!("../docs/example-ci.yml");
+    let asset = "locsim-{ target }.tar.gz";
+    assert!(
+        MANIFEST.contains(&format!("pkg-url = \"{{ repo }}/releases/download/v{{ version }}/{asset}\"\n"))
+    );
+    assert!(MANIFEST.contains("bin-dir = \"locsim-{ target }/{ bin }{ binary-ext }\"\n"));
+    assert!(MANIFEST.contains("pkg-fmt = \"tgz\"\n") && MANIFEST.contains("\nname = \"locsim\"\n"));
+    let packed = asset.replace("{ target }", "$TARGET");
+    assert!(RELEASE.contains(&format!("tar -C release -czf \"{packed}\" \"locsim-$TARGET\"\n")));
+    assert!(
+        RELEASE.contains("tags: [\"v*\"]")
+            && RELEASE.contains("cargo build --release --locked --package locsim ")
+    );
+
+    let rust = env!("CARGO_PKG_RUST_VERSION");
+    assert!(
+        ACTION.contains(&format!("rustup toolchain install {rust} "))
+            && ACTION.contains(&format!("cargo +{rust} install"))
+    );
+    assert!(RELEASE.contains(&format!("rustup default {rust}\n")));
+    assert!(DOCKERFILE.contains(&format!("FROM rust:{rust}-")));
+    for root in ["/opt/locsim", "$HOME/locsim"] {
+        let built = if root.starts_with('/') { DOCKERFILE } else { ACTION };
+        assert!(built.contains("--path crates/cli") || built.contains("/crates/cli\""));
+        assert!(built.contains(&format!("{root}/bin/locsim")), "{root}");
+    }
+    assert!(EXAMPLE.contains(concat!("OWNER/locsim@v", env!("CARGO_PKG_VERSION"), "\n")));
+}

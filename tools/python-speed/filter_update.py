@@ -42,7 +42,7 @@ def write_drive(folder: Path) -> Path:
         "particles": PARTICLES,
         "start_sigma": [0.2, 0.1],
         "alpha": [0.1, 0.05, 0.1, 0.05],
-        "mount": log.mount.tolist() if hasattr(log.mount, "tolist") else list(log.mount),
+        "mount": list(log.mount),
         "tempering": [0.01, 0.3],
         "below": 0.5,
         "seed": 1,

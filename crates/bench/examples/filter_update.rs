@@ -39,6 +39,7 @@ fn pose([x, y, theta]: [f64; 3]) -> Pose2 {
     Pose2::new(x, y, theta)
 }
 
+#[expect(clippy::disallowed_methods, reason = "it measures")]
 fn main() -> Result<()> {
     let file = std::env::args_os().nth(1).unwrap_or_default();
     let drive: Drive = serde_json::from_reader(File::open(Path::new(&file))?)?;
