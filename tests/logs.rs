@@ -275,6 +275,7 @@ fn validate_reads_the_log_as_a_run_does() {
     let text = String::from_utf8(folder.read("drive.log")).unwrap();
     let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("TRUEPOS")).collect();
     folder.write("blind.log", lines.join("\n") + "\n");
+    folder.write("far.yaml", "outline:\n  points_m: [[40, 40], [44, 40], [44, 42], [40, 42]]\n");
     let shares = "train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]";
     for (log, said) in [
         (format!("{{file: drive.mcap, topics: {{scan: /front}}, {shares}}}\nmap: {{file: room.yaml}}"), "/front"),
@@ -282,6 +283,10 @@ fn validate_reads_the_log_as_a_run_does() {
         (
             "{file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.501, 0.502]]}\nmap: {file: room.yaml}".to_owned(),
             "no scan is left to localize on",
+        ),
+        (
+            format!("{{file: drive.log, {shares}}}\nmap: {{file: far.yaml}}"),
+            "0 training scans have a reference pose in the map's free space; fitting takes at least 4",
         ),
     ] {
         folder.write("s.yaml", on_a_log(&log));
@@ -307,7 +312,7 @@ fn validate_warns_of_a_split_without_a_map() {
     folder.locsim("simulate s.yaml --out drive.log").success();
     for (map, is_known) in [("[[0.0, 0.2]]", false), ("[[0.0, 0.2], [0.5, 0.79], [0.9, 1.0]]", true)] {
         let log = format!(
-            "{{file: drive.log, map_scans: {map}, train_scans: [[0.2, 0.4]], localize_scans: [[0.8, 0.9]]}}"
+            "{{file: drive.log, map_scans: {map}, train_scans: [[0.0, 0.2]], localize_scans: [[0.8, 0.9]]}}"
         );
         folder.write("split.yaml", on_a_log(&log));
         let said = contains("split.yaml: In one stretch of `log.localize_scans` only");

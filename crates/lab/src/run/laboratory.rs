@@ -228,7 +228,6 @@ impl<'a> Laboratory<'a> {
         progress.stage("reading the log", 1);
         let MeasuredLog { drive, summary, warning } = MeasuredLog::read(scenario, log)?;
         progress.advance(1);
-        let refuse = |what: &str| LabError::Log { path: log.file.clone(), what: what.to_owned() };
         let map = log_map(log, &drive, progress)?;
         let followed = followed(&scenario.filter, log, &drive);
         let maps = MapSet::new(map, scenario.ray_cast, followed.as_deref(), cache, progress)
@@ -239,11 +238,9 @@ impl<'a> Laboratory<'a> {
         let simulator = log.simulator.as_ref().filter(|_| log.train_scans.is_empty());
         let (data, usable) = match simulator {
             Some(simulator) => (simulated_scans(scenario, simulator, &maps, &drive, seed, progress)?, 0),
-            None => measured_scans(&drive, &train_steps, &maps, training),
+            None => measured_scans(&drive, &train_steps, &maps.exact, training),
         };
-        if data.poses.len() < 4 {
-            return Err(refuse("fewer than 4 training scans have a reference pose in the map's free space"));
-        }
+        enough_to_train_on(log, data.poses.len())?;
         let localized = selected(&drive, &log.localize_scans);
         let (filter, motion_note) = with_motion_noise(&scenario.filter, &drive, &localized);
         let stretches = log.train_scans.iter().map(|interval| {
@@ -645,6 +642,38 @@ pub(crate) fn log_map(log: &Log, drive: &Drive, progress: &dyn Progress) -> Resu
     built.map_err(unusable(&log.file))
 }
 
+/// Fewest training scans that models are fitted to.
+const FEWEST_TRAINING_SCANS: usize = 4;
+
+fn enough_to_train_on(log: &Log, scans: usize) -> Result<(), LabError> {
+    if scans >= FEWEST_TRAINING_SCANS {
+        return Ok(());
+    }
+    let what = format!(
+        "{scans} training scans have a reference pose in the map's free space; fitting takes at least {FEWEST_TRAINING_SCANS}: \
+         `log.train_scans` and `log.map_scans` choose them"
+    );
+    Err(LabError::Log { path: log.file.clone(), what })
+}
+
+/// Finds what a run on a log would refuse once it has read the log and its map. Returns what a run would warn of.
+///
+/// # Errors
+/// [`LabError`].
+pub(super) fn check_measured(scenario: &Scenario, log: &Log) -> Result<Vec<String>, LabError> {
+    let MeasuredLog { drive, warning, .. } = MeasuredLog::read(scenario, log)?;
+    let map = ExactRangeMap::new(log_map(log, &drive, &())?);
+    let distance = DistanceGrid::new(map.geometry(), DISTANCE_GRID_M.0, DISTANCE_GRID_M.1)
+        .map_err(unusable(&log.file))?;
+    if log.simulator.is_none() || !log.train_scans.is_empty() {
+        let (data, _) = measured_scans(&drive, &selected(&drive, &log.train_scans), &map, &scenario.training);
+        enough_to_train_on(log, data.poses.len())?;
+    }
+    let steps = selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
+    let localized = Drive { laser: drive.laser.clone(), steps };
+    Ok([warning, unmapped_start(&map, &distance, &localized)].into_iter().flatten().collect())
+}
+
 /// How the log of a scenario is read.
 pub fn read_options(log: &Log) -> LogOptions {
     let max_range_m = log.max_range_m.map(|max| max as f32);
@@ -656,7 +685,7 @@ pub fn read_options(log: &Log) -> LogOptions {
 fn measured_scans(
     drive: &Drive,
     steps: &[usize],
-    maps: &MapSet,
+    map: &ExactRangeMap,
     training: &scenario::Training,
 ) -> (ScanData, usize) {
     let beams = training.beams.map_or(drive.laser.beam_count(), |beams| beams as usize);
@@ -665,7 +694,7 @@ fn measured_scans(
         .iter()
         .map(|&i| &drive.steps[i])
         .filter_map(|step| Some((step.reference?, step)))
-        .filter(|(pose, _)| maps.exact.is_free(pose.x, pose.y))
+        .filter(|(pose, _)| map.is_free(pose.x, pose.y))
         .collect();
     let count = usable.len();
     let stride = count.div_ceil(training.poses as usize).max(1);

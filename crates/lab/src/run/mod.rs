@@ -35,7 +35,7 @@ use detail::Detail;
 pub(crate) use filter::options as filter_options;
 pub(crate) use grounds::Grounds;
 pub use laboratory::read_options;
-use laboratory::{Laboratory, MeasuredLog, TrialDrive, check_simulation};
+use laboratory::{Laboratory, TrialDrive, check_measured, check_simulation};
 pub(crate) use laboratory::{log_map, no_reference, refused, selected};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store, StoreError};
@@ -98,7 +98,7 @@ pub fn check(scenario: &Scenario) -> Result<Vec<String>, LabError> {
     CostEstimate::of(scenario, rayon::current_num_threads()).check(scenario)?;
     match &scenario.source {
         Source::Simulation(simulation) => check_simulation(scenario, simulation).map(|()| Vec::new()),
-        Source::Log(log) => Ok(MeasuredLog::read(scenario, log)?.warning.into_iter().collect()),
+        Source::Log(log) => check_measured(scenario, log),
     }
 }
 
