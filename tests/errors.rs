@@ -273,6 +273,60 @@ fn maps() {
     );
 }
 
+/// A ROS map of a room of 3.2 m by 1.8 m in cells of 10 cm, whose image has these two values for wall and floor.
+fn ros_map(folder: &Folder, wall: u8, floor: u8, keys: &str) {
+    let (width, height) = (36, 22);
+    let mut image = format!("P5\n{width} {height}\n255\n").into_bytes();
+    for y in 0..height {
+        for x in 0..width {
+            let inside = (2..width - 2).contains(&x) && (2..height - 2).contains(&y);
+            image.push(if inside { floor } else { wall });
+        }
+    }
+    folder.write("floor.pgm", image);
+    let thresholds = "occupied_thresh: 0.65\nfree_thresh: 0.25\n";
+    let text = format!("image: floor.pgm\nresolution: 0.1\norigin: [-0.2, -0.2, 0]\n{keys}{thresholds}");
+    folder.write("floor.yaml", text);
+}
+
+#[test]
+fn a_map_that_is_read_the_wrong_way_around() {
+    let folder = Folder::new();
+    folder.write("s.yaml", edited(SCENARIO, "room.yaml", "floor.yaml"));
+    folder.locsim("simulate room-run.yaml --out drive.log").success();
+    folder.write("log.yaml", edited(ON_A_LOG, "room.yaml", "floor.yaml"));
+    for (wall, floor, keys) in
+        [(0, 254, "negate: 0\nmode: trinary\n"), (254, 0, "negate: 1\n"), (100, 0, "mode: raw\nnegate: 0\n")]
+    {
+        ros_map(&folder, wall, floor, keys);
+        folder.locsim("validate s.yaml log.yaml").success();
+    }
+    let others = "positions of the robot would be in free space; with";
+    for (wall, floor, keys, blamed, right) in [
+        (0, 254, "negate: 1\nmode: trinary\n", "4: negate: 1", "`negate: 0`"),
+        (254, 0, "mode: trinary\nnegate: 0\n", "5: negate: 0", "`negate: 1`"),
+        (0, 254, "negate: 0\nmode: raw\n", "5: mode: raw", "`mode: trinary`"),
+        (100, 0, "negate: 0\nmode: trinary\n", "5: mode: trinary", "`mode: raw`"),
+    ] {
+        ros_map(&folder, wall, floor, keys);
+        let message =
+            format!("floor.yaml:{blamed} is not allowed for this image: 0 of the 2 {others} {right} 2 are");
+        for command in ["validate s.yaml", "run s.yaml"] {
+            refused(&folder, command, &message);
+        }
+        let start = format!("error: floor.yaml:{blamed} is not allowed for this image: 0 of the ");
+        folder.locsim("run log.yaml").code(2).stderr(starts_with(start.as_str())).stderr(contains(right));
+        folder.locsim("validate log.yaml").code(2).stderr(contains(start.as_str()));
+    }
+    // A waypoint inside a wall is the path's mistake.
+    ros_map(&folder, 0, 254, "negate: 0\n");
+    folder.write(
+        "w.yaml",
+        edited(SCENARIO, "room.yaml", "floor.yaml").replace("[[0.6, 0.9], [2.6, 0.9]]", "[[-0.1, 0.9]]"),
+    );
+    folder.locsim("validate w.yaml").code(2).stderr(contains("robot.path.waypoints.points_m[0]"));
+}
+
 #[test]
 fn a_path_through_a_wall() {
     refused_scenario(

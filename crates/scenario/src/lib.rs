@@ -31,7 +31,7 @@ use serde_json::Value;
 pub use amcl::load_amcl;
 pub use effect::effect_yaml;
 pub use error::{Problem, ScenarioError};
-pub use map_file::{LoadedMap, load_map};
+pub use map_file::{LoadedMap, check_reading, load_map};
 pub use validate::name;
 pub use validated::*;
 pub use variant::Template;

@@ -1,6 +1,8 @@
 use std::path::{Path, PathBuf};
 
-use locsim_world::map::{Geometry, MapError, MeasuredMap, OccupancyMapFile, Polyline, VectorMap};
+use locsim_world::map::{
+    Cell, Geometry, ImageMode, MapError, MeasuredMap, OccupancyMapFile, Polyline, VectorMap,
+};
 use serde::Deserialize;
 
 use super::key_path::join;
@@ -60,6 +62,61 @@ pub fn load_map(path: &Path) -> Result<LoadedMap, ScenarioError> {
             map.to_geometry().map_err(|error| invalid(key_of_vector_error(&map, &error), &error))?;
         Ok(LoadedMap { geometry, image: None, cell_m: None })
     }
+}
+
+/// Share of a robot's positions that a right reading of a map leaves in free space, at least.
+const MOSTLY: f64 = 0.9;
+
+/// Checks that a ROS map isn't read the wrong way around: by a wrong `negate`, or by a `mode` that its image wasn't written for.
+/// `map` was read from `path`, and `positions` are places where the robot was \[m\].
+///
+/// A key is wrong if at most half of the positions are in free space, and with another value of the key nearly all are and more
+/// cells are free. Positions inside walls don't do that alone: a floor has more cells than its walls.
+///
+/// # Errors
+/// [`ScenarioError`] naming the map file, the line and the key.
+pub fn check_reading(path: &Path, map: &Geometry, positions: &[[f64; 2]]) -> Result<(), ScenarioError> {
+    let count = |map: &Geometry| positions.iter().filter(|[x, y]| map.is_free(*x, *y)).count();
+    let free = count(map);
+    if 2 * free > positions.len() || positions.is_empty() {
+        return Ok(());
+    }
+    let text = yaml::read(path)?;
+    if !yaml::has_key(&text, "image") {
+        return Ok(());
+    }
+    let (file, locations) = yaml::parse::<OccupancyMapFile>(path, &text)?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let read = |file: &OccupancyMapFile| {
+        let grid = file.load(folder).ok()?;
+        let cells = grid.cells().iter().filter(|cell| **cell == Cell::Free).count();
+        Some((cells, count(&grid.to_geometry().ok()?)))
+    };
+    let Some((cells, _)) = read(&file) else { return Ok(()) };
+    let negated = OccupancyMapFile { negate: !file.negate, ..file.clone() };
+    let digit = |negate| u8::from(negate).to_string();
+    let mut others = vec![("negate", digit(file.negate), digit(negated.negate), negated)];
+    for mode in [ImageMode::Trinary, ImageMode::Scale, ImageMode::Raw] {
+        others.push((
+            "mode",
+            file.mode.to_string(),
+            mode.to_string(),
+            OccupancyMapFile { mode, ..file.clone() },
+        ));
+    }
+    for (key, value, other, file) in others {
+        let Some((other_cells, other_free)) = read(&file) else { continue };
+        if other_cells > cells && other_free as f64 >= MOSTLY * positions.len() as f64 {
+            let message = format!(
+                "{value} is not allowed for this image: {free} of the {} positions of the robot would be in free space; with \
+                 `{key}: {other}` {other_free} are",
+                positions.len()
+            );
+            let problems = vec![Problem { line: locations.line(key), key: key.to_owned(), message }];
+            return Err(ScenarioError::Invalid { file: path.to_owned(), problems });
+        }
+    }
+    Ok(())
 }
 
 /// The error for a map that has to be converted.

@@ -626,7 +626,13 @@ fn simulated_scans(
 /// The map of a measured log: from its file, or from the log's own scans.
 pub(crate) fn log_map(log: &Log, drive: &Drive, progress: &dyn Progress) -> Result<Geometry, LabError> {
     let built = match &log.map {
-        LogMap::File(file) => return Ok(scenario::load_map(file)?.geometry),
+        LogMap::File(file) => {
+            let map = scenario::load_map(file)?.geometry;
+            let references = drive.steps.iter().filter_map(|step| step.reference);
+            let positions: Vec<_> = references.map(|pose| [pose.x, pose.y]).collect();
+            scenario::check_reading(file, &map, &positions)?;
+            return Ok(map);
+        }
         LogMap::FromScans { scans, resolution_m } => {
             progress.stage("building the map", 1);
             let options = MappingOptions { resolution_m: *resolution_m, ..MappingOptions::default() };

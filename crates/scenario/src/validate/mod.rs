@@ -19,7 +19,7 @@ use super::key_path::join;
 use super::raw::{All, RawBounds, RawModel, RawRecord, RawScenario, RawTraining, default};
 use super::{
     Errors, Expectation, LoadedMap, METRICS, Model, ModelName, Overrides, Record, Scenario, ScenarioError,
-    Simulation, Source, Training,
+    Simulation, Source, Training, check_reading,
 };
 
 /// Models of a scenario.
@@ -99,6 +99,11 @@ pub(crate) fn in_map(
         }
     };
     effect::places(&mut check, &mut simulation.effects, &simulation.residuals, walls, map);
+    let positions = match &simulation.robot.path {
+        RobotPath::Waypoints { points_m, .. } => points_m.clone(),
+        RobotPath::VelocityProfile { start, .. } => vec![[start.x, start.y]],
+    };
+    check_reading(&simulation.map, &map.geometry, &positions)?;
     let mut visit = |key: &str, x: f64, y: f64| {
         check.refuse(!map.geometry.is_free(x, y), key, || {
             let [x, y] = [x, y].map(number);
