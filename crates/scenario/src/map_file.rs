@@ -89,34 +89,47 @@ pub fn check_reading(path: &Path, map: &Geometry, positions: &[[f64; 2]]) -> Res
     let folder = path.parent().unwrap_or(Path::new(""));
     let read = |file: &OccupancyMapFile| {
         let grid = file.load(folder).ok()?;
-        let cells = grid.cells().iter().filter(|cell| **cell == Cell::Free).count();
-        Some((cells, count(&grid.to_geometry().ok()?)))
+        let cells = |cell| grid.cells().iter().filter(|other| **other == cell).count();
+        Some(Reading {
+            free: cells(Cell::Free),
+            unknown: cells(Cell::Unknown),
+            positions: count(&grid.to_geometry().ok()?),
+        })
     };
-    let Some((cells, _)) = read(&file) else { return Ok(()) };
+    let Some(own) = read(&file) else { return Ok(()) };
     let negated = OccupancyMapFile { negate: !file.negate, ..file.clone() };
     let digit = |negate| u8::from(negate).to_string();
     let mut others = vec![("negate", digit(file.negate), digit(negated.negate), negated)];
     for mode in [ImageMode::Trinary, ImageMode::Scale, ImageMode::Raw] {
-        others.push((
-            "mode",
-            file.mode.to_string(),
-            mode.to_string(),
-            OccupancyMapFile { mode, ..file.clone() },
-        ));
+        let other = OccupancyMapFile { mode, ..file.clone() };
+        others.push(("mode", file.mode.to_string(), mode.to_string(), other));
     }
-    for (key, value, other, file) in others {
-        let Some((other_cells, other_free)) = read(&file) else { continue };
-        if other_cells > cells && other_free as f64 >= MOSTLY * positions.len() as f64 {
-            let message = format!(
-                "{value} is not allowed for this image: {free} of the {} positions of the robot would be in free space; with \
-                 `{key}: {other}` {other_free} are",
-                positions.len()
-            );
-            let problems = vec![Problem { line: locations.line(key), key: key.to_owned(), message }];
-            return Err(ScenarioError::Invalid { file: path.to_owned(), problems });
-        }
-    }
-    Ok(())
+    // The first of those that leave the fewest cells unknown.
+    let right = others
+        .into_iter()
+        .filter_map(|(key, value, other, file)| Some((read(&file)?, key, value, other)))
+        .filter(|(other, ..)| {
+            other.free > own.free && other.positions as f64 >= MOSTLY * positions.len() as f64
+        })
+        .min_by_key(|(other, ..)| other.unknown);
+    let Some((right, key, value, other)) = right else { return Ok(()) };
+    let message = format!(
+        "{value} is not allowed for this image: {free} of the {} positions of the robot would be in free space; with `{key}: \
+         {other}` {} are",
+        positions.len(),
+        right.positions
+    );
+    let problems = vec![Problem { line: locations.line(key), key: key.to_owned(), message }];
+    Err(ScenarioError::Invalid { file: path.to_owned(), problems })
+}
+
+/// What one way of reading a map's image gives.
+struct Reading {
+    /// Cells.
+    free: usize,
+    unknown: usize,
+    /// Positions of the robot that are in free space.
+    positions: usize,
 }
 
 /// The error for a map that has to be converted.
