@@ -48,7 +48,7 @@ impl Increments {
 
     /// The effects that are tried.
     pub fn trials() -> Vec<Effect> {
-        let kinds = EffectKind::ALL.into_iter().filter(|kind| kind.moves() == Moves::Odometry);
+        let kinds = EffectKind::ALL.into_iter().filter(|kind| is_of_odometry(*kind));
         kinds
             .flat_map(|kind| {
                 let shares = kind.description().statistics.iter().find_map(|statistic| match statistic {
@@ -258,7 +258,7 @@ impl Changed {
     }
 }
 
-/// The world of the odometry alone.
-pub(super) fn is_of_odometry(effect: &Effect) -> bool {
-    effect.kind.moves() == Moves::Odometry
+/// Whether a kind acts on the odometry alone.
+pub(super) fn is_of_odometry(kind: EffectKind) -> bool {
+    kind.moves() == Moves::Odometry
 }

@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use locsim_world::effect::{EffectKind, Moves};
+use locsim_world::effect::EffectKind;
 use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use super::increments::is_of_odometry;
 
 /// The trial of a kind that gains most.
 #[derive(Clone, Copy)]
@@ -34,8 +36,10 @@ pub(super) fn add(best: &mut Best, kind: EffectKind, score: Score) {
 pub(super) struct Null {
     roots: BTreeMap<EffectKind, Roots>,
     contrasts: BTreeMap<EffectKind, Contrasts>,
-    /// The largest weight of each permutation, in order.
-    largest: Vec<f64>,
+    /// The largest weight of each permutation, in order: of all kinds, of those that change readings, of those of the odometry.
+    all: Vec<f64>,
+    readings: Vec<f64>,
+    odometry: Vec<f64>,
 }
 
 /// Roots of twice the gains of one kind, of the true logs and of permutations, in order.
@@ -99,7 +103,7 @@ impl Contrasts {
         let n = others.len() as f64;
         let mean = others.iter().sum::<f64>() / n;
         let variance = others.iter().map(|contrast| (contrast - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        let is_two_sided = kind.moves() == Moves::Odometry && !kind.is_one_sided();
+        let is_two_sided = is_of_odometry(kind) && !kind.is_one_sided();
         Self {
             mean: if is_two_sided { mean } else { mean.max(0.0) },
             deviation: variance.sqrt().max(LEAST_SCALE),
@@ -140,11 +144,18 @@ impl Null {
         let mut null = Self {
             roots: own.iter().map(roots).collect(),
             contrasts: own.keys().map(contrasts).collect(),
-            largest: Vec::new(),
+            all: Vec::new(),
+            readings: Vec::new(),
+            odometry: Vec::new(),
         };
-        let mut largest: Vec<f64> = others.iter().map(|best| null.most(best)).collect();
-        largest.sort_by(f64::total_cmp);
-        null.largest = largest;
+        let largest = |is_among: &dyn Fn(EffectKind) -> bool| {
+            let mut largest: Vec<f64> = others.iter().map(|best| null.most(best, is_among)).collect();
+            largest.sort_by(f64::total_cmp);
+            largest
+        };
+        let [all, readings, odometry] =
+            [largest(&|_| true), largest(&|kind| !is_of_odometry(kind)), largest(&is_of_odometry)];
+        (null.all, null.readings, null.odometry) = (all, readings, odometry);
         null
     }
 
@@ -166,23 +177,45 @@ impl Null {
         self.contrasts.get(&kind).map_or(of_gain, |contrasts| contrasts.weight(score.contrast).max(of_gain))
     }
 
-    fn most(&self, best: &Best) -> f64 {
-        best.iter().map(|(&kind, score)| self.weight(kind, score)).fold(f64::NEG_INFINITY, f64::max)
+    fn most(&self, best: &Best, is_among: &dyn Fn(EffectKind) -> bool) -> f64 {
+        let among = best.iter().filter(|(kind, _)| is_among(**kind));
+        among.map(|(&kind, score)| self.weight(kind, score)).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// Share of logs without a change that are as far off.
     pub fn p(&self, own: &Best) -> f64 {
-        let most = self.most(own);
-        let above = self.largest.len() - self.largest.partition_point(|&weight| weight < most);
-        (above as f64 + 1.0) / (self.largest.len() as f64 + 1.0)
+        share_above(&self.all, self.most(own, &|_| true))
     }
 
-    /// The weight that the largest one of all kinds exceeds with this chance where nothing changed.
-    pub fn least_weight(&self, chance: f64) -> f64 {
-        let beyond = (chance * self.largest.len() as f64) as usize;
-        let at = self.largest.len().checked_sub(beyond + 1);
-        at.map_or(f64::INFINITY, |at| self.largest[at])
+    /// The same of the kinds that are of the same data as this one. Readings and odometry are different data: a change of one says
+    /// nothing of the other. Where [`Null::p`] is below a level, too, a name at this level is false no more often than that
+    /// (Marcus, Peritz and Gabriel 1976: a closed test).
+    pub fn p_beside(&self, kind: EffectKind, own: &Best) -> f64 {
+        share_above(self.beside(kind), self.most_beside(kind, own))
     }
+
+    /// The largest weight of the kinds that are of the same data as this one.
+    pub fn most_beside(&self, kind: EffectKind, own: &Best) -> f64 {
+        self.most(own, &|other| is_of_odometry(other) == is_of_odometry(kind))
+    }
+
+    /// The weight that the largest one of the kinds of the same data exceeds with this chance where nothing changed.
+    pub fn least_weight(&self, kind: EffectKind, chance: f64) -> f64 {
+        let largest = self.beside(kind);
+        let beyond = (chance * largest.len() as f64) as usize;
+        let at = largest.len().checked_sub(beyond + 1);
+        at.map_or(f64::INFINITY, |at| largest[at])
+    }
+
+    fn beside(&self, kind: EffectKind) -> &[f64] {
+        if is_of_odometry(kind) { &self.odometry } else { &self.readings }
+    }
+}
+
+/// Share of weights that are as large, one's own counted.
+fn share_above(sorted: &[f64], weight: f64) -> f64 {
+    let above = sorted.len() - sorted.partition_point(|&other| other < weight);
+    (above as f64 + 1.0) / (sorted.len() as f64 + 1.0)
 }
 
 /// The least scale of a root, that of independent readings: a kind that gains in few permutations isn't found by one reading.
@@ -228,6 +261,24 @@ mod tests {
         let needed = -0.01_f64.ln();
         assert!(null.weight(E::MissingObject, &least) < needed);
         assert!(null.weight(E::MissingObject, &much) > needed);
+    }
+
+    /// A change of the odometry that no permutation has stands out more than readings that gain more, as they do in permutations.
+    #[test]
+    fn readings_and_odometry_stand_out_apart() {
+        let both = |readings: f64, odometry: f64| {
+            let mut best = of(E::RangeNoise, readings, 0.0);
+            best.extend(of(E::OdomDistanceScale, odometry, 0.0));
+            best
+        };
+        let others: Vec<Best> = (0..199).map(|i| both(f64::from(i), f64::from(i % 5) / 5.0)).collect();
+        let own = both(196.5, 60.0);
+        let null = Null::new(&own, &others, 16);
+        assert!(null.p(&own) <= 0.01);
+        assert!(null.p_beside(E::OdomDistanceScale, &own) <= 0.01);
+        assert!(null.p_beside(E::RangeNoise, &own) > 0.01);
+        assert_eq!(null.p_beside(E::RangeBias, &own), null.p_beside(E::RangeNoise, &own));
+        assert!(null.most_beside(E::OdomImbalance, &own) > null.most_beside(E::RangeNoise, &own));
     }
 
     /// What gains on all of today's stretches is found by its contrast, although permutations gain more: they mix stretches that

@@ -251,18 +251,21 @@ impl Search<'_> {
                 .get(index)
                 .map_or_else(|| odometry[index - tried.len()].clone(), |trial| trial.effect.clone())
         };
-        let starts = |tried: &[Trial], best: &Best, least: f64| -> Vec<Effect> {
-            let mut kinds: Vec<(f64, usize)> = best
-                .iter()
-                .filter(|(kind, score)| null.weight(**kind, score) > least)
-                .map(|(_, score)| (score.gain, score.index))
-                .collect();
-            kinds.sort_by(|a, b| b.0.total_cmp(&a.0));
-            kinds.into_iter().take(FITTED_KINDS).map(|(_, index)| effect_of(tried, index)).collect()
-        };
-        // That something changed is known in the first round; later on, each kind might be there by chance.
+        let starts =
+            |tried: &[Trial], best: &Best, is_rare: &dyn Fn(EffectKind, &Score) -> bool| -> Vec<Effect> {
+                let mut kinds: Vec<(f64, usize)> = best
+                    .iter()
+                    .filter(|(kind, score)| is_rare(**kind, score))
+                    .map(|(_, score)| (score.gain, score.index))
+                    .collect();
+                kinds.sort_by(|a, b| b.0.total_cmp(&a.0));
+                kinds.into_iter().take(FITTED_KINDS).map(|(_, index)| effect_of(tried, index)).collect()
+            };
+        // That something of these data changed is known in the first round; later on, each kind might be there by chance.
         let chance = self.options.false_alarm;
-        let mut next = starts(tried, own, -chance.ln());
+        let mut next = starts(tried, own, &|kind, score| {
+            null.p_beside(kind, own) <= chance && null.weight(kind, score) > -chance.ln()
+        });
         let mut scores = own.clone();
         while !next.is_empty() && named.len() < self.options.most_effects {
             self.progress.stage("fitting effects", next.len() as u64);
@@ -317,9 +320,14 @@ impl Search<'_> {
                     self.increments.contrast(&known.usual, &given.effects, effect.kind, assignment);
                 add(&mut best, effect.kind, Score { gain, contrast, index: more.len() + index });
             }
-            next = starts(&more, &best, null.least_weight(chance));
+            next = starts(&more, &best, &|kind, score| {
+                null.weight(kind, score) > null.least_weight(kind, chance)
+            });
             scores = best;
         }
+        // Gains of readings and of the odometry don't compare. What stands out more among permutations is told first.
+        let rarity = |named: &Named| null.most_beside(named.name, own);
+        named.sort_by(|a, b| rarity(b).total_cmp(&rarity(a)));
         Ok(named)
     }
 
@@ -327,7 +335,7 @@ impl Search<'_> {
     fn expected_with(&self, effects: &[Effect]) -> Result<Vec<Expected>, GapError> {
         let on_laser: Vec<Effect> = effects
             .iter()
-            .filter(|effect| !is_of_odometry(effect))
+            .filter(|effect| !is_of_odometry(effect.kind))
             .map(|effect| effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread))
             .collect();
         if on_laser.is_empty() {
@@ -348,13 +356,15 @@ impl Search<'_> {
         assignment: &Assignment,
         known: &Known,
     ) -> Result<Vec<f64>, GapError> {
-        if is_of_odometry(effect) {
-            let given: Vec<Effect> = given.effects.iter().filter(|e| is_of_odometry(e)).cloned().collect();
+        if is_of_odometry(effect.kind) {
+            let given: Vec<Effect> =
+                given.effects.iter().filter(|e| is_of_odometry(e.kind)).cloned().collect();
             let [today, baseline] = [(&given[..], &assignment.is_today), (&[], &assignment.is_baseline)]
                 .map(|(given, used)| self.increments.gains(&known.usual, given, effect, used));
             return Ok(assignment.net(&today, &baseline));
         }
-        let given = Given { effects: given.effects.iter().filter(|e| !is_of_odometry(e)).cloned().collect() };
+        let given =
+            Given { effects: given.effects.iter().filter(|e| !is_of_odometry(e.kind)).cloned().collect() };
         let trial = Trial::new(self.pool, &given, effect.clone(), expected, None)?;
         let today = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
         let plain = if given.effects.is_empty() {
@@ -554,7 +564,7 @@ fn name(
         let behind: Vec<f64> = own.iter().zip(of_today(other)).map(|(a, b)| a - b).collect();
         // Readings and odometry are different data: what explains one is no rival of what explains the other.
         other.effect.kind != fit.effect.kind
-            && is_of_odometry(&other.effect) == is_of_odometry(&fit.effect)
+            && is_of_odometry(other.effect.kind) == is_of_odometry(fit.effect.kind)
             && other.gain() - 1.645 * sum_error(&of_today(other)) > 0.0
             && behind.iter().sum::<f64>() < BEHIND_ERRORS * sum_error(&behind)
     };

@@ -1,6 +1,8 @@
 //! Known edits of measured logs, written on poses and readings as plainly as can be. None of them knows a map or shares code with
 //! the simulator's effects.
 
+use std::collections::HashSet;
+
 use locsim_core::{Draw, Drive, Pose2, Stage, Track, wrap_angle};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -88,12 +90,16 @@ const ODOMETRY_TURN_PER_M: f64 = 0.05;
 const SLIP: (f64, f64) = (0.2, 0.3);
 /// Readings that a disc has to hide, a wall has to lose: one in this many of all.
 const LEAST_SHARE: usize = 400;
+/// Share of the readings that a disc hides, a wall loses, which end where the baseline's do: what changes where the baseline hasn't
+/// been is no change since. And the side of the cells in which that is looked up \[m\].
+const KNOWN_SHARE: f64 = 0.8;
+const KNOWN_CELL_M: f64 = 0.5;
 /// A disc keeps this far from the robot \[m\].
 const CLEAR_M: f64 = 0.7;
 
 impl Edit {
-    /// Applies the edit; `None` where the log has no room for it.
-    pub fn apply(self, drive: &mut Drive, seed: u64) -> Option<Truth> {
+    /// Applies the edit to a log that is held against a baseline; `None` where the log has no room for it.
+    pub fn apply(self, drive: &mut Drive, baseline: &Drive, seed: u64) -> Option<Truth> {
         let draw = Draw::new(seed, Stage::Trial, 40 + self as u32);
         match self {
             Self::None => Some(Truth { effect: None, strength: None }),
@@ -128,8 +134,8 @@ impl Edit {
                 Some(Truth::of("time_offset", "delay_secs", -LATE_SECS))
             }
             Self::Bursts => disturb(drive, &draw),
-            Self::Disc => draw_disc(drive, &draw),
-            Self::WallLost => lose_wall(drive, &draw),
+            Self::Disc => draw_disc(drive, &Known::new(baseline), &draw),
+            Self::WallLost => lose_wall(drive, &Known::new(baseline), &draw),
             Self::OdometryScaled => {
                 each_increment(drive, |_, step| {
                     Pose2::new(step.x * (1.0 + ODOMETRY_SCALE), step.y * (1.0 + ODOMETRY_SCALE), step.theta)
@@ -295,8 +301,27 @@ fn ends(drive: &Drive) -> Vec<(usize, usize, [f64; 2], [f64; 2])> {
     ends
 }
 
+/// Cells in which readings of the baseline end.
+struct Known(HashSet<[i32; 2]>);
+
+impl Known {
+    fn new(baseline: &Drive) -> Self {
+        Self(ends(baseline).into_iter().map(|(.., end)| Self::cell(end)).collect())
+    }
+
+    fn cell(end: [f64; 2]) -> [i32; 2] {
+        end.map(|x| (x / KNOWN_CELL_M).floor() as i32)
+    }
+
+    /// Whether most of these ends are in them.
+    fn has_most_of(&self, ends: &[[f64; 2]]) -> bool {
+        let known = ends.iter().filter(|end| self.0.contains(&Self::cell(**end))).count();
+        known as f64 >= KNOWN_SHARE * ends.len() as f64
+    }
+}
+
 /// Draws a disc into the room where many beams pass, clear of the robot's way.
-fn draw_disc(drive: &mut Drive, draw: &Draw) -> Option<Truth> {
+fn draw_disc(drive: &mut Drive, known: &Known, draw: &Draw) -> Option<Truth> {
     let ends = ends(drive);
     let least = ends.len() / LEAST_SHARE;
     let poses: Vec<[f64; 2]> =
@@ -311,7 +336,7 @@ fn draw_disc(drive: &mut Drive, draw: &Draw) -> Option<Truth> {
         if poses.iter().any(|pose| (pose[0] - center[0]).hypot(pose[1] - center[1]) < CLEAR_M + DISC_M) {
             continue;
         }
-        let hidden: Vec<(usize, usize, f64)> = ends
+        let (hidden, behind): (Vec<(usize, usize, f64)>, Vec<[f64; 2]>) = ends
             .iter()
             .filter_map(|&(scan, beam, laser, end)| {
                 let range = (end[0] - laser[0]).hypot(end[1] - laser[1]);
@@ -322,10 +347,10 @@ fn draw_disc(drive: &mut Drive, draw: &Draw) -> Option<Truth> {
                 let across = to_center[1] * heading.cos() - to_center[0] * heading.sin();
                 let chord = DISC_M * DISC_M - across * across;
                 let hit = along - chord.max(0.0).sqrt();
-                (chord > 0.0 && hit > 0.0 && hit < range).then_some((scan, beam, hit))
+                (chord > 0.0 && hit > 0.0 && hit < range).then_some(((scan, beam, hit), end))
             })
-            .collect();
-        if hidden.len() < least {
+            .unzip();
+        if hidden.len() < least || !known.has_most_of(&behind) {
             continue;
         }
         for (scan, beam, hit) in hidden {
@@ -338,7 +363,7 @@ fn draw_disc(drive: &mut Drive, draw: &Draw) -> Option<Truth> {
 }
 
 /// Loses all returns of a stretch of wall on which many readings lie.
-fn lose_wall(drive: &mut Drive, draw: &Draw) -> Option<Truth> {
+fn lose_wall(drive: &mut Drive, known: &Known, draw: &Draw) -> Option<Truth> {
     let ends = ends(drive);
     let least = ends.len() / LEAST_SHARE;
     let max = drive.laser.max_range();
@@ -355,9 +380,12 @@ fn lose_wall(drive: &mut Drive, draw: &Draw) -> Option<Truth> {
             let (t, off) = (x * along[0] + y * along[1], y * along[0] - x * along[1]);
             t.abs() < 0.5 * WALL_M.0 && off.abs() < WALL_M.1
         };
-        let lost: Vec<(usize, usize)> =
-            ends.iter().filter(|(.., end)| on_wall(end)).map(|&(scan, beam, ..)| (scan, beam)).collect();
-        if lost.len() < least {
+        let (lost, on): (Vec<(usize, usize)>, Vec<[f64; 2]>) = ends
+            .iter()
+            .filter(|(.., end)| on_wall(end))
+            .map(|&(scan, beam, _, end)| ((scan, beam), end))
+            .unzip();
+        if lost.len() < least || !known.has_most_of(&on) {
             continue;
         }
         for (scan, beam) in lost {
@@ -393,7 +421,7 @@ mod tests {
 
     fn edited(edit: Edit) -> Drive {
         let mut drive = drive();
-        edit.apply(&mut drive, 1).unwrap();
+        edit.apply(&mut drive, &self::drive(), 1).unwrap();
         drive
     }
 
@@ -423,9 +451,28 @@ mod tests {
     }
 
     #[test]
+    fn what_stands_where_the_baseline_has_not_been_is_no_edit() {
+        // The wall is lost nearer, where beams end side by side.
+        for (edit, nearer) in [(Edit::Disc, 1.0), (Edit::WallLost, 0.5)] {
+            let mut log = drive();
+            log.steps.iter_mut().flat_map(|step| &mut step.scan.ranges).for_each(|z| *z *= nearer);
+            let mut elsewhere = log.clone();
+            for step in &mut elsewhere.steps {
+                step.reference = step.reference.map(|pose| Pose2::new(pose.x, 500.0, 0.0));
+            }
+            let mut today = log.clone();
+            assert_eq!(edit.apply(&mut today, &elsewhere, 1), None);
+            assert_eq!(today, log);
+            assert!(edit.apply(&mut today, &log, 1).is_some(), "{edit:?}");
+            assert_ne!(today, log);
+        }
+    }
+
+    #[test]
     fn a_log_without_stamps_has_no_late_ones() {
         let mut drive = drive();
         drive.steps.iter_mut().for_each(|step| step.stamp_secs = 0.0);
-        assert_eq!(Edit::Late.apply(&mut drive, 1), None);
+        let baseline = drive.clone();
+        assert_eq!(Edit::Late.apply(&mut drive, &baseline, 1), None);
     }
 }

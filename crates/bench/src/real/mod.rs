@@ -299,7 +299,9 @@ impl Log {
 
 fn search(log: &Log, case: &Case, options: &RealOptions<'_>) -> Result<Found, BenchError> {
     let [baseline, mut today] = log.cut(case.cut);
-    let Some(truth) = case.edit.apply(&mut today, options.seed) else { return Ok(Found::nothing()) };
+    let Some(truth) = case.edit.apply(&mut today, &baseline, options.seed) else {
+        return Ok(Found::nothing());
+    };
     let free = |pose: &Pose2| log.nominal.map.geometry().is_free(pose.x, pose.y);
     let [baseline, today] = [baseline, today].map(|drive| Recorded::new(&drive, options.scans, BEAMS, free));
     let (baseline, today) = (baseline?, today?);
