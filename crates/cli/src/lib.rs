@@ -275,7 +275,7 @@ fn print_schema(study: bool, sweep: bool) -> anyhow::Result<u8> {
 fn effects(name: Option<&str>) -> anyhow::Result<u8> {
     match name {
         None => say(&format!("{}\n`locsim effects NAME` tells more.", catalogue::table(columns())))?,
-        Some(name) => say(&catalogue::page(name)?)?,
+        Some(name) => say(&catalogue::page(name).map_err(anyhow::Error::msg)?)?,
     }
     Ok(DONE)
 }
@@ -320,7 +320,7 @@ fn log_options(arguments: &arguments::LogOptions) -> LogOptions {
 
 fn gap(arguments: &Gap) -> Result<u8, Failure> {
     if let Some(name) = &arguments.explain {
-        say(&catalogue::page(name)?)?;
+        say(&catalogue::page(name).map_err(anyhow::Error::msg)?)?;
         return Ok(DONE);
     }
     let (Some(scenario), Some(out)) = (&arguments.scenario, &arguments.out) else {
@@ -537,7 +537,7 @@ fn inspect_log(arguments: &Inspect) -> anyhow::Result<u8> {
     if arguments.json {
         say(&serde_json::to_string_pretty(&inspection)?)?;
     } else {
-        say(inspection.to_string().trim_end())?;
+        say(inspection.to_terminal(columns()).trim_end())?;
     }
     if let Some(picture) = picture {
         let drive = inspection.recording.as_ref().context("--picture: the log has no drive to draw")?;

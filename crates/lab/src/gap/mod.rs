@@ -31,7 +31,7 @@ pub use filter::FilterOnLog;
 pub use proposal::scenario_with;
 
 use crate::LabError;
-use crate::run::{log_map, no_reference, read_options, selected};
+use crate::run::{log_map, no_reference, read_scenario_log, selected};
 use locsim_core::Control;
 use locsim_report::ReportError;
 use locsim_report::store::{Folder, Request};
@@ -282,7 +282,7 @@ impl Held {
             }
             Source::Log(log) => log,
         };
-        let (drive, summary) = read_log(&of_scenario.file, &read_options(of_scenario))?;
+        let (drive, summary) = read_scenario_log(scenario, of_scenario)?;
         let map = log_map(of_scenario, &drive, &())?;
         if let Some(log) = log {
             let (drive, summary) = read_log(log, &settings.log)?;
