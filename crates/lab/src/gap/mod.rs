@@ -17,8 +17,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, Scan, wrap_angle};
-use locsim_dataset::{LogOptions, LogSummary, read_log};
-use locsim_gap::{GapError, GapOptions, Nominal, Recorded};
+use locsim_dataset::{LogKind, LogOptions, LogSummary, read_log};
+use locsim_gap::{GapError, GapOptions, Nominal, Recorded, ResidualStage};
 use locsim_world::effect::EffectKind;
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::Simulator;
@@ -107,6 +107,8 @@ pub struct GapStudy {
     settings: GapSettings,
     /// Remarks on the log.
     notes: Vec<String>,
+    /// The log's reference is what a localizer found.
+    is_localized: bool,
 }
 
 /// An earlier log of the same robot.
@@ -192,7 +194,8 @@ impl GapStudy {
         let baseline = baseline.transpose()?;
         let laser = simulated.laser().laser();
         let (drive, recorded) = usable(&log, drive, &summary, laser, &map, &settings, &mut notes)?;
-        Ok(Self { scenario, simulator, log, map, drive, recorded, baseline, settings, notes })
+        let is_localized = summary.kind == LogKind::Localized;
+        Ok(Self { scenario, simulator, log, map, drive, recorded, baseline, settings, notes, is_localized })
     }
 
     /// The scenario's name.
@@ -438,7 +441,10 @@ fn write(
         &options.out.join("scenario.yaml").display().to_string(),
     );
     folder.write("scenario.diff", diff.as_bytes())?;
-    Ok(page::write(folder, study, outcome, &diff, &options.command)?)
+    // A name and paths of its own are no news.
+    let has_curves = outcome.residual.as_ref().is_some_and(ResidualStage::is_nearer);
+    let shown = if outcome.effects.is_empty() && !has_curves { "" } else { &diff };
+    Ok(page::write(folder, study, outcome, shown, &options.command)?)
 }
 
 /// The drive with the laser where the scenario has it: a log may not know, and the scenario is what is in question.
