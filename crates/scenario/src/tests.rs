@@ -299,7 +299,7 @@ fn a_map_may_be_its_file_alone() {
     let moved = short.text_in(&folder.path().canonicalize().unwrap());
     std::fs::write(folder.path().join("s.yaml"), &moved).unwrap();
     let template = Template::load(&folder.path().join("s.yaml")).unwrap();
-    let other = json!(Path::new(FIXTURES).join("grid.yaml"));
+    let other = json!(Path::new(FIXTURES).join("grid.yaml").canonicalize().unwrap());
     let other = template.with([("map.file", &other)], &Overrides::default()).unwrap();
     assert_ne!(other.content_hash().unwrap(), full.content_hash().unwrap());
     let error = parse(&edited(&full.text, "map: {file: map.yaml}", "map: nowhere.yaml")).unwrap_err();
@@ -383,6 +383,7 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ("seed above 64 bits", "minimal.yaml", "seed: 1", "seed: 18446744073709551616"),
     ("number for a text", "simulation.yaml", "name: everything", "name: 2016"),
     ("list for a map", "minimal.yaml", "{file: map.yaml}", "[map.yaml]"),
+    ("list for a model", "minimal.yaml", "[classic]", "[[classic]]"),
     ("map for a list", "minimal.yaml", "[classic]", "{classic: yes}"),
     ("pair too short", "simulation.yaml", "[0.2, 0.6]", "[0.2]"),
     ("pair too long", "simulation.yaml", "[0.2, 0.6]", "[0.2, 0.4, 0.6]"),

@@ -209,6 +209,7 @@ pub enum All {
 
 impl Short for All {
     const FORMS: &'static [&'static str] = &["all", "[LABEL, ...]"];
+    const FULL_IS_A_LIST: bool = true;
 
     fn from_word(word: &str) -> Option<Self> {
         (word == "all").then_some(Self::All)
