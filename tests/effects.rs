@@ -39,11 +39,9 @@ fn the_page_of_an_effect_says_what_it_is_and_what_looks_like_it() {
          width_deg       0.057 to 57.296 deg, such as 2.865; default 3\n"
     );
     folder.locsim("effects glass").success().stdout(contains("name of a wall of a vector map"));
-    folder
-        .locsim("effects glas")
-        .code(2)
-        .stdout(is_empty())
-        .stderr(contains("error: \"glas\" is not an effect; one of range_bias, range_scale,"));
+    folder.locsim("effects glas").code(2).stdout(is_empty()).stderr(contains(
+        "error: `glas` is not an effect; did you mean `glass`? allowed: range_bias, range_scale,",
+    ));
 }
 
 #[test]

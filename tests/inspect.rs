@@ -5,7 +5,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{Folder, SCENARIO, edited, output};
+use common::{Folder, SCENARIO, edited, locsim, output};
 use predicates::prelude::*;
 use predicates::str::contains;
 use serde_json::Value;
@@ -59,6 +59,11 @@ fn a_bag_of_another_program_is_described() {
     {
         assert!(text.contains(part), "{part}: {text}");
     }
+    // Nothing is left out or wrapped by a terminal of 80 columns.
+    let bags = Path::new(&bag()).parent().unwrap().to_owned();
+    let narrow = output(&locsim(&bags, "inspect rosbags").env("COLUMNS", "80").assert().success());
+    assert!(narrow.lines().all(|line| line.chars().count() <= 80), "{narrow}");
+    assert!(narrow.contains("PoseWithCovarianceStamped") && !narrow.contains("left out:"), "{narrow}");
 }
 
 #[test]

@@ -278,7 +278,7 @@ fn validate_reads_the_log_as_a_run_does() {
     folder.write("far.yaml", "outline:\n  points_m: [[40, 40], [44, 40], [44, 42], [40, 42]]\n");
     let shares = "train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]";
     for (log, said) in [
-        (format!("{{file: drive.mcap, topics: {{scan: /front}}, {shares}}}\nmap: {{file: room.yaml}}"), "/front"),
+        (format!("{{file: drive.mcap, topics: {{scan: /front}}, {shares}}}\nmap: {{file: room.yaml}}"), "s.yaml:3: log.topics: drive.mcap: scan topic `/front` isn't there"),
         (format!("{{file: blind.log, {shares}}}\nmap: {{file: room.yaml}}"), "log.train_scans: no scan has a reference pose"),
         (
             "{file: drive.log, train_scans: [[0.0, 0.5]], localize_scans: [[0.501, 0.502]]}\nmap: {file: room.yaml}".to_owned(),
@@ -347,6 +347,8 @@ fn help_is_plain_and_shows_the_arguments_that_are_needed() {
     assert!(help("map").contains("Cell size [m]"), "{}", help("map"));
     let gap = help("gap");
     assert!(gap.contains("gap [OPTIONS] --out <OUT> <SCENARIO>") && !gap.contains("[SCENARIO]"), "{gap}");
+    // The list of limits is long: it stands behind all other options.
+    assert!(gap.find("--limit").unwrap() > gap.find("--explain").unwrap(), "{gap}");
     let width = |text: &str| text.lines().map(|line| line.chars().count()).max().unwrap();
     let narrow = locsim(&root(), "effects").env("COLUMNS", "80").assert().success();
     assert!(width(&output(&narrow)) <= 80, "{}", output(&narrow));

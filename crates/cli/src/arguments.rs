@@ -40,16 +40,16 @@ pub enum Command {
     },
     /// Print the JSON Schema of scenario files, for editors
     Schema {
-        /// Of study files instead
+        /// Print that of study files instead
         #[arg(long)]
         study: bool,
-        /// Of sweep files instead
+        /// Print that of sweep files instead
         #[arg(long, conflicts_with = "study")]
         sweep: bool,
     },
     /// List the effects: named ways in which a simulated world can differ from the nominal one; or tell all about one
     Effects {
-        /// Which one
+        /// The effect to tell all about [default: list all effects]
         #[arg(value_parser = EffectName, hide_possible_values = true)]
         name: Option<String>,
     },
@@ -455,13 +455,13 @@ pub struct LogOptions {
     /// Readings at or above this count as no return [m; default: the log's own]
     #[arg(long)]
     pub max_range: Option<f64>,
-    /// The bag's topic of laser scans [default: /scan, or the only one]
+    /// The bag's topic of laser scans [default: `/scan`, or the only one]
     #[arg(long, value_name = "TOPIC")]
     pub scan_topic: Option<String>,
-    /// The bag's topic of odometry [default: /odom, the only one, or the transform `odom:base_link`]
+    /// The bag's topic of odometry [default: `/odom`, the only one, or the transform `odom:base_link`]
     #[arg(long, value_name = "TOPIC")]
     pub odometry_topic: Option<String>,
-    /// The bag's topic of reference poses or a transform such as `map:base_link` [default: /reference,
+    /// The bag's topic of reference poses or a transform such as `map:base_link` [default: `/reference`,
     /// `/ground_truth`, or what a localizer found]
     #[arg(long, value_name = "TOPIC")]
     pub reference_topic: Option<String>,

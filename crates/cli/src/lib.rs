@@ -6,6 +6,7 @@ mod export;
 mod recording;
 mod sweep;
 
+use std::borrow::Cow;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -198,11 +199,17 @@ pub fn users_cache() -> Option<PathBuf> {
     told.or_else(|| directories::BaseDirs::new().map(|user| user.cache_dir().join("locsim")))
 }
 
+/// A path as shells read it: in quotes where it has blanks and the like.
+fn in_shell(path: &Path) -> String {
+    let text = path.to_string_lossy();
+    shlex::try_quote(&text).map_or_else(|_| text.to_string(), Cow::into_owned)
+}
+
 /// The command that repeats a run.
 fn command_line(scenario: &Scenario, models: Option<&[String]>) -> String {
     let mut command = format!(
         "locsim run {} --seed {} --trials {}",
-        scenario.file.display(),
+        in_shell(&scenario.file),
         scenario.seed,
         scenario.trials
     );
@@ -275,7 +282,7 @@ fn print_schema(study: bool, sweep: bool) -> anyhow::Result<u8> {
 fn effects(name: Option<&str>) -> anyhow::Result<u8> {
     match name {
         None => say(&format!("{}\n`locsim effects NAME` tells more.", catalogue::table(columns())))?,
-        Some(name) => say(&catalogue::page(name)?)?,
+        Some(name) => say(&catalogue::page(name).map_err(anyhow::Error::msg)?)?,
     }
     Ok(DONE)
 }
@@ -320,7 +327,7 @@ fn log_options(arguments: &arguments::LogOptions) -> LogOptions {
 
 fn gap(arguments: &Gap) -> Result<u8, Failure> {
     if let Some(name) = &arguments.explain {
-        say(&catalogue::page(name)?)?;
+        say(&catalogue::page(name).map_err(anyhow::Error::msg)?)?;
         return Ok(DONE);
     }
     let (Some(scenario), Some(out)) = (&arguments.scenario, &arguments.out) else {
@@ -386,11 +393,11 @@ fn gap_settings(arguments: &Gap) -> anyhow::Result<GapSettings> {
 
 /// The command that repeats a search.
 fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
-    let path = |path: &Option<PathBuf>| path.as_deref().unwrap_or(Path::new("")).display().to_string();
+    let path = |path: &Option<PathBuf>| in_shell(path.as_deref().unwrap_or(Path::new("")));
     let mut command = format!(
         "locsim gap {}{} --out {} --replicates {} --seed {} --scans {} --beams {}",
         path(&arguments.scenario),
-        arguments.log.as_ref().map_or_else(String::new, |log| format!(" --log {}", log.display())),
+        arguments.log.as_ref().map_or_else(String::new, |log| format!(" --log {}", in_shell(log))),
         path(&arguments.out),
         study.settings().replicates,
         study.seed(),
@@ -399,7 +406,7 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
     );
     if let Some(baseline) = &arguments.baseline {
         command += " --baseline ";
-        command += &baseline.display().to_string();
+        command += &in_shell(baseline);
     }
     if !arguments.without.is_empty() {
         command += " --without ";
@@ -537,7 +544,7 @@ fn inspect_log(arguments: &Inspect) -> anyhow::Result<u8> {
     if arguments.json {
         say(&serde_json::to_string_pretty(&inspection)?)?;
     } else {
-        say(inspection.to_string().trim_end())?;
+        say(inspection.to_terminal(columns()).trim_end())?;
     }
     if let Some(picture) = picture {
         let drive = inspection.recording.as_ref().context("--picture: the log has no drive to draw")?;
@@ -591,13 +598,32 @@ fn init(arguments: &Init) -> anyhow::Result<u8> {
     for warning in &inspection.warnings {
         complain(&format!("warning: {warning}"));
     }
-    let file = out.display();
+    let (file, argument) = (out.display(), in_shell(out));
     let reference = inspection.drive.as_ref().is_some_and(|drive| drive.references() > 0);
     let gap = if reference {
-        format!(" `locsim gap {file} --out found` searches for what its simulator lacks.")
+        format!(" `locsim gap {argument} --out found` searches for what its simulator lacks.")
     } else {
         String::new()
     };
-    say(&format!("{file}: written. `locsim run {file}` localizes on the log.{gap}"))?;
+    say(&format!("{file}: written. `locsim run {argument}` localizes on the log.{gap}"))?;
     Ok(DONE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_is_quoted_where_a_shell_needs_it() {
+        for (path, is_plain) in [
+            ("scenarios/my-robot_2.yaml", true),
+            ("my drive.yaml", false),
+            ("it's $HOME (2).yaml", false),
+            ("", false),
+        ] {
+            let written = in_shell(Path::new(path));
+            assert_eq!(written == path, is_plain, "{written}");
+            assert_eq!(shlex::split(&written).unwrap(), [path]);
+        }
+    }
 }

@@ -40,5 +40,6 @@ pub use quality::{
     ClockQuality, DriveQuality, OdometryError, OdometryQuality, ReadingQuality, ReferenceQuality,
 };
 pub use ros::{BagCopy, BagOptions, BagTopics, DriveEdit, OdometryEdit, read_bag, write_mcap};
+pub use source::not_a_text;
 pub use summary::{LogKind, LogSummary, MountSource, OdometrySource};
 pub use tum::{StampedPose, encode_tum, odometry_trajectory, read_tum, reference_trajectory, write_tum};

@@ -11,6 +11,7 @@ use mcap::MAGIC as MCAP;
 use ruzstd::decoding::{FrameDecoder, StreamingDecoder};
 
 use crate::DatasetError;
+use crate::ros::folder_files;
 
 /// Bytes of a file that are read at once.
 pub const READ_AHEAD: usize = 1 << 16;
@@ -51,6 +52,9 @@ pub const LOGS: &str =
 
 /// A map of BeeSoft where a log is wanted.
 pub const BEESOFT_MAP: &str = "a map of BeeSoft, which `locsim convert` makes a ROS map of";
+
+/// First bytes that tell what a file is, at the most.
+const SIGNATURE: u64 = 64;
 
 /// A text holds fewer control characters than one in this many; binary data hold more.
 const TEXT: usize = 50;
@@ -124,7 +128,43 @@ fn content(path: &Path, start: &[u8]) -> Result<Content, DatasetError> {
     if controls * TEXT > start.len() {
         return Err(not_a_log(path, "a binary file of an unknown format", LOGS));
     }
+    if begins_with_a_key(start) {
+        return Err(not_a_log(path, "a YAML file, perhaps a scenario or a map", LOGS));
+    }
     Ok(Content::Text)
+}
+
+/// What a path leads to that isn't a text, by its first bytes, in words; `None` for a text, and where it can't be told.
+pub fn not_a_text(path: &Path) -> Option<&'static str> {
+    if path.is_dir() {
+        let is_bag = folder_files(path).is_ok();
+        return Some(if is_bag { "the folder of a ROS 2 bag" } else { "a folder" });
+    }
+    // No more than the first bytes: a pipe may be read again by nobody.
+    let file = File::open(path).ok().filter(|file| file.metadata().is_ok_and(|found| found.is_file()))?;
+    let mut start = Vec::new();
+    file.take(SIGNATURE).read_to_end(&mut start).ok()?;
+    let signatures = [
+        (MCAP, "a ROS 2 bag (MCAP)"),
+        (SQLITE, "a SQLite file, perhaps a ROS 2 bag"),
+        (GZIP, "a file compressed with gzip, perhaps a log"),
+        (ZSTD, "a file compressed with zstd, perhaps a log"),
+    ];
+    let found = signatures.into_iter().chain(FOREIGN).find(|(signature, _)| start.starts_with(signature));
+    found.map(|(_, name)| name)
+}
+
+/// Whether a text begins like a YAML file: with a key at the start of its first line that is no comment.
+fn begins_with_a_key(start: &[u8]) -> bool {
+    let mut lines = start.split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii_end);
+    let first = lines.find(|line| !(line.is_empty() || line.starts_with(b"#") || *line == b"---"));
+    first.and_then(|line| line.split(|byte| *byte == b':').next().map(|key| (line, key))).is_some_and(
+        |(line, key)| {
+            let is_word = |byte: &u8| byte.is_ascii_alphanumeric() || *byte == b'_';
+            let after = &line[key.len()..];
+            !key.is_empty() && key.iter().all(is_word) && (after == b":" || after.starts_with(b": "))
+        },
+    )
 }
 
 /// Opens a text file.
@@ -288,6 +328,8 @@ mod tests {
         let zstd = |bytes: &[u8]| compress_to_vec(bytes, CompressionLevel::Fastest);
         for (name, bytes, part) in [
             ("old.bag", b"#ROSBAG V2.0\nE\0\0\0".to_vec(), "a bag of ROS 1, which `rosbags-convert`"),
+            ("my.yaml", b"# a scenario\n\nseed: 1\n".to_vec(), "a YAML file, perhaps a scenario or a map"),
+            ("floor.yaml", b"image: floor.pgm\r\nmode: trinary\r\n".to_vec(), "a YAML file"),
             ("map.log", png.to_vec(), "a PNG image; allowed: a ROS 2 bag (a folder, MCAP or SQLite) or"),
             ("map.mcap", png.to_vec(), "a PNG image"),
             ("map.log.gz", zipped(png), "a PNG image"),

@@ -116,6 +116,12 @@ pub struct LogSummary {
     pub longest_return_m: Option<f32>,
 }
 
+impl LogKind {
+    /// What a reference that a localizer found is worth, in a sentence.
+    pub const LOCALIZED: &str = "The reference is a localizer's estimate from the same scans: errors against it are differences \
+                                 between two localizers.";
+}
+
 impl fmt::Display for LogSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = match self.kind {

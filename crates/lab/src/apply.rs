@@ -14,7 +14,7 @@ use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{MountFilter, OdometryFilter, ScanFilter};
 
 use crate::LabError;
-use crate::run::{log_map, no_reference, read_options, refused};
+use crate::run::{log_map, no_reference, read_scenario_log, refused};
 
 /// Delays of beams that differ by less than this from evenly spaced ones are evenly spaced \[s\]: a nanosecond is the resolution
 /// of a stamp, and beam times are f32.
@@ -344,7 +344,7 @@ fn map_of(scenario: &Scenario) -> Result<locsim_world::map::Geometry, LabError> 
     match &scenario.source {
         Source::Simulation(simulation) => Ok(load_map(&simulation.map)?.geometry),
         Source::Log(log) => {
-            let (drive, _) = read_log(&log.file, &read_options(log))?;
+            let (drive, _) = read_scenario_log(scenario, log)?;
             log_map(log, &drive, &())
         }
     }

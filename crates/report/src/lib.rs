@@ -99,7 +99,7 @@ pub fn write(
         folder.write(&format!("{name}.parquet"), &tables::parquet(&table)?)?;
     }
 
-    let figures = figures::all(results, &summary, detail)?;
+    let figures = figures::all(results, &summary, detail, context.simulated)?;
     write_figures(folder, &figures)?;
     let markdown = page::markdown(results, &summary, &figures, context)?;
     folder.write("report.md", markdown.as_bytes())?;

@@ -1,18 +1,22 @@
 //! Tables and numbers as text, for the terminal and for Markdown.
 
-use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
-use comfy_table::{CellAlignment, LineStyle, Table};
+use comfy_table::presets::{NOTHING, UTF8_HORIZONTAL_ONLY};
+use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, LineStyle, Table};
 use locsim_core::Interval;
 use locsim_core::limits::is_hidden;
 
-use crate::summary::{Errors, Ratio, Summary};
+use crate::summary::{Errors, ORACLE, Ratio, Summary};
 
 /// Placeholder of a missing value.
 pub const NONE: &str = "-";
 
-/// Where cells of a table that is too wide are broken: nowhere, then before units, intervals and deviations, then within intervals
-/// as well.
-const BREAKS: [&[&str]; 3] = [&[], &[" [", " ±", " /"], &[" [", " ±", " /", ", "]];
+/// Where cells of a table that is too wide are broken, and what stands there then: nowhere, then before units, intervals and
+/// deviations, then within intervals and names of message types as well.
+const BREAKS: [&[[&str; 2]]; 3] = [
+    &[],
+    &[[" [", "\n["], [" ±", "\n±"], [" /", "\n/"]],
+    &[[" [", "\n["], [" ±", "\n±"], [" /", "\n/"], [", ", ",\n"], ["/msg/", "/msg/\n"]],
+];
 
 /// A table of text; the first column is aligned left, the others right.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,10 +50,10 @@ impl TextTable {
     }
 
     /// The first columns of the table, with lines of cells broken at some places.
-    fn drawn(&self, columns: usize, breaks: &[&str]) -> String {
+    fn drawn(&self, columns: usize, breaks: &[[&str; 2]]) -> String {
         let cells = |row: &[String]| -> Vec<String> {
             let broken = |cell: &String| {
-                breaks.iter().fold(cell.clone(), |cell, at| cell.replace(at, &at.replace(' ', "\n")))
+                breaks.iter().fold(cell.clone(), |cell, [at, broken]| cell.replace(at, broken))
             };
             row.iter().take(columns).map(broken).collect()
         };
@@ -70,6 +74,13 @@ impl TextTable {
         table.trim_fmt()
     }
 
+    /// Leaves the last column out.
+    pub fn drop_last_column(&mut self) {
+        for row in self.rows.iter_mut().chain([&mut self.header]) {
+            row.pop();
+        }
+    }
+
     /// As a Markdown table (GitHub's extension).
     pub fn to_markdown(&self) -> String {
         let line = |cells: &mut dyn Iterator<Item = String>| {
@@ -83,6 +94,20 @@ impl TextTable {
         }
         text
     }
+}
+
+/// Names and texts in two columns, indented by two blanks, for a terminal of `width` columns: texts are wrapped there, and
+/// nowhere where it is `None`.
+pub fn listing<N: AsRef<str>>(rows: &[(N, String)], width: Option<usize>) -> String {
+    let mut table = Table::new();
+    table.load_style(NOTHING).add_rows(rows.iter().map(|(name, text)| [name.as_ref(), text]));
+    if let Some(width) = width.and_then(|width| u16::try_from(width).ok()) {
+        table.set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
+    }
+    if let Some(names) = table.column_mut(0) {
+        names.set_padding((2, 1)).set_constraint(ColumnConstraint::ContentWidth);
+    }
+    table.trim_fmt() + "\n"
 }
 
 /// Text that Markdown shows as it is, in a line of its own or a table's cell: no link, picture, HTML or other markup comes
@@ -149,9 +174,12 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     if text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.')) { text.replace('-', "") } else { text }
 }
 
-/// A number with three significant digits.
+/// A number with three significant digits, as 1.00e-6 where it is small.
 pub fn significant(value: f64) -> String {
     let magnitude = if value == 0.0 { 0.0 } else { value.abs().log10().floor() };
+    if magnitude < -5.0 {
+        return format!("{value:.2e}");
+    }
     fixed(value, (2.0 - magnitude).clamp(0.0, 12.0) as usize)
 }
 
@@ -223,7 +251,7 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
             .map(|(name, m)| (name.as_str(), &m.errors, m.intervals.as_ref().map(|i| &i.errors))),
     );
     let [std, rmse] = ["std", "RMSE"].map(|figure| format!("{figure} / {}", summary.baseline()));
-    let others = TextTable::new(
+    let mut others = TextTable::new(
         ["model", "lost [%]", "ESS", "NEES", "ms/step", &std, &rmse, "RMSE / oracle"],
         summary.models.iter().zip(summary.ratios.values()).map(|((name, model), ratios)| {
             [
@@ -238,6 +266,9 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
             ]
         }),
     );
+    if !summary.models.contains_key(ORACLE) {
+        others.drop_last_column();
+    }
     [errors, others]
 }
 

@@ -4,9 +4,10 @@ use std::fmt::Write;
 
 use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
 use comfy_table::{ContentArrangement, Table};
-use locsim_world::effect::{EffectError, EffectKind};
+use locsim_world::effect::EffectKind;
 
 use crate::effect::{in_file, unit};
+use crate::error::unknown_word;
 
 /// Width of the table, in characters.
 const WIDTH: u16 = 110;
@@ -41,9 +42,10 @@ pub fn table(width: Option<usize>) -> String {
 /// All there is to say of one effect.
 ///
 /// # Errors
-/// [`EffectError::Unknown`] for a name that isn't one, with those that are.
-pub fn page(name: &str) -> Result<String, EffectError> {
-    let kind: EffectKind = name.parse()?;
+/// A name that isn't one, with the one that may be meant and all that are.
+pub fn page(name: &str) -> Result<String, String> {
+    let names: Vec<&str> = names().collect();
+    let kind: EffectKind = name.parse().map_err(|_| unknown_word(name, "an effect", &names))?;
     let mut text = format!("{kind} ({})\n\n{}\n\n", kind.site().name(), kind.sentence());
     // By the names that scenarios use.
     let formula = kind

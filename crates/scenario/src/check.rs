@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use locsim_core::limits::{RANGE_M, quoted};
+use locsim_core::limits::{QUOTED_CHARACTERS, RANGE_M, quoted};
 use locsim_dataset::log_files;
 
 use super::error::{LISTED, and_more, shown};
@@ -214,7 +214,9 @@ impl<'a> Checker<'a> {
 
     fn is_file(&mut self, key: &str, text: &str, path: &Path) {
         self.refuse(!path.is_file(), key, || {
-            format!("`{}` is not allowed; there is no file {}", quoted(text), shown(path))
+            let looked_up =
+                if text.chars().count() > QUOTED_CHARACTERS { "of this name".into() } else { shown(path) };
+            format!("`{}` is not allowed; there is no file {looked_up}", quoted(text))
         });
     }
 

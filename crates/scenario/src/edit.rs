@@ -209,8 +209,7 @@ fn moved(text: &str, file: &Path, to: &Path) -> String {
     let mut places: Vec<(Range<usize>, String)> = Vec::new();
     walk(text, &mut |path, event, bytes, _| {
         let Event::Scalar(word, ..) = event else { return };
-        let is_file = path == "map.file"
-            || path == "log.file"
+        let is_file = ["map", "map.file", "log.file"].contains(&path)
             || (path.starts_with("models[") && path.ends_with("].file"));
         // An absolute path, or one from the environment, holds everywhere.
         if !is_file || word.starts_with("${") || Path::new(&**word).is_absolute() {

@@ -21,6 +21,9 @@ pub(super) trait Short: Sized {
     /// Every form that is allowed, the full one included, as an error message shows them.
     const FORMS: &'static [&'static str];
 
+    /// Whether the full form is a list; otherwise it is a map, which no list stands for.
+    const FULL_IS_A_LIST: bool = false;
+
     /// From a word of the file.
     fn from_word(_: &str) -> Option<Self> {
         None
@@ -62,6 +65,9 @@ impl<'de, S: Short, F: Deserialize<'de>> Visitor<'de> for FormVisitor<S, F> {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Self::Value, A::Error> {
+        if !S::FULL_IS_A_LIST {
+            return Err(A::Error::invalid_type(Unexpected::Seq, &self));
+        }
         F::deserialize(SeqAccessDeserializer::new(list)).map(Form::Full)
     }
 }

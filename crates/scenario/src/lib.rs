@@ -26,6 +26,7 @@ pub mod yaml;
 
 use std::path::Path;
 
+use serde::de::IgnoredAny;
 use serde_json::Value;
 
 pub use amcl::load_amcl;
@@ -73,6 +74,14 @@ impl Scenario {
     /// None: the text was read before.
     pub fn tree(&self) -> Result<Value, ScenarioError> {
         Ok(Value::Object(yaml::parse(&self.file, &self.text)?.0))
+    }
+
+    /// The error that something is wrong with the value at a key path.
+    pub fn refusal(&self, key: &str, message: String) -> ScenarioError {
+        let line =
+            yaml::parse::<IgnoredAny>(&self.file, &self.text).ok().and_then(|(_, lines)| lines.line(key));
+        let problem = Problem { line, key: key.to_owned(), message };
+        ScenarioError::Invalid { file: self.file.clone(), problems: vec![problem] }
     }
 
     /// [`Scenario::load`] of a text that was read from `path`.

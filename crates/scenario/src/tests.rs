@@ -14,6 +14,7 @@ use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath,
 };
 use proptest::prelude::*;
+use serde_json::json;
 
 use super::*;
 use crate::testing::{assert_told, hostile_texts};
@@ -288,6 +289,24 @@ fn the_command_line_overrides_before_anything_is_checked() {
 }
 
 #[test]
+fn a_map_may_be_its_file_alone() {
+    let full = text("minimal.yaml");
+    let short = edited(&full, "map: {file: map.yaml}", "map: map.yaml");
+    let [full, short] = [full, short].map(|text| parse(&text).unwrap());
+    assert_eq!(short.content_hash().unwrap(), full.content_hash().unwrap());
+    // Sweeps name it by its long path, searches move it with the scenario.
+    let folder = tempfile::tempdir().unwrap();
+    let moved = short.text_in(&folder.path().canonicalize().unwrap());
+    std::fs::write(folder.path().join("s.yaml"), &moved).unwrap();
+    let template = Template::load(&folder.path().join("s.yaml")).unwrap();
+    let other = json!(Path::new(FIXTURES).join("grid.yaml").canonicalize().unwrap());
+    let other = template.with([("map.file", &other)], &Overrides::default()).unwrap();
+    assert_ne!(other.content_hash().unwrap(), full.content_hash().unwrap());
+    let error = parse(&edited(&full.text, "map: {file: map.yaml}", "map: nowhere.yaml")).unwrap_err();
+    assert!(error.to_string().contains("map: `nowhere.yaml` is not allowed; there is no file"), "{error}");
+}
+
+#[test]
 fn the_hash_sees_what_changes_results_and_nothing_else() {
     let simulation = text("simulation.yaml");
     let hash = |from: &str, to: &str| parse(&edited(&simulation, from, to)).unwrap().content_hash().unwrap();
@@ -364,6 +383,7 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ("seed above 64 bits", "minimal.yaml", "seed: 1", "seed: 18446744073709551616"),
     ("number for a text", "simulation.yaml", "name: everything", "name: 2016"),
     ("list for a map", "minimal.yaml", "{file: map.yaml}", "[map.yaml]"),
+    ("list for a model", "minimal.yaml", "[classic]", "[[classic]]"),
     ("map for a list", "minimal.yaml", "[classic]", "{classic: yes}"),
     ("pair too short", "simulation.yaml", "[0.2, 0.6]", "[0.2]"),
     ("pair too long", "simulation.yaml", "[0.2, 0.6]", "[0.2, 0.4, 0.6]"),
@@ -642,6 +662,7 @@ fn an_error_is_short_whatever_a_file_holds() {
             (&minimal, "[classic]", format!("!<{word}> [classic]")),
         ] {
             let error = parse(&edited(text, from, &to)).unwrap_err().to_string();
+            assert!(!error.contains(&"x".repeat(81)), "{error}");
             assert!(error.len() < 3000 && !error.contains(|c: char| c.is_control() && c != '\n'), "{error}");
             assert!(!error.contains('\u{202e}') && error.lines().count() < 4, "{error}");
         }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 use crate::{Overrides, Problem, Scenario, ScenarioError, yaml};
 
@@ -25,6 +25,10 @@ impl Template {
         let (mut tree, _) = yaml::parse::<Map<String, Value>>(path, &yaml::read(path)?)?;
         for key in ["expect", "record"] {
             tree.remove(key);
+        }
+        // `map.file` is a key path, however short the file writes it.
+        if let Some(map @ Value::String(_)) = tree.get_mut("map") {
+            *map = json!({ "file": map.take() });
         }
         Ok(Self { file: path.to_owned(), tree: Value::Object(tree) })
     }
@@ -82,8 +86,6 @@ fn place<'t>(tree: &'t mut Value, path: &str) -> Result<&'t mut Value, String> {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
 
     #[test]

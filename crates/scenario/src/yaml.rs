@@ -10,6 +10,7 @@ use std::fmt;
 use std::path::Path;
 
 use locsim_core::limits::{Limits, quoted};
+use locsim_dataset::not_a_text;
 use serde::Serialize;
 use serde::de::value::{MapDeserializer, SeqDeserializer};
 use serde::de::{self, DeserializeOwned, DeserializeSeed, Deserializer, Expected, Unexpected, Visitor};
@@ -38,11 +39,16 @@ const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
 /// # Errors
 /// [`ScenarioError`] for a file that cannot be read, is above the limit or is not UTF-8.
 pub fn read(path: &Path) -> Result<String, ScenarioError> {
-    let mut bytes = limited::read(path, "yaml_bytes", Limits::current().yaml_bytes)?;
     let invalid = |line, message| ScenarioError::Invalid {
         file: path.to_owned(),
         problems: vec![Problem { line, key: String::new(), message }],
     };
+    if let Some(found) = not_a_text(path) {
+        let message =
+            format!("this is {found}; a YAML file is needed (`locsim init` makes a scenario of a log)");
+        return Err(invalid(None, message));
+    }
+    let mut bytes = limited::read(path, "yaml_bytes", Limits::current().yaml_bytes)?;
     if let Some((_, encoding)) = OTHER_ENCODINGS.iter().find(|(mark, _)| bytes.starts_with(mark)) {
         return Err(invalid(None, format!("a text in {encoding} is not allowed; save it as UTF-8")));
     }
@@ -426,6 +432,24 @@ mod tests {
     }
 
     #[test]
+    fn what_is_no_text_is_told_by_its_first_bytes() {
+        for (bytes, found) in [
+            (b"\x89MCAP0\r\n".as_slice(), "a ROS 2 bag (MCAP)"),
+            (b"SQLite format 3\0\x10", "a SQLite file, perhaps a ROS 2 bag"),
+            (b"\x1f\x8b\x08", "a file compressed with gzip, perhaps a log"),
+            (b"P5\n4 4\n255\n", "a PGM image, perhaps a map"),
+        ] {
+            let said = read_bytes(bytes).unwrap_err();
+            let init = "(`locsim init` makes a scenario of a log)";
+            assert_eq!(said, format!("s.yaml: this is {found}; a YAML file is needed {init}"));
+        }
+        let folder = tempfile::tempdir().unwrap();
+        assert!(read(folder.path()).unwrap_err().to_string().contains(": this is a folder; a YAML file"));
+        fs::write(folder.path().join("drive_0.mcap"), b"\x89MCAP0\r\n").unwrap();
+        assert!(read(folder.path()).unwrap_err().to_string().contains("this is the folder of a ROS 2 bag"));
+    }
+
+    #[test]
     fn no_more_is_read_than_the_limit_allows() {
         let most = Limits::DEFAULT.yaml_bytes;
         let error = read_bytes(&vec![b'#'; most as usize + 5]).unwrap_err();
@@ -438,7 +462,7 @@ mod tests {
             let error = read(Path::new("/dev/zero")).unwrap_err().to_string();
             assert!(error.contains("bytes of a YAML file"), "{error}");
         }
-        assert!(matches!(read(Path::new(".")), Err(ScenarioError::Read { .. })));
+        assert!(read(Path::new(".")).unwrap_err().to_string().contains("this is a folder"));
     }
 
     fn tree(text: &str) -> serde_json::Value {

@@ -354,9 +354,11 @@ pub struct Cost {
 /// Models with their settings of the filter, cheapest first; `None` where nothing that costs varies.
 pub fn costs(cells: &Cells, figures: &Figures) -> Option<Vec<Cost>> {
     let axes = &cells.plan().axes;
-    let chosen: Vec<usize> = (0..axes.len())
-        .filter(|i| axes[*i].key.starts_with("filter") || axes[*i].key.starts_with("models"))
-        .collect();
+    // What doesn't vary is no choice.
+    let is_setting = |axis: &Axis| {
+        axis.values.len() > 1 && (axis.key.starts_with("filter") || axis.key.starts_with("models"))
+    };
+    let chosen: Vec<usize> = (0..axes.len()).filter(|i| is_setting(&axes[*i])).collect();
     let mut tallies = BTreeMap::<(Vec<usize>, usize), Tally>::new();
     for cell in &figures.cells {
         let indices = cells.indices(cell.cell);

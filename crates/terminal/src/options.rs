@@ -8,8 +8,9 @@ use locsim_core::limits::{Limit, Limits, THREADS_PER_CORE};
 /// `--limit`, which every command takes.
 #[derive(Debug, Args)]
 pub struct LimitOptions {
-    /// Changes a limit on what may be read, such as `map_pixels=400000000`; may be given more than once
-    #[arg(long, global = true, value_name = "NAME=VALUE", long_help = limit_help())]
+    /// Change a limit on what may be read, such as `map_pixels=400000000`; may be given more than once
+    // Its list is long, and few need it: it stands last.
+    #[arg(long, global = true, value_name = "NAME=VALUE", long_help = limit_help(), help_heading = "Limits")]
     limit: Vec<String>,
 }
 
@@ -27,7 +28,7 @@ impl LimitOptions {
 /// The limits with their defaults.
 fn limit_help() -> String {
     let mut help =
-        "Changes a limit on what may be read; may be given more than once. The limits:\n".to_owned();
+        "Change a limit on what may be read; may be given more than once. The limits:\n".to_owned();
     for Limit { name, default, what } in Limits::TABLE {
         let _ = write!(help, "\n  {name}={default}\n      {what}");
     }

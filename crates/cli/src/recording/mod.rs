@@ -131,7 +131,7 @@ fn upright() -> rerun::Transform3D {
 fn layout(trial: &DetailedTrial) -> Blueprint {
     let side = 2.0 * reach(trial);
     let close_up = |model: &DetailedModel| -> ContainerLike {
-        let title = format!("{}: {side:.1} m around the robot", model.name);
+        let title = format!("{} ({side:.1} m)", model.name);
         let content = format!("/close_up/{}/**", model.name);
         Spatial2DView::new(title).with_origin("/close_up").with_contents([content]).into()
     };
@@ -188,7 +188,7 @@ fn log_static(stream: &RecordingStream, trial: &DetailedTrial) -> RecordingStrea
     stream.log_static(
         "legend",
         &rerun::TextDocument::from_markdown(
-            "Each close-up shows one sensor model's filter on the same drive, the map below all of them.\n\n\
+            "Each close-up shows one sensor model's filter around the robot, on the same drive; its title says how wide it is.\n\n\
              - white: true (or reference) path and pose; grey line: odometry alone\n\
              - grey rectangles: clutter that stood there, **not known to the filter**\n\
              - points: particles, dim to strong by weight\n\

@@ -20,6 +20,9 @@ use crate::{DatasetError, LogKind, LogSummary, MountSource, OdometrySource};
 /// A laser that scans in the plane has its axis this near to the vertical: the cosine of 10 degrees.
 const UPRIGHT: f64 = 0.985;
 
+/// The angle from the first beam of a scan to the last, at the most (rad): a turn, with the rounding of some drivers.
+const WIDEST_SCAN: f64 = 1.05 * std::f64::consts::TAU;
+
 /// Pairs of frames that an error lists, at the most.
 const LISTED_PAIRS: usize = 20;
 
@@ -329,6 +332,7 @@ impl Scans {
             self.empty += 1;
             return Ok(());
         }
+        check_bearings(&scan, ranges.len())?;
         if let Some(first) = &self.first {
             let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
             if ranges.len() != beams {
@@ -392,6 +396,18 @@ impl Scans {
             mount.base_from_laser,
         )
     }
+}
+
+/// Refuses scans whose beams don't lie beside each other within a turn.
+fn check_bearings(scan: &LaserScan, beams: usize) -> Result<(), String> {
+    let step = f64::from(scan.angle_increment);
+    let most = WIDEST_SCAN / (beams as f64 - 1.0);
+    if beams > 1 && !(step != 0.0 && step.abs() <= most) {
+        return Err(format!(
+            "angle_increment is {step} rad; allowed: not 0, at most {most:.6} for {beams} ranges within a turn"
+        ));
+    }
+    Ok(())
 }
 
 /// How the robot moved, and where its frames are.

@@ -140,7 +140,7 @@ fn markdown(study: &GapStudy, changes: &Changes, diff: &str, command: &str) -> R
         tried_table => (!changes.tried.is_empty()).then(|| tried_table(changes).to_markdown()),
         notes => changes.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
         command => command.trim(),
-        diff => diff.trim_end(),
+        diff => (!changes.effects.is_empty()).then(|| diff.trim_end()),
         fence => page::fence(&[diff, command]),
     };
     Ok(environment.get_template("baseline.md")?.render(page)?)

@@ -17,8 +17,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, Scan, wrap_angle};
-use locsim_dataset::{LogOptions, LogSummary, read_log};
-use locsim_gap::{GapError, GapOptions, Nominal, Recorded};
+use locsim_dataset::{LogKind, LogOptions, LogSummary, read_log};
+use locsim_gap::{GapError, GapOptions, Nominal, Recorded, ResidualStage};
 use locsim_world::effect::EffectKind;
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::Simulator;
@@ -31,7 +31,7 @@ pub use filter::FilterOnLog;
 pub use proposal::scenario_with;
 
 use crate::LabError;
-use crate::run::{log_map, no_reference, read_options, selected};
+use crate::run::{log_map, no_reference, read_scenario_log, selected};
 use locsim_core::Control;
 use locsim_report::ReportError;
 use locsim_report::store::{Folder, Request};
@@ -107,6 +107,8 @@ pub struct GapStudy {
     settings: GapSettings,
     /// Remarks on the log.
     notes: Vec<String>,
+    /// The log's reference is what a localizer found.
+    is_localized: bool,
 }
 
 /// An earlier log of the same robot.
@@ -192,7 +194,8 @@ impl GapStudy {
         let baseline = baseline.transpose()?;
         let laser = simulated.laser().laser();
         let (drive, recorded) = usable(&log, drive, &summary, laser, &map, &settings, &mut notes)?;
-        Ok(Self { scenario, simulator, log, map, drive, recorded, baseline, settings, notes })
+        let is_localized = summary.kind == LogKind::Localized;
+        Ok(Self { scenario, simulator, log, map, drive, recorded, baseline, settings, notes, is_localized })
     }
 
     /// The scenario's name.
@@ -282,7 +285,7 @@ impl Held {
             }
             Source::Log(log) => log,
         };
-        let (drive, summary) = read_log(&of_scenario.file, &read_options(of_scenario))?;
+        let (drive, summary) = read_scenario_log(scenario, of_scenario)?;
         let map = log_map(of_scenario, &drive, &())?;
         if let Some(log) = log {
             let (drive, summary) = read_log(log, &settings.log)?;
@@ -438,7 +441,10 @@ fn write(
         &options.out.join("scenario.yaml").display().to_string(),
     );
     folder.write("scenario.diff", diff.as_bytes())?;
-    Ok(page::write(folder, study, outcome, &diff, &options.command)?)
+    // A name and paths of its own are no news.
+    let has_curves = outcome.residual.as_ref().is_some_and(ResidualStage::is_nearer);
+    let shown = if outcome.effects.is_empty() && !has_curves { "" } else { &diff };
+    Ok(page::write(folder, study, outcome, shown, &options.command)?)
 }
 
 /// The drive with the laser where the scenario has it: a log may not know, and the scenario is what is in question.

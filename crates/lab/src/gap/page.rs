@@ -1,5 +1,6 @@
 //! The report of a search: what disagrees and where, why this effect and not another, what remains.
 
+use locsim_dataset::LogKind;
 use locsim_gap::{Outcome, Region, Verdict};
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
@@ -100,6 +101,7 @@ fn markdown(
         seconds => fixed(outcome.seconds, 1),
         verdict => Serde(outcome.verdict),
         steps => next::steps(outcome),
+        reference => study.is_localized.then_some(LogKind::LOCALIZED),
         answers => answers,
         named => Serde(named),
         still_off => matches!(outcome.verdict, Verdict::PartlyExplained | Verdict::Unexplained | Verdict::Unnamed),

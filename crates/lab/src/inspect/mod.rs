@@ -315,12 +315,7 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
          with the robot."
             .to_owned(),
     );
-    warn(
-        facts.kind == LogKind::Localized,
-        "The reference is a localizer's estimate from the same scans: errors against it are differences between two \
-         localizers."
-            .to_owned(),
-    );
+    warn(facts.kind == LogKind::Localized, LogKind::LOCALIZED.to_owned());
     if let Some(reference) = reference {
         let share = reference.scans as f64 / facts.scans as f64;
         let gap = reference.longest_gap_secs;

@@ -2,27 +2,37 @@ use std::fmt::{self, Write as _};
 
 use locsim_core::Pose2;
 use locsim_dataset::{DriveQuality, LogFormat, OdometrySource, Scanner};
-use locsim_report::TextTable;
+use locsim_report::text::{TextTable, listing};
 
 use super::{DriveFacts, Inspection, Part, Role, Split};
 
 /// Topics and pairs of frames that are listed, at the most.
 const LISTED: usize = 40;
+/// Blanks before a table.
+const INDENT: usize = 2;
 
-impl fmt::Display for Inspection {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl Inspection {
+    /// In words, for a terminal of `width` columns; `None` where lines may be as long as their content.
+    pub fn to_terminal(&self, width: Option<usize>) -> String {
+        let mut text = String::new();
+        // Writing to a string doesn't fail.
+        _ = self.write(&mut text, width);
+        text
+    }
+
+    fn write(&self, f: &mut String, width: Option<usize>) -> fmt::Result {
         let format = match self.contents.format {
             LogFormat::Bag => "ROS 2 bag",
             LogFormat::Carmen => "CARMEN log",
         };
         writeln!(f, "{}: {format}", self.file)?;
-        self.topics(f)?;
-        section(f, "Scanners", &self.scanners())?;
+        self.topics(f, width)?;
+        section(f, width, "Scanners", &self.scanners())?;
         if let Some(problem) = &self.problem {
-            section(f, "Not readable as a drive", &[("reason", problem.clone())])?;
+            section(f, width, "Not readable as a drive", &[("reason", problem.clone())])?;
         }
         if let Some(drive) = &self.drive {
-            drive.sections(f)?;
+            drive.sections(f, width)?;
             if !self.reference_candidates.is_empty() {
                 writeln!(f, "  --reference-topic may name {}", self.reference_candidates.join(" or "))?;
             }
@@ -33,26 +43,24 @@ impl fmt::Display for Inspection {
         let lacks = &self.lacks;
         section(
             f,
+            width,
             "Commands",
             &[("map", lack(&lacks.map)), ("run", self.run(lack(&lacks.run))), ("gap", lack(&lacks.gap))],
         )?;
         if let Some(split) = &self.split {
             writeln!(f, "\nProposed split")?;
-            write!(f, "{}", indented(&split.table().to_terminal(None)))?;
-            writeln!(f, "\n{}", indented(&split.yaml()))?;
+            write!(f, "{}", indented(&split.table(), width))?;
+            let keys = split.yaml().lines().fold(String::new(), |keys, line| format!("{keys}  {line}\n"));
+            writeln!(f, "\n{keys}")?;
         }
         if !self.warnings.is_empty() {
-            writeln!(f, "\nWarnings")?;
-            for warning in &self.warnings {
-                writeln!(f, "  - {warning}")?;
-            }
+            let warnings: Vec<_> = self.warnings.iter().map(|warning| ("-", warning.clone())).collect();
+            section(f, width, "Warnings", &warnings)?;
         }
         Ok(())
     }
-}
 
-impl Inspection {
-    fn topics(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn topics(&self, f: &mut String, width: Option<usize>) -> fmt::Result {
         let contents = &self.contents;
         let rows = contents.topics.iter().take(LISTED).map(|topic| {
             [
@@ -64,7 +72,7 @@ impl Inspection {
             ]
         });
         let header = ["topic", "type", "messages", "rate [Hz]", "longest gap [s]"];
-        write!(f, "\n{}", indented(&TextTable::new(header, rows).to_terminal(None)))?;
+        write!(f, "\n{}", indented(&TextTable::new(header, rows), width))?;
         more(f, contents.topics.len())?;
         if !contents.transforms.is_empty() {
             let rows = contents.transforms.iter().take(LISTED).map(|pair| {
@@ -72,7 +80,7 @@ impl Inspection {
                 [pair.frames.clone(), source.to_owned(), pair.messages.to_string(), number(pair.rate_hz, 1)]
             });
             let header = ["transform", "source", "messages", "rate [Hz]"];
-            write!(f, "\n{}", indented(&TextTable::new(header, rows).to_terminal(None)))?;
+            write!(f, "\n{}", indented(&TextTable::new(header, rows), width))?;
             more(f, contents.transforms.len())?;
         }
         Ok(())
@@ -102,7 +110,7 @@ impl Inspection {
 }
 
 impl DriveFacts {
-    fn sections(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn sections(&self, f: &mut String, width: Option<usize>) -> fmt::Result {
         let DriveQuality { readings, odometry, reference, clock } = &self.quality;
         let laser = &self.laser;
         let mut rows = vec![
@@ -129,7 +137,7 @@ impl DriveFacts {
         if laser.sweep_secs > 0.0 {
             rows.push(("sweep", format!("{:.1} ms from the first beam to the last", 1e3 * laser.sweep_secs)));
         }
-        section(f, "Laser", &rows)?;
+        section(f, width, "Laser", &rows)?;
 
         let mut rows = vec![("found", self.evidence.clone())];
         if let Some(odometry) = odometry {
@@ -147,7 +155,7 @@ impl DriveFacts {
             rows.push(("odometry", "none".to_owned()));
         }
         rows.push(("reference", self.reference(reference.as_ref())));
-        section(f, "Poses", &rows)?;
+        section(f, width, "Poses", &rows)?;
 
         let mut rows = vec![(
             "scans",
@@ -171,7 +179,7 @@ impl DriveFacts {
             format!("odometry {:+.0} ms behind the scans", 1e3 * lag)
         });
         rows.push(("lag", lag));
-        section(f, "Clocks", &rows)
+        section(f, width, "Clocks", &rows)
     }
 
     fn reference(&self, reference: Option<&locsim_dataset::ReferenceQuality>) -> String {
@@ -248,27 +256,23 @@ fn number(value: Option<f64>, decimals: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
-fn section<N: AsRef<str>>(f: &mut fmt::Formatter<'_>, title: &str, rows: &[(N, String)]) -> fmt::Result {
-    writeln!(f, "\n{title}")?;
-    let width = rows.iter().map(|(name, _)| name.as_ref().chars().count()).max().unwrap_or_default();
-    if rows.is_empty() {
-        writeln!(f, "  none")?;
-    }
-    for (name, text) in rows {
-        writeln!(f, "  {:width$}  {text}", name.as_ref())?;
-    }
-    Ok(())
+fn section<N: AsRef<str>>(
+    f: &mut String,
+    width: Option<usize>,
+    title: &str,
+    rows: &[(N, String)],
+) -> fmt::Result {
+    let listed = if rows.is_empty() { "  none\n".to_owned() } else { listing(rows, width) };
+    write!(f, "\n{title}\n{listed}")
 }
 
-fn more(f: &mut fmt::Formatter<'_>, count: usize) -> fmt::Result {
+fn more(f: &mut String, count: usize) -> fmt::Result {
     if count > LISTED { writeln!(f, "  and {} more", count - LISTED) } else { Ok(()) }
 }
 
-fn indented(text: &str) -> String {
-    text.lines().fold(String::new(), |mut all, line| {
-        _ = writeln!(all, "  {line}");
-        all
-    })
+fn indented(table: &TextTable, width: Option<usize>) -> String {
+    let text = table.to_terminal(width.map(|width| width.saturating_sub(INDENT)));
+    text.lines().fold(String::new(), |text, line| format!("{text}{:INDENT$}{line}\n", ""))
 }
 
 impl Split {

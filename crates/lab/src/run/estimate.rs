@@ -2,15 +2,11 @@
 
 use locsim_core::limits::Limits;
 use locsim_world::simulation::Trajectory;
-use serde::de::IgnoredAny;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
 use crate::LabError;
 use locsim_mcl::{KldOptions, ParticleCount};
-use locsim_scenario::yaml;
-use locsim_scenario::{
-    Estimate as PoseEstimate, ModelName, Problem, RayCast, Scenario, ScenarioError, Source,
-};
+use locsim_scenario::{Estimate as PoseEstimate, ModelName, RayCast, Scenario, Source};
 
 /// Bytes of a training reading in all the forms that it has at once: as scanned, in the training set, as the list of
 /// readings and beams that a mixture is fitted to (40 bytes).
@@ -135,10 +131,8 @@ impl Estimate {
             size(available),
             self.memory_bytes.ceil()
         );
-        let key = keys.split(' ').next().unwrap_or_default().to_owned();
-        let (IgnoredAny, locations) = yaml::parse(&scenario.file, &scenario.text)?;
-        let problem = Problem { line: locations.line(&key), key, message };
-        Err(ScenarioError::Invalid { file: scenario.file.clone(), problems: vec![problem] }.into())
+        let key = keys.split(' ').next().unwrap_or_default();
+        Err(scenario.refusal(key, message).into())
     }
 
     /// The estimate in words, for a run on `threads` threads.

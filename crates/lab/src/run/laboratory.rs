@@ -8,7 +8,7 @@ use locsim_core::{
     DistanceMap, Draw, Drive, DriveStep, EndpointGrid, Obstructions, Particles, Pose2, RangeMap, Stage,
     Survival,
 };
-use locsim_dataset::{LogOptions, LogSummary, OdometryError, read_log};
+use locsim_dataset::{BagTopics, DatasetError, LogKind, LogOptions, LogSummary, OdometryError, read_log};
 use locsim_mapping::{MappingOptions, occupancy_from_drive, walls_from_drive};
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions, Vicinity};
@@ -260,7 +260,7 @@ impl<'a> Laboratory<'a> {
             train(&scenario.models, &data, &surroundings, training.held_out_share, beams, seed, progress)?;
         let localized: Vec<DriveStep> = localized.into_iter().map(|i| drive.steps[i].clone()).collect();
         let mut notes = vec![
-            summary.to_string(),
+            summary.to_string().replace('\n', "; "),
             match simulator {
                 None => format!(
                     "Every fitted model was trained on the same {} scans of {} beams, one observation of each state; \
@@ -286,6 +286,7 @@ impl<'a> Laboratory<'a> {
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
         let dropped = train_steps.len() - usable;
         let warnings = [
+            (summary.kind == LogKind::Localized).then(|| LogKind::LOCALIZED.to_owned()),
             warning,
             (dropped > 0).then(|| {
                 format!(
@@ -506,7 +507,7 @@ impl MeasuredLog {
     /// # Errors
     /// [`LabError::Dataset`] for a log that can't be read, and those of [`check_drive`].
     pub fn read(scenario: &Scenario, log: &Log) -> Result<Self, LabError> {
-        let (drive, summary) = read_log(&log.file, &read_options(log))?;
+        let (drive, summary) = read_scenario_log(scenario, log)?;
         check_drive(scenario, log, &drive, &summary)?;
         let warning = uncovered(log, &drive);
         Ok(Self { drive, summary, warning })
@@ -678,6 +679,19 @@ pub(super) fn check_measured(scenario: &Scenario, log: &Log) -> Result<Vec<Strin
     let steps = selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
     let localized = Drive { laser: drive.laser.clone(), steps };
     Ok([warning, unmapped_start(&map, &distance, &localized)].into_iter().flatten().collect())
+}
+
+/// Reads the log of a scenario.
+///
+/// # Errors
+/// [`LabError::Scenario`] for topics that it names and that aren't there, [`LabError::Dataset`] for a log that can't be read.
+pub fn read_scenario_log(scenario: &Scenario, log: &Log) -> Result<(Drive, LogSummary), LabError> {
+    read_log(&log.file, &read_options(log)).map_err(|error| match error {
+        DatasetError::Topic { .. } if log.topics != BagTopics::default() => {
+            scenario.refusal("log.topics", error.to_string()).into()
+        }
+        error => error.into(),
+    })
 }
 
 /// How the log of a scenario is read.

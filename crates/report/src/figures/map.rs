@@ -107,11 +107,15 @@ pub fn aspect(width: f64, height: f64) -> f64 {
     (width - LEFT - right) / (height - top - below)
 }
 
-/// Truth, dead reckoning and each model's most likely trajectory on the map, and beneath it how far each is from the
-/// truth over time.
-pub(super) fn trajectories(models: &[String], detail: &DetailedTrial) -> Result<String, DrawError> {
-    let truth: Vec<Option<Pose2>> = detail.drive.steps.iter().map(|s| s.reference).collect();
-    let truth_line = points(truth.iter().flatten().copied());
+/// Truth (or reference, as `truth` calls it), dead reckoning and each model's most likely trajectory on the map, and beneath
+/// it how far each is from the truth over time.
+pub(super) fn trajectories(
+    models: &[String],
+    detail: &DetailedTrial,
+    truth: &str,
+) -> Result<String, DrawError> {
+    let true_poses: Vec<Option<Pose2>> = detail.drive.steps.iter().map(|s| s.reference).collect();
+    let truth_line = points(true_poses.iter().flatten().copied());
     let bounds = Window::around(detail.walls.iter().flatten().chain(&truth_line));
     let (right, top, below) = MARGINS;
     let [width, height] = bounds.size();
@@ -133,11 +137,12 @@ pub(super) fn trajectories(models: &[String], detail: &DetailedTrial) -> Result<
     lines.extend(detail.models.iter().map(|m| (model_color(models, &m.name), &m.most_likely_trajectory)));
     let errors: Vec<Vec<(f64, f64)>> = lines.iter().map(|(_, poses)| distances(poses)).collect();
     let values = errors.iter().flatten().map(|e| e.1);
-    let y = Axis::logarithmic("distance to the truth [m]", 1e-3, 1.2 * values.fold(1e-2, f64::max));
+    let y =
+        Axis::logarithmic(&format!("distance to the {truth} [m]"), 1e-3, 1.2 * values.fold(1e-2, f64::max));
     let x = Axis::linear("time [s]", 0.0, errors.iter().flatten().map(|e| e.0).fold(0.0, f64::max), 8.0);
 
     let mut legend = vec![
-        ("truth".to_owned(), Mark::Area(TRUTH)),
+        (truth.to_owned(), Mark::Area(TRUTH)),
         ("dead reckoning".to_owned(), Mark::Line(DEAD_RECKONING)),
     ];
     legend.extend(detail.models.iter().map(|m| (m.name.clone(), Mark::Line(model_color(models, &m.name)))));
@@ -167,6 +172,7 @@ pub(super) fn snapshots(
     models: &[String],
     detail: &DetailedTrial,
     model: &DetailedModel,
+    truth: &str,
 ) -> Result<String, DrawError> {
     const ROW: f64 = 304.0;
     const CLOSE_UP: f64 = 330.0;
@@ -182,11 +188,14 @@ pub(super) fn snapshots(
     let bounds = Window::centered(bounds.middle(), bounds.size().map(|side| 1.06 * side));
     let color = model_color(models, &model.name);
     let legend = [
-        ("true pose".to_owned(), Mark::Ring(INK)),
+        (truth.to_owned(), Mark::Ring(INK)),
         ("particles".to_owned(), Mark::Dot(color)),
-        ("readings, drawn from the true pose".to_owned(), Mark::Dot(READING)),
-        ("blocks, not in the filter's map".to_owned(), Mark::Area(UNKNOWN)),
+        (format!("readings, drawn from the {truth}"), Mark::Dot(READING)),
     ];
+    let mut legend = legend.to_vec();
+    if detail.blocks.iter().any(|blocks| !blocks.is_empty()) {
+        legend.push(("blocks, not in the filter's map".to_owned(), Mark::Area(UNKNOWN)));
+    }
     let title = format!("The filter with {} at {} steps of the recorded trial", model.name, steps.len());
     figure(&title, &legend, ROW * steps.len() as f64, |area| {
         for (row, &step) in area.split_evenly((steps.len().max(1), 1)).iter().zip(&steps) {
@@ -194,10 +203,9 @@ pub(super) fn snapshots(
             let pose = seen.reference.unwrap_or(at.estimate);
             let blocks = detail.blocks.get(step).map_or(&[][..], Vec::as_slice);
             let label = format!(
-                "step {step}, {:.1} s: effective sample size {:.0} of {}",
+                "step {step}, {:.1} s: effective sample size {:.0}",
                 seen.stamp_secs - detail.drive.steps[0].stamp_secs,
-                at.effective_sample_size,
-                at.particles.len()
+                at.effective_sample_size
             );
             row.draw(&Text::new(label, (px(LEFT), px(12.0)), text(HEADING, INK)))?;
             let (_, row) = row.split_vertically(px(TITLE));

@@ -13,7 +13,8 @@ use resvg::usvg::{Options, Tree, fontdb};
 
 use super::ReportError;
 use crate::results::{DetailedTrial, RunResults};
-use crate::summary::Summary;
+use crate::summary::{ORACLE, Summary};
+use crate::text::code;
 
 /// Pixels of a PNG per pixel of its SVG: sharp on dense displays and in print.
 const PNG_SCALE: f32 = 2.0;
@@ -39,22 +40,29 @@ impl Figure {
     }
 }
 
-/// Every figure that the results allow: those of a single trial need `detail`.
+/// Every figure that the results allow: those of a single trial need `detail`. A simulated drive has a truth, a measured
+/// one a reference.
 pub(crate) fn all(
     results: &RunResults,
     summary: &Summary,
     detail: Option<&DetailedTrial>,
+    simulated: bool,
 ) -> Result<Vec<Figure>, ReportError> {
     let figure =
         |name, caption: &str, svg: Result<String, canvas::DrawError>| -> Result<Figure, ReportError> {
             let svg = svg.map_err(|error| ReportError::Figure { name, reason: error.to_string() })?;
             Ok(Figure { name, caption: caption.to_owned(), svg })
         };
+    let truth = if simulated { "truth" } else { "reference" };
+    let oracle = if summary.models.contains_key(ORACLE) { " and `oracle`" } else { "" };
     let mut figures = vec![
         figure(
             "rmse",
-            "Position RMSE of each model with its 95 % interval, and its ratio to `classic` and `oracle` where these \
-             ran. Rings: without the trials lost by the models compared. Logarithmic axes.",
+            &format!(
+                "Position RMSE of each model with its 95 % interval, and its ratio to {}{oracle}. Rings: without the trials lost \
+                 by the models compared. Logarithmic axes.",
+                code(summary.baseline())
+            ),
             errors::forest(summary),
         )?,
         figure(
@@ -76,9 +84,11 @@ pub(crate) fn all(
     if let Some(detail) = detail {
         figures.push(figure(
             "trajectories",
-            "One trial: truth, dead reckoning and the most likely trajectory of each model on the map, and the distance \
-             of each to the truth.",
-            map::trajectories(&results.models, detail),
+            &format!(
+                "One trial: {truth}, dead reckoning and the most likely trajectory of each model on the map, and the distance \
+                 of each to the {truth}."
+            ),
+            map::trajectories(&results.models, detail, truth),
         )?);
         let preferred = SNAPSHOT_PREFERENCE
             .iter()
@@ -89,17 +99,19 @@ pub(crate) fn all(
                 "filter_snapshots",
                 "The filter at four steps of the recorded trial, as in the paper's Fig. 10. Right: the particles close \
                  up, stronger with more weight.",
-                map::snapshots(&results.models, detail, model),
+                map::snapshots(&results.models, detail, model, truth),
             )?);
         }
         let probes = density::shortened_beam(detail);
         if !probes.is_empty() {
             figures.push(figure(
                 "predicted_densities",
-                "What each model predicts for the same beam of the same particle near the truth, whose reading fell \
-                 short of the nominal range, as in the paper's Fig. 11; of all such steps of the recorded trial the one \
-                 with the median shortfall. The models' own densities, without the floor and the exponent that the filter \
-                 applies, on a logarithmic axis.",
+                &format!(
+                    "What each model predicts for the same beam of the same particle near the {truth}, whose reading fell \
+                     short of the nominal range, as in the paper's Fig. 11; of all such steps of the recorded trial the one \
+                     with the median shortfall. The models' own densities, without the floor and the exponent that the filter \
+                     applies, on a logarithmic axis."
+                ),
                 density::predicted(&results.models, &probes),
             )?);
         }

@@ -123,7 +123,7 @@ fn kept_table(summary: &Summary) -> TextTable {
 /// Ratios over the trials that neither model lost.
 fn kept_ratios(summary: &Summary) -> TextTable {
     let [std, rmse] = ["std", "RMSE"].map(|figure| format!("{figure} / {}", summary.baseline()));
-    TextTable::new(
+    let mut table = TextTable::new(
         ["model", &std, &rmse, "RMSE / oracle"],
         summary.ratios_kept.iter().map(|(name, ratios)| {
             [
@@ -133,7 +133,11 @@ fn kept_ratios(summary: &Summary) -> TextTable {
                 text::ratio(ratios.rmse_vs_oracle),
             ]
         }),
-    )
+    );
+    if !summary.models.contains_key(ORACLE) {
+        table.drop_last_column();
+    }
+    table
 }
 
 fn training_table(summary: &Summary) -> TextTable {

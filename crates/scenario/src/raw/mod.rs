@@ -37,8 +37,8 @@ pub struct RawScenario {
     /// Number of trials, 1 to 1000000. Every model runs on the same trials.
     #[serde(default = "default::trials")]
     pub trials: u64,
-    /// The map. Needed with `robot`; with `log`, a map is built from the log where this is absent.
-    pub map: Option<RawMap>,
+    /// The map: its file, or a map of keys. Needed with `robot`; with `log`, a map is built from the log where this is absent.
+    pub map: Option<Form<MapFile, RawMap>>,
     /// How the filter casts rays into the map.
     #[serde(default)]
     pub ray_cast: RawRayCast,
@@ -76,6 +76,29 @@ pub struct RawScenario {
     /// figures are written nested or with dots (`train.log_loss_nats`). A run that misses one exits with 1.
     #[serde(default)]
     pub expect: BTreeMap<String, RawBounds>,
+}
+
+/// The file of a map: short for a map with the key `file`.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+#[schemars(inline)]
+pub struct MapFile(String);
+
+impl Short for MapFile {
+    const FORMS: &'static [&'static str] = &["FILE", "{file: FILE}"];
+
+    fn from_word(word: &str) -> Option<Self> {
+        Some(Self(word.to_owned()))
+    }
+}
+
+impl Form<MapFile, RawMap> {
+    /// The key path under which the map's file stands, and the file.
+    pub fn file(&self) -> (&'static str, &str) {
+        match self {
+            Self::Short(MapFile(file)) => ("map", file),
+            Self::Full(RawMap { file }) => ("map.file", file),
+        }
+    }
 }
 
 /// A map file.
@@ -186,6 +209,7 @@ pub enum All {
 
 impl Short for All {
     const FORMS: &'static [&'static str] = &["all", "[LABEL, ...]"];
+    const FULL_IS_A_LIST: bool = true;
 
     fn from_word(word: &str) -> Option<Self> {
         (word == "all").then_some(Self::All)

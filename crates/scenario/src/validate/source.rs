@@ -51,7 +51,10 @@ pub(super) fn ray_cast(check: &mut Checker<'_>, raw: &RawRayCast) -> RayCast {
 
 /// `None` where so much is missing that there is nothing to return; the problem is remembered.
 pub(super) fn source(check: &mut Checker<'_>, raw: &RawScenario) -> Option<Source> {
-    let map = raw.map.as_ref().map(|map| check.file("map.file", &map.file));
+    let map = raw.map.as_ref().map(|map| {
+        let (key, file) = map.file();
+        check.file(key, file)
+    });
     match (&raw.robot, &raw.log) {
         (Some(robot), None) => {
             let blocks = raw.blocks.as_ref().map(|raw| blocks(check, raw));
