@@ -206,7 +206,7 @@ impl Annealer {
 }
 
 /// The largest step of the power, up to `most`, that leaves an effective sample size of `least`.
-fn largest_step(weights: &Weights, log_likelihood: &[f64], most: f64, least: f64) -> f64 {
+pub(crate) fn largest_step(weights: &Weights, log_likelihood: &[f64], most: f64, least: f64) -> f64 {
     let effective = |step: f64| {
         let log = || weights.log().zip(log_likelihood).map(|(w, l)| w + step * l);
         let highest = log().fold(f64::NEG_INFINITY, f64::max);

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::adaptive::{KldOptions, KldSampler};
 use crate::ancestry::{Ancestry, NO_PARENT};
-use crate::annealing::{Annealer, AnnealingOptions, Set};
+use crate::annealing::{Annealer, AnnealingOptions, Set, largest_step};
 use crate::augmented::{Augmented, InjectionOptions};
 use crate::bins::PoseBins;
 use crate::error::{FilterError, check};
@@ -52,6 +52,10 @@ pub struct FilterOptions {
     /// Gaussian jitter of the resampled particles, which keeps copies of one ancestor apart (the regularized particle
     /// filter of Musso, Oudjane and Le Gland 2001, with a bandwidth of the user's choice); `None` for none.
     pub regularization: Option<Spread>,
+    /// A scan that would leave fewer effective particles than this share of their count is taken in by the largest power of its
+    /// likelihood that leaves as many, above 0 and below 1; `None` takes every scan in whole. A handful of particles has hardly
+    /// a covariance, and where the motion noise or the map is wrong, a few scans would leave no more.
+    pub least_effective_share: Option<f64>,
     /// Bins for the cluster estimate, `None` to do without it.
     pub clusters: Option<PoseBins>,
     /// Annealed updates while the particles are spread, `None` for plain ones.
@@ -169,6 +173,17 @@ pub struct Filter {
     parents: Vec<u32>,
 }
 
+/// Scales log likelihoods by the largest power, at most 1, that leaves `share` of the particles effective; half of those that
+/// already are, where these are too few.
+fn temper(weights: &Weights, log_likelihood: &mut [f64], share: f64) {
+    let least = (share * log_likelihood.len() as f64).min(0.5 * weights.effective_sample_size());
+    let power = largest_step(weights, log_likelihood, 1.0, least);
+    if power < 1.0 {
+        // A power of 0 would make a number of what is impossible.
+        log_likelihood.iter_mut().filter(|l| l.is_finite()).for_each(|l| *l *= power);
+    }
+}
+
 /// How far a step has come: what it draws next must not be what it has drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
@@ -225,6 +240,9 @@ impl Filter {
         }
         if let Some(spread) = options.regularization {
             spread.check(["regularization sigma_m", "regularization sigma_rad"])?;
+        }
+        if let Some(share) = options.least_effective_share {
+            check("least effective share", share, share > 0.0 && share < 1.0, "above 0 and below 1")?;
         }
         let annealer = options.annealing.map(Annealer::new).transpose()?;
         let first = match (start, options.annealing) {
@@ -331,7 +349,12 @@ impl Filter {
         let annealing = self.annealer.as_mut().filter(|annealer| annealer.is_due());
         let annealed = annealing.is_some();
         let weighed = match annealing {
-            None => Arc::make_mut(&mut self.weights).update(log_likelihood),
+            None => {
+                if let Some(share) = self.options.least_effective_share {
+                    temper(&self.weights, log_likelihood, share);
+                }
+                Arc::make_mut(&mut self.weights).update(log_likelihood)
+            }
             Some(annealer) => {
                 // A varying number of particles is chosen when the step resamples.
                 let count =

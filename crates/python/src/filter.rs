@@ -44,6 +44,8 @@ const START_SIGMA: (f64, f64) = (0.2, 0.1);
 ///     injection: Decay rates (alpha_slow, alpha_fast) of augmented MCL (table 8.3 there), which replaces particles by random ones
 ///         while scans are less likely than they used to be; by default none are.
 ///     regularization: Standard deviations of the jitter after a resampling, of position [m] and heading [rad]; by default none.
+///     least_effective_share: A scan that would leave a smaller share of the particles effective is taken in by the largest power of its
+///         likelihood that leaves as many; by default all are taken in whole.
 ///     annealing: How scans are taken in while the particles are spread, for a start anywhere in the map; by default at once.
 ///     table: Whether ray casts and densities come from tables, which are prepared first.
 ///     seed: Everything random derives from it.
@@ -178,7 +180,8 @@ impl Filter {
     #[pyo3(signature = (
         map, model, bearings, *, particles = Particles::Fixed(1000), start = None, start_sigma = START_SIGMA,
         alpha = OdometryError::USUAL_ALPHA, mount = (0.0, 0.0, 0.0), tempering = TEMPERING,
-        resampler = "systematic", injection = None, regularization = None, annealing = None, table = true, seed = 0,
+        resampler = "systematic", injection = None, regularization = None, least_effective_share = None, annealing = None,
+        table = true, seed = 0,
     ))]
     #[expect(clippy::too_many_arguments, reason = "keyword arguments")]
     fn new(
@@ -195,6 +198,7 @@ impl Filter {
         resampler: &str,
         injection: Option<(f64, f64)>,
         regularization: Option<(f64, f64)>,
+        least_effective_share: Option<f64>,
         annealing: Option<&Annealing>,
         table: bool,
         seed: u64,
@@ -220,6 +224,7 @@ impl Filter {
             trigger: ResampleTrigger::EachStep,
             injection: injection.map(|(alpha_slow, alpha_fast)| InjectionOptions { alpha_slow, alpha_fast }),
             regularization: regularization.map(|(sigma_m, sigma_rad)| Spread { sigma_m, sigma_rad }),
+            least_effective_share,
             clusters: None,
             annealing: annealing.map(|annealing| annealing.0),
             ancestry: false,

@@ -135,6 +135,7 @@ fn every_key_arrives_in_si_units_and_radians() {
             beams: Some(12),
             estimate: Estimate::MostLikelyTrajectory,
             regularization: Spread { sigma_m: 0.01, sigma_rad: degrees(0.5) },
+            least_effective_share: None,
             annealing: Some(AnnealingOptions {
                 candidates: 4000,
                 effective_share: 0.8,
@@ -236,6 +237,7 @@ fn a_log_is_read_with_its_parts() {
     assert_eq!(scenario.map_file(), None);
     assert_eq!(scenario.training.observations, 1);
     assert_eq!(scenario.filter.start, Start::Global);
+    assert_eq!(scenario.filter.least_effective_share, Some(0.1));
 
     let with_map = edited(&text("log.yaml"), "  map_scans: [[0.0, 0.5]]\n", "");
     let with_map = edited(&with_map, "  map_resolution_m: 0.1\n", "");
@@ -409,6 +411,12 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ("annealing, a key", "simulation.yaml", "gathered_m: 0.3", "gatherd_m: 0.3"),
     ("annealing, all effective", "simulation.yaml", "effective_share: 0.8", "effective_share: 1"),
     ("annealing, no moves", "simulation.yaml", "moves: 6", "moves: 0"),
+    (
+        "least effective share, all",
+        "minimal.yaml",
+        "particles: 1000",
+        "particles: 1000\n  least_effective_share: 1",
+    ),
     ("name", "simulation.yaml", "name: everything", "name: all of it"),
     ("zero trials", "simulation.yaml", "trials: 20", "trials: 0"),
     ("table key with exact casts", "simulation.yaml", "method: table", "method: exact"),

@@ -350,6 +350,8 @@ pub struct Filter {
     pub estimate: Estimate,
     /// Jitter added after resampling (regularized particle filter); zero for none.
     pub regularization: Spread,
+    /// The least share of particles that a scan leaves effective; `None` takes every scan in whole.
+    pub least_effective_share: Option<f64>,
     /// How scans are taken in while the particles are spread; `None` for all at once as always.
     pub annealing: Option<AnnealingOptions>,
 }

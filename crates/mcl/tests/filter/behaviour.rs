@@ -249,6 +249,52 @@ fn regularization_spreads_resampled_particles_as_told() {
     }
 }
 
+/// A laser that is a hundred times as precise as the start leaves a handful of particles. With a least share it leaves as many as
+/// asked for, ranked as before; the power is known to 2^-30, which moves no count by a thousandth.
+#[test]
+fn a_scan_that_would_leave_few_particles_is_taken_in_by_a_power() {
+    let sharp = Gaussian { sigma_m: 0.002 };
+    let after = |least_effective_share, model: &Gaussian| {
+        let mut filter = filter(FilterOptions { least_effective_share, ..options(2000) }, &tracking(0.2));
+        let outcome = stand(&mut filter, model).unwrap();
+        (outcome.effective_sample_size, filter.log_likelihood().to_vec())
+    };
+    let (few, whole) = after(None, &sharp);
+    assert!(few < 20.0, "{few} are effective");
+    let (enough, scaled) = after(Some(0.05), &sharp);
+    assert!((enough / 100.0 - 1.0).abs() < 1e-3, "{enough} are effective");
+    let power = scaled[0] / whole[0];
+    assert!((0.0..0.5).contains(&power), "power {power}");
+    for (scaled, whole) in scaled.iter().zip(&whole) {
+        assert!((scaled - power * whole).abs() <= 1e-9 * whole.abs(), "{scaled}, {whole}");
+    }
+    let options = FilterOptions { least_effective_share: Some(0.05), ..options(2000) };
+    let outcome = stand(&mut filter(options, &tracking(0.2)), &Constant(f32::NEG_INFINITY)).unwrap();
+    assert_eq!(outcome.recovered, Some(Recovery::WeightsReset), "impossible remains impossible");
+    // A scan that leaves enough is taken in whole.
+    let dull = Gaussian { sigma_m: 1.0 };
+    assert_eq!(after(None, &dull), after(Some(0.05), &dull));
+}
+
+/// Where fewer are effective before the scan than it is to leave, it isn't ignored.
+#[test]
+fn a_set_with_few_effective_particles_still_takes_scans_in() {
+    let mut filter = filter(
+        FilterOptions {
+            least_effective_share: Some(0.9),
+            trigger: ResampleTrigger::EffectiveShareBelow(0.0),
+            ..options(2000)
+        },
+        &tracking(0.2),
+    );
+    let sharp = Gaussian { sigma_m: 0.002 };
+    let effective: Vec<f64> =
+        (0..4).map(|_| stand(&mut filter, &sharp).unwrap().effective_sample_size).collect();
+    for pair in effective.windows(2) {
+        assert!((pair[1] / pair[0] - 0.5).abs() < 0.01, "{effective:?}");
+    }
+}
+
 #[test]
 fn beams_start_at_the_laser_and_not_at_the_base() {
     let mount = Pose2::new(0.3, -0.1, 0.7);
@@ -355,6 +401,11 @@ fn options_out_of_range_are_named() {
     assert_eq!(
         refused(FilterOptions { trigger, ..options(1) }, &Start::Global),
         "effective share must be from 0 to 1, got 1.5"
+    );
+    let least_effective_share = Some(1.0);
+    assert_eq!(
+        refused(FilterOptions { least_effective_share, ..options(1) }, &Start::Global),
+        "least effective share must be above 0 and below 1, got 1"
     );
     let regularization = Some(Spread { sigma_m: -1.0, sigma_rad: 0.0 });
     assert_eq!(

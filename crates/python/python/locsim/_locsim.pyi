@@ -279,6 +279,7 @@ class Filter:
         resampler: str = "systematic",
         injection: tuple[float, float] | None = None,
         regularization: tuple[float, float] | None = None,
+        least_effective_share: float | None = None,
         annealing: Annealing | None = None,
         table: bool = True,
         seed: int = 0,

@@ -2,7 +2,7 @@ use locsim_core::Pose2;
 use locsim_mcl::{AnnealingOptions, InjectionOptions, KldOptions, ParticleCount, ResampleTrigger, Spread};
 
 use super::{MAX_PARTICLES, beams};
-use crate::check::Allowed::{AboveUpTo, Between, Within};
+use crate::check::Allowed::{AboveUpTo, Between, FromBelow, Within};
 use crate::check::{ANGLE, COORDINATE, Checker, LENGTH, NOISE, POSITIVE_LENGTH, number};
 use crate::form::Form;
 use crate::key_path::join;
@@ -58,6 +58,11 @@ pub(super) fn filter(
         beams: beams(check, "filter.beams", raw.beams, laser_beams),
         estimate: raw.estimate,
         regularization: spread(check, "filter.regularization", raw.regularization),
+        least_effective_share: {
+            let share = raw.least_effective_share;
+            let share = check.number("filter.least_effective_share", share, FromBelow(0.0, 1.0));
+            (share > 0.0).then_some(share)
+        },
         annealing: match raw.annealing {
             Form::Short(NotAnnealed::None) => None,
             Form::Full(raw) => Some(annealing(check, raw)),
