@@ -162,7 +162,8 @@ impl Large {
         best.max_by(|a, b| a.gain().total_cmp(&b.gain()))
     }
 
-    fn gain(&self) -> f64 {
+    /// Log score gained on held-out folds (nats).
+    pub fn gain(&self) -> f64 {
         self.gains.iter().sum()
     }
 

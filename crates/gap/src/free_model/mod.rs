@@ -25,7 +25,8 @@ pub(crate) use covariates::{Axis, Covariates};
 pub(crate) use lag::Lag;
 
 use crate::fit::sum_error;
-use crate::hypothesis::{Comparison, Fitted};
+use crate::hypothesis::{Comparison, Fitted, Nuisances};
+use crate::pose_error::PoseError;
 use crate::statistics::{Covariate, Deviation, FOLD_SCANS, fold_count};
 use curve::{Shape, Sums, crossfit, fit};
 use large::{Change, Large};
@@ -135,23 +136,54 @@ impl FreeModel {
         part: Part,
     ) -> Self {
         let folds = fold_count(comparison.recorded.scans());
-        let outcomes_of = |changes: Option<&[Change]>| {
+        let outcomes_of = |fitted: &Fitted, changes: Option<&[Change]>| {
             let mut outcomes = Outcomes::new(comparison, effects, fitted, draw, changes);
             outcomes.all.retain(|outcome| part.includes(fold_of(outcome.scan as usize, folds)));
             outcomes
         };
-        let outcomes = outcomes_of(None);
-        let plain = Self::of(&outcomes, covariates, folds, None);
+        let plain = Self::of(&outcomes_of(fitted, None), covariates, folds, None);
         let gain = |model: &Self| model.gains().iter().sum::<f64>();
         if gain(&plain) < STRONG_NATS {
             return plain;
         }
-        let large = Large::new(comparison, effects, fitted, covariates, folds, part);
-        let changed = large.map(|large| {
-            let outcomes = outcomes_of(Some(&large.of_readings));
+        let large_on = |fitted: Fitted, before: &[f64]| {
+            let mut large = Large::new(comparison, effects, &fitted, covariates, folds, part)?;
+            large.gains.iter_mut().zip(before).for_each(|(gain, before)| *gain += before);
+            Some((fitted, large))
+        };
+        let trusted = Self::with_trusted_reference(comparison, effects, fitted, folds, part);
+        let trusted = trusted.and_then(|(fitted, before)| large_on(fitted, &before));
+        let large = [large_on(fitted.clone(), &vec![0.0; folds]), trusted].into_iter().flatten();
+        let changed = large.max_by(|a, b| a.1.gain().total_cmp(&b.1.gain())).map(|(fitted, large)| {
+            let outcomes = outcomes_of(&fitted, Some(&large.of_readings));
             Self::of(&outcomes, covariates, folds, Some(large))
         });
         changed.filter(|changed| gain(changed) > gain(&plain)).unwrap_or(plain)
+    }
+
+    /// The hypothesis without errors of the reference, and what each fold of a part gains by that (nats). Errors that were fitted
+    /// without a strong bias have absorbed some of it, and what is left of it looks like a spread. `None` where there are none.
+    fn with_trusted_reference(
+        comparison: &Comparison<'_>,
+        effects: &Effects,
+        fitted: &Fitted,
+        folds: usize,
+        part: Part,
+    ) -> Option<(Fitted, Vec<f64>)> {
+        if fitted.nuisances.pose_error.is_none() {
+            return None;
+        }
+        let evaluate = |fitted: &Fitted| comparison.evaluate_views(&comparison.views, effects, fitted, 0);
+        let nuisances = Nuisances { pose_error: PoseError::NONE, ..fitted.nuisances };
+        let trusted = evaluate(&comparison.start(&nuisances));
+        let mut gains = vec![0.0; folds];
+        for (scan, (without, with)) in trusted.scans.iter().zip(&evaluate(fitted).scans).enumerate() {
+            let fold = fold_of(scan, folds);
+            if part.includes(fold) {
+                gains[fold] += without - with;
+            }
+        }
+        Some((trusted, gains))
     }
 
     /// Adds curves for as long as they gain.
@@ -439,7 +471,6 @@ mod tests {
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Outside, Regime, record_library, record_outside};
-    use crate::hypothesis::Nuisances;
     use crate::statistics::pit_draw;
     use crate::{Recorded, fixtures};
     use locsim_core::Drive;

@@ -146,7 +146,7 @@ mod tests {
     /// A wall that has moved by 15 cm, to where clutter can stand for all of a drive and does.
     #[test]
     fn a_wall_that_moved_is_named_among_clutter_that_stays() {
-        let stretch = vec![[DVec2::new(0.5, 0.0), DVec2::new(1.9, 0.0)]];
+        let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]];
         let moved = Effect::new(EffectKind::MovedWall, vec![-0.15], stretch).unwrap();
         let regime = Regime { persistent_blocks: true, pose_error: None };
         let drive = record_library(&NOMINAL, &TRUTH, &[moved], regime, 3).unwrap();
