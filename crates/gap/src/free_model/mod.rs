@@ -235,10 +235,13 @@ impl FreeModel {
         (0..self.folds).map(of_fold).collect()
     }
 
-    /// The gain of a moment over a covariate (nats); 0 where it has no curve.
+    /// The gain of a moment over the neighbouring beam, or over all other covariates together (nats): which of those a log's curves
+    /// are over is chance where they can't be told from each other.
     pub fn gain_of(&self, moment: Deviation, covariate: Covariate) -> f64 {
-        let own = |c: &&Component| c.moment == moment && c.covariate == covariate;
-        self.components.iter().filter(own).map(Component::gain).sum()
+        let is_neighbour = |covariate| covariate == Covariate::Neighbour;
+        let alike =
+            |c: &&Component| c.moment == moment && is_neighbour(c.covariate) == is_neighbour(covariate);
+        self.components.iter().filter(alike).map(Component::gain).sum()
     }
 }
 

@@ -99,7 +99,7 @@ impl Judgement {
         self.model.neighbour_correlation - simulated / self.simulated.len() as f64
     }
 
-    /// The dependences that surely gain more than on any simulated log, the one that gains most first.
+    /// The dependences that surely gain more than those of the same moment on any simulated log, the one that gains most first.
     pub fn dependences(&self) -> Vec<Dependence<'_>> {
         let of_readings = self.model.components.iter().map(|component| {
             let Component { moment, covariate, ref gains, .. } = *component;

@@ -132,8 +132,10 @@ pub fn find(
     // Deeper blocks also stand in the way of more beams.
     let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);
     let nameless = state.nameless(path.last())?;
-    if !deeper && !options.without.contains(&EffectKind::BlockDensity) {
-        let more = state.block_density(path.first(), path.last(), &nameless.curves)?;
+    // What has no name may look like clutter.
+    let is_told = nameless.unnamed.is_empty() && !options.without.contains(&EffectKind::BlockDensity);
+    if !deeper && is_told {
+        let more = state.block_density(path.first(), path.last())?;
         path.named.extend(more);
     }
     state.outcome(path, nameless)
