@@ -20,6 +20,10 @@ pub(crate) struct Terms {
     pub clear_density: f64,
     /// Probability that no clutter stands before the surface.
     pub clear: f64,
+    /// Probability that a reading is of the surface, times `measure`: the density of its error is multiplied by it.
+    pub returned: f64,
+    /// Probability and factor of the tail of a reading of the surface.
+    pub tail: [f64; 2],
     /// Probability that the reading is of clutter, given the reading.
     pub short: f64,
     /// Factor from a density per metre to one in the measure of these; see [`locsim_world::simulation::MixtureDensity`].
@@ -53,6 +57,8 @@ impl<'a> Density<'a> {
             hit: if is_return { (parts.surface / density).min(1.0) } else { 0.0 },
             clear_density: parts.unobstructed,
             clear: parts.clear,
+            returned: parts.returned,
+            tail: parts.tail,
             short: parts.clutter / density,
             measure: parts.measure,
             error: if is_return { z - parts.mean } else { 0.0 },

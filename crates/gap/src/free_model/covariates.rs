@@ -30,6 +30,9 @@ pub(crate) struct Axis {
 const INCIDENCES: usize = 18;
 const BEARINGS: usize = 72;
 const RANGES: usize = 24;
+/// Shares of the beams in finer levels at both ends of the ranges: what happens to the nearest or farthest readings alone would
+/// be thinned out in a level of even width.
+const ENDS: [f64; 4] = [0.0025, 0.005, 0.01, 0.02];
 const SPEEDS: usize = 8;
 const TURN_RATES: usize = 12;
 /// A level of time is of no fewer scans than half a fold, so that a fold that is held out isn't a level's only one; and there are
@@ -69,13 +72,15 @@ impl Covariates {
         Self {
             axes: vec![
                 of(Covariate::Everywhere, Vec::new(), &|_| 0.0),
-                of(Covariate::Range, quantiles(&ranges, RANGES), &|i| ranges[i]),
+                of(Covariate::Range, quantiles(&ranges, RANGES, &ENDS), &|i| ranges[i]),
                 of(Covariate::Incidence, even(0.0, FRAC_PI_2, INCIDENCES), &|i| view(i).incidence),
                 of(Covariate::Bearing, even(first, last, BEARINGS.min(bearings.len())), &|i| view(i).bearing),
                 Axis::of_places(comparison, max),
                 of(Covariate::Time, even(secs[0], secs[secs.len() - 1], times), &|i| secs[i / per_scan]),
-                of(Covariate::Speed, quantiles(&speeds, SPEEDS), &|i| speeds[i / per_scan]),
-                of(Covariate::TurnRate, quantiles(&turn_rates, TURN_RATES), &|i| turn_rates[i / per_scan]),
+                of(Covariate::Speed, quantiles(&speeds, SPEEDS, &[]), &|i| speeds[i / per_scan]),
+                of(Covariate::TurnRate, quantiles(&turn_rates, TURN_RATES, &[]), &|i| {
+                    turn_rates[i / per_scan]
+                }),
                 of(Covariate::Jump, JUMPS.to_vec(), &|i| jumps[i]),
                 Axis { of_beams: Vec::new(), ..of(Covariate::Neighbour, NEIGHBOURS.to_vec(), &|_| 0.0) },
             ],
@@ -116,11 +121,14 @@ fn even(lo: f64, hi: f64, levels: usize) -> Vec<f64> {
     (1..levels).map(|i| lo + (hi - lo) * i as f64 / levels as f64).collect()
 }
 
-/// Inner edges between which about equally many of the values lie.
-fn quantiles(values: &[f64], levels: usize) -> Vec<f64> {
+/// Inner edges between which about equally many of the values lie, and further ones at these shares from both ends.
+fn quantiles(values: &[f64], levels: usize, ends: &[f64]) -> Vec<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let mut edges: Vec<f64> = (1..levels).map(|i| sorted[i * (sorted.len() - 1) / levels]).collect();
+    let even = (1..levels).map(|i| i as f64 / levels as f64);
+    let shares = ends.iter().copied().chain(even).chain(ends.iter().rev().map(|share| 1.0 - share));
+    let mut edges: Vec<f64> =
+        shares.map(|share| sorted[(share * (sorted.len() - 1) as f64) as usize]).collect();
     edges.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
     edges
 }

@@ -5,6 +5,7 @@ use locsim_core::{Draw, normal};
 use locsim_world::effect::Effects;
 use rand::RngExt;
 
+use super::large::Change;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::Deviation;
 
@@ -101,13 +102,13 @@ pub(super) struct Outcomes {
 }
 
 impl Outcomes {
-    /// The readings of a log, where what each meets is so much farther away \[m\]; all where it is, if none is given.
+    /// The readings of a log, whose errors at the surface are changed as `changes` says of each; not at all, if none is given.
     pub fn new(
         comparison: &Comparison<'_>,
         effects: &Effects,
         fitted: &Fitted,
         draw: &Draw,
-        farther: Option<&[f64]>,
+        changes: Option<&[Change]>,
     ) -> Self {
         let laser = &comparison.nominal.laser;
         let (min, max) = (laser.min_range_m, laser.max_range_m);
@@ -118,14 +119,22 @@ impl Outcomes {
         comparison.for_each_reading(views, effects, fitted, |scan, i, density, shift, z, terms| {
             let beam = &views.beams[i];
             let is_return = z < max;
-            let by = farther.map_or(0.0, |farther| farther[all.len()]);
-            let shift = shift + by;
-            let terms = if by == 0.0 { terms } else { density.terms(beam, shift, z) };
+            let Change { bias_m, spread } = changes.map_or(Change::NONE, |changes| changes[all.len()]);
+            let shift = shift + bias_m;
             let probe = if is_return { z } else { 0.5 * (min + max) };
-            let terms = if is_return { terms } else { density.terms(beam, shift, probe) };
-            let (mean, sigma) =
+            let terms = if is_return && bias_m == 0.0 { terms } else { density.terms(beam, shift, probe) };
+            let (mean, nominal) =
                 if terms.sigma.is_finite() { (probe - terms.error, terms.sigma) } else { (max, 0.0) };
-            let cdf = |x: f64| density.cdf(beam, shift, x.clamp(min, max));
+            let sigma = spread * nominal;
+            let cdf = |x: f64| {
+                let x = x.clamp(min, max);
+                let cdf = density.cdf(beam, shift, x);
+                if sigma == nominal {
+                    return cdf;
+                }
+                let [own, wider] = [nominal, sigma].map(|sigma| normal::cdf((x - mean) / sigma));
+                (cdf + terms.returned / terms.measure * (wider - own)).clamp(0.0, 1.0)
+            };
             let [lo, hi] = [mean - NEAR * sigma, mean + NEAR * sigma].map(|edge| edge.clamp(min, max));
             let [below, within, returned] = [lo, hi, max].map(cdf);
             let (below, within) = (below.min(within), within.max(below).min(returned));

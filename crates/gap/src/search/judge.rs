@@ -19,6 +19,9 @@ const LOGS: u32 = 4;
 /// An effect whose formula gains at least this share of what the free curve over its own covariate gains is the right name in
 /// another form. An effect that gains less is another effect.
 const RIGHT_NAME_SHARE: f64 = 0.5;
+/// The same of an effect at a wall, where the curve is farthest off at this very wall: one that has turned about its end gains a third
+/// where it is taken for one that has moved.
+const RIGHT_WALL_SHARE: f64 = 0.25;
 
 impl<'a> State<'a> {
     /// The free model on top of a round's hypothesis, which is learnt once.
@@ -75,8 +78,9 @@ impl<'a> State<'a> {
         }
         let right = (0..candidates.len()).filter(|&i| {
             let candidate = &candidates[i];
+            let least = if candidate.kind().has_place() { RIGHT_WALL_SHARE } else { RIGHT_NAME_SHARE };
             is_sure(candidate)
-                && candidate.fitted_gains.iter().sum::<f64>() >= RIGHT_NAME_SHARE * leading.gain()
+                && candidate.fitted_gains.iter().sum::<f64>() >= least * leading.gain()
                 && is_right(&candidate.effect)
         });
         Ok(right.max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain())))

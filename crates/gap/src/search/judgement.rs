@@ -47,6 +47,19 @@ impl Dependence<'_> {
         })
     }
 
+    /// Whether it is the noise that is left of every beam once the error of its neighbour is known: of numbers with this correlation
+    /// the rest is narrower.
+    fn is_left_by_neighbours(&self, correlation: f64) -> bool {
+        let Some(&Component {
+            moment: Deviation::Spread, covariate: Covariate::Everywhere, ref curve, ..
+        }) = self.component
+        else {
+            return false;
+        };
+        let narrowest = (1.0 - correlation * correlation).max(0.0).sqrt() - 1.0;
+        matches!(curve[..], [Some([change, error])] if (narrowest - LEAST_ERRORS * error..0.0).contains(&change))
+    }
+
     /// Whether it surely gains more than an effect: by two standard errors of the difference over folds.
     pub fn beats(&self, candidate: &Candidate) -> bool {
         let ahead: Vec<f64> =
@@ -86,7 +99,7 @@ impl Judgement {
         self.model.neighbour_correlation - simulated / self.simulated.len() as f64
     }
 
-    /// The dependences that surely gain more than on any simulated log, the one that gains most first.
+    /// The dependences that surely gain more than those of the same moment on any simulated log, the one that gains most first.
     pub fn dependences(&self) -> Vec<Dependence<'_>> {
         let of_readings = self.model.components.iter().map(|component| {
             let Component { moment, covariate, ref gains, .. } = *component;
@@ -105,6 +118,10 @@ impl Judgement {
             })
             .filter(|found| found.gain() > LEAST_GAIN_NATS.max(LEAST_ERRORS * sum_error(&found.gains)))
             .collect();
+        if all.iter().any(|found| found.covariate == Covariate::Neighbour) {
+            let correlation = self.neighbour_correlation();
+            all.retain(|found| !found.is_left_by_neighbours(correlation));
+        }
         all.sort_by(|a, b| b.gain().total_cmp(&a.gain()));
         let least = all.first().map_or(0.0, |first| LEAST_SHARE * first.gain());
         all.retain(|found| found.gain() >= least);
@@ -151,6 +168,26 @@ pub fn acts_on(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Neighbours that err alike with a correlation of 0.6 leave 0.8 of the noise.
+    #[test]
+    fn noise_that_neighbours_explain_is_no_dependence_of_its_own() {
+        let left = |covariate, change: f64| {
+            let component = Component {
+                moment: Deviation::Spread,
+                covariate,
+                axis: 0,
+                curve: vec![Some([change, 0.01])],
+                gains: vec![10.0; 4],
+            };
+            let deviation = Deviation::Spread;
+            let gains = component.gains.clone();
+            Dependence { deviation, covariate, gains, component: Some(&component) }.is_left_by_neighbours(0.6)
+        };
+        assert!(left(Covariate::Everywhere, -0.19) && left(Covariate::Everywhere, -0.21));
+        assert!(!left(Covariate::Everywhere, -0.3) && !left(Covariate::Everywhere, 0.2));
+        assert!(!left(Covariate::Range, -0.19));
+    }
 
     #[test]
     fn a_floor_is_taken_off_in_proportion() {

@@ -132,8 +132,10 @@ pub fn find(
     // Deeper blocks also stand in the way of more beams.
     let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);
     let nameless = state.nameless(path.last())?;
-    if !deeper && !options.without.contains(&EffectKind::BlockDensity) {
-        let more = state.block_density(path.first(), path.last(), &nameless.curves)?;
+    // What has no name may look like clutter.
+    let is_told = nameless.unnamed.is_empty() && !options.without.contains(&EffectKind::BlockDensity);
+    if !deeper && is_told {
+        let more = state.block_density(path.first(), path.last())?;
         path.named.extend(more);
     }
     state.outcome(path, nameless)
@@ -209,8 +211,11 @@ impl<'a> State<'a> {
             candidate.is_beyond_chance = weight >= beyond_chance;
             candidate.score = has_score.then_some(off);
             // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings
-            // where nominal clutter can't stand say far more than the mean depth.
-            if off < BEYOND_DOUBT && candidate.kind().moves() != Moves::Clutter {
+            // where nominal clutter can't stand say far more than the mean depth. A share of readings is no score either.
+            let is_by_share = round.own(candidate.kind()).any(|i| {
+                round.dictionary.statistics[i].form == Form::Share && round.null.weight[i] >= beyond_chance
+            });
+            if off < BEYOND_DOUBT && candidate.kind().moves() != Moves::Clutter && !is_by_share {
                 candidate.limit(off * off);
             }
             // Standard deviations say little where statistics have outliers, as counts of objects among clutter that stays.

@@ -1,7 +1,7 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
 use locsim_core::{Draw, Estimate, Interval, Stage};
-use locsim_world::effect::{Effect, EffectKind, Residual};
+use locsim_world::effect::{Effect, EffectKind};
 use locsim_world::simulation::BlockResampling;
 use rand::RngExt;
 use rayon::prelude::*;
@@ -13,21 +13,16 @@ use super::selection::gain;
 use super::stepwise::Path;
 use super::{Round, State};
 use crate::fit::{Candidate, folds};
-use crate::hypothesis::{Comparison, Fitted};
-use crate::null::REFIT;
 use crate::outcome::{Detectable, Detection, Direction, Evidence, Gap, Named, Number, Outcome, Verdict};
 use crate::profile::profiles;
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
-use crate::replay::Replay;
 use crate::statistics::{Form, Group, Statistic, Target, fold_count};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// Simulated logs behind the 95 % bands of profiles: one of them lies beyond each end.
 const PROFILE_LOGS: usize = 40;
-/// Simulated logs with curves that have no name, by which the bias of the fitted density of clutter is known.
-const DENSITY_LOGS: u32 = 24;
 /// Step of the bootstrap of the closed share.
 const CLOSED_SHARE: u32 = 3;
 
@@ -103,38 +98,14 @@ impl<'a> State<'a> {
     }
 
     /// Names the density of clutter where it surely isn't the scenario's. It is a nuisance parameter of every hypothesis; the
-    /// replicates say how far its fit is off by chance. Readings that err for another reason look like clutter, so that the density
-    /// is fitted beside the curves that have no name.
-    pub fn block_density(
-        &self,
-        first: &Round<'a>,
-        last: &Round<'a>,
-        curves: &[Residual],
-    ) -> Result<Option<Named>, GapError> {
+    /// replicates say how far its fit is off by chance.
+    pub fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
         if self.nominal.blocks.is_none() {
             return Ok(None);
         }
-        let with_curves = self.nominal.with_residuals(curves)?;
-        let beside = Comparison { nominal: &with_curves, ..last.comparison.of(self.recorded) };
-        let density = |fitted: &Fitted| fitted.nuisances.block_density.ln();
-        let (comparison, effects, fitted, found, logs) = if curves.is_empty() {
-            let logs = last.null.nuisances.iter().map(|found| found.block_density.ln()).collect();
-            (&first.comparison, &[][..], first.fitted.clone(), density(&last.fitted), logs)
-        } else {
-            let all = beside.effects(&last.effects)?;
-            let fitted = beside.fit_nuisances_with(&all, &last.fitted.nuisances, 20);
-            let replay = Replay { nominal: &with_curves, nuisances: fitted.nuisances, ..last.replay() };
-            let draw = Purpose::BlockDensity.draw(self.options.seed);
-            let logs: Result<Vec<f64>, GapError> = (0..DENSITY_LOGS)
-                .into_par_iter()
-                .map(|i| {
-                    let log = replay.simulate(draw.seed(i))?;
-                    Ok(density(&beside.of(&log).find_nuisances(&all, &fitted.nuisances, REFIT)))
-                })
-                .collect();
-            let found = density(&fitted);
-            (&beside, &last.effects[..], fitted, found, logs?)
-        };
+        let logs: Vec<f64> = last.null.nuisances.iter().map(|found| found.block_density.ln()).collect();
+        let (comparison, fitted) = (&first.comparison, &first.fitted);
+        let found = last.fitted.nuisances.block_density.ln();
         let mean = logs.iter().sum::<f64>() / logs.len() as f64;
         let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
         // The fit's bias by simulated logs of the last round: the first one's are of a world without the effects.
@@ -155,7 +126,7 @@ impl<'a> State<'a> {
         let effect = Effect::new(kind, vec![truth.exp().clamp(parameter.lo, parameter.hi)], Vec::new())?;
         let mut nominal = fitted.clone();
         nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
-        let without = comparison.evaluate(effects, &nominal, 0)?;
+        let without = comparison.evaluate(&[], &nominal, 0)?;
         let gains: Vec<f64> = folds(&fitted.scans)
             .iter()
             .zip(folds(&without.scans))

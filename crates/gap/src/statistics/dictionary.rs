@@ -2,6 +2,7 @@
 
 use super::bins::Bins;
 use super::clutter::{ClutterDensity, ClutterDepth};
+use super::displaced_walls::DisplacedWalls;
 use super::edges::Edges;
 use super::neighbours::Neighbours;
 use super::objects::Objects;
@@ -40,6 +41,7 @@ impl Dictionary {
         let survey = Survey::new(comparison);
         let families: Vec<Box<dyn Family>> = boxed(Scores::all(&survey))
             .chain(boxed(WallShift::all(&survey)))
+            .chain(boxed(DisplacedWalls::all(&survey)))
             .chain(boxed(WallLoss::all(&survey)))
             .chain(boxed(Edges::all(&survey)))
             .chain(boxed(Steps::all()))

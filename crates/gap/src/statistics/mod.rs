@@ -8,6 +8,7 @@ mod bins;
 mod clutter;
 mod contamination;
 mod dictionary;
+mod displaced_walls;
 mod edges;
 mod neighbours;
 mod objects;
@@ -103,6 +104,8 @@ pub(crate) enum Form {
     Score,
     /// A count of rare events.
     Count,
+    /// A share of readings, as minus the logarithm of the rest. Its standard deviations say nothing of what a fit gains.
+    Share,
     /// Any other sum or ratio.
     Other,
 }

@@ -124,7 +124,7 @@ const MOST_WALLS: usize = 3;
 ///
 /// `evidence` is what a reading says, in numbers that add up over readings. By their sum over a stretch and the statistic's z,
 /// `judge` gives the gain in nats and the strength.
-fn wall_guesses<const N: usize>(
+pub(super) fn wall_guesses<const N: usize>(
     kind: EffectKind,
     walls: &WallCells,
     log: &Readings<'_>,

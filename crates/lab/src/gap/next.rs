@@ -3,7 +3,7 @@
 use locsim_gap::{Named, Outcome, Region, ResidualStage, Verdict};
 
 use super::answer::{change_in_words, others, p_value, region_text};
-use super::{covariate, unnamed};
+use super::unnamed;
 
 /// Typical effects that an underpowered log names at the most.
 const SHOWN_BLIND: usize = 3;
@@ -32,9 +32,8 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
                 || "Look for a dependence that the library lacks.".to_owned(),
                 |found| {
                     format!(
-                        "Look on the robot for a {} that depends on {}: {}.",
-                        unnamed::noun(found),
-                        covariate::noun(found.covariate),
+                        "Look on the robot for a {}: {}.",
+                        unnamed::dependent(found),
                         unnamed::extent(found)
                     )
                 },

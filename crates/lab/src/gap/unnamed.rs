@@ -12,6 +12,9 @@ pub(super) fn sentence(found: &Unnamed) -> String {
         (Deviation::Mean, Covariate::Neighbour) => {
             format!("Neighbouring beams err alike: {}.", size(found))
         }
+        (Deviation::Spread, Covariate::Everywhere) => {
+            format!("The noise of every beam is {} times the simulated one.", fixed(1.0 + found.size, 2))
+        }
         (_, Covariate::Everywhere) => format!("An unnamed {} of every beam: {}.", noun(found), size(found)),
         _ => format!(
             "An unnamed {} depends on {}: {}.",
@@ -26,12 +29,19 @@ pub(super) fn sentence(found: &Unnamed) -> String {
 pub(super) fn form_sentence(found: &Unnamed) -> Option<String> {
     let kind = found.form_of?;
     Some(format!(
-        "{kind} is right, but its form isn't `{}`: a {} that depends on {} is left, {}.",
+        "{kind} is right, but its form isn't `{}`: a {} is left, {}.",
         kind.formula(),
-        noun(found),
-        covariate::noun(found.covariate),
+        dependent(found),
         extent(found)
     ))
+}
+
+/// The dependent quantity and what it depends on: "bias that depends on bearing".
+pub(super) fn dependent(found: &Unnamed) -> String {
+    match found.covariate {
+        Covariate::Everywhere => format!("{} of every beam", noun(found)),
+        covariate => format!("{} that depends on {}", noun(found), covariate::noun(covariate)),
+    }
 }
 
 /// The dependent quantity of a reading, in words.

@@ -84,6 +84,10 @@ pub struct MixtureDensity {
     pub unobstructed: f64,
     /// Probability that no clutter is in front.
     pub clear: f64,
+    /// Probability that the reading is of the surface itself, in units of the measure: `surface` over the density of its noise.
+    pub returned: f64,
+    /// [`ReadingDistribution::tail`] of a reading of the surface.
+    pub tail: [f64; 2],
     /// Factor from the density per metre to that of usable multiples of the laser's step.
     pub measure: f64,
     /// Mean of a reading of the surface \[m\]; infinite where nothing is met.
@@ -149,6 +153,8 @@ impl<'a> ReadingMixture<'a> {
             clutter: measure * clutter,
             unobstructed: measure * of_surface.total(),
             clear,
+            returned: measure * clear * of_surface.rest,
+            tail: reading.tail,
             measure,
             mean: reading.mean,
             sigma: reading.sigma,

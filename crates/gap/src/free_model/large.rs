@@ -1,0 +1,269 @@
+//! A bias or a spread that may be many standard deviations large, as a curve over one covariate: the likelihood of the readings
+//! where what they meet is nearer or farther, or where they err by so much more. A tilt of bins has no such change.
+
+use std::sync::LazyLock;
+
+use locsim_core::normal;
+use locsim_world::effect::Effects;
+
+use super::covariates::{Axis, Covariates};
+use super::{MEAN, Part, SPREAD, fold_of, simplest};
+use crate::hypothesis::{Comparison, Fitted};
+use crate::likelihood::Terms;
+use crate::statistics::Covariate;
+
+/// Biases that are tried, in standard deviations of a reading, to both sides. Between them a parabola is.
+const BIASES: [f64; 13] = [0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.5, 10.0, 14.0, 20.0, 28.0, 40.0];
+/// Logarithms of factors on the spread that are tried, below 1 and above.
+const NARROWER: [f64; 7] = [1.2, 0.9, 0.65, 0.45, 0.3, 0.18, 0.08];
+const WIDER: [f64; 19] =
+    [0.08, 0.18, 0.3, 0.42, 0.55, 0.7, 0.85, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 2.9, 3.2, 3.6, 4.0];
+const COUNT: usize = 27;
+
+/// Changes that are tried, and the index of none.
+struct Ladder {
+    at: [f64; COUNT],
+    none: usize,
+}
+
+impl Ladder {
+    fn new(below: impl DoubleEndedIterator<Item = f64>, above: &[f64]) -> Self {
+        let below: Vec<f64> = below.map(|step| -step).collect();
+        let all = below.iter().chain([&0.0]).chain(above).copied();
+        let mut at = [0.0; COUNT];
+        at.iter_mut().zip(all).for_each(|(at, step)| *at = step);
+        Self { at, none: below.len() }
+    }
+}
+
+fn ladder(moment: usize) -> &'static Ladder {
+    static OF_BIASES: LazyLock<Ladder> = LazyLock::new(|| Ladder::new(BIASES.into_iter().rev(), &BIASES));
+    static OF_SPREADS: LazyLock<Ladder> = LazyLock::new(|| Ladder::new(NARROWER.into_iter(), &WIDER));
+    if moment == MEAN { &OF_BIASES } else { &OF_SPREADS }
+}
+
+/// A change of the error of a reading of the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Change {
+    /// Its mean \[m\].
+    pub bias_m: f64,
+    /// Factor on its spread.
+    pub spread: f64,
+}
+
+impl Change {
+    pub const NONE: Self = Self { bias_m: 0.0, spread: 1.0 };
+}
+
+/// A change between the steps: the vertex of the parabola through the log likelihood at the best step and at its neighbours.
+#[derive(Clone, Copy)]
+struct Fit {
+    /// The best step.
+    step: usize,
+    /// The change, and its standard error.
+    at: f64,
+    error: f64,
+}
+
+impl Fit {
+    /// The best change, where a sum of log likelihoods is known at each step.
+    fn of(ladder: &Ladder, sums: impl Fn(usize) -> f64) -> Self {
+        // None, of steps that are all as good: a level without readings.
+        let step =
+            (0..COUNT).fold(ladder.none, |best, step| if sums(step) > sums(best) { step } else { best });
+        if step == 0 || step == COUNT - 1 {
+            return Self { step, at: ladder.at[step], error: 0.0 };
+        }
+        let [a, b, c] = [step - 1, step, step + 1].map(|step| ladder.at[step]);
+        let [below, here, above] = [step - 1, step, step + 1].map(sums);
+        let (left, right) = ((here - below) / (b - a), (above - here) / (c - b));
+        // The second derivative is twice this, and not above 0, as the middle is the highest.
+        let bend = (right - left) / (c - a);
+        let slope = left + bend * (b - a);
+        if bend >= -1e-12 {
+            return Self { step, at: b, error: 0.0 };
+        }
+        Self { step, at: (b - 0.5 * slope / bend).clamp(a, c), error: (-0.5 / bend).sqrt() }
+    }
+
+    /// Other log likelihoods at this change, by the parabola through the same steps.
+    fn read(self, ladder: &Ladder, sums: impl Fn(usize) -> f64) -> f64 {
+        let Self { step, at, .. } = self;
+        if step == 0 || step == COUNT - 1 || at == ladder.at[step] {
+            return sums(step);
+        }
+        let steps = [step - 1, step, step + 1];
+        let [a, b, c] = steps.map(|step| ladder.at[step]);
+        let [below, here, above] = steps.map(sums);
+        let share = |p: f64, q: f64, r: f64| (at - q) * (at - r) / ((p - q) * (p - r));
+        below * share(a, b, c) + here * share(b, a, c) + above * share(c, a, b)
+    }
+}
+
+/// What is known of each reading: its beam, its fold, its standard deviation (0 of a beam that meets no surface), and the log
+/// score that it gains by each change (nats).
+struct Row {
+    beam: usize,
+    fold: usize,
+    sigma: f64,
+    gains: [[f64; COUNT]; 2],
+}
+
+/// A bias or a spread over one covariate.
+pub(super) struct Large {
+    /// [`MEAN`] or [`SPREAD`].
+    pub moment: usize,
+    pub axis: usize,
+    /// Of each reading, as fitted without its fold.
+    pub of_readings: Vec<Change>,
+    /// Of each level, fitted to all folds: a bias in standard deviations, or the logarithm of a factor on them.
+    pub levels: Vec<f64>,
+    /// Its standard error.
+    pub errors: Vec<f64>,
+    /// Gain on each fold of the change that was fitted without it (nats).
+    pub gains: Vec<f64>,
+}
+
+impl Large {
+    /// The one that gains most on held-out folds, of those that the part of the log has.
+    pub fn new(
+        comparison: &Comparison<'_>,
+        effects: &Effects,
+        fitted: &Fitted,
+        covariates: &Covariates,
+        folds: usize,
+        part: Part,
+    ) -> Option<Self> {
+        let views = &*comparison.views;
+        let mut rows = Vec::with_capacity(views.beams.len());
+        let [biases, spreads] = [MEAN, SPREAD].map(ladder);
+        comparison.for_each_reading(views, effects, fitted, |scan, i, density, shift, z, terms| {
+            let sigma = if terms.sigma.is_finite() { terms.sigma } else { 0.0 };
+            let mut gains = [[0.0; COUNT]; 2];
+            if sigma > 0.0 {
+                let with_bias = |bias: f64| density.terms(&views.beams[i], shift + bias * sigma, z).density;
+                for step in (0..COUNT).filter(|step| *step != biases.none) {
+                    gains[MEAN][step] = (with_bias(biases.at[step]) / terms.density).ln();
+                }
+                for (gain, step) in gains[SPREAD].iter_mut().zip(spreads.at) {
+                    *gain = gain_by_spread(&terms, step.exp());
+                }
+            }
+            rows.push(Row { beam: i, fold: fold_of(scan, folds), sigma, gains });
+        });
+        let best = [MEAN, SPREAD].into_iter().filter_map(|moment| {
+            let axes = covariates.axes.iter().enumerate();
+            let axes = axes.filter(|(_, axis)| axis.covariate != Covariate::Neighbour);
+            let all: Vec<Self> =
+                axes.map(|(index, axis)| Self::over(moment, index, axis, &rows, folds, part)).collect();
+            let index = simplest(all.iter().map(|change| (change.levels.len(), &change.gains[..])))?;
+            all.into_iter().nth(index)
+        });
+        best.max_by(|a, b| a.gain().total_cmp(&b.gain()))
+    }
+
+    /// Log score gained on held-out folds (nats).
+    pub fn gain(&self) -> f64 {
+        self.gains.iter().sum()
+    }
+
+    fn over(moment: usize, index: usize, axis: &Axis, rows: &[Row], folds: usize, part: Part) -> Self {
+        let (count, ladder) = (axis.levels.len(), ladder(moment));
+        let mut sums = vec![vec![[0.0; COUNT]; count]; folds];
+        let mut total = vec![[0.0; COUNT]; count];
+        for row in rows.iter().filter(|row| part.includes(row.fold)) {
+            let level = axis.of_beams[row.beam] as usize;
+            for sum in [&mut sums[row.fold][level], &mut total[level]] {
+                sum.iter_mut().zip(row.gains[moment]).for_each(|(sum, more)| *sum += more);
+            }
+        }
+        let without: Vec<Vec<Fit>> = sums
+            .iter()
+            .map(|fold| (0..count).map(|l| Fit::of(ladder, |step| total[l][step] - fold[l][step])).collect())
+            .collect();
+        let gain_of = |(sums, fit): (&[f64; COUNT], &Fit)| fit.read(ladder, |step| sums[step]);
+        let gains = sums.iter().zip(&without).map(|(fold, fits)| fold.iter().zip(fits).map(gain_of).sum());
+        let of_reading = |row: &Row| {
+            let at = without[row.fold][axis.of_beams[row.beam] as usize].at;
+            if moment == MEAN {
+                Change { bias_m: at * row.sigma, ..Change::NONE }
+            } else {
+                Change { spread: at.exp(), ..Change::NONE }
+            }
+        };
+        let fits: Vec<Fit> = total.iter().map(|sums| Fit::of(ladder, |step| sums[step])).collect();
+        Self {
+            moment,
+            axis: index,
+            of_readings: rows.iter().map(of_reading).collect(),
+            levels: fits.iter().map(|fit| fit.at).collect(),
+            errors: fits.iter().map(|fit| fit.error).collect(),
+            gains: gains.collect(),
+        }
+    }
+}
+
+/// Log score that a reading gains where the errors of the surface's readings are wider by a factor (nats).
+fn gain_by_spread(terms: &Terms, factor: f64) -> f64 {
+    let (t, [tail, wider]) = (terms.error / terms.sigma, terms.tail);
+    let of_surface = |factor: f64| {
+        let t = t / factor;
+        let density = (1.0 - tail) * normal::density(t) + tail * normal::density(t / wider) / wider;
+        terms.returned * density / (factor * terms.sigma)
+    };
+    let change = (of_surface(factor) - of_surface(1.0)) / terms.density;
+    change.max(-1.0 + f64::EPSILON).ln_1p()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ladders_go_up_and_biases_are_even_on_both_sides() {
+        for ladder in [MEAN, SPREAD].map(ladder) {
+            assert!(ladder.at.windows(2).all(|pair| pair[1] > pair[0]));
+            assert_eq!(ladder.at[ladder.none], 0.0);
+        }
+        let biases = ladder(MEAN);
+        assert!((0..COUNT).all(|step| biases.at[step] == -biases.at[COUNT - 1 - step]));
+    }
+
+    /// The log likelihood of readings with unit noise is a parabola, and its vertex is their mean, known to 1 / sqrt(n).
+    #[test]
+    fn a_parabola_is_found_between_the_steps() {
+        let biases = ladder(MEAN);
+        for (mean, n) in [(0.2, 5.0), (-1.7, 20.0), (3.4, 100.0), (12.0, 7.0)] {
+            let log = |step: usize| -0.5 * n * (biases.at[step] - mean).powi(2) + 3.0;
+            let fit = Fit::of(biases, log);
+            assert!((fit.at - mean).abs() < 1e-9 && (fit.error - f64::sqrt(1.0 / n)).abs() < 1e-9);
+            assert!((fit.read(biases, log) - 3.0).abs() < 1e-9);
+        }
+        let flat = Fit::of(biases, |_| 0.0);
+        assert_eq!(flat.error, 0.0);
+    }
+
+    /// Of readings that are all of the surface the gain is the ratio of two normal densities, and the density that is changed adds up
+    /// to 1.
+    #[test]
+    fn a_wider_error_is_a_density() {
+        for (tail, factor) in [([0.0, 5.0], 3.0), ([0.1, 5.0], 0.5)] {
+            let sum: f64 = (-40_000..40_000)
+                .map(|i| {
+                    let error = 1e-5 * f64::from(i);
+                    let sigma = 0.01;
+                    let [share, wider] = tail;
+                    let t = error / sigma;
+                    let density = ((1.0 - share) * normal::density(t)
+                        + share * normal::density(t / wider) / wider)
+                        / sigma;
+                    // A floor, as the likelihood has: far out both densities vanish.
+                    let density = density + 1e-12;
+                    let terms = Terms { density, returned: 1.0, tail, error, sigma, ..Terms::default() };
+                    1e-5 * density * gain_by_spread(&terms, factor).exp()
+                })
+                .sum();
+            assert!((sum - 1.0).abs() < 1e-4, "{tail:?} {factor}: {sum}");
+        }
+    }
+}

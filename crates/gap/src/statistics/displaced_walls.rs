@@ -1,0 +1,161 @@
+//! Walls that stand elsewhere: most of a wall's readings at one distance before or behind it.
+//!
+//! The score of a wall's displacement sees a wall that has moved by less than a few standard deviations. Readings of one that has
+//! moved farther look like clutter, reading by reading, and the likelihood takes any number of them for it. But clutter that stays
+//! hides a few readings of many, and a wall that has moved lacks nearly all. So it is the share that is looked at, and the
+//! replicates say what shares clutter makes.
+
+use locsim_world::effect::{self, EffectKind};
+
+use super::readings::Reading;
+use super::survey::Survey;
+use super::wall_cells::WallCells;
+use super::walls::wall_guesses;
+use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic};
+use crate::catalogue::kinds_shown_by;
+
+/// Width of the windows of displacement, and the largest one \[m\]: farther before a wall stand things of their own.
+const WINDOW_M: f64 = 0.04;
+const FARTHEST_M: f64 = 0.5;
+/// Windows overlap by half, so that readings at the border of one are in the middle of another.
+const WINDOWS: usize = (4.0 * FARTHEST_M / WINDOW_M) as usize - 1;
+/// The share of a displaced wall's readings that may be of anything else.
+const OTHERS: f64 = 0.1;
+
+/// The displacement in the middle of a window \[m\].
+fn middle(window: usize) -> f64 {
+    0.5 * WINDOW_M * (window as f64 + 1.0) - FARTHEST_M
+}
+
+/// The windows that a displacement is in.
+fn windows_of(displacement: f64) -> impl Iterator<Item = usize> {
+    let half = ((displacement + FARTHEST_M) / (0.5 * WINDOW_M)).floor();
+    [half - 1.0, half].into_iter().filter(|at| (0.0..WINDOWS as f64).contains(at)).map(|at| at as usize)
+}
+
+/// Where a reading is from its wall, along the wall's normal \[m\]; `None` of a reading of the wall where it is mapped, and of none.
+fn displacement(reading: &Reading<'_>) -> Option<f64> {
+    (reading.is_in_front || reading.is_behind)
+        .then(|| (reading.z - reading.beam.range() - reading.shift) * reading.beam.view.incidence.cos())
+}
+
+/// The shares of the readings of walls that lie together elsewhere.
+pub(super) struct DisplacedWalls {
+    kind: EffectKind,
+    walls: WallCells,
+}
+
+impl DisplacedWalls {
+    pub fn all(survey: &Survey<'_>) -> Vec<Self> {
+        kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::WallShift))
+            .map(|kind| Self { kind, walls: survey.walls.clone() })
+            .collect()
+    }
+}
+
+/// Readings of a cell in each window, and all, in both halves of a log.
+#[derive(Clone)]
+struct Counts {
+    windows: [[f64; 2]; WINDOWS],
+    all: [f64; 2],
+}
+
+impl Counts {
+    const NONE: Self = Self { windows: [[0.0; 2]; WINDOWS], all: [0.0; 2] };
+
+    fn plus(&self, other: &Self) -> Self {
+        let mut sum = self.clone();
+        let all = other.windows.iter().chain([&other.all]);
+        for (sum, more) in sum.windows.iter_mut().chain([&mut sum.all]).zip(all) {
+            sum.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+        }
+        sum
+    }
+
+    /// Minus the logarithm of the share of readings that aren't in the fullest window: a share near 1 stands out from any
+    /// below a half. A reading more, of the wall where it is, keeps it finite.
+    fn value(&self) -> Halves {
+        std::array::from_fn(|half| {
+            let most = self.windows.iter().map(|window| window[half]).fold(0.0, f64::max);
+            -(-most / (self.all[half] + 1.0)).ln_1p()
+        })
+    }
+}
+
+impl Family for DisplacedWalls {
+    fn statistics(&self) -> Vec<Statistic> {
+        self.walls.of_all(Statistic::of_effect(self.kind, Group::Places, Form::Share))
+    }
+
+    fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
+        let mut cells = vec![Counts::NONE; self.walls.len()];
+        for reading in &log.all {
+            let Some(cell) = self.walls.of_beam(reading.index) else { continue };
+            cells[cell].all[reading.half()] += 1.0;
+            for window in displacement(reading).into_iter().flat_map(windows_of) {
+                cells[cell].windows[window][reading.half()] += 1.0;
+            }
+        }
+        let pairs = self.walls.pairs().iter().map(|&[a, b]| cells[a].plus(&cells[b]).value());
+        cells.iter().map(Counts::value).chain(pairs).collect()
+    }
+
+    fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
+        let evidence = |reading: &Reading<'_>| {
+            // Without a return, or with one of what hides wall and displaced wall alike, a reading says nothing.
+            if !reading.is_return {
+                return [0.0; WINDOWS];
+            }
+            let mut gains = [OTHERS.ln(); WINDOWS];
+            for window in displacement(reading).into_iter().flat_map(windows_of) {
+                let density = reading.beam.view.incidence.cos() / WINDOW_M;
+                gains[window] = (OTHERS + (1.0 - OTHERS) * density / reading.terms.density).ln();
+            }
+            gains
+        };
+        wall_guesses(self.kind, &self.walls, log, found, evidence, |gains, _| {
+            let gains = gains.into_iter().enumerate().map(|(window, gain)| (gain, middle(window)));
+            gains.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use glam::DVec2;
+    use locsim_world::effect::Effect;
+
+    use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::search::{GapOptions, find};
+
+    #[test]
+    fn each_displacement_is_in_two_windows() {
+        for displacement in [-0.47, -0.061, 0.0, 0.06, 0.333] {
+            let windows: Vec<usize> = windows_of(displacement).collect();
+            assert_eq!(windows.len(), 2);
+            assert!(windows.into_iter().all(|at| (middle(at) - displacement).abs() <= 0.5 * WINDOW_M + 1e-9));
+        }
+        assert_eq!(windows_of(0.6).count() + windows_of(-0.6).count(), 0);
+    }
+
+    /// A wall that has moved by 15 cm, to where clutter can stand for all of a drive and does.
+    #[test]
+    fn a_wall_that_moved_is_named_among_clutter_that_stays() {
+        let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]];
+        let moved = Effect::new(EffectKind::MovedWall, vec![-0.15], stretch).unwrap();
+        let regime = Regime { persistent_blocks: true, pose_error: None };
+        let drive = record_library(&NOMINAL, &TRUTH, &[moved], regime, 3).unwrap();
+        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
+        let outcome = find(&NOMINAL, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
+        let first = outcome.effects.first().expect("something is named");
+        assert_eq!(first.name, EffectKind::MovedWall, "{:?}", outcome.rivals);
+        let distance = first.params["distance_m"].estimate.value;
+        assert!((distance + 0.15).abs() < 0.005, "{distance}");
+    }
+}
