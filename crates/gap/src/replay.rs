@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use glam::DVec2;
 use locsim_core::{Draw, Pose2, Stage, Track};
 use locsim_world::effect::Effect;
-use locsim_world::simulation::BlockResampling;
+use locsim_world::simulation::{BlockResampling, MovedWalls};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
@@ -17,6 +17,8 @@ use crate::{GapError, Nominal, Purpose, Recorded};
 /// Items of a scan's draws beside those of the simulator.
 const REFERENCE_ERROR: u32 = 1;
 const ODOMETRY_ERROR: u32 = 2;
+/// Item of a piece of wall.
+const WALL_ERROR: u32 = 3;
 
 /// A fitted simulator: it can replay the log.
 pub(crate) struct Replay<'a> {
@@ -53,7 +55,10 @@ impl<'a> Replay<'a> {
         let effects = self.nominal.effects_with(self.effects)?;
         let density = self.nuisances.block_density * self.blocks.density_over_fit;
         let blocks = BlockPolicy { density, resample: self.blocks.resample };
-        let simulator = self.nominal.simulator(&effects, blocks)?;
+        let mut simulator = self.nominal.simulator(&effects, blocks)?;
+        if let Some(moved) = self.moved_walls(seed) {
+            simulator = simulator.with_moved_walls(moved);
+        }
         let truth = self.true_track(seed);
         let readings = simulator.scan_along(&truth, seed);
         let all = self.recorded.log_laser.beam_count();
@@ -66,6 +71,19 @@ impl<'a> Replay<'a> {
         let noise = &self.nominal.odometry;
         let odometry = locsim_world::simulation::odometry_along(truth.poses(), noise, &effects, seed);
         Ok(self.recorded.with(readings, self.with_odometry_error(&odometry, seed)))
+    }
+
+    /// The walls of a measured map as far off as such walls are.
+    fn moved_walls(&self, seed: u64) -> Option<MovedWalls> {
+        let (pieces, error_m) = (self.nominal.pieces.clone()?, self.nuisances.wall_error_m?);
+        let draw = Draw::new(seed, Stage::Path, 0);
+        let offset = |(piece, sigma): (usize, &f64)| {
+            let mut rng = draw.at(piece as u32).item(WALL_ERROR);
+            let normal: f64 = StandardNormal.sample(&mut rng);
+            sigma.hypot(error_m) * normal
+        };
+        let offsets = pieces.sigmas().iter().enumerate().map(offset).collect();
+        Some(MovedWalls { pieces, offsets })
     }
 
     /// True poses of a log whose reference is the recorded one.

@@ -4,7 +4,9 @@ use std::sync::Arc;
 use glam::DVec2;
 use locsim_world::effect::{Description, Effect, Effects, Moves};
 pub(crate) use locsim_world::simulation::ClutteredBeam as Beam;
-use locsim_world::simulation::{BeamCaster, BlockIntegral, CastBeam, ClutterSurvival, Ray, Surface};
+use locsim_world::simulation::{
+    BeamCaster, BlockIntegral, CastBeam, ClutterSurvival, Ray, Surface, WallPieces,
+};
 use rayon::prelude::*;
 
 use crate::{GapError, Nominal, Recorded};
@@ -29,10 +31,21 @@ pub struct Views {
     pub beams: Vec<Beam>,
     /// Beams of a scan.
     pub per_scan: usize,
+    /// The piece of a measured map's wall that each beam meets; empty of a map that is taken for exact.
+    pub(crate) pieces: Vec<Option<PieceView>>,
     /// The effects that they depend on.
     shaped_by: Vec<Effect>,
     /// The clutter that may be in their way.
     blocks: Option<Arc<BlockIntegral>>,
+}
+
+/// The piece of a measured map's wall that a beam meets.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PieceView {
+    /// Its number.
+    pub piece: u32,
+    /// Change of the beam's range with the piece's offset \[m/m\].
+    pub lean: f64,
 }
 
 /// The effects that views depend on: those that change where beams come from or what stands in their way. All others act on the
@@ -97,12 +110,15 @@ impl Views {
         let directions = directions(recorded, effects);
         let caster = caster(nominal, recorded, effects, &directions);
         let casts = Casts { recorded, caster, blocks: blocks.as_deref(), deeper };
-        let beams = (0..recorded.scans())
+        let (beams, met): (Vec<Beam>, Vec<Surface>) = (0..recorded.scans())
             .into_par_iter()
             .flat_map_iter(|scan| casts.scan(scan, nearby.map(|views| views.scan(scan))))
-            .collect();
+            .unzip();
+        let pieces = nominal.pieces.as_ref().map_or_else(Vec::new, |pieces| {
+            beams.iter().zip(met).map(|(beam, surface)| piece_view(pieces, beam, surface)).collect()
+        });
         let shaped_by = shaping(effects).cloned().collect();
-        Self { beams, per_scan: recorded.beams(), shaped_by, blocks }
+        Self { beams, per_scan: recorded.beams(), pieces, shaped_by, blocks }
     }
 
     /// The points of a lattice near which unmapped blocks may stand; see [`locsim_world::simulation::BlockModel::lattice_in_reach`].
@@ -117,6 +133,12 @@ impl Views {
     pub(crate) fn scan(&self, scan: usize) -> &[Beam] {
         &self.beams[scan * self.per_scan..][..self.per_scan]
     }
+}
+
+fn piece_view(pieces: &WallPieces, beam: &Beam, surface: Surface) -> Option<PieceView> {
+    let Surface::Wall(segment) = surface else { return None };
+    let piece = pieces.at(segment, beam.view.endpoint)? as u32;
+    Some(PieceView { piece, lean: WallPieces::lean(beam.view.incidence) })
 }
 
 /// Directions of all beams of the log's laser on the robot.
@@ -135,6 +157,7 @@ fn caster<'a>(
     let laser = &recorded.log_laser;
     BeamCaster {
         map: &nominal.map,
+        moved: None,
         effects,
         laser,
         mount: effects.laser_mount(laser.base_from_laser()),
@@ -156,6 +179,15 @@ fn rays<'a>(
     caster.rays(beams, stamp, base_at)
 }
 
+/// Where each beam that is looked at begins \[m\], and its heading in the map frame \[rad\], in the nominal world.
+pub(crate) fn beam_headings(nominal: &Nominal, recorded: &Recorded) -> Vec<(DVec2, f64)> {
+    let directions = directions(recorded, &nominal.effects);
+    let caster = caster(nominal, recorded, &nominal.effects, &directions);
+    let of_scan = |scan| rays(recorded, &caster, scan, recorded.kept.iter().copied()).collect::<Vec<Ray>>();
+    let all = (0..recorded.scans()).flat_map(of_scan);
+    all.map(|ray| (ray.origin, ray.direction.to_angle())).collect()
+}
+
 /// Casts a log's beams.
 struct Casts<'a> {
     recorded: &'a Recorded,
@@ -166,7 +198,7 @@ struct Casts<'a> {
 }
 
 impl Casts<'_> {
-    fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<Beam> {
+    fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<(Beam, Surface)> {
         let Self { recorded, caster, .. } = self;
         let rays_of_kept: Vec<Ray> = rays(recorded, caster, scan, recorded.kept.iter().copied()).collect();
         let mut beams = Vec::new();
@@ -186,9 +218,14 @@ impl Casts<'_> {
         let all = rays_of_kept.iter().zip(&beams).enumerate();
         all.map(|(i, (ray, beam))| {
             let nearby = nearby.map(|beams| &beams[i]);
-            let survival = self.survival(ray, beam, robot, nearby, &mut counts);
+            let is_ignored = recorded.ignored.get(scan * recorded.beams() + i) == Some(&true);
+            let survival = if is_ignored {
+                ClutterSurvival::clear()
+            } else {
+                self.survival(ray, beam, robot, nearby, &mut counts)
+            };
             let object = matches!(beam.surface, Surface::Object(_)).then_some(beam.range);
-            Beam::new(beam.view, object, caster.range_gradient(ray, beam), survival, max)
+            (Beam::new(beam.view, object, caster.range_gradient(ray, beam), survival, max), beam.surface)
         })
         .collect()
     }

@@ -11,8 +11,8 @@ mod stepwise;
 mod unnamed;
 
 use std::cmp::Ordering;
-use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
 
 use locsim_core::Progress;
 use locsim_world::effect::{Effect, EffectKind, Moves};
@@ -20,11 +20,13 @@ use rayon::prelude::*;
 
 use crate::fit::{Candidate, Search};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
+use crate::map_error::{self, LeftOut, MeasuredMapFindings, Unsure};
 use crate::null::compare;
 use crate::outcome::Outcome;
 use crate::rank::Null;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::statistics::{Dictionary, Form};
+use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 use judgement::Judgement;
 
@@ -120,7 +122,12 @@ pub fn find(
 ) -> Result<Outcome, GapError> {
     nominal.check(recorded)?;
     progress.stage("fitting blocks and reference", 1);
-    let comparison = Comparison::new(nominal, recorded)?;
+    let known = known_part(nominal, recorded)?;
+    let recorded = known.as_ref().map_or(recorded, |known| &known.recorded);
+    let comparison = match &known {
+        Some(known) => Comparison { nominal, recorded, views: Arc::clone(&known.views) },
+        None => Comparison::new(nominal, recorded)?,
+    };
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
     let blocks = fit_persistence(&comparison, &fitted, options.seed)?;
     progress.advance(1);
@@ -136,7 +143,43 @@ pub fn find(
         let more = state.block_density(path.first(), path.last(), &nameless.curves)?;
         path.named.extend(more);
     }
-    state.outcome(path, nameless)
+    let outcome = state.outcome(path, nameless)?;
+    Ok(Outcome { map: known.map(|known| known.findings), ..outcome })
+}
+
+/// The part of a log that a measured map says something of.
+struct KnownPart {
+    recorded: Recorded,
+    views: Arc<Views>,
+    findings: MeasuredMapFindings,
+}
+
+/// The readings that a measured map says something of, with where it is wrong; `None` of a map that is taken for exact.
+fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart>, GapError> {
+    if nominal.pieces.is_none() {
+        return Ok(None);
+    }
+    let unsure = map_error::unsure(nominal, recorded);
+    let ignored: Vec<bool> = unsure.iter().map(Option::is_some).collect();
+    let sure = recorded.without(&ignored);
+    let comparison = Comparison::new(nominal, &sure)?;
+    let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+    let (errors, wrong) = map_error::find(&comparison, &fitted);
+    let share = |count: usize| count as f64 / unsure.len().max(1) as f64;
+    let of = |reason| share(unsure.iter().filter(|unsure| **unsure == Some(reason)).count());
+    let left_out = LeftOut {
+        unknown: of(Unsure::Unknown),
+        at_ends: of(Unsure::AtEnd),
+        map_errors: share(
+            wrong.iter().zip(&unsure).filter(|(wrong, unsure)| **wrong && unsure.is_none()).count(),
+        ),
+    };
+    let views = Arc::clone(&comparison.views);
+    Ok(Some(KnownPart {
+        recorded: sure.without(&wrong),
+        views,
+        findings: MeasuredMapFindings { left_out, errors },
+    }))
 }
 
 struct State<'a> {

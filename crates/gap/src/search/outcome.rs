@@ -78,6 +78,7 @@ impl<'a> State<'a> {
         self.progress.advance(1);
         Ok(Outcome {
             verdict,
+            map: None,
             effects: named,
             unnamed,
             residual,
