@@ -130,7 +130,6 @@ struct Place {
     is_far: bool,
     origin: DVec2,
     end: DVec2,
-    expected_end: DVec2,
 }
 
 /// The places where the map is wrong, and the beams that come there, \[scan\]\[beam\].
@@ -169,7 +168,6 @@ fn places(comparison: &Comparison<'_>, fitted: &Fitted) -> Vec<Place> {
             is_far: error.abs() > FAR_M + FAR_RAD * beam.jacobian[2].abs(),
             origin,
             end: origin + z * direction,
-            expected_end: origin + (beam.range() + shift) * direction,
         });
     });
     places

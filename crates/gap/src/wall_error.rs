@@ -4,6 +4,7 @@
 //! that is fitted to the log: what the map doesn't know of its errors.
 
 use glam::DVec3;
+use locsim_core::median;
 
 use crate::likelihood::Terms;
 use crate::views::{PieceView, Views};
@@ -87,7 +88,7 @@ pub(crate) fn log_priors(sigmas: &[f64], error_m: f64, data: &[Data], offsets: &
 pub(crate) fn fit(sigmas: &[f64], start_m: f64, data: &[Data], iterations: usize) -> f64 {
     let mut error_m = start_m;
     for _ in 0..iterations {
-        let pieces: Vec<[f64; 3]> = variances(sigmas, error_m)
+        let mut pieces: Vec<[f64; 3]> = variances(sigmas, error_m)
             .zip(data)
             .zip(sigmas)
             .filter(|((_, data), _)| data.information > 0.0)
@@ -95,8 +96,9 @@ pub(crate) fn fit(sigmas: &[f64], start_m: f64, data: &[Data], iterations: usize
                 let posterior = (data.information + variance.recip()).recip();
                 [posterior * data.vector, posterior, sigma * sigma]
             })
-            .filter(|[offset, ..]| offset.abs() < OFF_M)
             .collect();
+        let middle = median(&mut pieces.iter().map(|[offset, ..]| *offset).collect::<Vec<_>>());
+        pieces.retain(|[offset, ..]| (offset - middle).abs() < OFF_M);
         let n = pieces.len() as f64;
         if n < 2.0 {
             return error_m;

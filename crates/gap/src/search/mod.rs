@@ -136,6 +136,7 @@ pub fn find(
     state.delete(&mut path)?;
     state.simplify(&mut path)?;
     state.make_sure(&mut path)?;
+    state.come_nearer(&mut path)?;
     // Deeper blocks also stand in the way of more beams.
     let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);
     let nameless = state.nameless(path.last())?;
