@@ -18,7 +18,7 @@ use crate::{Nominal, Recorded};
 const END_M: f64 = 0.1;
 const END_RAD: f64 = 0.01;
 /// A beam beside the end of a wall meets the same wall if it ends this near to its line \[m\].
-const SAME_WALL_M: f64 = 0.3;
+const SAME_WALL_M: f64 = 0.1;
 /// A reading is far from where the map has it when it is off by more than this \[m\], and more than a turn of the robot by this
 /// makes \[rad\].
 const FAR_M: f64 = 0.5;

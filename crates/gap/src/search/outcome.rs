@@ -192,7 +192,7 @@ impl<'a> State<'a> {
         let (old, new) = (self.replay(first, LOGS)?, self.replay(last, LOGS)?);
         let views = &first.comparison.views;
         let [old_mm, new_mm] = [&old, &new].map(|logs| distance(views, self.recorded, logs));
-        Ok(RangeFloor::of(views, &new).closed(old_mm, new_mm).is_some_and(|closed| closed < 0.0))
+        Ok(RangeFloor::of(views, &new).closed(old_mm, new_mm).is_some_and(|closed| closed <= 0.0))
     }
 
     fn gap(

@@ -6,7 +6,7 @@ use crate::map::Geometry;
 
 /// The longest piece of a wall \[m\]: a wall isn't straight to the centimetre over more, and a piece of it has readings of many
 /// scans.
-const PIECE_M: f64 = 1.0;
+const PIECE_M: f64 = 0.25;
 
 /// Beams more grazing than this count as this (cosine of 81 deg): their range changes by at most this much more than the wall moves.
 const GRAZING: f64 = 0.15;
