@@ -48,6 +48,8 @@ pub(crate) struct Fitted {
     pub corrections: Vec<DVec3>,
     /// Offset of each piece of a measured map's walls \[m\]; empty of a map that is taken for exact.
     pub offsets: Vec<f64>,
+    /// Offset and standard deviation of each piece that has readings, about the middle of all \[m\].
+    pub known_offsets: Vec<[f64; 2]>,
     /// Log likelihood of each scan with the odometry since the one before (nats).
     pub scans: Vec<f64>,
     /// How surely the poses err in each [`PosePattern`] (standard deviations), see [`pattern_score`]; empty where they don't
@@ -122,6 +124,7 @@ impl<'a> Comparison<'a> {
             nuisances: Nuisances { wall_error_m, ..*nuisances },
             corrections: vec![DVec3::ZERO; n],
             offsets: vec![0.0; pieces.map_or(0, |pieces| pieces.sigmas().len())],
+            known_offsets: Vec::new(),
             scans: vec![0.0; n],
             pattern_scores: Vec::new(),
         }
@@ -342,6 +345,7 @@ impl<'a> Comparison<'a> {
         let changes = offsets.iter().zip(&fitted.offsets).map(|(a, b)| (a - b).abs());
         let changed = changes.fold(0.0, f64::max);
         fitted.nuisances.wall_error_m = Some(error_m);
+        fitted.known_offsets = wall_error::known(pieces.sigmas(), error_m, &data);
         fitted.offsets = offsets;
         changed
     }

@@ -73,6 +73,23 @@ pub(crate) fn offsets(sigmas: &[f64], error_m: f64, data: &[Data]) -> Vec<f64> {
     pieces.map(|(variance, data)| data.vector / (data.information + variance.recip())).collect()
 }
 
+/// Offset and standard deviation of each piece that has readings, about the middle of all: what pieces of such a map stand off by
+/// (the empirical Bayes posterior of all of them; few are far off, and most hardly at all, which no normal number is).
+pub(crate) fn known(sigmas: &[f64], error_m: f64, data: &[Data]) -> Vec<[f64; 2]> {
+    let pieces = variances(sigmas, error_m).zip(data).filter(|(_, data)| data.information > 0.0);
+    let mut known: Vec<[f64; 2]> = pieces
+        .map(|(variance, data)| {
+            let posterior = (data.information + variance.recip()).recip();
+            [posterior * data.vector, posterior.sqrt()]
+        })
+        .collect();
+    let middle = median(&mut known.iter().map(|[offset, _]| *offset).collect::<Vec<_>>());
+    for [offset, _] in &mut known {
+        *offset -= middle;
+    }
+    known
+}
+
 /// Log density of the offsets, with the volume of what they may be (Laplace's method).
 pub(crate) fn log_priors(sigmas: &[f64], error_m: f64, data: &[Data], offsets: &[f64]) -> Vec<f64> {
     let pieces = variances(sigmas, error_m).zip(data).zip(offsets);

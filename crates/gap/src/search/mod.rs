@@ -1,5 +1,6 @@
 //! The search: detect, locate, name, add, and stop when nothing is off any more.
 
+mod calibration;
 mod initial_guess;
 mod judge;
 mod judgement;
@@ -123,6 +124,12 @@ pub fn find(
     nominal.check(recorded)?;
     progress.stage("fitting blocks and reference", 1);
     let known = known_part(nominal, recorded)?;
+    let nominal = known.as_ref().map_or(nominal, |known| &known.nominal);
+    let mut options = options.clone();
+    if known.is_some() {
+        options.without.extend(ROUGHNESS);
+    }
+    let options = &options;
     let recorded = known.as_ref().map_or(recorded, |known| &known.recorded);
     let comparison = match &known {
         Some(known) => Comparison { nominal, recorded, views: Arc::clone(&known.views) },
@@ -148,8 +155,14 @@ pub fn find(
     Ok(Outcome { map: known.map(|known| known.findings), ..outcome })
 }
 
+/// What the roughness of walls looks like, and their ends: a measured map doesn't tell them from the laser's noise.
+const ROUGHNESS: [EffectKind; 4] =
+    [EffectKind::RangeNoise, EffectKind::IncidenceNoise, EffectKind::HeavyTail, EffectKind::MixedPixels];
+
 /// The part of a log that a measured map says something of.
 struct KnownPart {
+    /// The simulator, with no more random readings than the log has.
+    nominal: Nominal,
     recorded: Recorded,
     views: Arc<Views>,
     findings: MeasuredMapFindings,
@@ -166,6 +179,7 @@ fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart
     let comparison = Comparison::new(nominal, &sure)?;
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
     let (errors, wrong) = map_error::find(&comparison, &fitted);
+    let nominal = calibration::with_shares_of_log(&comparison.of(&sure.without(&wrong)))?;
     let share = |count: usize| count as f64 / unsure.len().max(1) as f64;
     let of = |reason| share(unsure.iter().filter(|unsure| **unsure == Some(reason)).count());
     let left_out = LeftOut {
@@ -177,6 +191,7 @@ fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart
     };
     let views = Arc::clone(&comparison.views);
     Ok(Some(KnownPart {
+        nominal,
         recorded: sure.without(&wrong),
         views,
         findings: MeasuredMapFindings { left_out, errors },
