@@ -270,6 +270,9 @@ impl<'a> Comparison<'a> {
                 if reading.is_nan() || reading < self.nominal.laser.min_range_m {
                     continue;
                 }
+                if views.is_unsure(first + i) {
+                    continue;
+                }
                 let z = reading.min(max);
                 let mut shift = DVec3::from_array(beam.jacobian).dot(correction);
                 if let Some(PieceView { piece, lean }) = views.pieces.get(first + i).copied().flatten() {
@@ -310,7 +313,25 @@ impl<'a> Comparison<'a> {
             pass.exposure -=
                 if terms.short > 0.5 { beam.survival_at(z).0.max(1e-12).ln() } else { beam.log_clear };
         });
+        if is_measured {
+            self.fill_in(views, &mut pass.log_likelihood);
+        }
         pass
+    }
+
+    /// Counts the readings of a scan that have no nominal range in a measured map, seen from where an effect has the laser, as the
+    /// scan's others: an effect is neither worse nor better for the beams that it leads into what the map doesn't know.
+    fn fill_in(&self, views: &Views, log_likelihood: &mut [f64]) {
+        for (scan, sum) in log_likelihood.iter_mut().enumerate() {
+            let beams = scan * views.per_scan..(scan + 1) * views.per_scan;
+            let is_usable =
+                |&beam: &usize| f64::from(self.recorded.readings[beam]) >= self.nominal.laser.min_range_m;
+            let (unsure, sure): (Vec<usize>, Vec<usize>) =
+                beams.filter(is_usable).partition(|&beam| views.is_unsure(beam));
+            if !sure.is_empty() {
+                *sum *= 1.0 + unsure.len() as f64 / sure.len() as f64;
+            }
+        }
     }
 
     /// A step of expectation maximization for the density of blocks, and the errors of the poses.

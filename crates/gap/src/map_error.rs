@@ -7,12 +7,13 @@ use std::collections::{BTreeMap, HashSet};
 
 use glam::DVec2;
 use locsim_core::median;
+use locsim_world::raycast::{ExactRangeMap, RayHit};
+use locsim_world::simulation::WallPieces;
 use serde::Serialize;
 
 use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::{OBJECT_CELL_M, cell_at};
 use crate::views::{PieceView, beam_headings};
-use crate::{Nominal, Recorded};
 
 /// The ends of a measured wall are known to this \[m\], at long ranges to an angle \[rad\]: about the distance of two readings.
 const END_M: f64 = 0.1;
@@ -92,29 +93,23 @@ pub(crate) enum Unsure {
     AtEnd,
 }
 
-/// The beams without a nominal range, \[scan\]\[beam\].
-pub(crate) fn unsure(nominal: &Nominal, recorded: &Recorded) -> Vec<Option<Unsure>> {
-    let geometry = nominal.map.geometry();
-    let max = f64::from(recorded.log_laser.max_range());
-    let of_ray = |(origin, heading): (DVec2, f64)| {
-        let cast = |heading| nominal.map.cast_ray(origin, DVec2::from_angle(heading), max);
-        let Some(hit) = cast(heading) else { return Some(Unsure::Unknown) };
-        if geometry.is_unknown(hit.surface) {
-            return Some(Unsure::Unknown);
-        }
-        let [a, b] = geometry.walls()[hit.surface as usize];
-        let along = (b - a).normalize();
-        let turn = (END_M / hit.range).max(END_RAD);
-        let goes_on = [-turn, turn].into_iter().all(|turn| {
-            let heading = heading + turn;
-            cast(heading).is_some_and(|beside| {
-                let end = origin + beside.range * DVec2::from_angle(heading);
-                !geometry.is_unknown(beside.surface) && along.perp_dot(end - a).abs() < SAME_WALL_M
-            })
-        });
-        if goes_on { None } else { Some(Unsure::AtEnd) }
-    };
-    beam_headings(nominal, recorded).into_iter().map(of_ray).collect()
+/// Why the beam from `origin` \[m\] at `heading` \[rad\] has no nominal range in a measured map up to `max` \[m\]; `None` where it has one.
+pub(crate) fn unsure(map: &ExactRangeMap, origin: DVec2, heading: f64, max: f64) -> Option<Unsure> {
+    let geometry = map.geometry();
+    let cast = |heading| map.cast_ray(origin, DVec2::from_angle(heading), max);
+    let known = |hit: &RayHit| !geometry.is_unknown(hit.surface);
+    let Some(hit) = cast(heading).filter(known) else { return Some(Unsure::Unknown) };
+    let [a, b] = geometry.walls()[hit.surface as usize];
+    let along = (b - a).normalize();
+    let turn = (END_M / hit.range).max(END_RAD);
+    let goes_on = [-turn, turn].into_iter().all(|turn| {
+        let heading = heading + turn;
+        cast(heading).filter(known).is_some_and(|beside| {
+            let end = origin + beside.range * DVec2::from_angle(heading);
+            along.perp_dot(end - a).abs() < SAME_WALL_M
+        })
+    });
+    if goes_on { None } else { Some(Unsure::AtEnd) }
 }
 
 /// A reading against the map, once pose and wall are where they fit best.
@@ -174,11 +169,7 @@ fn places(comparison: &Comparison<'_>, fitted: &Fitted) -> Vec<Place> {
 }
 
 /// Pieces of walls that beams go through, or that stand elsewhere.
-fn walls(
-    pieces: &locsim_world::simulation::WallPieces,
-    places: &[Place],
-    ignored: &mut [bool],
-) -> Vec<MapError> {
+fn walls(pieces: &WallPieces, places: &[Place], ignored: &mut [bool]) -> Vec<MapError> {
     let mut of_pieces: BTreeMap<usize, Vec<&Place>> = BTreeMap::new();
     for place in places {
         of_pieces.entry(place.piece).or_default().push(place);
@@ -304,6 +295,7 @@ mod tests {
     use locsim_world::effect::{Effect, EffectKind};
 
     use super::*;
+    use crate::Recorded;
     use crate::fixtures::{MEASURED, TRUTH};
     use crate::hidden::{Regime, record_library};
     use crate::hypothesis::Nuisances;
@@ -311,9 +303,7 @@ mod tests {
     fn found(effects: &[Effect]) -> (Vec<MapError>, f64) {
         let drive = record_library(&MEASURED, &TRUTH, effects, Regime::default(), 3).unwrap();
         let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
-        let unsure: Vec<bool> = unsure(&MEASURED, &recorded).iter().map(Option::is_some).collect();
-        let known = recorded.without(&unsure);
-        let comparison = Comparison::new(&MEASURED, &known).unwrap();
+        let comparison = Comparison::new(&MEASURED, &recorded).unwrap();
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
         let (errors, wrong) = find(&comparison, &fitted);
         (errors, wrong.iter().filter(|wrong| **wrong).count() as f64 / wrong.len() as f64)

@@ -9,6 +9,7 @@ use locsim_world::simulation::{
 };
 use rayon::prelude::*;
 
+use crate::map_error::{self, Unsure};
 use crate::{GapError, Nominal, Recorded};
 
 /// Width of the bins of a survival among clutter \[m\]: a fraction of the depth of clutter.
@@ -33,6 +34,8 @@ pub struct Views {
     pub per_scan: usize,
     /// The piece of a measured map's wall that each beam meets; empty of a map that is taken for exact.
     pub(crate) pieces: Vec<Option<PieceView>>,
+    /// Why beams have no nominal range in a measured map; empty of a map that is taken for exact.
+    pub(crate) unsure: Vec<Option<Unsure>>,
     /// The effects that they depend on.
     shaped_by: Vec<Effect>,
     /// The clutter that may be in their way.
@@ -109,21 +112,28 @@ impl Views {
         let deeper = blocks.as_ref().zip(before).map_or(1.0, |(now, before)| depth(now) / depth(before));
         let directions = directions(recorded, effects);
         let caster = caster(nominal, recorded, effects, &directions);
-        let casts = Casts { recorded, caster, blocks: blocks.as_deref(), deeper };
-        let (beams, met): (Vec<Beam>, Vec<Surface>) = (0..recorded.scans())
+        let casts = Casts { nominal, recorded, caster, blocks: blocks.as_deref(), deeper };
+        let (beams, met): (Vec<Beam>, Vec<Option<Met>>) = (0..recorded.scans())
             .into_par_iter()
             .flat_map_iter(|scan| casts.scan(scan, nearby.map(|views| views.scan(scan))))
             .unzip();
-        let pieces = nominal.pieces.as_ref().map_or_else(Vec::new, |pieces| {
-            beams.iter().zip(met).map(|(beam, surface)| piece_view(pieces, beam, surface)).collect()
-        });
+        let (mut pieces, mut unsure) = (Vec::new(), Vec::new());
+        for Met { piece, unsure: why } in met.into_iter().flatten() {
+            pieces.push(piece);
+            unsure.push(why);
+        }
         let shaped_by = shaping(effects).cloned().collect();
-        Self { beams, per_scan: recorded.beams(), pieces, shaped_by, blocks }
+        Self { beams, per_scan: recorded.beams(), pieces, unsure, shaped_by, blocks }
     }
 
     /// The points of a lattice near which unmapped blocks may stand; see [`locsim_world::simulation::BlockModel::lattice_in_reach`].
     pub fn blocks_in_reach(&self, side: f64, half: f64) -> HashSet<[i32; 2]> {
         self.blocks.as_ref().map_or_else(HashSet::new, |blocks| blocks.model().lattice_in_reach(side, half))
+    }
+
+    /// Whether a beam has no nominal range, as far as the map says.
+    pub(crate) fn is_unsure(&self, beam: usize) -> bool {
+        matches!(self.unsure.get(beam), Some(Some(_)))
     }
 
     pub(crate) fn scans(&self) -> usize {
@@ -135,10 +145,24 @@ impl Views {
     }
 }
 
-fn piece_view(pieces: &WallPieces, beam: &Beam, surface: Surface) -> Option<PieceView> {
-    let Surface::Wall(segment) = surface else { return None };
-    let piece = pieces.at(segment, beam.view.endpoint)? as u32;
-    Some(PieceView { piece, lean: WallPieces::lean(beam.view.incidence) })
+/// What a beam meets in a measured map.
+struct Met {
+    piece: Option<PieceView>,
+    unsure: Option<Unsure>,
+}
+
+/// What a ray meets in the map, if it is a measured one.
+fn met(nominal: &Nominal, ray: &Ray, beam: &CastBeam, max: f64) -> Option<Met> {
+    let pieces = nominal.pieces.as_ref()?;
+    // What the map lacks is known by the effect.
+    let Surface::Wall(segment) = beam.surface else {
+        let unsure = (beam.surface == Surface::None).then_some(Unsure::Unknown);
+        return Some(Met { piece: None, unsure });
+    };
+    let unsure = map_error::unsure(&nominal.map, ray.origin, ray.direction.to_angle(), max);
+    let piece = pieces.at(segment, beam.view.endpoint).filter(|_| unsure.is_none());
+    let lean = WallPieces::lean(beam.view.incidence);
+    Some(Met { piece: piece.map(|piece| PieceView { piece: piece as u32, lean }), unsure })
 }
 
 /// Directions of all beams of the log's laser on the robot.
@@ -190,6 +214,7 @@ pub(crate) fn beam_headings(nominal: &Nominal, recorded: &Recorded) -> Vec<(DVec
 
 /// Casts a log's beams.
 struct Casts<'a> {
+    nominal: &'a Nominal,
     recorded: &'a Recorded,
     caster: BeamCaster<'a>,
     blocks: Option<&'a BlockIntegral>,
@@ -198,7 +223,7 @@ struct Casts<'a> {
 }
 
 impl Casts<'_> {
-    fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<(Beam, Surface)> {
+    fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<(Beam, Option<Met>)> {
         let Self { recorded, caster, .. } = self;
         let rays_of_kept: Vec<Ray> = rays(recorded, caster, scan, recorded.kept.iter().copied()).collect();
         let mut beams = Vec::new();
@@ -225,7 +250,8 @@ impl Casts<'_> {
                 self.survival(ray, beam, robot, nearby, &mut counts)
             };
             let object = matches!(beam.surface, Surface::Object(_)).then_some(beam.range);
-            (Beam::new(beam.view, object, caster.range_gradient(ray, beam), survival, max), beam.surface)
+            let met = met(self.nominal, ray, beam, max);
+            (Beam::new(beam.view, object, caster.range_gradient(ray, beam), survival, max), met)
         })
         .collect()
     }

@@ -135,7 +135,6 @@ mod tests {
     use locsim_world::effect::{Effect, EffectKind};
     use locsim_world::simulation::{MovedWalls, odometry_along};
 
-    use super::*;
     use crate::Recorded;
     use crate::fixtures::{DRIVE, MEASURED, TRUTH};
     use crate::hypothesis::{Comparison, Nuisances};

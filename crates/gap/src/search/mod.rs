@@ -127,7 +127,7 @@ pub fn find(
     let nominal = known.as_ref().map_or(nominal, |known| &known.nominal);
     let mut options = options.clone();
     if known.is_some() {
-        options.without.extend(ROUGHNESS);
+        options.without.extend(OF_THE_MAP);
     }
     let options = &options;
     let recorded = known.as_ref().map_or(recorded, |known| &known.recorded);
@@ -155,9 +155,17 @@ pub fn find(
     Ok(Outcome { map: known.map(|known| known.findings), ..outcome })
 }
 
-/// What the roughness of walls looks like, and their ends: a measured map doesn't tell them from the laser's noise.
-const ROUGHNESS: [EffectKind; 4] =
-    [EffectKind::RangeNoise, EffectKind::IncidenceNoise, EffectKind::HeavyTail, EffectKind::MixedPixels];
+/// What a measured map doesn't tell from its own errors: the roughness of walls and their ends look like the laser's noise, and
+/// what stands otherwise than it has it is told by place ([`map_error`]).
+const OF_THE_MAP: [EffectKind; 7] = [
+    EffectKind::RangeNoise,
+    EffectKind::IncidenceNoise,
+    EffectKind::HeavyTail,
+    EffectKind::MixedPixels,
+    EffectKind::Glass,
+    EffectKind::MovedWall,
+    EffectKind::MissingObject,
+];
 
 /// The part of a log that a measured map says something of.
 struct KnownPart {
@@ -173,10 +181,11 @@ fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart
     if nominal.pieces.is_none() {
         return Ok(None);
     }
-    let unsure = map_error::unsure(nominal, recorded);
+    let all = Comparison::new(nominal, recorded)?;
+    let unsure = &all.views.unsure;
     let ignored: Vec<bool> = unsure.iter().map(Option::is_some).collect();
     let sure = recorded.without(&ignored);
-    let comparison = Comparison::new(nominal, &sure)?;
+    let comparison = all.of(&sure);
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
     let (errors, wrong) = map_error::find(&comparison, &fitted);
     let nominal = calibration::with_shares_of_log(&comparison.of(&sure.without(&wrong)))?;
@@ -186,7 +195,7 @@ fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart
         unknown: of(Unsure::Unknown),
         at_ends: of(Unsure::AtEnd),
         map_errors: share(
-            wrong.iter().zip(&unsure).filter(|(wrong, unsure)| **wrong && unsure.is_none()).count(),
+            wrong.iter().zip(unsure).filter(|(wrong, unsure)| **wrong && unsure.is_none()).count(),
         ),
     };
     let views = Arc::clone(&comparison.views);
