@@ -172,7 +172,7 @@ mod tests {
             for view in comparison.views.pieces.iter().flatten() {
                 seen[view.piece as usize] += 1;
             }
-            let often = (0..count).filter(|&i| seen[i] > 300);
+            let often = (0..count).filter(|&i| seen[i] > 100);
             let errors: Vec<f64> = often.map(|i| (fitted.offsets[i] - truth[i]).abs()).collect();
             assert!(errors.len() > 10 && errors.iter().all(|error| *error < 0.008), "{errors:?}");
         }

@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use crate::map::Geometry;
 
-/// The longest piece of a wall \[m\]: a wall isn't straight to the centimetre over more, and a piece of it has readings of many
+/// The longest piece of a wall \[m\]: door frames, radiators and posters are about as wide, and a piece of it has readings of several
 /// scans.
 const PIECE_M: f64 = 0.25;
 
@@ -79,5 +79,32 @@ impl MovedWalls {
     /// The change of the range of a beam that meets segment `segment` at `point`, at this incidence \[m\].
     pub(super) fn change(&self, segment: usize, point: DVec2, incidence: f64) -> f64 {
         self.pieces.at(segment, point).map_or(0.0, |piece| self.offsets[piece] * WallPieces::lean(incidence))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::map::{MeasuredMap, MeasuredWall};
+
+    /// Pieces are short and in their order along their walls, and a point of one is of it, whichever piece is nearest beyond the ends;
+    /// the border of what was seen has none.
+    #[test]
+    fn a_wall_is_cut_into_pieces() {
+        let wall =
+            |to_m, sigma_m| MeasuredWall { from_m: [0.0, 0.0], to_m, sigma_m, hits: 9, hit_share: 1.0 };
+        let walls = vec![wall([1.1, 0.0], 0.002), wall([0.0, 0.1], 0.005)];
+        let seen = vec![vec![[-1.0, -1.0], [2.0, -1.0], [2.0, 2.0], [-1.0, 2.0]]];
+        let geometry = MeasuredMap { seen, walls }.to_geometry().unwrap();
+        let pieces = WallPieces::new(&geometry).unwrap();
+        assert_eq!(pieces.sigmas(), [0.002, 0.002, 0.002, 0.002, 0.002, 0.005]);
+        for piece in 0..6 {
+            let [a, b] = pieces.ends(piece);
+            assert!(a.distance(b) <= PIECE_M);
+            assert_eq!(pieces.at(usize::from(piece == 5), a.midpoint(b)), Some(piece));
+        }
+        assert_eq!(pieces.at(0, DVec2::new(-0.3, 0.1)), Some(0));
+        assert_eq!(pieces.at(0, DVec2::new(1.3, 0.1)), Some(4));
+        assert_eq!(pieces.at(2, DVec2::ZERO), None);
     }
 }
