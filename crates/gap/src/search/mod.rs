@@ -156,8 +156,8 @@ pub fn find(
 }
 
 /// What a measured map doesn't tell from its own errors: the roughness of walls and their ends look like the laser's noise, and
-/// what stands otherwise than it has it is told by place ([`map_error`]).
-const OF_THE_MAP: [EffectKind; 7] = [
+/// what stands otherwise than it has it is told by place ([`map_error`]). The depth of clutter is that from walls which err.
+const OF_THE_MAP: [EffectKind; 8] = [
     EffectKind::RangeNoise,
     EffectKind::IncidenceNoise,
     EffectKind::HeavyTail,
@@ -165,6 +165,7 @@ const OF_THE_MAP: [EffectKind; 7] = [
     EffectKind::Glass,
     EffectKind::MovedWall,
     EffectKind::MissingObject,
+    EffectKind::BlockDepth,
 ];
 
 /// The part of a log that a measured map says something of.
