@@ -5,7 +5,7 @@ use std::sync::{Arc, LazyLock};
 
 use locsim_core::{Drive, Pose2, Track};
 use locsim_world::effect::{Effect, EffectKind, Effects};
-use locsim_world::map::{NamedEdges, Polyline, VectorMap, Wall};
+use locsim_world::map::{MeasuredMap, MeasuredWall, NamedEdges, Polyline, VectorMap, Wall};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{
     BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Robot, RobotPath, simulate_drive,
@@ -17,12 +17,13 @@ use crate::hidden::Regime;
 pub(crate) const SIGMA_M: f64 = 0.01;
 pub(crate) const MAX_M: f64 = 5.0;
 pub(crate) const SEED: u64 = 5;
+/// The room's corners \[m\], its inside on the left.
+const CORNERS: [[f64; 2]; 8] =
+    [[0.0, 0.0], [2.0, 0.0], [2.0, -0.4], [3.0, -0.4], [3.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]];
 /// A room with a door recess and a thin wall that hides part of the east end, some blocks and dropouts.
 pub(crate) static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
-    let corners =
-        [[0.0, 0.0], [2.0, 0.0], [2.0, -0.4], [3.0, -0.4], [3.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]];
     let outline = Polyline {
-        points_m: corners.to_vec(),
+        points_m: CORNERS.to_vec(),
         surfaces: vec![NamedEdges { name: "door".to_owned(), edges: vec![2] }],
         ..Polyline::default()
     };
@@ -56,6 +57,16 @@ pub(crate) static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
     let odometry = OdometryNoise::new([0.02, 0.005, 0.01, 0.005]).unwrap();
     let effects = Effects::new(vec![dropout]).unwrap();
     Nominal::new(map, laser, Some(blocks), odometry, effects).unwrap()
+});
+/// The same room by a measured map, whose walls are known to 5 mm.
+pub(crate) static MEASURED: LazyLock<Nominal> = LazyLock::new(|| {
+    let wall = |from_m, to_m| MeasuredWall { from_m, to_m, sigma_m: 0.005, hits: 1000, hit_share: 1.0 };
+    let next = CORNERS.iter().cycle().skip(1);
+    let mut walls: Vec<MeasuredWall> = CORNERS.iter().zip(next).map(|(a, b)| wall(*a, *b)).collect();
+    walls.extend([wall([5.0, 1.0], [5.0, 2.0]), wall([5.0, 2.0], [5.0, 1.0])]);
+    let seen = vec![vec![[-0.3, -0.7], [6.3, -0.7], [6.3, 4.3], [-0.3, 4.3]]];
+    let map = Arc::new(ExactRangeMap::new(MeasuredMap { seen, walls }.to_geometry().unwrap()));
+    Nominal::new(map, NOMINAL.laser, NOMINAL.blocks, NOMINAL.odometry, NOMINAL.effects.clone()).unwrap()
 });
 pub(crate) static DRIVE: LazyLock<Drive> = LazyLock::new(|| {
     let path = RobotPath::Waypoints {

@@ -10,7 +10,8 @@ use crate::likelihood::{Density, Terms};
 use crate::odometry::{OdometryError, log_likelihoods};
 use crate::pose_error::{Information, PoseError, fit, pattern_score, smooth, without_patterns};
 use crate::pose_pattern::PosePattern;
-use crate::views::Views;
+use crate::views::{PieceView, Views};
+use crate::wall_error::{self, Pull};
 use crate::{GapError, Nominal, Recorded};
 
 /// Nuisance parameters: the parameters of a simulation besides the scenario, fitted to the log.
@@ -22,11 +23,20 @@ pub struct Nuisances {
     pub pose_error: PoseError,
     /// Error of the odometry's increments beyond the scenario's noise.
     pub odometry_error: OdometryError,
+    /// Standard deviation of the offsets of a measured map's walls beyond what the map says \[m\]; `None` of a map that is taken
+    /// for exact.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wall_error_m: Option<f64>,
 }
 
 impl Default for Nuisances {
     fn default() -> Self {
-        Self { block_density: 1.0, pose_error: PoseError::NONE, odometry_error: OdometryError::default() }
+        Self {
+            block_density: 1.0,
+            pose_error: PoseError::NONE,
+            odometry_error: OdometryError::default(),
+            wall_error_m: None,
+        }
     }
 }
 
@@ -36,6 +46,10 @@ pub(crate) struct Fitted {
     pub nuisances: Nuisances,
     /// Error of each reference pose.
     pub corrections: Vec<DVec3>,
+    /// Offset of each piece of a measured map's walls \[m\]; empty of a map that is taken for exact.
+    pub offsets: Vec<f64>,
+    /// Offset and standard deviation of each piece that has readings, about the middle of all \[m\].
+    pub known_offsets: Vec<[f64; 2]>,
     /// Log likelihood of each scan with the odometry since the one before (nats).
     pub scans: Vec<f64>,
     /// How surely the poses err in each [`PosePattern`] (standard deviations), see [`pattern_score`]; empty where they don't
@@ -62,6 +76,8 @@ pub(crate) struct Comparison<'a> {
 /// no error changes by more than this \[m\], a radian counting as 3 m.
 pub(crate) const CORRECTIONS: usize = 8;
 const CORRECTED_M: f64 = 0.001;
+/// Standard deviation of walls' offsets from which fits start \[m\].
+const FIRST_WALL_ERROR_M: f64 = 0.02;
 
 impl<'a> Comparison<'a> {
     /// # Errors
@@ -102,9 +118,13 @@ impl<'a> Comparison<'a> {
     /// Where an evaluation with these nuisances begins.
     pub fn start(&self, nuisances: &Nuisances) -> Fitted {
         let n = self.recorded.scans();
+        let pieces = self.nominal.pieces.as_ref();
+        let wall_error_m = pieces.map(|_| nuisances.wall_error_m.unwrap_or(FIRST_WALL_ERROR_M));
         Fitted {
-            nuisances: *nuisances,
+            nuisances: Nuisances { wall_error_m, ..*nuisances },
             corrections: vec![DVec3::ZERO; n],
+            offsets: vec![0.0; pieces.map_or(0, |pieces| pieces.sigmas().len())],
+            known_offsets: Vec::new(),
             scans: vec![0.0; n],
             pattern_scores: Vec::new(),
         }
@@ -129,9 +149,11 @@ impl<'a> Comparison<'a> {
         for _ in 0..iterations {
             let pass = self.pass(views, effects, &fitted);
             self.update(&mut fitted, &pass);
+            self.update_walls(views, &mut fitted, &pass);
         }
         let pass = self.pass(views, effects, &fitted);
         self.add_prior(&mut fitted, &pass.information);
+        self.add_prior_of_walls(views, &mut fitted, &pass);
         let by_bursts = Bursts::of(effects).map(|bursts| {
             let [with, without] =
                 [&bursts.on, &bursts.off].map(|effects| self.pass(views, effects, &fitted).log_likelihood);
@@ -190,9 +212,10 @@ impl<'a> Comparison<'a> {
             } else {
                 vec![DVec3::ZERO; fitted.corrections.len()]
             };
+            let before = std::mem::replace(&mut fitted.corrections, corrections);
+            let moved = self.fit_walls(&mut fitted, &pass, iterations);
             let change = |(a, b): (&DVec3, &DVec3)| ((*a - *b) * DVec3::new(1.0, 1.0, 3.0)).length();
-            let changed = corrections.iter().zip(&fitted.corrections).map(change).fold(0.0, f64::max);
-            fitted.corrections = corrections;
+            let changed = before.iter().zip(&fitted.corrections).map(change).fold(moved, f64::max);
             let is_last = round + 1 == CORRECTIONS || round > 0 && changed < CORRECTED_M;
             if is_last && !fitted.nuisances.pose_error.is_none() {
                 let error = fitted.nuisances.pose_error;
@@ -247,8 +270,14 @@ impl<'a> Comparison<'a> {
                 if reading.is_nan() || reading < self.nominal.laser.min_range_m {
                     continue;
                 }
+                if views.is_unsure(first + i) {
+                    continue;
+                }
                 let z = reading.min(max);
-                let shift = DVec3::from_array(beam.jacobian).dot(correction);
+                let mut shift = DVec3::from_array(beam.jacobian).dot(correction);
+                if let Some(PieceView { piece, lean }) = views.pieces.get(first + i).copied().flatten() {
+                    shift += lean * fitted.offsets[piece as usize];
+                }
                 visit(scan, first + i, &density, shift, z, density.terms(beam, shift, z));
             }
         }
@@ -261,12 +290,21 @@ impl<'a> Comparison<'a> {
             information: vec![Information::default(); n],
             shorts: 0.0,
             exposure: 0.0,
+            pulls: Vec::new(),
         };
+        let is_measured = !views.pieces.is_empty();
         let with_errors = views.per_scan > 0;
         self.for_each_reading(views, effects, fitted, |scan, i, _, shift, z, terms| {
             let beam = &views.beams[i];
             pass.log_likelihood[scan] += terms.density.ln();
-            if with_errors && terms.hit > 1e-3 {
+            if is_measured {
+                let pose = DVec3::from_array(beam.jacobian).dot(fitted.corrections[scan]);
+                let weight = wall_error::weight(&terms);
+                if weight > 0.0 {
+                    pass.information[scan].add(weight, beam.jacobian, terms.error + pose);
+                    pass.pulls.push(Pull { beam: i, weight, error: terms.error + shift });
+                }
+            } else if with_errors && terms.hit > 1e-3 {
                 // Linear in the correction: as seen from no correction.
                 let weight = terms.hit / terms.sigma.powi(2);
                 pass.information[scan].add(weight, beam.jacobian, terms.error + shift);
@@ -275,7 +313,25 @@ impl<'a> Comparison<'a> {
             pass.exposure -=
                 if terms.short > 0.5 { beam.survival_at(z).0.max(1e-12).ln() } else { beam.log_clear };
         });
+        if is_measured {
+            self.fill_in(views, &mut pass.log_likelihood);
+        }
         pass
+    }
+
+    /// Counts the readings of a scan that have no nominal range in a measured map, seen from where an effect has the laser, as the
+    /// scan's others: an effect is neither worse nor better for the beams that it leads into what the map doesn't know.
+    fn fill_in(&self, views: &Views, log_likelihood: &mut [f64]) {
+        for (scan, sum) in log_likelihood.iter_mut().enumerate() {
+            let beams = scan * views.per_scan..(scan + 1) * views.per_scan;
+            let is_usable =
+                |&beam: &usize| f64::from(self.recorded.readings[beam]) >= self.nominal.laser.min_range_m;
+            let (unsure, sure): (Vec<usize>, Vec<usize>) =
+                beams.filter(is_usable).partition(|&beam| views.is_unsure(beam));
+            if !sure.is_empty() {
+                *sum *= 1.0 + unsure.len() as f64 / sure.len() as f64;
+            }
+        }
     }
 
     /// A step of expectation maximization for the density of blocks, and the errors of the poses.
@@ -287,6 +343,46 @@ impl<'a> Comparison<'a> {
         if !fitted.nuisances.pose_error.is_none() {
             let process = &fitted.nuisances.pose_error;
             fitted.corrections = smooth(process, self.recorded.track.secs(), &pass.information).mean;
+        }
+    }
+
+    /// The offsets of a measured map's walls, given the corrections of the poses.
+    fn update_walls(&self, views: &Views, fitted: &mut Fitted, pass: &Pass) {
+        let (Some(pieces), Some(error_m)) = (&self.nominal.pieces, fitted.nuisances.wall_error_m) else {
+            return;
+        };
+        let data = wall_error::gather(views, &fitted.corrections, &pass.pulls, fitted.offsets.len());
+        fitted.offsets = wall_error::offsets(pieces.sigmas(), error_m, &data);
+    }
+
+    /// Fits how far walls stand off, and each one's offset. Returns the largest change of an offset \[m\].
+    fn fit_walls(&self, fitted: &mut Fitted, pass: &Pass, iterations: usize) -> f64 {
+        let (Some(pieces), Some(error_m)) = (&self.nominal.pieces, fitted.nuisances.wall_error_m) else {
+            return 0.0;
+        };
+        let data = wall_error::gather(&self.views, &fitted.corrections, &pass.pulls, fitted.offsets.len());
+        let error_m = wall_error::fit(pieces.sigmas(), error_m, &data, iterations);
+        let offsets = wall_error::offsets(pieces.sigmas(), error_m, &data);
+        let changes = offsets.iter().zip(&fitted.offsets).map(|(a, b)| (a - b).abs());
+        let changed = changes.fold(0.0, f64::max);
+        fitted.nuisances.wall_error_m = Some(error_m);
+        fitted.known_offsets = wall_error::known(pieces.sigmas(), error_m, &data);
+        fitted.offsets = offsets;
+        changed
+    }
+
+    /// The log density of the walls' offsets with the volume of what they may be, shared out among scans by what each says.
+    fn add_prior_of_walls(&self, views: &Views, fitted: &mut Fitted, pass: &Pass) {
+        let (Some(pieces), Some(error_m)) = (&self.nominal.pieces, fitted.nuisances.wall_error_m) else {
+            return;
+        };
+        let data = wall_error::gather(views, &fitted.corrections, &pass.pulls, fitted.offsets.len());
+        let priors = wall_error::log_priors(pieces.sigmas(), error_m, &data, &fitted.offsets);
+        for pull in &pass.pulls {
+            if let Some(PieceView { piece, lean }) = views.pieces[pull.beam] {
+                let share = pull.weight * lean * lean / data[piece as usize].information;
+                fitted.scans[pull.beam / views.per_scan] += share * priors[piece as usize];
+            }
         }
     }
 
@@ -368,6 +464,8 @@ struct Pass {
     shorts: f64,
     /// How many the nominal density expects where beams could have met one.
     exposure: f64,
+    /// What readings say of a measured map's walls.
+    pulls: Vec<Pull>,
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ mod free_model;
 pub mod hidden;
 mod hypothesis;
 mod likelihood;
+mod map_error;
 mod matrix;
 mod nominal;
 mod null;
@@ -32,11 +33,13 @@ mod search;
 mod statistics;
 mod strength;
 mod views;
+mod wall_error;
 
 pub use catalogue::values_along;
 pub use error::GapError;
 pub use fit::sum_error;
 pub use hypothesis::Nuisances;
+pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
 pub use nominal::Nominal;
 pub use odometry::{Increment, OdometryError};
 pub use outcome::{

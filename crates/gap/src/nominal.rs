@@ -4,6 +4,7 @@ use locsim_world::effect::{Effect, Effects, Residual};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{
     BlockIntegral, BlockModel, BlockOptions, BlockResampling, LaserOptions, OdometryNoise, Simulator,
+    WallPieces,
 };
 
 use crate::{GapError, Recorded};
@@ -23,6 +24,8 @@ pub struct Nominal {
     pub effects: Effects,
     /// Prior of its clutter.
     integral: Option<Arc<BlockIntegral>>,
+    /// The pieces of its walls, which may stand a little off; `None` of a map that is taken for exact.
+    pub(crate) pieces: Option<Arc<WallPieces>>,
 }
 
 impl Nominal {
@@ -49,7 +52,8 @@ impl Nominal {
         let blocks = blocks.filter(|blocks| blocks.per_metre_of_wall > 0.0);
         let simulator = Simulator::new(Arc::clone(&map), blocks, laser, effects.clone())?;
         let integral = simulator.blocks().map(|model| Arc::new(BlockIntegral::new(model)));
-        Ok(Self { map, laser, blocks, odometry, effects, integral })
+        let pieces = WallPieces::new(map.geometry()).map(Arc::new);
+        Ok(Self { map, laser, blocks, odometry, effects, integral, pieces })
     }
 
     /// The same simulator without clutter.
@@ -97,6 +101,11 @@ impl Nominal {
     pub(crate) fn with_residuals(&self, more: &[Residual]) -> Result<Self, GapError> {
         let residuals = [self.effects.residuals(), more].concat();
         Ok(Self { effects: self.effects.clone().with_residuals(residuals)?, ..self.clone() })
+    }
+
+    /// The same simulator with other effects that act on readings alone.
+    pub(crate) fn with_effects(&self, effects: Effects) -> Self {
+        Self { effects, ..self.clone() }
     }
 
     /// Its own effects and more.

@@ -7,6 +7,7 @@ use locsim_world::effect::{Effect, EffectKind, Residual};
 use serde::{Deserialize, Serialize, Serializer};
 
 use crate::hypothesis::Nuisances;
+use crate::map_error::MeasuredMapFindings;
 use crate::statistics::{Covariate, Deviation};
 
 /// The result of a search in one word.
@@ -398,6 +399,9 @@ pub struct Outcome {
     pub unnamed: Vec<Unnamed>,
     /// Their curves as a part of the simulator; `None` where it can carry none of them.
     pub residual: Option<ResidualStage>,
+    /// What a measured map doesn't say, and where it is wrong; `None` of a map that is taken for exact.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub map: Option<MeasuredMapFindings>,
     /// Chances.
     pub detection: Detection,
     /// Chances with the named effects added; the same where none is.

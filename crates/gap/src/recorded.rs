@@ -21,6 +21,8 @@ pub struct Recorded {
     pub odometry: Vec<Pose2>,
     /// Readings \[m\], \[scan\]\[beam\].
     pub readings: Vec<f32>,
+    /// The beams that aren't looked at, as the map doesn't say where they end; empty where all are.
+    pub(crate) ignored: Vec<bool>,
 }
 
 impl Recorded {
@@ -56,6 +58,7 @@ impl Recorded {
                 .flat_map(|(step, _)| kept.iter().map(|&beam| step.scan.ranges[beam]))
                 .collect(),
             kept,
+            ignored: Vec::new(),
         })
     }
 
@@ -72,7 +75,24 @@ impl Recorded {
     /// The same drive with other readings and odometry: what a simulation of it gives.
     #[must_use]
     pub fn with(&self, readings: Vec<f32>, odometry: Vec<Pose2>) -> Self {
-        Self { odometry, readings, ..self.clone() }
+        Self { odometry, readings, ..self.clone() }.masked()
+    }
+
+    /// The same without the readings of more beams.
+    pub(crate) fn without(&self, ignored: &[bool]) -> Self {
+        let mut log = self.clone();
+        log.ignored.resize(ignored.len(), false);
+        for (known, more) in log.ignored.iter_mut().zip(ignored) {
+            *known |= more;
+        }
+        log.masked()
+    }
+
+    fn masked(mut self) -> Self {
+        for (reading, _) in self.readings.iter_mut().zip(&self.ignored).filter(|(_, ignored)| **ignored) {
+            *reading = f32::NAN;
+        }
+        self
     }
 
     /// Velocity of the robot at each scan in the map frame \[m/s, m/s, rad/s\]: from the neighbours' poses.

@@ -92,6 +92,7 @@ impl<'a> Strength<'a> {
             recorded: self.recorded,
             effects,
             nuisances: self.nuisances(),
+            known_offsets: Vec::new(),
             blocks: BlockTruth { resample, density_over_fit: 1.0 },
         }
     }

@@ -4,9 +4,12 @@ use std::sync::Arc;
 use glam::DVec2;
 use locsim_world::effect::{Description, Effect, Effects, Moves};
 pub(crate) use locsim_world::simulation::ClutteredBeam as Beam;
-use locsim_world::simulation::{BeamCaster, BlockIntegral, CastBeam, ClutterSurvival, Ray, Surface};
+use locsim_world::simulation::{
+    BeamCaster, BlockIntegral, CastBeam, ClutterSurvival, Ray, Surface, WallPieces,
+};
 use rayon::prelude::*;
 
+use crate::map_error::{self, Unsure};
 use crate::{GapError, Nominal, Recorded};
 
 /// Width of the bins of a survival among clutter \[m\]: a fraction of the depth of clutter.
@@ -29,10 +32,23 @@ pub struct Views {
     pub beams: Vec<Beam>,
     /// Beams of a scan.
     pub per_scan: usize,
+    /// The piece of a measured map's wall that each beam meets; empty of a map that is taken for exact.
+    pub(crate) pieces: Vec<Option<PieceView>>,
+    /// Why beams have no nominal range in a measured map; empty of a map that is taken for exact.
+    pub(crate) unsure: Vec<Option<Unsure>>,
     /// The effects that they depend on.
     shaped_by: Vec<Effect>,
     /// The clutter that may be in their way.
     blocks: Option<Arc<BlockIntegral>>,
+}
+
+/// The piece of a measured map's wall that a beam meets.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PieceView {
+    /// Its number.
+    pub piece: u32,
+    /// Change of the beam's range with the piece's offset \[m/m\].
+    pub lean: f64,
 }
 
 /// The effects that views depend on: those that change where beams come from or what stands in their way. All others act on the
@@ -96,18 +112,28 @@ impl Views {
         let deeper = blocks.as_ref().zip(before).map_or(1.0, |(now, before)| depth(now) / depth(before));
         let directions = directions(recorded, effects);
         let caster = caster(nominal, recorded, effects, &directions);
-        let casts = Casts { recorded, caster, blocks: blocks.as_deref(), deeper };
-        let beams = (0..recorded.scans())
+        let casts = Casts { nominal, recorded, caster, blocks: blocks.as_deref(), deeper };
+        let (beams, met): (Vec<Beam>, Vec<Option<Met>>) = (0..recorded.scans())
             .into_par_iter()
             .flat_map_iter(|scan| casts.scan(scan, nearby.map(|views| views.scan(scan))))
-            .collect();
+            .unzip();
+        let (mut pieces, mut unsure) = (Vec::new(), Vec::new());
+        for Met { piece, unsure: why } in met.into_iter().flatten() {
+            pieces.push(piece);
+            unsure.push(why);
+        }
         let shaped_by = shaping(effects).cloned().collect();
-        Self { beams, per_scan: recorded.beams(), shaped_by, blocks }
+        Self { beams, per_scan: recorded.beams(), pieces, unsure, shaped_by, blocks }
     }
 
     /// The points of a lattice near which unmapped blocks may stand; see [`locsim_world::simulation::BlockModel::lattice_in_reach`].
     pub fn blocks_in_reach(&self, side: f64, half: f64) -> HashSet<[i32; 2]> {
         self.blocks.as_ref().map_or_else(HashSet::new, |blocks| blocks.model().lattice_in_reach(side, half))
+    }
+
+    /// Whether a beam has no nominal range, as far as the map says.
+    pub(crate) fn is_unsure(&self, beam: usize) -> bool {
+        matches!(self.unsure.get(beam), Some(Some(_)))
     }
 
     pub(crate) fn scans(&self) -> usize {
@@ -117,6 +143,26 @@ impl Views {
     pub(crate) fn scan(&self, scan: usize) -> &[Beam] {
         &self.beams[scan * self.per_scan..][..self.per_scan]
     }
+}
+
+/// What a beam meets in a measured map.
+struct Met {
+    piece: Option<PieceView>,
+    unsure: Option<Unsure>,
+}
+
+/// What a ray meets in the map, if it is a measured one.
+fn met(nominal: &Nominal, ray: &Ray, beam: &CastBeam, max: f64) -> Option<Met> {
+    let pieces = nominal.pieces.as_ref()?;
+    // What the map lacks is known by the effect.
+    let Surface::Wall(segment) = beam.surface else {
+        let unsure = (beam.surface == Surface::None).then_some(Unsure::Unknown);
+        return Some(Met { piece: None, unsure });
+    };
+    let unsure = map_error::unsure(&nominal.map, ray.origin, ray.direction.to_angle(), max);
+    let piece = pieces.at(segment, beam.view.endpoint).filter(|_| unsure.is_none());
+    let lean = WallPieces::lean(beam.view.incidence);
+    Some(Met { piece: piece.map(|piece| PieceView { piece: piece as u32, lean }), unsure })
 }
 
 /// Directions of all beams of the log's laser on the robot.
@@ -135,6 +181,7 @@ fn caster<'a>(
     let laser = &recorded.log_laser;
     BeamCaster {
         map: &nominal.map,
+        moved: None,
         effects,
         laser,
         mount: effects.laser_mount(laser.base_from_laser()),
@@ -156,8 +203,18 @@ fn rays<'a>(
     caster.rays(beams, stamp, base_at)
 }
 
+/// Where each beam that is looked at begins \[m\], and its heading in the map frame \[rad\], in the nominal world.
+pub(crate) fn beam_headings(nominal: &Nominal, recorded: &Recorded) -> Vec<(DVec2, f64)> {
+    let directions = directions(recorded, &nominal.effects);
+    let caster = caster(nominal, recorded, &nominal.effects, &directions);
+    let of_scan = |scan| rays(recorded, &caster, scan, recorded.kept.iter().copied()).collect::<Vec<Ray>>();
+    let all = (0..recorded.scans()).flat_map(of_scan);
+    all.map(|ray| (ray.origin, ray.direction.to_angle())).collect()
+}
+
 /// Casts a log's beams.
 struct Casts<'a> {
+    nominal: &'a Nominal,
     recorded: &'a Recorded,
     caster: BeamCaster<'a>,
     blocks: Option<&'a BlockIntegral>,
@@ -166,7 +223,7 @@ struct Casts<'a> {
 }
 
 impl Casts<'_> {
-    fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<Beam> {
+    fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<(Beam, Option<Met>)> {
         let Self { recorded, caster, .. } = self;
         let rays_of_kept: Vec<Ray> = rays(recorded, caster, scan, recorded.kept.iter().copied()).collect();
         let mut beams = Vec::new();
@@ -186,9 +243,15 @@ impl Casts<'_> {
         let all = rays_of_kept.iter().zip(&beams).enumerate();
         all.map(|(i, (ray, beam))| {
             let nearby = nearby.map(|beams| &beams[i]);
-            let survival = self.survival(ray, beam, robot, nearby, &mut counts);
+            let is_ignored = recorded.ignored.get(scan * recorded.beams() + i) == Some(&true);
+            let survival = if is_ignored {
+                ClutterSurvival::clear()
+            } else {
+                self.survival(ray, beam, robot, nearby, &mut counts)
+            };
             let object = matches!(beam.surface, Surface::Object(_)).then_some(beam.range);
-            Beam::new(beam.view, object, caster.range_gradient(ray, beam), survival, max)
+            let met = met(self.nominal, ray, beam, max);
+            (Beam::new(beam.view, object, caster.range_gradient(ray, beam), survival, max), met)
         })
         .collect()
     }

@@ -1,5 +1,6 @@
 //! The search: detect, locate, name, add, and stop when nothing is off any more.
 
+mod calibration;
 mod initial_guess;
 mod judge;
 mod judgement;
@@ -11,8 +12,8 @@ mod stepwise;
 mod unnamed;
 
 use std::cmp::Ordering;
-use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
 
 use locsim_core::Progress;
 use locsim_world::effect::{Effect, EffectKind, Moves};
@@ -20,11 +21,13 @@ use rayon::prelude::*;
 
 use crate::fit::{Candidate, Search};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
+use crate::map_error::{self, LeftOut, MeasuredMapFindings, Unsure};
 use crate::null::compare;
 use crate::outcome::Outcome;
 use crate::rank::Null;
 use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::statistics::{Dictionary, Form};
+use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 use judgement::Judgement;
 
@@ -120,7 +123,18 @@ pub fn find(
 ) -> Result<Outcome, GapError> {
     nominal.check(recorded)?;
     progress.stage("fitting blocks and reference", 1);
-    let comparison = Comparison::new(nominal, recorded)?;
+    let known = known_part(nominal, recorded)?;
+    let nominal = known.as_ref().map_or(nominal, |known| &known.nominal);
+    let mut options = options.clone();
+    if known.is_some() {
+        options.without.extend(OF_THE_MAP);
+    }
+    let options = &options;
+    let recorded = known.as_ref().map_or(recorded, |known| &known.recorded);
+    let comparison = match &known {
+        Some(known) => Comparison { nominal, recorded, views: Arc::clone(&known.views) },
+        None => Comparison::new(nominal, recorded)?,
+    };
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
     let blocks = fit_persistence(&comparison, &fitted, options.seed)?;
     progress.advance(1);
@@ -129,6 +143,7 @@ pub fn find(
     state.delete(&mut path)?;
     state.simplify(&mut path)?;
     state.make_sure(&mut path)?;
+    state.come_nearer(&mut path)?;
     // Deeper blocks also stand in the way of more beams.
     let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);
     let nameless = state.nameless(path.last())?;
@@ -138,7 +153,61 @@ pub fn find(
         let more = state.block_density(path.first(), path.last())?;
         path.named.extend(more);
     }
-    state.outcome(path, nameless)
+    let outcome = state.outcome(path, nameless)?;
+    Ok(Outcome { map: known.map(|known| known.findings), ..outcome })
+}
+
+/// What a measured map doesn't tell from its own errors: the roughness of walls and their ends look like the laser's noise, and
+/// what stands otherwise than it has it is told by place ([`map_error`]). The depth of clutter is that from walls which err.
+const OF_THE_MAP: [EffectKind; 8] = [
+    EffectKind::RangeNoise,
+    EffectKind::IncidenceNoise,
+    EffectKind::HeavyTail,
+    EffectKind::MixedPixels,
+    EffectKind::Glass,
+    EffectKind::MovedWall,
+    EffectKind::MissingObject,
+    EffectKind::BlockDepth,
+];
+
+/// The part of a log that a measured map says something of.
+struct KnownPart {
+    /// The simulator, with no more random readings than the log has.
+    nominal: Nominal,
+    recorded: Recorded,
+    views: Arc<Views>,
+    findings: MeasuredMapFindings,
+}
+
+/// The readings that a measured map says something of, with where it is wrong; `None` of a map that is taken for exact.
+fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart>, GapError> {
+    if nominal.pieces.is_none() {
+        return Ok(None);
+    }
+    let all = Comparison::new(nominal, recorded)?;
+    let unsure = &all.views.unsure;
+    let ignored: Vec<bool> = unsure.iter().map(Option::is_some).collect();
+    let sure = recorded.without(&ignored);
+    let comparison = all.of(&sure);
+    let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+    let (errors, wrong) = map_error::find(&comparison, &fitted);
+    let nominal = calibration::with_shares_of_log(&comparison.of(&sure.without(&wrong)))?;
+    let share = |count: usize| count as f64 / unsure.len().max(1) as f64;
+    let of = |reason| share(unsure.iter().filter(|unsure| **unsure == Some(reason)).count());
+    let left_out = LeftOut {
+        unknown: of(Unsure::Unknown),
+        at_ends: of(Unsure::AtEnd),
+        map_errors: share(
+            wrong.iter().zip(unsure).filter(|(wrong, unsure)| **wrong && unsure.is_none()).count(),
+        ),
+    };
+    let views = Arc::clone(&comparison.views);
+    Ok(Some(KnownPart {
+        nominal,
+        recorded: sure.without(&wrong),
+        views,
+        findings: MeasuredMapFindings { left_out, errors },
+    }))
 }
 
 struct State<'a> {

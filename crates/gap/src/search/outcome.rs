@@ -73,6 +73,7 @@ impl<'a> State<'a> {
         self.progress.advance(1);
         Ok(Outcome {
             verdict,
+            map: None,
             effects: named,
             unnamed,
             residual,
@@ -155,6 +156,14 @@ impl<'a> State<'a> {
         let replay = round.replay();
         let draw = Purpose::Distance.draw(self.options.seed);
         (0..logs as u32).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
+    }
+
+    /// Whether simulated ranges are farther from the log's in the later round than in the first.
+    pub fn moves_away(&self, first: &Round<'a>, last: &Round<'a>) -> Result<bool, GapError> {
+        let (old, new) = (self.replay(first, LOGS)?, self.replay(last, LOGS)?);
+        let views = &first.comparison.views;
+        let [old_mm, new_mm] = [&old, &new].map(|logs| distance(views, self.recorded, logs));
+        Ok(RangeFloor::of(views, &new).closed(old_mm, new_mm).is_some_and(|closed| closed <= 0.0))
     }
 
     fn gap(

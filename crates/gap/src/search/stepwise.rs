@@ -167,6 +167,27 @@ impl<'a> State<'a> {
         Ok(())
     }
 
+    /// Drops names with which simulated ranges move away from a log that is held against a measured map, the last one first: the
+    /// log score of a map that is wrong is raised by anything that makes readings off the walls likelier.
+    pub fn come_nearer(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        if self.nominal.pieces.is_none() {
+            return Ok(());
+        }
+        while !path.named.is_empty() && self.moves_away(path.first(), path.last())? {
+            path.named.pop();
+            path.gains.truncate(path.named.len());
+            if path.named.is_empty() {
+                path.rounds.truncate(1);
+                path.remaining = most_gaining(&path.first_fits);
+                break;
+            }
+            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
+            path.remaining = most_gaining(&self.candidates_of(&next)?);
+            path.rounds.push(next);
+        }
+        Ok(())
+    }
+
     /// Fits the effects that a round's statistics point to: where nothing is off any more, the few that may still gain.
     fn candidates_of(&self, round: &Round<'a>) -> Result<Vec<Candidate>, GapError> {
         if round.null.p <= self.options.false_alarm {

@@ -5,7 +5,7 @@ use locsim_gap::{Covariate, Deviation, Gap, Named, Outcome, Region, ResidualStag
 use locsim_world::effect::Parameter;
 
 use super::covariate::span;
-use super::unnamed;
+use super::{map_error, unnamed};
 use locsim_report::text::fixed;
 use locsim_scenario::effect::{in_file, unit};
 
@@ -56,6 +56,7 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
     if !outcome.effects.is_empty() {
         text.push(gap(outcome));
     }
+    text.extend(outcome.map.iter().flat_map(map_error::sentences));
     text.extend(outcome.residual.as_ref().map(|stage| residual(stage, outcome.gap.floor.w1_mm)));
     text.extend(filter(outcome));
     text

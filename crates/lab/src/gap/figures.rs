@@ -6,7 +6,7 @@ use locsim_core::Interval;
 use locsim_gap::{BeamPit, Covariate, Outcome, PitHistogram, Profile, Unnamed};
 use plotters::prelude::{Circle, Color, PathElement, RGBColor, Rectangle, Text};
 
-use super::{GapStudy, covariate, curve, profile, unnamed};
+use super::{GapStudy, covariate, curve, map_error, profile, unnamed};
 use locsim_report::ReportError;
 use locsim_report::figures::Figure;
 use locsim_report::figures::canvas::{
@@ -57,6 +57,14 @@ pub(super) fn all(study: &GapStudy, outcome: &Outcome) -> Result<Vec<Figure>, Re
             histograms(outcome),
         )?,
     ];
+    if let Some(map) = &outcome.map {
+        figures.push(figure(
+            "map-errors",
+            "The measured map against the readings: walls that stand elsewhere, walls that beams pass, objects that the map \
+             lacks, and where readings end that are more than half a metre off.",
+            map_error::draw(study, map),
+        )?);
+    }
     for named in &outcome.effects {
         let kind = named.name;
         if figures.iter().any(|figure| figure.name == kind.name()) {
@@ -129,7 +137,7 @@ fn by_wall(study: &GapStudy, outcome: &Outcome) -> Vec<(Point, [f64; 2])> {
 const TITLE: f64 = 22.0;
 
 /// Height of a panel of the map (px), and the part of the plane that it shows.
-fn map_panel(walls: &[[Point; 2]]) -> (f64, Window) {
+pub(super) fn map_panel(walls: &[[Point; 2]]) -> (f64, Window) {
     let bounds = Window::around(walls.iter().flatten());
     let (right, top, below) = MARGINS;
     let [width, height] = bounds.size();

@@ -7,6 +7,7 @@ mod covariate;
 mod curve;
 mod figures;
 mod filter;
+mod map_error;
 mod next;
 mod page;
 mod profile;

@@ -7,7 +7,7 @@ use minijinja::value::Serde;
 use minijinja::{Environment, context};
 use serde::Serialize;
 
-use super::{GapStudy, answer, covariate, figures, next, unnamed};
+use super::{GapStudy, answer, covariate, figures, map_error, next, unnamed};
 use locsim_report::figures::Figure;
 use locsim_report::store::Folder;
 use locsim_report::text::{self, TextTable, fixed, significant};
@@ -109,6 +109,10 @@ fn markdown(
         map => link("map"),
         pit => link("pit"),
         rivals => link("rivals"),
+        map_errors => link("map-errors"),
+        map_errors_table => outcome.map.as_ref().and_then(map_error::table).map(|table| table.to_markdown()),
+        more_map_errors => outcome.map.as_ref().map_or(0, map_error::more),
+        wall_mm => nuisances.wall_error_m.map(|error| fixed(1e3 * error, 1)),
         detection_table => detection_table(outcome).to_markdown(),
         regions_table => (!regions.is_empty()).then(|| regions_table(&regions).to_markdown()),
         more_regions => regions.len().saturating_sub(SHOWN_REGIONS),

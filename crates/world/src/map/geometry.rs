@@ -12,6 +12,8 @@ pub struct Geometry {
     free: FreeSpace,
     /// The segments from here on are the border of what is known.
     walls: usize,
+    /// Standard deviation of each wall's offset across \[m\]; empty where walls are taken for exact.
+    sigmas: Vec<f64>,
 }
 
 /// Where a robot can stand.
@@ -39,7 +41,13 @@ impl Geometry {
     ) -> Self {
         debug_assert_eq!(segments.len(), surfaces.len());
         let walls = segments.len();
-        Self { segments, surfaces, surface_names, bounds, free, walls }
+        Self { segments, surfaces, surface_names, bounds, free, walls, sigmas: Vec::new() }
+    }
+
+    /// The same with walls that were measured: the standard deviation of the offset across of each \[m\].
+    pub(super) fn with_sigmas(self, sigmas: Vec<f64>) -> Self {
+        debug_assert_eq!(sigmas.len(), self.walls);
+        Self { sigmas, ..self }
     }
 
     /// The same with only the first `walls` segments being walls, and the others the border of what is known. No surface
@@ -58,6 +66,12 @@ impl Geometry {
     /// The wall segments without the border of what is known \[m\].
     pub fn walls(&self) -> &[[DVec2; 2]] {
         &self.segments[..self.walls]
+    }
+
+    /// Standard deviation of the offset across of each of [`Geometry::walls`] \[m\]; empty of a map whose walls are taken for
+    /// exact.
+    pub fn wall_sigmas(&self) -> &[f64] {
+        &self.sigmas
     }
 
     /// Whether a surface is the border of what is known: a ray that meets it has no nominal range, and a reading of its

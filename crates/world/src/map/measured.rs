@@ -56,6 +56,7 @@ impl MeasuredMap {
         }
         let mut segments = Vec::new();
         let mut names = Vec::new();
+        let mut sigmas = Vec::new();
         for (i, wall) in self.walls.iter().enumerate() {
             let name = format!("wall-{i}");
             let ends = super::finite_points(&name, &[wall.from_m, wall.to_m])?;
@@ -65,6 +66,7 @@ impl MeasuredMap {
             if wall.hit_share >= NOMINAL_SHARE {
                 segments.push([ends[0], ends[1]]);
                 names.push(name);
+                sigmas.push(wall.sigma_m);
             }
         }
         let mut surfaces: Vec<u32> = (0..segments.len() as u32).collect();
@@ -92,7 +94,7 @@ impl MeasuredMap {
         names.push(UNKNOWN.to_owned());
         let bounds = bounds_of(segments.iter().flatten().copied());
         let free = FreeSpace::Polygons { outline: rings.remove(0), obstacles: rings };
-        Ok(Geometry::new(segments, surfaces, names, bounds, free).with_walls(walls))
+        Ok(Geometry::new(segments, surfaces, names, bounds, free).with_walls(walls).with_sigmas(sigmas))
     }
 
     /// The map as a file: one line for each polyline, in millimetres, and each wall, in tenths of them.

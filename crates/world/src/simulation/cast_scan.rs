@@ -53,7 +53,7 @@ impl CastScan {
             self.rays.push(ray);
         }
         self.clear.clear();
-        if caster.effects.is_empty() {
+        if caster.effects.is_empty() && caster.moved.is_none() {
             let max = f64::from(caster.laser.max_range());
             self.beams.clear();
             self.clear.extend(self.rays.iter().map(|&Ray { origin, direction, .. }| {

@@ -1,6 +1,7 @@
 use glam::DVec2;
 use locsim_core::{Laser, Pose2};
 
+use super::MovedWalls;
 use crate::effect::{BeamView, Effects, jump_at};
 use crate::raycast::ExactRangeMap;
 
@@ -14,6 +15,8 @@ const GRAZING: f64 = 0.15;
 pub struct BeamCaster<'a> {
     /// The map.
     pub map: &'a ExactRangeMap,
+    /// Where the map's walls really stand, if elsewhere.
+    pub moved: Option<&'a MovedWalls>,
     /// The effects of the world.
     pub effects: &'a Effects,
     /// The laser's beams, their times and its range.
@@ -125,6 +128,9 @@ impl<'a> BeamCaster<'a> {
         let endpoint = origin + range * direction;
         let mut view = BeamView { secs, bearing, range, incidence, endpoint, jump: None, behind };
         let mut range = self.effects.wall_range(&view);
+        if let (Some(moved), Surface::Wall(segment)) = (self.moved, surface) {
+            range = (range + moved.change(segment, endpoint, incidence)).max(0.0);
+        }
         for (number, object) in self.effects.objects().iter().enumerate() {
             if let Some(nearer) = object.first_hit(origin, direction, range) {
                 (range, surface) = (nearer, Surface::Object(number));

@@ -30,6 +30,7 @@ mod path;
 mod rectangle;
 mod scan_filter;
 mod survival;
+mod wall_pieces;
 
 pub use block_integral::BlockIntegral;
 pub use blocks::{Block, BlockModel};
@@ -45,5 +46,6 @@ pub use odometry_filter::{MountFilter, OdometryFilter};
 pub use path::{RobotPath, Trajectory, VelocitySegment};
 pub use scan_filter::ScanFilter;
 pub use survival::ClutterSurvival;
+pub use wall_pieces::{MovedWalls, WallPieces};
 
 pub use crate::options::{BlockOptions, BlockResampling, LaserOptions};

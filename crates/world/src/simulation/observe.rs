@@ -5,7 +5,9 @@ use rayon::prelude::*;
 
 use super::blocks::Placement;
 use super::cast_scan::CastScan;
-use super::{BeamCaster, BlockModel, BlockOptions, LaserOptions, LaserSimulator, SimulationError};
+use super::{
+    BeamCaster, BlockModel, BlockOptions, LaserOptions, LaserSimulator, MovedWalls, SimulationError,
+};
 use crate::effect::{Effects, HitKind, Met, ReadingDistribution, burst, burst_window};
 use crate::raycast::ExactRangeMap;
 
@@ -18,6 +20,8 @@ pub struct Simulator {
     /// The laser where it really sits.
     mounted: LaserSimulator,
     effects: Effects,
+    /// Where the map's walls really stand, if elsewhere.
+    moved: Option<MovedWalls>,
 }
 
 /// Buffers that are kept between scans.
@@ -44,7 +48,13 @@ impl Simulator {
         let blocks =
             blocks.map(|options| BlockModel::new(effects.blocks(options), map.geometry())).transpose()?;
         let mounted = LaserSimulator::new(LaserOptions { mount: effects.laser_mount(laser.mount), ..laser })?;
-        Ok(Self { map, blocks, laser: LaserSimulator::new(laser)?, mounted, effects })
+        Ok(Self { map, blocks, laser: LaserSimulator::new(laser)?, mounted, effects, moved: None })
+    }
+
+    /// The same with walls that stand elsewhere than the map has them. Blocks stand by the walls of the map.
+    #[must_use]
+    pub fn with_moved_walls(self, moved: MovedWalls) -> Self {
+        Self { moved: Some(moved), ..self }
     }
 
     /// The map.
@@ -72,6 +82,7 @@ impl Simulator {
         let laser = self.mounted.laser();
         BeamCaster {
             map: &self.map,
+            moved: self.moved.as_ref(),
             effects: &self.effects,
             laser,
             mount: laser.base_from_laser(),
@@ -169,7 +180,7 @@ impl Simulator {
         out: &mut [f32],
     ) {
         let noise = Draw::new(seed, Stage::Laser, step);
-        if self.effects.is_empty() {
+        if scan.beams.is_empty() {
             let max = f64::from(self.laser.laser().max_range());
             for (beam, (reading, &range)) in out.iter_mut().zip(ranges).enumerate() {
                 *reading = self.laser.reading((range < max).then_some(range), &mut noise.item(beam as u32));

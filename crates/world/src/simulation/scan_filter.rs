@@ -172,6 +172,7 @@ impl ScanFilter {
     ) -> Vec<Ray> {
         let caster = BeamCaster {
             map: &world.map,
+            moved: None,
             effects: &self.effects,
             laser: &self.laser,
             mount: self.laser.base_from_laser(),

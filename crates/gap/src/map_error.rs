@@ -1,0 +1,347 @@
+//! Where a measured map can't be right, and where it can't say.
+//!
+//! A map that was measured has errors that no laser has. They are found by place, told by name, and the beams that they concern
+//! are left out of the search: of the log and of all simulated ones alike.
+
+use std::collections::{BTreeMap, HashSet};
+
+use glam::DVec2;
+use locsim_core::median;
+use locsim_world::raycast::{ExactRangeMap, RayHit};
+use locsim_world::simulation::WallPieces;
+use serde::Serialize;
+
+use crate::hypothesis::{Comparison, Fitted};
+use crate::statistics::{OBJECT_CELL_M, cell_at};
+use crate::views::{PieceView, beam_headings};
+
+/// The ends of a measured wall are known to this \[m\], at long ranges to an angle \[rad\]: about the distance of two readings.
+const END_M: f64 = 0.1;
+const END_RAD: f64 = 0.01;
+/// A beam beside the end of a wall meets the same wall if it ends this near to its line \[m\].
+const SAME_WALL_M: f64 = 0.1;
+/// A reading is far from where the map has it when it is off by more than this \[m\], and more than a turn of the robot by this
+/// makes \[rad\].
+const FAR_M: f64 = 0.5;
+const FAR_RAD: f64 = 0.05;
+/// A wall that is farther off than this \[m\] has moved, or was never there.
+const MOVED_M: f64 = 0.15;
+/// The fewest readings, and scans, that make an error of the map.
+const FEWEST_READINGS: usize = 5;
+const FEWEST_SCANS: usize = 3;
+/// The least share of the beams which come to a place that go through it, or are stopped by it.
+const LEAST_SHARE: f64 = 0.15;
+/// This many times the share of the whole log: readings that are random are so everywhere.
+const TIMES_USUAL: f64 = 4.0;
+/// The least angle between the bearings of beams that end on an object in the room: one on the robot is always at the same
+/// \[rad\].
+const LEAST_TURN_RAD: f64 = 0.2;
+
+/// What is wrong about a place of the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MapErrorKind {
+    /// A wall stands elsewhere.
+    MovedWall,
+    /// Something stands where the map has free space.
+    MissingObject,
+    /// Beams go through a wall.
+    Hole,
+}
+
+/// A place where the map is wrong.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MapError {
+    /// What is wrong.
+    pub kind: MapErrorKind,
+    /// The ends of a stretch of wall, or opposite corners of the cells of an object \[m\].
+    pub place: [[f64; 2]; 2],
+    /// How much farther from the laser the wall stands, across \[m\]; of a wall that has moved.
+    pub offset_m: Option<f64>,
+    /// Readings that show it.
+    pub readings: usize,
+    /// Share of these among the beams that come there.
+    pub share: f64,
+}
+
+/// The beams that a search leaves out, as shares of all, and why.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct LeftOut {
+    /// They leave what the map has seen: they have no nominal range.
+    pub unknown: f64,
+    /// They pass an end of a wall so near that it isn't known where they end.
+    pub at_ends: f64,
+    /// They come to a place where the map is wrong.
+    pub map_errors: f64,
+}
+
+/// What a measured map doesn't say, and where it is wrong.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct MeasuredMapFindings {
+    /// Beams that are left out.
+    pub left_out: LeftOut,
+    /// The places, those with most readings first.
+    pub errors: Vec<MapError>,
+}
+
+/// Why a beam has no nominal range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Unsure {
+    /// It leaves what was seen.
+    Unknown,
+    /// It passes the end of a wall.
+    AtEnd,
+}
+
+/// Why the beam from `origin` \[m\] at `heading` \[rad\] has no nominal range in a measured map up to `max` \[m\]; `None` where it has one.
+pub(crate) fn unsure(map: &ExactRangeMap, origin: DVec2, heading: f64, max: f64) -> Option<Unsure> {
+    let geometry = map.geometry();
+    let cast = |heading| map.cast_ray(origin, DVec2::from_angle(heading), max);
+    let known = |hit: &RayHit| !geometry.is_unknown(hit.surface);
+    let Some(hit) = cast(heading).filter(known) else { return Some(Unsure::Unknown) };
+    let [a, b] = geometry.walls()[hit.surface as usize];
+    let along = (b - a).normalize();
+    let turn = (END_M / hit.range).max(END_RAD);
+    let goes_on = [-turn, turn].into_iter().all(|turn| {
+        let heading = heading + turn;
+        cast(heading).filter(known).is_some_and(|beside| {
+            let end = origin + beside.range * DVec2::from_angle(heading);
+            along.perp_dot(end - a).abs() < SAME_WALL_M
+        })
+    });
+    if goes_on { None } else { Some(Unsure::AtEnd) }
+}
+
+/// A reading against the map, once pose and wall are where they fit best.
+struct Place {
+    beam: usize,
+    scan: usize,
+    bearing: f64,
+    piece: usize,
+    /// The reading less the range \[m\].
+    error: f64,
+    /// The offset of the wall that it speaks for, across \[m\].
+    offset: f64,
+    is_far: bool,
+    origin: DVec2,
+    end: DVec2,
+}
+
+/// The places where the map is wrong, and the beams that come there, \[scan\]\[beam\].
+pub(crate) fn find(comparison: &Comparison<'_>, fitted: &Fitted) -> (Vec<MapError>, Vec<bool>) {
+    let views = &comparison.views;
+    let mut ignored = vec![false; views.beams.len()];
+    let Some(pieces) = comparison.nominal.pieces.as_ref().filter(|_| !views.pieces.is_empty()) else {
+        return (Vec::new(), ignored);
+    };
+    let places = places(comparison, fitted);
+    let mut errors = walls(pieces, &places, &mut ignored);
+    errors.extend(objects(comparison, &places, &mut ignored));
+    errors.sort_by(|a, b| b.readings.cmp(&a.readings).then(a.kind.cmp(&b.kind)));
+    (errors, ignored)
+}
+
+fn places(comparison: &Comparison<'_>, fitted: &Fitted) -> Vec<Place> {
+    let views = &comparison.views;
+    let rays = beam_headings(comparison.nominal, comparison.recorded);
+    let max = comparison.nominal.laser.max_range_m;
+    let mut places = Vec::new();
+    let effects = &comparison.nominal.effects;
+    comparison.for_each_reading(views, effects, fitted, |scan, i, _, shift, z, _| {
+        let Some(PieceView { piece, lean }) = views.pieces[i].filter(|_| z < max) else { return };
+        let beam = &views.beams[i];
+        let error = z - beam.range() - shift;
+        let (origin, heading) = rays[i];
+        let direction = DVec2::from_angle(heading);
+        places.push(Place {
+            beam: i,
+            scan,
+            bearing: beam.view.bearing,
+            piece: piece as usize,
+            error,
+            offset: error / lean + fitted.offsets[piece as usize],
+            is_far: error.abs() > FAR_M + FAR_RAD * beam.jacobian[2].abs(),
+            origin,
+            end: origin + z * direction,
+        });
+    });
+    places
+}
+
+/// Pieces of walls that beams go through, or that stand elsewhere.
+fn walls(pieces: &WallPieces, places: &[Place], ignored: &mut [bool]) -> Vec<MapError> {
+    let mut of_pieces: BTreeMap<usize, Vec<&Place>> = BTreeMap::new();
+    for place in places {
+        of_pieces.entry(place.piece).or_default().push(place);
+    }
+    let passes = |place: &&&Place| place.is_far && place.error > 0.0;
+    let passed = places.iter().filter(|place| passes(&place)).count() as f64;
+    let usual = passed / places.len().max(1) as f64;
+    let mut all_offsets: Vec<f64> = places.iter().filter(|p| !p.is_far).map(|p| p.offset).collect();
+    let middle = median(&mut all_offsets);
+    let mut errors = Vec::new();
+    for (piece, places) in of_pieces {
+        let through: Vec<&&Place> = places.iter().filter(passes).collect();
+        let mut near: Vec<f64> = places.iter().filter(|p| !p.is_far).map(|p| p.offset).collect();
+        let arrived = through.len() + near.len();
+        let share = through.len() as f64 / arrived.max(1) as f64;
+        let offset = median(&mut near) - middle;
+        let (kind, readings, share, offset_m) =
+            if is_enough(&through) && share >= LEAST_SHARE.max((TIMES_USUAL * usual).min(0.5)) {
+                (MapErrorKind::Hole, through.len(), share, None)
+            } else if near.len() >= FEWEST_READINGS && offset.abs() > MOVED_M {
+                (MapErrorKind::MovedWall, near.len(), near.len() as f64 / arrived as f64, Some(offset))
+            } else {
+                continue;
+            };
+        let place = pieces.ends(piece).map(|end| end.to_array());
+        errors.push(MapError { kind, place, offset_m, readings, share });
+        for place in places {
+            ignored[place.beam] = true;
+        }
+    }
+    errors
+}
+
+/// Whether readings are enough, and of enough scans.
+fn is_enough(places: &[&&Place]) -> bool {
+    let scans: HashSet<usize> = places.iter().map(|place| place.scan).collect();
+    places.len() >= FEWEST_READINGS && scans.len() >= FEWEST_SCANS
+}
+
+/// Cells of free space in which beams end.
+fn objects(comparison: &Comparison<'_>, places: &[Place], ignored: &mut [bool]) -> Vec<MapError> {
+    #[derive(Default)]
+    struct Cell<'p> {
+        crossed: usize,
+        ends: Vec<&'p Place>,
+    }
+    let mut cells: BTreeMap<[i32; 2], Cell<'_>> = BTreeMap::new();
+    for place in places {
+        let is_short = place.is_far && place.error < 0.0;
+        for cell in crossed(place.origin, place.end) {
+            cells.entry(cell).or_default().crossed += 1;
+        }
+        if is_short {
+            cells.entry(cell_at(place.end, OBJECT_CELL_M)).or_default().ends.push(place);
+        }
+    }
+    let shorts: usize = cells.values().map(|cell| cell.ends.len()).sum();
+    let came: usize = cells.values().map(|cell| cell.crossed).sum();
+    let usual = shorts as f64 / came.max(1) as f64;
+    let stands = |cell: &Cell<'_>| {
+        let ends: Vec<&&Place> = cell.ends.iter().collect();
+        let bearings = || ends.iter().map(|place| place.bearing);
+        let turn = bearings().fold(f64::NEG_INFINITY, f64::max) - bearings().fold(f64::INFINITY, f64::min);
+        let share = ends.len() as f64 / cell.crossed.max(ends.len()) as f64;
+        is_enough(&ends) && turn >= LEAST_TURN_RAD && share >= LEAST_SHARE.max((TIMES_USUAL * usual).min(0.5))
+    };
+    let found: BTreeMap<[i32; 2], &Cell<'_>> =
+        cells.iter().filter(|(_, cell)| stands(cell)).map(|(at, cell)| (*at, cell)).collect();
+    // Beams that would come there, whether they were stopped or not.
+    let views = &comparison.views;
+    let rays = beam_headings(comparison.nominal, comparison.recorded);
+    if !found.is_empty() {
+        for (i, (origin, heading)) in rays.into_iter().enumerate() {
+            let end = origin + views.beams[i].range() * DVec2::from_angle(heading);
+            ignored[i] |= crossed(origin, end).any(|cell| found.contains_key(&cell));
+        }
+    }
+    // Neighbouring cells are of one object.
+    let mut left: BTreeMap<[i32; 2], &Cell<'_>> = found;
+    let mut errors = Vec::new();
+    while let Some((first, cell)) = left.pop_first() {
+        let (mut lo, mut hi, mut ends, mut came) = (first, first, cell.ends.len(), cell.crossed);
+        let mut border = vec![first];
+        while let Some([x, y]) = border.pop() {
+            for next in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| [x + dx, y + dy])) {
+                if let Some(cell) = left.remove(&next) {
+                    (lo, hi) =
+                        ([lo[0].min(next[0]), lo[1].min(next[1])], [hi[0].max(next[0]), hi[1].max(next[1])]);
+                    ends += cell.ends.len();
+                    came += cell.crossed;
+                    border.push(next);
+                }
+            }
+        }
+        let place = [lo.map(|c| f64::from(c) * OBJECT_CELL_M), hi.map(|c| f64::from(c + 1) * OBJECT_CELL_M)];
+        let share = ends as f64 / came.max(ends) as f64;
+        errors.push(MapError {
+            kind: MapErrorKind::MissingObject,
+            place,
+            offset_m: None,
+            readings: ends,
+            share,
+        });
+    }
+    errors
+}
+
+/// The cells that a beam crosses, up to the one in which it ends.
+fn crossed(origin: DVec2, end: DVec2) -> impl Iterator<Item = [i32; 2]> {
+    let length = origin.distance(end);
+    let steps = (2.0 * length / OBJECT_CELL_M).ceil().max(1.0) as usize;
+    let mut last = None;
+    (0..=steps).filter_map(move |i| {
+        let cell = cell_at(origin.lerp(end, i as f64 / steps as f64), OBJECT_CELL_M);
+        let is_new = last != Some(cell);
+        last = Some(cell);
+        is_new.then_some(cell)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_world::effect::{Effect, EffectKind};
+
+    use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{MEASURED, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::Nuisances;
+
+    fn found(effects: &[Effect]) -> (Vec<MapError>, f64) {
+        let drive = record_library(&MEASURED, &TRUTH, effects, Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&MEASURED, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let (errors, wrong) = find(&comparison, &fitted);
+        (errors, wrong.iter().filter(|wrong| **wrong).count() as f64 / wrong.len() as f64)
+    }
+
+    /// Each error of the map is found where it is and as what it is, and nothing else is. Effects of the laser are no errors of
+    /// the map.
+    #[test]
+    fn errors_of_the_map_are_told_from_those_of_the_laser() {
+        let wall = |kind, value: f64, from: [f64; 2], to: [f64; 2]| {
+            Effect::new(kind, vec![value], vec![[from.into(), to.into()]]).unwrap()
+        };
+        let plain = |kind, values: &[f64]| Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
+        let north = ([4.0, 4.0], [2.0, 4.0]);
+        for (effect, kind, middle) in [
+            (wall(EffectKind::MovedWall, 0.3, north.0, north.1), MapErrorKind::MovedWall, [3.0, 4.0]),
+            (wall(EffectKind::Glass, 0.6, [5.0, 1.0], [5.0, 2.0]), MapErrorKind::Hole, [5.0, 1.5]),
+            (plain(EffectKind::MissingObject, &[2.6, 2.0, 0.12]), MapErrorKind::MissingObject, [2.6, 2.0]),
+        ] {
+            let (errors, left_out) = found(std::slice::from_ref(&effect));
+            assert!(!errors.is_empty() && left_out < 0.5, "{kind:?} {left_out}");
+            for error in &errors {
+                let [a, b] = error.place;
+                let at = [0, 1].map(|i| 0.5 * (a[i] + b[i]));
+                let away = (at[0] - middle[0]).hypot(at[1] - middle[1]);
+                assert!(error.kind == kind && away < 1.1, "{error:?} for {kind:?}");
+            }
+        }
+        for (kind, values) in [
+            (EffectKind::RangeBias, &[0.1][..]),
+            (EffectKind::RangeScale, &[0.03]),
+            (EffectKind::MountYaw, &[0.035]),
+            (EffectKind::Crosstalk, &[0.1, 1.0]),
+            (EffectKind::SectorOcclusion, &[0.4, 0.8, 0.3, 0.2]),
+            (EffectKind::IncidenceDropout, &[0.8, 0.6, 0.2]),
+        ] {
+            let (errors, _) = found(&[plain(kind, values)]);
+            assert!(errors.is_empty(), "{kind}: {errors:?}");
+        }
+    }
+}
