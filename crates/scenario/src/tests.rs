@@ -238,6 +238,10 @@ fn a_log_is_read_with_its_parts() {
     assert_eq!(scenario.training.observations, 1);
     assert_eq!(scenario.filter.start, Start::Global);
     assert_eq!(scenario.filter.least_effective_share, Some(0.1));
+    for (line, share) in [("", Some(0.02)), ("  least_effective_share: 0\n", None)] {
+        let other = edited(&text("log.yaml"), "  least_effective_share: 0.1\n", line);
+        assert_eq!(parse(&other).unwrap().filter.least_effective_share, share);
+    }
 
     let with_map = edited(&text("log.yaml"), "  map_scans: [[0.0, 0.5]]\n", "");
     let with_map = edited(&with_map, "  map_resolution_m: 0.1\n", "");

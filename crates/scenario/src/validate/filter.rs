@@ -12,6 +12,10 @@ use crate::raw::{
 };
 use crate::{Filter, Motion, Start};
 
+/// Least effective share of a filter on a log. A log's map and odometry err in ways that no motion noise has, and a scan after such an
+/// error leaves few of 2,000 particles.
+const LEAST_EFFECTIVE: f64 = 0.02;
+
 pub(super) fn filter(
     check: &mut Checker<'_>,
     raw: &RawFilter,
@@ -59,7 +63,7 @@ pub(super) fn filter(
         estimate: raw.estimate,
         regularization: spread(check, "filter.regularization", raw.regularization),
         least_effective_share: {
-            let share = raw.least_effective_share;
+            let share = raw.least_effective_share.unwrap_or(if has_log { LEAST_EFFECTIVE } else { 0.0 });
             let share = check.number("filter.least_effective_share", share, FromBelow(0.0, 1.0));
             (share > 0.0).then_some(share)
         },
