@@ -32,7 +32,7 @@ pub(crate) struct Pull {
     pub error: f64,
 }
 
-/// The weight of a reading in a fit of poses and walls \[1/m^2\] (Geman and McClure 1985).
+/// The weight of a reading in a fit of poses and walls \[1/m^2\] (a redescending estimator: its influence vanishes far away).
 pub(crate) fn weight(terms: &Terms) -> f64 {
     if !terms.sigma.is_finite() || terms.error.abs() > FAR_M {
         return 0.0;
