@@ -41,7 +41,7 @@ fn keys_types_and_values_of_a_scenario() {
             "  particles: 100",
             "  partcles: 100",
             "s.yaml:15: filter.partcles: `partcles` is not a key; did you mean `particles`? allowed: particles, motion, \
-             resampler, resample, injection, start, beams, estimate, regularization, annealing",
+             resampler, resample, injection, start, beams, estimate, regularization, least_effective_share, annealing",
         ),
         (
             "seed: 3",
@@ -322,9 +322,10 @@ fn a_map_that_is_read_the_wrong_way_around() {
     ros_map(&folder, 0, 254, "negate: 0\n");
     folder.write(
         "w.yaml",
-        edited(SCENARIO, "room.yaml", "floor.yaml").replace("[[0.6, 0.9], [2.6, 0.9]]", "[[-0.1, 0.9]]"),
+        edited(SCENARIO, "room.yaml", "floor.yaml")
+            .replace("[[0.6, 0.9], [2.6, 0.9]]", "[[0.6, 0.9], [-0.1, 0.9]]"),
     );
-    folder.locsim("validate w.yaml").code(2).stderr(contains("robot.path.waypoints.points_m[0]"));
+    folder.locsim("validate w.yaml").code(2).stderr(contains("robot.path.waypoints.points_m[1]"));
 }
 
 #[test]
