@@ -168,7 +168,7 @@ fn a_terminal_of_80_columns_shows_whole_tables() {
     let table = output(&run);
     let rows: Vec<&str> = table.lines().take_while(|line| !line.starts_with("mean ±")).collect();
     assert!(rows.len() > 10 && rows.iter().all(|row| row.chars().count() <= 80), "{table}");
-    assert!(["p95", "RMSE", "ms/step", "/ oracle"].iter().all(|word| table.contains(word)), "{table}");
+    assert!(["p95", "RMSE", "ms/step", "/ classic"].iter().all(|word| table.contains(word)), "{table}");
     let wide = output(&folder.locsim(&format!("{line} --force")).success());
     assert!(wide.lines().any(|row| row.chars().count() > 100), "the control\n{wide}");
 }

@@ -336,7 +336,7 @@ fn draw_disc(drive: &mut Drive, known: &Known, draw: &Draw) -> Option<Truth> {
         if poses.iter().any(|pose| (pose[0] - center[0]).hypot(pose[1] - center[1]) < CLEAR_M + DISC_M) {
             continue;
         }
-        let (hidden, behind): (Vec<(usize, usize, f64)>, Vec<[f64; 2]>) = ends
+        let (hidden, behind): (Vec<_>, Vec<_>) = ends
             .iter()
             .filter_map(|&(scan, beam, laser, end)| {
                 let range = (end[0] - laser[0]).hypot(end[1] - laser[1]);
@@ -380,7 +380,7 @@ fn lose_wall(drive: &mut Drive, known: &Known, draw: &Draw) -> Option<Truth> {
             let (t, off) = (x * along[0] + y * along[1], y * along[0] - x * along[1]);
             t.abs() < 0.5 * WALL_M.0 && off.abs() < WALL_M.1
         };
-        let (lost, on): (Vec<(usize, usize)>, Vec<[f64; 2]>) = ends
+        let (lost, on): (Vec<_>, Vec<_>) = ends
             .iter()
             .filter(|(.., end)| on_wall(end))
             .map(|&(scan, beam, _, end)| ((scan, beam), end))

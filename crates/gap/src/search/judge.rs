@@ -3,13 +3,13 @@
 use locsim_world::effect::Effect;
 use rayon::prelude::*;
 
-use super::judgement::{Judgement, acts_on};
+use super::judgement::{Judgement, acts_on, loses_returns};
 use super::selection::is_sure;
 use super::{Round, State};
 use crate::fit::Candidate;
 use crate::free_model::{Covariates, FreeModel, Lag, Part};
 use crate::null::REFIT;
-use crate::statistics::{Survey, pit_draw};
+use crate::statistics::{Deviation, Survey, pit_draw};
 use crate::{GapError, Purpose};
 
 /// Simulated logs of the hypothesis that the free model is learnt from as well. What it gains there is the simulator's own: beams
@@ -67,7 +67,10 @@ impl<'a> State<'a> {
     ) -> Result<Option<usize>, GapError> {
         let judgement = self.judge(round)?;
         let dependences = judgement.dependences();
-        let Some(leading) = dependences.first() else { return Ok(accepted) };
+        // Whether returns get lost says nothing of the errors of those that don't: the loss of returns is judged by that loss.
+        let loses = accepted.is_some_and(|best| loses_returns(&candidates[best].effect));
+        let mut rivals = dependences.iter().filter(|rival| !loses || rival.deviation == Deviation::NoReturn);
+        let Some(leading) = rivals.next() else { return Ok(accepted) };
         if accepted.is_some_and(|best| !leading.beats(&candidates[best])) {
             return Ok(accepted);
         }

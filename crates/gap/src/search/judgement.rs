@@ -165,6 +165,15 @@ pub fn acts_on(
     })
 }
 
+/// Whether an effect does nothing but lose returns, of all beams alike.
+pub fn loses_returns(effect: &Effect) -> bool {
+    let statistics = effect.kind.description().statistics;
+    !statistics.is_empty()
+        && statistics
+            .iter()
+            .all(|statistic| matches!(statistic, Statistic::Score { score: Score::NoReturn, .. }))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
