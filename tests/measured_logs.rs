@@ -22,7 +22,10 @@ fn main() -> ExitCode {
         ),
         ("another_maximum_range_shows_in_the_summary", another_maximum_range_shows_in_the_summary),
         ("a_wean_hall_log_and_its_map_are_read", a_wean_hall_log_and_its_map_are_read),
-        ("a_measured_log_is_explained_for_the_most_part", a_measured_log_is_explained_for_the_most_part),
+        (
+            "what_a_measured_log_has_beyond_a_plain_simulator_is_told_without_a_wrong_name",
+            what_a_measured_log_has_beyond_a_plain_simulator_is_told_without_a_wrong_name,
+        ),
         ("the_scenarios_of_measured_logs_are_valid", the_scenarios_of_measured_logs_are_valid),
         ("a_measured_log_is_localized_on", a_measured_log_is_localized_on),
         (
@@ -133,9 +136,9 @@ fn a_wean_hall_log_and_its_map_are_read() {
     assert!(image.starts_with(b"P5\n800 800 "), "{:?}", String::from_utf8_lossy(&image[..20]));
 }
 
-/// A real laser, a real building, and a plain simulator of both: something is named, and on scans that the fit hasn't seen
-/// it closes most of the gap.
-fn a_measured_log_is_explained_for_the_most_part() {
+/// A real laser, a real building, and a plain simulator of both on the map of walls: no effect of the library is made up for what the
+/// simulator lacks. What remains is told by what it depends on, and where it is learnt ranges come nearer on the other half of the log.
+fn what_a_measured_log_has_beyond_a_plain_simulator_is_told_without_a_wrong_name() {
     let log = data("intel-corrected.log.gz");
     let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios/gap/intel.yaml");
     let folder = Folder::new();
@@ -150,15 +153,18 @@ fn a_measured_log_is_explained_for_the_most_part() {
         "gap {scenario} --log {log} --max-range 40 --replicates 99 --scans 120 --beams 36 --no-filter --out found --json"
     ));
     let outcome: Value = serde_json::from_str(&output(&found)).unwrap();
-    assert!(!outcome["effects"].as_array().unwrap().is_empty(), "{outcome:#}");
     let number = |value: &Value| value.as_f64().unwrap();
-    let gap = &outcome["gap"];
-    assert!(number(&gap["gained_nats_per_scan"]) > 0.0, "{gap:#}");
-    assert!(number(&gap["closed"]["value"]) > 0.5, "{gap:#}");
-    assert!(
-        number(&gap["after"]["log_score_nats_per_scan"]) > number(&gap["before"]["log_score_nats_per_scan"]),
-        "{gap:#}"
+    // The density of clutter is the scenario's guess.
+    let names = outcome["effects"].as_array().unwrap().iter().map(|effect| effect["name"].as_str().unwrap());
+    assert!(names.filter(|name| *name != "block_density").next().is_none(), "{outcome:#}");
+    assert_eq!(
+        (&outcome["verdict"], &outcome["unnamed"][0]["deviation"]),
+        (&"unnamed".into(), &"no_return".into())
     );
+    let residual = &outcome["residual"];
+    assert!(number(&residual["w1_mm"]) < 0.8 * number(&residual["w1_without_mm"]), "{residual:#}");
+    // Where nothing is named nothing is closed.
+    assert_eq!(number(&outcome["gap"]["closed"]["value"]), 0.0);
 }
 
 fn the_scenarios_of_measured_logs_are_valid() {

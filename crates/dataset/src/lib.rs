@@ -34,12 +34,12 @@ pub use carmen::{CarmenLaser, CarmenOptions, read_carmen, write_carmen};
 pub use contents::{LogContents, Scanner, ScannerBeams, Topic, TransformPair, decimal};
 pub use error::DatasetError;
 pub use log::{
-    LogFormat, LogOptions, encode_log, log_files, read_contents, read_log, write_log, write_simulated_log,
+    LogFormat, LogOptions, encode_log, log_files, not_a_text, read_contents, read_log, write_log,
+    write_simulated_log,
 };
 pub use quality::{
     ClockQuality, DriveQuality, OdometryError, OdometryQuality, ReadingQuality, ReferenceQuality,
 };
 pub use ros::{BagCopy, BagOptions, BagTopics, DriveEdit, OdometryEdit, read_bag, write_mcap};
-pub use source::not_a_text;
 pub use summary::{LogKind, LogSummary, MountSource, OdometrySource};
 pub use tum::{StampedPose, encode_tum, odometry_trajectory, read_tum, reference_trajectory, write_tum};

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::carmen::{self, encode_carmen};
 use crate::output::write_whole;
 use crate::ros::{self, encode_mcap};
-use crate::source::{BEESOFT_MAP, Content, LOGS, Source, not_a_log};
+use crate::source::{self, BEESOFT_MAP, Content, LOGS, Source, not_a_log};
 use crate::{BagOptions, BagTopics, CarmenOptions, DatasetError, LogContents, LogSummary};
 
 /// The formats of measured logs.
@@ -92,6 +92,16 @@ pub fn read_contents(path: &Path) -> Result<LogContents, DatasetError> {
         LogFormat::Bag => ros::contents(path, limits),
         LogFormat::Carmen => carmen::contents(path, limits),
     }
+}
+
+/// What a path leads to that isn't a text, in words: a folder, or a file by its first bytes; `None` for a text, and where it can't be
+/// told.
+pub fn not_a_text(path: &Path) -> Option<&'static str> {
+    if path.is_dir() {
+        let is_bag = ros::folder_files(path).is_ok();
+        return Some(if is_bag { "the folder of a ROS 2 bag" } else { "a folder" });
+    }
+    source::not_a_text(path)
 }
 
 /// The files that a log is read from: itself, or those of a bag's folder in the order of recording.

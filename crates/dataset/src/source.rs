@@ -11,7 +11,6 @@ use mcap::MAGIC as MCAP;
 use ruzstd::decoding::{FrameDecoder, StreamingDecoder};
 
 use crate::DatasetError;
-use crate::ros::folder_files;
 
 /// Bytes of a file that are read at once.
 pub const READ_AHEAD: usize = 1 << 16;
@@ -134,12 +133,8 @@ fn content(path: &Path, start: &[u8]) -> Result<Content, DatasetError> {
     Ok(Content::Text)
 }
 
-/// What a path leads to that isn't a text, by its first bytes, in words; `None` for a text, and where it can't be told.
+/// What a file is that isn't a text, by its first bytes, in words; `None` for a text, and where it can't be told.
 pub fn not_a_text(path: &Path) -> Option<&'static str> {
-    if path.is_dir() {
-        let is_bag = folder_files(path).is_ok();
-        return Some(if is_bag { "the folder of a ROS 2 bag" } else { "a folder" });
-    }
     // No more than the first bytes: a pipe may be read again by nobody.
     let file = File::open(path).ok().filter(|file| file.metadata().is_ok_and(|found| found.is_file()))?;
     let mut start = Vec::new();

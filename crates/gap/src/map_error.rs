@@ -7,7 +7,6 @@ use std::collections::{BTreeMap, HashSet};
 
 use glam::DVec2;
 use locsim_core::median;
-use locsim_world::raycast::{ExactRangeMap, RayHit};
 use locsim_world::simulation::WallPieces;
 use serde::Serialize;
 
@@ -15,11 +14,6 @@ use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::{OBJECT_CELL_M, cell_at};
 use crate::views::{PieceView, beam_headings};
 
-/// The ends of a measured wall are known to this \[m\], at long ranges to an angle \[rad\]: about the distance of two readings.
-const END_M: f64 = 0.1;
-const END_RAD: f64 = 0.01;
-/// A beam beside the end of a wall meets the same wall if it ends this near to its line \[m\].
-const SAME_WALL_M: f64 = 0.1;
 /// A reading is far from where the map has it when it is off by more than this \[m\], and more than a turn of the robot by this
 /// makes \[rad\].
 const FAR_M: f64 = 0.5;
@@ -82,34 +76,6 @@ pub struct MeasuredMapFindings {
     pub left_out: LeftOut,
     /// The places, those with most readings first.
     pub errors: Vec<MapError>,
-}
-
-/// Why a beam has no nominal range.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Unsure {
-    /// It leaves what was seen.
-    Unknown,
-    /// It passes the end of a wall.
-    AtEnd,
-}
-
-/// Why the beam from `origin` \[m\] at `heading` \[rad\] has no nominal range in a measured map up to `max` \[m\]; `None` where it has one.
-pub(crate) fn unsure(map: &ExactRangeMap, origin: DVec2, heading: f64, max: f64) -> Option<Unsure> {
-    let geometry = map.geometry();
-    let cast = |heading| map.cast_ray(origin, DVec2::from_angle(heading), max);
-    let known = |hit: &RayHit| !geometry.is_unknown(hit.surface);
-    let Some(hit) = cast(heading).filter(known) else { return Some(Unsure::Unknown) };
-    let [a, b] = geometry.walls()[hit.surface as usize];
-    let along = (b - a).normalize();
-    let turn = (END_M / hit.range).max(END_RAD);
-    let goes_on = [-turn, turn].into_iter().all(|turn| {
-        let heading = heading + turn;
-        cast(heading).filter(known).is_some_and(|beside| {
-            let end = origin + beside.range * DVec2::from_angle(heading);
-            along.perp_dot(end - a).abs() < SAME_WALL_M
-        })
-    });
-    if goes_on { None } else { Some(Unsure::AtEnd) }
 }
 
 /// A reading against the map, once pose and wall are where they fit best.

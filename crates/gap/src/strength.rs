@@ -10,17 +10,21 @@
 
 use std::sync::Arc;
 
-use locsim_core::Draw;
+use locsim_core::{Draw, Drive, Track};
 use locsim_world::effect::{Effect, Effects, Moves};
 use locsim_world::simulation::BlockResampling;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::hidden::{OtherForm, Regime, record_other};
+use crate::hidden::Regime;
 use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
 use crate::replay::{BlockTruth, Replay};
 use crate::views::Views;
 use crate::{GapError, Nominal, PoseError, Purpose, Recorded};
+
+/// An effect in another form than the library's: a drive along true poses with an effect of these values, under these conditions,
+/// by a seed.
+pub type OtherForm<'a> = dyn Fn(&Track, &Effect, Regime, u64) -> Result<Drive, GapError> + Sync + 'a;
 
 /// Simulated logs with the effect behind an expectation, and as many without.
 const LOGS: u32 = 16;
@@ -109,12 +113,17 @@ impl<'a> Strength<'a> {
     }
 
     /// A simulated log with an effect in another form than the library's.
-    fn simulate_other(&self, form: OtherForm, effect: &Effect, number: u32) -> Result<Recorded, GapError> {
+    fn simulate_other(
+        &self,
+        form: &OtherForm<'_>,
+        effect: &Effect,
+        number: u32,
+    ) -> Result<Recorded, GapError> {
         let seed = self.draw.seed(number);
         let truth = self.replay(&[]).true_track(seed);
         // The error of the reference is in the true poses already.
         let regime = Regime { pose_error: None, ..self.regime };
-        let drive = record_other(self.nominal, &truth, form, &effect.values, &effect.place, regime, seed)?;
+        let drive = form(&truth, effect, regime, seed)?;
         let readings = drive
             .steps
             .iter()
@@ -129,12 +138,17 @@ impl<'a> Strength<'a> {
     ///
     /// # Errors
     /// As the simulator's.
-    pub fn information(&self, effect: &Effect, form: Option<OtherForm>) -> Result<f64, GapError> {
+    pub fn information(&self, effect: &Effect, form: Option<&OtherForm<'_>>) -> Result<f64, GapError> {
         self.information_by(effect, form, LOGS)
     }
 
     /// The same by `logs` logs with the effect and as many without.
-    fn information_by(&self, effect: &Effect, form: Option<OtherForm>, logs: u32) -> Result<f64, GapError> {
+    fn information_by(
+        &self,
+        effect: &Effect,
+        form: Option<&OtherForm<'_>>,
+        logs: u32,
+    ) -> Result<f64, GapError> {
         let effects = &[evenly_spread(effect)];
         let all = self.nominal.effects_with(effects)?;
         let views = self.views.with(self.nominal, self.recorded, &all)?;
@@ -170,7 +184,7 @@ impl<'a> Strength<'a> {
         &self,
         effect: &Effect,
         index: usize,
-        form: Option<OtherForm>,
+        form: Option<&OtherForm<'_>>,
         lambda: f64,
     ) -> Result<Effect, GapError> {
         let parameter = &effect.kind.parameters()[index];

@@ -3,13 +3,13 @@ use std::sync::Arc;
 
 use glam::DVec2;
 use locsim_world::effect::{Description, Effect, Effects, Moves};
+use locsim_world::raycast::{Unsure, unsure};
 pub(crate) use locsim_world::simulation::ClutteredBeam as Beam;
 use locsim_world::simulation::{
     BeamCaster, BlockIntegral, CastBeam, ClutterSurvival, Ray, Surface, WallPieces,
 };
 use rayon::prelude::*;
 
-use crate::map_error::{self, Unsure};
 use crate::{GapError, Nominal, Recorded};
 
 /// Width of the bins of a survival among clutter \[m\]: a fraction of the depth of clutter.
@@ -159,7 +159,7 @@ fn met(nominal: &Nominal, ray: &Ray, beam: &CastBeam, max: f64) -> Option<Met> {
         let unsure = (beam.surface == Surface::None).then_some(Unsure::Unknown);
         return Some(Met { piece: None, unsure });
     };
-    let unsure = map_error::unsure(&nominal.map, ray.origin, ray.direction.to_angle(), max);
+    let unsure = unsure(&nominal.map, ray.origin, ray.direction.to_angle(), max);
     let piece = pieces.at(segment, beam.view.endpoint).filter(|_| unsure.is_none());
     let lean = WallPieces::lean(beam.view.incidence);
     Some(Met { piece: piece.map(|piece| PieceView { piece: piece as u32, lean }), unsure })

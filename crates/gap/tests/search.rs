@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use glam::DVec2;
 use locsim_core::{Estimate, Pose2, Track};
-use locsim_gap::hidden::{OtherForm, Regime, record_library};
+use locsim_gap::hidden::{Regime, record_library};
 use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find, oracle_power};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::map::{Polyline, VectorMap};
@@ -202,24 +202,6 @@ fn strengths_have_the_information_that_is_asked_for() {
     let normal = (strong.values[0] / 0.01).powi(2) * 160.0 * 24.0;
     assert!((0.6 * normal..1.2 * normal).contains(&found), "{found} of {normal}");
     assert!((oracle_power(13.03, 0.01) - 0.9).abs() < 0.003);
-}
-
-/// In another form an effect has the information of that form: a scale of distances that holds forward only is the same on a
-/// drive forward, and a bias that grows less with the incidence is less.
-#[test]
-fn another_form_has_its_own_information() {
-    let nominal = nominal();
-    let recorded = log(&nominal, &[], Regime::default(), 8);
-    let strength = Strength::new(&nominal, &recorded, Regime::default(), 9).unwrap();
-    let ratio = |kind, value, form| {
-        let effect = effect(kind, &[value]);
-        let [own, other] = [None, Some(form)].map(|form| strength.information(&effect, form).unwrap());
-        other / own
-    };
-    let scale = ratio(EffectKind::OdomDistanceScale, 0.05, OtherForm::OdomDistanceScale);
-    assert!((0.9..1.1).contains(&scale), "{scale}");
-    let bias = ratio(EffectKind::IncidenceBias, 0.002, OtherForm::IncidenceBias);
-    assert!((0.05..0.7).contains(&bias), "{bias}");
 }
 
 /// The least error of a bias is that of a mean, sigma / sqrt(n), as is its strength over sqrt(lambda); that of a share of lost

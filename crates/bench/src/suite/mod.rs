@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use locsim_core::{Control, Draw, Drive, Estimate, Progress, Shard, Stage};
 use locsim_dataset::{LogOptions, read_log, write_log};
-use locsim_gap::hidden::{OtherForm, record_library, record_other, record_outside};
+use locsim_gap::hidden::record_library;
 use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Unnamed, Verdict, find};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::raycast::ExactRangeMap;
@@ -29,6 +29,7 @@ pub use score::{Score, Share};
 pub use text::table;
 
 use crate::BenchError;
+use crate::hidden::{OtherForm, record_other, record_outside};
 use locsim_lab::gap::{FilterOnLog, GapSettings, GapStudy};
 use locsim_report::store::{Folder, Lock};
 use locsim_scenario::{Overrides, Scenario, Source, load_map};
@@ -418,7 +419,9 @@ fn hide(world: &World, strength_of: &Strength<'_>, case: &Case, log: &Path) -> R
     let regime = REGIMES[case.regime].1;
     let path = drive.reference().map_err(GapError::from)?;
     let strong = |effect: &Effect, index: usize, form: Option<OtherForm>| {
-        strength_of.with_information(effect, index, form, case.lambda)
+        let other = form.map(|form| form.of_logs(nominal));
+        let other = other.as_ref().map(|other| other as &locsim_gap::OtherForm<'_>);
+        strength_of.with_information(effect, index, other, case.lambda)
     };
     let mut strength = Vec::new();
     let (effects, recorded) = match &case.hidden {

@@ -3,11 +3,13 @@ use std::f64::consts::TAU;
 use clap::ValueEnum;
 use glam::DVec2;
 use locsim_core::{Draw, Pose2, Stage};
-use locsim_gap::hidden::{OtherForm, Outside, Regime};
+use locsim_gap::hidden::Regime;
 use locsim_world::effect::{Effect, EffectKind};
 use locsim_world::raycast::ExactRangeMap;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
+
+use crate::hidden::{OtherForm, Outside};
 
 /// Steps of the suite's seeds: the order of its cases, the search of a case, and its cases from the first on.
 const ORDER: u32 = 99;

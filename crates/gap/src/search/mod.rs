@@ -17,11 +17,12 @@ use std::sync::{Arc, OnceLock};
 
 use locsim_core::Progress;
 use locsim_world::effect::{Effect, EffectKind, Moves};
+use locsim_world::raycast::Unsure;
 use rayon::prelude::*;
 
 use crate::fit::{Candidate, Search};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::map_error::{self, LeftOut, MeasuredMapFindings, Unsure};
+use crate::map_error::{self, LeftOut, MeasuredMapFindings};
 use crate::null::compare;
 use crate::outcome::Outcome;
 use crate::rank::Null;
@@ -127,7 +128,9 @@ pub fn find(
     let nominal = known.as_ref().map_or(nominal, |known| &known.nominal);
     let mut options = options.clone();
     if known.is_some() {
-        options.without.extend(OF_THE_MAP);
+        options
+            .without
+            .extend(EffectKind::ALL.into_iter().filter(|kind| kind.description().is_as_map_errors));
     }
     let options = &options;
     let recorded = known.as_ref().map_or(recorded, |known| &known.recorded);
@@ -156,19 +159,6 @@ pub fn find(
     let outcome = state.outcome(path, nameless)?;
     Ok(Outcome { map: known.map(|known| known.findings), ..outcome })
 }
-
-/// What a measured map doesn't tell from its own errors: the roughness of walls and their ends look like the laser's noise, and
-/// what stands otherwise than it has it is told by place ([`map_error`]). The depth of clutter is that from walls which err.
-const OF_THE_MAP: [EffectKind; 8] = [
-    EffectKind::RangeNoise,
-    EffectKind::IncidenceNoise,
-    EffectKind::HeavyTail,
-    EffectKind::MixedPixels,
-    EffectKind::Glass,
-    EffectKind::MovedWall,
-    EffectKind::MissingObject,
-    EffectKind::BlockDepth,
-];
 
 /// The part of a log that a measured map says something of.
 struct KnownPart {

@@ -10,10 +10,10 @@ use super::{GapStudy, covariate, curve, map_error, profile, unnamed};
 use locsim_report::ReportError;
 use locsim_report::figures::Figure;
 use locsim_report::figures::canvas::{
-    Area, Axis, DrawError, Drawn, HEADING, INK, LABEL, Mark, WIDTH, chart, figure, line, px, text, text_width,
+    Area, Axis, DrawError, Drawn, HEADING, INK, LABEL, Mark, chart, figure, line, px, text, text_width,
 };
 use locsim_report::figures::geometry::{Point, Window, join};
-use locsim_report::figures::map::{LEFT, MARGINS, MapPanel, aspect};
+use locsim_report::figures::map::{self as floor, LEFT, MapPanel};
 use locsim_report::palette;
 
 /// Side of a cell of wall \[m\].
@@ -136,16 +136,6 @@ fn by_wall(study: &GapStudy, outcome: &Outcome) -> Vec<(Point, [f64; 2])> {
 /// Height of the title of a map's panel (px).
 const TITLE: f64 = 22.0;
 
-/// Height of a panel of the map (px), and the part of the plane that it shows.
-pub(super) fn map_panel(walls: &[[Point; 2]]) -> (f64, Window) {
-    let bounds = Window::around(walls.iter().flatten());
-    let (right, top, below) = MARGINS;
-    let [width, height] = bounds.size();
-    let plot_width = f64::from(WIDTH) - LEFT - right;
-    let panel = (plot_width * 1.06 * height / width.max(1e-9)).clamp(130.0, 560.0) + top + below;
-    (panel, bounds.with_aspect(aspect(f64::from(WIDTH), panel)))
-}
-
 /// Marks on one panel of the map, above the walls and the reference path.
 fn marks(
     study: &GapStudy,
@@ -167,7 +157,7 @@ fn marks(
 
 /// The cells of a dependence on places, by how much readings differ there.
 fn map_of_cells(study: &GapStudy, found: &Unnamed) -> Result<String, DrawError> {
-    let (panel, window) = map_panel(&study.walls());
+    let (panel, window) = floor::panel(&study.walls());
     let most = found.curve.iter().fold(1e-12_f64, |most, point| most.max(point.estimate.value.abs()));
     let cells = found.curve.iter().filter_map(|point| {
         let [x0, y0, x1, y1] = point.place?;
@@ -184,7 +174,7 @@ fn map_of_cells(study: &GapStudy, found: &Unnamed) -> Result<String, DrawError> 
 }
 
 fn map(study: &GapStudy, outcome: &Outcome) -> Result<String, DrawError> {
-    let (panel, window) = map_panel(&study.walls());
+    let (panel, window) = floor::panel(&study.walls());
     let cells = by_wall(study, outcome);
     let legend = [
         ("shorter than expected".to_owned(), Mark::Dot(SHORT)),

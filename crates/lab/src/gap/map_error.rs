@@ -132,7 +132,7 @@ pub(super) fn draw(study: &GapStudy, map: &MeasuredMapFindings) -> Result<String
     ];
     let segments = study.walls();
     let (walls, border) = segments.split_at(study.map.geometry().walls().len());
-    let (panel, window) = super::figures::map_panel(&segments);
+    let (panel, window) = locsim_report::figures::map::panel(&segments);
     figure("The map against the readings", &legend, panel, |area| {
         let mut floor = MapPanel::new(area, window, [10.0, panel / 60.0])?;
         for ends in border {

@@ -107,6 +107,16 @@ pub fn aspect(width: f64, height: f64) -> f64 {
     (width - LEFT - right) / (height - top - below)
 }
 
+/// Height of a panel that shows these walls \[m\] (px), and the part of the plane that it shows.
+pub fn panel(walls: &[[Point; 2]]) -> (f64, Window) {
+    let bounds = Window::around(walls.iter().flatten());
+    let (right, top, below) = MARGINS;
+    let [width, height] = bounds.size();
+    let plot_width = f64::from(WIDTH) - LEFT - right;
+    let panel = (plot_width * 1.06 * height / width.max(1e-9)).clamp(130.0, 560.0) + top + below;
+    (panel, bounds.with_aspect(aspect(f64::from(WIDTH), panel)))
+}
+
 /// Truth (or reference, as `truth` calls it), dead reckoning and each model's most likely trajectory on the map, and beneath
 /// it how far each is from the truth over time.
 pub(super) fn trajectories(

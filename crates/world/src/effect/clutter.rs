@@ -51,6 +51,7 @@ impl EffectType for BlockDepth {
                 moves: Moves::Clutter,
                 fit: Fit::WithClutter,
                 needs: Needs::MAP,
+                is_as_map_errors: true,
                 ..Description::DEFAULT
             }
         }

@@ -32,6 +32,9 @@ pub struct Description {
     /// Whether a filter can take it out of mount, odometry, stamps or readings. Any other effect it has to learn, from
     /// scans that are simulated with it.
     pub is_correctable: bool,
+    /// Whether errors of a measured map look the same: the roughness of its walls and their ends look like noise of the laser, and
+    /// what stands otherwise than it has it is its own error.
+    pub is_as_map_errors: bool,
     /// The value that is read instead of the return.
     pub replaces: Option<Replacement>,
     /// Parts of a beam that it needs.
@@ -55,6 +58,7 @@ impl Description {
         fit: Fit::Alone,
         is_single: false,
         is_correctable: false,
+        is_as_map_errors: false,
         replaces: None,
         needs: Needs { map: false, jump: false, behind: false },
     };

@@ -30,6 +30,7 @@ impl EffectType for MixedPixels {
                 statistics: &[Statistic::Edge],
                 replaces: Some(Replacement::Edge),
                 needs: Needs { map: true, jump: true, behind: false },
+                is_as_map_errors: true,
                 ..Description::DEFAULT
             }
         }

@@ -24,6 +24,7 @@ impl EffectType for RangeNoise {
                     weight: |beam, _| beam.range * beam.range / beam.sigma,
                     directions: TYPICAL,
                 }],
+                is_as_map_errors: true,
                 ..Description::DEFAULT
             }
         }
@@ -54,6 +55,7 @@ impl EffectType for IncidenceNoise {
                     directions: TYPICAL,
                 }],
                 needs: Needs::MAP,
+                is_as_map_errors: true,
                 ..Description::DEFAULT
             }
         }
@@ -83,6 +85,7 @@ impl EffectType for HeavyTail {
                     weight: |_, _| 1.0,
                     directions: TYPICAL,
                 }],
+                is_as_map_errors: true,
                 ..Description::DEFAULT
             }
         }

@@ -35,6 +35,7 @@ impl EffectType for MissingObject {
                 moves: Moves::Objects,
                 fit: Fit::WithClutter,
                 needs: Needs::MAP,
+                is_as_map_errors: true,
                 ..Description::DEFAULT
             }
         }

@@ -27,6 +27,7 @@ impl EffectType for Glass {
                 moves: Moves::Walls,
                 replaces: Some(Replacement::Behind),
                 needs: Needs { map: true, jump: false, behind: true },
+                is_as_map_errors: true,
                 ..Description::DEFAULT
             }
         }
@@ -63,6 +64,7 @@ impl EffectType for MovedWall {
                 statistics: &[Statistic::WallShift],
                 moves: Moves::Walls,
                 needs: Needs::MAP,
+                is_as_map_errors: true,
                 ..Description::DEFAULT
             }
         }

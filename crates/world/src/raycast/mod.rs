@@ -9,9 +9,11 @@ mod exact;
 mod segment;
 mod sight;
 mod table;
+mod unsure;
 
 pub use boxes::Boxes;
 pub use distance::DistanceGrid;
 pub use exact::{BEHIND_M, ExactRangeMap, RayHit};
 pub use segment::distance_to;
 pub use table::{RangeTable, RangeTableOptions, Vicinity};
+pub use unsure::{Unsure, unsure};

@@ -1,8 +1,8 @@
 use locsim_core::{Drive, Pose2};
 
-use super::HiddenDrive;
+use super::Altered;
 
-impl HiddenDrive<'_> {
+impl Altered<'_> {
     /// The nominal drive whose odometry reads an increment otherwise: `change(i, step, secs)` gives what it reads too
     /// much of distance, as a share, and of turn \[rad\] where the robot really moved by `step` in `secs` to scan `i`.
     pub fn with_odometry(&self, change: impl Fn(usize, &Pose2, f64) -> [f64; 2]) -> Drive {

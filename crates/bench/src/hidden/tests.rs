@@ -1,9 +1,11 @@
 use std::f64::consts::{FRAC_PI_3, TAU};
 
 use locsim_core::{Laser, Track, wrap_angle};
+use locsim_gap::{PoseError, Recorded, Strength};
+use locsim_world::effect::EffectKind;
 
+use super::fixtures::{DRIVE, MAX_M, NOMINAL, SEED, SIGMA_M, TRUTH};
 use super::*;
-use crate::fixtures::{DRIVE, MAX_M, NOMINAL, SEED, SIGMA_M, TRUTH};
 
 /// The north wall, which the robot sees from the south.
 const NORTH: [DVec2; 2] = [DVec2::new(6.0, 4.0), DVec2::new(0.0, 4.0)];
@@ -47,7 +49,7 @@ fn outside(kind: Outside, strength: f64) -> Drive {
 }
 
 fn plain(regime: Regime) -> Drive {
-    record_library(&NOMINAL, &TRUTH, &[], regime, SEED).unwrap()
+    locsim_gap::hidden::record_library(&NOMINAL, &TRUTH, &[], regime, SEED).unwrap()
 }
 
 fn strength(kind: Outside) -> f64 {
@@ -172,7 +174,7 @@ fn at_strength_0_a_sweep_is_the_nominal_one() {
     let mut nominal = NOMINAL.clone();
     nominal.laser.scan_secs = 0.1;
     let regime = Regime::default();
-    let plain = record_library(&nominal, &TRUTH, &[], regime, SEED).unwrap();
+    let plain = locsim_gap::hidden::record_library(&nominal, &TRUTH, &[], regime, SEED).unwrap();
     for form in OtherForm::ALL {
         let values = values(form, false);
         let drive = record_other(&nominal, &TRUTH, form, &values, &place(form), regime, SEED).unwrap();
@@ -515,7 +517,24 @@ fn what_cannot_be_recorded_is_refused() {
     assert!(error.to_string().contains("glass needs a place"), "{error}");
     for secs in [vec![0.0], vec![0.0, 0.0]] {
         let track = Track::new(secs.into_iter().map(|secs| (secs, TRUTH.poses()[0]))).unwrap();
-        let error = record_library(&NOMINAL, &track, &[], regime, 1).unwrap_err();
+        let error = locsim_gap::hidden::record_library(&NOMINAL, &track, &[], regime, 1).unwrap_err();
         assert!(error.to_string().contains("at least two poses"), "{error}");
     }
+}
+
+/// In another form an effect has the information of that form: a scale of distances that holds forward only is the same on a
+/// drive forward, and a bias that grows less with the incidence is less.
+#[test]
+fn another_form_has_its_own_information() {
+    let recorded = Recorded::new(&plain(Regime::default()), 160, 24, |_| true).unwrap();
+    let strength = Strength::new(&NOMINAL, &recorded, Regime::default(), 9).unwrap();
+    let ratio = |kind, value, form: OtherForm| {
+        let effect = Effect::new(kind, vec![value], Vec::new()).unwrap();
+        let other = strength.information(&effect, Some(&form.of_logs(&NOMINAL))).unwrap();
+        other / strength.information(&effect, None).unwrap()
+    };
+    let scale = ratio(EffectKind::OdomDistanceScale, 0.05, OtherForm::OdomDistanceScale);
+    assert!((0.9..1.1).contains(&scale), "{scale}");
+    let bias = ratio(EffectKind::IncidenceBias, 0.002, OtherForm::IncidenceBias);
+    assert!((0.05..0.7).contains(&bias), "{bias}");
 }

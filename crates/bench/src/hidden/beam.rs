@@ -6,7 +6,7 @@ use locsim_world::raycast::RayHit;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
-use super::HiddenDrive;
+use super::Altered;
 
 /// A reading within this many standard deviations of the wall is the wall's.
 const OF_WALL_SIGMAS: f64 = 5.0;
@@ -31,7 +31,7 @@ pub(super) enum Change {
 
 /// The beams of one scan from where the robot really was.
 pub(super) struct Sweep<'a> {
-    hidden: &'a HiddenDrive<'a>,
+    hidden: &'a Altered<'a>,
     scan: usize,
     rays: Vec<Ray>,
 }
@@ -69,7 +69,7 @@ pub(super) struct Beam<'a> {
 }
 
 impl<'a> Sweep<'a> {
-    pub fn new(hidden: &'a HiddenDrive<'a>, scan: usize) -> Self {
+    pub fn new(hidden: &'a Altered<'a>, scan: usize) -> Self {
         let laser = hidden.simulator.laser().laser();
         let stamp = hidden.truth.secs()[scan];
         let beams = laser.bearings().iter().zip(laser.beam_times_secs());
@@ -109,7 +109,7 @@ impl<'a> Sweep<'a> {
     }
 }
 
-impl HiddenDrive<'_> {
+impl Altered<'_> {
     /// Origin \[m\] and unit vector of a beam in the map frame, of a robot at `map_from_base`.
     pub fn ray(&self, map_from_base: &Pose2, bearing: f64) -> (DVec2, DVec2) {
         let map_from_laser = map_from_base.compose(&self.nominal.laser.mount);

@@ -8,7 +8,7 @@ use rand_distr::{Distribution, Exp1, StandardNormal};
 use serde::Serialize;
 
 use super::beam::{Beam, Change, is_in_sector};
-use super::{HiddenDrive, WHOLE_SCAN};
+use super::{Altered, WHOLE_SCAN};
 
 /// A beam ends on a stretch of wall if it ends no farther from it than this \[m\].
 const NEAR_PLACE_M: f64 = 0.1;
@@ -129,12 +129,7 @@ impl OtherForm {
 
 /// The drive with a form in it, whose values [`EffectKind`] has accepted.
 #[expect(clippy::too_many_lines, reason = "one match with a short arm for each form; the arms share nothing")]
-pub(super) fn record(
-    hidden: &HiddenDrive<'_>,
-    form: OtherForm,
-    values: &[f64],
-    place: &[[DVec2; 2]],
-) -> Drive {
+pub(super) fn record(hidden: &Altered<'_>, form: OtherForm, values: &[f64], place: &[[DVec2; 2]]) -> Drive {
     let max = hidden.max_range();
     let value = |i: usize| values[i];
     let theta = value(0);
@@ -281,7 +276,7 @@ fn triangular(chance: &mut dyn Rng) -> f64 {
 }
 
 /// When bursts begin and end \[s\], one after the other, so that they take `share` of the time on average.
-fn bursts(hidden: &HiddenDrive<'_>, share: f64) -> Vec<[f64; 2]> {
+fn bursts(hidden: &Altered<'_>, share: f64) -> Vec<[f64; 2]> {
     // Beams of the last scan are later than its stamp.
     let end = hidden.truth.secs()[hidden.scans() - 1] + 1.0;
     if share <= 0.0 {

@@ -6,9 +6,9 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 use strum::VariantArray;
 
-use super::HiddenDrive;
+use super::Altered;
 use super::beam::Change;
-use crate::Covariate;
+use locsim_gap::Covariate;
 
 /// Period of the bias \[s\].
 const PERIOD_SECS: f64 = 7.0;
@@ -72,7 +72,7 @@ impl Outside {
 }
 
 /// The drive with an effect of this strength in it.
-pub(super) fn record(hidden: &HiddenDrive<'_>, kind: Outside, strength: f64) -> Drive {
+pub(super) fn record(hidden: &Altered<'_>, kind: Outside, strength: f64) -> Drive {
     match kind {
         Outside::PeriodicBias => {
             hidden.with_readings(|beam, _| Change::Shift(strength * (TAU * beam.secs / PERIOD_SECS).sin()))
@@ -144,7 +144,7 @@ pub(super) fn record(hidden: &HiddenDrive<'_>, kind: Outside, strength: f64) -> 
 }
 
 /// Acceleration forward at each scan \[m/s^2\].
-fn accelerations(hidden: &HiddenDrive<'_>) -> Vec<f64> {
+fn accelerations(hidden: &Altered<'_>) -> Vec<f64> {
     let (secs, speeds) = (hidden.truth.secs(), hidden.speeds());
     let at = |i: usize| match i {
         0 => 0.0,
