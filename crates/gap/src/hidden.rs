@@ -84,7 +84,7 @@ impl<'a> HiddenDrive<'a> {
             return Err(GapError::Truth);
         }
         let simulator = regime.simulator(nominal, effects)?;
-        Ok(Self { nominal, truth, regime, seed, simulator })
+        Ok(Self { nominal, truth, seed, simulator, regime })
     }
 
     /// Readings \[scan\]\[beam\] of a robot that followed `track`.

@@ -2,6 +2,7 @@ use super::{EffectKind, Parameter, Statistic};
 
 /// Description of a kind of effect.
 #[derive(Clone, Copy, Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "properties that say nothing of each other")]
 pub struct Description {
     /// The name used in files.
     pub name: &'static str,
