@@ -23,8 +23,8 @@ const PITCHING: (f64, f64) = (0.3, 2.0);
 
 /// Length of a stripe and the next \[m\].
 const STRIPE_M: f64 = 3.0;
-/// Correlation of the noise of neighbouring beams.
-const CORRELATION: f64 = 0.75;
+/// Correlation of the noise that neighbouring beams have in common.
+const CORRELATION: f64 = 0.9;
 /// Walls are mirrors from this incidence on \[rad\], 50 deg.
 const MIRROR_RAD: f64 = 50.0 * TAU / 360.0;
 /// Nearer walls are too near \[m\].
@@ -58,7 +58,7 @@ pub enum Outside {
     BearingRipple,
     /// Returns are off by A sin(2 pi x / 3 m) where they end at x in the map, as by paint; A \[m\].
     Stripes,
-    /// Noise of standard deviation A that neighbouring beams have in common with a correlation of 0.75; A \[m\].
+    /// A share s of the noise's variance is of a noise that neighbouring beams have in common, with a correlation of 0.9; s \[1\].
     NeighbourNoise,
     /// With p a beam that meets a wall at more than 50 deg goes on as in a mirror, and returns from what it meets then, or from
     /// nothing; p \[1\].
@@ -111,17 +111,23 @@ pub(super) fn record(hidden: &Altered<'_>, kind: Outside, strength: f64) -> Driv
             let beams = hidden.simulator.laser().laser().beam_count();
             let of_scan = |scan: usize| {
                 let mut chance = hidden.chance(scan, WHOLE_SCAN);
-                let mut normal = 0.0;
-                let shifts = (0..beams).map(|beam| {
+                let mut normal: f64 = StandardNormal.sample(&mut chance);
+                let normals = (0..beams).map(|_| {
                     let own: f64 = StandardNormal.sample(&mut chance);
-                    let share = if beam == 0 { 0.0 } else { CORRELATION };
-                    normal = share * normal + (1.0 - share * share).sqrt() * own;
-                    strength * normal
+                    normal = CORRELATION * normal + (1.0 - CORRELATION * CORRELATION).sqrt() * own;
+                    normal
                 });
-                shifts.collect()
+                normals.collect()
             };
-            let shifts: Vec<Vec<f64>> = (0..hidden.scans()).map(of_scan).collect();
-            hidden.with_readings(|beam, _| Change::Shift(shifts[beam.scan][beam.index]))
+            let shared: Vec<Vec<f64>> = (0..hidden.scans()).map(of_scan).collect();
+            hidden.with_readings(|beam, _| {
+                if !beam.is_wall() {
+                    return Change::None;
+                }
+                let own = beam.reading - beam.range;
+                let both = strength.sqrt() * hidden.sigma(beam.range) * shared[beam.scan][beam.index];
+                Change::Shift((1.0 - strength).sqrt() * own + both - own)
+            })
         }
         Outside::SecondReflection => hidden.with_readings(|beam, chance| {
             let goes_on = chance.random::<f64>() < strength;

@@ -57,6 +57,7 @@ fn strength(kind: Outside) -> f64 {
         Outside::LogNormalNoise => 1.0,
         Outside::DoubleReturn | Outside::FloorHit | Outside::SecondReflection | Outside::NearLoss => 0.5,
         Outside::OdometryLag => 0.25,
+        Outside::NeighbourNoise => 0.8,
         _ => 0.1,
     }
 }
@@ -484,15 +485,16 @@ fn what_people_have_met_is_where_and_as_large_as_it_says() {
 
     let noisy = strong(Outside::NeighbourNoise);
     let is_whole = |pair: &&[Pair]| pair.iter().all(|pair| pair.is_wall() && pair.range < 4.5);
+    let error = |pair: &Pair| (pair.after - pair.range) / SIGMA_M;
     let of_beams = |gap: usize| {
         let scans = noisy.chunks(DRIVE.laser.beam_count());
-        mean(scans.flat_map(|scan| {
-            scan.windows(gap + 1).filter(is_whole).map(move |w| w[0].moved() * w[gap].moved())
-        }))
+        let pairs = scans.flat_map(|scan| scan.windows(gap + 1).filter(is_whole));
+        mean(pairs.map(|pair| error(&pair[0]) * error(&pair[gap])))
     };
+    // As much noise as before, of which neighbours share 0.8 * 0.9.
     let [variance, neighbours, next] = [0, 1, 2].map(of_beams);
-    assert!((variance.sqrt() - 0.1).abs() < 0.01, "{variance}");
-    assert!((neighbours / variance - 0.75).abs() < 0.05 && (next / variance - 0.5625).abs() < 0.08);
+    assert!((variance - 1.0).abs() < 0.1, "{variance}");
+    assert!((neighbours - 0.72).abs() < 0.08 && (next - 0.648).abs() < 0.08, "{neighbours} {next}");
 
     let mirrored = strong(Outside::SecondReflection);
     let is_slanted = |pair: &Pair| pair.is_wall() && pair.incidence > 50_f64.to_radians();

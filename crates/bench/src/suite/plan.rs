@@ -148,7 +148,7 @@ const OUTSIDE: [(Outside, f64); 8] = [
 const MORE_OUTSIDE: [(Outside, f64); 6] = [
     (Outside::BearingRipple, 0.008),
     (Outside::Stripes, 0.015),
-    (Outside::NeighbourNoise, 0.008),
+    (Outside::NeighbourNoise, 0.8),
     (Outside::SecondReflection, 0.3),
     (Outside::NearLoss, 0.3),
     (Outside::OdometryLag, 0.2),
