@@ -165,7 +165,10 @@ impl<'a> State<'a> {
         let (old, new) = (self.replay(first, LOGS)?, self.replay(last, LOGS)?);
         let views = &first.comparison.views;
         let [old_mm, new_mm] = [&old, &new].map(|logs| distance(views, self.recorded, logs));
-        Ok(RangeFloor::of(views, &new).closed(old_mm, new_mm).is_some_and(|closed| closed <= 0.0))
+        let closed = RangeFloor::of(views, &new).closed(old_mm, new_mm);
+        // A map that is exact is to be believed for as long as ranges weren't off before.
+        let is_measured = self.nominal.pieces.is_some();
+        Ok(closed.is_some_and(|closed| if is_measured { closed <= 0.0 } else { closed < 0.0 }))
     }
 
     fn gap(

@@ -1,6 +1,6 @@
 //! The next steps for the reader, in three lines that follow from the verdict.
 
-use locsim_gap::{Named, Outcome, Region, ResidualStage, Unnamed, Verdict};
+use locsim_gap::{Covariate, Named, Outcome, Region, ResidualStage, Unnamed, Verdict};
 use locsim_world::effect::{Description, Moves};
 
 use super::answer::{change_in_words, others, p_value, region_text};
@@ -109,7 +109,9 @@ fn rest(outcome: &Outcome) -> String {
     let without_name = outcome.unnamed.iter().find(|found| found.form_of.is_none());
     match (without_name, outcome.unnamed.first()) {
         (Some(found), _) => {
-            format!("Look on the robot for a {}: {}.", unnamed::dependent(found), unnamed::extent(found))
+            // What depends on place isn't a property of the robot.
+            let at = if found.covariate == Covariate::Place { "in the surroundings" } else { "on the robot" };
+            format!("Look {at} for a {}: {}.", unnamed::dependent(found), unnamed::extent(found))
         }
         (None, Some(Unnamed { form_of: Some(kind), .. })) => {
             format!(
