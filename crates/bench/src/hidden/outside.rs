@@ -108,18 +108,7 @@ pub(super) fn record(hidden: &Altered<'_>, kind: Outside, strength: f64) -> Driv
         Outside::Stripes => hidden
             .with_readings(|beam, _| Change::Shift(strength * (TAU * beam.endpoint().x / STRIPE_M).sin())),
         Outside::NeighbourNoise => {
-            let beams = hidden.simulator.laser().laser().beam_count();
-            let of_scan = |scan: usize| {
-                let mut chance = hidden.chance(scan, WHOLE_SCAN);
-                let mut normal: f64 = StandardNormal.sample(&mut chance);
-                let normals = (0..beams).map(|_| {
-                    let own: f64 = StandardNormal.sample(&mut chance);
-                    normal = CORRELATION * normal + (1.0 - CORRELATION * CORRELATION).sqrt() * own;
-                    normal
-                });
-                normals.collect()
-            };
-            let shared: Vec<Vec<f64>> = (0..hidden.scans()).map(of_scan).collect();
+            let shared = shared_noise(hidden);
             hidden.with_readings(|beam, _| {
                 if !beam.is_wall() {
                     return Change::None;
@@ -205,6 +194,22 @@ pub(super) fn record(hidden: &Altered<'_>, kind: Outside, strength: f64) -> Driv
             })
         }
     }
+}
+
+/// Standard normal noise of each scan that neighbouring beams have in common.
+fn shared_noise(hidden: &Altered<'_>) -> Vec<Vec<f64>> {
+    let beams = hidden.simulator.laser().laser().beam_count();
+    let of_scan = |scan: usize| {
+        let mut chance = hidden.chance(scan, WHOLE_SCAN);
+        let mut normal: f64 = StandardNormal.sample(&mut chance);
+        let normals = (0..beams).map(|_| {
+            let own: f64 = StandardNormal.sample(&mut chance);
+            normal = CORRELATION * normal + (1.0 - CORRELATION * CORRELATION).sqrt() * own;
+            normal
+        });
+        normals.collect()
+    };
+    (0..hidden.scans()).map(of_scan).collect()
 }
 
 /// Acceleration forward at each scan \[m/s^2\].

@@ -363,11 +363,10 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
     for (group, name, lambda, hidden) in strong_effects(size, repeats, seed, map, poses) {
         add(group, name, lambda, 0, &hidden, Vec::new());
     }
-    if size != Size::Small {
-        for (kind, strength) in (0..repeats).flat_map(|_| MORE_OUTSIDE) {
-            let name = format!("outside-{}", kind.name());
-            add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());
-        }
+    let more = if size == Size::Small { &[] } else { &MORE_OUTSIDE[..] };
+    for &(kind, strength) in (0..repeats).flat_map(|_| more) {
+        let name = format!("outside-{}", kind.name());
+        add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());
     }
     // In an order of chance, so that a part of the suite is a sample of it.
     let draw = Draw::new(seed, Stage::Trial, ORDER);
