@@ -77,6 +77,7 @@ fn run_suite(arguments: &Gap) -> Result<(), Failure> {
         shard,
         shards: arguments.merge.then(|| arguments.out.clone()),
         size: arguments.size,
+        groups: arguments.groups.clone(),
         seed: arguments.seed,
         replicates: arguments.replicates,
         scans: arguments.scans as usize,

@@ -223,24 +223,25 @@ pub struct Gap {
     pub remaining_nats_per_scan: f64,
     /// The gain of the free model on top of the nominal simulator (nats per scan).
     pub possible_nats_per_scan: f64,
-    /// Share of the gap that is closed: gained / (gained + remaining), and no more than
-    /// [`closed_in_ranges`](Self::closed_in_ranges).
-    pub closed: Estimate,
+    /// Share of the log score that is gained on held-out folds: gained / (gained + remaining).
+    pub gained_share: Estimate,
+    /// Share of the gap that is closed: [`gained_share`](Self::gained_share), and no more than
+    /// [`closed_in_ranges`](Self::closed_in_ranges). `None` where something is gained and ranges can't say whether the gap has closed.
+    pub closed: Option<Estimate>,
     /// Share by which the distance of range errors came down to its floor: 1 where it did, below 0 where it grew. `None`
     /// where it was at its floor before and after, so that it says nothing.
     pub closed_in_ranges: Option<f64>,
+    /// The distance of range errors from which on it isn't one between simulations \[mm\].
+    pub w1_visible_mm: f64,
 }
+
+/// A gap of which ranges came less than this share of the way is open.
+pub(crate) const HALF: f64 = 0.5;
 
 impl Gap {
     /// Whether simulated ranges came less than half of the way to the measured ones.
     pub fn is_open_in_ranges(&self) -> bool {
-        self.closed_in_ranges.is_some_and(|share| share < 0.5)
-    }
-
-    /// Share of the log score that is gained on held-out scans, of that and what a free model gains on top.
-    pub fn gained_share(&self) -> f64 {
-        let all = self.gained_nats_per_scan + self.remaining_nats_per_scan;
-        if self.gained_nats_per_scan > 0.0 { self.gained_nats_per_scan / all } else { 0.0 }
+        self.closed_in_ranges.is_some_and(|share| share < HALF)
     }
 }
 

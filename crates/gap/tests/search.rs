@@ -111,7 +111,11 @@ fn a_hidden_effect_is_named_with_its_number() {
         let Estimate { value, interval } = number.estimate;
         assert!((value - values[0]).abs() < 4.0 * interval.half(), "{kind}: {number:?}");
         assert!(interval.half() < 0.6 * values[0].abs(), "{kind}: an interval that says nothing: {number:?}");
-        assert!(outcome.gap.closed.value > 0.7 && outcome.detection.p <= 0.01, "{kind}: {:?}", outcome.gap);
+        assert!(
+            outcome.gap.gained_share.value > 0.7 && outcome.detection.p <= 0.01,
+            "{kind}: {:?}",
+            outcome.gap
+        );
     }
 }
 

@@ -2,7 +2,7 @@ use std::f64::consts::TAU;
 
 use glam::DVec2;
 use locsim_core::Pose2;
-use locsim_world::raycast::RayHit;
+use locsim_world::raycast::{BEHIND_M, RayHit};
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
@@ -168,6 +168,20 @@ impl Beam<'_> {
     pub fn behind(&self) -> Option<f64> {
         let hidden = self.sweep.hidden;
         hidden.nominal.map.cast_behind(self.origin, self.direction, self.range, hidden.max_range())
+    }
+
+    /// From the wall to what the ray meets as in a mirror there \[m\].
+    pub fn mirrored(&self) -> Option<f64> {
+        /// A second ray beside it shows the wall's direction \[rad\].
+        const ASIDE_RAD: f64 = 1e-5;
+        let hidden = self.sweep.hidden;
+        let aside = DVec2::from_angle(ASIDE_RAD).rotate(self.direction);
+        let beside = self.origin + hidden.cast(self.origin, aside)?.range * aside;
+        let at = self.wall_point();
+        let along = (beside - at).try_normalize()?;
+        let onward = 2.0 * self.direction.dot(along) * along - self.direction;
+        let start = at + BEHIND_M * onward;
+        hidden.cast(start, onward).map(|hit| BEHIND_M + hit.range)
     }
 
     /// The change where the wall, or something before it, stands at `range` \[m\] instead; what stands before both, and

@@ -3,6 +3,14 @@ use locsim_core::{Drive, Pose2};
 use super::Altered;
 
 impl Altered<'_> {
+    /// The nominal drive whose odometry is that of `delay_secs` before.
+    pub fn with_late_odometry(&self, delay_secs: f64) -> Drive {
+        let nominal = self.truth.with_poses(self.odometry());
+        let secs = nominal.secs();
+        let odometry = secs.iter().map(|secs| nominal.pose_at((secs - delay_secs).max(nominal.secs()[0])));
+        self.drive(&self.readings_along(self.truth), odometry.collect())
+    }
+
     /// The nominal drive whose odometry reads an increment otherwise: `change(i, step, secs)` gives what it reads too
     /// much of distance, as a share, and of turn \[rad\] where the robot really moved by `step` in `secs` to scan `i`.
     pub fn with_odometry(&self, change: impl Fn(usize, &Pose2, f64) -> [f64; 2]) -> Drive {

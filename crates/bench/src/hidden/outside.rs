@@ -6,8 +6,8 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 use strum::VariantArray;
 
-use super::Altered;
 use super::beam::Change;
+use super::{Altered, WHOLE_SCAN};
 use locsim_gap::Covariate;
 
 /// Period of the bias \[s\].
@@ -20,6 +20,15 @@ const HEIGHT_M: f64 = 0.25;
 const FLOOR_SHARE: f64 = 0.6;
 /// Share by which its pitch grows and shrinks, at the acceleration from which on it does so no further \[m/s^2\].
 const PITCHING: (f64, f64) = (0.3, 2.0);
+
+/// Length of a stripe and the next \[m\].
+const STRIPE_M: f64 = 3.0;
+/// Correlation of the noise that neighbouring beams have in common.
+const CORRELATION: f64 = 0.9;
+/// Walls are mirrors from this incidence on \[rad\], 50 deg.
+const MIRROR_RAD: f64 = 50.0 * TAU / 360.0;
+/// Nearer walls are too near \[m\].
+const NEAR_M: f64 = 1.2;
 
 /// An effect that no stage of the library describes, and what its strength is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, strum::IntoStaticStr, VariantArray)]
@@ -45,6 +54,19 @@ pub enum Outside {
     /// The laser looks at the floor ahead: with p a beam that gets there returns from it. The robot pitches as it
     /// brakes and speeds up, and the floor gets nearer and farther; p \[1\].
     FloorHit,
+    /// Returns are off by A sin(6 beta) at bearing beta, as by an encoder; A \[m\].
+    BearingRipple,
+    /// Returns are off by A sin(2 pi x / 3 m) where they end at x in the map, as by paint; A \[m\].
+    Stripes,
+    /// A share s of the noise's variance is of a noise that neighbouring beams have in common, with a correlation of 0.9; s \[1\].
+    NeighbourNoise,
+    /// With p a beam that meets a wall at more than 50 deg goes on as in a mirror, and returns from what it meets then, or from
+    /// nothing; p \[1\].
+    SecondReflection,
+    /// With p a wall nearer than 1.2 m sends nothing back; p \[1\].
+    NearLoss,
+    /// The odometry is that of A seconds before; A \[s\].
+    OdometryLag,
 }
 
 impl Outside {
@@ -62,9 +84,12 @@ impl Outside {
     pub fn covariates(self) -> &'static [Covariate] {
         match self {
             Self::PeriodicBias => &[Covariate::Time],
-            Self::BearingBias | Self::FloorHit => &[Covariate::Bearing],
-            Self::BackgroundLight | Self::SurfaceBias => &[Covariate::Place],
-            Self::SharedScanJitter => &[Covariate::Neighbour],
+            Self::BearingBias | Self::FloorHit | Self::BearingRipple => &[Covariate::Bearing],
+            Self::BackgroundLight | Self::SurfaceBias | Self::Stripes => &[Covariate::Place],
+            Self::SharedScanJitter | Self::NeighbourNoise => &[Covariate::Neighbour],
+            Self::SecondReflection => &[Covariate::Incidence],
+            Self::NearLoss => &[Covariate::Range],
+            Self::OdometryLag => &[Covariate::Odometry],
             Self::LogNormalNoise => &[Covariate::Everywhere],
             Self::DoubleReturn => &[Covariate::Everywhere, Covariate::Range],
         }
@@ -77,6 +102,34 @@ pub(super) fn record(hidden: &Altered<'_>, kind: Outside, strength: f64) -> Driv
         Outside::PeriodicBias => {
             hidden.with_readings(|beam, _| Change::Shift(strength * (TAU * beam.secs / PERIOD_SECS).sin()))
         }
+        Outside::BearingRipple => {
+            hidden.with_readings(|beam, _| Change::Shift(strength * (6.0 * beam.bearing).sin()))
+        }
+        Outside::Stripes => hidden
+            .with_readings(|beam, _| Change::Shift(strength * (TAU * beam.endpoint().x / STRIPE_M).sin())),
+        Outside::NeighbourNoise => {
+            let shared = shared_noise(hidden);
+            hidden.with_readings(|beam, _| {
+                if !beam.is_wall() {
+                    return Change::None;
+                }
+                let own = beam.reading - beam.range;
+                let both = strength.sqrt() * hidden.sigma(beam.range) * shared[beam.scan][beam.index];
+                Change::Shift((1.0 - strength).sqrt() * own + both - own)
+            })
+        }
+        Outside::SecondReflection => hidden.with_readings(|beam, chance| {
+            let goes_on = chance.random::<f64>() < strength;
+            if !goes_on || !beam.is_wall() || beam.incidence < MIRROR_RAD {
+                return Change::None;
+            }
+            beam.mirrored().map_or(Change::Lost, |range| Change::Return(beam.range + range))
+        }),
+        Outside::NearLoss => hidden.with_readings(|beam, chance| {
+            let lost = chance.random::<f64>() < strength && beam.is_wall() && beam.range < NEAR_M;
+            if lost { Change::Lost } else { Change::None }
+        }),
+        Outside::OdometryLag => hidden.with_late_odometry(strength),
         Outside::BearingBias => {
             hidden.with_readings(|beam, _| Change::Shift(strength * (2.0 * beam.bearing).sin()))
         }
@@ -141,6 +194,22 @@ pub(super) fn record(hidden: &Altered<'_>, kind: Outside, strength: f64) -> Driv
             })
         }
     }
+}
+
+/// Standard normal noise of each scan that neighbouring beams have in common.
+fn shared_noise(hidden: &Altered<'_>) -> Vec<Vec<f64>> {
+    let beams = hidden.simulator.laser().laser().beam_count();
+    let of_scan = |scan: usize| {
+        let mut chance = hidden.chance(scan, WHOLE_SCAN);
+        let mut normal: f64 = StandardNormal.sample(&mut chance);
+        let normals = (0..beams).map(|_| {
+            let own: f64 = StandardNormal.sample(&mut chance);
+            normal = CORRELATION * normal + (1.0 - CORRELATION * CORRELATION).sqrt() * own;
+            normal
+        });
+        normals.collect()
+    };
+    (0..hidden.scans()).map(of_scan).collect()
 }
 
 /// Acceleration forward at each scan \[m/s^2\].

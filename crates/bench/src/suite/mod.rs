@@ -24,7 +24,7 @@ use rayon::ThreadPoolBuilder;
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
 
-pub use plan::Size;
+pub use plan::{Group, Size};
 pub use score::{Score, Share};
 pub use text::table;
 
@@ -33,7 +33,7 @@ use crate::hidden::{OtherForm, record_other, record_outside};
 use locsim_lab::gap::{FilterOnLog, GapSettings, GapStudy};
 use locsim_report::store::{Folder, Lock};
 use locsim_scenario::{Overrides, Scenario, Source, load_map};
-use plan::{Case, Group, Hidden, REGIMES, plan};
+use plan::{Case, Hidden, REGIMES, plan};
 
 /// How the suite is run.
 pub struct SuiteOptions<'a> {
@@ -47,6 +47,8 @@ pub struct SuiteOptions<'a> {
     pub shards: Option<PathBuf>,
     /// How much.
     pub size: Size,
+    /// The groups that are run; none for all.
+    pub groups: Vec<Group>,
     /// Everything random derives from it.
     pub seed: u64,
     /// Simulated logs behind each p-value.
@@ -97,8 +99,10 @@ pub struct FoundFile {
     pub p: f64,
     /// The same with the named effects.
     pub p_after: f64,
-    /// Share of the gap closed, with its interval.
-    pub closed: [f64; 3],
+    /// Share of the log score gained, with its interval.
+    pub gained: [f64; 3],
+    /// Share of the gap closed, with its interval; `None` where ranges can't say.
+    pub closed: Option<[f64; 3]>,
     /// Wasserstein-1 distance of range errors before and after, and its floor \[mm\].
     pub w1_mm: [f64; 3],
     /// Dependences without a name: what depends on what, and the effect whose form it corrects.
@@ -178,7 +182,8 @@ impl FoundFile {
                 .collect(),
             p: outcome.detection.p,
             p_after: outcome.detection_after.p,
-            closed: triple(&outcome.gap.closed),
+            gained: triple(&outcome.gap.gained_share),
+            closed: outcome.gap.closed.as_ref().map(triple),
             w1_mm: [outcome.gap.before, outcome.gap.after, outcome.gap.floor].map(|side| side.w1_mm),
             unnamed: outcome.unnamed.iter().map(UnnamedFile::of).collect(),
             directions: outcome.directions.iter().map(|d| (d.name.name().to_owned(), d.z)).collect(),
@@ -227,6 +232,9 @@ pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
     let suite = Suite::open(options, &world)?;
     let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
     let mut cases = plan(options.size, options.seed, &world.nominal.map, &poses);
+    if !options.groups.is_empty() {
+        cases.retain(|case| options.groups.contains(&case.group));
+    }
     if let Some(shards) = &options.shards {
         suite.merge(&cases, shards, options.control.progress)?;
         return suite.score(&cases, options);
@@ -285,7 +293,7 @@ pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
 }
 
 /// Of the suite's files; those of another one are of no use.
-const FORMAT: u32 = 7;
+const FORMAT: u32 = 8;
 
 /// What the suite's folders are of, in their manifests.
 const KIND: &str = "gap-bench";
@@ -312,7 +320,7 @@ impl Suite {
         let scenario = Scenario::load(&options.scenario, &Overrides::default())?.content_hash()?;
         let settings = serde_json::json!({
             "format": FORMAT, "scenario": scenario, "size": options.size, "seed": options.seed,
-            "replicates": options.replicates,
+            "replicates": options.replicates, "groups": options.groups,
             "scans": world.drive.steps.len(), "beams": world.drive.laser.beam_count(),
         });
         let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex().to_string();

@@ -32,7 +32,7 @@ pub enum Size {
 }
 
 /// Purposes of logs in the suite.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum Group {
     /// Nothing is hidden.
@@ -142,6 +142,16 @@ const OUTSIDE: [(Outside, f64); 8] = [
     (Outside::LogNormalNoise, 0.7),
     (Outside::DoubleReturn, 0.02),
     (Outside::FloorHit, 0.08),
+];
+
+/// More of them, that people have met.
+const MORE_OUTSIDE: [(Outside, f64); 6] = [
+    (Outside::BearingRipple, 0.008),
+    (Outside::Stripes, 0.015),
+    (Outside::NeighbourNoise, 0.8),
+    (Outside::SecondReflection, 0.3),
+    (Outside::NearLoss, 0.3),
+    (Outside::OdometryLag, 0.2),
 ];
 
 /// Effects that mislead a filter, with their strengths.
@@ -352,6 +362,11 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
     // Last, so that the other logs are those of earlier suites.
     for (group, name, lambda, hidden) in strong_effects(size, repeats, seed, map, poses) {
         add(group, name, lambda, 0, &hidden, Vec::new());
+    }
+    let more = if size == Size::Small { &[] } else { &MORE_OUTSIDE[..] };
+    for &(kind, strength) in (0..repeats).flat_map(|_| more) {
+        let name = format!("outside-{}", kind.name());
+        add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());
     }
     // In an order of chance, so that a part of the suite is a sample of it.
     let draw = Draw::new(seed, Stage::Trial, ORDER);

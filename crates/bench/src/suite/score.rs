@@ -111,7 +111,7 @@ pub struct Score {
     pub sd_over_bound: Option<f64>,
     /// The same over strength / sqrt(lambda), the bound of a shift.
     pub sd_over_strength: Option<f64>,
-    /// Mean lower bound of the closed share at the greatest information.
+    /// Mean lower bound of the closed share at the greatest information; of the gained one where ranges can't say.
     pub closed_lo: Forms<Option<f64>>,
     /// Share of pairs both of whose effects were named.
     pub two_named: Share,
@@ -154,7 +154,7 @@ fn is_found(found: &FoundFile) -> bool {
 /// Whether a gap counts as closed whose ranges came less than half of the way.
 fn is_overstated(found: &FoundFile) -> bool {
     let [before, after, floor] = found.w1_mm;
-    found.closed[0] >= 0.9 && before - after < 0.5 * (before - floor)
+    found.closed.is_some_and(|[share, ..]| share >= 0.9) && before - after < 0.5 * (before - floor)
 }
 
 /// The first effect's strength, and what was found of it with its interval.
@@ -221,7 +221,9 @@ impl Score {
         });
         let sd_over_strength = mean(of_strength).map(f64::sqrt);
         let strongest = lambdas.last().copied().unwrap_or(0.0);
-        let closed = |group: Group| mean(at(strongest, group).map(|(_, found)| found.closed[1]));
+        let closed = |group: Group| {
+            mean(at(strongest, group).map(|(_, found)| found.closed.unwrap_or(found.gained)[1]))
+        };
         let two_named = Share::of(
             of(Group::Pair)
                 .map(|(truth, found)| truth.effects.iter().all(|name| found.effects.contains(name))),

@@ -294,7 +294,8 @@ fn word(variant: impl Serialize) -> String {
 
 /// One row for each log.
 fn every_log(score: &Score) -> String {
-    let mut text = "## Every log\n\n| group | regime | lambda | hidden | verdict | named | p | p after | closed | s |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
+    let mut text = "## Every log\n\n| group | regime | lambda | hidden | verdict | named | without a name | p | p after | gained | closed | W1 (floor) [mm] | s |\n\
+                    | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
         .to_owned();
     for (truth, found) in &score.all {
         let hidden: Vec<String> = truth
@@ -307,20 +308,28 @@ fn every_log(score: &Score) -> String {
             })
             .collect();
         let named: Vec<String> = found.candidates.iter().map(|set| set.join("/")).collect();
+        let told = found.unnamed.iter().map(|unnamed| match &unnamed.form_of {
+            Some(name) => format!("form of {name}: {} over {}", unnamed.deviation, unnamed.covariate),
+            None => format!("{} over {}", unnamed.deviation, unnamed.covariate),
+        });
+        let told: Vec<String> = told.collect();
+        let closed = found
+            .closed
+            .map_or_else(|| "-".to_owned(), |[value, lo, hi]| format!("{value:.2} [{lo:.2}, {hi:.2}]"));
+        let [before, after, floor] = found.w1_mm;
         let _ = writeln!(
             text,
-            "| {} | {} | {} | {} | {} | {} | {:.3} | {:.3} | {:.2} [{:.2}, {:.2}] | {:.0} |",
+            "| {} | {} | {} | {} | {} | {} | {} | {:.3} | {:.3} | {:.2} | {closed} | {before:.1} -> {after:.1} ({floor:.1}) | {:.0} |",
             word(truth.group),
             truth.regime,
             truth.lambda,
             hidden.join(", "),
             word(found.verdict),
             named.join(", "),
+            told.join(", "),
             found.p,
             found.p_after,
-            found.closed[0],
-            found.closed[1],
-            found.closed[2],
+            found.gained[0],
             found.seconds,
         );
     }

@@ -41,6 +41,9 @@ const STRONG_NATS: f64 = 200.0;
 /// Mean and spread among the moments.
 const MEAN: usize = 0;
 const SPREAD: usize = 1;
+/// A level of which fewer readings than this share could become of a kind says nothing of that kind: beams that meet nothing within reach
+/// have no return to lose.
+const LEAST_SHARE: f64 = 0.2;
 /// Each level of a covariate costs this (nats): what a number that isn't needed gains on the readings that it was fitted to, and
 /// loses on others.
 const NATS_PER_LEVEL: f64 = 1.0;
@@ -429,7 +432,7 @@ impl<'a> State<'a> {
     /// its kind before: the probability by which an effect makes them so.
     fn finish(&self, draft: Draft) -> Component {
         let Draft { moment, axis, large, tilts, errors, gains } = draft;
-        let mut sums = vec![[0.0; 4]; tilts.len()];
+        let mut sums = vec![[0.0; 5]; tilts.len()];
         for (outcome, &level) in self.outcomes.all.iter().zip(&self.levels(axis)) {
             let level = level as usize;
             let [at, up, down] =
@@ -440,12 +443,12 @@ impl<'a> State<'a> {
                     SPREAD => large[level].exp() * (1.0 + at) - 1.0,
                     _ => at,
                 };
-                let more = [outcome.weight(moment), both(at), both(up), both(down)];
+                let more = [outcome.weight(moment), both(at), both(up), both(down), 1.0];
                 sums[level].iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
             }
         }
-        let mean = |[count, at, up, down]: [f64; 4]| {
-            (count > 0.0).then(|| [at / count, 0.5 * (up - down).abs() / count])
+        let mean = |[count, at, up, down, readings]: [f64; 5]| {
+            (count > LEAST_SHARE * readings).then(|| [at / count, 0.5 * (up - down).abs() / count])
         };
         Component {
             moment: MOMENTS[moment],

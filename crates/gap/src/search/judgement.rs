@@ -11,6 +11,9 @@ use crate::statistics::{Covariate, Deviation, Survey};
 /// The least gain of a dependence that is told (nats), and its least gain in standard errors over folds.
 const LEAST_GAIN_NATS: f64 = 5.0;
 const LEAST_ERRORS: f64 = 2.0;
+/// Held-out gain from which on what gains it isn't there by chance (nats), and the share of it that may be lost on other folds.
+const BEYOND_DOUBT_NATS: f64 = 25.0;
+const LOST_SHARE: f64 = 0.1;
 /// A dependence that gains less than this share of the one that gains most is left out: it is what that one's curve leaves.
 const LEAST_SHARE: f64 = 0.05;
 /// The share of the variance of an effect's weights that a covariate explains, where the effect acts on it.
@@ -68,6 +71,16 @@ impl Dependence<'_> {
     }
 }
 
+/// Whether something is gained for sure: by two standard errors over folds, or far more than is lost on any of them. What comes in a few
+/// folds alone, as a wall that is passed nearby or a turn does, has a large standard error: how much it gains depends on the drive, but not whether
+/// it gains.
+fn is_sure(gains: &[f64]) -> bool {
+    let gain: f64 = gains.iter().sum();
+    let lost: f64 = gains.iter().map(|gain| (-gain).max(0.0)).sum();
+    gain > LEAST_GAIN_NATS
+        && (gain > LEAST_ERRORS * sum_error(gains) || gain > BEYOND_DOUBT_NATS && lost <= LOST_SHARE * gain)
+}
+
 /// Gains beyond a floor, shared out among folds as they are.
 fn beyond(gains: &[f64], floor: f64) -> Vec<f64> {
     let gain: f64 = gains.iter().sum();
@@ -116,7 +129,7 @@ impl Judgement {
                 gains: beyond(gains, floor),
                 component,
             })
-            .filter(|found| found.gain() > LEAST_GAIN_NATS.max(LEAST_ERRORS * sum_error(&found.gains)))
+            .filter(|found| is_sure(&found.gains))
             .collect();
         if all.iter().any(|found| found.covariate == Covariate::Neighbour) {
             let correlation = self.neighbour_correlation();
@@ -196,6 +209,19 @@ mod tests {
         assert!(left(Covariate::Everywhere, -0.19) && left(Covariate::Everywhere, -0.21));
         assert!(!left(Covariate::Everywhere, -0.3) && !left(Covariate::Everywhere, 0.2));
         assert!(!left(Covariate::Range, -0.19));
+    }
+
+    /// Two turns in ten folds show a late odometry; two folds that gain as much beside others that lose don't.
+    #[test]
+    fn a_gain_of_few_folds_is_sure_where_the_others_lose_nothing() {
+        let few = |others: f64, gain: f64| {
+            let mut gains = [others; 10];
+            (gains[2], gains[7]) = (2.0 * gain, gain);
+            is_sure(&gains)
+        };
+        assert!(few(0.0, 40.0) && few(-0.5, 40.0));
+        assert!(!few(-3.0, 40.0) && !few(0.0, 7.0));
+        assert!(is_sure(&[1.0; 10]) && !is_sure(&[0.4; 10]));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Stepwise selection: effects are named one at a time, then redundant ones are deleted.
 
-use locsim_world::effect::Effect;
+use locsim_world::effect::{Effect, Moves};
 
 use super::selection::{adds_up, choose, compare_rivals, gain, is_one_cause, is_sure, name, numbers, sum_of};
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
@@ -167,13 +167,12 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Drops names with which simulated ranges move away from a log that is held against a measured map, the last one first: the
-    /// log score of a map that is wrong is raised by anything that makes readings off the walls likelier.
+    /// Drops names with which simulated ranges move away from the log, the last one first: the log score of what has no name is raised by
+    /// anything that makes readings off the walls likelier.
     pub fn come_nearer(&self, path: &mut Path<'a>) -> Result<(), GapError> {
-        if self.nominal.pieces.is_none() {
-            return Ok(());
-        }
-        while !path.named.is_empty() && self.moves_away(path.first(), path.last())? {
+        // What is in the odometry doesn't move ranges.
+        let is_of_ranges = |named: &Named| named.name.moves() != Moves::Odometry;
+        while path.named.iter().any(is_of_ranges) && self.moves_away(path.first(), path.last())? {
             path.named.pop();
             path.gains.truncate(path.named.len());
             if path.named.is_empty() {

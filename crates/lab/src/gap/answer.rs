@@ -116,7 +116,7 @@ fn gap(outcome: &Outcome) -> String {
          {:.1} mm.{}",
         gap.gained_nats_per_scan + gap.remaining_nats_per_scan,
         gap.remaining_nats_per_scan,
-        closed(outcome),
+        closed(gap),
         gap.before.w1_mm,
         gap.after.w1_mm,
         gap.floor.w1_mm,
@@ -126,12 +126,14 @@ fn gap(outcome: &Outcome) -> String {
 
 /// An explanation where log score and ranges disagree, with a leading blank; empty where they agree.
 pub(super) fn disagreement(gap: &Gap) -> String {
-    let share = gap.gained_share();
+    let share = gap.gained_share.value;
     let percent = fixed(100.0 * share, 0);
     match gap.closed_in_ranges {
-        None => {
-            " Ranges as a whole don't show this gap: they are at their floor before and after.".to_owned()
-        }
+        None => format!(
+            " Ranges as a whole can't say whether this gap has closed: up to {} mm is what two simulations of this drive \
+             differ by, and they are below that before and after.",
+            fixed(gap.w1_visible_mm, 1)
+        ),
         Some(ranges) if ranges >= share => String::new(),
         Some(ranges) if ranges <= 0.0 => format!(
             " The two disagree, and the gap counts as open: the log score gains {percent} % of what can be gained, but \
@@ -148,14 +150,15 @@ pub(super) fn disagreement(gap: &Gap) -> String {
 
 /// "94 % closed [91, 97]"; "94 % gained [91, 97]" where the log score alone can tell; "not closed, 30 % [20, 40]" where the
 /// simulated ranges came less than half of the way.
-pub(super) fn closed(outcome: &Outcome) -> String {
-    let closed = outcome.gap.closed;
-    let Interval { lo, hi } = closed.interval;
-    let [value, lo, hi] = [closed.value, lo, hi].map(|share| fixed(100.0 * share, 0));
-    match outcome.gap.closed_in_ranges {
-        None => format!("{value} % gained [{lo}, {hi}]"),
-        Some(_) if outcome.gap.is_open_in_ranges() => format!("not closed, {value} % [{lo}, {hi}]"),
-        Some(_) => format!("{value} % closed [{lo}, {hi}]"),
+pub(super) fn closed(gap: &Gap) -> String {
+    let percent = |Estimate { value, interval: Interval { lo, hi } }| {
+        let [value, lo, hi] = [value, lo, hi].map(|share: f64| fixed(100.0 * share, 0));
+        [format!("{value} %"), format!("[{lo}, {hi}]")]
+    };
+    match gap.closed.map(percent) {
+        None => percent(gap.gained_share).join(" gained "),
+        Some(closed) if gap.is_open_in_ranges() => format!("not closed, {}", closed.join(" ")),
+        Some(closed) => closed.join(" closed "),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The next steps for the reader, in three lines that follow from the verdict.
 
-use locsim_gap::{Named, Outcome, Region, ResidualStage, Verdict};
+use locsim_gap::{Covariate, Named, Outcome, Region, ResidualStage, Unnamed, Verdict};
+use locsim_world::effect::{Description, Moves};
 
 use super::answer::{change_in_words, others, p_value, region_text};
 use super::unnamed;
@@ -22,34 +23,23 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
             experiment(&outcome.effects),
             "Use `scenario.yaml` until then: its effect fits this log as well as its rivals do.".to_owned(),
         ],
-        Verdict::PartlyExplained => [
-            remedy(&outcome.effects),
-            look_at(outcome.regions.iter().filter(|region| region.remains)),
-            "Check the map and the reference poses there first: their errors look like effects of the laser.".to_owned(),
-        ],
+        Verdict::PartlyExplained => {
+            let (rest, remedy) = (rest(outcome), remedy(&outcome.effects));
+            // What is named is the lesser part of the gap then.
+            let [first, second] = if outcome.gap.is_open_in_ranges() { [rest, remedy] } else { [remedy, rest] };
+            [first, second, meanwhile(outcome).unwrap_or_else(|| CHECK.to_owned())]
+        }
         Verdict::Unnamed => [
-            outcome.unnamed.first().map_or_else(
-                || "Look for a dependence that the library lacks.".to_owned(),
-                |found| {
-                    format!(
-                        "Look on the robot for a {}: {}.",
-                        unnamed::dependent(found),
-                        unnamed::extent(found)
-                    )
-                },
-            ),
+            rest(outcome),
             "Repeat the search on another log of this robot: a property of the sensor comes back, one of the place \
              does not."
                 .to_owned(),
-            if outcome.residual.as_ref().is_some_and(ResidualStage::is_nearer) {
-                "Use `scenario.yaml` until then: it has the curve as it was learnt, for drives like this one."
-            } else {
-                "Do not rely on the simulator where this matters: `gap.json` (`unnamed`) has the curve with its band."
-            }
-            .to_owned(),
+            meanwhile(outcome).unwrap_or_else(|| {
+                "Do not rely on the simulator where this matters: `gap.json` (`unnamed`) has the curve with its band.".to_owned()
+            }),
         ],
         Verdict::Unexplained => [
-            look_at(outcome.regions.iter()),
+            rest(outcome),
             "Check the map, the reference poses and the scenario's laser: maximum range, mount, noise.".to_owned(),
             "Record a longer log, or search in more of it (`--scans`, `--beams`).".to_owned(),
         ],
@@ -68,21 +58,76 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
 const CONFIRM: &str =
     "Confirm it on another log: `locsim gap scenario.yaml --log OTHER --out FOLDER` should name nothing.";
 
-/// Effects of mount, odometry, stamps or drift are corrected on the robot. A sensor model has to learn the others.
-fn remedy(effects: &[Named]) -> String {
-    let names = |correctable: bool| {
-        let of_kind = effects.iter().filter(|named| named.name.description().is_correctable == correctable);
-        let names: Vec<&str> = of_kind.map(|named| named.name.name()).collect();
-        (!names.is_empty()).then(|| names.join(" and "))
-    };
-    match (names(true), names(false)) {
-        (Some(corrected), None) => format!("Correct {corrected} on the robot; `scenario.yaml` simulates it."),
-        (Some(corrected), Some(learnt)) => format!(
-            "Correct {corrected} on the robot, and train sensor models with {learnt}: `scenario.yaml` has both."
-        ),
-        (None, Some(learnt)) => format!("Train sensor models with {learnt}: `scenario.yaml` has it."),
-        (None, None) => "Add nothing to the scenario yet: no effect explains the log.".to_owned(),
+const CHECK: &str =
+    "Check the map and the reference poses there first: their errors look like effects of the laser.";
+
+/// Who mends an effect.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Mends {
+    /// Mount, odometry, stamps or drift are corrected on the robot.
+    Robot,
+    /// What stands otherwise than the map has it is drawn there.
+    Map,
+    /// A sensor model has to learn the others.
+    Model,
+}
+
+impl Mends {
+    fn of(named: &Named) -> Self {
+        let Description { is_correctable, moves, replaces, .. } = named.name.description();
+        match moves {
+            _ if *is_correctable => Self::Robot,
+            Moves::Walls | Moves::Objects if replaces.is_none() => Self::Map,
+            _ => Self::Model,
+        }
     }
+}
+
+fn remedy(effects: &[Named]) -> String {
+    let names = |who: Mends, what: &dyn Fn(&str) -> String| {
+        let of_kind = effects.iter().filter(|named| Mends::of(named) == who);
+        let names: Vec<&str> = of_kind.map(|named| named.name.name()).collect();
+        (!names.is_empty()).then(|| what(&names.join(" and ")))
+    };
+    let all = [
+        names(Mends::Robot, &|names| format!("correct {names} on the robot")),
+        names(Mends::Map, &|names| format!("correct the map ({names})")),
+        names(Mends::Model, &|names| format!("train sensor models with {names}")),
+    ];
+    let all: Vec<String> = all.into_iter().flatten().collect();
+    if all.is_empty() {
+        return "Add nothing to the scenario yet: no effect explains the log.".to_owned();
+    }
+    let text = all.join(", and ");
+    let (first, others) = text.split_at(1);
+    let it = if effects.len() > 1 { "them" } else { "it" };
+    format!("{}{others}; `scenario.yaml` simulates {it}.", first.to_uppercase())
+}
+
+/// What is still off: the dependence without a name that gains most, or the region that is farthest off.
+fn rest(outcome: &Outcome) -> String {
+    let without_name = outcome.unnamed.iter().find(|found| found.form_of.is_none());
+    match (without_name, outcome.unnamed.first()) {
+        (Some(found), _) => {
+            // What depends on place isn't a property of the robot.
+            let at = if found.covariate == Covariate::Place { "in the surroundings" } else { "on the robot" };
+            format!("Look {at} for a {}: {}.", unnamed::dependent(found), unnamed::extent(found))
+        }
+        (None, Some(Unnamed { form_of: Some(kind), .. })) => {
+            format!(
+                "Look at the curve of what {kind} leaves, below: its cause isn't quite what the library's formula says."
+            )
+        }
+        _ => look_at(outcome.regions.iter().filter(|region| region.remains || outcome.effects.is_empty())),
+    }
+}
+
+/// What to simulate with until the cause is known, where the curves help.
+fn meanwhile(outcome: &Outcome) -> Option<String> {
+    outcome.residual.as_ref().is_some_and(ResidualStage::is_nearer).then(|| {
+        "Use `scenario.yaml` until then: it has the curves as they were learnt, for drives like this one."
+            .to_owned()
+    })
 }
 
 fn use_in_filter(outcome: &Outcome) -> String {

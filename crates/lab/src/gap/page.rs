@@ -124,7 +124,7 @@ fn markdown(
         unnamed_table => (!outcome.unnamed.is_empty()).then(|| unnamed_table(outcome).to_markdown()),
         rivals_table => (!outcome.rivals.is_empty()).then(|| rivals_table(outcome).to_markdown()),
         gap_table => gap_table(outcome).to_markdown(),
-        closed => answer::closed(outcome),
+        closed => answer::closed(&outcome.gap),
         disagreement => answer::disagreement(&outcome.gap),
         false_alarm => significant(super::false_alarm(outcome.detection.replicates)),
         filter_table => filter_table(outcome).map(|table| table.to_markdown()),
