@@ -340,7 +340,7 @@ fn scans_that_were_not_taken_in_whole_are_warned_of() {
     };
     let [cut] = &of(4)[..] else { panic!("{:?}", of(4)) };
     let expected = format!("{} of {} scans (25 %)", 2 * STEPS.div_ceil(4), 2 * STEPS);
-    assert!(cut.contains(&expected) && cut.contains("(median 0.25)"), "{cut}");
+    assert!(cut.contains(&expected) && cut.contains("(median 0.250)"), "{cut}");
     assert_eq!(of(STEPS), Vec::<String>::new());
 }
 

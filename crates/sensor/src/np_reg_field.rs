@@ -551,12 +551,13 @@ mod tests {
         assert!(at(3.0, 0) > there + 2.0, "{} at a wall", at(3.0, 0));
     }
 
-    /// Readings before the pane are four times as likely as before the wall.
+    /// Readings before the pane are four times as many as before the wall. The densities differ by less, as both lean on that of
+    /// all walls.
     #[test]
     fn a_wall_that_beams_pass_has_a_density_of_its_own() {
         let model = model();
         let [wall, glass] = [0, GLASS].map(|surface| log_density(&model, 2.5, 3.0, surface));
-        assert!(glass > wall + 0.7, "{glass} before the pane, {wall} before the wall");
+        assert!(glass > wall + 0.3, "{glass} before the pane, {wall} before the wall");
     }
 
     /// Over the training beams of each group, the density integrates to 1 with the share of no returns. The quadrature
