@@ -43,6 +43,12 @@ pub trait DistanceMap: Send + Sync {
         let _ = surface;
         false
     }
+
+    /// Share of the beams reaching a surface that ended on it when the map was made; 1 in maps that weren't measured.
+    fn hit_share(&self, surface: u32) -> f32 {
+        let _ = surface;
+        1.0
+    }
 }
 
 /// A simulated world's knowledge of its own unmapped objects. Only the oracle may use it: it bounds the quality of any

@@ -109,6 +109,9 @@ pub struct StepOutcome {
     pub log_evidence: f64,
     /// 1 / sum of squared weights, after weighting and before resampling.
     pub effective_sample_size: f64,
+    /// Power of the scan's likelihood that was taken in: 1 of a whole scan, less where
+    /// [`FilterOptions::least_effective_share`] cut it.
+    pub likelihood_power: f64,
     /// Number of particles that were weighted.
     pub particle_count: usize,
     /// Whether the step ended with a resampling.
@@ -126,6 +129,8 @@ pub struct StepOutcome {
 pub struct Update {
     /// `ln p(z_t | z_1..t-1)` (nats), the log of the weighted mean likelihood; minus infinity if all were zero.
     pub log_evidence: f64,
+    /// Power of the scan's likelihood that was taken in, as in [`StepOutcome`].
+    pub likelihood_power: f64,
     /// A recovery, where one was needed.
     pub recovered: Option<Recovery>,
     /// Estimates from the weighted set.
@@ -174,14 +179,15 @@ pub struct Filter {
 }
 
 /// Scales log likelihoods by the largest power, at most 1, that leaves `share` of the particles effective; half of those that
-/// already are, where these are too few.
-fn temper(weights: &Weights, log_likelihood: &mut [f64], share: f64) {
+/// already are, where these are too few. Returns the power.
+fn temper(weights: &Weights, log_likelihood: &mut [f64], share: f64) -> f64 {
     let least = (share * log_likelihood.len() as f64).min(0.5 * weights.effective_sample_size());
     let power = largest_step(weights, log_likelihood, 1.0, least);
     if power < 1.0 {
         // A power of 0 would make a number of what is impossible.
         log_likelihood.iter_mut().filter(|l| l.is_finite()).for_each(|l| *l *= power);
     }
+    power
 }
 
 /// How far a step has come: what it draws next must not be what it has drawn.
@@ -291,7 +297,7 @@ impl Filter {
         self.check_odometry(&input.odometry)?;
         check_scan(self.next_step(), input.laser, input.scan)?;
         self.predict(&input.odometry)?;
-        let Update { log_evidence, recovered, estimates } =
+        let Update { log_evidence, likelihood_power, recovered, estimates } =
             self.update(input.laser, input.scan, map, model)?;
         let effective_sample_size = self.weights.effective_sample_size();
         let particle_count = self.particles.len();
@@ -306,6 +312,7 @@ impl Filter {
         Ok(StepOutcome {
             log_evidence,
             effective_sample_size,
+            likelihood_power,
             particle_count,
             resampled: self.resampled,
             injected,
@@ -348,10 +355,11 @@ impl Filter {
         self.weigher.log_likelihoods(self.particles.as_poses(), laser, scan, map, model, log_likelihood);
         let annealing = self.annealer.as_mut().filter(|annealer| annealer.is_due());
         let annealed = annealing.is_some();
+        let mut likelihood_power = 1.0;
         let weighed = match annealing {
             None => {
                 if let Some(share) = self.options.least_effective_share {
-                    temper(&self.weights, log_likelihood, share);
+                    likelihood_power = temper(&self.weights, log_likelihood, share);
                 }
                 Arc::make_mut(&mut self.weights).update(log_likelihood)
             }
@@ -406,7 +414,7 @@ impl Filter {
         }
         let usable_beams = scan.ranges.iter().filter(|z| !z.is_nan()).count();
         self.random_share = self.augmented.as_mut().map_or(0.0, |a| a.update(log_evidence, usable_beams));
-        Ok(Update { log_evidence, recovered, estimates })
+        Ok(Update { log_evidence, likelihood_power, recovered, estimates })
     }
 
     /// Resamples at once where `wanted`, or where random particles are due by the options' injection: the new particles, equally

@@ -48,11 +48,15 @@ fn ratio_text(ratio: Ratio) -> String {
 /// Below this share of effective particles a posterior is a handful of poses.
 const FEW_EFFECTIVE: f64 = 0.05;
 
+/// Where the filter takes in more than this share of the scans by a power below 1, a remark is due.
+const CUT_SHARE: f64 = 0.05;
+
 /// An RMSE beyond this many times the median error is due to a few large errors: of a Gaussian error in the plane it is 1.2 times
 /// the median, of one with twice the spread in a tenth of the steps 1.4 times.
 const FAR_FROM_MEDIAN: f64 = 2.0;
 
-/// Remarks to read before the figures: lost trials, an RMSE far from the median, few effective particles.
+/// Remarks to read before the figures: lost trials, an RMSE far from the median, few effective particles, scans that were not taken
+/// in whole.
 pub fn warnings(results: &RunResults) -> Vec<String> {
     results.models.iter().enumerate().flat_map(|(i, model)| warnings_of(results, i, model)).collect()
 }
@@ -68,6 +72,7 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
     let rmse = (errors.iter().map(|error| error * error).sum::<f64>() / steps).sqrt();
     let is_few = |row: &&StepRow| row.effective_sample_size < FEW_EFFECTIVE * f64::from(row.particles);
     let few = rows().filter(is_few).count() as f64 / steps;
+    let cut: Vec<f64> = rows().map(|row| row.likelihood_power).filter(|power| *power < 1.0).collect();
     [
         (lost > 0).then(|| {
             let all = trials.len();
@@ -90,10 +95,24 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
                 100.0 * few
             )
         }),
+        (cut.len() as f64 > CUT_SHARE * steps).then(|| cut_scans(model, cut, steps)),
     ]
     .into_iter()
     .flatten()
     .collect()
+}
+
+/// A sentence on the scans that were taken in by the powers `cut` of their likelihood, of `steps` scans.
+fn cut_scans(model: &str, mut cut: Vec<f64>, steps: f64) -> String {
+    cut.sort_by(f64::total_cmp);
+    format!(
+        "Under {model}, {} of {steps:.0} scans ({:.0} %) would have left fewer effective particles than \
+         `filter.least_effective_share`, and were taken in by a smaller power of their likelihood (median {}): there that key \
+         decides how sure the filter is, not the model's exponent.",
+        cut.len(),
+        100.0 * cut.len() as f64 / steps,
+        significant(quantile(&cut, 0.5))
+    )
 }
 
 /// Which models did best and how each compares with the baseline.

@@ -26,6 +26,9 @@ pub struct StepRow {
     pub error_heading_rad: f64,
     /// Effective sample size before resampling.
     pub effective_sample_size: f64,
+    /// Power of the scan's likelihood that the filter took in: 1 of a whole scan, less where it would have left too few
+    /// effective particles.
+    pub likelihood_power: f64,
     /// Number of particles.
     pub particles: u32,
     /// The step's log evidence `ln p(z_t | z_1..t-1)` under this model (nats).

@@ -57,6 +57,7 @@ pub fn steps(results: &RunResults) -> Result<RecordBatch, ReportError> {
         ("error_heading_rad", real(|s| s.error_heading_rad)),
         ("position_error_m", real(StepRow::position_error_m)),
         ("effective_sample_size", real(|s| s.effective_sample_size)),
+        ("likelihood_power", real(|s| s.likelihood_power)),
         ("particles", count(|s| s.particles)),
         ("log_evidence_nats", real(|s| s.log_evidence_nats)),
         ("resampled", Arc::new(rows.iter().map(|(_, _, s)| Some(s.resampled)).collect::<BooleanArray>())),

@@ -59,6 +59,7 @@ fn model_trial(model: usize, trial: u32) -> ModelTrial {
             error_across_m: across,
             error_heading_rad: heading,
             effective_sample_size: 40.0 + 2000.0 * std + 5.0 * noise(draw, 5000 + step),
+            likelihood_power: 1.0,
             particles: 400,
             log_evidence_nats: -30.0 + noise(draw, 7000 + step),
             resampled: step % 3 == 0,
@@ -327,6 +328,20 @@ fn lost_trials_large_errors_and_few_effective_particles_are_warned_of() {
         few.len() == 1 && few[0].contains("fewer than 5 % of the particles were effective in 100 %"),
         "{few:?}"
     );
+}
+
+#[test]
+fn scans_that_were_not_taken_in_whole_are_warned_of() {
+    let of = |every: u32| {
+        let mut cut = results(&[5], 2);
+        let rows = cut.trials.iter_mut().flat_map(|trial| &mut trial.models[0].steps);
+        rows.filter(|row| row.step % every == 0).for_each(|row| row.likelihood_power = 0.25);
+        locsim_report::warnings(&cut)
+    };
+    let [cut] = &of(4)[..] else { panic!("{:?}", of(4)) };
+    let expected = format!("{} of {} scans (25 %)", 2 * STEPS.div_ceil(4), 2 * STEPS);
+    assert!(cut.contains(&expected) && cut.contains("(median 0.250)"), "{cut}");
+    assert_eq!(of(STEPS), Vec::<String>::new());
 }
 
 #[test]

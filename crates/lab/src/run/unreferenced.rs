@@ -34,6 +34,8 @@ const GATHERED_M: f64 = 0.5;
 const AGREEMENT_M: f64 = 1.0;
 /// A filter whose effective sample size is below this share of its particles is about to lose them.
 const DEPRIVED: f64 = 0.05;
+/// Where more than this share of the scans isn't taken in whole, a remark is due.
+const CUT_SHARE: f64 = 0.05;
 
 /// The content of `summary.json` of a run without reference poses.
 #[derive(Clone, Debug, Serialize)]
@@ -64,6 +66,8 @@ pub struct UnreferencedModel {
     pub log_evidence_nats: Option<f64>,
     /// Mean effective sample size over the number of particles.
     pub effective_share: f64,
+    /// Share of the scans that were taken in by a power below 1 (`filter.least_effective_share`).
+    pub cut_share: f64,
     /// Median over scans and trials of the standard deviation of the position \[m\].
     pub spread_median_m: f64,
     /// The same of the heading \[rad\].
@@ -89,6 +93,7 @@ struct Track {
     spreads: Vec<[f64; 2]>,
     effective_shares: Vec<f64>,
     log_evidence: f64,
+    cut: usize,
     recoveries: usize,
     spent: Duration,
 }
@@ -173,6 +178,7 @@ fn localize(
         spreads: Vec::with_capacity(count),
         effective_shares: Vec::with_capacity(count),
         log_evidence: 0.0,
+        cut: 0,
         recoveries: 0,
         spent: Duration::ZERO,
     };
@@ -188,6 +194,7 @@ fn localize(
         track.spreads.push([(x + y).sqrt(), theta.sqrt()]);
         track.effective_shares.push(outcome.effective_sample_size / outcome.particle_count as f64);
         track.log_evidence += outcome.log_evidence;
+        track.cut += usize::from(outcome.likelihood_power < 1.0);
         track.recoveries += usize::from(outcome.recovered.is_some());
     }
     Ok(track)
@@ -224,6 +231,7 @@ fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&
         model: model.label.clone(),
         log_evidence_nats: is_density.then(|| mean(&|track| track.log_evidence) / scans),
         effective_share: mean(&|track| track.effective_shares.iter().sum::<f64>()) / scans,
+        cut_share: mean(&|track| track.cut as f64) / scans,
         spread_median_m: spread(0),
         heading_spread_median_rad: spread(1),
         spread_last_m: median(&mut last_spreads),
@@ -259,6 +267,13 @@ fn findings(models: &[UnreferencedModel]) -> Vec<String> {
             findings.push(format!(
                 "`{name}`: {:.1} % of the particles are effective on average; more particles may change the estimates.",
                 100.0 * model.effective_share
+            ));
+        }
+        if model.cut_share > CUT_SHARE {
+            findings.push(format!(
+                "`{name}`: {:.0} % of the scans would have left fewer effective particles than `filter.least_effective_share`, and \
+                 were taken in by a smaller power of their likelihood.",
+                100.0 * model.cut_share
             ));
         }
     }

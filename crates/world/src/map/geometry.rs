@@ -14,6 +14,8 @@ pub struct Geometry {
     walls: usize,
     /// Standard deviation of each wall's offset across \[m\]; empty where walls are taken for exact.
     sigmas: Vec<f64>,
+    /// Share of the beams reaching each wall that ended on it; empty of a map that wasn't measured.
+    hit_shares: Vec<f64>,
 }
 
 /// Where a robot can stand.
@@ -41,13 +43,23 @@ impl Geometry {
     ) -> Self {
         debug_assert_eq!(segments.len(), surfaces.len());
         let walls = segments.len();
-        Self { segments, surfaces, surface_names, bounds, free, walls, sigmas: Vec::new() }
+        Self {
+            segments,
+            surfaces,
+            surface_names,
+            bounds,
+            free,
+            walls,
+            sigmas: Vec::new(),
+            hit_shares: Vec::new(),
+        }
     }
 
-    /// The same with walls that were measured: the standard deviation of the offset across of each \[m\].
-    pub(super) fn with_sigmas(self, sigmas: Vec<f64>) -> Self {
-        debug_assert_eq!(sigmas.len(), self.walls);
-        Self { sigmas, ..self }
+    /// The same with walls that were measured: of each the standard deviation of the offset across \[m\], and the share of the
+    /// beams reaching it that ended on it.
+    pub(super) fn with_measured(self, sigmas: Vec<f64>, hit_shares: Vec<f64>) -> Self {
+        debug_assert_eq!([sigmas.len(), hit_shares.len()], [self.walls; 2]);
+        Self { sigmas, hit_shares, ..self }
     }
 
     /// The same with only the first `walls` segments being walls, and the others the border of what is known. No surface
@@ -72,6 +84,11 @@ impl Geometry {
     /// exact.
     pub fn wall_sigmas(&self) -> &[f64] {
         &self.sigmas
+    }
+
+    /// Share of the beams reaching each of [`Geometry::walls`] that ended on it; empty of a map that wasn't measured.
+    pub fn hit_shares(&self) -> &[f64] {
+        &self.hit_shares
     }
 
     /// Whether a surface is the border of what is known: a ray that meets it has no nominal range, and a reading of its

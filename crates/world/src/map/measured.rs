@@ -56,7 +56,7 @@ impl MeasuredMap {
         }
         let mut segments = Vec::new();
         let mut names = Vec::new();
-        let mut sigmas = Vec::new();
+        let (mut sigmas, mut hit_shares) = (Vec::new(), Vec::new());
         for (i, wall) in self.walls.iter().enumerate() {
             let name = format!("wall-{i}");
             let ends = super::finite_points(&name, &[wall.from_m, wall.to_m])?;
@@ -67,6 +67,7 @@ impl MeasuredMap {
                 segments.push([ends[0], ends[1]]);
                 names.push(name);
                 sigmas.push(wall.sigma_m);
+                hit_shares.push(wall.hit_share);
             }
         }
         let mut surfaces: Vec<u32> = (0..segments.len() as u32).collect();
@@ -94,7 +95,8 @@ impl MeasuredMap {
         names.push(UNKNOWN.to_owned());
         let bounds = bounds_of(segments.iter().flatten().copied());
         let free = FreeSpace::Polygons { outline: rings.remove(0), obstacles: rings };
-        Ok(Geometry::new(segments, surfaces, names, bounds, free).with_walls(walls).with_sigmas(sigmas))
+        let geometry = Geometry::new(segments, surfaces, names, bounds, free);
+        Ok(geometry.with_walls(walls).with_measured(sigmas, hit_shares))
     }
 
     /// The map as a file: one line for each polyline, in millimetres, and each wall, in tenths of them.

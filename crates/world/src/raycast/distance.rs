@@ -24,6 +24,8 @@ pub struct DistanceGrid {
     max_m: f32,
     /// The surface that is the border of what is known.
     unknown: Option<u32>,
+    /// By surface, each of which is one wall in a measured map; empty of other maps.
+    hit_shares: Vec<f32>,
 }
 
 impl DistanceGrid {
@@ -54,7 +56,8 @@ impl DistanceGrid {
                 }
             },
         );
-        Ok(Self { frame, distances, max_m: max_m as f32, unknown: geometry.unknown() })
+        let hit_shares = geometry.hit_shares().iter().map(|share| *share as f32).collect();
+        Ok(Self { frame, distances, max_m: max_m as f32, unknown: geometry.unknown(), hit_shares })
     }
 }
 
@@ -76,6 +79,10 @@ impl DistanceMap for DistanceGrid {
 
     fn is_unknown(&self, surface: u32) -> bool {
         self.unknown == Some(surface)
+    }
+
+    fn hit_share(&self, surface: u32) -> f32 {
+        self.hit_shares.get(surface as usize).copied().unwrap_or(1.0)
     }
 }
 
