@@ -95,8 +95,8 @@ pub enum SensorError {
     /// A file is not a sensor model of ours.
     #[error("{path} is not a locsim sensor model", path = .0.display())]
     Foreign(PathBuf),
-    /// A file was written by a later version of locsim.
-    #[error("{path} has format version {found}; this locsim reads version {known}", path = path.display())]
+    /// A file was written by another version of locsim.
+    #[error("{path} has format version {found}; this locsim reads version {known}: fit the model again", path = path.display())]
     Version {
         /// The file.
         path: PathBuf,

@@ -11,8 +11,8 @@ use locsim_core::output::write_file;
 use crate::{FittedModel, SensorError};
 
 const MAGIC: &[u8; 8] = b"locsim\x1as";
-/// Version of the format that this program writes and reads.
-const VERSION: u32 = 1;
+/// Version of the format and of what its numbers mean: classes of beams, say. This program writes and reads no other.
+const VERSION: u32 = 2;
 const HEADER: usize = 8 + 4 + blake3::OUT_LEN;
 
 impl FittedModel {
