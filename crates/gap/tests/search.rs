@@ -6,7 +6,10 @@ use std::sync::atomic::AtomicBool;
 use glam::DVec2;
 use locsim_core::{Estimate, Pose2, Track};
 use locsim_gap::hidden::{Regime, record_library};
-use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find, oracle_power};
+use locsim_gap::{
+    Covariate, Deviation, GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find,
+    oracle_power,
+};
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::map::{Polyline, VectorMap};
 use locsim_world::raycast::ExactRangeMap;
@@ -142,7 +145,6 @@ fn a_strong_effect_is_named_alone() {
     assert_eq!(outcome.verdict, Verdict::Named);
 }
 
-/// A log whose effect was taken out of the library is off, and isn't explained away.
 #[test]
 fn coarse_steps_are_named_with_their_step_and_not_with_a_part_of_it() {
     let nominal = nominal();
@@ -155,18 +157,16 @@ fn coarse_steps_are_named_with_their_step_and_not_with_a_part_of_it() {
     }
 }
 
+/// A log whose effect was taken out of the library gets no other name: readings in front depend on bearing.
 #[test]
-fn what_the_library_lacks_is_not_explained() {
+fn what_the_library_lacks_is_told_without_a_name() {
     let nominal = nominal();
     let hidden = effect(EffectKind::SectorOcclusion, &[0.3, 1.2, 0.5, 0.3]);
     let recorded = log(&nominal, &[hidden], Regime::default(), 4);
     let outcome = search(&nominal, &recorded, vec![EffectKind::SectorOcclusion, EffectKind::MissingObject]);
-    assert!(
-        matches!(outcome.verdict, Verdict::Unexplained | Verdict::PartlyExplained),
-        "{:?} {:?}",
-        outcome.verdict,
-        outcome.effects
-    );
+    assert_eq!((outcome.verdict, outcome.effects.len()), (Verdict::Unnamed, 0), "{:?}", outcome.effects);
+    let told: Vec<_> = outcome.unnamed.iter().map(|found| (found.deviation, found.covariate)).collect();
+    assert_eq!(told, [(Deviation::Short, Covariate::Bearing)]);
     assert!(!outcome.regions.is_empty());
 }
 

@@ -1,6 +1,7 @@
 //! Which effect is named, and which effects can't be told from it.
 
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 
 use glam::DVec2;
 use locsim_core::Estimate;
@@ -18,12 +19,22 @@ pub fn adds_up(known: &Effect, more: &Effect) -> bool {
 /// How far from the line of a stretch of wall another one is of the same wall \[m\].
 const SAME_WALL_M: f64 = 0.3;
 
-/// Whether two effects of one kind are of the same wall. A wall that moved otherwise than the library says would be moved again and
-/// again.
+/// Whether two effects of one kind are of the same wall or the same sector. A wall that moved otherwise than the library says would
+/// be moved again and again, and a thing of several ranges would be put before the laser piece by piece.
 pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
     let ends = more.place.iter().flatten();
-    known.kind == more.kind
-        && known.place.iter().any(|stretch| ends.clone().any(|end| is_of_wall(stretch, *end)))
+    let is_of_same_wall = known.place.iter().any(|stretch| ends.clone().any(|end| is_of_wall(stretch, *end)));
+    let is_of_same_sector = known
+        .sector()
+        .zip(more.sector())
+        .is_some_and(|(known, more)| holds_middle(known, more) || holds_middle(more, known));
+    known.kind == more.kind && (is_of_same_wall || is_of_same_sector)
+}
+
+/// Whether a sector of bearings holds the middle of another one. Sectors go counter-clockwise from the first bearing \[rad\].
+fn holds_middle([from, to]: [f64; 2], [a, b]: [f64; 2]) -> bool {
+    let turn = |from: f64, to: f64| (to - from).rem_euclid(TAU);
+    turn(from, a + 0.5 * turn(a, b)) <= turn(from, to)
 }
 
 /// Whether a point is of the same wall as a stretch: on its line, and no farther from its ends than it is long.
@@ -218,5 +229,19 @@ mod tests {
         // An effect with as many parameters is no simpler.
         let other = candidate(EffectKind::OdomTurnScale, vec![0.04], 21.0);
         assert_eq!(choose(&[scale, other]), Some(1));
+    }
+
+    /// A piece of a sector is of the sector, across the back of the robot, too; the sector beside it isn't.
+    #[test]
+    fn sectors_of_one_thing_are_one_cause() {
+        let sector = |from, to| {
+            Effect::new(EffectKind::SectorOcclusion, vec![from, to, 0.3, 0.5], Vec::new()).unwrap()
+        };
+        let known = sector(2.8, -2.8);
+        assert!(is_one_cause(&known, &sector(3.0, 3.1)) && is_one_cause(&sector(3.0, 3.1), &known));
+        assert!(is_one_cause(&known, &sector(-3.1, -2.9)));
+        assert!(!is_one_cause(&known, &sector(-2.8, -2.4)) && !is_one_cause(&known, &sector(0.0, 0.5)));
+        let bias = Effect::new(EffectKind::RangeBias, vec![0.01], Vec::new()).unwrap();
+        assert!(!is_one_cause(&bias, &bias));
     }
 }

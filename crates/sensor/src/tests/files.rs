@@ -67,7 +67,10 @@ fn a_newer_format_and_a_foreign_file_are_named_as_such() {
     fs::write(&path, bytes).unwrap();
     let error = FittedModel::load(&path).unwrap_err();
     assert!(matches!(error, SensorError::Version { found: 9, known: 2, .. }));
-    assert!(error.to_string().ends_with("has format version 9; this locsim reads version 2: fit the model again"), "{error}");
+    assert!(
+        error.to_string().ends_with("has format version 9; this locsim reads version 2: fit the model again"),
+        "{error}"
+    );
 
     fs::write(&path, "name: a scenario\n").unwrap();
     assert!(matches!(FittedModel::load(&path), Err(SensorError::Foreign(_))));

@@ -102,6 +102,14 @@ impl Effect {
         self.place.iter().any(|stretch| distance_to(stretch, point) <= PLACE_REACH_M)
     }
 
+    /// The bearings of an effect that acts between two of them, counter-clockwise from the first \[rad\].
+    pub fn sector(&self) -> Option<[f64; 2]> {
+        let parameters = self.kind.parameters();
+        let of =
+            |name| parameters.iter().position(|parameter| parameter.name == name).map(|i| self.values[i]);
+        Some([of("from_rad")?, of("to_rad")?])
+    }
+
     /// The states of an effect that comes in bursts; `None` of one that is always there.
     pub fn bursts(&self) -> Option<Bursts> {
         self.kind.effect_type().bursts(self)
