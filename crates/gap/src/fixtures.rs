@@ -14,14 +14,17 @@ use locsim_world::simulation::{
 use crate::Nominal;
 use crate::hidden::Regime;
 
-pub(crate) const SIGMA_M: f64 = 0.01;
-pub(crate) const MAX_M: f64 = 5.0;
-pub(crate) const SEED: u64 = 5;
+/// Standard deviation of the laser's noise \[m\].
+pub const SIGMA_M: f64 = 0.01;
+/// Its maximum range \[m\].
+pub const MAX_M: f64 = 5.0;
+/// Seed of the drive.
+pub const SEED: u64 = 5;
 /// The room's corners \[m\], its inside on the left.
 const CORNERS: [[f64; 2]; 8] =
     [[0.0, 0.0], [2.0, 0.0], [2.0, -0.4], [3.0, -0.4], [3.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]];
 /// A room with a door recess and a thin wall that hides part of the east end, some blocks and dropouts.
-pub(crate) static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
+pub static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
     let outline = Polyline {
         points_m: CORNERS.to_vec(),
         surfaces: vec![NamedEdges { name: "door".to_owned(), edges: vec![2] }],
@@ -59,7 +62,7 @@ pub(crate) static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
     Nominal::new(map, laser, Some(blocks), odometry, effects).unwrap()
 });
 /// The same room by a measured map, whose walls are known to 5 mm.
-pub(crate) static MEASURED: LazyLock<Nominal> = LazyLock::new(|| {
+pub static MEASURED: LazyLock<Nominal> = LazyLock::new(|| {
     let wall = |from_m, to_m| MeasuredWall { from_m, to_m, sigma_m: 0.005, hits: 1000, hit_share: 1.0 };
     let next = CORNERS.iter().cycle().skip(1);
     let mut walls: Vec<MeasuredWall> = CORNERS.iter().zip(next).map(|(a, b)| wall(*a, *b)).collect();
@@ -68,7 +71,8 @@ pub(crate) static MEASURED: LazyLock<Nominal> = LazyLock::new(|| {
     let map = Arc::new(ExactRangeMap::new(MeasuredMap { seen, walls }.to_geometry().unwrap()));
     Nominal::new(map, NOMINAL.laser, NOMINAL.blocks, NOMINAL.odometry, NOMINAL.effects.clone()).unwrap()
 });
-pub(crate) static DRIVE: LazyLock<Drive> = LazyLock::new(|| {
+/// A drive through the room.
+pub static DRIVE: LazyLock<Drive> = LazyLock::new(|| {
     let path = RobotPath::Waypoints {
         points_m: vec![[1.0, 1.0], [4.2, 1.2], [4.0, 3.0], [1.2, 2.6]],
         speed_m_s: 0.6,
@@ -78,4 +82,5 @@ pub(crate) static DRIVE: LazyLock<Drive> = LazyLock::new(|| {
     let simulator = Regime::default().simulator(&NOMINAL, &NOMINAL.effects).unwrap();
     simulate_drive(&simulator, &robot, SEED).unwrap().drive
 });
-pub(crate) static TRUTH: LazyLock<Track> = LazyLock::new(|| DRIVE.reference().unwrap());
+/// Its true poses.
+pub static TRUTH: LazyLock<Track> = LazyLock::new(|| DRIVE.reference().unwrap());

@@ -9,8 +9,8 @@
 mod catalogue;
 mod error;
 mod fit;
-#[cfg(test)]
-mod fixtures;
+#[cfg(any(test, feature = "testing"))]
+pub mod fixtures;
 mod free_model;
 pub mod hidden;
 mod hypothesis;

@@ -229,13 +229,13 @@ pub struct Gap {
     /// [`closed_in_ranges`](Self::closed_in_ranges). `None` where something is gained and ranges can't say whether the gap has closed.
     pub closed: Option<Estimate>,
     /// Share by which the distance of range errors came down to its floor: 1 where it did, below 0 where it grew. `None`
-    /// where it was at its floor before and after, so that it says nothing.
+    /// where it was below [`w1_visible_mm`](Self::w1_visible_mm) before and after, so that it says nothing.
     pub closed_in_ranges: Option<f64>,
-    /// The distance of range errors from which on it isn't one between simulations \[mm\].
+    /// Two simulations seldom differ by more than this distance of range errors \[mm\].
     pub w1_visible_mm: f64,
 }
 
-/// A gap of which ranges came less than this share of the way is open.
+/// A gap is open where ranges came less than this share of the way.
 pub(crate) const HALF: f64 = 0.5;
 
 impl Gap {

@@ -8,8 +8,6 @@
 //! At strength 0 each is the nominal drive, bit for bit.
 
 mod beam;
-#[cfg(test)]
-mod fixtures;
 mod odometry;
 mod other;
 mod outside;

@@ -1,10 +1,10 @@
 use std::f64::consts::{FRAC_PI_3, TAU};
 
 use locsim_core::{Laser, Track, wrap_angle};
+use locsim_gap::fixtures::{DRIVE, MAX_M, NOMINAL, SEED, SIGMA_M, TRUTH};
 use locsim_gap::{PoseError, Recorded, Strength};
 use locsim_world::effect::EffectKind;
 
-use super::fixtures::{DRIVE, MAX_M, NOMINAL, SEED, SIGMA_M, TRUTH};
 use super::*;
 
 /// The north wall, which the robot sees from the south.

@@ -144,7 +144,7 @@ const OUTSIDE: [(Outside, f64); 8] = [
     (Outside::FloorHit, 0.08),
 ];
 
-/// More of them, that people have met.
+/// More of them, which come last in the plan.
 const MORE_OUTSIDE: [(Outside, f64); 6] = [
     (Outside::BearingRipple, 0.008),
     (Outside::Stripes, 0.015),

@@ -41,8 +41,8 @@ const STRONG_NATS: f64 = 200.0;
 /// Mean and spread among the moments.
 const MEAN: usize = 0;
 const SPREAD: usize = 1;
-/// A level of which fewer readings than this share could become of a kind says nothing of that kind: beams that meet nothing within reach
-/// have no return to lose.
+/// A level says nothing of a kind of reading that fewer than this share of its readings could become. Beams that meet nothing within
+/// reach have no return to lose.
 const LEAST_SHARE: f64 = 0.2;
 /// Each level of a covariate costs this (nats): what a number that isn't needed gains on the readings that it was fitted to, and
 /// loses on others.

@@ -11,7 +11,7 @@ use crate::statistics::{Covariate, Deviation, Survey};
 /// The least gain of a dependence that is told (nats), and its least gain in standard errors over folds.
 const LEAST_GAIN_NATS: f64 = 5.0;
 const LEAST_ERRORS: f64 = 2.0;
-/// Held-out gain from which on what gains it isn't there by chance (nats), and the share of it that may be lost on other folds.
+/// A held-out gain beyond this isn't chance (nats), and the share of it that may be lost on other folds.
 const BEYOND_DOUBT_NATS: f64 = 25.0;
 const LOST_SHARE: f64 = 0.1;
 /// A dependence that gains less than this share of the one that gains most is left out: it is what that one's curve leaves.
@@ -71,9 +71,8 @@ impl Dependence<'_> {
     }
 }
 
-/// Whether something is gained for sure: by two standard errors over folds, or far more than is lost on any of them. What comes in a few
-/// folds alone, as a wall that is passed nearby or a turn does, has a large standard error: how much it gains depends on the drive, but not whether
-/// it gains.
+/// Whether a gain is sure: by two standard errors over folds, or by far more than is lost on any of them. What shows in few folds has a large
+/// standard error: a turn, a wall that is passed nearby.
 fn is_sure(gains: &[f64]) -> bool {
     let gain: f64 = gains.iter().sum();
     let lost: f64 = gains.iter().map(|gain| (-gain).max(0.0)).sum();

@@ -272,7 +272,8 @@ impl RangeFloor {
         Self { mean_mm, deviation_mm: (squares / (n - 1.0)).sqrt() }
     }
 
-    /// A distance beyond this isn't one between simulations \[mm\]: of eight, which know mean and deviation little, one in a hundred is.
+    /// A distance beyond this isn't one between simulations \[mm\]. One simulation in a hundred is farther from the others: mean and
+    /// deviation are of eight.
     fn visible_mm(&self) -> f64 {
         self.mean_mm + 3.0 * self.deviation_mm
     }

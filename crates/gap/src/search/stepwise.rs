@@ -167,13 +167,15 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Drops names with which simulated ranges move away from the log, the last one first: the log score of what has no name is raised by
-    /// anything that makes readings off the walls likelier.
+    /// Drops names with which simulated ranges move away from the log, the last one first. Anything that makes readings off the walls
+    /// likelier raises the log score where something has no name.
     pub fn come_nearer(&self, path: &mut Path<'a>) -> Result<(), GapError> {
-        // What is in the odometry doesn't move ranges.
-        let is_of_ranges = |named: &Named| named.name.moves() != Moves::Odometry;
-        while path.named.iter().any(is_of_ranges) && self.moves_away(path.first(), path.last())? {
-            path.named.pop();
+        while let Some(last) = last_of_ranges(&path.named) {
+            if !self.moves_away(path.first(), path.last())? {
+                break;
+            }
+            path.named.remove(last);
+            path.gains.remove(last);
             path.gains.truncate(path.named.len());
             if path.named.is_empty() {
                 path.rounds.truncate(1);
@@ -259,6 +261,11 @@ impl<'a> State<'a> {
     }
 }
 
+/// The last effect that moves ranges. What is in the odometry doesn't.
+fn last_of_ranges(named: &[Named]) -> Option<usize> {
+    named.iter().rposition(|named| named.name.moves() != Moves::Odometry)
+}
+
 /// Whether a strength of an effect surely isn't its neutral value; an effect without numbers or strengths is there.
 fn is_there(named: &Named) -> bool {
     let strengths = named.name.parameters().iter().filter(|parameter| parameter.is_strength());
@@ -283,6 +290,27 @@ mod tests {
     use crate::outcome::Number;
     use crate::replay::fit_persistence;
     use crate::search::GapOptions;
+
+    /// What is in the odometry stays when a name goes with which ranges move away.
+    #[test]
+    fn the_last_name_that_moves_ranges_is_found_before_those_of_the_odometry() {
+        let named = |kind: EffectKind| {
+            let candidate = Candidate {
+                effect: Effect::typical(kind, Vec::new()),
+                gains: vec![9.0],
+                fitted_gains: vec![9.0],
+                intervals: Vec::new(),
+                is_beyond_chance: true,
+                score: None,
+            };
+            name(&[candidate], 0, 0.01, 100)
+        };
+        let [tail, scale] = [EffectKind::HeavyTail, EffectKind::OdomDistanceScale];
+        let last =
+            |kinds: &[EffectKind]| last_of_ranges(&kinds.iter().map(|&kind| named(kind)).collect::<Vec<_>>());
+        assert_eq!((last(&[tail, scale]), last(&[scale, tail])), (Some(0), Some(1)));
+        assert_eq!((last(&[scale]), last(&[])), (None, None));
+    }
 
     /// Noise and a tail were named for a turned laser. The turned laser alone takes their place; where it wasn't among the
     /// first fits, nothing takes it.

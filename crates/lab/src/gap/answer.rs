@@ -162,6 +162,9 @@ pub(super) fn closed(gap: &Gap) -> String {
     }
 }
 
+/// Curves hardly help where ranges come less than this share of the way to their floor.
+const HARDLY: f64 = 0.1;
+
 /// What the curves without a name do as a part of the simulator.
 fn residual(stage: &ResidualStage, floor_mm: f64) -> String {
     let change = format!(
@@ -169,8 +172,10 @@ fn residual(stage: &ResidualStage, floor_mm: f64) -> String {
         stage.w1_without_mm, stage.w1_mm
     );
     if stage.is_nearer() {
+        let share = (stage.w1_without_mm - stage.w1_mm) / (stage.w1_without_mm - floor_mm);
+        let hardly = if share < HARDLY { "hardly " } else { "" };
         format!(
-            "As a part of the simulation, learnt and without a cause, the curves help: {change}. scenario.yaml has them."
+            "As a part of the simulation, learnt and without a cause, the curves {hardly}help: {change}. scenario.yaml has them."
         )
     } else {
         format!("As a part of the simulation the curves don't help: {change}. scenario.yaml leaves them out.")
@@ -298,6 +303,15 @@ mod tests {
         assert_eq!(shown(61.23, 58.9, 63.4), "61 [59, 63]");
         assert_eq!(shown(-0.000_1, -0.04, 0.04), "0.00 [-0.04, 0.04]");
         assert_eq!(shown(2.0, 2.0, 2.0), "2.000 [2.000, 2.000]");
+    }
+
+    #[test]
+    fn curves_help_as_far_as_ranges_come_nearer() {
+        let told =
+            |w1_mm: f64| residual(&ResidualStage { curves: Vec::new(), w1_without_mm: 100.0, w1_mm }, 20.0);
+        assert!(told(60.0).contains("the curves help: range errors 100.0 -> 60.0 mm"));
+        assert!(told(99.0).contains("the curves hardly help"));
+        assert!(told(101.0).contains("the curves don't help"));
     }
 
     #[test]
