@@ -1,10 +1,12 @@
 //! Findings: sentences that follow from the numbers alone.
 
+use std::ops::Range;
+
 use locsim_core::Interval;
 use locsim_sensor::ModelKind;
 
 use super::text::{code, escape, metres, metres_with, percent, significant, with_interval};
-use crate::results::{ModelTrial, RunResults, StepRow};
+use crate::results::{ModelTrial, RunResults, StepRow, USUAL_SCAN};
 use crate::statistics::{quantile, share_interval};
 use crate::summary::{CLASSIC, ModelSummary, ORACLE, Ratio, Summary};
 
@@ -55,8 +57,11 @@ const CUT_SHARE: f64 = 0.05;
 /// the median, of one with twice the spread in a tenth of the steps 1.4 times.
 const FAR_FROM_MEDIAN: f64 = 2.0;
 
-/// Remarks to read before the figures: lost trials, an RMSE far from the median, few effective particles, scans that were not taken
-/// in whole.
+/// A filter whose scans are unusual this often in a row has probably lost the robot.
+const UNUSUAL_SCANS: usize = 10;
+
+/// Remarks to read before the figures: lost trials, scans that don't fit the map, an RMSE far from the median, few effective particles,
+/// scans that were not taken in whole.
 pub fn warnings(results: &RunResults) -> Vec<String> {
     results.models.iter().enumerate().flat_map(|(i, model)| warnings_of(results, i, model)).collect()
 }
@@ -79,6 +84,7 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
             let trials = if all == 1 { "its only trial".to_owned() } else { format!("{lost} of {all} trials") };
             format!("{model} lost {trials}: its errors say how far off it got, not how precise it is.")
         }),
+        results.training[index].chosen.get(USUAL_SCAN).and_then(|usual| unusual_scans(model, &trials, *usual)),
         (rmse > FAR_FROM_MEDIAN * median).then(|| {
             format!(
                 "Under {model}, the RMSE ({} m) is {} times the median error ({} m): a few large errors decide it.",
@@ -100,6 +106,37 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
     .into_iter()
     .flatten()
     .collect()
+}
+
+/// A sentence on trials with many scans in a row whose log density is below `usual`. It needs no reference pose: a robot that is
+/// lost without anyone knowing shows it.
+fn unusual_scans(model: &str, trials: &[&ModelTrial], usual: f64) -> Option<String> {
+    let runs: Vec<Range<usize>> = trials
+        .iter()
+        .map(|trial| longest_run(&trial.steps, |row| row.scan_log_density_nats < usual))
+        .filter(|run| run.len() >= UNUSUAL_SCANS)
+        .collect();
+    let longest = runs.iter().max_by_key(|run| run.len())?;
+    Some(format!(
+        "Under {model}, the scans don't fit the map at the estimated pose in {} of {} trials: up to {} scans in a row, from scan {} on,          have a lower likelihood than 99 of 100 scans of the training drive. The filter has lost the robot there, or the map isn't true.",
+        runs.len(),
+        trials.len(),
+        longest.len(),
+        longest.start
+    ))
+}
+
+/// The longest run of rows of which something holds, the first of these if there are several.
+fn longest_run(rows: &[StepRow], holds: impl Fn(&StepRow) -> bool) -> Range<usize> {
+    let (mut longest, mut begin) = (0..0, 0);
+    for (i, row) in rows.iter().enumerate() {
+        if !holds(row) {
+            begin = i + 1;
+        } else if i + 1 - begin > longest.len() {
+            longest = begin..i + 1;
+        }
+    }
+    longest
 }
 
 /// A sentence on the scans that were taken in by the powers `cut` of their likelihood, of `steps` scans.
@@ -383,6 +420,8 @@ pub fn chosen(summary: &Summary) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use locsim_core::Pose2;
+
     use super::*;
 
     fn ratio(value: f64, interval: Option<(f64, f64)>) -> Ratio {
@@ -402,5 +441,39 @@ mod tests {
         assert_eq!(direction(ratio(0.8, Some((0.7, 0.9)))), "lower");
         assert_eq!(direction(ratio(1.2, Some((1.1, 1.3)))), "higher");
         assert!(direction(ratio(0.9, Some((0.7, 1.1)))).starts_with("no difference"));
+    }
+
+    /// Twelve scans below the usual in a row are told, nine aren't, and of several runs the longest is.
+    #[test]
+    fn scans_that_do_not_fit_the_map_are_told_where_they_last() {
+        let trial = |runs: &[Range<usize>]| {
+            let row = |step: usize| StepRow {
+                step: step as u32,
+                stamp_secs: 0.0,
+                truth: Pose2::IDENTITY,
+                dead_reckoning: Pose2::IDENTITY,
+                estimate: Pose2::IDENTITY,
+                error_along_m: 0.0,
+                error_across_m: 0.0,
+                error_heading_rad: 0.0,
+                effective_sample_size: 1.0,
+                likelihood_power: 1.0,
+                particles: 1,
+                log_evidence_nats: 0.0,
+                scan_log_density_nats: if runs.iter().any(|run| run.contains(&step)) { -3.0 } else { 0.0 },
+                nees: 3.0,
+                nees_of_filter: 3.0,
+                resampled: false,
+            };
+            let steps = (0..40).map(row).collect();
+            ModelTrial { model: "np_reg".to_owned(), steps, lost: false, step_ms: 0.0, events: Vec::new() }
+        };
+        let (lost, kept) = (trial(&[2..11, 20..32]), trial(&[2..11, 20..29]));
+        let sentence = unusual_scans("np_reg", &[&kept, &lost], -1.0).unwrap();
+        assert!(
+            sentence.contains("in 1 of 2 trials: up to 12 scans in a row, from scan 20 on"),
+            "{sentence}"
+        );
+        assert_eq!(unusual_scans("np_reg", &[&kept, &kept], -1.0), None);
     }
 }

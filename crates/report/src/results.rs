@@ -33,6 +33,14 @@ pub struct StepRow {
     pub particles: u32,
     /// The step's log evidence `ln p(z_t | z_1..t-1)` under this model (nats).
     pub log_evidence_nats: f64,
+    /// Mean log density of the scan's readings at the weighted mean (nats per reading), with a floor of 0.001 under the model's
+    /// density.
+    pub scan_log_density_nats: f64,
+    /// Normalized estimation error squared of the weighted mean, e^T C^-1 e over (x, y, heading), where C is the filter's covariance and,
+    /// on a log, that of errors which scans share: on average 3 where C is right, more where it is too small.
+    pub nees: f64,
+    /// The same with the filter's covariance alone.
+    pub nees_of_filter: f64,
     /// Whether the filter resampled.
     pub resampled: bool,
 }
@@ -54,9 +62,6 @@ pub struct ModelTrial {
     /// The trial ended farther from the truth than the scenario's `lost_m`, or was that far off in more than half of its
     /// steps.
     pub lost: bool,
-    /// Mean over steps of the normalized estimation error squared of the weighted mean, e^T C^-1 e over (x, y, heading):
-    /// 3 for a filter whose covariance is right, more for one that is too sure.
-    pub nees: f64,
     /// Mean wall time of a filter step \[ms\]; the only thing here that a repeated run doesn't reproduce. It is measured
     /// while trials run in parallel on all threads, so it includes contention.
     pub step_ms: f64,
@@ -74,6 +79,10 @@ pub struct Trial {
     /// One entry per model, in the scenario's order.
     pub models: Vec<ModelTrial>,
 }
+
+/// The name in [`TrainingRow::chosen`] of the [`StepRow::scan_log_density_nats`] that 99 of 100 scans of the training drive exceed
+/// while the filter localizes on it.
+pub const USUAL_SCAN: &str = "training_drive_scan_log_density_nats";
 
 /// How a model did on held-out training data.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

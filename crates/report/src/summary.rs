@@ -147,6 +147,8 @@ pub struct ModelSummary {
     /// Mean over trials of their mean normalized estimation error squared over (x, y, heading): 3 for a filter whose
     /// covariance is right.
     pub nees_mean: f64,
+    /// The same with the filter's covariance alone, without that of the errors which scans of a log share.
+    pub nees_of_filter_mean: f64,
     /// Mean wall time of a filter step (ms); with `seconds` the only figure that a repeated run doesn't reproduce.
     pub step_ms: f64,
     /// How the model did on held-out training data, and what was chosen on it.
@@ -321,6 +323,7 @@ struct Sample {
     lost: Vec<bool>,
     ess_mean: f64,
     nees_mean: f64,
+    nees_of_filter_mean: f64,
     step_ms: f64,
 }
 
@@ -330,7 +333,7 @@ impl Sample {
         let per_trial = |value: fn(&crate::results::StepRow) -> f64| {
             trials.iter().map(|t| t.steps.iter().map(value).collect::<Moments>()).collect::<Vec<_>>()
         };
-        let ess = per_trial(|s| s.effective_sample_size);
+        let mean = |value| Moments::pooled(per_trial(value).iter().map(|m| (m, 1))).mean();
         let positions = trials
             .iter()
             .zip(0..)
@@ -341,8 +344,9 @@ impl Sample {
             heading: per_trial(|s| s.error_heading_rad),
             position: PooledValues::new(trials.len(), positions),
             lost: trials.iter().map(|t| t.lost).collect(),
-            ess_mean: Moments::pooled(ess.iter().map(|m| (m, 1))).mean(),
-            nees_mean: trials.iter().map(|t| t.nees).sum::<f64>() / trials.len() as f64,
+            ess_mean: mean(|s| s.effective_sample_size),
+            nees_mean: mean(|s| s.nees),
+            nees_of_filter_mean: mean(|s| s.nees_of_filter),
             step_ms: trials.iter().map(|t| t.step_ms).sum::<f64>() / trials.len() as f64,
         }
     }
@@ -409,6 +413,7 @@ impl Sample {
             errors,
             ess_mean: self.ess_mean,
             nees_mean: self.nees_mean,
+            nees_of_filter_mean: self.nees_of_filter_mean,
             step_ms: self.step_ms,
             train,
             intervals: intervals

@@ -60,6 +60,9 @@ pub fn steps(results: &RunResults) -> Result<RecordBatch, ReportError> {
         ("likelihood_power", real(|s| s.likelihood_power)),
         ("particles", count(|s| s.particles)),
         ("log_evidence_nats", real(|s| s.log_evidence_nats)),
+        ("scan_log_density_nats", real(|s| s.scan_log_density_nats)),
+        ("nees", real(|s| s.nees)),
+        ("nees_of_filter", real(|s| s.nees_of_filter)),
         ("resampled", Arc::new(rows.iter().map(|(_, _, s)| Some(s.resampled)).collect::<BooleanArray>())),
     ]);
     Ok(RecordBatch::try_from_iter(columns)?)

@@ -62,6 +62,9 @@ fn model_trial(model: usize, trial: u32) -> ModelTrial {
             likelihood_power: 1.0,
             particles: 400,
             log_evidence_nats: -30.0 + noise(draw, 7000 + step),
+            scan_log_density_nats: 1.0,
+            nees: 3.0 + f64::from(trial),
+            nees_of_filter: 4.0,
             resampled: step % 3 == 0,
         }
     });
@@ -69,7 +72,6 @@ fn model_trial(model: usize, trial: u32) -> ModelTrial {
         model: name.to_owned(),
         steps: steps.collect(),
         lost: loses == Some(trial),
-        nees: 3.0 + f64::from(trial),
         step_ms: 1.5 + model as f64,
         events: if loses == Some(trial) { vec![(33, "recovery, \"kidnapped\"".to_owned())] } else { vec![] },
     }

@@ -14,6 +14,9 @@ const SHARE: f64 = 0.01;
 /// pose is off.
 const NEAR_M: f32 = 0.5;
 
+/// Shorter steps have no direction \[m\]: the reference is off by centimetres.
+const MOVES_M: f64 = 0.03;
+
 /// A bin of a beam's state: nominal range by octaves of the maximum range, from 0 beyond it to 7 below a 64th, and
 /// incidence.
 type State = (u8, u8);
@@ -72,6 +75,31 @@ pub(super) fn untrained_states(
         degrees * u32::from(incidence),
         degrees * (u32::from(incidence) + 1),
     ))
+}
+
+/// A sentence on steps in which the odometry goes the other way than the reference. Some mapping programs write its length without its
+/// sign, and a filter follows it.
+pub(super) fn against_odometry(localized: &Drive) -> Option<String> {
+    let way = |i: usize| localized.odometry_increment(i).position().length();
+    let against: Vec<usize> = (1..localized.steps.len())
+        .filter(|&i| {
+            let [from, to] = [i - 1, i].map(|i| localized.steps[i].reference);
+            let (Some(from), Some(to)) = (from, to) else { return false };
+            let reference = to.relative_to(&from).position();
+            let odometry = localized.odometry_increment(i).position();
+            let moves = reference.length() > MOVES_M && odometry.length() > MOVES_M;
+            moves && reference.dot(odometry) < 0.0
+        })
+        .collect();
+    let driven: f64 = (1..localized.steps.len()).map(way).sum();
+    let wrong: f64 = against.iter().map(|&i| way(i)).sum();
+    let first = against.first()?;
+    (wrong > SHARE * driven).then(|| {
+        format!(
+            "On {wrong:.1} of {driven:.1} m of the localized part the odometry goes forward where the reference goes back, or the other way \
+             round, the first time in scan {first}: filters follow the odometry, and get lost there."
+        )
+    })
 }
 
 /// A sentence on the first scan, if it was taken where there is no map.
@@ -166,6 +194,18 @@ mod tests {
         assert_eq!(sentence, expected);
         let near = drive(&[0.0, 0.2], 1.5);
         assert_eq!(untrained_states(&map, (&near.laser, &training), &near), None);
+    }
+
+    #[test]
+    fn odometry_that_goes_the_other_way_is_said() {
+        let mut localized = drive(&[0.0, 0.5, 1.0, 0.5], 1.5);
+        for (step, x) in localized.steps.iter_mut().zip([0.0, 0.5, 1.0, 0.5]) {
+            step.odometry = Pose2::new(x, 0.0, 0.0);
+        }
+        assert_eq!(against_odometry(&localized), None);
+        localized.steps[3].odometry.x = 1.5;
+        let sentence = against_odometry(&localized).unwrap();
+        assert!(sentence.starts_with("On 0.5 of 1.5 m") && sentence.contains("in scan 3:"), "{sentence}");
     }
 
     #[test]

@@ -17,7 +17,7 @@ use locsim_world::simulation::{
 };
 use rand::RngExt;
 
-use super::coverage::{unmapped_start, untrained_states};
+use super::coverage::{against_odometry, unmapped_start, untrained_states};
 use super::filter::fitted_alpha;
 use super::rehearsal::Rehearsal;
 use super::training::{ScanData, Surroundings, TrainedModel, check_files, train};
@@ -301,6 +301,7 @@ impl<'a> Laboratory<'a> {
                     summary.intervals_without_odometry
                 )
             }),
+            against_odometry(&drive),
             unmapped_start(&*maps.exact, &*maps.distance, &drive),
             untrained_states(&*maps.exact, (&data.laser, &data.poses), &drive),
         ];
@@ -678,7 +679,8 @@ pub(super) fn check_measured(scenario: &Scenario, log: &Log) -> Result<Vec<Strin
     }
     let steps = selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
     let localized = Drive { laser: drive.laser.clone(), steps };
-    Ok([warning, unmapped_start(&map, &distance, &localized)].into_iter().flatten().collect())
+    let warnings = [warning, against_odometry(&localized), unmapped_start(&map, &distance, &localized)];
+    Ok(warnings.into_iter().flatten().collect())
 }
 
 /// Reads the log of a scenario.

@@ -9,10 +9,11 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use locsim_core::{
-    DependsOn, Draw, Drive, DriveStep, EndpointGrid, LikelihoodGrid, Pose2, RangeMap, SensorModel, Stage,
-    wrap_angle,
+    DependsOn, Draw, Drive, DriveStep, EndpointGrid, Hits, Laser, LikelihoodGrid, Particles, Pose2, RangeMap,
+    Scan, SensorModel, Stage, wrap_angle,
 };
 use locsim_mcl::{Estimate, Filter, Spread, Start, StepInput};
+use locsim_report::statistics::quantile;
 use locsim_scenario as scenario;
 use locsim_sensor::{Prepared, Tempered};
 use rayon::prelude::*;
@@ -40,14 +41,59 @@ const FEWEST_STEPS: usize = 10;
 /// are all copies of one have none of their own.
 const LEAST_SIGMA: [f64; 3] = [1e-3, 1e-3, 1e-3];
 
-/// The normalized estimation error squared of a pose: e^T C^-1 e over (x, y, heading).
-pub(super) fn nees(estimate: &Estimate, truth: Pose2) -> f64 {
-    let difference = estimate.pose.position() - truth.position();
-    let error = DVec3::new(difference.x, difference.y, wrap_angle(estimate.pose.theta - truth.theta));
-    let floor = DMat3::from_diagonal(DVec3::from_array(LEAST_SIGMA.map(|sigma| sigma * sigma)));
-    // Symmetric, so that rows are columns.
-    let covariance = DMat3::from_cols_array_2d(&estimate.covariance) + floor;
-    error.dot(covariance.inverse() * error)
+/// Deviations that are tried for the errors that scans share \[m\] and \[rad\].
+const SHARED_M: [f64; 9] = [0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06, 0.08];
+const SHARED_RAD: [f64; 6] = [0.0, 0.002, 0.005, 0.01, 0.02, 0.04];
+
+/// The error of an estimate and the filter's own covariance, over (x, y, heading).
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PoseError {
+    error: DVec3,
+    covariance: DMat3,
+}
+
+impl PoseError {
+    pub(super) fn of(estimate: &Estimate, truth: Pose2) -> Self {
+        let difference = estimate.pose.position() - truth.position();
+        let error = DVec3::new(difference.x, difference.y, wrap_angle(estimate.pose.theta - truth.theta));
+        let floor = DMat3::from_diagonal(DVec3::from_array(LEAST_SIGMA.map(|sigma| sigma * sigma)));
+        // Symmetric, so that rows are columns.
+        Self { error, covariance: DMat3::from_cols_array_2d(&estimate.covariance) + floor }
+    }
+
+    /// The normalized estimation error squared e^T C^-1 e, and ln det C, with the covariance of shared errors in C.
+    fn normalized(&self, shared: Spread) -> (f64, f64) {
+        let Spread { sigma_m, sigma_rad } = shared;
+        let [position, heading] = [sigma_m * sigma_m, sigma_rad * sigma_rad];
+        let covariance = self.covariance + DMat3::from_diagonal(DVec3::new(position, position, heading));
+        (self.error.dot(covariance.inverse() * self.error), covariance.determinant().ln())
+    }
+
+    /// The normalized estimation error squared.
+    pub(super) fn nees(&self, shared: Spread) -> f64 {
+        self.normalized(shared).0
+    }
+
+    /// -2 ln of the normal density of the error, without its constant.
+    fn deviance(&self, shared: Spread) -> f64 {
+        let (nees, log_determinant) = self.normalized(shared);
+        nees + log_determinant
+    }
+}
+
+/// The deviations of shared errors under which `errors` are likeliest.
+fn shared_errors(errors: &[PoseError]) -> Spread {
+    let spreads =
+        SHARED_M.iter().flat_map(|&sigma_m| SHARED_RAD.map(|sigma_rad| Spread { sigma_m, sigma_rad }));
+    spreads
+        .map(|shared| (mean(errors.iter().map(|error| error.deviance(shared))), shared))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or_else(Spread::default, |(_, shared)| shared)
+}
+
+fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len() as f64;
+    values.sum::<f64>() / count
 }
 
 /// Stretches of a drive that no trial localizes on, and the filter of the trials.
@@ -71,8 +117,41 @@ pub(super) fn keep_referenced(stretch: &mut Drive) {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rehearsed {
     pub exponent: f64,
-    /// Mean NEES with it.
+    /// Deviations of the errors that scans share: those of map and reference, which the filter's covariance doesn't have.
+    pub shared: Spread,
+    /// Mean NEES with both.
     pub nees: f64,
+    /// The log density that [`USUAL`] of the scans exceed \[nats per reading\].
+    pub scan_log_density_nats: f64,
+}
+
+/// Share of the scans of a robot that isn't lost whose log density is usual.
+const USUAL: f64 = 0.99;
+
+/// The mean log density of a scan's readings from a pose, `map_from_base` \[nats per reading\]; 0 without usable readings.
+pub(super) fn scan_log_density(
+    model: &dyn SensorModel,
+    map: &dyn RangeMap,
+    laser: &Laser,
+    scan: &Scan,
+    pose: Pose2,
+) -> f64 {
+    let laser_pose: Particles = std::iter::once(pose.compose(&laser.base_from_laser())).collect();
+    let mut hits = Hits::default();
+    map.cast(laser_pose.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
+    let mut log_density = vec![0.0; laser.beam_count()];
+    let beams = hits.beams(laser_pose.as_poses(), laser.bearings(), laser.max_range());
+    model.log_density(&scan.ranges, &beams, &mut log_density);
+    let usable = scan.ranges.iter().filter(|z| !z.is_nan()).count();
+    log_density.into_iter().map(f64::from).sum::<f64>() / usable.max(1) as f64
+}
+
+/// What a localization on the stretches shows, step by step.
+#[derive(Default)]
+struct Steps {
+    errors: Vec<PoseError>,
+    /// Nats per reading.
+    scan_log_density: Vec<f64>,
 }
 
 impl<'a> Rehearsal<'a> {
@@ -90,13 +169,16 @@ impl<'a> Rehearsal<'a> {
     }
 
     /// The greatest exponent with which the filter's own covariance accounts for its errors: up to it, the mean NEES of the
-    /// stretches is no more than a consistent filter's. The least that is tried, if there is none.
+    /// stretches is no more than a consistent filter's. The least that is tried, if there is none. With it, the deviations of shared
+    /// errors under which the reference poses are likeliest, each normal about the filter's estimate. `floored` is the model as scans
+    /// are judged by it.
     ///
     /// # Errors
     /// [`LabError`] for a filter that gives up.
     pub(super) fn choose(
         &self,
         model: &Arc<dyn SensorModel>,
+        floored: &dyn SensorModel,
         floor: f64,
         tables: Option<(LikelihoodGrid, &EndpointGrid)>,
     ) -> Result<Rehearsed, LabError> {
@@ -111,62 +193,133 @@ impl<'a> Rehearsal<'a> {
             }
             _ => None,
         };
-        let mut chosen: Option<Rehearsed> = None;
+        let mut chosen: Option<(f64, Steps)> = None;
         for exponent in EXPONENTS {
             let tempered = tempered(exponent)?;
             prepared = prepared.map(|table| table.scaled(Arc::clone(&tempered), exponent / last));
             last = exponent;
-            let nees = match &prepared {
-                Some(prepared) => self.mean_nees(prepared)?,
-                None => self.mean_nees(&*tempered)?,
+            let steps = match &prepared {
+                Some(prepared) => self.steps(prepared, floored)?,
+                None => self.steps(&*tempered, floored)?,
             };
+            let nees = mean(steps.errors.iter().map(|error| error.nees(Spread::default())));
             if nees > DIMENSIONS && chosen.is_some() {
                 break;
             }
-            chosen = Some(Rehearsed { exponent, nees });
+            chosen = Some((exponent, steps));
             if nees > DIMENSIONS {
                 break;
             }
         }
-        Ok(chosen.expect("one exponent has been tried"))
+        let (exponent, Steps { errors, mut scan_log_density }) = chosen.expect("one exponent has been tried");
+        let shared = shared_errors(&errors);
+        let nees = mean(errors.iter().map(|error| error.nees(shared)));
+        scan_log_density.sort_by(f64::total_cmp);
+        let scan_log_density_nats = quantile(&scan_log_density, 1.0 - USUAL);
+        Ok(Rehearsed { exponent, shared, nees, scan_log_density_nats })
     }
 
-    fn mean_nees(&self, model: &dyn SensorModel) -> Result<f64, LabError> {
+    /// All steps of all stretches and their repeats.
+    fn steps(&self, model: &dyn SensorModel, floored: &dyn SensorModel) -> Result<Steps, LabError> {
         let steps: usize = self.stretches.iter().map(|stretch| stretch.steps.len()).sum();
         let repeats = STEPS.div_ceil(steps) as u32;
-        let sums: Vec<f64> = (0..repeats)
+        let parts: Vec<Steps> = (0..repeats)
             .into_par_iter()
             .map(|repeat| {
-                self.stretches
-                    .iter()
-                    .zip(0..)
-                    .map(|(stretch, i)| {
-                        let seed = Draw::new(self.seed, Stage::Training, 2 + i).seed(repeat);
-                        self.sum_of_nees(stretch, model, seed)
-                    })
-                    .sum::<Result<f64, _>>()
+                let mut steps = Steps::default();
+                for (stretch, i) in self.stretches.iter().zip(0..) {
+                    let seed = Draw::new(self.seed, Stage::Training, 2 + i).seed(repeat);
+                    self.localize(stretch, model, floored, seed, &mut steps)?;
+                }
+                Ok(steps)
             })
-            .collect::<Result<_, _>>()?;
-        Ok(sums.iter().sum::<f64>() / (steps * repeats as usize) as f64)
+            .collect::<Result<_, LabError>>()?;
+        let mut all = Steps::default();
+        for part in parts {
+            all.errors.extend(part.errors);
+            all.scan_log_density.extend(part.scan_log_density);
+        }
+        Ok(all)
     }
 
-    fn sum_of_nees(&self, drive: &Drive, model: &dyn SensorModel, seed: u64) -> Result<f64, LabError> {
-        let Some(pose) = drive.steps.first().and_then(|step| step.reference) else { return Ok(0.0) };
+    /// Localizes on one stretch and adds its steps.
+    fn localize(
+        &self,
+        drive: &Drive,
+        model: &dyn SensorModel,
+        floored: &dyn SensorModel,
+        seed: u64,
+        steps: &mut Steps,
+    ) -> Result<(), LabError> {
+        let Some(pose) = drive.steps.first().and_then(|step| step.reference) else { return Ok(()) };
         let spread = match self.filter.start {
             scenario::Start::Tracking(spread) | scenario::Start::Around(_, spread) => spread,
             scenario::Start::Global => START,
         };
         let start = Start::Tracking { pose, spread };
-        let mut filter = Filter::new(options(self.filter, false)?, &start, &*self.map, seed)?;
-        let mut sum = 0.0;
+        let map = &*self.map;
+        let mut filter = Filter::new(options(self.filter, false)?, &start, map, seed)?;
         for (i, step) in drive.steps.iter().enumerate() {
             let input =
                 StepInput { odometry: drive.odometry_increment(i), laser: &drive.laser, scan: &step.scan };
-            let outcome = filter.step(&input, &*self.map, model)?;
-            if let Some(truth) = step.reference {
-                sum += nees(&outcome.estimates.weighted_mean, truth);
-            }
+            let estimate = filter.step(&input, map, model)?.estimates.weighted_mean;
+            let Some(truth) = step.reference else { continue };
+            steps.errors.push(PoseError::of(&estimate, truth));
+            steps.scan_log_density.push(scan_log_density(
+                floored,
+                map,
+                &drive.laser,
+                &step.scan,
+                estimate.pose,
+            ));
         }
-        Ok(sum)
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An error of 3 cm with a deviation of 1 cm: 9, and a mean of 9 / (1 + 8) with 8 cm^2 of shared errors.
+    #[test]
+    fn errors_that_scans_share_are_added_to_the_covariance() {
+        let variance = 1e-4 - LEAST_SIGMA[0] * LEAST_SIGMA[0];
+        let mut estimate = Estimate { pose: Pose2::new(0.03, 0.0, 0.0), covariance: [[0.0; 3]; 3] };
+        for i in 0..3 {
+            estimate.covariance[i][i] = variance;
+        }
+        let error = PoseError::of(&estimate, Pose2::IDENTITY);
+        assert!((error.nees(Spread::default()) - 9.0).abs() < 1e-9);
+        let shared = Spread { sigma_m: 8e-4_f64.sqrt(), sigma_rad: 0.0 };
+        assert!((error.nees(shared) - 1.0).abs() < 1e-9);
+        // More than the error asks for is unlikely, too.
+        let deviance = |sigma_m: f64| error.deviance(Spread { sigma_m, sigma_rad: 0.0 });
+        assert!(deviance(0.02) < deviance(0.0) && deviance(0.02) < deviance(0.5));
+    }
+
+    /// 400 errors of 1 cm by the filter and 2 cm that it doesn't know: the likelihood's deviation is known to 5 %, candidates are 33 %
+    /// apart. Without the second error none is found.
+    #[test]
+    fn the_deviation_of_shared_errors_is_found() {
+        let errors = |shared: f64| -> Vec<PoseError> {
+            (0..400_u32)
+                .map(|i| {
+                    let [a, b, c] = [0, 1, 2].map(|axis| {
+                        let draw = Draw::new(5, Stage::Training, 3);
+                        (0..12)
+                            .map(|k| draw.seed(36 * i + 12 * axis + k) as f64 / u64::MAX as f64)
+                            .sum::<f64>()
+                            - 6.0
+                    });
+                    let position = 0.01_f64.hypot(shared);
+                    let pose = Pose2::new(position * a, position * b, 0.01 * c);
+                    let covariance = [[1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]];
+                    PoseError::of(&Estimate { pose, covariance }, Pose2::IDENTITY)
+                })
+                .collect()
+        };
+        assert_eq!(shared_errors(&errors(0.02)), Spread { sigma_m: 0.02, sigma_rad: 0.0 });
+        assert_eq!(shared_errors(&errors(0.0)), Spread::default());
     }
 }

@@ -8,6 +8,7 @@ use locsim_core::{
     DependsOn, DistanceMap, Draw, EndpointGrid, Hits, Laser, LikelihoodGrid, Obstructions, Particles, Pose2,
     RangeMap, SensorModel, Stage,
 };
+use locsim_mcl::Spread;
 use locsim_sensor::{
     Amcl, AmclKind, AmclParameters, BeamState, CalibrationScan, FitOptions, FittedModel, ModelKind, Oracle,
     Prepared, SensorError, Tempered, Tempering, TemperingGrid, TrainingSet, choose_tempering, evaluate, fit,
@@ -18,7 +19,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::rehearsal::Rehearsal;
 use crate::LabError;
 use locsim_core::Progress;
-use locsim_report::results::TrainingRow;
+use locsim_report::results::{TrainingRow, USUAL_SCAN};
 use locsim_scenario::{Model, ModelName, load_amcl};
 
 /// Candidate poses per calibration scan, the true one not counted.
@@ -73,6 +74,10 @@ pub struct TrainedModel {
     pub bare: Arc<dyn SensorModel>,
     /// With floor and exponent, and as a table if it can be one: as the filter uses it.
     pub tempered: Arc<dyn SensorModel>,
+    /// With a small floor, so that one odd reading doesn't decide on a scan: as scans are judged by it.
+    pub floored: Arc<dyn SensorModel>,
+    /// Deviations of the errors that scans of a log share: those of map and reference, which the filter's covariance doesn't have.
+    pub shared: Spread,
     /// The fitted model, which can be saved; `None` for the oracle, which isn't fitted.
     pub fitted: Option<FittedModel>,
     /// Held-out quality and what was chosen.
@@ -168,29 +173,34 @@ fn train_one(
     let tempering = choose_tempering(&*bare, calibration, &grid).map_err(failed)?;
     let tables = surroundings.tables.as_ref().map(|endpoints| (LikelihoodGrid::for_laser(laser), endpoints));
     let rehearsal = surroundings.rehearsal.as_ref().filter(|_| model.exponent.is_none());
+    // The same small floor for all: without one, a single odd reading makes the log loss infinite.
+    let floored = Tempered::new(Arc::clone(&bare), LOG_LOSS_FLOOR, 1.0).map_err(failed)?;
     let rehearsed =
-        rehearsal.map(|rehearsal| rehearsal.choose(&bare, tempering.floor, tables)).transpose()?;
+        rehearsal.map(|rehearsal| rehearsal.choose(&bare, &floored, tempering.floor, tables)).transpose()?;
     let exponent = rehearsed.map_or(tempering.exponent, |rehearsed| rehearsed.exponent);
     let tempered = Tempered::new(Arc::clone(&bare), tempering.floor, exponent).map_err(failed)?;
     let mut tempered: Arc<dyn SensorModel> = Arc::new(tempered);
     if let Some((states, endpoints)) = tables.filter(|_| tempered.depends_on() != DependsOn::Everything) {
         tempered = Arc::new(Prepared::new(tempered, states, endpoints).map_err(failed)?);
     }
-    // The same small floor for all: without one, a single odd reading makes the log loss infinite.
-    let with_floor = Tempered::new(Arc::clone(&bare), LOG_LOSS_FLOOR, 1.0).map_err(failed)?;
     let normalized = !matches!(model.name, ModelName::Fitted(kind) if !kind.is_normalized());
-    let log_loss_nats = normalized.then(|| evaluate(&with_floor, held_out).log_loss_nats);
+    let log_loss_nats = normalized.then(|| evaluate(&floored, held_out).log_loss_nats);
     let histogram_match_m = normalized.then(|| evaluate(&*bare, held_out).histogram_match_m);
     let mut chosen = fitted.as_ref().map_or_else(BTreeMap::new, |fitted| fitted.chosen().clone());
     chosen.insert("floor".to_owned(), tempering.floor);
     chosen.insert("exponent".to_owned(), exponent);
     if let Some(rehearsed) = rehearsed {
         chosen.insert("training_drive_nees".to_owned(), rehearsed.nees);
+        chosen.insert("shared_error_m".to_owned(), rehearsed.shared.sigma_m);
+        chosen.insert("shared_error_rad".to_owned(), rehearsed.shared.sigma_rad);
+        chosen.insert(USUAL_SCAN.to_owned(), rehearsed.scan_log_density_nats);
     }
     chosen.insert("pose_log_score_nats".to_owned(), tempering.score);
     Ok(TrainedModel {
         label: model.label.clone(),
         tempered,
+        floored: Arc::new(floored),
+        shared: rehearsed.map_or_else(Spread::default, |rehearsed| rehearsed.shared),
         bare,
         fitted,
         row: TrainingRow { log_loss_nats, histogram_match_m, chosen },
@@ -224,6 +234,8 @@ fn amcl(model: &Model, kind: AmclKind, distance: &Arc<dyn DistanceMap>) -> Resul
     Ok(TrainedModel {
         label: model.label.clone(),
         tempered: Arc::clone(&bare),
+        floored: Arc::clone(&bare),
+        shared: Spread::default(),
         bare,
         fitted: None,
         row: TrainingRow { log_loss_nats: None, histogram_match_m: None, chosen },

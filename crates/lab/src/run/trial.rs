@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use locsim_core::{Clock, Drive, Pose2, wrap_angle};
-use locsim_mcl::{Filter, Start, StepInput, StepOutcome};
+use locsim_mcl::{Filter, Spread, Start, StepInput, StepOutcome};
 
 use super::detail::Detail;
 use super::filter::{self, options};
 use super::laboratory::Laboratory;
-use super::rehearsal::nees;
+use super::rehearsal::{PoseError, scan_log_density};
 use super::training::TrainedModel;
 use crate::LabError;
 use locsim_report::results::{ModelTrial, StepRow};
@@ -37,7 +37,6 @@ pub(super) fn localize(
     let mut steps = Vec::with_capacity(drive.steps.len());
     let mut events = Vec::new();
     let mut spent = Duration::ZERO;
-    let mut nees_sum = 0.0;
     for (i, step) in drive.steps.iter().enumerate() {
         let input =
             StepInput { odometry: drive.odometry_increment(i), laser: &drive.laser, scan: &step.scan };
@@ -55,7 +54,7 @@ pub(super) fn localize(
             let events = events[first_event..].iter().map(|(_, event): &(u32, String)| event.clone());
             detail.push(&filter, &outcome, model, truth[i], &step.scan, events.collect());
         }
-        nees_sum += nees(&outcome.estimates.weighted_mean, truth[i]);
+        let error = PoseError::of(&outcome.estimates.weighted_mean, truth[i]);
         steps.push(StepRow {
             step: i as u32,
             stamp_secs: step.stamp_secs,
@@ -69,6 +68,15 @@ pub(super) fn localize(
             likelihood_power: outcome.likelihood_power,
             particles: outcome.particle_count as u32,
             log_evidence_nats: outcome.log_evidence,
+            scan_log_density_nats: scan_log_density(
+                &*model.floored,
+                map,
+                &drive.laser,
+                &step.scan,
+                outcome.estimates.weighted_mean.pose,
+            ),
+            nees: error.nees(model.shared),
+            nees_of_filter: error.nees(Spread::default()),
             resampled: outcome.resampled,
         });
     }
@@ -87,11 +95,9 @@ pub(super) fn localize(
         measure(row, laboratory.scenario.errors);
     }
     let lost_m = laboratory.scenario.errors.lost_m;
-    let nees = nees_sum / steps.len() as f64;
     Ok(ModelTrial {
         model: model.label.clone(),
         lost: is_lost(&steps, lost_m),
-        nees,
         step_ms: spent.as_secs_f64() * 1e3 / steps.len() as f64,
         steps,
         events,
@@ -166,6 +172,9 @@ mod tests {
             likelihood_power: 1.0,
             particles: 1,
             log_evidence_nats: 0.0,
+            scan_log_density_nats: 0.0,
+            nees: 0.0,
+            nees_of_filter: 0.0,
             resampled: false,
         }
     }
