@@ -450,7 +450,7 @@ pub struct Expectation {
 
 /// Figures of a model in `summary.json` that `expect` can bound, with dots between nested keys; `kept` leaves out
 /// the lost trials.
-pub const METRICS: [&str; 27] = [
+pub const METRICS: [&str; 28] = [
     "lost_share",
     "position_rmse_m",
     "position_median_m",
@@ -464,6 +464,7 @@ pub const METRICS: [&str; 27] = [
     "heading.std_rad",
     "ess_mean",
     "nees_mean",
+    "nees_of_filter_mean",
     "step_ms",
     "train.log_loss_nats",
     "train.histogram_match_m",
