@@ -333,7 +333,9 @@ impl Sample {
         let per_trial = |value: fn(&crate::results::StepRow) -> f64| {
             trials.iter().map(|t| t.steps.iter().map(value).collect::<Moments>()).collect::<Vec<_>>()
         };
-        let mean = |value| Moments::pooled(per_trial(value).iter().map(|m| (m, 1))).mean();
+        let ess = per_trial(|s| s.effective_sample_size);
+        let mean_of_trials =
+            |value| per_trial(value).iter().map(Moments::mean).sum::<f64>() / trials.len() as f64;
         let positions = trials
             .iter()
             .zip(0..)
@@ -344,9 +346,9 @@ impl Sample {
             heading: per_trial(|s| s.error_heading_rad),
             position: PooledValues::new(trials.len(), positions),
             lost: trials.iter().map(|t| t.lost).collect(),
-            ess_mean: mean(|s| s.effective_sample_size),
-            nees_mean: mean(|s| s.nees),
-            nees_of_filter_mean: mean(|s| s.nees_of_filter),
+            ess_mean: Moments::pooled(ess.iter().map(|m| (m, 1))).mean(),
+            nees_mean: mean_of_trials(|s| s.nees),
+            nees_of_filter_mean: mean_of_trials(|s| s.nees_of_filter),
             step_ms: trials.iter().map(|t| t.step_ms).sum::<f64>() / trials.len() as f64,
         }
     }
