@@ -111,7 +111,7 @@ fn a_run_prints_a_table_and_leaves_every_documented_file_and_figure() {
     for model in models {
         let figures = "lost_share position_rmse_m position_median_m position_p95_m along/mean_m along/std_m \
                        across/mean_m across/std_m heading/mean_rad heading/std_rad ess_mean nees_mean \
-                       nees_of_filter_mean step_ms train/log_loss_nats train/histogram_match_m";
+                       nees_with_shared_errors_mean step_ms train/log_loss_nats train/histogram_match_m";
         for figure in figures.split_whitespace() {
             number(&format!("/models/{model}/{figure}"));
         }

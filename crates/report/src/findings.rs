@@ -423,8 +423,6 @@ pub fn chosen(summary: &Summary) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use locsim_core::Pose2;
-
     use super::*;
 
     fn ratio(value: f64, interval: Option<(f64, f64)>) -> Ratio {
@@ -451,22 +449,8 @@ mod tests {
     fn scans_that_do_not_fit_the_map_are_told_where_they_last() {
         let trial = |runs: &[Range<usize>]| {
             let row = |step: usize| StepRow {
-                step: step as u32,
-                stamp_secs: 0.0,
-                truth: Pose2::IDENTITY,
-                dead_reckoning: Pose2::IDENTITY,
-                estimate: Pose2::IDENTITY,
-                error_along_m: 0.0,
-                error_across_m: 0.0,
-                error_heading_rad: 0.0,
-                effective_sample_size: 1.0,
-                likelihood_power: 1.0,
-                particles: 1,
-                log_evidence_nats: 0.0,
                 scan_log_density_nats: if runs.iter().any(|run| run.contains(&step)) { -3.0 } else { 0.0 },
-                nees: 3.0,
-                nees_of_filter: 3.0,
-                resampled: false,
+                ..StepRow::default()
             };
             let steps = (0..90).map(row).collect();
             ModelTrial { model: "np_reg".to_owned(), steps, lost: false, step_ms: 0.0, events: Vec::new() }

@@ -6,7 +6,7 @@ use locsim_core::{Drive, Particles, Pose2};
 use serde::{Deserialize, Serialize};
 
 /// One filter step of one model in one trial. Positions in metres, angles in radians.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepRow {
     /// Index of the scan in the drive.
     pub step: u32,
@@ -36,11 +36,11 @@ pub struct StepRow {
     /// Mean log density of the scan's readings at the weighted mean (nats per reading), with a floor of 0.001 under the model's
     /// density.
     pub scan_log_density_nats: f64,
-    /// Normalized estimation error squared of the weighted mean, e^T C^-1 e over (x, y, heading), where C is the filter's covariance and,
-    /// on a log, that of errors which scans share: on average 3 where C is right, more where it is too small.
+    /// Normalized estimation error squared of the weighted mean, e^T C^-1 e over (x, y, heading), where C is the filter's covariance: on
+    /// average 3 where C is right, more where the filter is too sure.
     pub nees: f64,
-    /// The same with the filter's covariance alone.
-    pub nees_of_filter: f64,
+    /// The same with the covariance of the errors that scans of a log share added to C; elsewhere as `nees`.
+    pub nees_with_shared_errors: f64,
     /// Whether the filter resampled.
     pub resampled: bool,
 }

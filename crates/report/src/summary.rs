@@ -147,8 +147,8 @@ pub struct ModelSummary {
     /// Mean over trials of their mean normalized estimation error squared over (x, y, heading): 3 for a filter whose
     /// covariance is right.
     pub nees_mean: f64,
-    /// The same with the filter's covariance alone, without that of the errors which scans of a log share.
-    pub nees_of_filter_mean: f64,
+    /// The same with the covariance of the errors that scans of a log share added to the filter's.
+    pub nees_with_shared_errors_mean: f64,
     /// Mean wall time of a filter step (ms); with `seconds` the only figure that a repeated run doesn't reproduce.
     pub step_ms: f64,
     /// How the model did on held-out training data, and what was chosen on it.
@@ -323,7 +323,7 @@ struct Sample {
     lost: Vec<bool>,
     ess_mean: f64,
     nees_mean: f64,
-    nees_of_filter_mean: f64,
+    nees_with_shared_errors_mean: f64,
     step_ms: f64,
 }
 
@@ -348,7 +348,7 @@ impl Sample {
             lost: trials.iter().map(|t| t.lost).collect(),
             ess_mean: Moments::pooled(ess.iter().map(|m| (m, 1))).mean(),
             nees_mean: mean_of_trials(|s| s.nees),
-            nees_of_filter_mean: mean_of_trials(|s| s.nees_of_filter),
+            nees_with_shared_errors_mean: mean_of_trials(|s| s.nees_with_shared_errors),
             step_ms: trials.iter().map(|t| t.step_ms).sum::<f64>() / trials.len() as f64,
         }
     }
@@ -415,7 +415,7 @@ impl Sample {
             errors,
             ess_mean: self.ess_mean,
             nees_mean: self.nees_mean,
-            nees_of_filter_mean: self.nees_of_filter_mean,
+            nees_with_shared_errors_mean: self.nees_with_shared_errors_mean,
             step_ms: self.step_ms,
             train,
             intervals: intervals

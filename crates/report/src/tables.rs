@@ -62,7 +62,7 @@ pub fn steps(results: &RunResults) -> Result<RecordBatch, ReportError> {
         ("log_evidence_nats", real(|s| s.log_evidence_nats)),
         ("scan_log_density_nats", real(|s| s.scan_log_density_nats)),
         ("nees", real(|s| s.nees)),
-        ("nees_of_filter", real(|s| s.nees_of_filter)),
+        ("nees_with_shared_errors", real(|s| s.nees_with_shared_errors)),
         ("resampled", Arc::new(rows.iter().map(|(_, _, s)| Some(s.resampled)).collect::<BooleanArray>())),
     ]);
     Ok(RecordBatch::try_from_iter(columns)?)

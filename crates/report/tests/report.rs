@@ -64,7 +64,7 @@ fn model_trial(model: usize, trial: u32) -> ModelTrial {
             log_evidence_nats: -30.0 + noise(draw, 7000 + step),
             scan_log_density_nats: 1.0,
             nees: 3.0 + f64::from(trial),
-            nees_of_filter: 4.0,
+            nees_with_shared_errors: 2.0,
             resampled: step % 3 == 0,
         }
     });

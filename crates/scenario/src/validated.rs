@@ -464,7 +464,7 @@ pub const METRICS: [&str; 28] = [
     "heading.std_rad",
     "ess_mean",
     "nees_mean",
-    "nees_of_filter_mean",
+    "nees_with_shared_errors_mean",
     "step_ms",
     "train.log_loss_nats",
     "train.histogram_match_m",

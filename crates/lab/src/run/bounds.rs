@@ -91,7 +91,7 @@ mod tests {
             errors,
             ess_mean: 1.0,
             nees_mean: 3.0,
-            nees_of_filter_mean: 3.0,
+            nees_with_shared_errors_mean: 3.0,
             step_ms: 1.0,
             train,
             intervals: None,

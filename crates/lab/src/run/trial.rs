@@ -75,8 +75,8 @@ pub(super) fn localize(
                 &step.scan,
                 outcome.estimates.weighted_mean.pose,
             ),
-            nees: error.nees(model.shared),
-            nees_of_filter: error.nees(Spread::default()),
+            nees: error.nees(Spread::default()),
+            nees_with_shared_errors: error.nees(model.shared),
             resampled: outcome.resampled,
         });
     }
@@ -159,24 +159,7 @@ mod tests {
     use super::*;
 
     fn row(error_along_m: f64) -> StepRow {
-        StepRow {
-            step: 0,
-            stamp_secs: 0.0,
-            truth: Pose2::IDENTITY,
-            dead_reckoning: Pose2::IDENTITY,
-            estimate: Pose2::IDENTITY,
-            error_along_m,
-            error_across_m: 0.0,
-            error_heading_rad: 0.0,
-            effective_sample_size: 1.0,
-            likelihood_power: 1.0,
-            particles: 1,
-            log_evidence_nats: 0.0,
-            scan_log_density_nats: 0.0,
-            nees: 0.0,
-            nees_of_filter: 0.0,
-            resampled: false,
-        }
+        StepRow { error_along_m, ..StepRow::default() }
     }
 
     #[test]
