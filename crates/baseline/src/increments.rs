@@ -1,16 +1,11 @@
 //! The odometry of both logs: errors of its increments, beyond those that the baseline has.
 
-use locsim_core::{median, normal};
-use locsim_gap::{Increment, OdometryError};
+use locsim_gap::{Increment, OdometryModel};
 use locsim_world::effect::{Axis, Effect, EffectKind, Moves, Statistic};
 
 use super::assignment::Assignment;
 use super::pool::Pool;
 use super::trials::strengths;
-
-/// Least squares are repeated without errors of more than these standard deviations.
-const CUT: f64 = 3.0;
-const ROUNDS: usize = 4;
 
 /// Increments of both logs, with their stretches.
 pub(super) struct Increments {
@@ -18,27 +13,12 @@ pub(super) struct Increments {
     stretches: usize,
 }
 
-/// The odometry by the baseline: errors in proportion to distance and turn, and the spread of the rest.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Usual {
-    /// Error of the distance per metre.
-    distance: f64,
-    /// Error of the turn per radian and per metre.
-    turn: [f64; 2],
-    spread: OdometryError,
-}
-
 impl Increments {
     pub fn new(pool: &Pool<'_>) -> Self {
         let mut all = Vec::new();
         for (log, cast) in pool.logs.iter().enumerate() {
             let recorded = cast.recorded;
-            let own = Increment::all(
-                pool.nominal,
-                &pool.nominal.effects,
-                recorded.track.poses(),
-                &recorded.odometry,
-            );
+            let own = Increment::all(&pool.nominal.effects, recorded.track.poses(), &recorded.odometry);
             all.extend(
                 own.into_iter().enumerate().map(|(i, increment)| (pool.stretch(log, i + 1), increment)),
             );
@@ -67,60 +47,19 @@ impl Increments {
     }
 
     /// Learns from the stretches that `is_baseline` holds for.
-    pub fn learn(&self, is_baseline: &[bool]) -> Usual {
-        let own: Vec<&Increment> = self
-            .all
-            .iter()
-            .filter(|(stretch, increment)| {
-                is_baseline[*stretch as usize] && increment.error.iter().all(|e| e.is_finite())
-            })
-            .map(|(_, increment)| increment)
-            .collect();
-        let mut usual = Usual { distance: 0.0, turn: [0.0; 2], spread: OdometryError::default() };
-        for _ in 0..ROUNDS {
-            let mut deviations: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
-            let mut known: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
-            for increment in &own {
-                let rest = usual.without(increment);
-                for axis in 0..2 {
-                    deviations[axis].push(rest.error[axis].abs());
-                    known[axis].push(rest.variance[axis]);
-                }
-            }
-            let spread: [f64; 2] = std::array::from_fn(|axis| {
-                let sigma = normal::SIGMA_OVER_MAD * median(&mut deviations[axis]);
-                (sigma * sigma - median(&mut known[axis])).max(0.0).sqrt()
-            });
-            usual.spread = OdometryError { sigma_m: spread[0], sigma_rad: spread[1] };
-            let [mut dd, mut de, mut tt, mut td, mut te, mut ds, mut se] = [0.0; 7];
-            for increment in &own {
-                let rest = usual.without(increment);
-                let [d, t] = increment.truth;
-                let within: [f64; 2] = std::array::from_fn(|axis| {
-                    let sigma = rest.deviation(&usual.spread, axis);
-                    if rest.error[axis].abs() < CUT * sigma { sigma.powi(-2) } else { 0.0 }
-                });
-                dd += within[0] * d * d;
-                de += within[0] * d * increment.error[0];
-                tt += within[1] * t * t;
-                td += within[1] * t * d;
-                ds += within[1] * d * d;
-                te += within[1] * t * increment.error[1];
-                se += within[1] * d * increment.error[1];
-            }
-            if dd > 0.0 {
-                usual.distance = de / dd;
-            }
-            let determinant = tt * ds - td * td;
-            if determinant > 1e-12 * (tt * ds) {
-                usual.turn = [(te * ds - se * td) / determinant, (se * tt - te * td) / determinant];
-            }
-        }
-        usual
+    pub fn learn(&self, is_baseline: &[bool]) -> OdometryModel {
+        let own = self.all.iter().filter(|(stretch, _)| is_baseline[*stretch as usize]);
+        OdometryModel::learn(&own.map(|(_, increment)| *increment).collect::<Vec<_>>())
     }
 
     /// Gain of an effect beside the given ones on each stretch (nats).
-    pub fn gains(&self, usual: &Usual, given: &[Effect], effect: &Effect, is_used: &[bool]) -> Vec<f64> {
+    pub fn gains(
+        &self,
+        usual: &OdometryModel,
+        given: &[Effect],
+        effect: &Effect,
+        is_used: &[bool],
+    ) -> Vec<f64> {
         let mut gains = vec![0.0; self.stretches];
         let without = Changed::of(given);
         let with = Changed::of(&[given, std::slice::from_ref(effect)].concat());
@@ -145,7 +84,7 @@ impl Increments {
     /// less the baseline's, in standard errors between stretches.
     pub fn contrast(
         &self,
-        usual: &Usual,
+        usual: &OdometryModel,
         given: &[Effect],
         kind: EffectKind,
         assignment: &Assignment,
@@ -172,16 +111,6 @@ impl Increments {
             [mean, n / (n - 1.0) * squares / information.powi(2)]
         });
         (today[0] - baseline[0]) / (today[1] + baseline[1]).sqrt().max(1e-12)
-    }
-}
-
-impl Usual {
-    /// An increment without the errors that the baseline has.
-    fn without(&self, increment: &Increment) -> Increment {
-        let [d, t] = increment.truth;
-        let [distance, turn] = increment.error;
-        let error = [distance - self.distance * d, turn - self.turn[0] * t - self.turn[1] * d];
-        Increment { error, ..*increment }
     }
 }
 
@@ -214,7 +143,7 @@ impl Changed {
     }
 
     /// Error of an increment along an effect of a kind, cut where it is an outlier, and how much the increment tells of it.
-    fn score(&self, rest: &Increment, usual: &Usual, kind: EffectKind) -> [f64; 2] {
+    fn score(&self, rest: &Increment, usual: &OdometryModel, kind: EffectKind) -> [f64; 2] {
         let rest = self.without(rest);
         let [d, t] = rest.truth;
         let mut sum = [0.0; 2];
@@ -247,7 +176,7 @@ impl Changed {
         Increment { error, ..*rest }
     }
 
-    fn log_density(&self, rest: &Increment, usual: &Usual) -> f64 {
+    fn log_density(&self, rest: &Increment, usual: &OdometryModel) -> f64 {
         let increment = self.without(rest);
         let mut log: f64 = (0..2).map(|axis| increment.density(&usual.spread, axis).max(1e-300).ln()).sum();
         if let Some([p, share]) = self.slip {

@@ -5,13 +5,15 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::{Estimate, Progress};
-use locsim_gap::{Evidence, GapError, Named, Nominal, Number, Purpose, Recorded, split_by, sum_error};
+use locsim_gap::{
+    Evidence, GapError, Named, Nominal, Number, OdometryModel, Purpose, Recorded, split_by, sum_error,
+};
 use locsim_world::effect::{Effect, EffectKind, Parameter, Role};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use super::assignment::Assignment;
-use super::increments::{Increments, Usual, is_of_odometry};
+use super::increments::{Increments, is_of_odometry};
 use super::learnt::{ERROR_BIN_M, ERROR_BINS, Learnt, bin_of};
 use super::null::{Best, Null, Score, add};
 use super::pool::{Expected, Pool};
@@ -85,7 +87,7 @@ struct Search<'a> {
 /// The distributions that are learnt from an assignment's baseline.
 struct Known {
     learnt: Learnt,
-    usual: Usual,
+    usual: OdometryModel,
 }
 
 /// An effect with its gain on today's stretches (nats).

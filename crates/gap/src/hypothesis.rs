@@ -164,13 +164,8 @@ impl<'a> Comparison<'a> {
             *scan += likelihood;
         }
         let track = self.corrected(&fitted.corrections);
-        let odometry = log_likelihoods(
-            self.nominal,
-            effects,
-            &fitted.nuisances.odometry_error,
-            &track,
-            &self.recorded.odometry,
-        );
+        let odometry =
+            log_likelihoods(effects, &fitted.nuisances.odometry_error, &track, &self.recorded.odometry);
         for (scan, odometry) in fitted.scans.iter_mut().skip(1).zip(odometry) {
             *scan += odometry;
         }
@@ -230,12 +225,8 @@ impl<'a> Comparison<'a> {
                 break;
             }
         }
-        fitted.nuisances.odometry_error = OdometryError::fit(
-            self.nominal,
-            effects,
-            &self.corrected(&fitted.corrections),
-            &self.recorded.odometry,
-        );
+        fitted.nuisances.odometry_error =
+            OdometryError::fit(effects, &self.corrected(&fitted.corrections), &self.recorded.odometry);
         fitted
     }
 

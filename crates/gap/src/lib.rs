@@ -41,7 +41,7 @@ pub use fit::sum_error;
 pub use hypothesis::Nuisances;
 pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
 pub use nominal::Nominal;
-pub use odometry::{Increment, OdometryError};
+pub use odometry::{Increment, OdometryError, OdometryModel};
 pub use outcome::{
     BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,
     Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, ResidualStage, Rival,

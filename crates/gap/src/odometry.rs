@@ -2,39 +2,51 @@
 
 use locsim_core::{Pose2, median, normal};
 use locsim_world::effect::Effects;
+use locsim_world::simulation::OdometryNoise;
 
-use crate::{Nominal, Recorded};
+use crate::Recorded;
 
-/// Least standard deviation of an increment's distance \[m\] and turn \[rad\].
+/// Least standard deviation of an increment's distance \[m\] and turn \[rad\]: the encoders' resolution, also where a simulator wrote
+/// an exact log.
 const LEAST: [f64; 2] = [1e-4, 1e-4];
 /// An error beyond this many standard deviations counts as this many: a reference that jumps tells nothing of the odometry.
 const CUT: f64 = 4.0;
 /// Under the increments' normal density lies another one, this much wider, of this share.
 const WIDE: (f64, f64) = (0.01, 6.0);
 
-/// Variance of an odometry increment against the reference's that no scenario knows: errors of the reference.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+/// How far the increments of a log's odometry scatter about those of the reference. The scenario's noise is mostly a guess, and the
+/// reference errs, too: both are fitted to the log.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct OdometryError {
-    /// Standard deviation of a distance \[m\].
+    /// Noise that grows with the motion.
+    #[serde(flatten)]
+    pub noise: OdometryNoise,
+    /// Standard deviation of a distance beyond that \[m\].
     pub sigma_m: f64,
-    /// Standard deviation of a turn \[rad\].
+    /// Standard deviation of a turn beyond that \[rad\].
     pub sigma_rad: f64,
 }
 
-/// Errors of an increment in distance \[m\] and turn \[rad\], and their variances by the scenario's noise.
+impl Default for OdometryError {
+    fn default() -> Self {
+        Self { noise: OdometryNoise::default(), sigma_m: LEAST[0], sigma_rad: LEAST[1] }
+    }
+}
+
+/// Errors of an increment in distance \[m\] and turn \[rad\].
+#[derive(Clone, Copy, Debug)]
 pub struct Increment {
     /// True distance \[m\] and turn \[rad\], by the reference.
     pub truth: [f64; 2],
     /// Error of the odometry.
     pub error: [f64; 2],
-    /// Variance of the error.
-    pub variance: [f64; 2],
+    /// Squares of the motion that alpha 3 and 4 multiply in the variance of the distance, alpha 1 and 2 in that of the turn.
+    pub squares: [[f64; 2]; 2],
 }
 
 impl Increment {
     /// The increments of a log, from its second scan on.
-    pub fn all(nominal: &Nominal, effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Vec<Self> {
-        let [a1, a2, a3, a4] = nominal.odometry.alpha();
+    pub fn all(effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Vec<Self> {
         let truth = Recorded::increments(track);
         let read = Recorded::increments(odometry);
         let steps = track.windows(2).zip(truth).zip(read);
@@ -45,9 +57,9 @@ impl Increment {
                 let [distance, turn] = mean.map(|value| value * value);
                 // Two rotations are half of a smooth turn each; a turn in place is one.
                 let share = if distance > 1e-4 { 0.5 } else { 1.0 };
-                let variance = [a3 * distance + share * a4 * turn, share * a1 * turn + 2.0 * a2 * distance];
+                let squares = [[distance, share * turn], [share * turn, 2.0 * distance]];
                 let error = [read[0] - mean[0], locsim_core::wrap_angle(read[1] - mean[1])];
-                Self { truth, error, variance }
+                Self { truth, error, squares }
             })
             .collect()
     }
@@ -61,8 +73,11 @@ impl Increment {
 
     /// Standard deviation of the error of a distance \[m\] or a turn \[rad\].
     pub fn deviation(&self, error: &OdometryError, axis: usize) -> f64 {
+        let [a1, a2, a3, a4] = error.noise.alpha();
+        let [p, q] = [[a3, a4], [a1, a2]][axis];
+        let [u, v] = self.squares[axis];
         let extra = [error.sigma_m, error.sigma_rad][axis];
-        (self.variance[axis] + extra * extra + LEAST[axis].powi(2)).sqrt()
+        (p * u + q * v + extra * extra).sqrt()
     }
 
     /// How much more likely a distance is of a slip than without one, less 1; and the same if it erred by as much the other way.
@@ -75,34 +90,134 @@ impl Increment {
 }
 
 impl OdometryError {
-    /// By the median of squares over what the scenario's noise explains.
-    pub(crate) fn fit(nominal: &Nominal, effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Self {
-        let increments = Increment::all(nominal, effects, track, odometry);
-        let extra = |axis: usize| {
-            if increments.is_empty() {
-                return 0.0;
+    /// Steps of the fit. Each brings the likelihood nearer to its maximum.
+    const STEPS: usize = 40;
+    /// An error beyond this many standard deviations counts as this many in the fit, as in Huber's proposal 2: some increments slip.
+    const MOST_DEVIATIONS: f64 = 1.5;
+
+    /// The variances of increments by maximum likelihood, in multiplicative steps that keep them positive (Févotte, Bertin and Durrieu
+    /// 2009).
+    pub fn of(increments: &[Increment]) -> Self {
+        let of_axis = |axis: usize| {
+            let parts = |increment: &Increment| {
+                let [u, v] = increment.squares[axis];
+                [u, v, 1.0]
+            };
+            let count = increments.len().max(1) as f64;
+            let mut deviations: Vec<f64> = increments.iter().map(|i| i.error[axis].abs()).collect();
+            let whole = if deviations.is_empty() { 0.0 } else { median(&mut deviations) };
+            let whole = (normal::SIGMA_OVER_MAD * whole).powi(2);
+            let mut factors: [f64; 3] = std::array::from_fn(|part| {
+                let mean = increments.iter().map(|increment| parts(increment)[part]).sum::<f64>() / count;
+                if mean > 0.0 { whole / (3.0 * mean) } else { 0.0 }
+            });
+            for _ in 0..Self::STEPS {
+                let (mut found, mut expected) = ([0.0; 3], [0.0; 3]);
+                for increment in increments {
+                    let parts = parts(increment);
+                    let variance = parts.iter().zip(factors).map(|(part, factor)| part * factor).sum::<f64>()
+                        + LEAST[axis].powi(2);
+                    let square =
+                        (increment.error[axis].powi(2) / variance).min(Self::MOST_DEVIATIONS.powi(2));
+                    for (i, part) in parts.into_iter().enumerate() {
+                        found[i] += part * square / variance;
+                        expected[i] += part * Self::expected_square() / variance;
+                    }
+                }
+                for (factor, (found, expected)) in factors.iter_mut().zip(found.into_iter().zip(expected)) {
+                    if expected > 0.0 {
+                        *factor *= found / expected;
+                    }
+                }
             }
-            let mut errors: Vec<f64> = increments.iter().map(|i| i.error[axis]).collect();
-            let middle = median(&mut errors);
-            let mut deviations: Vec<f64> = errors.iter().map(|error| (error - middle).abs()).collect();
-            let spread = normal::SIGMA_OVER_MAD * median(&mut deviations);
-            let mut known: Vec<f64> = increments.iter().map(|i| i.variance[axis]).collect();
-            (spread * spread - median(&mut known)).max(0.0).sqrt()
+            factors
         };
-        Self { sigma_m: extra(0), sigma_rad: extra(1) }
+        let [[a3, a4, distance], [a1, a2, turn]] = [of_axis(0), of_axis(1)];
+        // Factors of a log that doesn't move are anything.
+        let noise = OdometryNoise::new([a1, a2, a3, a4].map(|alpha| alpha.min(1.0))).unwrap_or_default();
+        Self { noise, sigma_m: distance.sqrt().hypot(LEAST[0]), sigma_rad: turn.sqrt().hypot(LEAST[1]) }
+    }
+
+    /// Mean of a standard normal number's square that is cut as in the fit.
+    fn expected_square() -> f64 {
+        let cut = Self::MOST_DEVIATIONS;
+        1.0 - 2.0 * (normal::tail(cut) + cut * normal::density(cut)) + 2.0 * cut * cut * normal::tail(cut)
+    }
+
+    /// The spread of a log's odometry, whatever errors in proportion to the motion it has.
+    pub(crate) fn fit(effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Self {
+        OdometryModel::learn(&Increment::all(effects, track, odometry)).spread
+    }
+}
+
+/// An odometry that errs in proportion to distance and turn, and the spread of the rest.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OdometryModel {
+    /// Error of the distance per metre.
+    distance: f64,
+    /// Error of the turn per radian and per metre.
+    turn: [f64; 2],
+    /// The rest.
+    pub spread: OdometryError,
+}
+
+impl OdometryModel {
+    /// Least squares are repeated without errors of more than these standard deviations.
+    const CUT: f64 = 3.0;
+    const ROUNDS: usize = 4;
+
+    /// Learns from increments, of which those that aren't finite don't count.
+    pub fn learn(increments: &[Increment]) -> Self {
+        let increments: Vec<&Increment> =
+            increments.iter().filter(|increment| increment.error.iter().all(|e| e.is_finite())).collect();
+        let mut model = Self::default();
+        for _ in 0..Self::ROUNDS {
+            let rest: Vec<Increment> = increments.iter().map(|increment| model.without(increment)).collect();
+            model.spread = OdometryError::of(&rest);
+            let [mut dd, mut de, mut tt, mut td, mut te, mut ds, mut se] = [0.0; 7];
+            for (increment, rest) in increments.iter().zip(&rest) {
+                let [d, t] = increment.truth;
+                let within: [f64; 2] = std::array::from_fn(|axis| {
+                    let sigma = rest.deviation(&model.spread, axis);
+                    if rest.error[axis].abs() < Self::CUT * sigma { sigma.powi(-2) } else { 0.0 }
+                });
+                dd += within[0] * d * d;
+                de += within[0] * d * increment.error[0];
+                tt += within[1] * t * t;
+                td += within[1] * t * d;
+                ds += within[1] * d * d;
+                te += within[1] * t * increment.error[1];
+                se += within[1] * d * increment.error[1];
+            }
+            if dd > 0.0 {
+                model.distance = de / dd;
+            }
+            let determinant = tt * ds - td * td;
+            if determinant > 1e-12 * (tt * ds) {
+                model.turn = [(te * ds - se * td) / determinant, (se * tt - te * td) / determinant];
+            }
+        }
+        model
+    }
+
+    /// An increment without the errors in proportion to its motion.
+    pub fn without(&self, increment: &Increment) -> Increment {
+        let [d, t] = increment.truth;
+        let [distance, turn] = increment.error;
+        let error = [distance - self.distance * d, turn - self.turn[0] * t - self.turn[1] * d];
+        Increment { error, ..*increment }
     }
 }
 
 /// Log likelihood of each increment (nats).
 pub(crate) fn log_likelihoods(
-    nominal: &Nominal,
     effects: &Effects,
     error: &OdometryError,
     track: &[Pose2],
     odometry: &[Pose2],
 ) -> Vec<f64> {
     let slip = effects.odometry(&Pose2::new(1.0, 0.0, 0.0)).slip;
-    Increment::all(nominal, effects, track, odometry)
+    Increment::all(effects, track, odometry)
         .iter()
         .map(|increment| {
             let plain = increment.density(error, 0);
@@ -158,17 +273,73 @@ pub(crate) fn lag_slopes(increments: &[Increment], error: &OdometryError, secs: 
 mod tests {
     use super::*;
 
+    /// Increments with these errors, on straight lines and in turns by turns.
+    fn increments(mut error: impl FnMut(usize, [f64; 2]) -> [f64; 2]) -> Vec<Increment> {
+        let motions = [[0.1, 0.0], [0.1, 0.02], [0.0, 0.2], [0.05, 0.1]];
+        (0..4000)
+            .map(|i| {
+                let [d, t] = motions[i % motions.len()];
+                let squares = [[d * d, t * t], [t * t, 2.0 * d * d]];
+                Increment { truth: [d, t], error: error(i, [d, t]), squares }
+            })
+            .collect()
+    }
+
+    /// Noise with four known alphas and a constant is found again, whatever scale and imbalance the odometry has, also where one in
+    /// twenty increments slips.
+    #[test]
+    fn noise_and_proportional_errors_are_found_together() {
+        let mut rng = locsim_core::Draw::new(1, locsim_core::Stage::Odometry, 0).item(0);
+        let mut normal =
+            || -> f64 { rand_distr::Distribution::sample(&rand_distr::StandardNormal, &mut rng) };
+        let noisy = increments(|i, [d, t]| {
+            let sigma_d = (0.0004 * d * d + 0.001 * t * t + 0.001_f64.powi(2)).sqrt();
+            let sigma_t = (0.0009 * t * t + 2.0 * 0.002 * d * d + 0.001_f64.powi(2)).sqrt();
+            let slip = if i % 20 == 7 { 0.5 * d } else { 0.0 };
+            [0.03 * d + sigma_d * normal() + slip, -0.02 * t + 0.1 * d + sigma_t * normal()]
+        });
+        let model = OdometryModel::learn(&noisy);
+        let near =
+            |value: f64, truth: f64, error: f64| assert!((value - truth).abs() < error, "{value} {truth}");
+        near(model.distance, 0.03, 0.001);
+        near(model.turn[0], -0.02, 0.002);
+        near(model.turn[1], 0.1, 0.004);
+        // A twentieth that counts as 1.5 standard deviations widens the distances by a tenth.
+        for (motion, sigma) in [([0.1, 0.0], [0.00224, 0.00640]), ([0.0, 0.2], [0.00640, 0.00608])] {
+            let at = noisy.iter().find(|increment| increment.truth == motion).unwrap();
+            for axis in 0..2 {
+                near(at.deviation(&model.spread, axis) / sigma[axis], 1.05, 0.12);
+            }
+        }
+    }
+
+    /// An odometry that is exact, and one that never moves.
+    #[test]
+    fn a_spread_of_nothing_is_none() {
+        let exact = OdometryModel::learn(&increments(|_, _| [0.0; 2]));
+        assert!(exact.spread.noise.alpha().iter().all(|alpha| *alpha < 1e-9), "{exact:?}");
+        assert!(
+            (exact.spread.sigma_m - LEAST[0]).abs() < 1e-9
+                && (exact.spread.sigma_rad - LEAST[1]).abs() < 1e-9
+        );
+        assert_eq!(OdometryError::of(&[]), OdometryError::default());
+        let still = Increment { truth: [0.0; 2], error: [1e-3, 0.0], squares: [[0.0; 2]; 2] };
+        let spread = OdometryModel::learn(&[still; 9]).spread;
+        assert!(spread.noise.alpha() == [0.0; 4] && spread.sigma_m > 1e-3, "{spread:?}");
+    }
+
     /// The density of a slipped distance has a whole of 1, and a mean that is longer by that of the slip, forward and in reverse.
     #[test]
     fn a_slip_lengthens_as_the_simulator_s_does() {
-        let error = OdometryError { sigma_m: 0.004, sigma_rad: 0.0 };
+        let noise = OdometryNoise::new([0.0, 0.0, 0.003 * 0.003, 0.0]).unwrap();
+        let error = OdometryError { noise, sigma_m: 0.004, sigma_rad: 0.0 };
         for truth in [0.07, -0.07] {
             let step = 1e-4;
             let (mut whole, mut mean) = (0.0, 0.0);
             for i in -4000..4000 {
                 let off = step * (f64::from(i) + 0.5);
                 let increment =
-                    Increment { truth: [truth, 0.0], error: [off, 0.0], variance: [0.003 * 0.003, 0.0] };
+                    Increment { truth: [truth, 0.0], error: [off, 0.0], squares: [[1.0, 0.0]; 2] };
                 let share = step * slipped(&increment, &error, 0.5);
                 whole += share;
                 mean += share * off;

@@ -62,10 +62,11 @@ pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halve
         // Counts by their roots, whose variance doesn't depend on the mean (Anscombe 1948) and is at most about 1 by
         // chance; of a count that hardly ever happens it is less, and would make a single event stand out.
         let is_count = statistic.form == Form::Count;
+        let least = if is_count { 1.0 } else { statistic.by_one_reading };
         let number = |value: f64| if is_count { 2.0 * (value.max(0.0) + 0.375).sqrt() } else { value };
         for half in 0..2 {
             let replicates = others.iter().map(|other| number(other[i][half]));
-            halves[i][half] = Moments::of(replicates).normal(number(own[i][half]), is_count);
+            halves[i][half] = Moments::of(replicates).normal(number(own[i][half]), least, is_count);
         }
         for (value, log) in values.iter_mut().zip(others.iter().map(|other| &other[i]).chain([&own[i]])) {
             *value = number(log[0] + log[1]);
@@ -73,12 +74,12 @@ pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halve
         // Each by what all others say, so that log and replicates are alike where the simulator is right.
         let all = Moments::of(values.iter().copied());
         for (value, largest) in values.iter().zip(&mut largest) {
-            let normal = all.without(*value).normal(*value, is_count);
+            let normal = all.without(*value).normal(*value, least, is_count);
             largest[group] = largest[group].max(statistic.off(normal));
         }
         let rest = all.without(values[count - 1]);
-        z[i] = rest.normal(values[count - 1], is_count);
-        spreads[i] = rest.variance().sqrt();
+        z[i] = rest.normal(values[count - 1], least, is_count);
+        spreads[i] = rest.variance().sqrt().max(least);
     }
     // Each group's largest as a p-value over the group's share, as a logarithm.
     let tails: Vec<Tail> = (0..Group::COUNT).map(|g| Tail::of(largest.iter().map(|t| t[g]))).collect();
@@ -234,12 +235,13 @@ impl Moments {
 
     /// A value as a standard normal number, if the sample is of a shifted gamma distribution (Pearson's type III; the
     /// cube root of Wilson and Hilferty 1931): sums of rare contributions are skewed, and would be taken for
-    /// discoveries. Roots of counts are nearly normal, with a variance of 1 or more where events happen at all.
-    fn normal(&self, value: f64, is_count: bool) -> f64 {
-        if is_count {
-            return (value - self.mean()) / self.variance().max(1.0).sqrt();
+    /// discoveries. Roots of counts are nearly normal. A standard deviation counts as no less than `least`.
+    fn normal(&self, value: f64, least: f64, is_count: bool) -> f64 {
+        let sigma = self.variance().max(1e-9).sqrt();
+        let t = (value - self.mean()) / sigma.max(least);
+        if is_count || sigma < least {
+            return t;
         }
-        let t = (value - self.mean()) / self.variance().max(1e-9).sqrt();
         let skewness = self.skewness().clamp(-MOST_SKEWED, MOST_SKEWED);
         // Only the heavy side: a few hundred logs don't say how light the other one is.
         if skewness.abs() < LEAST_SKEWED || t * skewness < 0.0 {
@@ -287,13 +289,23 @@ mod tests {
         let sample = (0..20_000).map(|i| gamma.inverse_cdf((f64::from(i) + 0.5) / 20_000.0));
         let moments = Moments::of(sample);
         for p in [0.9, 0.99, 0.999, 0.9999] {
-            let (z, plain) = (moments.normal(gamma.inverse_cdf(p), false), normal.inverse_cdf(p));
+            let (z, plain) = (moments.normal(gamma.inverse_cdf(p), 0.0, false), normal.inverse_cdf(p));
             assert!((z - plain).abs() < 0.05, "{p}: {z} for {plain}");
         }
         // Mirrored, the heavy side is the other one.
         let mirrored = (0..20_000).map(|i| -gamma.inverse_cdf((f64::from(i) + 0.5) / 20_000.0));
-        let z = Moments::of(mirrored).normal(-gamma.inverse_cdf(0.999), false);
+        let z = Moments::of(mirrored).normal(-gamma.inverse_cdf(0.999), 0.0, false);
         assert!((z - normal.inverse_cdf(0.001)).abs() < 0.05, "{z}");
+    }
+
+    /// Nothing of the kind in 99 logs, and one reading in the hundredth: one standard deviation.
+    #[test]
+    fn a_single_reading_does_not_stand_out() {
+        let nothing = Moments::of([0.0; 99].into_iter());
+        assert!((nothing.normal(25.0, 25.0, false) - 1.0).abs() < 1e-12);
+        assert!(nothing.normal(25.0, 0.0, false) > 1e5);
+        let usual = Moments::of((0..99).map(|i| f64::from(i % 9)));
+        assert!((usual.normal(9.0, 1.0, false) - usual.normal(9.0, 0.0, false)).abs() < 1e-12);
     }
 
     #[test]

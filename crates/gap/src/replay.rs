@@ -77,7 +77,7 @@ impl<'a> Replay<'a> {
             let scans = readings.chunks(all);
             scans.flat_map(|scan| self.recorded.kept.iter().map(|&beam| scan[beam])).collect()
         };
-        let noise = &self.nominal.odometry;
+        let noise = &self.nuisances.odometry_error.noise;
         let odometry = locsim_world::simulation::odometry_along(truth.poses(), noise, &effects, seed);
         Ok(self.recorded.with(readings, self.with_odometry_error(&odometry, seed)))
     }
@@ -110,7 +110,7 @@ impl<'a> Replay<'a> {
         track.with_poses(self.nuisances.pose_error.perturb(track, draw))
     }
 
-    /// Increments with the error that the scenario's noise doesn't explain.
+    /// Increments with the errors that don't grow with the motion.
     fn with_odometry_error(&self, odometry: &[Pose2], seed: u64) -> Vec<Pose2> {
         let error = self.nuisances.odometry_error;
         let mut pose = Pose2::IDENTITY;

@@ -26,7 +26,7 @@ impl Lag {
     pub fn new(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted) -> Self {
         let recorded = comparison.recorded;
         let corrected = comparison.corrected(&fitted.corrections);
-        let increments = Increment::all(comparison.nominal, effects, &corrected, &recorded.odometry);
+        let increments = Increment::all(effects, &corrected, &recorded.odometry);
         let track = recorded.track.with_poses(corrected);
         let count = fold_count(recorded.scans());
         // Log likelihood of each fold at each lag, up to a constant.

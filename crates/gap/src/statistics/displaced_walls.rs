@@ -22,6 +22,9 @@ const WINDOWS: usize = (4.0 * FARTHEST_M / WINDOW_M) as usize - 1;
 /// The share of a displaced wall's readings that may be of anything else.
 const OTHERS: f64 = 0.1;
 
+/// A share of readings that says nothing: one of a hundred.
+const FEW: f64 = 0.01;
+
 /// The displacement in the middle of a window \[m\].
 fn middle(window: usize) -> f64 {
     0.5 * WINDOW_M * (window as f64 + 1.0) - FARTHEST_M
@@ -84,7 +87,8 @@ impl Counts {
 
 impl Family for DisplacedWalls {
     fn statistics(&self) -> Vec<Statistic> {
-        self.walls.of_all(Statistic::of_effect(self.kind, Group::Places, Form::Share))
+        let statistic = Statistic::of_effect(self.kind, Group::Places, Form::Share);
+        self.walls.of_all(statistic.with_one_reading(FEW))
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {

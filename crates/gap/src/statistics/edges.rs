@@ -27,7 +27,7 @@ impl Edges {
 
 impl Family for Edges {
     fn statistics(&self) -> Vec<Statistic> {
-        vec![Statistic::of_effect(self.kind, Group::Shares, Form::Other)]
+        vec![Statistic::of_effect(self.kind, Group::Shares, Form::Other).with_one_reading(1.0 / self.share)]
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {

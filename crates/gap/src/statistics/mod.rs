@@ -63,6 +63,9 @@ pub(crate) struct Statistic {
     pub target: Target,
     pub group: Group,
     pub form: Form,
+    /// The most by which one reading changes it, where that may be more than its standard deviation: 0 of other statistics. Where
+    /// nothing but the walls is ever seen, a single stray reading would stand out among all replicates.
+    pub by_one_reading: f64,
 }
 
 /// The effect or the cell that a statistic is for.
@@ -118,11 +121,17 @@ impl Statistic {
 
     /// A statistic that looks for an effect in a direction of its values.
     fn along(kind: EffectKind, direction: &[(usize, f64)], group: Group, form: Form) -> Self {
-        Self { target: Target::Effect { kind, values: direction.to_vec() }, group, form }
+        let target = Target::Effect { kind, values: direction.to_vec() };
+        Self { target, group, form, by_one_reading: 0.0 }
     }
 
     fn of_cell(cell: Cell, form: Form) -> Self {
-        Self { target: Target::Cell(cell), group: Group::Cells, form }
+        Self { target: Target::Cell(cell), group: Group::Cells, form, by_one_reading: 0.0 }
+    }
+
+    /// The same with the most by which one reading changes it.
+    fn with_one_reading(self, by: f64) -> Self {
+        Self { by_one_reading: by, ..self }
     }
 
     /// The effect that it looks for.

@@ -12,7 +12,7 @@ use crate::odometry::{Increment, lag_slopes, standardized};
 fn increments_of(log: &Readings<'_>) -> Vec<Increment> {
     let comparison = log.comparison;
     let track = comparison.corrected(&log.fitted.corrections);
-    Increment::all(comparison.nominal, log.effects, &track, &comparison.recorded.odometry)
+    Increment::all(log.effects, &track, &comparison.recorded.odometry)
 }
 
 /// The correlation of an error of the odometry with a motion.
@@ -110,6 +110,9 @@ impl Family for OdometryLag {
     }
 }
 
+/// The least variance of standardized errors.
+const LEAST_VARIANCE: f64 = 0.1;
+
 /// Correlation of two numbers about zero, times the root of how many there are.
 #[derive(Clone, Copy, Default)]
 struct Correlation {
@@ -128,6 +131,8 @@ impl Correlation {
     }
 
     fn value(&self) -> f64 {
-        self.xy / (self.xx * self.yy).sqrt().max(1e-300) * self.count.sqrt()
+        // Errors far below their least standard deviation are digits of the file.
+        let yy = self.yy.max(LEAST_VARIANCE * self.count);
+        self.xy / (self.xx * yy).sqrt().max(1e-300) * self.count.sqrt()
     }
 }

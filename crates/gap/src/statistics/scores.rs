@@ -101,8 +101,14 @@ fn is_contamination(score: Score) -> bool {
 impl Family for Scores {
     fn statistics(&self) -> Vec<Statistic> {
         let group = if is_contamination(self.score) { Group::Shares } else { Group::Wide };
-        let statistic =
-            |weights: &Weights| Statistic::along(self.kind, weights.direction, group, Form::Score);
+        let statistic = |weights: &Weights| {
+            let statistic = Statistic::along(self.kind, weights.direction, group, Form::Score);
+            if weights.share > 0.0 {
+                statistic.with_one_reading(f64::from(weights.share).recip())
+            } else {
+                statistic
+            }
+        };
         self.directions.iter().map(statistic).collect()
     }
 

@@ -84,7 +84,14 @@ fn loss_ratio(reading: &Reading<'_>, max: f64) -> f64 {
 
 impl Family for WallLoss {
     fn statistics(&self) -> Vec<Statistic> {
-        self.walls.statistics(self.kind)
+        let pairs = self.walls.pairs().iter().map(|&[a, b]| self.shares[a].min(self.shares[b]));
+        let shares = self.shares.iter().copied().chain(pairs);
+        self.walls
+            .statistics(self.kind)
+            .into_iter()
+            .zip(shares)
+            .map(|(statistic, share)| statistic.with_one_reading(share.recip()))
+            .collect()
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {

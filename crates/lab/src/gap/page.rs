@@ -135,6 +135,7 @@ fn markdown(
         pose_secs => fixed(nuisances.pose_error.correlation_secs, 1),
         odometry_mm => fixed(1e3 * nuisances.odometry_error.sigma_m, 1),
         odometry_deg => fixed(nuisances.odometry_error.sigma_rad.to_degrees(), 2),
+        odometry_alpha => nuisances.odometry_error.noise.alpha().map(significant).join(", "),
         notes => outcome.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
         command => command.trim(),
         diff => diff.trim_end(),
