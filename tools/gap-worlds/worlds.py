@@ -452,7 +452,9 @@ class MovedWall(World):
         (ax, ay), (bx, by) = walls[self.wall]
         length = math.hypot(bx - ax, by - ay)
         nx, ny = -(by - ay) / length * self.out, (bx - ax) / length * self.out
-        walls[self.wall] = ((ax + nx, ay + ny), (bx + nx, by + ny))
+        # Longer at both ends, so that it still closes the hall.
+        ux, uy = (bx - ax) / length * abs(self.out), (by - ay) / length * abs(self.out)
+        walls[self.wall] = ((ax + nx - ux, ay + ny - uy), (bx + nx + ux, by + ny + uy))
         return walls
 
 

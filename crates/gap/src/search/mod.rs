@@ -9,6 +9,7 @@ mod precision;
 mod residual;
 mod selection;
 mod stepwise;
+mod surroundings;
 mod unnamed;
 
 use std::cmp::Ordering;

@@ -56,7 +56,7 @@ pub fn sum_of(known: &Effect, more: &Effect) -> Result<Effect, GapError> {
 }
 
 /// The least gain of an effect that is named (nats): a likelihood ratio of 7.
-const LEAST_GAIN_NATS: f64 = 2.0;
+pub const LEAST_GAIN_NATS: f64 = 2.0;
 
 /// Whether a candidate surely gains: by more than a standard error, or by half of one where its own statistics are
 /// significant. One standard error is little, because the replicates have already said that something is off; the gain of a

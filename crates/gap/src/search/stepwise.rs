@@ -84,6 +84,7 @@ impl<'a> State<'a> {
                     .iter()
                     .any(|named| !adds_up(&named.effect, effect) && is_one_cause(&named.effect, effect))
             });
+            let candidates = self.drop_surroundings(round, candidates)?;
             let accepted = if off && path.named.len() < options.most_effects {
                 self.weigh(round, &candidates, choose(&candidates))?
             } else {

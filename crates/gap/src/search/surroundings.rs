@@ -1,0 +1,126 @@
+//! Beams that a named effect of one place has to do with, and what a further name is worth without them.
+//!
+//! A thing in one place, a moved wall or a bumper in a sector, seldom has quite the form that the library gives it. What is left at its
+//! ends looks like noise, lost returns or readings in between, and an effect of all beams would be named for it.
+
+use std::f64::consts::TAU;
+
+use glam::DVec2;
+use locsim_world::effect::{Disc, Effect, Effects, Moves};
+
+use super::selection::{LEAST_GAIN_NATS, adds_up};
+use super::{Round, State};
+use crate::GapError;
+use crate::fit::{Candidate, folds, sum_error};
+use crate::views::Beam;
+
+/// Beams that end this near to an effect have to do with it \[m\], and those that pass its ends this near.
+const NEAR_M: f64 = 0.5;
+const PASSING_M: f64 = 0.25;
+/// Beams this far beside a sector have to do with it \[rad\].
+const BESIDE_RAD: f64 = 0.1;
+/// The least share of its gain that a further name has without these beams.
+const LEAST_SHARE: f64 = 0.5;
+
+/// Distance of a point to a line from `a` to `b`.
+fn distance([a, b]: [DVec2; 2], point: DVec2) -> f64 {
+    let along = b - a;
+    let share = (along.dot(point - a) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
+    point.distance(a + share * along)
+}
+
+/// Whether a beam from `origin` to `end`, at a bearing, has to do with an effect of one place.
+fn concerns(effect: &Effect, [origin, end]: [DVec2; 2], bearing: f64) -> bool {
+    let at_wall = effect.place.iter().any(|stretch| {
+        distance(*stretch, end) <= NEAR_M
+            || stretch.iter().any(|corner| distance([origin, end], *corner) <= PASSING_M)
+    });
+    let in_sector = effect.sector().is_some_and(|[from, to]| {
+        let width = (to - from).rem_euclid(TAU) + 2.0 * BESIDE_RAD;
+        (bearing - from + BESIDE_RAD).rem_euclid(TAU) <= width
+    });
+    at_wall || in_sector
+}
+
+/// Whether a beam has to do with a disc.
+fn meets(disc: &Disc, ray: [DVec2; 2]) -> bool {
+    distance(ray, disc.center) <= disc.radius_m + PASSING_M
+}
+
+impl<'a> State<'a> {
+    /// Drops candidates that don't surely gain without the beams that the named effects of one place have to do with. What adds up
+    /// with one of these stays, and what is in the odometry.
+    pub fn drop_surroundings(
+        &self,
+        round: &Round<'a>,
+        candidates: Vec<Candidate>,
+    ) -> Result<Vec<Candidate>, GapError> {
+        let own = Effects::new(round.effects.clone())?;
+        let (views, recorded) = (&round.comparison.views, round.comparison.recorded);
+        let mount = recorded.laser.base_from_laser();
+        let lasers: Vec<DVec2> =
+            recorded.track.poses().iter().map(|pose| pose.compose(&mount).position()).collect();
+        let concerned = |(i, beam): (usize, &Beam)| {
+            let ray = [lasers[i / views.per_scan], beam.view.endpoint];
+            round.effects.iter().any(|effect| concerns(effect, ray, beam.view.bearing))
+                || own.objects().iter().any(|disc| meets(disc, ray))
+        };
+        let ignored: Vec<bool> = views.beams.iter().enumerate().map(concerned).collect();
+        if !ignored.contains(&true) {
+            return Ok(candidates);
+        }
+        let elsewhere = recorded.without(&ignored);
+        let comparison = round.comparison.of(&elsewhere);
+        let without = folds(&comparison.evaluate(&round.effects, &round.fitted, 1)?.scans);
+        let gains_elsewhere = |candidate: &Candidate| -> Result<bool, GapError> {
+            let is_part = round.effects.iter().any(|known| adds_up(known, &candidate.effect));
+            if is_part || candidate.kind().moves() == Moves::Odometry {
+                return Ok(true);
+            }
+            let mut effects = round.effects.clone();
+            effects.push(candidate.effect.clone());
+            let with = folds(&comparison.evaluate(&effects, &round.fitted, 1)?.scans);
+            let gains: Vec<f64> = with.iter().zip(&without).map(|(with, without)| with - without).collect();
+            let (gain, all) = (gains.iter().sum::<f64>(), candidate.fitted_gains.iter().sum::<f64>());
+            Ok(gain > LEAST_GAIN_NATS.max(sum_error(&gains)) && gain >= LEAST_SHARE * all)
+        };
+        let mut kept = Vec::new();
+        for candidate in candidates {
+            if gains_elsewhere(&candidate)? {
+                kept.push(candidate);
+            }
+        }
+        Ok(kept)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_world::effect::EffectKind;
+
+    use super::*;
+
+    #[test]
+    fn beams_at_a_wall_and_past_its_ends_have_to_do_with_it() {
+        let stretch = [DVec2::new(0.0, 2.0), DVec2::new(4.0, 2.0)];
+        let moved = Effect::new(EffectKind::MovedWall, vec![0.1], vec![stretch]).unwrap();
+        let from_origin = |x, y| concerns(&moved, [DVec2::ZERO, DVec2::new(x, y)], 0.0);
+        assert!(from_origin(2.0, 2.0) && from_origin(2.0, 1.6) && from_origin(-0.3, 8.0));
+        assert!(!from_origin(2.0, 1.4) && !from_origin(-3.0, 8.0) && !from_origin(-0.1, 1.0));
+    }
+
+    #[test]
+    fn beams_beside_a_sector_have_to_do_with_it() {
+        let sector = Effect::new(EffectKind::SectorOcclusion, vec![3.0, -3.0, 0.3, 0.5], Vec::new()).unwrap();
+        let at = |bearing| concerns(&sector, [DVec2::ZERO, DVec2::X], bearing);
+        assert!(at(3.1) && at(-3.1) && at(2.95) && at(-2.95));
+        assert!(!at(2.8) && !at(0.0) && !at(-2.8));
+    }
+
+    #[test]
+    fn a_disc_hides_what_is_behind_it() {
+        let disc = Disc { center: DVec2::new(2.0, 0.0), radius_m: 0.3 };
+        let meets = |x, y| meets(&disc, [DVec2::ZERO, DVec2::new(x, y)]);
+        assert!(meets(5.0, 0.0) && meets(5.0, 1.0) && !meets(5.0, 2.0) && !meets(1.0, 0.0));
+    }
+}
