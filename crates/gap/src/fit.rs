@@ -22,6 +22,9 @@ const FIRST_CORNERS: [f64; 2] = [-0.7, 0.4];
 /// A fit that gains less on the scans that it was fitted to isn't assessed: an effect that is named gains ten times as much on
 /// held-out ones (nats).
 const LEAST_GAIN_NATS: f64 = 0.2;
+/// A search that has gained this much is repeated from where it ended (nats), so often at the most.
+const STRONG_NATS: f64 = 20.0;
+const MOST_RESTARTS: usize = 4;
 /// Expectation-maximization steps of the nuisance parameters with an effect: they start near their maximum.
 const REFIT_STEPS: usize = 12;
 
@@ -109,6 +112,7 @@ impl Search<'_, '_> {
                 best = Some((value, effect));
             }
         }
+        let best = best.map(|best| self.polish(kind, best)).transpose()?;
         match best {
             Some((_, effect)) if kind.moves() == Moves::Scans || kind.moves() == Moves::Readings && errs => {
                 // Errors of the reference that were fitted without the effect have absorbed some of it.
@@ -126,6 +130,30 @@ impl Search<'_, '_> {
             }
             _ => Ok(None),
         }
+    }
+
+    /// Searches again from the end of a search, until that gains nothing more: of several parameters a simplex may shrink before it is at
+    /// the maximum, and of a strong effect it is far from it then.
+    fn polish(
+        &self,
+        kind: EffectKind,
+        (mut value, mut effect): (f64, Effect),
+    ) -> Result<(f64, Effect), GapError> {
+        if effect.values.len() < 2 || value < self.without.total() + STRONG_NATS {
+            return Ok((value, effect));
+        }
+        for _ in 0..MOST_RESTARTS {
+            let start = Start { values: effect.values.clone(), place: effect.place.clone() };
+            let (again, better) = self.maximize_over(kind, &start, kind.parameters().len())?;
+            let gained = again - value;
+            if gained > 0.0 {
+                (value, effect) = (again, better);
+            }
+            if gained < LEAST_GAIN_NATS {
+                break;
+            }
+        }
+        Ok((value, effect))
     }
 
     fn evaluate(&self, effect: &Effect) -> Result<Fitted, GapError> {

@@ -21,7 +21,7 @@ pub struct Nuisances {
     pub block_density: f64,
     /// How the reference poses err.
     pub pose_error: PoseError,
-    /// Error of the odometry's increments beyond the scenario's noise.
+    /// How increments of the odometry err.
     pub odometry_error: OdometryError,
     /// Standard deviation of the offsets of a measured map's walls beyond what the map says \[m\]; `None` of a map that is taken
     /// for exact.

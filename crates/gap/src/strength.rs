@@ -18,6 +18,7 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::hidden::Regime;
 use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
+use crate::odometry::OdometryError;
 use crate::replay::{BlockTruth, Replay};
 use crate::views::Views;
 use crate::{GapError, Nominal, PoseError, Purpose, Recorded};
@@ -82,7 +83,11 @@ impl<'a> Strength<'a> {
     }
 
     fn nuisances(&self) -> Nuisances {
-        Nuisances { pose_error: self.regime.pose_error.unwrap_or(PoseError::NONE), ..Nuisances::default() }
+        Nuisances {
+            pose_error: self.regime.pose_error.unwrap_or(PoseError::NONE),
+            odometry_error: OdometryError { noise: self.nominal.odometry, ..OdometryError::default() },
+            ..Nuisances::default()
+        }
     }
 
     fn replay<'r>(&'r self, effects: &'r [Effect]) -> Replay<'r> {

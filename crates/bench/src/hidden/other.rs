@@ -73,6 +73,47 @@ pub enum OtherForm {
     OdomImbalance,
     /// The share of a slip is Student t with 3 degrees of freedom, without its sign, of the same mean.
     WheelSlip,
+    /// The library's formula of one of [`OtherForm::COURSES`], times a course over what it depends on that is drawn at random for each
+    /// log.
+    Course(EffectKind, Course),
+}
+
+/// A course over a covariate, from a fifth to nine fifths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Course {
+    /// A cubic spline through knots.
+    Spline,
+    /// A table: constant from one level to the next.
+    Table,
+}
+
+/// Knots of a course.
+const KNOTS: usize = 6;
+
+impl Course {
+    /// The factors at evenly spaced knots.
+    fn knots(chance: &mut dyn Rng) -> [f64; KNOTS] {
+        std::array::from_fn(|_| 0.2 + 1.6 * chance.random::<f64>())
+    }
+
+    /// The factor at a share of the covariate's range; a spline is Catmull's and Rom's.
+    pub(super) fn at(self, knots: &[f64; KNOTS], share: f64) -> f64 {
+        let share = share.clamp(0.0, 1.0);
+        match self {
+            Self::Table => knots[((share * KNOTS as f64) as usize).min(KNOTS - 1)],
+            Self::Spline => {
+                let x = share * (KNOTS - 1) as f64;
+                let i = (x as usize).min(KNOTS - 2);
+                let t = x - i as f64;
+                let knot = |i: i64| knots[i.clamp(0, KNOTS as i64 - 1) as usize];
+                let [a, b, c, d] = [-1, 0, 1, 2].map(|off| knot(i as i64 + off));
+                let cubic = 3.0 * (b - c) + d - a;
+                let square = 2.0 * a - 5.0 * b + 4.0 * c - d;
+                (b + 0.5 * t * (c - a + t * (square + t * cubic))).max(0.0)
+            }
+        }
+    }
 }
 
 impl OtherForm {
@@ -100,9 +141,30 @@ impl OtherForm {
         Self::WheelSlip,
     ];
 
+    /// Effects over one covariate, each with a course that is nobody's: a spline, and a table.
+    pub const COURSES: [Self; 14] = {
+        let kinds = [
+            EffectKind::RangeScale,
+            EffectKind::IncidenceBias,
+            EffectKind::WarmupDrift,
+            EffectKind::RangeNoise,
+            EffectKind::IncidenceNoise,
+            EffectKind::IncidenceDropout,
+            EffectKind::RangeDropout,
+        ];
+        let mut all = [Self::RangeBias; 14];
+        let mut i = 0;
+        while i < all.len() {
+            all[i] = Self::Course(kinds[i / 2], if i % 2 == 0 { Course::Spline } else { Course::Table });
+            i += 1;
+        }
+        all
+    };
+
     /// The effect of the library that it should be taken for.
     pub fn kind(self) -> EffectKind {
         match self {
+            Self::Course(kind, _) => kind,
             Self::IncidenceBias => EffectKind::IncidenceBias,
             Self::HeavyTail => EffectKind::HeavyTail,
             Self::IncidenceDropout => EffectKind::IncidenceDropout,
@@ -250,7 +312,44 @@ pub(super) fn record(hidden: &Altered<'_>, form: OtherForm, values: &[f64], plac
             let scale = value(1) * (2.0 / PI).sqrt() / (2.0 * 3_f64.sqrt() / PI);
             [if slips { scale * student_t(&mut chance).abs() } else { 0.0 }, 0.0]
         }),
+        OtherForm::Course(kind, course) => record_course(hidden, kind, course, values),
     }
+}
+
+/// The drive with the library's formula of an effect times a course.
+fn record_course(hidden: &Altered<'_>, kind: EffectKind, course: Course, values: &[f64]) -> Drive {
+    let max = hidden.max_range();
+    let whole_secs = hidden.truth.secs()[hidden.scans() - 1].max(1e-9);
+    let knots = Course::knots(&mut hidden.chance(0, WHOLE_SCAN));
+    let theta = values[0];
+    hidden.with_readings(|beam, chance| {
+        let over = |share: f64| theta * course.at(&knots, share);
+        let incidence = beam.incidence.min(GRAZING_RAD);
+        let of_incidence = || over(incidence / GRAZING_RAD);
+        let mut lost = |p: f64| if chance.random::<f64>() < p { Change::Lost } else { Change::None };
+        match kind {
+            EffectKind::WarmupDrift => {
+                Change::Shift(over(beam.secs / whole_secs) * (-beam.secs / values[1]).exp())
+            }
+            EffectKind::RangeScale => Change::Shift(over(beam.reading / max) * beam.reading),
+            EffectKind::RangeNoise => {
+                widened(hidden.sigma(beam.reading), over(beam.reading / max) * beam.reading, chance)
+            }
+            EffectKind::RangeDropout if beam.is_return() => {
+                lost(over(beam.reading / max) * (beam.reading / max).powf(values[1]))
+            }
+            _ if !beam.is_wall() => Change::None,
+            EffectKind::IncidenceBias => Change::Shift(of_incidence() * incidence.tan().powi(2)),
+            EffectKind::IncidenceNoise => {
+                let sigma = hidden.sigma(beam.reading);
+                widened(sigma, sigma * of_incidence() * incidence.tan().powi(2), chance)
+            }
+            EffectKind::IncidenceDropout => {
+                lost(of_incidence() / (1.0 + ((values[1] - incidence) / values[2]).exp()))
+            }
+            _ => Change::None,
+        }
+    })
 }
 
 /// 2 (1 / cos(alpha) - 1): about tan^2(alpha) where alpha is small.

@@ -1,6 +1,7 @@
 use std::f64::consts::TAU;
 
-use locsim_core::Drive;
+use glam::DVec2;
+use locsim_core::{Drive, Pose2, wrap_angle};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
@@ -20,6 +21,11 @@ const HEIGHT_M: f64 = 0.25;
 const FLOOR_SHARE: f64 = 0.6;
 /// Share by which its pitch grows and shrinks, at the acceleration from which on it does so no further \[m/s^2\].
 const PITCHING: (f64, f64) = (0.3, 2.0);
+
+/// Change of the floor's distance to the side, and nearer left of straight ahead, as shares.
+const BENT: (f64, f64) = (0.4, 0.1);
+/// Period of a thermal wave, as a share of the drive.
+const THERMAL_SHARE: f64 = 0.7;
 
 /// Length of a stripe and the next \[m\].
 const STRIPE_M: f64 = 3.0;
@@ -67,6 +73,12 @@ pub enum Outside {
     NearLoss,
     /// The odometry is that of A seconds before; A \[s\].
     OdometryLag,
+    /// Returns are off by A sin(2 pi t / (0.7 T)) in a drive of duration T, as the laser warms up and cools down; A \[m\].
+    ThermalWave,
+    /// As [`Outside::FloorHit`] of a laser that is tilted sideways as well, on a floor with a ridge: the line on it is bent; p \[1\].
+    BentFloor,
+    /// The reference's frame is turned by A about the middle of the drive; A \[rad\].
+    FrameTurned,
 }
 
 impl Outside {
@@ -83,9 +95,13 @@ impl Outside {
     /// The covariates that readings depend on with it: each is a right answer.
     pub fn covariates(self) -> &'static [Covariate] {
         match self {
-            Self::PeriodicBias => &[Covariate::Time],
-            Self::BearingBias | Self::FloorHit | Self::BearingRipple => &[Covariate::Bearing],
-            Self::BackgroundLight | Self::SurfaceBias | Self::Stripes => &[Covariate::Place],
+            Self::PeriodicBias | Self::ThermalWave => &[Covariate::Time],
+            Self::BearingBias | Self::FloorHit | Self::BearingRipple | Self::BentFloor => {
+                &[Covariate::Bearing]
+            }
+            Self::BackgroundLight | Self::SurfaceBias | Self::Stripes | Self::FrameTurned => {
+                &[Covariate::Place]
+            }
             Self::SharedScanJitter | Self::NeighbourNoise => &[Covariate::Neighbour],
             Self::SecondReflection => &[Covariate::Incidence],
             Self::NearLoss => &[Covariate::Range],
@@ -130,6 +146,22 @@ pub(super) fn record(hidden: &Altered<'_>, kind: Outside, strength: f64) -> Driv
             if lost { Change::Lost } else { Change::None }
         }),
         Outside::OdometryLag => hidden.with_late_odometry(strength),
+        Outside::ThermalWave => {
+            let period = THERMAL_SHARE * hidden.truth.secs()[hidden.scans() - 1];
+            hidden.with_readings(|beam, _| Change::Shift(strength * (TAU * beam.secs / period).sin()))
+        }
+        Outside::FrameTurned => {
+            let poses = hidden.truth.poses();
+            let middle = poses.iter().map(Pose2::position).sum::<DVec2>() / poses.len() as f64;
+            let mut drive = hidden.with_readings(|_, _| Change::None);
+            if strength > 0.0 {
+                for reference in drive.steps.iter_mut().filter_map(|step| step.reference.as_mut()) {
+                    let at = middle + DVec2::from_angle(strength).rotate(reference.position() - middle);
+                    *reference = Pose2::new(at.x, at.y, wrap_angle(reference.theta + strength));
+                }
+            }
+            drive
+        }
         Outside::BearingBias => {
             hidden.with_readings(|beam, _| Change::Shift(strength * (2.0 * beam.bearing).sin()))
         }
@@ -177,23 +209,31 @@ pub(super) fn record(hidden: &Altered<'_>, kind: Outside, strength: f64) -> Driv
                 if twice { Change::Value(2.0 * beam.reading) } else { Change::None }
             })
         }
-        Outside::FloorHit => {
-            let level = (HEIGHT_M / (FLOOR_SHARE * hidden.max_range())).atan();
-            let pitches: Vec<f64> = accelerations(hidden)
-                .into_iter()
-                .map(|acceleration| {
-                    let (share, most) = PITCHING;
-                    level * (1.0 - share * (acceleration / most).clamp(-1.0, 1.0))
-                })
-                .collect();
-            let mount = hidden.nominal.laser.mount.theta;
-            hidden.with_readings(move |beam, chance| {
-                let floor = HEIGHT_M / (pitches[beam.scan] * (beam.bearing + mount).cos()).tan();
-                let hit = chance.random::<f64>() < strength && floor > 0.0 && floor < beam.reading;
-                if hit { Change::Return(floor) } else { Change::None }
-            })
-        }
+        Outside::FloorHit => hits_floor(hidden, strength, |_| 1.0),
+        Outside::BentFloor => hits_floor(hidden, strength, |bearing| {
+            let (sideways, ridge) = BENT;
+            1.0 + sideways * bearing.sin() - if bearing > 0.0 { ridge } else { 0.0 }
+        }),
     }
+}
+
+/// The drive with beams that return from the floor, whose distance at a bearing is the plane's times a factor.
+fn hits_floor(hidden: &Altered<'_>, strength: f64, factor: impl Fn(f64) -> f64 + Sync) -> Drive {
+    let level = (HEIGHT_M / (FLOOR_SHARE * hidden.max_range())).atan();
+    let pitches: Vec<f64> = accelerations(hidden)
+        .into_iter()
+        .map(|acceleration| {
+            let (share, most) = PITCHING;
+            level * (1.0 - share * (acceleration / most).clamp(-1.0, 1.0))
+        })
+        .collect();
+    let mount = hidden.nominal.laser.mount.theta;
+    hidden.with_readings(move |beam, chance| {
+        let bearing = beam.bearing + mount;
+        let floor = factor(bearing) * HEIGHT_M / (pitches[beam.scan] * bearing.cos()).tan();
+        let hit = chance.random::<f64>() < strength && floor > 0.0 && floor < beam.reading;
+        if hit { Change::Return(floor) } else { Change::None }
+    })
 }
 
 /// Standard normal noise of each scan that neighbouring beams have in common.

@@ -5,6 +5,7 @@ use locsim_gap::fixtures::{DRIVE, MAX_M, NOMINAL, SEED, SIGMA_M, TRUTH};
 use locsim_gap::{PoseError, Recorded, Strength};
 use locsim_world::effect::EffectKind;
 
+use super::other::Course;
 use super::*;
 
 /// The north wall, which the robot sees from the south.
@@ -29,7 +30,20 @@ fn values(form: OtherForm, strong: bool) -> Vec<f64> {
         OtherForm::RangeBias | OtherForm::RangeScale => vec![on(0.1)],
         OtherForm::TimeOffset | OtherForm::OdomDistanceScale | OtherForm::OdomImbalance => vec![on(0.2)],
         OtherForm::WheelSlip => vec![on(0.3), 0.5],
+        OtherForm::Course(kind, _) => match kind {
+            EffectKind::WarmupDrift => vec![on(0.2), 3.0],
+            EffectKind::RangeNoise => vec![on(0.01)],
+            EffectKind::IncidenceNoise => vec![on(3.0)],
+            EffectKind::IncidenceDropout => vec![on(0.8), FRAC_PI_3, 0.05],
+            EffectKind::RangeDropout => vec![on(0.9), 1.0],
+            _ => vec![on(0.05)],
+        },
     }
+}
+
+/// All forms.
+fn forms() -> impl Iterator<Item = OtherForm> {
+    OtherForm::ALL.into_iter().chain(OtherForm::COURSES)
 }
 
 fn place(form: OtherForm) -> Vec<[DVec2; 2]> {
@@ -160,7 +174,7 @@ fn at_strength_0_every_drive_is_the_nominal_one_bit_for_bit() {
     let hard = Regime { persistent_blocks: true, pose_error: Some(Regime::POSE_ERROR) };
     for regime in [Regime::default(), hard] {
         let nominal = plain(regime);
-        for form in OtherForm::ALL {
+        for form in forms() {
             assert_eq!(format!("{:?}", other(form, false, regime)), format!("{nominal:?}"), "{form:?}");
         }
         for &kind in Outside::ALL {
@@ -177,7 +191,7 @@ fn at_strength_0_a_sweep_is_the_nominal_one() {
     nominal.laser.scan_secs = 0.1;
     let regime = Regime::default();
     let plain = locsim_gap::hidden::record_library(&nominal, &TRUTH, &[], regime, SEED).unwrap();
-    for form in OtherForm::ALL {
+    for form in forms() {
         let values = values(form, false);
         let drive = record_other(&nominal, &TRUTH, form, &values, &place(form), regime, SEED).unwrap();
         assert_eq!(readings(&drive), readings(&plain), "{form:?}");
@@ -191,7 +205,7 @@ fn at_strength_0_a_sweep_is_the_nominal_one() {
 fn a_strong_effect_shows_where_it_acts_and_a_seed_decides_all() {
     let nominal = plain(Regime::default());
     let odometry = |drive: &Drive| drive.steps.iter().map(|step| step.odometry).collect::<Vec<_>>();
-    for form in OtherForm::ALL {
+    for form in forms() {
         let drive = other(form, true, Regime::default());
         let of_odometry = form.kind().site() == locsim_world::effect::Site::Odometry;
         assert_eq!(readings(&drive) != readings(&nominal), !of_odometry, "{form:?}");
@@ -202,7 +216,10 @@ fn a_strong_effect_shows_where_it_acts_and_a_seed_decides_all() {
     for &kind in Outside::ALL {
         let drive = outside(kind, strength(kind));
         let of_odometry = kind == Outside::OdometryLag;
-        assert_eq!(readings(&drive) != readings(&nominal), !of_odometry, "{kind:?}");
+        let of_reference = kind == Outside::FrameTurned;
+        assert_eq!(readings(&drive) != readings(&nominal), !of_odometry && !of_reference, "{kind:?}");
+        let moved = drive.steps.iter().zip(&nominal.steps).any(|(a, b)| a.reference != b.reference);
+        assert_eq!(moved, of_reference, "{kind:?}");
         assert_eq!(odometry(&drive) != odometry(&nominal), of_odometry, "{kind:?}");
         assert_eq!(format!("{:?}", outside(kind, strength(kind))), format!("{drive:?}"), "{kind:?}");
     }
@@ -211,6 +228,37 @@ fn a_strong_effect_shows_where_it_acts_and_a_seed_decides_all() {
         record_other(&NOMINAL, &TRUTH, OtherForm::HeavyTail, &values, &[], Regime::default(), seed).unwrap()
     };
     assert_ne!(readings(&of_seed(1)), readings(&of_seed(2)));
+}
+
+/// Between a fifth and nine fifths at the knots; a spline goes through them without a jump, a table stays at them.
+#[test]
+fn courses_go_through_their_knots() {
+    let knots = [0.2, 1.8, 0.9, 1.1, 0.3, 1.5];
+    for (i, knot) in knots.into_iter().enumerate() {
+        assert!((Course::Spline.at(&knots, i as f64 / 5.0) - knot).abs() < 1e-12);
+        assert_eq!(Course::Table.at(&knots, (i as f64 + 0.5) / 6.0), knot);
+    }
+    let spline: Vec<f64> = (0..=1000).map(|i| Course::Spline.at(&knots, f64::from(i) / 1000.0)).collect();
+    assert!(spline.windows(2).all(|pair| (pair[1] - pair[0]).abs() < 0.02));
+    assert_eq!(Course::Table.at(&knots, 2.0), 1.5);
+}
+
+/// Each log has a course of its own, which is a function of its covariate alone.
+#[test]
+fn a_course_of_a_scale_is_over_range() {
+    let form = OtherForm::Course(EffectKind::RangeScale, Course::Table);
+    let scaled = pairs(&other(form, true, Regime::default()));
+    let level = |range: f64| (range / MAX_M * 6.0) as usize;
+    for at in 1..5 {
+        let factors: Vec<f64> = scaled
+            .iter()
+            .filter(|pair| pair.is_wall() && level(pair.before) == at && pair.before > 1.0 && !pair.is_lost())
+            .map(|pair| pair.moved() / (0.05 * pair.before))
+            .collect();
+        let first = factors[0];
+        assert!((0.15..1.85).contains(&first), "{at}: {first}");
+        assert!(factors.iter().all(|factor| (factor - first).abs() < 0.05), "{at}: {first}");
+    }
 }
 
 #[test]

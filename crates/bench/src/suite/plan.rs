@@ -154,6 +154,10 @@ const MORE_OUTSIDE: [(Outside, f64); 6] = [
     (Outside::OdometryLag, 0.2),
 ];
 
+/// More of them, which come after those and the courses.
+const LAST_OUTSIDE: [(Outside, f64); 3] =
+    [(Outside::ThermalWave, 0.01), (Outside::BentFloor, 0.08), (Outside::FrameTurned, 0.007)];
+
 /// Effects that mislead a filter, with their strengths.
 const MISLEADING: [(EffectKind, f64); 5] = [
     (EffectKind::RangeBias, 0.06),
@@ -368,6 +372,21 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
         let name = format!("outside-{}", kind.name());
         add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());
     }
+    for (i, &form) in OtherForm::COURSES.iter().enumerate().filter(|_| size != Size::Small) {
+        for (group, lambda) in
+            [(Group::Other, 100.0), (Group::StrongOther, STRONG[(i + seed as usize) % STRONG.len()])]
+        {
+            let hidden = |draw: &Draw| {
+                let (effect, index) = typical(form.kind(), map, poses, draw);
+                Hidden::Other(form, effect, index)
+            };
+            add(group, format!("course-{}-{lambda}", form.kind()), lambda, 0, &hidden, Vec::new());
+        }
+    }
+    for &(kind, strength) in LAST_OUTSIDE.iter().filter(|_| size != Size::Small) {
+        let name = format!("outside-{}", kind.name());
+        add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());
+    }
     // In an order of chance, so that a part of the suite is a sample of it.
     let draw = Draw::new(seed, Stage::Trial, ORDER);
     let mut order: Vec<(u64, Case)> =
@@ -403,8 +422,10 @@ mod tests {
             let mut both = [names(46, group, 100.0), names(47, group, 100.0)].concat();
             both.sort();
             both.dedup();
+            both.retain(|name| !name.starts_with("course"));
             assert_eq!(both.len(), kinds);
-            assert_eq!(names(46, group, 100.0).len(), kinds / 2);
+            let chosen = names(46, group, 100.0).into_iter().filter(|name| !name.starts_with("course"));
+            assert_eq!(chosen.count(), kinds / 2);
         }
         assert_eq!(names(46, Group::Null, 0.0).len(), 24);
     }
