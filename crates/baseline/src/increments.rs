@@ -11,6 +11,8 @@ use super::trials::strengths;
 /// Least squares are repeated without errors of more than these standard deviations.
 const CUT: f64 = 3.0;
 const ROUNDS: usize = 4;
+/// An odometry is no better than a thousandth of the scenario's variance.
+const LEAST_SHARE: f64 = 1e-3;
 
 /// Increments of both logs, with their stretches.
 pub(super) struct Increments {
@@ -25,6 +27,9 @@ pub(super) struct Usual {
     distance: f64,
     /// Error of the turn per radian and per metre.
     turn: [f64; 2],
+    /// Variances of distance and turn, in those of the scenario: at most 1.
+    share: [f64; 2],
+    /// The rest.
     spread: OdometryError,
 }
 
@@ -76,7 +81,8 @@ impl Increments {
             })
             .map(|(_, increment)| increment)
             .collect();
-        let mut usual = Usual { distance: 0.0, turn: [0.0; 2], spread: OdometryError::default() };
+        let mut usual =
+            Usual { distance: 0.0, turn: [0.0; 2], share: [1.0; 2], spread: OdometryError::default() };
         for _ in 0..ROUNDS {
             let mut deviations: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
             let mut known: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
@@ -84,13 +90,16 @@ impl Increments {
                 let rest = usual.without(increment);
                 for axis in 0..2 {
                     deviations[axis].push(rest.error[axis].abs());
-                    known[axis].push(rest.variance[axis]);
+                    known[axis].push(increment.variance[axis]);
                 }
             }
-            let spread: [f64; 2] = std::array::from_fn(|axis| {
+            let mut spread = [0.0; 2];
+            for axis in 0..2 {
                 let sigma = normal::SIGMA_OVER_MAD * median(&mut deviations[axis]);
-                (sigma * sigma - median(&mut known[axis])).max(0.0).sqrt()
-            });
+                let known = median(&mut known[axis]);
+                spread[axis] = (sigma * sigma - known).max(0.0).sqrt();
+                usual.share[axis] = (sigma * sigma / known.max(f64::MIN_POSITIVE)).clamp(LEAST_SHARE, 1.0);
+            }
             usual.spread = OdometryError { sigma_m: spread[0], sigma_rad: spread[1] };
             let [mut dd, mut de, mut tt, mut td, mut te, mut ds, mut se] = [0.0; 7];
             for increment in &own {
@@ -176,12 +185,13 @@ impl Increments {
 }
 
 impl Usual {
-    /// An increment without the errors that the baseline has.
+    /// An increment without the errors that the baseline has, and with their spread.
     fn without(&self, increment: &Increment) -> Increment {
         let [d, t] = increment.truth;
         let [distance, turn] = increment.error;
         let error = [distance - self.distance * d, turn - self.turn[0] * t - self.turn[1] * d];
-        Increment { error, ..*increment }
+        let variance = std::array::from_fn(|axis| self.share[axis] * increment.variance[axis]);
+        Increment { error, variance, ..*increment }
     }
 }
 

@@ -5,7 +5,7 @@
 //! and of the simulator are in both logs, and cancel. An effect of the library then changes today's readings from what they are
 //! expected to be; its strength is the change since the baseline.
 //!
-//! The null distribution is of permutations. Both logs are cut into stretches, and the stretches are assigned anew to two
+//! The null distribution is of permutations; that of effects at one place is of the other places. Both logs are cut into stretches, and the stretches are assigned anew to two
 //! logs; each time the baseline is learnt and all effects are tried again. So a p-value knows how well the baseline is known,
 //! how stretches differ from one another, and how many effects were tried. It supposes that stretches of one log are
 //! exchangeable with those of the other where nothing changed.
@@ -16,14 +16,18 @@
 //! | the distribution of readings at each place | `learnt` |
 //! | the odometry | `increments` |
 //! | effects with the readings that they change | `trials` |
-//! | permutations, names, numbers | `search` |
+//! | effects at one place | `places` |
+//! | permutations, names | `search` |
+//! | numbers with their intervals | `precision` |
 //! | how rare a gain is | `null` |
 
 mod assignment;
 mod increments;
 mod learnt;
 mod null;
+mod places;
 mod pool;
+mod precision;
 mod search;
 #[cfg(test)]
 mod tests;
@@ -54,6 +58,11 @@ impl Default for BaselineOptions {
     fn default() -> Self {
         Self { permutations: 399, false_alarm: 0.01, most_effects: 3, without: Vec::new(), seed: 0 }
     }
+}
+
+/// The least p-value that so many permutations can give; effects at one place have a test of their own.
+pub fn least_p(permutations: u32) -> f64 {
+    1.0 / (f64::from(permutations) + 1.0) / (1.0 - search::SHARE_OF_PLACES)
 }
 
 /// The result of a comparison with a baseline in one word.

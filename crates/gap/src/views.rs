@@ -199,7 +199,7 @@ fn rays<'a>(
 ) -> impl Iterator<Item = Ray> {
     let track = &recorded.track;
     let stamp = track.secs()[scan];
-    let base_at = move |secs| if secs == stamp { track.poses()[scan] } else { track.pose_at(secs) };
+    let base_at = move |secs| if secs == stamp { track.poses()[scan] } else { recorded.pose_at(secs) };
     caster.rays(beams, stamp, base_at)
 }
 
