@@ -44,7 +44,7 @@ pub use search::find_changes;
 pub struct BaselineOptions {
     /// Permutations behind a p-value.
     pub permutations: u32,
-    /// Chance of finding a change where there is none.
+    /// Chance of finding a change where there is none; effects at one place have half of it on top.
     pub false_alarm: f64,
     /// The most effects that are named.
     pub most_effects: usize,
@@ -58,11 +58,6 @@ impl Default for BaselineOptions {
     fn default() -> Self {
         Self { permutations: 399, false_alarm: 0.01, most_effects: 3, without: Vec::new(), seed: 0 }
     }
-}
-
-/// The least p-value that so many permutations can give; effects at one place have a test of their own.
-pub fn least_p(permutations: u32) -> f64 {
-    1.0 / (f64::from(permutations) + 1.0) / (1.0 - search::SHARE_OF_PLACES)
 }
 
 /// The result of a comparison with a baseline in one word.

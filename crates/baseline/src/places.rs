@@ -14,7 +14,6 @@ use rayon::prelude::*;
 
 use super::assignment::Assignment;
 use super::null::root;
-use super::pool::Expected;
 use super::search::{Known, Search};
 use super::trials::{Given, Trial, usual};
 
@@ -26,6 +25,8 @@ const OTHERS: usize = 10;
 const FITTED_OBJECTS: usize = 15;
 /// Kinds of effect at a place.
 const KINDS: f64 = 3.0;
+/// Places by the kind of effect.
+pub(super) type Places = BTreeMap<EffectKind, Vec<Place>>;
 
 /// Whether a kind acts at one place.
 pub(super) fn is_of_place(kind: EffectKind) -> bool {
@@ -56,56 +57,67 @@ impl Place {
     }
 }
 
-/// The best place of a kind.
+/// The place where a kind gains most.
 pub(super) struct Best {
     pub place: Place,
-    /// Its distance to the next one, in their scale.
+    /// How far it is beyond the best other place, in their scale.
     pub z: f64,
-    /// Chance that some kind has a place that stands out as much.
+    /// Chance that some kind's best place stands out as much.
     pub p: f64,
 }
 
-/// How far the best place stands out from all others of both directions; `None` where there are too few.
-fn stands_out(today: &[Place], baseline: &[Place]) -> Option<Best> {
-    let best = today.iter().max_by(|a, b| a.gain.total_cmp(&b.gain))?;
-    let mut all: Vec<&Place> = today.iter().chain(baseline).collect();
-    all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-    let mut others: Vec<&Place> = Vec::new();
-    for place in all {
-        if others.len() > OTHERS {
-            break;
+impl Best {
+    /// Holds the best place of today's log against all others of both directions; `None` where nothing was tried.
+    fn new(today: &[Place], baseline: &[Place]) -> Option<Self> {
+        let best = today.iter().max_by(|a, b| a.gain.total_cmp(&b.gain))?;
+        let mut all: Vec<&Place> = today.iter().chain(baseline).collect();
+        all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        let mut others: Vec<&Place> = Vec::new();
+        for place in all {
+            if others.len() > OTHERS {
+                break;
+            }
+            if !place.is_near(best) && others.iter().all(|other| !other.is_near(place)) {
+                others.push(place);
+            }
         }
-        if !place.is_near(best) && others.iter().all(|other| !other.is_near(place)) {
-            others.push(place);
-        }
+        // Where nothing is tried nothing gains.
+        let root = |i: usize| others.get(i).map_or(0.0, |other| other.root());
+        let excess: f64 = (0..OTHERS).map(|i| root(i) - root(OTHERS)).sum();
+        // Roots of independent readings have a scale of about 1.
+        let scale = (excess / OTHERS as f64).max(1.0);
+        let z = (best.root() - root(0)) / scale;
+        // The scale is that of ten exponential numbers.
+        let p = (KINDS * (1.0 + z.max(0.0) / OTHERS as f64).powi(-(OTHERS as i32))).min(1.0);
+        Some(Self { place: best.clone(), z, p })
     }
-    let (last, others) = others.split_last().filter(|(_, others)| others.len() == OTHERS)?;
-    let excess: f64 = others.iter().map(|other| other.root() - last.root()).sum();
-    // Independent readings have roots of a scale of about 1.
-    let scale = (excess / OTHERS as f64).max(1.0);
-    let z = (best.root() - others[0].root()) / scale;
-    let p = (KINDS * (1.0 + z.max(0.0) / OTHERS as f64).powi(-(OTHERS as i32))).min(1.0);
-    Some(Best { place: best.clone(), z, p })
+
+    /// The best place of each kind.
+    pub fn all(today: &Places, baseline: &Places) -> BTreeMap<EffectKind, Self> {
+        let best = |(kind, places): (&EffectKind, &Vec<Place>)| {
+            let of_baseline = baseline.get(kind).map_or(&[][..], |places| places);
+            Some((*kind, Self::new(places, of_baseline)?))
+        };
+        today.iter().filter_map(best).collect()
+    }
 }
 
 impl Search<'_> {
-    /// The places where today's log gains beside the given effects, by kind. `tried` are the trials beside the given effects, `plain`
-    /// those beside nothing.
+    /// The places where today's log gains, by kind.
     pub fn places(
         &self,
-        [tried, plain]: [&[Trial]; 2],
-        given: &Given,
-        expected: &[Expected],
+        placed: &[Trial],
         assignment: &Assignment,
         known: &Known,
-    ) -> Result<BTreeMap<EffectKind, Vec<Place>>, GapError> {
-        let logs = self.log_densities(known, expected);
-        let mut places: BTreeMap<EffectKind, Vec<Place>> = BTreeMap::new();
-        for trial in tried {
-            let Some(plain) = plain.iter().find(|plain| plain.effect == trial.effect) else { continue };
-            let today = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
-            let baseline = plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline);
-            let gain = assignment.net(&today, &baseline).iter().sum();
+    ) -> Result<Places, GapError> {
+        let none = Given { effects: Vec::new() };
+        let expected = usual(self.pool);
+        let logs = self.log_densities(known, &expected);
+        let used = assignment.used();
+        let mut places = Places::new();
+        for trial in placed {
+            let gains = trial.gains(self.pool, &known.learnt, &logs[0], &used);
+            let gain = assignment.net(&gains, &gains).iter().sum();
             let effect = trial.effect.clone();
             places.entry(effect.kind).or_default().push(Place { effect, gain });
         }
@@ -113,7 +125,7 @@ impl Search<'_> {
             places.sort_by(|a, b| b.gain.total_cmp(&a.gain));
             let most = places.len().min(FITTED_OBJECTS);
             places[..most].par_iter_mut().try_for_each(|place| -> Result<(), GapError> {
-                let fit = self.fit(place.effect.clone(), given, expected, &logs, assignment, known)?;
+                let fit = self.fit(place.effect.clone(), &none, &expected, &logs, assignment, known)?;
                 *place = Place { gain: fit.gain(), effect: fit.effect };
                 Ok(())
             })?;
@@ -122,28 +134,12 @@ impl Search<'_> {
     }
 
     /// The places where the baseline gains, held against today's log.
-    pub fn places_of_baseline(
-        &self,
-        placed: &[Trial],
-        assignment: &Assignment,
-    ) -> Result<BTreeMap<EffectKind, Vec<Place>>, GapError> {
+    pub fn places_of_baseline(&self, placed: &[Trial], assignment: &Assignment) -> Result<Places, GapError> {
         let Assignment { is_baseline, is_today } = assignment.clone();
         let turned = Assignment { is_baseline: is_today, is_today: is_baseline };
         let known = self.learn(&turned);
-        let none = Given { effects: Vec::new() };
-        self.places([placed, placed], &none, &usual(self.pool), &turned, &known)
+        self.places(placed, &turned, &known)
     }
-}
-
-/// The best place of each kind.
-pub(super) fn best_places(
-    today: &BTreeMap<EffectKind, Vec<Place>>,
-    baseline: &BTreeMap<EffectKind, Vec<Place>>,
-) -> BTreeMap<EffectKind, Best> {
-    let best = |(kind, places): (&EffectKind, &Vec<Place>)| {
-        Some((*kind, stands_out(places, baseline.get(kind).map_or(&[][..], |places| places))?))
-    };
-    today.iter().filter_map(best).collect()
 }
 
 #[cfg(test)]
@@ -163,16 +159,21 @@ mod tests {
             let places = roots.into_iter().enumerate().filter(|(i, _)| i % 2 == direction);
             places.map(|(i, root)| at(10.0 * i as f64, root)).collect()
         };
-        let p_of = |root: f64| {
+        let best_of = |root: f64| {
             let mut today = others(0);
             // What is seen beside it is the same place.
             today.extend([at(-10.0, root), at(-9.0, 0.9 * root)]);
-            let best = stands_out(&today, &others(1)).unwrap();
-            (best.z, best.p)
+            Best::new(&today, &others(1)).unwrap()
         };
-        let (z, p) = p_of(26.0);
-        assert!((z - 10.0).abs() < 1e-9 && (p - 3.0 * 2.0_f64.powi(-10)).abs() < 1e-12, "{z} {p}");
-        assert_eq!(p_of(5.5).1, 1.0);
-        assert!(stands_out(&others(0), &[]).is_none());
+        let found = best_of(26.0);
+        assert!(
+            (found.z - 10.0).abs() < 1e-9 && (found.p - 3.0 * 2.0_f64.powi(-10)).abs() < 1e-12,
+            "{}",
+            found.z
+        );
+        assert_eq!(best_of(5.5).p, 1.0);
+        // Beside nothing the scale is 1.
+        assert!((Best::new(&[at(0.0, 10.0)], &[]).unwrap().z - 10.0).abs() < 1e-9);
+        assert!(Best::new(&[], &others(1)).is_none());
     }
 }

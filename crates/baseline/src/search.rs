@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::{Estimate, Progress};
 use locsim_gap::{Evidence, GapError, Named, Nominal, Purpose, Recorded, split_by, sum_error};
-use locsim_world::effect::{Effect, EffectKind, Role};
+use locsim_world::effect::{Effect, EffectKind, Moves, Role};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
@@ -14,10 +14,10 @@ use super::assignment::Assignment;
 use super::increments::{Increments, Usual, is_of_odometry};
 use super::learnt::{ERROR_BIN_M, ERROR_BINS, Learnt, bin_of};
 use super::null::{Best, Null, Score, add};
-use super::places::{self, Place, best_places, is_of_place};
+use super::places::{self, is_of_place};
 use super::pool::{Expected, Pool};
 use super::precision::Precise;
-use super::trials::{Given, Trial, trials, usual};
+use super::trials::{Given, Trial, of_object, trials, usual};
 use super::{BaselineOptions, ChangeVerdict, Changes, Tried};
 
 /// Fewer of today's readings than this, at places that the baseline has seen, say nothing.
@@ -31,8 +31,8 @@ const FITTED_KINDS: usize = 5;
 const HALVINGS: usize = 6;
 /// Gain that each parameter has to have (nats); see [`locsim_gap::find`]'s choice.
 const BY_CHANCE: f64 = 1.92;
-/// Share of the false alarms that effects at one place may make.
-pub(super) const SHARE_OF_PLACES: f64 = 0.2;
+/// False alarms that effects at one place may make, as a share of those of all others: they come on top.
+const SHARE_OF_PLACES: f64 = 0.5;
 /// A step of a fit gains at least this (nats).
 const LEAST_MORE: f64 = 0.01;
 
@@ -103,9 +103,8 @@ pub(super) enum Change {
 /// What is tried beside nothing, and how it scores.
 struct Round {
     tried: Vec<Trial>,
-    placed: Vec<Trial>,
     own: Best,
-    best_places: BTreeMap<EffectKind, places::Best>,
+    places: BTreeMap<EffectKind, places::Best>,
 }
 
 /// An effect with its gain on today's stretches (nats).
@@ -140,9 +139,9 @@ impl Search<'_> {
         let assignment = self.true_assignment();
         let known = self.learn(&assignment);
         let own = self.best(&tried, &odometry, &assignment, &known);
-        let places = self.places([&placed, &placed], &given, &expected, &assignment, &known)?;
+        let places = self.places(&placed, &assignment, &known)?;
         let places_of_baseline = self.places_of_baseline(&placed, &assignment)?;
-        let standing = best_places(&places, &places_of_baseline);
+        let standing = places::Best::all(&places, &places_of_baseline);
         let stretches = assignment.is_today.iter().filter(|is| **is).count();
         let screening = options.permutations.min(SCREENING);
         let (mut others, mut distances) = self.permute(&tried, &odometry, 0..screening)?;
@@ -155,7 +154,7 @@ impl Search<'_> {
         }
         changes.permutations = others.len() as u32;
         let p_of_places = standing.values().map(|best| best.p).fold(1.0, f64::min);
-        changes.p = (null.p(&own) / (1.0 - SHARE_OF_PLACES)).min(p_of_places / SHARE_OF_PLACES).min(1.0);
+        changes.p = null.p(&own).min(p_of_places / SHARE_OF_PLACES);
         changes.tried = own
             .iter()
             .map(|(&name, score)| Tried { name, gain_nats: score.gain.max(0.0), z: null.z(name, score) })
@@ -168,9 +167,8 @@ impl Search<'_> {
         changes.tried.sort_by(|a, b| b.gain_nats.total_cmp(&a.gain_nats));
         let mut named = Vec::new();
         if changes.p <= options.false_alarm {
-            let first = Round { tried, placed, own, best_places: standing };
-            named =
-                self.name(&first, &places_of_baseline, &odometry, &null, &assignment, &known, changes.p)?;
+            let first = Round { tried, own, places: standing };
+            named = self.name(&first, &odometry, &null, &assignment, &known, changes.p)?;
         }
         changes.verdict = match (changes.p <= options.false_alarm, named.is_empty()) {
             (true, false) => ChangeVerdict::Changed,
@@ -265,18 +263,16 @@ impl Search<'_> {
     }
 
     /// Names the effect that gains most, adds it, and looks again.
-    #[expect(clippy::too_many_arguments, reason = "the first round, part by part")]
     fn name(
         &self,
         first: &Round,
-        places_of_baseline: &BTreeMap<EffectKind, Vec<Place>>,
         odometry: &[Effect],
         null: &Null,
         assignment: &Assignment,
         known: &Known,
         p: f64,
     ) -> Result<Vec<Named>, GapError> {
-        let Round { tried, placed, own, best_places: standing_first } = first;
+        let Round { tried, own, places } = first;
         let mut named: Vec<Named> = Vec::new();
         let mut given = Given { effects: Vec::new() };
         let mut expected = usual(self.pool);
@@ -296,16 +292,13 @@ impl Search<'_> {
                 kinds.into_iter().take(FITTED_KINDS).map(|(_, index)| effect_of(tried, index)).collect()
             };
         // That something of these data changed is known in the first round; later on, each kind might be there by chance.
-        let chance = (1.0 - SHARE_OF_PLACES) * self.options.false_alarm;
-        let standing = |best: &BTreeMap<EffectKind, places::Best>| -> Vec<Effect> {
-            let is_rare = |best: &&places::Best| best.p <= SHARE_OF_PLACES * self.options.false_alarm;
-            best.values().filter(is_rare).map(|best| best.place.effect.clone()).collect()
-        };
+        let chance = self.options.false_alarm;
+        let stand_out = || places.values().filter(|best| best.p <= SHARE_OF_PLACES * chance);
+        let at_place = || stand_out().map(|best| best.place.effect.clone());
         let mut next = starts(tried, own, &|kind, score| {
-            let p = null.p_beside(kind, own) / (1.0 - SHARE_OF_PLACES);
-            p <= self.options.false_alarm && null.weight(kind, score) > -chance.ln()
+            null.p_beside(kind, own) <= chance && null.weight(kind, score) > -chance.ln()
         });
-        next.extend(standing(standing_first));
+        next.extend(at_place());
         let mut scores = own.clone();
         while !next.is_empty() && named.len() < self.options.most_effects {
             self.progress.stage("fitting effects", next.len() as u64);
@@ -330,17 +323,22 @@ impl Search<'_> {
             let Some((best, precise)) = sure else { break };
             let effect = precise.effect.clone();
             let z = scores.get(&effect.kind).map(|score| null.z(effect.kind, score));
-            let of_place = || first.best_places.get(&effect.kind).map(|best| best.z);
-            let evidence = [z.or_else(of_place).unwrap_or(0.0), p];
+            let z_of_place = || places.get(&effect.kind).map_or(0.0, |best| best.z);
+            let evidence = [z.unwrap_or_else(z_of_place), p];
             named.push(name(&fits, best, precise, assignment, evidence, self.pool.logs[1].recorded.scans()));
             given.effects.push(effect);
             if named.len() == self.options.most_effects {
                 break;
             }
             expected = self.expected_with(&given.effects)?;
-            let all = trials(self.pool, &given, &expected, &self.options.without);
-            let (still_placed, more): (Vec<Trial>, Vec<Trial>) =
-                all.into_iter().partition(|trial| is_of_place(trial.effect.kind));
+            // Beside effects of readings each place would be cast anew: those that stood out in the first round are fitted again.
+            let without: Vec<EffectKind> = EffectKind::ALL
+                .into_iter()
+                .filter(|kind| is_of_place(*kind) || self.options.without.contains(kind))
+                .collect();
+            let on_laser =
+                given.effects.iter().filter(|effect| !is_of_odometry(effect.kind)).cloned().collect();
+            let more = trials(self.pool, &Given { effects: on_laser }, &expected, &without);
             // The rest of a named effect is its form.
             let is_new =
                 |kind: EffectKind| given.effects.iter().all(|known| known.kind != kind || !kind.adds_up());
@@ -350,14 +348,11 @@ impl Search<'_> {
             next = starts(&more, &best, &|kind, score| {
                 null.weight(kind, score) > null.least_weight(kind, chance)
             });
-            let places = self.places([&still_placed, placed], &given, &expected, assignment, known)?;
-            let mut places = standing(&best_places(&places, places_of_baseline));
-            places.retain(|effect| is_new(effect.kind));
-            next.extend(places);
+            next.extend(at_place().filter(|effect| is_new(effect.kind)));
             scores = best;
         }
         // Gains of readings and of the odometry don't compare. What stands out more among permutations is told first.
-        let of_places = standing_first.values().map(|best| -best.p.ln()).fold(0.0, f64::max);
+        let of_places = stand_out().map(|best| -(best.p / SHARE_OF_PLACES).ln()).fold(0.0, f64::max);
         let rarity = |named: &Named| {
             let most = null.most_beside(named.name, own);
             if is_of_odometry(named.name) { most } else { most.max(of_places) }
@@ -403,11 +398,20 @@ impl Search<'_> {
             .filter(|effect| !is_of_odometry(effect.kind))
             .map(|effect| effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread))
             .collect();
-        if on_laser.is_empty() {
-            return Ok(usual(self.pool));
+        let (objects, others): (Vec<Effect>, Vec<Effect>) =
+            on_laser.into_iter().partition(|effect| effect.kind.moves() == Moves::Objects);
+        let mut expected = usual(self.pool);
+        if !others.is_empty() {
+            let world = self.pool.world(&others)?;
+            let readings = self.pool.readings.iter().zip(&mut expected);
+            readings.for_each(|(reading, expected)| *expected = self.pool.expected(&world, reading));
         }
-        let world = self.pool.world(&on_laser)?;
-        Ok(self.pool.readings.iter().map(|reading| self.pool.expected(&world, reading)).collect())
+        for object in &objects {
+            for (index, met) in of_object(self.pool, object, &expected) {
+                expected[index as usize] = met;
+            }
+        }
+        Ok(expected)
     }
 
     /// What an effect changes beside the given ones.

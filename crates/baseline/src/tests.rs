@@ -70,7 +70,7 @@ fn log(effects: &[(EffectKind, &[f64])], seed: u64) -> Recorded {
 
 fn changes(baseline: &[(EffectKind, &[f64])], today: &[(EffectKind, &[f64])]) -> Changes {
     let options =
-        BaselineOptions { permutations: 99, false_alarm: least_p(99), seed: 5, ..BaselineOptions::default() };
+        BaselineOptions { permutations: 99, false_alarm: 0.01, seed: 5, ..BaselineOptions::default() };
     let stop = AtomicBool::new(false);
     find_changes(&NOMINAL, &log(baseline, 1), &log(today, 2), &options, &(), &stop).unwrap()
 }

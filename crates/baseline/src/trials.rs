@@ -138,7 +138,7 @@ fn changed(
 }
 
 /// The readings of beams that meet an object.
-fn of_object(pool: &Pool<'_>, effect: &Effect, known: &[Expected]) -> Vec<(u32, Expected)> {
+pub(super) fn of_object(pool: &Pool<'_>, effect: &Effect, known: &[Expected]) -> Vec<(u32, Expected)> {
     let [x, y, radius_m] = [0, 1, 2].map(|i| effect.values[i]);
     let disc = Disc { center: DVec2::new(x, y), radius_m };
     let met = pool.readings.iter().enumerate().filter_map(|(index, reading)| {

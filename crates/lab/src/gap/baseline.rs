@@ -1,6 +1,6 @@
 //! A log against an earlier one of the same robot: what changed since the baseline.
 
-use locsim_baseline::{BaselineOptions, ChangeVerdict, Changes, find_changes, least_p};
+use locsim_baseline::{BaselineOptions, ChangeVerdict, Changes, find_changes};
 use locsim_gap::Named;
 use locsim_report::store::{Folder, Request};
 use locsim_report::text::{self, TextTable, fixed};
@@ -9,7 +9,7 @@ use minijinja::syntax::SyntaxConfig;
 use minijinja::{Environment, context};
 use serde_json::{Value, json as json_of};
 
-use super::{GapStudy, GapStudyOptions, answer, proposal};
+use super::{GapStudy, GapStudyOptions, answer, false_alarm, proposal};
 use crate::LabError;
 use locsim_core::Control;
 
@@ -51,7 +51,7 @@ pub fn find(study: &GapStudy, control: Control<'_>) -> Result<Changes, LabError>
     let replicates = study.settings.replicates;
     let search = BaselineOptions {
         permutations: replicates,
-        false_alarm: BaselineOptions::default().false_alarm.max(least_p(replicates)),
+        false_alarm: false_alarm(replicates),
         without: study.settings.without.clone(),
         seed: study.scenario.seed,
         ..BaselineOptions::default()
