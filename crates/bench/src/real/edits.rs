@@ -490,13 +490,24 @@ mod tests {
 
     #[test]
     fn the_slant_is_that_of_the_wall() {
-        let bearings: Vec<f64> = (0..5).map(|beam| f64::from(78 + beam).to_radians()).collect();
-        let ranges: Vec<f32> = bearings.iter().map(|bearing| (2.0 / bearing.sin()) as f32).collect();
-        let slant = incidence(&ranges, &bearings, 2, 10.0).unwrap();
+        let bearings: Vec<f64> = (70..=90).map(|degrees| f64::from(degrees).to_radians()).collect();
+        let mut ranges: Vec<f32> = bearings.iter().map(|bearing| (2.0 / bearing.sin()) as f32).collect();
+        let slant = incidence(&ranges, &bearings, 10, 10.0).unwrap();
         assert!((slant - 10.0_f64.to_radians()).abs() < 1e-3, "{slant}");
-        // Beams that end far from each other are of an edge, or too few to say.
-        let drive = drive();
-        assert_eq!(incidence(&drive.steps[0].scan.ranges, &super::bearings(&drive), 1, 10.0), None);
+        // The last beam has neighbours on one side alone, and what stands before the wall is of no line.
+        assert_eq!(incidence(&ranges, &bearings, 20, 10.0), None);
+        ranges[11] -= 0.1;
+        assert_eq!(incidence(&ranges, &bearings, 10, 10.0), None);
+    }
+
+    /// Poses of the path keep, and their stamps are the earlier ones of when the robot was there.
+    #[test]
+    fn the_path_of_late_stamps_is_earlier() {
+        let (mut late, mut path) = (drive(), RobotPath::new(&drive()));
+        Edit::Late.apply(&mut late, &mut path, &drive(), 1).unwrap();
+        let before = RobotPath::new(&drive());
+        assert_eq!(path.reference[7].1, before.reference[7].1);
+        assert!((before.reference[7].0 - path.reference[7].0 - LATE_SECS).abs() < 1e-6);
     }
 
     #[test]
