@@ -16,12 +16,14 @@
 //! | the distribution of readings at each place | `learnt` |
 //! | the odometry | `increments` |
 //! | effects with the readings that they change | `trials` |
+//! | fits of an effect | `fitting` |
 //! | effects at one place | `places` |
 //! | permutations, names | `search` |
 //! | numbers with their intervals | `precision` |
 //! | how rare a gain is | `null` |
 
 mod assignment;
+mod fitting;
 mod increments;
 mod learnt;
 mod null;

@@ -13,8 +13,8 @@ use locsim_world::effect::{Effect, EffectKind, Moves};
 use rayon::prelude::*;
 
 use super::assignment::Assignment;
+use super::fitting::{Known, Search};
 use super::null::root;
-use super::search::{Known, Search};
 use super::trials::{Given, Trial, usual};
 
 /// Places nearer to each other count as one \[m\].

@@ -15,8 +15,8 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::assignment::Assignment;
+use super::fitting::{Change, Known, Search};
 use super::pool::Expected;
-use super::search::{Change, Known, Search};
 use super::trials::Given;
 
 /// The first step of a number for the parabola, in strengths. It is halved until half of it changes the gain by a quarter or so: up
