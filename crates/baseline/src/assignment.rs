@@ -1,6 +1,7 @@
 //! Stretches, and the log that each is of.
 
 /// The stretches of the baseline and of today's log; a permutation assigns them anew.
+#[derive(Clone)]
 pub(super) struct Assignment {
     pub is_baseline: Vec<bool>,
     pub is_today: Vec<bool>,

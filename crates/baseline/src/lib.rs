@@ -5,7 +5,7 @@
 //! and of the simulator are in both logs, and cancel. An effect of the library then changes today's readings from what they are
 //! expected to be; its strength is the change since the baseline.
 //!
-//! The null distribution is of permutations. Both logs are cut into stretches, and the stretches are assigned anew to two
+//! The null distribution is of permutations; that of effects at one place is of the other places. Both logs are cut into stretches, and the stretches are assigned anew to two
 //! logs; each time the baseline is learnt and all effects are tried again. So a p-value knows how well the baseline is known,
 //! how stretches differ from one another, and how many effects were tried. It supposes that stretches of one log are
 //! exchangeable with those of the other where nothing changed.
@@ -16,14 +16,20 @@
 //! | the distribution of readings at each place | `learnt` |
 //! | the odometry | `increments` |
 //! | effects with the readings that they change | `trials` |
-//! | permutations, names, numbers | `search` |
+//! | fits of an effect | `fitting` |
+//! | effects at one place | `places` |
+//! | permutations, names | `search` |
+//! | numbers with their intervals | `precision` |
 //! | how rare a gain is | `null` |
 
 mod assignment;
+mod fitting;
 mod increments;
 mod learnt;
 mod null;
+mod places;
 mod pool;
+mod precision;
 mod search;
 #[cfg(test)]
 mod tests;
@@ -40,7 +46,7 @@ pub use search::find_changes;
 pub struct BaselineOptions {
     /// Permutations behind a p-value.
     pub permutations: u32,
-    /// Chance of finding a change where there is none.
+    /// Chance of finding a change where there is none; effects at one place have half of it on top.
     pub false_alarm: f64,
     /// The most effects that are named.
     pub most_effects: usize,

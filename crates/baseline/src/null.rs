@@ -127,7 +127,7 @@ impl Contrasts {
 
 /// A gain as a number of standard deviations, were its effect a shift of one direction; negative where it loses, so that kinds
 /// which hardly ever gain have a distribution, too.
-fn root(gain: f64) -> f64 {
+pub(super) fn root(gain: f64) -> f64 {
     gain.signum() * (2.0 * gain.abs()).sqrt()
 }
 

@@ -5,19 +5,20 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::{Estimate, Progress};
-use locsim_gap::{
-    Evidence, GapError, Named, Nominal, Number, OdometryModel, Purpose, Recorded, split_by, sum_error,
-};
-use locsim_world::effect::{Effect, EffectKind, Parameter, Role};
+use locsim_gap::{Evidence, GapError, Named, Nominal, Purpose, Recorded, split_by, sum_error};
+use locsim_world::effect::{Effect, EffectKind, Moves};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use super::assignment::Assignment;
+use super::fitting::{Fit, Known, Search};
 use super::increments::{Increments, is_of_odometry};
 use super::learnt::{ERROR_BIN_M, ERROR_BINS, Learnt, bin_of};
 use super::null::{Best, Null, Score, add};
+use super::places::{self, is_of_place};
 use super::pool::{Expected, Pool};
-use super::trials::{Given, Trial, trials, usual};
+use super::precision::Precise;
+use super::trials::{Given, Trial, of_object, trials, usual};
 use super::{BaselineOptions, ChangeVerdict, Changes, Tried};
 
 /// Fewer of today's readings than this, at places that the baseline has seen, say nothing.
@@ -27,12 +28,8 @@ const SCREENING: u32 = 99;
 const PLAUSIBLE: f64 = 0.1;
 /// Kinds of effect that are fitted in a round: those whose best trial gains most.
 const FITTED_KINDS: usize = 5;
-/// Halvings of the steps of a fit.
-const HALVINGS: usize = 6;
-/// Gain that each parameter has to have (nats); see [`locsim_gap::find`]'s choice.
-const BY_CHANCE: f64 = 1.92;
-/// The step of a strength over which the likelihood is taken for a parabola, in strengths.
-const PARABOLA: f64 = 0.15;
+/// False alarms that effects at one place may make, as a share of those of all others: they come on top.
+const SHARE_OF_PLACES: f64 = 0.5;
 
 /// Finds what today's log has that the baseline hasn't.
 ///
@@ -76,36 +73,11 @@ pub fn find_changes(
     Ok(changes)
 }
 
-struct Search<'a> {
-    pool: &'a Pool<'a>,
-    increments: Increments,
-    options: &'a BaselineOptions,
-    progress: &'a dyn Progress,
-    stop: &'a AtomicBool,
-}
-
-/// The distributions that are learnt from an assignment's baseline.
-struct Known {
-    learnt: Learnt,
-    usual: OdometryModel,
-}
-
-/// An effect with its gain on today's stretches (nats).
-#[derive(Clone)]
-struct Fit {
-    effect: Effect,
-    gains: Vec<f64>,
-}
-
-impl Fit {
-    fn gain(&self) -> f64 {
-        self.gains.iter().sum()
-    }
-
-    /// Less what its parameters gain by chance.
-    fn worth(&self) -> f64 {
-        self.gain() - BY_CHANCE * self.effect.values.len() as f64
-    }
+/// What is tried beside nothing, and how it scores.
+struct Round {
+    tried: Vec<Trial>,
+    own: Best,
+    places: BTreeMap<EffectKind, places::Best>,
 }
 
 impl Search<'_> {
@@ -114,12 +86,17 @@ impl Search<'_> {
         self.progress.stage("trying effects", 1);
         let given = Given { effects: Vec::new() };
         let expected = usual(self.pool);
-        let tried = trials(self.pool, &given, &expected, &options.without);
+        let all = trials(self.pool, &given, &expected, &options.without);
+        let (placed, tried): (Vec<Trial>, Vec<Trial>) =
+            all.into_iter().partition(|trial| is_of_place(trial.effect.kind));
         self.progress.advance(1);
         let odometry = self.odometry_trials();
         let assignment = self.true_assignment();
         let known = self.learn(&assignment);
         let own = self.best(&tried, &odometry, &assignment, &known);
+        let places = self.places(&placed, &assignment, &known)?;
+        let places_of_baseline = self.places_of_baseline(&placed, &assignment)?;
+        let standing = places::Best::all(&places, &places_of_baseline);
         let stretches = assignment.is_today.iter().filter(|is| **is).count();
         let screening = options.permutations.min(SCREENING);
         let (mut others, mut distances) = self.permute(&tried, &odometry, 0..screening)?;
@@ -131,15 +108,22 @@ impl Search<'_> {
             null = Null::new(&own, &others, stretches);
         }
         changes.permutations = others.len() as u32;
-        changes.p = null.p(&own);
+        let p_of_places = standing.values().map(|best| best.p).fold(1.0, f64::min);
+        changes.p = null.p(&own).min(p_of_places / SHARE_OF_PLACES);
         changes.tried = own
             .iter()
             .map(|(&name, score)| Tried { name, gain_nats: score.gain.max(0.0), z: null.z(name, score) })
             .collect();
+        changes.tried.extend(standing.iter().map(|(&name, best)| Tried {
+            name,
+            gain_nats: best.place.gain.max(0.0),
+            z: best.z,
+        }));
         changes.tried.sort_by(|a, b| b.gain_nats.total_cmp(&a.gain_nats));
         let mut named = Vec::new();
         if changes.p <= options.false_alarm {
-            named = self.name(&tried, &odometry, &own, &null, &assignment, &known, changes.p)?;
+            let first = Round { tried, own, places: standing };
+            named = self.name(&first, &odometry, &null, &assignment, &known, changes.p)?;
         }
         changes.verdict = match (changes.p <= options.false_alarm, named.is_empty()) {
             (true, false) => ChangeVerdict::Changed,
@@ -165,24 +149,9 @@ impl Search<'_> {
         }
     }
 
-    fn learn(&self, assignment: &Assignment) -> Known {
-        Known {
-            learnt: Learnt::new(self.pool, &assignment.is_baseline),
-            usual: self.increments.learn(&assignment.is_baseline),
-        }
-    }
-
     fn odometry_trials(&self) -> Vec<Effect> {
         let trials = Increments::trials().into_iter();
         trials.filter(|effect| !self.options.without.contains(&effect.kind)).collect()
-    }
-
-    /// Log density of readings without more effects.
-    fn log_density(&self, learnt: &Learnt, expected: &[Expected]) -> Vec<f64> {
-        let readings = self.pool.readings.iter().zip(expected);
-        readings
-            .map(|(reading, expected)| learnt.density(reading.stretch, expected, reading.z).ln())
-            .collect()
     }
 
     /// The best trial of each kind.
@@ -234,17 +203,16 @@ impl Search<'_> {
     }
 
     /// Names the effect that gains most, adds it, and looks again.
-    #[expect(clippy::too_many_arguments, reason = "the first round, part by part")]
     fn name(
         &self,
-        tried: &[Trial],
+        first: &Round,
         odometry: &[Effect],
-        own: &Best,
         null: &Null,
         assignment: &Assignment,
         known: &Known,
         p: f64,
     ) -> Result<Vec<Named>, GapError> {
+        let Round { tried, own, places } = first;
         let mut named: Vec<Named> = Vec::new();
         let mut given = Given { effects: Vec::new() };
         let mut expected = usual(self.pool);
@@ -265,14 +233,16 @@ impl Search<'_> {
             };
         // That something of these data changed is known in the first round; later on, each kind might be there by chance.
         let chance = self.options.false_alarm;
+        let stand_out = || places.values().filter(|best| best.p <= SHARE_OF_PLACES * chance);
+        let at_place = || stand_out().map(|best| best.place.effect.clone());
         let mut next = starts(tried, own, &|kind, score| {
             null.p_beside(kind, own) <= chance && null.weight(kind, score) > -chance.ln()
         });
+        next.extend(at_place());
         let mut scores = own.clone();
         while !next.is_empty() && named.len() < self.options.most_effects {
             self.progress.stage("fitting effects", next.len() as u64);
-            let logs =
-                [&usual(self.pool), &expected].map(|expected| self.log_density(&known.learnt, expected));
+            let logs = self.log_densities(known, &expected);
             let mut fits = next
                 .into_par_iter()
                 .map(|effect| {
@@ -283,54 +253,82 @@ impl Search<'_> {
                 .collect::<Result<Vec<Fit>, _>>()?;
             let mut sure = None;
             while let Some(best) = choose(&fits, assignment) {
-                let numbers = self.numbers(&fits[best], &given, &expected, assignment)?;
-                if is_known(&fits[best].effect, &numbers) {
-                    sure = Some((best, numbers));
+                let precise = self.precise(&fits[best].effect, &given, &expected, assignment, known)?;
+                if precise.is_known {
+                    sure = Some((best, precise));
                     break;
                 }
                 fits.remove(best);
             }
-            let Some((best, numbers)) = sure else { break };
-            let effect = fits[best].effect.clone();
-            let evidence = [scores.get(&effect.kind).map_or(0.0, |score| null.z(effect.kind, score)), p];
-            named.push(name(&fits, best, numbers, assignment, evidence, self.pool.logs[1].recorded.scans()));
+            let Some((best, precise)) = sure else { break };
+            let effect = precise.effect.clone();
+            let z = scores.get(&effect.kind).map(|score| null.z(effect.kind, score));
+            let z_of_place = || places.get(&effect.kind).map_or(0.0, |best| best.z);
+            let evidence = [z.unwrap_or_else(z_of_place), p];
+            named.push(name(&fits, best, precise, assignment, evidence, self.pool.logs[1].recorded.scans()));
             given.effects.push(effect);
             if named.len() == self.options.most_effects {
                 break;
             }
             expected = self.expected_with(&given.effects)?;
-            let more = trials(self.pool, &given, &expected, &self.options.without);
-            let logs =
-                [&usual(self.pool), &expected].map(|expected| self.log_density(&known.learnt, expected));
-            let mut best = Best::new();
+            // Beside effects of readings each place would be cast anew: those that stood out in the first round are fitted again.
+            let without: Vec<EffectKind> = EffectKind::ALL
+                .into_iter()
+                .filter(|kind| is_of_place(*kind) || self.options.without.contains(kind))
+                .collect();
+            let on_laser =
+                given.effects.iter().filter(|effect| !is_of_odometry(effect.kind)).cloned().collect();
+            let more = trials(self.pool, &Given { effects: on_laser }, &expected, &without);
             // The rest of a named effect is its form.
             let is_new =
                 |kind: EffectKind| given.effects.iter().all(|known| known.kind != kind || !kind.adds_up());
-            for (index, trial) in more.iter().enumerate().filter(|(_, trial)| is_new(trial.effect.kind)) {
-                let Some(plain) = tried.iter().find(|plain| plain.effect == trial.effect) else { continue };
-                let usual = plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline);
-                let gains = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
-                let gain = assignment.net(&gains, &usual).iter().sum();
-                let both: Vec<f64> =
-                    gains.iter().zip(usual).map(|(today, baseline)| today + baseline).collect();
-                let contrast = assignment.contrast(&both);
-                add(&mut best, trial.effect.kind, Score { gain, contrast, index });
-            }
-            for (index, effect) in odometry.iter().enumerate().filter(|(_, effect)| is_new(effect.kind)) {
-                let gain = self.gains_of(effect, &given, &expected, &logs, assignment, known)?.iter().sum();
-                let contrast =
-                    self.increments.contrast(&known.usual, &given.effects, effect.kind, assignment);
-                add(&mut best, effect.kind, Score { gain, contrast, index: more.len() + index });
-            }
+            let mut best =
+                self.best_beside(&given, &expected, [&more, tried], odometry, assignment, known)?;
+            best.retain(|kind, _| is_new(*kind));
             next = starts(&more, &best, &|kind, score| {
                 null.weight(kind, score) > null.least_weight(kind, chance)
             });
+            next.extend(at_place().filter(|effect| is_new(effect.kind)));
             scores = best;
         }
         // Gains of readings and of the odometry don't compare. What stands out more among permutations is told first.
-        let rarity = |named: &Named| null.most_beside(named.name, own);
+        let of_places = stand_out().map(|best| -(best.p / SHARE_OF_PLACES).ln()).fold(0.0, f64::max);
+        let rarity = |named: &Named| {
+            let most = null.most_beside(named.name, own);
+            if is_of_odometry(named.name) { most } else { most.max(of_places) }
+        };
         named.sort_by(|a, b| rarity(b).total_cmp(&rarity(a)));
         Ok(named)
+    }
+
+    /// The best trial of each kind beside the given effects; `plain` are the trials beside nothing.
+    fn best_beside(
+        &self,
+        given: &Given,
+        expected: &[Expected],
+        [tried, plain]: [&[Trial]; 2],
+        odometry: &[Effect],
+        assignment: &Assignment,
+        known: &Known,
+    ) -> Result<Best, GapError> {
+        let logs = self.log_densities(known, expected);
+        let mut best = Best::new();
+        for (index, trial) in tried.iter().enumerate() {
+            let Some(plain) = plain.iter().find(|plain| plain.effect == trial.effect) else { continue };
+            let usual = plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline);
+            let gains = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
+            let gain = assignment.net(&gains, &usual).iter().sum();
+            let both: Vec<f64> = gains.iter().zip(usual).map(|(today, baseline)| today + baseline).collect();
+            let contrast = assignment.contrast(&both);
+            add(&mut best, trial.effect.kind, Score { gain, contrast, index });
+        }
+        for (index, effect) in odometry.iter().enumerate() {
+            let change = self.change(effect.clone(), given, expected)?;
+            let gain = self.net(&change, &logs, assignment, known).iter().sum();
+            let contrast = self.increments.contrast(&known.usual, &given.effects, effect.kind, assignment);
+            add(&mut best, effect.kind, Score { gain, contrast, index: tried.len() + index });
+        }
+        Ok(best)
     }
 
     /// The expected readings with these effects.
@@ -340,153 +338,20 @@ impl Search<'_> {
             .filter(|effect| !is_of_odometry(effect.kind))
             .map(|effect| effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread))
             .collect();
-        if on_laser.is_empty() {
-            return Ok(usual(self.pool));
+        let (objects, others): (Vec<Effect>, Vec<Effect>) =
+            on_laser.into_iter().partition(|effect| effect.kind.moves() == Moves::Objects);
+        let mut expected = usual(self.pool);
+        if !others.is_empty() {
+            let world = self.pool.world(&others)?;
+            let readings = self.pool.readings.iter().zip(&mut expected);
+            readings.for_each(|(reading, expected)| *expected = self.pool.expected(&world, reading));
         }
-        let world = self.pool.world(&on_laser)?;
-        Ok(self.pool.readings.iter().map(|reading| self.pool.expected(&world, reading)).collect())
-    }
-
-    /// Net gain of an effect beside the given ones on today's stretches (nats). `logs` are log densities of the readings without
-    /// and with the given ones.
-    fn gains_of(
-        &self,
-        effect: &Effect,
-        given: &Given,
-        expected: &[Expected],
-        logs: &[Vec<f64>; 2],
-        assignment: &Assignment,
-        known: &Known,
-    ) -> Result<Vec<f64>, GapError> {
-        if is_of_odometry(effect.kind) {
-            let given: Vec<Effect> =
-                given.effects.iter().filter(|e| is_of_odometry(e.kind)).cloned().collect();
-            let [today, baseline] = [(&given[..], &assignment.is_today), (&[], &assignment.is_baseline)]
-                .map(|(given, used)| self.increments.gains(&known.usual, given, effect, used));
-            return Ok(assignment.net(&today, &baseline));
-        }
-        let given =
-            Given { effects: given.effects.iter().filter(|e| !is_of_odometry(e.kind)).cloned().collect() };
-        let trial = Trial::new(self.pool, &given, effect.clone(), expected, None)?;
-        let today = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
-        let plain = if given.effects.is_empty() {
-            trial
-        } else {
-            Trial::new(self.pool, &Given { effects: Vec::new() }, effect.clone(), &usual(self.pool), None)?
-        };
-        Ok(assignment.net(&today, &plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline)))
-    }
-
-    /// The strength near a trial that gains most, by a pattern search (Hooke and Jeeves 1961).
-    fn fit(
-        &self,
-        start: Effect,
-        given: &Given,
-        expected: &[Expected],
-        logs: &[Vec<f64>; 2],
-        assignment: &Assignment,
-        known: &Known,
-    ) -> Result<Fit, GapError> {
-        let gains = |effect: &Effect| self.gains_of(effect, given, expected, logs, assignment, known);
-        let mut best = Fit { gains: gains(&start)?, effect: start };
-        let kind = best.effect.kind;
-        let mut share = 0.5;
-        for _ in 0..HALVINGS {
-            for (i, parameter) in kind.parameters().iter().enumerate() {
-                if parameter.role == Role::Step {
-                    continue;
-                }
-                for sign in [1.0, -1.0] {
-                    loop {
-                        if self.stop.load(Ordering::Relaxed) {
-                            return Err(GapError::Interrupted);
-                        }
-                        let value = best.effect.values[i];
-                        let step = match parameter.role {
-                            Role::Position { first_step } => 2.0 * first_step,
-                            Role::Shape(_) => value.abs().max(0.1 * parameter.start.abs()),
-                            _ => (value - parameter.neutral)
-                                .abs()
-                                .max(0.3 * (parameter.start - parameter.neutral).abs()),
-                        };
-                        let mut effect = best.effect.clone();
-                        effect.values[i] = (value + sign * share * step).clamp(parameter.lo, parameter.hi);
-                        let more = Fit { gains: gains(&effect)?, effect };
-                        if more.gain() <= best.gain() + 0.01 {
-                            break;
-                        }
-                        best = more;
-                    }
-                }
+        for object in &objects {
+            for (index, met) in of_object(self.pool, object, &expected) {
+                expected[index as usize] = met;
             }
-            share *= 0.5;
         }
-        Ok(best)
-    }
-
-    /// The numbers of a fit. The interval of the strength is of the jackknife over stretches of both logs: without a stretch of the
-    /// baseline it is learnt anew.
-    fn numbers(
-        &self,
-        fit: &Fit,
-        given: &Given,
-        expected: &[Expected],
-        assignment: &Assignment,
-    ) -> Result<BTreeMap<&'static str, Number>, GapError> {
-        let kind = fit.effect.kind;
-        let parameters = kind.parameters();
-        let strengths: Vec<usize> =
-            kind.strengths().filter(|&i| parameters[i].role == Role::Strength).collect();
-        let stretches = self.pool.stretches[1];
-        let mut errors = vec![0.0; parameters.len()];
-        for &i in &strengths {
-            let value = fit.effect.values[i];
-            let typical = (parameters[i].start - parameters[i].neutral).abs();
-            let step = PARABOLA * (value - parameters[i].neutral).abs().max(0.3 * typical);
-            let at: Vec<Effect> = [-step, 0.0, step]
-                .into_iter()
-                .map(|by| {
-                    let mut effect = fit.effect.clone();
-                    effect.values[i] = (value + by).clamp(parameters[i].lo, parameters[i].hi);
-                    effect
-                })
-                .collect();
-            let optimum = |assignment: &Assignment| -> Result<f64, GapError> {
-                let known = self.learn(assignment);
-                let logs = [&usual(self.pool)[..], expected].map(|e| self.log_density(&known.learnt, e));
-                let mut totals = [0.0; 3];
-                for (total, effect) in totals.iter_mut().zip(&at) {
-                    *total = self.gains_of(effect, given, expected, &logs, assignment, &known)?.iter().sum();
-                }
-                let [lo, mid, hi] = totals;
-                let (lower, upper) = (mid - lo, hi - mid);
-                let bend = (lower - upper).max(1e-9);
-                Ok((0.5 * (lower + upper) / bend).clamp(-3.0, 3.0) * step)
-            };
-            let left_out = (0..stretches)
-                .into_par_iter()
-                .map(|stretch| {
-                    let mut rest = Assignment {
-                        is_baseline: assignment.is_baseline.clone(),
-                        is_today: assignment.is_today.clone(),
-                    };
-                    rest.is_baseline[stretch] = false;
-                    rest.is_today[stretch] = false;
-                    optimum(&rest)
-                })
-                .collect::<Result<Vec<f64>, _>>()?;
-            let n = left_out.len() as f64;
-            let mean = left_out.iter().sum::<f64>() / n;
-            errors[i] = ((n - 1.0) / n * left_out.iter().map(|v| (v - mean).powi(2)).sum::<f64>()).sqrt();
-        }
-        let numbers = parameters.iter().zip(&fit.effect.values).zip(errors);
-        Ok(numbers
-            .map(|((parameter, &value), error)| {
-                let estimate =
-                    Estimate::normal(value, error).map(|value| value.clamp(parameter.lo, parameter.hi));
-                (parameter.name, Number { estimate, unit: parameter.unit })
-            })
-            .collect())
+        Ok(expected)
     }
 
     /// Wasserstein-1 distance between errors of today's readings and what they are expected to be \[mm\].
@@ -532,29 +397,13 @@ fn choose(fits: &[Fit], assignment: &Assignment) -> Option<usize> {
     simpler.max_by(|&a, &b| gain(a).total_cmp(&gain(b))).or(Some(most))
 }
 
-/// Whether the interval of a strength leaves out the strength of nothing.
-fn is_known(effect: &Effect, numbers: &BTreeMap<&'static str, Number>) -> bool {
-    let parameters = effect.kind.parameters();
-    let mut strengths = effect
-        .kind
-        .strengths()
-        .map(|i| &parameters[i])
-        .filter(|parameter| parameter.role == Role::Strength)
-        .peekable();
-    let is_apart = |parameter: &Parameter| {
-        let interval = numbers.get(parameter.name).map(|number| number.estimate.interval);
-        interval.is_some_and(|interval| interval.lo > parameter.neutral || interval.hi < parameter.neutral)
-    };
-    strengths.peek().is_none() || strengths.any(is_apart)
-}
-
 /// A rival that is behind by fewer standard errors can't be told from the best: the one-sided 90 % quantile.
 const BEHIND_ERRORS: f64 = 1.3;
 
 fn name(
     fits: &[Fit],
     best: usize,
-    params: BTreeMap<&'static str, Number>,
+    Precise { effect, numbers, .. }: Precise,
     assignment: &Assignment,
     [z, p]: [f64; 2],
     scans: usize,
@@ -577,14 +426,14 @@ fn name(
         name: fit.effect.kind,
         split_by: split_by(&candidates),
         candidates,
-        params,
-        place: fit.effect.place.iter().map(|stretch| stretch.map(|end| end.to_array())).collect(),
+        params: numbers,
+        place: effect.place.iter().map(|stretch| stretch.map(|end| end.to_array())).collect(),
         evidence: Evidence {
             gain_nats,
             gain_nats_per_scan: gain_nats.value / scans as f64,
             score: Some(z),
             p,
         },
-        effect: fit.effect.clone(),
+        effect,
     }
 }

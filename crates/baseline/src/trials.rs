@@ -87,12 +87,8 @@ impl Trial {
                 gains[stretch as usize] += (share * (sum.min(500.0).exp() - 1.0)).ln_1p();
             }
         };
-        for (index, expected) in &self.changed {
-            let reading = &pool.readings[*index as usize];
-            if !is_used[reading.stretch as usize] {
-                continue;
-            }
-            let gain = learnt.density(reading.stretch, expected, reading.z).ln() - log[*index as usize];
+        for (index, gain) in self.reading_gains(pool, learnt, log, is_used) {
+            let reading = &pool.readings[index as usize];
             if self.share.is_none() {
                 gains[reading.stretch as usize] += gain;
             } else if window.0 == reading.window {
@@ -104,6 +100,23 @@ impl Trial {
         }
         add_burst(&mut gains, window);
         gains
+    }
+
+    /// The readings that are changed, by index, with the gain of each (nats); of bursts, while they last.
+    pub fn reading_gains<'t>(
+        &'t self,
+        pool: &'t Pool<'_>,
+        learnt: &'t Learnt,
+        log: &'t [f64],
+        is_used: &'t [bool],
+    ) -> impl Iterator<Item = (u32, f64)> + 't {
+        let used =
+            self.changed.iter().filter(|(index, _)| is_used[pool.readings[*index as usize].stretch as usize]);
+        used.map(|(index, expected)| {
+            let reading = &pool.readings[*index as usize];
+            let gain = learnt.density(reading.stretch, expected, reading.z).ln() - log[*index as usize];
+            (*index, gain)
+        })
     }
 }
 
@@ -125,7 +138,7 @@ fn changed(
 }
 
 /// The readings of beams that meet an object.
-fn of_object(pool: &Pool<'_>, effect: &Effect, known: &[Expected]) -> Vec<(u32, Expected)> {
+pub(super) fn of_object(pool: &Pool<'_>, effect: &Effect, known: &[Expected]) -> Vec<(u32, Expected)> {
     let [x, y, radius_m] = [0, 1, 2].map(|i| effect.values[i]);
     let disc = Disc { center: DVec2::new(x, y), radius_m };
     let met = pool.readings.iter().enumerate().filter_map(|(index, reading)| {

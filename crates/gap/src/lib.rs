@@ -40,6 +40,7 @@ pub use error::GapError;
 pub use fit::sum_error;
 pub use hypothesis::Nuisances;
 pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
+pub use matrix::invert;
 pub use nominal::Nominal;
 pub use odometry::{Increment, OdometryError, OdometryModel};
 pub use outcome::{

@@ -9,7 +9,7 @@ const LEAST_PIVOT: f64 = 1e-6;
 const FIRST_RIDGE: f64 = 0.01;
 
 /// Inverse of a small positive definite matrix; of one that isn't, with a ridge.
-pub(crate) fn invert(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
+pub fn invert(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let n = matrix.len();
     // Scaled to ones on the diagonal, so that units don't matter.
     let scale: Vec<f64> = (0..n).map(|i| matrix[i][i].max(1e-300).sqrt()).collect();

@@ -17,6 +17,10 @@ pub struct Recorded {
     pub log_laser: Laser,
     /// Reference pose of each scan, `map_from_base`.
     pub track: Track,
+    /// Stamp of the first scan \[s\].
+    pub(crate) begin_secs: f64,
+    /// Reference poses between the scans as well, where scans were left out.
+    pub(crate) along: Option<Track>,
     /// `odom_from_base` at each scan.
     pub odometry: Vec<Pose2>,
     /// Readings \[m\], \[scan\]\[beam\].
@@ -51,6 +55,8 @@ impl Recorded {
         Ok(Self {
             laser,
             log_laser: drive.laser.clone(),
+            begin_secs: steps[0].0.stamp_secs,
+            along: None,
             track: Track::new(steps.iter().map(|&(step, pose)| (step.stamp_secs, pose)))?,
             odometry: steps.iter().map(|(step, _)| step.odometry).collect(),
             readings: steps
@@ -60,6 +66,20 @@ impl Recorded {
             kept,
             ignored: Vec::new(),
         })
+    }
+
+    /// The same with reference poses, by their stamps \[s\], between the scans as well: scans that are left out tell where the robot
+    /// was when beams are taken late. Stamps that decrease tell nothing.
+    #[must_use]
+    pub fn along(self, stamped: impl IntoIterator<Item = (f64, Pose2)>) -> Self {
+        let first = (self.begin_secs, self.track.poses()[0]);
+        let since = stamped.into_iter().filter(|(secs, _)| *secs > self.begin_secs);
+        Self { along: Track::new(std::iter::once(first).chain(since)).ok(), ..self }
+    }
+
+    /// The reference pose some time after the first scan.
+    pub(crate) fn pose_at(&self, secs: f64) -> Pose2 {
+        self.along.as_ref().unwrap_or(&self.track).pose_at(secs)
     }
 
     /// Number of scans.

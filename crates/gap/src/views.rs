@@ -199,7 +199,7 @@ fn rays<'a>(
 ) -> impl Iterator<Item = Ray> {
     let track = &recorded.track;
     let stamp = track.secs()[scan];
-    let base_at = move |secs| if secs == stamp { track.poses()[scan] } else { track.pose_at(secs) };
+    let base_at = move |secs| if secs == stamp { track.poses()[scan] } else { recorded.pose_at(secs) };
     caster.rays(beams, stamp, base_at)
 }
 
@@ -299,7 +299,7 @@ pub(crate) fn jumps(nominal: &Nominal, recorded: &Recorded, scan: usize) -> Vec<
 mod tests {
     use std::f64::consts::TAU;
 
-    use locsim_core::Pose2;
+    use locsim_core::{Drive, Pose2};
     use locsim_world::effect::EffectKind;
     use locsim_world::map::{Polyline, VectorMap, Wall};
     use locsim_world::raycast::ExactRangeMap;
@@ -426,6 +426,27 @@ mod tests {
             }
         }
         assert!(compared > 100, "{compared}");
+    }
+
+    /// Of every tenth scan, beams that are late are where those of the whole log are: on the path of the scans that are left out.
+    #[test]
+    fn late_beams_are_on_the_path_of_all_scans() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 2).unwrap();
+        let few =
+            Drive { laser: drive.laser.clone(), steps: drive.steps.iter().step_by(10).cloned().collect() };
+        let all = Recorded::new(&drive, 4000, 36, |_| true).unwrap();
+        let few = Recorded::new(&few, 400, 36, |_| true).unwrap();
+        let stamped = drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?)));
+        let along = few.clone().along(stamped);
+        let late = Effect::new(EffectKind::TimeOffset, vec![0.5], Vec::new()).unwrap();
+        let effects = NOMINAL.effects_with(&[late]).unwrap();
+        let [all, few, along] = [&all, &few, &along].map(|log| Views::new(&NOMINAL, log, &effects).unwrap());
+        let differ = |views: &Views| {
+            let scans = 0..views.scans() - 1;
+            scans.filter(|&scan| views.scan(scan)[0].view != all.scan(10 * scan)[0].view).count()
+        };
+        assert_eq!(differ(&along), 0);
+        assert!(differ(&few) > 10, "{}", differ(&few));
     }
 
     /// Blocks of a world in which they are deeper are looked for anew.

@@ -74,10 +74,40 @@ impl Truth {
     }
 }
 
+/// Poses of a log at its full rate, with their stamps \[s\]: a half has some of its scans.
+#[derive(Clone)]
+pub struct RobotPath {
+    /// Reference poses.
+    pub reference: Vec<(f64, Pose2)>,
+    /// The odometry's.
+    pub odometry: Vec<(f64, Pose2)>,
+}
+
+impl RobotPath {
+    /// The path of a drive.
+    pub fn new(drive: &Drive) -> Self {
+        let reference = drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?)));
+        let odometry = drive.steps.iter().map(|step| (step.stamp_secs, step.odometry));
+        Self { reference: reference.collect(), odometry: odometry.collect() }
+    }
+
+    /// Reference and odometry some time after a stamp; `None` where stamps decrease.
+    fn late(&self) -> Option<[impl Fn(f64) -> Pose2 + use<>; 2]> {
+        let late = |stamped: &[(f64, Pose2)]| {
+            let track = Track::new(stamped.iter().copied()).ok()?;
+            // A track's time begins with its first pose.
+            let begin = stamped.first()?.0;
+            Some(move |stamp: f64| track.pose_at(stamp - begin + LATE_SECS))
+        };
+        Some([late(&self.reference)?, late(&self.odometry)?])
+    }
+}
+
 /// Strengths: plain ones, each to be seen by eye in a plot of the readings.
 const BIAS_M: f64 = 0.1;
 const SCALE: f64 = 0.03;
-const THINNED: (f64, f64) = (0.7, 60.0);
+/// Chance of a return of a slanted surface to get lost, and from which slant on \[degrees\].
+pub(super) const THINNED: (f64, f64) = (0.7, 60.0);
 const SECTOR: (f64, f64) = (20.0, 0.6);
 const STEP_M: f64 = 0.25;
 const TURN_DEG: f64 = 3.0;
@@ -94,12 +124,22 @@ const LEAST_SHARE: usize = 400;
 /// been is no change since. And the side of the cells in which that is looked up \[m\].
 const KNOWN_SHARE: f64 = 0.8;
 const KNOWN_CELL_M: f64 = 0.5;
+/// Readings this far from each other \[m\], and no farther off their line than this, tell the slant of a surface.
+const LINE_M: f64 = 0.3;
+const STRAIGHT_M: f64 = 0.05;
 /// A disc keeps this far from the robot \[m\].
 const CLEAR_M: f64 = 0.7;
 
 impl Edit {
-    /// Applies the edit to a log that is held against a baseline; `None` where the log has no room for it.
-    pub fn apply(self, drive: &mut Drive, baseline: &Drive, seed: u64) -> Option<Truth> {
+    /// Applies the edit to a log, with the path that its scans are on, that is held against a baseline; `None` where the log has no
+    /// room for it.
+    pub fn apply(
+        self,
+        drive: &mut Drive,
+        path: &mut RobotPath,
+        baseline: &Drive,
+        seed: u64,
+    ) -> Option<Truth> {
         let draw = Draw::new(seed, Stage::Trial, 40 + self as u32);
         match self {
             Self::None => Some(Truth { effect: None, strength: None }),
@@ -121,16 +161,12 @@ impl Edit {
             // Without stamps nothing is late, and no second comes.
             Self::Late | Self::Bursts if !has_stamps(drive) => None,
             Self::Late => {
-                let poses = drive.reference().ok()?;
-                let odometry =
-                    Track::new(drive.steps.iter().map(|step| (step.stamp_secs, step.odometry))).ok()?;
-                // A track's time begins with its first pose.
-                let begin = drive.steps.first()?.stamp_secs;
+                let late = path.late()?;
                 for step in &mut drive.steps {
-                    let late = step.stamp_secs - begin + LATE_SECS;
-                    step.reference = step.reference.map(|_| poses.pose_at(late));
-                    step.odometry = odometry.pose_at(late);
+                    step.reference = step.reference.map(|_| late[0](step.stamp_secs));
+                    step.odometry = late[1](step.stamp_secs);
                 }
+                path.reference.iter_mut().for_each(|(stamp, _)| *stamp -= LATE_SECS);
                 Some(Truth::of("time_offset", "delay_secs", -LATE_SECS))
             }
             Self::Bursts => disturb(drive, &draw),
@@ -143,8 +179,11 @@ impl Edit {
                 Some(Truth::of("odom_distance_scale", "k", ODOMETRY_SCALE))
             }
             Self::OdometryUnbalanced => {
-                each_increment(drive, |_, step| {
-                    let distance = step.position().length() * step.x.signum();
+                let poses: Vec<Option<Pose2>> = drive.steps.iter().map(|step| step.reference).collect();
+                each_increment(drive, |i, step| {
+                    // Per metre that the robot drives, whatever its odometry reads.
+                    let driven = poses[i].zip(poses[i - 1]).map(|(here, before)| here.relative_to(&before));
+                    let distance = driven.unwrap_or(step).position().length() * step.x.signum();
                     Pose2::new(step.x, step.y, step.theta + ODOMETRY_TURN_PER_M * distance)
                 });
                 Some(Truth::of("odom_imbalance", "turn_per_m", ODOMETRY_TURN_PER_M))
@@ -267,20 +306,30 @@ fn each_increment(drive: &mut Drive, change: impl Fn(usize, Pose2) -> Pose2) {
     }
 }
 
-/// Angle between a beam and the normal of the surface that it ends on, by the readings of its neighbours \[rad\].
+/// Angle between a beam and the normal of the surface that it ends on, by the readings of its neighbours \[rad\]: all to the same
+/// number on both sides, the first that are far enough from each other, have to lie on a line. An edge has no slant.
 fn incidence(ranges: &[f32], bearings: &[f64], beam: usize, max: f32) -> Option<f64> {
-    let (before, after) = (beam.checked_sub(1)?, beam + 1);
     let end = |i: usize| {
         let z = *ranges.get(i)?;
         (z < max).then(|| [f64::from(z) * bearings[i].cos(), f64::from(z) * bearings[i].sin()])
     };
-    let (a, _, b) = (end(before)?, end(beam)?, end(after)?);
-    let along = (b[1] - a[1]).atan2(b[0] - a[0]);
-    // Readings of one surface: an edge has no slant.
-    let apart = (b[0] - a[0]).hypot(b[1] - a[1]);
-    let angle = wrap_angle(along - bearings[beam]).abs();
-    let angle = angle.min(std::f64::consts::PI - angle);
-    (apart < 0.5).then_some(std::f64::consts::FRAC_PI_2 - angle)
+    for neighbours in 1..=beam {
+        let (first, last) = (beam - neighbours, beam + neighbours);
+        let (a, b) = (end(first)?, end(last)?);
+        let apart = (b[0] - a[0]).hypot(b[1] - a[1]);
+        if apart < LINE_M {
+            continue;
+        }
+        let off = |p: [f64; 2]| ((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])).abs() / apart;
+        for i in first..=last {
+            if off(end(i)?) > STRAIGHT_M {
+                return None;
+            }
+        }
+        let angle = wrap_angle((b[1] - a[1]).atan2(b[0] - a[0]) - bearings[beam]).abs();
+        return Some(std::f64::consts::FRAC_PI_2 - angle.min(std::f64::consts::PI - angle));
+    }
+    None
 }
 
 /// Pose of the laser and reading of a beam in the map.
@@ -421,7 +470,7 @@ mod tests {
 
     fn edited(edit: Edit) -> Drive {
         let mut drive = drive();
-        edit.apply(&mut drive, &self::drive(), 1).unwrap();
+        edit.apply(&mut drive, &mut RobotPath::new(&self::drive()), &self::drive(), 1).unwrap();
         drive
     }
 
@@ -441,13 +490,24 @@ mod tests {
 
     #[test]
     fn the_slant_is_that_of_the_wall() {
-        let bearings: Vec<f64> = (0..5).map(|beam| f64::from(78 + beam).to_radians()).collect();
-        let ranges: Vec<f32> = bearings.iter().map(|bearing| (2.0 / bearing.sin()) as f32).collect();
-        let slant = incidence(&ranges, &bearings, 2, 10.0).unwrap();
+        let bearings: Vec<f64> = (70..=90).map(|degrees| f64::from(degrees).to_radians()).collect();
+        let mut ranges: Vec<f32> = bearings.iter().map(|bearing| (2.0 / bearing.sin()) as f32).collect();
+        let slant = incidence(&ranges, &bearings, 10, 10.0).unwrap();
         assert!((slant - 10.0_f64.to_radians()).abs() < 1e-3, "{slant}");
-        // Beams that end far from each other are of an edge, or too few to say.
-        let drive = drive();
-        assert_eq!(incidence(&drive.steps[0].scan.ranges, &super::bearings(&drive), 1, 10.0), None);
+        // The last beam has neighbours on one side alone, and what stands before the wall is of no line.
+        assert_eq!(incidence(&ranges, &bearings, 20, 10.0), None);
+        ranges[11] -= 0.1;
+        assert_eq!(incidence(&ranges, &bearings, 10, 10.0), None);
+    }
+
+    /// Poses of the path keep, and their stamps are the earlier ones of when the robot was there.
+    #[test]
+    fn the_path_of_late_stamps_is_earlier() {
+        let (mut late, mut path) = (drive(), RobotPath::new(&drive()));
+        Edit::Late.apply(&mut late, &mut path, &drive(), 1).unwrap();
+        let before = RobotPath::new(&drive());
+        assert_eq!(path.reference[7].1, before.reference[7].1);
+        assert!((before.reference[7].0 - path.reference[7].0 - LATE_SECS).abs() < 1e-6);
     }
 
     #[test]
@@ -461,9 +521,10 @@ mod tests {
                 step.reference = step.reference.map(|pose| Pose2::new(pose.x, 500.0, 0.0));
             }
             let mut today = log.clone();
-            assert_eq!(edit.apply(&mut today, &elsewhere, 1), None);
+            let mut path = RobotPath::new(&log);
+            assert_eq!(edit.apply(&mut today, &mut path, &elsewhere, 1), None);
             assert_eq!(today, log);
-            assert!(edit.apply(&mut today, &log, 1).is_some(), "{edit:?}");
+            assert!(edit.apply(&mut today, &mut path, &log, 1).is_some(), "{edit:?}");
             assert_ne!(today, log);
         }
     }
@@ -473,6 +534,6 @@ mod tests {
         let mut drive = drive();
         drive.steps.iter_mut().for_each(|step| step.stamp_secs = 0.0);
         let baseline = drive.clone();
-        assert_eq!(Edit::Late.apply(&mut drive, &baseline, 1), None);
+        assert_eq!(Edit::Late.apply(&mut drive, &mut RobotPath::new(&baseline), &baseline, 1), None);
     }
 }

@@ -13,7 +13,7 @@ use std::time::Duration;
 use locsim_baseline::{BaselineOptions, ChangeVerdict, Changes, find_changes};
 use locsim_core::{Control, Draw, Drive, Pose2, Stage};
 use locsim_dataset::{LogOptions, read_log};
-use locsim_gap::{GapError, Nominal, Recorded};
+use locsim_gap::{GapError, Nominal, Recorded, Views};
 use locsim_mapping::{MappingOptions, walls_from_drive};
 use locsim_report::store::{Folder, Lock};
 use locsim_world::effect::Effects;
@@ -22,6 +22,7 @@ use locsim_world::simulation::{LaserOptions, OdometryNoise};
 use serde::{Deserialize, Serialize};
 
 pub use edits::{EDITS, Edit, Truth};
+use edits::{RobotPath, THINNED};
 pub use score::{RealScore, table};
 
 use crate::BenchError;
@@ -246,6 +247,7 @@ fn log_name(path: &Path) -> String {
 /// A log with the simulator that it is held against: a plain laser on the map of walls of the whole log.
 struct Log {
     drive: Drive,
+    path: RobotPath,
     nominal: Nominal,
 }
 
@@ -253,6 +255,7 @@ impl Log {
     fn load(path: &Path, options: &RealOptions<'_>) -> Result<Self, BenchError> {
         let read = LogOptions { max_range_m: Some(options.max_range_m as f32), ..LogOptions::default() };
         let (drive, _) = read_log(path, &read)?;
+        let path = RobotPath::new(&drive);
         // Evenly spread: each half is thinned further, and the map takes no more scans than both have.
         let each = drive.steps.len().div_ceil(2 * options.scans).max(1);
         let steps = drive.steps.into_iter().step_by(each).collect();
@@ -276,7 +279,7 @@ impl Log {
         };
         let odometry = OdometryNoise::new(ODOMETRY).map_err(GapError::from)?;
         let map = Arc::new(ExactRangeMap::new(geometry));
-        Ok(Self { nominal: Nominal::new(map, laser, None, odometry, Effects::none())?, drive })
+        Ok(Self { nominal: Nominal::new(map, laser, None, odometry, Effects::none())?, drive, path })
     }
 
     /// The baseline, and the part that is edited.
@@ -299,12 +302,20 @@ impl Log {
 
 fn search(log: &Log, case: &Case, options: &RealOptions<'_>) -> Result<Found, BenchError> {
     let [baseline, mut today] = log.cut(case.cut);
-    let Some(truth) = case.edit.apply(&mut today, &baseline, options.seed) else {
+    let unedited = today.clone();
+    let mut path = log.path.clone();
+    let Some(mut truth) = case.edit.apply(&mut today, &mut path, &baseline, options.seed) else {
         return Ok(Found::nothing());
     };
     let free = |pose: &Pose2| log.nominal.map.geometry().is_free(pose.x, pose.y);
-    let [baseline, today] = [baseline, today].map(|drive| Recorded::new(&drive, options.scans, BEAMS, free));
-    let (baseline, today) = (baseline?, today?);
+    let [baseline, today, unedited] =
+        [baseline, today, unedited].map(|drive| Recorded::new(&drive, options.scans, BEAMS, free));
+    let baseline = baseline?.along(log.path.reference.iter().copied());
+    let today = today?.along(path.reference);
+    if case.edit == Edit::Thinned {
+        let lost = lost_of_slanted(&log.nominal, &unedited?, &today)?;
+        truth.strength = truth.strength.map(|(parameter, _)| (parameter, lost));
+    }
     let search = BaselineOptions {
         permutations: options.permutations,
         seed: Draw::new(options.seed, Stage::Trial, SEARCH).seed(case.edit as u32),
@@ -313,6 +324,22 @@ fn search(log: &Log, case: &Case, options: &RealOptions<'_>) -> Result<Found, Be
     let began = (options.control.clock)();
     let changes = find_changes(&log.nominal, &baseline, &today, &search, &(), options.control.interrupted)?;
     Ok(Found::of(truth, &changes, options.control.seconds_since(began)))
+}
+
+/// Share of the returns of slanted walls that an edit loses. The edit knows slants by the readings alone: what it takes for an edge
+/// stays. The effect's slants are those of the map.
+fn lost_of_slanted(nominal: &Nominal, unedited: &Recorded, edited: &Recorded) -> Result<f64, GapError> {
+    let max = nominal.laser.max_range_m as f32;
+    let views = Views::new(nominal, unedited, &nominal.effects)?;
+    let readings = views.beams.iter().zip(unedited.readings.iter().zip(&edited.readings));
+    let (mut slanted, mut lost) = (0.0, 0.0);
+    for (beam, (before, after)) in readings {
+        if beam.view.incidence > THINNED.1.to_radians() && *before < max {
+            slanted += 1.0;
+            lost += f64::from(u8::from(*after >= max));
+        }
+    }
+    Ok(lost / f64::max(slanted, 1.0))
 }
 
 /// Step of the searches' seeds.

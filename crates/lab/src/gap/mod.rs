@@ -338,6 +338,11 @@ fn usable(
             _ => error.to_string(),
         })
     })?;
+    let recorded = if settings.baseline.is_some() {
+        recorded.along(drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))))
+    } else {
+        recorded
+    };
     let outside = drive.steps.iter().filter(|s| s.reference.is_some_and(|pose| !free(&pose))).count();
     if outside > 0 {
         notes.push(format!(

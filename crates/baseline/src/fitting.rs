@@ -1,0 +1,194 @@
+//! Effects fitted to today's log, by their net gain over an assignment's baseline.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use locsim_core::Progress;
+use locsim_gap::{GapError, OdometryModel};
+use locsim_world::effect::{Effect, Role};
+
+use super::BaselineOptions;
+use super::assignment::Assignment;
+use super::increments::{Increments, is_of_odometry};
+use super::learnt::Learnt;
+use super::pool::{Expected, Pool};
+use super::trials::{Given, Trial, usual};
+
+/// Halvings of the steps of a fit.
+const HALVINGS: usize = 6;
+/// Gain that each parameter has to have (nats); see [`locsim_gap::find`]'s choice.
+const BY_CHANCE: f64 = 1.92;
+/// A step of a fit gains at least this (nats).
+const LEAST_MORE: f64 = 0.01;
+
+/// What a search has at hand.
+pub(super) struct Search<'a> {
+    pub pool: &'a Pool<'a>,
+    pub increments: Increments,
+    pub options: &'a BaselineOptions,
+    pub progress: &'a dyn Progress,
+    pub stop: &'a AtomicBool,
+}
+
+/// The distributions that are learnt from an assignment's baseline.
+pub(super) struct Known {
+    pub learnt: Learnt,
+    pub usual: OdometryModel,
+}
+
+/// What an effect changes.
+pub(super) enum Change {
+    /// Readings of today's log beside the given effects, and of the baseline where those differ.
+    Readings { today: Trial, baseline: Option<Trial> },
+    /// The odometry, beside the given effects of today's log.
+    Odometry { effect: Effect, given: Given },
+}
+
+/// An effect with its gain on today's stretches (nats).
+#[derive(Clone)]
+pub(super) struct Fit {
+    pub effect: Effect,
+    pub gains: Vec<f64>,
+}
+
+impl Fit {
+    pub fn gain(&self) -> f64 {
+        self.gains.iter().sum()
+    }
+
+    /// Less what its parameters gain by chance.
+    pub fn worth(&self) -> f64 {
+        self.gain() - BY_CHANCE * self.effect.values.len() as f64
+    }
+}
+
+impl Search<'_> {
+    pub fn learn(&self, assignment: &Assignment) -> Known {
+        Known {
+            learnt: Learnt::new(self.pool, &assignment.is_baseline),
+            usual: self.increments.learn(&assignment.is_baseline),
+        }
+    }
+
+    /// Log density of readings without more effects.
+    pub fn log_density(&self, learnt: &Learnt, expected: &[Expected]) -> Vec<f64> {
+        let readings = self.pool.readings.iter().zip(expected);
+        readings
+            .map(|(reading, expected)| learnt.density(reading.stretch, expected, reading.z).ln())
+            .collect()
+    }
+
+    /// What an effect changes beside the given ones.
+    pub fn change(&self, effect: Effect, given: &Given, expected: &[Expected]) -> Result<Change, GapError> {
+        let is_alike = |other: &&Effect| is_of_odometry(other.kind) == is_of_odometry(effect.kind);
+        let given = Given { effects: given.effects.iter().filter(is_alike).cloned().collect() };
+        if is_of_odometry(effect.kind) {
+            return Ok(Change::Odometry { effect, given });
+        }
+        let today = Trial::new(self.pool, &given, effect.clone(), expected, None)?;
+        let baseline = if given.effects.is_empty() {
+            None
+        } else {
+            Some(Trial::new(self.pool, &Given { effects: Vec::new() }, effect, &usual(self.pool), None)?)
+        };
+        Ok(Change::Readings { today, baseline })
+    }
+
+    /// Net gain of a change on today's stretches (nats). `logs` are log densities of the readings without and with the given effects.
+    pub fn net(
+        &self,
+        change: &Change,
+        logs: &[Vec<f64>; 2],
+        assignment: &Assignment,
+        known: &Known,
+    ) -> Vec<f64> {
+        let [today, baseline] = match change {
+            Change::Readings { today, baseline } => [
+                today.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today),
+                baseline.as_ref().unwrap_or(today).gains(
+                    self.pool,
+                    &known.learnt,
+                    &logs[0],
+                    &assignment.is_baseline,
+                ),
+            ],
+            Change::Odometry { effect, given } => {
+                [(&given.effects[..], &assignment.is_today), (&[], &assignment.is_baseline)]
+                    .map(|(given, used)| self.increments.gains(&known.usual, given, effect, used))
+            }
+        };
+        assignment.net(&today, &baseline)
+    }
+
+    /// Log densities of the readings without and with the given effects.
+    pub fn log_densities(&self, known: &Known, expected: &[Expected]) -> [Vec<f64>; 2] {
+        [&usual(self.pool)[..], expected].map(|expected| self.log_density(&known.learnt, expected))
+    }
+
+    /// The strength near a trial that gains most, by a pattern search (Hooke and Jeeves 1961).
+    pub fn fit(
+        &self,
+        start: Effect,
+        given: &Given,
+        expected: &[Expected],
+        logs: &[Vec<f64>; 2],
+        assignment: &Assignment,
+        known: &Known,
+    ) -> Result<Fit, GapError> {
+        let fit = |effect: Effect| -> Result<Fit, GapError> {
+            if self.stop.load(Ordering::Relaxed) {
+                return Err(GapError::Interrupted);
+            }
+            let change = self.change(effect.clone(), given, expected)?;
+            Ok(Fit { gains: self.net(&change, logs, assignment, known), effect })
+        };
+        let mut best = fit(start)?;
+        let kind = best.effect.kind;
+        let mut share = 0.5;
+        for _ in 0..HALVINGS {
+            let before = best.effect.clone();
+            for (i, parameter) in kind.parameters().iter().enumerate() {
+                if parameter.role == Role::Step {
+                    continue;
+                }
+                for sign in [1.0, -1.0] {
+                    loop {
+                        let value = best.effect.values[i];
+                        let step = match parameter.role {
+                            Role::Position { first_step } => 2.0 * first_step,
+                            Role::Shape(_) => value.abs().max(0.1 * parameter.start.abs()),
+                            _ => (value - parameter.neutral)
+                                .abs()
+                                .max(0.3 * (parameter.start - parameter.neutral).abs()),
+                        };
+                        let mut effect = best.effect.clone();
+                        effect.values[i] = (value + sign * share * step).clamp(parameter.lo, parameter.hi);
+                        let more = fit(effect)?;
+                        if more.gain() <= best.gain() + LEAST_MORE {
+                            break;
+                        }
+                        best = more;
+                    }
+                }
+            }
+            // On along the way: parameters that stand for each other lead along a ridge.
+            let mut from = before;
+            loop {
+                let mut effect = best.effect.clone();
+                let ends = effect.values.iter_mut().zip(&from.values).zip(kind.parameters());
+                ends.for_each(|((value, from), parameter)| {
+                    *value = (2.0 * *value - from).clamp(parameter.lo, parameter.hi);
+                });
+                if effect == best.effect {
+                    break;
+                }
+                let more = fit(effect)?;
+                if more.gain() <= best.gain() + LEAST_MORE {
+                    break;
+                }
+                from = std::mem::replace(&mut best, more).effect;
+            }
+            share *= 0.5;
+        }
+        Ok(best)
+    }
+}
