@@ -230,7 +230,7 @@ fn a_strong_effect_shows_where_it_acts_and_a_seed_decides_all() {
     assert_ne!(readings(&of_seed(1)), readings(&of_seed(2)));
 }
 
-/// Between a fifth and nine fifths at the knots; a spline goes through them without a jump, a table stays at them.
+/// A spline goes through them without a jump, a table stays at them.
 #[test]
 fn courses_go_through_their_knots() {
     let knots = [0.2, 1.8, 0.9, 1.1, 0.3, 1.5];
@@ -256,7 +256,7 @@ fn a_course_of_a_scale_is_over_range() {
             .map(|pair| pair.moved() / (0.05 * pair.before))
             .collect();
         let first = factors[0];
-        assert!((0.15..1.85).contains(&first), "{at}: {first}");
+        assert!((0.55..1.45).contains(&first), "{at}: {first}");
         assert!(factors.iter().all(|factor| (factor - first).abs() < 0.05), "{at}: {first}");
     }
 }
