@@ -3,8 +3,9 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::Progress;
-use locsim_gap::{GapError, OdometryModel};
+use locsim_gap::GapError;
 use locsim_world::effect::{Effect, Role};
+use locsim_world::simulation::OdometryModel;
 
 use super::BaselineOptions;
 use super::assignment::Assignment;

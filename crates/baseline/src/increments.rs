@@ -1,7 +1,7 @@
 //! The odometry of both logs: errors of its increments, beyond those that the baseline has.
 
-use locsim_gap::{Increment, OdometryModel};
 use locsim_world::effect::{Axis, Effect, EffectKind, Moves, Statistic};
+use locsim_world::simulation::{Increment, OdometryModel};
 
 use super::assignment::Assignment;
 use super::pool::Pool;

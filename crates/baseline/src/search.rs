@@ -29,7 +29,7 @@ const PLAUSIBLE: f64 = 0.1;
 /// Kinds of effect that are fitted in a round: those whose best trial gains most.
 const FITTED_KINDS: usize = 5;
 /// False alarms that effects at one place may make, as a share of those of all others: they come on top.
-const SHARE_OF_PLACES: f64 = 0.5;
+const SHARE_OF_PLACES: f64 = 0.2;
 
 /// Finds what today's log has that the baseline hasn't.
 ///

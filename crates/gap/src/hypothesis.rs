@@ -5,9 +5,9 @@ use std::sync::Arc;
 use glam::DVec3;
 use locsim_core::Pose2;
 use locsim_world::effect::{self, Effect, Effects, burst_window};
+use locsim_world::simulation::{OdometrySpread, log_likelihoods};
 
 use crate::likelihood::{Density, Terms};
-use crate::odometry::{OdometryError, log_likelihoods};
 use crate::pose_error::{Information, PoseError, fit, pattern_score, smooth, without_patterns};
 use crate::pose_pattern::PosePattern;
 use crate::views::{PieceView, Views};
@@ -22,7 +22,7 @@ pub struct Nuisances {
     /// How the reference poses err.
     pub pose_error: PoseError,
     /// How increments of the odometry err.
-    pub odometry_error: OdometryError,
+    pub odometry_error: OdometrySpread,
     /// Standard deviation of the offsets of a measured map's walls beyond what the map says \[m\]; `None` of a map that is taken
     /// for exact.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -34,7 +34,7 @@ impl Default for Nuisances {
         Self {
             block_density: 1.0,
             pose_error: PoseError::NONE,
-            odometry_error: OdometryError::default(),
+            odometry_error: OdometrySpread::default(),
             wall_error_m: None,
         }
     }
@@ -226,7 +226,7 @@ impl<'a> Comparison<'a> {
             }
         }
         fitted.nuisances.odometry_error =
-            OdometryError::fit(effects, &self.corrected(&fitted.corrections), &self.recorded.odometry);
+            OdometrySpread::fit(effects, &self.corrected(&fitted.corrections), &self.recorded.odometry);
         fitted
     }
 

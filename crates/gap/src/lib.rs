@@ -19,7 +19,6 @@ mod map_error;
 mod matrix;
 mod nominal;
 mod null;
-mod odometry;
 mod outcome;
 mod pose_error;
 mod pose_pattern;
@@ -42,7 +41,6 @@ pub use hypothesis::Nuisances;
 pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
 pub use matrix::invert;
 pub use nominal::Nominal;
-pub use odometry::{Increment, OdometryError, OdometryModel};
 pub use outcome::{
     BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,
     Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, ResidualStage, Rival,

@@ -4,6 +4,7 @@
 use glam::DVec2;
 use locsim_core::{Estimate, Interval, median, quantile};
 use locsim_world::effect::{self, BeamState, EffectKind, Moves, Score};
+use locsim_world::simulation::increments;
 use rayon::prelude::*;
 
 use crate::Recorded;
@@ -35,7 +36,7 @@ pub(crate) fn profiles(
     let source = Source {
         comparison,
         edges: &with_effects.views,
-        increments: Recorded::increments(comparison.recorded.track.poses()),
+        increments: increments(comparison.recorded.track.poses()),
     };
     named.par_iter().map(|named| source.profile(named, before, after)).collect()
 }
@@ -169,7 +170,7 @@ impl Source<'_> {
             }
             Quantity::OdometryDistance | Quantity::OdometryTurn => {
                 let axis = usize::from(quantity == Quantity::OdometryTurn);
-                let read = |i: usize| Recorded::increments(&log.odometry[i..i + 2])[0][axis];
+                let read = |i: usize| increments(&log.odometry[i..i + 2])[0][axis];
                 let errors = items.iter().map(|&i| read(i) - self.increments[i][axis]);
                 errors.sum::<f64>() / items.len() as f64
             }

@@ -1,4 +1,3 @@
-use glam::DVec2;
 use locsim_core::{Drive, Laser, Pose2, Track, wrap_angle};
 
 use crate::GapError;
@@ -125,18 +124,6 @@ impl Recorded {
                 let (from, to) = (&poses[a], &poses[b]);
                 let moved = (to.position() - from.position()) / secs;
                 [moved.x, moved.y, wrap_angle(to.theta - from.theta) / secs]
-            })
-            .collect()
-    }
-
-    /// Distance driven (signed along the heading) and turn from each scan to the next by a track of poses.
-    pub fn increments(track: &[Pose2]) -> Vec<[f64; 2]> {
-        track
-            .windows(2)
-            .map(|pair| {
-                let step = pair[1].relative_to(&pair[0]);
-                let forward = DVec2::from_angle(0.5 * step.theta).dot(step.position());
-                [forward.signum() * step.position().length(), step.theta]
             })
             .collect()
     }

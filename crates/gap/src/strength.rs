@@ -12,13 +12,12 @@ use std::sync::Arc;
 
 use locsim_core::{Draw, Drive, Track};
 use locsim_world::effect::{Effect, Effects, Moves};
-use locsim_world::simulation::BlockResampling;
+use locsim_world::simulation::{BlockResampling, OdometrySpread};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::hidden::Regime;
 use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
-use crate::odometry::OdometryError;
 use crate::replay::{BlockTruth, Replay};
 use crate::views::Views;
 use crate::{GapError, Nominal, PoseError, Purpose, Recorded};
@@ -85,7 +84,7 @@ impl<'a> Strength<'a> {
     fn nuisances(&self) -> Nuisances {
         Nuisances {
             pose_error: self.regime.pose_error.unwrap_or(PoseError::NONE),
-            odometry_error: OdometryError { noise: self.nominal.odometry, ..OdometryError::default() },
+            odometry_error: OdometrySpread { noise: self.nominal.odometry, ..OdometrySpread::default() },
             ..Nuisances::default()
         }
     }

@@ -2,10 +2,9 @@
 
 use locsim_core::{Pose2, Track, wrap_angle};
 use locsim_world::effect::Effects;
+use locsim_world::simulation::{self, Increment, standardized};
 
-use crate::Recorded;
 use crate::hypothesis::{Comparison, Fitted};
-use crate::odometry::{Increment, standardized};
 use crate::statistics::{FOLD_SCANS, fold_count};
 
 /// Lags that are tried: to both sides up to half a second, in steps of this \[s\]: 1 cm at 1 m/s, the noise of a laser.
@@ -67,7 +66,7 @@ impl Lag {
 /// The increments against those of the track so much earlier \[s\].
 fn lagging(track: &Track, late: f64, increments: &[Increment]) -> impl Iterator<Item = Increment> {
     let poses: Vec<Pose2> = track.secs().iter().map(|&secs| track.pose_at(secs - late)).collect();
-    let truths = Recorded::increments(&poses);
+    let truths = simulation::increments(&poses);
     increments.iter().zip(truths).map(|(increment, truth)| {
         let change = [increment.truth[0] - truth[0], wrap_angle(increment.truth[1] - truth[1])];
         Increment { error: std::array::from_fn(|axis| increment.error[axis] + change[axis]), ..*increment }
@@ -77,6 +76,7 @@ fn lagging(track: &Track, late: f64, increments: &[Increment]) -> impl Iterator<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Recorded;
     use crate::fixtures::{DRIVE, NOMINAL};
     use crate::hypothesis::Nuisances;
 

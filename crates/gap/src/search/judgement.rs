@@ -1,7 +1,7 @@
 //! A hypothesis judged by a free model: the dependence by which it gains, and the effects that act on it.
 
 use glam::DVec2;
-use locsim_world::effect::{Effect, Score, Statistic};
+use locsim_world::effect::{Effect, EffectKind, Score, Statistic};
 
 use super::selection::is_of_wall;
 use crate::fit::{Candidate, sum_error};
@@ -153,14 +153,7 @@ pub fn acts_on(
     let Dependence { deviation, covariate, .. } = *dependence;
     effect.kind.description().statistics.iter().any(|statistic| match statistic {
         Statistic::Score { score, weight, .. } => {
-            let moments: &[D] = match score {
-                Score::Location => &[D::Mean],
-                Score::Scale => &[D::Spread],
-                Score::NoReturn => &[D::NoReturn],
-                Score::Uniform => &[D::Short, D::Long],
-                Score::Tail => &[D::Spread, D::Short, D::Long],
-            };
-            moments.contains(&deviation) && {
+            moments(*score).contains(&deviation) && {
                 let weight = |beam: usize| weight(&survey.beam_state(beam), &effect.values);
                 covariates.explained(covariate, (0..survey.beams()).map(weight)) >= OWN_COVARIATE
             }
@@ -177,6 +170,33 @@ pub fn acts_on(
     })
 }
 
+/// The moments of a reading that a score is of.
+fn moments(score: Score) -> &'static [Deviation] {
+    use Deviation as D;
+    match score {
+        Score::Location => &[D::Mean],
+        Score::Scale => &[D::Spread],
+        Score::NoReturn => &[D::NoReturn],
+        Score::Uniform => &[D::Short, D::Long],
+        Score::Tail => &[D::Spread, D::Short, D::Long],
+    }
+}
+
+/// Whether two effects change the same moment of readings other than the mean. What a strong one leaves, where its form isn't quite
+/// right, is of the same moment: losses beside losses, noise beside noise. Biases add up, and are told apart by their covariates.
+pub fn share_a_moment(a: EffectKind, b: EffectKind) -> bool {
+    let of = |kind: EffectKind| {
+        let statistics = kind.description().statistics.iter();
+        statistics.flat_map(|statistic| match statistic {
+            Statistic::Score { score, .. } => moments(*score),
+            Statistic::Edge => &[Deviation::Short, Deviation::Long],
+            Statistic::Sector => &[Deviation::Short],
+            _ => &[],
+        })
+    };
+    of(a).any(|moment| *moment != Deviation::Mean && of(b).any(|other| other == moment))
+}
+
 /// Whether an effect does nothing but lose returns, of all beams alike.
 pub fn loses_returns(effect: &Effect) -> bool {
     let statistics = effect.kind.description().statistics;
@@ -189,6 +209,15 @@ pub fn loses_returns(effect: &Effect) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn losses_share_a_moment_with_losses_and_noise_with_noise() {
+        use EffectKind as E;
+        assert!(share_a_moment(E::IncidenceDropout, E::RangeDropout));
+        assert!(share_a_moment(E::HeavyTail, E::RangeNoise) && share_a_moment(E::MixedPixels, E::HeavyTail));
+        assert!(!share_a_moment(E::IncidenceDropout, E::HeavyTail));
+        assert!(!share_a_moment(E::RangeBias, E::RangeScale) && !share_a_moment(E::MountYaw, E::RangeBias));
+    }
 
     /// Neighbours that err alike with a correlation of 0.6 leave 0.8 of the noise.
     #[test]

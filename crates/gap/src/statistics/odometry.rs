@@ -1,12 +1,12 @@
 //! Errors of the odometry's increments against those of the reference.
 
 use locsim_world::effect::{self, Axis, EffectKind};
+use locsim_world::simulation::{Increment, lag_slopes, standardized};
 
 use super::contamination::{detectable_share, score};
 use super::readings::half_of;
 use super::{Cell, Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
 use crate::catalogue::shown_by;
-use crate::odometry::{Increment, lag_slopes, standardized};
 
 /// The increments of a log's odometry, with the reference's errors taken off.
 fn increments_of(log: &Readings<'_>) -> Vec<Increment> {

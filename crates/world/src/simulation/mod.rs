@@ -20,6 +20,7 @@ mod error;
 mod faces;
 #[cfg(test)]
 pub(crate) mod fixtures;
+mod increments;
 mod laser;
 mod mixture;
 mod observe;
@@ -37,6 +38,9 @@ pub use blocks::{Block, BlockModel};
 pub use caster::{BeamCaster, CastBeam, Ray, Surface};
 pub use drive::{Robot, SimulatedDrive, odometry_along, simulate_drive};
 pub use error::SimulationError;
+pub use increments::{
+    Increment, OdometryModel, OdometrySpread, increments, lag_slopes, log_likelihoods, standardized,
+};
 pub use laser::LaserSimulator;
 pub use mixture::{ClutteredBeam, MixtureDensity, ReadingMixture};
 pub use observe::Simulator;

@@ -1,10 +1,10 @@
 //! Increments of the odometry against those of the reference.
 
+use glam::DVec2;
 use locsim_core::{Pose2, median, normal};
-use locsim_world::effect::Effects;
-use locsim_world::simulation::OdometryNoise;
 
-use crate::Recorded;
+use super::OdometryNoise;
+use crate::effect::Effects;
 
 /// Least standard deviation of an increment's distance \[m\] and turn \[rad\]: the encoders' resolution, also where a simulator wrote
 /// an exact log.
@@ -14,10 +14,22 @@ const CUT: f64 = 4.0;
 /// Under the increments' normal density lies another one, this much wider, of this share.
 const WIDE: (f64, f64) = (0.01, 6.0);
 
+/// Distance driven (signed along the heading) \[m\] and turn \[rad\] from each pose of a track to the next.
+pub fn increments(track: &[Pose2]) -> Vec<[f64; 2]> {
+    track
+        .windows(2)
+        .map(|pair| {
+            let step = pair[1].relative_to(&pair[0]);
+            let forward = DVec2::from_angle(0.5 * step.theta).dot(step.position());
+            [forward.signum() * step.position().length(), step.theta]
+        })
+        .collect()
+}
+
 /// How far the increments of a log's odometry scatter about those of the reference. The scenario's noise is mostly a guess, and the
 /// reference errs, too: both are fitted to the log.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct OdometryError {
+pub struct OdometrySpread {
     /// Noise that grows with the motion.
     #[serde(flatten)]
     pub noise: OdometryNoise,
@@ -27,7 +39,7 @@ pub struct OdometryError {
     pub sigma_rad: f64,
 }
 
-impl Default for OdometryError {
+impl Default for OdometrySpread {
     fn default() -> Self {
         Self { noise: OdometryNoise::default(), sigma_m: LEAST[0], sigma_rad: LEAST[1] }
     }
@@ -47,13 +59,13 @@ pub struct Increment {
 impl Increment {
     /// The increments of a log, from its second scan on.
     pub fn all(effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Vec<Self> {
-        let truth = Recorded::increments(track);
-        let read = Recorded::increments(odometry);
+        let truth = increments(track);
+        let read = increments(odometry);
         let steps = track.windows(2).zip(truth).zip(read);
         steps
             .map(|((pair, truth), read)| {
                 let distribution = effects.odometry(&pair[1].relative_to(&pair[0]));
-                let [mean] = [Recorded::increments(&[Pose2::IDENTITY, distribution.mean])[0]];
+                let [mean] = [increments(&[Pose2::IDENTITY, distribution.mean])[0]];
                 let [distance, turn] = mean.map(|value| value * value);
                 // Two rotations are half of a smooth turn each; a turn in place is one.
                 let share = if distance > 1e-4 { 0.5 } else { 1.0 };
@@ -65,14 +77,14 @@ impl Increment {
     }
 
     /// Density of the error of a distance (`axis` 0) or a turn (1) where nothing slips.
-    pub fn density(&self, error: &OdometryError, axis: usize) -> f64 {
+    pub fn density(&self, error: &OdometrySpread, axis: usize) -> f64 {
         let (sigma, (share, factor)) = (self.deviation(error, axis), WIDE);
         let t = self.error[axis] / sigma;
         ((1.0 - share) * normal::density(t) + share * normal::density(t / factor) / factor) / sigma
     }
 
     /// Standard deviation of the error of a distance \[m\] or a turn \[rad\].
-    pub fn deviation(&self, error: &OdometryError, axis: usize) -> f64 {
+    pub fn deviation(&self, error: &OdometrySpread, axis: usize) -> f64 {
         let [a1, a2, a3, a4] = error.noise.alpha();
         let [p, q] = [[a3, a4], [a1, a2]][axis];
         let [u, v] = self.squares[axis];
@@ -82,14 +94,14 @@ impl Increment {
 
     /// How much more likely a distance is of a slip than without one, less 1; and the same if it erred by as much the other way.
     /// Slips only lengthen: the two differ, however large the errors are that make no difference between them.
-    pub fn slip_ratios(&self, error: &OdometryError, share: f64) -> [f64; 2] {
+    pub fn slip_ratios(&self, error: &OdometrySpread, share: f64) -> [f64; 2] {
         let mirrored = Self { error: self.error.map(|e| -e), ..*self };
         [self, &mirrored]
             .map(|increment| slipped(increment, error, share) / increment.density(error, 0).max(1e-300) - 1.0)
     }
 }
 
-impl OdometryError {
+impl OdometrySpread {
     /// Steps of the fit. Each brings the likelihood nearer to its maximum.
     const STEPS: usize = 40;
     /// An error beyond this many standard deviations counts as this many in the fit, as in Huber's proposal 2: some increments slip.
@@ -145,7 +157,7 @@ impl OdometryError {
     }
 
     /// The spread of a log's odometry, whatever errors in proportion to the motion it has.
-    pub(crate) fn fit(effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Self {
+    pub fn fit(effects: &Effects, track: &[Pose2], odometry: &[Pose2]) -> Self {
         OdometryModel::learn(&Increment::all(effects, track, odometry)).spread
     }
 }
@@ -158,7 +170,7 @@ pub struct OdometryModel {
     /// Error of the turn per radian and per metre.
     turn: [f64; 2],
     /// The rest.
-    pub spread: OdometryError,
+    pub spread: OdometrySpread,
 }
 
 impl OdometryModel {
@@ -173,7 +185,7 @@ impl OdometryModel {
         let mut model = Self::default();
         for _ in 0..Self::ROUNDS {
             let rest: Vec<Increment> = increments.iter().map(|increment| model.without(increment)).collect();
-            model.spread = OdometryError::of(&rest);
+            model.spread = OdometrySpread::of(&rest);
             let [mut dd, mut de, mut tt, mut td, mut te, mut ds, mut se] = [0.0; 7];
             for (increment, rest) in increments.iter().zip(&rest) {
                 let [d, t] = increment.truth;
@@ -210,9 +222,9 @@ impl OdometryModel {
 }
 
 /// Log likelihood of each increment (nats).
-pub(crate) fn log_likelihoods(
+pub fn log_likelihoods(
     effects: &Effects,
-    error: &OdometryError,
+    error: &OdometrySpread,
     track: &[Pose2],
     odometry: &[Pose2],
 ) -> Vec<f64> {
@@ -232,7 +244,7 @@ pub(crate) fn log_likelihoods(
 }
 
 /// The same of a distance with a half-normal slip: the sum of a normal and a half-normal number is skew normal (Azzalini 1985).
-fn slipped(increment: &Increment, error: &OdometryError, share: f64) -> f64 {
+fn slipped(increment: &Increment, error: &OdometrySpread, share: f64) -> f64 {
     let (sigma, (wide, factor)) = (increment.deviation(error, 0), WIDE);
     let slip = share * increment.truth[0].abs();
     let longer = increment.error[0] * increment.truth[0].signum();
@@ -244,14 +256,14 @@ fn slipped(increment: &Increment, error: &OdometryError, share: f64) -> f64 {
 }
 
 /// Errors in standard deviations, cut where they say nothing more.
-pub(crate) fn standardized(increment: &Increment, error: &OdometryError) -> [f64; 2] {
+pub fn standardized(increment: &Increment, error: &OdometrySpread) -> [f64; 2] {
     std::array::from_fn(|axis| (increment.error[axis] / increment.deviation(error, axis)).clamp(-CUT, CUT))
 }
 
 /// Evidence of each increment for an odometry that lags behind the stamps: by the lag's first order, an increment is that of the
 /// truth less the lag times its rate of change. The product of error and slope, and the square of the slope, in standard
 /// deviations \[1/s, 1/s^2\]; the first one is of the second increment.
-pub(crate) fn lag_slopes(increments: &[Increment], error: &OdometryError, secs: &[f64]) -> Vec<[f64; 2]> {
+pub fn lag_slopes(increments: &[Increment], error: &OdometrySpread, secs: &[f64]) -> Vec<[f64; 2]> {
     let triples = increments.windows(3).zip(secs.windows(4));
     triples
         .map(|(triple, secs)| {
@@ -274,7 +286,7 @@ mod tests {
     use super::*;
 
     /// Increments with these errors, on straight lines and in turns by turns.
-    fn increments(mut error: impl FnMut(usize, [f64; 2]) -> [f64; 2]) -> Vec<Increment> {
+    fn drawn(mut error: impl FnMut(usize, [f64; 2]) -> [f64; 2]) -> Vec<Increment> {
         let motions = [[0.1, 0.0], [0.1, 0.02], [0.0, 0.2], [0.05, 0.1]];
         (0..4000)
             .map(|i| {
@@ -292,7 +304,7 @@ mod tests {
         let mut rng = locsim_core::Draw::new(1, locsim_core::Stage::Odometry, 0).item(0);
         let mut normal =
             || -> f64 { rand_distr::Distribution::sample(&rand_distr::StandardNormal, &mut rng) };
-        let noisy = increments(|i, [d, t]| {
+        let noisy = drawn(|i, [d, t]| {
             let sigma_d = (0.0004 * d * d + 0.001 * t * t + 0.001_f64.powi(2)).sqrt();
             let sigma_t = (0.0009 * t * t + 2.0 * 0.002 * d * d + 0.001_f64.powi(2)).sqrt();
             let slip = if i % 20 == 7 { 0.5 * d } else { 0.0 };
@@ -316,13 +328,13 @@ mod tests {
     /// An odometry that is exact, and one that never moves.
     #[test]
     fn a_spread_of_nothing_is_none() {
-        let exact = OdometryModel::learn(&increments(|_, _| [0.0; 2]));
+        let exact = OdometryModel::learn(&drawn(|_, _| [0.0; 2]));
         assert!(exact.spread.noise.alpha().iter().all(|alpha| *alpha < 1e-9), "{exact:?}");
         assert!(
             (exact.spread.sigma_m - LEAST[0]).abs() < 1e-9
                 && (exact.spread.sigma_rad - LEAST[1]).abs() < 1e-9
         );
-        assert_eq!(OdometryError::of(&[]), OdometryError::default());
+        assert_eq!(OdometrySpread::of(&[]), OdometrySpread::default());
         let still = Increment { truth: [0.0; 2], error: [1e-3, 0.0], squares: [[0.0; 2]; 2] };
         let spread = OdometryModel::learn(&[still; 9]).spread;
         assert!(spread.noise.alpha() == [0.0; 4] && spread.sigma_m > 1e-3, "{spread:?}");
@@ -332,7 +344,7 @@ mod tests {
     #[test]
     fn a_slip_lengthens_as_the_simulator_s_does() {
         let noise = OdometryNoise::new([0.0, 0.0, 0.003 * 0.003, 0.0]).unwrap();
-        let error = OdometryError { noise, sigma_m: 0.004, sigma_rad: 0.0 };
+        let error = OdometrySpread { noise, sigma_m: 0.004, sigma_rad: 0.0 };
         for truth in [0.07, -0.07] {
             let step = 1e-4;
             let (mut whole, mut mean) = (0.0, 0.0);
