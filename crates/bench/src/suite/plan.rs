@@ -272,6 +272,36 @@ fn strong_effects<'a>(
     all
 }
 
+/// What came to the suite after strong effects: more from outside of the library, courses, and more from outside again.
+fn later_effects<'a>(
+    size: Size,
+    repeats: u32,
+    seed: u64,
+    map: &'a ExactRangeMap,
+    poses: &'a [Pose2],
+) -> Vec<(Group, String, f64, Hide<'a>)> {
+    if size == Size::Small {
+        return Vec::new();
+    }
+    let outside = |&(kind, strength): &(Outside, f64)| -> (Group, String, f64, Hide<'a>) {
+        let name = format!("outside-{}", kind.name());
+        (Group::Outside, name, 100.0, Box::new(move |_| Hidden::Outside(kind, strength)))
+    };
+    let course = |(i, &form): (usize, &OtherForm)| {
+        let strong = STRONG[(i + seed as usize) % STRONG.len()];
+        [(Group::Other, 100.0), (Group::StrongOther, strong)].map(move |(group, lambda)| {
+            let hide: Hide<'a> = Box::new(move |draw| {
+                let (effect, index) = typical(form.kind(), map, poses, draw);
+                Hidden::Other(form, effect, index)
+            });
+            (group, format!("course-{}-{lambda}", form.kind()), lambda, hide)
+        })
+    };
+    let more = (0..repeats).flat_map(|_| &MORE_OUTSIDE).map(outside);
+    let courses = OtherForm::COURSES.iter().enumerate().flat_map(course);
+    more.chain(courses).chain(LAST_OUTSIDE.iter().map(outside)).collect()
+}
+
 /// All logs of a size, the ones that answer most first.
 pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<Case> {
     let (nulls, repeats, lambdas): (u32, u32, &[f64]) = match size {
@@ -364,28 +394,11 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
         }
     }
     // Last, so that the other logs are those of earlier suites.
-    for (group, name, lambda, hidden) in strong_effects(size, repeats, seed, map, poses) {
+    let later = strong_effects(size, repeats, seed, map, poses)
+        .into_iter()
+        .chain(later_effects(size, repeats, seed, map, poses));
+    for (group, name, lambda, hidden) in later {
         add(group, name, lambda, 0, &hidden, Vec::new());
-    }
-    let more = if size == Size::Small { &[] } else { &MORE_OUTSIDE[..] };
-    for &(kind, strength) in (0..repeats).flat_map(|_| more) {
-        let name = format!("outside-{}", kind.name());
-        add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());
-    }
-    for (i, &form) in OtherForm::COURSES.iter().enumerate().filter(|_| size != Size::Small) {
-        for (group, lambda) in
-            [(Group::Other, 100.0), (Group::StrongOther, STRONG[(i + seed as usize) % STRONG.len()])]
-        {
-            let hidden = |draw: &Draw| {
-                let (effect, index) = typical(form.kind(), map, poses, draw);
-                Hidden::Other(form, effect, index)
-            };
-            add(group, format!("course-{}-{lambda}", form.kind()), lambda, 0, &hidden, Vec::new());
-        }
-    }
-    for &(kind, strength) in LAST_OUTSIDE.iter().filter(|_| size != Size::Small) {
-        let name = format!("outside-{}", kind.name());
-        add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());
     }
     // In an order of chance, so that a part of the suite is a sample of it.
     let draw = Draw::new(seed, Stage::Trial, ORDER);

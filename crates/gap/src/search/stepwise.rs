@@ -4,6 +4,7 @@ use locsim_world::effect::{Effect, Moves};
 
 use super::judgement::share_a_moment;
 use super::selection::{adds_up, choose, compare_rivals, gain, is_one_cause, is_sure, name, numbers, sum_of};
+use super::surroundings::drop_surroundings;
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
 use crate::GapError;
 use crate::fit::{Candidate, Search};
@@ -89,7 +90,7 @@ impl<'a> State<'a> {
                     .iter()
                     .any(|named| !is_part(named) && (is_same(named) || is_left_by(named, candidate)))
             });
-            let candidates = self.drop_surroundings(round, candidates)?;
+            let candidates = drop_surroundings(round, candidates)?;
             let accepted = if off && path.named.len() < options.most_effects {
                 self.weigh(round, &candidates, choose(&candidates))?
             } else {

@@ -8,8 +8,8 @@ use std::f64::consts::TAU;
 use glam::DVec2;
 use locsim_world::effect::{Disc, Effect, Effects, Moves};
 
+use super::Round;
 use super::selection::{LEAST_GAIN_NATS, adds_up};
-use super::{Round, State};
 use crate::GapError;
 use crate::fit::{Candidate, folds, sum_error};
 use crate::views::Beam;
@@ -47,51 +47,45 @@ fn meets(disc: &Disc, ray: [DVec2; 2]) -> bool {
     distance(ray, disc.center) <= disc.radius_m + PASSING_M
 }
 
-impl<'a> State<'a> {
-    /// Drops candidates that don't surely gain without the beams that the named effects of one place have to do with. What adds up
-    /// with one of these stays, and what is in the odometry.
-    pub fn drop_surroundings(
-        &self,
-        round: &Round<'a>,
-        candidates: Vec<Candidate>,
-    ) -> Result<Vec<Candidate>, GapError> {
-        let own = Effects::new(round.effects.clone())?;
-        let (views, recorded) = (&round.comparison.views, round.comparison.recorded);
-        let mount = recorded.laser.base_from_laser();
-        let lasers: Vec<DVec2> =
-            recorded.track.poses().iter().map(|pose| pose.compose(&mount).position()).collect();
-        let concerned = |(i, beam): (usize, &Beam)| {
-            let ray = [lasers[i / views.per_scan], beam.view.endpoint];
-            round.effects.iter().any(|effect| concerns(effect, ray, beam.view.bearing))
-                || own.objects().iter().any(|disc| meets(disc, ray))
-        };
-        let ignored: Vec<bool> = views.beams.iter().enumerate().map(concerned).collect();
-        if !ignored.contains(&true) {
-            return Ok(candidates);
-        }
-        let elsewhere = recorded.without(&ignored);
-        let comparison = round.comparison.of(&elsewhere);
-        let without = folds(&comparison.evaluate(&round.effects, &round.fitted, 1)?.scans);
-        let gains_elsewhere = |candidate: &Candidate| -> Result<bool, GapError> {
-            let is_part = round.effects.iter().any(|known| adds_up(known, &candidate.effect));
-            if is_part || candidate.kind().moves() == Moves::Odometry {
-                return Ok(true);
-            }
-            let mut effects = round.effects.clone();
-            effects.push(candidate.effect.clone());
-            let with = folds(&comparison.evaluate(&effects, &round.fitted, 1)?.scans);
-            let gains: Vec<f64> = with.iter().zip(&without).map(|(with, without)| with - without).collect();
-            let (gain, all) = (gains.iter().sum::<f64>(), candidate.fitted_gains.iter().sum::<f64>());
-            Ok(gain > LEAST_GAIN_NATS.max(sum_error(&gains)) && gain >= LEAST_SHARE * all)
-        };
-        let mut kept = Vec::new();
-        for candidate in candidates {
-            if gains_elsewhere(&candidate)? {
-                kept.push(candidate);
-            }
-        }
-        Ok(kept)
+/// Drops candidates that don't surely gain without the beams that the named effects of one place have to do with. What adds up
+/// with one of these stays, and what is in the odometry.
+pub fn drop_surroundings(round: &Round<'_>, candidates: Vec<Candidate>) -> Result<Vec<Candidate>, GapError> {
+    let own = Effects::new(round.effects.clone())?;
+    let (views, recorded) = (&round.comparison.views, round.comparison.recorded);
+    let mount = recorded.laser.base_from_laser();
+    let lasers: Vec<DVec2> =
+        recorded.track.poses().iter().map(|pose| pose.compose(&mount).position()).collect();
+    let concerned = |(i, beam): (usize, &Beam)| {
+        let ray = [lasers[i / views.per_scan], beam.view.endpoint];
+        round.effects.iter().any(|effect| concerns(effect, ray, beam.view.bearing))
+            || own.objects().iter().any(|disc| meets(disc, ray))
+    };
+    let ignored: Vec<bool> = views.beams.iter().enumerate().map(concerned).collect();
+    if !ignored.contains(&true) {
+        return Ok(candidates);
     }
+    let elsewhere = recorded.without(&ignored);
+    let comparison = round.comparison.of(&elsewhere);
+    let without = folds(&comparison.evaluate(&round.effects, &round.fitted, 1)?.scans);
+    let gains_elsewhere = |candidate: &Candidate| -> Result<bool, GapError> {
+        let is_part = round.effects.iter().any(|known| adds_up(known, &candidate.effect));
+        if is_part || candidate.kind().moves() == Moves::Odometry {
+            return Ok(true);
+        }
+        let mut effects = round.effects.clone();
+        effects.push(candidate.effect.clone());
+        let with = folds(&comparison.evaluate(&effects, &round.fitted, 1)?.scans);
+        let gains: Vec<f64> = with.iter().zip(&without).map(|(with, without)| with - without).collect();
+        let (gain, all) = (gains.iter().sum::<f64>(), candidate.fitted_gains.iter().sum::<f64>());
+        Ok(gain > LEAST_GAIN_NATS.max(sum_error(&gains)) && gain >= LEAST_SHARE * all)
+    };
+    let mut kept = Vec::new();
+    for candidate in candidates {
+        if gains_elsewhere(&candidate)? {
+            kept.push(candidate);
+        }
+    }
+    Ok(kept)
 }
 
 #[cfg(test)]

@@ -319,8 +319,8 @@ mod tests {
         // A twentieth that counts as 1.5 standard deviations widens the distances by a tenth.
         for (motion, sigma) in [([0.1, 0.0], [0.00224, 0.00640]), ([0.0, 0.2], [0.00640, 0.00608])] {
             let at = noisy.iter().find(|increment| increment.truth == motion).unwrap();
-            for axis in 0..2 {
-                near(at.deviation(&model.spread, axis) / sigma[axis], 1.05, 0.12);
+            for (axis, sigma) in sigma.into_iter().enumerate() {
+                near(at.deviation(&model.spread, axis) / sigma, 1.05, 0.12);
             }
         }
     }
