@@ -260,6 +260,7 @@ const LEAST_SKEWED: f64 = 0.25;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::statistics::{Cell, Covariate, Deviation, Target};
     use statrs::distribution::{ContinuousCDF, Gamma, Normal};
 
     #[test]
@@ -296,6 +297,40 @@ mod tests {
         let mirrored = (0..20_000).map(|i| -gamma.inverse_cdf((f64::from(i) + 0.5) / 20_000.0));
         let z = Moments::of(mirrored).normal(-gamma.inverse_cdf(0.999), 0.0, false);
         assert!((z - normal.inverse_cdf(0.001)).abs() < 0.05, "{z}");
+    }
+
+    /// Forty statistics of stray readings, each 0 in all replicates but one, don't raise what a group has to exceed, as long as they say
+    /// what one reading changes.
+    #[test]
+    fn stray_readings_do_not_hide_what_is_off() {
+        const STRAY: usize = 40;
+        let cell = |covariate| Cell { covariate, lo: 0.0, hi: 0.0, place: None, deviation: Deviation::Mean };
+        let threshold = |by_one_reading: f64| {
+            let statistic = |i: usize| Statistic {
+                target: Target::Cell(cell(if i < STRAY { Covariate::Place } else { Covariate::Time })),
+                group: Group::Cells,
+                form: Form::Other,
+                by_one_reading: if i < STRAY { by_one_reading } else { 0.0 },
+            };
+            let statistics: Vec<Statistic> = (0..STRAY + 5).map(statistic).collect();
+            let log = |number: usize| -> Vec<Halves> {
+                let of = |i: usize| match i {
+                    _ if i < STRAY => {
+                        if number == i {
+                            20.0
+                        } else {
+                            0.0
+                        }
+                    }
+                    // Numbers that are as good as any.
+                    _ => ((number * (i + 7) * 37) % 101) as f64 / 101.0,
+                };
+                (0..statistics.len()).map(|i| [of(i), 0.0]).collect()
+            };
+            let others: Vec<Vec<Halves>> = (0..99).map(log).collect();
+            rank(&statistics, &log(99), &others).thresholds[Group::Cells as usize]
+        };
+        assert!(threshold(20.0) < 4.0 && threshold(0.0) > 1000.0);
     }
 
     /// Nothing of the kind in 99 logs, and one reading in the hundredth: one standard deviation.

@@ -145,6 +145,70 @@ fn a_strong_effect_is_named_alone() {
     assert_eq!(outcome.verdict, Verdict::Named);
 }
 
+/// No clutter, no effects, no noise of the odometry, and a log that a simulator wrote: digits of the file are no discovery, and what is
+/// hidden has its name.
+#[test]
+fn in_a_minimal_scenario_nothing_is_found_or_what_is_hidden() {
+    let usual = nominal();
+    let minimal = Nominal::new(
+        usual.map.clone(),
+        usual.laser,
+        None,
+        OdometryNoise::default(),
+        Effects::new(vec![]).unwrap(),
+    )
+    .unwrap();
+    let hidden = |effects: &[Effect]| {
+        let mut drive = record_library(&minimal, &truth(160), effects, Regime::default(), 7).unwrap();
+        // Nine digits, as in many files.
+        for step in &mut drive.steps {
+            let Pose2 { x, y, theta } = step.odometry;
+            step.odometry =
+                Pose2::new((1e9 * x).round() / 1e9, (1e9 * y).round() / 1e9, (1e9 * theta).round() / 1e9);
+        }
+        let outcome = search(&minimal, &Recorded::new(&drive, 600, 72, |_| true).unwrap(), Vec::new());
+        let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+        (outcome.verdict, names, outcome.threshold)
+    };
+    let (verdict, _, threshold) = hidden(&[]);
+    assert_eq!(verdict, Verdict::None);
+    assert!(threshold < 6.0, "{threshold}");
+    for (kind, value) in [(EffectKind::RangeBias, 0.004), (EffectKind::MountYaw, 0.006)] {
+        let (verdict, names, _) = hidden(&[effect(kind, &[value])]);
+        assert_eq!((verdict, names), (Verdict::Named, vec![kind]));
+    }
+}
+
+/// The robot's odometry has 2 % of noise, the scenario's guess is seven times that.
+#[test]
+fn an_odometry_is_named_although_its_noise_is_guessed() {
+    let mut robot = nominal();
+    robot.odometry = OdometryNoise::new([0.0004, 0.0001, 0.0004, 0.0001]).unwrap();
+    let recorded = log(&robot, &[effect(EffectKind::OdomDistanceScale, &[0.03])], Regime::default(), 9);
+    let outcome = search(&nominal(), &recorded, Vec::new());
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert_eq!(names, [EffectKind::OdomDistanceScale]);
+    let interval = outcome.effects[0].params["k"].estimate.interval;
+    assert!(interval.contains(0.03) && interval.hi - interval.lo < 0.015, "{interval:?}");
+}
+
+/// A sector that is always blocked: four numbers, of which the search starts far from two.
+#[test]
+fn a_blocked_sector_is_blocked_in_the_answer() {
+    let nominal = nominal();
+    let hidden = effect(EffectKind::SectorOcclusion, &[0.3, 1.2, 0.4, 0.99]);
+    let outcome = search(&nominal, &log(&nominal, &[hidden], Regime::default(), 11), Vec::new());
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert_eq!(names, [EffectKind::SectorOcclusion]);
+    let value = |name| outcome.effects[0].params[name].estimate.value;
+    assert!(
+        value("p") > 0.96 && (value("range_m") - 0.4).abs() < 0.002,
+        "{} {}",
+        value("p"),
+        value("range_m")
+    );
+}
+
 #[test]
 fn coarse_steps_are_named_with_their_step_and_not_with_a_part_of_it() {
     let nominal = nominal();

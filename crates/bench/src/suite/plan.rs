@@ -244,62 +244,52 @@ fn wall_at(map: &ExactRangeMap, from: DVec2, direction: DVec2, length: f64) -> O
 /// Draws what is hidden in a log.
 type Hide<'a> = Box<dyn Fn(&Draw) -> Hidden + 'a>;
 
-/// Strong effects: each kind and each form once, of one of the informations in turn.
-fn strong_effects<'a>(
+/// What has come to the suite since its first seeds, in this order: strong effects, each kind and each form once, of one of the informations
+/// in turn; more from outside of the library; courses; and more from outside again.
+fn added_effects<'a>(
     size: Size,
     repeats: u32,
     seed: u64,
     map: &'a ExactRangeMap,
     poses: &'a [Pose2],
 ) -> Vec<(Group, String, f64, Hide<'a>)> {
-    let mut all: Vec<(Group, String, f64, Hide<'a>)> = Vec::new();
+    let strong = |i: usize| STRONG[(i + seed as usize) % STRONG.len()];
+    let of_form = |group: Group, name: String, lambda: f64, form: OtherForm| {
+        let hide: Hide<'a> = Box::new(move |draw| {
+            let (effect, index) = typical(form.kind(), map, poses, draw);
+            Hidden::Other(form, effect, index)
+        });
+        (group, name, lambda, hide)
+    };
+    let mut all = Vec::new();
     let is_asked = |i: usize| size != Size::Small || i == STRONG_OF_SMALL;
-    for repeat in 0..repeats {
-        let lambda = |i: usize| STRONG[(i + repeat as usize + seed as usize) % STRONG.len()];
+    for repeat in 0..repeats as usize {
         for (i, kind) in REGULAR.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
-            let hide = move |draw: &Draw| Hidden::Library(vec![typical(kind, map, poses, draw)]);
-            all.push((Group::Strong, format!("strong-{kind}-{}", lambda(i)), lambda(i), Box::new(hide)));
+            let lambda = strong(i + repeat);
+            let hide: Hide<'a> = Box::new(move |draw| Hidden::Library(vec![typical(kind, map, poses, draw)]));
+            all.push((Group::Strong, format!("strong-{kind}-{lambda}"), lambda, hide));
         }
         for (i, form) in OtherForm::ALL.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
-            let name = format!("strong-other-{}-{}", form.kind(), lambda(i));
-            let hide = move |draw: &Draw| {
-                let (effect, index) = typical(form.kind(), map, poses, draw);
-                Hidden::Other(form, effect, index)
-            };
-            all.push((Group::StrongOther, name, lambda(i), Box::new(hide)));
+            let lambda = strong(i + repeat);
+            let name = format!("strong-other-{}-{lambda}", form.kind());
+            all.push(of_form(Group::StrongOther, name, lambda, form));
         }
     }
-    all
-}
-
-/// What came to the suite after strong effects: more from outside of the library, courses, and more from outside again.
-fn later_effects<'a>(
-    size: Size,
-    repeats: u32,
-    seed: u64,
-    map: &'a ExactRangeMap,
-    poses: &'a [Pose2],
-) -> Vec<(Group, String, f64, Hide<'a>)> {
     if size == Size::Small {
-        return Vec::new();
+        return all;
     }
     let outside = |&(kind, strength): &(Outside, f64)| -> (Group, String, f64, Hide<'a>) {
         let name = format!("outside-{}", kind.name());
         (Group::Outside, name, 100.0, Box::new(move |_| Hidden::Outside(kind, strength)))
     };
-    let course = |(i, &form): (usize, &OtherForm)| {
-        let strong = STRONG[(i + seed as usize) % STRONG.len()];
-        [(Group::Other, 100.0), (Group::StrongOther, strong)].map(move |(group, lambda)| {
-            let hide: Hide<'a> = Box::new(move |draw| {
-                let (effect, index) = typical(form.kind(), map, poses, draw);
-                Hidden::Other(form, effect, index)
-            });
-            (group, format!("course-{}-{lambda}", form.kind()), lambda, hide)
-        })
-    };
-    let more = (0..repeats).flat_map(|_| &MORE_OUTSIDE).map(outside);
-    let courses = OtherForm::COURSES.iter().enumerate().flat_map(course);
-    more.chain(courses).chain(LAST_OUTSIDE.iter().map(outside)).collect()
+    all.extend((0..repeats).flat_map(|_| &MORE_OUTSIDE).map(outside));
+    for (i, form) in OtherForm::COURSES.into_iter().enumerate() {
+        for (group, lambda) in [(Group::Other, 100.0), (Group::StrongOther, strong(i))] {
+            all.push(of_form(group, format!("course-{}-{lambda}", form.kind()), lambda, form));
+        }
+    }
+    all.extend(LAST_OUTSIDE.iter().map(outside));
+    all
 }
 
 /// All logs of a size, the ones that answer most first.
@@ -394,10 +384,7 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
         }
     }
     // Last, so that the other logs are those of earlier suites.
-    let later = strong_effects(size, repeats, seed, map, poses)
-        .into_iter()
-        .chain(later_effects(size, repeats, seed, map, poses));
-    for (group, name, lambda, hidden) in later {
+    for (group, name, lambda, hidden) in added_effects(size, repeats, seed, map, poses) {
         add(group, name, lambda, 0, &hidden, Vec::new());
     }
     // In an order of chance, so that a part of the suite is a sample of it.

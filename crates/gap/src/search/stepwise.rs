@@ -325,6 +325,23 @@ mod tests {
         assert_eq!((last(&[scale]), last(&[])), (None, None));
     }
 
+    /// Losses were named with 1,000 nats. Other losses have to gain 30, noise doesn't.
+    #[test]
+    fn what_gains_little_of_the_same_moment_is_left_by_its_form() {
+        let candidate = |kind: EffectKind, gain: f64| Candidate {
+            effect: Effect::typical(kind, Vec::new()),
+            gains: vec![0.1 * gain; 10],
+            fitted_gains: vec![0.1 * gain; 10],
+            intervals: Vec::new(),
+            is_beyond_chance: true,
+            score: None,
+        };
+        let losses = name(&[candidate(EffectKind::IncidenceDropout, 1000.0)], 0, 0.01, 100);
+        assert!(is_left_by(&losses, &candidate(EffectKind::RangeDropout, 29.0)));
+        assert!(!is_left_by(&losses, &candidate(EffectKind::RangeDropout, 31.0)));
+        assert!(!is_left_by(&losses, &candidate(EffectKind::HeavyTail, 29.0)));
+    }
+
     /// Noise and a tail were named for a turned laser. The turned laser alone takes their place; where it wasn't among the
     /// first fits, nothing takes it.
     #[test]

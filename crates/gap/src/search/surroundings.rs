@@ -19,7 +19,7 @@ const NEAR_M: f64 = 0.5;
 const PASSING_M: f64 = 0.25;
 /// Beams this far beside a sector have to do with it \[rad\].
 const BESIDE_RAD: f64 = 0.1;
-/// The least share of its gain that a further name has without these beams.
+/// A further name gains, without these beams, at least this share of what it gains with them, by the share of beams that are left.
 const LEAST_SHARE: f64 = 0.5;
 
 /// Distance of a point to a line from `a` to `b`.
@@ -64,6 +64,7 @@ pub fn drop_surroundings(round: &Round<'_>, candidates: Vec<Candidate>) -> Resul
     if !ignored.contains(&true) {
         return Ok(candidates);
     }
+    let left = ignored.iter().filter(|ignored| !**ignored).count() as f64 / ignored.len() as f64;
     let elsewhere = recorded.without(&ignored);
     let comparison = round.comparison.of(&elsewhere);
     let without = folds(&comparison.evaluate(&round.effects, &round.fitted, 1)?.scans);
@@ -77,7 +78,7 @@ pub fn drop_surroundings(round: &Round<'_>, candidates: Vec<Candidate>) -> Resul
         let with = folds(&comparison.evaluate(&effects, &round.fitted, 1)?.scans);
         let gains: Vec<f64> = with.iter().zip(&without).map(|(with, without)| with - without).collect();
         let (gain, all) = (gains.iter().sum::<f64>(), candidate.fitted_gains.iter().sum::<f64>());
-        Ok(gain > LEAST_GAIN_NATS.max(sum_error(&gains)) && gain >= LEAST_SHARE * all)
+        Ok(gain > LEAST_GAIN_NATS.max(sum_error(&gains)) && gain >= LEAST_SHARE * left * all)
     };
     let mut kept = Vec::new();
     for candidate in candidates {
@@ -90,9 +91,61 @@ pub fn drop_surroundings(round: &Round<'_>, candidates: Vec<Candidate>) -> Resul
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
     use locsim_world::effect::EffectKind;
 
     use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::{Comparison, Nuisances};
+    use crate::replay::fit_persistence;
+    use crate::search::{GapOptions, State};
+
+    /// A wall has moved, and is named without its last 40 cm. A tail that is worth something there alone is no name; a bias of all
+    /// beams, which is hidden as well, is one.
+    #[test]
+    fn what_a_wall_leaves_at_its_end_is_no_name() {
+        let wall = |to: f64| {
+            let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(to, 4.0)]];
+            Effect::new(EffectKind::MovedWall, vec![-0.1], stretch).unwrap()
+        };
+        let bias = Effect::new(EffectKind::RangeBias, vec![0.01], Vec::new()).unwrap();
+        let tail = Effect::new(EffectKind::HeavyTail, vec![0.005], Vec::new()).unwrap();
+        let hidden = [wall(0.5), bias.clone()];
+        let drive = record_library(&NOMINAL, &TRUTH, &hidden, Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 19, seed: 5, ..GapOptions::default() };
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let blocks = fit_persistence(&comparison, &fitted, options.seed).unwrap();
+        let stop = AtomicBool::new(false);
+        let (nominal, recorded) = (&NOMINAL, &recorded);
+        let state =
+            State { nominal, recorded, comparison, options: &options, progress: &(), stop: &stop, blocks };
+        // Without and with the bias: a tail widens what a bias has shifted, too.
+        for (given, candidate, is_kept) in
+            [(vec![wall(0.9)], bias.clone(), true), (vec![wall(0.9), bias], tail, false)]
+        {
+            let round = state.round(given, fitted.nuisances, options.replicates).unwrap();
+            let total = |more: &[Effect]| {
+                let effects = [&round.effects[..], more].concat();
+                round.comparison.evaluate(&effects, &round.fitted, 1).unwrap().total()
+            };
+            let gain = total(std::slice::from_ref(&candidate)) - total(&[]);
+            assert!(gain > 5.0, "{}: {gain}", candidate.kind);
+            let candidate = Candidate {
+                effect: candidate,
+                gains: vec![0.1 * gain; 10],
+                fitted_gains: vec![0.1 * gain; 10],
+                intervals: Vec::new(),
+                is_beyond_chance: true,
+                score: None,
+            };
+            assert_eq!(drop_surroundings(&round, vec![candidate]).unwrap().len(), usize::from(is_kept));
+        }
+    }
 
     #[test]
     fn beams_at_a_wall_and_past_its_ends_have_to_do_with_it() {

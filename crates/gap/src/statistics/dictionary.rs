@@ -112,7 +112,7 @@ mod tests {
     use crate::Recorded;
     use crate::fixtures::{DRIVE, NOMINAL};
     use crate::hypothesis::Nuisances;
-    use crate::statistics::pit_draw;
+    use crate::statistics::{Form, pit_draw};
 
     /// Each effect of the library has a statistic, and each statistic a value.
     #[test]
@@ -123,6 +123,12 @@ mod tests {
         for kind in EffectKind::ALL {
             let is_shown = dictionary.statistics.iter().any(|statistic| statistic.effect() == Some(kind));
             assert!(is_shown, "{kind}");
+        }
+        // What shows in a few stray readings says what one of them changes.
+        for statistic in &dictionary.statistics {
+            let is_of_stray = matches!(statistic.effect(), Some(EffectKind::Glass | EffectKind::Crosstalk))
+                || statistic.effect() == Some(EffectKind::MovedWall) && statistic.form == Form::Share;
+            assert!(!is_of_stray || statistic.by_one_reading > 0.0, "{statistic:?}");
         }
         let fitted = comparison.start(&Nuisances::default());
         let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
