@@ -103,7 +103,9 @@ impl Increment {
 
 impl OdometrySpread {
     /// Steps of the fit. Each brings the likelihood nearer to its maximum.
-    const STEPS: usize = 40;
+    const STEPS: usize = 200;
+    /// Shares of the variance at first. At a steady speed a constant can't be told from what grows with the motion, and stays small.
+    const FIRST_SHARES: [f64; 3] = [0.495, 0.495, 0.01];
     /// An error beyond this many standard deviations counts as this many in the fit, as in Huber's proposal 2: some increments slip.
     const MOST_DEVIATIONS: f64 = 1.5;
 
@@ -121,7 +123,7 @@ impl OdometrySpread {
             let whole = (normal::SIGMA_OVER_MAD * whole).powi(2);
             let mut factors: [f64; 3] = std::array::from_fn(|part| {
                 let mean = increments.iter().map(|increment| parts(increment)[part]).sum::<f64>() / count;
-                if mean > 0.0 { whole / (3.0 * mean) } else { 0.0 }
+                if mean > 0.0 { Self::FIRST_SHARES[part] * whole / mean } else { 0.0 }
             });
             for _ in 0..Self::STEPS {
                 let (mut found, mut expected) = ([0.0; 3], [0.0; 3]);
