@@ -271,11 +271,13 @@ impl<'a> State<'a> {
             candidate.is_beyond_chance = weight >= beyond_chance;
             candidate.score = has_score.then_some(off);
             // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings
-            // where nominal clutter can't stand say far more than the mean depth. A share of readings is no score either.
+            // where nominal clutter can't stand say far more than the mean depth. A share of readings is no score either, nor a
+            // correlation with the motion, which is 1 at the most; and the likelihood of an odometry simplifies nothing.
             let is_by_share = round.own(candidate.kind()).any(|i| {
                 round.dictionary.statistics[i].form == Form::Share && round.null.weight[i] >= beyond_chance
             });
-            if off < BEYOND_DOUBT && candidate.kind().moves() != Moves::Clutter && !is_by_share {
+            let moves = candidate.kind().moves();
+            if off < BEYOND_DOUBT && !matches!(moves, Moves::Clutter | Moves::Odometry) && !is_by_share {
                 candidate.limit(off * off);
             }
             // Standard deviations say little where statistics have outliers, as counts of objects among clutter that stays.

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use glam::DVec2;
 use locsim_core::Estimate;
-use locsim_world::effect::{Effect, EffectKind, Experiment};
+use locsim_world::effect::{Effect, EffectKind, Experiment, Moves};
 
 use crate::GapError;
 use crate::fit::{Candidate, sum_error};
@@ -119,11 +119,18 @@ fn equivalent(candidates: &[Candidate], best: usize) -> Vec<EffectKind> {
     for (i, other) in candidates.iter().enumerate() {
         let (behind, error) = behind(&candidates[best], other);
         let sure = other.gain() - RIVAL_ERRORS * other.gain_error() > 0.0;
-        if i != best && sure && behind < BEHIND_ERRORS * error && !is_same(&candidates[best], other) {
+        let of_same_data = is_of_odometry(&candidates[best]) == is_of_odometry(other);
+        let is_near = behind < BEHIND_ERRORS * error;
+        if i != best && of_same_data && sure && is_near && !is_same(&candidates[best], other) {
             set.push(other.kind());
         }
     }
     set
+}
+
+/// Whether an effect is in the odometry: other data than the readings, so that the one can't stand for the other.
+fn is_of_odometry(candidate: &Candidate) -> bool {
+    candidate.kind().moves() == Moves::Odometry
 }
 
 /// Whether an effect with more parameters has become the best one: a drift that doesn't end is a bias, and a loss of returns
@@ -229,6 +236,25 @@ mod tests {
         // An effect with as many parameters is no simpler.
         let other = candidate(EffectKind::OdomTurnScale, vec![0.04], 21.0);
         assert_eq!(choose(&[scale, other]), Some(1));
+    }
+
+    /// A bias and a scale of the odometry gain alike, each by its own data; two biases gain alike by the same.
+    #[test]
+    fn readings_and_odometry_do_not_stand_for_each_other() {
+        let candidate = |kind| Candidate {
+            effect: Effect::typical(kind, Vec::new()),
+            gains: vec![9.0, 10.0, 11.0],
+            fitted_gains: vec![9.0, 10.0, 11.0],
+            intervals: Vec::new(),
+            is_beyond_chance: true,
+            score: None,
+        };
+        let [bias, scale, odometry] =
+            [EffectKind::RangeBias, EffectKind::RangeScale, EffectKind::OdomDistanceScale].map(candidate);
+        let mut shifted = scale;
+        shifted.gains = vec![11.0, 10.0, 8.9];
+        let set = equivalent(&[bias, shifted, odometry], 0);
+        assert_eq!(set, [EffectKind::RangeBias, EffectKind::RangeScale]);
     }
 
     /// A piece of a sector is of the sector, across the back of the robot, too; the sector beside it isn't.
