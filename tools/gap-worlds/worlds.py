@@ -570,6 +570,94 @@ class noisier(World):
         return 1.25 * NOISE
 
 
+@case(["range_noise"])
+class noise_range_table(World):
+    def sigma(self, z, *_):
+        self.levels = getattr(self, "levels", None) or [self.draw.random() for _ in range(6)]
+        return NOISE * (1 + 2.5 * self.levels[min(int(z / 1.5), 5)])
+
+
+@case(["incidence_dropout"])
+class dropout_table(World):
+    def lost(self, incidence, **b):
+        return 0.0 if incidence < 0.7 else 0.15 if incidence < 1.1 else 0.45
+
+
+@case(["range_dropout"])
+class lost_with_range(World):
+    def lost(self, z, **b):
+        return min(0.7, 0.012 * z * z)
+
+
+@case(["warmup_drift"])
+class drift_in_steps(World):
+    def bias(self, time, **b):
+        return 0.035 if time < 10 else 0.02 if time < 25 else 0.008 if time < 40 else 0.0
+
+
+@case(["heavy_tail"])
+class tail_of_laplace(World):
+    def bias(self, **b):
+        return self.rng.choice((-1, 1)) * self.rng.expovariate(1 / 0.05) if self.rng.random() < 0.1 else 0.0
+
+
+@case(["mixed_pixels"])
+class mixed_near(World):
+    def finish(self, ranges, nominal):
+        out = list(ranges)
+        for i in range(1, len(ranges)):
+            near, far = sorted((nominal[i - 1], nominal[i]))
+            if far - near > 0.3 and far < MAX and self.rng.random() < 0.6:
+                out[i] = near + 0.4 * self.rng.random() ** 2 * (far - near)
+        return out
+
+
+@case(covariate="place")
+class surface(World):
+    def bias(self, wall, **b):
+        return -0.012 if wall in (0, 4, 6, 10) else 0.0
+
+
+@case(covariate="range")
+class near_loss(World):
+    def lost(self, z, **b):
+        return 0.4 if z < 1.4 else 0.0
+
+
+@case(covariate="speed")
+class noise_of_turns(World):
+    turning = 0.0
+
+    def stamp(self, time):
+        if time > 0.1:
+            path = Drive()
+            self.turning = abs(wrap(path(time)[2] - path(time - 0.1)[2])) / 0.1
+        return time
+
+    def sigma(self, *_):
+        return NOISE * (1 + 4 * self.turning)
+
+
+@case(["range_scale", "incidence_noise"])
+class scale_and_noise(scale, noise_incidence):
+    pass
+
+
+@case(["mount_yaw", "incidence_dropout"])
+class yaw_and_dropout(yaw, dropout):
+    pass
+
+
+@case(["range_bias", "odom_distance_scale"])
+class bias_and_odometry(bias, odometry_long):
+    pass
+
+
+@case(["range_bias", "sector_occlusion"])
+class bias_and_sector(bias, sector):
+    pass
+
+
 # The same on other lasers, and in scenarios with nothing optional.
 for laser in ("half", "wide", "fine"):
     for base in ("nothing", "bias", "yaw", "dropout", "late", "ripple", "sector"):

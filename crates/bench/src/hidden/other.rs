@@ -78,8 +78,7 @@ pub enum OtherForm {
     Course(EffectKind, Course),
 }
 
-/// A course over a covariate, from three fifths to seven fifths: with less than a half somewhere the library's formula could lose more than it
-/// gains there, and no strength would have the information that is asked for.
+/// A course over a covariate, of factors from a fifth to nine fifths, which are 1 in the mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Course {
@@ -95,7 +94,7 @@ const KNOTS: usize = 6;
 impl Course {
     /// The factors at evenly spaced knots.
     fn knots(chance: &mut dyn Rng) -> [f64; KNOTS] {
-        std::array::from_fn(|_| 0.6 + 0.8 * chance.random::<f64>())
+        std::array::from_fn(|_| 0.2 + 1.6 * chance.random::<f64>())
     }
 
     /// The factor at a share of the covariate's range; a spline is Catmull's and Rom's.

@@ -427,6 +427,8 @@ fn hide(world: &World, strength_of: &Strength<'_>, case: &Case, log: &Path) -> R
     let regime = REGIMES[case.regime].1;
     let path = drive.reference().map_err(GapError::from)?;
     let strong = |effect: &Effect, index: usize, form: Option<OtherForm>| {
+        // A course goes about the library's formula, whose strength it has: a formula that fits it badly gains little at any strength.
+        let form = form.filter(|form| !matches!(form, OtherForm::Course(..)));
         let other = form.map(|form| form.of_logs(nominal));
         let other = other.as_ref().map(|other| other as &locsim_gap::OtherForm<'_>);
         strength_of.with_information(effect, index, other, case.lambda)

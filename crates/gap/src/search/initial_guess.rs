@@ -11,31 +11,39 @@ type Directions = Vec<(f64, usize)>;
 
 impl<'a> State<'a> {
     /// At most `count` effects with where their fits start, the most promising one first: those with a statistic as far off
-    /// as some statistic is in the share `chance` of logs without any fault.
+    /// as some statistic is in the share `chance` of logs without any fault. Further ones come after them.
     pub fn first_guesses(
         &self,
         round: &Round<'a>,
         count: usize,
         chance: f64,
+        further: &[EffectKind],
     ) -> Result<Vec<(EffectKind, Vec<Start>)>, GapError> {
         let effects = round.comparison.effects(&round.effects)?;
         // Starts don't depend on PITs, nor on whether poses err.
         let pit = pit_draw(self.options.seed);
         let log = Readings::new(&round.comparison, &effects, &round.fitted, false, &pit);
-        let guesses = self.promising(round, count, chance).into_iter().map(|(kind, mut directions)| {
-            directions.sort_by(|a, b| round.says(b.1, a.1));
-            // Clutter that stays looks like missing objects in every log: places where it can stand are no starts where
-            // other places say more.
-            let group = |index: usize| round.dictionary.statistics[index].group;
-            let most_telling = group(directions[0].1);
-            directions.retain(|&(_, index)| group(index) == most_telling);
-            (kind, round.dictionary.first_guesses(&log, &directions))
-        });
+        let guesses =
+            self.promising(round, count, chance, further).into_iter().map(|(kind, mut directions)| {
+                directions.sort_by(|a, b| round.says(b.1, a.1));
+                // Clutter that stays looks like missing objects in every log: places where it can stand are no starts where
+                // other places say more.
+                let group = |index: usize| round.dictionary.statistics[index].group;
+                let most_telling = group(directions[0].1);
+                directions.retain(|&(_, index)| group(index) == most_telling);
+                (kind, round.dictionary.first_guesses(&log, &directions))
+            });
         Ok(guesses.filter(|(_, starts)| !starts.is_empty()).collect())
     }
 
-    /// The effects whose statistics are farthest off.
-    fn promising(&self, round: &Round<'a>, count: usize, chance: f64) -> Vec<(EffectKind, Directions)> {
+    /// The effects whose statistics are farthest off, and further ones.
+    fn promising(
+        &self,
+        round: &Round<'a>,
+        count: usize,
+        chance: f64,
+        further: &[EffectKind],
+    ) -> Vec<(EffectKind, Directions)> {
         let mut all: Vec<(EffectKind, f64, Directions)> = Vec::new();
         for (i, statistic) in round.dictionary.statistics.iter().enumerate() {
             let Some(kind) = statistic.effect().filter(|kind| self.may_be_added(round, *kind)) else {
@@ -51,10 +59,11 @@ impl<'a> State<'a> {
             }
         }
         all.sort_by(|a, b| b.1.total_cmp(&a.1));
-        all.truncate(count);
         let least = round.null.weight_at(chance);
-        let far_off = all.into_iter().filter(|(_, weight, _)| *weight >= least);
-        far_off.map(|(kind, _, directions)| (kind, directions)).collect()
+        let is_asked =
+            |i: usize, kind: EffectKind, weight: f64| i < count && weight >= least || further.contains(&kind);
+        let asked = all.into_iter().enumerate().filter(|(i, (kind, weight, _))| is_asked(*i, *kind, *weight));
+        asked.map(|(_, (kind, _, directions))| (kind, directions)).collect()
     }
 
     /// Whether the search may add an effect to a round's.

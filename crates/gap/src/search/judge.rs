@@ -1,15 +1,16 @@
 //! The free model as the judge of a round.
 
-use locsim_world::effect::Effect;
+use locsim_world::effect::{Effect, EffectKind};
 use rayon::prelude::*;
 
-use super::judgement::{Judgement, acts_on, loses_returns};
+use super::judgement::{Dependence, Judgement, acts_on, loses_returns};
 use super::selection::is_sure;
+use super::unnamed::wave;
 use super::{Round, State};
 use crate::fit::Candidate;
 use crate::free_model::{Covariates, FreeModel, Lag, Part};
 use crate::null::REFIT;
-use crate::statistics::{Deviation, Survey, pit_draw};
+use crate::statistics::{Covariate, Deviation, Survey, pit_draw};
 use crate::{GapError, Purpose};
 
 /// Simulated logs of the hypothesis that the free model is learnt from as well. What it gains there is the simulator's own: beams
@@ -57,6 +58,20 @@ impl<'a> State<'a> {
         Ok(Judgement { model, covariates, lag, simulated })
     }
 
+    /// Effects that act on what the free model gains most by. They are fitted, however little their formulas say: a range scale that
+    /// grows with the square looks like noise first.
+    pub fn acting_on_leading(&self, round: &Round<'a>) -> Result<Vec<EffectKind>, GapError> {
+        let judgement = self.judge(round)?;
+        let dependences = judgement.dependences();
+        let Some(leading) = dependences.first() else { return Ok(Vec::new()) };
+        let survey = Survey::new(&round.comparison);
+        let acts = |kind: &EffectKind| {
+            let effect = Effect::typical(*kind, Vec::new());
+            !kind.has_place() && acts_on(&effect, leading, &judgement.covariates, &survey)
+        };
+        Ok(EffectKind::ALL.into_iter().filter(acts).collect())
+    }
+
     /// The effect that is named, by index, where a free curve has its say: a formula that is surely behind the best curve is no
     /// explanation. Where the curve is over what an effect acts on, that effect is the right name in another form.
     pub fn weigh(
@@ -79,13 +94,34 @@ impl<'a> State<'a> {
         if round.effects.iter().any(is_right) {
             return Ok(None);
         }
+        let is_any_form = may_have_any_form(leading, judgement);
         let right = (0..candidates.len()).filter(|&i| {
             let candidate = &candidates[i];
-            let least = if candidate.kind().has_place() { RIGHT_WALL_SHARE } else { RIGHT_NAME_SHARE };
+            let least = match candidate.kind().has_place() {
+                true => RIGHT_WALL_SHARE,
+                false if is_any_form => 0.0,
+                false => RIGHT_NAME_SHARE,
+            };
             is_sure(candidate)
                 && candidate.fitted_gains.iter().sum::<f64>() >= least * leading.gain()
                 && is_right(&candidate.effect)
         });
         Ok(right.max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain())))
+    }
+}
+
+/// Whether a curve is an effect of the library in any form. Errors and noise over range or incidence, and whatever happens at edges, have
+/// one name each, whatever their course. What comes and goes over range is something else, as is a loss of the nearest returns. Over time
+/// and bearing there are many causes.
+fn may_have_any_form(dependence: &Dependence<'_>, judgement: &Judgement) -> bool {
+    match dependence.covariate {
+        Covariate::Jump => dependence.deviation != Deviation::NoReturn,
+        Covariate::Range | Covariate::Incidence => {
+            matches!(dependence.deviation, Deviation::Mean | Deviation::Spread)
+                && dependence.component.is_some_and(|component| {
+                    wave(&judgement.covariates.axes[component.axis], &component.curve).is_none()
+                })
+        }
+        _ => false,
     }
 }

@@ -147,6 +147,7 @@ pub fn find(
     state.delete(&mut path)?;
     state.simplify(&mut path)?;
     state.make_sure(&mut path)?;
+    state.join_surfaces(&mut path)?;
     state.come_nearer(&mut path)?;
     // Deeper blocks also stand in the way of more beams.
     let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);
@@ -236,9 +237,15 @@ impl<'a> State<'a> {
         Ok(Round { effects, comparison, fitted, blocks, dictionary, null, judgement: OnceLock::new() })
     }
 
-    /// Fits the effects whose statistics are farthest off.
-    fn candidates(&self, round: &Round<'a>, count: usize, chance: f64) -> Result<Vec<Candidate>, GapError> {
-        let starts = self.first_guesses(round, count, chance)?;
+    /// Fits the effects whose statistics are farthest off, and further ones.
+    fn candidates(
+        &self,
+        round: &Round<'a>,
+        count: usize,
+        chance: f64,
+        further: &[EffectKind],
+    ) -> Result<Vec<Candidate>, GapError> {
+        let starts = self.first_guesses(round, count, chance, further)?;
         self.progress.stage("fitting effects", starts.len() as u64);
         // After as many updates of the nuisance parameters as evaluations with an effect.
         let without = round.comparison.evaluate(&round.effects, &round.fitted, 1)?;

@@ -1,6 +1,8 @@
 //! Stepwise selection: effects are named one at a time, then redundant ones are deleted.
 
-use locsim_world::effect::{Effect, Moves};
+use locsim_core::Estimate;
+use locsim_world::effect::{Effect, EffectKind, Moves};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::judgement::share_a_moment;
 use super::selection::{adds_up, choose, compare_rivals, gain, is_one_cause, is_sure, name, numbers, sum_of};
@@ -25,6 +27,9 @@ const FITTED_AT_END: usize = 3;
 
 /// What the form of a named effect may leave of its gain. Losses at slanted walls left 1.4 %, where clutter lost returns as well.
 const LEFT_SHARE: f64 = 0.03;
+
+/// So many walls don't move alike by chance.
+const MANY_WALLS: usize = 3;
 
 fn most_gaining(candidates: &[Candidate]) -> Option<Candidate> {
     candidates.iter().max_by(|a, b| a.gain().total_cmp(&b.gain())).cloned()
@@ -174,6 +179,32 @@ impl<'a> State<'a> {
         Ok(())
     }
 
+    /// Drops moved walls that are many and have all moved alike, to the robot or away from it: readings of a kind of surface are off.
+    pub fn join_surfaces(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        let distances: Vec<Estimate> = moved_walls(&path.named).map(distance_of).collect();
+        if distances.len() < MANY_WALLS || !are_alike(&distances) {
+            return Ok(());
+        }
+        let is_wall = |named: &Named| named.name == EffectKind::MovedWall;
+        let gains = path.gains.iter().zip(&path.named).filter(|(_, named)| !is_wall(named));
+        path.gains = gains.map(|(gains, _)| gains.clone()).collect();
+        path.named.retain(|named| !is_wall(named));
+        if path.named.is_empty() {
+            path.rounds.truncate(1);
+        } else {
+            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
+            path.rounds.push(next);
+        }
+        path.remaining = most_gaining(&self.candidates_of(path.last())?);
+        path.note = Some(format!(
+            "{} walls read {:.0} mm too {}, all alike: a kind of surface, rather than walls that have moved.",
+            distances.len(),
+            1e3 * distances[0].value.abs(),
+            if distances[0].value > 0.0 { "long" } else { "short" },
+        ));
+        Ok(())
+    }
+
     /// Drops names with which simulated ranges move away from the log, the last one first. Anything that makes readings off the walls
     /// likelier raises the log score where something has no name.
     pub fn come_nearer(&self, path: &mut Path<'a>) -> Result<(), GapError> {
@@ -199,9 +230,9 @@ impl<'a> State<'a> {
     /// Fits the effects that a round's statistics point to: where nothing is off any more, the few that may still gain.
     fn candidates_of(&self, round: &Round<'a>) -> Result<Vec<Candidate>, GapError> {
         if round.null.p <= self.options.false_alarm {
-            self.candidates(round, self.options.fitted_kinds, FAR_OFF)
+            self.candidates(round, self.options.fitted_kinds, FAR_OFF, &self.acting_on_leading(round)?)
         } else {
-            self.candidates(round, FITTED_AT_END, SOMEWHAT_OFF)
+            self.candidates(round, FITTED_AT_END, SOMEWHAT_OFF, &[])
         }
     }
 
@@ -268,6 +299,29 @@ impl<'a> State<'a> {
     }
 }
 
+fn moved_walls(named: &[Named]) -> impl Iterator<Item = &Named> {
+    named.iter().filter(|named| named.name == EffectKind::MovedWall)
+}
+
+/// How far a wall has moved \[m\].
+fn distance_of(wall: &Named) -> Estimate {
+    wall.params["distance_m"].estimate
+}
+
+/// Whether numbers are one number, as far as their 95 % intervals say (chi squared, at 5 %).
+fn are_alike(numbers: &[Estimate]) -> bool {
+    let error = |number: &Estimate| {
+        ((number.interval.hi - number.interval.lo) / (2.0 * locsim_core::normal::QUANTILE_975)).max(1e-9)
+    };
+    let weights: Vec<f64> = numbers.iter().map(|number| error(number).powi(-2)).collect();
+    let mean = numbers.iter().zip(&weights).map(|(number, w)| w * number.value).sum::<f64>()
+        / weights.iter().sum::<f64>();
+    let squares: f64 =
+        numbers.iter().zip(&weights).map(|(number, w)| w * (number.value - mean).powi(2)).sum();
+    let freedom = numbers.len() as f64 - 1.0;
+    ChiSquared::new(freedom).is_ok_and(|chi_squared| chi_squared.sf(squares) > 0.05)
+}
+
 /// The last effect that moves ranges. What is in the odometry doesn't.
 fn last_of_ranges(named: &[Named]) -> Option<usize> {
     named.iter().rposition(|named| named.name.moves() != Moves::Odometry)
@@ -291,9 +345,6 @@ fn is_there(named: &Named) -> bool {
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::AtomicBool;
-
-    use locsim_core::Estimate;
-    use locsim_world::effect::EffectKind;
 
     use super::*;
     use crate::Recorded;

@@ -81,7 +81,7 @@ fn largest(curve: &[CurvePoint]) -> f64 {
 }
 
 /// The wave that a curve over bearing or time is, if it is one (least squares, weighted by how sure each level is).
-fn wave(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Option<Wave> {
+pub fn wave(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Option<Wave> {
     let points: Vec<[f64; 3]> = axis
         .levels
         .iter()
