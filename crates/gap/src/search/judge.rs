@@ -72,6 +72,17 @@ impl<'a> State<'a> {
         Ok(EffectKind::ALL.into_iter().filter(acts).collect())
     }
 
+    /// Effects of a round whose form is off: something still depends on what they act on.
+    pub fn of_another_form(&self, round: &Round<'a>) -> Result<Vec<EffectKind>, GapError> {
+        let judgement = self.judge(round)?;
+        let dependences = judgement.dependences();
+        let survey = Survey::new(&round.comparison);
+        let is_off = |effect: &&Effect| {
+            dependences.iter().any(|left| acts_on(effect, left, &judgement.covariates, &survey))
+        };
+        Ok(round.effects.iter().filter(is_off).map(|effect| effect.kind).collect())
+    }
+
     /// The effect that is named, by index, where a free curve has its say: a formula that is surely behind the best curve is no
     /// explanation. Where the curve is over what an effect acts on, that effect is the right name in another form.
     pub fn weigh(

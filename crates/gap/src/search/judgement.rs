@@ -63,11 +63,11 @@ impl Dependence<'_> {
         matches!(curve[..], [Some([change, error])] if (narrowest - LEAST_ERRORS * error..0.0).contains(&change))
     }
 
-    /// Whether it surely gains more than an effect: by two standard errors of the difference over folds.
+    /// Whether it surely gains more than an effect.
     pub fn beats(&self, candidate: &Candidate) -> bool {
         let ahead: Vec<f64> =
             self.gains.iter().zip(&candidate.fitted_gains).map(|(own, other)| own - other).collect();
-        ahead.iter().sum::<f64>() > LEAST_GAIN_NATS.max(LEAST_ERRORS * sum_error(&ahead))
+        is_sure(&ahead)
     }
 }
 
