@@ -240,6 +240,42 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     assert!(!folder.path("found.partial").exists() && !folder.path("new.partial").exists());
 }
 
+/// A log whose returns are off by a function of range and bearing.
+fn shifted(log: &str, by: impl Fn(f64, f64) -> f64) -> String {
+    let line = |line: &str| {
+        let mut words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+        if words[0] == "ROBOTLASER1" {
+            let [first, step, count] = [2, 4, 8].map(|i| words[i].parse::<f64>().unwrap());
+            for i in 0..count as usize {
+                let range: f64 = words[9 + i].parse().unwrap();
+                if range < 4.9 {
+                    words[9 + i] = format!("{:.3}", range + by(range, first + step * i as f64));
+                }
+            }
+        }
+        words.join(" ")
+    };
+    log.lines().map(line).collect::<Vec<_>>().join("\n") + "\n"
+}
+
+/// Near returns are too short and far ones too long, which a share of the range is not. The name is the one of errors over range, and
+/// the rest is told as its form.
+#[test]
+fn an_error_over_range_has_its_name_in_any_form() {
+    let folder = folder();
+    folder.write("dense.yaml", edited(NOMINAL, "rate_hz: 6", "rate_hz: 12"));
+    folder.locsim("simulate dense.yaml --seed 12 --out plain.log").success();
+    let text = String::from_utf8(folder.read("plain.log")).unwrap();
+    folder.write("measured.log", shifted(&text, |range, _| 0.012 * range * (range - 0.7)));
+    let line = "gap dense.yaml --log measured.log --out found --replicates 99 --no-filter --json";
+    let outcome: Value = serde_json::from_str(&output(&folder.locsim(line).success())).unwrap();
+    let names: Vec<&Value> =
+        outcome["effects"].as_array().unwrap().iter().map(|effect| &effect["name"]).collect();
+    assert_eq!(names, ["range_scale"], "{outcome:#}");
+    let left = &outcome["unnamed"][0];
+    assert_eq!((&left["covariate"], &left["form_of"]), (&"range".into(), &"range_scale".into()), "{left:#}");
+}
+
 /// Returns of a log are off by 3 cm sin(2 bearing), which no effect of the library is, and the log is edited here. The curve is
 /// learnt, the simulator carries it, and with it nothing is off any more.
 #[test]
@@ -249,21 +285,7 @@ fn a_curve_without_a_name_becomes_a_part_of_the_simulator() {
     folder.write("dense.yaml", edited(NOMINAL, "rate_hz: 6", "rate_hz: 12"));
     folder.locsim("simulate dense.yaml --seed 12 --out plain.log").success();
     let text = String::from_utf8(folder.read("plain.log")).unwrap();
-    let off = |line: &str| {
-        let mut words: Vec<String> = line.split(' ').map(str::to_owned).collect();
-        if words[0] == "ROBOTLASER1" {
-            let [first, step, count] = [2, 4, 8].map(|i| words[i].parse::<f64>().unwrap());
-            for i in 0..count as usize {
-                let range: f64 = words[9 + i].parse().unwrap();
-                let bias = 0.03 * (2.0 * (first + step * i as f64)).sin();
-                if range < 4.9 {
-                    words[9 + i] = format!("{:.3}", range + bias);
-                }
-            }
-        }
-        words.join(" ")
-    };
-    folder.write("measured.log", text.lines().map(off).collect::<Vec<_>>().join("\n") + "\n");
+    folder.write("measured.log", shifted(&text, |_, bearing| 0.03 * (2.0 * bearing).sin()));
     let search = |scenario: &str, out: &str| -> Value {
         let line =
             format!("gap {scenario} --log measured.log --out {out} --replicates 99 --no-filter --json");

@@ -8,7 +8,7 @@ use super::selection::is_sure;
 use super::unnamed::wave;
 use super::{Round, State};
 use crate::fit::Candidate;
-use crate::free_model::{Covariates, FreeModel, Lag, Part};
+use crate::free_model::{Axis, Covariates, FreeModel, Lag, Part};
 use crate::null::REFIT;
 use crate::statistics::{Covariate, Deviation, Survey, pit_draw};
 use crate::{GapError, Purpose};
@@ -105,7 +105,7 @@ impl<'a> State<'a> {
         if round.effects.iter().any(is_right) {
             return Ok(None);
         }
-        let is_any_form = may_have_any_form(leading, judgement);
+        let is_any_form = may_have_any_form(leading, &judgement.covariates.axes);
         let right = (0..candidates.len()).filter(|&i| {
             let candidate = &candidates[i];
             let least = match candidate.kind().has_place() {
@@ -124,15 +124,48 @@ impl<'a> State<'a> {
 /// Whether a curve is an effect of the library in any form. Errors and noise over range or incidence, and whatever happens at edges, have
 /// one name each, whatever their course. What comes and goes over range is something else, as is a loss of the nearest returns. Over time
 /// and bearing there are many causes.
-fn may_have_any_form(dependence: &Dependence<'_>, judgement: &Judgement) -> bool {
+fn may_have_any_form(dependence: &Dependence<'_>, axes: &[Axis]) -> bool {
     match dependence.covariate {
         Covariate::Jump => dependence.deviation != Deviation::NoReturn,
         Covariate::Range | Covariate::Incidence => {
             matches!(dependence.deviation, Deviation::Mean | Deviation::Spread)
-                && dependence.component.is_some_and(|component| {
-                    wave(&judgement.covariates.axes[component.axis], &component.curve).is_none()
-                })
+                && dependence
+                    .component
+                    .is_some_and(|component| wave(&axes[component.axis], &component.curve).is_none())
         }
         _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+    use crate::free_model::Component;
+
+    #[test]
+    fn one_name_in_any_form_is_for_trends_over_range_and_incidence_and_for_edges() {
+        let levels: Vec<f64> = (0..24).map(|i| 0.25 * f64::from(i)).collect();
+        let may = |moment, covariate, course: fn(f64) -> f64| {
+            let curve = levels.iter().map(|&x| Some([course(x), 0.001])).collect();
+            let component = Component { moment, covariate, axis: 0, curve, gains: vec![10.0; 4] };
+            let (deviation, gains) = (moment, component.gains.clone());
+            let dependence = Dependence { deviation, covariate, gains, component: Some(&component) };
+            may_have_any_form(&dependence, &[Axis::of_levels(covariate, levels.clone())])
+        };
+        let square: fn(f64) -> f64 = |x| 0.002 * x * x;
+        let ripple: fn(f64) -> f64 = |x| 0.01 * (TAU * x / 1.5).sin();
+        for covariate in [Covariate::Range, Covariate::Incidence] {
+            assert!(may(Deviation::Mean, covariate, square) && may(Deviation::Spread, covariate, square));
+            assert!(!may(Deviation::Mean, covariate, ripple) && !may(Deviation::NoReturn, covariate, square));
+        }
+        for covariate in [Covariate::Time, Covariate::Bearing, Covariate::Place] {
+            assert!(!may(Deviation::Mean, covariate, square));
+        }
+        assert!(
+            may(Deviation::Short, Covariate::Jump, square)
+                && !may(Deviation::NoReturn, Covariate::Jump, square)
+        );
     }
 }
