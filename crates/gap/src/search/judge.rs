@@ -4,7 +4,7 @@ use locsim_world::effect::{Effect, EffectKind};
 use rayon::prelude::*;
 
 use super::judgement::{Dependence, Judgement, acts_on, loses_returns};
-use super::selection::is_sure;
+use super::selection::{is_of_odometry, is_sure};
 use super::unnamed::wave;
 use super::{Round, State};
 use crate::fit::Candidate;
@@ -93,9 +93,13 @@ impl<'a> State<'a> {
     ) -> Result<Option<usize>, GapError> {
         let judgement = self.judge(round)?;
         let dependences = judgement.dependences();
-        // Whether returns get lost says nothing of the errors of those that don't: the loss of returns is judged by that loss.
-        let loses = accepted.is_some_and(|best| loses_returns(&candidates[best].effect));
-        let mut rivals = dependences.iter().filter(|rival| !loses || rival.deviation == Deviation::NoReturn);
+        // Whether returns get lost says nothing of the errors of those that don't, nor do readings of the odometry: each is judged by its own.
+        let mut rivals = dependences.iter().filter(|rival| match accepted.map(|best| &candidates[best]) {
+            Some(best) if is_of_odometry(best) => rival.covariate == Covariate::Odometry,
+            Some(best) if loses_returns(&best.effect) => rival.deviation == Deviation::NoReturn,
+            Some(_) => rival.covariate != Covariate::Odometry,
+            None => true,
+        });
         let Some(leading) = rivals.next() else { return Ok(accepted) };
         if accepted.is_some_and(|best| !leading.beats(&candidates[best])) {
             return Ok(accepted);

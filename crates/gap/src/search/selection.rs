@@ -69,11 +69,23 @@ pub fn is_sure(candidate: &Candidate) -> bool {
 /// The candidate that is named, by index: of those that surely gain the one that gains most. One with fewer parameters is
 /// preferred within a standard error of that, or within what more parameters gain by chance.
 pub fn choose(candidates: &[Candidate]) -> Option<usize> {
+    choose_among(candidates, is_sure)
+}
+
+/// The same of the candidates in the odometry. They need statistics of their own that are significant: that something is off may be due to
+/// the readings.
+pub fn choose_of_odometry(candidates: &[Candidate]) -> Option<usize> {
+    choose_among(candidates, |candidate| {
+        is_of_odometry(candidate) && candidate.is_beyond_chance && is_sure(candidate)
+    })
+}
+
+fn choose_among(candidates: &[Candidate], may: impl Fn(&Candidate) -> bool) -> Option<usize> {
     let most = (0..candidates.len())
-        .filter(|&i| is_sure(&candidates[i]))
+        .filter(|&i| may(&candidates[i]))
         .max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain()))?;
     let numbers = |i: usize| candidates[i].effect.values.len();
-    let simpler = (0..candidates.len()).filter(|&i| i != most && is_sure(&candidates[i])).filter(|&i| {
+    let simpler = (0..candidates.len()).filter(|&i| i != most && may(&candidates[i])).filter(|&i| {
         let (behind, error) = behind(&candidates[most], &candidates[i]);
         let more = numbers(most).saturating_sub(numbers(i));
         more > 0 && behind < error.max(BY_CHANCE * more as f64)
@@ -129,7 +141,7 @@ fn equivalent(candidates: &[Candidate], best: usize) -> Vec<EffectKind> {
 }
 
 /// Whether an effect is in the odometry: other data than the readings, so that the one can't stand for the other.
-fn is_of_odometry(candidate: &Candidate) -> bool {
+pub fn is_of_odometry(candidate: &Candidate) -> bool {
     candidate.kind().moves() == Moves::Odometry
 }
 

@@ -5,7 +5,9 @@ use locsim_world::effect::{Effect, EffectKind, Moves};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::judgement::share_a_moment;
-use super::selection::{adds_up, choose, compare_rivals, gain, is_one_cause, is_sure, name, numbers, sum_of};
+use super::selection::{
+    adds_up, choose, choose_of_odometry, compare_rivals, gain, is_one_cause, is_sure, name, numbers, sum_of,
+};
 use super::surroundings::drop_surroundings;
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
 use crate::GapError;
@@ -101,7 +103,14 @@ impl<'a> State<'a> {
             });
             let candidates = drop_surroundings(round, candidates)?;
             let accepted = if off && path.named.len() < options.most_effects {
-                self.weigh(round, &candidates, choose(&candidates))?
+                match self.weigh(round, &candidates, choose(&candidates))? {
+                    // What the odometry does has its name, whether or not the readings have one.
+                    None => match choose_of_odometry(&candidates) {
+                        Some(best) => self.weigh(round, &candidates, Some(best))?,
+                        None => None,
+                    },
+                    named => named,
+                }
             } else {
                 None
             };
