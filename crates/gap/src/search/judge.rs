@@ -17,6 +17,9 @@ use crate::{GapError, Purpose};
 /// share clutter and the error of the reference, which the hypothesis for single readings doesn't know.
 const LOGS: u32 = 4;
 
+/// An effect that gains this share of what the best curve gains is named, and the curve is of what it leaves: a strong bias that differs
+/// from beam to beam is a bias first.
+const NEARLY_ALL: f64 = 0.9;
 /// An effect whose formula gains at least this share of what the free curve over its own covariate gains is the right name in
 /// another form. An effect that gains less is another effect.
 const RIGHT_NAME_SHARE: f64 = 0.5;
@@ -101,7 +104,11 @@ impl<'a> State<'a> {
             None => true,
         });
         let Some(leading) = rivals.next() else { return Ok(accepted) };
-        if accepted.is_some_and(|best| !leading.beats(&candidates[best])) {
+        let is_enough = |best: usize| {
+            let gain: f64 = candidates[best].fitted_gains.iter().sum();
+            gain >= NEARLY_ALL * leading.gain() || !leading.beats(&candidates[best])
+        };
+        if accepted.is_some_and(is_enough) {
             return Ok(accepted);
         }
         let survey = Survey::new(&round.comparison);

@@ -31,6 +31,14 @@ pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
     known.kind == more.kind && (is_of_same_wall || is_of_same_sector)
 }
 
+/// How far from its laser a robot may have a part of its own \[m\].
+const ROBOT_REACH_M: f64 = 2.0;
+
+/// Whether readings of a sector may come from the robot itself: the floor ahead is farther.
+pub fn may_be_of_robot(effect: &Effect) -> bool {
+    effect.sector().is_none() || effect.value("range_m").is_none_or(|range_m| range_m <= ROBOT_REACH_M)
+}
+
 /// Whether a sector of bearings holds the middle of another one. Sectors go counter-clockwise from the first bearing \[rad\].
 fn holds_middle([from, to]: [f64; 2], [a, b]: [f64; 2]) -> bool {
     let turn = |from: f64, to: f64| (to - from).rem_euclid(TAU);
@@ -281,5 +289,10 @@ mod tests {
         assert!(!is_one_cause(&known, &sector(-2.8, -2.4)) && !is_one_cause(&known, &sector(0.0, 0.5)));
         let bias = Effect::new(EffectKind::RangeBias, vec![0.01], Vec::new()).unwrap();
         assert!(!is_one_cause(&bias, &bias));
+        let at = |range_m| {
+            let values = vec![-0.2, 0.4, range_m, 0.05];
+            Effect::new(EffectKind::SectorOcclusion, values, Vec::new()).unwrap()
+        };
+        assert!(may_be_of_robot(&at(0.4)) && !may_be_of_robot(&at(4.8)) && may_be_of_robot(&bias));
     }
 }

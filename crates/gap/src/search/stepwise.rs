@@ -6,7 +6,8 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::judgement::share_a_moment;
 use super::selection::{
-    adds_up, choose, choose_of_odometry, compare_rivals, gain, is_one_cause, is_sure, name, numbers, sum_of,
+    adds_up, choose, choose_of_odometry, compare_rivals, gain, is_one_cause, is_sure, may_be_of_robot, name,
+    numbers, sum_of,
 };
 use super::surroundings::drop_surroundings;
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
@@ -95,11 +96,12 @@ impl<'a> State<'a> {
             let mut candidates = self.candidates_of(round)?;
             let of_another_form = if off { self.of_another_form(round)? } else { Vec::new() };
             candidates.retain(|candidate| {
-                !path.named.iter().any(|named| {
-                    !adds_up(&named.effect, &candidate.effect)
-                        && (is_one_cause(&named.effect, &candidate.effect)
-                            || is_left_by(named, candidate, of_another_form.contains(&named.name)))
-                })
+                may_be_of_robot(&candidate.effect)
+                    && !path.named.iter().any(|named| {
+                        !adds_up(&named.effect, &candidate.effect)
+                            && (is_one_cause(&named.effect, &candidate.effect)
+                                || is_left_by(named, candidate, of_another_form.contains(&named.name)))
+                    })
             });
             let candidates = drop_surroundings(round, candidates)?;
             let accepted = if off && path.named.len() < options.most_effects {

@@ -104,10 +104,13 @@ impl Effect {
 
     /// The bearings of an effect that acts between two of them, counter-clockwise from the first \[rad\].
     pub fn sector(&self) -> Option<[f64; 2]> {
-        let parameters = self.kind.parameters();
-        let of =
-            |name| parameters.iter().position(|parameter| parameter.name == name).map(|i| self.values[i]);
-        Some([of("from_rad")?, of("to_rad")?])
+        Some([self.value("from_rad")?, self.value("to_rad")?])
+    }
+
+    /// The value of a parameter by its name, in SI units.
+    pub fn value(&self, name: &str) -> Option<f64> {
+        let index = self.kind.parameters().iter().position(|parameter| parameter.name == name)?;
+        Some(self.values[index])
     }
 
     /// The states of an effect that comes in bursts; `None` of one that is always there.
