@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use locsim_core::Pose2;
 use locsim_world::effect::{self, Effect, Effects, burst_window};
-use locsim_world::simulation::{OdometrySpread, log_likelihoods};
+use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};
 
 use crate::likelihood::{Density, Terms};
 use crate::pose_error::{Information, PoseError, fit, pattern_score, smooth, without_patterns};
@@ -105,7 +105,7 @@ impl<'a> Comparison<'a> {
         let views = if self.views.are_of(effects) {
             Arc::clone(&self.views)
         } else {
-            Arc::new(Views::new(self.nominal, self.recorded, effects)?)
+            Arc::new(self.views.anew(self.nominal, self.recorded, effects)?)
         };
         Ok(Self { nominal: self.nominal, recorded: self.recorded, views })
     }
@@ -146,12 +146,19 @@ impl<'a> Comparison<'a> {
         iterations: usize,
     ) -> Fitted {
         let mut fitted = start.clone();
+        // Without errors of poses and walls only the density of clutter changes from pass to pass.
+        let stays = fitted.nuisances.pose_error.is_none() && fitted.offsets.is_empty();
+        let sources = (iterations > 0 && stays).then(|| self.sources(views, effects, &fitted));
+        let pass_of = |fitted: &Fitted| match &sources {
+            Some(sources) => self.pass_again(views, effects, fitted, sources),
+            None => self.pass(views, effects, fitted),
+        };
         for _ in 0..iterations {
-            let pass = self.pass(views, effects, &fitted);
+            let pass = pass_of(&fitted);
             self.update(&mut fitted, &pass);
             self.update_walls(views, &mut fitted, &pass);
         }
-        let pass = self.pass(views, effects, &fitted);
+        let pass = pass_of(&fitted);
         self.add_prior(&mut fitted, &pass.information);
         self.add_prior_of_walls(views, &mut fitted, &pass);
         let by_bursts = Bursts::of(effects).map(|bursts| {
@@ -250,7 +257,17 @@ impl<'a> Comparison<'a> {
         fitted: &Fitted,
         mut visit: impl FnMut(usize, usize, &Density<'_>, f64, f64, Terms),
     ) {
-        let density = Density::new(&self.nominal.laser, effects, fitted.nuisances.block_density);
+        let density = self.density(effects, fitted);
+        self.for_each_usable(views, fitted, |Usable { scan, beam, shift, z }| {
+            visit(scan, beam, &density, shift, z, density.terms(&views.beams[beam], shift, z));
+        });
+    }
+
+    fn density<'d>(&'d self, effects: &'d Effects, fitted: &Fitted) -> Density<'d> {
+        Density::new(&self.nominal.laser, effects, fitted.nuisances.block_density)
+    }
+
+    fn for_each_usable(&self, views: &Views, fitted: &Fitted, mut visit: impl FnMut(Usable)) {
         let max = self.nominal.laser.max_range_m;
         for scan in 0..views.scans() {
             let correction = fitted.corrections[scan];
@@ -264,48 +281,50 @@ impl<'a> Comparison<'a> {
                 if views.is_unsure(first + i) {
                     continue;
                 }
-                let z = reading.min(max);
                 let mut shift = DVec3::from_array(beam.jacobian).dot(correction);
                 if let Some(PieceView { piece, lean }) = views.pieces.get(first + i).copied().flatten() {
                     shift += lean * fitted.offsets[piece as usize];
                 }
-                visit(scan, first + i, &density, shift, z, density.terms(beam, shift, z));
+                visit(Usable { scan, beam: first + i, shift, z: reading.min(max) });
             }
         }
     }
 
-    fn pass(&self, views: &Views, effects: &Effects, fitted: &Fitted) -> Pass {
-        let n = views.scans();
-        let mut pass = Pass {
-            log_likelihood: vec![0.0; n],
-            information: vec![Information::default(); n],
-            shorts: 0.0,
-            exposure: 0.0,
-            pulls: Vec::new(),
-        };
-        let is_measured = !views.pieces.is_empty();
-        let with_errors = views.per_scan > 0;
-        self.for_each_reading(views, effects, fitted, |scan, i, _, shift, z, terms| {
-            let beam = &views.beams[i];
-            pass.log_likelihood[scan] += terms.density.ln();
-            if is_measured {
-                let pose = DVec3::from_array(beam.jacobian).dot(fitted.corrections[scan]);
-                let weight = wall_error::weight(&terms);
-                if weight > 0.0 {
-                    pass.information[scan].add(weight, beam.jacobian, terms.error + pose);
-                    pass.pulls.push(Pull { beam: i, weight, error: terms.error + shift });
-                }
-            } else if with_errors && terms.hit > 1e-3 {
-                // Linear in the correction: as seen from no correction.
-                let weight = terms.hit / terms.sigma.powi(2);
-                pass.information[scan].add(weight, beam.jacobian, terms.error + shift);
-            }
-            pass.shorts += terms.short;
-            pass.exposure -=
-                if terms.short > 0.5 { beam.survival_at(z).0.max(1e-12).ln() } else { beam.log_clear };
+    /// What every usable reading may be of, whatever the density of clutter is.
+    fn sources(&self, views: &Views, effects: &Effects, fitted: &Fitted) -> Vec<(Usable, ReadingSources)> {
+        let density = self.density(effects, fitted);
+        let mut sources = Vec::with_capacity(views.beams.len());
+        self.for_each_usable(views, fitted, |usable| {
+            sources.push((usable, density.sources(&views.beams[usable.beam], usable.shift, usable.z)));
         });
-        if is_measured {
+        sources
+    }
+
+    fn pass(&self, views: &Views, effects: &Effects, fitted: &Fitted) -> Pass {
+        let mut pass = Pass::new(views.scans());
+        let density = self.density(effects, fitted);
+        self.for_each_usable(views, fitted, |usable| {
+            let terms = density.terms(&views.beams[usable.beam], usable.shift, usable.z);
+            pass.add(views, fitted, &usable, &terms);
+        });
+        if !views.pieces.is_empty() {
             self.fill_in(views, &mut pass.log_likelihood);
+        }
+        pass
+    }
+
+    /// As [`Comparison::pass`] over a map that is taken for exact, by what readings may be of.
+    fn pass_again(
+        &self,
+        views: &Views,
+        effects: &Effects,
+        fitted: &Fitted,
+        sources: &[(Usable, ReadingSources)],
+    ) -> Pass {
+        let mut pass = Pass::new(views.scans());
+        let density = self.density(effects, fitted);
+        for (usable, sources) in sources {
+            pass.add(views, fitted, usable, &density.terms_of(sources, usable.z));
         }
         pass
     }
@@ -447,6 +466,18 @@ impl Bursts {
     }
 }
 
+/// A usable reading of a beam.
+#[derive(Clone, Copy)]
+struct Usable {
+    scan: usize,
+    /// Number of its beam in the log.
+    beam: usize,
+    /// Change of the beam's range by errors of pose and wall \[m\].
+    shift: f64,
+    /// The reading \[m\].
+    z: f64,
+}
+
 /// One look at all readings.
 struct Pass {
     log_likelihood: Vec<f64>,
@@ -457,6 +488,40 @@ struct Pass {
     exposure: f64,
     /// What readings say of a measured map's walls.
     pulls: Vec<Pull>,
+}
+
+impl Pass {
+    fn new(scans: usize) -> Self {
+        Self {
+            log_likelihood: vec![0.0; scans],
+            information: vec![Information::default(); scans],
+            shorts: 0.0,
+            exposure: 0.0,
+            pulls: Vec::new(),
+        }
+    }
+
+    #[inline]
+    fn add(&mut self, views: &Views, fitted: &Fitted, usable: &Usable, terms: &Terms) {
+        let &Usable { scan, beam: number, shift, z } = usable;
+        let beam = &views.beams[number];
+        self.log_likelihood[scan] += terms.density.ln();
+        if !views.pieces.is_empty() {
+            let pose = DVec3::from_array(beam.jacobian).dot(fitted.corrections[scan]);
+            let weight = wall_error::weight(terms);
+            if weight > 0.0 {
+                self.information[scan].add(weight, beam.jacobian, terms.error + pose);
+                self.pulls.push(Pull { beam: number, weight, error: terms.error + shift });
+            }
+        } else if terms.hit > 1e-3 {
+            // Linear in the correction: as seen from no correction.
+            let weight = terms.hit / terms.sigma.powi(2);
+            self.information[scan].add(weight, beam.jacobian, terms.error + shift);
+        }
+        self.shorts += terms.short;
+        self.exposure -=
+            if terms.short > 0.5 { beam.survival_at(z).0.max(1e-12).ln() } else { beam.log_clear };
+    }
 }
 
 #[cfg(test)]

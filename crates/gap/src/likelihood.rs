@@ -2,7 +2,7 @@
 
 pub(crate) use locsim_core::normal::density as normal_density;
 use locsim_world::effect::{Alternative, Effects};
-use locsim_world::simulation::{LaserOptions, ReadingMixture};
+use locsim_world::simulation::{LaserOptions, ReadingMixture, ReadingSources};
 
 use crate::views::Beam;
 
@@ -48,8 +48,18 @@ impl<'a> Density<'a> {
 
     /// Log likelihood of a reading `z`; `shift` is added to the range of what stands there \[m\].
     pub fn terms(&self, beam: &Beam, shift: f64, z: f64) -> Terms {
+        self.terms_of(&self.sources(beam, shift, z), z)
+    }
+
+    /// What a reading `z` may be of, whatever the density of clutter is.
+    pub fn sources(&self, beam: &Beam, shift: f64, z: f64) -> ReadingSources {
+        self.mixture.sources(beam, shift, z)
+    }
+
+    /// Log likelihood of a reading `z` by what it may be of.
+    pub fn terms_of(&self, sources: &ReadingSources, z: f64) -> Terms {
         let max = self.laser.max_range_m;
-        let parts = self.mixture.density(beam, shift, z);
+        let parts = self.mixture.density_of(sources);
         let density = (1.0 - FLOOR) * parts.total + FLOOR / max;
         let is_return = z < max && parts.mean < max;
         Terms {

@@ -2,7 +2,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use glam::DVec2;
-use locsim_world::effect::{Description, Effect, Effects, Moves};
+use locsim_world::effect::{BeamView, Description, Effect, Effects, Moves};
 use locsim_world::raycast::{Unsure, unsure};
 pub(crate) use locsim_world::simulation::ClutteredBeam as Beam;
 use locsim_world::simulation::{
@@ -80,6 +80,17 @@ impl Views {
         Ok(Self::cast(nominal, recorded, effects, blocks, None))
     }
 
+    /// The same log's with other effects, as [`Views::new`] has them: beams that begin and end where they did have the same clutter in
+    /// their way. These views are no quick ones.
+    ///
+    /// # Errors
+    /// As [`Views::new`].
+    pub fn anew(&self, nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Result<Self, GapError> {
+        let (blocks, is_same) = self.blocks_of(nominal, effects)?;
+        let nearby = is_same.then_some(Nearby { views: self, sharing: Sharing::SameRays });
+        Ok(Self::cast(nominal, recorded, effects, blocks, nearby))
+    }
+
     /// Whether the world looks the same with these effects.
     pub fn are_of(&self, effects: &Effects) -> bool {
         shaping(effects).eq(&self.shaped_by)
@@ -91,13 +102,24 @@ impl Views {
     /// # Errors
     /// As [`Views::new`].
     pub fn with(&self, nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Result<Self, GapError> {
-        let blocks = nominal.blocks_with(effects);
-        let same = blocks.as_ref() == self.blocks.as_ref().map(|blocks| blocks.model().options());
-        let blocks = if same { self.blocks.clone() } else { nominal.integral_over(blocks.as_ref())? };
+        let (blocks, is_same) = self.blocks_of(nominal, effects)?;
         // Of many faces an integral takes long: then every beam takes over what is known, and deeper blocks are these ones,
         // stretched away from their walls.
         let is_slow = blocks.as_ref().is_some_and(|blocks| has_many_faces(blocks));
-        Ok(Self::cast(nominal, recorded, effects, blocks, (same || is_slow).then_some(self)))
+        let nearby = (is_same || is_slow).then_some(Nearby { views: self, sharing: Sharing::SimilarRays });
+        Ok(Self::cast(nominal, recorded, effects, blocks, nearby))
+    }
+
+    /// The clutter in a world with these effects, and whether it is that of these views.
+    fn blocks_of(
+        &self,
+        nominal: &Nominal,
+        effects: &Effects,
+    ) -> Result<(Option<Arc<BlockIntegral>>, bool), GapError> {
+        let blocks = nominal.blocks_with(effects);
+        let is_same = blocks.as_ref() == self.blocks.as_ref().map(|blocks| blocks.model().options());
+        let blocks = if is_same { self.blocks.clone() } else { nominal.integral_over(blocks.as_ref())? };
+        Ok((blocks, is_same))
     }
 
     fn cast(
@@ -105,18 +127,16 @@ impl Views {
         recorded: &Recorded,
         effects: &Effects,
         blocks: Option<Arc<BlockIntegral>>,
-        nearby: Option<&Self>,
+        nearby: Option<Nearby<'_>>,
     ) -> Self {
         let depth = |blocks: &Arc<BlockIntegral>| blocks.model().options().width_m[1];
-        let before = nearby.and_then(|views| views.blocks.as_ref());
+        let before = nearby.and_then(|nearby| nearby.views.blocks.as_ref());
         let deeper = blocks.as_ref().zip(before).map_or(1.0, |(now, before)| depth(now) / depth(before));
         let directions = directions(recorded, effects);
         let caster = caster(nominal, recorded, effects, &directions);
-        let casts = Casts { nominal, recorded, caster, blocks: blocks.as_deref(), deeper };
-        let (beams, met): (Vec<Beam>, Vec<Option<Met>>) = (0..recorded.scans())
-            .into_par_iter()
-            .flat_map_iter(|scan| casts.scan(scan, nearby.map(|views| views.scan(scan))))
-            .unzip();
+        let casts = Casts { nominal, recorded, caster, blocks: blocks.as_deref(), nearby, deeper };
+        let (beams, met): (Vec<Beam>, Vec<Option<Met>>) =
+            (0..recorded.scans()).into_par_iter().flat_map_iter(|scan| casts.scan(scan)).unzip();
         let (mut pieces, mut unsure) = (Vec::new(), Vec::new());
         for Met { piece, unsure: why } in met.into_iter().flatten() {
             pieces.push(piece);
@@ -143,6 +163,22 @@ impl Views {
     pub(crate) fn scan(&self, scan: usize) -> &[Beam] {
         &self.beams[scan * self.per_scan..][..self.per_scan]
     }
+}
+
+/// Views of the same log, whose beams share what is in their way.
+#[derive(Clone, Copy)]
+struct Nearby<'a> {
+    views: &'a Views,
+    sharing: Sharing,
+}
+
+/// Which beams share what is in their way.
+#[derive(Clone, Copy)]
+enum Sharing {
+    /// Those that begin and end where they did.
+    SameRays,
+    /// Those that end about where they did.
+    SimilarRays,
 }
 
 /// What a beam meets in a measured map.
@@ -218,12 +254,13 @@ struct Casts<'a> {
     recorded: &'a Recorded,
     caster: BeamCaster<'a>,
     blocks: Option<&'a BlockIntegral>,
+    nearby: Option<Nearby<'a>>,
     /// How much deeper blocks are than those that views nearby are of.
     deeper: f64,
 }
 
 impl Casts<'_> {
-    fn scan(&self, scan: usize, nearby: Option<&[Beam]>) -> Vec<(Beam, Option<Met>)> {
+    fn scan(&self, scan: usize) -> Vec<(Beam, Option<Met>)> {
         let Self { recorded, caster, .. } = self;
         let rays_of_kept: Vec<Ray> = rays(recorded, caster, scan, recorded.kept.iter().copied()).collect();
         let mut beams = Vec::new();
@@ -242,7 +279,7 @@ impl Casts<'_> {
         let max = f64::from(recorded.log_laser.max_range());
         let all = rays_of_kept.iter().zip(&beams).enumerate();
         all.map(|(i, (ray, beam))| {
-            let nearby = nearby.map(|beams| &beams[i]);
+            let nearby = self.nearby.map(|nearby| (nearby.sharing, &nearby.views.scan(scan)[i]));
             let is_ignored = recorded.ignored.get(scan * recorded.beams() + i) == Some(&true);
             let survival = if is_ignored {
                 ClutterSurvival::clear()
@@ -261,14 +298,18 @@ impl Casts<'_> {
         ray: &Ray,
         beam: &CastBeam,
         robot: DVec2,
-        nearby: Option<&Beam>,
+        nearby: Option<(Sharing, &Beam)>,
         counts: &mut Vec<f64>,
     ) -> ClutterSurvival {
         let Some(blocks) = self.blocks else { return ClutterSurvival::clear() };
         let laser = &self.recorded.log_laser;
         let [reach, max] = [laser.cast_range(), laser.max_range()].map(f64::from);
         let (range, endpoint) = (beam.view.range, beam.view.endpoint);
-        let is_near = |other: &&Beam| {
+        let is_same = |other: &Beam| {
+            let of = |view: &BeamView| (view.secs, view.bearing, view.range, view.endpoint);
+            of(&other.view) == of(&beam.view) && !other.survival.is_clear()
+        };
+        let is_near = |other: &Beam| {
             let ends_near = other.view.endpoint.distance(endpoint) < SAME_END_M.max(SAME_TURN_RAD * range);
             let [is_open, other_is_open] = [range, other.view.range].map(|range| range >= reach);
             // An open beam has no wall to align the other's clutter at.
@@ -277,8 +318,12 @@ impl Casts<'_> {
             }
             has_many_faces(blocks) || ends_near && (other.view.range - range).abs() < BEYOND_M
         };
-        if let Some(other) = nearby.filter(is_near) {
-            return other.survival.moved(other.view.range, range, self.deeper);
+        match nearby {
+            Some((Sharing::SameRays, other)) if is_same(other) => return other.survival.clone(),
+            Some((Sharing::SimilarRays, other)) if is_near(other) => {
+                return other.survival.moved(other.view.range, range, self.deeper);
+            }
+            _ => {}
         }
         let limit = range.min(max) + BEYOND_M;
         ClutterSurvival::new(blocks, [ray.origin, ray.direction], robot, limit, BIN_M, counts)
@@ -349,6 +394,31 @@ mod tests {
         assert!(aligned < 0.006 && aligned < 0.5 * unaligned && anew > 0, "{aligned} {unaligned} {anew}");
         let (_, _, more) = compare(0.3);
         assert!(more > anew, "{more} {anew}");
+    }
+
+    /// A thing in the room changes no beam's clutter, a laser that is elsewhere that of all beams.
+    #[test]
+    fn beams_that_stay_take_over_what_is_in_their_way() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 2).unwrap();
+        let recorded = Recorded::new(&drive, 40, 72, |_| true).unwrap();
+        let nominal = Views::new(&NOMINAL, &recorded, &NOMINAL.effects).unwrap();
+        let shared = |kind: EffectKind, values: &[f64]| {
+            let effect = Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
+            let effects = NOMINAL.effects_with(&[effect]).unwrap();
+            let anew = nominal.anew(&NOMINAL, &recorded, &effects).unwrap();
+            let own = Views::new(&NOMINAL, &recorded, &effects).unwrap();
+            for (one, own) in anew.beams.iter().zip(&own.beams) {
+                assert_eq!(one.view, own.view);
+                let ranges = (0..60).map(|i| 0.1 * f64::from(i));
+                assert!(ranges.into_iter().all(|range| one.survival_at(range) == own.survival_at(range)));
+            }
+            let pairs = anew.beams.iter().zip(&nominal.beams);
+            pairs.filter(|(one, nominal)| one.survival.is_shared_with(&nominal.survival)).count()
+        };
+        let in_room = shared(EffectKind::MissingObject, &[3.0, 2.0, 0.4]);
+        assert!(2 * in_room > nominal.beams.len(), "{in_room} of {}", nominal.beams.len());
+        assert_eq!(shared(EffectKind::MountOffset, &[0.01, 0.01]), 0);
+        assert_eq!(shared(EffectKind::BlockDepth, &[2.0]), 0);
     }
 
     /// Readings almost without noise are likely where the search looks for them: at a disc's own slant, at the

@@ -52,25 +52,19 @@ const LARGEST_STEP: f64 = 2.0;
 /// The most that a curve of a moment of the surface moves at once: its log score is a parabola only near by.
 const LARGEST_TILT: f64 = 1.0;
 
-/// The curve of some sums and its standard errors.
-fn solve(sums: &[Sums], shape: Shape) -> (Vec<f64>, Vec<f64>) {
+/// The curve of some sums, and slope and curvature of each level where the last step began.
+fn solve(sums: &[Sums], shape: Shape) -> (Vec<f64>, Vec<[f64; 2]>) {
     let mut curve = vec![0.0_f64; sums.len()];
-    let mut errors = curve.clone();
+    let mut at = vec![[0.0; 2]; sums.len()];
     for _ in 0..if shape.is_share { NEWTON_STEPS } else { 1 } {
-        // Slope and curvature where the curve is.
-        let at: Vec<[f64; 2]> = sums
-            .iter()
-            .zip(&curve)
-            .map(|(sums, tilt)| {
-                if shape.is_share {
-                    [sums.slope - sums.variance * tilt.exp_m1(), sums.variance * tilt.exp()]
-                } else {
-                    [sums.slope, sums.variance]
-                }
-            })
-            .collect();
-        let (change, variance) = newton(&at, &curve, shape);
-        errors = variance.into_iter().map(f64::sqrt).collect();
+        for ((at, sums), tilt) in at.iter_mut().zip(sums).zip(&curve) {
+            *at = if shape.is_share {
+                [sums.slope - sums.variance * tilt.exp_m1(), sums.variance * tilt.exp()]
+            } else {
+                [sums.slope, sums.variance]
+            };
+        }
+        let change = newton(&at, &curve, shape);
         let most = if shape.is_share { LARGEST_STEP } else { LARGEST_TILT };
         let mut moved = 0.0_f64;
         for (tilt, change) in curve.iter_mut().zip(change) {
@@ -82,46 +76,69 @@ fn solve(sums: &[Sums], shape: Shape) -> (Vec<f64>, Vec<f64>) {
             break;
         }
     }
-    (curve, errors)
+    (curve, at)
 }
 
-/// A Newton step of the penalized log score, and the variance of each level: a tridiagonal system.
-fn newton(at: &[[f64; 2]], curve: &[f64], shape: Shape) -> (Vec<f64>, Vec<f64>) {
-    let n = at.len();
-    let step = if shape.is_ordered && n > 1 { shape.stiffness } else { 0.0 };
+/// Information of a step between neighbouring levels, and of each level about 0.
+fn penalties(levels: usize, shape: Shape) -> [f64; 2] {
+    let step = if shape.is_ordered && levels > 1 { shape.stiffness } else { 0.0 };
     let ridge = if shape.is_ordered { RIDGE } else { RIDGE * shape.stiffness.max(1.0) };
+    [step, ridge]
+}
+
+/// Curvature of the penalized log score by each level, for that of the log score. Neighbours have minus the information of a step.
+fn diagonal(at: &[[f64; 2]], shape: Shape) -> Vec<f64> {
+    let n = at.len();
+    let [step, ridge] = penalties(n, shape);
     let neighbours = |i: usize| f64::from(u8::from(i > 0)) + f64::from(u8::from(i + 1 < n));
-    let diagonal: Vec<f64> = (0..n).map(|i| at[i][1] + ridge + step * neighbours(i)).collect();
-    let right: Vec<f64> = (0..n)
+    (0..n).map(|i| at[i][1] + ridge + step * neighbours(i)).collect()
+}
+
+/// A Newton step of the penalized log score: a tridiagonal system.
+fn newton(at: &[[f64; 2]], curve: &[f64], shape: Shape) -> Vec<f64> {
+    let n = at.len();
+    let [step, ridge] = penalties(n, shape);
+    let mut pivots = diagonal(at, shape);
+    let mut change: Vec<f64> = (0..n)
         .map(|i| {
             let before = if i > 0 { step * (curve[i] - curve[i - 1]) } else { 0.0 };
             let after = if i + 1 < n { step * (curve[i] - curve[i + 1]) } else { 0.0 };
             at[i][0] - ridge * curve[i] - before - after
         })
         .collect();
-    // Forward and backward pivots: both give the diagonal of the inverse.
+    for i in 1..n {
+        let factor = -step / pivots[i - 1];
+        pivots[i] += factor * step;
+        change[i] -= factor * change[i - 1];
+    }
+    for i in (0..n).rev() {
+        let next = if i + 1 < n { step * change[i + 1] } else { 0.0 };
+        change[i] = (change[i] + next) / pivots[i];
+    }
+    change
+}
+
+/// Standard errors of the levels. Forward and backward pivots together give the diagonal of the inverse.
+fn errors(at: &[[f64; 2]], shape: Shape) -> Vec<f64> {
+    let n = at.len();
+    let [step, _] = penalties(n, shape);
+    let diagonal = diagonal(at, shape);
     let (mut forward, mut backward) = (diagonal.clone(), diagonal.clone());
-    let mut reduced = right;
     for i in 1..n {
         let factor = -step / forward[i - 1];
         forward[i] += factor * step;
-        reduced[i] -= factor * reduced[i - 1];
     }
     for i in (0..n.saturating_sub(1)).rev() {
         backward[i] -= step * step / backward[i + 1];
     }
-    let mut change = vec![0.0; n];
-    for i in (0..n).rev() {
-        let next = if i + 1 < n { step * change[i + 1] } else { 0.0 };
-        change[i] = (reduced[i] + next) / forward[i];
-    }
-    let variance = (0..n).map(|i| 1.0 / (forward[i] + backward[i] - diagonal[i])).collect();
-    (change, variance)
+    (0..n).map(|i| (1.0 / (forward[i] + backward[i] - diagonal[i])).sqrt()).collect()
 }
 
 /// The curve of all folds, with its standard errors.
 pub(super) fn fit(folds: &[Vec<Sums>], shape: Shape) -> (Vec<f64>, Vec<f64>) {
-    solve(&total(folds), shape)
+    let (curve, at) = solve(&total(folds), shape);
+    let errors = errors(&at, shape);
+    (curve, errors)
 }
 
 /// Held-out gain of the curves on each fold (nats), and the curves.
@@ -162,7 +179,7 @@ mod tests {
     fn a_curve_is_the_maximum_of_its_penalized_log_score() {
         let sums = sums(&[[3.0, 20.0], [-1.0, 5.0], [0.5, 0.0], [2.0, 40.0]]);
         let shape = Shape { stiffness: 7.0, is_ordered: true, is_share: false };
-        let (curve, errors) = solve(&sums, shape);
+        let (curve, errors) = fit(std::slice::from_ref(&sums), shape);
         let mut matrix = vec![vec![0.0; 4]; 4];
         for i in 0..4 {
             matrix[i][i] += sums[i].variance + RIDGE;

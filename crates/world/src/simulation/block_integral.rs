@@ -169,9 +169,11 @@ impl BlockIntegral {
                 return;
             }
             let per_metre = count / (far - near);
-            for (i, sum) in counts[first..=last].iter_mut().enumerate() {
-                let from = (first + i) as f64 * bin_m;
-                *sum += per_metre * (far.min(from + bin_m) - near.max(from));
+            let [after_first, before_last] = [(first + 1) as f64 * bin_m, last as f64 * bin_m];
+            counts[first] += per_metre * (after_first - near);
+            counts[last] += per_metre * (far.min(before_last + bin_m) - before_last);
+            for whole in &mut counts[first + 1..last] {
+                *whole += per_metre * bin_m;
             }
         });
     }
@@ -214,6 +216,12 @@ impl Shape {
     #[inline]
     fn stretches(&self, ray: &LocalRay, length: f64, mut met: impl FnMut([f64; 2], [f64; 2])) {
         let [ranges, places] = self.met_at(ray);
+        let is_beside = |values: [f64; 4], end: f64| {
+            values.iter().all(|&value| value <= 0.0) || values.iter().all(|&value| value >= end)
+        };
+        if is_beside(places, length) || is_beside(ranges, ray.limit) {
+            return;
+        }
         for i in 0..4 {
             let j = (i + 1) % 4;
             // Corners go counter-clockwise: along a side at which the ray comes in, places decrease where it climbs.

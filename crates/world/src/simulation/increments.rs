@@ -125,17 +125,22 @@ impl OdometrySpread {
                 let mean = increments.iter().map(|increment| parts(increment)[part]).sum::<f64>() / count;
                 if mean > 0.0 { Self::FIRST_SHARES[part] * whole / mean } else { 0.0 }
             });
+            // What doesn't change from step to step: the parts, what they expect, and the squared error.
+            let expected_square = Self::expected_square();
+            let of_increment = |increment: &Increment| {
+                let parts = parts(increment);
+                (parts, parts.map(|part| part * expected_square), increment.error[axis].powi(2))
+            };
+            let rows: Vec<([f64; 3], [f64; 3], f64)> = increments.iter().map(of_increment).collect();
             for _ in 0..Self::STEPS {
                 let (mut found, mut expected) = ([0.0; 3], [0.0; 3]);
-                for increment in increments {
-                    let parts = parts(increment);
+                for (parts, expecting, squared) in &rows {
                     let variance = parts.iter().zip(factors).map(|(part, factor)| part * factor).sum::<f64>()
                         + LEAST[axis].powi(2);
-                    let square =
-                        (increment.error[axis].powi(2) / variance).min(Self::MOST_DEVIATIONS.powi(2));
-                    for (i, part) in parts.into_iter().enumerate() {
-                        found[i] += part * square / variance;
-                        expected[i] += part * Self::expected_square() / variance;
+                    let square = (squared / variance).min(Self::MOST_DEVIATIONS.powi(2));
+                    for i in 0..3 {
+                        found[i] += parts[i] * square / variance;
+                        expected[i] += expecting[i] / variance;
                     }
                 }
                 for (factor, (found, expected)) in factors.iter_mut().zip(found.into_iter().zip(expected)) {

@@ -96,7 +96,35 @@ pub struct MixtureDensity {
     pub sigma: f64,
 }
 
+/// What a reading may be of, by the [`ReadingMixture`] that it is asked of: all of its density that doesn't depend on how much
+/// clutter there is.
+#[derive(Clone, Copy, Debug)]
+pub struct ReadingSources {
+    /// Log probability that no clutter of the nominal density is in front of the surface.
+    log_clear: f64,
+    of_surface: Parts,
+    /// Probability that something usable is read where no clutter is.
+    usable: f64,
+    clutter: Option<ClutterSource>,
+    /// [`ReadingDistribution::on_grid`].
+    on_grid: f64,
+    tail: [f64; 2],
+    mean: f64,
+    sigma: f64,
+}
+
+/// Clutter in front of a surface, which may have been read.
+#[derive(Clone, Copy, Debug)]
+struct ClutterSource {
+    nearest: OfClutter,
+    /// [`ClutteredBeam::survival_at`] where it stands, if it stands in front of the surface.
+    at: Option<(f64, f64)>,
+    /// Probability that no clutter of the nominal density stands within the minimum range.
+    within_reach: f64,
+}
+
 /// A reading of the nearest clutter.
+#[derive(Clone, Copy, Debug)]
 struct OfClutter {
     /// Range of the clutter \[m\].
     range: f64,
@@ -125,28 +153,59 @@ impl<'a> ReadingMixture<'a> {
     /// Densities are those of multiples of the laser's own step, so that worlds of coarser steps can be compared. A fine step
     /// has the density at its middle instead of its probability over the step: a relative error of (t^2 - 1) / 24 times the
     /// square of the step in standard deviations, at t standard deviations from the mean.
+    #[inline]
     pub fn density(&self, beam: &ClutteredBeam, shift: f64, z: f64) -> MixtureDensity {
+        self.density_of(&self.sources(beam, shift, z))
+    }
+
+    /// What a reading may be of, whatever the density of clutter is: the first part of [`ReadingMixture::density`], and the longer.
+    #[inline]
+    pub fn sources(&self, beam: &ClutteredBeam, shift: f64, z: f64) -> ReadingSources {
         let view = BeamView { range: beam.view.range + shift, ..beam.view };
         let range = self.surface_range(beam, &view, shift);
         let mut reading = ReadingDistribution::nothing(self.laser);
         self.effects.fill(&mut reading, self.laser, &view, surface(beam, range), |_, share| share);
-        let clear = self.clear(beam, &view, range, shift);
+        let log_clear = self.log_clear(beam, &view, range, shift);
         let [of_surface, usable] = reading.density_parts(self.limits(&reading), z);
-        let mut total = clear * of_surface.total();
-        let mut usable = clear * usable.total();
-        let mut clutter = 0.0;
-        if clear < 1.0 {
+        let clutter = (log_clear < 0.0).then(|| {
             let is_return = z < reading.max_m;
             let expected = if is_return { z } else { beam.survival.middle(range - shift) + shift };
             let nearest = self
                 .clutter_read_at(beam, expected, |reading| reading.density_parts(self.limits(reading), z));
-            if is_return && nearest.range < range {
-                clutter = nearest.rest * self.nearest_density(beam, nearest.range - shift);
+            let is_in_front = is_return && nearest.range < range;
+            let at = is_in_front.then(|| beam.survival_at(nearest.range - shift));
+            ClutterSource { nearest, at, within_reach: beam.survival_at(reading.min_m - shift).0 }
+        });
+        ReadingSources {
+            log_clear,
+            of_surface,
+            usable: usable.total(),
+            clutter,
+            on_grid: reading.on_grid(z, self.laser.resolution_m.max(FINEST_STEP_M)),
+            tail: reading.tail,
+            mean: reading.mean,
+            sigma: reading.sigma,
+        }
+    }
+
+    /// The density of a reading by what it may be of: the second part of [`ReadingMixture::density`].
+    #[inline]
+    pub fn density_of(&self, sources: &ReadingSources) -> MixtureDensity {
+        let of_surface = sources.of_surface;
+        let clear = (self.clutter_density * sources.log_clear).exp();
+        let mut total = clear * of_surface.total();
+        let mut usable = clear * sources.usable;
+        let mut clutter = 0.0;
+        if clear < 1.0
+            && let Some(ClutterSource { nearest, at, within_reach }) = &sources.clutter
+        {
+            if let Some(at) = *at {
+                clutter = nearest.rest * self.nearest_density(at);
             }
             total += (1.0 - clear) * nearest.instead + clutter;
-            usable += self.usable_clutter(beam, shift, clear, &nearest, reading.min_m);
+            usable += self.usable_clutter(clear, nearest, *within_reach);
         }
-        let measure = reading.on_grid(z, self.laser.resolution_m.max(FINEST_STEP_M)) / usable;
+        let measure = sources.on_grid / usable;
         MixtureDensity {
             total: measure * total,
             surface: measure * clear * of_surface.returned,
@@ -154,10 +213,10 @@ impl<'a> ReadingMixture<'a> {
             unobstructed: measure * of_surface.total(),
             clear,
             returned: measure * clear * of_surface.rest,
-            tail: reading.tail,
+            tail: sources.tail,
             measure,
-            mean: reading.mean,
-            sigma: reading.sigma,
+            mean: sources.mean,
+            sigma: sources.sigma,
         }
     }
 
@@ -168,16 +227,16 @@ impl<'a> ReadingMixture<'a> {
         let range = self.surface_range(beam, &view, shift);
         let mut reading = ReadingDistribution::nothing(self.laser);
         self.effects.fill(&mut reading, self.laser, &view, surface(beam, range), |_, share| share);
-        let clear = self.clear(beam, &view, range, shift);
+        let clear = (self.clutter_density * self.log_clear(beam, &view, range, shift)).exp();
         let [of_surface, usable] = reading.below(self.limits(&reading), x);
         let mut below = clear * of_surface.total();
         let mut usable = clear * usable.total();
         if clear < 1.0 {
             let nearest =
                 self.clutter_read_at(beam, x.min(range), |reading| reading.below(self.limits(reading), x));
-            let survival = self.survival(beam, nearest.range.min(range) - shift).max(clear);
+            let survival = self.survival(beam.survival_at(nearest.range.min(range) - shift).0).max(clear);
             below += (1.0 - clear) * nearest.instead + nearest.rest * (1.0 - survival);
-            usable += self.usable_clutter(beam, shift, clear, &nearest, reading.min_m);
+            usable += self.usable_clutter(clear, &nearest, beam.survival_at(reading.min_m - shift).0);
         }
         ((below - (1.0 - usable)) / usable).clamp(0.0, 1.0)
     }
@@ -187,14 +246,13 @@ impl<'a> ReadingMixture<'a> {
         beam.object.map_or_else(|| self.effects.wall_range(view), |object| object + shift)
     }
 
-    /// Probability that no clutter is in front of the surface.
-    fn clear(&self, beam: &ClutteredBeam, view: &BeamView, range: f64, shift: f64) -> f64 {
-        let log_clear = if beam.object.is_some() || range == view.range {
+    /// Log probability that no clutter of the nominal density is in front of the surface.
+    fn log_clear(&self, beam: &ClutteredBeam, view: &BeamView, range: f64, shift: f64) -> f64 {
+        if beam.object.is_some() || range == view.range {
             beam.log_clear
         } else {
             beam.log_clear_to((range - shift).min(f64::from(self.laser.max_range_m as f32)))
-        };
-        (self.clutter_density * log_clear).exp()
+        }
     }
 
     /// The clutter whose reading is expected at `z` \[m\], with the parts that `of` gives of what is read instead of it.
@@ -221,15 +279,13 @@ impl<'a> ReadingMixture<'a> {
         }
     }
 
-    /// Probability that no clutter stands within `range` metres.
-    fn survival(&self, beam: &ClutteredBeam, range: f64) -> f64 {
-        let (survival, _) = beam.survival_at(range);
-        if survival < 1.0 { survival.max(LEAST_SURVIVAL).powf(self.clutter_density) } else { 1.0 }
+    /// Probability that no clutter stands within a range, for that of the nominal density.
+    fn survival(&self, nominal: f64) -> f64 {
+        if nominal < 1.0 { nominal.max(LEAST_SURVIVAL).powf(self.clutter_density) } else { 1.0 }
     }
 
-    /// Density of the nearest clutter at `range` \[1/m\].
-    fn nearest_density(&self, beam: &ClutteredBeam, range: f64) -> f64 {
-        let (survival, density) = beam.survival_at(range);
+    /// Density of the nearest clutter at a range \[1/m\], for the survival there and the density at the nominal one.
+    fn nearest_density(&self, (survival, density): (f64, f64)) -> f64 {
         if density > 0.0 {
             let factor = self.clutter_density;
             factor * survival.max(LEAST_SURVIVAL).powf(factor - 1.0) * density
@@ -238,16 +294,9 @@ impl<'a> ReadingMixture<'a> {
         }
     }
 
-    /// Probability that clutter stands in front and the reading is usable.
-    fn usable_clutter(
-        &self,
-        beam: &ClutteredBeam,
-        shift: f64,
-        clear: f64,
-        nearest: &OfClutter,
-        min_m: f64,
-    ) -> f64 {
-        let within_reach = self.survival(beam, min_m - shift).max(clear);
+    /// Probability that clutter stands in front and the reading is usable; `within_reach` as in [`ClutterSource`].
+    fn usable_clutter(&self, clear: f64, nearest: &OfClutter, within_reach: f64) -> f64 {
+        let within_reach = self.survival(within_reach).max(clear);
         (1.0 - clear) * nearest.usable_instead + nearest.rest * (within_reach - clear)
     }
 }
@@ -356,6 +405,23 @@ mod tests {
             }
             let total = sum + mixture.density(&beam, 0.0, 4.0).total;
             assert!(worst < bound && (total - 1.0).abs() < bound, "{effects:?}: {worst} {total}");
+        }
+    }
+
+    /// What a reading may be of is the same however much clutter there is.
+    #[test]
+    fn sources_of_a_reading_do_not_depend_on_the_density_of_clutter() {
+        let beam = beam();
+        for effects in &worlds() {
+            let [few, many] = [0.2, 5.0].map(|density| ReadingMixture::new(&LASER, effects, density));
+            for z in [0.4, 2.9, 3.3, 3.49, 3.8, 4.0] {
+                let of = |density: MixtureDensity| (density.total, density.clutter, density.clear);
+                let [own, other] =
+                    [&many, &few].map(|from| of(many.density_of(&from.sources(&beam, 0.01, z))));
+                assert_eq!(own, other);
+                assert_eq!(own, of(many.density(&beam, 0.01, z)));
+                assert_ne!(own, of(few.density(&beam, 0.01, z)));
+            }
         }
     }
 

@@ -42,7 +42,7 @@ pub use increments::{
     Increment, OdometryModel, OdometrySpread, increments, lag_slopes, log_likelihoods, standardized,
 };
 pub use laser::LaserSimulator;
-pub use mixture::{ClutteredBeam, MixtureDensity, ReadingMixture};
+pub use mixture::{ClutteredBeam, MixtureDensity, ReadingMixture, ReadingSources};
 pub use observe::Simulator;
 pub use obstruction::{ObstructionOptions, ObstructionTable};
 pub use odometry::OdometryNoise;

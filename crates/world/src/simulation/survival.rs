@@ -39,6 +39,11 @@ impl ClutterSurvival {
         Self { start_m: 0.0, bin_m: 1.0, probability: Arc::new([]) }
     }
 
+    /// Whether no clutter is in the way.
+    pub fn is_clear(&self) -> bool {
+        self.probability.is_empty()
+    }
+
     /// That of a beam which ends nearby, at `to` metres instead of `from`, among clutter that is `deeper` times as deep: clutter
     /// stands by walls. It shares this one's memory.
     #[must_use]
