@@ -14,6 +14,7 @@
 //! | predictions | [`ConditionalDistribution`]: a [`Distribution`] and whether the query is in the data ([`Support`]) |
 //! | quality | [`Loss`], [`losses`], [`risk`] |
 //! | settings | [`cross_validate`] with [`grid_search`] or [`optimize`] |
+//! | curves of residuals | [`curve`]: what a moment of PITs depends on, level by level |
 //! | speed | [`ConditionalDistribution::predict_batch`]; [`Table`] for single densities |
 //!
 //! `docs/sensor-in-20-lines.md` shows the whole way for a new sensor. In short:
@@ -46,6 +47,7 @@
 struct SensorIn20Lines;
 
 mod alignment;
+pub mod curve;
 mod dataset;
 mod density;
 mod distribution;

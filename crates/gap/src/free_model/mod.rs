@@ -10,14 +10,14 @@
 //! | --- | --- |
 //! | the reading as an outcome of a few classes and bins, with its probabilities under the hypothesis | [`outcomes`] |
 //! | levels of the covariates | [`covariates`] |
-//! | one smooth curve, fitted without each fold | [`curve`] |
+//! | one smooth curve, fitted without each fold | [`distreg::curve`] |
 
 mod covariates;
-mod curve;
 mod lag;
 mod large;
 mod outcomes;
 
+use distreg::curve::{Shape, Sums, crossfit, fit};
 use locsim_core::Draw;
 use locsim_world::effect::Effects;
 
@@ -28,7 +28,6 @@ use crate::fit::sum_error;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::pose_error::PoseError;
 use crate::statistics::{Covariate, Deviation, FOLD_SCANS, fold_count};
-use curve::{Shape, Sums, crossfit, fit};
 use large::{Change, Large};
 use outcomes::{MOMENTS, Outcomes, Pull, Tilt};
 

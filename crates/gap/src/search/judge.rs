@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::judgement::{Dependence, Judgement, acts_on, loses_returns};
 use super::selection::{is_of_odometry, is_sure};
-use super::unnamed::wave;
+use super::unnamed::fit_wave;
 use super::{Round, State};
 use crate::fit::Candidate;
 use crate::free_model::{Axis, Covariates, FreeModel, Lag, Part};
@@ -26,6 +26,9 @@ const RIGHT_NAME_SHARE: f64 = 0.5;
 /// The same of an effect at a wall, where the curve is farthest off at this very wall: one that has turned about its end gains a third
 /// where it is taken for one that has moved.
 const RIGHT_WALL_SHARE: f64 = 0.25;
+
+/// A curve of so many waves isn't an effect of the library in another form.
+const COMES_AND_GOES: f64 = 3.0;
 
 impl<'a> State<'a> {
     /// The free model on top of a round's hypothesis, which is learnt once.
@@ -140,9 +143,10 @@ fn may_have_any_form(dependence: &Dependence<'_>, axes: &[Axis]) -> bool {
         Covariate::Jump => dependence.deviation != Deviation::NoReturn,
         Covariate::Range | Covariate::Incidence => {
             matches!(dependence.deviation, Deviation::Mean | Deviation::Spread)
-                && dependence
-                    .component
-                    .is_some_and(|component| wave(&axes[component.axis], &component.curve).is_none())
+                && dependence.component.is_some_and(|component| {
+                    fit_wave(&axes[component.axis], &component.curve)
+                        .is_none_or(|wave| wave.count < COMES_AND_GOES)
+                })
         }
         _ => false,
     }

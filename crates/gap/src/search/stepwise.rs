@@ -1,7 +1,7 @@
 //! Stepwise selection: effects are named one at a time, then redundant ones are deleted.
 
 use locsim_core::Estimate;
-use locsim_world::effect::{Effect, EffectKind, Moves};
+use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::judgement::share_a_moment;
@@ -196,14 +196,14 @@ impl<'a> State<'a> {
 
     /// Drops moved walls that are many and have all moved alike, to the robot or away from it: readings of a kind of surface are off.
     pub fn join_surfaces(&self, path: &mut Path<'a>) -> Result<(), GapError> {
-        let distances: Vec<Estimate> = moved_walls(&path.named).map(distance_of).collect();
+        let distances: Vec<Estimate> =
+            path.named.iter().filter(|named| is_moved_wall(named)).map(distance_of).collect();
         if distances.len() < MANY_WALLS || !are_alike(&distances) {
             return Ok(());
         }
-        let is_wall = |named: &Named| named.name == EffectKind::MovedWall;
-        let gains = path.gains.iter().zip(&path.named).filter(|(_, named)| !is_wall(named));
+        let gains = path.gains.iter().zip(&path.named).filter(|(_, named)| !is_moved_wall(named));
         path.gains = gains.map(|(gains, _)| gains.clone()).collect();
-        path.named.retain(|named| !is_wall(named));
+        path.named.retain(|named| !is_moved_wall(named));
         if path.named.is_empty() {
             path.rounds.truncate(1);
         } else {
@@ -314,8 +314,8 @@ impl<'a> State<'a> {
     }
 }
 
-fn moved_walls(named: &[Named]) -> impl Iterator<Item = &Named> {
-    named.iter().filter(|named| named.name == EffectKind::MovedWall)
+fn is_moved_wall(named: &Named) -> bool {
+    named.name.description().statistics.iter().any(|statistic| matches!(statistic, Statistic::WallShift))
 }
 
 /// How far a wall has moved \[m\].

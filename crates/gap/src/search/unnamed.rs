@@ -80,18 +80,23 @@ fn largest(curve: &[CurvePoint]) -> f64 {
     most(true).or_else(|| most(false)).unwrap_or(0.0)
 }
 
-/// The wave that a curve over bearing or time is, if it is one (least squares, weighted by how sure each level is).
-pub fn wave(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Option<Wave> {
+/// The wave that a curve over bearing or time is, if it is one.
+fn wave(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Option<Wave> {
+    matches!(axis.covariate, Covariate::Bearing | Covariate::Time).then(|| fit_wave(axis, curve)).flatten()
+}
+
+/// The wave that a curve over an ordered covariate is, if it is one (least squares, weighted by how sure each level is).
+pub fn fit_wave(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Option<Wave> {
     let points: Vec<[f64; 3]> = axis
         .levels
         .iter()
         .zip(curve)
         .filter_map(|(&x, point)| point.map(|[y, error]| [x, y, error.max(1e-9).powi(-2)]))
         .collect();
-    // Bearings come full circle; time doesn't.
+    // Bearings come full circle; others don't.
     let is_circle = axis.covariate == Covariate::Bearing;
     let span = points.last()?[0] - points.first()?[0];
-    if !is_circle && axis.covariate != Covariate::Time || span <= 0.0 {
+    if span <= 0.0 {
         return None;
     }
     let most = points.len() as f64 / LEVELS_PER_WAVE;

@@ -2,7 +2,7 @@
 
 /// The sums of what readings say of a moment at a level.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Sums {
+pub struct Sums {
     /// Slope of the log score by the moment's tilt.
     pub slope: f64,
     /// Its variance.
@@ -10,6 +10,7 @@ pub(super) struct Sums {
 }
 
 impl Sums {
+    /// Adds a reading's slope and variance.
     pub fn add(&mut self, [slope, variance]: [f64; 2]) {
         self.slope += slope;
         self.variance += variance;
@@ -35,7 +36,7 @@ impl Sums {
 
 /// How a curve is fitted.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Shape {
+pub struct Shape {
     /// Information of a step between neighbouring levels.
     pub stiffness: f64,
     /// Whether neighbouring levels are alike. Levels without an order are drawn to 0.
@@ -134,15 +135,15 @@ fn errors(at: &[[f64; 2]], shape: Shape) -> Vec<f64> {
     (0..n).map(|i| (1.0 / (forward[i] + backward[i] - diagonal[i])).sqrt()).collect()
 }
 
-/// The curve of all folds, with its standard errors.
-pub(super) fn fit(folds: &[Vec<Sums>], shape: Shape) -> (Vec<f64>, Vec<f64>) {
+/// The curve of all folds, with its standard errors: one number for each level. A fold has the sums of each level.
+pub fn fit(folds: &[Vec<Sums>], shape: Shape) -> (Vec<f64>, Vec<f64>) {
     let (curve, at) = solve(&total(folds), shape);
     let errors = errors(&at, shape);
     (curve, errors)
 }
 
 /// Held-out gain of the curves on each fold (nats), and the curves.
-pub(super) fn crossfit(folds: &[Vec<Sums>], shape: Shape) -> (Vec<f64>, Vec<Vec<f64>>) {
+pub fn crossfit(folds: &[Vec<Sums>], shape: Shape) -> (Vec<f64>, Vec<Vec<f64>>) {
     let total = total(folds);
     folds
         .iter()
@@ -168,7 +169,24 @@ fn total(folds: &[Vec<Sums>]) -> Vec<Sums> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::matrix::invert;
+
+    /// The inverse of a well-conditioned matrix (Gauss and Jordan).
+    fn invert(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let n = matrix.len();
+        let unit = |i: usize| (0..n).map(move |j| f64::from(u8::from(i == j)));
+        let mut rows: Vec<Vec<f64>> =
+            matrix.iter().enumerate().map(|(i, row)| row.iter().copied().chain(unit(i)).collect()).collect();
+        for i in 0..n {
+            let pivot = rows[i][i];
+            rows[i].iter_mut().for_each(|value| *value /= pivot);
+            let row = rows[i].clone();
+            for (_, other) in rows.iter_mut().enumerate().filter(|(k, _)| *k != i) {
+                let factor = other[i];
+                other.iter_mut().zip(&row).for_each(|(value, own)| *value -= factor * own);
+            }
+        }
+        rows.into_iter().map(|row| row[n..].to_vec()).collect()
+    }
 
     fn sums(pairs: &[[f64; 2]]) -> Vec<Sums> {
         pairs.iter().map(|&[slope, variance]| Sums { slope, variance }).collect()
