@@ -17,7 +17,7 @@ const LAYERS: [(&str, &[&str]); 19] = [
     ("locsim-sensor", &["distreg", "locsim-core"]),
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
-    ("locsim-gap", &["locsim-core", "locsim-world"]),
+    ("locsim-gap", &["distreg", "locsim-core", "locsim-world"]),
     ("locsim-baseline", &["locsim-core", "locsim-gap", "locsim-world"]),
     ("locsim-report", &["locsim-core", "locsim-sensor"]),
     ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"]),
