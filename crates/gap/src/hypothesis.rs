@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use locsim_core::Pose2;
-use locsim_world::effect::{self, Effect, Effects, burst_window};
+use locsim_world::effect::{Effect, Effects};
 use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};
 
+use crate::bursts::{Bursts, InBurst};
 use crate::likelihood::{Density, Terms};
 use crate::pose_error::{Information, PoseError, fit, pattern_score, smooth, without_patterns};
 use crate::pose_pattern::PosePattern;
@@ -148,10 +149,20 @@ impl<'a> Comparison<'a> {
         let mut fitted = start.clone();
         // Without errors of poses and walls only the density of clutter changes from pass to pass.
         let stays = fitted.nuisances.pose_error.is_none() && fitted.offsets.is_empty();
-        let sources = (iterations > 0 && stays).then(|| self.sources(views, effects, &fitted));
-        let pass_of = |fitted: &Fitted| match &sources {
+        let bursts = Bursts::of(effects);
+        let sources_of =
+            |effects: &Effects| (iterations > 0 && stays).then(|| self.sources(views, effects, &fitted));
+        let sources = match &bursts {
+            Some(Bursts { on, off, .. }) => [sources_of(on), sources_of(off)],
+            None => [sources_of(effects), None],
+        };
+        let pass_with = |effects: &Effects, fitted: &Fitted, state: usize| match &sources[state] {
             Some(sources) => self.pass_again(views, effects, fitted, sources),
             None => self.pass(views, effects, fitted),
+        };
+        let pass_of = |fitted: &Fitted| match &bursts {
+            Some(bursts) => self.mixed(bursts, |effects, state| pass_with(effects, fitted, state)),
+            None => pass_with(effects, fitted, 0),
         };
         for _ in 0..iterations {
             let pass = pass_of(&fitted);
@@ -161,13 +172,7 @@ impl<'a> Comparison<'a> {
         let pass = pass_of(&fitted);
         self.add_prior(&mut fitted, &pass.information);
         self.add_prior_of_walls(views, &mut fitted, &pass);
-        let by_bursts = Bursts::of(effects).map(|bursts| {
-            let [with, without] =
-                [&bursts.on, &bursts.off].map(|effects| self.pass(views, effects, &fitted).log_likelihood);
-            bursts.log_likelihood(self.recorded.track.secs(), &with, &without)
-        });
-        let likelihoods = by_bursts.as_ref().unwrap_or(&pass.log_likelihood);
-        for (scan, likelihood) in fitted.scans.iter_mut().zip(likelihoods) {
+        for (scan, likelihood) in fitted.scans.iter_mut().zip(&pass.log_likelihood) {
             *scan += likelihood;
         }
         let track = self.corrected(&fitted.corrections);
@@ -200,8 +205,12 @@ impl<'a> Comparison<'a> {
         };
         let patterns: Vec<Vec<DVec3>> =
             PosePattern::all().iter().map(|pattern| pattern.over(self.recorded)).collect();
+        let bursts = Bursts::of(effects);
         for round in 0..CORRECTIONS {
-            let pass = self.pass(&self.views, effects, &fitted);
+            let pass = match &bursts {
+                Some(bursts) => self.mixed(bursts, |effects, _| self.pass(&self.views, effects, &fitted)),
+                None => self.pass(&self.views, effects, &fitted),
+            };
             fitted.nuisances.pose_error = PoseError::NONE;
             self.update(&mut fitted, &pass);
             // A constant pattern is a displaced laser or a late stamp rather than an error of the reference.
@@ -313,6 +322,15 @@ impl<'a> Comparison<'a> {
         pass
     }
 
+    /// The look at all readings by that in a burst and that without one, each scan's as surely as a burst fell on it.
+    fn mixed(&self, bursts: &Bursts, pass_of: impl Fn(&Effects, usize) -> Pass) -> Pass {
+        let [mut with, without] =
+            [(&bursts.on, 0), (&bursts.off, 1)].map(|(effects, state)| pass_of(effects, state));
+        let scans = bursts.scans(self.recorded.track.secs(), &with.log_likelihood, &without.log_likelihood);
+        with.mix(&without, &scans, self.views.per_scan);
+        with
+    }
+
     /// As [`Comparison::pass`] over a map that is taken for exact, by what readings may be of.
     fn pass_again(
         &self,
@@ -346,9 +364,11 @@ impl<'a> Comparison<'a> {
 
     /// A step of expectation maximization for the density of blocks, and the errors of the poses.
     fn update(&self, fitted: &mut Fitted, pass: &Pass) {
-        if pass.exposure > 0.0 {
+        let [shorts, exposure] =
+            pass.clutter.iter().fold([0.0; 2], |sum, scan| [sum[0] + scan[0], sum[1] + scan[1]]);
+        if exposure > 0.0 {
             // As if one block more had been seen in as much as the nominal density expects.
-            fitted.nuisances.block_density = ((pass.shorts + 1.0) / (pass.exposure + 1.0)).clamp(0.01, 20.0);
+            fitted.nuisances.block_density = ((shorts + 1.0) / (exposure + 1.0)).clamp(0.01, 20.0);
         }
         if !fitted.nuisances.pose_error.is_none() {
             let process = &fitted.nuisances.pose_error;
@@ -420,52 +440,6 @@ impl<'a> Comparison<'a> {
     }
 }
 
-/// Bursts of an effect, which fall on all readings of a window of time or on none: together those say far more surely than one by
-/// one when there was one. A scan is of the window of its stamp, also where its beams take time.
-struct Bursts {
-    /// The effects in a burst, and without one.
-    on: Effects,
-    off: Effects,
-    /// Share of the windows that one falls on.
-    share: f64,
-}
-
-impl Bursts {
-    /// Those of these effects; `None` of none. Of several, the readings of all but the first are taken one by one.
-    fn of(effects: &Effects) -> Option<Self> {
-        let (at, bursts) = effects.list().iter().enumerate().find_map(|(i, effect)| {
-            let comes_and_goes =
-                |bursts: &effect::Bursts| bursts.share > 0.0 && bursts.share < 1.0 && bursts.on != bursts.off;
-            Some((i, effect.bursts().filter(comes_and_goes)?))
-        })?;
-        let with = |state: Effect| {
-            let mut list = effects.list().to_vec();
-            list[at] = state;
-            effects.replaced(list).ok()
-        };
-        Some(Self { on: with(bursts.on)?, off: with(bursts.off)?, share: bursts.share })
-    }
-
-    /// Log likelihood of each scan, given those before it of its window, by those with a burst and without (nats).
-    fn log_likelihood(&self, secs: &[f64], with: &[f64], without: &[f64]) -> Vec<f64> {
-        let prior = [self.share.ln(), (-self.share).ln_1p()];
-        let (mut window, mut log_weights) = (None, prior);
-        let add = |[a, b]: [f64; 2]| a.max(b) + (-(a - b).abs()).exp().ln_1p();
-        secs.iter()
-            .zip(with)
-            .zip(without)
-            .map(|((&secs, with), without)| {
-                if window != Some(burst_window(secs)) {
-                    (window, log_weights) = (Some(burst_window(secs)), prior);
-                }
-                let before = add(log_weights);
-                log_weights = [log_weights[0] + with, log_weights[1] + without];
-                add(log_weights) - before
-            })
-            .collect()
-    }
-}
-
 /// A usable reading of a beam.
 #[derive(Clone, Copy)]
 struct Usable {
@@ -482,10 +456,9 @@ struct Usable {
 struct Pass {
     log_likelihood: Vec<f64>,
     information: Vec<Information>,
-    /// Expected number of readings of blocks.
-    shorts: f64,
-    /// How many the nominal density expects where beams could have met one.
-    exposure: f64,
+    /// Of each scan, the expected number of readings of blocks, and how many the nominal density expects where beams could
+    /// have met one.
+    clutter: Vec<[f64; 2]>,
     /// What readings say of a measured map's walls.
     pulls: Vec<Pull>,
 }
@@ -495,8 +468,7 @@ impl Pass {
         Self {
             log_likelihood: vec![0.0; scans],
             information: vec![Information::default(); scans],
-            shorts: 0.0,
-            exposure: 0.0,
+            clutter: vec![[0.0; 2]; scans],
             pulls: Vec::new(),
         }
     }
@@ -510,54 +482,35 @@ impl Pass {
             let pose = DVec3::from_array(beam.jacobian).dot(fitted.corrections[scan]);
             let weight = wall_error::weight(terms);
             if weight > 0.0 {
-                self.information[scan].add(weight, beam.jacobian, terms.error + pose);
+                self.information[scan].add_beam(weight, beam.jacobian, terms.error + pose);
                 self.pulls.push(Pull { beam: number, weight, error: terms.error + shift });
             }
         } else if terms.hit > 1e-3 {
             // Linear in the correction: as seen from no correction.
             let weight = terms.hit / terms.sigma.powi(2);
-            self.information[scan].add(weight, beam.jacobian, terms.error + shift);
+            self.information[scan].add_beam(weight, beam.jacobian, terms.error + shift);
         }
-        self.shorts += terms.short;
-        self.exposure -=
-            if terms.short > 0.5 { beam.survival_at(z).0.max(1e-12).ln() } else { beam.log_clear };
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use locsim_world::effect::EffectKind;
-
-    use super::*;
-
-    fn crosstalk(p: f64, share: f64) -> Effect {
-        Effect::new(EffectKind::Crosstalk, vec![p, share], Vec::new()).unwrap()
+        let [shorts, exposure] = &mut self.clutter[scan];
+        *shorts += terms.short;
+        *exposure -= if terms.short > 0.5 { beam.survival_at(z).0.max(1e-12).ln() } else { beam.log_clear };
     }
 
-    /// Two windows of two scans and one: each is with a burst or without, as a whole.
-    #[test]
-    fn a_burst_falls_on_all_scans_of_a_window_or_on_none() {
-        let bursts = Bursts::of(&Effects::new(vec![crosstalk(0.1, 0.2)]).unwrap()).unwrap();
-        let (with, without): ([f64; 3], [f64; 3]) = ([-3.0, -2.0, -40.0], [-8.0, -1.0, -30.0]);
-        let scans = bursts.log_likelihood(&[0.3, 0.9, 1.1], &with, &without);
-        let first = (0.2 * (-5.0_f64).exp() + 0.8 * (-9.0_f64).exp()).ln();
-        let second = (0.2 * (-40.0_f64).exp() + 0.8 * (-30.0_f64).exp()).ln();
-        assert!(
-            (scans[0] + scans[1] - first).abs() < 1e-12 && (scans[2] - second).abs() < 1e-12,
-            "{scans:?}"
-        );
-        assert!((scans[0] - (0.2 * (-3.0_f64).exp() + 0.8 * (-8.0_f64).exp()).ln()).abs() < 1e-12);
-    }
-
-    /// Crosstalk that never ends has no bursts, beside which those of another one are known.
-    #[test]
-    fn what_never_ends_has_no_bursts() {
-        let of = |list: Vec<Effect>| Bursts::of(&Effects::new(list).unwrap());
-        assert!(of(vec![crosstalk(0.1, 1.0)]).is_none());
-        let both = of(vec![crosstalk(0.003, 1.0), crosstalk(0.1, 0.2)]).unwrap();
-        assert_eq!(both.on.list(), [crosstalk(0.003, 1.0), crosstalk(0.1, 1.0)]);
-        assert_eq!(both.off.list(), [crosstalk(0.003, 1.0), crosstalk(0.0, 1.0)]);
-        let two = of(vec![crosstalk(0.1, 0.5), crosstalk(0.1, 0.2)]).unwrap();
-        assert_eq!(two.on.list(), [crosstalk(0.1, 1.0), crosstalk(0.1, 0.2)]);
+    /// Takes in the look at the readings without a burst: log likelihoods are those of `scans`, and what else is told of a scan is
+    /// weighted by the probability that a burst falls on it.
+    fn mix(&mut self, without: &Self, scans: &[InBurst], per_scan: usize) {
+        for (scan, &InBurst { log_likelihood, probability }) in scans.iter().enumerate() {
+            self.log_likelihood[scan] = log_likelihood;
+            let both = [(self.clutter[scan], probability), (without.clutter[scan], 1.0 - probability)];
+            self.clutter[scan] = [0, 1].map(|i| both.iter().map(|(counts, weight)| weight * counts[i]).sum());
+            self.information[scan] =
+                self.information[scan] * probability + without.information[scan] * (1.0 - probability);
+        }
+        for pull in &mut self.pulls {
+            pull.weight *= scans[pull.beam / per_scan].probability;
+        }
+        self.pulls.extend(without.pulls.iter().map(|pull| Pull {
+            weight: pull.weight * (1.0 - scans[pull.beam / per_scan].probability),
+            ..*pull
+        }));
     }
 }

@@ -73,8 +73,24 @@ impl Default for Information {
     }
 }
 
+impl std::ops::Add for Information {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self { matrix: self.matrix + other.matrix, vector: self.vector + other.vector }
+    }
+}
+
+impl std::ops::Mul<f64> for Information {
+    type Output = Self;
+
+    fn mul(self, factor: f64) -> Self {
+        Self { matrix: self.matrix * factor, vector: self.vector * factor }
+    }
+}
+
 impl Information {
-    pub fn add(&mut self, weight: f64, jacobian: [f64; 3], error: f64) {
+    pub fn add_beam(&mut self, weight: f64, jacobian: [f64; 3], error: f64) {
         let j = DVec3::from_array(jacobian);
         self.matrix += DMat3::from_cols(weight * j * j.x, weight * j * j.y, weight * j * j.z);
         self.vector += weight * error * j;
@@ -236,7 +252,7 @@ mod tests {
                 for beam in 0..4 {
                     let angle = f64::from(i) + 1.3 * f64::from(beam);
                     let error = 0.01 * (3.0 * angle).sin();
-                    information.add(1e4, [angle.cos(), angle.sin(), 2.0 * (2.0 * angle).cos()], error);
+                    information.add_beam(1e4, [angle.cos(), angle.sin(), 2.0 * (2.0 * angle).cos()], error);
                 }
                 information
             })

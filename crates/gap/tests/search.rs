@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use glam::DVec2;
-use locsim_core::{Estimate, Pose2, Track};
+use locsim_core::{DriveStep, Estimate, Pose2, Track};
 use locsim_gap::hidden::{Regime, record_library};
 use locsim_gap::{
     Covariate, Deviation, GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find,
@@ -317,4 +317,31 @@ fn bursts_of_crosstalk_are_seen_as_bursts() {
     // In a burst some 2,000 readings; of 16 seconds a share of 0.4 has an error of 0.12.
     assert!((p.value - 0.2).abs() < 0.05 && p.interval.half() < 0.06, "{p:?}");
     assert!((share.value - 0.4).abs() < 0.37 && (0.1..0.35).contains(&share.interval.half()), "{share:?}");
+}
+
+/// Where all readings of a burst are random, the log shows which seconds have one: their share is what is found, and the density of
+/// clutter, which shorter readings of bursts have nothing to do with, stays the nominal one.
+#[test]
+fn the_share_of_strong_bursts_is_that_of_the_log() {
+    let nominal = nominal();
+    let hidden = effect(EffectKind::Crosstalk, &[1.0, 0.2]);
+    let drive = record_library(&nominal, &truth(160), &[hidden], Regime::default(), 3).unwrap();
+    // Readings of neighbouring beams differ by 2 m in a burst, and by less than 1 m in this room.
+    let is_random = |step: &DriveStep| {
+        let ranges = &step.scan.ranges;
+        ranges.windows(2).map(|pair| f64::from((pair[0] - pair[1]).abs())).sum::<f64>()
+            > 1.3 * ranges.len() as f64
+    };
+    let windows = drive.steps.chunks(10);
+    let of = windows.len() as f64;
+    let with_burst =
+        windows.filter(|scans| 2 * scans.iter().filter(|scan| is_random(scan)).count() > scans.len()).count();
+    let outcome = search(&nominal, &Recorded::new(&drive, 600, 72, |_| true).unwrap(), Vec::new());
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert_eq!(names, [EffectKind::Crosstalk], "{:?}", outcome.rivals);
+    let share = outcome.effects[0].params["share"].estimate.value;
+    // The prior of the share, a factor of e about 0.2, draws at it.
+    assert!((share / (with_burst as f64 / of)).ln().abs() < 0.15, "{share} of {with_burst} in {of}");
+    let density = outcome.nuisances.block_density;
+    assert!((density - 1.0).abs() < 0.1, "{density}");
 }
