@@ -92,8 +92,17 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<(T, Locatio
 /// # Panics
 /// Never for structs of numbers and text.
 pub fn text(value: &impl Serialize) -> String {
-    serde_yaml::to_string(value).expect("a struct of numbers and text is written")
+    let text = serde_yaml::to_string(value).expect("a struct of numbers and text is written");
+    if !text.contains(LINE_SEPARATORS) {
+        return text;
+    }
+    // The writer indents what follows such a character, which adds spaces to the text. JSON is YAML, and has escapes for them.
+    let text = serde_json::to_string_pretty(value).expect("a struct of numbers and text is written");
+    LINE_SEPARATORS.iter().fold(text, |text, &c| text.replace(c, &format!("\\u{:04x}", u32::from(c))))
 }
+
+/// Characters that end a line in YAML 1.1, and that no keyboard has.
+const LINE_SEPARATORS: [char; 3] = ['\u{85}', '\u{2028}', '\u{2029}'];
 
 /// Whether a text is YAML and a map with this key.
 pub fn has_key(text: &str, key: &str) -> bool {
@@ -518,6 +527,14 @@ mod tests {
             // A file holds a map.
             let value = serde_json::json!({"value": value});
             prop_assert_eq!(tree(&text(&value)), value);
+        }
+    }
+
+    #[test]
+    fn line_separators_are_kept_as_they_are() {
+        for text in ["\u{85}", "a\u{2028}", "\u{2028} b\n", "'\u{2029}\\u2029\""] {
+            let value = serde_json::json!({"value": [[text]], "other": 0.5});
+            assert_eq!(tree(&self::text(&value)), value);
         }
     }
 
