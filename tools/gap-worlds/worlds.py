@@ -381,6 +381,14 @@ class bursts(World):
         return 0.4 if math.sin(time * 1.7) > 0.8 else 0.0
 
 
+@case(["crosstalk"])
+class bursts_of_all(World):
+    """All readings of a burst, which begins and ends within a second of the log."""
+
+    def random_share(self, time):
+        return 1.0 if math.sin(time * 1.7) > 0.8 else 0.0
+
+
 @case(["mixed_pixels"])
 class mixed(World):
     def finish(self, ranges, nominal):

@@ -1,9 +1,10 @@
 //! Effects that come in bursts, of which a log doesn't say when they came.
 
-use locsim_world::effect::{self, Effect, Effects, burst_window};
+use locsim_world::effect::{self, BURST_SECS, Effect, Effects};
 
-/// Bursts of an effect, which fall on all readings of a window of time or on none: together those say far more surely than one by
-/// one when there was one. A scan is of the window of its stamp, also where its beams take time.
+/// Bursts of an effect, which fall on all readings of a scan or on none: together those say far more surely than one by one when
+/// there was one. A window of time, which has a burst or not, may begin with any scan (a hidden Markov model of two states), as bursts
+/// of another robot don't keep to this log's seconds. A scan is at its stamp, also where its beams take time.
 pub(crate) struct Bursts {
     /// The effects in a burst.
     pub on: Effects,
@@ -16,9 +17,9 @@ pub(crate) struct Bursts {
 /// What is known of a scan when bursts may come.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct InBurst {
-    /// Its log likelihood, given the scans before it of its window (nats).
+    /// Its log likelihood, given the scans before it (nats).
     pub log_likelihood: f64,
-    /// Probability that a burst falls on it, given all scans of its window.
+    /// Probability that a burst falls on it, given all scans.
     pub probability: f64,
 }
 
@@ -38,21 +39,43 @@ impl Bursts {
         Some(Self { on: with(bursts.on)?, off: with(bursts.off)?, share: bursts.share })
     }
 
-    /// Of each scan at `secs` \[s\], by its log likelihoods with a burst and without (nats).
+    /// Of each scan at `secs` \[s\], by its log likelihoods with a burst and without (nats). Forward and backward recursion
+    /// (Rabiner 1989).
     pub fn scans(&self, secs: &[f64], with: &[f64], without: &[f64]) -> Vec<InBurst> {
-        let prior = [self.share.ln(), (-self.share).ln_1p()];
-        let add = |[a, b]: [f64; 2]| a.max(b) + (-(a - b).abs()).exp().ln_1p();
-        let mut scans: Vec<InBurst> = Vec::with_capacity(secs.len());
-        for window in secs.chunk_by(|a, b| burst_window(*a) == burst_window(*b)) {
-            let first = scans.len();
-            let mut log_weights = prior;
-            for scan in first..first + window.len() {
-                let before = add(log_weights);
-                log_weights = [log_weights[0] + with[scan], log_weights[1] + without[scan]];
-                scans.push(InBurst { log_likelihood: add(log_weights) - before, probability: 0.0 });
-            }
-            let probability = (log_weights[0] - add(log_weights)).exp();
-            scans[first..].iter_mut().for_each(|scan| scan.probability = probability);
+        let prior = [self.share, 1.0 - self.share];
+        // Probability that a window begins between a scan and the one before it.
+        let begins = |scan: usize| match scan {
+            0 => 1.0,
+            // Never surely not: two scans may have one stamp.
+            _ => ((secs[scan] - secs[scan - 1]) / BURST_SECS).clamp(1e-9, 1.0),
+        };
+        // Likelihoods over the greater of both, whose logarithm comes first.
+        let scaled = |scan: usize| {
+            let most = with[scan].max(without[scan]);
+            (most, [(with[scan] - most).exp(), (without[scan] - most).exp()])
+        };
+        let mut state = prior;
+        let mut scans = Vec::with_capacity(secs.len());
+        for scan in 0..secs.len() {
+            let begins = begins(scan);
+            let (most, likelihoods) = scaled(scan);
+            let joint = [0, 1].map(|i| (begins * prior[i] + (1.0 - begins) * state[i]) * likelihoods[i]);
+            let total = joint[0] + joint[1];
+            state = joint.map(|p| p / total);
+            scans.push(InBurst { log_likelihood: most + total.ln(), probability: state[0] });
+        }
+        // What the scans after one say of its state.
+        let mut after = [1.0; 2];
+        for scan in (0..secs.len()).rev() {
+            let here = scans[scan].probability;
+            let joint = [here * after[0], (1.0 - here) * after[1]];
+            scans[scan].probability = joint[0] / (joint[0] + joint[1]);
+            let begins = begins(scan);
+            let (_, likelihoods) = scaled(scan);
+            let seen = [0, 1].map(|i| likelihoods[i] * after[i]);
+            let anew = prior[0] * seen[0] + prior[1] * seen[1];
+            let before = seen.map(|seen| begins * anew + (1.0 - begins) * seen);
+            after = before.map(|p| p / (before[0] + before[1]));
         }
         scans
     }
@@ -68,25 +91,41 @@ mod tests {
         Effect::new(EffectKind::Crosstalk, vec![p, share], Vec::new()).unwrap()
     }
 
-    /// Two windows of two scans and one: each is with a burst or without, as a whole.
+    /// Three scans, by all eight ways in which bursts may fall on them; the last is in a window of its own.
     #[test]
-    fn a_burst_falls_on_all_scans_of_a_window_or_on_none() {
+    fn bursts_fall_on_scans_as_a_sum_over_all_ways_says() {
         let bursts = Bursts::of(&Effects::new(vec![crosstalk(0.1, 0.2)]).unwrap()).unwrap();
+        let secs = [0.7, 1.1, 3.0];
         let (with, without): ([f64; 3], [f64; 3]) = ([-3.0, -2.0, -40.0], [-8.0, -1.0, -30.0]);
-        let scans = bursts.scans(&[0.3, 0.9, 1.1], &with, &without);
-        let likelihoods = [0, 1, 2].map(|scan: usize| scans[scan].log_likelihood);
-        let first = 0.2 * (-5.0_f64).exp() + 0.8 * (-9.0_f64).exp();
-        let second = 0.2 * (-40.0_f64).exp() + 0.8 * (-30.0_f64).exp();
-        assert!(
-            (likelihoods[0] + likelihoods[1] - first.ln()).abs() < 1e-12
-                && (likelihoods[2] - second.ln()).abs() < 1e-12,
-            "{scans:?}"
-        );
-        assert!((likelihoods[0] - (0.2 * (-3.0_f64).exp() + 0.8 * (-8.0_f64).exp()).ln()).abs() < 1e-12);
-        let of_first = 0.2 * (-5.0_f64).exp() / first;
-        let of_second = 0.2 * (-40.0_f64).exp() / second;
-        for (scan, right) in scans.iter().zip([of_first, of_first, of_second]) {
-            assert!((scan.probability - right).abs() < 1e-12, "{scans:?}");
+        let scans = bursts.scans(&secs, &with, &without);
+        let share = |on: bool| if on { 0.2 } else { 0.8 };
+        let (mut total, mut in_burst) = (0.0, [0.0; 3]);
+        for ways in 0..8 {
+            let on = [0, 1, 2].map(|scan| ways >> scan & 1 == 1);
+            let stays = if on[0] == on[1] { 0.6 } else { 0.0 };
+            let likelihood: f64 = (0..3).map(|scan| if on[scan] { with[scan] } else { without[scan] }).sum();
+            let p = share(on[0]) * (0.4 * share(on[1]) + stays) * share(on[2]) * likelihood.exp();
+            total += p;
+            (0..3).filter(|&scan| on[scan]).for_each(|scan| in_burst[scan] += p);
+        }
+        let sum: f64 = scans.iter().map(|scan| scan.log_likelihood).sum();
+        assert!((sum - total.ln()).abs() < 1e-12, "{scans:?}");
+        for (scan, p) in scans.iter().zip(in_burst) {
+            assert!((scan.probability - p / total).abs() < 1e-12, "{scans:?}");
+        }
+    }
+
+    /// Likelihoods that no number can hold: each scan is surely with a burst or without.
+    #[test]
+    fn readings_that_say_it_surely_are_believed() {
+        let bursts = Bursts::of(&Effects::new(vec![crosstalk(1.0, 0.2)]).unwrap()).unwrap();
+        let secs: Vec<f64> = (0..40).map(|scan| 0.1 * f64::from(scan)).collect();
+        let is_on = |scan: usize| (7..22).contains(&scan);
+        let (with, without): (Vec<f64>, Vec<f64>) =
+            (0..40).map(|scan| if is_on(scan) { (-200.0, -9000.0) } else { (-9000.0, 100.0) }).unzip();
+        for (i, scan) in bursts.scans(&secs, &with, &without).iter().enumerate() {
+            assert!(scan.log_likelihood.is_finite(), "{i}: {scan:?}");
+            assert!((scan.probability - f64::from(u8::from(is_on(i)))).abs() < 1e-9, "{i}: {scan:?}");
         }
     }
 

@@ -161,7 +161,9 @@ impl<'a> Comparison<'a> {
             None => self.pass(views, effects, fitted),
         };
         let pass_of = |fitted: &Fitted| match &bursts {
-            Some(bursts) => self.mixed(bursts, |effects, state| pass_with(effects, fitted, state)),
+            Some(bursts) => {
+                self.mixed(bursts, [pass_with(&bursts.on, fitted, 0), pass_with(&bursts.off, fitted, 1)])
+            }
             None => pass_with(effects, fitted, 0),
         };
         for _ in 0..iterations {
@@ -208,7 +210,10 @@ impl<'a> Comparison<'a> {
         let bursts = Bursts::of(effects);
         for round in 0..CORRECTIONS {
             let pass = match &bursts {
-                Some(bursts) => self.mixed(bursts, |effects, _| self.pass(&self.views, effects, &fitted)),
+                Some(bursts) => {
+                    let states = [&bursts.on, &bursts.off];
+                    self.mixed(bursts, states.map(|effects| self.pass(&self.views, effects, &fitted)))
+                }
                 None => self.pass(&self.views, effects, &fitted),
             };
             fitted.nuisances.pose_error = PoseError::NONE;
@@ -322,10 +327,8 @@ impl<'a> Comparison<'a> {
         pass
     }
 
-    /// The look at all readings by that in a burst and that without one, each scan's as surely as a burst fell on it.
-    fn mixed(&self, bursts: &Bursts, pass_of: impl Fn(&Effects, usize) -> Pass) -> Pass {
-        let [mut with, without] =
-            [(&bursts.on, 0), (&bursts.off, 1)].map(|(effects, state)| pass_of(effects, state));
+    /// One look at all readings of two, with a burst and without: each scan's by the probability that a burst falls on it.
+    fn mixed(&self, bursts: &Bursts, [mut with, without]: [Pass; 2]) -> Pass {
         let scans = bursts.scans(self.recorded.track.secs(), &with.log_likelihood, &without.log_likelihood);
         with.mix(&without, &scans, self.views.per_scan);
         with
@@ -495,13 +498,14 @@ impl Pass {
         *exposure -= if terms.short > 0.5 { beam.survival_at(z).0.max(1e-12).ln() } else { beam.log_clear };
     }
 
-    /// Takes in the look at the readings without a burst: log likelihoods are those of `scans`, and what else is told of a scan is
-    /// weighted by the probability that a burst falls on it.
+    /// Takes in the same readings without a burst, each scan by the probability that none falls on it. Log likelihoods are those of
+    /// `scans`.
     fn mix(&mut self, without: &Self, scans: &[InBurst], per_scan: usize) {
         for (scan, &InBurst { log_likelihood, probability }) in scans.iter().enumerate() {
             self.log_likelihood[scan] = log_likelihood;
-            let both = [(self.clutter[scan], probability), (without.clutter[scan], 1.0 - probability)];
-            self.clutter[scan] = [0, 1].map(|i| both.iter().map(|(counts, weight)| weight * counts[i]).sum());
+            let clutter = [self.clutter[scan], without.clutter[scan]];
+            self.clutter[scan] =
+                [0, 1].map(|i| probability * clutter[0][i] + (1.0 - probability) * clutter[1][i]);
             self.information[scan] =
                 self.information[scan] * probability + without.information[scan] * (1.0 - probability);
         }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use glam::DVec2;
-use locsim_core::{DriveStep, Estimate, Pose2, Track};
+use locsim_core::{Draw, DriveStep, Estimate, Pose2, Stage, Track};
 use locsim_gap::hidden::{Regime, record_library};
 use locsim_gap::{
     Covariate, Deviation, GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find,
@@ -14,6 +14,7 @@ use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::map::{Polyline, VectorMap};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, OdometryNoise};
+use rand::RngExt;
 
 fn nominal() -> Nominal {
     nominal_with(Vec::new())
@@ -344,4 +345,24 @@ fn the_share_of_strong_bursts_is_that_of_the_log() {
     assert!((share / (with_burst as f64 / of)).ln().abs() < 0.15, "{share} of {with_burst} in {of}");
     let density = outcome.nuisances.block_density;
     assert!((density - 1.0).abs() < 0.1, "{density}");
+}
+
+/// Bursts of another machine begin and end at any time, not with a second of the log.
+#[test]
+fn bursts_may_begin_at_any_time() {
+    let nominal = nominal();
+    let mut drive = record_library(&nominal, &truth(160), &[], Regime::default(), 3).unwrap();
+    for (scan, step) in (0..).zip(&mut drive.steps) {
+        let mut random = Draw::new(7, Stage::Effect, scan).item(0);
+        if (1.7 * step.stamp_secs).sin() > 0.8 {
+            step.scan.ranges.iter_mut().for_each(|range| *range = random.random_range(0.05..6.0));
+        }
+    }
+    let outcome = search(&nominal, &Recorded::new(&drive, 600, 72, |_| true).unwrap(), Vec::new());
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert_eq!(names, [EffectKind::Crosstalk], "{:?}", outcome.rivals);
+    let [p, share] = ["p", "share"].map(|name| outcome.effects[0].params[name].estimate);
+    assert!(p.interval.lo > 0.95, "{p:?}");
+    // The sine is above 0.8 for a fifth of the time.
+    assert!((share.interval.lo..share.interval.hi).contains(&0.205), "{share:?}");
 }

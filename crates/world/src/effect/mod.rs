@@ -42,7 +42,7 @@ pub use distribution::{Alternative, Alternatives, ReadingDistribution, TAIL_FACT
 pub(crate) use distribution::{Parts, as_read, least_value};
 pub use error::EffectError;
 pub(crate) use false_returns::burst;
-pub use false_returns::burst_window;
+pub use false_returns::{BURST_SECS, burst_window};
 pub use kind::EffectKind;
 pub(crate) use odometry::slip_draw;
 pub use odometry::{OdometryDistribution, OdometryErrors, Slip};
