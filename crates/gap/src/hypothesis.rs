@@ -4,10 +4,9 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use locsim_core::Pose2;
-use locsim_world::effect::{Effect, Effects};
+use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
 use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};
 
-use crate::bursts::{Bursts, InBurst};
 use crate::likelihood::{Density, Terms};
 use crate::pose_error::{Information, PoseError, fit, pattern_score, smooth, without_patterns};
 use crate::pose_pattern::PosePattern;
@@ -149,11 +148,11 @@ impl<'a> Comparison<'a> {
         let mut fitted = start.clone();
         // Without errors of poses and walls only the density of clutter changes from pass to pass.
         let stays = fitted.nuisances.pose_error.is_none() && fitted.offsets.is_empty();
-        let bursts = Bursts::of(effects);
+        let bursts = BurstStates::of(effects);
         let sources_of =
             |effects: &Effects| (iterations > 0 && stays).then(|| self.sources(views, effects, &fitted));
         let sources = match &bursts {
-            Some(Bursts { on, off, .. }) => [sources_of(on), sources_of(off)],
+            Some(BurstStates { on, off, .. }) => [sources_of(on), sources_of(off)],
             None => [sources_of(effects), None],
         };
         let pass_with = |effects: &Effects, fitted: &Fitted, state: usize| match &sources[state] {
@@ -207,7 +206,7 @@ impl<'a> Comparison<'a> {
         };
         let patterns: Vec<Vec<DVec3>> =
             PosePattern::all().iter().map(|pattern| pattern.over(self.recorded)).collect();
-        let bursts = Bursts::of(effects);
+        let bursts = BurstStates::of(effects);
         for round in 0..CORRECTIONS {
             let pass = match &bursts {
                 Some(bursts) => {
@@ -328,7 +327,7 @@ impl<'a> Comparison<'a> {
     }
 
     /// One look at all readings of two, with a burst and without: each scan's by the probability that a burst falls on it.
-    fn mixed(&self, bursts: &Bursts, [mut with, without]: [Pass; 2]) -> Pass {
+    fn mixed(&self, bursts: &BurstStates, [mut with, without]: [Pass; 2]) -> Pass {
         let scans = bursts.scans(self.recorded.track.secs(), &with.log_likelihood, &without.log_likelihood);
         with.mix(&without, &scans, self.views.per_scan);
         with

@@ -6,7 +6,6 @@
 //! most on held-out scans, with those that can't be told from it; adds it, and starts again until nothing is off. The
 //! [`Outcome`] says what was found and how sure that is.
 
-mod bursts;
 mod catalogue;
 mod error;
 mod fit;

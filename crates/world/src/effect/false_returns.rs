@@ -12,7 +12,7 @@ use super::{
 };
 
 /// Length of the windows that bursts of crosstalk fall on \[s\].
-pub const BURST_SECS: f64 = 1.0;
+pub(super) const BURST_SECS: f64 = 1.0;
 
 /// Returns between the two surfaces of an edge.
 pub(super) struct MixedPixels;

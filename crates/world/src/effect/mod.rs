@@ -6,6 +6,7 @@
 //! identity, bit for bit.
 
 mod beam;
+mod burst_states;
 mod clock;
 mod clutter;
 mod description;
@@ -36,13 +37,14 @@ use serde::{Serialize, Serializer};
 use crate::raycast::distance_to;
 
 pub use beam::{BeamView, HitKind, JUMP_M, jump_at};
+pub use burst_states::{BurstStates, InBurst};
 pub use description::{Description, Experiment, Fit, Moves, Needs, Replacement, Site};
 pub use disc::Disc;
 pub use distribution::{Alternative, Alternatives, ReadingDistribution, TAIL_FACTOR};
 pub(crate) use distribution::{Parts, as_read, least_value};
 pub use error::EffectError;
 pub(crate) use false_returns::burst;
-pub use false_returns::{BURST_SECS, burst_window};
+pub use false_returns::burst_window;
 pub use kind::EffectKind;
 pub(crate) use odometry::slip_draw;
 pub use odometry::{OdometryDistribution, OdometryErrors, Slip};

@@ -1,11 +1,13 @@
 //! Effects that come in bursts, of which a log doesn't say when they came.
 
-use locsim_world::effect::{self, BURST_SECS, Effect, Effects};
+use super::false_returns::BURST_SECS;
+use super::{Bursts, Effect, Effects};
 
 /// Bursts of an effect, which fall on all readings of a scan or on none: together those say far more surely than one by one when
 /// there was one. A window of time, which has a burst or not, may begin with any scan (a hidden Markov model of two states), as bursts
 /// of another robot don't keep to this log's seconds. A scan is at its stamp, also where its beams take time.
-pub(crate) struct Bursts {
+#[derive(Clone, Debug)]
+pub struct BurstStates {
     /// The effects in a burst.
     pub on: Effects,
     /// The effects without one.
@@ -15,20 +17,20 @@ pub(crate) struct Bursts {
 }
 
 /// What is known of a scan when bursts may come.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct InBurst {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InBurst {
     /// Its log likelihood, given the scans before it (nats).
     pub log_likelihood: f64,
     /// Probability that a burst falls on it, given all scans.
     pub probability: f64,
 }
 
-impl Bursts {
+impl BurstStates {
     /// Those of these effects; `None` of none. Of several, the readings of all but the first are taken one by one.
     pub fn of(effects: &Effects) -> Option<Self> {
         let (at, bursts) = effects.list().iter().enumerate().find_map(|(i, effect)| {
             let comes_and_goes =
-                |bursts: &effect::Bursts| bursts.share > 0.0 && bursts.share < 1.0 && bursts.on != bursts.off;
+                |bursts: &Bursts| bursts.share > 0.0 && bursts.share < 1.0 && bursts.on != bursts.off;
             Some((i, effect.bursts().filter(comes_and_goes)?))
         })?;
         let with = |state: Effect| {
@@ -39,7 +41,7 @@ impl Bursts {
         Some(Self { on: with(bursts.on)?, off: with(bursts.off)?, share: bursts.share })
     }
 
-    /// Of each scan at `secs` \[s\], by its log likelihoods with a burst and without (nats). Forward and backward recursion
+    /// Of each scan at `secs` \[s\], by its log likelihoods with a burst and without (nats), one each. Forward and backward recursion
     /// (Rabiner 1989).
     pub fn scans(&self, secs: &[f64], with: &[f64], without: &[f64]) -> Vec<InBurst> {
         let prior = [self.share, 1.0 - self.share];
@@ -83,9 +85,8 @@ impl Bursts {
 
 #[cfg(test)]
 mod tests {
-    use locsim_world::effect::EffectKind;
-
     use super::*;
+    use crate::effect::EffectKind;
 
     fn crosstalk(p: f64, share: f64) -> Effect {
         Effect::new(EffectKind::Crosstalk, vec![p, share], Vec::new()).unwrap()
@@ -94,7 +95,7 @@ mod tests {
     /// Three scans, by all eight ways in which bursts may fall on them; the last is in a window of its own.
     #[test]
     fn bursts_fall_on_scans_as_a_sum_over_all_ways_says() {
-        let bursts = Bursts::of(&Effects::new(vec![crosstalk(0.1, 0.2)]).unwrap()).unwrap();
+        let bursts = BurstStates::of(&Effects::new(vec![crosstalk(0.1, 0.2)]).unwrap()).unwrap();
         let secs = [0.7, 1.1, 3.0];
         let (with, without): ([f64; 3], [f64; 3]) = ([-3.0, -2.0, -40.0], [-8.0, -1.0, -30.0]);
         let scans = bursts.scans(&secs, &with, &without);
@@ -118,7 +119,7 @@ mod tests {
     /// Likelihoods that no number can hold: each scan is surely with a burst or without.
     #[test]
     fn readings_that_say_it_surely_are_believed() {
-        let bursts = Bursts::of(&Effects::new(vec![crosstalk(1.0, 0.2)]).unwrap()).unwrap();
+        let bursts = BurstStates::of(&Effects::new(vec![crosstalk(1.0, 0.2)]).unwrap()).unwrap();
         let secs: Vec<f64> = (0..40).map(|scan| 0.1 * f64::from(scan)).collect();
         let is_on = |scan: usize| (7..22).contains(&scan);
         let (with, without): (Vec<f64>, Vec<f64>) =
@@ -132,7 +133,7 @@ mod tests {
     /// Crosstalk that never ends has no bursts, beside which those of another one are known.
     #[test]
     fn what_never_ends_has_no_bursts() {
-        let of = |list: Vec<Effect>| Bursts::of(&Effects::new(list).unwrap());
+        let of = |list: Vec<Effect>| BurstStates::of(&Effects::new(list).unwrap());
         assert!(of(vec![crosstalk(0.1, 1.0)]).is_none());
         let both = of(vec![crosstalk(0.003, 1.0), crosstalk(0.1, 0.2)]).unwrap();
         assert_eq!(both.on.list(), [crosstalk(0.003, 1.0), crosstalk(0.1, 1.0)]);
