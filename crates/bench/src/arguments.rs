@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
-use locsim_bench::suite::{Group, Size};
+use locsim_bench::suite::{Group, Setup, Size};
 use locsim_terminal::{LimitOptions, OutputOptions, Share, Threads, whole};
 
 /// Benchmarks of locsim.
@@ -69,6 +69,9 @@ pub struct Gap {
     /// Only logs of these groups, with commas between
     #[arg(long, value_enum, value_delimiter = ',', conflicts_with = "real")]
     pub groups: Vec<Group>,
+    /// Only logs of these lasers and scenarios, with commas between
+    #[arg(long, value_enum, value_delimiter = ',', conflicts_with = "real")]
+    pub setups: Vec<Setup>,
     /// Everything random derives from it: tune on one seed, score on another
     #[arg(long, default_value_t = 1, allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub seed: u64,

@@ -78,6 +78,7 @@ fn run_suite(arguments: &Gap) -> Result<(), Failure> {
         shards: arguments.merge.then(|| arguments.out.clone()),
         size: arguments.size,
         groups: arguments.groups.clone(),
+        setups: arguments.setups.clone(),
         seed: arguments.seed,
         replicates: arguments.replicates,
         scans: arguments.scans as usize,

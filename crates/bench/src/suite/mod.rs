@@ -5,9 +5,11 @@
 
 mod plan;
 mod score;
+mod setup;
 mod text;
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -25,14 +27,15 @@ use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
 
 pub use plan::{Group, Size};
-pub use score::{Score, Share};
+pub use score::{Score, SetupScore, Share};
+pub use setup::Setup;
 pub use text::table;
 
 use crate::BenchError;
 use crate::hidden::{OtherForm, record_other, record_outside};
 use locsim_lab::gap::{FilterOnLog, GapSettings, GapStudy};
 use locsim_report::store::{Folder, Lock};
-use locsim_scenario::{Overrides, Scenario, Source, load_map};
+use locsim_scenario::{Overrides, Scenario, Simulation, Source, load_map};
 use plan::{Case, Hidden, REGIMES, plan};
 
 /// How the suite is run.
@@ -49,6 +52,8 @@ pub struct SuiteOptions<'a> {
     pub size: Size,
     /// The groups that are run; none for all.
     pub groups: Vec<Group>,
+    /// The setups that are run; none for all.
+    pub setups: Vec<Setup>,
     /// Everything random derives from it.
     pub seed: u64,
     /// Simulated logs behind each p-value.
@@ -66,6 +71,8 @@ pub struct SuiteOptions<'a> {
 pub struct TruthFile {
     /// The log's purpose in the suite.
     pub group: Group,
+    /// Its laser, and what its scenario says.
+    pub setup: Setup,
     /// Information of each effect.
     pub lambda: f64,
     /// Name of the regime.
@@ -199,25 +206,24 @@ impl FoundFile {
 struct World {
     nominal: Nominal,
     drive: Drive,
+    /// The readings that a log has.
+    template: Recorded,
 }
 
 impl World {
-    fn load(options: &SuiteOptions<'_>) -> Result<Self, BenchError> {
-        let scenario = Scenario::load(&options.scenario, &Overrides::default())?;
-        let Source::Simulation(simulation) = &scenario.source else {
-            return Err(BenchError::NotSimulated(options.scenario.clone()));
-        };
-        let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
-        let effects = Effects::new(simulation.effects.clone()).map_err(GapError::from)?;
-        let odometry = simulation.robot.odometry_noise;
-        let simulator =
-            Simulator::new(Arc::clone(&map), simulation.blocks, simulation.laser, effects.clone())
-                .map_err(GapError::from)?;
-        let mut drive =
-            simulate_drive(&simulator, &simulation.robot, options.seed).map_err(GapError::from)?.drive;
+    fn new(
+        simulation: &Simulation,
+        map: &Arc<ExactRangeMap>,
+        options: &SuiteOptions<'_>,
+    ) -> Result<Self, GapError> {
+        let Simulation { blocks, laser, robot, .. } = simulation;
+        let effects = Effects::new(simulation.effects.clone())?;
+        let simulator = Simulator::new(Arc::clone(map), *blocks, *laser, effects.clone())?;
+        let mut drive = simulate_drive(&simulator, robot, options.seed)?.drive;
         drive.steps.truncate(options.scans);
-        let nominal = Nominal::new(map, simulation.laser, simulation.blocks, odometry, effects)?;
-        Ok(Self { nominal, drive })
+        let nominal = Nominal::new(Arc::clone(map), *laser, *blocks, robot.odometry_noise, effects)?;
+        let template = Recorded::new(&drive, usize::MAX, usize::MAX, |_| true)?;
+        Ok(Self { nominal, drive, template })
     }
 }
 
@@ -226,15 +232,19 @@ impl World {
 /// # Errors
 /// [`BenchError`]; what was done is kept.
 pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
+    let scenario = Scenario::load(&options.scenario, &Overrides::default())?;
+    let Source::Simulation(simulation) = &scenario.source else {
+        return Err(BenchError::NotSimulated(options.scenario.clone()));
+    };
+    let map = Arc::new(ExactRangeMap::new(load_map(&simulation.map)?.geometry));
     options.control.progress.stage("integrating over blocks", 1);
-    let world = World::load(options)?;
+    let world = World::new(simulation, &map, options)?;
     options.control.progress.advance(1);
     let suite = Suite::open(options, &world)?;
     let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
-    let mut cases = plan(options.size, options.seed, &world.nominal.map, &poses);
-    if !options.groups.is_empty() {
-        cases.retain(|case| options.groups.contains(&case.group));
-    }
+    let mut cases = plan(options.size, options.seed, &map, &poses);
+    cases.retain(|case| options.groups.is_empty() || options.groups.contains(&case.group));
+    cases.retain(|case| options.setups.is_empty() || options.setups.contains(&case.setup));
     if let Some(shards) = &options.shards {
         suite.merge(&cases, shards, options.control.progress)?;
         return suite.score(&cases, options);
@@ -247,11 +257,17 @@ pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
         let range = shard.range(count);
         cases = cases.drain(range.start as usize..range.end as usize).collect();
     }
-    let template = Recorded::new(&world.drive, usize::MAX, usize::MAX, |_| true)?;
-    let strengths = REGIMES
-        .iter()
-        .map(|(_, regime)| Strength::new(&world.nominal, &template, *regime, options.seed))
-        .collect::<Result<Vec<_>, GapError>>()?;
+    let mut worlds = BTreeMap::from([(Setup::Scenario, world)]);
+    for &setup in Setup::OTHERS.iter().filter(|setup| cases.iter().any(|case| case.setup == **setup)) {
+        worlds.insert(setup, World::new(&setup.of(simulation)?, &map, options)?);
+    }
+    let mut strengths = BTreeMap::new();
+    for case in &cases {
+        if let Entry::Vacant(entry) = strengths.entry((case.setup, case.regime)) {
+            let World { nominal, template, .. } = &worlds[&case.setup];
+            entry.insert(Strength::new(nominal, template, REGIMES[case.regime].1, options.seed)?);
+        }
+    }
     options.control.progress.stage("hidden effects", cases.len() as u64);
     // Logs side by side, each on one thread: nothing waits for anything.
     let next = AtomicUsize::new(0);
@@ -266,7 +282,9 @@ pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
                     break;
                 }
                 let log = suite.logs.path().join(format!("{}.mcap", case.id));
-                let truth = pool.install(|| hide(&world, &strengths[case.regime], case, &log))?;
+                let world = &worlds[&case.setup];
+                let strength = &strengths[&(case.setup, case.regime)];
+                let truth = pool.install(|| hide(world, strength, case, &log))?;
                 let mut finding = pool.install(|| search(&world.nominal, &log, case, options))?;
                 if let Hidden::Given(effect) = &case.hidden {
                     finding.filter = Some(pool.install(|| localize(&log, effect, &finding, options))?);
@@ -293,7 +311,7 @@ pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
 }
 
 /// Of the suite's files; those of another one are of no use.
-const FORMAT: u32 = 8;
+const FORMAT: u32 = 9;
 
 /// What the suite's folders are of, in their manifests.
 const KIND: &str = "gap-bench";
@@ -320,7 +338,7 @@ impl Suite {
         let scenario = Scenario::load(&options.scenario, &Overrides::default())?.content_hash()?;
         let settings = serde_json::json!({
             "format": FORMAT, "scenario": scenario, "size": options.size, "seed": options.seed,
-            "replicates": options.replicates, "groups": options.groups,
+            "replicates": options.replicates, "groups": options.groups, "setups": options.setups,
             "scans": world.drive.steps.len(), "beams": world.drive.laser.beam_count(),
         });
         let fingerprint = blake3::hash(settings.to_string().as_bytes()).to_hex().to_string();
@@ -423,7 +441,7 @@ fn found_file(case: &Case) -> String {
 
 /// Makes a log with something hidden in it.
 fn hide(world: &World, strength_of: &Strength<'_>, case: &Case, log: &Path) -> Result<TruthFile, BenchError> {
-    let World { nominal, drive } = world;
+    let World { nominal, drive, .. } = world;
     let regime = REGIMES[case.regime].1;
     let path = drive.reference().map_err(GapError::from)?;
     let strong = |effect: &Effect, index: usize, form: Option<OtherForm>| {
@@ -476,6 +494,7 @@ fn hide(world: &World, strength_of: &Strength<'_>, case: &Case, log: &Path) -> R
     };
     let file = TruthFile {
         group: case.group,
+        setup: case.setup,
         lambda: case.lambda,
         regime: REGIMES[case.regime].0.to_owned(),
         effects: names,

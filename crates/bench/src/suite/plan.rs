@@ -9,6 +9,7 @@ use locsim_world::raycast::ExactRangeMap;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
+use super::Setup;
 use crate::hidden::{OtherForm, Outside};
 
 /// Steps of the suite's seeds: the order of its cases, the search of a case, and its cases from the first on.
@@ -71,6 +72,7 @@ pub struct Case {
     /// Names its files.
     pub id: String,
     pub group: Group,
+    pub setup: Setup,
     pub lambda: f64,
     pub regime: usize,
     pub hidden: Hidden,
@@ -114,6 +116,9 @@ const REGULAR: [EffectKind; 24] = [
     EffectKind::OdomImbalance,
     EffectKind::WheelSlip,
 ];
+
+/// Of kinds and forms each of the other setups has one in so many, so that all of them together have each once.
+const KINDS_PER_SETUP: usize = Setup::OTHERS.len();
 
 /// Informations of strong effects, one for each kind in turn.
 const STRONG: [f64; 3] = [400.0, 2500.0, 10_000.0];
@@ -244,6 +249,9 @@ fn wall_at(map: &ExactRangeMap, from: DVec2, direction: DVec2, length: f64) -> O
 /// Draws what is hidden in a log.
 type Hide<'a> = Box<dyn Fn(&Draw) -> Hidden + 'a>;
 
+/// Purpose, name, information and regime of a log, and what is hidden in it.
+type Planned<'a> = (Group, String, f64, usize, Hide<'a>);
+
 /// What has come to the suite since its first seeds, in this order: strong effects, each kind and each form once, of one of the informations
 /// in turn; more from outside of the library; courses; and more from outside again.
 fn added_effects<'a>(
@@ -252,14 +260,14 @@ fn added_effects<'a>(
     seed: u64,
     map: &'a ExactRangeMap,
     poses: &'a [Pose2],
-) -> Vec<(Group, String, f64, Hide<'a>)> {
+) -> Vec<Planned<'a>> {
     let strong = |i: usize| STRONG[(i + seed as usize) % STRONG.len()];
     let of_form = |group: Group, name: String, lambda: f64, form: OtherForm| {
         let hide: Hide<'a> = Box::new(move |draw| {
             let (effect, index) = typical(form.kind(), map, poses, draw);
             Hidden::Other(form, effect, index)
         });
-        (group, name, lambda, hide)
+        (group, name, lambda, 0, hide)
     };
     let mut all = Vec::new();
     let is_asked = |i: usize| size != Size::Small || i == STRONG_OF_SMALL;
@@ -267,7 +275,7 @@ fn added_effects<'a>(
         for (i, kind) in REGULAR.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
             let lambda = strong(i + repeat);
             let hide: Hide<'a> = Box::new(move |draw| Hidden::Library(vec![typical(kind, map, poses, draw)]));
-            all.push((Group::Strong, format!("strong-{kind}-{lambda}"), lambda, hide));
+            all.push((Group::Strong, format!("strong-{kind}-{lambda}"), lambda, 0, hide));
         }
         for (i, form) in OtherForm::ALL.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
             let lambda = strong(i + repeat);
@@ -278,9 +286,9 @@ fn added_effects<'a>(
     if size == Size::Small {
         return all;
     }
-    let outside = |&(kind, strength): &(Outside, f64)| -> (Group, String, f64, Hide<'a>) {
+    let outside = |&(kind, strength): &(Outside, f64)| -> Planned<'a> {
         let name = format!("outside-{}", kind.name());
-        (Group::Outside, name, 100.0, Box::new(move |_| Hidden::Outside(kind, strength)))
+        (Group::Outside, name, 100.0, 0, Box::new(move |_| Hidden::Outside(kind, strength)))
     };
     all.extend((0..repeats).flat_map(|_| &MORE_OUTSIDE).map(outside));
     for (i, form) in OtherForm::COURSES.into_iter().enumerate() {
@@ -289,6 +297,44 @@ fn added_effects<'a>(
         }
     }
     all.extend(LAST_OUTSIDE.iter().map(outside));
+    all
+}
+
+/// What the logs of another setup have: nothing, strong effects, and effects from outside of the library.
+fn of_setup<'a>(
+    number: usize,
+    repeat: usize,
+    seed: u64,
+    map: &'a ExactRangeMap,
+    poses: &'a [Pose2],
+) -> Vec<Planned<'a>> {
+    let mut all: Vec<Planned<'a>> = Vec::new();
+    for regime in [0, 2] {
+        let name = format!("null-{}", REGIMES[regime].0);
+        all.push((Group::Null, name, 0.0, regime, Box::new(|_| Hidden::Library(Vec::new()))));
+    }
+    let is_asked = |i: &usize| (i + number + repeat + seed as usize).is_multiple_of(KINDS_PER_SETUP);
+    let strong = |i: usize| STRONG[(i / KINDS_PER_SETUP + number + seed as usize) % STRONG.len()];
+    for i in (0..REGULAR.len()).filter(is_asked) {
+        let (kind, lambda) = (REGULAR[i], strong(i));
+        let hide: Hide<'a> = Box::new(move |draw| Hidden::Library(vec![typical(kind, map, poses, draw)]));
+        all.push((Group::Strong, format!("strong-{kind}-{lambda}"), lambda, 0, hide));
+    }
+    let forms: Vec<OtherForm> = OtherForm::ALL.into_iter().chain(OtherForm::COURSES).collect();
+    for i in (0..forms.len()).filter(is_asked) {
+        let (form, lambda) = (forms[i], strong(i));
+        let hide: Hide<'a> = Box::new(move |draw| {
+            let (effect, index) = typical(form.kind(), map, poses, draw);
+            Hidden::Other(form, effect, index)
+        });
+        all.push((Group::StrongOther, format!("strong-other-{}-{lambda}", form.kind()), lambda, 0, hide));
+    }
+    let outside: Vec<&(Outside, f64)> = OUTSIDE.iter().chain(&MORE_OUTSIDE).chain(&LAST_OUTSIDE).collect();
+    for i in (0..outside.len()).filter(is_asked) {
+        let &(kind, strength) = outside[i];
+        let hide: Hide<'a> = Box::new(move |_| Hidden::Outside(kind, strength));
+        all.push((Group::Outside, format!("outside-{}", kind.name()), 100.0, 0, hide));
+    }
     all
 }
 
@@ -304,16 +350,29 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
         size != Size::Medium || lambda < 100.0 || (i as u64 / 2 + seed).is_multiple_of(2)
     };
     let mut cases = Vec::new();
-    let mut add = |group: Group,
-                   name: String,
-                   lambda: f64,
-                   regime: usize,
-                   hidden: &dyn Fn(&Draw) -> Hidden,
-                   without: Vec<EffectKind>| {
+    let mut add_to = |setup: Setup,
+                      group: Group,
+                      name: String,
+                      lambda: f64,
+                      regime: usize,
+                      hidden: &dyn Fn(&Draw) -> Hidden,
+                      without: Vec<EffectKind>| {
         let number = cases.len() as u32;
         let draw = Draw::new(seed, Stage::Trial, FIRST_CASE + number);
         let id = format!("{number:04}-{name}");
-        cases.push(Case { id, group, lambda, regime, hidden: hidden(&draw), without, seed: draw.seed(1) });
+        cases.push(Case {
+            id,
+            group,
+            setup,
+            lambda,
+            regime,
+            hidden: hidden(&draw),
+            without,
+            seed: draw.seed(1),
+        });
+    };
+    let mut add = |group, name, lambda, regime, hidden: &dyn Fn(&Draw) -> Hidden, without| {
+        add_to(Setup::Scenario, group, name, lambda, regime, hidden, without);
     };
     let regimes = if size == Size::Small { 2 } else { REGIMES.len() };
     for round in 0..nulls {
@@ -384,8 +443,17 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
         }
     }
     // Last, so that the other logs are those of earlier suites.
-    for (group, name, lambda, hidden) in added_effects(size, repeats, seed, map, poses) {
-        add(group, name, lambda, 0, &hidden, Vec::new());
+    for (group, name, lambda, regime, hidden) in added_effects(size, repeats, seed, map, poses) {
+        add(group, name, lambda, regime, &hidden, Vec::new());
+    }
+    let setups = if size == Size::Small { &[] } else { &Setup::OTHERS[..] };
+    for (number, &setup) in setups.iter().enumerate() {
+        for repeat in 0..repeats as usize {
+            for (group, name, lambda, regime, hidden) in of_setup(number, repeat, seed, map, poses) {
+                let name = format!("{}-{name}", setup.name());
+                add_to(setup, group, name, lambda, regime, &hidden, Vec::new());
+            }
+        }
     }
     // In an order of chance, so that a part of the suite is a sample of it.
     let draw = Draw::new(seed, Stage::Trial, ORDER);
@@ -411,7 +479,8 @@ mod tests {
         let poses = [Pose2::new(3.0, 2.0, 0.0)];
         let names = |seed: u64, group: Group, lambda: f64| -> Vec<String> {
             let cases = plan(Size::Medium, seed, &map, &poses).into_iter();
-            let asked = cases.filter(|case| case.group == group && case.lambda == lambda);
+            let asked = cases
+                .filter(|case| (case.setup, case.group, case.lambda) == (Setup::Scenario, group, lambda));
             let mut names: Vec<String> = asked.map(|case| case.id[5..].to_owned()).collect();
             names.sort();
             names
@@ -428,5 +497,34 @@ mod tests {
             assert_eq!(chosen.count(), kinds / 2);
         }
         assert_eq!(names(46, Group::Null, 0.0).len(), 24);
+    }
+
+    /// All other setups together have each kind once, and another seed has it elsewhere.
+    #[test]
+    fn the_other_setups_share_the_kinds_among_them() {
+        let corners = [[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]];
+        let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
+        let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
+        let map = ExactRangeMap::new(map.to_geometry().unwrap());
+        let setups_of = |seed: u64| -> Vec<(String, Setup)> {
+            let cases = plan(Size::Medium, seed, &map, &[Pose2::new(3.0, 2.0, 0.0)]).into_iter();
+            let others = cases.filter(|case| case.setup != Setup::Scenario && case.group == Group::Strong);
+            let mut all: Vec<(String, Setup)> = others
+                .map(|case| match &case.hidden {
+                    Hidden::Library(list) => (list[0].0.kind.name().to_owned(), case.setup),
+                    other => panic!("{other:?}"),
+                })
+                .collect();
+            all.sort();
+            all
+        };
+        let (one, next) = (setups_of(46), setups_of(47));
+        let mut kinds: Vec<&str> = REGULAR.iter().map(|kind| kind.name()).collect();
+        kinds.sort_unstable();
+        assert_eq!(one.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), kinds);
+        assert!(one.iter().zip(&next).all(|((a, here), (b, there))| a == b && here != there));
+        for setup in Setup::OTHERS {
+            assert_eq!(one.iter().filter(|(_, of)| *of == setup).count(), kinds.len() / KINDS_PER_SETUP);
+        }
     }
 }

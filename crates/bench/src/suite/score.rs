@@ -4,7 +4,7 @@ use locsim_gap::{Verdict, oracle_power};
 use serde::Serialize;
 
 use super::plan::Group;
-use super::{FoundFile, TruthFile};
+use super::{FoundFile, Setup, TruthFile};
 use locsim_core::Interval;
 use locsim_report::statistics::share_interval;
 
@@ -62,8 +62,30 @@ pub struct StrongScore {
     pub seconds_per_log: Option<f64>,
 }
 
+/// Logs of one setup.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SetupScore {
+    /// Share of logs without an effect in which something was found.
+    pub false_alarm: Share,
+    /// Effects outside of the library.
+    pub outside: OutsideScore,
+    /// Strong effects.
+    pub strong: StrongScore,
+}
+
+impl SetupScore {
+    fn of(all: &[&(TruthFile, FoundFile)]) -> Self {
+        let nothing = all.iter().filter(|(truth, _)| truth.group == Group::Null);
+        Self {
+            false_alarm: Share::of(nothing.map(|(_, found)| is_found(found))),
+            outside: OutsideScore::of(all),
+            strong: StrongScore::of(all),
+        }
+    }
+}
+
 impl OutsideScore {
-    fn of(all: &[(TruthFile, FoundFile)]) -> Self {
+    fn of(all: &[&(TruthFile, FoundFile)]) -> Self {
         let outside =
             || all.iter().filter(|(truth, _)| matches!(truth.group, Group::Outside | Group::Removed));
         let of =
@@ -80,7 +102,7 @@ impl OutsideScore {
 }
 
 impl StrongScore {
-    fn of(all: &[(TruthFile, FoundFile)]) -> Self {
+    fn of(all: &[&(TruthFile, FoundFile)]) -> Self {
         let of = |group: Group| all.iter().filter(move |(truth, _)| truth.group == group);
         let exact = |group| Share::of(of(group).map(|(truth, found)| found.effects == truth.effects));
         let both = of(Group::Strong).chain(of(Group::StrongOther));
@@ -94,6 +116,9 @@ impl StrongScore {
 /// All figures of the suite.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Score {
+    /// Each setup by itself, the scenario's own among them. Figures of effects of information 25 to 100 and of alarms by regime are of
+    /// the scenario's own setup; the others here are of all.
+    pub setups: BTreeMap<Setup, SetupScore>,
     /// Share of logs without an effect in which something was found, by regime.
     pub false_alarm: BTreeMap<String, Share>,
     /// Share of logs whose first name is right, by information.
@@ -168,16 +193,24 @@ impl Score {
         let of = |group: Group| all.iter().filter(move |(truth, _)| truth.group == group);
         let first_is_right =
             |(truth, found): &(TruthFile, FoundFile)| found.effects.first() == truth.effects.first();
-        let mut regimes: Vec<String> = of(Group::Null).map(|(truth, _)| truth.regime.clone()).collect();
+        let every: Vec<&(TruthFile, FoundFile)> = all.iter().collect();
+        let mut setups: Vec<Setup> = all.iter().map(|(truth, _)| truth.setup).collect();
+        setups.sort();
+        setups.dedup();
+        let of_setup = |setup: Setup| {
+            let logs: Vec<_> = every.iter().filter(|(truth, _)| truth.setup == setup).copied().collect();
+            (setup, SetupScore::of(&logs))
+        };
+        let setups = setups.into_iter().map(of_setup).collect();
+        let nothing = || of(Group::Null).filter(|(truth, _)| truth.setup == Setup::Scenario);
+        let mut regimes: Vec<String> = nothing().map(|(truth, _)| truth.regime.clone()).collect();
         regimes.sort();
         regimes.dedup();
         let false_alarm = regimes
             .into_iter()
             .map(|regime| {
                 let share = Share::of(
-                    of(Group::Null)
-                        .filter(|(truth, _)| truth.regime == regime)
-                        .map(|(_, found)| is_found(found)),
+                    nothing().filter(|(truth, _)| truth.regime == regime).map(|(_, found)| is_found(found)),
                 );
                 (regime, share)
             })
@@ -229,6 +262,7 @@ impl Score {
                 .map(|(truth, found)| truth.effects.iter().all(|name| found.effects.contains(name))),
         );
         Self {
+            setups,
             false_alarm,
             top1,
             found,
@@ -239,8 +273,8 @@ impl Score {
             sd_over_strength,
             closed_lo: Forms { same: closed(Group::Same), other: closed(Group::Other) },
             two_named,
-            outside: OutsideScore::of(&all),
-            strong: StrongScore::of(&all),
+            outside: OutsideScore::of(&every),
+            strong: StrongScore::of(&every),
             overstated: Share::of(all.iter().map(|(_, found)| is_overstated(found))),
             filter_recovered: mean(all.iter().filter_map(|(_, found)| {
                 let filter = found.filter?;

@@ -143,18 +143,42 @@ fn yardstick(score: &Score) -> Vec<[String; 4]> {
 pub fn report(score: &Score) -> String {
     format!(
         "# Hidden-effect suite\n\n{} of {} logs, {} simulated logs behind each p-value, seed {}. Shares with 95 % intervals \
-         (Clopper and Pearson).\n\n{}\n{}{}{}{}{}",
+         (Clopper and Pearson).\n\n{}\n{}{}{}{}{}{}",
         score.runs,
         score.planned,
         score.replicates,
         score.seed,
         table(score),
+        setups(score),
         directions(score),
         numbers(score),
         filters(score),
         confusion(score),
         every_log(score),
     )
+}
+
+/// Each setup by itself.
+fn setups(score: &Score) -> String {
+    let mut text = "## Lasers and scenarios\n\nStrong effects with exactly the right name, effects from outside of the library with the right \
+                    covariate, alarms in logs with nothing hidden, and time per strong log.\n\n| setup | strong, same form | strong, other form \
+                    | outside: covariate | outside: wrongly named | false alarms | s |\n| --- | --- | --- | --- | --- | --- | --- |\n"
+        .to_owned();
+    for (setup, of) in &score.setups {
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | {} | {} | {} | {} |",
+            setup.name(),
+            share(&of.strong.exact.same),
+            share(&of.strong.exact.other),
+            share(&of.outside.covariate),
+            share(&of.outside.named),
+            share(&of.false_alarm),
+            number(of.strong.seconds_per_log),
+        );
+    }
+    text.push('\n');
+    text
 }
 
 /// How far logs are off in the direction of what is hidden, for what the best test has there.
@@ -294,8 +318,8 @@ fn word(variant: impl Serialize) -> String {
 
 /// One row for each log.
 fn every_log(score: &Score) -> String {
-    let mut text = "## Every log\n\n| group | regime | lambda | hidden | verdict | named | without a name | p | p after | gained | closed | W1 (floor) [mm] | s |\n\
-                    | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
+    let mut text = "## Every log\n\n| group | setup | regime | lambda | hidden | verdict | named | without a name | p | p after | gained | closed | W1 (floor) [mm] | s |\n\
+                    | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
         .to_owned();
     for (truth, found) in &score.all {
         let hidden: Vec<String> = truth
@@ -319,8 +343,9 @@ fn every_log(score: &Score) -> String {
         let [before, after, floor] = found.w1_mm;
         let _ = writeln!(
             text,
-            "| {} | {} | {} | {} | {} | {} | {} | {:.3} | {:.3} | {:.2} | {closed} | {before:.1} -> {after:.1} ({floor:.1}) | {:.0} |",
+            "| {} | {} | {} | {} | {} | {} | {} | {} | {:.3} | {:.3} | {:.2} | {closed} | {before:.1} -> {after:.1} ({floor:.1}) | {:.0} |",
             word(truth.group),
+            truth.setup.name(),
             truth.regime,
             truth.lambda,
             hidden.join(", "),
