@@ -126,7 +126,7 @@ pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halve
     }
 }
 
-/// The upper tail of a sample: a generalized Pareto distribution over its last tenth, by probability-weighted moments
+/// The upper tail of a sample: a generalized Pareto distribution over its last quarter, by probability-weighted moments
 /// (Hosking and Wallis 1987) of all but the largest value, which is the log's where the log is off. Never lighter than
 /// an exponential: one group's outliers taken for impossible would raise what all groups have to exceed.
 struct Tail {
@@ -142,7 +142,7 @@ impl Tail {
     fn of(values: impl Iterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = values.collect();
         sorted.sort_by(f64::total_cmp);
-        let beyond = (sorted.len() / 10).max(FEWEST).min(sorted.len() - 1);
+        let beyond = (sorted.len() / PART).max(FEWEST).min(sorted.len() - 1);
         let first = sorted.len() - beyond;
         let begin = sorted[first - 1];
         let high = &sorted[first..sorted.len() - usize::from(beyond > 1)];
@@ -176,7 +176,9 @@ impl Tail {
     }
 }
 
-/// A tail is fitted to no fewer values, of small samples to more than a tenth.
+/// A tail is fitted to this part of a sample, of small samples to no fewer values. Of a hundred replicates a tenth says too little
+/// of how heavy a tail is: tails that look heavy by chance hide what is off.
+const PART: usize = 4;
 const FEWEST: usize = 10;
 /// The largest shape of a tail, with which it still has a mean and just no variance; below the other one it is exponential.
 const HEAVIEST: f64 = 0.5;

@@ -1,5 +1,6 @@
 use glam::DVec2;
 
+use super::polygons::Polygons;
 use super::{Cell, OccupancyGrid};
 
 /// The wall segments of a map with the surfaces they belong to, and the map's free space.
@@ -22,12 +23,7 @@ pub struct Geometry {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum FreeSpace {
     /// Inside the outline and outside every obstacle.
-    Polygons {
-        /// Closed polygon.
-        outline: Vec<DVec2>,
-        /// Closed polygons.
-        obstacles: Vec<Vec<DVec2>>,
-    },
+    Polygons(Polygons),
     /// In a free cell.
     Grid(OccupancyGrid),
 }
@@ -117,12 +113,10 @@ impl Geometry {
         self.bounds
     }
 
-    /// How many corners of polygons [`Geometry::is_free`] compares a point with; none in an occupancy grid.
+    /// How many corners of polygons [`Geometry::is_free`] compares a point with at the most; none in an occupancy grid.
     pub(crate) fn corners_of_free_space(&self) -> usize {
         match &self.free {
-            FreeSpace::Polygons { outline, obstacles } => {
-                outline.len() + obstacles.iter().map(Vec::len).sum::<usize>()
-            }
+            FreeSpace::Polygons(polygons) => polygons.corners(),
             FreeSpace::Grid(_) => 0,
         }
     }
@@ -136,27 +130,10 @@ impl Geometry {
     /// free cell of an occupancy grid (an unknown cell is not free). Points on a wall may count either way.
     pub fn is_free(&self, x: f64, y: f64) -> bool {
         match &self.free {
-            FreeSpace::Polygons { outline, obstacles } => {
-                let point = DVec2::new(x, y);
-                contains(outline, point) && !obstacles.iter().any(|ring| contains(ring, point))
-            }
+            FreeSpace::Polygons(polygons) => polygons.has_free(DVec2::new(x, y)),
             FreeSpace::Grid(grid) => grid.cell_at(x, y) == Some(Cell::Free),
         }
     }
-}
-
-/// Whether a closed polygon contains a point, by the even-odd rule.
-fn contains(polygon: &[DVec2], point: DVec2) -> bool {
-    let mut inside = false;
-    let mut a = polygon[polygon.len() - 1];
-    for &b in polygon {
-        if (a.y > point.y) != (b.y > point.y) {
-            let x = a.x + (point.y - a.y) / (b.y - a.y) * (b.x - a.x);
-            inside ^= point.x < x;
-        }
-        a = b;
-    }
-    inside
 }
 
 /// The smallest box around the points \[x0, y0, x1, y1\] \[m\].

@@ -3,6 +3,7 @@ use locsim_core::limits::Limits;
 use serde::Deserialize;
 
 use super::geometry::{FreeSpace, bounds_of};
+use super::polygons::Polygons;
 use super::{COINCIDENT_M, Geometry, MapError};
 
 /// A wall has a nominal range when at least this share of the beams that reach it end there: then their median ends there.
@@ -94,7 +95,7 @@ impl MeasuredMap {
         let walls = names.len();
         names.push(UNKNOWN.to_owned());
         let bounds = bounds_of(segments.iter().flatten().copied());
-        let free = FreeSpace::Polygons { outline: rings.remove(0), obstacles: rings };
+        let free = FreeSpace::Polygons(Polygons::new(&rings[0], &rings[1..]));
         let geometry = Geometry::new(segments, surfaces, names, bounds, free);
         Ok(geometry.with_walls(walls).with_measured(sigmas, hit_shares))
     }

@@ -38,6 +38,7 @@ mod geometry;
 mod grid;
 mod measured;
 mod outline;
+mod polygons;
 mod ros;
 mod vector;
 

@@ -6,6 +6,7 @@ use locsim_core::limits::Limits;
 use serde::{Deserialize, Serialize};
 
 use super::geometry::{FreeSpace, bounds_of};
+use super::polygons::Polygons;
 use super::{COINCIDENT_M, FARTHEST_M, Geometry, MapError};
 
 /// A map of polylines, as written in a vector map file (see the [module](super) for the format). Coordinates are
@@ -89,7 +90,7 @@ impl VectorMap {
             builder.add(&wall.name, &ends, 0, surface)?;
         }
         let bounds = bounds_of(builder.segments.iter().flatten().copied());
-        let free = FreeSpace::Polygons { outline, obstacles };
+        let free = FreeSpace::Polygons(Polygons::new(&outline, &obstacles));
         Ok(Geometry::new(builder.segments, builder.surfaces, builder.surface_names, bounds, free))
     }
 }
