@@ -250,10 +250,12 @@ impl<'a> Comparison<'a> {
         fitted
     }
 
-    /// Fits the nuisances anew with more effects.
+    /// Fits the nuisances anew with more effects, in the views that the numbers of these are fitted in.
     pub fn refit(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
         let effects = self.effects(more)?;
-        Ok(self.in_world(&effects)?.fit_nuisances_with(&effects, &start.nuisances, iterations))
+        let views = self.views_with(&effects)?;
+        let comparison = Self { nominal: self.nominal, recorded: self.recorded, views };
+        Ok(comparison.fit_nuisances_with(&effects, &start.nuisances, iterations))
     }
 
     /// Reference poses with their errors taken off.
