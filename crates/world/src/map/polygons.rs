@@ -2,8 +2,6 @@
 
 use glam::DVec2;
 
-use super::geometry::bounds_of;
-
 /// The space inside an outline and outside every obstacle. All are closed polygons.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Polygons {
@@ -87,6 +85,14 @@ impl Edge {
         let Self { a, b, .. } = self;
         (a.y > point.y) != (b.y > point.y) && point.x < a.x + (point.y - a.y) / (b.y - a.y) * (b.x - a.x)
     }
+}
+
+/// The smallest box around the points \[x0, y0, x1, y1\] \[m\].
+pub(super) fn bounds_of(points: impl IntoIterator<Item = DVec2>) -> [f64; 4] {
+    let (lower, upper) = points
+        .into_iter()
+        .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lower, upper), p| (lower.min(p), upper.max(p)));
+    [lower.x, lower.y, upper.x, upper.y]
 }
 
 #[cfg(test)]
