@@ -172,6 +172,16 @@ const MISLEADING: [(EffectKind, f64); 5] = [
     (EffectKind::OdomImbalance, 0.15),
 ];
 
+/// Kinds whose stage is taken out of the library.
+const REMOVED: [EffectKind; 6] = [
+    EffectKind::IncidenceDropout,
+    EffectKind::Glass,
+    EffectKind::SectorOcclusion,
+    EffectKind::HeavyTail,
+    EffectKind::MissingObject,
+    EffectKind::OdomDistanceScale,
+];
+
 /// A typical effect of a kind, somewhere in the world, and which of its numbers is its strength.
 fn typical(kind: EffectKind, map: &ExactRangeMap, poses: &[Pose2], draw: &Draw) -> (Effect, usize) {
     let mut rng = draw.item(0);
@@ -338,6 +348,26 @@ fn of_setup<'a>(
     all
 }
 
+/// The logs of all other setups, which the small suite hasn't.
+fn of_setups<'a>(
+    size: Size,
+    repeats: u32,
+    seed: u64,
+    map: &'a ExactRangeMap,
+    poses: &'a [Pose2],
+) -> Vec<(Setup, Planned<'a>)> {
+    let setups = if size == Size::Small { &[] } else { &Setup::OTHERS[..] };
+    let mut all = Vec::new();
+    for (number, &setup) in setups.iter().enumerate() {
+        for repeat in 0..repeats as usize {
+            for (group, name, lambda, regime, hidden) in of_setup(number, repeat, seed, map, poses) {
+                all.push((setup, (group, format!("{}-{name}", setup.name()), lambda, regime, hidden)));
+            }
+        }
+    }
+    all
+}
+
 /// All logs of a size, the ones that answer most first.
 pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<Case> {
     let (nulls, repeats, lambdas): (u32, u32, &[f64]) = match size {
@@ -430,14 +460,7 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
             };
             add(Group::Filter, format!("filter-{kind}"), 0.0, 0, &hidden, Vec::new());
         }
-        for kind in [
-            EffectKind::IncidenceDropout,
-            EffectKind::Glass,
-            EffectKind::SectorOcclusion,
-            EffectKind::HeavyTail,
-            EffectKind::MissingObject,
-            EffectKind::OdomDistanceScale,
-        ] {
+        for kind in REMOVED {
             let hidden = |draw: &Draw| Hidden::Library(vec![typical(kind, map, poses, draw)]);
             add(Group::Removed, format!("removed-{kind}"), 100.0, 0, &hidden, vec![kind]);
         }
@@ -446,16 +469,14 @@ pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<
     for (group, name, lambda, regime, hidden) in added_effects(size, repeats, seed, map, poses) {
         add(group, name, lambda, regime, &hidden, Vec::new());
     }
-    let setups = if size == Size::Small { &[] } else { &Setup::OTHERS[..] };
-    for (number, &setup) in setups.iter().enumerate() {
-        for repeat in 0..repeats as usize {
-            for (group, name, lambda, regime, hidden) in of_setup(number, repeat, seed, map, poses) {
-                let name = format!("{}-{name}", setup.name());
-                add_to(setup, group, name, lambda, regime, &hidden, Vec::new());
-            }
-        }
+    for (setup, (group, name, lambda, regime, hidden)) in of_setups(size, repeats, seed, map, poses) {
+        add_to(setup, group, name, lambda, regime, &hidden, Vec::new());
     }
-    // In an order of chance, so that a part of the suite is a sample of it.
+    in_order_of_chance(cases, seed)
+}
+
+/// So that a part of the suite is a sample of it.
+fn in_order_of_chance(cases: Vec<Case>, seed: u64) -> Vec<Case> {
     let draw = Draw::new(seed, Stage::Trial, ORDER);
     let mut order: Vec<(u64, Case)> =
         cases.into_iter().enumerate().map(|(i, case)| (draw.seed(i as u32), case)).collect();
