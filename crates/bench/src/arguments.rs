@@ -63,13 +63,13 @@ pub struct Gap {
     /// Range from which a reading of these logs is no return [m]
     #[arg(long, default_value_t = 40.0, requires = "real")]
     pub max_range: f64,
-    /// How much: small (minutes), medium (an hour on two cores), full (a day)
+    /// How much: small (minutes), medium (two hours on two cores), full (a day)
     #[arg(long, value_enum, default_value_t)]
     pub size: Size,
     /// Only logs of these groups, with commas between
     #[arg(long, value_enum, value_delimiter = ',', conflicts_with = "real")]
     pub groups: Vec<Group>,
-    /// Only logs of these lasers and scenarios, with commas between
+    /// Only logs of these lasers and scenarios, with commas between; the small suite has the nominal one alone
     #[arg(long, value_enum, value_delimiter = ',', conflicts_with = "real")]
     pub setups: Vec<Setup>,
     /// Everything random derives from it: tune on one seed, score on another

@@ -42,6 +42,11 @@ pub enum BenchError {
         /// The defect, and the needed content.
         what: String,
     },
+    /// No log of the suite is of the groups and setups asked for.
+    #[error(
+        "--groups, --setups: the suite has no such logs at this --size; medium has all groups and all setups"
+    )]
+    NoLogs,
     /// There are more shards than logs.
     #[error("--shard: {shards} shards of {logs} logs are not allowed; at most one for each log")]
     TooManyShards {

@@ -240,11 +240,14 @@ pub fn run(options: &SuiteOptions<'_>) -> Result<Score, BenchError> {
     options.control.progress.stage("integrating over blocks", 1);
     let world = World::new(simulation, &map, options)?;
     options.control.progress.advance(1);
-    let suite = Suite::open(options, &world)?;
     let poses: Vec<_> = world.drive.steps.iter().filter_map(|step| step.reference).collect();
     let mut cases = plan(options.size, options.seed, &map, &poses);
     cases.retain(|case| options.groups.is_empty() || options.groups.contains(&case.group));
     cases.retain(|case| options.setups.is_empty() || options.setups.contains(&case.setup));
+    if cases.is_empty() {
+        return Err(BenchError::NoLogs);
+    }
+    let suite = Suite::open(options, &world)?;
     if let Some(shards) = &options.shards {
         suite.merge(&cases, shards, options.control.progress)?;
         return suite.score(&cases, options);

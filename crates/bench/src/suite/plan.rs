@@ -26,7 +26,7 @@ pub enum Size {
     Small,
     // Of effects of information 100, which are nearly always named, half of the kinds; a seed that is even has those that an odd
     // one hasn't.
-    /// An hour on two cores: every row of the table
+    /// Two hours on two cores: every row of the table
     Medium,
     /// A day: the logs that the intervals of the figures ask for
     Full,
@@ -116,9 +116,6 @@ const REGULAR: [EffectKind; 24] = [
     EffectKind::OdomImbalance,
     EffectKind::WheelSlip,
 ];
-
-/// Of kinds and forms each of the other setups has one in so many, so that all of them together have each once.
-const KINDS_PER_SETUP: usize = Setup::OTHERS.len();
 
 /// Informations of strong effects, one for each kind in turn.
 const STRONG: [f64; 3] = [400.0, 2500.0, 10_000.0];
@@ -259,227 +256,205 @@ fn wall_at(map: &ExactRangeMap, from: DVec2, direction: DVec2, length: f64) -> O
 /// Draws what is hidden in a log.
 type Hide<'a> = Box<dyn Fn(&Draw) -> Hidden + 'a>;
 
-/// Purpose, name, information and regime of a log, and what is hidden in it.
-type Planned<'a> = (Group, String, f64, usize, Hide<'a>);
+/// A log before it has a number, by which everything random in it is drawn.
+struct Planned<'a> {
+    group: Group,
+    setup: Setup,
+    name: String,
+    lambda: f64,
+    regime: usize,
+    without: Vec<EffectKind>,
+    hide: Hide<'a>,
+}
 
-/// What has come to the suite since its first seeds, in this order: strong effects, each kind and each form once, of one of the informations
-/// in turn; more from outside of the library; courses; and more from outside again.
-fn added_effects<'a>(
-    size: Size,
-    repeats: u32,
-    seed: u64,
-    map: &'a ExactRangeMap,
-    poses: &'a [Pose2],
-) -> Vec<Planned<'a>> {
-    let strong = |i: usize| STRONG[(i + seed as usize) % STRONG.len()];
-    let of_form = |group: Group, name: String, lambda: f64, form: OtherForm| {
-        let hide: Hide<'a> = Box::new(move |draw| {
-            let (effect, index) = typical(form.kind(), map, poses, draw);
-            Hidden::Other(form, effect, index)
-        });
-        (group, name, lambda, 0, hide)
-    };
-    let mut all = Vec::new();
-    let is_asked = |i: usize| size != Size::Small || i == STRONG_OF_SMALL;
-    for repeat in 0..repeats as usize {
-        for (i, kind) in REGULAR.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
-            let lambda = strong(i + repeat);
-            let hide: Hide<'a> = Box::new(move |draw| Hidden::Library(vec![typical(kind, map, poses, draw)]));
-            all.push((Group::Strong, format!("strong-{kind}-{lambda}"), lambda, 0, hide));
-        }
-        for (i, form) in OtherForm::ALL.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
-            let lambda = strong(i + repeat);
-            let name = format!("strong-other-{}-{lambda}", form.kind());
-            all.push(of_form(Group::StrongOther, name, lambda, form));
-        }
+impl<'a> Planned<'a> {
+    /// With the scenario's own setup, in the first regime, and the whole library.
+    fn new(group: Group, name: String, lambda: f64, hide: impl Fn(&Draw) -> Hidden + 'a) -> Self {
+        let (setup, without) = (Setup::default(), Vec::new());
+        Self { group, setup, name, lambda, regime: 0, without, hide: Box::new(hide) }
     }
-    if size == Size::Small {
-        return all;
+
+    /// Nothing is hidden.
+    fn null(name: String, regime: usize) -> Self {
+        Self { regime, ..Self::new(Group::Null, name, 0.0, |_| Hidden::Library(Vec::new())) }
     }
-    let outside = |&(kind, strength): &(Outside, f64)| -> Planned<'a> {
+
+    /// An effect from outside of the library, with its strength.
+    fn outside(&(kind, strength): &(Outside, f64)) -> Self {
         let name = format!("outside-{}", kind.name());
-        (Group::Outside, name, 100.0, 0, Box::new(move |_| Hidden::Outside(kind, strength)))
-    };
-    all.extend((0..repeats).flat_map(|_| &MORE_OUTSIDE).map(outside));
-    for (i, form) in OtherForm::COURSES.into_iter().enumerate() {
-        for (group, lambda) in [(Group::Other, 100.0), (Group::StrongOther, strong(i))] {
-            all.push(of_form(group, format!("course-{}-{lambda}", form.kind()), lambda, form));
-        }
+        Self::new(Group::Outside, name, 100.0, move |_| Hidden::Outside(kind, strength))
     }
-    all.extend(LAST_OUTSIDE.iter().map(outside));
-    all
 }
 
-/// What the logs of another setup have: nothing, strong effects, and effects from outside of the library.
-fn of_setup<'a>(
-    number: usize,
-    repeat: usize,
-    seed: u64,
+/// The world that effects are put in.
+#[derive(Clone, Copy)]
+struct Site<'a> {
     map: &'a ExactRangeMap,
     poses: &'a [Pose2],
-) -> Vec<Planned<'a>> {
-    let mut all: Vec<Planned<'a>> = Vec::new();
-    for regime in [0, 2] {
-        let name = format!("null-{}", REGIMES[regime].0);
-        all.push((Group::Null, name, 0.0, regime, Box::new(|_| Hidden::Library(Vec::new()))));
+}
+
+impl<'a> Site<'a> {
+    fn typical(self, kind: EffectKind, draw: &Draw) -> (Effect, usize) {
+        typical(kind, self.map, self.poses, draw)
     }
-    let is_asked = |i: &usize| (i + number + repeat + seed as usize).is_multiple_of(KINDS_PER_SETUP);
-    let strong = |i: usize| STRONG[(i / KINDS_PER_SETUP + number + seed as usize) % STRONG.len()];
-    for i in (0..REGULAR.len()).filter(is_asked) {
-        let (kind, lambda) = (REGULAR[i], strong(i));
-        let hide: Hide<'a> = Box::new(move |draw| Hidden::Library(vec![typical(kind, map, poses, draw)]));
-        all.push((Group::Strong, format!("strong-{kind}-{lambda}"), lambda, 0, hide));
+
+    /// An effect in the library's form.
+    fn of_library(self, group: Group, name: String, kind: EffectKind, lambda: f64) -> Planned<'a> {
+        Planned::new(group, name, lambda, move |draw| Hidden::Library(vec![self.typical(kind, draw)]))
     }
-    let forms: Vec<OtherForm> = OtherForm::ALL.into_iter().chain(OtherForm::COURSES).collect();
-    for i in (0..forms.len()).filter(is_asked) {
-        let (form, lambda) = (forms[i], strong(i));
-        let hide: Hide<'a> = Box::new(move |draw| {
-            let (effect, index) = typical(form.kind(), map, poses, draw);
+
+    fn strong(self, kind: EffectKind, lambda: f64) -> Planned<'a> {
+        self.of_library(Group::Strong, format!("strong-{kind}-{lambda}"), kind, lambda)
+    }
+
+    /// An effect in another form.
+    fn of_form(self, group: Group, name: &str, form: OtherForm, lambda: f64) -> Planned<'a> {
+        let name = format!("{name}-{}-{lambda}", form.kind());
+        Planned::new(group, name, lambda, move |draw| {
+            let (effect, index) = self.typical(form.kind(), draw);
             Hidden::Other(form, effect, index)
-        });
-        all.push((Group::StrongOther, format!("strong-other-{}-{lambda}", form.kind()), lambda, 0, hide));
+        })
     }
-    let outside: Vec<&(Outside, f64)> = OUTSIDE.iter().chain(&MORE_OUTSIDE).chain(&LAST_OUTSIDE).collect();
-    for i in (0..outside.len()).filter(is_asked) {
-        let &(kind, strength) = outside[i];
-        let hide: Hide<'a> = Box::new(move |_| Hidden::Outside(kind, strength));
-        all.push((Group::Outside, format!("outside-{}", kind.name()), 100.0, 0, hide));
+
+    fn pair(self, [a, b]: [EffectKind; 2]) -> Planned<'a> {
+        Planned::new(Group::Pair, format!("pair-{a}-{b}"), 100.0, move |draw| {
+            Hidden::Library(vec![self.typical(a, draw), self.typical(b, &draw.at(50_000))])
+        })
     }
-    all
+
+    /// An effect of this strength, whatever its information.
+    fn misleading(self, kind: EffectKind, strength: f64) -> Planned<'a> {
+        Planned::new(Group::Filter, format!("filter-{kind}"), 0.0, move |draw| {
+            let (mut effect, index) = self.typical(kind, draw);
+            let neutral = kind.parameters()[index].neutral;
+            effect.values[index] = neutral + strength.copysign(effect.values[index] - neutral);
+            Hidden::Given(effect)
+        })
+    }
 }
 
-/// The logs of all other setups, which the small suite hasn't.
-fn of_setups<'a>(
-    size: Size,
-    repeats: u32,
-    seed: u64,
-    map: &'a ExactRangeMap,
-    poses: &'a [Pose2],
-) -> Vec<(Setup, Planned<'a>)> {
-    let setups = if size == Size::Small { &[] } else { &Setup::OTHERS[..] };
-    let mut all = Vec::new();
-    for (number, &setup) in setups.iter().enumerate() {
-        for repeat in 0..repeats as usize {
-            for (group, name, lambda, regime, hidden) in of_setup(number, repeat, seed, map, poses) {
-                all.push((setup, (group, format!("{}-{name}", setup.name()), lambda, regime, hidden)));
-            }
-        }
-    }
-    all
-}
-
-/// All logs of a size, the ones that answer most first.
-pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<Case> {
-    let (nulls, repeats, lambdas): (u32, u32, &[f64]) = match size {
-        Size::Small => (1, 1, &[100.0]),
-        Size::Medium => (6, 1, &[25.0, 50.0, 100.0]),
-        Size::Full => (200, 8, &[25.0, 50.0, 100.0]),
+/// What the suite has had since its first seeds.
+fn first_effects(size: Size, repeats: u32, seed: u64, site: Site<'_>) -> Vec<Planned<'_>> {
+    let (nulls, lambdas): (u32, &[f64]) = match size {
+        Size::Small => (1, &[100.0]),
+        Size::Medium => (6, &[25.0, 50.0, 100.0]),
+        Size::Full => (200, &[25.0, 50.0, 100.0]),
     };
     // Two kinds in turn, as regimes alternate from one kind to the next.
     let is_asked = |i: usize, lambda: f64| {
         size != Size::Medium || lambda < 100.0 || (i as u64 / 2 + seed).is_multiple_of(2)
     };
-    let mut cases = Vec::new();
-    let mut add_to = |setup: Setup,
-                      group: Group,
-                      name: String,
-                      lambda: f64,
-                      regime: usize,
-                      hidden: &dyn Fn(&Draw) -> Hidden,
-                      without: Vec<EffectKind>| {
-        let number = cases.len() as u32;
-        let draw = Draw::new(seed, Stage::Trial, FIRST_CASE + number);
-        let id = format!("{number:04}-{name}");
-        cases.push(Case {
-            id,
-            group,
-            setup,
-            lambda,
-            regime,
-            hidden: hidden(&draw),
-            without,
-            seed: draw.seed(1),
-        });
+    let (regimes, forms, outside) = match size {
+        Size::Small => (2, &[OtherForm::IncidenceBias, OtherForm::HeavyTail][..], &OUTSIDE[4..5]),
+        Size::Medium | Size::Full => (REGIMES.len(), &OtherForm::ALL[..], &OUTSIDE[..]),
     };
-    let mut add = |group, name, lambda, regime, hidden: &dyn Fn(&Draw) -> Hidden, without| {
-        add_to(Setup::Scenario, group, name, lambda, regime, hidden, without);
-    };
-    let regimes = if size == Size::Small { 2 } else { REGIMES.len() };
+    let mut all = Vec::new();
     for round in 0..nulls {
-        for (regime, (regime_name, _)) in REGIMES.iter().enumerate().take(regimes) {
-            let name = format!("null-{regime_name}-{round}");
-            add(Group::Null, name, 0.0, regime, &|_| Hidden::Library(Vec::new()), Vec::new());
+        for (regime, (name, _)) in REGIMES.iter().enumerate().take(regimes) {
+            all.push(Planned::null(format!("null-{name}-{round}"), regime));
         }
     }
     for repeat in 0..repeats {
+        // Regimes in turn, exact references more often.
+        let regime = |i: usize| if size == Size::Small { 0 } else { [0, 2, 0, 1][(i + repeat as usize) % 4] };
         for (i, kind) in REGULAR.into_iter().enumerate() {
             for &lambda in lambdas.iter().filter(|lambda| is_asked(i, **lambda)) {
-                // Regimes in turn, exact references more often.
-                let regime = if size == Size::Small { 0 } else { [0, 2, 0, 1][(i + repeat as usize) % 4] };
-                let name = format!("{kind}-{lambda}");
-                let hidden = |draw: &Draw| Hidden::Library(vec![typical(kind, map, poses, draw)]);
-                add(Group::Same, name, lambda, regime, &hidden, Vec::new());
+                let planned = site.of_library(Group::Same, format!("{kind}-{lambda}"), kind, lambda);
+                all.push(Planned { regime: regime(i), ..planned });
             }
         }
-        let forms: &[OtherForm] = if size == Size::Small {
-            &[OtherForm::IncidenceBias, OtherForm::HeavyTail]
-        } else {
-            &OtherForm::ALL
-        };
         for (i, &form) in forms.iter().enumerate() {
             for &lambda in lambdas.iter().filter(|lambda| is_asked(i, **lambda)) {
-                let regime = if size == Size::Small { 0 } else { [0, 2, 0, 1][(i + repeat as usize) % 4] };
-                let name = format!("other-{}-{lambda}", form.kind());
-                let hidden = |draw: &Draw| {
-                    let (effect, index) = typical(form.kind(), map, poses, draw);
-                    Hidden::Other(form, effect, index)
-                };
-                add(Group::Other, name, lambda, regime, &hidden, Vec::new());
+                let planned = site.of_form(Group::Other, "other", form, lambda);
+                all.push(Planned { regime: regime(i), ..planned });
             }
         }
-        let outside = if size == Size::Small { &OUTSIDE[4..5] } else { &OUTSIDE[..] };
-        for &(kind, strength) in outside {
-            let name = format!("outside-{}", kind.name());
-            add(Group::Outside, name, 100.0, 0, &|_| Hidden::Outside(kind, strength), Vec::new());
-        }
+        all.extend(outside.iter().map(Planned::outside));
         if size == Size::Small {
             continue;
         }
-        for (a, b) in PAIRS {
-            let hidden = |draw: &Draw| {
-                Hidden::Library(vec![typical(a, map, poses, draw), typical(b, map, poses, &draw.at(50_000))])
-            };
-            add(Group::Pair, format!("pair-{a}-{b}"), 100.0, 0, &hidden, Vec::new());
-        }
-        for (kind, strength) in MISLEADING {
-            let hidden = |draw: &Draw| {
-                let (mut effect, index) = typical(kind, map, poses, draw);
-                let neutral = kind.parameters()[index].neutral;
-                effect.values[index] = neutral + strength.copysign(effect.values[index] - neutral);
-                Hidden::Given(effect)
-            };
-            add(Group::Filter, format!("filter-{kind}"), 0.0, 0, &hidden, Vec::new());
-        }
-        for kind in REMOVED {
-            let hidden = |draw: &Draw| Hidden::Library(vec![typical(kind, map, poses, draw)]);
-            add(Group::Removed, format!("removed-{kind}"), 100.0, 0, &hidden, vec![kind]);
-        }
+        all.extend(PAIRS.map(|(a, b)| site.pair([a, b])));
+        all.extend(MISLEADING.map(|(kind, strength)| site.misleading(kind, strength)));
+        all.extend(REMOVED.map(|kind| {
+            let planned = site.of_library(Group::Removed, format!("removed-{kind}"), kind, 100.0);
+            Planned { without: vec![kind], ..planned }
+        }));
     }
-    // Last, so that the other logs are those of earlier suites.
-    for (group, name, lambda, regime, hidden) in added_effects(size, repeats, seed, map, poses) {
-        add(group, name, lambda, regime, &hidden, Vec::new());
-    }
-    for (setup, (group, name, lambda, regime, hidden)) in of_setups(size, repeats, seed, map, poses) {
-        add_to(setup, group, name, lambda, regime, &hidden, Vec::new());
-    }
-    in_order_of_chance(cases, seed)
+    all
 }
 
-/// So that a part of the suite is a sample of it.
-fn in_order_of_chance(cases: Vec<Case>, seed: u64) -> Vec<Case> {
+/// What has come to the suite since its first seeds, in this order: strong effects, each kind and each form once, of one of the informations
+/// in turn; more from outside of the library; courses; and more from outside again.
+fn added_effects(size: Size, repeats: u32, seed: u64, site: Site<'_>) -> Vec<Planned<'_>> {
+    let strong = |i: usize| STRONG[(i + seed as usize) % STRONG.len()];
+    let mut all = Vec::new();
+    let is_asked = |i: usize| size != Size::Small || i == STRONG_OF_SMALL;
+    for repeat in 0..repeats as usize {
+        for (i, kind) in REGULAR.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
+            all.push(site.strong(kind, strong(i + repeat)));
+        }
+        for (i, form) in OtherForm::ALL.into_iter().enumerate().filter(|(i, _)| is_asked(*i)) {
+            all.push(site.of_form(Group::StrongOther, "strong-other", form, strong(i + repeat)));
+        }
+    }
+    if size == Size::Small {
+        return all;
+    }
+    all.extend((0..repeats).flat_map(|_| &MORE_OUTSIDE).map(Planned::outside));
+    for (i, form) in OtherForm::COURSES.into_iter().enumerate() {
+        for (group, lambda) in [(Group::Other, 100.0), (Group::StrongOther, strong(i))] {
+            all.push(site.of_form(group, "course", form, lambda));
+        }
+    }
+    all.extend(LAST_OUTSIDE.iter().map(Planned::outside));
+    all
+}
+
+/// The logs of the other setups, which the small suite hasn't: nothing, strong effects, and effects from outside of the library. Each setup
+/// has its own part of the kinds, so that all of them together have each once.
+fn other_setups(size: Size, repeats: u32, seed: u64, site: Site<'_>) -> Vec<Planned<'_>> {
+    if size == Size::Small {
+        return Vec::new();
+    }
+    let setups = Setup::OTHERS.len();
+    let forms: Vec<OtherForm> = OtherForm::ALL.into_iter().chain(OtherForm::COURSES).collect();
+    let nameless: Vec<&(Outside, f64)> = OUTSIDE.iter().chain(&MORE_OUTSIDE).chain(&LAST_OUTSIDE).collect();
+    let mut all = Vec::new();
+    for (number, setup) in Setup::OTHERS.into_iter().enumerate() {
+        for repeat in 0..repeats as usize {
+            let is_asked = |i: &usize| (i + number + repeat + seed as usize).is_multiple_of(setups);
+            let strong = |i: usize| STRONG[(i / setups + number + seed as usize) % STRONG.len()];
+            let of_form = |i: usize| site.of_form(Group::StrongOther, "strong-other", forms[i], strong(i));
+            let nulls = [0, 2].map(|regime| Planned::null(format!("null-{}", REGIMES[regime].0), regime));
+            let planned = nulls
+                .into_iter()
+                .chain((0..REGULAR.len()).filter(is_asked).map(|i| site.strong(REGULAR[i], strong(i))))
+                .chain((0..forms.len()).filter(is_asked).map(of_form))
+                .chain((0..nameless.len()).filter(is_asked).map(|i| Planned::outside(nameless[i])));
+            all.extend(planned.map(|planned| {
+                let name = format!("{}-{}", setup.name(), planned.name);
+                Planned { setup, name, ..planned }
+            }));
+        }
+    }
+    all
+}
+
+/// All logs of a size, in an order of chance, so that a part of the suite is a sample of it.
+pub fn plan(size: Size, seed: u64, map: &ExactRangeMap, poses: &[Pose2]) -> Vec<Case> {
+    let (repeats, site) = (if size == Size::Full { 8 } else { 1 }, Site { map, poses });
+    // What is newer comes later, so that the other logs are those of earlier suites.
+    let mut planned = first_effects(size, repeats, seed, site);
+    planned.extend(added_effects(size, repeats, seed, site));
+    planned.extend(other_setups(size, repeats, seed, site));
+    let cases = (0..).zip(planned).map(|(number, planned)| {
+        let Planned { group, setup, name, lambda, regime, without, hide } = planned;
+        let draw = Draw::new(seed, Stage::Trial, FIRST_CASE + number);
+        let (id, hidden, seed) = (format!("{number:04}-{name}"), hide(&draw), draw.seed(1));
+        Case { id, group, setup, lambda, regime, hidden, without, seed }
+    });
     let draw = Draw::new(seed, Stage::Trial, ORDER);
-    let mut order: Vec<(u64, Case)> =
-        cases.into_iter().enumerate().map(|(i, case)| (draw.seed(i as u32), case)).collect();
+    let mut order: Vec<(u64, Case)> = (0..).zip(cases).map(|(i, case)| (draw.seed(i), case)).collect();
     order.sort_by_key(|(key, _)| *key);
     order.into_iter().map(|(_, case)| case).collect()
 }
@@ -545,7 +520,7 @@ mod tests {
         assert_eq!(one.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), kinds);
         assert!(one.iter().zip(&next).all(|((a, here), (b, there))| a == b && here != there));
         for setup in Setup::OTHERS {
-            assert_eq!(one.iter().filter(|(_, of)| *of == setup).count(), kinds.len() / KINDS_PER_SETUP);
+            assert_eq!(one.iter().filter(|(_, of)| *of == setup).count(), kinds.len() / Setup::OTHERS.len());
         }
     }
 }

@@ -74,6 +74,8 @@ impl Setup {
                 simulation.robot.odometry_noise = OdometryNoise::new([0.0; 4])?;
             }
         }
+        // A sweep is over when the next scan begins.
+        simulation.laser.scan_secs = simulation.laser.scan_secs.min(simulation.laser.rate_hz.recip());
         Ok(simulation)
     }
 }

@@ -49,3 +49,15 @@ fn most_hidden_effects_are_named_and_nothing_else_is() {
     let report = fs::read_to_string(folder.path().join("suite/merged/report.md")).unwrap();
     assert!(report.contains("| range_bias |") && report.contains("31 of 31 logs"), "{report}");
 }
+
+/// The small suite has no logs of other lasers: that is said, and no folder is made.
+#[test]
+fn a_part_of_the_suite_that_has_no_logs_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("small.yaml"), scenario()).unwrap();
+    let line = "gap small.yaml --size small --setups fine --out suite";
+    bench(folder.path(), line)
+        .code(2)
+        .stderr(contains("--groups, --setups: the suite has no such logs at this --size"));
+    assert!(!folder.path().join("suite").exists());
+}

@@ -135,3 +135,11 @@ impl Geometry {
         }
     }
 }
+
+/// The smallest box around the points \[x0, y0, x1, y1\] \[m\].
+pub(super) fn bounds_of(points: impl IntoIterator<Item = DVec2>) -> [f64; 4] {
+    let (lower, upper) = points
+        .into_iter()
+        .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lower, upper), p| (lower.min(p), upper.max(p)));
+    [lower.x, lower.y, upper.x, upper.y]
+}

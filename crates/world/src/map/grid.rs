@@ -9,9 +9,8 @@ use image::{ExtendedColorType, ImageEncoder, ImageError, ImageResult};
 use locsim_core::Pose2;
 use locsim_core::output::write_file;
 
-use super::geometry::FreeSpace;
+use super::geometry::{FreeSpace, bounds_of};
 use super::outline::cell_boundaries;
-use super::polygons::bounds_of;
 use super::{FARTHEST_M, FINEST_M, Geometry, ImageMode, MapError, OccupancyMapFile};
 
 /// The state of a cell.

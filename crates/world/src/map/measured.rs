@@ -2,8 +2,8 @@ use glam::DVec2;
 use locsim_core::limits::Limits;
 use serde::Deserialize;
 
-use super::geometry::FreeSpace;
-use super::polygons::{Polygons, bounds_of};
+use super::geometry::{FreeSpace, bounds_of};
+use super::polygons::Polygons;
 use super::{COINCIDENT_M, Geometry, MapError};
 
 /// A wall has a nominal range when at least this share of the beams that reach it end there: then their median ends there.

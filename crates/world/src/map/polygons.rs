@@ -32,7 +32,9 @@ impl Polygons {
                 before.zip(ring).map(move |(&a, &b)| Edge { polygon, a, b })
             })
             .collect();
-        let [_, lowest, _, highest] = bounds_of(edges.iter().map(|edge| edge.b));
+        let heights = edges.iter().map(|edge| edge.b.y);
+        let (lowest, highest) =
+            heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), y| (lo.min(y), hi.max(y)));
         let height = (highest - lowest).max(f64::MIN_POSITIVE);
         // A horizontal line crosses so many edges. As many bands as edges by this number hold each edge twice on average.
         let crossed = edges.iter().map(|edge| (edge.a.y - edge.b.y).abs() / height).sum::<f64>().max(1.0);
@@ -85,14 +87,6 @@ impl Edge {
         let Self { a, b, .. } = self;
         (a.y > point.y) != (b.y > point.y) && point.x < a.x + (point.y - a.y) / (b.y - a.y) * (b.x - a.x)
     }
-}
-
-/// The smallest box around the points \[x0, y0, x1, y1\] \[m\].
-pub(super) fn bounds_of(points: impl IntoIterator<Item = DVec2>) -> [f64; 4] {
-    let (lower, upper) = points
-        .into_iter()
-        .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lower, upper), p| (lower.min(p), upper.max(p)));
-    [lower.x, lower.y, upper.x, upper.y]
 }
 
 #[cfg(test)]

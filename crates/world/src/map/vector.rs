@@ -5,8 +5,8 @@ use glam::DVec2;
 use locsim_core::limits::Limits;
 use serde::{Deserialize, Serialize};
 
-use super::geometry::FreeSpace;
-use super::polygons::{Polygons, bounds_of};
+use super::geometry::{FreeSpace, bounds_of};
+use super::polygons::Polygons;
 use super::{COINCIDENT_M, FARTHEST_M, Geometry, MapError};
 
 /// A map of polylines, as written in a vector map file (see the [module](super) for the format). Coordinates are
