@@ -113,26 +113,46 @@ impl Family for OdometryLag {
 /// The least variance of standardized errors.
 const LEAST_VARIANCE: f64 = 0.1;
 
-/// Correlation of two numbers about zero, times the root of how many there are.
+/// Correlation of standardized errors with a motion, about zero, times the root of how many there are.
 #[derive(Clone, Copy, Default)]
 struct Correlation {
-    xy: f64,
-    xx: f64,
-    yy: f64,
+    product: f64,
+    errors: f64,
+    motions: f64,
     count: f64,
 }
 
 impl Correlation {
-    fn add(&mut self, x: f64, y: f64) {
-        self.xy += x * y;
-        self.xx += x * x;
-        self.yy += y * y;
+    fn add(&mut self, error: f64, motion: f64) {
+        self.product += error * motion;
+        self.errors += error * error;
+        self.motions += motion * motion;
         self.count += 1.0;
     }
 
     fn value(&self) -> f64 {
         // Errors far below their least standard deviation are digits of the file.
-        let yy = self.yy.max(LEAST_VARIANCE * self.count);
-        self.xy / (self.xx * yy).sqrt().max(1e-300) * self.count.sqrt()
+        let errors = self.errors.max(LEAST_VARIANCE * self.count);
+        self.product / (errors * self.motions).sqrt().max(1e-300) * self.count.sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Digits of a file that grow with the motion say nothing; errors of half a standard deviation that do are all that there is.
+    #[test]
+    fn digits_of_a_file_are_no_errors() {
+        let of = |scale: f64| {
+            let mut correlation = Correlation::default();
+            for i in 0..100 {
+                let motion = 700.0 + f64::from(i % 7);
+                correlation.add(scale * motion / 700.0, motion);
+            }
+            correlation.value()
+        };
+        assert!(of(1e-11).abs() < 1e-9, "{}", of(1e-11));
+        assert!((of(0.5) - 10.0).abs() < 1e-9, "{}", of(0.5));
     }
 }
