@@ -39,6 +39,12 @@ impl PoseError {
         (-secs.max(0.0) / self.correlation_secs).exp().min(0.9999)
     }
 
+    /// Variance of the mean of `n` errors, `secs` apart, over that of an error.
+    fn variance_of_mean(&self, secs: f64, n: usize) -> f64 {
+        let (phi, n) = (self.correlation(secs), n as f64);
+        ((1.0 + phi) / (1.0 - phi) - 2.0 * phi * (1.0 - phi.powf(n)) / (n * (1.0 - phi).powi(2))) / n
+    }
+
     /// The poses of a track, each with a simulated error of the process; the error at pose `i` is drawn from `draw(i)`.
     pub(crate) fn perturb<R: Rng>(&self, track: &Track, draw: impl Fn(u32) -> R) -> Vec<Pose2> {
         if self.is_none() {
@@ -162,6 +168,11 @@ pub(crate) fn fit(start: PoseError, secs: &[f64], scans: &[Information], iterati
             }
         }
         let prior = process.covariance();
+        // The errors' own mean is off zero, too, by more in a short log.
+        let of_mean = process.variance_of_mean(step_secs, scans.len())
+            * DVec3::new(prior.x_axis.x, prior.y_axis.y, prior.z_axis.z);
+        square += n * of_mean;
+        product += (n - 1.0) * of_mean;
         // Each component counts by its own scale.
         let scaled = |v: DVec3| 0.5 * (v.x + v.y) / prior.x_axis.x + v.z / prior.z_axis.z;
         let phi = (scaled(product) / scaled(square) * n / (n - 1.0)).clamp(0.01, 0.999);
@@ -239,6 +250,29 @@ mod tests {
         let rest = without_patterns(&scans, std::slice::from_ref(&pattern));
         let score: f64 = pattern.iter().zip(&rest).map(|(p, rest)| p.dot(rest.vector)).sum();
         assert!(score.abs() < 1e-9 && rest[1].vector.length() > 1.0, "{score}");
+    }
+
+    /// Logs of three correlation times, whose mean is taken off, have errors as large as they were drawn in the mean.
+    #[test]
+    fn errors_of_a_short_log_are_as_large_as_they_are() {
+        let process = PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 };
+        let secs: Vec<f64> = (0..60).map(|i| 0.1 * f64::from(i)).collect();
+        let track = Track::new(secs.iter().map(|&secs| (secs, Pose2::IDENTITY))).unwrap();
+        let matrix = DMat3::from_diagonal(DVec3::new(1e7, 1e7, 1e8));
+        let fitted = (0..300).map(|log| {
+            let draw = |scan| locsim_core::Draw::new(log, locsim_core::Stage::Path, scan).item(0);
+            let errors = process.perturb(&track, draw);
+            let scans =
+                errors.iter().map(|e| Information { matrix, vector: matrix * DVec3::new(e.x, e.y, e.theta) });
+            fit(process, &secs, &scans.collect::<Vec<_>>(), 8)
+        });
+        let of =
+            |fitted: &PoseError| [fitted.sigma_m / 0.01, fitted.sigma_rad / 0.003].map(|ratio| ratio * ratio);
+        let ratios: Vec<[f64; 2]> = fitted.map(|fitted| of(&fitted)).collect();
+        for axis in 0..2 {
+            let mean = ratios.iter().map(|ratio| ratio[axis]).sum::<f64>() / ratios.len() as f64;
+            assert!((0.8..1.2).contains(&mean), "{mean}");
+        }
     }
 
     /// The mean maximizes the joint log density of errors and scans: its gradient, written out, vanishes.

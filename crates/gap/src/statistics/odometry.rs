@@ -41,14 +41,26 @@ impl Family for OdometryCorrelation {
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
         let odometry_error = &log.fitted.nuisances.odometry_error;
         let (error, motion) = (self.error as usize, self.motion as usize);
+        let increments = increments_of(log);
         let mut correlations = [Correlation::default(); 2];
-        for (scan, increment) in increments_of(log).iter().enumerate() {
+        for (scan, increment) in increments.iter().enumerate() {
+            let driven = if log.has_pose_errors { motion_about(&increments, scan) } else { increment.truth };
             let deviation = increment.deviation(odometry_error, error);
             correlations[half_of(scan)]
-                .add(standardized(increment, odometry_error)[error], increment.truth[motion] / deviation);
+                .add(standardized(increment, odometry_error)[error], driven[motion] / deviation);
         }
         vec![correlations.map(|correlation| correlation.value())]
     }
+}
+
+/// The motion of an increment by those two before and two after it. What its own poses err by is in its motion and in its error
+/// alike: an odometry better than the reference would err against the motion.
+fn motion_about(increments: &[Increment], at: usize) -> [f64; 2] {
+    let before = at.checked_sub(2).and_then(|i| increments.get(i));
+    let about: Vec<[f64; 2]> = before.into_iter().chain(increments.get(at + 2)).map(|i| i.truth).collect();
+    std::array::from_fn(|axis| {
+        about.iter().map(|motion| motion[axis]).sum::<f64>() / about.len().max(1) as f64
+    })
 }
 
 /// Likelihood ratios of wheels that slip, for a few shares by which they then turn too far.
