@@ -1,5 +1,5 @@
-"""Logs with a hidden effect from a world that shares no code with locsim: a hall with slanted walls and a pillar, its own rays, clutter,
-noise and effects. Each case is a scenario (what the simulation knows) and a CARMEN log (what was measured). Standard library only.
+"""Logs with a hidden effect from worlds that share no code with locsim: a hall with slanted walls and a pillar, and an office with rooms and
+round columns; their own rays, clutter, noise and effects. Each case is a scenario (what the simulation knows) and a CARMEN log (what was measured). Standard library only.
 
     python3 tools/gap-worlds/worlds.py OUT [CASE ...]
 
@@ -13,15 +13,45 @@ import random
 import sys
 from pathlib import Path
 
-# The hall, metres, counter-clockwise: no wall but two is along an axis.
-OUTLINE = [(0.0, 0.0), (6.0, -0.5), (6.2, -1.7), (8.4, -1.8), (8.6, -0.4), (14.0, 0.0), (14.6, 5.6), (9.0, 6.4), (8.8, 7.6), (6.4, 7.5),
-           (6.2, 6.5), (0.6, 6.0)]
-PILLAR = [(6.9, 2.6), (7.6, 2.7), (7.5, 3.4), (6.8, 3.3)]
-STOPS = [(1.6, 1.4), (5.0, 1.2), (9.4, 1.5), (12.6, 1.6), (12.8, 4.2), (9.6, 4.8), (5.2, 4.9), (2.0, 4.5), (1.6, 1.4), (4.6, 1.9), (10.6, 2.0),
-         (12.2, 3.4)]
+
+
+class Hall:
+    """Metres, counter-clockwise: no wall but two is along an axis."""
+    outline = [(0.0, 0.0), (6.0, -0.5), (6.2, -1.7), (8.4, -1.8), (8.6, -0.4), (14.0, 0.0), (14.6, 5.6), (9.0, 6.4), (8.8, 7.6), (6.4, 7.5),
+               (6.2, 6.5), (0.6, 6.0)]
+    obstacles = [[(6.9, 2.6), (7.6, 2.7), (7.5, 3.4), (6.8, 3.3)]]
+    stops = [(1.6, 1.4), (5.0, 1.2), (9.4, 1.5), (12.6, 1.6), (12.8, 4.2), (9.6, 4.8), (5.2, 4.9), (2.0, 4.5), (1.6, 1.4), (4.6, 1.9), (10.6, 2.0),
+             (12.2, 3.4)]
+    pause = 0.0  # seconds at each stop
+    wall, surfaces, thing = 6, (0, 4, 6, 10), (10.5, 4.4)  # a long wall, walls of another surface, where something new stands
+
+
+def partition(ax, ay, bx, by, thickness=0.12):
+    """A thin wall along an axis."""
+    t = thickness / 2
+    return [(ax - t, ay - t), (bx + t, ay - t), (bx + t, by + t), (ax - t, by + t)]
+
+
+def column(x, y, radius, corners=12):
+    angles = [2 * math.pi * i / corners for i in range(corners)]
+    return [(round(x + radius * math.cos(a), 4), round(y + radius * math.sin(a), 4)) for a in angles]
+
+
+class Office:
+    """A corridor between rooms with doors; the robot waits at each stop."""
+    outline = [(0.0, 0.0), (17.0, 0.0), (17.0, 10.4), (0.0, 10.4)]
+    obstacles = ([partition(ax, 4.2, bx, 4.2) for ax, bx in ((0.06, 2.0), (3.0, 7.6), (8.6, 13.4), (14.4, 16.94))]
+                 + [partition(ax, 6.2, bx, 6.2) for ax, bx in ((0.06, 4.4), (5.4, 10.2), (11.2, 16.94))]
+                 + [partition(x, 0.06, x, 4.02) for x in (5.2, 11.4)] + [partition(x, 6.38, x, 10.34) for x in (7.8, 13.0)]
+                 + [column(8.4, 2.2, 0.25), column(10.4, 8.4, 0.2)])
+    stops = [(1.0, 5.2), (2.5, 5.2), (2.5, 2.2), (4.0, 1.6), (2.5, 2.6), (2.5, 5.2), (8.1, 5.1), (8.1, 3.2), (6.6, 1.4), (8.1, 3.4), (8.1, 5.2), (10.7, 5.3),
+             (10.7, 7.3), (9.2, 8.0), (10.7, 7.0), (10.7, 5.2), (15.6, 5.3)]
+    pause = 1.5
+    wall, surfaces, thing = 0, (0, 8, 20, 36), (6.2, 3.2)
+
+
 SPEED, TURN = 0.6, 0.8  # m/s, rad/s
 SCANS = 300
-NOISE, MAX = 0.01, 12.0
 LOST, RANDOM = 0.004, 0.003
 
 
@@ -36,16 +66,19 @@ def edges(points):
 class Drive:
     """The drive as a function of time: turns on the spot and straight lines, with corners rounded over half a second."""
 
-    def __init__(self):
+    def __init__(self, floor):
         self.legs = []  # start time, end time, pose at start, turn, length
-        time, heading = 0.0, math.atan2(STOPS[1][1] - STOPS[0][1], STOPS[1][0] - STOPS[0][0])
-        for (ax, ay), (bx, by) in zip(STOPS, STOPS[1:]):
+        stops = floor.stops
+        time, heading = 0.0, math.atan2(stops[1][1] - stops[0][1], stops[1][0] - stops[0][0])
+        for (ax, ay), (bx, by) in zip(stops, stops[1:]):
             to = math.atan2(by - ay, bx - ax)
             turn, length = wrap(to - heading), math.hypot(bx - ax, by - ay)
             self.legs.append((time, time + abs(turn) / TURN, (ax, ay, heading), turn, 0.0))
             time += abs(turn) / TURN
             self.legs.append((time, time + length / SPEED, (ax, ay, to), 0.0, length))
             time, heading = time + length / SPEED, to
+            self.legs.append((time, time + floor.pause, (bx, by, to), 0.0, 0.0))
+            time += floor.pause
         self.duration = time
 
     def __call__(self, time):
@@ -121,6 +154,8 @@ def spline(rng, lo, hi, knots):
 
 class World:
     """The nominal world; cases override a method each."""
+    floor = Hall
+    noise, max_range = 0.01, 12.0
     truth, covariate = None, None  # names of the library that are right, or what an effect outside it depends on
     stays = False  # clutter
     beams, field, first = 72, 2 * math.pi, -math.pi
@@ -132,7 +167,7 @@ class World:
         self.draw = random.Random(seed + 1)  # of the effect's own shape
 
     def walls(self):
-        return edges(OUTLINE) + edges(PILLAR[::-1])
+        return [edge for points in [self.floor.outline] + [obstacle[::-1] for obstacle in self.floor.obstacles] for edge in edges(points)]
 
     def bearings(self):
         step = self.field / self.beams if self.field > 6.28 else self.field / (self.beams - 1)
@@ -149,7 +184,7 @@ class World:
         return 0.0
 
     def sigma(self, z, incidence, bearing, time, place):
-        return NOISE
+        return self.noise
 
     def lost(self, z, incidence, bearing, time, place, wall):
         return 0.0
@@ -187,8 +222,7 @@ class World:
         return out
 
     def log(self):
-        path, walls, rng = Drive(), self.walls(), self.rng
-        nominal_walls = edges(OUTLINE) + edges(PILLAR[::-1])
+        path, walls, rng = Drive(self.floor), self.walls(), self.rng
         standing = [] if self.bare else clutter(rng, walls, 0.3)
         mx, my, mt = self.mounted()
         times = [2.0 + i * (path.duration - 4.0) / SCANS for i in range(SCANS)]
@@ -208,10 +242,10 @@ class World:
                 z = z + self.bias(**b) + rng.gauss(0, self.sigma(z, incidence, bearing, time, place))
                 z = self.reading(z, b, beam, lambda px, py, a: cast(px, py, a, walls + standing))
                 if not self.bare and rng.random() < LOST or rng.random() < self.lost(**b):
-                    z = MAX
+                    z = self.max_range
                 if not self.bare and rng.random() < RANDOM or rng.random() < self.random_share(time):
-                    z = rng.uniform(0.05, MAX)
-                ranges.append(min(max(z, 0.05), MAX))
+                    z = rng.uniform(0.05, self.max_range)
+                ranges.append(min(max(z, 0.05), self.max_range))
             scans.append([round(z, 3) for z in self.finish(ranges, nominal)])
         poses = [path(time) for time in times]
         return times, poses, self.odometry(poses), scans
@@ -232,7 +266,7 @@ class World:
             lines.append(f"TRUEPOS {px:.9f} {py:.9f} {ph:.9f} {robot} {end}")
             laser = f"{ox + mx * math.cos(oh):.9f} {oy + mx * math.sin(oh):.9f} {oh:.9f}"
             ranges = " ".join(f"{z:.3f}" for z in scan)
-            lines.append(f"ROBOTLASER1 0 {bearings[0]:.9f} {step * (len(scan) - 1):.9f} {step:.9f} {MAX} 0.001 0 {len(scan)} {ranges}"
+            lines.append(f"ROBOTLASER1 0 {bearings[0]:.9f} {step * (len(scan) - 1):.9f} {step:.9f} {self.max_range} 0.001 0 {len(scan)} {ranges}"
                          f" 0 {laser} {robot} 0 0 0 0 0 {end}")
         (folder / "measured.log").write_text("\n".join(lines) + "\n")
         (folder / "hall.yaml").write_text(self.map_yaml())
@@ -241,16 +275,15 @@ class World:
         (folder / "truth.json").write_text(json.dumps(truth) + "\n")
 
     def map_yaml(self):
-        def points(name, ps):
-            return f"{name}:\n  points_m: [{', '.join(f'[{x}, {y}]' for x, y in ps)}]\n"
-        text = "outline:\n  name: hall\n  points_m: [" + ", ".join(f"[{x}, {y}]" for x, y in OUTLINE) + "]\n"
-        return text + "obstacles:\n  - name: pillar\n    points_m: [" + ", ".join(f"[{x}, {y}]" for x, y in PILLAR) + "]\n"
+        text = "outline:\n  name: outline\n  points_m: [" + ", ".join(f"[{x}, {y}]" for x, y in self.floor.outline) + "]\nobstacles:\n"
+        return text + "".join(f"  - name: obstacle {i}\n    points_m: [" + ", ".join(f"[{x}, {y}]" for x, y in points) + "]\n"
+                              for i, points in enumerate(self.floor.obstacles))
 
     def scenario_yaml(self, bearings, step):
         head = "name: hall\nseed: 1\ntrials: 2\nmap: {file: hall.yaml}\n"
-        path = "robot:\n  path: {waypoints: {points_m: [[1.6, 1.4], [5.0, 1.2]], speed_m_s: 0.6, turn_rate_deg_s: 46}}\n"
+        path = f"robot:\n  path: {{waypoints: {{points_m: {[list(stop) for stop in self.floor.stops[:2]]}, speed_m_s: 0.6, turn_rate_deg_s: 46}}}}\n"
         laser = (f"laser:\n  rate_hz: 4\n  beams: {len(bearings)}\n  field_of_view_deg: {math.degrees(step * (len(bearings) - 1)):.9f}\n"
-                 f"  max_range_m: {MAX}\n  resolution_m: 0.001\n  noise: {{sigma_m: {NOISE}}}\n")
+                 f"  max_range_m: {self.max_range}\n  resolution_m: 0.001\n  noise: {{sigma_m: {self.noise}}}\n")
         middle = bearings[0] + 0.5 * step * (len(bearings) - 1)
         laser += f"  mount: {{x_m: {self.mount[0]}, y_m: {self.mount[1]}, yaw_deg: {math.degrees(self.mount[2] + middle):.9f}}}\n"
         tail = ("models: [likelihood_field]\nfilter:\n  particles: 500\n  motion: {model: odometry, alpha: [0.05, 0.05, 0.05, 0.05]}\n"
@@ -342,19 +375,19 @@ class drift_linear(World):
 @case(["range_noise"])
 class noise_range(World):
     def sigma(self, z, *_):
-        return NOISE * (1 + 0.15 * z)
+        return self.noise * (1 + 0.15 * z)
 
 
 @case(["incidence_noise"])
 class noise_incidence(World):
     def sigma(self, z, incidence, *_):
-        return NOISE * (1 + 4 * max(0.0, incidence - 0.6))
+        return self.noise * (1 + 4 * max(0.0, incidence - 0.6))
 
 
 @case(["heavy_tail"])
 class tail(World):
     def sigma(self, *_):
-        return NOISE * (8 if self.rng.random() < 0.06 else 1)
+        return self.noise * (8 if self.rng.random() < 0.06 else 1)
 
 
 @case(["incidence_dropout"])
@@ -395,7 +428,7 @@ class mixed(World):
         out = list(ranges)
         for i in range(1, len(ranges)):
             a, b = nominal[i - 1], nominal[i]
-            if abs(a - b) > 0.3 and max(a, b) < MAX and self.rng.random() < 0.5:
+            if abs(a - b) > 0.3 and max(a, b) < self.max_range and self.rng.random() < 0.5:
                 out[i] = min(a, b) + self.rng.random() * abs(a - b)
         return out
 
@@ -422,7 +455,7 @@ class late(World):
 @case(["quantization"])
 class steps(World):
     def finish(self, ranges, nominal):
-        return [z if z == MAX else 0.05 * round(z / 0.05) for z in ranges]
+        return [z if z == self.max_range else 0.05 * round(z / 0.05) for z in ranges]
 
 
 @case(["sector_occlusion"])
@@ -441,7 +474,7 @@ class sector_curved(World):
 @case(["glass"])
 class glass_wall(World):
     def reading(self, z, b, beam, cast_on):
-        if b["wall"] == 6 and self.rng.random() < 0.5:
+        if b["wall"] == self.floor.wall and self.rng.random() < 0.5:
             return z + 1.5 + 2 * self.rng.random()
         return z
 
@@ -449,7 +482,7 @@ class glass_wall(World):
 @case(["missing_object"])
 class thing(World):
     def walls(self):
-        return super().walls() + box(10.5, 4.4, 0.35, 0.35, 0.5)
+        return super().walls() + box(*self.floor.thing, 0.35, 0.35, 0.5)
 
 
 class MovedWall(World):
@@ -490,7 +523,7 @@ class short_wall_farther(MovedWall):
 class wall_turned(World):
     def walls(self):
         walls = super().walls()
-        walls[6] = turned(walls[6], 0, math.radians(1.2))
+        walls[self.floor.wall] = turned(walls[self.floor.wall], 0, math.radians(1.2))
         return walls
 
 
@@ -551,7 +584,7 @@ class neighbours(World):
         out, error = list(ranges), 0.0
         for i, z in enumerate(ranges):
             error = 0.8 * error + self.rng.gauss(0, 0.6 * 0.012)
-            out[i] = z if z == MAX else min(max(z + error, 0.05), MAX)
+            out[i] = z if z == self.max_range else min(max(z + error, 0.05), self.max_range)
         return out
 
 
@@ -575,14 +608,14 @@ class frame_turned(World):
 @case(covariate="everywhere")
 class noisier(World):
     def sigma(self, *_):
-        return 1.25 * NOISE
+        return 1.25 * self.noise
 
 
 @case(["range_noise"])
 class noise_range_table(World):
     def sigma(self, z, *_):
         self.levels = getattr(self, "levels", None) or [self.draw.random() for _ in range(6)]
-        return NOISE * (1 + 2.5 * self.levels[min(int(z / 1.5), 5)])
+        return self.noise * (1 + 2.5 * self.levels[min(int(z / 1.5), 5)])
 
 
 @case(["incidence_dropout"])
@@ -615,7 +648,7 @@ class mixed_near(World):
         out = list(ranges)
         for i in range(1, len(ranges)):
             near, far = sorted((nominal[i - 1], nominal[i]))
-            if far - near > 0.3 and far < MAX and self.rng.random() < 0.6:
+            if far - near > 0.3 and far < self.max_range and self.rng.random() < 0.6:
                 out[i] = near + 0.4 * self.rng.random() ** 2 * (far - near)
         return out
 
@@ -623,7 +656,7 @@ class mixed_near(World):
 @case(covariate="place")
 class surface(World):
     def bias(self, wall, **b):
-        return -0.012 if wall in (0, 4, 6, 10) else 0.0
+        return -0.012 if wall in self.floor.surfaces else 0.0
 
 
 @case(covariate="range")
@@ -638,12 +671,12 @@ class noise_of_turns(World):
 
     def stamp(self, time):
         if time > 0.1:
-            path = Drive()
+            path = Drive(self.floor)
             self.turning = abs(wrap(path(time)[2] - path(time - 0.1)[2])) / 0.1
         return time
 
     def sigma(self, *_):
-        return NOISE * (1 + 4 * self.turning)
+        return self.noise * (1 + 4 * self.turning)
 
 
 @case(["range_scale", "incidence_noise"])
@@ -672,6 +705,10 @@ for laser in ("half", "wide", "fine"):
         CASES[f"{base}_{laser}"] = type(f"{base}_{laser}", (CASES[base],), LASERS[laser])
 for base in ("bias", "scale", "yaw", "late", "dropout", "noise_range", "moved", "thing", "odometry_long", "ripple", "swing"):
     CASES[f"{base}_bare"] = type(f"{base}_bare", (CASES[base],), dict(bare=True))
+# An office with rooms, in which the robot waits at stops, seen by a laser with more noise over half of the circle.
+OFFICE = dict(floor=Office, noise=0.015, max_range=16.0, beams=181, field=math.pi, first=-math.pi / 2)
+for base in [name for name in CASES if name.rsplit("_", 1)[-1] not in ("half", "wide", "fine", "bare") and not name.startswith("short_wall")]:
+    CASES[f"{base}_office"] = type(f"{base}_office", (CASES[base],), OFFICE)
 
 
 def main():

@@ -14,7 +14,7 @@
 //! | predictions | [`ConditionalDistribution`]: a [`Distribution`] and whether the query is in the data ([`Support`]) |
 //! | quality | [`Loss`], [`losses`], [`risk`] |
 //! | settings | [`cross_validate`] with [`grid_search`] or [`optimize`] |
-//! | curves of residuals | [`curve`]: what a moment of PITs depends on, level by level |
+//! | curves of residuals | [`curve`]: what a moment of PITs depends on, level by level; [`wave`]: whether that is a wave |
 //! | speed | [`ConditionalDistribution::predict_batch`]; [`Table`] for single densities |
 //!
 //! `docs/sensor-in-20-lines.md` shows the whole way for a new sensor. In short:
@@ -66,6 +66,7 @@ mod smoother;
 mod standardized;
 mod table;
 mod thin;
+pub mod wave;
 
 pub use alignment::Alignment;
 pub use dataset::Dataset;

@@ -44,7 +44,7 @@ pub use nominal::Nominal;
 pub use outcome::{
     BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,
     Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, ResidualStage, Rival,
-    Unnamed, Verdict, Wave,
+    Unnamed, Verdict,
 };
 pub use pose_error::PoseError;
 pub use purpose::Purpose;

@@ -95,7 +95,7 @@ pub struct Unnamed {
     /// neighbouring beams; the odometry's lag.
     pub size: f64,
     /// The wave that the curve is.
-    pub wave: Option<Wave>,
+    pub wave: Option<distreg::wave::Wave>,
     /// The curve with its 95 % band; of a lag, the lag itself.
     pub curve: Vec<CurvePoint>,
 }
@@ -117,17 +117,6 @@ impl ResidualStage {
     pub fn is_nearer(&self) -> bool {
         self.w1_mm < self.w1_without_mm
     }
-}
-
-/// A wave over a covariate.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Wave {
-    /// Its period, in the covariate's SI unit.
-    pub period: f64,
-    /// How often it comes around in a full circle, or in the log.
-    pub count: f64,
-    /// Its amplitude, in the curve's unit.
-    pub amplitude: f64,
 }
 
 /// A point of a curve.

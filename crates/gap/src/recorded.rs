@@ -97,6 +97,12 @@ impl Recorded {
         Self { odometry, readings, ..self.clone() }.masked()
     }
 
+    /// The same with other reference poses.
+    pub(crate) fn with_reference(&self, other: impl Fn(&Pose2) -> Pose2) -> Self {
+        let of = |track: &Track| track.with_poses(track.poses().iter().map(&other).collect());
+        Self { track: of(&self.track), along: self.along.as_ref().map(of), ..self.clone() }
+    }
+
     /// The same without the readings of more beams.
     pub(crate) fn without(&self, ignored: &[bool]) -> Self {
         let mut log = self.clone();

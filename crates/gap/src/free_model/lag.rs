@@ -4,62 +4,48 @@ use locsim_core::{Pose2, Track, wrap_angle};
 use locsim_world::effect::Effects;
 use locsim_world::simulation::{self, Increment, standardized};
 
+use super::{Misalignment, fold_of};
 use crate::hypothesis::{Comparison, Fitted};
-use crate::statistics::{FOLD_SCANS, fold_count};
+use crate::statistics::{Covariate, Deviation, fold_count};
 
 /// Lags that are tried: to both sides up to half a second, in steps of this \[s\]: 1 cm at 1 m/s, the noise of a laser.
 const STEPS: i32 = 50;
 const STEP_SECS: f64 = 0.01;
 
-/// The odometry's lag behind the stamps, fitted to a log.
-#[derive(Clone, Debug)]
-pub(crate) struct Lag {
-    pub secs: f64,
-    /// Its standard error \[s\]: by the curvature of the log likelihood.
-    pub error_secs: f64,
-    /// Gain on each fold by the lag of the others (nats).
-    pub gains: Vec<f64>,
-}
-
-impl Lag {
-    pub fn new(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted) -> Self {
-        let recorded = comparison.recorded;
-        let corrected = comparison.corrected(&fitted.corrections);
-        let increments = Increment::all(effects, &corrected, &recorded.odometry);
-        let track = recorded.track.with_poses(corrected);
-        let count = fold_count(recorded.scans());
-        // Log likelihood of each fold at each lag, up to a constant.
-        let at = |step: i32| -> Vec<f64> {
-            let mut folds = vec![0.0; count];
-            let lagging = lagging(&track, f64::from(step) * STEP_SECS, &increments);
-            for (i, increment) in lagging.enumerate() {
-                let errors = standardized(&increment, &fitted.nuisances.odometry_error);
-                let fold = ((i + 1) / FOLD_SCANS).min(count - 1);
-                folds[fold] -= 0.5 * errors.iter().map(|e| e * e).sum::<f64>();
-            }
-            folds
-        };
-        let all: Vec<Vec<f64>> = (-STEPS..=STEPS).map(at).collect();
-        let total: Vec<f64> = all.iter().map(|folds| folds.iter().sum()).collect();
-        let none = STEPS as usize;
-        let best = |of: &dyn Fn(usize) -> f64| {
-            (0..all.len()).max_by(|&a, &b| of(a).total_cmp(&of(b))).unwrap_or(none)
-        };
-        let gain = |fold: usize| {
-            let lag = best(&|i| total[i] - all[i][fold]);
-            all[lag][fold] - all[none][fold]
-        };
-        let lag = best(&|i| total[i]).clamp(1, all.len() - 2);
-        let curvature = (2.0 * total[lag] - total[lag - 1] - total[lag + 1]).max(1e-6);
-        Self {
-            secs: (lag as f64 - none as f64) * STEP_SECS,
-            error_secs: STEP_SECS / curvature.sqrt(),
-            gains: (0..count).map(gain).collect(),
+/// The odometry's lag behind the stamps \[s\], with its standard error by the curvature of the log likelihood, and the gain on each fold by the
+/// lag of the others.
+pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted) -> Misalignment {
+    let recorded = comparison.recorded;
+    let corrected = comparison.corrected(&fitted.corrections);
+    let increments = Increment::all(effects, &corrected, &recorded.odometry);
+    let track = recorded.track.with_poses(corrected);
+    let count = fold_count(recorded.scans());
+    // Log likelihood of each fold at each lag, up to a constant.
+    let at = |step: i32| -> Vec<f64> {
+        let mut folds = vec![0.0; count];
+        let lagging = lagging(&track, f64::from(step) * STEP_SECS, &increments);
+        for (i, increment) in lagging.enumerate() {
+            let errors = standardized(&increment, &fitted.nuisances.odometry_error);
+            folds[fold_of(i + 1, count)] -= 0.5 * errors.iter().map(|e| e * e).sum::<f64>();
         }
-    }
-
-    pub fn gain(&self) -> f64 {
-        self.gains.iter().sum()
+        folds
+    };
+    let all: Vec<Vec<f64>> = (-STEPS..=STEPS).map(at).collect();
+    let total: Vec<f64> = all.iter().map(|folds| folds.iter().sum()).collect();
+    let none = STEPS as usize;
+    let best =
+        |of: &dyn Fn(usize) -> f64| (0..all.len()).max_by(|&a, &b| of(a).total_cmp(&of(b))).unwrap_or(none);
+    let gain = |fold: usize| {
+        let lag = best(&|i| total[i] - all[i][fold]);
+        all[lag][fold] - all[none][fold]
+    };
+    let lag = best(&|i| total[i]).clamp(1, all.len() - 2);
+    let curvature = (2.0 * total[lag] - total[lag - 1] - total[lag + 1]).max(1e-6);
+    Misalignment {
+        deviation: Deviation::Lag,
+        covariate: Covariate::Odometry,
+        estimate: [(lag as f64 - none as f64) * STEP_SECS, STEP_SECS / curvature.sqrt()],
+        gains: (0..count).map(gain).collect(),
     }
 }
 
@@ -91,8 +77,8 @@ mod tests {
             let recorded = Recorded::new(&drive, 400, 24, |_| true).unwrap();
             let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
             let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-            let lag = Lag::new(&comparison, &NOMINAL.effects, &fitted);
-            assert!((lag.secs - 0.1 * f64::from(late)).abs() < 0.03, "{lag:?}");
+            let lag = lag(&comparison, &NOMINAL.effects, &fitted);
+            assert!((lag.estimate[0] - 0.1 * f64::from(late)).abs() < 0.03, "{lag:?}");
             assert_eq!(lag.gain() > 5.0, late > 0, "{lag:?}");
         }
     }

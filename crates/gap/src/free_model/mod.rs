@@ -13,6 +13,7 @@
 //! | one smooth curve, fitted without each fold | [`distreg::curve`] |
 
 mod covariates;
+mod frame;
 mod lag;
 mod large;
 mod outcomes;
@@ -22,7 +23,8 @@ use locsim_core::Draw;
 use locsim_world::effect::Effects;
 
 pub(crate) use covariates::{Axis, Covariates};
-pub(crate) use lag::Lag;
+pub(crate) use frame::turned_frame;
+pub(crate) use lag::lag;
 
 use crate::fit::sum_error;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
@@ -112,6 +114,23 @@ pub(crate) struct Component {
 }
 
 impl Component {
+    pub fn gain(&self) -> f64 {
+        self.gains.iter().sum()
+    }
+}
+
+/// By how much odometry or reference are off as a whole.
+#[derive(Clone, Debug)]
+pub(crate) struct Misalignment {
+    pub deviation: Deviation,
+    pub covariate: Covariate,
+    /// Fitted to a log, SI unit, and its standard error.
+    pub estimate: [f64; 2],
+    /// Log score gained on folds (nats).
+    pub gains: Vec<f64>,
+}
+
+impl Misalignment {
     pub fn gain(&self) -> f64 {
         self.gains.iter().sum()
     }

@@ -8,7 +8,7 @@ use super::selection::{is_of_odometry, is_sure};
 use super::unnamed::fit_wave;
 use super::{Round, State};
 use crate::fit::Candidate;
-use crate::free_model::{Axis, Covariates, FreeModel, Lag, Part};
+use crate::free_model::{Axis, Covariates, FreeModel, Part, lag, turned_frame};
 use crate::null::REFIT;
 use crate::statistics::{Covariate, Deviation, Survey, pit_draw};
 use crate::{GapError, Purpose};
@@ -48,7 +48,11 @@ impl<'a> State<'a> {
         let own = pit_draw(self.options.seed);
         let model =
             FreeModel::new(&round.comparison, &effects, &round.fitted, &covariates, &own, Part::Whole);
-        let lag = Lag::new(&round.comparison, &effects, &round.fitted);
+        let frame =
+            turned_frame(&round.comparison, &effects, &round.fitted)?.filter(|frame| frame.gain() > 0.0);
+        let has_frame = frame.is_some();
+        let misalignments =
+            [lag(&round.comparison, &effects, &round.fitted)].into_iter().chain(frame).collect();
         let simulated = (0..LOGS)
             .into_par_iter()
             .map(|i| {
@@ -58,10 +62,12 @@ impl<'a> State<'a> {
                 let fitted = comparison.find_nuisances(&effects, &round.fitted.nuisances, REFIT);
                 let own = pit_draw(seed);
                 let model = FreeModel::new(&comparison, &effects, &fitted, &covariates, &own, Part::Whole);
-                Ok((model, Lag::new(&comparison, &effects, &fitted)))
+                let frame = if has_frame { turned_frame(&comparison, &effects, &fitted)? } else { None };
+                let misalignments = [lag(&comparison, &effects, &fitted)].into_iter().chain(frame).collect();
+                Ok((model, misalignments))
             })
             .collect::<Result<_, GapError>>()?;
-        Ok(Judgement { model, covariates, lag, simulated })
+        Ok(Judgement { model, covariates, misalignments, simulated })
     }
 
     /// Effects that act on what the free model gains most by. They are fitted, however little their formulas say: a range scale that
@@ -166,7 +172,8 @@ mod tests {
             let curve = levels.iter().map(|&x| Some([course(x), 0.001])).collect();
             let component = Component { moment, covariate, axis: 0, curve, gains: vec![10.0; 4] };
             let (deviation, gains) = (moment, component.gains.clone());
-            let dependence = Dependence { deviation, covariate, gains, component: Some(&component) };
+            let dependence =
+                Dependence { deviation, covariate, gains, component: Some(&component), misalignment: None };
             may_have_any_form(&dependence, &[Axis::of_levels(covariate, levels.clone())])
         };
         let square: fn(f64) -> f64 = |x| 0.002 * x * x;

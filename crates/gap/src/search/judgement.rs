@@ -5,7 +5,7 @@ use locsim_world::effect::{Effect, EffectKind, Score, Statistic};
 
 use super::selection::is_of_wall;
 use crate::fit::{Candidate, sum_error};
-use crate::free_model::{Component, Covariates, FreeModel, Lag};
+use crate::free_model::{Component, Covariates, FreeModel, Misalignment};
 use crate::statistics::{Covariate, Deviation, Survey};
 
 /// The least gain of a dependence that is told (nats), and its least gain in standard errors over folds.
@@ -27,6 +27,8 @@ pub struct Dependence<'j> {
     pub gains: Vec<f64>,
     /// Its curve, of the readings.
     pub component: Option<&'j Component>,
+    /// The same of odometry or reference.
+    pub misalignment: Option<&'j Misalignment>,
 }
 
 impl Dependence<'_> {
@@ -91,9 +93,9 @@ fn beyond(gains: &[f64], floor: f64) -> Vec<f64> {
 pub struct Judgement {
     pub model: FreeModel,
     pub covariates: Covariates,
-    pub lag: Lag,
+    pub misalignments: Vec<Misalignment>,
     /// Of logs that are simulated by the hypothesis.
-    pub simulated: Vec<(FreeModel, Lag)>,
+    pub simulated: Vec<(FreeModel, Vec<Misalignment>)>,
 }
 
 impl Judgement {
@@ -116,17 +118,23 @@ impl Judgement {
         let of_readings = self.model.components.iter().map(|component| {
             let Component { moment, covariate, ref gains, .. } = *component;
             let floors = self.simulated.iter().map(|(model, _)| model.gain_of(moment, covariate));
-            (moment, covariate, gains, floors.fold(0.0, f64::max), Some(component))
+            (moment, covariate, gains, floors.fold(0.0, f64::max), Some(component), None)
         });
-        let floor = self.simulated.iter().map(|(_, lag)| lag.gain()).fold(0.0, f64::max);
-        let of_odometry = (Deviation::Lag, Covariate::Odometry, &self.lag.gains, floor, None);
+        let others = self.misalignments.iter().map(|misalignment| {
+            let simulated = self.simulated.iter().flat_map(|(_, misalignments)| misalignments);
+            let floors =
+                simulated.filter(|other| other.deviation == misalignment.deviation).map(Misalignment::gain);
+            let Misalignment { deviation, covariate, ref gains, .. } = *misalignment;
+            (deviation, covariate, gains, floors.fold(0.0, f64::max), None, Some(misalignment))
+        });
         let mut all: Vec<Dependence<'_>> = of_readings
-            .chain([of_odometry])
-            .map(|(deviation, covariate, gains, floor, component)| Dependence {
+            .chain(others)
+            .map(|(deviation, covariate, gains, floor, component, misalignment)| Dependence {
                 deviation,
                 covariate,
                 gains: beyond(gains, floor),
                 component,
+                misalignment,
             })
             .filter(|found| is_sure(&found.gains))
             .collect();
@@ -232,7 +240,8 @@ mod tests {
             };
             let deviation = Deviation::Spread;
             let gains = component.gains.clone();
-            Dependence { deviation, covariate, gains, component: Some(&component) }.is_left_by_neighbours(0.6)
+            Dependence { deviation, covariate, gains, component: Some(&component), misalignment: None }
+                .is_left_by_neighbours(0.6)
         };
         assert!(left(Covariate::Everywhere, -0.19) && left(Covariate::Everywhere, -0.21));
         assert!(!left(Covariate::Everywhere, -0.3) && !left(Covariate::Everywhere, 0.2));

@@ -1,22 +1,14 @@
 //! Dependences that no effect explains, for people.
 
-use std::f64::consts::TAU;
-
+use distreg::wave::{self, Wave};
 use locsim_core::Estimate;
 use locsim_world::effect::Effect;
 
 use super::judgement::{Dependence, Judgement, acts_on};
 use super::selection::gain;
 use crate::free_model::Axis;
-use crate::outcome::{CurvePoint, Evidence, Unnamed, Wave};
+use crate::outcome::{CurvePoint, Evidence, Unnamed};
 use crate::statistics::{Covariate, Deviation, Survey};
-
-/// A wave has to explain this share of a curve's variance, and to come and go more often than this over what was seen: a trend
-/// is no wave.
-const WAVE_SHARE: f64 = 0.7;
-const FEWEST_WAVES: f64 = 1.5;
-/// Levels in a wave, at the least.
-const LEVELS_PER_WAVE: f64 = 3.0;
 
 /// The dependences of a log beyond a round's effects.
 pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p: f64) -> Vec<Unnamed> {
@@ -29,9 +21,9 @@ pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p
         let gain_nats = gain(&dependence.gains);
         let gain_nats_per_scan = gain_nats.value / scans;
         let evidence = Evidence { gain_nats, gain_nats_per_scan, score: None, p };
-        let lag = || vec![point(0.0, None, [judgement.lag.secs, judgement.lag.error_secs])];
+        let shift = dependence.misalignment.map(|found| point(0.0, None, found.estimate));
         let (curve, wave) = dependence.component.map_or_else(
-            || (lag(), None),
+            || (shift.into_iter().collect(), None),
             |component| {
                 let axis = &judgement.covariates.axes[component.axis];
                 (points(axis, &component.curve), wave(axis, &component.curve))
@@ -39,11 +31,11 @@ pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p
         );
         let unit = match (dependence.deviation, dependence.covariate) {
             (Deviation::Lag, _) => "s",
+            (Deviation::Frame, _) => "rad",
             (Deviation::Mean, covariate) if covariate != Covariate::Neighbour => "m",
             _ => "1",
         };
         let size = match (dependence.covariate, &wave) {
-            (Covariate::Odometry, _) => judgement.lag.secs,
             (Covariate::Neighbour, _) => judgement.neighbour_correlation(),
             (_, Some(wave)) => wave.amplitude,
             _ => largest(&curve),
@@ -85,7 +77,7 @@ fn wave(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Option<Wave> {
     matches!(axis.covariate, Covariate::Bearing | Covariate::Time).then(|| fit_wave(axis, curve)).flatten()
 }
 
-/// The wave that a curve over an ordered covariate is, if it is one (least squares, weighted by how sure each level is).
+/// The wave that a curve over an ordered covariate is, if it is one.
 pub fn fit_wave(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Option<Wave> {
     let points: Vec<[f64; 3]> = axis
         .levels
@@ -94,44 +86,13 @@ pub fn fit_wave(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Option<Wave> {
         .filter_map(|(&x, point)| point.map(|[y, error]| [x, y, error.max(1e-9).powi(-2)]))
         .collect();
     // Bearings come full circle; others don't.
-    let is_circle = axis.covariate == Covariate::Bearing;
-    let span = points.last()?[0] - points.first()?[0];
-    if span <= 0.0 {
-        return None;
-    }
-    let most = points.len() as f64 / LEVELS_PER_WAVE;
-    let counts: Vec<f64> = if is_circle {
-        let circles = (span / TAU).max(1e-9);
-        (1..=(most / circles) as u32).map(f64::from).collect()
-    } else {
-        (0..=(10.0 * (most - FEWEST_WAVES)) as u32).map(|i| FEWEST_WAVES + 0.1 * f64::from(i)).collect()
-    };
-    let weight: f64 = points.iter().map(|[_, _, w]| w).sum();
-    let mean = points.iter().map(|[_, y, w]| y * w).sum::<f64>() / weight;
-    let variation: f64 = points.iter().map(|[_, y, w]| w * (y - mean).powi(2)).sum();
-    let fitted = counts.into_iter().map(|count| {
-        let period = if is_circle { TAU / count } else { span / count };
-        // Normal equations of mean, cosine and sine; the mean is nearly apart from the others.
-        let [mut cc, mut cs, mut ss, mut cy, mut sy] = [0.0; 5];
-        for [x, y, w] in &points {
-            let (sin, cos) = (TAU * x / period).sin_cos();
-            cc += w * cos * cos;
-            cs += w * cos * sin;
-            ss += w * sin * sin;
-            cy += w * cos * (y - mean);
-            sy += w * sin * (y - mean);
-        }
-        let determinant = (cc * ss - cs * cs).max(1e-300);
-        let (a, b) = ((cy * ss - sy * cs) / determinant, (sy * cc - cy * cs) / determinant);
-        let share = (a * cy + b * sy) / variation.max(1e-300);
-        (share, Wave { period, count, amplitude: a.hypot(b) })
-    });
-    let (share, wave) = fitted.max_by(|a, b| a.0.total_cmp(&b.0))?;
-    (share >= WAVE_SHARE).then_some(wave)
+    wave::fit(&points, axis.covariate == Covariate::Bearing)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use super::*;
 
     fn axis(covariate: Covariate, levels: Vec<f64>) -> Axis {

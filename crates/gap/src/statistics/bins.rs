@@ -146,9 +146,7 @@ impl Family for Bins {
         let statistic = |covariate, bin: &Bin, deviation| {
             let form = match deviation {
                 Deviation::Short | Deviation::NoReturn | Deviation::Long => Form::Count,
-                Deviation::Mean | Deviation::Spread | Deviation::Skew | Deviation::Share | Deviation::Lag => {
-                    Form::Other
-                }
+                _ => Form::Other,
             };
             let Bin { lo, hi, place } = *bin;
             Statistic::of_cell(Cell { covariate, lo, hi, place, deviation }, form)

@@ -218,6 +218,8 @@ pub enum Deviation {
     Share,
     /// How late something is.
     Lag,
+    /// How far the reference's frame is turned.
+    Frame,
 }
 
 /// A cell of the omnibus search.

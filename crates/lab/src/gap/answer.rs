@@ -248,6 +248,7 @@ pub(super) fn deviation_text(region: &Region) -> &'static str {
     }
     match (region.deviation, more) {
         (Deviation::Lag, _) => "late",
+        (Deviation::Frame, _) => "turned",
         (Deviation::Share, true) => "too many readings",
         (Deviation::Share, false) => "too few readings",
         (Deviation::Skew, true) => "errors with a tail to the long side",

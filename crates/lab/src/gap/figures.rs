@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use locsim_core::Interval;
-use locsim_gap::{BeamPit, Covariate, Outcome, PitHistogram, Profile, Unnamed};
+use locsim_gap::{BeamPit, Outcome, PitHistogram, Profile, Unnamed};
 use plotters::prelude::{Circle, Color, PathElement, RGBColor, Rectangle, Text};
 
 use super::{GapStudy, covariate, curve, map_error, profile, unnamed};
@@ -93,7 +93,7 @@ pub(super) fn all(study: &GapStudy, outcome: &Outcome) -> Result<Vec<Figure>, Re
             curve::draw(&curves, sides()[1]),
         )?);
     }
-    let places = outcome.unnamed.iter().find(|found| found.covariate == Covariate::Place);
+    let places = outcome.unnamed.iter().find(|found| found.curve.iter().any(|point| point.place.is_some()));
     if let Some(found) = places {
         figures.push(figure(
             "unnamed-places",

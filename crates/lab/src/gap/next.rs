@@ -1,6 +1,6 @@
 //! The next steps for the reader, in three lines that follow from the verdict.
 
-use locsim_gap::{Covariate, Named, Outcome, Region, ResidualStage, Unnamed, Verdict};
+use locsim_gap::{Covariate, Deviation, Named, Outcome, Region, ResidualStage, Unnamed, Verdict};
 use locsim_world::effect::{Description, Moves};
 
 use super::answer::{change_in_words, others, p_value, region_text};
@@ -108,6 +108,9 @@ fn remedy(effects: &[Named]) -> String {
 fn rest(outcome: &Outcome) -> String {
     let without_name = outcome.unnamed.iter().find(|found| found.form_of.is_none());
     match (without_name, outcome.unnamed.first()) {
+        (Some(found), _) if found.deviation == Deviation::Frame => {
+            "Turn the reference's poses into the map's frame: they come from another map, or from an older one.".to_owned()
+        }
         (Some(found), _) => {
             // What depends on place isn't a property of the robot.
             let at = if found.covariate == Covariate::Place { "in the surroundings" } else { "on the robot" };

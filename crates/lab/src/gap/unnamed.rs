@@ -1,6 +1,6 @@
 //! Dependences without a name, in words.
 
-use locsim_gap::{Covariate, CurvePoint, Deviation, Unnamed, Wave};
+use locsim_gap::{Covariate, CurvePoint, Deviation, Unnamed};
 
 use super::covariate::{self, spot};
 use locsim_report::text::{fixed, significant};
@@ -9,6 +9,9 @@ use locsim_report::text::{fixed, significant};
 pub(super) fn sentence(found: &Unnamed) -> String {
     match (found.deviation, found.covariate) {
         (Deviation::Lag, _) => format!("The odometry lags by {}.", size(found)),
+        (Deviation::Frame, _) => {
+            format!("The reference's frame is turned by {} against the map's.", size(found))
+        }
         (Deviation::Mean, Covariate::Neighbour) => {
             format!("Neighbouring beams err alike: {}.", size(found))
         }
@@ -55,6 +58,7 @@ pub(super) fn noun(found: &Unnamed) -> &'static str {
         Deviation::NoReturn => "share of missing returns",
         Deviation::Share => "share of readings",
         Deviation::Lag => "lag",
+        Deviation::Frame => "turn of the reference's frame",
     }
 }
 
@@ -62,6 +66,7 @@ pub(super) fn noun(found: &Unnamed) -> &'static str {
 pub(super) fn size(found: &Unnamed) -> String {
     match (found.deviation, found.covariate) {
         (Deviation::Lag, _) => format!("{} s", fixed(found.size, 2)),
+        (Deviation::Frame, _) => format!("{} degrees", fixed(found.size.to_degrees(), 2)),
         (Deviation::Mean, Covariate::Neighbour) => format!("correlation {}", fixed(found.size, 2)),
         _ => value(found, found.size),
     }
@@ -78,13 +83,16 @@ fn value(found: &Unnamed, value: f64) -> String {
 
 /// A wave with its period, or the largest value with where it is.
 pub(super) fn extent(found: &Unnamed) -> String {
-    if matches!(found.covariate, Covariate::Neighbour | Covariate::Odometry | Covariate::Everywhere) {
+    if matches!(found.covariate, Covariate::Neighbour | Covariate::Odometry | Covariate::Everywhere)
+        || found.deviation == Deviation::Frame
+    {
         return size(found);
     }
-    if let Some(Wave { period, count, amplitude }) = found.wave {
+    if let Some(wave) = &found.wave {
+        let (period, count) = (wave.period, wave.count);
         let amplitude = match found.deviation {
-            Deviation::Spread => format!("{} % of the noise", significant(100.0 * amplitude)),
-            _ => value(found, amplitude),
+            Deviation::Spread => format!("{} % of the noise", significant(100.0 * wave.amplitude)),
+            _ => value(found, wave.amplitude),
         };
         return if found.covariate == Covariate::Bearing {
             format!("{} waves around, {amplitude}", fixed(count, 0))
