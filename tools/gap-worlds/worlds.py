@@ -123,8 +123,8 @@ def box(x, y, length, width, yaw):
     return edges([(x + c * u - s * v, y + s * u + c * v) for u, v in corners])
 
 
-def clutter(rng, walls, density):
-    """Boxes before the walls."""
+def clutter(rng, walls, density, robot=(math.inf, math.inf)):
+    """Boxes before the walls, none where the robot is."""
     found = []
     for (ax, ay), (bx, by) in walls:
         length = math.hypot(bx - ax, by - ay)
@@ -133,8 +133,9 @@ def clutter(rng, walls, density):
         while along < length:
             long, wide, gap, yaw = rng.uniform(0.12, 0.3), rng.uniform(0.1, 0.22), rng.uniform(0.0, 0.2), math.radians(rng.uniform(-30, 30))
             off = gap + (long * abs(math.sin(yaw)) + wide * math.cos(yaw)) / 2
-            found += box(ax + ux * along - uy * off, ay + uy * along + ux * off, long, wide,
-                         math.atan2(uy, ux) + yaw)
+            x, y = ax + ux * along - uy * off, ay + uy * along + ux * off
+            if math.hypot(x - robot[0], y - robot[1]) > 0.5:
+                found += box(x, y, long, wide, math.atan2(uy, ux) + yaw)
             along += rng.expovariate(density)
     return found
 
@@ -211,8 +212,9 @@ class World:
         for i, pose in enumerate(poses):
             if i:
                 a, b = poses[i - 1], pose
-                forward = (b[0] - a[0]) * math.cos(a[2]) + (b[1] - a[1]) * math.sin(a[2])
                 turn = wrap(b[2] - a[2])
+                middle = a[2] + turn / 2
+                forward = (b[0] - a[0]) * math.cos(middle) + (b[1] - a[1]) * math.sin(middle)
                 forward, turn = self.step(forward, turn)
                 if not self.bare:
                     forward += self.rng.gauss(0, 0.02 * abs(forward))
@@ -228,9 +230,9 @@ class World:
         times = [2.0 + i * (path.duration - 4.0) / SCANS for i in range(SCANS)]
         scans = []
         for time in times:
-            if not self.stays and not self.bare:
-                standing = clutter(rng, walls, 0.3)
             x, y, h = path(self.stamp(time))
+            if not self.stays and not self.bare:
+                standing = clutter(rng, walls, 0.3, (x, y))
             lx, ly, lh = x + mx * math.cos(h) - my * math.sin(h), y + mx * math.sin(h) + my * math.cos(h), h + mt
             ranges, nominal = [], []
             for beam, bearing in enumerate(self.bearings()):

@@ -7,8 +7,9 @@ use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Rol
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::GapError;
-use crate::hypothesis::{Comparison, Fitted};
+use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::matrix::invert;
+use crate::pose_error::PoseError;
 use crate::statistics::{FOLD_SCANS, Start};
 
 /// The most iterations of the simplex search for each parameter. They bound the time of a fit that doesn't settle.
@@ -104,7 +105,6 @@ pub(crate) struct Search<'c, 'a> {
 impl Search<'_, '_> {
     /// The best fit over several starts; `None` where nothing is gained.
     pub fn fit(&self, kind: EffectKind, starts: &[Start]) -> Result<Option<Candidate>, GapError> {
-        let errs = !self.start.nuisances.pose_error.is_none();
         let mut best: Option<(f64, Effect)> = None;
         for start in starts {
             let (value, effect) = self.maximize(kind, start)?;
@@ -112,24 +112,44 @@ impl Search<'_, '_> {
                 best = Some((value, effect));
             }
         }
-        let best = best.map(|best| self.polish(kind, best)).transpose()?;
-        match best {
-            Some((_, effect)) if kind.moves() == Moves::Scans || kind.moves() == Moves::Readings && errs => {
-                // Errors of the reference that were fitted without the effect have absorbed some of it.
-                let refitted = self.refitted(&effect)?;
-                let anew = Search { start: &refitted, ..*self };
-                let start = Start { values: effect.values.clone(), place: effect.place.clone() };
-                let (_, effect) = anew.maximize(kind, &start)?;
-                let refitted = anew.refitted(&effect)?;
-                let anew = Search { start: &refitted, ..*self };
-                let gains = anew.evaluate(&effect)?.total() > self.without.total() + LEAST_GAIN_NATS;
-                Ok(if gains { Some(anew.assess(effect)?) } else { None })
-            }
-            Some((value, effect)) if value > self.without.total() + LEAST_GAIN_NATS => {
-                Ok(Some(self.assess(effect)?))
-            }
-            _ => Ok(None),
+        let Some(best) = best else { return Ok(None) };
+        let (value, effect) = self.polish(kind, best)?;
+        let gain = value - self.without.total();
+        let errs = !self.start.nuisances.pose_error.is_none();
+        let is_absorbed = match kind.moves() {
+            Moves::Scans => true,
+            Moves::Readings => errs,
+            Moves::Walls => errs && gain > STRONG_NATS,
+            _ => false,
+        };
+        if !is_absorbed {
+            return if gain > LEAST_GAIN_NATS { self.assess(effect).map(Some) } else { Ok(None) };
         }
+        // Errors of the reference that were fitted without the effect have absorbed some of it, of a strong one nearly all.
+        let refitted = self.refitted(&effect)?;
+        let mut settled = Search { start: &refitted, ..*self }.settle(kind, &effect)?;
+        if errs && gain > STRONG_NATS {
+            let nuisances = Nuisances { pose_error: PoseError::NONE, ..self.start.nuisances };
+            let exact = self.comparison.start(&nuisances);
+            let other = Search { start: &exact, ..*self }.settle(kind, &effect)?;
+            if other.0 > settled.0 {
+                settled = other;
+            }
+        }
+        let (value, effect, refitted) = settled;
+        if value <= self.without.total() + LEAST_GAIN_NATS {
+            return Ok(None);
+        }
+        Search { start: &refitted, ..*self }.assess(effect).map(Some)
+    }
+
+    /// The maximum near an effect, with the nuisance parameters fitted to it then and its log likelihood under these.
+    fn settle(&self, kind: EffectKind, effect: &Effect) -> Result<(f64, Effect, Fitted), GapError> {
+        let start = Start { values: effect.values.clone(), place: effect.place.clone() };
+        let (_, effect) = self.maximize(kind, &start)?;
+        let refitted = self.refitted(&effect)?;
+        let value = Search { start: &refitted, ..*self }.evaluate(&effect)?.total();
+        Ok((value, effect, refitted))
     }
 
     /// Searches again from the end of a search, until that gains nothing more: of several parameters a simplex may shrink before it is at
@@ -243,40 +263,20 @@ impl Search<'_, '_> {
         let fitted = self.evaluate(&effect)?;
         let without = folds(&self.without.scans);
         let gains: Vec<f64> = folds(&fitted.scans).iter().zip(&without).map(|(a, b)| a - b).collect();
-        if effect.kind.is_stepped() {
-            let intervals = vec![Interval::around(effect.values[0], 0.0)];
-            let fitted_gains = gains.clone();
-            return Ok(Candidate {
-                effect,
-                gains,
-                fitted_gains,
-                intervals,
-                is_beyond_chance: false,
-                score: None,
+        let (gains, intervals) = if effect.kind.is_stepped() {
+            (gains, vec![Interval::around(effect.values[0], 0.0)])
+        } else {
+            let slopes = Slopes::new(self, &effect, fitted.total())?;
+            let gradient = slopes.gradient();
+            let inverse = invert(&slopes.information()?);
+            let held_out = gains.iter().enumerate().map(|(fold, gain)| {
+                let of_fold: Vec<f64> = gradient.iter().map(|of_folds| of_folds[fold]).collect();
+                gain - quadratic(&inverse, &of_fold).min(gain + MOST_LOST_NATS).max(0.0)
             });
-        }
-        let slopes = Slopes::new(self, &effect, fitted.total())?;
-        let gradient = slopes.gradient();
-        let inverse = invert(&slopes.information()?);
-        let left_out = |fold: usize| {
-            let of_fold: Vec<f64> = gradient.iter().map(|of_folds| of_folds[fold]).collect();
-            quadratic(&inverse, &of_fold)
+            (held_out.collect(), intervals(&effect, &inverse, &gradient))
         };
-        let held_out: Vec<f64> = gains
-            .iter()
-            .enumerate()
-            .map(|(fold, gain)| gain - left_out(fold).min(gain + MOST_LOST_NATS).max(0.0))
-            .collect();
-        let intervals = intervals(&effect, &inverse, &gradient);
-        let fitted_gains = held_out.clone();
-        Ok(Candidate {
-            effect,
-            gains: held_out,
-            fitted_gains,
-            intervals,
-            is_beyond_chance: false,
-            score: None,
-        })
+        let fitted_gains = gains.clone();
+        Ok(Candidate { effect, gains, fitted_gains, intervals, is_beyond_chance: false, score: None })
     }
 }
 

@@ -1,10 +1,11 @@
 //! Which effects are fitted, and where the fits start, by the statistics that are farthest off.
 
-use locsim_world::effect::{EffectKind, Fit};
+use locsim_world::effect::{EffectKind, Fit, Moves};
 
 use super::{Round, State};
-use crate::GapError;
+use crate::hypothesis::Nuisances;
 use crate::statistics::{Readings, Start, pit_draw};
+use crate::{GapError, PoseError};
 
 /// The statistics of an effect: z and index of each.
 type Directions = Vec<(f64, usize)>;
@@ -23,6 +24,12 @@ impl<'a> State<'a> {
         // Starts don't depend on PITs, nor on whether poses err.
         let pit = pit_draw(self.options.seed);
         let log = Readings::new(&round.comparison, &effects, &round.fitted, false, &pit);
+        // Errors of the reference that were fitted without a moved wall follow a part of it.
+        let Nuisances { pose_error, .. } = round.fitted.nuisances;
+        let exact = || Nuisances { pose_error: PoseError::NONE, ..round.fitted.nuisances };
+        let exact = (!pose_error.is_none()).then(|| round.comparison.start(&exact()));
+        let exact =
+            exact.as_ref().map(|fitted| Readings::new(&round.comparison, &effects, fitted, false, &pit));
         let guesses =
             self.promising(round, count, chance, further).into_iter().map(|(kind, mut directions)| {
                 directions.sort_by(|a, b| round.says(b.1, a.1));
@@ -31,9 +38,12 @@ impl<'a> State<'a> {
                 let group = |index: usize| round.dictionary.statistics[index].group;
                 let most_telling = group(directions[0].1);
                 directions.retain(|&(_, index)| group(index) == most_telling);
-                (kind, round.dictionary.first_guesses(&log, &directions))
+                let exact = exact.as_ref().filter(|_| kind.moves() == Moves::Walls);
+                let logs = [Some(&log), exact].into_iter().flatten();
+                let starts = logs.flat_map(|log| round.dictionary.first_guesses(log, &directions));
+                (kind, starts.collect())
             });
-        Ok(guesses.filter(|(_, starts)| !starts.is_empty()).collect())
+        Ok(guesses.filter(|(_, starts): &(EffectKind, Vec<Start>)| !starts.is_empty()).collect())
     }
 
     /// The effects whose statistics are farthest off, and further ones.
