@@ -7,9 +7,8 @@ use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Rol
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::GapError;
-use crate::hypothesis::{Comparison, Fitted, Nuisances};
+use crate::hypothesis::{Comparison, Fitted};
 use crate::matrix::invert;
-use crate::pose_error::PoseError;
 use crate::statistics::{FOLD_SCANS, Start};
 
 /// The most iterations of the simplex search for each parameter. They bound the time of a fit that doesn't settle.
@@ -128,12 +127,13 @@ impl Search<'_, '_> {
         // Errors of the reference that were fitted without the effect have absorbed some of it, of a strong one nearly all.
         let refitted = self.refitted(&effect)?;
         let mut settled = Search { start: &refitted, ..*self }.settle(kind, &effect)?;
-        if errs && gain > STRONG_NATS {
-            let nuisances = Nuisances { pose_error: PoseError::NONE, ..self.start.nuisances };
-            let exact = self.comparison.start(&nuisances);
-            let other = Search { start: &exact, ..*self }.settle(kind, &effect)?;
-            if other.0 > settled.0 {
-                settled = other;
+        let exact = self.comparison.start_exact(&self.start.nuisances);
+        if let Some(exact) = exact.filter(|_| gain > STRONG_NATS) {
+            let exact = Search { start: &exact, ..*self };
+            let start = Start { values: effect.values.clone(), place: effect.place.clone() };
+            let (value, effect) = exact.maximize(kind, &start)?;
+            if value > settled.0 {
+                settled = exact.settle(kind, &effect)?;
             }
         }
         let (value, effect, refitted) = settled;

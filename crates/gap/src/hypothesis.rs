@@ -130,6 +130,12 @@ impl<'a> Comparison<'a> {
         }
     }
 
+    /// Where an evaluation with an exact reference begins; `None` where these nuisances have none but that.
+    pub fn start_exact(&self, nuisances: &Nuisances) -> Option<Fitted> {
+        let exact = Nuisances { pose_error: PoseError::NONE, ..*nuisances };
+        (!nuisances.pose_error.is_none()).then(|| self.start(&exact))
+    }
+
     /// The log likelihood with `more` effects. `start` gives the nuisances and the reference's errors to begin with;
     /// the density of blocks and the errors are profiled, `iterations` times.
     pub fn evaluate(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {

@@ -4,11 +4,12 @@ use glam::DVec2;
 use locsim_core::Pose2;
 use locsim_world::effect::Effects;
 
-use super::{Misalignment, fold_of};
+use super::Misalignment;
 use crate::GapError;
+use crate::fit::folds;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::null::REFIT;
-use crate::statistics::{Covariate, Deviation, fold_count};
+use crate::statistics::{Covariate, Deviation};
 
 /// The turn of the reference's frame \[rad\], positive counter-clockwise, with the shift that goes with it, and what the log gains by poses in
 /// the map's frame. Turn and shift are those of the errors that were fitted to the reference; `None` where it has none.
@@ -43,11 +44,7 @@ pub(crate) fn turned_frame(
     let aligned = Comparison::new(comparison.nominal, &aligned)?.in_world(effects)?;
     let with = aligned.fit_nuisances_with(effects, &fitted.nuisances, REFIT).scans;
     let without = comparison.evaluate_views(&comparison.views, effects, fitted, 0).scans;
-    let mut gains = vec![0.0; fold_count(with.len())];
-    for (scan, (with, without)) in with.iter().zip(without).enumerate() {
-        let fold = fold_of(scan, gains.len());
-        gains[fold] += with - without;
-    }
+    let gains = folds(&with).iter().zip(folds(&without)).map(|(with, without)| with - without).collect();
     let (deviation, covariate) = (Deviation::Frame, Covariate::Place);
     Ok(Some(Misalignment { deviation, covariate, estimate: [-turn, information.sqrt().recip()], gains }))
 }

@@ -26,9 +26,8 @@ pub(crate) use covariates::{Axis, Covariates};
 pub(crate) use frame::turned_frame;
 pub(crate) use lag::lag;
 
-use crate::fit::sum_error;
-use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::pose_error::PoseError;
+use crate::fit::{folds as sums, sum_error};
+use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::{Covariate, Deviation, FOLD_SCANS, fold_count};
 use large::{Change, Large};
 use outcomes::{MOMENTS, Outcomes, Pull, Tilt};
@@ -172,7 +171,7 @@ impl FreeModel {
             large.gains.iter_mut().zip(before).for_each(|(gain, before)| *gain += before);
             Some((fitted, large))
         };
-        let trusted = Self::with_trusted_reference(comparison, effects, fitted, folds, part);
+        let trusted = Self::with_trusted_reference(comparison, effects, fitted, part);
         let trusted = trusted.and_then(|(fitted, before)| large_on(fitted, &before));
         let large = [large_on(fitted.clone(), &vec![0.0; folds]), trusted].into_iter().flatten();
         let changed = large.max_by(|a, b| a.1.gain().total_cmp(&b.1.gain())).map(|(fitted, large)| {
@@ -188,22 +187,14 @@ impl FreeModel {
         comparison: &Comparison<'_>,
         effects: &Effects,
         fitted: &Fitted,
-        folds: usize,
         part: Part,
     ) -> Option<(Fitted, Vec<f64>)> {
-        if fitted.nuisances.pose_error.is_none() {
-            return None;
-        }
+        let exact = comparison.start_exact(&fitted.nuisances)?;
         let evaluate = |fitted: &Fitted| comparison.evaluate_views(&comparison.views, effects, fitted, 0);
-        let nuisances = Nuisances { pose_error: PoseError::NONE, ..fitted.nuisances };
-        let trusted = evaluate(&comparison.start(&nuisances));
-        let mut gains = vec![0.0; folds];
-        for (scan, (without, with)) in trusted.scans.iter().zip(&evaluate(fitted).scans).enumerate() {
-            let fold = fold_of(scan, folds);
-            if part.includes(fold) {
-                gains[fold] += without - with;
-            }
-        }
+        let trusted = evaluate(&exact);
+        let sums = sums(&trusted.scans).into_iter().zip(sums(&evaluate(fitted).scans));
+        let of_fold = |(fold, (without, with))| if part.includes(fold) { without - with } else { 0.0 };
+        let gains = sums.enumerate().map(of_fold).collect();
         Some((trusted, gains))
     }
 

@@ -3,9 +3,8 @@
 use locsim_world::effect::{EffectKind, Fit, Moves};
 
 use super::{Round, State};
-use crate::hypothesis::Nuisances;
+use crate::GapError;
 use crate::statistics::{Readings, Start, pit_draw};
-use crate::{GapError, PoseError};
 
 /// The statistics of an effect: z and index of each.
 type Directions = Vec<(f64, usize)>;
@@ -25,9 +24,7 @@ impl<'a> State<'a> {
         let pit = pit_draw(self.options.seed);
         let log = Readings::new(&round.comparison, &effects, &round.fitted, false, &pit);
         // Errors of the reference that were fitted without a moved wall follow a part of it.
-        let Nuisances { pose_error, .. } = round.fitted.nuisances;
-        let exact = || Nuisances { pose_error: PoseError::NONE, ..round.fitted.nuisances };
-        let exact = (!pose_error.is_none()).then(|| round.comparison.start(&exact()));
+        let exact = round.comparison.start_exact(&round.fitted.nuisances);
         let exact =
             exact.as_ref().map(|fitted| Readings::new(&round.comparison, &effects, fitted, false, &pit));
         let guesses =

@@ -344,11 +344,13 @@ fn last_of_ranges(named: &[Named]) -> Option<usize> {
 
 /// Whether a candidate is what a named effect leaves: it gains little beside it, for one that changes the same moment.
 fn is_left_by(named: &Named, candidate: &Candidate, is_of_another_form: bool) -> bool {
-    let is_of_odometry = |kind: EffectKind| kind.moves() == Moves::Odometry;
-    if is_of_odometry(named.name) != is_of_odometry(candidate.kind()) {
+    let [a, b] = [named.name, candidate.kind()].map(|kind| kind.moves() == Moves::Odometry);
+    if a != b {
         return false;
     }
-    let share = match share_a_moment(named.name, candidate.kind()) {
+    // A formula that isn't quite right is off by a constant, too.
+    let is_constant = candidate.kind() == EffectKind::RangeBias;
+    let share = match is_constant || share_a_moment(named.name, candidate.kind()) {
         true if is_of_another_form => LEFT_BY_FORM_SHARE,
         true => LEFT_SHARE,
         false => LEFT_TO_ANY_SHARE,
@@ -427,6 +429,7 @@ mod tests {
         assert!(is_left(EffectKind::RangeDropout, 249.0, true));
         assert!(!is_left(EffectKind::RangeDropout, 251.0, true));
         assert!(!is_left(EffectKind::HeavyTail, 29.0, true));
+        assert!(is_left(EffectKind::RangeBias, 249.0, true) && !is_left(EffectKind::RangeBias, 31.0, false));
         // A thousandth of what is left may be the likelihood's own, but not of other data.
         assert!(is_left(EffectKind::HeavyTail, 0.2, false));
         assert!(!is_left(EffectKind::OdomTurnScale, 0.2, false));
