@@ -16,7 +16,8 @@ use crate::{Estimate, FilterError, Spread, Systematic};
 ///
 /// When particles are spread over a map, a sharp likelihood has its peaks between them. Which of several similar places
 /// survives then depends on the distance of its nearest particle. In small steps, particles climb to the peaks before
-/// the peaks are compared. Until the set has gathered, it is as large as its spread asks for.
+/// the peaks are compared. A scan is taken in by the power that the set bears before the moves; the scans that follow compare
+/// the peaks further. Until the set has gathered, it is as large as its spread asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AnnealingOptions {
     /// Particles of a global start. The first scan that distinguishes them resamples the set.
@@ -45,6 +46,10 @@ impl Default for AnnealingOptions {
         }
     }
 }
+
+/// Least share of the particles that an annealed scan leaves effective, where the filter's options have none: a scan has a say
+/// that is as fine as particles are dense.
+pub(crate) const LEAST_EFFECTIVE: f64 = 0.02;
 
 /// Moves are scaled by these in turn: to refine, to climb, to cross. How wide a likelihood's peaks are differs by a factor of
 /// thirty between sensor models.

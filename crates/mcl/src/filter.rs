@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::adaptive::{KldOptions, KldSampler, Lots};
 use crate::ancestry::{Ancestry, NO_PARENT};
-use crate::annealing::{Annealer, AnnealingOptions, Set, largest_step};
+use crate::annealing::{Annealer, AnnealingOptions, LEAST_EFFECTIVE, Set, largest_step};
 use crate::augmented::{Augmented, InjectionOptions};
 use crate::bins::PoseBins;
 use crate::error::{FilterError, check};
@@ -58,8 +58,8 @@ pub struct FilterOptions {
     /// filter of Musso, Oudjane and Le Gland 2001, with a bandwidth of the user's choice); `None` for none.
     pub regularization: Option<Spread>,
     /// A scan that would leave fewer effective particles than this share of their count is taken in by the largest power of its
-    /// likelihood that leaves as many, above 0 and below 1; `None` takes every scan in whole. A handful of particles has hardly
-    /// a covariance, and where the motion noise or the map is wrong, a few scans would leave no more.
+    /// likelihood that leaves as many, above 0 and below 1; `None` takes every scan in whole that isn't annealed. A handful of
+    /// particles has hardly a covariance, and where the motion noise or the map is wrong, a few scans would leave no more.
     pub least_effective_share: Option<f64>,
     /// Bins for the cluster estimate, `None` to do without it.
     pub clusters: Option<PoseBins>,
@@ -115,7 +115,7 @@ pub struct StepOutcome {
     /// 1 / sum of squared weights, after weighting and before resampling.
     pub effective_sample_size: f64,
     /// Power of the scan's likelihood that was taken in: 1 of a whole scan, less where
-    /// [`FilterOptions::least_effective_share`] cut it.
+    /// [`FilterOptions::least_effective_share`] or [`FilterOptions::annealing`] cut it.
     pub likelihood_power: f64,
     /// Number of particles that were weighted.
     pub particle_count: usize,
@@ -385,8 +385,8 @@ impl Filter {
                 Arc::make_mut(&mut self.weights).update(log_likelihood)
             }
             Some(annealer) => {
-                let share = self.options.least_effective_share;
-                let most = share.map_or(1.0, |share| bearable_power(&self.weights, log_likelihood, share));
+                let share = self.options.least_effective_share.unwrap_or(LEAST_EFFECTIVE);
+                let most = bearable_power(&self.weights, log_likelihood, share);
                 let weigher = &mut self.weigher;
                 let set = Set {
                     particles: Arc::make_mut(&mut self.particles),

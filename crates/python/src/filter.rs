@@ -45,7 +45,8 @@ const START_SIGMA: (f64, f64) = (0.2, 0.1);
 ///         while scans are less likely than they used to be; by default none are.
 ///     regularization: Standard deviations of the jitter after a resampling, of position [m] and heading [rad]; by default none.
 ///     least_effective_share: A scan that would leave a smaller share of the particles effective is taken in by the largest power of its
-///         likelihood that leaves as many (a scenario on a log has 0.02); by default all are taken in whole.
+///         likelihood that leaves as many (a scenario on a log has 0.02); by default all that aren't annealed
+///         are taken in whole.
 ///     annealing: How scans are taken in while the particles are spread, for a start anywhere in the map; by default at once.
 ///     table: Whether ray casts and densities come from tables, which are prepared first.
 ///     seed: Everything random derives from it.

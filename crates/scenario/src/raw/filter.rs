@@ -34,7 +34,7 @@ pub struct RawFilter {
     #[serde(default)]
     pub regularization: RawSpread,
     /// A scan that would leave fewer effective particles than this share is taken in by the largest power of its likelihood
-    /// that leaves as many; 0 to below 1, 0 takes all in whole. Default: 0.02 on a log, 0 in simulation.
+    /// that leaves as many; 0 to below 1, 0 takes all in whole that aren't annealed. Default: 0.02 on a log, 0 in simulation.
     pub least_effective_share: Option<f64>,
     /// `none`, or scans taken in by small powers of their likelihood while the particles are spread (Del Moral, Doucet and
     /// Jasra 2006), for a global start; costs some ten weighings of the particles for each such scan. Until they have gathered
