@@ -1,6 +1,7 @@
 use std::collections::HashSet;
 
-use locsim_core::Pose2;
+use locsim_core::{Pose2, Weights};
+use rand::{Rng, RngExt};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal};
 
@@ -64,6 +65,11 @@ impl KldSampler {
         (n.ceil() as usize).clamp(min, max)
     }
 
+    /// Least number of particles.
+    pub(crate) fn least(&self) -> usize {
+        self.options.min
+    }
+
     /// Draws poses until there are as many as the bins they occupy ask for; returns that number. `pose` draws
     /// from the distribution that is going to be resampled.
     ///
@@ -80,6 +86,29 @@ impl KldSampler {
             drawn += 1;
         }
         Ok(drawn)
+    }
+}
+
+/// Draws particles one by one, each as often as its weight says.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Lots {
+    cumulative: Vec<f64>,
+}
+
+impl Lots {
+    /// Takes over the weights of a set, which isn't empty.
+    pub fn prepare(&mut self, weights: &Weights) {
+        self.cumulative.clear();
+        self.cumulative.extend(weights.linear().iter().scan(0.0, |sum, w| {
+            *sum += w;
+            Some(*sum)
+        }));
+    }
+
+    /// The number of a particle.
+    pub fn draw(&self, rng: &mut impl Rng) -> usize {
+        let u: f64 = rng.random();
+        self.cumulative.partition_point(|&c| c <= u).min(self.cumulative.len() - 1)
     }
 }
 

@@ -1,3 +1,4 @@
+use std::f64::consts::PI;
 use std::fmt;
 use std::sync::Arc;
 
@@ -5,9 +6,9 @@ use locsim_core::{Draw, Laser, Particles, Pose2, RangeMap, Scan, SensorModel, St
 use rand::RngExt;
 use serde::Serialize;
 
-use crate::adaptive::{KldOptions, KldSampler};
+use crate::adaptive::{KldOptions, KldSampler, Lots};
 use crate::ancestry::{Ancestry, NO_PARENT};
-use crate::annealing::{Annealer, AnnealingOptions, Set, largest_step};
+use crate::annealing::{Annealer, AnnealingOptions, LEAST_EFFECTIVE, Set, largest_step};
 use crate::augmented::{Augmented, InjectionOptions};
 use crate::bins::PoseBins;
 use crate::error::{FilterError, check};
@@ -36,6 +37,10 @@ pub enum ResampleTrigger {
     EffectiveShareBelow(f64),
 }
 
+/// Bins and error by which a filter with a fixed number of particles has more while scans are annealed: AMCL's.
+const SPREAD: KldOptions =
+    KldOptions { min: 1, max: 20_000, error: 0.05, quantile: 0.99, bin_m: 0.5, bin_rad: PI / 18.0 };
+
 /// Options of a filter.
 #[derive(Clone, Debug)]
 pub struct FilterOptions {
@@ -53,8 +58,8 @@ pub struct FilterOptions {
     /// filter of Musso, Oudjane and Le Gland 2001, with a bandwidth of the user's choice); `None` for none.
     pub regularization: Option<Spread>,
     /// A scan that would leave fewer effective particles than this share of their count is taken in by the largest power of its
-    /// likelihood that leaves as many, above 0 and below 1; `None` takes every scan in whole. A handful of particles has hardly
-    /// a covariance, and where the motion noise or the map is wrong, a few scans would leave no more.
+    /// likelihood that leaves as many, above 0 and below 1; `None` takes every scan in whole that isn't annealed. A handful of
+    /// particles has hardly a covariance, and where the motion noise or the map is wrong, a few scans would leave no more.
     pub least_effective_share: Option<f64>,
     /// Bins for the cluster estimate, `None` to do without it.
     pub clusters: Option<PoseBins>,
@@ -110,7 +115,7 @@ pub struct StepOutcome {
     /// 1 / sum of squared weights, after weighting and before resampling.
     pub effective_sample_size: f64,
     /// Power of the scan's likelihood that was taken in: 1 of a whole scan, less where
-    /// [`FilterOptions::least_effective_share`] cut it.
+    /// [`FilterOptions::least_effective_share`] or [`FilterOptions::annealing`] cut it.
     pub likelihood_power: f64,
     /// Number of particles that were weighted.
     pub particle_count: usize,
@@ -168,8 +173,8 @@ pub struct Filter {
     /// Number of particles, the greatest where it varies.
     count: usize,
     kld: Option<KldSampler>,
-    /// Cumulative weights, for KLD sampling.
-    cumulative: Vec<f64>,
+    /// For KLD sampling.
+    lots: Lots,
     augmented: Option<Augmented>,
     annealer: Option<Annealer>,
     clusters: Option<Clusters>,
@@ -178,11 +183,16 @@ pub struct Filter {
     parents: Vec<u32>,
 }
 
-/// Scales log likelihoods by the largest power, at most 1, that leaves `share` of the particles effective; half of those that
-/// already are, where these are too few. Returns the power.
-fn temper(weights: &Weights, log_likelihood: &mut [f64], share: f64) -> f64 {
+/// The largest power of a likelihood, at most 1, that leaves `share` of the particles effective; half of those that already are,
+/// where these are too few.
+fn bearable_power(weights: &Weights, log_likelihood: &[f64], share: f64) -> f64 {
     let least = (share * log_likelihood.len() as f64).min(0.5 * weights.effective_sample_size());
-    let power = largest_step(weights, log_likelihood, 1.0, least);
+    largest_step(weights, log_likelihood, 1.0, least)
+}
+
+/// Scales log likelihoods by their bearable power and returns it.
+fn temper(weights: &Weights, log_likelihood: &mut [f64], share: f64) -> f64 {
+    let power = bearable_power(weights, log_likelihood, share);
     if power < 1.0 {
         // A power of 0 would make a number of what is impossible.
         log_likelihood.iter_mut().filter(|l| l.is_finite()).for_each(|l| *l *= power);
@@ -250,7 +260,18 @@ impl Filter {
         if let Some(share) = options.least_effective_share {
             check("least effective share", share, share > 0.0 && share < 1.0, "above 0 and below 1")?;
         }
-        let annealer = options.annealing.map(Annealer::new).transpose()?;
+        let annealer = options
+            .annealing
+            .map(|annealing| {
+                let size = match options.particles {
+                    ParticleCount::Fixed(min) => {
+                        KldOptions { min, max: SPREAD.max.min(annealing.candidates).max(min), ..SPREAD }
+                    }
+                    ParticleCount::Kld(kld) => kld,
+                };
+                Annealer::new(annealing, size, *start == Start::Global)
+            })
+            .transpose()?;
         let first = match (start, options.annealing) {
             (Start::Global, Some(annealing)) => count.max(annealing.candidates),
             _ => count,
@@ -270,7 +291,7 @@ impl Filter {
             log_likelihood: Arc::default(),
             weigher: Weigher::default(),
             kld,
-            cumulative: Vec::new(),
+            lots: Lots::default(),
             augmented: options.injection.map(Augmented::new).transpose()?,
             annealer,
             count,
@@ -364,17 +385,20 @@ impl Filter {
                 Arc::make_mut(&mut self.weights).update(log_likelihood)
             }
             Some(annealer) => {
-                // A varying number of particles is chosen when the step resamples.
-                let count =
-                    if self.kld.is_some() { self.particles.len().min(self.count) } else { self.count };
+                let share = self.options.least_effective_share.unwrap_or(LEAST_EFFECTIVE);
+                let most = bearable_power(&self.weights, log_likelihood, share);
                 let weigher = &mut self.weigher;
                 let set = Set {
                     particles: Arc::make_mut(&mut self.particles),
                     weights: Arc::make_mut(&mut self.weights),
                     log_likelihood,
                 };
-                annealer.weigh(set, count, map, self.seeds.filter, |poses, out| {
+                let weighed = annealer.weigh(set, most, map, self.seeds.filter, |poses, out| {
                     weigher.log_likelihoods(poses, laser, scan, map, model, out);
+                });
+                weighed.map(|(log_evidence, power)| {
+                    likelihood_power = power;
+                    log_evidence
                 })
             }
         };
@@ -543,21 +567,17 @@ impl Filter {
     /// Number of particles of the next set. KLD sampling draws from the distribution that will be resampled: the weighted
     /// particles with a `share` of random ones.
     fn sample_size(&mut self, share: f64, map: &dyn RangeMap) -> Result<usize, FilterError> {
-        let Some(kld) = &mut self.kld else { return Ok(self.particles.len()) };
+        let Some(kld) = &mut self.kld else {
+            let is_spread = self.annealer.as_ref().is_some_and(Annealer::is_due);
+            return Ok(if is_spread { self.particles.len() } else { self.count });
+        };
         let mut rng = Draw::new(self.seeds.sample_size, Stage::Resample, self.step).item(0);
-        let cumulative = &mut self.cumulative;
-        cumulative.clear();
-        cumulative.extend(self.weights.linear().iter().scan(0.0, |sum, w| {
-            *sum += w;
-            Some(*sum)
-        }));
-        let last = self.particles.len() - 1;
+        self.lots.prepare(&self.weights);
         kld.draw(|| {
             if rng.random::<f64>() < share {
                 return free_pose(map, &mut rng);
             }
-            let u: f64 = rng.random();
-            Ok(self.particles.get(cumulative.partition_point(|&c| c <= u).min(last)))
+            Ok(self.particles.get(self.lots.draw(&mut rng)))
         })
     }
 }

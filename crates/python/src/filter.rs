@@ -45,7 +45,8 @@ const START_SIGMA: (f64, f64) = (0.2, 0.1);
 ///         while scans are less likely than they used to be; by default none are.
 ///     regularization: Standard deviations of the jitter after a resampling, of position [m] and heading [rad]; by default none.
 ///     least_effective_share: A scan that would leave a smaller share of the particles effective is taken in by the largest power of its
-///         likelihood that leaves as many (a scenario on a log has 0.02); by default all are taken in whole.
+///         likelihood that leaves as many (a scenario on a log has 0.02); by default all that aren't annealed
+///         are taken in whole.
 ///     annealing: How scans are taken in while the particles are spread, for a start anywhere in the map; by default at once.
 ///     table: Whether ray casts and densities come from tables, which are prepared first.
 ///     seed: Everything random derives from it.
@@ -88,13 +89,14 @@ impl KldSampling {
 }
 
 /// Scans taken in by small powers of their likelihood while the particles are spread (Del Moral, Doucet and Jasra, JRSS B 68(3), 2006):
-/// particles climb to the peaks before the peaks are compared. Each such scan costs some hundred updates.
+/// particles climb to the peaks before the peaks are compared. Each such scan costs some ten updates. Until the particles have gathered,
+/// there are as many as their spread asks for (a KldSampling, or bins of 0.5 m and 10 degrees up to 20,000 particles).
 ///
 /// Args:
 ///     candidates: Particles of a start anywhere in the map, until a scan tells them apart.
 ///     effective_share: Each power is the largest that leaves this share of the particles effective, above 0 and below 1.
 ///     moves: Metropolis moves of each particle after each power.
-///     sigma_m, sigma_rad: Standard deviations of a move under the whole likelihood [m] and [rad].
+///     sigma_m, sigma_rad: Standard deviations of the smallest moves [m] and [rad]; others are 3, 10 and 30 times as large, up to 0.3.
 ///     gathered_m: Scans are annealed until positions have this standard deviation [m], and again from five times it.
 #[pyclass(frozen, module = "locsim")]
 pub struct Annealing(AnnealingOptions);
@@ -103,7 +105,7 @@ pub struct Annealing(AnnealingOptions);
 impl Annealing {
     #[new]
     #[pyo3(signature = (
-        *, candidates = 20_000, effective_share = 0.9, moves = 12, sigma_m = 0.01, sigma_rad = 0.005, gathered_m = 0.2,
+        *, candidates = 20_000, effective_share = 0.5, moves = 4, sigma_m = 0.01, sigma_rad = 0.005, gathered_m = 0.2,
     ))]
     fn new(
         candidates: usize,

@@ -1,13 +1,20 @@
 //! The number of threads changes no bit of a result.
 
 use locsim_core::{Laser, Particles, Pose2, Weights};
-use locsim_mcl::{Filter, FilterOptions, InjectionOptions, PoseBins, Spread, Start, StepInput, StepOutcome};
+use locsim_mcl::{
+    AnnealingOptions, Filter, FilterOptions, InjectionOptions, PoseBins, Spread, Start, StepInput,
+    StepOutcome,
+};
 
 use crate::toy::{Gaussian, Room};
 use crate::{laser, options, scan};
 
 /// Everything that a filter computes over a few steps of every kind.
-fn run(threads: usize, seed: u64) -> (Vec<StepOutcome>, Particles, Weights, Vec<f64>) {
+fn run(
+    threads: usize,
+    seed: u64,
+    annealing: Option<AnnealingOptions>,
+) -> (Vec<StepOutcome>, Particles, Weights, Vec<f64>) {
     let room = Room { width: 6.0, depth: 4.0 };
     let model = Gaussian { sigma_m: 0.2 };
     let laser: Laser = laser(12);
@@ -16,6 +23,7 @@ fn run(threads: usize, seed: u64) -> (Vec<StepOutcome>, Particles, Weights, Vec<
         regularization: Some(Spread { sigma_m: 0.01, sigma_rad: 0.01 }),
         clusters: Some(PoseBins::new(0.5, 0.2).unwrap()),
         ancestry: true,
+        annealing,
         // Not a multiple of any chunk.
         ..options(10_007)
     };
@@ -38,9 +46,12 @@ fn run(threads: usize, seed: u64) -> (Vec<StepOutcome>, Particles, Weights, Vec<
 
 #[test]
 fn one_two_and_eight_threads_give_the_same_bits() {
-    let one = run(1, 7);
-    assert!(one.0.iter().any(|outcome| outcome.injected > 0), "injection takes part in the comparison");
-    assert_eq!(run(2, 7), one);
-    assert_eq!(run(8, 7), one);
-    assert_ne!(run(1, 8), one, "the seed does change them");
+    let annealed = AnnealingOptions { candidates: 20_011, moves: 2, ..AnnealingOptions::default() };
+    for annealing in [None, Some(annealed)] {
+        let one = run(1, 7, annealing);
+        assert!(one.0.iter().any(|outcome| outcome.injected > 0), "injection takes part in the comparison");
+        assert_eq!(run(2, 7, annealing), one);
+        assert_eq!(run(8, 7, annealing), one);
+        assert_ne!(run(1, 8, annealing), one, "the seed does change them");
+    }
 }

@@ -34,10 +34,11 @@ pub struct RawFilter {
     #[serde(default)]
     pub regularization: RawSpread,
     /// A scan that would leave fewer effective particles than this share is taken in by the largest power of its likelihood
-    /// that leaves as many; 0 to below 1, 0 takes all in whole. Default: 0.02 on a log, 0 in simulation.
+    /// that leaves as many; 0 to below 1, 0 takes all in whole that aren't annealed. Default: 0.02 on a log, 0 in simulation.
     pub least_effective_share: Option<f64>,
     /// `none`, or scans taken in by small powers of their likelihood while the particles are spread (Del Moral, Doucet and
-    /// Jasra 2006), for a global start; costs some hundred weighings of the particles for each such scan.
+    /// Jasra 2006), for a global start; costs some ten weighings of the particles for each such scan. Until they have gathered
+    /// there are as many as KLD sampling asks for, by `particles.kld` or with bins of 0.5 m and 10 degrees up to 20000.
     #[serde(default = "default::annealing")]
     pub annealing: Form<NotAnnealed, RawAnnealing>,
 }
@@ -166,7 +167,7 @@ impl Short for NotAnnealed {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawAnnealing {
-    /// Particles of a global start, 1 to 10000000; fewer as soon as the first scan tells them apart.
+    /// Particles of a global start, 1 to 10000000; fewer from the first scan on.
     #[serde(default = "default::annealing_candidates")]
     pub candidates: u64,
     /// Each power is the largest that leaves this share of the particles effective, above 0 and below 1.
@@ -175,10 +176,10 @@ pub struct RawAnnealing {
     /// Metropolis moves of each particle after each power, 1 to 1000.
     #[serde(default = "default::annealing_moves")]
     pub moves: u64,
-    /// Standard deviation of a move along x and along y under the whole likelihood (m), 0 to 1000.
+    /// Standard deviation of the smallest moves along x and along y (m), 0 to 1000; others are 3, 10 and 30 times as large, up to 0.3 m.
     #[serde(default = "default::annealing_sigma_m")]
     pub sigma_m: f64,
-    /// The same of the heading (deg), 0 to 1000.
+    /// The same of the heading (deg), 0 to 1000; up to 0.3 rad.
     #[serde(default = "default::annealing_sigma_deg")]
     pub sigma_deg: f64,
     /// Scans are annealed until positions have this standard deviation (m), and again from five times it; 0 to 1000000.

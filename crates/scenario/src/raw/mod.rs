@@ -287,15 +287,15 @@ pub mod default {
     }
 
     pub fn annealing_candidates() -> u64 {
-        100_000
+        300_000
     }
 
     pub fn annealing_effective_share() -> f64 {
-        0.9
+        0.5
     }
 
     pub fn annealing_moves() -> u64 {
-        12
+        4
     }
 
     pub fn annealing_sigma_m() -> f64 {
