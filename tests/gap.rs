@@ -317,6 +317,39 @@ fn a_curve_without_a_name_becomes_a_part_of_the_simulator() {
     folder.locsim(apply).code(2).stderr(contains("residuals: the key is not allowed here"));
 }
 
+/// The true poses of a log are turned by a degree about the map's origin, and scans are as they were. To a scan that is much like a laser
+/// that sits at another angle.
+#[test]
+fn a_reference_in_a_turned_frame_is_no_turned_laser() {
+    let folder = folder();
+    folder.write("dense.yaml", edited(NOMINAL, "rate_hz: 6", "rate_hz: 12"));
+    folder.locsim("simulate dense.yaml --seed 12 --out plain.log").success();
+    let text = String::from_utf8(folder.read("plain.log")).unwrap();
+    let turn = 1_f64.to_radians();
+    let line = |line: &str| {
+        let mut words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+        if words[0] == "TRUEPOS" {
+            let [x, y, heading] = [1, 2, 3].map(|i| words[i].parse::<f64>().unwrap());
+            let turned = [x * turn.cos() - y * turn.sin(), x * turn.sin() + y * turn.cos(), heading + turn];
+            words[1..4].clone_from_slice(&turned.map(|value| value.to_string()));
+        }
+        words.join(" ")
+    };
+    folder.write("measured.log", text.lines().map(line).collect::<Vec<_>>().join("\n") + "\n");
+    let line = "gap dense.yaml --log measured.log --out found --replicates 99 --no-filter --json";
+    let outcome: Value = serde_json::from_str(&output(&folder.locsim(line).success())).unwrap();
+    let found = &outcome["unnamed"][0];
+    assert_eq!(
+        (&outcome["verdict"], &found["deviation"], &found["covariate"]),
+        (&"unnamed".into(), &"frame".into(), &"place".into()),
+        "{outcome:#}"
+    );
+    let size = found["size"].as_f64().unwrap();
+    assert!((size - turn).abs() < 0.2 * turn, "{found:#}");
+    let report = String::from_utf8(folder.read("found/report.md")).unwrap();
+    assert!(report.contains("1. Turn the reference's poses into the map's frame"), "{report}");
+}
+
 #[test]
 fn an_effect_is_explained_as_in_the_list() {
     let folder = Folder::new();

@@ -79,7 +79,8 @@ pub struct Named {
 /// A dependence that no effect of the library explains.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unnamed {
-    /// The quantity that depends on the covariate: a reading's mean, its spread, a share; or the odometry's lag.
+    /// The quantity that depends on the covariate: a reading's mean, its spread, a share; the odometry's lag; or the turn of the
+    /// reference's frame.
     pub deviation: Deviation,
     /// On what.
     pub covariate: Covariate,
@@ -88,15 +89,15 @@ pub struct Unnamed {
     pub form_of: Option<EffectKind>,
     /// The evidence for it.
     pub evidence: Evidence,
-    /// Unit of size and curve: metres of the mean, seconds of a lag; 1 of a share, of the spread's relative change, of the
+    /// Unit of size and curve: metres of the mean, seconds of a lag, radians of a turn; 1 of a share, of the spread's relative change, of the
     /// correlation of neighbouring beams.
     pub unit: &'static str,
     /// Amplitude of the wave, where the curve is one, and otherwise the largest value of the curve; the correlation of
-    /// neighbouring beams; the odometry's lag.
+    /// neighbouring beams; the odometry's lag; the turn of the reference's frame.
     pub size: f64,
     /// The wave that the curve is.
     pub wave: Option<distreg::wave::Wave>,
-    /// The curve with its 95 % band; of a lag, the lag itself.
+    /// The curve with its 95 % band; of a lag or a turn, the number itself.
     pub curve: Vec<CurvePoint>,
 }
 

@@ -34,6 +34,10 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
              either: {}. More scans, or a path with more variety, would show them.",
             blind(outcome).join(", ")
         )),
+        Verdict::Unnamed if outcome.unnamed.first().is_some_and(unnamed::is_of_frame) => text.push(format!(
+            "No effect of the library does that (p = {p}): the log is more likely with its poses turned and shifted, three \
+             numbers that were fitted to all of it, than with any effect.",
+        )),
         Verdict::Unnamed => text.push(format!(
             "No effect of the library does that (p = {p}): it is what a free model of the readings finds on stretches of \
              the drive that it wasn't fitted to.",

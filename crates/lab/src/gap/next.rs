@@ -1,6 +1,6 @@
 //! The next steps for the reader, in three lines that follow from the verdict.
 
-use locsim_gap::{Covariate, Deviation, Named, Outcome, Region, ResidualStage, Unnamed, Verdict};
+use locsim_gap::{Covariate, Named, Outcome, Region, ResidualStage, Unnamed, Verdict};
 use locsim_world::effect::{Description, Moves};
 
 use super::answer::{change_in_words, others, p_value, region_text};
@@ -29,6 +29,11 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
             let [first, second] = if outcome.gap.is_open_in_ranges() { [rest, remedy] } else { [remedy, rest] };
             [first, second, meanwhile(outcome).unwrap_or_else(|| CHECK.to_owned())]
         }
+        Verdict::Unnamed if outcome.unnamed.first().is_some_and(unnamed::is_of_frame) => [
+            rest(outcome),
+            "Repeat the search with these poses: what else is off shows then.".to_owned(),
+            "Leave the simulator as it is until then.".to_owned(),
+        ],
         Verdict::Unnamed => [
             rest(outcome),
             "Repeat the search on another log of this robot: a property of the sensor comes back, one of the place \
@@ -108,7 +113,7 @@ fn remedy(effects: &[Named]) -> String {
 fn rest(outcome: &Outcome) -> String {
     let without_name = outcome.unnamed.iter().find(|found| found.form_of.is_none());
     match (without_name, outcome.unnamed.first()) {
-        (Some(found), _) if found.deviation == Deviation::Frame => {
+        (Some(found), _) if unnamed::is_of_frame(found) => {
             "Turn the reference's poses into the map's frame: they come from another map, or from an older one.".to_owned()
         }
         (Some(found), _) => {

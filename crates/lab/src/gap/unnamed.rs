@@ -39,6 +39,11 @@ pub(super) fn form_sentence(found: &Unnamed) -> Option<String> {
     ))
 }
 
+/// Whether it is the frame of the reference that is off, and not the readings.
+pub(super) fn is_of_frame(found: &Unnamed) -> bool {
+    found.deviation == Deviation::Frame
+}
+
 /// The dependent quantity and what it depends on: "bias that depends on bearing".
 pub(super) fn dependent(found: &Unnamed) -> String {
     match found.covariate {
@@ -84,7 +89,7 @@ fn value(found: &Unnamed, value: f64) -> String {
 /// A wave with its period, or the largest value with where it is.
 pub(super) fn extent(found: &Unnamed) -> String {
     if matches!(found.covariate, Covariate::Neighbour | Covariate::Odometry | Covariate::Everywhere)
-        || found.deviation == Deviation::Frame
+        || is_of_frame(found)
     {
         return size(found);
     }
