@@ -114,11 +114,11 @@ impl Search<'_, '_> {
         let Some(best) = best else { return Ok(None) };
         let (value, effect) = self.polish(kind, best)?;
         let gain = value - self.without.total();
-        let errs = !self.start.nuisances.pose_error.is_none();
+        let exact = self.comparison.start_exact(&self.start.nuisances);
         let is_absorbed = match kind.moves() {
             Moves::Scans => true,
-            Moves::Readings => errs,
-            Moves::Walls => errs && gain > STRONG_NATS,
+            Moves::Readings => exact.is_some(),
+            Moves::Walls => exact.is_some() && gain > STRONG_NATS,
             _ => false,
         };
         if !is_absorbed {
@@ -127,7 +127,6 @@ impl Search<'_, '_> {
         // Errors of the reference that were fitted without the effect have absorbed some of it, of a strong one nearly all.
         let refitted = self.refitted(&effect)?;
         let mut settled = Search { start: &refitted, ..*self }.settle(kind, &effect)?;
-        let exact = self.comparison.start_exact(&self.start.nuisances);
         if let Some(exact) = exact.filter(|_| gain > STRONG_NATS) {
             let exact = Search { start: &exact, ..*self };
             let start = Start { values: effect.values.clone(), place: effect.place.clone() };

@@ -11,8 +11,12 @@ use crate::hypothesis::{Comparison, Fitted};
 use crate::null::REFIT;
 use crate::statistics::{Covariate, Deviation};
 
+/// Errors of the reference of which a turn and a shift are less than this share have another cause.
+const LEAST_SHARE: f64 = 1.0 / 3.0;
+
 /// The turn of the reference's frame \[rad\], positive counter-clockwise, with the shift that goes with it, and what the log gains by poses in
-/// the map's frame. Turn and shift are those of the errors that were fitted to the reference; `None` where it has none.
+/// the map's frame. Turn and shift are those of the errors that were fitted to the reference; `None` where it has none, or where most of
+/// them are others.
 ///
 /// # Errors
 /// As [`Comparison::in_world`].
@@ -22,21 +26,22 @@ pub(crate) fn turned_frame(
     fitted: &Fitted,
 ) -> Result<Option<Misalignment>, GapError> {
     let error = &fitted.nuisances.pose_error;
-    if error.is_none() {
-        return Ok(None);
-    }
     let track = &comparison.recorded.track;
     let count = track.len() as f64;
     let center = track.poses().iter().map(Pose2::position).sum::<DVec2>() / count;
     let shift = fitted.corrections.iter().map(|c| c.truncate()).sum::<DVec2>() / count;
     let [of_position, of_heading] = [error.sigma_m, error.sigma_rad].map(|sigma| sigma.max(1e-6).powi(-2));
-    let (mut turned, mut information) = (0.0, 0.0);
+    let [mut turned, mut information, mut all] = [0.0; 3];
     for (pose, c) in track.poses().iter().zip(&fitted.corrections) {
         let arm = pose.position() - center;
         turned += of_position * arm.perp_dot(c.truncate()) + of_heading * c.z;
         information += of_position * arm.length_squared() + of_heading;
+        all += of_position * c.truncate().length_squared() + of_heading * c.z * c.z;
     }
     let turn = turned / information;
+    if turn * turned + of_position * count * shift.length_squared() <= LEAST_SHARE * all {
+        return Ok(None);
+    }
     let aligned = comparison.recorded.with_reference(|pose| {
         let position = center + shift + DVec2::from_angle(turn).rotate(pose.position() - center);
         Pose2::new(position.x, position.y, pose.theta + turn)
