@@ -486,6 +486,7 @@ mod tests {
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::Nuisances;
     use crate::statistics::pit_draw;
     use crate::{Recorded, fixtures};
     use locsim_core::Drive;
