@@ -1,7 +1,7 @@
 //! Stepwise selection: effects are named one at a time, then redundant ones are deleted.
 
 use locsim_core::Estimate;
-use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
+use locsim_world::effect::{Effect, Moves, Statistic};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::judgement::share_a_moment;
@@ -349,8 +349,7 @@ fn is_left_by(named: &Named, candidate: &Candidate, is_of_another_form: bool) ->
         return false;
     }
     // A formula that isn't quite right is off by a constant, too.
-    let is_constant = candidate.kind() == EffectKind::RangeBias;
-    let share = match is_constant || share_a_moment(named.name, candidate.kind()) {
+    let share = match candidate.kind().is_constant() || share_a_moment(named.name, candidate.kind()) {
         true if is_of_another_form => LEFT_BY_FORM_SHARE,
         true => LEFT_SHARE,
         false => LEFT_TO_ANY_SHARE,
@@ -370,6 +369,8 @@ fn is_there(named: &Named) -> bool {
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::AtomicBool;
+
+    use locsim_world::effect::EffectKind;
 
     use super::*;
     use crate::Recorded;

@@ -99,6 +99,11 @@ impl EffectKind {
         !self.parameters().iter().any(|parameter| matches!(parameter.role, Role::Position { .. }))
     }
 
+    /// Whether it is the same for every return.
+    pub fn is_constant(self) -> bool {
+        self == Self::RangeBias
+    }
+
     /// Whether its strength is a step, which is right or wrong.
     pub fn is_stepped(self) -> bool {
         self.parameters().iter().any(|parameter| parameter.role == Role::Step)
