@@ -128,11 +128,9 @@ impl Search<'_, '_> {
         let refitted = self.refitted(&effect)?;
         let mut settled = Search { start: &refitted, ..*self }.settle(kind, &effect)?;
         if let Some(exact) = exact.filter(|_| gain > STRONG_NATS) {
-            let exact = Search { start: &exact, ..*self };
-            let start = Start { values: effect.values.clone(), place: effect.place.clone() };
-            let (value, effect) = exact.maximize(kind, &start)?;
-            if value > settled.0 {
-                settled = exact.settle(kind, &effect)?;
+            let other = Search { start: &exact, ..*self }.settle(kind, &effect)?;
+            if other.0 > settled.0 {
+                settled = other;
             }
         }
         let (value, effect, refitted) = settled;
