@@ -240,6 +240,13 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     assert!(!folder.path("found.partial").exists() && !folder.path("new.partial").exists());
 }
 
+/// A scenario with twice the scans, of which each half has several folds, and its log.
+fn dense_log(folder: &Folder) -> String {
+    folder.write("dense.yaml", edited(NOMINAL, "rate_hz: 6", "rate_hz: 12"));
+    folder.locsim("simulate dense.yaml --seed 12 --out plain.log").success();
+    String::from_utf8(folder.read("plain.log")).unwrap()
+}
+
 /// A log whose returns are off by a function of range and bearing.
 fn shifted(log: &str, by: impl Fn(f64, f64) -> f64) -> String {
     let line = |line: &str| {
@@ -263,9 +270,7 @@ fn shifted(log: &str, by: impl Fn(f64, f64) -> f64) -> String {
 #[test]
 fn an_error_over_range_has_its_name_in_any_form() {
     let folder = folder();
-    folder.write("dense.yaml", edited(NOMINAL, "rate_hz: 6", "rate_hz: 12"));
-    folder.locsim("simulate dense.yaml --seed 12 --out plain.log").success();
-    let text = String::from_utf8(folder.read("plain.log")).unwrap();
+    let text = dense_log(&folder);
     folder.write("measured.log", shifted(&text, |range, _| 0.012 * range * (range - 0.7)));
     let line = "gap dense.yaml --log measured.log --out found --replicates 99 --no-filter --json";
     let outcome: Value = serde_json::from_str(&output(&folder.locsim(line).success())).unwrap();
@@ -281,10 +286,7 @@ fn an_error_over_range_has_its_name_in_any_form() {
 #[test]
 fn a_curve_without_a_name_becomes_a_part_of_the_simulator() {
     let folder = folder();
-    // Long enough for halves of which each has several folds.
-    folder.write("dense.yaml", edited(NOMINAL, "rate_hz: 6", "rate_hz: 12"));
-    folder.locsim("simulate dense.yaml --seed 12 --out plain.log").success();
-    let text = String::from_utf8(folder.read("plain.log")).unwrap();
+    let text = dense_log(&folder);
     folder.write("measured.log", shifted(&text, |_, bearing| 0.03 * (2.0 * bearing).sin()));
     let search = |scenario: &str, out: &str| -> Value {
         let line =
@@ -322,9 +324,7 @@ fn a_curve_without_a_name_becomes_a_part_of_the_simulator() {
 #[test]
 fn a_reference_in_a_turned_frame_is_no_turned_laser() {
     let folder = folder();
-    folder.write("dense.yaml", edited(NOMINAL, "rate_hz: 6", "rate_hz: 12"));
-    folder.locsim("simulate dense.yaml --seed 12 --out plain.log").success();
-    let text = String::from_utf8(folder.read("plain.log")).unwrap();
+    let text = dense_log(&folder);
     let turn = 1_f64.to_radians();
     let line = |line: &str| {
         let mut words: Vec<String> = line.split(' ').map(str::to_owned).collect();

@@ -1,7 +1,7 @@
 //! Errors of the odometry's increments against those of the reference.
 
 use locsim_world::effect::{self, Axis, EffectKind};
-use locsim_world::simulation::{Increment, lag_slopes, standardized};
+use locsim_world::simulation::{Increment, OdometrySpread, lag_slopes, standardized};
 
 use super::contamination::{detectable_share, score};
 use super::readings::half_of;
@@ -30,6 +30,19 @@ impl OdometryCorrelation {
         });
         shown.map(|(kind, (error, motion))| Self { kind, error, motion }).collect()
     }
+
+    /// Each half's correlation; `errs` where the reference has errors.
+    fn of_increments(&self, increments: &[Increment], spread: &OdometrySpread, errs: bool) -> Halves {
+        let (error, motion) = (self.error as usize, self.motion as usize);
+        let mut correlations = [Correlation::default(); 2];
+        for (scan, increment) in increments.iter().enumerate() {
+            let driven = if errs { motion_about(increments, scan) } else { increment.truth };
+            let deviation = increment.deviation(spread, error);
+            correlations[half_of(scan)]
+                .add(standardized(increment, spread)[error], driven[motion] / deviation);
+        }
+        correlations.map(|correlation| correlation.value())
+    }
 }
 
 impl Family for OdometryCorrelation {
@@ -37,19 +50,10 @@ impl Family for OdometryCorrelation {
         vec![Statistic::of_effect(self.kind, Group::Wide, Form::Other)]
     }
 
-    /// A correlation doesn't depend on how large the reference's errors are taken to be.
+    /// A correlation doesn't depend on how large the reference's errors are taken to be, only on whether it has any.
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
-        let odometry_error = &log.fitted.nuisances.odometry_error;
-        let (error, motion) = (self.error as usize, self.motion as usize);
-        let increments = increments_of(log);
-        let mut correlations = [Correlation::default(); 2];
-        for (scan, increment) in increments.iter().enumerate() {
-            let driven = if log.has_pose_errors { motion_about(&increments, scan) } else { increment.truth };
-            let deviation = increment.deviation(odometry_error, error);
-            correlations[half_of(scan)]
-                .add(standardized(increment, odometry_error)[error], driven[motion] / deviation);
-        }
-        vec![correlations.map(|correlation| correlation.value())]
+        let spread = &log.fitted.nuisances.odometry_error;
+        vec![self.of_increments(&increments_of(log), spread, log.has_pose_errors)]
     }
 }
 
@@ -151,7 +155,35 @@ impl Correlation {
 
 #[cfg(test)]
 mod tests {
+    use locsim_core::{Draw, Stage};
+    use rand_distr::{Distribution, StandardNormal};
+
     use super::*;
+
+    /// A robot drives straight with an exact odometry, and each heading of its reference errs by 1 mrad: what an increment turns is what it
+    /// errs by. Against the turns of others nothing is seen, and an odometry that turns a tenth too far in long turns still is.
+    #[test]
+    fn errors_of_the_reference_are_no_errors_of_the_odometry() {
+        let turning =
+            OdometryCorrelation { kind: EffectKind::OdomTurnScale, error: Axis::Turn, motion: Axis::Turn };
+        let spread = OdometrySpread { sigma_rad: 1.4e-3, ..OdometrySpread::default() };
+        let correlated = |turn: fn(u32) -> f64, scale: f64, errs| {
+            let mut rng = Draw::new(1, Stage::Path, 0).item(0);
+            let headings: Vec<f64> =
+                (0..401).map(|_| 1e-3 * Distribution::<f64>::sample(&StandardNormal, &mut rng)).collect();
+            let increment = |(i, pair): (u32, &[f64])| {
+                let read = turn(i) + pair[1] - pair[0];
+                let odometry = (1.0 + scale) * turn(i);
+                Increment { truth: [0.1, read], error: [0.0, odometry - read], squares: [[0.0; 2]; 2] }
+            };
+            let increments: Vec<Increment> = (0..).zip(headings.windows(2)).map(increment).collect();
+            turning.of_increments(&increments, &spread, errs).iter().sum::<f64>()
+        };
+        let straight: fn(u32) -> f64 = |_| 0.0;
+        let turns: fn(u32) -> f64 = |i| if i % 40 < 15 { 0.05 } else { 0.0 };
+        assert!(correlated(straight, 0.0, false) < -20.0 && correlated(straight, 0.0, true).abs() < 5.0);
+        assert!(correlated(turns, 0.1, true) > 10.0, "{}", correlated(turns, 0.1, true));
+    }
 
     /// Digits of a file that grow with the motion say nothing; errors of half a standard deviation that do are all that there is.
     #[test]
