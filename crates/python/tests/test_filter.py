@@ -90,7 +90,8 @@ def test_a_filter_from_python_is_that_of_a_run(name: str, folder: Path, tmp_path
             counts.add(len(pf.weights))
         assert 2 < resampled <= len(rows["step"]) < len(log)
     injected = [text for text in trials["events"].to_pylist() if "random" in text or "inject" in text]
-    assert (len(counts) > 1, bool(injected)) == (name == "adaptive", name == "adaptive")
+    # An annealed set is as large as its spread asks for until it has gathered.
+    assert (len(counts) > 1, bool(injected)) == (name in ["adaptive", "annealed"], name == "adaptive")
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +182,8 @@ STEPS: dict[str, tuple[Any, list[str]]] = {
 def test_a_view_keeps_its_values_when_the_filter_goes_on(name: str, room: locsim.Map, world) -> None:
     log, model = world
     step, changed = STEPS[name]
-    annealing = locsim.Annealing(candidates=400, moves=2) if name == "annealed update" else None
+    # So many that the first scan leaves fewer of them: of a set that keeps its size, weights would be what they were.
+    annealing = locsim.Annealing(candidates=30_000, moves=2) if name == "annealed update" else None
     pf = locsim.Filter(room, model, log.bearings, particles=300, annealing=annealing, seed=4)
     if annealing is None:
         pf.update(log.ranges[0])
