@@ -9,7 +9,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::matrix::invert;
-use crate::statistics::{FOLD_SCANS, Start};
+use crate::statistics::Start;
 
 /// The most iterations of the simplex search for each parameter. They bound the time of a fit that doesn't settle.
 const ITERATIONS: u64 = 22;
@@ -75,19 +75,6 @@ pub fn sum_error(folds: &[f64]) -> f64 {
     let n = folds.len() as f64;
     let mean = folds.iter().sum::<f64>() / n;
     (n / (n - 1.0) * folds.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt()
-}
-
-/// Sums over folds of consecutive scans.
-pub(crate) fn folds(scans: &[f64]) -> Vec<f64> {
-    let mut folds: Vec<f64> = scans.chunks(FOLD_SCANS).map(|fold| fold.iter().sum()).collect();
-    // A last fold that isn't full goes with the one before.
-    if !scans.len().is_multiple_of(FOLD_SCANS) && folds.len() > 1 {
-        let last = folds.pop().unwrap_or(0.0);
-        if let Some(previous) = folds.last_mut() {
-            *previous += last;
-        }
-    }
-    folds
 }
 
 /// Fits an effect to a log, on top of others.
@@ -258,8 +245,9 @@ impl Search<'_, '_> {
     /// Godambe (1960) over folds, with Student's distribution, and are no narrower than the curvature alone makes them.
     pub fn assess(&self, effect: Effect) -> Result<Candidate, GapError> {
         let fitted = self.evaluate(&effect)?;
-        let without = folds(&self.without.scans);
-        let gains: Vec<f64> = folds(&fitted.scans).iter().zip(&without).map(|(a, b)| a - b).collect();
+        let folds = self.comparison.recorded.folds;
+        let without = folds.sums(&self.without.scans);
+        let gains: Vec<f64> = folds.sums(&fitted.scans).iter().zip(&without).map(|(a, b)| a - b).collect();
         let (gains, intervals) = if effect.kind.is_stepped() {
             (gains, vec![Interval::around(effect.values[0], 0.0)])
         } else {
@@ -340,7 +328,8 @@ impl<'s, 'c, 'a> Slopes<'s, 'c, 'a> {
             let parameter = &other.kind.parameters()[i];
             other.values[i] = (other.values[i] + change).clamp(parameter.lo, parameter.hi);
         }
-        let mut moved = folds(&self.search.evaluate(&other)?.scans);
+        let folds = self.search.comparison.recorded.folds;
+        let mut moved = folds.sums(&self.search.evaluate(&other)?.scans);
         // The prior holds for the log as a whole: each fold has its share of it.
         let prior = (log_prior(&other) - log_prior(self.effect)) / moved.len() as f64;
         for fold in &mut moved {

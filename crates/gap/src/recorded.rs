@@ -1,8 +1,13 @@
-use locsim_core::{Drive, Laser, Pose2, Track, wrap_angle};
+use locsim_core::{Drive, Folds, Laser, Pose2, Track, wrap_angle};
 
 use crate::GapError;
 
-/// Two folds of 20 scans, the least that an effect can be fitted to and scored on apart.
+/// A fold lasts about so long \[s\], and has so many scans. Readings so far apart share little clutter and little error of the
+/// reference; what comes and goes in ten seconds can still be learnt from the folds about one that is held out.
+const FOLD_SECS: f64 = 2.0;
+const FOLD_SCANS: std::ops::RangeInclusive<usize> = 5..=20;
+
+/// Two of the largest folds, the least that an effect can be fitted to and scored on apart.
 const LEAST_SCANS: usize = 40;
 
 /// The part of a measured log that is held against the simulation: scans with reference poses, in order.
@@ -26,6 +31,7 @@ pub struct Recorded {
     pub readings: Vec<f32>,
     /// The beams that aren't looked at, as the map doesn't say where they end; empty where all are.
     pub(crate) ignored: Vec<bool>,
+    pub(crate) folds: Folds,
 }
 
 impl Recorded {
@@ -51,12 +57,14 @@ impl Recorded {
         if steps.len() < LEAST_SCANS {
             return Err(GapError::TooFewScans { scans: steps.len(), least: LEAST_SCANS });
         }
+        let track = Track::new(steps.iter().map(|&(step, pose)| (step.stamp_secs, pose)))?;
         Ok(Self {
             laser,
             log_laser: drive.laser.clone(),
             begin_secs: steps[0].0.stamp_secs,
             along: None,
-            track: Track::new(steps.iter().map(|&(step, pose)| (step.stamp_secs, pose)))?,
+            folds: Folds::new(&track, FOLD_SECS, FOLD_SCANS),
+            track,
             odometry: steps.iter().map(|(step, _)| step.odometry).collect(),
             readings: steps
                 .iter()

@@ -6,7 +6,6 @@ use locsim_world::effect::Effects;
 
 use super::Misalignment;
 use crate::GapError;
-use crate::fit::folds;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::null::REFIT;
 use crate::statistics::{Covariate, Deviation};
@@ -49,7 +48,9 @@ pub(crate) fn turned_frame(
     let aligned = Comparison::new(comparison.nominal, &aligned)?.in_world(effects)?;
     let with = aligned.fit_nuisances_with(effects, &fitted.nuisances, REFIT).scans;
     let without = comparison.evaluate_views(&comparison.views, effects, fitted, 0).scans;
-    let gains = folds(&with).iter().zip(folds(&without)).map(|(with, without)| with - without).collect();
+    let folds = comparison.recorded.folds;
+    let gains =
+        folds.sums(&with).iter().zip(folds.sums(&without)).map(|(with, without)| with - without).collect();
     let (deviation, covariate) = (Deviation::Frame, Covariate::Place);
     Ok(Some(Misalignment { deviation, covariate, estimate: [-turn, information.sqrt().recip()], gains }))
 }

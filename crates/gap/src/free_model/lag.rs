@@ -4,9 +4,9 @@ use locsim_core::{Pose2, Track, wrap_angle};
 use locsim_world::effect::Effects;
 use locsim_world::simulation::{self, Increment, standardized};
 
-use super::{Misalignment, fold_of};
+use super::Misalignment;
 use crate::hypothesis::{Comparison, Fitted};
-use crate::statistics::{Covariate, Deviation, fold_count};
+use crate::statistics::{Covariate, Deviation};
 
 /// Lags that are tried: to both sides up to half a second, in steps of this \[s\]: 1 cm at 1 m/s, the noise of a laser.
 const STEPS: i32 = 50;
@@ -19,16 +19,16 @@ pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitte
     let corrected = comparison.corrected(&fitted.corrections);
     let increments = Increment::all(effects, &corrected, &recorded.odometry);
     let track = recorded.track.with_poses(corrected);
-    let count = fold_count(recorded.scans());
+    let folds = recorded.folds;
     // Log likelihood of each fold at each lag, up to a constant.
     let at = |step: i32| -> Vec<f64> {
-        let mut folds = vec![0.0; count];
+        let mut sums = vec![0.0; folds.count()];
         let lagging = lagging(&track, f64::from(step) * STEP_SECS, &increments);
         for (i, increment) in lagging.enumerate() {
             let errors = standardized(&increment, &fitted.nuisances.odometry_error);
-            folds[fold_of(i + 1, count)] -= 0.5 * errors.iter().map(|e| e * e).sum::<f64>();
+            sums[folds.of_scan(i + 1)] -= 0.5 * errors.iter().map(|e| e * e).sum::<f64>();
         }
-        folds
+        sums
     };
     let all: Vec<Vec<f64>> = (-STEPS..=STEPS).map(at).collect();
     let total: Vec<f64> = all.iter().map(|folds| folds.iter().sum()).collect();
@@ -45,7 +45,7 @@ pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitte
         deviation: Deviation::Lag,
         covariate: Covariate::Odometry,
         estimate: [(lag as f64 - none as f64) * STEP_SECS, STEP_SECS / curvature.sqrt()],
-        gains: (0..count).map(gain).collect(),
+        gains: (0..folds.count()).map(gain).collect(),
     }
 }
 

@@ -3,11 +3,11 @@
 
 use std::sync::LazyLock;
 
-use locsim_core::normal;
+use locsim_core::{Folds, normal};
 use locsim_world::effect::Effects;
 
 use super::covariates::{Axis, Covariates};
-use super::{MEAN, Part, SPREAD, fold_of, simplest};
+use super::{MEAN, Part, SPREAD, simplest};
 use crate::hypothesis::{Comparison, Fitted};
 use crate::likelihood::Terms;
 use crate::statistics::Covariate;
@@ -131,7 +131,7 @@ impl Large {
         effects: &Effects,
         fitted: &Fitted,
         covariates: &Covariates,
-        folds: usize,
+        folds: Folds,
         part: Part,
     ) -> Option<Self> {
         let views = &*comparison.views;
@@ -149,7 +149,7 @@ impl Large {
                     *gain = gain_by_spread(&terms, step.exp());
                 }
             }
-            rows.push(Row { beam: i, fold: fold_of(scan, folds), sigma, gains });
+            rows.push(Row { beam: i, fold: folds.of_scan(scan), sigma, gains });
         });
         let best = [MEAN, SPREAD].into_iter().filter_map(|moment| {
             let axes = covariates.axes.iter().enumerate();
@@ -167,9 +167,9 @@ impl Large {
         self.gains.iter().sum()
     }
 
-    fn over(moment: usize, index: usize, axis: &Axis, rows: &[Row], folds: usize, part: Part) -> Self {
+    fn over(moment: usize, index: usize, axis: &Axis, rows: &[Row], folds: Folds, part: Part) -> Self {
         let (count, ladder) = (axis.levels.len(), ladder(moment));
-        let mut sums = vec![vec![[0.0; COUNT]; count]; folds];
+        let mut sums = vec![vec![[0.0; COUNT]; count]; folds.count()];
         let mut total = vec![[0.0; COUNT]; count];
         for row in rows.iter().filter(|row| part.includes(row.fold)) {
             let level = axis.of_beams[row.beam] as usize;

@@ -19,16 +19,16 @@ mod large;
 mod outcomes;
 
 use distreg::curve::{Shape, Sums, crossfit, fit};
-use locsim_core::Draw;
+use locsim_core::{Draw, Folds};
 use locsim_world::effect::Effects;
 
 pub(crate) use covariates::{Axis, Covariates};
 pub(crate) use frame::turned_frame;
 pub(crate) use lag::lag;
 
-use crate::fit::{folds as sums, sum_error};
+use crate::fit::sum_error;
 use crate::hypothesis::{Comparison, Fitted};
-use crate::statistics::{Covariate, Deviation, FOLD_SCANS, fold_count};
+use crate::statistics::{Covariate, Deviation};
 use large::{Change, Large};
 use outcomes::{MOMENTS, Outcomes, Pull, Tilt};
 
@@ -72,11 +72,6 @@ impl Part {
             Self::Half(first) => fold % 2 == first,
         }
     }
-}
-
-/// The fold of a scan.
-pub(crate) fn fold_of(scan: usize, folds: usize) -> usize {
-    (scan / FOLD_SCANS).min(folds - 1)
 }
 
 /// Of curves over several covariates, as the number of their levels and their held-out gain on each fold, the index of the one with
@@ -142,7 +137,7 @@ pub(crate) struct FreeModel {
     pub components: Vec<Component>,
     /// Correlation of neighbouring beams' readings of the surface, beyond the model.
     pub neighbour_correlation: f64,
-    folds: usize,
+    folds: Folds,
 }
 
 impl FreeModel {
@@ -155,10 +150,10 @@ impl FreeModel {
         draw: &Draw,
         part: Part,
     ) -> Self {
-        let folds = fold_count(comparison.recorded.scans());
+        let folds = comparison.recorded.folds;
         let outcomes_of = |fitted: &Fitted, changes: Option<&[Change]>| {
             let mut outcomes = Outcomes::new(comparison, effects, fitted, draw, changes);
-            outcomes.all.retain(|outcome| part.includes(fold_of(outcome.scan as usize, folds)));
+            outcomes.all.retain(|outcome| part.includes(folds.of_scan(outcome.scan as usize)));
             outcomes
         };
         let plain = Self::of(&outcomes_of(fitted, None), covariates, folds, None);
@@ -173,7 +168,7 @@ impl FreeModel {
         };
         let trusted = Self::with_trusted_reference(comparison, effects, fitted, part);
         let trusted = trusted.and_then(|(fitted, before)| large_on(fitted, &before));
-        let large = [large_on(fitted.clone(), &vec![0.0; folds]), trusted].into_iter().flatten();
+        let large = [large_on(fitted.clone(), &vec![0.0; folds.count()]), trusted].into_iter().flatten();
         let changed = large.max_by(|a, b| a.1.gain().total_cmp(&b.1.gain())).map(|(fitted, large)| {
             let outcomes = outcomes_of(&fitted, Some(&large.of_readings));
             Self::of(&outcomes, covariates, folds, Some(large))
@@ -192,14 +187,15 @@ impl FreeModel {
         let exact = comparison.start_exact(&fitted.nuisances)?;
         let evaluate = |fitted: &Fitted| comparison.evaluate_views(&comparison.views, effects, fitted, 0);
         let trusted = evaluate(&exact);
-        let sums = sums(&trusted.scans).into_iter().zip(sums(&evaluate(fitted).scans));
+        let folds = comparison.recorded.folds;
+        let sums = folds.sums(&trusted.scans).into_iter().zip(folds.sums(&evaluate(fitted).scans));
         let of_fold = |(fold, (without, with))| if part.includes(fold) { without - with } else { 0.0 };
         let gains = sums.enumerate().map(of_fold).collect();
         Some((trusted, gains))
     }
 
     /// Adds curves for as long as they gain.
-    fn of(outcomes: &Outcomes, covariates: &Covariates, folds: usize, large: Option<Large>) -> Self {
+    fn of(outcomes: &Outcomes, covariates: &Covariates, folds: Folds, large: Option<Large>) -> Self {
         let mut state = State::new(outcomes, covariates, folds);
         let mut components: Vec<Draft> = Vec::new();
         if let Some(Large { moment, axis, levels, errors, gains, .. }) = large {
@@ -244,7 +240,7 @@ impl FreeModel {
     /// Log score gained on held-out folds (nats).
     pub fn gains(&self) -> Vec<f64> {
         let of_fold = |fold: usize| self.components.iter().map(|component| component.gains[fold]).sum();
-        (0..self.folds).map(of_fold).collect()
+        (0..self.folds.count()).map(of_fold).collect()
     }
 
     /// The gain of a moment over the neighbouring beam, or over all other covariates together (nats): which of those a log's curves
@@ -261,7 +257,7 @@ impl FreeModel {
 struct State<'a> {
     outcomes: &'a Outcomes,
     covariates: &'a Covariates,
-    folds: usize,
+    folds: Folds,
     fold_of: Vec<usize>,
     tilts: Vec<Tilt>,
     /// Curves that gain nothing, by axis and moment.
@@ -289,7 +285,7 @@ impl OfAxis {
     fn new(state: &State<'_>, axis: usize, pulls: &[Pull]) -> Self {
         let levels = state.levels(axis);
         let count = state.covariates.axes[axis].levels.len();
-        let mut sums = vec![vec![vec![Sums::default(); count]; state.folds]; MOMENTS.len()];
+        let mut sums = vec![vec![vec![Sums::default(); count]; state.folds.count()]; MOMENTS.len()];
         for ((pull, &level), &fold) in pulls.iter().zip(&levels).zip(&state.fold_of) {
             for (sums, more) in sums.iter_mut().zip(pull) {
                 sums[fold][level as usize].add(*more);
@@ -327,12 +323,12 @@ struct Step {
 }
 
 impl<'a> State<'a> {
-    fn new(outcomes: &'a Outcomes, covariates: &'a Covariates, folds: usize) -> Self {
+    fn new(outcomes: &'a Outcomes, covariates: &'a Covariates, folds: Folds) -> Self {
         Self {
             outcomes,
             covariates,
             folds,
-            fold_of: outcomes.all.iter().map(|outcome| fold_of(outcome.scan as usize, folds)).collect(),
+            fold_of: outcomes.all.iter().map(|outcome| folds.of_scan(outcome.scan as usize)).collect(),
             tilts: vec![Tilt::default(); outcomes.all.len()],
             spent: vec![[false; MOMENTS.len()]; covariates.axes.len()],
         }
@@ -340,7 +336,7 @@ impl<'a> State<'a> {
 
     /// Log score gained in each fold (nats).
     fn score(&self) -> Vec<f64> {
-        let mut score = vec![0.0; self.folds];
+        let mut score = vec![0.0; self.folds.count()];
         for ((outcome, tilt), &fold) in self.outcomes.all.iter().zip(&self.tilts).zip(&self.fold_of) {
             score[fold] += outcome.gain(tilt);
         }

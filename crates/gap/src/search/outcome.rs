@@ -12,14 +12,14 @@ use super::residual::{LOGS, Nameless};
 use super::selection::gain;
 use super::stepwise::Path;
 use super::{Round, State};
-use crate::fit::{Candidate, folds};
+use crate::fit::Candidate;
 use crate::outcome::{
     Detectable, Detection, Direction, Evidence, Gap, HALF, Named, Number, Outcome, Verdict,
 };
 use crate::profile::profiles;
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
-use crate::statistics::{Form, Group, Statistic, Target, fold_count};
+use crate::statistics::{Form, Group, Statistic, Target};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
@@ -130,9 +130,11 @@ impl<'a> State<'a> {
         let mut nominal = fitted.clone();
         nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
         let without = comparison.evaluate(&[], &nominal, 0)?;
-        let gains: Vec<f64> = folds(&fitted.scans)
+        let folds = self.recorded.folds;
+        let gains: Vec<f64> = folds
+            .sums(&fitted.scans)
             .iter()
-            .zip(folds(&without.scans))
+            .zip(folds.sums(&without.scans))
             .map(|(with, without)| with - without)
             .collect();
         let gain_nats = gain(&gains);
@@ -182,7 +184,7 @@ impl<'a> State<'a> {
         let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
         let total = |values: &[f64]| values.iter().sum::<f64>();
         let scans = self.recorded.scans() as f64;
-        let folds = fold_count(self.recorded.scans());
+        let folds = self.recorded.folds.count();
         let gained: Vec<f64> = (0..folds).map(|b| gains.iter().map(|g| g[b]).sum()).collect();
         // The free model doesn't know the odometry, of which an effect of the library may say more.
         let [possible, free] = judged.map(Judgement::gains);

@@ -5,12 +5,12 @@ use rayon::prelude::*;
 
 use super::unnamed::unnamed;
 use super::{Round, State};
-use crate::free_model::{Axis, Component, Covariates, FreeModel, Part, fold_of};
+use crate::free_model::{Axis, Component, Covariates, FreeModel, Part};
 use crate::hypothesis::{Comparison, Nuisances};
 use crate::outcome::{ResidualStage, Unnamed};
 use crate::regions::{distance, distance_in_halves};
 use crate::replay::Replay;
-use crate::statistics::{Covariate, Deviation, Survey, fold_count, pit_draw};
+use crate::statistics::{Covariate, Deviation, Survey, pit_draw};
 use crate::{GapError, Purpose, Recorded};
 
 /// Simulated logs that the measured one's distance is taken to.
@@ -96,8 +96,7 @@ impl<'a> State<'a> {
             (0..LOGS as u32).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
         });
         let halves: Vec<Vec<Recorded>> = halves.collect::<Result<_, GapError>>()?;
-        let folds = fold_count(self.recorded.scans());
-        let half_of = |scan: usize| fold_of(scan, folds) % 2;
+        let half_of = |scan| self.recorded.folds.half_of(scan);
         let views = &comparison.views;
         Ok(Some(ResidualStage {
             curves,

@@ -11,7 +11,7 @@ use locsim_world::effect::{Disc, Effect, Effects, Moves};
 use super::Round;
 use super::selection::{LEAST_GAIN_NATS, adds_up};
 use crate::GapError;
-use crate::fit::{Candidate, folds, sum_error};
+use crate::fit::{Candidate, sum_error};
 use crate::views::Beam;
 
 /// Beams that end this near to an effect have to do with it \[m\], and those that pass its ends this near.
@@ -67,7 +67,8 @@ pub fn drop_surroundings(round: &Round<'_>, candidates: Vec<Candidate>) -> Resul
     let left = ignored.iter().filter(|ignored| !**ignored).count() as f64 / ignored.len() as f64;
     let elsewhere = recorded.without(&ignored);
     let comparison = round.comparison.of(&elsewhere);
-    let without = folds(&comparison.evaluate(&round.effects, &round.fitted, 1)?.scans);
+    let folds = recorded.folds;
+    let without = folds.sums(&comparison.evaluate(&round.effects, &round.fitted, 1)?.scans);
     let gains_elsewhere = |candidate: &Candidate| -> Result<bool, GapError> {
         let is_part = round.effects.iter().any(|known| adds_up(known, &candidate.effect));
         if is_part || candidate.kind().moves() == Moves::Odometry {
@@ -75,7 +76,7 @@ pub fn drop_surroundings(round: &Round<'_>, candidates: Vec<Candidate>) -> Resul
         }
         let mut effects = round.effects.clone();
         effects.push(candidate.effect.clone());
-        let with = folds(&comparison.evaluate(&effects, &round.fitted, 1)?.scans);
+        let with = folds.sums(&comparison.evaluate(&effects, &round.fitted, 1)?.scans);
         let gains: Vec<f64> = with.iter().zip(&without).map(|(with, without)| with - without).collect();
         let (gain, all) = (gains.iter().sum::<f64>(), candidate.fitted_gains.iter().sum::<f64>());
         Ok(gain > LEAST_GAIN_NATS.max(sum_error(&gains)) && gain >= LEAST_SHARE * left * all)

@@ -167,7 +167,7 @@ impl Family for Bins {
                 if let Some(bin) = axis.of_beams[reading.index] {
                     let of_bin = &mut sums[first + bin as usize * DEVIATIONS.len()..][..DEVIATIONS.len()];
                     for (sum, summand) in of_bin.iter_mut().zip(summands) {
-                        sum[reading.half()] += summand;
+                        sum[reading.half] += summand;
                     }
                 }
             }

@@ -30,8 +30,8 @@ impl Family for ClutterDepth {
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
         let (mut depth, mut count) = ([0.0; 2], [0.0; 2]);
         for reading in log.in_front() {
-            depth[reading.half()] += (reading.beam.range() - reading.z).min(DEEPEST_M);
-            count[reading.half()] += 1.0;
+            depth[reading.half] += (reading.beam.range() - reading.z).min(DEEPEST_M);
+            count[reading.half] += 1.0;
         }
         // One reading more at the wall: a mean of no readings is 0.
         vec![std::array::from_fn(|half| depth[half] / (count[half] + 1.0))]

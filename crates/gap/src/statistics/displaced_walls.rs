@@ -95,9 +95,9 @@ impl Family for DisplacedWalls {
         let mut cells = vec![Counts::NONE; self.walls.len()];
         for reading in &log.all {
             let Some(cell) = self.walls.of_beam(reading.index) else { continue };
-            cells[cell].all[reading.half()] += 1.0;
+            cells[cell].all[reading.half] += 1.0;
             for window in displacement(reading).into_iter().flat_map(windows_of) {
-                cells[cell].windows[window][reading.half()] += 1.0;
+                cells[cell].windows[window][reading.half] += 1.0;
             }
         }
         let pairs = self.walls.pairs().iter().map(|&[a, b]| cells[a].plus(&cells[b]).value());

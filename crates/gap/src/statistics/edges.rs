@@ -37,7 +37,7 @@ impl Family for Edges {
                 // Beyond the maximum range nothing is returned.
                 let between = Alternative::Between { lo: near, hi: far };
                 let ratio = reading.contamination(between.density(reading.z, log.max_range()));
-                sum[reading.half()] += score(ratio, self.share);
+                sum[reading.half] += score(ratio, self.share);
             }
         }
         vec![sum]

@@ -29,7 +29,7 @@ use glam::DVec2;
 use locsim_world::effect::EffectKind;
 
 pub(crate) use dictionary::Dictionary;
-pub(crate) use readings::{FOLD_SCANS, Readings, fold_count, pit_draw};
+pub(crate) use readings::{Readings, pit_draw};
 pub(crate) use survey::Survey;
 
 /// Side of a cell of the map in which walls are counted \[m\].
@@ -159,7 +159,7 @@ impl Statistic {
     }
 }
 
-/// The value of a statistic for a log, in two halves: of alternating folds of [`FOLD_SCANS`] scans.
+/// The value of a statistic for a log, in two halves, of alternating [folds](locsim_core::Folds).
 pub(crate) type Halves = [f64; 2];
 
 /// A covariate of the omnibus search.

@@ -18,7 +18,7 @@ impl Family for Neighbours {
             let are_neighbours = pair[0].scan == pair[1].scan && pair[0].index + 1 == pair[1].index;
             let of_surface = pair.iter().all(|r| r.is_return && !r.is_in_front && !r.is_behind);
             if are_neighbours && of_surface {
-                sum[pair[0].half()] += (pair[0].pit - 0.5) * (pair[1].pit - 0.5);
+                sum[pair[0].half] += (pair[0].pit - 0.5) * (pair[1].pit - 0.5);
             }
         }
         vec![sum]

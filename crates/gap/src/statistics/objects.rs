@@ -112,7 +112,7 @@ impl Family for Objects {
         let mut counts = vec![[0.0; 2]; self.cells.len()];
         for reading in log.in_front() {
             if let Some(&cell) = self.cells.get(&cell_at(reading.point(), OBJECT_CELL_M)) {
-                counts[cell as usize][reading.half()] += 1.0;
+                counts[cell as usize][reading.half] += 1.0;
             }
         }
         let count = |window: &Window| {

@@ -1,10 +1,10 @@
 //! Errors of the odometry's increments against those of the reference.
 
+use locsim_core::Folds;
 use locsim_world::effect::{self, Axis, EffectKind};
 use locsim_world::simulation::{Increment, OdometrySpread, lag_slopes, standardized};
 
 use super::contamination::{detectable_share, score};
-use super::readings::half_of;
 use super::{Cell, Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
 use crate::catalogue::shown_by;
 
@@ -32,13 +32,19 @@ impl OdometryCorrelation {
     }
 
     /// Each half's correlation; `errs` where the reference has errors.
-    fn of_increments(&self, increments: &[Increment], spread: &OdometrySpread, errs: bool) -> Halves {
+    fn of_increments(
+        &self,
+        increments: &[Increment],
+        folds: Folds,
+        spread: &OdometrySpread,
+        errs: bool,
+    ) -> Halves {
         let (error, motion) = (self.error as usize, self.motion as usize);
         let mut correlations = [Correlation::default(); 2];
         for (scan, increment) in increments.iter().enumerate() {
             let driven = if errs { motion_about(increments, scan) } else { increment.truth };
             let deviation = increment.deviation(spread, error);
-            correlations[half_of(scan)]
+            correlations[folds.half_of(scan)]
                 .add(standardized(increment, spread)[error], driven[motion] / deviation);
         }
         correlations.map(|correlation| correlation.value())
@@ -53,7 +59,8 @@ impl Family for OdometryCorrelation {
     /// A correlation doesn't depend on how large the reference's errors are taken to be, only on whether it has any.
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
         let spread = &log.fitted.nuisances.odometry_error;
-        vec![self.of_increments(&increments_of(log), spread, log.has_pose_errors)]
+        let folds = log.comparison.recorded.folds;
+        vec![self.of_increments(&increments_of(log), folds, spread, log.has_pose_errors)]
     }
 }
 
@@ -93,12 +100,13 @@ impl Family for Slips {
         let odometry_error = &log.fitted.nuisances.odometry_error;
         let increments = increments_of(log);
         let detectable = detectable_share(increments.len() as f64);
+        let folds = log.comparison.recorded.folds;
         let mut sums = vec![[0.0; 2]; self.shares.len()];
         for (scan, increment) in increments.iter().enumerate() {
             for (sum, &share) in sums.iter_mut().zip(self.shares) {
                 let [longer, shorter] =
                     increment.slip_ratios(odometry_error, share).map(|ratio| score(ratio, detectable));
-                sum[half_of(scan)] += longer - shorter;
+                sum[folds.half_of(scan)] += longer - shorter;
             }
         }
         sums
@@ -120,7 +128,7 @@ impl Family for OdometryLag {
         let mut sum = [0.0; 2];
         let slopes = lag_slopes(&increments, &log.fitted.nuisances.odometry_error, secs);
         for (scan, [product, _]) in slopes.into_iter().enumerate() {
-            sum[half_of(scan + 1)] += product;
+            sum[recorded.folds.half_of(scan + 1)] += product;
         }
         vec![sum]
     }
@@ -155,7 +163,7 @@ impl Correlation {
 
 #[cfg(test)]
 mod tests {
-    use locsim_core::{Draw, Stage};
+    use locsim_core::{Draw, Pose2, Stage, Track};
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
@@ -167,6 +175,8 @@ mod tests {
         let turning =
             OdometryCorrelation { kind: EffectKind::OdomTurnScale, error: Axis::Turn, motion: Axis::Turn };
         let spread = OdometrySpread { sigma_rad: 1.4e-3, ..OdometrySpread::default() };
+        let stamped = (0..401).map(|i| (0.1 * f64::from(i), Pose2::IDENTITY));
+        let folds = Folds::new(&Track::new(stamped).unwrap(), 2.0, 20..=20);
         let correlated = |turn: fn(u32) -> f64, scale: f64, errs| {
             let mut rng = Draw::new(1, Stage::Path, 0).item(0);
             let headings: Vec<f64> =
@@ -177,7 +187,7 @@ mod tests {
                 Increment { truth: [0.1, read], error: [0.0, odometry - read], squares: [[0.0; 2]; 2] }
             };
             let increments: Vec<Increment> = (0..).zip(headings.windows(2)).map(increment).collect();
-            turning.of_increments(&increments, &spread, errs).iter().sum::<f64>()
+            turning.of_increments(&increments, folds, &spread, errs).iter().sum::<f64>()
         };
         let straight: fn(u32) -> f64 = |_| 0.0;
         let turns: fn(u32) -> f64 = |i| if i % 40 < 15 { 0.05 } else { 0.0 };

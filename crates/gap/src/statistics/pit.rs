@@ -24,7 +24,7 @@ impl Family for PitHistogram {
         let mut counts = vec![[0.0; 2]; BINS as usize];
         for reading in &log.all {
             let bin = (f64::from(BINS) * reading.pit) as usize;
-            counts[bin.min(BINS as usize - 1)][reading.half()] += 1.0;
+            counts[bin.min(BINS as usize - 1)][reading.half] += 1.0;
         }
         counts
     }

@@ -25,7 +25,7 @@ impl Family for Ratios {
         let mut counts = vec![[0.0; 2]; BINS];
         for reading in log.all.iter().filter(|reading| reading.is_in_front || reading.is_behind) {
             let bin = (reading.z / ((reading.beam.range() + reading.shift) * WIDTH)) as usize;
-            counts[bin.min(BINS - 1)][reading.half()] += 1.0;
+            counts[bin.min(BINS - 1)][reading.half] += 1.0;
         }
         counts
     }

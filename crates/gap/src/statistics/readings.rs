@@ -9,15 +9,6 @@ use crate::hypothesis::{Comparison, Fitted};
 use crate::likelihood::{Density, Terms};
 use crate::views::Beam;
 
-/// Consecutive scans that are held out, located and drawn together \[scans\]: readings of scans so far apart share little
-/// clutter and little error of the reference.
-pub(crate) const FOLD_SCANS: usize = 20;
-
-/// The number of folds: a last one that isn't full goes with the one before.
-pub(crate) fn fold_count(scans: usize) -> usize {
-    (scans / FOLD_SCANS).max(1)
-}
-
 /// The largest noise with which readings of the surface are separated from readings of other things \[m\]. With more, most
 /// things in front of a wall would count as the wall.
 const MOST_NOISE_M: f64 = 0.1;
@@ -37,6 +28,8 @@ pub(crate) struct Readings<'a> {
 /// A reading under a hypothesis.
 pub(crate) struct Reading<'a> {
     pub scan: usize,
+    /// The half of the log that it is of.
+    pub half: usize,
     /// Index of its beam in the log.
     pub index: usize,
     pub beam: &'a Beam,
@@ -80,6 +73,7 @@ impl<'a> Readings<'a> {
             };
             all.push(Reading {
                 scan,
+                half: comparison.recorded.folds.half_of(scan),
                 index,
                 beam,
                 heading: poses[scan].theta + beam.view.bearing,
@@ -114,11 +108,6 @@ impl<'a> Readings<'a> {
 }
 
 impl Reading<'_> {
-    /// The half of the log that it is of.
-    pub fn half(&self) -> usize {
-        half_of(self.scan)
-    }
-
     /// Where it is in the map \[m\].
     pub fn point(&self) -> DVec2 {
         let view = &self.beam.view;
@@ -143,11 +132,6 @@ impl Reading<'_> {
 
 /// Beams more grazing than 80 degrees count as that (cosine): their ends move far with a wall that moves little.
 const LEAST_COSINE: f64 = 0.17;
-
-/// The half of a log that a scan is of.
-pub(super) fn half_of(scan: usize) -> usize {
-    (scan / FOLD_SCANS) % 2
-}
 
 /// The draws that randomize the PIT of missing returns.
 pub(crate) fn pit_draw(seed: u64) -> Draw {

@@ -1,6 +1,5 @@
 //! Scans as wholes: how much they differ by what their beams share, such as a pose or a cloud of dust.
 
-use super::readings::half_of;
 use super::{Cell, Covariate, Deviation, Family, Form, Halves, Readings, Statistic};
 
 const DEVIATIONS: [Deviation; 3] = [Deviation::Mean, Deviation::Short, Deviation::NoReturn];
@@ -25,10 +24,11 @@ impl Family for Scans {
                 *sum += summand;
             }
         }
+        let folds = log.comparison.recorded.folds;
         let mut sums = vec![[0.0; 2]; DEVIATIONS.len()];
         for (scan, pair) in of_scans.windows(2).enumerate() {
             for (sum, (before, after)) in sums.iter_mut().zip(pair[0].iter().zip(pair[1])) {
-                sum[half_of(scan)] += (after - before).powi(2);
+                sum[folds.half_of(scan)] += (after - before).powi(2);
             }
         }
         sums

@@ -119,7 +119,7 @@ impl Family for Scores {
         }
         let max = log.max_range();
         for readings in log.scans() {
-            let half = readings[0].half();
+            let half = readings[0].half;
             let derivatives: Vec<f32> =
                 readings.iter().map(|reading| self.derivative(reading, max) as f32).collect();
             for (sum, Weights { of_beams, share, .. }) in sums.iter_mut().zip(&self.directions) {

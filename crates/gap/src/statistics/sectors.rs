@@ -135,8 +135,8 @@ impl Family for Sectors {
             if range < self.ranges {
                 let bin = self.of_beams[reading.index % self.of_beams.len()] * self.ranges + range;
                 let place = cell_at(reading.point(), OBJECT_CELL_M);
-                if seen.insert((bin, reading.half(), place)) {
-                    counts[bin][reading.half()] += 1.0;
+                if seen.insert((bin, reading.half, place)) {
+                    counts[bin][reading.half] += 1.0;
                 }
             }
         }

@@ -33,7 +33,7 @@ impl Family for Steps {
         let mut sums = vec![[0.0; 2]; 2 * STEPS_M.len()];
         for reading in log.all.iter().filter(|reading| reading.is_return) {
             for (sum, part) in sums.iter_mut().zip(phases(reading.z).as_flattened()) {
-                sum[reading.half()] += part;
+                sum[reading.half] += part;
             }
         }
         sums

@@ -98,7 +98,7 @@ impl WallCells {
         let mut sums = vec![[0.0; 2]; self.len()];
         for reading in &log.all {
             if let Some(cell) = self.of_beam(reading.index) {
-                sums[cell][reading.half()] += summand(reading, cell);
+                sums[cell][reading.half] += summand(reading, cell);
             }
         }
         let both = |&[a, b]: &[usize; 2]| std::array::from_fn(|half| sums[a][half] + sums[b][half]);

@@ -1,0 +1,72 @@
+//! Stretches of a log that are held out together.
+
+use std::ops::RangeInclusive;
+
+use crate::Track;
+
+/// Folds of a log: stretches of as many consecutive scans each; a last one that isn't full goes with the one before.
+#[derive(Clone, Copy, Debug)]
+pub struct Folds {
+    scans_each: usize,
+    count: usize,
+}
+
+impl Folds {
+    /// The folds of a track whose poses are those of the scans: each lasts about `secs` \[s\], and has a number of scans that
+    /// `allowed` has (from 1 on).
+    pub fn new(track: &Track, secs: f64, allowed: RangeInclusive<usize>) -> Self {
+        let (scans, stamps) = (track.len(), track.secs());
+        let interval = stamps[scans - 1] / (scans - 1).max(1) as f64;
+        // Without duration each fold has as many as are allowed.
+        let scans_each = ((secs / interval).round() as usize).clamp(*allowed.start(), *allowed.end());
+        Self { scans_each, count: (scans / scans_each).max(1) }
+    }
+
+    /// How many there are, at least 1.
+    pub fn count(self) -> usize {
+        self.count
+    }
+
+    /// The fold of a scan.
+    pub fn of_scan(self, scan: usize) -> usize {
+        (scan / self.scans_each).min(self.count - 1)
+    }
+
+    /// The half of the log that a scan is of, 0 or 1: folds alternate.
+    pub fn half_of(self, scan: usize) -> usize {
+        self.of_scan(scan) % 2
+    }
+
+    /// Sums over each fold of a value of each scan.
+    pub fn sums(self, of_scans: &[f64]) -> Vec<f64> {
+        let mut sums = vec![0.0; self.count];
+        for (scan, value) in of_scans.iter().enumerate() {
+            sums[self.of_scan(scan)] += value;
+        }
+        sums
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Pose2;
+
+    fn folds(scans: usize, rate_hz: f64) -> Folds {
+        let stamped = (0..scans).map(|i| (i as f64 / rate_hz, Pose2::IDENTITY));
+        Folds::new(&Track::new(stamped).unwrap(), 2.0, 5..=20)
+    }
+
+    #[test]
+    fn folds_last_as_long_as_they_may() {
+        let each = [100.0, 10.0, 4.0, 2.0, 0.1, f64::INFINITY].map(|rate_hz| folds(400, rate_hz).scans_each);
+        assert_eq!(each, [20, 20, 8, 5, 5, 20]);
+    }
+
+    #[test]
+    fn scans_beyond_the_last_full_fold_go_with_it() {
+        let folds = folds(59, 10.0);
+        assert_eq!((folds.count(), folds.of_scan(39), folds.of_scan(58), folds.half_of(58)), (2, 1, 1, 1));
+        assert_eq!(folds.sums(&[1.0; 59]), [20.0, 39.0]);
+    }
+}
