@@ -319,6 +319,31 @@ fn a_curve_without_a_name_becomes_a_part_of_the_simulator() {
     folder.locsim(apply).code(2).stderr(contains("residuals: the key is not allowed here"));
 }
 
+/// Stamps of six digits since 1970 are all alike, as in logs that are handed around. Simulated logs are of the whole drive none the less.
+#[test]
+fn a_clock_that_stands_still_hides_nothing() {
+    let folder = folder();
+    let text = String::from_utf8(folder.read("measured.log")).unwrap();
+    let line = |line: &str| {
+        let mut words: Vec<&str> = line.split(' ').collect();
+        if ["ROBOTLASER1", "ODOM", "TRUEPOS"].contains(&words[0]) {
+            let count = words.len();
+            words[count - 3] = "1.01893e+09";
+            words[count - 1] = "1.01893e+09";
+        }
+        words.join(" ")
+    };
+    folder.write("still.log", text.lines().map(line).collect::<Vec<_>>().join("\n") + "\n");
+    let line = "gap nominal.yaml --log still.log --out found --replicates 29 --no-filter --json";
+    let outcome: Value = serde_json::from_str(&output(&folder.locsim(line).success())).unwrap();
+    assert_eq!(outcome["effects"][0]["name"], "range_bias", "{outcome:#}");
+    let of = |key: &str| outcome["gap"][key]["w1_mm"].as_f64().unwrap();
+    let [before, after, floor] = ["before", "after", "floor"].map(of);
+    assert!(after - floor < 0.3 * (before - floor), "{}", outcome["gap"]);
+    let notes = outcome["notes"].to_string();
+    assert!(notes.contains("have the stamp of the scan before"), "{notes}");
+}
+
 /// The true poses of a log are turned by a degree about the map's origin, and scans are as they were. To a scan that is much like a laser
 /// that sits at another angle.
 #[test]

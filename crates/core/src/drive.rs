@@ -172,6 +172,24 @@ impl Drive {
         self.steps[i].odometry.relative_to(&self.steps[i - 1].odometry)
     }
 
+    /// Gives scans with the stamp of the scan before a time of their own: evenly until the next stamp, and at most `interval_secs` \[s\]
+    /// apart. Clocks that stand still, or tick once in several scans, tell no more. Returns how many scans had no time of their own.
+    pub fn spread_stamps(&mut self, interval_secs: f64) -> usize {
+        let mut spread = 0;
+        let mut begin = 0;
+        while let Some(stamp) = self.steps.get(begin).map(|step| step.stamp_secs) {
+            let same = self.steps[begin..].iter().take_while(|step| step.stamp_secs == stamp).count();
+            let until = self.steps.get(begin + same).map(|next| (next.stamp_secs - stamp) / same as f64);
+            let each = until.unwrap_or(interval_secs).min(interval_secs);
+            for (i, step) in self.steps[begin..begin + same].iter_mut().enumerate() {
+                step.stamp_secs = stamp + i as f64 * each;
+            }
+            spread += same - 1;
+            begin += same;
+        }
+        spread
+    }
+
     /// The reference poses of the scans that have one.
     ///
     /// # Errors
@@ -205,5 +223,26 @@ impl Drive {
             })
             .collect();
         Self { laser, steps }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scans_of_one_stamp_come_evenly() {
+        let laser = Laser::new(vec![0.0], vec![0.0], 0.0, 1.0, Pose2::IDENTITY).unwrap();
+        let stamps = [5.0, 5.0, 5.0, 8.0, 8.0, 9.0, 30.0, 30.0, 90.0, 90.0, 90.0];
+        let step = |stamp_secs| DriveStep {
+            stamp_secs,
+            odometry: Pose2::IDENTITY,
+            reference: None,
+            scan: Scan::default(),
+        };
+        let mut drive = Drive { laser, steps: stamps.map(step).to_vec() };
+        assert_eq!(drive.spread_stamps(2.0), 6);
+        let stamps: Vec<f64> = drive.steps.iter().map(|step| step.stamp_secs).collect();
+        assert_eq!(stamps, [5.0, 6.0, 7.0, 8.0, 8.5, 9.0, 30.0, 32.0, 90.0, 92.0, 94.0]);
     }
 }

@@ -84,11 +84,12 @@ pub fn apply(
     let is_bag = LogFormat::of_name(out) == LogFormat::Bag && LogFormat::of_content(log)? == LogFormat::Bag;
     let moves_odometry =
         simulator.effects.iter().any(|effect| effect.kind.description().moves == Moves::Odometry);
-    let with_odometry = read(log, options, is_bag);
+    let interval_secs = simulator.laser.rate_hz.recip();
+    let with_odometry = read(log, options, is_bag, interval_secs);
     let recording = match with_odometry {
         Err(_) if !moves_odometry && !options.without_odometry => {
             // A log without odometry; another error comes again.
-            read(log, &LogOptions { without_odometry: true, ..options.clone() }, is_bag)?
+            read(log, &LogOptions { without_odometry: true, ..options.clone() }, is_bag, interval_secs)?
         }
         recording => recording?,
     };
@@ -130,9 +131,17 @@ struct Recording {
     summary: LogSummary,
 }
 
-fn read(log: &Path, options: &LogOptions, is_bag: bool) -> Result<Recording, DatasetError> {
+/// Reads a log. One that isn't copied gets a clock that runs, with scans at most `interval_secs` \[s\] apart where its own stands still: what
+/// an effect does is looked up by the time of the scan.
+fn read(
+    log: &Path,
+    options: &LogOptions,
+    is_bag: bool,
+    interval_secs: f64,
+) -> Result<Recording, DatasetError> {
     if !is_bag {
-        let (drive, summary) = read_log(log, options)?;
+        let (mut drive, summary) = read_log(log, options)?;
+        drive.spread_stamps(interval_secs);
         return Ok(Recording { copy: None, drive, summary });
     }
     let LogOptions { max_range_m, topics, without_odometry } = options.clone();

@@ -71,6 +71,8 @@ const BEAMS: usize = 72;
 /// corrects them.
 const SIGMA_M: f64 = 0.02;
 const STEP_M: f64 = 0.01;
+/// Scans per second where a log's clock stands still.
+const RATE_HZ: f64 = 1.0;
 const ODOMETRY: [f64; 4] = [0.02, 0.01, 0.02, 0.01];
 
 /// A search.
@@ -254,7 +256,8 @@ struct Log {
 impl Log {
     fn load(path: &Path, options: &RealOptions<'_>) -> Result<Self, BenchError> {
         let read = LogOptions { max_range_m: Some(options.max_range_m as f32), ..LogOptions::default() };
-        let (drive, _) = read_log(path, &read)?;
+        let (mut drive, _) = read_log(path, &read)?;
+        drive.spread_stamps(RATE_HZ.recip());
         let path = RobotPath::new(&drive);
         // Evenly spread: each half is thinned further, and the map takes no more scans than both have.
         let each = drive.steps.len().div_ceil(2 * options.scans).max(1);
@@ -265,7 +268,7 @@ impl Log {
         let bearings = drive.laser.bearings();
         let [first, last] = [bearings[0], bearings[bearings.len() - 1]].map(f64::from);
         let laser = LaserOptions {
-            rate_hz: 1.0,
+            rate_hz: RATE_HZ,
             beams: bearings.len() as u32,
             field_of_view_rad: last - first,
             first_bearing_rad: None,

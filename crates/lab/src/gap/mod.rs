@@ -22,7 +22,7 @@ use locsim_dataset::{LogKind, LogOptions, LogSummary, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Recorded, ResidualStage};
 use locsim_world::effect::EffectKind;
 use locsim_world::raycast::ExactRangeMap;
-use locsim_world::simulation::Simulator;
+use locsim_world::simulation::{LaserSimulator, Simulator};
 
 pub use answer::answer;
 pub use baseline::{answer_since, find as find_since, json as json_since, run as run_since};
@@ -188,12 +188,12 @@ impl GapStudy {
             }
             let (drive, summary) = read_log(&path, &settings.log)?;
             notes.push(format!("Baseline: {}", summary.to_string().replace('\n', "; ")));
-            let laser = simulated.laser().laser();
+            let laser = simulated.laser();
             let (_, recorded) = usable(&path, drive, &summary, laser, &map, &settings, &mut notes)?;
             Ok(Baseline { log: path, recorded })
         });
         let baseline = baseline.transpose()?;
-        let laser = simulated.laser().laser();
+        let laser = simulated.laser();
         let (drive, recorded) = usable(&log, drive, &summary, laser, &map, &settings, &mut notes)?;
         let is_localized = summary.kind == LogKind::Localized;
         Ok(Self { scenario, simulator, log, map, drive, recorded, baseline, settings, notes, is_localized })
@@ -311,14 +311,22 @@ fn usable(
     log: &Path,
     drive: Drive,
     summary: &LogSummary,
-    laser: &Laser,
+    laser: &LaserSimulator,
     map: &ExactRangeMap,
     settings: &GapSettings,
     notes: &mut Vec<String>,
 ) -> Result<(Drive, Recorded), LabError> {
     let refuse = |what: String| LabError::Log { path: log.to_owned(), what };
-    let drive = with_mount(drive, laser, notes);
-    let drive = with_beams(drive, laser).map_err(refuse)?;
+    let drive = with_mount(drive, laser.laser(), notes);
+    let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
+    let interval = laser.options().rate_hz.recip();
+    let spread = drive.spread_stamps(interval);
+    if spread > 0 {
+        notes.push(format!(
+            "{spread} scans have the stamp of the scan before. They are taken to come evenly, at most {interval} s apart, by the \
+             scenario's `laser.rate_hz`: times and speeds are no better than that."
+        ));
+    }
     let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
     let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
     let is_usable = |step: &&DriveStep| step.reference.is_some_and(|pose| free(&pose));

@@ -209,7 +209,10 @@ impl Simulator {
         let beams = self.laser.laser().beam_count();
         let mut out = vec![0.0; track.len() * beams];
         out.par_chunks_mut(beams).enumerate().for_each_init(Scratch::default, |scratch, (i, out)| {
-            let scan = self.sweep(seed, i as u32, track.secs()[i], |secs| track.pose_at(secs), scratch);
+            let stamp = track.secs()[i];
+            // Poses of several scans may have one stamp.
+            let base_at = |secs: f64| if secs == stamp { track.poses()[i] } else { track.pose_at(secs) };
+            let scan = self.sweep(seed, i as u32, stamp, base_at, scratch);
             out.copy_from_slice(&scan.ranges);
         });
         out
@@ -232,6 +235,17 @@ mod tests {
 
     fn simulator(laser: LaserOptions) -> Simulator {
         Simulator::new(room_map(), Some(block_options()), laser, Effects::none()).unwrap()
+    }
+
+    /// What a scan sees doesn't depend on whether the clock runs.
+    #[test]
+    fn scans_of_one_stamp_are_from_their_own_poses() {
+        let along = |secs: f64| {
+            let stamped =
+                some_poses().iter().enumerate().map(|(i, pose)| (secs * i as f64, pose)).collect::<Vec<_>>();
+            simulator(noisy_laser()).scan_along(&Track::new(stamped).unwrap(), 5)
+        };
+        assert_eq!(along(0.0), along(1.0));
     }
 
     fn some_poses() -> Particles {
