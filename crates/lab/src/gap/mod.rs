@@ -32,7 +32,7 @@ pub use filter::FilterOnLog;
 pub use proposal::scenario_with;
 
 use crate::LabError;
-use crate::run::{log_map, no_reference, read_scenario_log, selected};
+use crate::run::{log_map, no_reference, read_scenario_log, selected, spread_stamps};
 use locsim_core::Control;
 use locsim_report::ReportError;
 use locsim_report::store::{Folder, Request};
@@ -319,14 +319,7 @@ fn usable(
     let refuse = |what: String| LabError::Log { path: log.to_owned(), what };
     let drive = with_mount(drive, laser.laser(), notes);
     let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
-    let interval = laser.options().rate_hz.recip();
-    let spread = drive.spread_stamps(interval);
-    if spread > 0 {
-        notes.push(format!(
-            "{spread} scans have the stamp of the scan before. They are taken to come evenly, at most {interval} s apart, by the \
-             scenario's `laser.rate_hz`: times and speeds are no better than that."
-        ));
-    }
+    notes.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
     let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
     let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
     let is_usable = |step: &&DriveStep| step.reference.is_some_and(|pose| free(&pose));

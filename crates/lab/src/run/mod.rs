@@ -35,7 +35,7 @@ use detail::Detail;
 pub(crate) use filter::options as filter_options;
 pub(crate) use grounds::Grounds;
 use laboratory::{Laboratory, TrialDrive, check_measured, check_simulation};
-pub(crate) use laboratory::{log_map, no_reference, refused, selected};
+pub(crate) use laboratory::{log_map, no_reference, refused, selected, spread_stamps};
 pub use laboratory::{read_options, read_scenario_log};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store, StoreError};
