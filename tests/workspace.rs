@@ -18,7 +18,7 @@ const LAYERS: [(&str, &[&str]); 19] = [
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
     ("locsim-gap", &["distreg", "locsim-core", "locsim-world"]),
-    ("locsim-baseline", &["locsim-core", "locsim-gap", "locsim-world"]),
+    ("locsim-baseline", &["distreg", "locsim-core", "locsim-gap", "locsim-world"]),
     ("locsim-report", &["locsim-core", "locsim-sensor"]),
     ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"]),
     ("locsim-study", &["distreg", "locsim-core", "locsim-report", "locsim-scenario", "locsim-world"]),

@@ -8,8 +8,9 @@
 
 use std::collections::{BTreeMap, HashMap};
 
+use distreg::matrix::invert;
 use locsim_core::Estimate;
-use locsim_gap::{GapError, Number, cell_at, invert};
+use locsim_gap::{GapError, Number, cell_at};
 use locsim_world::effect::{Effect, Parameter, Role};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};

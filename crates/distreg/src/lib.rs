@@ -15,6 +15,7 @@
 //! | quality | [`Loss`], [`losses`], [`risk`] |
 //! | settings | [`cross_validate`] with [`grid_search`] or [`optimize`] |
 //! | curves of residuals | [`curve`]: what a moment of PITs depends on, level by level; [`wave`]: whether that is a wave |
+//! | precision | [`matrix`]: the covariance of estimates from their information |
 //! | speed | [`ConditionalDistribution::predict_batch`]; [`Table`] for single densities |
 //!
 //! `docs/sensor-in-20-lines.md` shows the whole way for a new sensor. In short:
@@ -57,6 +58,7 @@ mod frechet;
 mod kernel;
 mod local_regression;
 mod loss;
+pub mod matrix;
 mod np_reg;
 mod p_reg;
 mod point_share;

@@ -2,13 +2,13 @@
 
 use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
+use distreg::matrix::invert;
 use locsim_core::{Interval, normal};
 use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted};
-use crate::matrix::invert;
 use crate::statistics::Start;
 
 /// The most iterations of the simplex search for each parameter. They bound the time of a fit that doesn't settle.
@@ -328,8 +328,7 @@ impl<'s, 'c, 'a> Slopes<'s, 'c, 'a> {
             let parameter = &other.kind.parameters()[i];
             other.values[i] = (other.values[i] + change).clamp(parameter.lo, parameter.hi);
         }
-        let folds = self.search.comparison.recorded.folds;
-        let mut moved = folds.sums(&self.search.evaluate(&other)?.scans);
+        let mut moved = self.search.comparison.recorded.folds.sums(&self.search.evaluate(&other)?.scans);
         // The prior holds for the log as a whole: each fold has its share of it.
         let prior = (log_prior(&other) - log_prior(self.effect)) / moved.len() as f64;
         for fold in &mut moved {

@@ -16,7 +16,6 @@ pub mod hidden;
 mod hypothesis;
 mod likelihood;
 mod map_error;
-mod matrix;
 mod nominal;
 mod null;
 mod outcome;
@@ -39,7 +38,6 @@ pub use error::GapError;
 pub use fit::sum_error;
 pub use hypothesis::Nuisances;
 pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
-pub use matrix::invert;
 pub use nominal::Nominal;
 pub use outcome::{
     BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,

@@ -27,6 +27,10 @@ const FEWEST_SCANS: usize = 3;
 const LEAST_SHARE: f64 = 0.15;
 /// This many times the share of the whole log: readings that are random are so everywhere.
 const TIMES_USUAL: f64 = 4.0;
+/// Beams of these widths of incidence lose returns alike \[rad\].
+const CLASS_RAD: f64 = 0.2;
+/// Panes and gratings are seldom wider than this \[m\]: pieces farther off tell what a wall of another kind would return.
+const NEARBY_M: f64 = 2.0;
 /// The least angle between the bearings of beams that end on an object in the room: one on the robot is always at the same
 /// \[rad\].
 const LEAST_TURN_RAD: f64 = 0.2;
@@ -89,6 +93,11 @@ struct Place {
     /// The offset of the wall that it speaks for, across \[m\].
     offset: f64,
     is_far: bool,
+    is_return: bool,
+    /// Whether it is far behind the wall, or there is no return.
+    is_beyond: bool,
+    /// The beams that lose returns alike: by incidence and range.
+    class: [i32; 2],
     origin: DVec2,
     end: DVec2,
 }
@@ -100,8 +109,9 @@ pub(crate) fn find(comparison: &Comparison<'_>, fitted: &Fitted) -> (Vec<MapErro
     let Some(pieces) = comparison.nominal.pieces.as_ref().filter(|_| !views.pieces.is_empty()) else {
         return (Vec::new(), ignored);
     };
-    let places = places(comparison, fitted);
+    let mut places = places(comparison, fitted);
     let mut errors = walls(pieces, &places, &mut ignored);
+    places.retain(|place| place.is_return);
     errors.extend(objects(comparison, &places, &mut ignored));
     errors.sort_by(|a, b| b.readings.cmp(&a.readings).then(a.kind.cmp(&b.kind)));
     (errors, ignored)
@@ -114,9 +124,10 @@ fn places(comparison: &Comparison<'_>, fitted: &Fitted) -> Vec<Place> {
     let mut places = Vec::new();
     let effects = &comparison.nominal.effects;
     comparison.for_each_reading(views, effects, fitted, |scan, i, _, shift, z, _| {
-        let Some(PieceView { piece, lean }) = views.pieces[i].filter(|_| z < max) else { return };
         let beam = &views.beams[i];
+        let Some(PieceView { piece, lean }) = views.pieces[i].filter(|_| beam.range() < max) else { return };
         let error = z - beam.range() - shift;
+        let is_far = error.abs() > FAR_M + FAR_RAD * beam.jacobian[2].abs();
         let (origin, heading) = rays[i];
         let direction = DVec2::from_angle(heading);
         places.push(Place {
@@ -126,7 +137,10 @@ fn places(comparison: &Comparison<'_>, fitted: &Fitted) -> Vec<Place> {
             piece: piece as usize,
             error,
             offset: error / lean + fitted.offsets[piece as usize],
-            is_far: error.abs() > FAR_M + FAR_RAD * beam.jacobian[2].abs(),
+            is_far,
+            is_return: z < max,
+            is_beyond: is_far && error > 0.0 || z >= max,
+            class: [beam.view.incidence / CLASS_RAD, beam.range().max(1.0).log2()].map(|x| x as i32),
             origin,
             end: origin + z * direction,
         });
@@ -134,43 +148,74 @@ fn places(comparison: &Comparison<'_>, fitted: &Fitted) -> Vec<Place> {
     places
 }
 
+/// How many readings of each class end at a wall, and how many pass it or have no return.
+type Passes = BTreeMap<[i32; 2], [f64; 2]>;
+
+fn count<'p>(places: impl Iterator<Item = &'p &'p Place>) -> Passes {
+    let mut passes = Passes::new();
+    for place in places {
+        passes.entry(place.class).or_default()[usize::from(place.is_beyond)] += 1.0;
+    }
+    passes
+}
+
+/// The share of readings that are to pass a piece of wall: of those of the same classes at pieces that aren't nearby. What a laser loses
+/// of slanted or far walls it loses of all alike.
+fn expected_share(own: &Passes, nearby: &Passes, all: &Passes, usual: f64) -> f64 {
+    let expected = own.iter().map(|(class, readings)| {
+        let [end, pass] = [0, 1].map(|i| all[class][i] - nearby[class][i]);
+        readings.iter().sum::<f64>() * (pass + usual) / (end + pass + 1.0)
+    });
+    expected.sum::<f64>() / own.values().flatten().sum::<f64>()
+}
+
 /// Pieces of walls that beams go through, or that stand elsewhere.
 fn walls(pieces: &WallPieces, places: &[Place], ignored: &mut [bool]) -> Vec<MapError> {
+    // What is in front of a wall says nothing about it.
+    let arrived: Vec<&Place> = places.iter().filter(|place| !place.is_far || place.is_beyond).collect();
     let mut of_pieces: BTreeMap<usize, Vec<&Place>> = BTreeMap::new();
-    for place in places {
+    for place in &arrived {
         of_pieces.entry(place.piece).or_default().push(place);
     }
-    let passes = |place: &&&Place| place.is_far && place.error > 0.0;
-    let passed = places.iter().filter(|place| passes(&place)).count() as f64;
-    let usual = passed / places.len().max(1) as f64;
-    let mut all_offsets: Vec<f64> = places.iter().filter(|p| !p.is_far).map(|p| p.offset).collect();
-    let middle = median(&mut all_offsets);
+    let middle_of = |piece: usize| pieces.ends(piece).iter().sum::<DVec2>() / 2.0;
+    let all = count(arrived.iter());
+    let usual = arrived.iter().filter(|place| place.is_beyond).count() as f64 / arrived.len().max(1) as f64;
+    let offset_of = |near: &mut dyn Iterator<Item = &&Place>| {
+        median(&mut near.filter(|place| !place.is_beyond).map(|place| place.offset).collect::<Vec<_>>())
+    };
+    let usual_offset = offset_of(&mut arrived.iter());
     let mut errors = Vec::new();
-    for (piece, places) in of_pieces {
-        let through: Vec<&&Place> = places.iter().filter(passes).collect();
-        let mut near: Vec<f64> = places.iter().filter(|p| !p.is_far).map(|p| p.offset).collect();
-        let arrived = through.len() + near.len();
-        let share = through.len() as f64 / arrived.max(1) as f64;
-        let offset = median(&mut near) - middle;
-        let (kind, readings, share, offset_m) =
-            if is_enough(&through) && share >= LEAST_SHARE.max((TIMES_USUAL * usual).min(0.5)) {
-                (MapErrorKind::Hole, through.len(), share, None)
-            } else if near.len() >= FEWEST_READINGS && offset.abs() > MOVED_M {
-                (MapErrorKind::MovedWall, near.len(), near.len() as f64 / arrived as f64, Some(offset))
-            } else {
-                continue;
-            };
+    let mut wrong = HashSet::new();
+    for (&piece, arrived) in &of_pieces {
+        let is_near = |other: usize| middle_of(other).distance(middle_of(piece)) < NEARBY_M;
+        let nearby =
+            count(of_pieces.iter().filter(|(other, _)| is_near(**other)).flat_map(|(_, places)| places));
+        let expected = expected_share(&count(arrived.iter()), &nearby, &all, usual);
+        let through: Vec<&Place> = arrived.iter().copied().filter(|place| place.is_beyond).collect();
+        let near = arrived.len() - through.len();
+        let share = through.len() as f64 / arrived.len() as f64;
+        let offset = offset_of(&mut arrived.iter()) - usual_offset;
+        let (kind, readings, share, offset_m) = if is_enough(&through)
+            && share >= LEAST_SHARE.max((TIMES_USUAL * expected).min(0.5 + 0.5 * expected))
+        {
+            (MapErrorKind::Hole, through.len(), share, None)
+        } else if near >= FEWEST_READINGS && offset.abs() > MOVED_M {
+            (MapErrorKind::MovedWall, near, 1.0 - share, Some(offset))
+        } else {
+            continue;
+        };
         let place = pieces.ends(piece).map(|end| end.to_array());
         errors.push(MapError { kind, place, offset_m, readings, share });
-        for place in places {
-            ignored[place.beam] = true;
-        }
+        wrong.insert(piece);
+    }
+    for place in places.iter().filter(|place| wrong.contains(&place.piece)) {
+        ignored[place.beam] = true;
     }
     errors
 }
 
 /// Whether readings are enough, and of enough scans.
-fn is_enough(places: &[&&Place]) -> bool {
+fn is_enough(places: &[&Place]) -> bool {
     let scans: HashSet<usize> = places.iter().map(|place| place.scan).collect();
     places.len() >= FEWEST_READINGS && scans.len() >= FEWEST_SCANS
 }
@@ -196,11 +241,11 @@ fn objects(comparison: &Comparison<'_>, places: &[Place], ignored: &mut [bool]) 
     let came: usize = cells.values().map(|cell| cell.crossed).sum();
     let usual = shorts as f64 / came.max(1) as f64;
     let stands = |cell: &Cell<'_>| {
-        let ends: Vec<&&Place> = cell.ends.iter().collect();
+        let ends = &cell.ends;
         let bearings = || ends.iter().map(|place| place.bearing);
         let turn = bearings().fold(f64::NEG_INFINITY, f64::max) - bearings().fold(f64::INFINITY, f64::min);
         let share = ends.len() as f64 / cell.crossed.max(ends.len()) as f64;
-        is_enough(&ends) && turn >= LEAST_TURN_RAD && share >= LEAST_SHARE.max((TIMES_USUAL * usual).min(0.5))
+        is_enough(ends) && turn >= LEAST_TURN_RAD && share >= LEAST_SHARE.max((TIMES_USUAL * usual).min(0.5))
     };
     let found: BTreeMap<[i32; 2], &Cell<'_>> =
         cells.iter().filter(|(_, cell)| stands(cell)).map(|(at, cell)| (*at, cell)).collect();
@@ -287,6 +332,8 @@ mod tests {
         for (effect, kind, middle) in [
             (wall(EffectKind::MovedWall, 0.3, north.0, north.1), MapErrorKind::MovedWall, [3.0, 4.0]),
             (wall(EffectKind::Glass, 0.6, [5.0, 1.0], [5.0, 2.0]), MapErrorKind::Hole, [5.0, 1.5]),
+            // Nothing is behind the outer wall: beams that pass it have no return.
+            (wall(EffectKind::Glass, 0.3, north.0, north.1), MapErrorKind::Hole, [3.0, 4.0]),
             (plain(EffectKind::MissingObject, &[2.6, 2.0, 0.12]), MapErrorKind::MissingObject, [2.6, 2.0]),
         ] {
             let (errors, left_out) = found(std::slice::from_ref(&effect));

@@ -3,12 +3,11 @@
 //! Beams of one scan share the error of its pose, and neighbouring scans share some of it. The error of x, y (one
 //! standard deviation for both) and of the heading is a first-order autoregressive process, in the map frame.
 
+use distreg::matrix::invert;
 use glam::{DMat3, DVec3};
 use locsim_core::{Pose2, Track};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
-
-use crate::matrix::invert;
 
 /// A first-order autoregressive process for the error of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use distreg::matrix::invert;
 use locsim_core::{Estimate, normal};
 use locsim_world::effect::{Effect, EffectKind, Fit, Parameter, Role};
 use rand_distr::{Distribution, StandardNormal};
@@ -11,7 +12,6 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::{Round, State};
 use crate::fit::{PRIORS, log_prior_by_chance};
 use crate::hypothesis::Comparison;
-use crate::matrix::invert;
 use crate::null::REFIT;
 use crate::outcome::{Evidence, Named, Number};
 use crate::replay::Replay;

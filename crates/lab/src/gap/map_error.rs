@@ -44,7 +44,7 @@ fn finding(error: &MapError) -> String {
         }
         (MapErrorKind::MovedWall, None) => "the wall stands elsewhere".to_owned(),
         (MapErrorKind::MissingObject, _) => format!("{percent} % of the beams end in free space"),
-        (MapErrorKind::Hole, _) => format!("{percent} % of the beams pass the wall"),
+        (MapErrorKind::Hole, _) => format!("{percent} % of the beams pass the wall, or have no return"),
     }
 }
 

@@ -58,11 +58,11 @@ impl ExactRangeMap {
     }
 
     /// Range \[m\] of the next surface behind the one that a ray meets at `range`: at least [`BEHIND_M`] behind it,
-    /// `None` if there is none nearer than `max_range`.
+    /// `None` if there is none nearer than `max_range`, or if what was seen ends there.
     pub fn cast_behind(&self, origin: DVec2, direction: DVec2, range: f64, max_range: f64) -> Option<f64> {
         let start = range + BEHIND_M;
-        let hit = self.cast_segment(origin + start * direction, direction, max_range - start);
-        hit.map(|(_, range)| start + range)
+        let hit = self.cast_ray(origin + start * direction, direction, max_range - start);
+        hit.filter(|hit| !self.geometry().is_unknown(hit.surface)).map(|hit| start + hit.range)
     }
 
     /// As [`ExactRangeMap::cast_ray`], with segments in the way that the map doesn't know. A hit on one of them

@@ -1,4 +1,4 @@
-//! Small matrices.
+//! The inverse of a small information matrix.
 
 use nalgebra::{Cholesky, DMatrix};
 
