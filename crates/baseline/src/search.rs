@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use locsim_core::{Estimate, Progress};
-use locsim_gap::{Evidence, GapError, Named, Nominal, Purpose, Recorded, split_by, sum_error};
+use locsim_core::{Estimate, Progress, sum_error};
+use locsim_gap::{Evidence, GapError, Named, Nominal, Purpose, Recorded, split_by};
 use locsim_world::effect::{Effect, EffectKind, Moves};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;

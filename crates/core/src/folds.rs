@@ -47,6 +47,13 @@ impl Folds {
     }
 }
 
+/// Standard error of a sum over folds.
+pub fn sum_error(folds: &[f64]) -> f64 {
+    let n = folds.len() as f64;
+    let mean = folds.iter().sum::<f64>() / n;
+    (n / (n - 1.0) * folds.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

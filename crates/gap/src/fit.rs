@@ -3,7 +3,7 @@
 use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
 use distreg::matrix::invert;
-use locsim_core::{Interval, normal};
+use locsim_core::{Interval, normal, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -68,13 +68,6 @@ impl Candidate {
     pub fn kind(&self) -> EffectKind {
         self.effect.kind
     }
-}
-
-/// Standard error of a sum over folds.
-pub fn sum_error(folds: &[f64]) -> f64 {
-    let n = folds.len() as f64;
-    let mean = folds.iter().sum::<f64>() / n;
-    (n / (n - 1.0) * folds.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt()
 }
 
 /// Fits an effect to a log, on top of others.

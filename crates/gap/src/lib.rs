@@ -35,7 +35,6 @@ mod wall_error;
 
 pub use catalogue::values_along;
 pub use error::GapError;
-pub use fit::sum_error;
 pub use hypothesis::Nuisances;
 pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
 pub use nominal::Nominal;

@@ -31,6 +31,8 @@ const TIMES_USUAL: f64 = 4.0;
 const CLASS_RAD: f64 = 0.2;
 /// Panes and gratings are seldom wider than this \[m\]: pieces farther off tell what a wall of another kind would return.
 const NEARBY_M: f64 = 2.0;
+/// A piece that few beams come to is as those within this \[m\].
+const BESIDE_M: f64 = 0.5;
 /// The least angle between the bearings of beams that end on an object in the room: one on the robot is always at the same
 /// \[rad\].
 const LEAST_TURN_RAD: f64 = 0.2;
@@ -186,10 +188,18 @@ fn walls(pieces: &WallPieces, places: &[Place], ignored: &mut [bool]) -> Vec<Map
     let usual_offset = offset_of(&mut arrived.iter());
     let mut errors = Vec::new();
     let mut wrong = HashSet::new();
-    for (&piece, arrived) in &of_pieces {
-        let is_near = |other: usize| middle_of(other).distance(middle_of(piece)) < NEARBY_M;
-        let nearby =
-            count(of_pieces.iter().filter(|(other, _)| is_near(**other)).flat_map(|(_, places)| places));
+    for (&piece, own) in &of_pieces {
+        let within = |reach: f64| -> Vec<&Place> {
+            let near = |other: usize| middle_of(other).distance(middle_of(piece)) < reach;
+            of_pieces
+                .iter()
+                .filter(|(other, _)| near(**other))
+                .flat_map(|(_, places)| places)
+                .copied()
+                .collect()
+        };
+        let arrived = if own.len() < FEWEST_READINGS { within(BESIDE_M) } else { own.clone() };
+        let nearby = count(within(NEARBY_M).iter());
         let expected = expected_share(&count(arrived.iter()), &nearby, &all, usual);
         let through: Vec<&Place> = arrived.iter().copied().filter(|place| place.is_beyond).collect();
         let near = arrived.len() - through.len();

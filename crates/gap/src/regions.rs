@@ -94,17 +94,13 @@ pub(crate) fn distance(views: &Views, recorded: &Recorded, simulated: &[Recorded
     distance_of(&all, views, recorded, simulated)
 }
 
-/// The same where each half of the log is held against simulations of its own; `half_of` tells the half of a scan.
-pub(crate) fn distance_in_halves(
-    views: &Views,
-    recorded: &Recorded,
-    simulated: [&[Recorded]; 2],
-    half_of: impl Fn(usize) -> usize,
-) -> f64 {
+/// The same where each half of the log is held against simulations of its own.
+pub(crate) fn distance_in_halves(views: &Views, recorded: &Recorded, simulated: [&[Recorded]; 2]) -> f64 {
     let all = 0..views.beams.len() as u32;
+    let half_of = |beam: u32| recorded.folds.half_of(beam as usize / views.per_scan);
     let own = range_errors(&all.clone().collect::<Vec<_>>(), views, recorded);
     let others = simulated.into_iter().enumerate().flat_map(|(half, logs)| {
-        let beams: Vec<u32> = all.clone().filter(|&i| half_of(i as usize / views.per_scan) == half).collect();
+        let beams: Vec<u32> = all.clone().filter(|&beam| half_of(beam) == half).collect();
         logs.iter().flat_map(|log| range_errors(&beams, views, log)).collect::<Vec<f64>>()
     });
     1e3 * wasserstein(own, others.collect())

@@ -19,14 +19,13 @@ mod large;
 mod outcomes;
 
 use distreg::curve::{Shape, Sums, crossfit, fit};
-use locsim_core::{Draw, Folds};
+use locsim_core::{Draw, Folds, sum_error};
 use locsim_world::effect::Effects;
 
 pub(crate) use covariates::{Axis, Covariates};
 pub(crate) use frame::turned_frame;
 pub(crate) use lag::lag;
 
-use crate::fit::sum_error;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::{Covariate, Deviation};
 use large::{Change, Large};

@@ -1,10 +1,11 @@
 //! A hypothesis judged by a free model: the dependence by which it gains, and the effects that act on it.
 
 use glam::DVec2;
+use locsim_core::sum_error;
 use locsim_world::effect::{Effect, EffectKind, Score, Statistic};
 
 use super::selection::is_of_wall;
-use crate::fit::{Candidate, sum_error};
+use crate::fit::Candidate;
 use crate::free_model::{Component, Covariates, FreeModel, Misalignment};
 use crate::statistics::{Covariate, Deviation, Survey};
 

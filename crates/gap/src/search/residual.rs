@@ -96,12 +96,11 @@ impl<'a> State<'a> {
             (0..LOGS as u32).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
         });
         let halves: Vec<Vec<Recorded>> = halves.collect::<Result<_, GapError>>()?;
-        let half_of = |scan| self.recorded.folds.half_of(scan);
         let views = &comparison.views;
         Ok(Some(ResidualStage {
             curves,
             w1_without_mm: distance(views, self.recorded, simulated),
-            w1_mm: distance_in_halves(views, self.recorded, [&halves[0], &halves[1]], half_of),
+            w1_mm: distance_in_halves(views, self.recorded, [&halves[0], &halves[1]]),
         }))
     }
 }

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use glam::DVec2;
-use locsim_core::Estimate;
+use locsim_core::{Estimate, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Experiment, Moves};
 
 use crate::GapError;
-use crate::fit::{Candidate, sum_error};
+use crate::fit::Candidate;
 use crate::outcome::{Evidence, Named, Number, Rival};
 
 /// Whether two effects are one that was fitted in two steps. The first fit of a strong effect may come out too weak.

@@ -6,12 +6,13 @@
 use std::f64::consts::TAU;
 
 use glam::DVec2;
+use locsim_core::sum_error;
 use locsim_world::effect::{Disc, Effect, Effects, Moves};
 
 use super::Round;
 use super::selection::{LEAST_GAIN_NATS, adds_up};
 use crate::GapError;
-use crate::fit::{Candidate, sum_error};
+use crate::fit::Candidate;
 use crate::views::Beam;
 
 /// Beams that end this near to an effect have to do with it \[m\], and those that pass its ends this near.
