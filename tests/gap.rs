@@ -1,6 +1,8 @@
 //! `locsim gap` as a user types it: a log of a robot that differs from what its scenario says.
 
 mod common;
+#[path = "common/stamps.rs"]
+mod stamps;
 
 use std::path::Path;
 
@@ -8,6 +10,7 @@ use common::{Folder, edited, output};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::{contains, is_empty};
 use serde_json::Value;
+use stamps::with_one_stamp;
 
 /// The nominal scenario: the room, two rounds in it.
 const NOMINAL: &str = "\
@@ -323,17 +326,7 @@ fn a_curve_without_a_name_becomes_a_part_of_the_simulator() {
 #[test]
 fn a_clock_that_stands_still_hides_nothing() {
     let folder = folder();
-    let text = String::from_utf8(folder.read("measured.log")).unwrap();
-    let line = |line: &str| {
-        let mut words: Vec<&str> = line.split(' ').collect();
-        if ["ROBOTLASER1", "ODOM", "TRUEPOS"].contains(&words[0]) {
-            let count = words.len();
-            words[count - 3] = "1.01893e+09";
-            words[count - 1] = "1.01893e+09";
-        }
-        words.join(" ")
-    };
-    folder.write("still.log", text.lines().map(line).collect::<Vec<_>>().join("\n") + "\n");
+    folder.write("still.log", with_one_stamp(&folder.read("measured.log")));
     let line = "gap nominal.yaml --log still.log --out found --replicates 29 --no-filter --json";
     let outcome: Value = serde_json::from_str(&output(&folder.locsim(line).success())).unwrap();
     assert_eq!(outcome["effects"][0]["name"], "range_bias", "{outcome:#}");

@@ -2,6 +2,8 @@
 //! user types beside `run`.
 
 mod common;
+#[path = "common/stamps.rs"]
+mod stamps;
 
 use std::path::{Path, PathBuf};
 
@@ -9,6 +11,7 @@ use common::{Folder, SCENARIO, edited, locsim, output};
 use predicates::prelude::*;
 use predicates::str::contains;
 use serde_json::Value;
+use stamps::with_one_stamp;
 
 /// A drive through the corridor of the room and back, long enough to map, to learn from, and to localize on.
 fn folder_with_a_drive() -> Folder {
@@ -107,6 +110,32 @@ fn a_simulated_log_is_mapped_learnt_from_and_localized_on() {
     let simulated = edited(SCENARIO, "room.yaml", "room-0.05.yaml");
     folder.write("simulated.yaml", simulated);
     folder.locsim("run simulated.yaml --quiet --record none --trials 1").success();
+}
+
+/// Stamps of six digits since 1970 are all alike. Errors don't depend on them, and steps have times of their own none the less.
+#[test]
+fn a_log_whose_clock_stands_still_is_localized_on() {
+    let folder = folder_with_a_drive();
+    folder.locsim("simulate drive.yaml --out drive.log --seed 5").success();
+    folder.write("still.log", with_one_stamp(&folder.read("drive.log")));
+    let log = "{file: LOG, train_scans: [[0.0, 0.5]], localize_scans: [[0.5, 1.0]]}\nmap: {file: room.yaml}";
+    let [plain, still] = ["drive", "still"].map(|name| {
+        let text = on_a_log(&log.replace("LOG", &format!("{name}.log")));
+        localizes(&folder, &format!("{name}-run.yaml"), &text, 0.1)
+    });
+    for name in ["classic", "np_reg_registered"] {
+        assert_eq!(
+            plain["models"][name]["position_rmse_m"], still["models"][name]["position_rmse_m"],
+            "{name}"
+        );
+    }
+    let steps = String::from_utf8(folder.read("still-run.yaml.d/steps.csv")).unwrap();
+    let mut lines = steps.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let column = lines.next().unwrap().iter().position(|name| *name == "stamp_secs").unwrap();
+    let stamps: Vec<f64> = lines.take(20).map(|line| line[column].parse().unwrap()).collect();
+    assert!(stamps.windows(2).all(|pair| pair[1] == pair[0] + 1.0), "{stamps:?}");
+    let report = String::from_utf8(folder.read("still-run.yaml.d/report.md")).unwrap();
+    assert!(report.contains("scans have the stamp of the scan before."), "{report}");
 }
 
 #[test]
