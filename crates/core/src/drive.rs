@@ -178,7 +178,8 @@ impl Drive {
         let mut spread = 0;
         let mut begin = 0;
         while let Some(stamp) = self.steps.get(begin).map(|step| step.stamp_secs) {
-            let same = self.steps[begin..].iter().take_while(|step| step.stamp_secs == stamp).count();
+            let others = &self.steps[begin + 1..];
+            let same = 1 + others.iter().take_while(|step| step.stamp_secs == stamp).count();
             let until = self.steps.get(begin + same).map(|next| (next.stamp_secs - stamp) / same as f64);
             let each = until.unwrap_or(interval_secs).min(interval_secs);
             for (i, step) in self.steps[begin..begin + same].iter_mut().enumerate() {
@@ -244,5 +245,8 @@ mod tests {
         assert_eq!(drive.spread_stamps(2.0), 6);
         let stamps: Vec<f64> = drive.steps.iter().map(|step| step.stamp_secs).collect();
         assert_eq!(stamps, [5.0, 6.0, 7.0, 8.0, 8.5, 9.0, 30.0, 32.0, 90.0, 92.0, 94.0]);
+        // No reader gives such stamps, and a program may.
+        drive.steps.iter_mut().for_each(|step| step.stamp_secs = f64::NAN);
+        assert_eq!(drive.spread_stamps(2.0), 0);
     }
 }
