@@ -198,17 +198,20 @@ fn walls(pieces: &WallPieces, places: &[Place], ignored: &mut [bool]) -> Vec<Map
                 .copied()
                 .collect()
         };
+        // Whether beams go through is told by the pieces beside it, where few come to this one.
         let arrived = if own.len() < FEWEST_READINGS { within(BESIDE_M) } else { own.clone() };
         let nearby = count(within(NEARBY_M).iter());
         let expected = expected_share(&count(arrived.iter()), &nearby, &all, usual);
         let through: Vec<&Place> = arrived.iter().copied().filter(|place| place.is_beyond).collect();
-        let near = arrived.len() - through.len();
+        let beyond = own.iter().filter(|place| place.is_beyond).count();
+        let near = own.len() - beyond;
         let share = through.len() as f64 / arrived.len() as f64;
-        let offset = offset_of(&mut arrived.iter()) - usual_offset;
-        let (kind, readings, share, offset_m) = if is_enough(&through)
+        let offset = offset_of(&mut own.iter()) - usual_offset;
+        let (kind, readings, share, offset_m) = if beyond > 0
+            && is_enough(&through)
             && share >= LEAST_SHARE.max((TIMES_USUAL * expected).min(0.5 + 0.5 * expected))
         {
-            (MapErrorKind::Hole, through.len(), share, None)
+            (MapErrorKind::Hole, beyond, share, None)
         } else if near >= FEWEST_READINGS && offset.abs() > MOVED_M {
             (MapErrorKind::MovedWall, near, 1.0 - share, Some(offset))
         } else {

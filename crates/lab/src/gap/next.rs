@@ -63,8 +63,7 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
 const CONFIRM: &str =
     "Confirm it on another log: `locsim gap scenario.yaml --log OTHER --out FOLDER` should name nothing.";
 
-const CHECK: &str =
-    "Check the map and the reference poses there first: their errors look like effects of the laser.";
+const CHECK: &str = "Check the map and the reference poses: their errors look like effects of the laser.";
 
 /// Who mends an effect.
 #[derive(Clone, Copy, PartialEq, Eq)]
