@@ -154,6 +154,10 @@ pub struct DriveStep {
     pub scan: Scan,
 }
 
+/// A robot that has moved farther than this \[m\], or turned by more than this \[rad\], doesn't have the same readings to the last digit.
+const MOVED_M: f64 = 0.005;
+const MOVED_RAD: f64 = 0.0035;
+
 /// A recorded drive, simulated or measured: one laser, many steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drive {
@@ -189,6 +193,23 @@ impl Drive {
             begin += same;
         }
         spread
+    }
+
+    /// Indices of the scans that have all readings of the scan before although the robot has moved: a driver has sent a scan again.
+    /// Scans without a return don't count.
+    pub fn stale_scans(&self) -> Vec<usize> {
+        let max = self.laser.max_range();
+        let is_stale = |[before, here]: &[DriveStep; 2]| {
+            let same = |(a, b): (&f32, &f32)| a == b || a.is_nan() && b.is_nan();
+            let [a, b] = [before, here].map(|step| step.reference.unwrap_or(step.odometry));
+            let moved = b.relative_to(&a);
+            (moved.position().length() > MOVED_M || moved.theta.abs() > MOVED_RAD)
+                && before.reference.is_some() == here.reference.is_some()
+                && before.scan.ranges.iter().zip(&here.scan.ranges).all(same)
+                && here.scan.ranges.iter().any(|range| *range < max)
+        };
+        let pairs = self.steps.array_windows();
+        pairs.enumerate().filter(|(_, pair)| is_stale(pair)).map(|(i, _)| i + 1).collect()
     }
 
     /// The reference poses of the scans that have one.
@@ -230,6 +251,27 @@ impl Drive {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A robot that drives, stops and drives: the readings of a scan that is sent again stay as they were.
+    #[test]
+    fn a_scan_that_was_sent_again_is_stale() {
+        let laser = Laser::new(vec![0.0, 1.0], vec![0.0; 2], 0.0, 5.0, Pose2::IDENTITY).unwrap();
+        let step = |x: f64, ranges: [f32; 2]| DriveStep {
+            stamp_secs: x,
+            odometry: Pose2::new(x, 0.0, 0.0),
+            reference: None,
+            scan: Scan { ranges: ranges.to_vec() },
+        };
+        let steps = vec![
+            step(0.0, [4.0, f32::NAN]),
+            step(0.1, [4.0, f32::NAN]),
+            step(0.1, [4.0, f32::NAN]),
+            step(0.2, [3.9, f32::NAN]),
+            step(0.3, [5.0, 5.0]),
+            step(0.4, [5.0, 5.0]),
+        ];
+        assert_eq!(Drive { laser, steps }.stale_scans(), [1]);
+    }
 
     #[test]
     fn scans_of_one_stamp_come_evenly() {

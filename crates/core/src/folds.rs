@@ -4,22 +4,27 @@ use std::ops::RangeInclusive;
 
 use crate::Track;
 
-/// Folds of a log: stretches of as many consecutive scans each; a last one that isn't full goes with the one before.
+/// The most folds: of a log with more stretches a fold has several, evenly spread.
+const MOST_FOLDS: usize = 44;
+
+/// Folds of a log, of stretches of as many consecutive scans each; a last stretch that isn't full goes with the one before.
 #[derive(Clone, Copy, Debug)]
 pub struct Folds {
     scans_each: usize,
+    stretches: usize,
     count: usize,
 }
 
 impl Folds {
-    /// The folds of a track whose poses are those of the scans: each lasts about `secs` \[s\], and has a number of scans that
+    /// The folds of a track whose poses are those of the scans: a stretch lasts about `secs` \[s\], and has a number of scans that
     /// `allowed` has (from 1 on).
     pub fn new(track: &Track, secs: f64, allowed: RangeInclusive<usize>) -> Self {
         let (scans, stamps) = (track.len(), track.secs());
         let interval = stamps[scans - 1] / (scans - 1).max(1) as f64;
-        // Without duration each fold has as many as are allowed.
+        // Without duration each stretch has as many as are allowed.
         let scans_each = ((secs / interval).round() as usize).clamp(*allowed.start(), *allowed.end());
-        Self { scans_each, count: (scans / scans_each).max(1) }
+        let stretches = (scans / scans_each).max(1);
+        Self { scans_each, stretches, count: stretches / stretches.div_ceil(MOST_FOLDS) }
     }
 
     /// How many there are, at least 1.
@@ -29,7 +34,7 @@ impl Folds {
 
     /// The fold of a scan.
     pub fn of_scan(self, scan: usize) -> usize {
-        (scan / self.scans_each).min(self.count - 1)
+        (scan / self.scans_each).min(self.stretches - 1) % self.count
     }
 
     /// The half of the log that a scan is of, 0 or 1: folds alternate.
@@ -68,6 +73,16 @@ mod tests {
     fn folds_last_as_long_as_they_may() {
         let each = [100.0, 10.0, 4.0, 2.0, 0.1, f64::INFINITY].map(|rate_hz| folds(400, rate_hz).scans_each);
         assert_eq!(each, [20, 20, 8, 5, 5, 20]);
+    }
+
+    /// 88 stretches of five scans are 44 folds of two each, 45 are 22, and one of these has three.
+    #[test]
+    fn many_stretches_share_folds() {
+        let sizes = |scans: usize| folds(scans, 2.5).sums(&vec![1.0; scans]);
+        assert_eq!(sizes(440), [10.0; 44]);
+        assert_eq!((folds(440, 2.5).of_scan(4), folds(440, 2.5).of_scan(220)), (0, 0));
+        let of_45 = sizes(225);
+        assert_eq!((of_45.len(), of_45[0], of_45[1]), (22, 15.0, 10.0));
     }
 
     #[test]

@@ -59,6 +59,7 @@ mod kernel;
 mod local_regression;
 mod loss;
 pub mod matrix;
+pub mod moments;
 mod np_reg;
 mod p_reg;
 mod point_share;
@@ -67,6 +68,7 @@ mod search;
 mod smoother;
 mod standardized;
 mod table;
+pub mod tail;
 mod thin;
 pub mod wave;
 

@@ -87,10 +87,10 @@ impl Nominal {
         let options = self.blocks.map(|nominal| BlockOptions {
             per_metre_of_wall: nominal.per_metre_of_wall * blocks.density,
             resample: blocks.resample,
-            speed_m_s: if blocks.resample == BlockResampling::EachObservation {
-                [0.0; 2]
-            } else {
-                nominal.speed_m_s
+            speed_m_s: match blocks.resample {
+                _ if blocks.walks => WALKING_M_S,
+                BlockResampling::EachObservation => [0.0; 2],
+                _ => nominal.speed_m_s,
             },
             ..nominal
         });
@@ -135,6 +135,9 @@ impl Nominal {
     }
 }
 
+/// Speeds of people \[m/s\].
+const WALKING_M_S: [f64; 2] = [0.5, 1.5];
+
 /// Properties of clutter, fitted to the log, that a simulation of it needs besides the nominal options.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockPolicy {
@@ -142,4 +145,6 @@ pub struct BlockPolicy {
     pub density: f64,
     /// When they take new places.
     pub resample: BlockResampling,
+    /// Whether they go to and fro as people do, whatever the nominal speed is.
+    pub walks: bool,
 }

@@ -39,9 +39,11 @@ pub(crate) struct Replay<'a> {
 }
 
 /// True density of clutter as a function of the fitted one.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct BlockTruth {
     pub resample: BlockResampling,
+    /// Whether it walks; see [`BlockPolicy::walks`].
+    pub walks: bool,
     /// True density over fitted density: readings of blocks right in front of walls are taken for the walls.
     pub density_over_fit: f64,
 }
@@ -63,7 +65,8 @@ impl<'a> Replay<'a> {
     pub fn simulate(&self, seed: u64) -> Result<Recorded, GapError> {
         let effects = self.nominal.effects_with(self.effects)?;
         let density = self.nuisances.block_density * self.blocks.density_over_fit;
-        let blocks = BlockPolicy { density, resample: self.blocks.resample };
+        let BlockTruth { resample, walks, .. } = self.blocks;
+        let blocks = BlockPolicy { density, resample, walks };
         let mut simulator = self.nominal.simulator(&effects, blocks)?;
         if let Some(moved) = self.moved_walls(seed) {
             simulator = simulator.with_moved_walls(moved);
@@ -142,25 +145,27 @@ pub(crate) fn fit_persistence(
     seed: u64,
 ) -> Result<BlockTruth, GapError> {
     let Some(blocks) = comparison.nominal.blocks else {
-        return Ok(BlockTruth { resample: BlockResampling::EachObservation, density_over_fit: 1.0 });
+        return Ok(BlockTruth::of(BlockResampling::EachObservation));
     };
     let shared = |recorded: &Recorded| shared_shorts(&comparison.of(recorded), fitted);
     let own = shared(comparison.recorded);
     let mut policies = vec![
-        BlockResampling::EachObservation,
-        BlockResampling::EachScanN(3),
-        BlockResampling::EachScanN(10),
-        BlockResampling::EachScanN(40),
-        BlockResampling::Never,
+        BlockTruth::of(BlockResampling::EachObservation),
+        BlockTruth::of(BlockResampling::EachScanN(3)),
+        BlockTruth::of(BlockResampling::EachScanN(10)),
+        BlockTruth::of(BlockResampling::EachScanN(40)),
+        BlockTruth::of(BlockResampling::Never),
+        BlockTruth { walks: true, ..BlockTruth::of(BlockResampling::Never) },
     ];
-    if !policies.contains(&blocks.resample) {
-        policies.push(blocks.resample);
+    let own_policy = BlockTruth::of(blocks.resample);
+    if !policies.contains(&own_policy) {
+        policies.push(own_policy);
     }
     let draw = Purpose::Persistence.draw(seed);
     let distances = policies
         .iter()
-        .map(|&resample| {
-            let replay = Replay::new(comparison, &[], fitted, BlockTruth { resample, density_over_fit: 1.0 });
+        .map(|&policy| {
+            let replay = Replay::new(comparison, &[], fitted, policy);
             let logs = (0..6)
                 .into_par_iter()
                 .map(|i| Ok(shared(&replay.simulate(draw.seed(i))?)))
@@ -170,27 +175,35 @@ pub(crate) fn fit_persistence(
                 (mean - own[lag]).abs()
             });
             // The nominal policy is kept where it is as good.
-            let handicap = if resample == blocks.resample { 0.0 } else { 0.02 };
+            let handicap = if policy == own_policy { 0.0 } else { 0.02 };
             Ok(distance.sum::<f64>() + handicap)
         })
         .collect::<Result<Vec<f64>, GapError>>()?;
     let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
-    // Of those that are about as good the one under which blocks stay longest: it takes least for a discovery.
-    let resample = policies
+    // Of those that are about as good the one under which blocks are seen longest: it takes least for a discovery.
+    let best = policies
         .iter()
         .zip(&distances)
         .filter(|(_, distance)| **distance <= 1.3 * least + 0.02)
         .map(|(policy, _)| *policy)
-        .max_by_key(|policy| match policy {
+        .max_by_key(|policy| match policy.resample {
             BlockResampling::EachObservation => 1,
-            BlockResampling::EachScanN(scans) => *scans,
+            BlockResampling::EachScanN(scans) => scans,
+            BlockResampling::Never if policy.walks => SCANS_OF_WALKING,
             BlockResampling::Never => u32::MAX,
-        })
-        .unwrap_or(blocks.resample);
-    Ok(BlockTruth { resample, density_over_fit: 1.0 })
+        });
+    Ok(best.unwrap_or(own_policy))
 }
 
+/// People who walk past are seen in about so many scans.
+const SCANS_OF_WALKING: u32 = 20;
+
 impl BlockTruth {
+    /// Blocks that stand until they take new places.
+    fn of(resample: BlockResampling) -> Self {
+        Self { resample, walks: false, density_over_fit: 1.0 }
+    }
+
     /// The same blocks with the bias that the fit of their density has in a world with these effects, by simulated logs.
     pub fn in_world(
         self,

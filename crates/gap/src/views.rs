@@ -1,4 +1,4 @@
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
 use glam::DVec2;
@@ -187,15 +187,19 @@ struct Met {
     unsure: Option<Unsure>,
 }
 
-/// What a ray meets in the map, if it is a measured one.
-fn met(nominal: &Nominal, ray: &Ray, beam: &CastBeam, max: f64) -> Option<Met> {
+/// What a ray meets in the map, if it is a measured one; nothing, where its beam isn't looked at.
+fn met(nominal: &Nominal, ray: &Ray, beam: &CastBeam, max: f64, is_ignored: bool) -> Option<Met> {
     let pieces = nominal.pieces.as_ref()?;
+    if is_ignored {
+        return Some(Met { piece: None, unsure: None });
+    }
     // What the map lacks is known by the effect.
     let Surface::Wall(segment) = beam.surface else {
         let unsure = (beam.surface == Surface::None).then_some(Unsure::Unknown);
         return Some(Met { piece: None, unsure });
     };
-    let unsure = unsure(&nominal.map, ray.origin, ray.direction.to_angle(), max);
+    let unsure =
+        unsure(&nominal.map, ray.origin, ray.direction.to_angle(), Some((segment, beam.view.range)), max);
     let piece = pieces.at(segment, beam.view.endpoint).filter(|_| unsure.is_none());
     let lean = WallPieces::lean(beam.view.incidence);
     Some(Met { piece: piece.map(|piece| PieceView { piece: piece as u32, lean }), unsure })
@@ -266,11 +270,8 @@ impl Casts<'_> {
         let mut beams = Vec::new();
         caster.cast(&rays_of_kept, &mut beams);
         if caster.effects.needs().jump {
-            let mut ranges = Vec::new();
-            let beam_count = recorded.log_laser.beam_count();
-            caster.nominal_ranges(rays(recorded, caster, scan, 0..beam_count), &mut ranges);
-            for (beam, &number) in beams.iter_mut().zip(&recorded.kept) {
-                beam.view.jump = caster.jump(&ranges, number);
+            for (beam, jump) in beams.iter_mut().zip(jumps_of(recorded, caster, scan)) {
+                beam.view.jump = jump;
             }
         }
         // Clutter keeps away from where the robot is at the scan's stamp, as in the simulator.
@@ -287,7 +288,7 @@ impl Casts<'_> {
                 self.survival(ray, beam, robot, nearby, &mut counts)
             };
             let object = matches!(beam.surface, Surface::Object(_)).then_some(beam.range);
-            let met = met(self.nominal, ray, beam, max);
+            let met = met(self.nominal, ray, beam, max, is_ignored);
             (Beam::new(beam.view, object, caster.range_gradient(ray, beam), survival, max), met)
         })
         .collect()
@@ -333,10 +334,18 @@ impl Casts<'_> {
 /// The range jumps of a nominal scan at the beams that are looked at.
 pub(crate) fn jumps(nominal: &Nominal, recorded: &Recorded, scan: usize) -> Vec<Option<[f64; 2]>> {
     let directions = directions(recorded, &nominal.effects);
-    let caster = caster(nominal, recorded, &nominal.effects, &directions);
-    let mut ranges = Vec::new();
+    jumps_of(recorded, &caster(nominal, recorded, &nominal.effects, &directions), scan)
+}
+
+fn jumps_of(recorded: &Recorded, caster: &BeamCaster<'_>, scan: usize) -> Vec<Option<[f64; 2]>> {
+    // The log's beams beside those that are looked at.
     let beam_count = recorded.log_laser.beam_count();
-    caster.nominal_ranges(rays(recorded, &caster, scan, 0..beam_count), &mut ranges);
+    let beside = |&beam: &usize| [beam + beam_count - 1, beam, beam + 1].map(|beam| beam % beam_count);
+    let cast: BTreeSet<usize> = recorded.kept.iter().flat_map(beside).collect();
+    let mut of_cast = Vec::new();
+    caster.nominal_ranges(rays(recorded, caster, scan, cast.iter().copied()), &mut of_cast);
+    let mut ranges = vec![f64::NAN; beam_count];
+    cast.into_iter().zip(of_cast).for_each(|(beam, range)| ranges[beam] = range);
     recorded.kept.iter().map(|&beam| caster.jump(&ranges, beam)).collect()
 }
 

@@ -24,6 +24,8 @@ pub struct ClockQuality {
     pub repaired: usize,
     /// Number of scans with the stamp of the scan before.
     pub repeated: usize,
+    /// Number of scans with all readings of the scan before, though the robot has moved.
+    pub stale: usize,
     /// Number of scans left out, before or after the odometry.
     pub dropped: usize,
     /// How much later than the scans' stamps the odometry shows the turns that the scans show \[s\]; `None` where the robot
@@ -45,6 +47,7 @@ impl ClockQuality {
             longest_gap_secs: intervals.iter().copied().fold(0.0, f64::max),
             repaired: summary.stamps_repaired,
             repeated: summary.stamps_repeated,
+            stale: drive.stale_scans().len(),
             dropped: summary.scans_dropped,
             odometry_lag_secs: if has_odometry { odometry_lag(drive, usual) } else { None },
         }

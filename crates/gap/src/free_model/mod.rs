@@ -18,9 +18,10 @@ mod lag;
 mod large;
 mod outcomes;
 
-use distreg::curve::{Shape, Sums, crossfit, fit};
+use distreg::curve::{Shape, Sums, crossfit, curves_without, fit};
 use locsim_core::{Draw, Folds, sum_error};
 use locsim_world::effect::Effects;
+use rayon::prelude::*;
 
 pub(crate) use covariates::{Axis, Covariates};
 pub(crate) use frame::turned_frame;
@@ -215,7 +216,7 @@ impl FreeModel {
             let gains: Vec<f64> = after.iter().zip(&score).map(|(after, before)| after - before).collect();
             if gains.iter().sum::<f64>() < LEAST_GAIN_NATS {
                 // The quadratic approximation promised more than there is.
-                state.tilts = before;
+                (state.tilts, state.moved) = (before, [false; 2]);
                 state.spent[step.axis][step.moment] = true;
                 continue;
             }
@@ -261,6 +262,10 @@ struct State<'a> {
     tilts: Vec<Tilt>,
     /// Curves that gain nothing, by axis and moment.
     spent: Vec<[bool; MOMENTS.len()]>,
+    /// Curves that may be added.
+    tried: Vec<Tried>,
+    /// Whether tilts have moved since, of the surface's moments and of shares: what readings say of the ones doesn't depend on the others.
+    moved: [bool; 2],
 }
 
 /// A curve that is being built: tilts of a moment at the levels of an axis.
@@ -292,6 +297,11 @@ impl OfAxis {
         }
         Self { levels, sums }
     }
+}
+
+/// The moments that depend on each other: 0 for those of the surface's readings, 1 for shares.
+fn block_of(moment: usize) -> usize {
+    usize::from(outcomes::is_share(MOMENTS[moment]))
 }
 
 /// A curve that may be added.
@@ -330,26 +340,38 @@ impl<'a> State<'a> {
             fold_of: outcomes.all.iter().map(|outcome| folds.of_scan(outcome.scan as usize)).collect(),
             tilts: vec![Tilt::default(); outcomes.all.len()],
             spent: vec![[false; MOMENTS.len()]; covariates.axes.len()],
+            tried: Vec::new(),
+            moved: [true; 2],
         }
     }
 
     /// Log score gained in each fold (nats).
     fn score(&self) -> Vec<f64> {
+        let readings = self.outcomes.all.par_iter().zip(&self.tilts);
+        let gains: Vec<f64> = readings.map(|(outcome, tilt)| outcome.gain(tilt)).collect();
         let mut score = vec![0.0; self.folds.count()];
-        for ((outcome, tilt), &fold) in self.outcomes.all.iter().zip(&self.tilts).zip(&self.fold_of) {
-            score[fold] += outcome.gain(tilt);
+        for (gain, &fold) in gains.into_iter().zip(&self.fold_of) {
+            score[fold] += gain;
         }
         score
     }
 
     /// The curve that gains most on held-out folds, over the simplest covariate that gains as much.
-    fn best_step(&self) -> Option<Step> {
-        let pulls: Vec<_> =
-            self.outcomes.all.iter().zip(&self.tilts).map(|(outcome, tilt)| outcome.pull(tilt)).collect();
-        let axes: Vec<OfAxis> =
-            (0..self.covariates.axes.len()).map(|axis| OfAxis::new(self, axis, &pulls)).collect();
-        let tried = axes.iter().enumerate().flat_map(|(axis, of_axis)| self.try_curves(axis, of_axis));
-        let tried: Vec<Tried> = tried.collect();
+    fn best_step(&mut self) -> Option<Step> {
+        let readings = self.outcomes.all.par_iter().zip(&self.tilts);
+        let pulls: Vec<_> = readings.map(|(outcome, tilt)| outcome.pull(tilt)).collect();
+        let axes: Vec<OfAxis> = (0..self.covariates.axes.len())
+            .into_par_iter()
+            .map(|axis| OfAxis::new(self, axis, &pulls))
+            .collect();
+        let of_axes = axes.par_iter().enumerate();
+        let moved: Vec<Tried> =
+            of_axes.flat_map_iter(|(axis, of_axis)| self.try_curves(axis, of_axis)).collect();
+        self.tried
+            .retain(|tried| !self.moved[block_of(tried.moment)] && !self.spent[tried.axis][tried.moment]);
+        self.tried.extend(moved);
+        self.moved = [false; 2];
+        let tried = &self.tried;
         let best = tried.iter().max_by(|a, b| a.gain().total_cmp(&b.gain()))?;
         if best.gain() <= LEAST_GAIN_NATS {
             return None;
@@ -364,25 +386,25 @@ impl<'a> State<'a> {
         let chosen = alike[simplest(alike.iter().map(|tried| (count(tried), &tried.gains[..])))?];
         let OfAxis { levels, sums } = axes.into_iter().nth(chosen.axis)?;
         let sums = &sums[chosen.moment];
-        let (_, without) = crossfit(sums, chosen.shape);
+        let without = curves_without(sums, chosen.shape);
         let (curve, errors) = fit(sums, chosen.shape);
         Some(Step { axis: chosen.axis, moment: chosen.moment, without, levels, curve, errors })
     }
 
-    /// The curves over an axis, one for each moment, each as smooth as gains most.
+    /// The curves over an axis, one for each moment that has moved, each as smooth as gains most.
     fn try_curves(&self, axis: usize, of_axis: &OfAxis) -> Vec<Tried> {
         let covariate = &self.covariates.axes[axis];
         let moments = of_axis.sums.iter().enumerate().filter(|(moment, _)| {
             // Neighbours are behind the same clutter; what is asked for is whether readings of the surface err alike.
             let is_of_clutter = covariate.covariate == Covariate::Neighbour && *moment != MEAN;
-            !self.spent[axis][*moment] && !is_of_clutter
+            self.moved[block_of(*moment)] && !self.spent[axis][*moment] && !is_of_clutter
         });
         let stiffnesses = if covariate.levels.len() == 1 { &STIFFNESSES[..1] } else { &STIFFNESSES };
         let tried = moments.filter_map(|(moment, sums)| {
             let is_share = outcomes::is_share(MOMENTS[moment]);
             let tried = stiffnesses.iter().map(|&stiffness| {
                 let shape = Shape { stiffness, is_ordered: covariate.is_ordered, is_share };
-                Tried { axis, moment, shape, gains: crossfit(sums, shape).0 }
+                Tried { axis, moment, shape, gains: crossfit(sums, shape) }
             });
             tried.max_by(|a, b| a.gain().total_cmp(&b.gain()))
         });
@@ -391,6 +413,7 @@ impl<'a> State<'a> {
 
     /// Adds a step, or the half or less of it that gains more. Gives that share and the score with it.
     fn apply(&mut self, step: &Step) -> (f64, Vec<f64>) {
+        self.moved[block_of(step.moment)] = true;
         let before = self.tilts.clone();
         let total = |score: &[f64]| score.iter().sum::<f64>();
         let mut with = |share: f64| {

@@ -37,20 +37,20 @@ impl Dependence<'_> {
         self.gains.iter().sum()
     }
 
-    /// Whether it is over places, and farthest off at the wall of an effect.
+    /// Whether it is over places, and most of it at the wall of an effect.
     fn is_at(&self, effect: &Effect, covariates: &Covariates) -> bool {
         let Some(component) = self.component.filter(|_| self.covariate == Covariate::Place) else {
             return false;
         };
         let cells = covariates.axes[component.axis].cells.iter().zip(&component.curve).skip(1);
-        let sureness = |[value, error]: [f64; 2]| (value / error.max(1e-12)).abs();
-        let worst = cells
-            .filter_map(|(cell, point)| Some((cell, sureness((*point)?))))
-            .max_by(|a, b| a.1.total_cmp(&b.1));
-        worst.is_some_and(|([x, y, side], _)| {
+        let mut sums = [0.0; 2];
+        for (&[x, y, side], [value, error]) in cells.filter_map(|(cell, point)| Some((cell, (*point)?))) {
             let middle = DVec2::new(x + 0.5 * side, y + 0.5 * side);
-            effect.place.iter().any(|stretch| is_of_wall(stretch, middle))
-        })
+            let is_at_wall = effect.place.iter().any(|stretch| is_of_wall(stretch, middle));
+            // Twice what the cell gains.
+            sums[usize::from(is_at_wall)] += (value / error.max(1e-12)).powi(2);
+        }
+        sums[1] > sums[0]
     }
 
     /// Whether it is the noise that is left of every beam once the error of its neighbour is known: of numbers with this correlation

@@ -2,7 +2,6 @@
 
 use locsim_core::{Draw, Estimate, Interval, Stage};
 use locsim_world::effect::{Effect, EffectKind};
-use locsim_world::simulation::BlockResampling;
 use rand::RngExt;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -19,6 +18,7 @@ use crate::outcome::{
 use crate::profile::profiles;
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
+use crate::replay::BlockTruth;
 use crate::statistics::{Form, Group, Statistic, Target};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
@@ -91,7 +91,7 @@ impl<'a> State<'a> {
             nuisances: before.fitted.nuisances,
             pit,
             profiles,
-            notes: notes(nominal, self.blocks.resample).into_iter().chain(note).collect(),
+            notes: notes(nominal, self.blocks).into_iter().chain(note).collect(),
             scans: recorded.scans(),
             beams: recorded.beams(),
             seed: options.seed,
@@ -138,6 +138,9 @@ impl<'a> State<'a> {
             .map(|(with, without)| with - without)
             .collect();
         let gain_nats = gain(&gains);
+        if gain_nats.interval.lo <= 0.0 {
+            return Ok(None);
+        }
         let number = Number { estimate: Estimate::normal(truth, error).map(f64::exp), unit: parameter.unit };
         Ok(Some(Named {
             name: kind,
@@ -167,9 +170,10 @@ impl<'a> State<'a> {
         let (old, new) = (self.replay(first, LOGS)?, self.replay(last, LOGS)?);
         let views = &first.comparison.views;
         let [old_mm, new_mm] = [&old, &new].map(|logs| distance(views, self.recorded, logs));
-        let closed = RangeFloor::of(views, &new).closed(old_mm, new_mm);
-        // A map that is exact is to be believed for as long as ranges weren't off before.
-        let is_measured = self.nominal.pieces.is_some();
+        let floor = RangeFloor::of(views, &new);
+        let closed = floor.closed(old_mm, new_mm);
+        // A map that is exact is to be believed for as long as ranges weren't off before, and are hardly more so.
+        let is_measured = self.nominal.pieces.is_some() || floor.is_farther(old_mm, new_mm);
         Ok(closed.is_some_and(|closed| if is_measured { closed <= 0.0 } else { closed < 0.0 }))
     }
 
@@ -280,6 +284,11 @@ impl RangeFloor {
         self.mean_mm + 3.0 * self.deviation_mm
     }
 
+    /// Whether a distance is larger than another by more than two of one simulator differ.
+    fn is_farther(&self, before_mm: f64, after_mm: f64) -> bool {
+        after_mm - before_mm > self.visible_mm() - self.mean_mm
+    }
+
     /// The share of what is above the floor that is gone; `None` where both are at the floor, to within what it may be by chance.
     fn closed(&self, before_mm: f64, after_mm: f64) -> Option<f64> {
         let is_visible = |distance_mm: f64| distance_mm > self.visible_mm();
@@ -340,13 +349,18 @@ fn directions(round: &Round<'_>) -> Vec<Direction> {
     out
 }
 
-fn notes(nominal: &Nominal, resample: BlockResampling) -> Vec<String> {
+fn notes(nominal: &Nominal, BlockTruth { resample, walks, .. }: BlockTruth) -> Vec<String> {
     let mut notes = vec![
         "A constant yaw of the laser's mount and a constant error of the reference's heading can't be told apart from \
          scans alone."
             .to_owned(),
     ];
-    if let Some(blocks) = nominal.blocks.filter(|blocks| blocks.resample != resample) {
+    if walks {
+        notes.push(
+            "What the map doesn't know walks: the simulations that the log is held against have it so."
+                .to_owned(),
+        );
+    } else if let Some(blocks) = nominal.blocks.filter(|blocks| blocks.resample != resample) {
         notes.push(format!(
             "Unmapped blocks stay otherwise than the scenario says ({:?} instead of {:?}).",
             resample, blocks.resample

@@ -320,6 +320,7 @@ fn usable(
     let drive = with_mount(drive, laser.laser(), notes);
     let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
     notes.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
+    notes.extend(without_stale_scans(&mut drive));
     let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
     let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
     let is_usable = |step: &&DriveStep| step.reference.is_some_and(|pose| free(&pose));
@@ -351,6 +352,19 @@ fn usable(
         ));
     }
     Ok((drive, recorded))
+}
+
+/// Leaves out scans that were sent again; a note on them.
+fn without_stale_scans(drive: &mut Drive) -> Option<String> {
+    let stale = drive.stale_scans();
+    let mut scans = 0..;
+    drive.steps.retain(|_| scans.next().is_none_or(|scan| stale.binary_search(&scan).is_err()));
+    (!stale.is_empty()).then(|| {
+        format!(
+            "{} scans have all readings of the scan before, though the robot has moved: the driver has sent them again. They were left out.",
+            stale.len()
+        )
+    })
 }
 
 /// Whether two paths are of one file.
@@ -471,8 +485,10 @@ fn with_mount(drive: Drive, scenario: &Laser, notes: &mut Vec<String>) -> Drive 
     } else {
         drive.laser.bearings().to_vec()
     };
+    // Turned bearings are the same directions; the place of the laser is another matter.
+    let logged = if same_directions { Pose2 { theta: mount.theta, ..logged } } else { logged };
     let apart = logged.relative_to(&mount);
-    if !same_directions && (apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT) {
+    if apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT {
         let place =
             |pose: Pose2| format!("({:.3} m, {:.3} m, {:.1} deg)", pose.x, pose.y, pose.theta.to_degrees());
         notes.push(format!(
@@ -604,6 +620,29 @@ mod tests {
                 assert!((found - expected).abs() < 1e-5, "{found} {expected}");
             }
             assert_eq!(found.laser.beam_times_secs()[0], first as f32);
+        }
+    }
+
+    /// Half a degree of bearings is half a degree of the mount, and says nothing of where the laser is.
+    #[test]
+    fn a_laser_that_the_log_has_elsewhere_is_told() {
+        let half = 0.5_f64.to_radians();
+        let laser = |first: f64, mount: Pose2| {
+            let bearings = beams(first as f32, 0.1, 8);
+            Laser::new(bearings, vec![0.0; 8], 0.0, 8.0, mount).unwrap()
+        };
+        let scenario = laser(-0.4 + half, Pose2::new(0.0, 0.0, -half));
+        for (x_m, turn, told) in [
+            (0.0, 0.0, None),
+            (-0.04, 0.0, Some("(-0.040 m, 0.000 m, -0.5 deg)")),
+            (0.0, 0.1, Some("5.7 deg)")),
+        ] {
+            let log = Drive { laser: laser(-0.4, Pose2::new(x_m, 0.0, turn)), steps: Vec::new() };
+            let mut notes = Vec::new();
+            let found = with_mount(log, &scenario, &mut notes);
+            assert_eq!(found.laser.base_from_laser(), scenario.base_from_laser());
+            assert_eq!(notes.len(), usize::from(told.is_some()), "{notes:?}");
+            assert!(told.is_none_or(|told| notes[0].contains(told)), "{notes:?}");
         }
     }
 

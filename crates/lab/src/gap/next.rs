@@ -1,6 +1,6 @@
 //! The next steps for the reader, in three lines that follow from the verdict.
 
-use locsim_gap::{Covariate, Named, Outcome, Region, ResidualStage, Unnamed, Verdict};
+use locsim_gap::{Covariate, Deviation, Named, Outcome, PoseError, Region, ResidualStage, Unnamed, Verdict};
 use locsim_world::effect::{Description, Moves};
 
 use super::answer::{change_in_words, others, p_value, region_text};
@@ -13,7 +13,9 @@ const SHOWN_BLIND: usize = 3;
 pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
     match outcome.verdict {
         Verdict::None => [
-            "Keep the scenario: this log shows no difference from its simulations.".to_owned(),
+            reference_first(&outcome.nuisances.pose_error).unwrap_or_else(|| {
+                "Keep the scenario: this log shows no difference from its simulations.".to_owned()
+            }),
             "Read the detectable strengths below: a weaker effect would not have been found.".to_owned(),
             "Repeat the search on a log from other surroundings before you rely on the simulator there.".to_owned(),
         ],
@@ -58,6 +60,21 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
                 .to_owned(),
         ],
     }
+}
+
+/// An error of the reference from which on it hides what else is off \[m\].
+const LARGE_ERROR_M: f64 = 0.03;
+
+/// A reference that is far off for long takes up what else is off.
+fn reference_first(error: &PoseError) -> Option<String> {
+    (error.sigma_m > LARGE_ERROR_M).then(|| {
+        format!(
+            "Look at the reference poses first: as fitted they err by {:.0} mm, for about {:.0} s on end. A jump of them or an old map \
+             does that, and it hides other effects.",
+            1e3 * error.sigma_m,
+            error.correlation_secs
+        )
+    })
 }
 
 const CONFIRM: &str =
@@ -116,8 +133,14 @@ fn rest(outcome: &Outcome) -> String {
             "Turn the reference's poses into the map's frame: they come from another map, or from an older one.".to_owned()
         }
         (Some(found), _) => {
-            // What depends on place isn't a property of the robot.
-            let at = if found.covariate == Covariate::Place { "in the surroundings" } else { "on the robot" };
+            // What depends on place isn't a property of the robot, and what is in front of walls is part of it at one bearing alone.
+            let at = match (found.deviation, found.covariate) {
+                (_, Covariate::Place) => "in the surroundings",
+                (Deviation::Short, covariate) if covariate != Covariate::Bearing => {
+                    "at what stands in front of walls or walks there, which the scenario's `blocks` should describe,"
+                }
+                _ => "on the robot",
+            };
             format!("Look {at} for a {}: {}.", unnamed::dependent(found), unnamed::extent(found))
         }
         (None, Some(Unnamed { form_of: Some(kind), .. })) => {

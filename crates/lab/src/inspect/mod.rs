@@ -363,6 +363,13 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
         ),
     );
     warn(
+        clock.stale > 0,
+        format!(
+            "{} scans have all readings of the scan before, though the robot has moved: the driver has sent them again.",
+            clock.stale
+        ),
+    );
+    warn(
         clock.gaps > 0,
         format!("Gaps between scans: {}, the longest of {:.1} s.", clock.gaps, clock.longest_gap_secs),
     );
