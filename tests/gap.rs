@@ -337,6 +337,55 @@ fn a_clock_that_stands_still_hides_nothing() {
     assert!(notes.contains("have the stamp of the scan before"), "{notes}");
 }
 
+/// A driver that sends each tenth scan a second time, under the next stamp, and an odometry that isn't recorded for two seconds. Neither
+/// is an effect of the laser: readings of where the robot was aren't looked at.
+#[test]
+fn scans_that_were_sent_again_are_left_out() {
+    let folder = folder();
+    folder.locsim("simulate nominal.yaml --seed 12 --out plain.log").success();
+    // Twelve scans are two seconds.
+    let freeze = |poses: &mut [String], frozen: &mut Vec<String>, scan: usize| {
+        if (30..42).contains(&scan) {
+            poses.clone_from_slice(frozen);
+        }
+        *frozen = poses.to_vec();
+    };
+    let text = String::from_utf8(folder.read("plain.log")).unwrap();
+    let (mut scan, mut scans, mut sent) = (Vec::new(), 0, 0);
+    // Poses by odometry in lines of it, of the truth and of scans.
+    let mut frozen: [Vec<String>; 3] = Default::default();
+    let line = |line: &str| {
+        let mut words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+        if words[0] == "ROBOTLASER1" {
+            // Readings, the number of remissions, then the poses of laser and robot by odometry.
+            let end = 9 + words[8].parse::<usize>().unwrap();
+            let (readings, poses) = (9..end, end + 1..end + 7);
+            if scans % 10 == 5 {
+                words[readings.clone()].clone_from_slice(&scan);
+                sent += 1;
+            }
+            scan = words[readings].to_vec();
+            freeze(&mut words[poses], &mut frozen[0], scans);
+            scans += 1;
+        } else if words[0] == "ODOM" {
+            freeze(&mut words[1..4], &mut frozen[1], scans);
+        } else if words[0] == "TRUEPOS" {
+            freeze(&mut words[4..7], &mut frozen[2], scans);
+        }
+        words.join(" ")
+    };
+    folder.write("again.log", text.lines().map(line).collect::<Vec<_>>().join("\n") + "\n");
+    let line = "gap nominal.yaml --log again.log --out found --replicates 29 --no-filter --json";
+    let outcome: Value = serde_json::from_str(&output(&folder.locsim(line).success())).unwrap();
+    let named = outcome["effects"].as_array().unwrap().iter().map(|effect| effect["name"].as_str().unwrap());
+    assert!(named.clone().all(|name| name.contains("odom") || name.contains("slip")), "{outcome:#}");
+    let notes = outcome["notes"].to_string();
+    assert!(sent > 5 && notes.contains(&format!("{sent} scans have all readings")), "{sent}: {notes}");
+    assert!(notes.contains("The odometry stands still for"), "{notes}");
+    let warnings = output(&folder.locsim("inspect again.log").success());
+    assert!(warnings.contains("sent them again") && warnings.contains("stands still"), "{warnings}");
+}
+
 /// The true poses of a log are turned by a degree about the map's origin, and scans are as they were. To a scan that is much like a laser
 /// that sits at another angle.
 #[test]

@@ -158,6 +158,11 @@ pub struct DriveStep {
 const MOVED_M: f64 = 0.005;
 const MOVED_RAD: f64 = 0.0035;
 
+/// Odometry that has one pose for so long \[s\] while the robot moves so far \[m\] isn't recorded: readings of it may come more seldom than
+/// scans, and references err.
+const FROZEN_SECS: f64 = 1.0;
+const FROZEN_M: f64 = 0.1;
+
 /// A recorded drive, simulated or measured: one laser, many steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drive {
@@ -210,6 +215,30 @@ impl Drive {
         };
         let pairs = self.steps.array_windows();
         pairs.enumerate().filter(|(_, pair)| is_stale(pair)).map(|(i, _)| i + 1).collect()
+    }
+
+    /// How long the odometry stood still while the reference moved \[s\], in stretches of a second or more, and how far the reference
+    /// moved in them \[m\]; 0 where it never did.
+    pub fn frozen_odometry(&self) -> [f64; 2] {
+        let (mut all, mut here) = ([0.0; 2], [0.0; 2]);
+        let mut add = |stretch: [f64; 2]| {
+            if stretch[0] >= FROZEN_SECS && stretch[1] >= FROZEN_M {
+                all.iter_mut().zip(stretch).for_each(|(sum, more)| *sum += more);
+            }
+        };
+        for [before, step] in self.steps.array_windows() {
+            let moved =
+                before.reference.zip(step.reference).map(|(a, b)| b.position().distance(a.position()));
+            match moved {
+                Some(moved) if before.odometry == step.odometry => {
+                    here[0] += step.stamp_secs - before.stamp_secs;
+                    here[1] += moved;
+                }
+                _ => add(std::mem::take(&mut here)),
+            }
+        }
+        add(here);
+        all
     }
 
     /// The reference poses of the scans that have one.
@@ -271,6 +300,24 @@ mod tests {
             step(0.4, [5.0, 5.0]),
         ];
         assert_eq!(Drive { laser, steps }.stale_scans(), [1]);
+    }
+
+    /// Ten scans a second at 1 m/s: odometry at 5 Hz isn't frozen, one that stops for 2 s is.
+    #[test]
+    fn odometry_that_stops_while_the_robot_drives_is_frozen() {
+        let laser = Laser::new(vec![0.0], vec![0.0], 0.0, 5.0, Pose2::IDENTITY).unwrap();
+        let drive = |odometry: &dyn Fn(u32) -> u32| {
+            let step = |i: u32| DriveStep {
+                stamp_secs: 0.1 * f64::from(i),
+                odometry: Pose2::new(0.1 * f64::from(odometry(i)), 0.0, 0.0),
+                reference: Some(Pose2::new(0.1 * f64::from(i), 0.0, 0.0)),
+                scan: Scan::default(),
+            };
+            Drive { laser: laser.clone(), steps: (0..60).map(step).collect() }
+        };
+        assert_eq!(drive(&|i| i / 2 * 2).frozen_odometry(), [0.0; 2]);
+        let frozen = drive(&|i| if i > 20 { i.max(40) - 20 } else { i }).frozen_odometry();
+        assert!(frozen.iter().all(|number| (number - 2.0).abs() < 1e-9), "{frozen:?}");
     }
 
     #[test]

@@ -42,7 +42,7 @@ pub use likelihood::{
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
-pub use quantile::{median, quantile};
+pub use quantile::{median, quantile, sorted};
 pub use shard::Shard;
 pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

@@ -81,7 +81,10 @@ pub use family::{Family, Parameters, Second, gaussian_parameters};
 pub use frechet::{Frechet, FrechetOptions};
 pub use kernel::Kernel;
 pub use local_regression::LocalRegression;
-pub use loss::{Loss, Risk, crps, euclidean, histogram_match, log_loss, losses, risk, wasserstein_1};
+pub use loss::{
+    Loss, Risk, crps, empirical_wasserstein_1, euclidean, histogram_match, log_loss, losses, risk,
+    wasserstein_1,
+};
 pub use np_reg::{NpReg, NpRegOptions};
 pub use p_reg::{PReg, PRegOptions};
 pub use regressor::{ConditionalDistribution, Predictions, Regressor, Scratch};

@@ -30,6 +30,30 @@ pub fn wasserstein_1(a: &Distribution, b: &Distribution) -> Result<f64, Error> {
     Ok(histogram_match(a, b)? * a.grid().width)
 }
 
+/// Wasserstein-1 distance between two samples, in their unit: the area between their quantile functions. 0 where one has no value.
+pub fn empirical_wasserstein_1(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
+    if a.is_empty() || b.is_empty() {
+        return 0.0;
+    }
+    a.sort_by(f64::total_cmp);
+    b.sort_by(f64::total_cmp);
+    let (n, m) = (a.len(), b.len());
+    let (mut i, mut j, mut at, mut sum) = (0, 0, 0.0, 0.0);
+    while i < n && j < m {
+        let (end_a, end_b) = ((i + 1) as f64 / n as f64, (j + 1) as f64 / m as f64);
+        let end = end_a.min(end_b);
+        sum += (end - at) * (a[i] - b[j]).abs();
+        at = end;
+        if end_a <= end {
+            i += 1;
+        }
+        if end_b <= end {
+            j += 1;
+        }
+    }
+    sum
+}
+
 /// Euclidean distance of the bin masses. Not a good loss: it doesn't know how far apart two bins are (Fig. 5).
 ///
 /// # Errors

@@ -1,7 +1,7 @@
 //! Losses against closed forms, and the paper's statements about them.
 
 use distreg::{Distribution, Error, Grid, Loss, Outcomes, PointMass, crps, euclidean, histogram};
-use distreg::{histogram_match, log_loss, risk, wasserstein_1};
+use distreg::{empirical_wasserstein_1, histogram_match, log_loss, risk, wasserstein_1};
 use proptest::prelude::*;
 use rand_distr::{Distribution as _, StandardNormal};
 use rand_philox::Philox;
@@ -183,4 +183,16 @@ fn a_loss_is_what_it_names() {
         assert!((loss.of(&predicted, &z).unwrap() - expected).abs() < 1e-12, "{loss:?}");
     }
     assert!(Loss::Crps.of(&predicted, &[]).is_err());
+}
+
+/// Between a sample and itself moved by d it is d; two unequal samples by hand.
+#[test]
+fn the_distance_of_a_moved_sample_is_how_far_it_moved() {
+    let sample: Vec<f64> = (0..37).map(|i| f64::from(i * i % 11)).collect();
+    let moved: Vec<f64> = sample.iter().map(|v| v + 0.25).collect();
+    assert!((empirical_wasserstein_1(sample.clone(), moved) - 0.25).abs() < 1e-12);
+    assert!(empirical_wasserstein_1(sample.clone(), sample).abs() < 1e-12);
+    // Quantiles agree up to 1/2; from there to 2/3 they are 1 apart, then 2.
+    let distance = empirical_wasserstein_1(vec![0.0, 1.0], vec![0.0, 0.0, 3.0]);
+    assert!((distance - 5.0 / 6.0).abs() < 1e-12, "{distance}");
 }

@@ -75,9 +75,22 @@ pub struct LeftOut {
     pub map_errors: f64,
 }
 
+/// A number of the scenario's laser that is smaller in the log, wherever that is looked at.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Guess {
+    /// Its key in the scenario, or the effect whose `p` it is.
+    pub what: &'static str,
+    /// What the scenario has, SI unit.
+    pub scenario: f64,
+    /// What the log has at the most where it has least: the search has it so.
+    pub log: f64,
+}
+
 /// What a measured map doesn't say, and where it is wrong.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MeasuredMapFindings {
+    /// What the search has otherwise than the scenario.
+    pub guesses: Vec<Guess>,
     /// Beams that are left out.
     pub left_out: LeftOut,
     /// The places, those with most readings first.

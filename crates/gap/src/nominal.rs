@@ -103,6 +103,11 @@ impl Nominal {
         Ok(Self { effects: self.effects.clone().with_residuals(residuals)?, ..self.clone() })
     }
 
+    /// The same simulator with this standard deviation of the readings' noise \[m\].
+    pub(crate) fn with_noise(self, sigma_m: f64) -> Self {
+        Self { laser: LaserOptions { sigma_m, ..self.laser }, ..self }
+    }
+
     /// The same simulator with other effects that act on readings alone.
     pub(crate) fn with_effects(&self, effects: Effects) -> Self {
         Self { effects, ..self.clone() }

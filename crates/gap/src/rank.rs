@@ -2,6 +2,7 @@
 
 use distreg::moments::Moments;
 use distreg::tail::Tail;
+use locsim_core::sorted;
 
 use crate::hypothesis::Nuisances;
 use crate::statistics::{Form, Group, Halves, Statistic};
@@ -102,8 +103,7 @@ pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halve
     });
     let p_omnibus = p_of(&|t| t[Group::Cells as usize]);
     let p = p_of(&all);
-    let mut sorted: Vec<f64> = weighed[..count - 1].iter().map(all).collect();
-    sorted.sort_by(f64::total_cmp);
+    let sorted = sorted(weighed[..count - 1].iter().map(all));
     let above = ((0.01 * sorted.len() as f64).ceil() as usize).max(1);
     let weight = statistics
         .iter()

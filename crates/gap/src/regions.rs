@@ -1,5 +1,6 @@
 //! Where a log is off, and by how much.
 
+use distreg::empirical_wasserstein_1;
 use locsim_core::normal;
 use locsim_world::effect::Effect;
 use rand::RngExt;
@@ -103,14 +104,14 @@ pub(crate) fn distance_in_halves(views: &Views, recorded: &Recorded, simulated: 
         let beams: Vec<u32> = all.clone().filter(|&beam| half_of(beam) == half).collect();
         logs.iter().flat_map(|log| range_errors(&beams, views, log)).collect::<Vec<f64>>()
     });
-    1e3 * wasserstein(own, others.collect())
+    1e3 * empirical_wasserstein_1(own, others.collect())
 }
 
 /// The same over some beams.
 fn distance_of(beams: &[u32], views: &Views, recorded: &Recorded, simulated: &[Recorded]) -> f64 {
     let own = range_errors(beams, views, recorded);
     let others: Vec<f64> = simulated.iter().flat_map(|log| range_errors(beams, views, log)).collect();
-    1e3 * wasserstein(own, others)
+    1e3 * empirical_wasserstein_1(own, others)
 }
 
 /// Readings of some beams less the map's ranges \[m\], both no more than the maximum range.
@@ -118,30 +119,6 @@ fn range_errors(beams: &[u32], views: &Views, log: &Recorded) -> Vec<f64> {
     let max = log.laser.max_range();
     let usable = beams.iter().map(|&i| i as usize).filter(|&i| !log.readings[i].is_nan());
     usable.map(|i| f64::from(log.readings[i].min(max)) - views.beams[i].range().min(f64::from(max))).collect()
-}
-
-/// Wasserstein-1 distance between two samples: the area between their quantile functions.
-pub(crate) fn wasserstein(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
-    if a.is_empty() || b.is_empty() {
-        return 0.0;
-    }
-    a.sort_by(f64::total_cmp);
-    b.sort_by(f64::total_cmp);
-    let (n, m) = (a.len(), b.len());
-    let (mut i, mut j, mut at, mut sum) = (0, 0, 0.0, 0.0);
-    while i < n && j < m {
-        let (end_a, end_b) = ((i + 1) as f64 / n as f64, (j + 1) as f64 / m as f64);
-        let end = end_a.min(end_b);
-        sum += (end - at) * (a[i] - b[j]).abs();
-        at = end;
-        if end_a <= end {
-            i += 1;
-        }
-        if end_b <= end {
-            j += 1;
-        }
-    }
-    sum
 }
 
 /// The PIT of every beam before and after.
@@ -246,20 +223,4 @@ pub(crate) fn histograms(comparison: &Comparison<'_>, pits: &[BeamPit]) -> Vec<P
             .collect::<Vec<_>>()
     })
     .collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Between a sample and itself moved by d it is d; two unequal samples by hand.
-    #[test]
-    fn the_distance_of_a_moved_sample_is_how_far_it_moved() {
-        let sample: Vec<f64> = (0..37).map(|i| f64::from(i * i % 11)).collect();
-        let moved: Vec<f64> = sample.iter().map(|v| v + 0.25).collect();
-        assert!((wasserstein(sample.clone(), moved) - 0.25).abs() < 1e-12);
-        assert!(wasserstein(sample.clone(), sample).abs() < 1e-12);
-        // Quantiles agree up to 1/2; from there to 2/3 they are 1 apart, then 2.
-        assert!((wasserstein(vec![0.0, 1.0], vec![0.0, 0.0, 3.0]) - 5.0 / 6.0).abs() < 1e-12);
-    }
 }

@@ -155,7 +155,7 @@ pub(crate) fn fit_persistence(
         BlockTruth::of(BlockResampling::EachScanN(10)),
         BlockTruth::of(BlockResampling::EachScanN(40)),
         BlockTruth::of(BlockResampling::Never),
-        BlockTruth { walks: true, ..BlockTruth::of(BlockResampling::Never) },
+        BlockTruth::WALKING,
     ];
     let own_policy = BlockTruth::of(blocks.resample);
     if !policies.contains(&own_policy) {
@@ -188,19 +188,24 @@ pub(crate) fn fit_persistence(
         .map(|(policy, _)| *policy)
         .max_by_key(|policy| match policy.resample {
             BlockResampling::EachObservation => 1,
-            BlockResampling::EachScanN(scans) => scans,
-            BlockResampling::Never if policy.walks => SCANS_OF_WALKING,
+            BlockResampling::EachScanN(scans) => {
+                if policy.walks {
+                    scans / 2
+                } else {
+                    scans
+                }
+            }
             BlockResampling::Never => u32::MAX,
         });
     Ok(best.unwrap_or(own_policy))
 }
 
-/// People who walk past are seen in about so many scans.
-const SCANS_OF_WALKING: u32 = 20;
-
 impl BlockTruth {
+    /// People who walk past, seen in some tens of scans each.
+    const WALKING: Self = Self { walks: true, ..Self::of(BlockResampling::EachScanN(40)) };
+
     /// Blocks that stand until they take new places.
-    fn of(resample: BlockResampling) -> Self {
+    const fn of(resample: BlockResampling) -> Self {
         Self { resample, walks: false, density_over_fit: 1.0 }
     }
 
@@ -254,4 +259,27 @@ fn shared_shorts(comparison: &Comparison<'_>, fitted: &Fitted) -> [f64; LAGS.len
         });
         both as f64 / f64::from(all as u32)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+
+    /// Clutter that is drawn anew, that stays and that walks is told apart by where its readings are again.
+    #[test]
+    fn a_log_tells_how_its_clutter_stays() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 5).unwrap();
+        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let [redrawn, stays] = [BlockResampling::EachObservation, BlockResampling::Never].map(BlockTruth::of);
+        for truth in [redrawn, stays, BlockTruth::WALKING] {
+            let log = Replay::new(&comparison, &[], &fitted, truth).simulate(8).unwrap();
+            let log = comparison.of(&log);
+            let fitted = log.fit_nuisances(&Nuisances::default(), 20);
+            assert_eq!(fit_persistence(&log, &fitted, 3).unwrap(), truth);
+        }
+    }
 }

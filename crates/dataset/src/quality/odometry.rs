@@ -25,6 +25,8 @@ pub struct OdometryQuality {
     pub turned_rad: f64,
     /// Number of steps between scans that no robot can make; `None` where the stamps stand still.
     pub jumps: Option<usize>,
+    /// How long it stood still while the reference moved \[s\], and how far that moved \[m\].
+    pub frozen: [f64; 2],
     /// Its error; `None` without a reference to compare it with.
     pub error: Option<OdometryError>,
 }
@@ -78,6 +80,7 @@ impl OdometryQuality {
                 .fold(0.0, |sum, turn| sum + turn),
             jumps: (usual > 0.0)
                 .then(|| increments.iter().zip(secs().map(|secs| secs.max(usual))).filter(jump).count()),
+            frozen: drive.frozen_odometry(),
             error: OdometryError::of(drive),
         }
     }

@@ -3,6 +3,8 @@
 use std::collections::HashMap;
 use std::f64::consts::FRAC_PI_2;
 
+use locsim_core::sorted;
+
 use crate::hypothesis::Comparison;
 use crate::statistics::{Covariate, cell_at};
 use crate::views::jumps;
@@ -123,8 +125,7 @@ fn even(lo: f64, hi: f64, levels: usize) -> Vec<f64> {
 
 /// Inner edges between which about equally many of the values lie, and further ones at these shares from both ends.
 fn quantiles(values: &[f64], levels: usize, ends: &[f64]) -> Vec<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
+    let sorted = sorted(values.iter().copied());
     let even = (1..levels).map(|i| i as f64 / levels as f64);
     let shares = ends.iter().copied().chain(even).chain(ends.iter().rev().map(|share| 1.0 - share));
     let mut edges: Vec<f64> =

@@ -1,9 +1,11 @@
-//! The shares of random and of missing readings that a scenario guesses, by the log.
+//! What a scenario guesses of its laser, by the log: its noise, and the shares of random and of missing readings.
 
+use locsim_core::normal::SIGMA_OVER_MAD;
+use locsim_core::{median, sorted};
 use locsim_world::effect::{Effect, EffectKind};
 
-use crate::hypothesis::Comparison;
-use crate::{GapError, Nominal};
+use crate::hypothesis::{Comparison, Fitted};
+use crate::{GapError, Guess, Nominal};
 
 /// A return this far behind a wall is of no wall \[m\].
 const BEHIND_M: f64 = 1.0;
@@ -15,27 +17,76 @@ const ERRORS: f64 = 2.0;
 const INCIDENCES: usize = 3;
 const RANGES: usize = 3;
 
+/// A return this near to a wall is of it \[m\].
+const NEAR_M: f64 = 0.15;
+/// Standard error of a standard deviation by the median, over it and times the root of the number of values.
+const MEDIAN_ERROR: f64 = 1.17;
+
+/// The simulator with no more noise, and no larger shares of missing and of random readings, than the log has where it has least. Every
+/// scenario has a guess of them, and no effect makes them smaller.
+pub fn as_in_log(comparison: &Comparison<'_>, fitted: &Fitted) -> Result<(Nominal, Vec<Guess>), GapError> {
+    let scenario = comparison.nominal;
+    let nominal = with_shares_of_log(comparison)?;
+    let sigma_m = noise_of_log(comparison, fitted).min(scenario.laser.sigma_m);
+    let nominal = nominal.with_noise(sigma_m);
+    let shares = scenario.effects.list().iter().filter_map(|effect| {
+        let own = nominal.effects.list().iter().find(|own| own.kind == effect.kind)?;
+        Some(Guess { what: effect.kind.name(), scenario: effect.values[0], log: own.values[0] })
+    });
+    let noise = Guess { what: "laser.noise.sigma_m", scenario: scenario.laser.sigma_m, log: sigma_m };
+    let guesses = std::iter::once(noise).chain(shares).filter(|guess| guess.log < guess.scenario).collect();
+    Ok((nominal, guesses))
+}
+
+/// The least noise of beams of one incidence and range, about where poses and walls fit best \[m\].
+fn noise_of_log(comparison: &Comparison<'_>, fitted: &Fitted) -> f64 {
+    let (views, max) = (&comparison.views, comparison.nominal.laser.max_range_m);
+    let mut errors: Vec<[f64; 3]> = Vec::new();
+    comparison.for_each_reading(views, &comparison.nominal.effects, fitted, |_, i, _, shift, z, _| {
+        let beam = &views.beams[i];
+        let error = (z - beam.range() - shift).abs();
+        if z < max && error < NEAR_M {
+            errors.push([beam.range(), beam.view.incidence, error]);
+        }
+    });
+    let ranges = sorted(errors.iter().map(|[range, ..]| *range));
+    let mut groups: [Vec<f64>; INCIDENCES * RANGES] = std::array::from_fn(|_| Vec::new());
+    for [range, incidence, error] in errors {
+        groups[group_of(&ranges, range, incidence)].push(error);
+    }
+    let of_group = |errors: &mut Vec<f64>| {
+        // By how much it may be too small by chance, the smallest of several.
+        let chance = 1.0 + ERRORS * MEDIAN_ERROR / (errors.len() as f64).sqrt();
+        SIGMA_OVER_MAD * median(errors) * chance
+    };
+    let large = groups.iter_mut().filter(|errors| errors.len() as f64 >= FEWEST);
+    large.map(of_group).fold(f64::INFINITY, f64::min)
+}
+
+/// The group of a beam, of a log with these ranges in order.
+fn group_of(ranges: &[f64], range: f64, incidence: f64) -> usize {
+    let below = ranges.partition_point(|other| *other < range);
+    let slant = (incidence / std::f64::consts::FRAC_PI_2 * INCIDENCES as f64) as usize;
+    slant.min(INCIDENCES - 1) * RANGES + below * RANGES / ranges.len()
+}
+
 /// The simulator with no larger a share of missing returns (`range_dropout` that doesn't depend on range) and of random readings
 /// (`crosstalk` without bursts) than the log has where it has least. Every scenario has such shares, mostly as a guess, and no
 /// effect makes them smaller.
-pub fn with_shares_of_log(comparison: &Comparison<'_>) -> Result<Nominal, GapError> {
+fn with_shares_of_log(comparison: &Comparison<'_>) -> Result<Nominal, GapError> {
     let nominal = comparison.nominal;
     let max = nominal.laser.max_range_m;
-    let mut ranges: Vec<f64> = Vec::new();
     let mut beams: Vec<[f64; 3]> = Vec::new();
     for (beam, &reading) in comparison.views.beams.iter().zip(&comparison.recorded.readings) {
         if !reading.is_nan() && beam.range() < max {
-            ranges.push(beam.range());
             beams.push([beam.range(), beam.view.incidence, f64::from(reading)]);
         }
     }
-    ranges.sort_by(f64::total_cmp);
+    let ranges = sorted(beams.iter().map(|[range, ..]| *range));
     // Beams, missing returns, returns from far behind, and how many of these there were if all readings were random.
     let mut groups = [[0.0; 4]; INCIDENCES * RANGES];
     for [range, incidence, reading] in beams {
-        let below = ranges.partition_point(|other| *other < range);
-        let slant = (incidence / std::f64::consts::FRAC_PI_2 * INCIDENCES as f64) as usize;
-        let group = &mut groups[slant.min(INCIDENCES - 1) * RANGES + below * RANGES / ranges.len()];
+        let group = &mut groups[group_of(&ranges, range, incidence)];
         let from = range + BEHIND_M;
         let more = [
             1.0,

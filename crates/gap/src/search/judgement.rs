@@ -46,9 +46,11 @@ impl Dependence<'_> {
         let mut sums = [0.0; 2];
         for (&[x, y, side], [value, error]) in cells.filter_map(|(cell, point)| Some((cell, (*point)?))) {
             let middle = DVec2::new(x + 0.5 * side, y + 0.5 * side);
-            let is_at_wall = effect.place.iter().any(|stretch| is_of_wall(stretch, middle));
-            // Twice what the cell gains.
-            sums[usize::from(is_at_wall)] += (value / error.max(1e-12)).powi(2);
+            // Half a diagonal: the wall runs through the cell.
+            let reach = side * std::f64::consts::FRAC_1_SQRT_2;
+            let is_at_wall = effect.place.iter().any(|stretch| is_of_wall(stretch, middle, reach));
+            // Twice what the cell gains, beyond chance.
+            sums[usize::from(is_at_wall)] += (value / error.max(1e-12)).powi(2) - 1.0;
         }
         sums[1] > sums[0]
     }

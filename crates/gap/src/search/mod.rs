@@ -164,7 +164,7 @@ pub fn find(
 
 /// The part of a log that a measured map says something of.
 struct KnownPart {
-    /// The simulator, with no more random readings than the log has.
+    /// The simulator, with no more noise and random readings than the log has.
     nominal: Nominal,
     recorded: Recorded,
     views: Arc<Views>,
@@ -183,7 +183,7 @@ fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart
     let comparison = all.of(&sure);
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
     let (errors, wrong) = map_error::find(&comparison, &fitted);
-    let nominal = calibration::with_shares_of_log(&comparison.of(&sure.without(&wrong)))?;
+    let (nominal, guesses) = calibration::as_in_log(&comparison.of(&sure.without(&wrong)), &fitted)?;
     let share = |count: usize| count as f64 / unsure.len().max(1) as f64;
     let of = |reason| share(unsure.iter().filter(|unsure| **unsure == Some(reason)).count());
     let left_out = LeftOut {
@@ -198,7 +198,7 @@ fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart
         nominal,
         recorded: sure.without(&wrong),
         views,
-        findings: MeasuredMapFindings { left_out, errors },
+        findings: MeasuredMapFindings { guesses, left_out, errors },
     }))
 }
 

@@ -1,6 +1,6 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
-use locsim_core::{Draw, Estimate, Interval, Stage};
+use locsim_core::{Draw, Estimate, Interval, Stage, sorted};
 use locsim_world::effect::{Effect, EffectKind};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -167,14 +167,25 @@ impl<'a> State<'a> {
 
     /// Whether simulated ranges are farther from the log's in the later round than in the first.
     pub fn moves_away(&self, first: &Round<'a>, last: &Round<'a>) -> Result<bool, GapError> {
+        let (old_mm, new_mm, floor) = self.distances(first, last)?;
+        let closed = floor.closed(old_mm, new_mm);
+        // A map that is exact is to be believed for as long as ranges weren't off before, and are hardly more so.
+        let is_strict = self.nominal.pieces.is_some() || floor.is_farther(old_mm, new_mm);
+        Ok(closed.is_some_and(|closed| if is_strict { closed <= 0.0 } else { closed < 0.0 }))
+    }
+
+    /// Whether simulated ranges are farther from the log's in the later round by more than two simulations differ.
+    pub fn is_farther(&self, first: &Round<'a>, last: &Round<'a>) -> Result<bool, GapError> {
+        let (old_mm, new_mm, floor) = self.distances(first, last)?;
+        Ok(floor.is_farther(old_mm, new_mm))
+    }
+
+    /// Distances of simulated ranges from the log's in two rounds \[mm\], and what simulations of the later one differ by.
+    fn distances(&self, first: &Round<'a>, last: &Round<'a>) -> Result<(f64, f64, RangeFloor), GapError> {
         let (old, new) = (self.replay(first, LOGS)?, self.replay(last, LOGS)?);
         let views = &first.comparison.views;
         let [old_mm, new_mm] = [&old, &new].map(|logs| distance(views, self.recorded, logs));
-        let floor = RangeFloor::of(views, &new);
-        let closed = floor.closed(old_mm, new_mm);
-        // A map that is exact is to be believed for as long as ranges weren't off before, and are hardly more so.
-        let is_measured = self.nominal.pieces.is_some() || floor.is_farther(old_mm, new_mm);
-        Ok(closed.is_some_and(|closed| if is_measured { closed <= 0.0 } else { closed < 0.0 }))
+        Ok((old_mm, new_mm, RangeFloor::of(views, &new)))
     }
 
     fn gap(
@@ -203,19 +214,16 @@ impl<'a> State<'a> {
             Estimate::around(0.0, 0.0)
         } else {
             let draw = Draw::new(self.options.seed, Stage::Bootstrap, CLOSED_SHARE);
-            let mut shares: Vec<f64> = (0..1000)
-                .map(|i| {
-                    let mut rng = draw.item(i);
-                    let (mut a, mut b) = (0.0, 0.0);
-                    for _ in 0..folds {
-                        let fold = rng.random_range(0..folds);
-                        a += gained[fold];
-                        b += rest[fold];
-                    }
-                    share(a, b)
-                })
-                .collect();
-            shares.sort_by(f64::total_cmp);
+            let shares = sorted((0..1000).map(|i| {
+                let mut rng = draw.item(i);
+                let (mut a, mut b) = (0.0, 0.0);
+                for _ in 0..folds {
+                    let fold = rng.random_range(0..folds);
+                    a += gained[fold];
+                    b += rest[fold];
+                }
+                share(a, b)
+            }));
             Estimate {
                 value: share(total(&gained), total(&rest)),
                 interval: Interval { lo: shares[25], hi: shares[974] },

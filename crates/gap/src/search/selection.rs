@@ -23,7 +23,8 @@ const SAME_WALL_M: f64 = 0.3;
 /// be moved again and again, and a thing of several ranges would be put before the laser piece by piece.
 pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
     let ends = more.place.iter().flatten();
-    let is_of_same_wall = known.place.iter().any(|stretch| ends.clone().any(|end| is_of_wall(stretch, *end)));
+    let is_of_same_wall =
+        known.place.iter().any(|stretch| ends.clone().any(|end| is_of_wall(stretch, *end, SAME_WALL_M)));
     let is_of_same_sector = known
         .sector()
         .zip(more.sector())
@@ -45,11 +46,11 @@ fn holds_middle([from, to]: [f64; 2], [a, b]: [f64; 2]) -> bool {
     turn(from, a + 0.5 * turn(a, b)) <= turn(from, to)
 }
 
-/// Whether a point is of the same wall as a stretch: on its line, and no farther from its ends than it is long.
-pub fn is_of_wall([a, b]: &[DVec2; 2], point: DVec2) -> bool {
+/// Whether a point is of the same wall as a stretch: within a distance \[m\] of its line, and no farther from its ends than it is long.
+pub fn is_of_wall([a, b]: &[DVec2; 2], point: DVec2, reach_m: f64) -> bool {
     let (length, along) = (a.distance(*b), (*b - *a).normalize_or_zero());
     let at = along.dot(point - *a);
-    along.perp_dot(point - *a).abs() <= SAME_WALL_M && (-length..=2.0 * length).contains(&at)
+    along.perp_dot(point - *a).abs() <= reach_m && (-length..=2.0 * length).contains(&at)
 }
 
 /// Two effects as one: strengths add up, and other parameters are those of the effect that is known.

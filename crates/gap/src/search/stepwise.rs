@@ -1,7 +1,7 @@
 //! Stepwise selection: effects are named one at a time, then redundant ones are deleted.
 
 use locsim_core::Estimate;
-use locsim_world::effect::{Effect, Moves, Statistic};
+use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::judgement::share_a_moment;
@@ -66,6 +66,14 @@ impl<'a> Path<'a> {
 
     pub fn last(&self) -> &Round<'a> {
         &self.rounds[self.rounds.len() - 1]
+    }
+
+    /// The round with all names but one, if there was one.
+    fn without(&self, index: usize) -> Option<&Round<'a>> {
+        let others = self.named.iter().enumerate().filter(|(i, _)| *i != index);
+        let kinds: Vec<EffectKind> = others.map(|(_, named)| named.name).collect();
+        let mut rounds = self.rounds[1..].iter().rev();
+        rounds.find(|round| round.effects.iter().map(|effect| effect.kind).eq(kinds.iter().copied()))
     }
 
     fn effects(&self) -> Vec<Effect> {
@@ -220,11 +228,15 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Drops names with which simulated ranges move away from the log, the last one first. Anything that makes readings off the walls
-    /// likelier raises the log score where something has no name.
+    /// Drops names with which simulated ranges move away from the log, or are farther from it than without the last one, which goes first.
+    /// Anything that makes readings off the walls likelier raises the log score where something has no name.
     pub fn come_nearer(&self, path: &mut Path<'a>) -> Result<(), GapError> {
         while let Some(last) = last_of_ranges(&path.named) {
-            if !self.moves_away(path.first(), path.last())? {
+            let is_farther = match path.without(last) {
+                Some(without) => self.is_farther(without, path.last())?,
+                None => false,
+            };
+            if !is_farther && !self.moves_away(path.first(), path.last())? {
                 break;
             }
             path.named.remove(last);

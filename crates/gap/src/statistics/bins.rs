@@ -1,5 +1,6 @@
 //! The omnibus search: the PIT of readings over bins of covariates of their beams.
 
+use locsim_core::sorted;
 use std::f64::consts::FRAC_PI_2;
 
 use super::readings::Reading;
@@ -83,8 +84,7 @@ fn even(lo: f64, hi: f64, bins: usize) -> Vec<f64> {
 
 /// Edges between which equally many of the values lie.
 fn quantiles(values: &[f64], bins: usize) -> Vec<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
+    let sorted = sorted(values.iter().copied());
     let mut edges: Vec<f64> = (0..=bins).map(|i| sorted[(i * (sorted.len() - 1)) / bins]).collect();
     edges.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
     if edges.len() < 2 {

@@ -1,7 +1,7 @@
 //! Where a measured map is wrong, for people.
 
 use locsim_core::{Particles, RangeMap};
-use locsim_gap::{MapError, MapErrorKind, MeasuredMapFindings};
+use locsim_gap::{Guess, MapError, MapErrorKind, MeasuredMapFindings};
 use plotters::prelude::{Color, RGBColor};
 
 use super::GapStudy;
@@ -60,6 +60,17 @@ pub(super) fn sentences(map: &MeasuredMapFindings) -> Vec<String> {
             .map(|error| format!("{}, {}: {}", name(error.kind), place(error), finding(error)))
             .collect();
         text.push(format!("The map is wrong in places ({}): {}.", counts.join(", "), first.join("; ")));
+    }
+    if !map.guesses.is_empty() {
+        let guess = |guess: &Guess| {
+            format!("{} {:.4} (at most {:.4} in the log)", guess.what, guess.scenario, guess.log)
+        };
+        let guesses: Vec<String> = map.guesses.iter().map(guess).collect();
+        text.push(format!(
+            "The scenario guesses more than the log has anywhere: {}. The search has what the log has; set that in the scenario, \
+             which scenario.yaml leaves as it is.",
+            guesses.join(", ")
+        ));
     }
     let left_out = &map.left_out;
     let percent = |share: f64| fixed(100.0 * share, 0);

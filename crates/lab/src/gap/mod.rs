@@ -32,6 +32,7 @@ pub use filter::FilterOnLog;
 pub use proposal::scenario_with;
 
 use crate::LabError;
+use crate::inspect::frozen_odometry;
 use crate::run::{log_map, no_reference, read_scenario_log, selected, spread_stamps};
 use locsim_core::Control;
 use locsim_report::ReportError;
@@ -321,6 +322,8 @@ fn usable(
     let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
     notes.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
     notes.extend(without_stale_scans(&mut drive));
+    let frozen = drive.frozen_odometry();
+    notes.extend((frozen[0] > 0.0).then(|| frozen_odometry(frozen)));
     let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
     let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
     let is_usable = |step: &&DriveStep| step.reference.is_some_and(|pose| free(&pose));

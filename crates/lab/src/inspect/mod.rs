@@ -301,6 +301,13 @@ struct Notable {
     lag_intervals: f64,
 }
 
+/// Odometry that stood still \[s\] while the reference moved \[m\].
+pub fn frozen_odometry([secs, metres]: [f64; 2]) -> String {
+    format!(
+        "The odometry stands still for {secs:.1} s, in which the reference moves by {metres:.2} m: it wasn't recorded then."
+    )
+}
+
 fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
     let mut warnings = Vec::new();
     let mut warn = |is_so: bool, text: String| {
@@ -334,6 +341,7 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
     if let Some(odometry) = odometry {
         let jumps = odometry.jumps.unwrap_or(0);
         warn(jumps > 0, format!("The odometry jumps {jumps} times."));
+        warn(odometry.frozen[0] > 0.0, frozen_odometry(odometry.frozen));
         if let Some(error) = &odometry.error {
             warn(
                 error.position_per_m == 0.0,
