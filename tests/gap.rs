@@ -376,12 +376,16 @@ fn scans_that_were_sent_again_are_left_out() {
     };
     folder.write("again.log", text.lines().map(line).collect::<Vec<_>>().join("\n") + "\n");
     let line = "gap nominal.yaml --log again.log --out found --replicates 29 --no-filter --json";
-    let outcome: Value = serde_json::from_str(&output(&folder.locsim(line).success())).unwrap();
+    let found = folder.locsim(line).success().stderr(contains("the driver has sent them again"));
+    let outcome: Value = serde_json::from_str(&output(&found)).unwrap();
     let named = outcome["effects"].as_array().unwrap().iter().map(|effect| effect["name"].as_str().unwrap());
     assert!(named.clone().all(|name| name.contains("odom") || name.contains("slip")), "{outcome:#}");
     let notes = outcome["notes"].to_string();
     assert!(sent > 5 && notes.contains(&format!("{sent} scans have all readings")), "{sent}: {notes}");
     assert!(notes.contains("The odometry stands still for"), "{notes}");
+    let report = String::from_utf8(folder.read("found/report.md")).unwrap();
+    let top = report.split("## ").next().unwrap();
+    assert!(top.contains("sent them again") && top.contains("stands still"), "{top}");
     let warnings = output(&folder.locsim("inspect again.log").success());
     assert!(warnings.contains("sent them again") && warnings.contains("stands still"), "{warnings}");
 }

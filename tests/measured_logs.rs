@@ -175,7 +175,7 @@ fn what_a_measured_log_has_beyond_a_plain_simulator_is_told_without_a_wrong_name
             .any(|known| name == known)
     };
     assert!(effects.iter().all(|effect| is_known(&effect["name"])), "{outcome:#}");
-    assert_eq!(outcome["verdict"], "partly_explained");
+    assert_eq!(outcome["verdict"], "named");
     // Two walls of a curve and a third one, from x and y to x and y by a look at the map [m].
     let known = [[7.0, -0.5, 10.5, 2.5], [11.5, -4.8, 13.7, -1.8], [-2.5, -3.0, -1.8, -1.3]];
     let errors = outcome["map"]["errors"].as_array().unwrap();

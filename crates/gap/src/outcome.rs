@@ -412,7 +412,7 @@ pub struct Outcome {
     pub directions: Vec<Direction>,
     /// The bound for an effect that shifts or spreads readings, or is in the odometry.
     pub threshold: f64,
-    /// Nuisance parameters that were fitted: clutter, errors of the reference.
+    /// Nuisance parameters that were fitted before any effect was named: clutter, errors of the reference, which may have taken up a part of one.
     pub nuisances: Nuisances,
     /// PIT histograms.
     pub pit: Vec<PitHistogram>,

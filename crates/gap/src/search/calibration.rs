@@ -118,3 +118,30 @@ fn with_shares_of_log(comparison: &Comparison<'_>) -> Result<Nominal, GapError> 
     let list = fitted.collect::<Result<Vec<Effect>, _>>()?;
     Ok(nominal.with_effects(nominal.effects.replaced(list)?))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{MEASURED, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::Nuisances;
+
+    /// Readings with 10 mm of noise: a scenario of 20 mm has as little in the search, one of 5 mm keeps what it has.
+    #[test]
+    fn a_scenario_has_no_more_noise_than_its_log() {
+        assert_eq!(MEASURED.laser.sigma_m, 0.01);
+        let drive = record_library(&MEASURED, &TRUTH, &[], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+        for (guess, expected) in [(0.02, 0.01), (0.005, 0.005)] {
+            let scenario = MEASURED.clone().with_noise(guess);
+            let comparison = Comparison::new(&scenario, &recorded).unwrap();
+            let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+            let (found, guesses) = as_in_log(&comparison, &fitted).unwrap();
+            let sigma_m = found.laser.sigma_m;
+            assert!((sigma_m - expected).abs() < 0.15 * expected, "{sigma_m} of {guess}");
+            let told = guesses.iter().find(|told| told.what == "laser.noise.sigma_m");
+            assert_eq!(told.map(|told| told.log), (guess > expected).then_some(sigma_m));
+        }
+    }
+}

@@ -57,6 +57,7 @@ pub fn find(study: &GapStudy, control: Control<'_>) -> Result<Changes, LabError>
         ..BaselineOptions::default()
     };
     let nominal = study.nominal()?;
+    study.warnings.iter().for_each(|warning| progress.warn(warning));
     let mut changes =
         find_changes(&nominal, &baseline.recorded, &study.recorded, &search, progress, interrupted)?;
     if changes.shared < FEW_SHARED {
@@ -65,7 +66,7 @@ pub fn find(study: &GapStudy, control: Control<'_>) -> Result<Changes, LabError>
             fixed(100.0 * changes.shared, 0)
         ));
     }
-    changes.notes.splice(0..0, study.notes.iter().cloned());
+    changes.notes.splice(0..0, study.remarks());
     changes.seconds = control.seconds_since(began);
     Ok(changes)
 }
@@ -138,6 +139,7 @@ fn markdown(study: &GapStudy, changes: &Changes, diff: &str, command: &str) -> R
         p => answer::p_value(changes.p),
         seconds => fixed(changes.seconds, 1),
         tried_table => (!changes.tried.is_empty()).then(|| tried_table(changes).to_markdown()),
+        warnings => study.warnings.iter().map(|warning| text::escape(warning)).collect::<Vec<_>>(),
         notes => changes.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
         command => command.trim(),
         diff => (!changes.effects.is_empty()).then(|| diff.trim_end()),

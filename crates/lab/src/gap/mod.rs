@@ -107,8 +107,10 @@ pub struct GapStudy {
     /// The log that it is held against, if there is one.
     baseline: Option<Baseline>,
     settings: GapSettings,
-    /// Remarks on the log.
+    /// How the logs were read.
     notes: Vec<String>,
+    /// What is odd about them.
+    warnings: Vec<String>,
     /// The log's reference is what a localizer found.
     is_localized: bool,
 }
@@ -180,24 +182,42 @@ impl GapStudy {
         let Held { log, map, drive, summary } = Held::of(&scenario, log, &settings, &refuse)?;
         let map = Arc::new(ExactRangeMap::new(map));
         let mut notes = vec![summary.to_string().replace('\n', "; ")];
+        let mut warnings = Vec::new();
         let effects = simulator.effects().map_err(GapError::from)?;
         let simulated = Simulator::new(Arc::clone(&map), simulator.blocks, simulator.laser, effects)
             .map_err(GapError::from)?;
         let baseline = settings.baseline.clone().map(|path| -> Result<Baseline, LabError> {
             if same_file(&path, &log) {
-                notes.push("The baseline is the log itself: nothing can have changed.".to_owned());
+                warnings.push("The baseline is the log itself: nothing can have changed.".to_owned());
             }
             let (drive, summary) = read_log(&path, &settings.log)?;
             notes.push(format!("Baseline: {}", summary.to_string().replace('\n', "; ")));
             let laser = simulated.laser();
-            let (_, recorded) = usable(&path, drive, &summary, laser, &map, &settings, &mut notes)?;
+            let (_, recorded) = usable(&path, drive, &summary, laser, &map, &settings, &mut warnings)?;
             Ok(Baseline { log: path, recorded })
         });
         let baseline = baseline.transpose()?;
         let laser = simulated.laser();
-        let (drive, recorded) = usable(&log, drive, &summary, laser, &map, &settings, &mut notes)?;
+        let (drive, recorded) = usable(&log, drive, &summary, laser, &map, &settings, &mut warnings)?;
         let is_localized = summary.kind == LogKind::Localized;
-        Ok(Self { scenario, simulator, log, map, drive, recorded, baseline, settings, notes, is_localized })
+        Ok(Self {
+            scenario,
+            simulator,
+            log,
+            map,
+            drive,
+            recorded,
+            baseline,
+            settings,
+            notes,
+            warnings,
+            is_localized,
+        })
+    }
+
+    /// How the logs were read, and what is odd about them.
+    fn remarks(&self) -> impl Iterator<Item = String> {
+        self.notes.iter().chain(&self.warnings).cloned()
     }
 
     /// The scenario's name.
@@ -315,15 +335,15 @@ fn usable(
     laser: &LaserSimulator,
     map: &ExactRangeMap,
     settings: &GapSettings,
-    notes: &mut Vec<String>,
+    warnings: &mut Vec<String>,
 ) -> Result<(Drive, Recorded), LabError> {
     let refuse = |what: String| LabError::Log { path: log.to_owned(), what };
-    let drive = with_mount(drive, laser.laser(), notes);
+    let drive = with_mount(drive, laser.laser(), warnings);
     let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
-    notes.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
-    notes.extend(without_stale_scans(&mut drive));
+    warnings.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
+    warnings.extend(without_stale_scans(&mut drive));
     let frozen = drive.frozen_odometry();
-    notes.extend((frozen[0] > 0.0).then(|| frozen_odometry(frozen)));
+    warnings.extend((frozen[0] > 0.0).then(|| frozen_odometry(frozen)));
     let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
     let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
     let is_usable = |step: &&DriveStep| step.reference.is_some_and(|pose| free(&pose));
@@ -350,7 +370,7 @@ fn usable(
     };
     let outside = drive.steps.iter().filter(|s| s.reference.is_some_and(|pose| !free(&pose))).count();
     if outside > 0 {
-        notes.push(format!(
+        warnings.push(format!(
             "{outside} scans were left out: their reference pose is not in the map's free space."
         ));
     }
@@ -413,6 +433,7 @@ pub fn find(
 ) -> Result<Outcome, LabError> {
     let Control { clock, progress, interrupted } = control;
     let began = clock();
+    study.warnings.iter().for_each(|warning| progress.warn(warning));
     progress.stage("integrating over blocks", 1);
     let nominal = study.nominal()?;
     progress.advance(1);
@@ -436,7 +457,7 @@ pub fn find(
             100.0 * search.false_alarm
         ));
     }
-    outcome.notes.splice(0..0, study.notes.iter().cloned());
+    outcome.notes.splice(0..0, study.remarks());
     outcome.seconds = control.seconds_since(began);
     Ok(outcome)
 }
@@ -475,7 +496,7 @@ fn write(
 ///
 /// A laser of bearings from -90 to 89 degrees is also one from -89.5 to 89.5 degrees that is turned by half a degree: where log
 /// and scenario agree on where beams point on the robot, the log's bearings become the scenario's.
-fn with_mount(drive: Drive, scenario: &Laser, notes: &mut Vec<String>) -> Drive {
+fn with_mount(drive: Drive, scenario: &Laser, warnings: &mut Vec<String>) -> Drive {
     let mount = scenario.base_from_laser();
     let logged = drive.laser.base_from_laser();
     let turned = wrap_angle(logged.theta - mount.theta);
@@ -494,7 +515,7 @@ fn with_mount(drive: Drive, scenario: &Laser, notes: &mut Vec<String>) -> Drive 
     if apart.position().length() > SAME_MOUNT || apart.theta.abs() > SAME_MOUNT {
         let place =
             |pose: Pose2| format!("({:.3} m, {:.3} m, {:.1} deg)", pose.x, pose.y, pose.theta.to_degrees());
-        notes.push(format!(
+        warnings.push(format!(
             "The log has the laser at {} on the robot; the scenario's {} is used.",
             place(logged),
             place(mount)

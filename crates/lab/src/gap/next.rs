@@ -135,6 +135,8 @@ fn rest(outcome: &Outcome) -> String {
         (Some(found), _) => {
             // What depends on place isn't a property of the robot, and what is in front of walls is part of it at one bearing alone.
             let at = match (found.deviation, found.covariate) {
+                (Deviation::Long, Covariate::Place) => "in the surroundings (a pane, an open door, a wall that is gone)",
+                (Deviation::NoReturn, Covariate::Place) => "in the surroundings (a pane, a dark or polished wall)",
                 (_, Covariate::Place) => "in the surroundings",
                 (Deviation::Short, covariate) if covariate != Covariate::Bearing => {
                     "at what stands in front of walls or walks there, which the scenario's `blocks` should describe,"

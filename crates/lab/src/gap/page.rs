@@ -136,6 +136,7 @@ fn markdown(
         odometry_mm => fixed(1e3 * nuisances.odometry_error.sigma_m, 1),
         odometry_deg => fixed(nuisances.odometry_error.sigma_rad.to_degrees(), 2),
         odometry_alpha => nuisances.odometry_error.noise.alpha().map(significant).join(", "),
+        warnings => study.warnings.iter().map(|warning| text::escape(warning)).collect::<Vec<_>>(),
         notes => outcome.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
         command => command.trim(),
         diff => diff.trim_end(),
