@@ -70,7 +70,7 @@ struct Solver {
 
 impl Solver {
     /// The curve of some sums, from where the last fit ended if it is a share's, whose fit takes several steps.
-    fn solve(&mut self, sums: impl Iterator<Item = Sums> + Clone, shape: Shape) {
+    fn solve(&mut self, sums: &(impl Iterator<Item = Sums> + Clone), shape: Shape) {
         if !shape.is_share {
             self.curve.fill(0.0);
         }
@@ -157,7 +157,7 @@ fn errors(at: &[[f64; 2]], shape: Shape) -> Vec<f64> {
 /// The curve of some sums, and slope and curvature of each level where the last step began.
 fn solve(sums: &[Sums], shape: Shape) -> Solver {
     let mut solver = Solver { curve: vec![0.0; sums.len()], ..Solver::default() };
-    solver.solve(sums.iter().copied(), shape);
+    solver.solve(&sums.iter().copied(), shape);
     solver
 }
 
@@ -194,7 +194,7 @@ fn for_each_fold(folds: &[Vec<Sums>], shape: Shape, mut each: impl FnMut(&[Sums]
         solver.curve.clear();
         solver.curve.extend(&all.curve);
         if shape.is_ordered {
-            solver.solve(total.iter().zip(fold).map(|(all, own)| all.minus(*own)), shape);
+            solver.solve(&total.iter().zip(fold).map(|(all, own)| all.minus(*own)), shape);
         } else {
             // Levels that aren't drawn to each other are each for itself: those that the fold has no readings of stay.
             let levels = (0..total.len()).filter(|&i| !fold[i].is_none());
@@ -202,7 +202,7 @@ fn for_each_fold(folds: &[Vec<Sums>], shape: Shape, mut each: impl FnMut(&[Sums]
             for i in levels {
                 one.curve.clear();
                 one.curve.push(all.curve[i]);
-                one.solve(std::iter::once(total[i].minus(fold[i])), shape);
+                one.solve(&std::iter::once(total[i].minus(fold[i])), shape);
                 solver.curve[i] = one.curve[0];
             }
         }
