@@ -19,6 +19,8 @@ const RANGES: usize = 3;
 
 /// A return this near to a wall is of it \[m\].
 const NEAR_M: f64 = 0.15;
+/// Walls of a measured map are known no better than this \[m\].
+const LEAST_M: f64 = 1e-3;
 /// Standard error of a standard deviation by the median, over it and times the root of the number of values.
 const MEDIAN_ERROR: f64 = 1.17;
 
@@ -27,7 +29,7 @@ const MEDIAN_ERROR: f64 = 1.17;
 pub fn as_in_log(comparison: &Comparison<'_>, fitted: &Fitted) -> Result<(Nominal, Vec<Guess>), GapError> {
     let scenario = comparison.nominal;
     let nominal = with_shares_of_log(comparison)?;
-    let sigma_m = noise_of_log(comparison, fitted).min(scenario.laser.sigma_m);
+    let sigma_m = noise_of_log(comparison, fitted).max(LEAST_M).min(scenario.laser.sigma_m);
     let nominal = nominal.with_noise(sigma_m);
     let shares = scenario.effects.list().iter().filter_map(|effect| {
         let own = nominal.effects.list().iter().find(|own| own.kind == effect.kind)?;
