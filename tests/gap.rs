@@ -390,6 +390,20 @@ fn scans_that_were_sent_again_are_left_out() {
     assert!(warnings.contains("sent them again") && warnings.contains("stands still"), "{warnings}");
 }
 
+/// A laser of 5 cm steps and hardly any noise often reads the same from one scan to the next. No driver has sent these again.
+#[test]
+fn scans_of_a_coarse_laser_are_its_own() {
+    let folder = folder();
+    let laser =
+        "laser: {rate_hz: 20, beams: 24, max_range_m: 5, resolution_m: 0.05, noise: {sigma_m: 0.001}}";
+    let coarse = NOMINAL.lines().map(|line| if line.starts_with("laser:") { laser } else { line });
+    folder.write("coarse.yaml", coarse.collect::<Vec<_>>().join("\n") + "\n");
+    folder.locsim("simulate coarse.yaml --seed 3 --out coarse.log").success();
+    let facts = output(&folder.locsim("inspect coarse.log --json").success());
+    let facts: Value = serde_json::from_str(&facts).unwrap();
+    assert_eq!(facts["drive"]["clock"]["stale"], 0, "{:#}", facts["drive"]["clock"]);
+}
+
 /// The true poses of a log are turned by a degree about the map's origin, and scans are as they were. To a scan that is much like a laser
 /// that sits at another angle.
 #[test]

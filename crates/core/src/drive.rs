@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::{CAST_REACH, Pose2, Track, TrackError};
+use crate::{CAST_REACH, Pose2, Track, TrackError, median};
 
 /// Reasons for which a laser's description is refused.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -154,9 +154,15 @@ pub struct DriveStep {
     pub scan: Scan,
 }
 
-/// A robot that has moved farther than this \[m\], or turned by more than this \[rad\], doesn't have the same readings to the last digit.
+/// A robot that has moved by less than this \[m\], a radian counting as a metre, or than a step of its laser's readings may read the
+/// same.
 const MOVED_M: f64 = 0.005;
-const MOVED_RAD: f64 = 0.0035;
+/// Fewer returns may all be the same by chance, and so may those of a laser of which half don't change from scan to scan.
+const FEWEST_RETURNS: usize = 20;
+const MOST_UNCHANGED: f64 = 0.5;
+/// Readings that differ by less than this are the same but for rounding \[m\], and so many scans tell the steps of a laser.
+const ROUNDING_M: f32 = 1e-5;
+const SCANS_FOR_STEP: usize = 100;
 
 /// Odometry that has one pose for so long \[s\] while the robot moves so far \[m\] isn't recorded: readings of it may come more seldom than
 /// scans, and references err.
@@ -201,20 +207,45 @@ impl Drive {
     }
 
     /// Indices of the scans that have all readings of the scan before although the robot has moved: a driver has sent a scan again.
-    /// Scans without a return don't count.
+    /// Where the laser's steps, its noise or the place let readings stay as they are, none is told.
     pub fn stale_scans(&self) -> Vec<usize> {
+        let least = f64::from(self.range_step()).max(MOVED_M);
+        let pairs = self.steps.array_windows().enumerate();
+        let moved = pairs.filter(|(_, [before, here])| {
+            let poses = match (before.reference, here.reference) {
+                (Some(before), Some(here)) => [before, here],
+                _ => [before.odometry, here.odometry],
+            };
+            let motion = poses[1].relative_to(&poses[0]);
+            motion.position().length().max(motion.theta.abs()) >= least
+        });
         let max = self.laser.max_range();
-        let is_stale = |[before, here]: &[DriveStep; 2]| {
-            let same = |(a, b): (&f32, &f32)| a == b || a.is_nan() && b.is_nan();
-            let [a, b] = [before, here].map(|step| step.reference.unwrap_or(step.odometry));
-            let moved = b.relative_to(&a);
-            (moved.position().length() > MOVED_M || moved.theta.abs() > MOVED_RAD)
-                && before.reference.is_some() == here.reference.is_some()
-                && before.scan.ranges.iter().zip(&here.scan.ranges).all(same)
-                && here.scan.ranges.iter().any(|range| *range < max)
-        };
-        let pairs = self.steps.array_windows();
-        pairs.enumerate().filter(|(_, pair)| is_stale(pair)).map(|(i, _)| i + 1).collect()
+        let unchanged = moved.filter_map(|(i, [before, here])| {
+            let readings = before.scan.ranges.iter().zip(&here.scan.ranges);
+            let (mut same, mut returns) = (0, 0);
+            for (a, b) in readings.filter(|(a, b)| **a < max || **b < max) {
+                returns += 1;
+                same += usize::from(a == b);
+            }
+            (returns >= FEWEST_RETURNS).then(|| (i + 1, same as f64 / returns as f64))
+        });
+        let unchanged: Vec<(usize, f64)> = unchanged.collect();
+        let usual = median(&mut unchanged.iter().map(|(_, share)| *share).collect::<Vec<_>>());
+        if usual >= MOST_UNCHANGED {
+            return Vec::new();
+        }
+        unchanged.into_iter().filter(|(_, share)| *share == 1.0).map(|(scan, _)| scan).collect()
+    }
+
+    /// The least difference between two returns of the laser \[m\]: the step of its readings, if they have one.
+    fn range_step(&self) -> f32 {
+        let each = (self.steps.len() / SCANS_FOR_STEP).max(1);
+        let scans = self.steps.iter().step_by(each);
+        let mut returns: Vec<f32> = scans.flat_map(|step| &step.scan.ranges).copied().collect();
+        returns.retain(|range| *range < self.laser.max_range());
+        returns.sort_by(f32::total_cmp);
+        let steps = returns.array_windows().map(|[a, b]| b - a).filter(|step| *step > ROUNDING_M);
+        steps.reduce(f32::min).unwrap_or(0.0)
     }
 
     /// How long the odometry stood still while the reference moved \[s\], in stretches of a second or more, and how far the reference
@@ -281,25 +312,40 @@ impl Drive {
 mod tests {
     use super::*;
 
-    /// A robot that drives, stops and drives: the readings of a scan that is sent again stay as they were.
+    /// A drive of 200 scans, 2 cm apart, of 30 beams that come nearer or stay away as they point, in steps.
+    fn past_walls(step_m: f64, beams_that_change: usize) -> Drive {
+        let bearings: Vec<f32> = (0..30).map(|beam| 0.1 * beam as f32).collect();
+        let laser = Laser::new(bearings, vec![0.0; 30], 0.0, 20.0, Pose2::IDENTITY).unwrap();
+        let step = |i: usize| {
+            let x = 0.02 * i as f64;
+            let range = |beam: usize| {
+                let nearer = if beam < beams_that_change { x * (0.1 * beam as f64).cos() } else { 0.0 };
+                (((9.0 + 0.37 * beam as f64 - nearer) / step_m).round() * step_m) as f32
+            };
+            let pose = Pose2::new(x, 0.0, 0.0);
+            let ranges = (0..30).map(range).collect();
+            DriveStep { stamp_secs: i as f64, odometry: pose, reference: None, scan: Scan { ranges } }
+        };
+        Drive { laser, steps: (0..200).map(step).collect() }
+    }
+
+    /// Scans that are sent again are told; scans of a coarse laser, or of one in a long corridor, are its own, and so are those of a robot
+    /// that stands.
     #[test]
     fn a_scan_that_was_sent_again_is_stale() {
-        let laser = Laser::new(vec![0.0, 1.0], vec![0.0; 2], 0.0, 5.0, Pose2::IDENTITY).unwrap();
-        let step = |x: f64, ranges: [f32; 2]| DriveStep {
-            stamp_secs: x,
-            odometry: Pose2::new(x, 0.0, 0.0),
-            reference: None,
-            scan: Scan { ranges: ranges.to_vec() },
-        };
-        let steps = vec![
-            step(0.0, [4.0, f32::NAN]),
-            step(0.1, [4.0, f32::NAN]),
-            step(0.1, [4.0, f32::NAN]),
-            step(0.2, [3.9, f32::NAN]),
-            step(0.3, [5.0, 5.0]),
-            step(0.4, [5.0, 5.0]),
-        ];
-        assert_eq!(Drive { laser, steps }.stale_scans(), [1]);
+        let mut drive = past_walls(0.01, 30);
+        assert_eq!(drive.stale_scans(), []);
+        for scan in [40, 41, 120] {
+            drive.steps[scan].scan = drive.steps[scan - 1].scan.clone();
+        }
+        assert_eq!(drive.stale_scans(), [40, 41, 120]);
+        drive.steps[120].odometry = drive.steps[119].odometry;
+        assert_eq!(drive.stale_scans(), [40, 41]);
+        for (step_m, beams_that_change) in [(0.25, 30), (0.01, 0), (0.25, 3)] {
+            let drive = past_walls(step_m, beams_that_change);
+            let same = |pair: &[DriveStep; 2]| pair[0].scan == pair[1].scan;
+            assert!(drive.steps.array_windows().any(same) && drive.stale_scans().is_empty(), "{step_m}");
+        }
     }
 
     /// Ten scans a second at 1 m/s: odometry at 5 Hz isn't frozen, one that stops for 2 s is.

@@ -9,8 +9,8 @@ const HEAVIEST: f64 = 0.5;
 const LIGHT: f64 = 1e-6;
 
 /// The upper tail of a sample: a generalized Pareto distribution over its last quarter, by probability-weighted moments
-/// (Hosking and Wallis 1987) of all but the largest value, which may be of another
-/// distribution. Never lighter than an exponential: what lies beyond a light tail would be impossible.
+/// (Hosking and Wallis 1987) of all but the largest value, which may be of another distribution. Never lighter than an exponential:
+/// what lies beyond a light tail would be impossible.
 #[derive(Clone, Debug)]
 pub struct Tail {
     /// Where the tail begins, and minus the logarithm of the share of the sample beyond.

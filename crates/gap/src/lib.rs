@@ -36,8 +36,8 @@ mod wall_error;
 pub use catalogue::values_along;
 pub use error::GapError;
 pub use hypothesis::Nuisances;
-pub use map_error::{Guess, LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
-pub use nominal::Nominal;
+pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
+pub use nominal::{Guess, Nominal};
 pub use outcome::{
     BeamPit, CurvePoint, Detectable, Detection, Direction, Distance, Evidence, FilterError, FilterGap, Gap,
     Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, ResidualStage, Rival,

@@ -10,6 +10,7 @@ use locsim_core::median;
 use locsim_world::simulation::WallPieces;
 use serde::Serialize;
 
+use crate::Guess;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::{OBJECT_CELL_M, cell_at};
 use crate::views::{PieceView, beam_headings};
@@ -73,17 +74,6 @@ pub struct LeftOut {
     pub at_ends: f64,
     /// They come to a place where the map is wrong.
     pub map_errors: f64,
-}
-
-/// A number of the scenario's laser that is smaller in the log, wherever that is looked at.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Guess {
-    /// Its key in the scenario, or the effect whose `p` it is.
-    pub what: &'static str,
-    /// What the scenario has, SI unit.
-    pub scenario: f64,
-    /// What the log has at the most where it has least: the search has it so.
-    pub log: f64,
 }
 
 /// What a measured map doesn't say, and where it is wrong.

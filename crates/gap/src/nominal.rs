@@ -7,6 +7,8 @@ use locsim_world::simulation::{
     WallPieces,
 };
 
+use serde::Serialize;
+
 use crate::{GapError, Recorded};
 
 /// The simulator that a log is held against.
@@ -142,6 +144,17 @@ impl Nominal {
 
 /// Speeds of people \[m/s\].
 const WALKING_M_S: [f64; 2] = [0.5, 1.5];
+
+/// A number of the scenario's laser that is larger than the log's, where the log's is least.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Guess {
+    /// Its key in the scenario, or the effect whose `p` it is.
+    pub what: &'static str,
+    /// What the scenario has, SI unit.
+    pub scenario: f64,
+    /// What the log has at the most where it has least: the search has it so.
+    pub log: f64,
+}
 
 /// Properties of clutter, fitted to the log, that a simulation of it needs besides the nominal options.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -188,13 +188,8 @@ pub(crate) fn fit_persistence(
         .map(|(policy, _)| *policy)
         .max_by_key(|policy| match policy.resample {
             BlockResampling::EachObservation => 1,
-            BlockResampling::EachScanN(scans) => {
-                if policy.walks {
-                    scans / 2
-                } else {
-                    scans
-                }
-            }
+            BlockResampling::EachScanN(scans) if policy.walks => scans / 2,
+            BlockResampling::EachScanN(scans) => scans,
             BlockResampling::Never => u32::MAX,
         });
     Ok(best.unwrap_or(own_policy))

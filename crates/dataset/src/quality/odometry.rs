@@ -25,8 +25,10 @@ pub struct OdometryQuality {
     pub turned_rad: f64,
     /// Number of steps between scans that no robot can make; `None` where the stamps stand still.
     pub jumps: Option<usize>,
-    /// How long it stood still while the reference moved \[s\], and how far that moved \[m\].
-    pub frozen: [f64; 2],
+    /// How long it stood still while the reference moved \[s\].
+    pub frozen_secs: f64,
+    /// How far the reference moved meanwhile \[m\].
+    pub frozen_m: f64,
     /// Its error; `None` without a reference to compare it with.
     pub error: Option<OdometryError>,
 }
@@ -69,6 +71,7 @@ impl OdometryQuality {
             let (distance, turn) = (step.position().length(), wrap_angle(step.theta).abs());
             (distance > JUMP.0 && distance > FASTEST.0 * secs) || (turn > JUMP.1 && turn > FASTEST.1 * secs)
         };
+        let [frozen_secs, frozen_m] = drive.frozen_odometry();
         Self {
             driven_m: increments
                 .iter()
@@ -80,7 +83,8 @@ impl OdometryQuality {
                 .fold(0.0, |sum, turn| sum + turn),
             jumps: (usual > 0.0)
                 .then(|| increments.iter().zip(secs().map(|secs| secs.max(usual))).filter(jump).count()),
-            frozen: drive.frozen_odometry(),
+            frozen_secs,
+            frozen_m,
             error: OdometryError::of(drive),
         }
     }

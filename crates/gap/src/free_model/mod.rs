@@ -533,6 +533,39 @@ mod tests {
         });
     }
 
+    /// A curve that was tried before a step of other moments is what it would be after it.
+    #[test]
+    fn a_curve_that_is_kept_is_what_a_new_look_gives() {
+        let drive = with(EffectKind::IncidenceNoise, &[1.5]);
+        let recorded = Recorded::new(&drive, 120, 36, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let covariates = Covariates::new(&comparison);
+        let outcomes = Outcomes::new(&comparison, &NOMINAL.effects, &fitted, &pit_draw(1), None);
+        let mut state = State::new(&outcomes, &covariates, recorded.folds);
+        let mut blocks = [0; 2];
+        while let Some(step) = state.best_step() {
+            let mut anew = State::new(&outcomes, &covariates, recorded.folds);
+            (anew.tilts, anew.spent) = (state.tilts.clone(), state.spent.clone());
+            let other = anew.best_step().unwrap();
+            assert_eq!((step.axis, step.moment, &step.curve), (other.axis, other.moment, &other.curve));
+            let gains = |state: &State<'_>| {
+                let mut all: Vec<_> =
+                    state.tried.iter().map(|t| (t.axis, t.moment, t.gains.clone())).collect();
+                all.sort_by_key(|(axis, moment, _)| (*axis, *moment));
+                all
+            };
+            assert_eq!(gains(&state), gains(&anew));
+            state.apply(&step);
+            blocks[block_of(step.moment)] += 1;
+            if blocks.iter().sum::<usize>() > 8 {
+                // As a step that gains nothing: another curve comes next, of the other moments at last.
+                (0..covariates.axes.len()).for_each(|axis| state.spent[axis][step.moment] = true);
+            }
+        }
+        assert!(blocks.iter().all(|count| *count > 0), "{blocks:?}");
+    }
+
     /// A bias of 1 cm that comes around twice.
     #[test]
     fn a_bias_over_bearing_is_learnt_as_it_is() {

@@ -220,6 +220,7 @@ pub fn loses_returns(effect: &Effect) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::free_model::Axis;
 
     #[test]
     fn losses_share_a_moment_with_losses_and_noise_with_noise() {
@@ -228,6 +229,29 @@ mod tests {
         assert!(share_a_moment(E::HeavyTail, E::RangeNoise) && share_a_moment(E::MixedPixels, E::HeavyTail));
         assert!(!share_a_moment(E::IncidenceDropout, E::HeavyTail));
         assert!(!share_a_moment(E::RangeBias, E::RangeScale) && !share_a_moment(E::MountYaw, E::RangeBias));
+    }
+
+    /// A wall of 6 m at x = 0 through cells of a metre, whose middles are half a metre off: what is off there is at the wall, what is off in
+    /// the whole hall isn't.
+    #[test]
+    fn a_loss_all_over_the_hall_is_at_no_wall() {
+        let place = vec![[DVec2::new(0.0, 0.0), DVec2::new(0.0, 6.0)]];
+        let pane = Effect::new(EffectKind::Glass, vec![0.5], place).unwrap();
+        let of_wall = (0..6).map(|y| [0.0, f64::from(y), 1.0]);
+        let others = (0..20).map(|i| [4.0 + f64::from(i), 9.0, 1.0]);
+        let cells: Vec<[f64; 3]> = std::iter::once([0.0; 3]).chain(of_wall).chain(others).collect();
+        let is_at = |elsewhere: f64| {
+            let levels = (0..cells.len()).map(|i| i as f64).collect();
+            let mut axis = Axis::of_levels(Covariate::Place, levels);
+            axis.cells.clone_from(&cells);
+            let curve = (0..cells.len()).map(|i| Some([if i < 7 { 0.2 } else { elsewhere }, 0.02])).collect();
+            let (moment, covariate) = (Deviation::NoReturn, Covariate::Place);
+            let component = Component { moment, covariate, axis: 0, curve, gains: vec![10.0; 4] };
+            let (deviation, gains) = (moment, component.gains.clone());
+            Dependence { deviation, covariate, gains, component: Some(&component), misalignment: None }
+                .is_at(&pane, &Covariates { axes: vec![axis] })
+        };
+        assert!(is_at(0.02) && !is_at(0.15));
     }
 
     /// Neighbours that err alike with a correlation of 0.6 leave 0.8 of the noise.

@@ -403,6 +403,14 @@ mod tests {
         assert_eq!(closed(Estimate::around(0.0, 0.0), None), Some(Estimate::around(0.0, 0.0)));
     }
 
+    /// Simulations that differ by 181 mm give or take 128 aren't as near to a log at 661 mm as others were at 35.
+    #[test]
+    fn ranges_are_farther_by_more_than_simulations_differ() {
+        let bursts = RangeFloor { mean_mm: 181.0, deviation_mm: 128.0 };
+        assert!(bursts.is_farther(35.0, 661.0) && !bursts.is_farther(35.0, 400.0));
+        assert!(!bursts.is_farther(661.0, 35.0));
+    }
+
     #[test]
     fn ranges_count_as_closed_as_far_as_they_came_down_to_their_floor() {
         let floor = RangeFloor { mean_mm: 10.0, deviation_mm: 1.0 };

@@ -67,7 +67,7 @@ pub(super) fn sentences(map: &MeasuredMapFindings) -> Vec<String> {
         };
         let guesses: Vec<String> = map.guesses.iter().map(guess).collect();
         text.push(format!(
-            "The scenario guesses more than the log has anywhere: {}. The search has what the log has; set that in the scenario, \
+            "The scenario has more than the log has where it has least: {}. The search has what the log has; set that in the scenario, \
              which scenario.yaml leaves as it is.",
             guesses.join(", ")
         ));

@@ -341,7 +341,8 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
     if let Some(odometry) = odometry {
         let jumps = odometry.jumps.unwrap_or(0);
         warn(jumps > 0, format!("The odometry jumps {jumps} times."));
-        warn(odometry.frozen[0] > 0.0, frozen_odometry(odometry.frozen));
+        let frozen = [odometry.frozen_secs, odometry.frozen_m];
+        warn(frozen[0] > 0.0, frozen_odometry(frozen));
         if let Some(error) = &odometry.error {
             warn(
                 error.position_per_m == 0.0,
