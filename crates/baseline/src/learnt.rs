@@ -94,7 +94,7 @@ impl Distribution {
     fn new(pool: &Pool<'_>, is_used: &[bool]) -> Self {
         let max = pool.nominal.laser.max_range_m;
         let mut counts = vec![Counts::NONE; pool.places];
-        for reading in &pool.readings {
+        for reading in pool.at_shared_places() {
             if !is_used[reading.stretch as usize] {
                 continue;
             }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::DVec2;
 use locsim_gap::{GapError, Nominal, Recorded, Views, cell_at};
-use locsim_world::effect::{Alternative, Effect, EffectKind, Effects, HitKind, burst_window};
+use locsim_world::effect::{Alternative, Effect, EffectKind, Effects, HitKind, Statistic, burst_window};
 use locsim_world::simulation::ClutteredBeam as Beam;
 
 /// Side of the cells of the map in which beams end \[m\]. Walls of a measured map are off by nearly the same within one.
@@ -96,7 +96,10 @@ pub(super) struct Pool<'a> {
     pub plain: World,
     /// Beams with what is behind the first surface.
     behind: [Arc<Views>; 2],
+    /// The readings at places that both logs have seen, and then all others, which tell of objects and lost returns alone.
     pub readings: Vec<Reading>,
+    /// Number of readings at places that both have seen.
+    shared_readings: usize,
     /// Number of places, the classes first: those stand for places that the baseline didn't see.
     pub places: usize,
     pub class_of: Vec<u8>,
@@ -123,6 +126,7 @@ impl<'a> Pool<'a> {
             },
             logs,
             readings: Vec::new(),
+            shared_readings: 0,
             places: CLASSES,
             class_of: (0..CLASSES as u8).collect(),
             index: HashMap::new(),
@@ -173,8 +177,7 @@ impl<'a> Pool<'a> {
     }
 
     fn read(&mut self) {
-        let mut readings = Vec::new();
-        let mut usable = 0;
+        let mut readings = [Vec::new(), Vec::new()];
         let mut windows = 0_u32;
         let mut window = None;
         for log in 0..2 {
@@ -182,26 +185,39 @@ impl<'a> Pool<'a> {
             let per_scan = self.logs[log].views.per_scan;
             for (i, beam) in self.logs[log].views.beams.iter().enumerate() {
                 let Some(z) = self.reading(log, i) else { continue };
-                usable += log;
-                let Some(&place) = self.index.get(&self.key(beam)) else { continue };
                 let here = Some((log, burst_window(track.secs()[i / per_scan])));
                 if window != here {
                     (window, windows) = (here, windows + 1);
                 }
-                let expected = self.expect(&self.plain, beam, z);
-                readings.push(Reading {
+                let is_shared = self.index.contains_key(&self.key(beam));
+                readings[usize::from(!is_shared)].push(Reading {
                     log,
                     index: i,
                     stretch: self.stretch(log, i / per_scan),
                     window: windows,
                     z: z as f32,
-                    expected: Expected { place, ..expected },
+                    expected: self.expect(&self.plain, beam, z),
                 });
             }
         }
-        let today = readings.iter().filter(|reading| reading.log == 1).count();
-        self.shared = today as f64 / f64::from(usable.max(1) as u32);
-        self.readings = readings;
+        let of_today = |readings: &[Reading]| readings.iter().filter(|reading| reading.log == 1).count();
+        let [shared, others] = readings.each_ref().map(|readings| of_today(readings));
+        self.shared = shared as f64 / f64::from((shared + others).max(1) as u32);
+        let [mut shared, others] = readings;
+        self.shared_readings = shared.len();
+        shared.extend(others);
+        self.readings = shared;
+    }
+
+    /// The readings at places that both logs have seen.
+    pub fn at_shared_places(&self) -> &[Reading] {
+        &self.readings[..self.shared_readings]
+    }
+
+    /// How many readings an effect is held against: whether a beam meets an object or comes back at all doesn't ask how far off the
+    /// map is where it ends.
+    pub fn compared_for(&self, kind: EffectKind) -> usize {
+        if is_of_outcomes(kind) { self.readings.len() } else { self.shared_readings }
     }
 
     /// A usable reading \[m\].
@@ -304,6 +320,12 @@ impl<'a> Pool<'a> {
     pub fn beam(&self, reading: &Reading) -> &Beam {
         &self.logs[reading.log].views.beams[reading.index]
     }
+}
+
+/// Whether an effect changes what a beam meets at one place, and not how far that is.
+pub(super) fn is_of_outcomes(kind: EffectKind) -> bool {
+    let statistics = kind.description().statistics;
+    statistics.iter().any(|statistic| matches!(statistic, Statistic::Object | Statistic::WallLoss))
 }
 
 /// Whether a reading is of what is behind a pane.

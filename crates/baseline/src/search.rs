@@ -64,7 +64,7 @@ pub fn find_changes(
         seed: options.seed,
         seconds: 0.0,
     };
-    if pool.readings.iter().filter(|reading| reading.log == 1).count() < LEAST_SHARED {
+    if pool.at_shared_places().iter().filter(|reading| reading.log == 1).count() < LEAST_SHARED {
         changes.notes.push("The two logs have too few places in common to be compared.".to_owned());
         return Ok(changes);
     }
@@ -157,7 +157,8 @@ impl Search<'_> {
     /// The best trial of each kind.
     fn best(&self, tried: &[Trial], odometry: &[Effect], assignment: &Assignment, known: &Known) -> Best {
         let expected = usual(self.pool);
-        let log = self.log_density(&known.learnt, &expected);
+        let compared = &expected[..self.pool.at_shared_places().len()];
+        let log = self.log_density(&known.learnt, compared);
         let used = assignment.used();
         let mut best = Best::new();
         for (index, trial) in tried.iter().enumerate() {
@@ -360,7 +361,7 @@ impl Search<'_> {
         let mut measured = vec![0.0; ERROR_BINS];
         let max = self.pool.nominal.laser.max_range_m as f32;
         let mut count = 0.0;
-        for (reading, expected) in self.pool.readings.iter().zip(expected) {
+        for (reading, expected) in self.pool.at_shared_places().iter().zip(expected) {
             if !assignment.is_today[reading.stretch as usize] || !reading.expected.mean.is_finite() {
                 continue;
             }

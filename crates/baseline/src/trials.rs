@@ -70,7 +70,13 @@ impl Trial {
             of_object(pool, &effect, known)
         } else {
             let world = if is_of_walls { pool.world_of_walls(&effects)? } else { pool.world(&effects)? };
-            changed(pool, &world, known, among)
+            let all = 0..pool.compared_for(effect.kind) as u32;
+            match among {
+                Some(among) => {
+                    changed(pool, &world, known, among.iter().copied().filter(|i| all.contains(i)))
+                }
+                None => changed(pool, &world, known, all),
+            }
         };
         Ok(Self { effect, share, changed })
     }
@@ -120,21 +126,18 @@ impl Trial {
     }
 }
 
-/// The readings that a world changes.
+/// The readings that a world changes, of some by index.
 fn changed(
     pool: &Pool<'_>,
     world: &World,
     known: &[Expected],
-    among: Option<&[u32]>,
+    among: impl Iterator<Item = u32>,
 ) -> Vec<(u32, Expected)> {
     let one = |index: u32| {
         let expected = pool.expected(world, &pool.readings[index as usize]);
         (expected != known[index as usize]).then_some((index, expected))
     };
-    match among {
-        Some(among) => among.iter().copied().filter_map(one).collect(),
-        None => (0..pool.readings.len() as u32).filter_map(one).collect(),
-    }
+    among.filter_map(one).collect()
 }
 
 /// The readings of beams that meet an object.
@@ -239,7 +242,7 @@ fn sectors(pool: &Pool<'_>) -> Vec<Effect> {
     let width = (last - first) / BEARINGS as f64;
     let bins = (ROBOT_M / WIDTH_M) as usize;
     let mut counts = vec![vec![0_u32; bins]; BEARINGS];
-    for reading in &pool.readings {
+    for reading in pool.at_shared_places() {
         let z = f64::from(reading.z);
         if z < ROBOT_M && f64::from(reading.expected.mean) - z > JUMP_M {
             let at = (pool.beam(reading).view.bearing - first) / width;
