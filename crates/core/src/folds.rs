@@ -59,6 +59,29 @@ pub fn sum_error(folds: &[f64]) -> f64 {
     (n / (n - 1.0) * folds.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt()
 }
 
+/// The least gain that is sure (nats), and its least number of standard errors over folds.
+const LEAST_GAIN_NATS: f64 = 5.0;
+const LEAST_ERRORS: f64 = 2.0;
+/// A held-out gain beyond this isn't chance (nats), and the share of it that may be lost on other folds.
+const BEYOND_DOUBT_NATS: f64 = 25.0;
+const LOST_SHARE: f64 = 0.1;
+
+/// Whether the sum of held-out gains (nats) of folds is sure: by two standard errors over folds, or by far more than is lost on any of them. What shows in few folds has a large
+/// standard error: a turn, a wall that is passed nearby.
+pub fn gains_surely(gains: &[f64]) -> bool {
+    let gain: f64 = gains.iter().sum();
+    let lost: f64 = gains.iter().map(|gain| (-gain).max(0.0)).sum();
+    gain > LEAST_GAIN_NATS
+        && (gain > LEAST_ERRORS * sum_error(gains) || gain > BEYOND_DOUBT_NATS && lost <= LOST_SHARE * gain)
+}
+
+/// Gains of folds (nats) beyond a floor of their sum, shared out among folds as they are.
+pub fn gains_beyond(gains: &[f64], floor: f64) -> Vec<f64> {
+    let gain: f64 = gains.iter().sum();
+    let share = if gain > 0.0 { (1.0 - floor / gain).max(0.0) } else { 0.0 };
+    gains.iter().map(|gain| share * gain).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -90,5 +113,25 @@ mod tests {
         let folds = folds(59, 10.0);
         assert_eq!((folds.count(), folds.of_scan(39), folds.of_scan(58), folds.half_of(58)), (2, 1, 1, 1));
         assert_eq!(folds.sums(&[1.0; 59]), [20.0, 39.0]);
+    }
+
+    /// Two turns in ten folds show a late odometry; two folds that gain as much beside others that lose don't.
+    #[test]
+    fn a_gain_of_few_folds_is_sure_where_the_others_lose_nothing() {
+        let few = |others: f64, gain: f64| {
+            let mut gains = [others; 10];
+            (gains[2], gains[7]) = (2.0 * gain, gain);
+            gains_surely(&gains)
+        };
+        assert!(few(0.0, 40.0) && few(-0.5, 40.0));
+        assert!(!few(-3.0, 40.0) && !few(0.0, 7.0));
+        assert!(gains_surely(&[1.0; 10]) && !gains_surely(&[0.4; 10]));
+    }
+
+    #[test]
+    fn a_floor_is_taken_off_in_proportion() {
+        assert_eq!(gains_beyond(&[30.0, 10.0], 20.0), [15.0, 5.0]);
+        assert_eq!(gains_beyond(&[30.0, 10.0], 50.0), [0.0, 0.0]);
+        assert_eq!(gains_beyond(&[3.0, -10.0], 0.0), [0.0, 0.0]);
     }
 }

@@ -33,7 +33,7 @@ pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
 pub use elementary::{sin_cos, sin_cos_near_zero};
 pub use endpoint::{EndpointGrid, EndpointScan, EndpointTable};
-pub use folds::{Folds, sum_error};
+pub use folds::{Folds, gains_beyond, gains_surely, sum_error};
 pub use interval::{Estimate, Interval};
 pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,

@@ -1,4 +1,4 @@
-//! What a scenario guesses of its laser, by the log: its noise, and the shares of random and of missing readings.
+//! What a scenario guesses of laser and clutter, by the log: noise, the shares of random and of missing readings, the density of clutter.
 
 use locsim_core::normal::SIGMA_OVER_MAD;
 use locsim_core::{median, sorted};
@@ -19,24 +19,34 @@ const RANGES: usize = 3;
 
 /// A return this near to a wall is of it \[m\].
 const NEAR_M: f64 = 0.15;
+/// A log whose fitted density of clutter is less than this share of the scenario's has none.
+const HARDLY_ANY: f64 = 0.05;
 /// Walls of a measured map are known no better than this \[m\].
 const LEAST_M: f64 = 1e-3;
 /// Standard error of a standard deviation by the median, over it and times the root of the number of values.
 const MEDIAN_ERROR: f64 = 1.17;
 
-/// The simulator with no more noise, and no larger shares of missing and of random readings, than the log has where it has least. Every
-/// scenario has a guess of them, and no effect makes them smaller.
+/// The simulator with no more noise, and no larger shares of missing and of random readings, than the log has where it has least, and
+/// without clutter where the log has none. Every scenario has a guess of them, and no effect makes the laser's smaller.
 pub fn as_in_log(comparison: &Comparison<'_>, fitted: &Fitted) -> Result<(Nominal, Vec<Guess>), GapError> {
     let scenario = comparison.nominal;
     let nominal = with_shares_of_log(comparison)?;
     let sigma_m = noise_of_log(comparison, fitted).max(LEAST_M).min(scenario.laser.sigma_m);
-    let nominal = nominal.with_noise(sigma_m);
+    let blocks = scenario.blocks.map_or(0.0, |blocks| blocks.per_metre_of_wall);
+    let is_bare = blocks > 0.0 && fitted.nuisances.block_density < HARDLY_ANY;
+    let nominal = if is_bare { nominal.without_blocks()? } else { nominal }.with_noise(sigma_m);
     let shares = scenario.effects.list().iter().filter_map(|effect| {
         let own = nominal.effects.list().iter().find(|own| own.kind == effect.kind)?;
         Some(Guess { what: effect.kind.name(), scenario: effect.values[0], log: own.values[0] })
     });
     let noise = Guess { what: "laser.noise.sigma_m", scenario: scenario.laser.sigma_m, log: sigma_m };
-    let guesses = std::iter::once(noise).chain(shares).filter(|guess| guess.log < guess.scenario).collect();
+    let clutter = Guess {
+        what: "blocks.per_metre_of_wall",
+        scenario: blocks,
+        log: if is_bare { fitted.nuisances.block_density * blocks } else { blocks },
+    };
+    let guesses =
+        [noise, clutter].into_iter().chain(shares).filter(|guess| guess.log < guess.scenario).collect();
     Ok((nominal, guesses))
 }
 
@@ -144,6 +154,21 @@ mod tests {
             assert!((sigma_m - expected).abs() < 0.15 * expected, "{sigma_m} of {guess}");
             let told = guesses.iter().find(|told| told.what == "laser.noise.sigma_m");
             assert_eq!(told.map(|told| told.log), (guess > expected).then_some(sigma_m));
+        }
+    }
+
+    /// A log without any clutter: a scenario that guesses some has none in the search. Where the log has clutter it stays.
+    #[test]
+    fn a_scenario_has_no_clutter_where_its_log_has_none() {
+        let bare = MEASURED.without_blocks().unwrap();
+        for (truth, is_bare) in [(&bare, true), (&*MEASURED, false)] {
+            let drive = record_library(truth, &TRUTH, &[], Regime::default(), 3).unwrap();
+            let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&MEASURED, &recorded).unwrap();
+            let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+            let (found, guesses) = as_in_log(&comparison, &fitted).unwrap();
+            let is_told = guesses.iter().any(|told| told.what == "blocks.per_metre_of_wall");
+            assert_eq!((found.blocks.is_none(), is_told), (is_bare, is_bare), "{guesses:?}");
         }
     }
 }

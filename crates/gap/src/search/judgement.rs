@@ -1,7 +1,7 @@
 //! A hypothesis judged by a free model: the dependence by which it gains, and the effects that act on it.
 
 use glam::DVec2;
-use locsim_core::sum_error;
+use locsim_core::{gains_beyond, gains_surely};
 use locsim_world::effect::{Effect, EffectKind, Score, Statistic};
 
 use super::selection::is_of_wall;
@@ -9,12 +9,8 @@ use crate::fit::Candidate;
 use crate::free_model::{Component, Covariates, FreeModel, Misalignment};
 use crate::statistics::{Covariate, Deviation, Survey};
 
-/// The least gain of a dependence that is told (nats), and its least gain in standard errors over folds.
-const LEAST_GAIN_NATS: f64 = 5.0;
+/// Standard errors by which a noise is beyond what neighbours leave.
 const LEAST_ERRORS: f64 = 2.0;
-/// A held-out gain beyond this isn't chance (nats), and the share of it that may be lost on other folds.
-const BEYOND_DOUBT_NATS: f64 = 25.0;
-const LOST_SHARE: f64 = 0.1;
 /// A dependence that gains less than this share of the one that gains most is left out: it is what that one's curve leaves.
 const LEAST_SHARE: f64 = 0.05;
 /// The share of the variance of an effect's weights that a covariate explains, where the effect acts on it.
@@ -72,24 +68,8 @@ impl Dependence<'_> {
     pub fn beats(&self, candidate: &Candidate) -> bool {
         let ahead: Vec<f64> =
             self.gains.iter().zip(&candidate.fitted_gains).map(|(own, other)| own - other).collect();
-        is_sure(&ahead)
+        gains_surely(&ahead)
     }
-}
-
-/// Whether a gain is sure: by two standard errors over folds, or by far more than is lost on any of them. What shows in few folds has a large
-/// standard error: a turn, a wall that is passed nearby.
-fn is_sure(gains: &[f64]) -> bool {
-    let gain: f64 = gains.iter().sum();
-    let lost: f64 = gains.iter().map(|gain| (-gain).max(0.0)).sum();
-    gain > LEAST_GAIN_NATS
-        && (gain > LEAST_ERRORS * sum_error(gains) || gain > BEYOND_DOUBT_NATS && lost <= LOST_SHARE * gain)
-}
-
-/// Gains beyond a floor, shared out among folds as they are.
-fn beyond(gains: &[f64], floor: f64) -> Vec<f64> {
-    let gain: f64 = gains.iter().sum();
-    let share = if gain > 0.0 { (1.0 - floor / gain).max(0.0) } else { 0.0 };
-    gains.iter().map(|gain| share * gain).collect()
 }
 
 /// The free model of a log on top of a round's hypothesis, and those of logs that are simulated by it.
@@ -107,7 +87,7 @@ impl Judgement {
     pub fn gains(&self) -> Vec<f64> {
         let total = |model: &FreeModel| model.gains().iter().sum::<f64>();
         let floor = self.simulated.iter().map(|(model, _)| total(model)).fold(0.0, f64::max);
-        beyond(&self.model.gains(), floor)
+        gains_beyond(&self.model.gains(), floor)
     }
 
     /// Correlation of neighbouring beams beyond that of simulated logs.
@@ -135,11 +115,11 @@ impl Judgement {
             .map(|(deviation, covariate, gains, floor, component, misalignment)| Dependence {
                 deviation,
                 covariate,
-                gains: beyond(gains, floor),
+                gains: gains_beyond(gains, floor),
                 component,
                 misalignment,
             })
-            .filter(|found| is_sure(&found.gains))
+            .filter(|found| gains_surely(&found.gains))
             .collect();
         if all.iter().any(|found| found.covariate == Covariate::Neighbour) {
             let correlation = self.neighbour_correlation();
@@ -273,25 +253,5 @@ mod tests {
         assert!(left(Covariate::Everywhere, -0.19) && left(Covariate::Everywhere, -0.21));
         assert!(!left(Covariate::Everywhere, -0.3) && !left(Covariate::Everywhere, 0.2));
         assert!(!left(Covariate::Range, -0.19));
-    }
-
-    /// Two turns in ten folds show a late odometry; two folds that gain as much beside others that lose don't.
-    #[test]
-    fn a_gain_of_few_folds_is_sure_where_the_others_lose_nothing() {
-        let few = |others: f64, gain: f64| {
-            let mut gains = [others; 10];
-            (gains[2], gains[7]) = (2.0 * gain, gain);
-            is_sure(&gains)
-        };
-        assert!(few(0.0, 40.0) && few(-0.5, 40.0));
-        assert!(!few(-3.0, 40.0) && !few(0.0, 7.0));
-        assert!(is_sure(&[1.0; 10]) && !is_sure(&[0.4; 10]));
-    }
-
-    #[test]
-    fn a_floor_is_taken_off_in_proportion() {
-        assert_eq!(beyond(&[30.0, 10.0], 20.0), [15.0, 5.0]);
-        assert_eq!(beyond(&[30.0, 10.0], 50.0), [0.0, 0.0]);
-        assert_eq!(beyond(&[3.0, -10.0], 0.0), [0.0, 0.0]);
     }
 }
