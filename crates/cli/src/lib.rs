@@ -463,6 +463,7 @@ fn map(arguments: &Map) -> anyhow::Result<u8> {
     }
     let files: Vec<(Output, &[u8])> = outputs.into_iter().zip(contents.iter().map(Vec::as_slice)).collect();
     Output::write_all(&files)?;
+    maps.summary.remarks.iter().for_each(|remark| complain(&format!("warning: {remark}")));
     say(&maps.summary.to_string())?;
     let grid = &maps.grid;
     let (width, height, cell) = (grid.width(), grid.height(), grid.resolution_m());

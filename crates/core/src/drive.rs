@@ -272,6 +272,32 @@ impl Drive {
         all
     }
 
+    /// Takes the reference from scans at which it stood still for a second or more while the odometry moved by more than 0.1 m: the last
+    /// pose was sent again. Returns how long that was \[s\], and how far the odometry moved \[m\].
+    pub fn drop_frozen_reference(&mut self) -> [f64; 2] {
+        let mut all = [0.0; 2];
+        let mut first = 0;
+        for i in 1..=self.steps.len() {
+            let is_same = self.steps.get(i).is_some_and(|step| {
+                step.reference.is_some() && step.reference == self.steps[first].reference
+            });
+            if is_same {
+                continue;
+            }
+            let stretch = &mut self.steps[first..i];
+            let moves = stretch
+                .windows(2)
+                .map(|pair| pair[1].odometry.position().distance(pair[0].odometry.position()));
+            let stood = [stretch[stretch.len() - 1].stamp_secs - stretch[0].stamp_secs, moves.sum()];
+            if stood[0] >= FROZEN_SECS && stood[1] >= FROZEN_M {
+                stretch[1..].iter_mut().for_each(|step| step.reference = None);
+                all.iter_mut().zip(stood).for_each(|(sum, more)| *sum += more);
+            }
+            first = i;
+        }
+        all
+    }
+
     /// The reference poses of the scans that have one.
     ///
     /// # Errors
@@ -362,6 +388,15 @@ mod tests {
             Drive { laser: laser.clone(), steps: (0..60).map(step).collect() }
         };
         assert_eq!(drive(&|i| i / 2 * 2).frozen_odometry(), [0.0; 2]);
+        let mut moving = drive(&|i| i);
+        assert_eq!(moving.drop_frozen_reference(), [0.0; 2]);
+        let known = moving.steps[20].reference;
+        moving.steps[21..40].iter_mut().for_each(|step| step.reference = known);
+        let [secs, metres] = moving.drop_frozen_reference();
+        assert!(secs > 1.0 && metres > 0.1, "{secs} {metres}");
+        let without: Vec<usize> =
+            (0..moving.steps.len()).filter(|&i| moving.steps[i].reference.is_none()).collect();
+        assert_eq!(without, (21..40).collect::<Vec<_>>());
         let frozen = drive(&|i| if i > 20 { i.max(40) - 20 } else { i }).frozen_odometry();
         assert!(frozen.iter().all(|number| (number - 2.0).abs() < 1e-9), "{frozen:?}");
     }

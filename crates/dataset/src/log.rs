@@ -66,7 +66,7 @@ pub fn read_log(path: &Path, options: &LogOptions) -> Result<(Drive, LogSummary)
 
 pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
     let LogOptions { max_range_m, topics, without_odometry } = options.clone();
-    match LogFormat::of_content(path)? {
+    let (mut drive, mut summary) = match LogFormat::of_content(path)? {
         LogFormat::Carmen if topics != BagTopics::default() => Err(DatasetError::Topic {
             path: path.to_owned(),
             reason: "a topic is named; allowed: topics of a ROS 2 bag".to_owned(),
@@ -79,7 +79,15 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
         LogFormat::Carmen => {
             carmen::read(path, &CarmenOptions { max_range_m, ..CarmenOptions::default() }, limits)
         }
+    }?;
+    let [secs, metres] = drive.drop_frozen_reference();
+    if secs > 0.0 {
+        summary.remarks.push(format!(
+            "The reference stands still for {secs:.1} s, in which the odometry moves by {metres:.2} m: its scans count as without a \
+             reference."
+        ));
     }
+    Ok((drive, summary))
 }
 
 /// Lists the contents of a log of any format.

@@ -97,6 +97,8 @@ pub struct LogSummary {
     pub topics: Vec<String>,
     /// The pairs of frames among the transforms that were read, as `parent:child`.
     pub transforms: Vec<String>,
+    /// What is odd about the recording and how it was taken, in sentences.
+    pub remarks: Vec<String>,
     /// Number of lines or messages skipped, by keyword or topic; comments count as `#`.
     pub skipped: BTreeMap<String, usize>,
     /// Number of scans whose time went backwards or leapt and was repaired.

@@ -53,6 +53,7 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
     }
     let readings = (steps.len() * laser.beam_count()) as f64;
     let summary = LogSummary {
+        remarks: Vec::new(),
         kind: recognised.kind,
         odometry: recognised.odometry,
         evidence: recognised.evidence,

@@ -46,9 +46,12 @@ pub(super) fn odometry_lag(drive: &Drive, interval_secs: f64) -> Option<f64> {
     }
     let (most, step) = LAGS_SECS;
     let count = (most / step).round() as i32;
+    // Of a laser that sweeps, a scan is taken about half a sweep after its stamp.
+    let times = drive.laser.beam_times_secs();
+    let middle = times.iter().map(|secs| f64::from(*secs)).sum::<f64>() / times.len().max(1) as f64;
     let agreement = |lag: f64| {
         let by_odometry = turns.iter().map(|(from, to, _)| {
-            let [a, b] = [*from, *to].map(|secs| track.pose_at(secs + lag).theta);
+            let [a, b] = [*from, *to].map(|secs| track.pose_at(secs + middle + lag).theta);
             wrap_angle(b - a)
         });
         correlation(by_odometry.zip(turns.iter().map(|(.., turn)| *turn)))

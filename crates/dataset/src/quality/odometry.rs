@@ -15,6 +15,10 @@ const CUT: f64 = 6.0;
 /// No indoor robot is faster \[m/s\] or turns faster \[rad/s\], and a shorter step is no jump \[m\] and \[rad\].
 const FASTEST: (f64, f64) = (5.0, 7.0);
 const JUMP: (f64, f64) = (0.5, 0.5);
+/// A reference jumps where, within a step, it moves otherwise than the odometry by more than this \[m\] and \[rad\], and by more than
+/// this many times what most steps differ by.
+const REFERENCE_JUMP: (f64, f64) = (0.05, 0.035);
+const USUAL: f64 = 10.0;
 
 /// How the robot moved by its odometry, and how far off that is.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -58,8 +62,13 @@ pub struct ReferenceQuality {
     pub scans: usize,
     /// Longest stretch of scans without one \[s\].
     pub longest_gap_secs: f64,
-    /// Number of steps between scans at which it moves otherwise than the odometry by half a metre or half a radian.
+    /// Number of steps between scans at which it moves otherwise than the odometry by 5 cm or 2 degrees, and by ten times what most
+    /// steps differ by.
     pub jumps: usize,
+    /// The median of these jumps \[m\] and \[rad\]; 0 without any.
+    pub jump_m: f64,
+    /// See `jump_m`.
+    pub jump_rad: f64,
 }
 
 impl OdometryQuality {
@@ -98,18 +107,46 @@ impl ReferenceQuality {
         let (begin, end) = (known.first()?, known.last()?);
         let inside = known.windows(2).map(|pair| pair[1].0 - pair[0].0);
         let gaps = if known.len() < drive.steps.len() { inside.fold(0.0, f64::max) } else { 0.0 };
-        let jumps = drive.steps.windows(2).filter(|pair| {
-            let (Some(a), Some(b)) = (pair[0].reference, pair[1].reference) else { return false };
-            let odometry = pair[1].odometry.relative_to(&pair[0].odometry);
-            let apart = b.relative_to(&a).relative_to(&odometry);
-            apart.position().length() > JUMP.0 || wrap_angle(apart.theta).abs() > JUMP.1
-        });
+        let jumps: Vec<[f64; 2]> = reference_jumps(drive);
+        let median_of = |which: usize| {
+            if jumps.is_empty() {
+                0.0
+            } else {
+                median(&mut jumps.iter().map(|jump| jump[which]).collect::<Vec<_>>())
+            }
+        };
         Some(Self {
             scans: known.len(),
             longest_gap_secs: gaps.max(begin.0 - first.stamp_secs).max(last.stamp_secs - end.0),
-            jumps: jumps.count(),
+            jumps: jumps.len(),
+            jump_m: median_of(0),
+            jump_rad: median_of(1),
         })
     }
+}
+
+/// How far the reference jumps against the odometry \[m, rad\], in the steps between scans where it does. Where the odometry itself makes a
+/// step that no robot can make, the reference doesn't jump.
+fn reference_jumps(drive: &Drive) -> Vec<[f64; 2]> {
+    let apart: Vec<Option<[f64; 2]>> = drive
+        .steps
+        .windows(2)
+        .map(|pair| {
+            let (a, b) = pair[0].reference.zip(pair[1].reference)?;
+            let odometry = pair[1].odometry.relative_to(&pair[0].odometry);
+            let apart = b.relative_to(&a).relative_to(&odometry);
+            let secs = pair[1].stamp_secs - pair[0].stamp_secs;
+            let is_leap = odometry.position().length() > JUMP.0 + FASTEST.0 * secs;
+            (!is_leap).then(|| [apart.position().length(), wrap_angle(apart.theta).abs()])
+        })
+        .collect();
+    let usual = |which: usize| {
+        let mut all: Vec<f64> = apart.iter().flatten().map(|apart| apart[which]).collect();
+        if all.is_empty() { 0.0 } else { median(&mut all) }
+    };
+    let least = [REFERENCE_JUMP.0.max(USUAL * usual(0)), REFERENCE_JUMP.1.max(USUAL * usual(1))];
+    let is_jump = |apart: &[f64; 2]| apart[0] > least[0] || apart[1] > least[1];
+    apart.into_iter().flatten().filter(is_jump).collect()
 }
 
 /// A part of the drive, as odometry and reference have it.

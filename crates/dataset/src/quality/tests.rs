@@ -86,6 +86,7 @@ const PLAIN: Recording = Recording { sigma_m: 0.02, step_m: 0.0, scale: 1.0, lag
 
 fn summary() -> LogSummary {
     LogSummary {
+        remarks: Vec::new(),
         kind: LogKind::Referenced,
         odometry: OdometrySource::Topic,
         evidence: String::new(),

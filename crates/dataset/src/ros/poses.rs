@@ -1,6 +1,6 @@
 //! Poses over time: from a topic, from the tree of transforms, or from corrections of the odometry.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DAffine3, DQuat, DVec3};
 use locsim_core::Pose2;
@@ -15,17 +15,32 @@ const OUT_OF_ORDER: i64 = 1_000_000_000;
 /// Pairs of frames in the tree of transforms, at the most; robots have hundreds.
 const MOST_PAIRS: usize = 10_000;
 
+/// Poses farther apart than this (ns), and than this many usual intervals, have a hole between them: what the robot did in it isn't
+/// known, unless it stood still.
+const HOLE: i64 = 1_000_000_000;
+const HOLE_INTERVALS: i64 = 10;
+/// A robot that moved by no more than this (m, rad) stood still.
+const STILL: (f64, f64) = (0.02, 0.02);
+
+/// A step between poses is a leap beyond this (m) where no robot is so fast (m/s); so many poses may lie elsewhere before the next
+/// is where a robot can be.
+const LEAP_M: f64 = 0.5;
+const FASTEST_M_S: f64 = 5.0;
+const MOST_ASTRAY: usize = 10;
+
 /// Values with the times (ns) of their headers.
 pub struct Stamped<T> {
     pub items: Vec<(i64, T)>,
     latest: i64,
     /// Number of messages that were logged after a later one.
     pub late: usize,
+    /// The longest time between values that is no hole (ns).
+    longest_step: i64,
 }
 
 impl<T> Default for Stamped<T> {
     fn default() -> Self {
-        Self { items: Vec::new(), latest: i64::MIN, late: 0 }
+        Self { items: Vec::new(), latest: i64::MIN, late: 0, longest_step: i64::MAX }
     }
 }
 
@@ -56,10 +71,42 @@ impl Stamped<Pose2> {
         Some([self.items.first()?.0, self.items.last()?.0])
     }
 
-    fn interval_secs(&self) -> Option<f64> {
+    /// Median time between poses (ns).
+    fn interval(&self) -> Option<i64> {
         let mut intervals: Vec<i64> = self.items.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
         intervals.sort_unstable();
-        intervals.get(intervals.len() / 2).map(|interval| secs(*interval))
+        intervals.get(intervals.len() / 2).copied()
+    }
+
+    /// Sorts the poses, leaves out those that lie where no robot can be between their neighbours, and finds out from when on there is a
+    /// hole between two. Returns how many are left out.
+    pub fn arrange(&mut self) -> usize {
+        self.sort();
+        let is_leap = |(from, a): &(i64, Pose2), (to, b): &(i64, Pose2)| {
+            let distance = a.position().distance(b.position());
+            distance > LEAP_M && distance > FASTEST_M_S * secs(to - from)
+        };
+        let all = std::mem::take(&mut self.items);
+        let count = all.len();
+        let mut i = 0;
+        while i < count {
+            let astray = match self.items.last() {
+                Some(last) if is_leap(last, &all[i]) => {
+                    // Back soon: what lies between is astray. Else the poses go on elsewhere: a jump.
+                    (1..=MOST_ASTRAY).find(|more| {
+                        let back = all.get(i + more);
+                        back.is_some_and(|back| is_leap(&all[i + more - 1], back) && !is_leap(last, back))
+                    })
+                }
+                _ => None,
+            };
+            i += astray.unwrap_or(0);
+            self.items.push(all[i]);
+            i += 1;
+        }
+        self.longest_step =
+            self.interval().map_or(HOLE, |usual| HOLE.max(usual.saturating_mul(HOLE_INTERVALS)));
+        count - self.items.len()
     }
 
     /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span.
@@ -70,6 +117,11 @@ impl Stamped<Pose2> {
             return Some(self.items[from + nth.min(same - 1)].1);
         }
         let ((before, a), (after, b)) = (self.items[..from].last()?, self.items.get(from)?);
+        let step = b.relative_to(a);
+        let is_still = step.position().length() < STILL.0 && step.theta.abs() < STILL.1;
+        if after - before > self.longest_step && !is_still {
+            return None;
+        }
         let share = (stamp - before) as f64 / (after - before) as f64;
         Some(a.interpolate(b, share))
     }
@@ -146,15 +198,15 @@ impl<'a> Poses<'a> {
     /// Median time between poses (s): of the slowest transform where there are several.
     pub fn interval_secs(&self) -> Option<f64> {
         match self {
-            Self::Topic(poses) => poses.interval_secs(),
+            Self::Topic(poses) => poses.interval().map(secs),
             Self::Transforms(edges) => edges
                 .iter()
                 .filter_map(|edge| match edge {
                     Edge::Fixed(_) => None,
-                    Edge::Moving { poses, .. } => poses.interval_secs(),
+                    Edge::Moving { poses, .. } => poses.interval().map(secs),
                 })
                 .max_by(f64::total_cmp),
-            Self::Corrected { corrections, .. } => corrections.interval_secs(),
+            Self::Corrected { corrections, .. } => corrections.interval().map(secs),
             Self::Unknown => None,
         }
     }
@@ -192,6 +244,8 @@ impl Edge {
 pub struct Transforms {
     /// By child and parent.
     edges: BTreeMap<(String, String), Edge>,
+    /// Static transforms that were told otherwise later, as `parent:child`.
+    pub told_anew: BTreeSet<String>,
 }
 
 impl Transforms {
@@ -199,13 +253,19 @@ impl Transforms {
     pub fn fix(&mut self, stamped: &TransformStamped) -> Result<(), String> {
         stamped.transform.projected()?;
         let (child, parent) = frames(stamped)?;
+        let new = affine(&stamped.transform);
+        if let Some(Edge::Fixed(known)) = self.edges.get(&(child.clone(), parent.clone()))
+            && !known.abs_diff_eq(new, SAME_TRANSFORM)
+        {
+            self.told_anew.insert(format!("{}:{}", quoted(&parent), quoted(&child)));
+        }
         let others = self.edges.range((child.clone(), String::new())..).take_while(|((c, _), _)| *c == child);
         let fixed = others.filter(|(_, edge)| matches!(edge, Edge::Fixed(_))).map(|(key, _)| key.clone());
         for key in fixed.collect::<Vec<_>>() {
             self.edges.remove(&key);
         }
         self.room()?;
-        self.edges.insert((child, parent), Edge::Fixed(affine(&stamped.transform)));
+        self.edges.insert((child, parent), Edge::Fixed(new));
         Ok(())
     }
 
@@ -234,10 +294,11 @@ impl Transforms {
         Err(format!("more than {MOST_PAIRS} pairs of frames; allowed: at most {MOST_PAIRS}"))
     }
 
-    pub fn sort(&mut self) {
+    /// As [`Stamped::arrange`], for all transforms.
+    pub fn arrange(&mut self) {
         for edge in self.edges.values_mut() {
             if let Edge::Moving { poses, .. } = edge {
-                poses.sort();
+                poses.arrange();
             }
         }
     }
@@ -277,12 +338,12 @@ impl Transforms {
 
     /// The transform from one frame up to another by transforms that don't change, and whether all of them are static.
     pub fn fixed(&self, child: &str, ancestor: &str) -> Option<(DAffine3, bool)> {
-        let chain = self.chain(child, ancestor)?;
-        chain.into_iter().try_fold((DAffine3::IDENTITY, true), |(from_child, all), edge| match edge {
-            Edge::Fixed(transform) => Some((*transform * from_child, all)),
-            Edge::Moving { first, constant: true, .. } => Some((*first * from_child, false)),
-            Edge::Moving { .. } => None,
-        })
+        let Some(chain) = self.chain(child, ancestor) else {
+            // Some publish the laser as the parent.
+            let (from_ancestor, all_static) = fixed_along(self.chain(ancestor, child)?)?;
+            return Some((from_ancestor.inverse(), all_static));
+        };
+        fixed_along(chain)
     }
 
     /// A laser's frame, its parent on the fixed way up to a base, and `base_from_parent`.
@@ -299,6 +360,15 @@ impl Transforms {
     pub fn pairs(&self) -> impl Iterator<Item = String> {
         self.edges.keys().map(|(child, parent)| format!("{}:{}", quoted(parent), quoted(child)))
     }
+}
+
+/// The product of transforms that don't change, and whether all of them are static.
+fn fixed_along(chain: Vec<&Edge>) -> Option<(DAffine3, bool)> {
+    chain.into_iter().try_fold((DAffine3::IDENTITY, true), |(from_child, all), edge| match edge {
+        Edge::Fixed(transform) => Some((*transform * from_child, all)),
+        Edge::Moving { first, constant: true, .. } => Some((*first * from_child, false)),
+        Edge::Moving { .. } => None,
+    })
 }
 
 /// Frames on the way up from a laser or a base, at the most; robots have ten.

@@ -9,10 +9,10 @@ use super::bag::{Bag, Channel};
 use super::cloud::Clouds;
 use super::messages::{
     LaserScan, MULTI_ECHO_LASER_SCAN, Message, MultiEchoLaserScan, Odometry, POINT_CLOUD_2,
-    POSE_WITH_COVARIANCE_STAMPED, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
+    POSE_WITH_COVARIANCE_STAMPED, Pose, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
     TRANSFORM_STAMPED, TfMessage, TransformStamped, decode, secs,
 };
-use super::poses::{Poses, Stamped, Transforms, plain, planar};
+use super::poses::{Poses, Stamped, Transforms, affine, plain, planar};
 use super::topics::{Chosen, MAP, ODOM, PoseSource, Topics};
 use crate::laser::checked;
 use crate::{DatasetError, LogKind, LogSummary, MountSource, OdometrySource};
@@ -22,6 +22,17 @@ const UPRIGHT: f64 = 0.985;
 
 /// The angle from the first beam of a scan to the last, at the most (rad): a turn, with the rounding of some drivers.
 const WIDEST_SCAN: f64 = 1.05 * std::f64::consts::TAU;
+
+/// The ends of a scan are this near to those of the first, at the most (rad), and its number of beams differs by no more than this share
+/// of theirs: spinning lidars give as many as a turn happened to have.
+const OTHER_SECTOR: f64 = 0.1;
+const MOST_OTHER_BEAMS: f64 = 0.1;
+
+/// A sweep takes no longer than this share of the time between scans.
+const LONGEST_SWEEP: f64 = 1.1;
+
+/// A reference that a localizer gives more seldom than this (s) follows the odometry for most of the time.
+const SELDOM_SECS: f64 = 3.0;
 
 /// Pairs of frames that an error lists, at the most.
 const LISTED_PAIRS: usize = 20;
@@ -103,6 +114,7 @@ pub fn read_with_layout(
     let convention = Convention { min, max, zero_is_no_return };
     let laser_edge = motion.transforms.laser_edge(scans.frame(), &base);
     let empty = scans.empty;
+    let scan_remarks = scans.remarks();
     let Stamped { items: scans, late, .. } = scans.stamped;
     let count = scans.len();
     let span = [scans.first(), scans.last()].map(|scan| scan.map_or(0.0, |(stamp, _)| secs(*stamp)));
@@ -110,11 +122,15 @@ pub fn read_with_layout(
     let (mut no_return, mut unusable, mut longest) = (0_usize, 0_usize, None);
     let (mut repeated, mut nth, mut interpolated) = (0, 0, 0);
     let mut previous = None;
+    let mut outside = 0;
     for (stamp, mut ranges) in scans {
         // Which of the scans of this very time.
         nth = if previous == Some(stamp) { nth + 1 } else { 0 };
         previous = Some(stamp);
-        let Some(odometry) = odometry.poses.at(stamp, nth) else { continue };
+        let Some(odometry) = odometry.poses.at(stamp, nth) else {
+            outside += 1;
+            continue;
+        };
         for range in &mut ranges {
             *range = convention.reading(*range);
             if *range == max {
@@ -157,6 +173,21 @@ pub fn read_with_layout(
     if zero_is_no_return {
         evidence += "; readings of 0 are taken for no return, as no other reading is without return";
     }
+    let mut remarks = motion.remarks(&chosen);
+    remarks.extend(scan_remarks);
+    let interval = reference.poses.as_ref().and_then(Poses::interval_secs);
+    if let Some(interval) = interval.filter(|secs| *secs > SELDOM_SECS)
+        && matches!(reference.poses, Some(Poses::Corrected { .. }))
+    {
+        remarks.push(format!(
+            "Reference poses come every {interval:.1} s. Between them they follow the odometry, whose error can't be told from them."
+        ));
+    }
+    if outside > 0 {
+        remarks.push(format!(
+            "{outside} of {count} scans are left out: no odometry was recorded when they were taken."
+        ));
+    }
     let summary = LogSummary {
         kind: reference.kind,
         odometry: odometry.source,
@@ -167,6 +198,7 @@ pub fn read_with_layout(
         reference_interval_secs: reference.poses.as_ref().and_then(Poses::interval_secs),
         references_interpolated: interpolated,
         mount: mount.source,
+        remarks,
         topics: topics.listed(),
         transforms: motion.transforms.pairs().take(LISTED_PAIRS).collect(),
         skipped: topics.skipped(&chosen),
@@ -263,11 +295,20 @@ fn messages(
                 motion.base_frame = odometry.child_frame_id;
                 motion.odometry_frame = odometry.header.frame_id;
             }
-            motion.odometry.push(odometry.header.stamp.nanos(), odometry.pose.pose.projected()?)?;
+            match odometry.pose.pose.projected() {
+                Ok(pose) => motion.odometry.push(odometry.header.stamp.nanos(), pose)?,
+                Err(reason) => motion.unusable[0].add(reason),
+            }
         }
         if is_of(channel, chosen.reference.as_ref()) || Some(channel) == chosen.localizer.as_ref() {
             let (stamp, pose) = motion.reference_pose(channel, data)?;
-            motion.reference.push(stamp, pose)?;
+            match pose.projected() {
+                Ok(planar) => {
+                    motion.tilted += usize::from(affine(&pose).matrix3.z_axis.z < UPRIGHT);
+                    motion.reference.push(stamp, planar)?;
+                }
+                Err(reason) => motion.unusable[1].add(reason),
+            }
         }
         let fixed = Some(channel) == chosen.fixed_transforms.as_ref();
         if fixed || Some(channel) == chosen.transforms.as_ref() {
@@ -294,9 +335,19 @@ fn messages(
         pushed.map_err(|reason| of_first_scan(path, chosen, reason))?;
     }
     scans.stamped.sort();
-    motion.odometry.sort();
-    motion.reference.sort();
-    motion.transforms.sort();
+    motion.astray = [motion.odometry.arrange(), motion.reference.arrange()];
+    motion.transforms.arrange();
+    for (unusable, poses, source) in [
+        (&motion.unusable[0], &motion.odometry, &chosen.odometry),
+        (&motion.unusable[1], &motion.reference, &chosen.reference),
+    ] {
+        if let (Some(PoseSource::Topic(channel)), Some(reason), []) =
+            (source, &unusable.first, &poses.items[..])
+        {
+            let (topic, reason) = (quoted(&channel.topic), reason.clone());
+            return Err(DatasetError::Message { path: path.to_owned(), topic, number: 1, reason });
+        }
+    }
     Ok((scans, motion))
 }
 
@@ -316,6 +367,8 @@ struct Scans {
     time_increments_secs: f64,
     /// Number of scans without readings, which aren't kept.
     empty: usize,
+    /// Number of scans whose beams aren't those of the first.
+    moved_beams: usize,
 }
 
 impl Scans {
@@ -335,19 +388,19 @@ impl Scans {
         check_bearings(&scan, ranges.len())?;
         if let Some(first) = &self.first {
             let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
-            if ranges.len() != beams {
-                return Err(format!(
-                    "the scan has {} ranges; allowed: {beams}, as in the first",
-                    ranges.len()
-                ));
-            }
             if scan.header.frame_id != first.header.frame_id {
                 let (found, allowed) = (quoted(&scan.header.frame_id), quoted(&first.header.frame_id));
                 return Err(format!("frame_id is `{found}`; allowed: `{allowed}`, as in the first"));
             }
+            let is_alike = |found: f32, other: f32| found.to_bits() == other.to_bits();
+            let are_same_beams = ranges.len() == beams
+                && is_alike(scan.angle_min, first.angle_min)
+                && is_alike(scan.angle_increment, first.angle_increment);
+            if !are_same_beams {
+                ranges = on_beams_of(first, beams, &scan, &ranges)?;
+                self.moved_beams += 1;
+            }
             for (field, found, allowed) in [
-                ("angle_min", scan.angle_min, first.angle_min),
-                ("angle_increment", scan.angle_increment, first.angle_increment),
                 ("range_min", scan.range_min, first.range_min),
                 ("range_max", scan.range_max, first.range_max),
             ] {
@@ -365,6 +418,42 @@ impl Scans {
         self.stamped.push(scan.header.stamp.nanos(), ranges)?;
         self.first.get_or_insert(scan);
         Ok(())
+    }
+
+    /// Mean time from a beam to the next (s).
+    fn beam_interval(&self) -> f64 {
+        self.time_increments_secs / self.stamped.items.len().max(1) as f64
+    }
+
+    /// Whether a scan's beams, by their times, are over when the next scan begins.
+    fn has_plausible_sweep(&self) -> bool {
+        let sweep =
+            self.beam_interval() * self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len()) as f64;
+        let mut intervals: Vec<i64> =
+            self.stamped.items.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+        intervals.sort_unstable();
+        let usual = intervals.get(intervals.len() / 2).map_or(0.0, |interval| secs(*interval));
+        sweep >= 0.0 && (usual == 0.0 || sweep <= LONGEST_SWEEP * usual)
+    }
+
+    /// What is odd about the scans, in sentences.
+    fn remarks(&self) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if self.moved_beams > 0 {
+            remarks.push(format!(
+                "{} of {} scans have other beams than the first; each of its beams has their nearest reading, up to half a beam off.",
+                self.moved_beams,
+                self.stamped.items.len()
+            ));
+        }
+        if !self.has_plausible_sweep() {
+            remarks.push(format!(
+                "time_increment is {:.3e} s, with which the beams of a scan aren't over when the next one begins, or run backwards: all \
+                 beams of a scan are taken to be of its stamp.",
+                self.beam_interval()
+            ));
+        }
+        remarks
     }
 
     /// The frame that the scans are in.
@@ -385,7 +474,7 @@ impl Scans {
         let first = self.first.as_ref().ok_or(LaserError::NoBeams)?;
         let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
         let side = if mount.mirrored { -1.0 } else { 1.0 };
-        let interval = self.time_increments_secs / self.stamped.items.len() as f64;
+        let interval = if self.has_plausible_sweep() { self.beam_interval() } else { 0.0 };
         let row =
             |start: f32, step: f64| (0..beams).map(move |i| (f64::from(start) + i as f64 * step) as f32);
         Laser::new(
@@ -396,6 +485,41 @@ impl Scans {
             mount.base_from_laser,
         )
     }
+}
+
+/// The readings of a scan on the beams of the first: those nearest to them, NaN where none is within a beam.
+///
+/// # Errors
+/// The beams are of another sector, or much fewer or more.
+fn on_beams_of(
+    first: &LaserScan,
+    beams: usize,
+    scan: &LaserScan,
+    ranges: &[f32],
+) -> Result<Vec<f32>, String> {
+    let ends = |scan: &LaserScan, count: usize| {
+        let start = f64::from(scan.angle_min);
+        [start, start + (count as f64 - 1.0) * f64::from(scan.angle_increment)]
+    };
+    let apart = ends(first, beams).into_iter().zip(ends(scan, ranges.len())).map(|(a, b)| (a - b).abs());
+    let is_near = apart.fold(0.0, f64::max) <= OTHER_SECTOR;
+    if !is_near || ranges.len().abs_diff(beams) as f64 > MOST_OTHER_BEAMS * beams as f64 {
+        return Err(format!(
+            "the scan has {} ranges from {} rad, every {} rad; allowed: about {beams} from {}, every {}, as in the first",
+            ranges.len(),
+            scan.angle_min,
+            scan.angle_increment,
+            first.angle_min,
+            first.angle_increment
+        ));
+    }
+    let reading = |beam: usize| {
+        let bearing = f64::from(first.angle_min) + beam as f64 * f64::from(first.angle_increment);
+        let at = ((bearing - f64::from(scan.angle_min)) / f64::from(scan.angle_increment)).round();
+        let is_there = (0.0..ranges.len() as f64).contains(&at);
+        if is_there { ranges[at as usize] } else { f32::NAN }
+    };
+    Ok((0..beams).map(reading).collect())
 }
 
 /// Refuses scans whose beams don't lie beside each other within a turn.
@@ -423,6 +547,27 @@ struct Motion {
     /// Variances of x, y and heading of these poses (m^2, m^2, rad^2).
     variances: Vec<[f64; 3]>,
     transforms: Transforms,
+    /// Messages of the odometry and of the reference whose pose is none.
+    unusable: [Unusable; 2],
+    /// Number of their poses that lie where no robot can be, and aren't kept.
+    astray: [usize; 2],
+    /// Number of poses of the reference whose z axis doesn't point up.
+    tilted: usize,
+}
+
+/// Messages without a usable pose.
+#[derive(Default)]
+struct Unusable {
+    count: usize,
+    /// Why the first isn't.
+    first: Option<String>,
+}
+
+impl Unusable {
+    fn add(&mut self, reason: String) {
+        self.count += 1;
+        self.first.get_or_insert(reason);
+    }
 }
 
 impl Motion {
@@ -435,8 +580,44 @@ impl Motion {
         }
     }
 
+    /// What is odd about the poses, in sentences.
+    fn remarks(&self, chosen: &Chosen) -> Vec<String> {
+        let mut remarks = Vec::new();
+        for (i, (source, name)) in
+            [&chosen.odometry, &chosen.reference].into_iter().zip(["odometry", "reference"]).enumerate()
+        {
+            let Some(PoseSource::Topic(channel)) = source else { continue };
+            let topic = quoted(&channel.topic);
+            if let Unusable { count, first: Some(reason) } = &self.unusable[i] {
+                remarks.push(format!(
+                    "{count} messages of {topic} have no pose of the {name} and are left out ({reason})."
+                ));
+            }
+            if self.astray[i] > 0 {
+                remarks.push(format!(
+                    "{} poses of {topic} lie where no robot can be between their neighbours, and are left out.",
+                    self.astray[i]
+                ));
+            }
+        }
+        if 2 * self.tilted > self.reference.items.len() {
+            remarks.push(
+                "Most poses of the reference are tilted by more than 10 degrees: its z axis doesn't point up, and its heading isn't the robot's."
+                    .to_owned(),
+            );
+        }
+        if !self.transforms.told_anew.is_empty() {
+            let pairs: Vec<&str> = self.transforms.told_anew.iter().map(String::as_str).collect();
+            remarks.push(format!(
+                "Static transforms change during the recording ({}); the last ones are taken for all of it.",
+                pairs.join(", ")
+            ));
+        }
+        remarks
+    }
+
     /// A pose with its time (ns); keeps its variances.
-    fn reference_pose(&mut self, channel: &Channel, data: &[u8]) -> Result<(i64, Pose2), String> {
+    fn reference_pose(&mut self, channel: &Channel, data: &[u8]) -> Result<(i64, Pose), String> {
         let mut known = |PoseWithCovariance { pose, covariance }: PoseWithCovariance| {
             let variances = [0, 1, 5].map(|axis| covariance[axis][axis]);
             if variances.iter().all(|variance| (0.0..COORDINATE).contains(variance)) && variances != [0.0; 3]
@@ -463,7 +644,7 @@ impl Motion {
                 (header, pose)
             }
         };
-        Ok((header.stamp.nanos(), pose.projected()?))
+        Ok((header.stamp.nanos(), pose))
     }
 
     /// Median standard deviations of the reference (m, m, rad); `None` where it comes without covariances.

@@ -131,11 +131,13 @@ impl Inspection {
             }
         };
         let facts = read.as_ref().map(|(drive, summary)| DriveFacts::of(drive, summary));
-        let recording = read.map(|(drive, _)| drive);
+        let (recording, remarks) =
+            read.map(|(drive, summary)| (Some(drive), summary.remarks)).unwrap_or_default();
         let split = recording.as_ref().and_then(Split::propose);
         let references = facts.as_ref().map_or(0, DriveFacts::references);
         let reference_candidates = if references == 0 { reference_candidates(&contents) } else { Vec::new() };
         let mut warnings = facts.as_ref().map(|facts| warnings(facts, split.as_ref())).unwrap_or_default();
+        warnings.extend(remarks);
         warnings.extend(chosen);
         Ok(Self {
             file: log.display().to_string(),
@@ -335,7 +337,13 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
         );
         warn(
             reference.jumps > 0,
-            format!("The reference jumps {} times against the odometry.", reference.jumps),
+            format!(
+                "The reference jumps against the odometry in {} steps, by {:.0} cm and {:.1} deg in the median: a localizer has \
+                 corrected itself, or wheels have slipped. The odometry's error has these jumps in it.",
+                reference.jumps,
+                100.0 * reference.jump_m,
+                reference.jump_rad.to_degrees()
+            ),
         );
     }
     if let Some(odometry) = odometry {

@@ -310,7 +310,7 @@ impl<'a> Laboratory<'a> {
             unmapped_start(&*maps.exact, &*maps.distance, &drive),
             untrained_states(&*maps.exact, (&data.laser, &data.poses), &drive),
         ];
-        let warnings = warnings.into_iter().flatten().collect();
+        let warnings = summary.remarks.into_iter().chain(warnings.into_iter().flatten()).collect();
         Ok(Self { scenario, filter, maps, models, warnings, notes, drives: Drives::Measured(drive) })
     }
 
