@@ -7,6 +7,7 @@
 
 mod beams;
 mod control;
+mod deskew;
 mod draw;
 mod drive;
 mod elementary;

@@ -229,7 +229,7 @@ impl<'a> Laboratory<'a> {
         progress: &dyn Progress,
     ) -> Result<Self, LabError> {
         progress.stage("reading the log", 1);
-        let MeasuredLog { mut drive, summary, warning } = MeasuredLog::read(scenario, log)?;
+        let MeasuredLog { mut drive, summary, deskewed, warning } = MeasuredLog::read(scenario, log)?;
         let spread = spread_stamps(&mut drive, SCAN_SECS);
         progress.advance(1);
         let map = log_map(log, &drive, progress)?;
@@ -286,6 +286,7 @@ impl<'a> Laboratory<'a> {
              else."
                 .to_owned(),
         ];
+        notes.extend(deskewed);
         notes.extend(motion_note);
         notes.extend(spread);
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
@@ -503,6 +504,8 @@ pub fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
 pub(super) struct MeasuredLog {
     pub drive: Drive,
     summary: LogSummary,
+    /// A sentence on the robot's motion within a sweep, where that was taken out of the scans.
+    deskewed: Option<String>,
     /// A defect of the split that a run survives, in words.
     pub warning: Option<String>,
 }
@@ -513,10 +516,20 @@ impl MeasuredLog {
     /// # Errors
     /// [`LabError::Dataset`] for a log that can't be read, and those of [`check_drive`].
     pub fn read(scenario: &Scenario, log: &Log) -> Result<Self, LabError> {
-        let (drive, summary) = read_scenario_log(scenario, log)?;
+        let (mut drive, summary) = read_scenario_log(scenario, log)?;
         check_drive(scenario, log, &drive, &summary)?;
+        let times = drive.laser.beam_times_secs();
+        let sweep_ms = 1e3 * (times[times.len() - 1] - times[0]);
+        let mut note = None;
+        if let Some(deskewed) = drive.deskewed() {
+            note = Some(format!(
+                "A scan takes {sweep_ms:.0} ms, by the log's own times of the beams. The robot's motion meanwhile, by its odometry, was taken \
+                 out of the readings."
+            ));
+            drive = deskewed;
+        }
         let warning = uncovered(log, &drive);
-        Ok(Self { drive, summary, warning })
+        Ok(Self { drive, summary, deskewed: note, warning })
     }
 }
 
@@ -632,6 +645,8 @@ fn simulated_scans(
 
 /// The map of a measured log: from its file, or from the log's own scans.
 pub(crate) fn log_map(log: &Log, drive: &Drive, progress: &dyn Progress) -> Result<Geometry, LabError> {
+    let deskewed = drive.deskewed();
+    let drive = deskewed.as_ref().unwrap_or(drive);
     let built = match &log.map {
         LogMap::File(file) => {
             let map = scenario::load_map(file)?.geometry;

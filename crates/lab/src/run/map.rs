@@ -51,10 +51,13 @@ impl LogMaps {
         resolution_m: f64,
         options: &LogOptions,
     ) -> Result<Self, LabError> {
-        let (drive, summary) = read_log(log, options)?;
+        let (mut drive, summary) = read_log(log, options)?;
         if drive.steps.iter().all(|step| step.reference.is_none()) {
             let what = no_reference(&summary.topics, &summary.transforms);
             return Err(LabError::Log { path: log.to_owned(), what });
+        }
+        if let Some(deskewed) = drive.deskewed() {
+            drive = deskewed;
         }
         let options = MappingOptions { resolution_m, ..MappingOptions::default() };
         let steps = selected(&drive, shares);

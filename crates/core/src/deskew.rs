@@ -1,0 +1,168 @@
+//! Scans of a laser that sweeps while the robot moves, as they were from one place.
+
+use std::f64::consts::TAU;
+
+use crate::{Drive, Laser, Pose2, Scan, Track};
+
+/// Readings of neighbouring beams that differ by no more than this \[m\], and this share of the range, are of one surface.
+const ONE_SURFACE_M: f64 = 0.1;
+const ONE_SURFACE_SHARE: f64 = 0.05;
+/// A bearing has a reading where one lies within so many beams of it.
+const NEAR_BEAMS: f64 = 1.5;
+
+/// A reading as seen from the laser's place at the scan's stamp.
+#[derive(Clone, Copy)]
+struct Seen {
+    /// From the first beam on \[rad\], in the direction of the beams, in \[0, 2 pi).
+    along: f64,
+    /// \[m\]; the maximum range without a return.
+    range: f64,
+    is_return: bool,
+}
+
+impl Drive {
+    /// The drive with each scan as if all of its beams had been read at its stamp: the robot's motion until a beam's own time, by the odometry
+    /// between the scans, is taken out of its reading, and readings are interpolated at the laser's bearings where neighbours are of one
+    /// surface. `None` where all beams of a scan have one time, or stamps go backwards.
+    pub fn deskewed(&self) -> Option<Self> {
+        let times = self.laser.beam_times_secs();
+        if times.iter().all(|secs| *secs == times[0]) {
+            return None;
+        }
+        let odometry = Track::new(self.steps.iter().map(|step| (step.stamp_secs, step.odometry))).ok()?;
+        let laser = Laser::new(
+            self.laser.bearings().to_vec(),
+            vec![0.0; times.len()],
+            self.laser.min_range(),
+            self.laser.max_range(),
+            self.laser.base_from_laser(),
+        )
+        .ok()?;
+        // A track counts from its first pose on.
+        let begin = self.steps[0].stamp_secs;
+        let steps = self.steps.iter().map(|step| {
+            let mut step = step.clone();
+            step.scan = Scan { ranges: self.at_stamp(&step.scan.ranges, step.stamp_secs - begin, &odometry) };
+            step
+        });
+        Some(Self { laser, steps: steps.collect() })
+    }
+
+    fn at_stamp(&self, ranges: &[f32], stamp: f64, odometry: &Track) -> Vec<f32> {
+        let (laser, max) = (&self.laser, f64::from(self.laser.max_range()));
+        let (bearings, mount) = (laser.bearings(), laser.base_from_laser());
+        let first = f64::from(bearings[0]);
+        let step = (f64::from(bearings[bearings.len() - 1]) - first) / (bearings.len() - 1).max(1) as f64;
+        let along = |bearing: f64| (step.signum() * (bearing - first)).rem_euclid(TAU);
+        let from_stamp = odometry.pose_at(stamp).compose(&mount);
+        let mut seen: Vec<Seen> = Vec::with_capacity(ranges.len());
+        for ((&range, &bearing), &secs) in ranges.iter().zip(bearings).zip(laser.beam_times_secs()) {
+            let (range, bearing) = (f64::from(range), f64::from(bearing));
+            if range.is_nan() {
+                continue;
+            }
+            let taken_from = odometry.pose_at(stamp + f64::from(secs)).compose(&mount);
+            let moved = taken_from.relative_to(&from_stamp);
+            seen.push(if range < max {
+                let (sin, cos) = bearing.sin_cos();
+                let point = moved.compose(&Pose2::new(range * cos, range * sin, 0.0)).position();
+                let range = point.length().min(max.next_down());
+                Seen { along: along(point.y.atan2(point.x)), range, is_return: true }
+            } else {
+                Seen { along: along(bearing + moved.theta), range: max, is_return: false }
+            });
+        }
+        seen.sort_by(|a, b| a.along.total_cmp(&b.along));
+        bearings.iter().map(|bearing| reading_at(&seen, along(f64::from(*bearing)), step.abs())).collect()
+    }
+}
+
+/// The reading at a bearing, between those to both sides.
+fn reading_at(seen: &[Seen], along: f64, beam_rad: f64) -> f32 {
+    let Some(last) = seen.len().checked_sub(1) else { return f32::NAN };
+    let next = seen.partition_point(|seen| seen.along < along);
+    let (before, after) =
+        (seen[if next == 0 { last } else { next - 1 }], seen[if next > last { 0 } else { next }]);
+    let to_before = (along - before.along).rem_euclid(TAU);
+    let to_after = (after.along - along).rem_euclid(TAU);
+    let (nearest, apart) = if to_before < to_after { (before, to_before) } else { (after, to_after) };
+    if apart > NEAR_BEAMS * beam_rad {
+        return f32::NAN;
+    }
+    let between = to_before + to_after;
+    let are_one = before.is_return
+        && after.is_return
+        && between < 2.0 * NEAR_BEAMS * beam_rad
+        && (before.range - after.range).abs() < ONE_SURFACE_M + ONE_SURFACE_SHARE * nearest.range;
+    // Where the line through both meets the bearing.
+    let across = before.range * to_before.sin() + after.range * to_after.sin();
+    let range = if are_one && across > 0.0 {
+        before.range * after.range * between.sin() / across
+    } else {
+        nearest.range
+    };
+    range as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DriveStep;
+
+    const BEAMS: u32 = 360;
+    const HALF_SIDE_M: f64 = 3.0;
+
+    /// Range to the walls of a square room around the origin.
+    fn range(from: Pose2, bearing: f64) -> f64 {
+        let (sin, cos) = (from.theta + bearing).sin_cos();
+        let to_wall = |at: f64, along: f64| {
+            if along.abs() < 1e-12 { f64::INFINITY } else { (HALF_SIDE_M * along.signum() - at) / along }
+        };
+        to_wall(from.x, cos).min(to_wall(from.y, sin))
+    }
+
+    /// A robot that turns with 1 rad/s and drives with 0.5 m/s, with a laser that takes a fifth of a second for a turn: five scans.
+    fn drive(sweep_secs: f64, direction: f64) -> Drive {
+        let bearings: Vec<f32> = (0..BEAMS).map(|i| (direction * f64::from(i)).to_radians() as f32).collect();
+        let times: Vec<f32> =
+            (0..BEAMS).map(|i| (sweep_secs * f64::from(i) / f64::from(BEAMS)) as f32).collect();
+        let laser = Laser::new(bearings, times, 0.1, 3.6, Pose2::new(0.1, 0.05, 2.0)).unwrap();
+        let robot = |secs: f64| Pose2::new(0.5 * secs.sin() - 0.2, 0.5 - 0.5 * secs.cos(), secs);
+        let steps = (0..6_u32).map(|i| {
+            let stamp_secs = 0.2 * f64::from(i);
+            let beams = laser.bearings().iter().zip(laser.beam_times_secs());
+            let ranges = beams.map(|(bearing, secs)| {
+                let from = robot(stamp_secs + f64::from(*secs)).compose(&laser.base_from_laser());
+                range(from, f64::from(*bearing)).min(3.6) as f32
+            });
+            let odometry = robot(stamp_secs);
+            let stamp_secs = 1.7e9 + stamp_secs;
+            DriveStep { stamp_secs, odometry, reference: None, scan: Scan { ranges: ranges.collect() } }
+        });
+        let steps = steps.collect();
+        Drive { laser, steps }
+    }
+
+    /// Readings that are off by up to half a metre come to within millimetres of those from one place, but for some at the corners of the
+    /// room and at the border of the maximum range.
+    #[test]
+    fn a_sweep_becomes_what_was_seen_at_its_stamp() {
+        for direction in [1.0, -1.0] {
+            let (swept, still) = (drive(0.2, direction), drive(0.0, direction));
+            let corrected = swept.deskewed().unwrap();
+            let far = |drive: &Drive, step: usize| {
+                let pairs = drive.steps[step].scan.ranges.iter().zip(&still.steps[step].scan.ranges);
+                pairs.filter(|(a, b)| (**a - **b).abs() > 0.01 || a.is_nan()).count()
+            };
+            for step in 0..5 {
+                assert!(
+                    far(&swept, step) > 200 && far(&corrected, step) < 24,
+                    "{step}: {}",
+                    far(&corrected, step)
+                );
+            }
+            assert!(corrected.laser.beam_times_secs().iter().all(|secs| *secs == 0.0));
+        }
+        assert!(drive(0.0, 1.0).deskewed().is_none());
+    }
+}
