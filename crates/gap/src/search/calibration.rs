@@ -96,9 +96,8 @@ fn with_shares_of_log(comparison: &Comparison<'_>) -> Result<Nominal, GapError> 
     }
     let ranges = sorted(beams.iter().map(|[range, ..]| *range));
     // Beams, missing returns, returns from far behind, and how many of these there were if all readings were random.
-    let mut groups = [[0.0; 4]; INCIDENCES * RANGES];
+    let mut groups = [[0.0; 4]; INCIDENCES * RANGES + 1];
     for [range, incidence, reading] in beams {
-        let group = &mut groups[group_of(&ranges, range, incidence)];
         let from = range + BEHIND_M;
         let more = [
             1.0,
@@ -106,8 +105,9 @@ fn with_shares_of_log(comparison: &Comparison<'_>) -> Result<Nominal, GapError> 
             f64::from(u8::from(reading > from && reading < max)),
             (1.0 - from / max).max(0.0),
         ];
-        for (sum, more) in group.iter_mut().zip(more) {
-            *sum += more;
+        // The last group is of all beams.
+        for group in [group_of(&ranges, range, incidence), INCIDENCES * RANGES] {
+            groups[group].iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
         }
     }
     // The most that may be expected of where there are so many: of the smallest of several groups, and of none, too.

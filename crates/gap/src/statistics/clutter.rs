@@ -2,6 +2,7 @@
 
 use locsim_world::effect::{self, EffectKind};
 
+use super::survey::Survey;
 use super::{Family, Form, Group, Halves, Readings, Statistic};
 use crate::catalogue::kinds_shown_by;
 
@@ -44,8 +45,10 @@ pub(super) struct ClutterDensity {
 }
 
 impl ClutterDensity {
-    pub fn all() -> Vec<Self> {
+    /// None where the scenario has no clutter: the fit is then at its limit, and a reading that moves it stands out from all.
+    pub fn all(survey: &Survey<'_>) -> Vec<Self> {
         kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::ClutterDensity))
+            .filter(|_| survey.comparison.nominal.blocks.is_some())
             .map(|kind| Self { kind })
             .collect()
     }

@@ -46,7 +46,7 @@ impl Dictionary {
             .chain(boxed(Edges::all(&survey)))
             .chain(boxed(Steps::all()))
             .chain(boxed(ClutterDepth::all()))
-            .chain(boxed(ClutterDensity::all()))
+            .chain(boxed(ClutterDensity::all(&survey)))
             .chain(boxed(OdometryCorrelation::all()))
             .chain(boxed(Slips::all()))
             .chain(boxed([Poses::new()]))

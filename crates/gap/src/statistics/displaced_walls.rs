@@ -87,8 +87,15 @@ impl Counts {
 
 impl Family for DisplacedWalls {
     fn statistics(&self) -> Vec<Statistic> {
-        let statistic = Statistic::of_effect(self.kind, Group::Places, Form::Share);
-        self.walls.of_all(statistic.with_one_reading(FEW))
+        let counts = self.walls.counts();
+        let of_pairs = self.walls.pairs().iter().map(|&[a, b]| counts[a] + counts[b]);
+        // A half of the log has half of them.
+        let by_one = |count: f64| -(-1.0 / (0.5 * count + 1.0)).ln_1p();
+        let of = |count: f64| {
+            Statistic::of_effect(self.kind, Group::Places, Form::Share)
+                .with_one_reading(by_one(count).max(FEW))
+        };
+        counts.iter().copied().chain(of_pairs).map(of).collect()
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {

@@ -76,12 +76,7 @@ impl WallCells {
 
     /// A statistic for each cell and for each two neighbours: a stretch of wall doesn't end where a cell does.
     pub fn statistics(&self, kind: EffectKind) -> Vec<Statistic> {
-        self.of_all(Statistic::of_effect(kind, Group::Places, Form::Other))
-    }
-
-    /// The same statistic for each cell and for each two neighbours.
-    pub fn of_all(&self, statistic: Statistic) -> Vec<Statistic> {
-        vec![statistic; self.len() + self.pairs.len()]
+        vec![Statistic::of_effect(kind, Group::Places, Form::Other); self.len() + self.pairs.len()]
     }
 
     /// Neighbouring cells, by index.
