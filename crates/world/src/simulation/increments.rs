@@ -110,8 +110,13 @@ impl OdometrySpread {
     const MOST_DEVIATIONS: f64 = 1.5;
 
     /// The variances of increments by maximum likelihood, in multiplicative steps that keep them positive (Févotte, Bertin and Durrieu
-    /// 2009).
+    /// 2009). A robot that stands still tells nothing of its odometry.
     pub fn of(increments: &[Increment]) -> Self {
+        let moves = |increment: &&Increment| {
+            let all = increment.truth.iter().zip(&increment.error).zip(LEAST);
+            all.into_iter().any(|((truth, error), least)| truth.abs() > least || error.abs() > least)
+        };
+        let increments: Vec<&Increment> = increments.iter().filter(moves).collect();
         let of_axis = |axis: usize| {
             let parts = |increment: &Increment| {
                 let [u, v] = increment.squares[axis];
@@ -131,7 +136,8 @@ impl OdometrySpread {
                 let parts = parts(increment);
                 (parts, parts.map(|part| part * expected_square), increment.error[axis].powi(2))
             };
-            let rows: Vec<([f64; 3], [f64; 3], f64)> = increments.iter().map(of_increment).collect();
+            let rows: Vec<([f64; 3], [f64; 3], f64)> =
+                increments.iter().map(|increment| of_increment(increment)).collect();
             for _ in 0..Self::STEPS {
                 let (mut found, mut expected) = ([0.0; 3], [0.0; 3]);
                 for (parts, expecting, squared) in &rows {
@@ -324,6 +330,10 @@ mod tests {
         near(model.turn[0], -0.02, 0.002);
         near(model.turn[1], 0.1, 0.004);
         // A twentieth that counts as 1.5 standard deviations widens the distances by a tenth.
+        // A robot that stands still for most of the time has the same spread.
+        let still = Increment { truth: [0.0; 2], error: [0.0; 2], squares: [[0.0; 2]; 2] };
+        let with_stops: Vec<Increment> = noisy.iter().copied().chain(vec![still; 3 * noisy.len()]).collect();
+        assert_eq!(OdometryModel::learn(&with_stops).spread, model.spread);
         for (motion, sigma) in [([0.1, 0.0], [0.00224, 0.00640]), ([0.0, 0.2], [0.00640, 0.00608])] {
             let at = noisy.iter().find(|increment| increment.truth == motion).unwrap();
             for (axis, sigma) in sigma.into_iter().enumerate() {
