@@ -28,6 +28,21 @@ impl LogFormat {
         if mcap { Self::Bag } else { Self::Carmen }
     }
 
+    /// As [`Self::of_name`], for a log that is to be written.
+    ///
+    /// # Errors
+    /// The name is that of another format of recordings.
+    pub fn to_write(path: &Path) -> Result<Self, DatasetError> {
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        if NOT_WRITTEN.contains(&extension.as_str()) {
+            let reason = format!(
+                "a log isn't written as `.{extension}`; allowed: a name that ends in .mcap (a ROS 2 bag), or .log or .log.gz (CARMEN)"
+            );
+            return Err(DatasetError::Refused { path: path.to_owned(), line: None, reason });
+        }
+        Ok(Self::of_name(path))
+    }
+
     /// The format of a file that is there, by its first bytes; a folder is a bag.
     ///
     /// # Errors
@@ -43,6 +58,9 @@ impl LogFormat {
         })
     }
 }
+
+/// Extensions of recordings that aren't written, and of other files of this program: who gives one doesn't want a CARMEN log.
+const NOT_WRITTEN: [&str; 8] = ["bag", "db3", "sqlite3", "zstd", "zst", "yaml", "yml", "json"];
 
 /// How to read a log of either format.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -135,7 +153,8 @@ pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
 /// # Errors
 /// Those of the format's writer.
 pub fn write_simulated_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
-    write_whole(path, |out| match LogFormat::of_name(path) {
+    let format = LogFormat::to_write(path)?;
+    write_whole(path, |out| match format {
         LogFormat::Bag => encode_mcap(path, drive, SIMULATED_EPOCH_SECS, out),
         LogFormat::Carmen => encode_carmen(path, drive, out),
     })
@@ -150,7 +169,7 @@ const SIMULATED_EPOCH_SECS: i32 = 1_704_067_200;
 /// # Errors
 /// Those of the format's writer.
 pub fn encode_log(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
-    match LogFormat::of_name(path) {
+    match LogFormat::to_write(path)? {
         LogFormat::Bag => encode_mcap(path, drive, 0, out),
         LogFormat::Carmen => encode_carmen(path, drive, out),
     }

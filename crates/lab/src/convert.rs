@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use locsim_dataset::{
-    BeesoftMap, LogOptions, LogSummary, read_beesoft_map, read_log, write_log, write_simulated_log,
+    BeesoftMap, LogFormat, LogOptions, LogSummary, read_beesoft_map, read_log, write_log, write_simulated_log,
 };
 use locsim_world::map::OccupancyGrid;
 
@@ -16,8 +16,10 @@ const EARLIEST_DATE_SECS: f64 = 1e8;
 /// beginning of the drive count from 2024-01-01. Returns the number of scans and the summary of the log that was read.
 ///
 /// # Errors
-/// [`LabError::Dataset`] for a log that can't be read, or doesn't fit into the format.
+/// [`LabError::Dataset`] for a name of another format, and for a log that can't be read or doesn't fit into the format.
 pub fn convert_log(log: &Path, options: &LogOptions, out: &Path) -> Result<(usize, LogSummary), LabError> {
+    // Before the log is read, which takes time.
+    LogFormat::to_write(out)?;
     let (drive, summary) = read_log(log, options)?;
     if drive.steps[0].stamp_secs < EARLIEST_DATE_SECS {
         write_simulated_log(out, &drive)?;

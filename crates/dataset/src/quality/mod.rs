@@ -34,7 +34,7 @@ impl DriveQuality {
         Self {
             readings: ReadingQuality::of(drive, has_odometry),
             odometry: has_odometry.then(|| OdometryQuality::of(drive)),
-            reference: ReferenceQuality::of(drive),
+            reference: ReferenceQuality::of(drive, has_odometry),
             clock: ClockQuality::of(drive, summary, has_odometry),
         }
     }

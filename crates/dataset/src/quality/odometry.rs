@@ -100,14 +100,14 @@ impl OdometryQuality {
 }
 
 impl ReferenceQuality {
-    pub(super) fn of(drive: &Drive) -> Option<Self> {
+    pub(super) fn of(drive: &Drive, has_odometry: bool) -> Option<Self> {
         let known: Vec<(f64, Pose2)> =
             drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))).collect();
         let (first, last) = (drive.steps.first()?, drive.steps.last()?);
         let (begin, end) = (known.first()?, known.last()?);
         let inside = known.windows(2).map(|pair| pair[1].0 - pair[0].0);
         let gaps = if known.len() < drive.steps.len() { inside.fold(0.0, f64::max) } else { 0.0 };
-        let jumps: Vec<[f64; 2]> = reference_jumps(drive);
+        let jumps = if has_odometry { reference_jumps(drive) } else { Vec::new() };
         let median_of = |which: usize| {
             if jumps.is_empty() {
                 0.0

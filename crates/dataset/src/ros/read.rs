@@ -107,7 +107,15 @@ pub fn read_with_layout(
     let mount = motion
         .mount(options.base_from_laser, scans.frame(), &base)
         .map_err(|reason| of_first_scan(path, &chosen, reason))?;
-    let laser = checked(path, scans.laser(&mount, options))?;
+    let laser = scans.laser(&mount, options);
+    if let (Err(LaserError::Ranges { .. }), None) = (&laser, options.max_range_m) {
+        let range_max = scans.first.as_ref().map_or(f32::NAN, |first| first.range_max);
+        let reason = format!(
+            "range_max is {range_max}; allowed: a finite number above range_min, or `--max-range` (`log.max_range_m`)"
+        );
+        return Err(of_first_scan(path, &chosen, reason));
+    }
+    let laser = checked(path, laser)?;
 
     let (max, min) = (laser.max_range(), laser.min_range());
     let zero_is_no_return = scans.zero_is_no_return(max);

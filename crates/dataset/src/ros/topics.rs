@@ -96,7 +96,10 @@ fn frames(name: &str) -> Option<PoseSource> {
         Some(pair) => pair.split_once('.')?,
         None => name.split_once(':')?,
     };
-    Some(PoseSource::Transform { parent: plain(parent).to_owned(), child: plain(child).to_owned() })
+    let [parent, child] = [parent, child].map(|frame| plain(frame).to_owned());
+    // A frame in itself never moves.
+    (!parent.is_empty() && !child.is_empty() && parent != child)
+        .then_some(PoseSource::Transform { parent, child })
 }
 
 impl<'a> Topics<'a> {

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use locsim_core::{Drive, DriveStep, Hits, Laser, Particles, Pose2, RangeMap, Scan, wrap_angle};
-use locsim_dataset::{LogKind, LogOptions, LogSummary, read_log};
+use locsim_dataset::{DriveQuality, LogKind, LogOptions, LogSummary, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Recorded, ResidualStage};
 use locsim_world::effect::EffectKind;
 use locsim_world::raycast::ExactRangeMap;
@@ -32,7 +32,7 @@ pub use filter::FilterOnLog;
 pub use proposal::scenario_with;
 
 use crate::LabError;
-use crate::inspect::frozen_odometry;
+use crate::inspect::{frozen_odometry, late_odometry};
 use crate::run::{log_map, no_reference, read_scenario_log, selected, spread_stamps};
 use locsim_core::Control;
 use locsim_report::ReportError;
@@ -342,6 +342,7 @@ fn usable(
     let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
     warnings.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
     warnings.extend(summary.remarks.iter().cloned());
+    warnings.extend(late_odometry(&DriveQuality::of(&drive, summary).clock));
     warnings.extend(without_stale_scans(&mut drive));
     let frozen = drive.frozen_odometry();
     warnings.extend((frozen[0] > 0.0).then(|| frozen_odometry(frozen)));

@@ -10,8 +10,8 @@ use std::path::Path;
 
 use locsim_core::{Drive, Pose2};
 use locsim_dataset::{
-    DatasetError, DriveQuality, LogContents, LogFormat, LogKind, LogOptions, LogSummary, MountSource,
-    OdometrySource, Scanner, decimal, read_contents, read_log,
+    ClockQuality, DatasetError, DriveQuality, LogContents, LogFormat, LogKind, LogOptions, LogSummary,
+    MountSource, OdometrySource, Scanner, decimal, read_contents, read_log,
 };
 use serde::Serialize;
 
@@ -262,7 +262,7 @@ impl DriveFacts {
 
 fn lacks(facts: Option<&DriveFacts>) -> Lacks {
     let Some(facts) = facts else {
-        let nothing = vec!["scans that can be read".to_owned()];
+        let nothing = vec!["a drive that can be read: see the reason above".to_owned()];
         return Lacks { run: nothing.clone(), map: nothing.clone(), gap: nothing };
     };
     let mut lacks = Lacks::default();
@@ -308,6 +308,19 @@ pub fn frozen_odometry([secs, metres]: [f64; 2]) -> String {
     format!(
         "The odometry stands still for {secs:.1} s, in which the reference moves by {metres:.2} m: it wasn't recorded then."
     )
+}
+
+/// A sentence on an odometry that is late, or early, against the scans.
+pub fn late_odometry(clock: &ClockQuality) -> Option<String> {
+    let lag = clock.odometry_lag_secs?;
+    let least = NOTABLE.lag_secs.max(NOTABLE.lag_intervals * clock.interval_secs.unwrap_or(0.0));
+    (lag.abs() >= least).then(|| {
+        format!(
+            "The odometry {} the scans by {:.0} ms: their stamps are of different clocks, or late.",
+            if lag > 0.0 { "lags behind" } else { "is ahead of" },
+            1e3 * lag.abs()
+        )
+    })
 }
 
 fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
@@ -362,16 +375,8 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
             );
         }
     }
-    let lag = clock.odometry_lag_secs.unwrap_or(0.0);
-    let least = NOTABLE.lag_secs.max(NOTABLE.lag_intervals * clock.interval_secs.unwrap_or(0.0));
-    warn(
-        lag.abs() >= least,
-        format!(
-            "The odometry {} the scans by {:.0} ms: their stamps are of different clocks, or late.",
-            if lag > 0.0 { "lags behind" } else { "is ahead of" },
-            1e3 * lag.abs()
-        ),
-    );
+    let late = late_odometry(clock);
+    warn(late.is_some(), late.unwrap_or_default());
     warn(
         2 * clock.repeated > facts.scans,
         format!(

@@ -23,9 +23,9 @@ const USABLE_RANGE_M: f64 = 30.0;
 const CELL_M: f64 = 0.2;
 /// Where less than this share of the readings is known to the map, filters get lost.
 pub const COVERED: f64 = 0.5;
-/// The localized part covers at least this share of the distance that parts of its length cover on average: a robot that
-/// stands still shows nothing.
-const LEAST_MOTION: f64 = 0.5;
+/// The localized part covers at least this share of the distance that parts of its length cover on average, or as much as any does: a
+/// robot that stands still shows nothing.
+const LEAST_MOTION: f64 = 0.8;
 
 /// The use of a part's scans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -89,10 +89,13 @@ impl Split {
         // The whole of the localized part needs references, to be judged by.
         let judged =
             |part: usize| drive.steps[scans(drive, part)].iter().all(|step| step.reference.is_some());
-        let localizable = |&from: &usize| {
-            let parts = from..from + LOCALIZED_PARTS;
-            motion[parts.clone()].iter().sum::<f64>() >= LEAST_MOTION * usual && parts.clone().all(judged)
+        let judged_motion = |from: usize| {
+            let mut parts = from..from + LOCALIZED_PARTS;
+            parts.clone().all(judged).then(|| parts.by_ref().map(|part| motion[part]).sum::<f64>())
         };
+        let most = (0..=PARTS - LOCALIZED_PARTS).filter_map(judged_motion).fold(0.0, f64::max);
+        let least = most.min(LEAST_MOTION * usual);
+        let localizable = |&from: &usize| judged_motion(from).is_some_and(|motion| motion >= least);
         let candidates = (0..=PARTS - LOCALIZED_PARTS).filter(localizable).flat_map(|from| {
             let localized = run(from, LOCALIZED_PARTS);
             (0..=PARTS - TRAINING_PARTS)
@@ -176,7 +179,7 @@ pub fn least_covered(drive: &Drive, localized: &[[f64; 2]], map: &[[f64; 2]]) ->
 
 /// A cell and those beside it.
 fn around([x, y]: [i32; 2]) -> impl Iterator<Item = [i32; 2]> {
-    (-1..=1).flat_map(move |i| (-1..=1).map(move |j| [x + i, y + j]))
+    (-1..=1).flat_map(move |i| (-1..=1).map(move |j| [x.saturating_add(i), y.saturating_add(j)]))
 }
 
 /// `count` parts from one on.

@@ -181,7 +181,7 @@ pub struct RawLaser {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawRangeNoise {
-    /// Standard deviation at range 0 (m), 0.000001 to 1000, or 0; not 0 with the model `oracle`.
+    /// Standard deviation at range 0 (m), 0.000001 to 1, or 0; not 0 with the model `oracle`.
     #[serde(default)]
     pub sigma_m: f64,
     /// Growth of the standard deviation per metre of range (m/m), 0 to 1000.

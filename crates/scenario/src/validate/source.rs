@@ -254,7 +254,7 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
         min_range_m,
         max_range_m,
         resolution_m: check.number("laser.resolution_m", raw.resolution_m, STEP),
-        sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, ZeroOrWithin(1e-6, 1e3)),
+        sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, ZeroOrWithin(1e-6, 1.0)),
         sigma_per_m: check.number("laser.noise.sigma_per_m", raw.noise.sigma_per_m, NOISE),
         mount: Pose2::new(
             check.number("laser.mount.x_m", raw.mount.x_m, COORDINATE),

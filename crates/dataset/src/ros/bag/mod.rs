@@ -106,6 +106,13 @@ impl<'a> Bag<'a> {
     pub fn open(path: &Path, limits: &'a Limits) -> Result<Self, DatasetError> {
         let files = log_files(path)?.into_iter().map(|path| {
             let source = Source::open(&path, limits)?;
+            if source.length == 0 {
+                return Err(not_a_log(
+                    &path,
+                    "an empty file",
+                    "a ROS 2 bag (a folder, MCAP or SQLite), without empty parts",
+                ));
+            }
             let storage = match source.content {
                 Content::Mcap => Storage::Mcap,
                 Content::Sqlite => Storage::Sqlite(sqlite::Database::open(&path, source)?),
