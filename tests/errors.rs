@@ -67,7 +67,7 @@ fn keys_types_and_values_of_a_scenario() {
         (
             "sigma_m: 0.02",
             "sigma_m: -0.02",
-            "s.yaml:11: laser.noise.sigma_m: -0.02 is not allowed; 0, or a number from 0.000001 to 1000",
+            "s.yaml:11: laser.noise.sigma_m: -0.02 is not allowed; 0, or a number from 0.000001 to 1",
         ),
         ("seed: 3\n", "", "s.yaml:1: seed: the key is missing"),
         (

@@ -137,7 +137,7 @@ fn a_log_that_lacks_something_is_inspected_all_the_same() {
     folder
         .locsim("inspect none.log")
         .success()
-        .stdout(contains("no scan in this log").and(contains("needs scans that can be read")));
+        .stdout(contains("no scan in this log").and(contains("needs a drive that can be read")));
     folder.locsim("inspect none.log --picture none.svg").code(2).stderr(contains("no drive to draw"));
 
     // Odometry that isn't there.

@@ -23,6 +23,7 @@ use locsim_core::limits::UNPACKING_FACTOR;
 use locsim_core::{DriveStep, Laser, Scan, wrap_angle};
 
 mod container;
+mod mended;
 mod messages;
 mod poses;
 mod rewrite;

@@ -372,8 +372,9 @@ fn usable(
     };
     let outside = drive.steps.iter().filter(|s| s.reference.is_some_and(|pose| !free(&pose))).count();
     if outside > 0 {
+        let many = if 10 * outside > references { " Is the reference in the map's frame?" } else { "" };
         warnings.push(format!(
-            "{outside} scans were left out: their reference pose is not in the map's free space."
+            "{outside} scans were left out: their reference pose is not in the map's free space.{many}"
         ));
     }
     Ok((drive, recorded))

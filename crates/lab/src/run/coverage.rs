@@ -102,6 +102,18 @@ pub(super) fn against_odometry(localized: &Drive) -> Option<String> {
     })
 }
 
+/// A sentence on reference poses that lie where the map has no free space, if many do.
+pub(super) fn outside_of_map(map: &dyn RangeMap, localized: &Drive) -> Option<String> {
+    let known = localized.steps.iter().filter_map(|step| step.reference);
+    let (outside, all) = known
+        .fold((0, 0), |(outside, all), pose| (outside + usize::from(!map.is_free(pose.x, pose.y)), all + 1));
+    (10 * outside > all).then(|| {
+        format!(
+            "{outside} of {all} localized scans have a reference pose outside of the map's free space. Is it in the map's frame?"
+        )
+    })
+}
+
 /// A sentence on the first scan, if it was taken where there is no map.
 pub(super) fn unmapped_start(
     map: &dyn RangeMap,
@@ -194,6 +206,14 @@ mod tests {
         assert_eq!(sentence, expected);
         let near = drive(&[0.0, 0.2], 1.5);
         assert_eq!(untrained_states(&map, (&near.laser, &training), &near), None);
+    }
+
+    #[test]
+    fn a_reference_in_another_frame_is_told() {
+        let map = Around { range: 1.5 };
+        assert_eq!(outside_of_map(&map, &drive(&[0.0, 1.0, 2.0, 3.0], 1.5)), None);
+        let sentence = outside_of_map(&map, &drive(&[0.0, 1.0, 70.0, 80.0], 1.5)).unwrap();
+        assert!(sentence.starts_with("2 of 4 localized scans"), "{sentence}");
     }
 
     #[test]

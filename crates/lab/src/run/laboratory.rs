@@ -17,7 +17,7 @@ use locsim_world::simulation::{
 };
 use rand::RngExt;
 
-use super::coverage::{against_odometry, unmapped_start, untrained_states};
+use super::coverage::{against_odometry, outside_of_map, unmapped_start, untrained_states};
 use super::filter::fitted_alpha;
 use super::rehearsal::Rehearsal;
 use super::training::{ScanData, Surroundings, TrainedModel, check_files, train};
@@ -309,6 +309,7 @@ impl<'a> Laboratory<'a> {
             }),
             against_odometry(&drive),
             unmapped_start(&*maps.exact, &*maps.distance, &drive),
+            outside_of_map(&*maps.exact, &drive),
             untrained_states(&*maps.exact, (&data.laser, &data.poses), &drive),
         ];
         let warnings = summary.remarks.into_iter().chain(warnings.into_iter().flatten()).collect();
@@ -699,7 +700,12 @@ pub(super) fn check_measured(scenario: &Scenario, log: &Log) -> Result<Vec<Strin
     }
     let steps = selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
     let localized = Drive { laser: drive.laser.clone(), steps };
-    let warnings = [warning, against_odometry(&localized), unmapped_start(&map, &distance, &localized)];
+    let warnings = [
+        warning,
+        against_odometry(&localized),
+        unmapped_start(&map, &distance, &localized),
+        outside_of_map(&map, &localized),
+    ];
     Ok(warnings.into_iter().flatten().collect())
 }
 

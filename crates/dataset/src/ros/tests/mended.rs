@@ -1,0 +1,170 @@
+//! Recordings with faults that are mended and told.
+
+use super::*;
+
+/// A scan of 20 beams over a radian.
+fn wide_scan(secs: f64, beams: u16) -> LaserScan {
+    LaserScan {
+        angle_increment: 1.0 / f32::from(beams - 1),
+        time_increment: 0.0,
+        ranges: (0..beams).map(|beam| 1.0 + f32::from(beam) / f32::from(beams - 1)).collect(),
+        ..scan(secs, &[])
+    }
+}
+
+/// A robot that drives along x with 1 m/s, for the seconds that `is_recorded` holds for: odometry ten times a second, scans every
+/// other time.
+fn driving(secs: u32, is_recorded: impl Fn(f64) -> bool, x: impl Fn(f64) -> f64) -> Bag {
+    let mut bag = Bag::default();
+    for tick in 0..=10 * secs {
+        let now = f64::from(tick) / 10.0;
+        if is_recorded(now) {
+            bag = bag.add("/odom", &odometry(now, &Pose2::new(x(now), 0.0, 0.0)));
+        }
+        if tick % 2 == 0 {
+            bag = bag.add("/scan", &wide_scan(now, 20));
+        }
+    }
+    bag
+}
+
+fn remark(summary: &LogSummary, part: &str) {
+    assert!(summary.remarks.iter().any(|remark| remark.contains(part)), "{part}: {:?}", summary.remarks);
+}
+
+#[test]
+fn a_clean_recording_has_no_remarks() {
+    let (drive, summary) = driving(5, |_| true, |now| now).read(&BagOptions::default()).unwrap();
+    assert_eq!((drive.steps.len(), &summary.remarks), (26, &Vec::new()));
+}
+
+#[test]
+fn poses_that_are_none_are_left_out() {
+    let mut zero = odometry(2.0, &Pose2::IDENTITY);
+    zero.pose.pose.orientation.w = 0.0;
+    let far = Pose2 { x: 1e300, ..Pose2::IDENTITY };
+    let (expected, _) = plain().read(&BagOptions::default()).unwrap();
+    for odd in [zero, odometry(2.0, &far), odometry(2.0, &Pose2 { x: f64::NAN, ..Pose2::IDENTITY })] {
+        let (drive, summary) = plain().add("/odom", &odd).read(&BagOptions::default()).unwrap();
+        assert_eq!(drive, expected);
+        remark(&summary, "1 messages of /odom have no pose of the odometry and are left out (");
+    }
+    let reference = plain().add("/reference", &odometry(1.2, &far));
+    assert!(reference.message().contains("/reference: message 1: position is"), "{}", reference.message());
+}
+
+/// Two poses 50 m away are no drive there and back. A robot that goes on from elsewhere has jumped.
+#[test]
+fn poses_where_no_robot_can_be_are_left_out() {
+    let astray = |now: f64| if (2.05..2.25).contains(&now) { 50.0 } else { 0.0 };
+    let (drive, summary) =
+        driving(5, |_| true, |now| now + astray(now)).read(&BagOptions::default()).unwrap();
+    remark(&summary, "2 poses of /odom lie where no robot can be");
+    assert!(drive.steps.iter().all(|step| (step.odometry.x - step.stamp_secs).abs() < 1e-9), "{drive:?}");
+    let elsewhere = |now: f64| if now > 2.05 { now + 50.0 } else { now };
+    let (drive, summary) = driving(5, |_| true, elsewhere).read(&BagOptions::default()).unwrap();
+    assert!(summary.remarks.is_empty() && (drive.steps[25].odometry.x - 55.0).abs() < 1e-9);
+}
+
+/// Four seconds without odometry. A robot that drove in them was anywhere; one that stood still was there.
+#[test]
+fn poses_are_not_interpolated_across_a_hole() {
+    let is_recorded = |now: f64| !(3.05..6.95).contains(&now);
+    let (drive, summary) = driving(10, is_recorded, |now| now).read(&BagOptions::default()).unwrap();
+    assert!(drive.steps.iter().all(|step| !(3.05..6.95).contains(&step.stamp_secs)));
+    remark(&summary, "19 of 51 scans are left out: no odometry was recorded");
+    let waits = |now: f64| if now < 3.0 { now } else { 3.0 + (now - 7.0).max(0.0) };
+    let (drive, summary) = driving(10, is_recorded, waits).read(&BagOptions::default()).unwrap();
+    assert_eq!((drive.steps.len(), &summary.remarks), (51, &Vec::new()));
+}
+
+#[test]
+fn a_reference_that_stands_still_is_none() {
+    let mut bag = driving(5, |_| true, |now| now);
+    for tick in 0..=50_u32 {
+        let now = f64::from(tick) / 10.0;
+        let known = if (1.95..4.05).contains(&now) { 2.0 } else { now };
+        bag = bag.add("/reference", &stamped(now, &Pose2::new(known, 1.0, 0.0)));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.mcap");
+    fs::write(&path, bag.bytes()).unwrap();
+    let (drive, summary) = read_log(&path, &LogOptions::default()).unwrap();
+    remark(&summary, "The reference stands still for 2.0 s, in which the odometry moves by 2.00 m");
+    let without: Vec<f64> =
+        drive.steps.iter().filter(|step| step.reference.is_none()).map(|step| step.stamp_secs).collect();
+    assert_eq!(without.len(), 10, "{without:?}");
+    assert!(without.iter().all(|secs| (2.1..4.1).contains(secs)), "{without:?}");
+}
+
+/// Twenty beams over a radian and nineteen, whose readings grow evenly with the bearing: each beam has a reading of at most half a beam
+/// beside it.
+#[test]
+fn scans_with_a_beam_less_are_put_onto_the_beams_of_the_first() {
+    let bag = Bag::default()
+        .add("/odom", &odometry(1.0, &Pose2::IDENTITY))
+        .add("/odom", &odometry(2.0, &Pose2::IDENTITY))
+        .add("/scan", &wide_scan(1.0, 20))
+        .add("/scan", &wide_scan(1.5, 19));
+    let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+    remark(&summary, "1 of 2 scans have other beams than the first");
+    for (first, second) in drive.steps[0].scan.ranges.iter().zip(&drive.steps[1].scan.ranges) {
+        assert!((first - second).abs() < 0.5 / 18.0 + 1e-5, "{first} {second}");
+    }
+    // The last of the beams isn't there.
+    let mut cut = wide_scan(1.5, 20);
+    cut.ranges.truncate(19);
+    let mut bag = bag;
+    bag.messages[3].3 = encode(&cut).unwrap();
+    let (drive, _) = bag.read(&BagOptions::default()).unwrap();
+    assert_eq!(drive.steps[1].scan.ranges[..19], drive.steps[0].scan.ranges[..19]);
+    assert!(drive.steps[1].scan.ranges[19].is_nan());
+    bag.messages[3].3 = encode(&wide_scan(1.5, 15)).unwrap();
+    assert!(bag.message().contains("the scan has 15 ranges from -0.5 rad"), "{}", bag.message());
+}
+
+#[test]
+fn beams_are_of_the_stamp_where_their_times_cannot_be() {
+    for (increment, is_kept) in [(0.009, true), (0.2, false), (-0.009, false)] {
+        let mut bag = Bag::default();
+        for tick in 0..10_u32 {
+            let now = f64::from(tick) / 5.0;
+            let scan = LaserScan { time_increment: increment, ..wide_scan(now, 20) };
+            bag = bag.add("/odom", &odometry(now, &Pose2::IDENTITY)).add("/scan", &scan);
+        }
+        let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+        let sweep = drive.laser.beam_times_secs()[19];
+        assert!((f64::from(sweep) - if is_kept { 0.171 } else { 0.0 }).abs() < 1e-6, "{sweep}");
+        assert_eq!(summary.remarks.iter().any(|remark| remark.starts_with("time_increment is")), !is_kept);
+    }
+}
+
+#[test]
+fn static_transforms_may_change_and_may_be_told_the_other_way_round() {
+    let level = [0.0, 0.0, 0.0, 1.0];
+    let first = plain().add("/tf_static", &transform("base_footprint", "laser", [0.5, 0.0, 0.0], level));
+    assert!(first.read(&BagOptions::default()).unwrap().1.remarks.is_empty());
+    let changed = first.add("/tf_static", &transform("base_footprint", "laser", [0.3, 0.0, 0.0], level));
+    let (drive, summary) = changed.read(&BagOptions::default()).unwrap();
+    remark(&summary, "Static transforms change during the recording (base_footprint:laser)");
+    assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.3, 0.0, 0.0)));
+    let quarter = [0.0, 0.0, 0.5_f64.sqrt(), 0.5_f64.sqrt()];
+    let reversed = plain().add("/tf_static", &transform("laser", "base_footprint", [0.5, 0.0, 0.0], quarter));
+    let (drive, _) = reversed.read(&BagOptions::default()).unwrap();
+    let expected = Pose2::new(0.5, 0.0, FRAC_PI_2).inverse();
+    assert!(near(&drive.laser.base_from_laser(), &expected), "{:?}", drive.laser.base_from_laser());
+}
+
+/// A reference that turns about an axis in the floor.
+#[test]
+fn a_reference_that_is_not_upright_is_told() {
+    let mut bag = driving(2, |_| true, |now| now);
+    for tick in 0..=20_u32 {
+        let now = f64::from(tick) / 10.0;
+        let mut pose = stamped(now, &Pose2::new(now, 0.0, 0.0));
+        pose.pose.orientation = Quaternion { x: 0.5_f64.sqrt(), y: 0.0, z: 0.0, w: 0.5_f64.sqrt() };
+        bag = bag.add("/reference", &pose);
+    }
+    let (_, summary) = bag.read(&BagOptions::default()).unwrap();
+    remark(&summary, "Most poses of the reference are tilted by more than 10 degrees");
+}
