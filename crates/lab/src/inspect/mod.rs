@@ -290,10 +290,10 @@ fn lacks(facts: Option<&DriveFacts>) -> Lacks {
 
 /// Shares of a drive, lags and errors beyond which a remark is worth reading.
 const NOTABLE: Notable =
-    Notable { lag_secs: 0.05, position_per_m: 0.1, references: 0.95, unusable: 0.2, lag_intervals: 0.5 };
+    Notable { lag_secs: 0.08, position_per_m: 0.1, references: 0.95, unusable: 0.2, lag_intervals: 0.5 };
 
 struct Notable {
-    /// Half a period of odometry at 10 Hz.
+    /// What clutter and few turns make of no lag at all is up to 0.05 s.
     lag_secs: f64,
     /// Wheel odometry is off by some per cent; by a tenth, something is wrong with it or with the reference.
     position_per_m: f64,
