@@ -585,7 +585,8 @@ fn map_source(arguments: &Map, share: [f64; 2]) -> anyhow::Result<MapSource> {
 
 fn init(arguments: &Init) -> anyhow::Result<u8> {
     let Init { log, out, map, force, log_options: options } = arguments;
-    let inputs: Vec<PathBuf> = map.iter().chain([log]).cloned().collect();
+    let of_log = [locsim_dataset::log_files(log)?, vec![log.clone(), log.join("metadata.yaml")]].concat();
+    let inputs: Vec<PathBuf> = map.iter().cloned().chain(of_log).collect();
     let output = Output { path: out, force: *force, inputs: &inputs };
     output.check()?;
     let cell_m = match map {

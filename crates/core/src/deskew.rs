@@ -7,6 +7,8 @@ use crate::{Drive, Laser, Pose2, Scan, Track};
 /// Readings of neighbouring beams that differ by no more than this \[m\], and this share of the range, are of one surface.
 const ONE_SURFACE_M: f64 = 0.1;
 const ONE_SURFACE_SHARE: f64 = 0.05;
+/// No robot moves faster \[m/s\] or turns faster \[rad/s\]: the odometry was set anew, and says nothing of the sweep.
+const FASTEST: (f64, f64) = (5.0, 7.0);
 /// A bearing has a reading where one lies within so many beams of it.
 const NEAR_BEAMS: f64 = 1.5;
 
@@ -55,6 +57,15 @@ impl Drive {
         let step = (f64::from(bearings[bearings.len() - 1]) - first) / (bearings.len() - 1).max(1) as f64;
         let along = |bearing: f64| (step.signum() * (bearing - first)).rem_euclid(TAU);
         let from_stamp = odometry.pose_at(stamp).compose(&mount);
+        let sweep = laser
+            .beam_times_secs()
+            .iter()
+            .fold(0.0_f32, |sweep, secs| if secs.abs() > sweep.abs() { *secs } else { sweep });
+        let over_sweep = odometry.pose_at(stamp + f64::from(sweep)).relative_to(&odometry.pose_at(stamp));
+        let secs = f64::from(sweep.abs());
+        if over_sweep.position().length() > FASTEST.0 * secs || over_sweep.theta.abs() > FASTEST.1 * secs {
+            return ranges.to_vec();
+        }
         let mut seen: Vec<Seen> = Vec::with_capacity(ranges.len());
         for ((&range, &bearing), &secs) in ranges.iter().zip(bearings).zip(laser.beam_times_secs()) {
             let (range, bearing) = (f64::from(range), f64::from(bearing));
@@ -66,7 +77,7 @@ impl Drive {
             seen.push(if range < max {
                 let (sin, cos) = bearing.sin_cos();
                 let point = moved.compose(&Pose2::new(range * cos, range * sin, 0.0)).position();
-                let range = point.length().min(max.next_down());
+                let range = point.length().min(f64::from(laser.max_range().next_down()));
                 Seen { along: along(point.y.atan2(point.x)), range, is_return: true }
             } else {
                 Seen { along: along(bearing + moved.theta), range: max, is_return: false }
@@ -164,5 +175,21 @@ mod tests {
             assert!(corrected.laser.beam_times_secs().iter().all(|secs| *secs == 0.0));
         }
         assert!(drive(0.0, 1.0).deskewed().is_none());
+    }
+
+    /// An odometry that starts again at the origin moves no reading, and unusable readings stay so.
+    #[test]
+    fn a_reset_of_the_odometry_is_no_motion() {
+        let mut reset = drive(0.2, 1.0);
+        for step in &mut reset.steps[3..] {
+            step.odometry = Pose2::new(step.odometry.x + 50.0, step.odometry.y, step.odometry.theta);
+        }
+        reset.steps[1].scan.ranges[100..140].fill(f32::NAN);
+        let corrected = reset.deskewed().unwrap();
+        assert_eq!(corrected.steps[2].scan, reset.steps[2].scan);
+        assert_ne!(corrected.steps[1].scan, reset.steps[1].scan);
+        let ranges = &corrected.steps[1].scan.ranges;
+        assert!(ranges[115..120].iter().all(|range| range.is_nan()), "{ranges:?}");
+        assert!(ranges.iter().filter(|range| range.is_nan()).count() < 45, "{ranges:?}");
     }
 }

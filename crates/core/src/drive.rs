@@ -168,6 +168,8 @@ const SCANS_FOR_STEP: usize = 100;
 /// scans, and references err.
 const FROZEN_SECS: f64 = 1.0;
 const FROZEN_M: f64 = 0.1;
+/// A reference that has one pose for so long while the odometry comes so far away \[m\] isn't recorded: an odometry at rest jitters.
+const AWAY_M: f64 = 0.3;
 
 /// A recorded drive, simulated or measured: one laser, many steps.
 #[derive(Clone, Debug, PartialEq)]
@@ -272,25 +274,24 @@ impl Drive {
         all
     }
 
-    /// Takes the reference from scans at which it stood still for a second or more while the odometry moved by more than 0.1 m: the last
-    /// pose was sent again. Returns how long that was \[s\], and how far the odometry moved \[m\].
+    /// Takes the reference from scans at which it stood still for a second or more while the odometry came 0.3 m away: the last pose was sent
+    /// again. The scan after them loses it, too, as its pose may lie between the last one and the next. Returns how long that was
+    /// \[s\], and how far the odometry came \[m\].
     pub fn drop_frozen_reference(&mut self) -> [f64; 2] {
         let mut all = [0.0; 2];
         let mut first = 0;
         for i in 1..=self.steps.len() {
-            let is_same = self.steps.get(i).is_some_and(|step| {
-                step.reference.is_some() && step.reference == self.steps[first].reference
-            });
-            if is_same {
+            let of_first = self.steps[first].reference;
+            if of_first.is_some() && self.steps.get(i).is_some_and(|step| step.reference == of_first) {
                 continue;
             }
-            let stretch = &mut self.steps[first..i];
-            let moves = stretch
-                .windows(2)
-                .map(|pair| pair[1].odometry.position().distance(pair[0].odometry.position()));
-            let stood = [stretch[stretch.len() - 1].stamp_secs - stretch[0].stamp_secs, moves.sum()];
-            if stood[0] >= FROZEN_SECS && stood[1] >= FROZEN_M {
-                stretch[1..].iter_mut().for_each(|step| step.reference = None);
+            let from = self.steps[first].odometry.position();
+            let stretch = &self.steps[first..i];
+            let away = stretch.iter().map(|step| step.odometry.position().distance(from)).fold(0.0, f64::max);
+            let stood = [stretch[stretch.len() - 1].stamp_secs - stretch[0].stamp_secs, away];
+            if of_first.is_some() && stood[0] >= FROZEN_SECS && away >= AWAY_M {
+                let after = self.steps.len().min(i + 1);
+                self.steps[first + 1..after].iter_mut().for_each(|step| step.reference = None);
                 all.iter_mut().zip(stood).for_each(|(sum, more)| *sum += more);
             }
             first = i;
@@ -396,7 +397,11 @@ mod tests {
         assert!(secs > 1.0 && metres > 0.1, "{secs} {metres}");
         let without: Vec<usize> =
             (0..moving.steps.len()).filter(|&i| moving.steps[i].reference.is_none()).collect();
-        assert_eq!(without, (21..40).collect::<Vec<_>>());
+        assert_eq!(without, (21..=40).collect::<Vec<_>>());
+        // An odometry that jitters beside a reference at rest.
+        let mut waiting = drive(&|i| 20 + i % 3);
+        waiting.steps.iter_mut().for_each(|step| step.reference = known);
+        assert_eq!(waiting.drop_frozen_reference(), [0.0; 2]);
         let frozen = drive(&|i| if i > 20 { i.max(40) - 20 } else { i }).frozen_odometry();
         assert!(frozen.iter().all(|number| (number - 2.0).abs() < 1e-9), "{frozen:?}");
     }

@@ -101,7 +101,7 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
     let [secs, metres] = drive.drop_frozen_reference();
     if secs > 0.0 {
         summary.remarks.push(format!(
-            "The reference stands still for {secs:.1} s, in which the odometry moves by {metres:.2} m: its scans count as without a \
+            "The reference stands still for {secs:.1} s, in which the odometry comes {metres:.2} m away: its scans count as without a \
              reference."
         ));
     }

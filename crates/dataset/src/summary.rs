@@ -105,7 +105,7 @@ pub struct LogSummary {
     pub stamps_repaired: usize,
     /// Number of scans with the same time as the scan before, after repair.
     pub stamps_repeated: usize,
-    /// Number of scans left out because they are before or after the odometry, or have no readings.
+    /// Number of scans left out because they are before or after the odometry or in a hole of it, or have no readings.
     pub scans_dropped: usize,
     /// Number of intervals between scans for which [`OdometrySource::RestartedOdomLines`] has no odometry. The
     /// motion of the reference stands in for it, so these steps test nothing.
@@ -157,7 +157,7 @@ impl fmt::Display for LogSummary {
         if self.scans_dropped > 0 {
             writeln!(
                 f,
-                "scans: {} left out, without readings or before or after the odometry",
+                "scans: {} left out, without readings or without odometry at their time",
                 self.scans_dropped
             )?;
         }

@@ -26,7 +26,7 @@ pub struct ClockQuality {
     pub repeated: usize,
     /// Number of scans with all readings of the scan before, though the robot has moved.
     pub stale: usize,
-    /// Number of scans left out, before or after the odometry.
+    /// Number of scans left out, without readings or without odometry at their time.
     pub dropped: usize,
     /// How much later than the scans' stamps the odometry shows the turns that the scans show \[s\]; `None` where the robot
     /// turned too little, or scans are too rare.

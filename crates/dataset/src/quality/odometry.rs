@@ -1,4 +1,4 @@
-use locsim_core::{Drive, Pose2, median, wrap_angle};
+use locsim_core::{Drive, DriveStep, Pose2, median, wrap_angle};
 use serde::Serialize;
 
 /// Odometry and reference are compared over windows of this length \[m\] or turn \[rad\]: in shorter ones the reference's own
@@ -19,6 +19,11 @@ const JUMP: (f64, f64) = (0.5, 0.5);
 /// this many times what most steps differ by.
 const REFERENCE_JUMP: (f64, f64) = (0.05, 0.035);
 const USUAL: f64 = 10.0;
+/// The odometry of a step may be off by this share of it, a robot moves that comes farther than this between scans \[m, rad\], and an interval
+/// between scans is a gap that is this many times the usual one.
+const OF_WAY: f64 = 0.1;
+const MOVES: f64 = 1e-3;
+const GAP: f64 = 3.0;
 
 /// How the robot moved by its odometry, and how far off that is.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -126,27 +131,32 @@ impl ReferenceQuality {
 }
 
 /// How far the reference jumps against the odometry \[m, rad\], in the steps between scans where it does. Where the odometry itself makes a
-/// step that no robot can make, the reference doesn't jump.
+/// step that no robot can make, the reference doesn't jump, and across a gap between scans it may go its own way.
 fn reference_jumps(drive: &Drive) -> Vec<[f64; 2]> {
-    let apart: Vec<Option<[f64; 2]>> = drive
+    let secs = |pair: &[DriveStep]| pair[1].stamp_secs - pair[0].stamp_secs;
+    let usual_secs = median(&mut drive.steps.windows(2).map(secs).collect::<Vec<_>>());
+    // What they differ by, and how far the robot went.
+    let apart: Vec<[[f64; 2]; 2]> = drive
         .steps
         .windows(2)
-        .map(|pair| {
+        .filter(|pair| secs(pair) <= GAP * usual_secs)
+        .filter_map(|pair| {
             let (a, b) = pair[0].reference.zip(pair[1].reference)?;
             let odometry = pair[1].odometry.relative_to(&pair[0].odometry);
             let apart = b.relative_to(&a).relative_to(&odometry);
-            let secs = pair[1].stamp_secs - pair[0].stamp_secs;
-            let is_leap = odometry.position().length() > JUMP.0 + FASTEST.0 * secs;
-            (!is_leap).then(|| [apart.position().length(), wrap_angle(apart.theta).abs()])
+            let sizes =
+                [apart, odometry].map(|pose| [pose.position().length(), wrap_angle(pose.theta).abs()]);
+            (sizes[1][0] <= JUMP.0 + FASTEST.0 * secs(pair)).then_some(sizes)
         })
         .collect();
     let usual = |which: usize| {
-        let mut all: Vec<f64> = apart.iter().flatten().map(|apart| apart[which]).collect();
+        let moving = apart.iter().filter(|[_, way]| way[0] > MOVES || way[1] > MOVES);
+        let mut all: Vec<f64> = moving.map(|[apart, _]| apart[which]).collect();
         if all.is_empty() { 0.0 } else { median(&mut all) }
     };
     let least = [REFERENCE_JUMP.0.max(USUAL * usual(0)), REFERENCE_JUMP.1.max(USUAL * usual(1))];
-    let is_jump = |apart: &[f64; 2]| apart[0] > least[0] || apart[1] > least[1];
-    apart.into_iter().flatten().filter(is_jump).collect()
+    let is_jump = |[apart, way]: &[[f64; 2]; 2]| (0..2).any(|i| apart[i] > least[i] + OF_WAY * way[i]);
+    apart.into_iter().filter(is_jump).map(|[apart, _]| apart).collect()
 }
 
 /// A part of the drive, as odometry and reference have it.

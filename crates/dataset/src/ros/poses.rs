@@ -19,8 +19,8 @@ const MOST_PAIRS: usize = 10_000;
 /// known, unless it stood still.
 const HOLE: i64 = 1_000_000_000;
 const HOLE_INTERVALS: i64 = 10;
-/// A robot that moved by no more than this (m, rad) stood still.
-const STILL: (f64, f64) = (0.02, 0.02);
+/// A robot that moved by no more than this (m, rad) stood still: where odometry is sent in motion alone, its first step is in the hole.
+const STILL: (f64, f64) = (0.1, 0.1);
 
 /// A step between poses is a leap beyond this (m) where no robot is so fast (m/s); so many poses may lie elsewhere before the next
 /// is where a robot can be.
@@ -71,9 +71,12 @@ impl Stamped<Pose2> {
         Some([self.items.first()?.0, self.items.last()?.0])
     }
 
-    /// Median time between poses (ns).
+    /// Median time between poses (ns); those of one time count as one.
     fn interval(&self) -> Option<i64> {
         let mut intervals: Vec<i64> = self.items.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+        if intervals.iter().any(|interval| *interval > 0) {
+            intervals.retain(|interval| *interval > 0);
+        }
         intervals.sort_unstable();
         intervals.get(intervals.len() / 2).copied()
     }
@@ -104,13 +107,18 @@ impl Stamped<Pose2> {
             self.items.push(all[i]);
             i += 1;
         }
-        self.longest_step =
-            self.interval().map_or(HOLE, |usual| HOLE.max(usual.saturating_mul(HOLE_INTERVALS)));
+        self.find_holes();
         count - self.items.len()
     }
 
-    /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span.
-    fn at(&self, stamp: i64, nth: usize) -> Option<Pose2> {
+    fn find_holes(&mut self) {
+        self.longest_step =
+            self.interval().map_or(HOLE, |usual| HOLE.max(usual.saturating_mul(HOLE_INTERVALS)));
+    }
+
+    /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span, and in a hole unless those are
+    /// `bridged`.
+    fn at(&self, stamp: i64, nth: usize, bridged: bool) -> Option<Pose2> {
         let from = self.items.partition_point(|(time, _)| *time < stamp);
         let same = self.items[from..].partition_point(|(time, _)| *time == stamp);
         if same > 0 {
@@ -119,7 +127,7 @@ impl Stamped<Pose2> {
         let ((before, a), (after, b)) = (self.items[..from].last()?, self.items.get(from)?);
         let step = b.relative_to(a);
         let is_still = step.position().length() < STILL.0 && step.theta.abs() < STILL.1;
-        if after - before > self.longest_step && !is_still {
+        if !bridged && after - before > self.longest_step && !is_still {
             return None;
         }
         let share = (stamp - before) as f64 / (after - before) as f64;
@@ -154,12 +162,16 @@ impl<'a> Poses<'a> {
     /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span.
     pub fn at(&self, stamp: i64, nth: usize) -> Option<Pose2> {
         match self {
-            Self::Topic(poses) => poses.at(stamp, nth),
+            Self::Topic(poses) => poses.at(stamp, nth, false),
             Self::Transforms(edges) => {
-                edges.iter().try_fold(Pose2::IDENTITY, |pose, edge| Some(edge.at(stamp, nth)?.compose(&pose)))
+                // What moves nearest to the robot is its motion; above are corrections, which change slowly.
+                let lowest = edges.iter().position(|edge| matches!(edge, Edge::Moving { .. }));
+                edges.iter().enumerate().try_fold(Pose2::IDENTITY, |pose, (i, edge)| {
+                    Some(edge.at(stamp, nth, Some(i) != lowest)?.compose(&pose))
+                })
             }
             Self::Corrected { corrections, odometry } => {
-                Some(corrections.at(stamp, nth)?.compose(&odometry.at(stamp, nth)?))
+                Some(corrections.at(stamp, nth, true)?.compose(&odometry.at(stamp, nth)?))
             }
             Self::Unknown => Some(Pose2::IDENTITY),
         }
@@ -231,10 +243,10 @@ pub enum Edge {
 const SAME_TRANSFORM: f64 = 1e-6;
 
 impl Edge {
-    fn at(&self, stamp: i64, nth: usize) -> Option<Pose2> {
+    fn at(&self, stamp: i64, nth: usize, bridged: bool) -> Option<Pose2> {
         match self {
             Self::Fixed(transform) => Some(planar(transform)),
-            Self::Moving { poses, .. } => poses.at(stamp, nth),
+            Self::Moving { poses, .. } => poses.at(stamp, nth, bridged),
         }
     }
 }
@@ -294,11 +306,12 @@ impl Transforms {
         Err(format!("more than {MOST_PAIRS} pairs of frames; allowed: at most {MOST_PAIRS}"))
     }
 
-    /// As [`Stamped::arrange`], for all transforms.
+    /// Sorts all of them. None is left out: a small turn of the map's frame moves the odometry's, which is far away, by a lot.
     pub fn arrange(&mut self) {
         for edge in self.edges.values_mut() {
             if let Edge::Moving { poses, .. } = edge {
-                poses.arrange();
+                poses.sort();
+                poses.find_holes();
             }
         }
     }
@@ -351,7 +364,7 @@ impl Transforms {
         let edges = self.edges.range((laser.to_owned(), String::new())..);
         let mut parents = edges.take_while(|((child, _), _)| child == laser).map(|((_, parent), _)| parent);
         parents.find_map(|parent| {
-            let (base_from_parent, _) = self.fixed(parent, base)?;
+            let (base_from_parent, _) = fixed_along(self.chain(parent, base)?)?;
             Some((laser.to_owned(), parent.clone(), base_from_parent))
         })
     }

@@ -31,6 +31,10 @@ const MOST_OTHER_BEAMS: f64 = 0.1;
 /// A sweep takes no longer than this share of the time between scans.
 const LONGEST_SWEEP: f64 = 1.1;
 
+/// So many scans, and one in so many, may lie before or after the odometry without a remark.
+const FEW: usize = 3;
+const FEW_SHARE: usize = 50;
+
 /// A reference that a localizer gives more seldom than this (s) follows the odometry for most of the time.
 const SELDOM_SECS: f64 = 3.0;
 
@@ -52,6 +56,8 @@ pub struct Layout {
     /// The transform that mounts the laser; `None` where none does.
     pub laser: Option<LaserEdge>,
     pub convention: Convention,
+    /// Number of scans whose beams aren't those of the first.
+    pub moved_beams: usize,
 }
 
 /// The transform from a laser to its parent.
@@ -121,7 +127,7 @@ pub fn read_with_layout(
     let zero_is_no_return = scans.zero_is_no_return(max);
     let convention = Convention { min, max, zero_is_no_return };
     let laser_edge = motion.transforms.laser_edge(scans.frame(), &base);
-    let empty = scans.empty;
+    let (empty, moved_beams) = (scans.empty, scans.moved_beams);
     let scan_remarks = scans.remarks();
     let Stamped { items: scans, late, .. } = scans.stamped;
     let count = scans.len();
@@ -130,13 +136,15 @@ pub fn read_with_layout(
     let (mut no_return, mut unusable, mut longest) = (0_usize, 0_usize, None);
     let (mut repeated, mut nth, mut interpolated) = (0, 0, 0);
     let mut previous = None;
-    let mut outside = 0;
+    let (mut outside, mut in_holes) = (0, 0);
+    let odometry_span = odometry.poses.span();
     for (stamp, mut ranges) in scans {
         // Which of the scans of this very time.
         nth = if previous == Some(stamp) { nth + 1 } else { 0 };
         previous = Some(stamp);
         let Some(odometry) = odometry.poses.at(stamp, nth) else {
             outside += 1;
+            in_holes += usize::from(odometry_span.is_some_and(|[from, to]| (from..=to).contains(&stamp)));
             continue;
         };
         for range in &mut ranges {
@@ -191,7 +199,8 @@ pub fn read_with_layout(
             "Reference poses come every {interval:.1} s. Between them they follow the odometry, whose error can't be told from them."
         ));
     }
-    if outside > 0 {
+    // Topics begin and end at different times: some scans lie outside of every odometry.
+    if in_holes > 0 || outside > FEW.max(count / FEW_SHARE) {
         remarks.push(format!(
             "{outside} of {count} scans are left out: no odometry was recorded when they were taken."
         ));
@@ -222,7 +231,7 @@ pub fn read_with_layout(
     let odom = motion.odometry_frame(&chosen);
     let laser_edge =
         laser_edge.map(|(frame, parent, base_from_parent)| LaserEdge { frame, parent, base_from_parent });
-    Ok((Drive { laser, steps }, summary, Layout { chosen, odom, laser: laser_edge, convention }))
+    Ok((Drive { laser, steps }, summary, Layout { chosen, odom, laser: laser_edge, convention, moved_beams }))
 }
 
 /// The error of what all scans have in common.
@@ -394,19 +403,22 @@ impl Scans {
             return Ok(());
         }
         check_bearings(&scan, ranges.len())?;
+        let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
+        let onto_first =
+            self.first.as_ref().filter(|first| !are_same_beams(first, beams, &scan, ranges.len()));
+        match onto_first.map(|first| on_beams_of(first, beams, &scan, &ranges)) {
+            Some(Ok(moved)) => (ranges, self.moved_beams) = (moved, self.moved_beams + 1),
+            // A first turn that isn't whole is no measure for the others.
+            Some(Err(_)) if self.stamped.items.len() == 1 && ranges.len() > beams => {
+                *self = Self { readings: self.readings, empty: self.empty + 1, ..Self::default() };
+            }
+            Some(Err(reason)) => return Err(reason),
+            None => {}
+        }
         if let Some(first) = &self.first {
-            let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
             if scan.header.frame_id != first.header.frame_id {
                 let (found, allowed) = (quoted(&scan.header.frame_id), quoted(&first.header.frame_id));
                 return Err(format!("frame_id is `{found}`; allowed: `{allowed}`, as in the first"));
-            }
-            let is_alike = |found: f32, other: f32| found.to_bits() == other.to_bits();
-            let are_same_beams = ranges.len() == beams
-                && is_alike(scan.angle_min, first.angle_min)
-                && is_alike(scan.angle_increment, first.angle_increment);
-            if !are_same_beams {
-                ranges = on_beams_of(first, beams, &scan, &ranges)?;
-                self.moved_beams += 1;
             }
             for (field, found, allowed) in [
                 ("range_min", scan.range_min, first.range_min),
@@ -433,15 +445,13 @@ impl Scans {
         self.time_increments_secs / self.stamped.items.len().max(1) as f64
     }
 
-    /// Whether a scan's beams, by their times, are over when the next scan begins.
+    /// Whether a scan's beams, by their times, are over when the next scan begins. Scans may be stamped in pairs: their mean interval counts.
     fn has_plausible_sweep(&self) -> bool {
-        let sweep =
-            self.beam_interval() * self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len()) as f64;
-        let mut intervals: Vec<i64> =
-            self.stamped.items.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
-        intervals.sort_unstable();
-        let usual = intervals.get(intervals.len() / 2).map_or(0.0, |interval| secs(*interval));
-        sweep >= 0.0 && (usual == 0.0 || sweep <= LONGEST_SWEEP * usual)
+        let items = &self.stamped.items;
+        let sweep = self.beam_interval() * items.first().map_or(0, |(_, ranges)| ranges.len()) as f64;
+        let intervals = items.windows(2).filter(|pair| pair[1].0 > pair[0].0).count();
+        let whole = items.first().zip(items.last()).map_or(0.0, |((from, _), (to, _))| secs(to - from));
+        intervals == 0 || sweep.abs() <= LONGEST_SWEEP * whole / intervals as f64
     }
 
     /// What is odd about the scans, in sentences.
@@ -456,7 +466,7 @@ impl Scans {
         }
         if !self.has_plausible_sweep() {
             remarks.push(format!(
-                "time_increment is {:.3e} s, with which the beams of a scan aren't over when the next one begins, or run backwards: all \
+                "time_increment is {:.3e} s, with which the beams of a scan aren't over when the next one begins: all \
                  beams of a scan are taken to be of its stamp.",
                 self.beam_interval()
             ));
@@ -493,6 +503,13 @@ impl Scans {
             mount.base_from_laser,
         )
     }
+}
+
+/// Whether a scan has the beams of the first, by bits.
+fn are_same_beams(first: &LaserScan, beams: usize, scan: &LaserScan, count: usize) -> bool {
+    count == beams
+        && scan.angle_min.to_bits() == first.angle_min.to_bits()
+        && scan.angle_increment.to_bits() == first.angle_increment.to_bits()
 }
 
 /// The readings of a scan on the beams of the first: those nearest to them, NaN where none is within a beam.
@@ -591,10 +608,14 @@ impl Motion {
     /// What is odd about the poses, in sentences.
     fn remarks(&self, chosen: &Chosen) -> Vec<String> {
         let mut remarks = Vec::new();
-        for (i, (source, name)) in
-            [&chosen.odometry, &chosen.reference].into_iter().zip(["odometry", "reference"]).enumerate()
-        {
-            let Some(PoseSource::Topic(channel)) = source else { continue };
+        let topic = |source: &Option<PoseSource>| match source {
+            Some(PoseSource::Topic(channel)) => Some(channel.clone()),
+            _ => None,
+        };
+        let reference = topic(&chosen.reference).or_else(|| chosen.localizer.clone());
+        let sources = [(topic(&chosen.odometry), "odometry"), (reference, "reference")];
+        for (i, (channel, name)) in sources.into_iter().enumerate() {
+            let Some(channel) = channel else { continue };
             let topic = quoted(&channel.topic);
             if let Unusable { count, first: Some(reason) } = &self.unusable[i] {
                 remarks.push(format!(

@@ -87,6 +87,11 @@ impl BagCopy {
                 "the scans are clouds (PointCloud2); allowed: LaserScan, or a CARMEN log to write",
             );
         }
+        if self.layout.moved_beams > 0 {
+            return refuse(
+                "some scans have other beams than the first; allowed: scans of one number of beams, or a CARMEN log to write",
+            );
+        }
         if edit.mount().is_some() && self.layout.laser.is_none() {
             return refuse(
                 "no transform tells where the laser is mounted; allowed: one, as its mount is to change",
@@ -156,7 +161,8 @@ impl BagCopy {
         {
             let mut message: Odometry = decode(data)?;
             let secs = secs(message.header.stamp.nanos());
-            let pose = message.pose.pose.projected()?;
+            // What is no pose is left out by who reads it, and stays.
+            let Ok(pose) = message.pose.pose.projected() else { return Ok(Some(Cow::Borrowed(data))) };
             move_to(&mut message.pose.pose, &pose, &odometry.pose(secs, &pose));
             let twist = &mut message.twist;
             let velocity = Pose2 { x: twist.linear.x, y: twist.linear.y, theta: twist.angular.z };
@@ -208,7 +214,7 @@ impl BagCopy {
             if let Some(odometry) = edit.odometry()
                 && (parent == odom || child == odom)
             {
-                let pose = stamped.transform.projected()?;
+                let Ok(pose) = stamped.transform.projected() else { continue };
                 let changed = if parent == odom {
                     odometry.pose(secs, &pose)
                 } else {

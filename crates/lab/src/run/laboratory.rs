@@ -17,6 +17,7 @@ use locsim_world::simulation::{
 };
 use rand::RngExt;
 
+use super::corrected::corrected;
 use super::coverage::{against_odometry, outside_of_map, unmapped_start, untrained_states};
 use super::filter::fitted_alpha;
 use super::rehearsal::Rehearsal;
@@ -51,7 +52,7 @@ const RUN: u32 = 20;
 const TRAINING_SEED: u32 = u32::MAX;
 
 /// Scans of a log whose clock stands still are taken to be this far apart \[s\], as those of logs that keep a scan each half metre.
-const SCAN_SECS: f64 = 1.0;
+pub(super) const SCAN_SECS: f64 = 1.0;
 
 /// A map in the forms that a run needs.
 #[derive(Clone)]
@@ -229,8 +230,7 @@ impl<'a> Laboratory<'a> {
         progress: &dyn Progress,
     ) -> Result<Self, LabError> {
         progress.stage("reading the log", 1);
-        let MeasuredLog { mut drive, summary, deskewed, warning } = MeasuredLog::read(scenario, log)?;
-        let spread = spread_stamps(&mut drive, SCAN_SECS);
+        let MeasuredLog { drive, summary, corrections, warning } = MeasuredLog::read(scenario, log)?;
         progress.advance(1);
         let map = log_map(log, &drive, progress)?;
         let followed = followed(&scenario.filter, log, &drive);
@@ -245,7 +245,7 @@ impl<'a> Laboratory<'a> {
             None => measured_scans(&drive, &train_steps, &maps.exact, training),
         };
         enough_to_train_on(log, data.poses.len())?;
-        let localized = selected(&drive, &log.localize_scans);
+        let (localized, unjudged) = judged(&drive, selected(&drive, &log.localize_scans));
         let (filter, motion_note) = with_motion_noise(&scenario.filter, &drive, &localized);
         let stretches = log.train_scans.iter().map(|interval| {
             let steps = selected(&drive, &[*interval]).into_iter().map(|i| drive.steps[i].clone()).collect();
@@ -286,9 +286,8 @@ impl<'a> Laboratory<'a> {
              else."
                 .to_owned(),
         ];
-        notes.extend(deskewed);
+        notes.extend(corrections);
         notes.extend(motion_note);
-        notes.extend(spread);
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
         let dropped = train_steps.len() - usable;
         let warnings = [
@@ -307,6 +306,7 @@ impl<'a> Laboratory<'a> {
                     summary.intervals_without_odometry
                 )
             }),
+            unjudged,
             against_odometry(&drive),
             unmapped_start(&*maps.exact, &*maps.distance, &drive),
             outside_of_map(&*maps.exact, &drive),
@@ -505,8 +505,8 @@ pub fn free_poses(maps: &MapSet, count: u32, seed: u64) -> Particles {
 pub(super) struct MeasuredLog {
     pub drive: Drive,
     summary: LogSummary,
-    /// A sentence on the robot's motion within a sweep, where that was taken out of the scans.
-    deskewed: Option<String>,
+    /// What was corrected in its scans, in sentences.
+    corrections: Vec<String>,
     /// A defect of the split that a run survives, in words.
     pub warning: Option<String>,
 }
@@ -517,20 +517,11 @@ impl MeasuredLog {
     /// # Errors
     /// [`LabError::Dataset`] for a log that can't be read, and those of [`check_drive`].
     pub fn read(scenario: &Scenario, log: &Log) -> Result<Self, LabError> {
-        let (mut drive, summary) = read_scenario_log(scenario, log)?;
+        let (drive, summary) = read_scenario_log(scenario, log)?;
         check_drive(scenario, log, &drive, &summary)?;
-        let times = drive.laser.beam_times_secs();
-        let sweep_ms = 1e3 * (times[times.len() - 1] - times[0]);
-        let mut note = None;
-        if let Some(deskewed) = drive.deskewed() {
-            note = Some(format!(
-                "A scan takes {sweep_ms:.0} ms, by the log's own times of the beams. The robot's motion meanwhile, by its odometry, was taken \
-                 out of the readings."
-            ));
-            drive = deskewed;
-        }
+        let (drive, corrections) = corrected(drive);
         let warning = uncovered(log, &drive);
-        Ok(Self { drive, summary, deskewed: note, warning })
+        Ok(Self { drive, summary, corrections, warning })
     }
 }
 
@@ -545,6 +536,21 @@ fn uncovered(log: &Log, drive: &Drive) -> Option<String> {
             100.0 * covered
         )
     })
+}
+
+/// The localized scans that have a reference pose, where some have; with a sentence on the others. Between them the filter follows the odometry.
+fn judged(drive: &Drive, localized: Vec<usize>) -> (Vec<usize>, Option<String>) {
+    let all = localized.len();
+    let known: Vec<usize> =
+        localized.iter().copied().filter(|&i| drive.steps[i].reference.is_some()).collect();
+    let without = all - known.len();
+    if known.is_empty() || without == 0 {
+        return (localized, None);
+    }
+    let told = format!(
+        "{without} of the {all} localized scans have no reference pose to hold an estimate against, and are left out."
+    );
+    (known, Some(told))
 }
 
 /// Whether a log has all that a scenario wants of it.
@@ -578,9 +584,9 @@ fn check_drive(scenario: &Scenario, log: &Log, drive: &Drive, summary: &LogSumma
             no_reference(&summary.topics, &summary.transforms)
         ));
     }
-    if (1..localized.len()).contains(&known) {
+    if known > 0 && 2 * known < localized.len() {
         return refuse(format!(
-            "log.localize_scans: {} of the {} scans have no reference pose; allowed: scans that all have one, or none",
+            "log.localize_scans: {} of the {} scans have no reference pose; allowed: scans of which half have one, or none",
             localized.len() - known,
             localized.len()
         ));
@@ -646,8 +652,6 @@ fn simulated_scans(
 
 /// The map of a measured log: from its file, or from the log's own scans.
 pub(crate) fn log_map(log: &Log, drive: &Drive, progress: &dyn Progress) -> Result<Geometry, LabError> {
-    let deskewed = drive.deskewed();
-    let drive = deskewed.as_ref().unwrap_or(drive);
     let built = match &log.map {
         LogMap::File(file) => {
             let map = scenario::load_map(file)?.geometry;
@@ -657,11 +661,13 @@ pub(crate) fn log_map(log: &Log, drive: &Drive, progress: &dyn Progress) -> Resu
             return Ok(map);
         }
         LogMap::FromScans { scans, resolution_m } => {
+            let (drive, _) = &corrected(drive.clone());
             progress.stage("building the map", 1);
             let options = MappingOptions { resolution_m: *resolution_m, ..MappingOptions::default() };
             occupancy_from_drive(drive, &selected(drive, scans), &options).and_then(|grid| grid.to_geometry())
         }
         LogMap::Walls { scans } => {
+            let (drive, _) = &corrected(drive.clone());
             progress.stage("building the map", 1);
             walls_from_drive(drive, &selected(drive, scans), &MappingOptions::default())
                 .and_then(|walls| walls.to_geometry())
@@ -698,10 +704,12 @@ pub(super) fn check_measured(scenario: &Scenario, log: &Log) -> Result<Vec<Strin
         let (data, _) = measured_scans(&drive, &selected(&drive, &log.train_scans), &map, &scenario.training);
         enough_to_train_on(log, data.poses.len())?;
     }
-    let steps = selected(&drive, &log.localize_scans).into_iter().map(|i| drive.steps[i].clone()).collect();
+    let (localized, unjudged) = judged(&drive, selected(&drive, &log.localize_scans));
+    let steps = localized.into_iter().map(|i| drive.steps[i].clone()).collect();
     let localized = Drive { laser: drive.laser.clone(), steps };
     let warnings = [
         warning,
+        unjudged,
         against_odometry(&localized),
         unmapped_start(&map, &distance, &localized),
         outside_of_map(&map, &localized),

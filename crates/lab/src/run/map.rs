@@ -15,6 +15,7 @@ use locsim_scenario::yaml;
 use locsim_world::map::{ImageFormat, MeasuredMap, OccupancyGrid};
 use plotters::prelude::{Color, RGBColor};
 
+use super::corrected::corrected;
 use super::laboratory::{no_reference, selected, unusable};
 use crate::LabError;
 
@@ -51,14 +52,12 @@ impl LogMaps {
         resolution_m: f64,
         options: &LogOptions,
     ) -> Result<Self, LabError> {
-        let (mut drive, summary) = read_log(log, options)?;
+        let (drive, summary) = read_log(log, options)?;
         if drive.steps.iter().all(|step| step.reference.is_none()) {
             let what = no_reference(&summary.topics, &summary.transforms);
             return Err(LabError::Log { path: log.to_owned(), what });
         }
-        if let Some(deskewed) = drive.deskewed() {
-            drive = deskewed;
-        }
+        let (drive, _) = corrected(drive);
         let options = MappingOptions { resolution_m, ..MappingOptions::default() };
         let steps = selected(&drive, shares);
         let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(log))?;

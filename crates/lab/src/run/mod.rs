@@ -1,6 +1,7 @@
 //! Runs a scenario: prepares the laboratory, runs the trials in parallel, writes the results folder.
 
 mod bounds;
+mod corrected;
 mod coverage;
 mod detail;
 mod estimate;

@@ -138,7 +138,7 @@ fn the_drive_of_a_copy_is_the_changed_one() {
         let edit = Moves {
             mount: Some([mount, said]),
             odometry: Some(Ahead),
-            delay_secs: [-0.5, -0.02],
+            delay_secs: [-0.5, 0.02],
             left_out_secs: 3.0,
         };
         let (copy, before) = copied(&path, edit).unwrap();
@@ -152,7 +152,7 @@ fn the_drive_of_a_copy_is_the_changed_one() {
         for (beam, (after, before)) in
             after.laser.beam_times_secs().iter().zip(before.laser.beam_times_secs()).enumerate()
         {
-            assert!((after - (before + 0.02 * beam as f32)).abs() < 1e-6);
+            assert!((after - (before - 0.02 * beam as f32)).abs() < 1e-6);
         }
         for (after, before) in after.steps.iter().zip(&before.steps) {
             assert!((after.stamp_secs - before.stamp_secs - 0.5).abs() < 1e-9);
