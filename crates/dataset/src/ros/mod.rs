@@ -9,6 +9,7 @@ mod messages;
 mod poses;
 mod read;
 mod rewrite;
+mod scans;
 mod topics;
 mod write;
 

@@ -2,34 +2,24 @@ use std::path::Path;
 
 use glam::DAffine3;
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
-use locsim_core::{Drive, DriveStep, Laser, LaserError, Pose2, Scan};
+use locsim_core::{Drive, DriveStep, LaserError, Pose2, Scan};
 
 use super::BagOptions;
 use super::bag::{Bag, Channel};
 use super::cloud::Clouds;
 use super::messages::{
-    LaserScan, MULTI_ECHO_LASER_SCAN, Message, MultiEchoLaserScan, Odometry, POINT_CLOUD_2,
+    MULTI_ECHO_LASER_SCAN, Message, MultiEchoLaserScan, Odometry, POINT_CLOUD_2,
     POSE_WITH_COVARIANCE_STAMPED, Pose, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
     TRANSFORM_STAMPED, TfMessage, TransformStamped, decode, secs,
 };
 use super::poses::{Poses, Stamped, Transforms, affine, plain, planar};
+use super::scans::{Convention, Scans};
 use super::topics::{Chosen, MAP, ODOM, PoseSource, Topics};
 use crate::laser::checked;
 use crate::{DatasetError, LogKind, LogSummary, MountSource, OdometrySource};
 
 /// A laser that scans in the plane has its axis this near to the vertical: the cosine of 10 degrees.
 const UPRIGHT: f64 = 0.985;
-
-/// The angle from the first beam of a scan to the last, at the most (rad): a turn, with the rounding of some drivers.
-const WIDEST_SCAN: f64 = 1.05 * std::f64::consts::TAU;
-
-/// The ends of a scan are this near to those of the first, at the most (rad), and its number of beams differs by no more than this share
-/// of theirs: spinning lidars give as many as a turn happened to have.
-const OTHER_SECTOR: f64 = 0.1;
-const MOST_OTHER_BEAMS: f64 = 0.1;
-
-/// A sweep takes no longer than this share of the time between scans.
-const LONGEST_SWEEP: f64 = 1.1;
 
 /// So many scans, and one in so many, may lie before or after the odometry without a remark.
 const FEW: usize = 3;
@@ -67,37 +57,6 @@ pub struct LaserEdge {
     pub base_from_parent: DAffine3,
 }
 
-/// How a driver writes readings that are none.
-#[derive(Clone, Copy)]
-pub struct Convention {
-    pub min: f32,
-    pub max: f32,
-    /// 0 is no return.
-    pub zero_is_no_return: bool,
-}
-
-impl Convention {
-    /// The reading as a drive has it: the maximum range without return, NaN where it isn't usable.
-    pub fn reading(self, range: f32) -> f32 {
-        if range >= self.max || (range == 0.0 && self.zero_is_no_return) {
-            self.max
-        } else if range.is_nan() || range < self.min || range == 0.0 {
-            f32::NAN
-        } else {
-            range
-        }
-    }
-
-    /// A reading of a drive as the driver would write it.
-    pub fn written(self, reading: f32) -> f32 {
-        match reading {
-            none if none == self.max && self.zero_is_no_return => 0.0,
-            none if none == self.max => f32::INFINITY,
-            reading => reading,
-        }
-    }
-}
-
 pub fn read_with_layout(
     path: &Path,
     options: &BagOptions,
@@ -113,7 +72,7 @@ pub fn read_with_layout(
     let mount = motion
         .mount(options.base_from_laser, scans.frame(), &base)
         .map_err(|reason| of_first_scan(path, &chosen, reason))?;
-    let laser = scans.laser(&mount, options);
+    let laser = scans.laser(mount.base_from_laser, mount.mirrored, options);
     if let (Err(LaserError::Ranges { .. }), None) = (&laser, options.max_range_m) {
         let range_max = scans.first.as_ref().map_or(f32::NAN, |first| first.range_max);
         let reason = format!(
@@ -129,49 +88,16 @@ pub fn read_with_layout(
     let laser_edge = motion.transforms.laser_edge(scans.frame(), &base);
     let (empty, moved_beams) = (scans.empty, scans.moved_beams);
     let scan_remarks = scans.remarks();
-    let Stamped { items: scans, late, .. } = scans.stamped;
-    let count = scans.len();
-    let span = [scans.first(), scans.last()].map(|scan| scan.map_or(0.0, |(stamp, _)| secs(*stamp)));
-    let mut steps: Vec<DriveStep> = Vec::with_capacity(count);
-    let (mut no_return, mut unusable, mut longest) = (0_usize, 0_usize, None);
-    let (mut repeated, mut nth, mut interpolated) = (0, 0, 0);
-    let mut previous = None;
-    let (mut outside, mut in_holes) = (0, 0);
-    let odometry_span = odometry.poses.span();
-    for (stamp, mut ranges) in scans {
-        // Which of the scans of this very time.
-        nth = if previous == Some(stamp) { nth + 1 } else { 0 };
-        previous = Some(stamp);
-        let Some(odometry) = odometry.poses.at(stamp, nth) else {
-            outside += 1;
-            in_holes += usize::from(odometry_span.is_some_and(|[from, to]| (from..=to).contains(&stamp)));
-            continue;
-        };
-        for range in &mut ranges {
-            *range = convention.reading(*range);
-            if *range == max {
-                no_return += 1;
-            } else if range.is_nan() {
-                unusable += 1;
-            } else {
-                longest = Some(range.max(longest.unwrap_or(0.0)));
-            }
-        }
-        repeated += usize::from(nth > 0);
-        let pose = reference.poses.as_ref().and_then(|poses| poses.at(stamp, nth));
-        let recorded = reference.poses.as_ref().is_some_and(|poses| poses.is_recorded(stamp));
-        interpolated += usize::from(pose.is_some() && !recorded);
-        steps.push(DriveStep { stamp_secs: secs(stamp), odometry, reference: pose, scan: Scan { ranges } });
-    }
-    if steps.is_empty() {
+    let found = Steps::of(scans.stamped, convention, &odometry.poses, reference.poses.as_ref());
+    if found.steps.is_empty() {
         return Err(DatasetError::NoOdometry {
             path: path.to_owned(),
-            scans: count,
-            scan_secs: span,
+            scans: found.scans,
+            scan_secs: found.span_secs,
             odometry_secs: odometry.poses.span().map(|span| span.map(secs)),
         });
     }
-    let readings = (steps.len() * laser.beam_count()) as f64;
+    let readings = (found.steps.len() * laser.beam_count()) as f64;
     let mut evidence = format!(
         "scans from {}, odometry from {}, reference from {}; {}",
         topics.in_words(&chosen.scan),
@@ -199,12 +125,7 @@ pub fn read_with_layout(
             "Reference poses come every {interval:.1} s. Between them they follow the odometry, whose error can't be told from them."
         ));
     }
-    // Topics begin and end at different times: some scans lie outside of every odometry.
-    if in_holes > 0 || outside > FEW.max(count / FEW_SHARE) {
-        remarks.push(format!(
-            "{outside} of {count} scans are left out: no odometry was recorded when they were taken."
-        ));
-    }
+    remarks.extend(found.remark());
     let summary = LogSummary {
         kind: reference.kind,
         odometry: odometry.source,
@@ -213,25 +134,101 @@ pub fn read_with_layout(
         reference_messages: reference.messages,
         reference_deviation: motion.deviation(),
         reference_interval_secs: reference.poses.as_ref().and_then(Poses::interval_secs),
-        references_interpolated: interpolated,
+        references_interpolated: found.interpolated,
         mount: mount.source,
         remarks,
         topics: topics.listed(),
         transforms: motion.transforms.pairs().take(LISTED_PAIRS).collect(),
         skipped: topics.skipped(&chosen),
-        stamps_repaired: late,
-        stamps_repeated: repeated,
-        scans_dropped: count - steps.len() + empty,
+        stamps_repaired: found.late,
+        stamps_repeated: found.repeated,
+        scans_dropped: found.scans - found.steps.len() + empty,
         intervals_without_odometry: 0,
-        no_return_share: no_return as f64 / readings,
-        unusable_share: unusable as f64 / readings,
-        longest_return_m: longest,
+        no_return_share: found.no_return as f64 / readings,
+        unusable_share: found.unusable as f64 / readings,
+        longest_return_m: found.longest,
         scan_source: quoted(&chosen.scan.topic),
     };
     let odom = motion.odometry_frame(&chosen);
     let laser_edge =
         laser_edge.map(|(frame, parent, base_from_parent)| LaserEdge { frame, parent, base_from_parent });
-    Ok((Drive { laser, steps }, summary, Layout { chosen, odom, laser: laser_edge, convention, moved_beams }))
+    Ok((
+        Drive { laser, steps: found.steps },
+        summary,
+        Layout { chosen, odom, laser: laser_edge, convention, moved_beams },
+    ))
+}
+
+/// The scans of a drive with their poses, and what is counted on the way.
+#[derive(Default)]
+struct Steps {
+    steps: Vec<DriveStep>,
+    /// Number of scans with readings, and their first and last time (s).
+    scans: usize,
+    span_secs: [f64; 2],
+    /// Number of scans without odometry, and of those within its time.
+    outside: usize,
+    in_holes: usize,
+    /// Number of scans that were logged late, and of those with the time of the one before.
+    late: usize,
+    repeated: usize,
+    /// Number of reference poses that aren't recorded at the scan's very time.
+    interpolated: usize,
+    no_return: usize,
+    unusable: usize,
+    /// The longest return (m).
+    longest: Option<f32>,
+}
+
+impl Steps {
+    fn of(
+        scans: Stamped<Vec<f32>>,
+        convention: Convention,
+        odometry: &Poses<'_>,
+        reference: Option<&Poses<'_>>,
+    ) -> Self {
+        let Stamped { items, late, .. } = scans;
+        let span_secs = [items.first(), items.last()].map(|scan| scan.map_or(0.0, |(stamp, _)| secs(*stamp)));
+        let mut found = Self { scans: items.len(), span_secs, late, ..Self::default() };
+        let odometry_span = odometry.span();
+        let (mut previous, mut nth) = (None, 0);
+        for (stamp, mut ranges) in items {
+            // Which of the scans of this very time.
+            nth = if previous == Some(stamp) { nth + 1 } else { 0 };
+            previous = Some(stamp);
+            let Some(odometry) = odometry.at(stamp, nth) else {
+                found.outside += 1;
+                let is_within = odometry_span.is_some_and(|[from, to]| (from..=to).contains(&stamp));
+                found.in_holes += usize::from(is_within);
+                continue;
+            };
+            for range in &mut ranges {
+                *range = convention.reading(*range);
+                if *range == convention.max {
+                    found.no_return += 1;
+                } else if range.is_nan() {
+                    found.unusable += 1;
+                } else {
+                    found.longest = Some(range.max(found.longest.unwrap_or(0.0)));
+                }
+            }
+            found.repeated += usize::from(nth > 0);
+            let pose = reference.and_then(|poses| poses.at(stamp, nth));
+            let recorded = reference.is_some_and(|poses| poses.is_recorded(stamp));
+            found.interpolated += usize::from(pose.is_some() && !recorded);
+            let scan = Scan { ranges };
+            found.steps.push(DriveStep { stamp_secs: secs(stamp), odometry, reference: pose, scan });
+        }
+        found
+    }
+
+    /// A sentence on scans without odometry. Topics begin and end at different times: some scans are outside of every odometry.
+    fn remark(&self) -> Option<String> {
+        let Self { outside, scans, .. } = self;
+        (self.in_holes > 0 || *outside > FEW.max(scans / FEW_SHARE)).then(|| {
+            format!("{outside} of {scans} scans are left out: no odometry was recorded when they were taken.")
+        })
+    }
 }
 
 /// The error of what all scans have in common.
@@ -371,192 +368,6 @@ fn messages(
 /// Whether poses are messages of this channel.
 fn is_of(channel: &Channel, source: Option<&PoseSource>) -> bool {
     matches!(source, Some(PoseSource::Topic(topic)) if topic == channel)
-}
-
-/// The scans of a bag.
-#[derive(Default)]
-struct Scans {
-    /// The first scan, without readings.
-    first: Option<LaserScan>,
-    stamped: Stamped<Vec<f32>>,
-    /// Readings of the scans, as the limit counts them.
-    readings: u64,
-    time_increments_secs: f64,
-    /// Number of scans without readings, which aren't kept.
-    empty: usize,
-    /// Number of scans whose beams aren't those of the first.
-    moved_beams: usize,
-}
-
-impl Scans {
-    /// Takes in a scan of the same laser as the first.
-    fn push(&mut self, mut scan: LaserScan, limits: &Limits) -> Result<(), String> {
-        let mut ranges = std::mem::take(&mut scan.ranges);
-        ranges.shrink_to_fit();
-        scan.intensities = Vec::new();
-        self.readings += ranges.len() as u64 + READINGS_PER_SCAN;
-        if self.readings > limits.log_readings {
-            return Err(Limits::refusal_above("log_readings", limits.log_readings));
-        }
-        if ranges.is_empty() {
-            self.empty += 1;
-            return Ok(());
-        }
-        check_bearings(&scan, ranges.len())?;
-        let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
-        let onto_first =
-            self.first.as_ref().filter(|first| !are_same_beams(first, beams, &scan, ranges.len()));
-        match onto_first.map(|first| on_beams_of(first, beams, &scan, &ranges)) {
-            Some(Ok(moved)) => (ranges, self.moved_beams) = (moved, self.moved_beams + 1),
-            // A first turn that isn't whole is no measure for the others.
-            Some(Err(_)) if self.stamped.items.len() == 1 && ranges.len() > beams => {
-                *self = Self { readings: self.readings, empty: self.empty + 1, ..Self::default() };
-            }
-            Some(Err(reason)) => return Err(reason),
-            None => {}
-        }
-        if let Some(first) = &self.first {
-            if scan.header.frame_id != first.header.frame_id {
-                let (found, allowed) = (quoted(&scan.header.frame_id), quoted(&first.header.frame_id));
-                return Err(format!("frame_id is `{found}`; allowed: `{allowed}`, as in the first"));
-            }
-            for (field, found, allowed) in [
-                ("range_min", scan.range_min, first.range_min),
-                ("range_max", scan.range_max, first.range_max),
-            ] {
-                // By bits: a NaN that stays is refused as a laser.
-                if found.to_bits() != allowed.to_bits() {
-                    return Err(format!("{field} is {found}; allowed: {allowed}, as in the first"));
-                }
-            }
-        }
-        if !(0.0..=COORDINATE).contains(&f64::from(scan.time_increment.abs())) {
-            let found = scan.time_increment;
-            return Err(format!("time_increment is {found}; allowed: a finite number up to {COORDINATE:e}"));
-        }
-        self.time_increments_secs += f64::from(scan.time_increment);
-        self.stamped.push(scan.header.stamp.nanos(), ranges)?;
-        self.first.get_or_insert(scan);
-        Ok(())
-    }
-
-    /// Mean time from a beam to the next (s).
-    fn beam_interval(&self) -> f64 {
-        self.time_increments_secs / self.stamped.items.len().max(1) as f64
-    }
-
-    /// Whether a scan's beams, by their times, are over when the next scan begins. Scans may be stamped in pairs: their mean interval counts.
-    fn has_plausible_sweep(&self) -> bool {
-        let items = &self.stamped.items;
-        let sweep = self.beam_interval() * items.first().map_or(0, |(_, ranges)| ranges.len()) as f64;
-        let intervals = items.windows(2).filter(|pair| pair[1].0 > pair[0].0).count();
-        let whole = items.first().zip(items.last()).map_or(0.0, |((from, _), (to, _))| secs(to - from));
-        intervals == 0 || sweep.abs() <= LONGEST_SWEEP * whole / intervals as f64
-    }
-
-    /// What is odd about the scans, in sentences.
-    fn remarks(&self) -> Vec<String> {
-        let mut remarks = Vec::new();
-        if self.moved_beams > 0 {
-            remarks.push(format!(
-                "{} of {} scans have other beams than the first; each of its beams has their nearest reading, up to half a beam off.",
-                self.moved_beams,
-                self.stamped.items.len()
-            ));
-        }
-        if !self.has_plausible_sweep() {
-            remarks.push(format!(
-                "time_increment is {:.3e} s, with which the beams of a scan aren't over when the next one begins: all \
-                 beams of a scan are taken to be of its stamp.",
-                self.beam_interval()
-            ));
-        }
-        remarks
-    }
-
-    /// The frame that the scans are in.
-    fn frame(&self) -> &str {
-        self.first.as_ref().map_or("", |first| plain(&first.header.frame_id))
-    }
-
-    /// Whether the driver writes 0 for no return: it does where some readings are 0 and none is infinite or at the
-    /// maximum.
-    fn zero_is_no_return(&self, max: f32) -> bool {
-        let mut readings = self.stamped.items.iter().flat_map(|(_, ranges)| ranges);
-        let zeros = readings.clone().any(|range| *range == 0.0);
-        zeros && !readings.any(|range| *range >= max)
-    }
-
-    /// The laser that the scans describe.
-    fn laser(&self, mount: &Mount, options: &BagOptions) -> Result<Laser, LaserError> {
-        let first = self.first.as_ref().ok_or(LaserError::NoBeams)?;
-        let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
-        let side = if mount.mirrored { -1.0 } else { 1.0 };
-        let interval = if self.has_plausible_sweep() { self.beam_interval() } else { 0.0 };
-        let row =
-            |start: f32, step: f64| (0..beams).map(move |i| (f64::from(start) + i as f64 * step) as f32);
-        Laser::new(
-            row(first.angle_min, f64::from(first.angle_increment)).map(|bearing| side * bearing).collect(),
-            row(0.0, interval).collect(),
-            options.min_range_m.unwrap_or(first.range_min),
-            options.max_range_m.unwrap_or(first.range_max),
-            mount.base_from_laser,
-        )
-    }
-}
-
-/// Whether a scan has the beams of the first, by bits.
-fn are_same_beams(first: &LaserScan, beams: usize, scan: &LaserScan, count: usize) -> bool {
-    count == beams
-        && scan.angle_min.to_bits() == first.angle_min.to_bits()
-        && scan.angle_increment.to_bits() == first.angle_increment.to_bits()
-}
-
-/// The readings of a scan on the beams of the first: those nearest to them, NaN where none is within a beam.
-///
-/// # Errors
-/// The beams are of another sector, or much fewer or more.
-fn on_beams_of(
-    first: &LaserScan,
-    beams: usize,
-    scan: &LaserScan,
-    ranges: &[f32],
-) -> Result<Vec<f32>, String> {
-    let ends = |scan: &LaserScan, count: usize| {
-        let start = f64::from(scan.angle_min);
-        [start, start + (count as f64 - 1.0) * f64::from(scan.angle_increment)]
-    };
-    let apart = ends(first, beams).into_iter().zip(ends(scan, ranges.len())).map(|(a, b)| (a - b).abs());
-    let is_near = apart.fold(0.0, f64::max) <= OTHER_SECTOR;
-    if !is_near || ranges.len().abs_diff(beams) as f64 > MOST_OTHER_BEAMS * beams as f64 {
-        return Err(format!(
-            "the scan has {} ranges from {} rad, every {} rad; allowed: about {beams} from {}, every {}, as in the first",
-            ranges.len(),
-            scan.angle_min,
-            scan.angle_increment,
-            first.angle_min,
-            first.angle_increment
-        ));
-    }
-    let reading = |beam: usize| {
-        let bearing = f64::from(first.angle_min) + beam as f64 * f64::from(first.angle_increment);
-        let at = ((bearing - f64::from(scan.angle_min)) / f64::from(scan.angle_increment)).round();
-        let is_there = (0.0..ranges.len() as f64).contains(&at);
-        if is_there { ranges[at as usize] } else { f32::NAN }
-    };
-    Ok((0..beams).map(reading).collect())
-}
-
-/// Refuses scans whose beams don't lie beside each other within a turn.
-fn check_bearings(scan: &LaserScan, beams: usize) -> Result<(), String> {
-    let step = f64::from(scan.angle_increment);
-    let most = WIDEST_SCAN / (beams as f64 - 1.0);
-    if beams > 1 && !(step != 0.0 && step.abs() <= most) {
-        return Err(format!(
-            "angle_increment is {step} rad; allowed: not 0, at most {most:.6} for {beams} ranges within a turn"
-        ));
-    }
-    Ok(())
 }
 
 /// How the robot moved, and where its frames are.

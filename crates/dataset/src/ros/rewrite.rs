@@ -175,7 +175,7 @@ impl BagCopy {
             && (edit.odometry().is_some() || edit.mount().is_some())
         {
             let mut message: TfMessage = decode(data)?;
-            self.change_transforms(&mut message, edit)?;
+            self.change_transforms(&mut message, edit);
             return encoded(encode(&message));
         }
         Ok(Some(Cow::Borrowed(data)))
@@ -206,7 +206,7 @@ impl BagCopy {
         Ok(true)
     }
 
-    fn change_transforms(&self, message: &mut TfMessage, edit: &dyn DriveEdit) -> Result<(), String> {
+    fn change_transforms(&self, message: &mut TfMessage, edit: &dyn DriveEdit) {
         let Layout { odom, laser, .. } = &self.layout;
         for stamped in &mut message.transforms {
             let (child, parent) = (plain(&stamped.child_frame_id), plain(&stamped.header.frame_id));
@@ -231,7 +231,6 @@ impl BagCopy {
                 stamped.transform = pose(&(in_parent * affine(&stamped.transform)));
             }
         }
-        Ok(())
     }
 }
 

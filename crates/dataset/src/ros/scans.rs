@@ -1,0 +1,241 @@
+//! The scans of a bag: one laser's, though spinning lidars give a beam more or less.
+
+use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
+use locsim_core::{Laser, LaserError, Pose2};
+
+use super::BagOptions;
+use super::messages::{LaserScan, secs};
+use super::poses::{Stamped, plain};
+
+/// The angle from the first beam of a scan to the last, at the most (rad): a turn, with the rounding of some drivers.
+const WIDEST_SCAN: f64 = 1.05 * std::f64::consts::TAU;
+
+/// The ends of a scan are this near to those of the first, at the most (rad), and its number of beams differs by no more than this share
+/// of theirs: spinning lidars give as many as a turn happened to have.
+const OTHER_SECTOR: f64 = 0.1;
+const MOST_OTHER_BEAMS: f64 = 0.1;
+
+/// A sweep takes no longer than this share of the time between scans.
+const LONGEST_SWEEP: f64 = 1.1;
+
+/// How a driver writes readings that are none.
+#[derive(Clone, Copy)]
+pub struct Convention {
+    pub min: f32,
+    pub max: f32,
+    /// 0 is no return.
+    pub zero_is_no_return: bool,
+}
+
+impl Convention {
+    /// The reading as a drive has it: the maximum range without return, NaN where it isn't usable.
+    pub fn reading(self, range: f32) -> f32 {
+        if range >= self.max || (range == 0.0 && self.zero_is_no_return) {
+            self.max
+        } else if range.is_nan() || range < self.min || range == 0.0 {
+            f32::NAN
+        } else {
+            range
+        }
+    }
+
+    /// A reading of a drive as the driver would write it.
+    pub fn written(self, reading: f32) -> f32 {
+        match reading {
+            none if none == self.max && self.zero_is_no_return => 0.0,
+            none if none == self.max => f32::INFINITY,
+            reading => reading,
+        }
+    }
+}
+
+/// The scans of a bag.
+#[derive(Default)]
+pub struct Scans {
+    /// The first scan, without readings.
+    pub first: Option<LaserScan>,
+    pub stamped: Stamped<Vec<f32>>,
+    /// Readings of the scans, as the limit counts them.
+    readings: u64,
+    time_increments_secs: f64,
+    /// Number of scans without readings, which aren't kept.
+    pub empty: usize,
+    /// Number of scans whose beams aren't those of the first.
+    pub moved_beams: usize,
+}
+
+impl Scans {
+    /// Takes in a scan of the same laser as the first.
+    pub fn push(&mut self, mut scan: LaserScan, limits: &Limits) -> Result<(), String> {
+        let mut ranges = std::mem::take(&mut scan.ranges);
+        ranges.shrink_to_fit();
+        scan.intensities = Vec::new();
+        self.readings += ranges.len() as u64 + READINGS_PER_SCAN;
+        if self.readings > limits.log_readings {
+            return Err(Limits::refusal_above("log_readings", limits.log_readings));
+        }
+        if ranges.is_empty() {
+            self.empty += 1;
+            return Ok(());
+        }
+        check_bearings(&scan, ranges.len())?;
+        let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
+        let onto_first =
+            self.first.as_ref().filter(|first| !are_same_beams(first, beams, &scan, ranges.len()));
+        match onto_first.map(|first| on_beams_of(first, beams, &scan, &ranges)) {
+            Some(Ok(moved)) => (ranges, self.moved_beams) = (moved, self.moved_beams + 1),
+            // A first turn that isn't whole is no measure for the others.
+            Some(Err(_)) if self.stamped.items.len() == 1 && ranges.len() > beams => {
+                *self = Self { readings: self.readings, empty: self.empty + 1, ..Self::default() };
+            }
+            Some(Err(reason)) => return Err(reason),
+            None => {}
+        }
+        if let Some(first) = &self.first {
+            if scan.header.frame_id != first.header.frame_id {
+                let (found, allowed) = (quoted(&scan.header.frame_id), quoted(&first.header.frame_id));
+                return Err(format!("frame_id is `{found}`; allowed: `{allowed}`, as in the first"));
+            }
+            for (field, found, allowed) in [
+                ("range_min", scan.range_min, first.range_min),
+                ("range_max", scan.range_max, first.range_max),
+            ] {
+                // By bits: a NaN that stays is refused as a laser.
+                if found.to_bits() != allowed.to_bits() {
+                    return Err(format!("{field} is {found}; allowed: {allowed}, as in the first"));
+                }
+            }
+        }
+        if !(0.0..=COORDINATE).contains(&f64::from(scan.time_increment.abs())) {
+            let found = scan.time_increment;
+            return Err(format!("time_increment is {found}; allowed: a finite number up to {COORDINATE:e}"));
+        }
+        self.time_increments_secs += f64::from(scan.time_increment);
+        self.stamped.push(scan.header.stamp.nanos(), ranges)?;
+        self.first.get_or_insert(scan);
+        Ok(())
+    }
+
+    /// Mean time from a beam to the next (s).
+    fn beam_interval(&self) -> f64 {
+        self.time_increments_secs / self.stamped.items.len().max(1) as f64
+    }
+
+    /// Whether a scan's beams, by their times, are over when the next scan begins. Scans may be stamped in pairs: their mean interval counts.
+    fn has_plausible_sweep(&self) -> bool {
+        let items = &self.stamped.items;
+        let sweep = self.beam_interval() * items.first().map_or(0, |(_, ranges)| ranges.len()) as f64;
+        let intervals = items.windows(2).filter(|pair| pair[1].0 > pair[0].0).count();
+        let whole = items.first().zip(items.last()).map_or(0.0, |((from, _), (to, _))| secs(to - from));
+        intervals == 0 || sweep.abs() <= LONGEST_SWEEP * whole / intervals as f64
+    }
+
+    /// What is odd about the scans, in sentences.
+    pub fn remarks(&self) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if self.moved_beams > 0 {
+            remarks.push(format!(
+                "{} of {} scans have other beams than the first; each of its beams has their nearest reading, up to half a beam off.",
+                self.moved_beams,
+                self.stamped.items.len()
+            ));
+        }
+        if !self.has_plausible_sweep() {
+            remarks.push(format!(
+                "time_increment is {:.3e} s, with which the beams of a scan aren't over when the next one begins: all \
+                 beams of a scan are taken to be of its stamp.",
+                self.beam_interval()
+            ));
+        }
+        remarks
+    }
+
+    /// The frame that the scans are in.
+    pub fn frame(&self) -> &str {
+        self.first.as_ref().map_or("", |first| plain(&first.header.frame_id))
+    }
+
+    /// Whether the driver writes 0 for no return: it does where some readings are 0 and none is infinite or at the
+    /// maximum.
+    pub fn zero_is_no_return(&self, max: f32) -> bool {
+        let mut readings = self.stamped.items.iter().flat_map(|(_, ranges)| ranges);
+        let zeros = readings.clone().any(|range| *range == 0.0);
+        zeros && !readings.any(|range| *range >= max)
+    }
+
+    /// The laser that the scans describe; `mirrored` where it hangs upside down.
+    pub fn laser(
+        &self,
+        base_from_laser: Pose2,
+        mirrored: bool,
+        options: &BagOptions,
+    ) -> Result<Laser, LaserError> {
+        let first = self.first.as_ref().ok_or(LaserError::NoBeams)?;
+        let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
+        let side = if mirrored { -1.0 } else { 1.0 };
+        let interval = if self.has_plausible_sweep() { self.beam_interval() } else { 0.0 };
+        let row =
+            |start: f32, step: f64| (0..beams).map(move |i| (f64::from(start) + i as f64 * step) as f32);
+        Laser::new(
+            row(first.angle_min, f64::from(first.angle_increment)).map(|bearing| side * bearing).collect(),
+            row(0.0, interval).collect(),
+            options.min_range_m.unwrap_or(first.range_min),
+            options.max_range_m.unwrap_or(first.range_max),
+            base_from_laser,
+        )
+    }
+}
+
+/// Whether a scan has the beams of the first, by bits.
+fn are_same_beams(first: &LaserScan, beams: usize, scan: &LaserScan, count: usize) -> bool {
+    count == beams
+        && scan.angle_min.to_bits() == first.angle_min.to_bits()
+        && scan.angle_increment.to_bits() == first.angle_increment.to_bits()
+}
+
+/// The readings of a scan on the beams of the first: those nearest to them, NaN where none is within a beam.
+///
+/// # Errors
+/// The beams are of another sector, or much fewer or more.
+fn on_beams_of(
+    first: &LaserScan,
+    beams: usize,
+    scan: &LaserScan,
+    ranges: &[f32],
+) -> Result<Vec<f32>, String> {
+    let ends = |scan: &LaserScan, count: usize| {
+        let start = f64::from(scan.angle_min);
+        [start, start + (count as f64 - 1.0) * f64::from(scan.angle_increment)]
+    };
+    let apart = ends(first, beams).into_iter().zip(ends(scan, ranges.len())).map(|(a, b)| (a - b).abs());
+    let is_near = apart.fold(0.0, f64::max) <= OTHER_SECTOR;
+    if !is_near || ranges.len().abs_diff(beams) as f64 > MOST_OTHER_BEAMS * beams as f64 {
+        return Err(format!(
+            "the scan has {} ranges from {} rad, every {} rad; allowed: about {beams} from {}, every {}, as in the first",
+            ranges.len(),
+            scan.angle_min,
+            scan.angle_increment,
+            first.angle_min,
+            first.angle_increment
+        ));
+    }
+    let reading = |beam: usize| {
+        let bearing = f64::from(first.angle_min) + beam as f64 * f64::from(first.angle_increment);
+        let at = ((bearing - f64::from(scan.angle_min)) / f64::from(scan.angle_increment)).round();
+        let is_there = (0.0..ranges.len() as f64).contains(&at);
+        if is_there { ranges[at as usize] } else { f32::NAN }
+    };
+    Ok((0..beams).map(reading).collect())
+}
+
+/// Refuses scans whose beams don't lie beside each other within a turn.
+fn check_bearings(scan: &LaserScan, beams: usize) -> Result<(), String> {
+    let step = f64::from(scan.angle_increment);
+    let most = WIDEST_SCAN / (beams as f64 - 1.0);
+    if beams > 1 && !(step != 0.0 && step.abs() <= most) {
+        return Err(format!(
+            "angle_increment is {step} rad; allowed: not 0, at most {most:.6} for {beams} ranges within a turn"
+        ));
+    }
+    Ok(())
+}
