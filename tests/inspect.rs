@@ -196,6 +196,32 @@ fn a_new_scenario_serves_run_map_and_gap_without_an_edit() {
 }
 
 #[test]
+fn a_bag_keeps_its_files_and_a_log_has_the_name_of_its_format() {
+    let folder = folder_with_a_drive("drive.mcap");
+    let at = |name: &str| folder.path(name);
+    std::fs::create_dir(at("bag")).unwrap();
+    std::fs::rename(at("drive.mcap"), at("bag/drive_0.mcap")).unwrap();
+    folder.write("bag/metadata.yaml", "rosbag2_bagfile_information: {}\n");
+    for file in ["bag/metadata.yaml", "bag/drive_0.mcap"] {
+        let before = std::fs::read(at(file)).unwrap();
+        folder
+            .locsim(&format!("init bag -o {file} --force"))
+            .code(2)
+            .stderr(contains("this command reads it"));
+        assert_eq!(std::fs::read(at(file)).unwrap(), before, "{file}");
+    }
+    for name in ["drive.bag", "drive.db3"] {
+        let allowed = "isn't written as";
+        folder
+            .locsim(&format!("convert bag --out {name}"))
+            .code(2)
+            .stderr(contains(allowed).and(contains(".mcap")));
+        assert!(!at(name).exists(), "{name}");
+    }
+    folder.locsim("convert bag --out drive.log").success();
+}
+
+#[test]
 fn a_new_scenario_takes_a_map_from_another_folder() {
     let folder = folder_with_a_drive("drive.log");
     folder.locsim("map drive.log --out floor").success();

@@ -321,7 +321,10 @@ fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
             (among.len() >= LEAST_OF_WALL).then_some((place, among))
         })
         .collect();
-    stretches.sort_by_key(|(_, among)| std::cmp::Reverse(among.len()));
+    // Those that both logs have seen come first.
+    let shared = pool.at_shared_places().len() as u32;
+    let seen = |among: &[u32]| (among.iter().filter(|&&index| index < shared).count(), among.len());
+    stretches.sort_by_key(|(_, among)| std::cmp::Reverse(seen(among)));
     stretches.truncate(MOST_WALLS);
     stretches
 }

@@ -1,27 +1,11 @@
 //! Scans of a laser that sweeps while the robot moves, as they were from one place.
 
-use std::f64::consts::TAU;
+use glam::DVec2;
 
-use crate::{Drive, Laser, Pose2, Scan, Track};
+use crate::{Drive, Laser, Scan, Track, resampled};
 
-/// Readings of neighbouring beams that differ by no more than this \[m\], and this share of the range, are of one surface.
-const ONE_SURFACE_M: f64 = 0.1;
-const ONE_SURFACE_SHARE: f64 = 0.05;
 /// No robot moves faster \[m/s\] or turns faster \[rad/s\]: the odometry was set anew, and says nothing of the sweep.
 const FASTEST: (f64, f64) = (5.0, 7.0);
-/// A bearing has a reading where one lies within so many beams of it.
-const NEAR_BEAMS: f64 = 1.5;
-
-/// A reading as seen from the laser's place at the scan's stamp.
-#[derive(Clone, Copy)]
-struct Seen {
-    /// From the first beam on \[rad\], in the direction of the beams, in \[0, 2 pi).
-    along: f64,
-    /// \[m\]; the maximum range without a return.
-    range: f64,
-    is_return: bool,
-}
-
 impl Drive {
     /// The drive with each scan as if all of its beams had been read at its stamp: the robot's motion until a beam's own time, by the odometry
     /// between the scans, is taken out of its reading, and readings are interpolated at the laser's bearings where neighbours are of one
@@ -51,11 +35,8 @@ impl Drive {
     }
 
     fn at_stamp(&self, ranges: &[f32], stamp: f64, odometry: &Track) -> Vec<f32> {
-        let (laser, max) = (&self.laser, f64::from(self.laser.max_range()));
+        let (laser, max) = (&self.laser, self.laser.max_range());
         let (bearings, mount) = (laser.bearings(), laser.base_from_laser());
-        let first = f64::from(bearings[0]);
-        let step = (f64::from(bearings[bearings.len() - 1]) - first) / (bearings.len() - 1).max(1) as f64;
-        let along = |bearing: f64| (step.signum() * (bearing - first)).rem_euclid(TAU);
         let from_stamp = odometry.pose_at(stamp).compose(&mount);
         let sweep = laser
             .beam_times_secs()
@@ -66,59 +47,26 @@ impl Drive {
         if over_sweep.position().length() > FASTEST.0 * secs || over_sweep.theta.abs() > FASTEST.1 * secs {
             return ranges.to_vec();
         }
-        let mut seen: Vec<Seen> = Vec::with_capacity(ranges.len());
-        for ((&range, &bearing), &secs) in ranges.iter().zip(bearings).zip(laser.beam_times_secs()) {
-            let (range, bearing) = (f64::from(range), f64::from(bearing));
-            if range.is_nan() {
-                continue;
-            }
+        let beams = ranges.iter().zip(bearings).zip(laser.beam_times_secs());
+        let seen = beams.map(|((&range, &bearing), &secs)| {
             let taken_from = odometry.pose_at(stamp + f64::from(secs)).compose(&mount);
             let moved = taken_from.relative_to(&from_stamp);
-            seen.push(if range < max {
-                let (sin, cos) = bearing.sin_cos();
-                let point = moved.compose(&Pose2::new(range * cos, range * sin, 0.0)).position();
-                let range = point.length().min(f64::from(laser.max_range().next_down()));
-                Seen { along: along(point.y.atan2(point.x)), range, is_return: true }
-            } else {
-                Seen { along: along(bearing + moved.theta), range: max, is_return: false }
-            });
-        }
-        seen.sort_by(|a, b| a.along.total_cmp(&b.along));
-        bearings.iter().map(|bearing| reading_at(&seen, along(f64::from(*bearing)), step.abs())).collect()
+            let bearing = f64::from(bearing);
+            if range >= max {
+                return (bearing + moved.theta, range);
+            }
+            let point = moved.transform_point(f64::from(range) * DVec2::from_angle(bearing));
+            // A return stays one.
+            (point.to_angle(), (point.length() as f32).min(max.next_down()))
+        });
+        resampled(seen, |range| range < max, bearings)
     }
-}
-
-/// The reading at a bearing, between those to both sides.
-fn reading_at(seen: &[Seen], along: f64, beam_rad: f64) -> f32 {
-    let Some(last) = seen.len().checked_sub(1) else { return f32::NAN };
-    let next = seen.partition_point(|seen| seen.along < along);
-    let (before, after) =
-        (seen[if next == 0 { last } else { next - 1 }], seen[if next > last { 0 } else { next }]);
-    let to_before = (along - before.along).rem_euclid(TAU);
-    let to_after = (after.along - along).rem_euclid(TAU);
-    let (nearest, apart) = if to_before < to_after { (before, to_before) } else { (after, to_after) };
-    if apart > NEAR_BEAMS * beam_rad {
-        return f32::NAN;
-    }
-    let between = to_before + to_after;
-    let are_one = before.is_return
-        && after.is_return
-        && between < 2.0 * NEAR_BEAMS * beam_rad
-        && (before.range - after.range).abs() < ONE_SURFACE_M + ONE_SURFACE_SHARE * nearest.range;
-    // Where the line through both meets the bearing.
-    let across = before.range * to_before.sin() + after.range * to_after.sin();
-    let range = if are_one && across > 0.0 {
-        before.range * after.range * between.sin() / across
-    } else {
-        nearest.range
-    };
-    range as f32
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::DriveStep;
+    use crate::{DriveStep, Pose2};
 
     const BEAMS: u32 = 360;
     const HALF_SIDE_M: f64 = 3.0;

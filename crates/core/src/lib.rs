@@ -24,6 +24,7 @@ pub mod output;
 mod particles;
 mod pose;
 mod quantile;
+mod resampled;
 mod shard;
 mod track;
 mod weights;
@@ -44,6 +45,7 @@ pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, Sens
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
 pub use quantile::{median, quantile, sorted};
+pub use resampled::resampled;
 pub use shard::Shard;
 pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

@@ -36,7 +36,7 @@ impl LogFormat {
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         if NOT_WRITTEN.contains(&extension.as_str()) {
             let reason = format!(
-                "a log isn't written as `.{extension}`; allowed: a name that ends in .mcap (a ROS 2 bag), or .log or .log.gz (CARMEN)"
+                "a log isn't written as `.{extension}`; allowed: .mcap for a ROS 2 bag; other names, such as .log or .log.gz, are CARMEN logs"
             );
             return Err(DatasetError::Refused { path: path.to_owned(), line: None, reason });
         }

@@ -257,7 +257,7 @@ pub struct Transforms {
     /// By child and parent.
     edges: BTreeMap<(String, String), Edge>,
     /// Static transforms that were told otherwise later, as `parent:child`.
-    pub told_anew: BTreeSet<String>,
+    pub changed_static: BTreeSet<String>,
 }
 
 impl Transforms {
@@ -269,7 +269,7 @@ impl Transforms {
         if let Some(Edge::Fixed(known)) = self.edges.get(&(child.clone(), parent.clone()))
             && !known.abs_diff_eq(new, SAME_TRANSFORM)
         {
-            self.told_anew.insert(format!("{}:{}", quoted(&parent), quoted(&child)));
+            self.changed_static.insert(format!("{}:{}", quoted(&parent), quoted(&child)));
         }
         let others = self.edges.range((child.clone(), String::new())..).take_while(|((c, _), _)| *c == child);
         let fixed = others.filter(|(_, edge)| matches!(edge, Edge::Fixed(_))).map(|(key, _)| key.clone());

@@ -47,7 +47,7 @@ pub struct Layout {
     pub laser: Option<LaserEdge>,
     pub convention: Convention,
     /// Number of scans whose beams aren't those of the first.
-    pub moved_beams: usize,
+    pub resampled_scans: usize,
 }
 
 /// The transform from a laser to its parent.
@@ -86,7 +86,7 @@ pub fn read_with_layout(
     let zero_is_no_return = scans.zero_is_no_return(max);
     let convention = Convention { min, max, zero_is_no_return };
     let laser_edge = motion.transforms.laser_edge(scans.frame(), &base);
-    let (empty, moved_beams) = (scans.empty, scans.moved_beams);
+    let (empty, resampled_scans) = (scans.empty, scans.resampled_scans);
     let scan_remarks = scans.remarks();
     let found = Steps::of(scans.stamped, convention, &odometry.poses, reference.poses.as_ref());
     if found.steps.is_empty() {
@@ -155,7 +155,7 @@ pub fn read_with_layout(
     Ok((
         Drive { laser, steps: found.steps },
         summary,
-        Layout { chosen, odom, laser: laser_edge, convention, moved_beams },
+        Layout { chosen, odom, laser: laser_edge, convention, resampled_scans },
     ))
 }
 
@@ -430,12 +430,12 @@ impl Motion {
             let topic = quoted(&channel.topic);
             if let Unusable { count, first: Some(reason) } = &self.unusable[i] {
                 remarks.push(format!(
-                    "{count} messages of {topic} have no pose of the {name} and are left out ({reason})."
+                    "Messages of {topic} without a usable pose of the {name} are left out: {count} ({reason})."
                 ));
             }
             if self.astray[i] > 0 {
                 remarks.push(format!(
-                    "{} poses of {topic} lie where no robot can be between their neighbours, and are left out.",
+                    "Poses of {topic} that lie where no robot can be between their neighbours are left out: {}.",
                     self.astray[i]
                 ));
             }
@@ -446,8 +446,8 @@ impl Motion {
                     .to_owned(),
             );
         }
-        if !self.transforms.told_anew.is_empty() {
-            let pairs: Vec<&str> = self.transforms.told_anew.iter().map(String::as_str).collect();
+        if !self.transforms.changed_static.is_empty() {
+            let pairs: Vec<&str> = self.transforms.changed_static.iter().map(String::as_str).collect();
             remarks.push(format!(
                 "Static transforms change during the recording ({}); the last ones are taken for all of it.",
                 pairs.join(", ")

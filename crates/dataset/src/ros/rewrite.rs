@@ -87,7 +87,7 @@ impl BagCopy {
                 "the scans are clouds (PointCloud2); allowed: LaserScan, or a CARMEN log to write",
             );
         }
-        if self.layout.moved_beams > 0 {
+        if self.layout.resampled_scans > 0 {
             return refuse(
                 "some scans have other beams than the first; allowed: scans of one number of beams, or a CARMEN log to write",
             );

@@ -1,7 +1,7 @@
 //! The scans of a bag: one laser's, though spinning lidars give a beam more or less.
 
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
-use locsim_core::{Laser, LaserError, Pose2};
+use locsim_core::{Laser, LaserError, Pose2, resampled};
 
 use super::BagOptions;
 use super::messages::{LaserScan, secs};
@@ -61,7 +61,7 @@ pub struct Scans {
     /// Number of scans without readings, which aren't kept.
     pub empty: usize,
     /// Number of scans whose beams aren't those of the first.
-    pub moved_beams: usize,
+    pub resampled_scans: usize,
 }
 
 impl Scans {
@@ -83,7 +83,7 @@ impl Scans {
         let onto_first =
             self.first.as_ref().filter(|first| !are_same_beams(first, beams, &scan, ranges.len()));
         match onto_first.map(|first| on_beams_of(first, beams, &scan, &ranges)) {
-            Some(Ok(moved)) => (ranges, self.moved_beams) = (moved, self.moved_beams + 1),
+            Some(Ok(moved)) => (ranges, self.resampled_scans) = (moved, self.resampled_scans + 1),
             // A first turn that isn't whole is no measure for the others.
             Some(Err(_)) if self.stamped.items.len() == 1 && ranges.len() > beams => {
                 *self = Self { readings: self.readings, empty: self.empty + 1, ..Self::default() };
@@ -133,10 +133,10 @@ impl Scans {
     /// What is odd about the scans, in sentences.
     pub fn remarks(&self) -> Vec<String> {
         let mut remarks = Vec::new();
-        if self.moved_beams > 0 {
+        if self.resampled_scans > 0 {
             remarks.push(format!(
-                "{} of {} scans have other beams than the first; each of its beams has their nearest reading, up to half a beam off.",
-                self.moved_beams,
+                "{} of {} scans have other beams than the first; their readings are interpolated at its bearings.",
+                self.resampled_scans,
                 self.stamped.items.len()
             ));
         }
@@ -193,7 +193,7 @@ fn are_same_beams(first: &LaserScan, beams: usize, scan: &LaserScan, count: usiz
         && scan.angle_increment.to_bits() == first.angle_increment.to_bits()
 }
 
-/// The readings of a scan on the beams of the first: those nearest to them, NaN where none is within a beam.
+/// The readings of a scan on the beams of the first, by [`resampled`].
 ///
 /// # Errors
 /// The beams are of another sector, or much fewer or more.
@@ -219,13 +219,15 @@ fn on_beams_of(
             first.angle_increment
         ));
     }
-    let reading = |beam: usize| {
-        let bearing = f64::from(first.angle_min) + beam as f64 * f64::from(first.angle_increment);
-        let at = ((bearing - f64::from(scan.angle_min)) / f64::from(scan.angle_increment)).round();
-        let is_there = (0.0..ranges.len() as f64).contains(&at);
-        if is_there { ranges[at as usize] } else { f32::NAN }
-    };
-    Ok((0..beams).map(reading).collect())
+    let bearings: Vec<f32> = (0..beams).map(|beam| bearing(first, beam) as f32).collect();
+    let readings = ranges.iter().enumerate().map(|(beam, range)| (bearing(scan, beam), *range));
+    let is_return = |range: f32| range > 0.0 && range < scan.range_max;
+    Ok(resampled(readings, is_return, &bearings))
+}
+
+/// Bearing of a beam (rad).
+fn bearing(scan: &LaserScan, beam: usize) -> f64 {
+    f64::from(scan.angle_min) + beam as f64 * f64::from(scan.angle_increment)
 }
 
 /// Refuses scans whose beams don't lie beside each other within a turn.

@@ -62,7 +62,7 @@ pub fn find(study: &GapStudy, control: Control<'_>) -> Result<Changes, LabError>
         find_changes(&nominal, &baseline.recorded, &study.recorded, &search, progress, interrupted)?;
     if changes.shared < FEW_SHARED {
         changes.notes.push(format!(
-            "Only {} % of the log's readings are at places that the baseline has seen; the others weren't compared.",
+            "Only {} % of the log's readings are at places that the baseline has seen; the others are compared for objects and lost returns alone.",
             fixed(100.0 * changes.shared, 0)
         ));
     }

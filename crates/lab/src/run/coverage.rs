@@ -109,7 +109,7 @@ pub(super) fn outside_of_map(map: &dyn RangeMap, localized: &Drive) -> Option<St
         .fold((0, 0), |(outside, all), pose| (outside + usize::from(!map.is_free(pose.x, pose.y)), all + 1));
     (10 * outside > all).then(|| {
         format!(
-            "{outside} of {all} localized scans have a reference pose outside of the map's free space. Is it in the map's frame?"
+            "{outside} of {all} localized scans have a reference pose outside of the map's free space. Is the reference in the map's frame?"
         )
     })
 }

@@ -49,7 +49,7 @@ fn poses_that_are_none_are_left_out() {
     for odd in [zero, odometry(2.0, &far), odometry(2.0, &Pose2 { x: f64::NAN, ..Pose2::IDENTITY })] {
         let (drive, summary) = plain().add("/odom", &odd).read(&BagOptions::default()).unwrap();
         assert_eq!(drive, expected);
-        remark(&summary, "1 messages of /odom have no pose of the odometry and are left out (");
+        remark(&summary, "Messages of /odom without a usable pose of the odometry are left out: 1 (");
     }
     let reference = plain().add("/reference", &odometry(1.2, &far));
     assert!(reference.message().contains("/reference: message 1: position is"), "{}", reference.message());
@@ -61,7 +61,10 @@ fn poses_where_no_robot_can_be_are_left_out() {
     let astray = |now: f64| if (2.05..2.25).contains(&now) { 50.0 } else { 0.0 };
     let (drive, summary) =
         driving(5, |_| true, |now| now + astray(now)).read(&BagOptions::default()).unwrap();
-    remark(&summary, "2 poses of /odom lie where no robot can be");
+    remark(
+        &summary,
+        "Poses of /odom that lie where no robot can be between their neighbours are left out: 2.",
+    );
     assert!(drive.steps.iter().all(|step| (step.odometry.x - step.stamp_secs).abs() < 1e-9), "{drive:?}");
     let elsewhere = |now: f64| if now > 2.05 { now + 50.0 } else { now };
     let (drive, summary) = driving(5, |_| true, elsewhere).read(&BagOptions::default()).unwrap();
