@@ -2,7 +2,8 @@
 
 use locsim_core::Drive;
 
-use super::laboratory::{SCAN_SECS, spread_stamps};
+/// Scans of a log whose clock stands still are taken to be this far apart \[s\], as those of logs that keep a scan each half metre.
+const SCAN_SECS: f64 = 1.0;
 
 /// The drive with a time for each scan, without the robot's motion within a sweep, and without readings of scans that were sent again; with
 /// sentences on what there was of these.
@@ -30,6 +31,17 @@ pub(crate) fn corrected(mut drive: Drive) -> (Drive, Vec<String>) {
         ));
     }
     (drive, notes)
+}
+
+/// Gives scans of one stamp times of their own, at most `interval_secs` \[s\] apart; a note on them.
+pub(crate) fn spread_stamps(drive: &mut Drive, interval_secs: f64) -> Option<String> {
+    let spread = drive.spread_stamps(interval_secs);
+    (spread > 0).then(|| {
+        format!(
+            "{spread} scans have the stamp of the scan before. They are taken to come evenly, at most {interval_secs} s apart: times and \
+             speeds are no better than that."
+        )
+    })
 }
 
 #[cfg(test)]

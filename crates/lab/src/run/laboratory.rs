@@ -51,9 +51,6 @@ const RUN: u32 = 20;
 /// Trial numbers from here on are not trials: their seeds serve training.
 const TRAINING_SEED: u32 = u32::MAX;
 
-/// Scans of a log whose clock stands still are taken to be this far apart \[s\], as those of logs that keep a scan each half metre.
-pub(super) const SCAN_SECS: f64 = 1.0;
-
 /// A map in the forms that a run needs.
 #[derive(Clone)]
 pub struct MapSet {
@@ -727,17 +724,6 @@ pub fn read_scenario_log(scenario: &Scenario, log: &Log) -> Result<(Drive, LogSu
             scenario.refusal("log.topics", error.to_string()).into()
         }
         error => error.into(),
-    })
-}
-
-/// Gives scans of one stamp times of their own, at most `interval_secs` \[s\] apart; a note on them.
-pub fn spread_stamps(drive: &mut Drive, interval_secs: f64) -> Option<String> {
-    let spread = drive.spread_stamps(interval_secs);
-    (spread > 0).then(|| {
-        format!(
-            "{spread} scans have the stamp of the scan before. They are taken to come evenly, at most {interval_secs} s apart: times and \
-             speeds are no better than that."
-        )
     })
 }
 

@@ -32,11 +32,12 @@ pub use training::{ScanData, Surroundings, TrainedModel, temper, train};
 pub use unreferenced::{Unreferenced, UnreferencedModel};
 
 use crate::LabError;
+pub(crate) use corrected::spread_stamps;
 use detail::Detail;
 pub(crate) use filter::options as filter_options;
 pub(crate) use grounds::Grounds;
 use laboratory::{Laboratory, TrialDrive, check_measured, check_simulation};
-pub(crate) use laboratory::{log_map, no_reference, refused, selected, spread_stamps};
+pub(crate) use laboratory::{log_map, no_reference, refused, selected};
 pub use laboratory::{read_options, read_scenario_log};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store, StoreError};
