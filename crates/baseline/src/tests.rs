@@ -117,6 +117,18 @@ fn a_sector_that_a_part_of_the_robot_hides_is_named() {
     assert!((range - 0.5).abs() < 0.05, "{range}");
 }
 
+/// What stands in the room since is named; what stood there before and is gone is no object of today's.
+#[test]
+fn an_object_that_came_is_named_and_one_that_went_is_not() {
+    let object: &[(EffectKind, &[f64])] = &[(E::MissingObject, &[2.6, 2.0, 0.15])];
+    let came = changes(&[], object);
+    assert_eq!(names(&came)[0], E::MissingObject, "{came:#?}");
+    let radius = came.effects[0].params["radius_m"].estimate.value;
+    assert!((radius - 0.15).abs() < 0.03, "{radius}");
+    let went = changes(object, &[]);
+    assert!(!names(&went).contains(&E::MissingObject), "{went:#?}");
+}
+
 /// The baseline's log is of another room.
 #[test]
 fn logs_without_a_place_in_common_are_not_compared() {

@@ -2,10 +2,8 @@
 
 use glam::DVec2;
 
-use crate::{Drive, Laser, Scan, Track, resampled};
+use crate::{Drive, FASTEST, Laser, Scan, Track, resampled};
 
-/// No robot moves faster \[m/s\] or turns faster \[rad/s\]: the odometry was set anew, and says nothing of the sweep.
-const FASTEST: (f64, f64) = (5.0, 7.0);
 impl Drive {
     /// The drive with each scan as if all of its beams had been read at its stamp: the robot's motion until a beam's own time, by the odometry
     /// between the scans, is taken out of its reading, and readings are interpolated at the laser's bearings where neighbours are of one
@@ -44,6 +42,7 @@ impl Drive {
             .fold(0.0_f32, |sweep, secs| if secs.abs() > sweep.abs() { *secs } else { sweep });
         let over_sweep = odometry.pose_at(stamp + f64::from(sweep)).relative_to(&odometry.pose_at(stamp));
         let secs = f64::from(sweep.abs());
+        // The odometry was set anew, and says nothing of the sweep.
         if over_sweep.position().length() > FASTEST.0 * secs || over_sweep.theta.abs() > FASTEST.1 * secs {
             return ranges.to_vec();
         }

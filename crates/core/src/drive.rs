@@ -154,6 +154,8 @@ pub struct DriveStep {
     pub scan: Scan,
 }
 
+/// No indoor robot is faster \[m/s\] or turns faster \[rad/s\].
+pub const FASTEST: (f64, f64) = (5.0, 7.0);
 /// A robot that has moved by less than this \[m\], a radian counting as a metre, or than a step of its laser's readings may read the
 /// same.
 const MOVED_M: f64 = 0.005;

@@ -32,7 +32,7 @@ mod weights;
 pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
 pub use control::{Clock, Control, Progress};
 pub use draw::{BATCH, Draw, Stage};
-pub use drive::{Drive, DriveStep, Laser, LaserError, Scan};
+pub use drive::{Drive, DriveStep, FASTEST, Laser, LaserError, Scan};
 pub use elementary::{sin_cos, sin_cos_near_zero};
 pub use endpoint::{EndpointGrid, EndpointScan, EndpointTable};
 pub use folds::{Folds, gains_beyond, gains_surely, sum_error};

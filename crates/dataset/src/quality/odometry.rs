@@ -1,4 +1,4 @@
-use locsim_core::{Drive, DriveStep, Pose2, median, wrap_angle};
+use locsim_core::{Drive, DriveStep, FASTEST, Pose2, median, wrap_angle};
 use serde::Serialize;
 
 /// Odometry and reference are compared over windows of this length \[m\] or turn \[rad\]: in shorter ones the reference's own
@@ -12,8 +12,7 @@ const TURN: f64 = 0.5;
 /// An error beyond this many times the median one counts as this: the reference has jumped.
 const CUT: f64 = 6.0;
 
-/// No indoor robot is faster \[m/s\] or turns faster \[rad/s\], and a shorter step is no jump \[m\] and \[rad\].
-const FASTEST: (f64, f64) = (5.0, 7.0);
+/// A shorter step than this is no jump \[m\] and \[rad\].
 const JUMP: (f64, f64) = (0.5, 0.5);
 /// A reference jumps where, within a step, it moves otherwise than the odometry by more than this \[m\] and \[rad\], and by more than
 /// this many times what most steps differ by.

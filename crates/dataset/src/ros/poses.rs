@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DAffine3, DQuat, DVec3};
-use locsim_core::Pose2;
 use locsim_core::limits::quoted;
+use locsim_core::{FASTEST, Pose2};
 
 use super::bag::LONGEST_NAME;
 use super::messages::{Pose, TransformStamped, secs};
@@ -22,10 +22,9 @@ const HOLE_INTERVALS: i64 = 10;
 /// A robot that moved by no more than this (m, rad) stood still: where odometry is sent in motion alone, its first step is in the hole.
 const STILL: (f64, f64) = (0.1, 0.1);
 
-/// A step between poses is a leap beyond this (m) where no robot is so fast (m/s); so many poses may lie elsewhere before the next
+/// A step between poses is a leap beyond this (m) where no robot is so fast; so many poses may lie elsewhere before the next
 /// is where a robot can be.
 const LEAP_M: f64 = 0.5;
-const FASTEST_M_S: f64 = 5.0;
 const MOST_ASTRAY: usize = 10;
 
 /// Values with the times (ns) of their headers.
@@ -87,7 +86,7 @@ impl Stamped<Pose2> {
         self.sort();
         let is_leap = |(from, a): &(i64, Pose2), (to, b): &(i64, Pose2)| {
             let distance = a.position().distance(b.position());
-            distance > LEAP_M && distance > FASTEST_M_S * secs(to - from)
+            distance > LEAP_M && distance > FASTEST.0 * secs(to - from)
         };
         let all = std::mem::take(&mut self.items);
         let count = all.len();

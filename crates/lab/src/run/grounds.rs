@@ -5,9 +5,8 @@ use std::path::Path;
 use locsim_core::{Draw, Drive, Progress, Stage};
 use locsim_scenario::{self as scenario, Log, Scenario, Simulation, Source};
 
-use super::laboratory::{
-    MapSet, MeasuredLog, drive_of, followed, log_map, refused, selected, unusable, world,
-};
+use super::laboratory::{MapSet, drive_of, followed, refused, world};
+use super::measured_log::{MeasuredLog, log_map, selected, unusable};
 use super::rehearsal::keep_referenced;
 use crate::LabError;
 

@@ -16,7 +16,7 @@ use locsim_world::map::{ImageFormat, MeasuredMap, OccupancyGrid};
 use plotters::prelude::{Color, RGBColor};
 
 use super::corrected::corrected;
-use super::laboratory::{no_reference, selected, unusable};
+use super::measured_log::{no_reference, selected, unusable};
 use crate::LabError;
 
 /// The figure shows at most this many readings: more hide each other.

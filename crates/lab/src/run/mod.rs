@@ -10,6 +10,7 @@ mod grounds;
 mod laboratory;
 mod map;
 mod measure;
+mod measured_log;
 mod rehearsal;
 mod training;
 mod trial;
@@ -36,14 +37,15 @@ pub(crate) use corrected::spread_stamps;
 use detail::Detail;
 pub(crate) use filter::options as filter_options;
 pub(crate) use grounds::Grounds;
+pub(crate) use laboratory::refused;
 use laboratory::{Laboratory, TrialDrive, check_measured, check_simulation};
-pub(crate) use laboratory::{log_map, no_reference, refused, selected};
-pub use laboratory::{read_options, read_scenario_log};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store, StoreError};
 use locsim_report::summary::Summary;
 use locsim_report::{self as report, ReportContext, ReportError};
 use locsim_scenario::{ErrorFrame, Estimate, Scenario, Source};
+pub(crate) use measured_log::{log_map, no_reference, selected};
+pub use measured_log::{read_options, read_scenario_log};
 pub(crate) use rehearsal::START;
 
 /// The recording's name in the results folder.
