@@ -351,7 +351,7 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
         warn(
             reference.jumps > 0,
             format!(
-                "The reference jumps against the odometry in {} steps, by {:.0} cm and {:.1} deg in the median: a localizer has \
+                "The reference jumps against the odometry (steps: {}), by {:.0} cm and {:.1} deg in the median: a localizer has \
                  corrected itself, or wheels have slipped. The odometry's error has these jumps in it.",
                 reference.jumps,
                 100.0 * reference.jump_m,
