@@ -41,7 +41,7 @@ fn keys_types_and_values_of_a_scenario() {
             "  particles: 100",
             "  partcles: 100",
             "s.yaml:15: filter.partcles: `partcles` is not a key; did you mean `particles`? allowed: particles, motion, \
-             resampler, resample, injection, start, beams, estimate, regularization, least_effective_share, annealing",
+             resampler, resample, injection, start, beams, update, estimate, regularization, least_effective_share, annealing",
         ),
         (
             "seed: 3",

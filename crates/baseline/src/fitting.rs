@@ -1,4 +1,4 @@
-//! Effects fitted to today's log, by their net gain over an assignment's baseline.
+//! Effects fitted to today's log, and their net gain over an assignment's baseline.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -44,7 +44,14 @@ pub(super) enum Change {
     Odometry { effect: Effect, given: Given },
 }
 
-/// An effect with its gain on today's stretches (nats).
+/// An effect near a fit, with its gain on today's log (nats).
+struct Near {
+    effect: Effect,
+    change: Change,
+    gain: f64,
+}
+
+/// An effect with its net gain on today's stretches (nats).
 #[derive(Clone)]
 pub(super) struct Fit {
     pub effect: Effect,
@@ -94,7 +101,25 @@ impl Search<'_> {
         Ok(Change::Readings { today, baseline })
     }
 
-    /// Net gain of a change on today's stretches (nats). `logs` are log densities of the readings without and with the given effects.
+    /// Gain of a change on each of today's stretches (nats). `logs` are log densities of the readings without and with the given effects.
+    pub fn today(
+        &self,
+        change: &Change,
+        logs: &[Vec<f64>; 2],
+        assignment: &Assignment,
+        known: &Known,
+    ) -> Vec<f64> {
+        match change {
+            Change::Readings { today, .. } => {
+                today.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today)
+            }
+            Change::Odometry { effect, given } => {
+                self.increments.gains(&known.usual, &given.effects, effect, &assignment.is_today)
+            }
+        }
+    }
+
+    /// Net gain of a change on today's stretches (nats).
     pub fn net(
         &self,
         change: &Change,
@@ -102,22 +127,14 @@ impl Search<'_> {
         assignment: &Assignment,
         known: &Known,
     ) -> Vec<f64> {
-        let [today, baseline] = match change {
-            Change::Readings { today, baseline } => [
-                today.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today),
-                baseline.as_ref().unwrap_or(today).gains(
-                    self.pool,
-                    &known.learnt,
-                    &logs[0],
-                    &assignment.is_baseline,
-                ),
-            ],
-            Change::Odometry { effect, given } => {
-                [(&given.effects[..], &assignment.is_today), (&[], &assignment.is_baseline)]
-                    .map(|(given, used)| self.increments.gains(&known.usual, given, effect, used))
+        let used = &assignment.is_baseline;
+        let baseline = match change {
+            Change::Readings { today, baseline } => {
+                baseline.as_ref().unwrap_or(today).gains(self.pool, &known.learnt, &logs[0], used)
             }
+            Change::Odometry { effect, .. } => self.increments.gains(&known.usual, &[], effect, used),
         };
-        assignment.net(&today, &baseline)
+        assignment.net(&self.today(change, logs, assignment, known), &baseline)
     }
 
     /// Log densities of the readings without and with the given effects.
@@ -125,7 +142,9 @@ impl Search<'_> {
         [&usual(self.pool)[..], expected].map(|expected| self.log_density(&known.learnt, expected))
     }
 
-    /// The strength near a trial that gains most, by a pattern search (Hooke and Jeeves 1961).
+    /// The strength near a trial that gains most on today's log, by a pattern search (Hooke and Jeeves 1961). What the baseline gains
+    /// says whether there is a change, and not how strong it is: where a few of its readings look like the effect's, the net gain of
+    /// a share grows on far beyond the share of today's.
     pub fn fit(
         &self,
         start: Effect,
@@ -135,14 +154,15 @@ impl Search<'_> {
         assignment: &Assignment,
         known: &Known,
     ) -> Result<Fit, GapError> {
-        let fit = |effect: Effect| -> Result<Fit, GapError> {
+        let at = |effect: Effect| -> Result<Near, GapError> {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(GapError::Interrupted);
             }
             let change = self.change(effect.clone(), given, expected)?;
-            Ok(Fit { gains: self.net(&change, logs, assignment, known), effect })
+            let gain = self.today(&change, logs, assignment, known).iter().sum();
+            Ok(Near { effect, change, gain })
         };
-        let mut best = fit(start)?;
+        let mut best = at(start)?;
         let kind = best.effect.kind;
         let mut share = 0.5;
         for _ in 0..HALVINGS {
@@ -163,8 +183,8 @@ impl Search<'_> {
                         };
                         let mut effect = best.effect.clone();
                         effect.values[i] = (value + sign * share * step).clamp(parameter.lo, parameter.hi);
-                        let more = fit(effect)?;
-                        if more.gain() <= best.gain() + LEAST_MORE {
+                        let more = at(effect)?;
+                        if more.gain <= best.gain + LEAST_MORE {
                             break;
                         }
                         best = more;
@@ -182,14 +202,14 @@ impl Search<'_> {
                 if effect == best.effect {
                     break;
                 }
-                let more = fit(effect)?;
-                if more.gain() <= best.gain() + LEAST_MORE {
+                let more = at(effect)?;
+                if more.gain <= best.gain + LEAST_MORE {
                     break;
                 }
                 from = std::mem::replace(&mut best, more).effect;
             }
             share *= 0.5;
         }
-        Ok(best)
+        Ok(Fit { gains: self.net(&best.change, logs, assignment, known), effect: best.effect })
     }
 }

@@ -211,8 +211,11 @@ impl Distribution {
         for bin in 0..BINS {
             let error = (bin as f64 + 0.5) * BIN_M - REACH_M;
             let plain = self.of_error(place, widened, error);
-            let density =
-                if p > 0.0 { (1.0 - p) * plain + p * self.of_error(place, sigma, error) } else { plain };
+            let density = if p > 0.0 {
+                (1.0 - p) * plain + p * self.of_error(place, sigma.hypot(widened), error)
+            } else {
+                plain
+            };
             let to = if shift.is_finite() { bin_of(error + shift, histogram.len()) } else { last };
             histogram[to] += kept * density * BIN_M;
         }

@@ -106,7 +106,7 @@ impl Search<'_> {
         let around = self.around(&mut effect, &smooth, given, expected, &logs, assignment, known)?;
         if let Some(around) = around {
             let of_stretches: Vec<Vec<f64>> =
-                around.changes.iter().map(|change| self.net(change, &logs, assignment, known)).collect();
+                around.changes.iter().map(|change| self.today(change, &logs, assignment, known)).collect();
             let totals: Vec<f64> = of_stretches.iter().map(|gains| gains.iter().sum()).collect();
             let shifts = around.shifts(&totals);
             let variances =
@@ -151,7 +151,7 @@ impl Search<'_> {
             }
             self.change(effect, given, expected)
         };
-        let total = |change: &Change| self.net(change, logs, assignment, known).iter().sum::<f64>();
+        let total = |change: &Change| self.today(change, logs, assignment, known).iter().sum::<f64>();
         let mut steps = Vec::new();
         for &i in smooth {
             let (parameter, value) = (&parameters[i], effect.values[i]);
@@ -222,7 +222,7 @@ impl Search<'_> {
                 rest.is_baseline[stretch] = false;
                 let known = self.learn(&rest);
                 let logs = self.log_densities(&known, expected);
-                let total = |change: &Change| self.net(change, &logs, &rest, &known).iter().sum();
+                let total = |change: &Change| self.today(change, &logs, &rest, &known).iter().sum();
                 around.shifts(&around.changes.iter().map(total).collect::<Vec<f64>>())
             })
             .collect();
@@ -246,6 +246,13 @@ impl Search<'_> {
     ) -> [Vec<Cluster>; 2] {
         let mut places: HashMap<[i32; 2], usize> = HashMap::new();
         let mut groups: BTreeMap<(usize, u32), Vec<f64>> = BTreeMap::new();
+        // A reading outside of bursts says nothing of what they do.
+        let lasting = match &around.changes[0] {
+            Change::Readings { today, .. } => {
+                today.burst_probabilities(self.pool, &known.learnt, &logs[1], &assignment.is_today)
+            }
+            Change::Odometry { .. } => None,
+        };
         for (n, change) in around.changes.iter().enumerate() {
             let Change::Readings { today, .. } = change else { return [Vec::new(), Vec::new()] };
             for (index, gain) in today.reading_gains(self.pool, &known.learnt, &logs[1], &assignment.is_today)
@@ -254,8 +261,9 @@ impl Search<'_> {
                 let count = places.len();
                 let cell = cell_at(self.pool.beam(reading).view.endpoint, CLUSTER_M);
                 let place = *places.entry(cell).or_insert(count);
+                let weight = lasting.as_ref().map_or(1.0, |of_window| of_window[&reading.window]);
                 groups.entry((place, reading.stretch)).or_insert_with(|| vec![0.0; around.changes.len()])
-                    [n] += gain;
+                    [n] += weight * gain;
             }
         }
         let mut of_places = vec![vec![0.0; around.changes.len()]; places.len()];

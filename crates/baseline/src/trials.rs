@@ -1,6 +1,6 @@
 //! The effects that are tried: of each kind some strengths, and for places and sectors those where readings point to one.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec2;
 use locsim_gap::{GapError, OBJECT_CELL_M, WALL_CELL_M, cell_at, values_along};
@@ -106,6 +106,23 @@ impl Trial {
         }
         add_burst(&mut gains, window);
         gains
+    }
+
+    /// Probability that bursts last in each window of time by its readings, if the effect comes in bursts.
+    pub fn burst_probabilities(
+        &self,
+        pool: &Pool<'_>,
+        learnt: &Learnt,
+        log: &[f64],
+        is_used: &[bool],
+    ) -> Option<HashMap<u32, f64>> {
+        let share = self.share?;
+        let mut sums: HashMap<u32, f64> = HashMap::new();
+        for (index, gain) in self.reading_gains(pool, learnt, log, is_used) {
+            *sums.entry(pool.readings[index as usize].window).or_default() += gain;
+        }
+        let logit = (share / (1.0 - share)).ln();
+        Some(sums.into_iter().map(|(window, sum)| (window, 1.0 / (1.0 + (-logit - sum).exp()))).collect())
     }
 
     /// The readings that are changed, by index, with the gain of each (nats); of bursts, while they last.

@@ -59,6 +59,7 @@ fn main() -> Result<()> {
         trigger: ResampleTrigger::EachStep,
         injection: None,
         regularization: None,
+        update: None,
         least_effective_share: None,
         clusters: None,
         annealing: None,

@@ -150,6 +150,7 @@ fn step(bencher: Bencher<'_, '_>, n: usize) {
         trigger: ResampleTrigger::EachStep,
         injection: None,
         regularization: None,
+        update: None,
         least_effective_share: None,
         clusters: None,
         annealing: None,

@@ -17,6 +17,7 @@ use crate::motion::MotionModel;
 use crate::resampling::Resampler;
 use crate::spread::Spread;
 use crate::start::{Start, free_pose};
+use crate::update_threshold::UpdateThreshold;
 use crate::weigh::Weigher;
 
 /// How many particles a filter has.
@@ -48,6 +49,8 @@ pub struct FilterOptions {
     pub particles: ParticleCount,
     /// How the robot moves.
     pub motion: Arc<dyn MotionModel>,
+    /// How far the robot moves before [`Filter::step`] takes another scan in; `None` takes every scan in.
+    pub update: Option<UpdateThreshold>,
     /// Chooses the particles that survive.
     pub resampler: Arc<dyn Resampler>,
     /// When to resample.
@@ -115,7 +118,8 @@ pub struct StepOutcome {
     /// 1 / sum of squared weights, after weighting and before resampling.
     pub effective_sample_size: f64,
     /// Power of the scan's likelihood that was taken in: 1 of a whole scan, less where
-    /// [`FilterOptions::least_effective_share`] or [`FilterOptions::annealing`] cut it.
+    /// [`FilterOptions::least_effective_share`] or [`FilterOptions::annealing`] cut it, 0 of one that
+    /// [`FilterOptions::update`] left out.
     pub likelihood_power: f64,
     /// Number of particles that were weighted.
     pub particle_count: usize,
@@ -166,6 +170,8 @@ pub struct Filter {
     pending: bool,
     /// `particles` descend from `ancestors` of the generation that was last weighted.
     descended: bool,
+    /// Motion since the last update by odometry; `None` before the first.
+    moved: Option<Pose2>,
     /// Share of random particles in the next set, by the last update.
     random_share: f64,
     log_likelihood: Arc<Vec<f64>>,
@@ -257,6 +263,9 @@ impl Filter {
         if let Some(spread) = options.regularization {
             spread.check(["regularization sigma_m", "regularization sigma_rad"])?;
         }
+        if let Some(threshold) = options.update {
+            threshold.check()?;
+        }
         if let Some(share) = options.least_effective_share {
             check("least effective share", share, share > 0.0 && share < 1.0, "above 0 and below 1")?;
         }
@@ -287,6 +296,7 @@ impl Filter {
             resampled: false,
             pending: false,
             descended: false,
+            moved: None,
             random_share: 0.0,
             log_likelihood: Arc::default(),
             weigher: Weigher::default(),
@@ -302,7 +312,8 @@ impl Filter {
         })
     }
 
-    /// One step: predict, weight, estimate, and resample if it is time to.
+    /// One step: predict, weight, estimate, and resample if it is time to. Where the robot hasn't moved far enough for the scan to
+    /// be taken in ([`FilterOptions::update`]), it is a prediction and its estimates.
     ///
     /// # Errors
     /// [`FilterError::Odometry`] and [`FilterError::ScanLength`] for input that makes no sense, which leaves the
@@ -318,11 +329,16 @@ impl Filter {
         self.check_odometry(&input.odometry)?;
         check_scan(self.next_step(), input.laser, input.scan)?;
         self.predict(&input.odometry)?;
+        let is_due = match (self.options.update, &self.moved) {
+            (Some(threshold), Some(moved)) => threshold.is_reached(moved),
+            _ => true,
+        };
         let Update { log_evidence, likelihood_power, recovered, estimates } =
-            self.update(input.laser, input.scan, map, model)?;
+            if is_due { self.update(input.laser, input.scan, map, model)? } else { self.leave_out() };
         let effective_sample_size = self.weights.effective_sample_size();
         let particle_count = self.particles.len();
-        let triggered = recovered.is_none()
+        let triggered = is_due
+            && recovered.is_none()
             && match self.options.trigger {
                 ResampleTrigger::EachStep => true,
                 ResampleTrigger::EffectiveShareBelow(share) => {
@@ -354,7 +370,23 @@ impl Filter {
         self.take_next();
         let draw = Draw::new(self.seeds.filter, Stage::Motion, self.step);
         self.options.motion.propagate(odometry, &draw, Arc::make_mut(&mut self.particles));
+        if let Some(moved) = &mut self.moved {
+            *moved = moved.compose(odometry);
+        }
         Ok(())
+    }
+
+    /// The estimates of a step whose scan isn't taken in.
+    fn leave_out(&mut self) -> Update {
+        let log_likelihood = overwritten(&mut self.log_likelihood);
+        log_likelihood.clear();
+        log_likelihood.resize(self.particles.len(), 0.0);
+        let descended = std::mem::take(&mut self.descended);
+        if let Some(ancestry) = &mut self.ancestry {
+            let parents = descended.then_some(self.ancestors.as_slice());
+            ancestry.record(&self.particles, parents, Some((&self.log_likelihood, 0.0)));
+        }
+        Update { log_evidence: 0.0, likelihood_power: 0.0, recovered: None, estimates: self.estimates() }
     }
 
     /// Weights the particles by a scan of the laser; NaN readings are ignored.
@@ -371,6 +403,7 @@ impl Filter {
         let step = self.step;
         check_scan(step, laser, scan)?;
         self.take_next();
+        self.moved = Some(Pose2::IDENTITY);
         let log_likelihood = overwritten(&mut self.log_likelihood);
         log_likelihood.resize(self.particles.len(), 0.0);
         self.weigher.log_likelihoods(self.particles.as_poses(), laser, scan, map, model, log_likelihood);

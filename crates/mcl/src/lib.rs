@@ -19,6 +19,7 @@ mod motion;
 mod resampling;
 mod spread;
 mod start;
+mod update_threshold;
 mod weigh;
 
 pub use adaptive::{KldOptions, KldSampler};
@@ -36,3 +37,4 @@ pub use motion::{MotionModel, OdometryMotion, VelocityMotion};
 pub use resampling::{Multinomial, Resampler, Residual, Stratified, Systematic};
 pub use spread::Spread;
 pub use start::Start;
+pub use update_threshold::UpdateThreshold;

@@ -98,6 +98,7 @@ fn options(particles: usize, ancestry: bool) -> FilterOptions {
         trigger: ResampleTrigger::EachStep,
         injection: Some(InjectionOptions { alpha_slow: 0.01, alpha_fast: 0.5 }),
         regularization: Some(Spread { sigma_m: 0.01, sigma_rad: 0.01 }),
+        update: None,
         least_effective_share: Some(0.2),
         // One bin: the number of occupied bins is not fixed, but here it is.
         clusters: Some(PoseBins::new(1000.0, 7.0).unwrap()),

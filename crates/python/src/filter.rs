@@ -226,6 +226,7 @@ impl Filter {
             trigger: ResampleTrigger::EachStep,
             injection: injection.map(|(alpha_slow, alpha_fast)| InjectionOptions { alpha_slow, alpha_fast }),
             regularization: regularization.map(|(sigma_m, sigma_rad)| Spread { sigma_m, sigma_rad }),
+            update: None,
             least_effective_share,
             clusters: None,
             annealing: annealing.map(|annealing| annealing.0),

@@ -64,7 +64,23 @@ const UNUSUAL_SCANS: usize = 30;
 /// Remarks to read before the figures: lost trials, scans that don't fit the map, an RMSE far from the median, few effective particles,
 /// scans that were not taken in whole.
 pub fn warnings(results: &RunResults) -> Vec<String> {
-    results.models.iter().enumerate().flat_map(|(i, model)| warnings_of(results, i, model)).collect()
+    let of_models = results.models.iter().enumerate().flat_map(|(i, model)| warnings_of(results, i, model));
+    left_out(results).into_iter().chain(of_models).collect()
+}
+
+/// A sentence on the scans that weren't taken in, which are the same under each model.
+fn left_out(results: &RunResults) -> Option<String> {
+    let steps =
+        || results.trials.iter().filter_map(|trial| trial.models.first()).flat_map(|model| &model.steps);
+    let left_out = steps().filter(|row| row.likelihood_power == 0.0).count();
+    (left_out > 0).then(|| {
+        let of = steps().count();
+        format!(
+            "{left_out} of {of} scans ({:.0} %) were not taken in, as the robot had hardly moved since the scan before \
+             (`filter.update`).",
+            100.0 * left_out as f64 / of as f64
+        )
+    })
 }
 
 fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
@@ -78,7 +94,8 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
     let rmse = (errors.iter().map(|error| error * error).sum::<f64>() / steps).sqrt();
     let is_few = |row: &&StepRow| row.effective_sample_size < FEW_EFFECTIVE * f64::from(row.particles);
     let few = rows().filter(is_few).count() as f64 / steps;
-    let cut: Vec<f64> = rows().map(|row| row.likelihood_power).filter(|power| *power < 1.0).collect();
+    let powers = rows().map(|row| row.likelihood_power);
+    let cut: Vec<f64> = powers.filter(|power| *power > 0.0 && *power < 1.0).collect();
     [
         (lost > 0).then(|| {
             let all = trials.len();

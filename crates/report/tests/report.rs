@@ -344,6 +344,14 @@ fn scans_that_were_not_taken_in_whole_are_warned_of() {
     let expected = format!("{} of {} scans (25 %)", 2 * STEPS.div_ceil(4), 2 * STEPS);
     assert!(cut.contains(&expected) && cut.contains("(median 0.250)"), "{cut}");
     assert_eq!(of(STEPS), Vec::<String>::new());
+
+    let mut standing = results(&[1, 5], 2);
+    let models = standing.trials.iter_mut().flat_map(|trial| &mut trial.models);
+    let rows = models.flat_map(|model| &mut model.steps);
+    rows.filter(|row| row.step < 3).for_each(|row| row.likelihood_power = 0.0);
+    let standing = locsim_report::warnings(&standing);
+    let expected = format!("6 of {} scans", 2 * STEPS);
+    assert!(standing.len() == 1 && standing[0].contains(&expected), "{standing:?}");
 }
 
 #[test]

@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
-use locsim_mcl::{AnnealingOptions, InjectionOptions, KldOptions, ParticleCount, ResampleTrigger, Spread};
+use locsim_mcl::{
+    AnnealingOptions, InjectionOptions, KldOptions, ParticleCount, ResampleTrigger, Spread, UpdateThreshold,
+};
 use locsim_sensor::ModelKind;
 use locsim_world::effect::EffectKind;
 use locsim_world::simulation::{
@@ -133,6 +135,7 @@ fn every_key_arrives_in_si_units_and_radians() {
             injection: Some(InjectionOptions { alpha_slow: 0.001, alpha_fast: 0.1 }),
             start: Start::Tracking(Spread { sigma_m: 0.1, sigma_rad: degrees(3.0) }),
             beams: Some(12),
+            update: Some(UpdateThreshold { distance_m: 0.25, angle_rad: degrees(10.0) }),
             estimate: Estimate::MostLikelyTrajectory,
             regularization: Spread { sigma_m: 0.01, sigma_rad: degrees(0.5) },
             least_effective_share: None,
@@ -242,6 +245,11 @@ fn a_log_is_read_with_its_parts() {
         let other = edited(&text("log.yaml"), "  least_effective_share: 0.1\n", line);
         assert_eq!(parse(&other).unwrap().filter.least_effective_share, share);
     }
+
+    let standing = Some(UpdateThreshold { distance_m: 0.02, angle_rad: 1_f64.to_radians() });
+    assert_eq!(scenario.filter.update, standing);
+    let all = edited(&text("log.yaml"), "  least_eff", "  update: each_scan\n  least_eff");
+    assert_eq!(parse(&all).unwrap().filter.update, None);
 
     let with_map = edited(&text("log.yaml"), "  map_scans: [[0.0, 0.5]]\n", "");
     let with_map = edited(&with_map, "  map_resolution_m: 0.1\n", "");
@@ -420,6 +428,20 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
         "minimal.yaml",
         "particles: 1000",
         "particles: 1000\n  least_effective_share: 1",
+    ),
+    ("update, a word", "simulation.yaml", "{distance_m: 0.25, angle_deg: 10}", "always"),
+    ("update, one key", "simulation.yaml", "{distance_m: 0.25, angle_deg: 10}", "{distance_m: 0.25}"),
+    (
+        "update, below 0",
+        "simulation.yaml",
+        "{distance_m: 0.25, angle_deg: 10}",
+        "{distance_m: -1, angle_deg: 10}",
+    ),
+    (
+        "update, above 360",
+        "simulation.yaml",
+        "{distance_m: 0.25, angle_deg: 10}",
+        "{distance_m: 1, angle_deg: 400}",
     ),
     ("name", "simulation.yaml", "name: everything", "name: all of it"),
     ("zero trials", "simulation.yaml", "trials: 20", "trials: 0"),

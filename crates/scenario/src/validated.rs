@@ -3,7 +3,9 @@ use std::str::FromStr;
 
 use locsim_core::Pose2;
 use locsim_dataset::BagTopics;
-use locsim_mcl::{AnnealingOptions, InjectionOptions, ParticleCount, ResampleTrigger, Spread};
+use locsim_mcl::{
+    AnnealingOptions, InjectionOptions, ParticleCount, ResampleTrigger, Spread, UpdateThreshold,
+};
 use locsim_sensor::{AmclKind, ModelKind};
 use locsim_world::effect::{Effect, EffectError, Effects, Residual};
 use locsim_world::simulation::{BlockOptions, LaserOptions, OdometryNoise, Robot};
@@ -346,6 +348,8 @@ pub struct Filter {
     pub start: Start,
     /// Beams of a scan that the filter uses, spread evenly; `None` for all.
     pub beams: Option<u32>,
+    /// How far the robot moves before another scan is taken in; `None` takes every scan in.
+    pub update: Option<UpdateThreshold>,
     /// Which estimate errors are measured of.
     pub estimate: Estimate,
     /// Jitter added after resampling (regularized particle filter); zero for none.

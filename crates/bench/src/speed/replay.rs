@@ -53,6 +53,7 @@ pub fn filter_options(alpha: [f64; 4], particles: usize) -> Result<FilterOptions
         trigger: ResampleTrigger::EffectiveShareBelow(0.5),
         injection: None,
         regularization: None,
+        update: None,
         least_effective_share: None,
         clusters: None,
         annealing: None,

@@ -87,6 +87,7 @@ pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<Fil
         trigger: settings.resample,
         injection: settings.injection,
         regularization: (jitter != Spread::default()).then_some(jitter),
+        update: settings.update,
         least_effective_share: settings.least_effective_share,
         clusters: (settings.estimate == Estimate::DensestCluster)
             .then(|| PoseBins::new(bin_m, bin_rad))

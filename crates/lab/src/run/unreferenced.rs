@@ -194,7 +194,7 @@ fn localize(
         track.spreads.push([(x + y).sqrt(), theta.sqrt()]);
         track.effective_shares.push(outcome.effective_sample_size / outcome.particle_count as f64);
         track.log_evidence += outcome.log_evidence;
-        track.cut += usize::from(outcome.likelihood_power < 1.0);
+        track.cut += usize::from(outcome.likelihood_power > 0.0 && outcome.likelihood_power < 1.0);
         track.recoveries += usize::from(outcome.recovered.is_some());
     }
     Ok(track)

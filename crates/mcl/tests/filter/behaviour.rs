@@ -6,7 +6,7 @@ use std::sync::Arc;
 use locsim_core::{Beams, Draw, Laser, Particles, Pose2, Scan, SensorModel, wrap_angle};
 use locsim_mcl::{
     Filter, FilterError, FilterOptions, InjectionOptions, KldOptions, NO_PARENT, ParticleCount, PoseBins,
-    Recovery, ResampleTrigger, Spread, Start, StepInput, StepOutcome, weighted_mean,
+    Recovery, ResampleTrigger, Spread, Start, StepInput, StepOutcome, UpdateThreshold, weighted_mean,
 };
 
 use crate::toy::{Gaussian, Room};
@@ -247,6 +247,45 @@ fn regularization_spreads_resampled_particles_as_told() {
         let relative = covariance[axis][axis] / sigma.powi(2) - 1.0;
         assert!(relative.abs() < 4.9 * (2.0 / n as f64).sqrt(), "axis {axis}: {relative}");
     }
+}
+
+/// The same scan a hundred times over says no more than once. Taken in each time it leaves copies of one particle.
+#[test]
+fn scans_of_a_robot_that_stands_are_taken_in_once() {
+    let update = Some(UpdateThreshold { distance_m: 0.1, angle_rad: 0.1 });
+    let stood = |update| {
+        let mut filter = filter(FilterOptions { update, ancestry: true, ..options(2000) }, &tracking(0.2));
+        let outcomes: Vec<StepOutcome> = (0..100).map(|_| stand(&mut filter, &MODEL).unwrap()).collect();
+        (filter, outcomes)
+    };
+    let variance = |outcome: &StepOutcome| {
+        let covariance = outcome.estimates.weighted_mean.covariance;
+        covariance[0][0] + covariance[1][1]
+    };
+    let (_, all) = stood(None);
+    assert!(variance(&all[99]) < 0.1 * variance(&all[0]), "{} {}", variance(&all[0]), variance(&all[99]));
+    let (mut filter, once) = stood(update);
+    assert_eq!(once[0], all[0]);
+    for outcome in &once[1..] {
+        let StepOutcome { log_evidence, likelihood_power, resampled, .. } = *outcome;
+        assert_eq!((log_evidence, likelihood_power, resampled), (0.0, 0.0, false));
+        assert!((variance(outcome) / variance(&once[0]) - 1.0).abs() < 0.3, "only resampling moved it");
+    }
+    // Each scan has its pose in the history, and none has moved.
+    let trajectory = filter.ancestry().unwrap().most_likely_trajectory().unwrap();
+    assert_eq!(trajectory.poses.len(), 100);
+    assert!(trajectory.poses.iter().all(|pose| *pose == trajectory.poses[0]));
+
+    // Six centimetres are too few, twelve are enough; so is a turn.
+    let laser = laser(4);
+    let mut step = |odometry: Pose2| {
+        let scan = scan(&ROOM, &laser, &MODEL, START, 0);
+        let input = StepInput { odometry, laser: &laser, scan: &scan };
+        filter.step(&input, &ROOM, &MODEL).unwrap().likelihood_power
+    };
+    let ahead = Pose2::new(0.06, 0.0, 0.0);
+    assert_eq!([step(ahead), step(ahead), step(ahead)], [0.0, 1.0, 0.0]);
+    assert_eq!([step(Pose2::new(0.0, 0.0, -0.2)), step(Pose2::IDENTITY)], [1.0, 0.0]);
 }
 
 /// A laser that is a hundred times as precise as the start leaves a handful of particles. With a least share it leaves as many as

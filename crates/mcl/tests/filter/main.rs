@@ -39,6 +39,7 @@ fn options(n: usize) -> FilterOptions {
         trigger: ResampleTrigger::EachStep,
         injection: None,
         regularization: None,
+        update: None,
         least_effective_share: None,
         clusters: None,
         annealing: None,

@@ -27,6 +27,10 @@ pub struct RawFilter {
     pub start: RawStart,
     /// Beams of a scan that the filter uses, spread evenly. Default: all.
     pub beams: Option<u64>,
+    /// Which scans are taken in: `each_scan`, or those after the robot has moved by a distance or turned by an angle, as AMCL does
+    /// (`update_min_d`, `update_min_a`). Default: `{distance_m: 0.02, angle_deg: 1}` on a log, where scans of a robot that stands err
+    /// alike; `each_scan` in simulation.
+    pub update: Option<Form<EachScan, RawUpdate>>,
     /// Which pose estimate errors are measured of.
     #[serde(default)]
     pub estimate: Estimate,
@@ -118,6 +122,32 @@ pub enum RawResample {
     EachStep,
     /// When the effective sample size falls below this share of the particles, above 0 to 1.
     EffectiveShareBelow(f64),
+}
+
+/// The word `each_scan`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EachScan {
+    /// Every scan.
+    EachScan,
+}
+
+impl Short for EachScan {
+    const FORMS: &'static [&'static str] = &["each_scan", "{distance_m: ..., angle_deg: ...}"];
+
+    fn from_word(word: &str) -> Option<Self> {
+        (word == "each_scan").then_some(Self::EachScan)
+    }
+}
+
+/// How far the robot moves before another scan is taken in: one of the two is enough.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawUpdate {
+    /// Distance (m), 0 to 1000000.
+    pub distance_m: f64,
+    /// Turn (deg), 0 to 360.
+    pub angle_deg: f64,
 }
 
 /// The word `none`.

@@ -1,5 +1,7 @@
 use locsim_core::Pose2;
-use locsim_mcl::{AnnealingOptions, InjectionOptions, KldOptions, ParticleCount, ResampleTrigger, Spread};
+use locsim_mcl::{
+    AnnealingOptions, InjectionOptions, KldOptions, ParticleCount, ResampleTrigger, Spread, UpdateThreshold,
+};
 
 use super::{MAX_PARTICLES, beams};
 use crate::check::Allowed::{AboveUpTo, Between, FromBelow, Within};
@@ -7,14 +9,17 @@ use crate::check::{ANGLE, COORDINATE, Checker, LENGTH, NOISE, POSITIVE_LENGTH, n
 use crate::form::Form;
 use crate::key_path::join;
 use crate::raw::{
-    Count, MotionModelName, No, NotAnnealed, RawAdaptive, RawAnnealing, RawAround, RawFilter, RawInjection,
-    RawKld, RawLaser, RawMotion, RawResample, RawSpread, RawStart,
+    Count, EachScan, MotionModelName, No, NotAnnealed, RawAdaptive, RawAnnealing, RawAround, RawFilter,
+    RawInjection, RawKld, RawLaser, RawMotion, RawResample, RawSpread, RawStart, RawUpdate,
 };
 use crate::{Filter, Motion, Start};
 
 /// Least effective share of a filter on a log. A log's map and odometry err in ways that no motion noise has, and a scan after such an
 /// error leaves few of 2,000 particles.
 const LEAST_EFFECTIVE: f64 = 0.02;
+/// How far a robot moves between two scans of a log that are taken in: less than between two of most logs, and more than an odometry
+/// jitters by.
+const STANDING: RawUpdate = RawUpdate { distance_m: 0.02, angle_deg: 1.0 };
 
 pub(super) fn filter(
     check: &mut Checker<'_>,
@@ -60,6 +65,11 @@ pub(super) fn filter(
             }
         },
         beams: beams(check, "filter.beams", raw.beams, laser_beams),
+        update: match (&raw.update, has_log) {
+            (Some(Form::Short(EachScan::EachScan)), _) | (None, false) => None,
+            (Some(Form::Full(raw)), _) => Some(update(check, *raw)),
+            (None, true) => Some(update(check, STANDING)),
+        },
         estimate: raw.estimate,
         regularization: spread(check, "filter.regularization", raw.regularization),
         least_effective_share: {
@@ -71,6 +81,13 @@ pub(super) fn filter(
             Form::Short(NotAnnealed::None) => None,
             Form::Full(raw) => Some(annealing(check, raw)),
         },
+    }
+}
+
+fn update(check: &mut Checker<'_>, raw: RawUpdate) -> UpdateThreshold {
+    UpdateThreshold {
+        distance_m: check.number("filter.update.distance_m", raw.distance_m, LENGTH),
+        angle_rad: check.degrees("filter.update.angle_deg", raw.angle_deg, Within(0.0, 360.0)),
     }
 }
 

@@ -178,6 +178,7 @@ fn options(settings: &Settings) -> Result<FilterOptions, LabError> {
         trigger: ResampleTrigger::EachStep,
         injection: None,
         regularization: None,
+        update: None,
         least_effective_share: None,
         clusters: Some(PoseBins::new(bin_m, bin_rad)?),
         annealing: None,
