@@ -165,13 +165,12 @@ impl<'a> State<'a> {
         (0..logs as u32).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
     }
 
-    /// Whether simulated ranges are farther from the log's in the later round than in the first.
+    /// Whether simulated ranges are no nearer to the log's in the later round than in the first. A map that is exact is to be believed
+    /// for as long as they aren't farther by more than two simulations differ.
     pub fn moves_away(&self, first: &Round<'a>, last: &Round<'a>) -> Result<bool, GapError> {
         let (old_mm, new_mm, floor) = self.distances(first, last)?;
-        let closed = floor.closed(old_mm, new_mm);
-        // A map that is exact is to be believed for as long as ranges weren't off before, and are hardly more so.
         let is_strict = self.nominal.pieces.is_some() || floor.is_farther(old_mm, new_mm);
-        Ok(closed.is_some_and(|closed| if is_strict { closed <= 0.0 } else { closed < 0.0 }))
+        Ok(is_strict && floor.closed(old_mm, new_mm).is_some_and(|closed| closed <= 0.0))
     }
 
     /// Whether simulated ranges are farther from the log's in the later round by more than two simulations differ.
