@@ -1,6 +1,6 @@
-//! The time by which odometry lags behind the scans, from the turns that both show.
+//! The time by which odometry lags behind the scans, from the turns that both show, and behind the reference.
 
-use locsim_core::{Drive, Track, wrap_angle};
+use locsim_core::{Drive, DriveStep, Track, wrap_angle};
 
 /// Scans that come more seldom \[s\] tell no lag: between them the odometry is interpolated.
 const LONGEST_INTERVAL_SECS: f64 = 0.5;
@@ -16,6 +16,62 @@ const TURNING: (f64, f64) = (0.01, 0.35);
 const OTHER_SURFACE_M: f32 = 0.3;
 /// The correlation of turns by scans and by odometry at the best lag: below, they don't agree at all.
 const AGREEMENT: f64 = 0.8;
+
+/// Steps between scans that are held against the reference, at the most.
+const STEPS: usize = 2000;
+/// A lag behind the reference is told that makes the differences of both, of distances and of turns, so many times smaller together.
+const LEAST_GAIN: f64 = 3.0;
+/// A lag below is within the interpolation \[s\].
+const LEAST_SECS: f64 = 0.04;
+/// Differences below are digits of the file \[m, rad\].
+const DIGITS: f64 = 1e-4;
+
+/// How much later than the reference the odometry shows the same motion \[s\]; 0 where a lag doesn't explain most of what they differ by.
+pub(super) fn lag_to_reference(drive: &Drive) -> f64 {
+    let Ok(track) = Track::new(drive.steps.iter().map(|step| (step.stamp_secs, step.odometry))) else {
+        return 0.0;
+    };
+    let (most, step) = LAGS_SECS;
+    let count = (most / step).round() as i32;
+    let (secs, end) = (track.secs(), track.secs()[track.len() - 1]);
+    let steps: Vec<_> = (1..drive.steps.len())
+        .filter(|&i| secs[i - 1] >= most && secs[i] <= end - most && secs[i] > secs[i - 1])
+        .filter_map(|i| Some((i, drive.steps[i].reference?.relative_to(&drive.steps[i - 1].reference?))))
+        .collect();
+    let steps: Vec<_> = steps.iter().step_by(steps.len().div_ceil(STEPS).max(1)).collect();
+    if steps.len() < LEAST_PAIRS {
+        return 0.0;
+    }
+    // Mean differences along the way and of the turn, as the logarithm of their product.
+    let difference = |lag: f64| {
+        let mut sums = [DIGITS * steps.len() as f64; 2];
+        for &&(i, reference) in &steps {
+            let [from, to] = [i - 1, i].map(|i| track.pose_at(secs[i] + lag));
+            let apart = reference.relative_to(&to.relative_to(&from));
+            sums[0] += apart.position().length();
+            sums[1] += wrap_angle(apart.theta).abs();
+        }
+        sums[0].ln() + sums[1].ln()
+    };
+    let differences: Vec<f64> = (-count..=count).map(|i| difference(f64::from(i) * step)).collect();
+    let best = (0..differences.len()).min_by(|&a, &b| differences[a].total_cmp(&differences[b]));
+    let best = best.unwrap_or(count as usize);
+    let lag = f64::from(best as i32 - count) * step;
+    let gain = (differences[count as usize] - differences[best]).exp();
+    if gain >= LEAST_GAIN && lag.abs() >= LEAST_SECS { lag } else { 0.0 }
+}
+
+/// The drive with the odometry so much earlier \[s\].
+pub(super) fn with_earlier_odometry(drive: &Drive, lag_secs: f64) -> Drive {
+    let Ok(track) = Track::new(drive.steps.iter().map(|step| (step.stamp_secs, step.odometry))) else {
+        return drive.clone();
+    };
+    let step = |(step, secs): (&DriveStep, &f64)| DriveStep {
+        odometry: track.pose_at(secs + lag_secs),
+        ..step.clone()
+    };
+    Drive { laser: drive.laser.clone(), steps: drive.steps.iter().zip(track.secs()).map(step).collect() }
+}
 
 /// See [`ClockQuality`](super::ClockQuality).
 pub(super) fn odometry_lag(drive: &Drive, interval_secs: f64) -> Option<f64> {

@@ -8,6 +8,8 @@ mod readings;
 use locsim_core::Drive;
 use serde::Serialize;
 
+use lag::{lag_to_reference, with_earlier_odometry};
+
 pub use clock::ClockQuality;
 pub use odometry::{OdometryError, OdometryQuality, ReferenceQuality};
 pub use readings::ReadingQuality;
@@ -31,10 +33,14 @@ impl DriveQuality {
     /// Estimates the quality of a drive that was read with this summary.
     pub fn of(drive: &Drive, summary: &LogSummary) -> Self {
         let has_odometry = summary.odometry != OdometrySource::Missing;
+        let lag_secs = if has_odometry { lag_to_reference(drive) } else { 0.0 };
+        // What a lag makes of a motion is no error of the odometry, and no jump of the reference.
+        let on_time = (lag_secs != 0.0).then(|| with_earlier_odometry(drive, lag_secs));
+        let on_time = on_time.as_ref().unwrap_or(drive);
         Self {
             readings: ReadingQuality::of(drive, has_odometry),
-            odometry: has_odometry.then(|| OdometryQuality::of(drive)),
-            reference: ReferenceQuality::of(drive, has_odometry),
+            odometry: has_odometry.then(|| OdometryQuality::of(drive, on_time, lag_secs)),
+            reference: ReferenceQuality::of(on_time, has_odometry),
             clock: ClockQuality::of(drive, summary, has_odometry),
         }
     }

@@ -37,7 +37,9 @@ pub struct OdometryQuality {
     pub frozen_secs: f64,
     /// How far the reference moved meanwhile \[m\].
     pub frozen_m: f64,
-    /// Its error; `None` without a reference to compare it with.
+    /// How much later than the reference it shows the same motion \[s\]; 0 where a lag doesn't explain most of what they differ by.
+    pub lag_secs: f64,
+    /// Its error, beside the lag; `None` without a reference to compare it with.
     pub error: Option<OdometryError>,
 }
 
@@ -76,7 +78,8 @@ pub struct ReferenceQuality {
 }
 
 impl OdometryQuality {
-    pub(super) fn of(drive: &Drive) -> Self {
+    /// `on_time` is the drive without the lag.
+    pub(super) fn of(drive: &Drive, on_time: &Drive, lag_secs: f64) -> Self {
         let increments: Vec<Pose2> = (1..drive.steps.len()).map(|i| drive.odometry_increment(i)).collect();
         let secs = || drive.steps.windows(2).map(|pair| pair[1].stamp_secs - pair[0].stamp_secs);
         let usual = median(&mut secs().collect::<Vec<_>>());
@@ -98,7 +101,8 @@ impl OdometryQuality {
                 .then(|| increments.iter().zip(secs().map(|secs| secs.max(usual))).filter(jump).count()),
             frozen_secs,
             frozen_m,
-            error: OdometryError::of(drive),
+            lag_secs,
+            error: OdometryError::of(on_time),
         }
     }
 }

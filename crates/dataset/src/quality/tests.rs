@@ -185,6 +185,29 @@ fn a_lag_is_found_on_either_side() {
     }
 }
 
+/// What a lag makes of a motion is neither the odometry's noise nor a jump of the reference; an odometry that is off, or a reference that
+/// jumps, is no lag.
+#[test]
+fn a_lag_behind_the_reference_is_no_error_of_the_odometry() {
+    let plain = quality(PLAIN).odometry.unwrap();
+    assert_eq!(plain.lag_secs, 0.0);
+    for lag_secs in [-0.15, 0.2] {
+        let found = quality(Recording { lag_secs, ..PLAIN });
+        let odometry = found.odometry.unwrap();
+        near(Some(odometry.lag_secs), lag_secs, 0.02);
+        let [with, without] = [odometry, plain.clone()].map(|odometry| odometry.error.unwrap());
+        assert!(with.position_per_m < without.position_per_m + 0.01, "{with:?}");
+        assert_eq!(found.reference.unwrap().jumps, 0);
+    }
+    assert_eq!(quality(Recording { scale: 1.1, ..PLAIN }).odometry.unwrap().lag_secs, 0.0);
+    let mut jumping = drive(PLAIN);
+    for (i, step) in jumping.steps.iter_mut().enumerate() {
+        step.reference =
+            step.reference.map(|pose| Pose2::new(pose.x + 0.08 * (i / 20 % 2) as f64, pose.y, pose.theta));
+    }
+    assert_eq!(DriveQuality::of(&jumping, &summary()).odometry.unwrap().lag_secs, 0.0);
+}
+
 #[test]
 fn gaps_of_scans_and_reference_are_found() {
     let mut holed = drive(PLAIN);

@@ -1,8 +1,7 @@
 //! An odometry that lags behind the stamps.
 
-use locsim_core::{Pose2, Track, wrap_angle};
 use locsim_world::effect::Effects;
-use locsim_world::simulation::{self, Increment, standardized};
+use locsim_world::simulation::{Increment, lagging, standardized};
 
 use super::Misalignment;
 use crate::hypothesis::{Comparison, Fitted};
@@ -11,6 +10,7 @@ use crate::statistics::{Covariate, Deviation};
 /// Lags that are tried: to both sides up to half a second, in steps of this \[s\]: 1 cm at 1 m/s, the noise of a laser.
 const STEPS: i32 = 50;
 const STEP_SECS: f64 = 0.01;
+const MOST_SECS: f64 = STEPS as f64 * STEP_SECS;
 
 /// The odometry's lag behind the stamps \[s\], with its standard error by the curvature of the log likelihood, and the gain on each fold by the
 /// lag of the others.
@@ -23,8 +23,7 @@ pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitte
     // Log likelihood of each fold at each lag, up to a constant.
     let at = |step: i32| -> Vec<f64> {
         let mut sums = vec![0.0; folds.count()];
-        let lagging = lagging(&track, f64::from(step) * STEP_SECS, &increments);
-        for (i, increment) in lagging.enumerate() {
+        for (i, increment) in lagging(&track, f64::from(step) * STEP_SECS, MOST_SECS, &increments) {
             let errors = standardized(&increment, &fitted.nuisances.odometry_error);
             sums[folds.of_scan(i + 1)] -= 0.5 * errors.iter().map(|e| e * e).sum::<f64>();
         }
@@ -47,16 +46,6 @@ pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitte
         estimate: [(lag as f64 - none as f64) * STEP_SECS, STEP_SECS / curvature.sqrt()],
         gains: (0..folds.count()).map(gain).collect(),
     }
-}
-
-/// The increments against those of the track so much earlier \[s\].
-fn lagging(track: &Track, late: f64, increments: &[Increment]) -> impl Iterator<Item = Increment> {
-    let poses: Vec<Pose2> = track.secs().iter().map(|&secs| track.pose_at(secs - late)).collect();
-    let truths = simulation::increments(&poses);
-    increments.iter().zip(truths).map(|(increment, truth)| {
-        let change = [increment.truth[0] - truth[0], wrap_angle(increment.truth[1] - truth[1])];
-        Increment { error: std::array::from_fn(|axis| increment.error[axis] + change[axis]), ..*increment }
-    })
 }
 
 #[cfg(test)]

@@ -232,11 +232,9 @@ impl<'a> State<'a> {
     /// Anything that makes readings off the walls likelier raises the log score where something has no name.
     pub fn come_nearer(&self, path: &mut Path<'a>) -> Result<(), GapError> {
         while let Some(last) = last_of_ranges(&path.named) {
-            let is_farther = match path.without(last) {
-                Some(without) => self.is_farther(without, path.last())?,
-                None => false,
-            };
-            if !is_farther && !self.moves_away(path.first(), path.last())? {
+            let without = path.without(last);
+            let is_farther = without.map(|without| self.is_farther(without, path.last())).transpose()?;
+            if is_farther != Some(true) && !self.moves_away(path.first(), path.last())? {
                 break;
             }
             path.named.remove(last);

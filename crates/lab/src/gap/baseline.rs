@@ -182,6 +182,14 @@ fn sentences(changes: &Changes) -> Vec<String> {
                 "Range errors {before} -> {after} mm from the baseline's with what is named, {floor} mm between stretches of both \
                  logs (p = {p})."
             ));
+            let [before, after, _] = changes.w1_mm;
+            if after > before {
+                text.push(
+                    "Ranges are farther off with what is named: it is weaker than its number says, or something else has changed that \
+                     works against it."
+                        .to_owned(),
+                );
+            }
         }
     }
     text

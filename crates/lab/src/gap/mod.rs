@@ -342,7 +342,7 @@ fn usable(
     let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
     warnings.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
     warnings.extend(summary.remarks.iter().cloned());
-    warnings.extend(late_odometry(&DriveQuality::of(&drive, summary).clock));
+    warnings.extend(late_odometry(&DriveQuality::of(&drive, summary)));
     warnings.extend(without_stale_scans(&mut drive));
     let frozen = drive.frozen_odometry();
     warnings.extend((frozen[0] > 0.0).then(|| frozen_odometry(frozen)));

@@ -10,8 +10,8 @@ use std::path::Path;
 
 use locsim_core::{Drive, Pose2};
 use locsim_dataset::{
-    ClockQuality, DatasetError, DriveQuality, LogContents, LogFormat, LogKind, LogOptions, LogSummary,
-    MountSource, OdometrySource, Scanner, decimal, read_contents, read_log,
+    DatasetError, DriveQuality, LogContents, LogFormat, LogKind, LogOptions, LogSummary, MountSource,
+    OdometrySource, Scanner, decimal, read_contents, read_log,
 };
 use serde::Serialize;
 
@@ -310,13 +310,16 @@ pub fn frozen_odometry([secs, metres]: [f64; 2]) -> String {
     )
 }
 
-/// A sentence on an odometry that is late, or early, against the scans.
-pub fn late_odometry(clock: &ClockQuality) -> Option<String> {
-    let lag = clock.odometry_lag_secs?;
+/// A sentence on an odometry that is late, or early, against the scans; where they don't tell, against the reference.
+pub fn late_odometry(quality: &DriveQuality) -> Option<String> {
+    let clock = &quality.clock;
     let least = NOTABLE.lag_secs.max(NOTABLE.lag_intervals * clock.interval_secs.unwrap_or(0.0));
+    let behind_scans = clock.odometry_lag_secs.map(|lag| (lag, "scans"));
+    let behind_reference = || Some((quality.odometry.as_ref()?.lag_secs, "reference"));
+    let (lag, than) = behind_scans.or_else(behind_reference)?;
     (lag.abs() >= least).then(|| {
         format!(
-            "The odometry {} the scans by {:.0} ms: their stamps are of different clocks, or late.",
+            "The odometry {} the {than} by {:.0} ms: their stamps are of different clocks, or late.",
             if lag > 0.0 { "lags behind" } else { "is ahead of" },
             1e3 * lag.abs()
         )
@@ -375,7 +378,7 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
             );
         }
     }
-    let late = late_odometry(clock);
+    let late = late_odometry(&facts.quality);
     warn(late.is_some(), late.unwrap_or_default());
     warn(
         2 * clock.repeated > facts.scans,

@@ -238,6 +238,9 @@ fn odometry_error(odometry: &locsim_dataset::OdometryQuality) -> String {
     if let Some(per_rad) = error.heading_per_rad {
         _ = write!(text, ", {:.1} % of each turn", 100.0 * per_rad);
     }
+    if odometry.lag_secs != 0.0 {
+        _ = write!(text, ", beside a lag of {:+.0} ms against the reference", 1e3 * odometry.lag_secs);
+    }
     format!("{text} (over {} windows of about a metre)", error.windows)
 }
 

@@ -1,7 +1,7 @@
 //! Increments of the odometry against those of the reference.
 
 use glam::DVec2;
-use locsim_core::{Pose2, median, normal};
+use locsim_core::{Pose2, Track, median, normal, wrap_angle};
 
 use super::OdometryNoise;
 use crate::effect::Effects;
@@ -274,25 +274,30 @@ pub fn standardized(increment: &Increment, error: &OdometrySpread) -> [f64; 2] {
     std::array::from_fn(|axis| (increment.error[axis] / increment.deviation(error, axis)).clamp(-CUT, CUT))
 }
 
-/// Evidence of each increment for an odometry that lags behind the stamps: by the lag's first order, an increment is that of the
-/// truth less the lag times its rate of change. The product of error and slope, and the square of the slope, in standard
-/// deviations \[1/s, 1/s^2\]; the first one is of the second increment.
-pub fn lag_slopes(increments: &[Increment], error: &OdometrySpread, secs: &[f64]) -> Vec<[f64; 2]> {
-    let triples = increments.windows(3).zip(secs.windows(4));
-    triples
-        .map(|(triple, secs)| {
-            let [before, here, after] = triple else { return [0.0; 2] };
-            let errors = standardized(here, error);
-            let mut slopes = [0.0; 2];
-            for (axis, value) in errors.into_iter().enumerate() {
-                let change = 0.5 * (after.truth[axis] - before.truth[axis]) / (secs[2] - secs[1]).max(1e-6);
-                let slope = -change / here.deviation(error, axis);
-                slopes[0] += slope * value;
-                slopes[1] += slope * slope;
-            }
-            slopes
-        })
-        .collect()
+/// The increments against those of the track so much earlier \[s\], which is what an odometry that lags by that errs by; each with its
+/// index. Those of the first and the last `reach_secs` of the track are left out: nothing is known of the motion before and after.
+pub fn lagging(
+    track: &Track,
+    late_secs: f64,
+    reach_secs: f64,
+    increments: &[Increment],
+) -> impl Iterator<Item = (usize, Increment)> {
+    let secs = track.secs();
+    let poses: Vec<Pose2> = secs.iter().map(|&secs| track.pose_at(secs - late_secs)).collect();
+    let is_known =
+        move |i: &usize| secs[*i] >= reach_secs && secs[i + 1] <= secs[secs.len() - 1] - reach_secs;
+    let truths = self::increments(&poses);
+    let all = increments.iter().zip(truths).enumerate().filter(move |(i, _)| is_known(i));
+    all.map(|(i, (increment, truth))| {
+        let change = [increment.truth[0] - truth[0], wrap_angle(increment.truth[1] - truth[1])];
+        (
+            i,
+            Increment {
+                error: std::array::from_fn(|axis| increment.error[axis] + change[axis]),
+                ..*increment
+            },
+        )
+    })
 }
 
 #[cfg(test)]

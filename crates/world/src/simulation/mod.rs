@@ -39,7 +39,7 @@ pub use caster::{BeamCaster, CastBeam, Ray, Surface};
 pub use drive::{Robot, SimulatedDrive, odometry_along, simulate_drive};
 pub use error::SimulationError;
 pub use increments::{
-    Increment, OdometryModel, OdometrySpread, increments, lag_slopes, log_likelihoods, standardized,
+    Increment, OdometryModel, OdometrySpread, increments, lagging, log_likelihoods, standardized,
 };
 pub use laser::LaserSimulator;
 pub use mixture::{ClutteredBeam, MixtureDensity, ReadingMixture, ReadingSources};
