@@ -75,6 +75,9 @@ const SOMEWHAT_OFF: f64 = 0.5;
 /// linear approximation about the neutral value.
 const BEYOND_DOUBT: f64 = 10.0;
 
+/// A fit of an effect that moves readings is believed without its score where it gains more than this (nats).
+const STRONG_NATS: f64 = 200.0;
+
 /// A hypothesis with what simulations of it look like.
 struct Round<'a> {
     effects: Vec<Effect>,
@@ -272,19 +275,19 @@ impl<'a> State<'a> {
             let (off, weight) = round.most_telling(candidate.kind()).map_or((0.0, f64::NEG_INFINITY), |i| {
                 (round.dictionary.statistics[i].off(round.null.z[i]), round.null.weight[i])
             });
-            let is_score = |i: usize| round.dictionary.statistics[i].form == Form::Score;
-            let has_score =
-                round.own(candidate.kind()).any(is_score) || candidate.kind().moves() == Moves::Clutter;
-            candidate.is_beyond_chance = weight >= beyond_chance;
-            candidate.score = has_score.then_some(off);
+            let kind = candidate.kind();
+            let form = |i: usize| round.dictionary.statistics[i].form;
+            let has_score = round.own(kind).any(|i| form(i) == Form::Score) || kind.moves() == Moves::Clutter;
+            // Readings that an effect moves by many standard deviations are none of the surface to a score.
+            let is_beyond_score = candidate.gain() > STRONG_NATS && kind.is_scored_by_location();
+            candidate.is_beyond_chance = weight >= beyond_chance || is_beyond_score;
+            candidate.score = (has_score && !is_beyond_score).then_some(off);
             // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings
             // where nominal clutter can't stand say far more than the mean depth. A share of readings is no score either, nor a
             // correlation with the motion, which is 1 at the most; and the likelihood of an odometry simplifies nothing.
-            let is_by_share = round.own(candidate.kind()).any(|i| {
-                round.dictionary.statistics[i].form == Form::Share && round.null.weight[i] >= beyond_chance
-            });
-            let moves = candidate.kind().moves();
-            if off < BEYOND_DOUBT && !matches!(moves, Moves::Clutter | Moves::Odometry) && !is_by_share {
+            let is_telling = |i: usize| form(i) == Form::Share && round.null.weight[i] >= beyond_chance;
+            let is_free = is_beyond_score || round.own(kind).any(is_telling);
+            if off < BEYOND_DOUBT && !matches!(kind.moves(), Moves::Clutter | Moves::Odometry) && !is_free {
                 candidate.limit(off * off);
             }
             // Standard deviations say little where statistics have outliers, as counts of objects among clutter that stays.

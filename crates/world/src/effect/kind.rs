@@ -4,6 +4,7 @@ use std::str::FromStr;
 use serde::{Serialize, Serializer};
 
 use super::effect_type::EffectType;
+use super::statistic::{Score, Statistic};
 use super::{
     Description, EffectError, Moves, Needs, Parameter, Role, Site, clock, clutter, false_returns,
     lost_returns, mount, noise, objects, odometry, ranges, walls,
@@ -97,6 +98,12 @@ impl EffectKind {
     /// aren't.
     pub fn adds_up(self) -> bool {
         !self.parameters().iter().any(|parameter| matches!(parameter.role, Role::Position { .. }))
+    }
+
+    /// Whether it moves readings, and they are looked at by their mean.
+    pub fn is_scored_by_location(self) -> bool {
+        let is_location = |statistic: &Statistic| matches!(statistic, Statistic::Score { score, .. } if *score == Score::Location);
+        self.description().statistics.iter().any(is_location)
     }
 
     /// Whether it is the same for every return.
