@@ -5,11 +5,13 @@ use std::sync::Arc;
 use glam::DVec3;
 use locsim_core::Pose2;
 use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
-use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};
+use locsim_world::simulation::{
+    OdometrySpread, PoseError, PoseInformation, ReadingSources, fit_pose_error, log_likelihoods,
+    smooth_pose_errors,
+};
 
 use crate::likelihood::{Density, Terms};
-use crate::pose_error::{Information, PoseError, fit, pattern_score, smooth, without_patterns};
-use crate::pose_pattern::PosePattern;
+use crate::pose_pattern::{PosePattern, pattern_score, without_patterns};
 use crate::views::{PieceView, Views};
 use crate::wall_error::{self, Pull};
 use crate::{GapError, Nominal, Recorded};
@@ -225,14 +227,15 @@ impl<'a> Comparison<'a> {
             self.update(&mut fitted, &pass);
             // A constant pattern is a displaced laser or a late stamp rather than an error of the reference.
             let rest = without_patterns(&pass.information, &patterns);
-            process = fit(process, self.recorded.track.secs(), &rest, iterations);
+            process = fit_pose_error(process, self.recorded.track.secs(), &rest, iterations);
             // Three parameters have to earn their keep.
-            let corrections = if smooth(&process, self.recorded.track.secs(), &rest).log_evidence > 6.0 {
-                fitted.nuisances.pose_error = process;
-                smooth(&process, self.recorded.track.secs(), &pass.information).mean
-            } else {
-                vec![DVec3::ZERO; fitted.corrections.len()]
-            };
+            let corrections =
+                if smooth_pose_errors(&process, self.recorded.track.secs(), &rest).log_evidence > 6.0 {
+                    fitted.nuisances.pose_error = process;
+                    smooth_pose_errors(&process, self.recorded.track.secs(), &pass.information).mean
+                } else {
+                    vec![DVec3::ZERO; fitted.corrections.len()]
+                };
             let before = std::mem::replace(&mut fitted.corrections, corrections);
             let moved = self.fit_walls(&mut fitted, &pass, iterations);
             let change = |(a, b): (&DVec3, &DVec3)| ((*a - *b) * DVec3::new(1.0, 1.0, 3.0)).length();
@@ -382,7 +385,8 @@ impl<'a> Comparison<'a> {
         }
         if !fitted.nuisances.pose_error.is_none() {
             let process = &fitted.nuisances.pose_error;
-            fitted.corrections = smooth(process, self.recorded.track.secs(), &pass.information).mean;
+            fitted.corrections =
+                smooth_pose_errors(process, self.recorded.track.secs(), &pass.information).mean;
         }
     }
 
@@ -428,13 +432,13 @@ impl<'a> Comparison<'a> {
 
     /// The log density of the corrections, scan by scan, with the volume of what they may be (Laplace's method), so that
     /// processes can be compared.
-    fn add_prior(&self, fitted: &mut Fitted, information: &[Information]) {
+    fn add_prior(&self, fitted: &mut Fitted, information: &[PoseInformation]) {
         let process = fitted.nuisances.pose_error;
         fitted.scans.fill(0.0);
         if process.is_none() {
             return;
         }
-        fitted.scans = smooth(&process, self.recorded.track.secs(), information).log_volume;
+        fitted.scans = smooth_pose_errors(&process, self.recorded.track.secs(), information).log_volume;
         let inverse = process.covariance().inverse();
         for i in 0..fitted.scans.len() {
             let here = fitted.corrections[i];
@@ -465,7 +469,7 @@ struct Usable {
 /// One look at all readings.
 struct Pass {
     log_likelihood: Vec<f64>,
-    information: Vec<Information>,
+    information: Vec<PoseInformation>,
     /// Of each scan, the expected number of readings of blocks, and how many the nominal density expects where beams could
     /// have met one.
     clutter: Vec<[f64; 2]>,
@@ -477,7 +481,7 @@ impl Pass {
     fn new(scans: usize) -> Self {
         Self {
             log_likelihood: vec![0.0; scans],
-            information: vec![Information::default(); scans],
+            information: vec![PoseInformation::default(); scans],
             clutter: vec![[0.0; 2]; scans],
             pulls: Vec::new(),
         }

@@ -19,7 +19,6 @@ mod map_error;
 mod nominal;
 mod null;
 mod outcome;
-mod pose_error;
 mod pose_pattern;
 mod profile;
 mod purpose;
@@ -36,6 +35,7 @@ mod wall_error;
 pub use catalogue::values_along;
 pub use error::GapError;
 pub use hypothesis::Nuisances;
+pub use locsim_world::simulation::PoseError;
 pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
 pub use nominal::{Guess, Nominal};
 pub use outcome::{
@@ -43,7 +43,6 @@ pub use outcome::{
     Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, ResidualStage, Rival,
     Unnamed, Verdict,
 };
-pub use pose_error::PoseError;
 pub use purpose::Purpose;
 pub use recorded::Recorded;
 pub use search::{GapOptions, find, split_by};

@@ -2,8 +2,10 @@
 //!
 //! A displaced laser, a turned one and a late stamp all move whole scans, each in its own pattern over the drive.
 
+use distreg::matrix::invert;
 use glam::DVec3;
 use locsim_world::effect::{Direction, EffectKind, PoseState, Statistic};
+use locsim_world::simulation::{PoseError, PoseInformation, smooth_pose_errors};
 
 use crate::Recorded;
 use crate::catalogue::{shown_by, values_along};
@@ -40,5 +42,78 @@ impl PosePattern {
             .map(|(pose, velocity)| PoseState { heading: pose.theta, velocity, mount })
             .map(|robot| DVec3::from_array((self.error)(&robot, &values)))
             .collect()
+    }
+}
+
+/// Data of scans after the least-squares fit of the patterns is subtracted.
+pub(crate) fn without_patterns(scans: &[PoseInformation], patterns: &[Vec<DVec3>]) -> Vec<PoseInformation> {
+    let sum = |of: &dyn Fn(usize) -> f64| (0..scans.len()).map(of).sum::<f64>();
+    let normal: Vec<Vec<f64>> = patterns
+        .iter()
+        .map(|a| patterns.iter().map(|b| sum(&|i| a[i].dot(scans[i].matrix * b[i]))).collect())
+        .collect();
+    let data: Vec<f64> = patterns.iter().map(|a| sum(&|i| a[i].dot(scans[i].vector))).collect();
+    let inverse = invert(&normal);
+    let numbers = inverse.iter().map(|row| row.iter().zip(&data).map(|(a, b)| a * b).sum::<f64>());
+    let numbers: Vec<f64> = numbers.collect();
+    let shift = |i: usize| patterns.iter().zip(&numbers).map(|(p, number)| *number * p[i]).sum::<DVec3>();
+    scans
+        .iter()
+        .enumerate()
+        .map(|(i, scan)| PoseInformation {
+            matrix: scan.matrix,
+            vector: scan.vector - scan.matrix * shift(i),
+        })
+        .collect()
+}
+
+/// How surely the reference's poses are off along a known pattern, `pattern[scan]` times a constant, on top of errors of
+/// the process: the score of that constant in its own standard deviations.
+///
+/// A displaced laser, a turned one and a late stamp all move whole scans; errors that are fitted first would take them in.
+pub(crate) fn pattern_score(
+    process: &PoseError,
+    secs: &[f64],
+    scans: &[PoseInformation],
+    pattern: &[DVec3],
+) -> f64 {
+    // The part of a vector of data that the process doesn't explain.
+    let left = |vectors: &dyn Fn(usize) -> DVec3| -> Vec<DVec3> {
+        let as_data: Vec<PoseInformation> = scans
+            .iter()
+            .enumerate()
+            .map(|(i, s)| PoseInformation { matrix: s.matrix, vector: vectors(i) })
+            .collect();
+        if process.is_none() {
+            return as_data.iter().map(|s| s.vector).collect();
+        }
+        let mean = smooth_pose_errors(process, secs, &as_data).mean;
+        as_data.iter().zip(mean).map(|(s, mean)| s.vector - s.matrix * mean).collect()
+    };
+    let along = |left: Vec<DVec3>| pattern.iter().zip(left).map(|(p, l)| p.dot(l)).sum::<f64>();
+    along(left(&|i| scans[i].vector)) / along(left(&|i| scans[i].matrix * pattern[i])).max(1e-300).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+
+    /// Data along the patterns are subtracted to the last bit; data orthogonal to them stay.
+    #[test]
+    fn patterns_are_taken_off() {
+        let matrix = DMat3::from_diagonal(DVec3::new(4.0, 9.0, 100.0));
+        let pattern: Vec<DVec3> = (0..6).map(|i| DVec3::new(1.0, 0.5 * f64::from(i), 0.1)).collect();
+        let other: Vec<DVec3> = (0..6).map(|i| DVec3::new(0.0, 0.0, f64::from(i % 2))).collect();
+        let along = |i: usize| 0.03 * pattern[i] - 0.2 * other[i];
+        let scans: Vec<PoseInformation> =
+            (0..6).map(|i| PoseInformation { matrix, vector: matrix * along(i) }).collect();
+        for rest in without_patterns(&scans, &[pattern.clone(), other.clone()]) {
+            assert!(rest.vector.length() < 1e-9, "{}", rest.vector);
+        }
+        let rest = without_patterns(&scans, std::slice::from_ref(&pattern));
+        let score: f64 = pattern.iter().zip(&rest).map(|(p, rest)| p.dot(rest.vector)).sum();
+        assert!(score.abs() < 1e-9 && rest[1].vector.length() > 1.0, "{score}");
     }
 }

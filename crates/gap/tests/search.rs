@@ -174,9 +174,57 @@ fn in_a_minimal_scenario_nothing_is_found_or_what_is_hidden() {
     let (verdict, _, threshold) = hidden(&[]);
     assert_eq!(verdict, Verdict::None);
     assert!(threshold < 6.0, "{threshold}");
-    for (kind, value) in [(EffectKind::RangeBias, 0.004), (EffectKind::MountYaw, 0.006)] {
-        let (verdict, names, _) = hidden(&[effect(kind, &[value])]);
-        assert_eq!((verdict, names), (Verdict::Named, vec![kind]));
+    // Up to fifty standard deviations of the readings: beyond a few, a score sees no reading of a wall.
+    for (kind, values) in [
+        (EffectKind::RangeBias, vec![0.004]),
+        (EffectKind::RangeBias, vec![0.5]),
+        (EffectKind::RangeScale, vec![-0.1]),
+        (EffectKind::WarmupDrift, vec![0.2, 10.0]),
+        (EffectKind::IncidenceBias, vec![-0.1]),
+        (EffectKind::MountYaw, vec![0.006]),
+        (EffectKind::MountYaw, vec![0.07]),
+    ] {
+        let (verdict, names, _) = hidden(&[effect(kind, &values)]);
+        assert_eq!((verdict, names), (Verdict::Named, vec![kind]), "{values:?}");
+    }
+}
+
+/// The same among clutter.
+#[test]
+fn effects_of_many_standard_deviations_are_named() {
+    let nominal = nominal();
+    for (kind, value) in
+        [(EffectKind::RangeBias, 0.3), (EffectKind::RangeBias, -0.2), (EffectKind::RangeScale, 0.15)]
+    {
+        let recorded = log(&nominal, &[effect(kind, &[value])], Regime::default(), 3);
+        let outcome = search(&nominal, &recorded, Vec::new());
+        let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+        assert_eq!(names, [kind], "{value}");
+        let Estimate { value: found, .. } = outcome.effects[0].params[kind.parameters()[0].name].estimate;
+        assert!((found / value - 1.0).abs() < 0.05, "{found} for {value}");
+    }
+}
+
+/// An odometry of the scan before last, and a scenario whose guess of its noise has that lag in it.
+#[test]
+fn an_odometry_that_lags_is_told_whatever_its_noise() {
+    for alpha in [0.02, 0.3] {
+        let mut guess = nominal();
+        guess.odometry = OdometryNoise::new([alpha; 4]).unwrap();
+        let plain = record_library(&nominal(), &truth(400), &[], Regime::default(), 5).unwrap();
+        for late in [0, 2] {
+            let mut drive = plain.clone();
+            for (i, step) in drive.steps.iter_mut().enumerate() {
+                step.odometry = plain.steps[i.saturating_sub(late)].odometry;
+            }
+            let recorded = Recorded::new(&drive, 600, 72, |_| true).unwrap();
+            let outcome = search(&guess, &recorded, Vec::new());
+            let lag = outcome.unnamed.iter().find(|found| found.deviation == Deviation::Lag);
+            assert_eq!(lag.is_some(), late > 0, "{alpha}: {:?}", outcome.detection);
+            if let Some(found) = lag {
+                assert!((found.size - 0.2).abs() < 0.05, "{found:?}");
+            }
+        }
     }
 }
 

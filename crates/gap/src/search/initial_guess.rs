@@ -27,8 +27,9 @@ impl<'a> State<'a> {
         let exact = round.comparison.start_exact(&round.fitted.nuisances);
         let exact =
             exact.as_ref().map(|fitted| Readings::new(&round.comparison, &effects, fitted, false, &pit));
+        let further = [further, &round.dictionary.moving(&log)].concat();
         let guesses =
-            self.promising(round, count, chance, further).into_iter().map(|(kind, mut directions)| {
+            self.promising(round, count, chance, &further).into_iter().map(|(kind, mut directions)| {
                 directions.sort_by(|a, b| round.says(b.1, a.1));
                 // Clutter that stays looks like missing objects in every log: places where it can stand are no starts where
                 // other places say more.

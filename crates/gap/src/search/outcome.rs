@@ -166,11 +166,15 @@ impl<'a> State<'a> {
     }
 
     /// Whether simulated ranges are no nearer to the log's in the later round than in the first. A map that is exact is to be believed
-    /// for as long as they aren't farther by more than two simulations differ.
+    /// for as long as ranges weren't off before, and are hardly more so.
     pub fn moves_away(&self, first: &Round<'a>, last: &Round<'a>) -> Result<bool, GapError> {
         let (old_mm, new_mm, floor) = self.distances(first, last)?;
+        let closed = floor.closed(old_mm, new_mm);
         let is_strict = self.nominal.pieces.is_some() || floor.is_farther(old_mm, new_mm);
-        Ok(is_strict && floor.closed(old_mm, new_mm).is_some_and(|closed| closed <= 0.0))
+        let is_away = |closed| {
+            if is_strict { closed <= 0.0 } else { new_mm - old_mm > floor.error_mm() && closed < 0.0 }
+        };
+        Ok(closed.is_some_and(is_away))
     }
 
     /// Whether simulated ranges are farther from the log's in the later round by more than two simulations differ.
@@ -289,6 +293,11 @@ impl RangeFloor {
     /// deviation are of eight.
     fn visible_mm(&self) -> f64 {
         self.mean_mm + 3.0 * self.deviation_mm
+    }
+
+    /// Standard error of the difference of two distances, each of the log from so many simulated ones \[mm\].
+    fn error_mm(&self) -> f64 {
+        self.deviation_mm * (2.0 / LOGS as f64).sqrt()
     }
 
     /// Whether a distance is larger than another by more than two of one simulator differ.

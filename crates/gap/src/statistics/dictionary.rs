@@ -1,5 +1,7 @@
 //! All statistics of a log.
 
+use locsim_world::effect::EffectKind;
+
 use super::bins::Bins;
 use super::clutter::{ClutterDensity, ClutterDepth};
 use super::displaced_walls::DisplacedWalls;
@@ -85,6 +87,11 @@ impl Dictionary {
         family.first_guesses(log, &own)
     }
 
+    /// The effects that most of a log's readings are moved by, as far as their medians say.
+    pub fn moving(&self, log: &Readings<'_>) -> Vec<EffectKind> {
+        self.families.iter().filter_map(|family| family.moves_most(log)).collect()
+    }
+
     /// The family of a statistic, and the index of its first one.
     fn family(&self, statistic: usize) -> (&dyn Family, usize) {
         let family = self.firsts.partition_point(|&first| first <= statistic) - 1;
@@ -106,8 +113,6 @@ impl Dictionary {
 
 #[cfg(test)]
 mod tests {
-    use locsim_world::effect::EffectKind;
-
     use super::*;
     use crate::Recorded;
     use crate::fixtures::{DRIVE, NOMINAL};

@@ -51,6 +51,12 @@ pub(crate) trait Family: Send + Sync {
         typical_guesses(found)
     }
 
+    /// The family's effect, if it moves readings, and most of the log's are moved as it does: then a fit of it is worth a try whatever the
+    /// statistics say.
+    fn moves_most(&self, _: &Readings<'_>) -> Option<EffectKind> {
+        None
+    }
+
     /// Whether a statistic of the family counts the readings of a beam, both by index.
     fn includes(&self, _statistic: usize, _beam: usize) -> bool {
         true

@@ -1,11 +1,12 @@
 //! Scores of effects that act on all beams, each beam with a weight of its own.
 
+use locsim_core::median;
 use locsim_world::effect::{self, Direction, EffectKind, Score, TAIL_FACTOR};
 
 use super::contamination::detectable_share;
 use super::readings::Reading;
 use super::survey::Survey;
-use super::{Family, Form, Group, Halves, Readings, Statistic};
+use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic, typical_guesses};
 use crate::catalogue::{shown_by, values_along};
 use crate::likelihood::normal_density;
 
@@ -62,6 +63,20 @@ impl Scores {
         })
     }
 
+    /// The parameter, the direction and the strength by which most of a log's readings are moved, if the effect is one that moves
+    /// readings, of one strength.
+    fn strength_of_most(&self, log: &Readings<'_>) -> Option<(usize, Direction, f64)> {
+        let mut strengths = self.kind.strengths();
+        let (Some(strength), None) = (strengths.next(), strengths.next()) else { return None };
+        if self.score != Score::Location {
+            return None;
+        }
+        let moved =
+            self.directions.iter().filter_map(|weights| Some((weights, moved(log, &weights.of_beams)?)));
+        let (weights, [value, left]) = moved.min_by(|a, b| a.1[1].total_cmp(&b.1[1]))?;
+        (left < LEFT).then_some((strength, weights.direction, value))
+    }
+
     /// Derivative of a reading's log density, of a contamination at a share of 0.
     fn derivative(&self, reading: &Reading<'_>, max: f64) -> f64 {
         let terms = &reading.terms;
@@ -98,6 +113,42 @@ fn is_contamination(score: Score) -> bool {
     }
 }
 
+/// Beams of less weight than this say nothing of a strength.
+const LEAST_WEIGHT: f64 = 1e-6;
+/// An effect moves readings by many standard deviations if with it their errors are this share of what they were.
+const LEFT: f64 = 0.5;
+/// Errors count up to this many standard deviations.
+const CUT: f64 = 100.0;
+
+/// The strength by which most returns are moved (least absolute deviations), and what it leaves of their errors, by the median or by the
+/// mean, where clutter hides no part of it. Readings that are moved by many standard deviations say nothing to a score: they aren't of the surface.
+fn moved(log: &Readings<'_>, of_beams: &[f32]) -> Option<[f64; 2]> {
+    let returns =
+        log.scans().flatten().filter(|reading| reading.is_return && reading.terms.sigma.is_finite());
+    let returns: Vec<[f64; 2]> = returns
+        .map(|reading| {
+            [reading.terms.error, f64::from(of_beams[reading.index])].map(|x| x / reading.terms.sigma)
+        })
+        .collect();
+    let weighted = returns.iter().filter(|[_, weight]| weight.abs() > LEAST_WEIGHT);
+    let mut ratios: Vec<[f64; 2]> = weighted.map(|[error, weight]| [error / weight, weight.abs()]).collect();
+    ratios.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let half = 0.5 * ratios.iter().map(|[_, weight]| weight).sum::<f64>();
+    let mut sum = 0.0;
+    let [strength, _] = ratios.into_iter().find(|[_, weight]| {
+        sum += weight;
+        sum >= half
+    })?;
+    let errors = |strength: f64| {
+        let errors = returns.iter().map(|[error, weight]| (error - strength * weight).abs().min(CUT));
+        let mut errors: Vec<f64> = errors.collect();
+        [errors.iter().sum::<f64>(), median(&mut errors)]
+    };
+    let (with, without) = (errors(strength), errors(0.0));
+    let left = (0..2).map(|i| with[i] / without[i].max(f64::MIN_POSITIVE)).fold(f64::INFINITY, f64::min);
+    Some([strength, left])
+}
+
 impl Family for Scores {
     fn statistics(&self) -> Vec<Statistic> {
         let group = if is_contamination(self.score) { Group::Shares } else { Group::Wide };
@@ -110,6 +161,22 @@ impl Family for Scores {
             }
         };
         self.directions.iter().map(statistic).collect()
+    }
+
+    /// Besides the usual starts, the strength by which most readings are moved.
+    fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
+        let mut starts = typical_guesses(found);
+        if let Some((strength, direction, value)) = self.strength_of_most(log) {
+            let mut values = values_along(self.kind, direction);
+            let parameter = &self.kind.parameters()[strength];
+            values[strength] = (parameter.neutral + value).clamp(parameter.lo, parameter.hi);
+            starts.push(Start { values, place: Vec::new() });
+        }
+        starts
+    }
+
+    fn moves_most(&self, log: &Readings<'_>) -> Option<EffectKind> {
+        self.strength_of_most(log).map(|_| self.kind)
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {

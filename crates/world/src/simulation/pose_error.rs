@@ -3,7 +3,6 @@
 //! Beams of one scan share the error of its pose, and neighbouring scans share some of it. The error of x, y (one
 //! standard deviation for both) and of the heading is a first-order autoregressive process, in the map frame.
 
-use distreg::matrix::invert;
 use glam::{DMat3, DVec3};
 use locsim_core::{Pose2, Track};
 use rand::Rng;
@@ -29,12 +28,14 @@ impl PoseError {
         self.sigma_m <= 0.0 && self.sigma_rad <= 0.0
     }
 
-    pub(crate) fn covariance(&self) -> DMat3 {
+    /// Covariance of the error of a pose: x, y, heading.
+    pub fn covariance(&self) -> DMat3 {
         let (xy, heading) = (self.sigma_m.max(1e-6).powi(2), self.sigma_rad.max(1e-7).powi(2));
         DMat3::from_diagonal(DVec3::new(xy, xy, heading))
     }
 
-    pub(crate) fn correlation(&self, secs: f64) -> f64 {
+    /// Correlation of two errors so far apart \[s\], below 1.
+    pub fn correlation(&self, secs: f64) -> f64 {
         (-secs.max(0.0) / self.correlation_secs).exp().min(0.9999)
     }
 
@@ -45,7 +46,7 @@ impl PoseError {
     }
 
     /// The poses of a track, each with a simulated error of the process; the error at pose `i` is drawn from `draw(i)`.
-    pub(crate) fn perturb<R: Rng>(&self, track: &Track, draw: impl Fn(u32) -> R) -> Vec<Pose2> {
+    pub fn perturb<R: Rng>(&self, track: &Track, draw: impl Fn(u32) -> R) -> Vec<Pose2> {
         if self.is_none() {
             return track.poses().to_vec();
         }
@@ -67,18 +68,20 @@ impl PoseError {
 
 /// Likelihood of the error of a scan's pose, from its beams: information matrix and vector about zero.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Information {
+pub struct PoseInformation {
+    /// Information matrix.
     pub matrix: DMat3,
+    /// Information vector.
     pub vector: DVec3,
 }
 
-impl Default for Information {
+impl Default for PoseInformation {
     fn default() -> Self {
         Self { matrix: DMat3::ZERO, vector: DVec3::ZERO }
     }
 }
 
-impl std::ops::Add for Information {
+impl std::ops::Add for PoseInformation {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
@@ -86,7 +89,7 @@ impl std::ops::Add for Information {
     }
 }
 
-impl std::ops::Mul<f64> for Information {
+impl std::ops::Mul<f64> for PoseInformation {
     type Output = Self;
 
     fn mul(self, factor: f64) -> Self {
@@ -94,7 +97,8 @@ impl std::ops::Mul<f64> for Information {
     }
 }
 
-impl Information {
+impl PoseInformation {
+    /// Adds a beam of weight 1 / variance, whose error falls by its jacobian times that of the pose.
     pub fn add_beam(&mut self, weight: f64, jacobian: [f64; 3], error: f64) {
         let j = DVec3::from_array(jacobian);
         self.matrix += DMat3::from_cols(weight * j * j.x, weight * j * j.y, weight * j * j.z);
@@ -103,8 +107,10 @@ impl Information {
 }
 
 /// Mean, covariance and covariance with the scan before of each scan's error, given all scans.
-pub(crate) struct Smoothed {
+pub struct SmoothedPoseErrors {
+    /// Mean of each scan's error.
     pub mean: Vec<DVec3>,
+    /// Its covariance.
     pub covariance: Vec<DMat3>,
     with_previous: Vec<DMat3>,
     /// Log evidence of the scans (nats), up to what doesn't depend on the process.
@@ -114,7 +120,11 @@ pub(crate) struct Smoothed {
 }
 
 /// Kalman filter and Rauch-Tung-Striebel smoother.
-pub(crate) fn smooth(process: &PoseError, secs: &[f64], scans: &[Information]) -> Smoothed {
+pub fn smooth_pose_errors(
+    process: &PoseError,
+    secs: &[f64],
+    scans: &[PoseInformation],
+) -> SmoothedPoseErrors {
     let n = scans.len();
     let stationary = process.covariance();
     let (mut predicted_mean, mut predicted) = (vec![DVec3::ZERO; n], vec![stationary; n]);
@@ -145,17 +155,22 @@ pub(crate) fn smooth(process: &PoseError, secs: &[f64], scans: &[Information]) -
         mean[i] += gain * (later_mean - predicted_mean[i + 1]);
         covariance[i] += gain * (later - predicted[i + 1]) * gain.transpose();
     }
-    Smoothed { mean, covariance, with_previous, log_evidence, log_volume }
+    SmoothedPoseErrors { mean, covariance, with_previous, log_evidence, log_volume }
 }
 
 /// Estimates the process by expectation maximization, about the mean of the errors: a constant error is no
 /// fluctuation, and can't be told from a laser mounted otherwise.
-pub(crate) fn fit(start: PoseError, secs: &[f64], scans: &[Information], iterations: usize) -> PoseError {
+pub fn fit_pose_error(
+    start: PoseError,
+    secs: &[f64],
+    scans: &[PoseInformation],
+    iterations: usize,
+) -> PoseError {
     let n = scans.len() as f64;
     let step_secs = (secs.last().unwrap_or(&1.0) / (n - 1.0).max(1.0)).max(1e-6);
     let mut process = start;
     for _ in 0..iterations {
-        let smoothed = smooth(&process, secs, scans);
+        let smoothed = smooth_pose_errors(&process, secs, scans);
         let center = smoothed.mean.iter().sum::<DVec3>() / n;
         let (mut square, mut product) = (DVec3::ZERO, DVec3::ZERO);
         for i in 0..scans.len() {
@@ -184,72 +199,9 @@ pub(crate) fn fit(start: PoseError, secs: &[f64], scans: &[Information], iterati
     process
 }
 
-/// Data of scans after the least-squares fit of the patterns is subtracted.
-pub(crate) fn without_patterns(scans: &[Information], patterns: &[Vec<DVec3>]) -> Vec<Information> {
-    let sum = |of: &dyn Fn(usize) -> f64| (0..scans.len()).map(of).sum::<f64>();
-    let normal: Vec<Vec<f64>> = patterns
-        .iter()
-        .map(|a| patterns.iter().map(|b| sum(&|i| a[i].dot(scans[i].matrix * b[i]))).collect())
-        .collect();
-    let data: Vec<f64> = patterns.iter().map(|a| sum(&|i| a[i].dot(scans[i].vector))).collect();
-    let inverse = invert(&normal);
-    let numbers = inverse.iter().map(|row| row.iter().zip(&data).map(|(a, b)| a * b).sum::<f64>());
-    let numbers: Vec<f64> = numbers.collect();
-    let shift = |i: usize| patterns.iter().zip(&numbers).map(|(p, number)| *number * p[i]).sum::<DVec3>();
-    scans
-        .iter()
-        .enumerate()
-        .map(|(i, scan)| Information { matrix: scan.matrix, vector: scan.vector - scan.matrix * shift(i) })
-        .collect()
-}
-
-/// How surely the reference's poses are off along a known pattern, `pattern[scan]` times a constant, on top of errors of
-/// the process: the score of that constant in its own standard deviations.
-///
-/// A displaced laser, a turned one and a late stamp all move whole scans; errors that are fitted first would take them in.
-pub(crate) fn pattern_score(
-    process: &PoseError,
-    secs: &[f64],
-    scans: &[Information],
-    pattern: &[DVec3],
-) -> f64 {
-    // The part of a vector of data that the process doesn't explain.
-    let left = |vectors: &dyn Fn(usize) -> DVec3| -> Vec<DVec3> {
-        let as_data: Vec<Information> = scans
-            .iter()
-            .enumerate()
-            .map(|(i, s)| Information { matrix: s.matrix, vector: vectors(i) })
-            .collect();
-        if process.is_none() {
-            return as_data.iter().map(|s| s.vector).collect();
-        }
-        let mean = smooth(process, secs, &as_data).mean;
-        as_data.iter().zip(mean).map(|(s, mean)| s.vector - s.matrix * mean).collect()
-    };
-    let along = |left: Vec<DVec3>| pattern.iter().zip(left).map(|(p, l)| p.dot(l)).sum::<f64>();
-    along(left(&|i| scans[i].vector)) / along(left(&|i| scans[i].matrix * pattern[i])).max(1e-300).sqrt()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Data along the patterns are subtracted to the last bit; data orthogonal to them stay.
-    #[test]
-    fn patterns_are_taken_off() {
-        let matrix = DMat3::from_diagonal(DVec3::new(4.0, 9.0, 100.0));
-        let pattern: Vec<DVec3> = (0..6).map(|i| DVec3::new(1.0, 0.5 * f64::from(i), 0.1)).collect();
-        let other: Vec<DVec3> = (0..6).map(|i| DVec3::new(0.0, 0.0, f64::from(i % 2))).collect();
-        let along = |i: usize| 0.03 * pattern[i] - 0.2 * other[i];
-        let scans: Vec<Information> =
-            (0..6).map(|i| Information { matrix, vector: matrix * along(i) }).collect();
-        for rest in without_patterns(&scans, &[pattern.clone(), other.clone()]) {
-            assert!(rest.vector.length() < 1e-9, "{}", rest.vector);
-        }
-        let rest = without_patterns(&scans, std::slice::from_ref(&pattern));
-        let score: f64 = pattern.iter().zip(&rest).map(|(p, rest)| p.dot(rest.vector)).sum();
-        assert!(score.abs() < 1e-9 && rest[1].vector.length() > 1.0, "{score}");
-    }
 
     /// Logs of three correlation times, whose mean is taken off, have errors as large as they were drawn in the mean.
     #[test]
@@ -261,9 +213,10 @@ mod tests {
         let fitted = (0..300).map(|log| {
             let draw = |scan| locsim_core::Draw::new(log, locsim_core::Stage::Path, scan).item(0);
             let errors = process.perturb(&track, draw);
-            let scans =
-                errors.iter().map(|e| Information { matrix, vector: matrix * DVec3::new(e.x, e.y, e.theta) });
-            fit(process, &secs, &scans.collect::<Vec<_>>(), 8)
+            let scans = errors
+                .iter()
+                .map(|e| PoseInformation { matrix, vector: matrix * DVec3::new(e.x, e.y, e.theta) });
+            fit_pose_error(process, &secs, &scans.collect::<Vec<_>>(), 8)
         });
         let of =
             |fitted: &PoseError| [fitted.sigma_m / 0.01, fitted.sigma_rad / 0.003].map(|ratio| ratio * ratio);
@@ -279,9 +232,9 @@ mod tests {
     fn the_smoothed_errors_are_the_most_likely_ones() {
         let process = PoseError { sigma_m: 0.02, sigma_rad: 0.005, correlation_secs: 0.7 };
         let secs: Vec<f64> = (0..9).map(|i| 0.1 * f64::from(i) + 0.02 * f64::from(i % 3)).collect();
-        let scans: Vec<Information> = (0..9)
+        let scans: Vec<PoseInformation> = (0..9)
             .map(|i| {
-                let mut information = Information::default();
+                let mut information = PoseInformation::default();
                 for beam in 0..4 {
                     let angle = f64::from(i) + 1.3 * f64::from(beam);
                     let error = 0.01 * (3.0 * angle).sin();
@@ -290,7 +243,7 @@ mod tests {
                 information
             })
             .collect();
-        let mean = smooth(&process, &secs, &scans).mean;
+        let mean = smooth_pose_errors(&process, &secs, &scans).mean;
         let inverse = process.covariance().inverse();
         let phi = |i: usize| process.correlation(secs[i] - secs[i - 1]);
         let innovation = |i: usize| {
