@@ -239,11 +239,11 @@ fn options_of_the_command_line() {
         &format!("{map} --share 0.5,0.2"),
         "--share: 0.5,0.2 is not allowed; 0 <= from < to <= 1",
     );
-    refused(
-        &folder,
-        &format!("{map} --resolution 0"),
-        "map drive.log: the cell size must be positive and finite, in metres; got 0",
-    );
+    for size in ["0", "1000", "nan"] {
+        let call = folder.locsim(&format!("{map} --resolution {size}")).code(2).stdout(is_empty());
+        call.stderr(contains("'--resolution <RESOLUTION>'"))
+            .stderr(contains("a number from 0.001 to 10 (m)"));
+    }
     refused(
         &folder,
         "simulate room-run.yaml --out nowhere/drive.log",
@@ -271,6 +271,44 @@ fn maps() {
         "run room-run.yaml",
         "room.yaml:1: image: map image room.pgm: No such file or directory (os error 2)",
     );
+}
+
+/// A map without its image, one that is turned by degrees, and walls of shares beyond all.
+#[test]
+fn maps_of_other_kinds() {
+    let folder = Folder::new();
+    let ros = "image: room.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n";
+    folder.write("room.yaml", edited(ros, "image: room.pgm\n", ""));
+    refused(&folder, "run room-run.yaml", "room.yaml:1: image: the key is missing");
+    folder.write("room.pgm", [&b"P5\n2 2\n255\n"[..], &[254; 4]].concat());
+    folder.write("room.yaml", edited(ros, "[0, 0, 0]", "[0, 0, 90]"));
+    refused(
+        &folder,
+        "run room-run.yaml",
+        "room.yaml:3: origin: origin must be [x, y, yaw], with the yaw in radians from -6.2832 to 6.2832 and all of the map \
+         within 10000000 m of 0; got [0.0, 0.0, 90.0]",
+    );
+    let walls = "seen:\n  - [[0, 0], [3, 0], [3, 2], [0, 2]]\nwalls:\n  - {from_m: [3, 0], to_m: [0, 0], sigma_m: 0.01, hits: 9, hit_share: 0.9}\n";
+    for (from, to, message) in [
+        (
+            "hit_share: 0.9",
+            "hit_share: 90",
+            "hit_share: `hit_share` of `wall-0`: 90 is not allowed; a share, 0 to 1",
+        ),
+        (
+            "hit_share: 0.9",
+            "hit_share: .nan",
+            "hit_share: `hit_share` of `wall-0`: NaN is not allowed; a share, 0 to 1",
+        ),
+        (
+            "sigma_m: 0.01",
+            "sigma_m: -1",
+            "sigma_m: `sigma_m` of `wall-0`: -1 is not allowed; a length of 0 or more (m)",
+        ),
+    ] {
+        folder.write("room.yaml", edited(walls, from, to));
+        refused(&folder, "run room-run.yaml", &format!("room.yaml:4: walls[0].{message}"));
+    }
 }
 
 /// A ROS map of a room of 3.2 m by 1.8 m in cells of 10 cm, whose image has these two values for wall and floor.
@@ -341,6 +379,17 @@ fn a_path_through_a_wall() {
         "[[0.6, 1.6], [2.6, 1.6]]",
         "s.yaml:9: robot.path.waypoints.points_m: after 1.80 s the path is at (1.500, 1.600) m, which is not in the free space of room.yaml",
     );
+    // A wall without thickness, which has no inside.
+    let folder = Folder::new();
+    let room = String::from_utf8(folder.read("room.yaml")).unwrap();
+    folder.write("room.yaml", room + "walls:\n  - {name: screen, from_m: [1.0, 0.5], to_m: [1.0, 1.5]}\n");
+    folder.write("s.yaml", SCENARIO);
+    for command in ["validate s.yaml", "run s.yaml"] {
+        let call = folder.locsim(command).code(2);
+        call.stderr(contains(
+            "s.yaml:9: robot.path.waypoints.points_m: before 0.80 s the path crosses a wall of room.yaml",
+        ));
+    }
 }
 
 #[test]

@@ -376,6 +376,12 @@ pub struct ExportNav2 {
     pub quiet: bool,
 }
 
+/// A cell size that is allowed \[m\].
+fn cell_size(text: &str) -> Result<f64, String> {
+    let size = text.parse::<f64>().ok().filter(|size| (1e-3..=10.0).contains(size));
+    size.ok_or_else(|| "a number from 0.001 to 10 (m) is needed".to_owned())
+}
+
 /// `locsim map`.
 #[derive(Debug, Args)]
 pub struct Map {
@@ -389,7 +395,7 @@ pub struct Map {
     #[arg(long)]
     pub force: bool,
     // Not a doc comment: rustdoc takes brackets for a link.
-    #[arg(long, default_value_t = 0.05, help = "Cell size [m]")]
+    #[arg(long, default_value_t = 0.05, value_parser = cell_size, help = "Cell size [m], 0.001 to 10")]
     pub resolution: f64,
     /// Use only this share of the log, for example 0.0,0.5
     #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 1.0])]

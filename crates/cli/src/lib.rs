@@ -252,6 +252,12 @@ fn validate(files: &[PathBuf]) -> anyhow::Result<u8> {
 
 /// Checks a scenario, a study or a sweep, and describes its content. A scenario's log and map are read.
 fn validate_one(path: &Path) -> anyhow::Result<String> {
+    if std::fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
+        anyhow::bail!(
+            "{}: a file is needed; this is a pipe or a device, and it is read more than once",
+            path.display()
+        );
+    }
     Ok(if study::is_study(path)? {
         let study = study::Study::load(path, StudyOverrides::default())?;
         format!("study, {} models, {} repeats", study.models().len(), study.repeats())

@@ -48,13 +48,15 @@ const MOST_SHARES: usize = 1000;
 /// A coordinate (m): nothing computed from it overflows.
 pub const COORDINATE: Allowed = Allowed::Within(-1e6, 1e6);
 /// A length that may be 0 (m).
-pub const LENGTH: Allowed = Allowed::Within(0.0, 1e6);
+pub const LENGTH: Allowed = Allowed::Within(0.0, 1e4);
 /// A length that something is divided by (m).
-pub const POSITIVE_LENGTH: Allowed = Allowed::Within(1e-3, 1e6);
+pub const POSITIVE_LENGTH: Allowed = Allowed::Within(1e-3, 1e4);
+/// A part of the robot's place on it (m).
+pub const OFFSET: Allowed = Allowed::Within(-1e4, 1e4);
 /// A maximum range (m).
 pub const MAX_RANGE: Allowed = Allowed::Within(1e-3, RANGE_M);
 /// A step between values; 0 for none (m).
-pub const STEP: Allowed = Allowed::ZeroOrWithin(1e-6, 1e6);
+pub const STEP: Allowed = Allowed::ZeroOrWithin(1e-6, 1e4);
 /// A standard deviation (m or deg), or another parameter of noise, that nothing is divided by.
 pub const NOISE: Allowed = Allowed::Within(0.0, 1e3);
 /// An angle, any number of turns (deg).

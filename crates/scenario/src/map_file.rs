@@ -24,6 +24,8 @@ pub struct LoadedMap {
 #[derive(Deserialize)]
 struct Kind {
     image: Option<serde::de::IgnoredAny>,
+    resolution: Option<serde::de::IgnoredAny>,
+    occupied_thresh: Option<serde::de::IgnoredAny>,
     seen: Option<serde::de::IgnoredAny>,
 }
 
@@ -44,7 +46,8 @@ pub fn load_map(path: &Path) -> Result<LoadedMap, ScenarioError> {
         file: path.to_owned(),
         problems: vec![Problem { line: locations.line(&key), key, message: error.to_string() }],
     };
-    if kind.image.is_some() {
+    // One without `image` lacks that key.
+    if kind.image.is_some() || kind.resolution.is_some() || kind.occupied_thresh.is_some() {
         let (map, _) = yaml::parse::<OccupancyMapFile>(path, &text)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let geometry = map
@@ -159,6 +162,9 @@ fn key_of_measured_error(error: &MapError) -> String {
         MapError::NotFinite { polyline, point, .. }
         | MapError::TooFar { polyline, point, .. }
         | MapError::ZeroLengthEdge { polyline, point, .. } => (polyline, *point),
+        MapError::Wall { wall, key, .. } => {
+            return format!("walls[{}].{key}", wall.strip_prefix("wall-").unwrap_or_default());
+        }
         _ => return "seen".to_owned(),
     };
     match (name.strip_prefix("wall-"), name.strip_prefix("seen-")) {

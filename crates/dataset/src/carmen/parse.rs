@@ -3,7 +3,7 @@ use std::io::BufRead;
 use std::path::Path;
 
 use locsim_core::Pose2;
-use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN};
+use locsim_core::limits::{Limits, READINGS_PER_SCAN};
 
 use super::CarmenLaser;
 use crate::DatasetError;
@@ -286,6 +286,9 @@ fn in_metres(pose: Pose2) -> Pose2 {
     Pose2::new(pose.x / 100.0, pose.y / 100.0, pose.theta)
 }
 
+/// A turn, and its rounding \[rad\].
+const MOST_ANGLE_RAD: f64 = 6.2832;
+
 /// `ROBOTLASER1 type start_angle field_of_view resolution max_range accuracy remission_mode n r1..rn m e1..em
 /// laser_pose robot_pose tv rv forward_safety side_safety turn_axis`
 fn new_scan(
@@ -295,9 +298,11 @@ fn new_scan(
     before: &Between,
 ) -> Result<(Layout, ScanLine), DatasetError> {
     fields.number("laser_type")?;
-    let start = fields.number("start_angle")?;
-    let field_of_view =
-        fields.value("field_of_view", "0 or more radians", |v: f64| (0.0..=COORDINATE).contains(&v))?;
+    // Degrees would be read as many turns.
+    let start =
+        fields.value("start_angle", "radians, -6.2832 to 6.2832", |v: f64| v.abs() <= MOST_ANGLE_RAD)?;
+    let field_of_view = fields
+        .value("field_of_view", "radians, 0 to 6.2832", |v: f64| (0.0..=MOST_ANGLE_RAD).contains(&v))?;
     let resolution = fields.number("angular_resolution")?;
     let max_range = fields.value("maximum_range", "more than 0 m", |v: f32| v > 0.0 && v.is_finite())?;
     fields.number("accuracy")?;

@@ -285,6 +285,11 @@ fn lacks(facts: Option<&DriveFacts>) -> Lacks {
     if facts.scans < 2 {
         lacks.run.push("scans: it has one".to_owned());
     }
+    if facts.quality.readings.longest_return_m.is_none_or(|longest| longest <= 0.0) {
+        for lack in [&mut lacks.run, &mut lacks.map, &mut lacks.gap] {
+            lack.push("returns: no reading is one".to_owned());
+        }
+    }
     lacks
 }
 
@@ -403,6 +408,15 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
         format!("{:.0} % of the readings are unusable.", 100.0 * readings.unusable_share),
     );
     if let Some(split) = split {
+        let [from, to] = split.localize_scans;
+        let localized = ((to - from) * facts.scans as f64).round() as usize;
+        warn(
+            localized < LEAST_GAP_SCANS,
+            format!(
+                "The proposed split localizes on {localized} scans, and `locsim gap` needs {LEAST_GAP_SCANS}: for that, give \
+                 `localize_scans` more of the log."
+            ),
+        );
         warn(
             split.least_localized < split::COVERED,
             format!(

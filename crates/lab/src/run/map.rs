@@ -75,13 +75,15 @@ pub fn grid_files(grid: &OccupancyGrid, image: &str) -> [Vec<u8>; 2] {
 
 /// How maps agree with held-out readings, as a table.
 pub fn agreement_table(check: &MapCheck) -> TextTable {
+    // Nothing is known where no reading has a nominal range.
+    let known = |value: f64, text: String| if value.is_finite() { text } else { "-".to_owned() };
     let row = |name: &str, of: &Agreement| {
         [
             name.to_owned(),
             format!("{:.1}", 100.0 * of.nominal_share),
-            format!("{:.1}", 100.0 * of.median_abs_m),
-            format!("{:+.1}", 100.0 * of.median_m),
-            format!("{:.1}", 100.0 * of.far_share),
+            known(of.median_abs_m, format!("{:.1}", 100.0 * of.median_abs_m)),
+            known(of.median_m, format!("{:+.1}", 100.0 * of.median_m)),
+            known(of.far_share, format!("{:.1}", 100.0 * of.far_share)),
         ]
     };
     TextTable::new(

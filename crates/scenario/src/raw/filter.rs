@@ -80,10 +80,10 @@ pub struct RawKld {
     /// The bound epsilon, 0.000001 to 1000.
     #[serde(default = "default::kld_error")]
     pub error: f64,
-    /// Probability with which the bound holds, above 0 and below 1.
+    /// Probability with which the bound holds, 0.5 to below 1.
     #[serde(default = "default::kld_quantile")]
     pub quantile: f64,
-    /// Side of a histogram bin (m), 0.001 to 1000000.
+    /// Side of a histogram bin (m), 0.001 to 10000.
     #[serde(default = "default::kld_bin_m")]
     pub bin_m: f64,
     /// Heading width of a histogram bin (deg), 0.001 to 360.
@@ -144,7 +144,7 @@ impl Short for EachScan {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawUpdate {
-    /// Distance (m), 0 to 1000000.
+    /// Distance (m), 0 to 10000.
     pub distance_m: f64,
     /// Turn (deg), 0 to 360.
     pub angle_deg: f64,
@@ -212,7 +212,7 @@ pub struct RawAnnealing {
     /// The same of the heading (deg), 0 to 1000; up to 0.3 rad.
     #[serde(default = "default::annealing_sigma_deg")]
     pub sigma_deg: f64,
-    /// Scans are annealed until positions have this standard deviation (m), and again from five times it; 0 to 1000000.
+    /// Scans are annealed until positions have this standard deviation (m), and again from five times it; 0 to 10000.
     #[serde(default = "default::annealing_gathered_m")]
     pub gathered_m: f64,
 }

@@ -38,14 +38,14 @@ pub enum RayCastMethod {
 pub struct RawBlocks {
     /// Blocks per metre of wall (1/m), 0 to 100.
     pub per_metre_of_wall: f64,
-    /// Length of a block along the wall, before it is turned (m), 0.001 to 1000000.
+    /// Length of a block along the wall, before it is turned (m), 0.001 to 10000.
     pub length_m: [f64; 2],
-    /// Width of a block (m), 0.001 to 1000000.
+    /// Width of a block (m), 0.001 to 10000.
     pub width_m: [f64; 2],
     /// Yaw relative to the wall (deg), -180 to 180.
     #[serde(default)]
     pub yaw_deg: [f64; 2],
-    /// Gap between the wall and the block's nearest side (m), 0 to 1000000.
+    /// Gap between the wall and the block's nearest side (m), 0 to 10000.
     #[serde(default)]
     pub wall_distance_m: [f64; 2],
     /// When blocks take new places.
@@ -54,7 +54,7 @@ pub struct RawBlocks {
     /// Speed along the wall, either way (m/s), 0 to 1000; only with `never` or `each_scan_n`.
     #[serde(default)]
     pub speed_m_s: [f64; 2],
-    /// No block comes closer than this to the robot's centre (m), 0 to 1000000.
+    /// No block comes closer than this to the robot's centre (m), 0 to 10000.
     #[serde(default = "default::clearance_m")]
     pub clearance_m: f64,
 }
@@ -79,7 +79,7 @@ pub struct RawRobot {
     /// The path it drives. Needed without `log`, not allowed with it.
     pub path: Option<RawPath>,
     /// The start is shifted along x and along y by a uniform draw from -this to this, anew for each trial
-    /// (m), 0 to 1000000.
+    /// (m), 0 to 10000.
     #[serde(default)]
     pub start_jitter_m: f64,
     /// Noise of its odometry.
@@ -134,7 +134,7 @@ pub struct RawPose {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSegment {
-    /// How long it lasts (s), 0.000001 to 10000000.
+    /// How long it lasts (s), 0.000001 to 100000.
     pub secs: f64,
     /// Forward speed (m/s), -1000 to 1000.
     pub speed_m_s: f64,
@@ -158,12 +158,12 @@ pub struct RawLaser {
     /// Bearing of the first beam (deg), -180 to 180, counter-clockwise from ahead. Without it, the middle of the field of
     /// view is ahead, and the last beam of a full circle is at 180.
     pub first_beam_deg: Option<f64>,
-    /// Minimum range (m), 0 to 1000000.
+    /// Minimum range (m), 0 to 10000.
     #[serde(default)]
     pub min_range_m: f64,
     /// Maximum range (m), 0.001 to 10000, above the minimum. A reading at it means "no return".
     pub max_range_m: f64,
-    /// Step of a reading (m), 0.000001 to 1000000, or 0 for readings that aren't quantized.
+    /// Step of a reading (m), 0.000001 to 10000, or 0 for readings that aren't quantized.
     #[serde(default)]
     pub resolution_m: f64,
     /// Gaussian noise of a reading.
@@ -193,10 +193,10 @@ pub struct RawRangeNoise {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawMount {
-    /// Forward (m), -1000000 to 1000000.
+    /// Forward (m), -10000 to 10000.
     #[serde(default)]
     pub x_m: f64,
-    /// Left (m), -1000000 to 1000000.
+    /// Left (m), -10000 to 10000.
     #[serde(default)]
     pub y_m: f64,
     /// Counter-clockwise (deg), -1000000 to 1000000.

@@ -100,7 +100,7 @@ fn adaptive(check: &mut Checker<'_>, raw: &RawKld) -> ParticleCount {
         min: min as usize,
         max: max as usize,
         error: check.number(&key("error"), raw.error, Within(1e-6, 1e3)),
-        quantile: check.number(&key("quantile"), raw.quantile, Between(0.0, 1.0)),
+        quantile: check.number(&key("quantile"), raw.quantile, FromBelow(0.5, 1.0)),
         bin_m: check.number(&key("bin_m"), raw.bin_m, POSITIVE_LENGTH),
         bin_rad: check.degrees(&key("bin_deg"), raw.bin_deg, Within(1e-3, 360.0)),
     })

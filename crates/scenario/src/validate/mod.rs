@@ -127,17 +127,20 @@ pub(crate) fn in_map(
 }
 
 /// Checks that the path of a simulated robot lies in the map's free space wherever it takes a scan.
+/// The most pairs of a step and a wall that are looked at.
+const MOST_CROSSINGS: u64 = 100_000_000;
+
 fn between_points(check: &mut Checker<'_>, simulation: &Simulation, map: &LoadedMap) {
     let rate_hz = simulation.laser.rate_hz;
     // Other defects of a path are refused when it is simulated.
     let Ok(path) = Trajectory::new(&simulation.robot.path) else { return };
     let Ok(count) = path.scan_count(rate_hz) else { return };
-    let mut poses = (0..count).map(|i| (i as f64 / rate_hz, path.pose_at(i as f64 / rate_hz)));
-    if let Some((secs, pose)) = poses.find(|(_, pose)| !map.geometry.is_free(pose.x, pose.y)) {
-        let key = match simulation.robot.path {
-            RobotPath::Waypoints { .. } => "robot.path.waypoints.points_m",
-            RobotPath::VelocityProfile { .. } => "robot.path.velocity_profile.segments",
-        };
+    let poses = || (0..count).map(|i| (i as f64 / rate_hz, path.pose_at(i as f64 / rate_hz)));
+    let key = match simulation.robot.path {
+        RobotPath::Waypoints { .. } => "robot.path.waypoints.points_m",
+        RobotPath::VelocityProfile { .. } => "robot.path.velocity_profile.segments",
+    };
+    if let Some((secs, pose)) = poses().find(|(_, pose)| !map.geometry.is_free(pose.x, pose.y)) {
         check.problem(
             key,
             format!(
@@ -147,6 +150,21 @@ fn between_points(check: &mut Checker<'_>, simulation: &Simulation, map: &Loaded
                 shown(&simulation.map)
             ),
         );
+    } else if count as u64 * map.geometry.walls().len() as u64 <= MOST_CROSSINGS {
+        // A wall without thickness has no inside.
+        let mut before = None;
+        let crossing = poses().find(|(_, pose)| {
+            let here = pose.position();
+            before.replace(here).is_some_and(|before| map.geometry.is_crossed(before, here))
+        });
+        if let Some((secs, pose)) = crossing {
+            let map = shown(&simulation.map);
+            let what = format!(
+                "before {secs:.2} s the path crosses a wall of {map}, near ({:.3}, {:.3}) m",
+                pose.x, pose.y
+            );
+            check.problem(key, what);
+        }
     }
 }
 

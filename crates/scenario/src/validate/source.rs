@@ -8,7 +8,9 @@ use locsim_world::simulation::{
 
 use super::{MAX_BEAMS, effect, residual};
 use crate::check::Allowed::{Within, ZeroOrWithin};
-use crate::check::{ANGLE, COORDINATE, Checker, LENGTH, MAX_RANGE, NOISE, POSITIVE_LENGTH, STEP, number};
+use crate::check::{
+    ANGLE, COORDINATE, Checker, LENGTH, MAX_RANGE, NOISE, OFFSET, POSITIVE_LENGTH, STEP, number,
+};
 use crate::key_path::join;
 use crate::raw::{
     MapFromScans, RawBlockResampling, RawBlocks, RawLaser, RawLog, RawPath, RawPose, RawRayCast, RawRobot,
@@ -257,8 +259,8 @@ fn laser(check: &mut Checker<'_>, raw: &RawLaser) -> LaserOptions {
         sigma_m: check.number("laser.noise.sigma_m", raw.noise.sigma_m, ZeroOrWithin(1e-6, 1.0)),
         sigma_per_m: check.number("laser.noise.sigma_per_m", raw.noise.sigma_per_m, NOISE),
         mount: Pose2::new(
-            check.number("laser.mount.x_m", raw.mount.x_m, COORDINATE),
-            check.number("laser.mount.y_m", raw.mount.y_m, COORDINATE),
+            check.number("laser.mount.x_m", raw.mount.x_m, OFFSET),
+            check.number("laser.mount.y_m", raw.mount.y_m, OFFSET),
             check.degrees("laser.mount.yaw_deg", raw.mount.yaw_deg, ANGLE),
         ),
         scan_secs,

@@ -51,6 +51,18 @@ pub enum MapError {
         /// Index of the edge's second point.
         next: usize,
     },
+    /// A number of a measured wall is out of range.
+    #[error("`{key}` of `{wall}`: {value} is not allowed; {allowed}")]
+    Wall {
+        /// Name of the wall.
+        wall: String,
+        /// The number's key.
+        key: &'static str,
+        /// The number.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
     /// A name stands for two things.
     #[error("the name `{name}` is given twice, the second time in `{polyline}`")]
     DuplicateName {
@@ -90,7 +102,10 @@ pub enum MapError {
     #[error("a cell size of {0} m is not allowed; at least {FINEST_M} m")]
     TooFine(f64),
     /// The origin of a grid is not finite, or part of the grid is far beyond any building.
-    #[error("origin must be finite [x, y, yaw], with all of the map within {FARTHEST_M} m of 0; got {0:?}")]
+    #[error(
+        "origin must be [x, y, yaw], with the yaw in radians from -6.2832 to 6.2832 and all of the map within {FARTHEST_M} m of 0; \
+         got [{:?}, {:?}, {:?}]", .0[0], .0[1], .0[2]
+    )]
     Origin([f64; 3]),
     /// The thresholds of a grid are out of order.
     #[error("thresholds must satisfy 0 <= free_thresh < occupied_thresh <= 1; got {free} and {occupied}")]

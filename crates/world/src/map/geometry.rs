@@ -76,6 +76,19 @@ impl Geometry {
         &self.segments[..self.walls]
     }
 
+    /// Whether the straight way between two points crosses a wall, or ends on it.
+    pub fn is_crossed(&self, from: DVec2, to: DVec2) -> bool {
+        let way = to - from;
+        self.walls().iter().any(|[a, b]| {
+            let along = *b - *a;
+            let sides = [
+                way.perp_dot(*a - from) * way.perp_dot(*b - from),
+                along.perp_dot(from - *a) * along.perp_dot(to - *a),
+            ];
+            sides[0] < 0.0 && sides[1] <= 0.0
+        })
+    }
+
     /// Standard deviation of the offset across of each of [`Geometry::walls`] \[m\]; empty of a map whose walls are taken for
     /// exact.
     pub fn wall_sigmas(&self) -> &[f64] {

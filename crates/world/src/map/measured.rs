@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use super::geometry::{FreeSpace, bounds_of};
 use super::polygons::Polygons;
-use super::{COINCIDENT_M, Geometry, MapError};
+use super::{COINCIDENT_M, FARTHEST_M, Geometry, MapError};
 
 /// A wall has a nominal range when at least this share of the beams that reach it end there: then their median ends there.
 const NOMINAL_SHARE: f64 = 0.5;
@@ -63,6 +63,15 @@ impl MeasuredMap {
             let ends = super::finite_points(&name, &[wall.from_m, wall.to_m])?;
             if ends[0].distance(ends[1]) < COINCIDENT_M {
                 return Err(MapError::ZeroLengthEdge { polyline: name, point: 0, next: 1 });
+            }
+            let is_length = |value: f64| (0.0..=FARTHEST_M).contains(&value);
+            for (key, value, is_allowed, allowed) in [
+                ("sigma_m", wall.sigma_m, is_length(wall.sigma_m), "a length of 0 or more (m)"),
+                ("hit_share", wall.hit_share, (0.0..=1.0).contains(&wall.hit_share), "a share, 0 to 1"),
+            ] {
+                if !is_allowed {
+                    return Err(MapError::Wall { wall: name, key, value, allowed });
+                }
             }
             if wall.hit_share >= NOMINAL_SHARE {
                 segments.push([ends[0], ends[1]]);

@@ -47,6 +47,9 @@ pub struct OccupancyMapFile {
     pub free_thresh: f64,
 }
 
+/// A turn, and its rounding \[rad\].
+const MOST_YAW_RAD: f64 = 6.2832;
+
 impl OccupancyMapFile {
     /// Loads the image (pgm, png; 8 or 16 bits; colours are averaged) and reads each pixel as a cell.
     ///
@@ -80,7 +83,8 @@ impl OccupancyMapFile {
         share: impl Fn(P::Subpixel) -> f64,
     ) -> Result<OccupancyGrid, MapError> {
         let [x, y, yaw] = self.origin;
-        if !self.origin.iter().all(|v| v.is_finite()) {
+        // A yaw in degrees would turn the map anyhow.
+        if !(self.origin.iter().all(|v| v.is_finite()) && yaw.abs() <= MOST_YAW_RAD) {
             return Err(MapError::Origin(self.origin));
         }
         let (width, height) = (image.width() as usize, image.height() as usize);
