@@ -9,11 +9,15 @@ const LEAST_PIVOT: f64 = 1e-6;
 const FIRST_RIDGE: f64 = 0.01;
 
 /// Inverse of a small positive definite matrix; of one that isn't, with a ridge.
+/// Of a matrix that is not finite, all entries are NaN.
 pub fn invert(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let n = matrix.len();
     // Scaled to ones on the diagonal, so that units don't matter.
     let scale: Vec<f64> = (0..n).map(|i| matrix[i][i].max(1e-300).sqrt()).collect();
     let scaled = DMatrix::from_fn(n, n, |i, j| matrix[i][j] / (scale[i] * scale[j]));
+    if scaled.iter().any(|value| !value.is_finite()) {
+        return vec![vec![f64::NAN; n]; n];
+    }
     let mut ridge = 0.0;
     loop {
         let ridged = &scaled + DMatrix::from_diagonal_element(n, n, ridge);
@@ -46,6 +50,14 @@ mod tests {
                     "{i} {j}: {product}"
                 );
             }
+        }
+    }
+
+    #[test]
+    fn what_is_not_finite_has_no_inverse_and_ends() {
+        for wrong in [f64::NAN, f64::INFINITY] {
+            let inverse = invert(&[vec![1.0, wrong], vec![wrong, 2.0]]);
+            assert!(inverse.iter().flatten().all(|value| value.is_nan()));
         }
     }
 

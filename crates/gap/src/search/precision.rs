@@ -180,7 +180,7 @@ fn newton_steps(totals: &[Vec<f64>], steps: &[f64]) -> Option<Vec<Vec<f64>>> {
     let mut both = 1 + 2 * n;
     for i in 0..n {
         information[i][i] = mean(&|t| 2.0 * t[0] - t[up(i)] - t[down(i)]) / steps[i].powi(2);
-        if information[i][i] <= 0.0 {
+        if !(information[i][i] > 0.0 && information[i][i].is_finite()) {
             return None;
         }
         for j in 0..i {
@@ -190,6 +190,9 @@ fn newton_steps(totals: &[Vec<f64>], steps: &[f64]) -> Option<Vec<Vec<f64>>> {
             information[j][i] = information[i][j];
             both += 1;
         }
+    }
+    if information.iter().flatten().any(|value| !value.is_finite()) {
+        return None;
     }
     let inverse = invert(&information);
     let gradient = |t: &Vec<f64>, i: usize| (t[up(i)] - t[down(i)]) / (2.0 * steps[i]);
