@@ -170,6 +170,9 @@ pub fn visible(text: &str) -> String {
 
 /// A number with this many decimals; zero has no sign.
 pub fn fixed(value: f64, decimals: usize) -> String {
+    if value.is_nan() {
+        return "-".to_owned();
+    }
     let text = format!("{value:.decimals$}");
     if text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.')) { text.replace('-', "") } else { text }
 }

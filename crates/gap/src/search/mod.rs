@@ -17,7 +17,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
 use locsim_core::Progress;
-use locsim_world::effect::{Effect, EffectKind, Moves};
+use locsim_world::effect::{Effect, EffectKind, Moves, Score};
 use locsim_world::raycast::Unsure;
 use rayon::prelude::*;
 
@@ -279,7 +279,8 @@ impl<'a> State<'a> {
             let form = |i: usize| round.dictionary.statistics[i].form;
             let has_score = round.own(kind).any(|i| form(i) == Form::Score) || kind.moves() == Moves::Clutter;
             // Readings that an effect moves by many standard deviations are none of the surface to a score.
-            let is_beyond_score = candidate.gain() > STRONG_NATS && kind.is_scored_by_location();
+            let is_beyond_score =
+                candidate.gain() > STRONG_NATS && kind.scores().any(|score| score == Score::Location);
             candidate.is_beyond_chance = weight >= beyond_chance || is_beyond_score;
             candidate.score = (has_score && !is_beyond_score).then_some(off);
             // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings

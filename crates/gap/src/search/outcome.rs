@@ -1,7 +1,7 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
 use locsim_core::{Draw, Estimate, Interval, Stage, sorted};
-use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::effect::{Effect, EffectKind, Score};
 use rand::RngExt;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -165,16 +165,22 @@ impl<'a> State<'a> {
         (0..logs as u32).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
     }
 
-    /// Whether simulated ranges are no nearer to the log's in the later round than in the first. A map that is exact is to be believed
-    /// for as long as ranges weren't off before, and are hardly more so.
-    pub fn moves_away(&self, first: &Round<'a>, last: &Round<'a>) -> Result<bool, GapError> {
+    /// Whether simulated ranges are no nearer to the log's in the later round, whose last effect this is, than in the first. A map that is
+    /// exact is to be believed for as long as ranges weren't off before, and are hardly more so. Errors at surfaces are millimetres that what
+    /// else is off may hide; readings that aren't of a surface show.
+    pub fn moves_away(
+        &self,
+        first: &Round<'a>,
+        last: &Round<'a>,
+        kind: EffectKind,
+    ) -> Result<bool, GapError> {
         let (old_mm, new_mm, floor) = self.distances(first, last)?;
-        let closed = floor.closed(old_mm, new_mm);
         let is_strict = self.nominal.pieces.is_some() || floor.is_farther(old_mm, new_mm);
-        let is_away = |closed| {
-            if is_strict { closed <= 0.0 } else { new_mm - old_mm > floor.error_mm() && closed < 0.0 }
-        };
-        Ok(closed.is_some_and(is_away))
+        let is_of_surface = kind.scores().any(|score| matches!(score, Score::Location | Score::Scale));
+        let least_mm = if is_of_surface { floor.error_mm() } else { 0.0 };
+        let is_away =
+            |closed| if is_strict { closed <= 0.0 } else { closed < 0.0 && new_mm - old_mm > least_mm };
+        Ok(floor.closed(old_mm, new_mm).is_some_and(is_away))
     }
 
     /// Whether simulated ranges are farther from the log's in the later round by more than two simulations differ.

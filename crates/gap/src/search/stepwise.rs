@@ -234,7 +234,9 @@ impl<'a> State<'a> {
         while let Some(last) = last_of_ranges(&path.named) {
             let without = path.without(last);
             let is_farther = without.map(|without| self.is_farther(without, path.last())).transpose()?;
-            if is_farther != Some(true) && !self.moves_away(path.first(), path.last())? {
+            if is_farther != Some(true)
+                && !self.moves_away(path.first(), path.last(), path.named[last].name)?
+            {
                 break;
             }
             path.named.remove(last);

@@ -100,10 +100,12 @@ impl EffectKind {
         !self.parameters().iter().any(|parameter| matches!(parameter.role, Role::Position { .. }))
     }
 
-    /// Whether it moves readings, and they are looked at by their mean.
-    pub fn is_scored_by_location(self) -> bool {
-        let is_location = |statistic: &Statistic| matches!(statistic, Statistic::Score { score, .. } if *score == Score::Location);
-        self.description().statistics.iter().any(is_location)
+    /// The scores that it is looked for by.
+    pub fn scores(self) -> impl Iterator<Item = Score> {
+        self.description().statistics.iter().filter_map(|statistic| match statistic {
+            Statistic::Score { score, .. } => Some(*score),
+            _ => None,
+        })
     }
 
     /// Whether it is the same for every return.
