@@ -84,17 +84,18 @@ pub(crate) struct Search<'c, 'a> {
 impl Search<'_, '_> {
     /// The best fit over several starts; `None` where nothing is gained.
     pub fn fit(&self, kind: EffectKind, starts: &[Start]) -> Result<Option<Candidate>, GapError> {
-        let mut best: Option<(f64, Effect)> = None;
-        for start in starts {
-            let (value, effect) = self.maximize(kind, start)?;
-            if best.as_ref().is_none_or(|(known, _)| value > *known) {
-                best = Some((value, effect));
-            }
+        let exact = self.comparison.start_exact(&self.start.nuisances);
+        let mut fits =
+            starts.iter().map(|start| self.maximize(kind, start)).collect::<Result<Vec<_>, _>>()?;
+        if let (Some(exact), Moves::Scans, [_, .., far]) = (&exact, kind.moves(), starts) {
+            // Errors of the reference that were fitted to a laser that is turned far make the right turn look wrong.
+            fits.push(Search { start: exact, ..*self }.maximize(kind, far)?);
         }
+        // Of fits that are as good the first.
+        let best = fits.into_iter().reduce(|best, other| if other.0 > best.0 { other } else { best });
         let Some(best) = best else { return Ok(None) };
         let (value, effect) = self.polish(kind, best)?;
         let gain = value - self.without.total();
-        let exact = self.comparison.start_exact(&self.start.nuisances);
         let is_absorbed = match kind.moves() {
             Moves::Scans => true,
             Moves::Readings => exact.is_some(),

@@ -182,7 +182,8 @@ fn in_a_minimal_scenario_nothing_is_found_or_what_is_hidden() {
         (EffectKind::WarmupDrift, vec![0.2, 10.0]),
         (EffectKind::IncidenceBias, vec![-0.1]),
         (EffectKind::MountYaw, vec![0.006]),
-        (EffectKind::MountYaw, vec![0.07]),
+        (EffectKind::MountYaw, vec![0.2]),
+        (EffectKind::MountYaw, vec![-1.7]),
     ] {
         let (verdict, names, _) = hidden(&[effect(kind, &values)]);
         assert_eq!((verdict, names), (Verdict::Named, vec![kind]), "{values:?}");
@@ -193,9 +194,12 @@ fn in_a_minimal_scenario_nothing_is_found_or_what_is_hidden() {
 #[test]
 fn effects_of_many_standard_deviations_are_named() {
     let nominal = nominal();
-    for (kind, value) in
-        [(EffectKind::RangeBias, 0.3), (EffectKind::RangeBias, -0.2), (EffectKind::RangeScale, 0.15)]
-    {
+    for (kind, value) in [
+        (EffectKind::RangeBias, 0.3),
+        (EffectKind::RangeBias, -0.2),
+        (EffectKind::RangeScale, 0.15),
+        (EffectKind::MountYaw, 0.5),
+    ] {
         let recorded = log(&nominal, &[effect(kind, &[value])], Regime::default(), 3);
         let outcome = search(&nominal, &recorded, Vec::new());
         let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();

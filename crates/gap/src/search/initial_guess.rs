@@ -27,7 +27,9 @@ impl<'a> State<'a> {
         let exact = round.comparison.start_exact(&round.fitted.nuisances);
         let exact =
             exact.as_ref().map(|fitted| Readings::new(&round.comparison, &effects, fitted, false, &pit));
-        let further = [further, &round.dictionary.moving(&log)].concat();
+        let moving = round.dictionary.moving(&log);
+        let further: Vec<EffectKind> =
+            further.iter().copied().chain(moving.iter().map(|(kind, _)| *kind)).collect();
         let guesses =
             self.promising(round, count, chance, &further).into_iter().map(|(kind, mut directions)| {
                 directions.sort_by(|a, b| round.says(b.1, a.1));
@@ -39,7 +41,8 @@ impl<'a> State<'a> {
                 let exact = exact.as_ref().filter(|_| kind.moves() == Moves::Walls);
                 let logs = [Some(&log), exact].into_iter().flatten();
                 let starts = logs.flat_map(|log| round.dictionary.first_guesses(log, &directions));
-                (kind, starts.collect())
+                let far = moving.iter().filter(|(moved, _)| *moved == kind).map(|(_, start)| start.clone());
+                (kind, starts.chain(far).collect())
             });
         Ok(guesses.filter(|(_, starts): &(EffectKind, Vec<Start>)| !starts.is_empty()).collect())
     }

@@ -87,8 +87,8 @@ impl Dictionary {
         family.first_guesses(log, &own)
     }
 
-    /// The effects that most of a log's readings are moved by, as far as their medians say.
-    pub fn moving(&self, log: &Readings<'_>) -> Vec<EffectKind> {
+    /// The effects that most of a log's readings are moved by, with where fits of them start.
+    pub fn moving(&self, log: &Readings<'_>) -> Vec<(EffectKind, Start)> {
         self.families.iter().filter_map(|family| family.moves_most(log)).collect()
     }
 

@@ -165,7 +165,7 @@ mod tests {
         let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
         let outcome = find(&NOMINAL, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
         let first = outcome.effects.first().expect("something is named");
-        assert_eq!(first.name, EffectKind::MovedWall, "{:?}", outcome.rivals);
+        assert_eq!(first.name, EffectKind::MovedWall, "{:?} {:?}", outcome.rivals, outcome.detection);
         let distance = first.params["distance_m"].estimate.value;
         assert!((distance + 0.15).abs() < 0.005, "{distance}");
     }

@@ -51,9 +51,9 @@ pub(crate) trait Family: Send + Sync {
         typical_guesses(found)
     }
 
-    /// The family's effect, if it moves readings, and most of the log's are moved as it does: then a fit of it is worth a try whatever the
-    /// statistics say.
-    fn moves_most(&self, _: &Readings<'_>) -> Option<EffectKind> {
+    /// The family's effect, if it moves readings, and most of the log's are moved as it does, with where a fit of it starts then: it is worth
+    /// a try whatever the statistics say.
+    fn moves_most(&self, _: &Readings<'_>) -> Option<(EffectKind, Start)> {
         None
     }
 

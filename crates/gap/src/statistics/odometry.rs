@@ -118,6 +118,8 @@ const LAGS: usize = 25;
 const LAG_SECS: f64 = 0.02;
 /// The least mean error of an increment \[m, rad\].
 const LEAST_ERROR: f64 = 1e-3;
+/// In most logs no lag is likelier than none, by not a nat; a ratio of this is of a few increments.
+const LEAST_NATS: f64 = 5.0;
 
 /// The log likelihood ratio of an odometry that lags behind the stamps, by Laplace's distribution of any width: noise that was fitted to
 /// a log has the lag in it. The rival is none or, if likelier, as much to the other side: the reference errs less between two poses.
@@ -126,7 +128,8 @@ pub(super) struct OdometryLag;
 impl Family for OdometryLag {
     fn statistics(&self) -> Vec<Statistic> {
         let (covariate, deviation) = (Covariate::Odometry, Deviation::Lag);
-        vec![Statistic::of_cell(Cell { covariate, lo: 0.0, hi: 0.0, place: None, deviation }, Form::Other)]
+        let cell = Cell { covariate, lo: 0.0, hi: 0.0, place: None, deviation };
+        vec![Statistic::of_cell(cell, Form::Other).with_one_reading(LEAST_NATS)]
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {

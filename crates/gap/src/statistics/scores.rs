@@ -6,7 +6,7 @@ use locsim_world::effect::{self, Direction, EffectKind, Score, TAIL_FACTOR};
 use super::contamination::detectable_share;
 use super::readings::Reading;
 use super::survey::Survey;
-use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic, typical_guesses};
+use super::{Family, Form, Group, Halves, Readings, Start, Statistic};
 use crate::catalogue::{shown_by, values_along};
 use crate::likelihood::normal_density;
 
@@ -17,6 +17,8 @@ pub(super) struct Scores {
     directions: Vec<Weights>,
     /// Whether errors of the reference take the effect in. It is then looked for in those errors.
     is_pose_pattern: bool,
+    /// Whether it turns the laser.
+    is_turn: bool,
 }
 
 /// A direction of an effect's values.
@@ -51,14 +53,14 @@ impl Scores {
                 let share = if is_contamination(wanted) { detectable_share(beams) as f32 } else { 0.0 };
                 Weights { direction, of_beams, share }
             };
-            let statistics = kind.description().statistics.iter();
+            let shows_in =
+                |shown: fn(&effect::Statistic) -> bool| kind.description().statistics.iter().any(shown);
             Self {
                 kind,
                 score: wanted,
                 directions: directions.iter().map(weights).collect(),
-                is_pose_pattern: statistics
-                    .into_iter()
-                    .any(|statistic| matches!(statistic, effect::Statistic::Pose { .. })),
+                is_pose_pattern: shows_in(|statistic| matches!(statistic, effect::Statistic::Pose { .. })),
+                is_turn: shows_in(|statistic| matches!(statistic, effect::Statistic::Turn)),
             }
         })
     }
@@ -71,10 +73,13 @@ impl Scores {
         if self.score != Score::Location {
             return None;
         }
-        let moved =
-            self.directions.iter().filter_map(|weights| Some((weights, moved(log, &weights.of_beams)?)));
-        let (weights, [value, left]) = moved.min_by(|a, b| a.1[1].total_cmp(&b.1[1]))?;
-        (left < LEFT).then_some((strength, weights.direction, value))
+        let moved = self.directions.iter().flat_map(|weights| {
+            let turned = if self.is_turn { turned(log) } else { None };
+            let both = [moved(log, &weights.of_beams), turned].into_iter().flatten();
+            both.map(|moved| (weights.direction, moved))
+        });
+        let (direction, [value, left]) = moved.min_by(|a, b| a.1[1].total_cmp(&b.1[1]))?;
+        (left < LEFT).then_some((strength, direction, value))
     }
 
     /// Derivative of a reading's log density, of a contamination at a share of 0.
@@ -149,6 +154,30 @@ fn moved(log: &Readings<'_>, of_beams: &[f32]) -> Option<[f64; 2]> {
     Some([strength, left])
 }
 
+/// The turn of the laser, by whole beams \[rad\], with which returns are nearest to the nominal ranges of the scan's other beams, and what it
+/// leaves of their median distance.
+fn turned(log: &Readings<'_>) -> Option<[f64; 2]> {
+    let views = &log.comparison.views;
+    let (count, bearings) = (views.per_scan, log.comparison.recorded.laser.bearings());
+    let all = f64::from(*bearings.last()? - bearings[0]);
+    let step = all / (count as f64 - 1.0);
+    let is_full = all.abs() + 1.5 * step.abs() > std::f64::consts::TAU;
+    let distance = |by: isize| {
+        let returns = log.scans().flatten().filter(|reading| reading.is_return);
+        let distances = returns.filter_map(|reading| {
+            let beam = (reading.index % count) as isize + by;
+            let beam = if is_full { beam.rem_euclid(count as isize) } else { beam };
+            let other = views.scan(reading.scan).get(usize::try_from(beam).ok()?)?;
+            Some((reading.z - other.range().min(log.max_range())).abs())
+        });
+        median(&mut distances.collect::<Vec<_>>())
+    };
+    let most = count as isize / 2;
+    let distances = (-most..=most).map(|by| (by, distance(by))).filter(|(_, distance)| distance.is_finite());
+    let (by, with) = distances.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some([by as f64 * step, with / distance(0).max(f64::MIN_POSITIVE)])
+}
+
 impl Family for Scores {
     fn statistics(&self) -> Vec<Statistic> {
         let group = if is_contamination(self.score) { Group::Shares } else { Group::Wide };
@@ -163,20 +192,12 @@ impl Family for Scores {
         self.directions.iter().map(statistic).collect()
     }
 
-    /// Besides the usual starts, the strength by which most readings are moved.
-    fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
-        let mut starts = typical_guesses(found);
-        if let Some((strength, direction, value)) = self.strength_of_most(log) {
-            let mut values = values_along(self.kind, direction);
-            let parameter = &self.kind.parameters()[strength];
-            values[strength] = (parameter.neutral + value).clamp(parameter.lo, parameter.hi);
-            starts.push(Start { values, place: Vec::new() });
-        }
-        starts
-    }
-
-    fn moves_most(&self, log: &Readings<'_>) -> Option<EffectKind> {
-        self.strength_of_most(log).map(|_| self.kind)
+    fn moves_most(&self, log: &Readings<'_>) -> Option<(EffectKind, Start)> {
+        let (strength, direction, value) = self.strength_of_most(log)?;
+        let mut values = values_along(self.kind, direction);
+        let parameter = &self.kind.parameters()[strength];
+        values[strength] = (parameter.neutral + value).clamp(parameter.lo, parameter.hi);
+        Some((self.kind, Start { values, place: Vec::new() }))
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {

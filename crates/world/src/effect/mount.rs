@@ -37,6 +37,7 @@ impl EffectType for MountYaw {
                         },
                         directions: TYPICAL,
                     },
+                    Statistic::Turn,
                 ],
                 moves: Moves::Scans,
                 is_correctable: true,

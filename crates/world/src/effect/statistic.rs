@@ -23,6 +23,8 @@ pub enum Statistic {
         /// One statistic for each.
         directions: &'static [Direction],
     },
+    /// Readings against the nominal ranges of other beams of their scan, for a laser that is turned: where a fit of a large turn starts.
+    Turn,
     /// Location scores at each stretch of wall, for walls that are displaced along their normals.
     WallShift,
     /// Readings at each stretch of wall that are missing or of something behind it.
