@@ -280,6 +280,10 @@ fn maps_of_other_kinds() {
     let ros = "image: room.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n";
     folder.write("room.yaml", edited(ros, "image: room.pgm\n", ""));
     refused(&folder, "run room-run.yaml", "room.yaml:1: image: the key is missing");
+    folder.write("room.pgm", [&b"P5\r\n# drawn\r\n2 2\r\n255\r\n"[..], &[254; 4]].concat());
+    folder.write("room.yaml", ros);
+    let call = folder.locsim("run room-run.yaml").code(2);
+    call.stderr(contains("room.yaml:1: image: map image room.pgm: its header ends in CR LF"));
     folder.write("room.pgm", [&b"P5\n2 2\n255\n"[..], &[254; 4]].concat());
     folder.write("room.yaml", edited(ros, "[0, 0, 0]", "[0, 0, 90]"));
     refused(

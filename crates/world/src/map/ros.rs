@@ -1,5 +1,5 @@
 use std::fs;
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, ImageResult, Pixel};
@@ -169,7 +169,38 @@ fn decode(path: &Path) -> Result<DynamicImage, MapError> {
     if !is_compressed && decoder.total_bytes() / 8 > found.len() {
         return Err(other("it ends before its last pixel"));
     }
+    let raster = decoder.total_bytes();
+    let header = end_of_text_header(path).map_err(|error| failed(error.into()))?;
+    if header.is_some_and(|end| end + raster == found.len()) {
+        return Err(other(
+            "its header ends in CR LF, of which the second would be its first pixel: one blank is needed there",
+        ));
+    }
     DynamicImage::from_decoder(decoder).map_err(failed)
+}
+
+/// Bytes that the header of a PGM is looked for in.
+const MOST_HEADER: u64 = 4096;
+
+/// Where the header of a binary PGM (magic, width, height, greatest value) ends, if it is in CR LF, as programs write it that take it for text.
+fn end_of_text_header(path: &Path) -> io::Result<Option<u64>> {
+    let mut head = Vec::new();
+    fs::File::open(path)?.take(MOST_HEADER).read_to_end(&mut head)?;
+    let (mut tokens, mut at) = (0, 0);
+    while head.starts_with(b"P5") && at < head.len() {
+        if head[at] == b'#' {
+            at += head[at..].iter().take_while(|byte| **byte != b'\n').count();
+        } else if head[at].is_ascii_whitespace() {
+            at += 1;
+        } else {
+            at += head[at..].iter().take_while(|byte| !byte.is_ascii_whitespace()).count();
+            tokens += 1;
+            if tokens == 4 {
+                return Ok(head[at..].starts_with(b"\r\n").then_some(at as u64 + 2));
+            }
+        }
+    }
+    Ok(None)
 }
 
 /// `map_server` files write `negate: 0`.
