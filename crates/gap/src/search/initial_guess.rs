@@ -9,6 +9,13 @@ use crate::statistics::{Readings, Start, pit_draw};
 /// The statistics of an effect: z and index of each.
 type Directions = Vec<(f64, usize)>;
 
+/// Where fits start.
+pub struct Guesses {
+    pub starts: Vec<(EffectKind, Vec<Start>)>,
+    /// The effects that most readings are moved by.
+    pub moving: Vec<EffectKind>,
+}
+
 impl<'a> State<'a> {
     /// At most `count` effects with where their fits start, the most promising one first: those with a statistic as far off
     /// as some statistic is in the share `chance` of logs without any fault. Further ones come after them.
@@ -18,7 +25,7 @@ impl<'a> State<'a> {
         count: usize,
         chance: f64,
         further: &[EffectKind],
-    ) -> Result<Vec<(EffectKind, Vec<Start>)>, GapError> {
+    ) -> Result<Guesses, GapError> {
         let effects = round.comparison.effects(&round.effects)?;
         // Starts don't depend on PITs, nor on whether poses err.
         let pit = pit_draw(self.options.seed);
@@ -44,7 +51,8 @@ impl<'a> State<'a> {
                 let far = moving.iter().filter(|(moved, _)| *moved == kind).map(|(_, start)| start.clone());
                 (kind, starts.chain(far).collect())
             });
-        Ok(guesses.filter(|(_, starts): &(EffectKind, Vec<Start>)| !starts.is_empty()).collect())
+        let starts = guesses.filter(|(_, starts): &(EffectKind, Vec<Start>)| !starts.is_empty()).collect();
+        Ok(Guesses { starts, moving: moving.iter().map(|(kind, _)| *kind).collect() })
     }
 
     /// The effects whose statistics are farthest off, and further ones.

@@ -17,7 +17,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
 use locsim_core::Progress;
-use locsim_world::effect::{Effect, EffectKind, Moves, Score};
+use locsim_world::effect::{Effect, EffectKind, Moves};
 use locsim_world::raycast::Unsure;
 use rayon::prelude::*;
 
@@ -31,6 +31,7 @@ use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::statistics::{Dictionary, Form};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
+use initial_guess::Guesses;
 use judgement::Judgement;
 
 pub use selection::split_by;
@@ -75,7 +76,7 @@ const SOMEWHAT_OFF: f64 = 0.5;
 /// linear approximation about the neutral value.
 const BEYOND_DOUBT: f64 = 10.0;
 
-/// A fit of an effect that moves readings is believed without its score where it gains more than this (nats).
+/// A fit of an effect that most readings are moved by is believed without its score where it gains more than this (nats).
 const STRONG_NATS: f64 = 200.0;
 
 /// A hypothesis with what simulations of it look like.
@@ -248,7 +249,7 @@ impl<'a> State<'a> {
         chance: f64,
         further: &[EffectKind],
     ) -> Result<Vec<Candidate>, GapError> {
-        let starts = self.first_guesses(round, count, chance, further)?;
+        let Guesses { starts, moving } = self.first_guesses(round, count, chance, further)?;
         self.progress.stage("fitting effects", starts.len() as u64);
         // After as many updates of the nuisance parameters as evaluations with an effect.
         let without = round.comparison.evaluate(&round.effects, &round.fitted, 1)?;
@@ -279,8 +280,7 @@ impl<'a> State<'a> {
             let form = |i: usize| round.dictionary.statistics[i].form;
             let has_score = round.own(kind).any(|i| form(i) == Form::Score) || kind.moves() == Moves::Clutter;
             // Readings that an effect moves by many standard deviations are none of the surface to a score.
-            let is_beyond_score =
-                candidate.gain() > STRONG_NATS && kind.scores().any(|score| score == Score::Location);
+            let is_beyond_score = candidate.gain() > STRONG_NATS && moving.contains(&kind);
             candidate.is_beyond_chance = weight >= beyond_chance || is_beyond_score;
             candidate.score = (has_score && !is_beyond_score).then_some(off);
             // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings
