@@ -289,7 +289,7 @@ fn maps_of_other_kinds() {
     refused(
         &folder,
         "run room-run.yaml",
-        "room.yaml:3: origin: origin must be [x, y, yaw], with the yaw in radians from -6.2832 to 6.2832 and all of the map \
+        "room.yaml:3: origin: origin must be [x, y, yaw], with the yaw in radians, up to a turn, and all of the map \
          within 10000000 m of 0; got [0.0, 0.0, 90.0]",
     );
     let walls = "seen:\n  - [[0, 0], [3, 0], [3, 2], [0, 2]]\nwalls:\n  - {from_m: [3, 0], to_m: [0, 0], sigma_m: 0.01, hits: 9, hit_share: 0.9}\n";
@@ -391,7 +391,7 @@ fn a_path_through_a_wall() {
     for command in ["validate s.yaml", "run s.yaml"] {
         let call = folder.locsim(command).code(2);
         call.stderr(contains(
-            "s.yaml:9: robot.path.waypoints.points_m: before 0.80 s the path crosses a wall of room.yaml",
+            "s.yaml:9: robot.path.waypoints.points_m: after 0.80 s the path crosses a wall of room.yaml",
         ));
     }
 }

@@ -49,7 +49,8 @@ pub struct FilterOptions {
     pub particles: ParticleCount,
     /// How the robot moves.
     pub motion: Arc<dyn MotionModel>,
-    /// How far the robot moves before [`Filter::step`] takes another scan in; `None` takes every scan in.
+    /// How far the robot moves before [`Filter::step`] takes another scan in; `None` takes every scan in. [`Filter::update`] takes in
+    /// whatever it is given.
     pub update: Option<UpdateThreshold>,
     /// Chooses the particles that survive.
     pub resampler: Arc<dyn Resampler>,
@@ -113,7 +114,8 @@ pub struct Estimates {
 /// The outcome of a filter step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOutcome {
-    /// `ln p(z_t | z_1..t-1)` (nats), the log of the weighted mean likelihood; minus infinity if all were zero.
+    /// `ln p(z_t | z_1..t-1)` (nats), the log of the weighted mean likelihood; minus infinity if all were zero, 0 of a scan that was
+    /// left out.
     pub log_evidence: f64,
     /// 1 / sum of squared weights, after weighting and before resampling.
     pub effective_sample_size: f64,
@@ -170,7 +172,7 @@ pub struct Filter {
     pending: bool,
     /// `particles` descend from `ancestors` of the generation that was last weighted.
     descended: bool,
-    /// Motion since the last update by odometry; `None` before the first.
+    /// Motion by odometry since a scan was taken in; `None` where the next one is due.
     moved: Option<Pose2>,
     /// Share of random particles in the next set, by the last update.
     random_share: f64,
@@ -329,10 +331,7 @@ impl Filter {
         self.check_odometry(&input.odometry)?;
         check_scan(self.next_step(), input.laser, input.scan)?;
         self.predict(&input.odometry)?;
-        let is_due = match (self.options.update, &self.moved) {
-            (Some(threshold), Some(moved)) => threshold.is_reached(moved),
-            _ => true,
-        };
+        let is_due = self.is_due(input.scan);
         let Update { log_evidence, likelihood_power, recovered, estimates } =
             if is_due { self.update(input.laser, input.scan, map, model)? } else { self.leave_out() };
         let effective_sample_size = self.weights.effective_sample_size();
@@ -376,6 +375,14 @@ impl Filter {
         Ok(())
     }
 
+    /// Whether a scan is to be taken in: after enough motion, and until then where none since could be used. One that a power of its
+    /// likelihood was taken in of counts: without motion between them, the particles that it leaves are all that later ones choose from.
+    fn is_due(&mut self, scan: &Scan) -> bool {
+        let Some(threshold) = self.options.update else { return true };
+        self.moved = self.moved.filter(|moved| !threshold.is_reached(moved));
+        self.moved.is_none() && scan.ranges.iter().any(|z| !z.is_nan())
+    }
+
     /// The estimates of a step whose scan isn't taken in.
     fn leave_out(&mut self) -> Update {
         let log_likelihood = overwritten(&mut self.log_likelihood);
@@ -403,7 +410,6 @@ impl Filter {
         let step = self.step;
         check_scan(step, laser, scan)?;
         self.take_next();
-        self.moved = Some(Pose2::IDENTITY);
         let log_likelihood = overwritten(&mut self.log_likelihood);
         log_likelihood.resize(self.particles.len(), 0.0);
         self.weigher.log_likelihoods(self.particles.as_poses(), laser, scan, map, model, log_likelihood);
@@ -435,6 +441,8 @@ impl Filter {
                 })
             }
         };
+        // 0 is the power of a scan that was left out.
+        likelihood_power = likelihood_power.max(f64::MIN_POSITIVE);
         let (log_evidence, recovered) = match weighed {
             Ok(log_evidence) => (log_evidence, None),
             Err(WeightError::AllZero) => {
@@ -446,6 +454,9 @@ impl Filter {
             }
             Err(WeightError::Length { .. }) => unreachable!("one log likelihood per particle"),
         };
+        if recovered.is_none() {
+            self.moved = Some(Pose2::IDENTITY);
+        }
         let descended = std::mem::take(&mut self.descended);
         if let Some(ancestry) = &mut self.ancestry {
             let parents = match &self.annealer {
@@ -530,7 +541,7 @@ impl Filter {
         &self.weights
     }
 
-    /// Log likelihood of the last scan for each particle (nats); empty before the first step.
+    /// Log likelihood of the last scan for each particle (nats), 0 of a scan that was left out; empty before the first step.
     pub fn log_likelihood(&self) -> &Arc<Vec<f64>> {
         &self.log_likelihood
     }

@@ -93,7 +93,9 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
     let median = quantile(&errors, 0.5);
     let rmse = (errors.iter().map(|error| error * error).sum::<f64>() / steps).sqrt();
     let is_few = |row: &&StepRow| row.effective_sample_size < FEW_EFFECTIVE * f64::from(row.particles);
-    let few = rows().filter(is_few).count() as f64 / steps;
+    let taken_in = || rows().filter(|row| row.likelihood_power > 0.0);
+    let of_taken_in = (taken_in().count() as f64).max(1.0);
+    let few = taken_in().filter(is_few).count() as f64 / of_taken_in;
     let powers = rows().map(|row| row.likelihood_power);
     let cut: Vec<f64> = powers.filter(|power| *power > 0.0 && *power < 1.0).collect();
     [
@@ -119,7 +121,7 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
                 100.0 * few
             )
         }),
-        (cut.len() as f64 > CUT_SHARE * steps).then(|| cut_scans(model, cut, steps)),
+        (cut.len() as f64 > CUT_SHARE * of_taken_in).then(|| cut_scans(model, cut, of_taken_in)),
     ]
     .into_iter()
     .flatten()

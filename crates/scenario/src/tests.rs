@@ -438,10 +438,10 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
         "{distance_m: -1, angle_deg: 10}",
     ),
     (
-        "update, above 360",
+        "update, above 180",
         "simulation.yaml",
         "{distance_m: 0.25, angle_deg: 10}",
-        "{distance_m: 1, angle_deg: 400}",
+        "{distance_m: 1, angle_deg: 200}",
     ),
     ("name", "simulation.yaml", "name: everything", "name: all of it"),
     ("zero trials", "simulation.yaml", "trials: 20", "trials: 0"),

@@ -286,8 +286,8 @@ fn in_metres(pose: Pose2) -> Pose2 {
     Pose2::new(pose.x / 100.0, pose.y / 100.0, pose.theta)
 }
 
-/// A turn, and its rounding \[rad\].
-const MOST_ANGLE_RAD: f64 = 6.2832;
+/// A turn, and a beam more \[rad\]: degrees begin far above.
+const MOST_ANGLE_RAD: f64 = 7.0;
 
 /// `ROBOTLASER1 type start_angle field_of_view resolution max_range accuracy remission_mode n r1..rn m e1..em
 /// laser_pose robot_pose tv rv forward_safety side_safety turn_axis`
@@ -299,10 +299,9 @@ fn new_scan(
 ) -> Result<(Layout, ScanLine), DatasetError> {
     fields.number("laser_type")?;
     // Degrees would be read as many turns.
-    let start =
-        fields.value("start_angle", "radians, -6.2832 to 6.2832", |v: f64| v.abs() <= MOST_ANGLE_RAD)?;
+    let start = fields.value("start_angle", "radians, up to a turn", |v: f64| v.abs() <= MOST_ANGLE_RAD)?;
     let field_of_view = fields
-        .value("field_of_view", "radians, 0 to 6.2832", |v: f64| (0.0..=MOST_ANGLE_RAD).contains(&v))?;
+        .value("field_of_view", "radians, up to a turn", |v: f64| (0.0..=MOST_ANGLE_RAD).contains(&v))?;
     let resolution = fields.number("angular_resolution")?;
     let max_range = fields.value("maximum_range", "more than 0 m", |v: f32| v > 0.0 && v.is_finite())?;
     fields.number("accuracy")?;

@@ -35,7 +35,8 @@ pub(super) fn lag_to_reference(drive: &Drive) -> f64 {
     let count = (most / step).round() as i32;
     let (secs, end) = (track.secs(), track.secs()[track.len() - 1]);
     let steps: Vec<_> = (1..drive.steps.len())
-        .filter(|&i| secs[i - 1] >= most && secs[i] <= end - most && secs[i] > secs[i - 1])
+        .filter(|&i| secs[i - 1] >= most && secs[i] <= end - most)
+        .filter(|&i| (1e-6..LONGEST_INTERVAL_SECS).contains(&(secs[i] - secs[i - 1])))
         .filter_map(|i| Some((i, drive.steps[i].reference?.relative_to(&drive.steps[i - 1].reference?))))
         .collect();
     let steps: Vec<_> = steps.iter().step_by(steps.len().div_ceil(STEPS).max(1)).collect();
@@ -57,8 +58,11 @@ pub(super) fn lag_to_reference(drive: &Drive) -> f64 {
     let best = (0..differences.len()).min_by(|&a, &b| differences[a].total_cmp(&differences[b]));
     let best = best.unwrap_or(count as usize);
     let lag = f64::from(best as i32 - count) * step;
-    let gain = (differences[count as usize] - differences[best]).exp();
-    if gain >= LEAST_GAIN && lag.abs() >= LEAST_SECS { lag } else { 0.0 }
+    // Between two poses the odometry jitters less: to either side that is the same.
+    let rival = differences[count as usize].min(differences[differences.len() - 1 - best]);
+    let is_inside = (1..differences.len() - 1).contains(&best);
+    let is_sure = (rival - differences[best]).exp() >= LEAST_GAIN && lag.abs() >= LEAST_SECS;
+    if is_inside && is_sure { lag } else { 0.0 }
 }
 
 /// The drive with the odometry so much earlier \[s\].
@@ -66,8 +70,12 @@ pub(super) fn with_earlier_odometry(drive: &Drive, lag_secs: f64) -> Drive {
     let Ok(track) = Track::new(drive.steps.iter().map(|step| (step.stamp_secs, step.odometry))) else {
         return drive.clone();
     };
-    let step = |(step, secs): (&DriveStep, &f64)| DriveStep {
+    let end = track.secs()[track.len() - 1];
+    // Beyond the ends nothing is known of the motion.
+    let is_known = |secs: f64| (0.0..=end).contains(&(secs + lag_secs));
+    let step = |(step, &secs): (&DriveStep, &f64)| DriveStep {
         odometry: track.pose_at(secs + lag_secs),
+        reference: step.reference.filter(|_| is_known(secs)),
         ..step.clone()
     };
     Drive { laser: drive.laser.clone(), steps: drive.steps.iter().zip(track.secs()).map(step).collect() }

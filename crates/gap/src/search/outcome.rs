@@ -166,8 +166,8 @@ impl<'a> State<'a> {
     }
 
     /// Whether simulated ranges are no nearer to the log's in the later round, whose last effect this is, than in the first. A map that is
-    /// exact is to be believed for as long as ranges weren't off before, and are hardly more so. Errors at surfaces are millimetres that what
-    /// else is off may hide; readings that aren't of a surface show.
+    /// exact is to be believed for as long as ranges weren't off before, and are hardly more so. A bias or a noise of a surface's readings changes ranges
+    /// by millimetres, which other errors may hide; readings that are replaced show.
     pub fn moves_away(
         &self,
         first: &Round<'a>,

@@ -116,6 +116,7 @@ impl Family for Slips {
 /// Lags that are tried, to either side up to half a second \[s\].
 const LAGS: usize = 25;
 const LAG_SECS: f64 = 0.02;
+const LEAST_STEPS: usize = 2;
 /// The least mean error of an increment \[m, rad\].
 const LEAST_ERROR: f64 = 1e-3;
 /// In most logs no lag is likelier than none, by not a nat; a ratio of this is of a few increments.
@@ -154,7 +155,9 @@ impl Family for OdometryLag {
                 own[2] * (0..2).map(|axis| (none[axis].min(other[axis]) / own[axis]).ln()).sum::<f64>()
             })
         };
-        let most = (0..all.len()).map(ratios).max_by(|[a, b], [c, d]| (a + b).total_cmp(&(c + d)));
+        // A lag below is within the interpolation.
+        let steps = (0..all.len()).filter(|step| step.abs_diff(LAGS) >= LEAST_STEPS);
+        let most = steps.map(ratios).max_by(|[a, b], [c, d]| (a + b).total_cmp(&(c + d)));
         vec![most.unwrap_or_default()]
     }
 }

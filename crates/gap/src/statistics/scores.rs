@@ -122,6 +122,11 @@ fn is_contamination(score: Score) -> bool {
 const LEAST_WEIGHT: f64 = 1e-6;
 /// An effect moves readings by many standard deviations if with it their errors are this share of what they were.
 const LEFT: f64 = 0.5;
+/// The mean and the median of normal noise's absolute value (standard deviations).
+const MEAN_NOISE: f64 = 0.80;
+const MEDIAN_NOISE: f64 = 0.67;
+/// A laser's noise is taken to be at least this \[m\].
+const LEAST_SIGMA_M: f64 = 1e-3;
 /// Errors count up to this many standard deviations.
 const CUT: f64 = 100.0;
 
@@ -150,7 +155,9 @@ fn moved(log: &Readings<'_>, of_beams: &[f32]) -> Option<[f64; 2]> {
         [errors.iter().sum::<f64>(), median(&mut errors)]
     };
     let (with, without) = (errors(strength), errors(0.0));
-    let left = (0..2).map(|i| with[i] / without[i].max(f64::MIN_POSITIVE)).fold(f64::INFINITY, f64::min);
+    // Below the noise nothing is told.
+    let left = |i: usize, noise: f64| with[i].max(noise) / without[i].max(noise);
+    let left = left(0, MEAN_NOISE * returns.len() as f64).min(left(1, MEDIAN_NOISE));
     Some([strength, left])
 }
 
@@ -159,23 +166,29 @@ fn moved(log: &Readings<'_>, of_beams: &[f32]) -> Option<[f64; 2]> {
 fn turned(log: &Readings<'_>) -> Option<[f64; 2]> {
     let views = &log.comparison.views;
     let (count, bearings) = (views.per_scan, log.comparison.recorded.laser.bearings());
-    let all = f64::from(*bearings.last()? - bearings[0]);
+    if count < 3 || bearings.len() != count {
+        return None;
+    }
+    let all = f64::from(bearings[count - 1] - bearings[0]);
     let step = all / (count as f64 - 1.0);
     let is_full = all.abs() + 1.5 * step.abs() > std::f64::consts::TAU;
-    let distance = |by: isize| {
+    let least = log.comparison.nominal.laser.sigma_m.max(LEAST_SIGMA_M);
+    // The median distance from the nominal ranges of the beams so many farther, over that from their own.
+    let left = |by: isize| {
         let returns = log.scans().flatten().filter(|reading| reading.is_return);
         let distances = returns.filter_map(|reading| {
             let beam = (reading.index % count) as isize + by;
             let beam = if is_full { beam.rem_euclid(count as isize) } else { beam };
             let other = views.scan(reading.scan).get(usize::try_from(beam).ok()?)?;
-            Some((reading.z - other.range().min(log.max_range())).abs())
+            let [other, own] = [other, reading.beam].map(|beam| beam.range().min(log.max_range()));
+            Some(((reading.z - other).abs(), (reading.z - own).abs()))
         });
-        median(&mut distances.collect::<Vec<_>>())
+        let (mut with, mut without): (Vec<f64>, Vec<f64>) = distances.unzip();
+        median(&mut with).max(least) / median(&mut without).max(least)
     };
     let most = count as isize / 2;
-    let distances = (-most..=most).map(|by| (by, distance(by))).filter(|(_, distance)| distance.is_finite());
-    let (by, with) = distances.min_by(|a, b| a.1.total_cmp(&b.1))?;
-    Some([by as f64 * step, with / distance(0).max(f64::MIN_POSITIVE)])
+    let (by, left) = (-most..=most).map(|by| (by, left(by))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some([by as f64 * step, left])
 }
 
 impl Family for Scores {

@@ -157,6 +157,9 @@ fn tried_table(changes: &Changes) -> TextTable {
     TextTable::new(["effect", "gain [nats]", "z"], rows)
 }
 
+/// Ranges are farther off with a name if they are so by this factor.
+const FARTHER: f64 = 1.1;
+
 /// The short answer.
 pub fn answer_since(changes: &Changes) -> String {
     sentences(changes).join("\n")
@@ -183,7 +186,7 @@ fn sentences(changes: &Changes) -> Vec<String> {
                  logs (p = {p})."
             ));
             let [before, after, _] = changes.w1_mm;
-            if after > before {
+            if after > FARTHER * before {
                 text.push(
                     "Ranges are farther off with what is named: it is weaker than its number says, or something else has changed that \
                      works against it."

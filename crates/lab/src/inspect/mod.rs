@@ -287,7 +287,7 @@ fn lacks(facts: Option<&DriveFacts>) -> Lacks {
     }
     if facts.quality.readings.longest_return_m.is_none_or(|longest| longest <= 0.0) {
         for lack in [&mut lacks.run, &mut lacks.map, &mut lacks.gap] {
-            lack.push("returns: no reading is one".to_owned());
+            lack.push("returns: no reading is a range".to_owned());
         }
     }
     lacks

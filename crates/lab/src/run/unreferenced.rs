@@ -192,7 +192,9 @@ fn localize(
         let [x, y, theta] = [0, 1, 2].map(|axis| covariance[axis][axis].max(0.0));
         track.estimates.push(online_estimate(settings.estimate, &outcome));
         track.spreads.push([(x + y).sqrt(), theta.sqrt()]);
-        track.effective_shares.push(outcome.effective_sample_size / outcome.particle_count as f64);
+        if outcome.likelihood_power > 0.0 {
+            track.effective_shares.push(outcome.effective_sample_size / outcome.particle_count as f64);
+        }
         track.log_evidence += outcome.log_evidence;
         track.cut += usize::from(outcome.likelihood_power > 0.0 && outcome.likelihood_power < 1.0);
         track.recoveries += usize::from(outcome.recovered.is_some());
@@ -203,6 +205,8 @@ fn localize(
 fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&Track]) -> UnreferencedModel {
     let scans = drive.steps.len() as f64;
     let count = tracks.len() as f64;
+    // Scans that `filter.update` left out say nothing.
+    let taken_in = tracks.iter().map(|track| track.effective_shares.len()).sum::<usize>() as f64 / count;
     let mean = |of: &dyn Fn(&Track) -> f64| tracks.iter().map(|track| of(track)).sum::<f64>() / count;
     let spread = |axis: usize| {
         let spreads = tracks.iter().flat_map(|track| &track.spreads);
@@ -229,9 +233,9 @@ fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&
     });
     UnreferencedModel {
         model: model.label.clone(),
-        log_evidence_nats: is_density.then(|| mean(&|track| track.log_evidence) / scans),
-        effective_share: mean(&|track| track.effective_shares.iter().sum::<f64>()) / scans,
-        cut_share: mean(&|track| track.cut as f64) / scans,
+        log_evidence_nats: is_density.then(|| mean(&|track| track.log_evidence) / taken_in),
+        effective_share: mean(&|track| track.effective_shares.iter().sum::<f64>()) / taken_in,
+        cut_share: mean(&|track| track.cut as f64) / taken_in,
         spread_median_m: spread(0),
         heading_spread_median_rad: spread(1),
         spread_last_m: median(&mut last_spreads),

@@ -278,14 +278,19 @@ fn scans_of_a_robot_that_stands_are_taken_in_once() {
 
     // Six centimetres are too few, twelve are enough; so is a turn.
     let laser = laser(4);
-    let mut step = |odometry: Pose2| {
-        let scan = scan(&ROOM, &laser, &MODEL, START, 0);
-        let input = StepInput { odometry, laser: &laser, scan: &scan };
+    let mut with = |odometry: Pose2, scan: &Scan| {
+        let input = StepInput { odometry, laser: &laser, scan };
         filter.step(&input, &ROOM, &MODEL).unwrap().likelihood_power
     };
+    let seen = scan(&ROOM, &laser, &MODEL, START, 0);
+    let mut step = |odometry: Pose2| with(odometry, &seen);
     let ahead = Pose2::new(0.06, 0.0, 0.0);
     assert_eq!([step(ahead), step(ahead), step(ahead)], [0.0, 1.0, 0.0]);
     assert_eq!([step(Pose2::new(0.0, 0.0, -0.2)), step(Pose2::IDENTITY)], [1.0, 0.0]);
+    // A scan without a reading takes no place of one that has.
+    let blind = Scan { ranges: vec![f32::NAN; 4] };
+    assert_eq!(with(Pose2::new(0.2, 0.0, 0.0), &blind), 0.0);
+    assert_eq!([with(Pose2::IDENTITY, &seen), with(Pose2::IDENTITY, &seen)], [1.0, 0.0]);
 }
 
 /// A laser that is a hundred times as precise as the start leaves a handful of particles. With a least share it leaves as many as

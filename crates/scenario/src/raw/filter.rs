@@ -140,13 +140,13 @@ impl Short for EachScan {
     }
 }
 
-/// How far the robot moves before another scan is taken in: one of the two is enough.
+/// How far the robot moves before another scan is taken in, whichever of the two it reaches first. Both keys are needed; 0 takes every scan in.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawUpdate {
     /// Distance (m), 0 to 10000.
     pub distance_m: f64,
-    /// Turn (deg), 0 to 360.
+    /// Turn (deg), 0 to 180.
     pub angle_deg: f64,
 }
 
@@ -212,7 +212,7 @@ pub struct RawAnnealing {
     /// The same of the heading (deg), 0 to 1000; up to 0.3 rad.
     #[serde(default = "default::annealing_sigma_deg")]
     pub sigma_deg: f64,
-    /// Scans are annealed until positions have this standard deviation (m), and again from five times it; 0 to 10000.
+    /// Scans are annealed until positions have this standard deviation (m), and again from five times it; 0 to 1000000.
     #[serde(default = "default::annealing_gathered_m")]
     pub gathered_m: f64,
 }

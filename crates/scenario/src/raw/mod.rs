@@ -173,7 +173,7 @@ pub struct RawErrors {
     /// The axes of position errors.
     pub frame: ErrorFrame,
     /// A trial is lost when its last position error exceeds this (m), or more than half of its position errors do. 0.001 to
-    /// 10000.
+    /// 1000000.
     pub lost_m: f64,
 }
 

@@ -134,7 +134,7 @@ pub struct RawPose {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSegment {
-    /// How long it lasts (s), 0.000001 to 100000.
+    /// How long it lasts (s), 0.000001 to 10000000.
     pub secs: f64,
     /// Forward speed (m/s), -1000 to 1000.
     pub speed_m_s: f64,

@@ -87,7 +87,7 @@ pub(super) fn filter(
 fn update(check: &mut Checker<'_>, raw: RawUpdate) -> UpdateThreshold {
     UpdateThreshold {
         distance_m: check.number("filter.update.distance_m", raw.distance_m, LENGTH),
-        angle_rad: check.degrees("filter.update.angle_deg", raw.angle_deg, Within(0.0, 360.0)),
+        angle_rad: check.degrees("filter.update.angle_deg", raw.angle_deg, Within(0.0, 180.0)),
     }
 }
 
@@ -149,7 +149,7 @@ fn annealing(check: &mut Checker<'_>, raw: RawAnnealing) -> AnnealingOptions {
         effective_share: share,
         moves: check.count(&key("moves"), raw.moves, 1, 1000) as usize,
         step: spread(check, "filter.annealing", RawSpread { sigma_m: raw.sigma_m, sigma_deg: raw.sigma_deg }),
-        gathered_m: check.number(&key("gathered_m"), raw.gathered_m, LENGTH),
+        gathered_m: check.number(&key("gathered_m"), raw.gathered_m, Within(0.0, 1e6)),
     }
 }
 

@@ -11,8 +11,9 @@ use std::path::Path;
 use locsim_core::limits::quoted;
 use locsim_world::simulation::{RobotPath, Trajectory};
 
+use super::check::Allowed::Within;
 use super::check::Allowed::{AboveUpTo, Any, Between, FromBelow};
-use super::check::{Checker, POSITIVE_LENGTH, number};
+use super::check::{Checker, number};
 use super::error::{shown, unknown_word};
 use super::form::Form;
 use super::key_path::join;
@@ -55,7 +56,7 @@ pub(crate) fn validate(
     let filter = filter::filter(&mut check, &raw.filter, raw.laser.as_ref(), raw.log.is_some());
     let errors = Errors {
         frame: raw.errors.frame,
-        lost_m: check.number("errors.lost_m", raw.errors.lost_m, POSITIVE_LENGTH),
+        lost_m: check.number("errors.lost_m", raw.errors.lost_m, Within(1e-3, 1e6)),
     };
     let mut record = record(&mut check, &raw.record, trials_of_file, &all_models, &models);
     record.trial = record.trial.min(trials.saturating_sub(1));
@@ -126,21 +127,23 @@ pub(crate) fn in_map(
     if check.is_clean() { Ok(()) } else { Err(check.into_error()) }
 }
 
-/// Checks that the path of a simulated robot lies in the map's free space wherever it takes a scan.
 /// The most pairs of a step and a wall that are looked at.
 const MOST_CROSSINGS: u64 = 100_000_000;
+/// Time between the points of a path that are looked at for walls \[s\].
+const STEP_SECS: f64 = 0.05;
 
+/// Checks that the path of a simulated robot lies in the map's free space wherever it takes a scan.
 fn between_points(check: &mut Checker<'_>, simulation: &Simulation, map: &LoadedMap) {
     let rate_hz = simulation.laser.rate_hz;
     // Other defects of a path are refused when it is simulated.
     let Ok(path) = Trajectory::new(&simulation.robot.path) else { return };
     let Ok(count) = path.scan_count(rate_hz) else { return };
-    let poses = || (0..count).map(|i| (i as f64 / rate_hz, path.pose_at(i as f64 / rate_hz)));
+    let mut poses = (0..count).map(|i| (i as f64 / rate_hz, path.pose_at(i as f64 / rate_hz)));
     let key = match simulation.robot.path {
         RobotPath::Waypoints { .. } => "robot.path.waypoints.points_m",
         RobotPath::VelocityProfile { .. } => "robot.path.velocity_profile.segments",
     };
-    if let Some((secs, pose)) = poses().find(|(_, pose)| !map.geometry.is_free(pose.x, pose.y)) {
+    if let Some((secs, pose)) = poses.find(|(_, pose)| !map.geometry.is_free(pose.x, pose.y)) {
         check.problem(
             key,
             format!(
@@ -150,21 +153,27 @@ fn between_points(check: &mut Checker<'_>, simulation: &Simulation, map: &Loaded
                 shown(&simulation.map)
             ),
         );
-    } else if count as u64 * map.geometry.walls().len() as u64 <= MOST_CROSSINGS {
-        // A wall without thickness has no inside.
-        let mut before = None;
-        let crossing = poses().find(|(_, pose)| {
-            let here = pose.position();
-            before.replace(here).is_some_and(|before| map.geometry.is_crossed(before, here))
-        });
-        if let Some((secs, pose)) = crossing {
-            let map = shown(&simulation.map);
-            let what = format!(
-                "before {secs:.2} s the path crosses a wall of {map}, near ({:.3}, {:.3}) m",
-                pose.x, pose.y
-            );
-            check.problem(key, what);
-        }
+        return;
+    }
+    // A wall without thickness has no inside. A scan may be far from the next, around a corner.
+    let step_secs = STEP_SECS.min(1.0 / rate_hz);
+    let points = (count as f64 / rate_hz / step_secs) as u64;
+    if points * map.geometry.walls().len() as u64 > MOST_CROSSINGS {
+        return;
+    }
+    let mut before = None;
+    let mut poses = (0..points).map(|i| (i as f64 * step_secs, path.pose_at(i as f64 * step_secs)));
+    let crossing = poses.find(|(_, pose)| {
+        let here = pose.position();
+        before.replace(here).is_some_and(|before| map.geometry.is_crossed(before, here))
+    });
+    if let Some((secs, pose)) = crossing {
+        let map = shown(&simulation.map);
+        let what = format!(
+            "after {secs:.2} s the path crosses a wall of {map}, near ({:.3}, {:.3}) m",
+            pose.x, pose.y
+        );
+        check.problem(key, what);
     }
 }
 

@@ -101,9 +101,9 @@ pub enum MapError {
     /// The cells of a grid are finer than any sensor resolves.
     #[error("a cell size of {0} m is not allowed; at least {FINEST_M} m")]
     TooFine(f64),
-    /// The origin of a grid is not finite, or part of the grid is far beyond any building.
+    /// The origin of a grid is not finite, its yaw is more than a turn, or part of the grid is far beyond any building.
     #[error(
-        "origin must be [x, y, yaw], with the yaw in radians from -6.2832 to 6.2832 and all of the map within {FARTHEST_M} m of 0; \
+        "origin must be [x, y, yaw], with the yaw in radians, up to a turn, and all of the map within {FARTHEST_M} m of 0; \
          got [{:?}, {:?}, {:?}]", .0[0], .0[1], .0[2]
     )]
     Origin([f64; 3]),

@@ -47,8 +47,8 @@ pub struct OccupancyMapFile {
     pub free_thresh: f64,
 }
 
-/// A turn, and its rounding \[rad\].
-const MOST_YAW_RAD: f64 = 6.2832;
+/// A yaw beyond a turn is one in degrees \[rad\].
+const MOST_YAW_RAD: f64 = 7.0;
 
 impl OccupancyMapFile {
     /// Loads the image (pgm, png; 8 or 16 bits; colours are averaged) and reads each pixel as a cell.
