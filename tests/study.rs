@@ -157,7 +157,7 @@ fn a_study_that_is_wrong_is_refused_with_line_and_key() {
         (
             "rail_m: 0.5",
             "rail_m: -1",
-            "s.yaml:6: sensor.grass.rail_m: -1 is not allowed; a number from 0.001 to 1000000",
+            "s.yaml:6: sensor.grass.rail_m: -1 is not allowed; a number from 0.001 to 10000",
         ),
         ("  grass:", "  gras:", "s.yaml:4: sensor: `gras` is not allowed; did you mean `grass`?"),
         ("[8, 16]", "[16, 8]", "s.yaml:16: states[1]: 8 is not allowed; numbers ascend"),
