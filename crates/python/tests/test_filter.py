@@ -53,7 +53,8 @@ def test_a_filter_from_python_is_that_of_a_run(name: str, folder: Path, tmp_path
         "log": {"file": "drive.mcap", "train_scans": [[0.5, 1.0]], "localize_scans": [[0.0, 0.5]]},
         "training": {"poses": 100},
         "models": [{"name": "np_reg_registered", "floor": 0.01, "exponent": 0.4}],
-        "filter": often.to_dict()["filter"] | of_scenario,
+        # Each scan is given to `update` below.
+        "filter": often.to_dict()["filter"] | {"update": "each_scan"} | of_scenario,
     }
     out = tmp_path / "out"
     ran = locsim.run(locsim.Scenario(keys, base=tmp_path), out=out)
