@@ -82,12 +82,19 @@ pub(crate) struct Search<'c, 'a> {
 }
 
 impl Search<'_, '_> {
-    /// The best fit over several starts; `None` where nothing is gained.
-    pub fn fit(&self, kind: EffectKind, starts: &[Start]) -> Result<Option<Candidate>, GapError> {
+    /// The best fit over several starts; `None` where nothing is gained. With `is_far`, the last start is far from the neutral value.
+    pub fn fit(
+        &self,
+        kind: EffectKind,
+        starts: &[Start],
+        is_far: bool,
+    ) -> Result<Option<Candidate>, GapError> {
         let exact = self.comparison.start_exact(&self.start.nuisances);
         let mut fits =
             starts.iter().map(|start| self.maximize(kind, start)).collect::<Result<Vec<_>, _>>()?;
-        if let (Some(exact), Moves::Scans, [_, .., far]) = (&exact, kind.moves(), starts) {
+        if let (Some(exact), true, Some(far)) =
+            (&exact, is_far && kind.moves() == Moves::Scans, starts.last())
+        {
             // Errors of the reference that were fitted to a laser that is turned far make the right turn look wrong.
             fits.push(Search { start: exact, ..*self }.maximize(kind, far)?);
         }

@@ -265,7 +265,7 @@ impl<'a> State<'a> {
                 if self.stop.load(std::sync::atomic::Ordering::Relaxed) {
                     return Err(GapError::Interrupted);
                 }
-                let fit = search.fit(*kind, starts);
+                let fit = search.fit(*kind, starts, moving.contains(kind));
                 self.progress.advance(1);
                 fit
             })

@@ -313,7 +313,7 @@ impl<'a> State<'a> {
         let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
         let effect = &named[index].effect;
         let from = Start { values: effect.values.clone(), place: effect.place.clone() };
-        let fit = search.fit(effect.kind, &[from])?;
+        let fit = search.fit(effect.kind, &[from], false)?;
         let gains = fit.as_ref().is_some_and(is_sure);
         if let Some(candidate) = fit {
             let named = &mut named[index];

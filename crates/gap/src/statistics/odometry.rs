@@ -119,8 +119,8 @@ const LAG_SECS: f64 = 0.02;
 const LEAST_STEPS: usize = 2;
 /// The least mean error of an increment \[m, rad\].
 const LEAST_ERROR: f64 = 1e-3;
-/// In most logs no lag is likelier than none, by not a nat; a ratio of this is of a few increments.
-const LEAST_NATS: f64 = 5.0;
+/// In most logs no lag is likelier than none, by not a nat; a root of this is of a few increments.
+const LEAST_ROOT: f64 = 1.0;
 
 /// The log likelihood ratio of an odometry that lags behind the stamps, by Laplace's distribution of any width: noise that was fitted to
 /// a log has the lag in it. The rival is none or, if likelier, as much to the other side: the reference errs less between two poses.
@@ -130,7 +130,7 @@ impl Family for OdometryLag {
     fn statistics(&self) -> Vec<Statistic> {
         let (covariate, deviation) = (Covariate::Odometry, Deviation::Lag);
         let cell = Cell { covariate, lo: 0.0, hi: 0.0, place: None, deviation };
-        vec![Statistic::of_cell(cell, Form::Other).with_one_reading(LEAST_NATS)]
+        vec![Statistic::of_cell(cell, Form::Other).with_one_reading(LEAST_ROOT)]
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
@@ -158,7 +158,8 @@ impl Family for OdometryLag {
         // A lag below is within the interpolation.
         let steps = (0..all.len()).filter(|step| step.abs_diff(LAGS) >= LEAST_STEPS);
         let most = steps.map(ratios).max_by(|[a, b], [c, d]| (a + b).total_cmp(&(c + d)));
-        vec![most.unwrap_or_default()]
+        // The root of a ratio has no long tail.
+        vec![most.unwrap_or_default().map(|ratio| (2.0 * ratio.max(0.0)).sqrt())]
     }
 }
 
