@@ -77,7 +77,7 @@ const SOMEWHAT_OFF: f64 = 0.5;
 const BEYOND_DOUBT: f64 = 10.0;
 
 /// A fit of an effect that most readings are moved by is believed without its score where it gains more than this (nats).
-const STRONG_NATS: f64 = 200.0;
+const BEYOND_SCORE_NATS: f64 = 200.0;
 
 /// A hypothesis with what simulations of it look like.
 struct Round<'a> {
@@ -279,8 +279,8 @@ impl<'a> State<'a> {
             let kind = candidate.kind();
             let form = |i: usize| round.dictionary.statistics[i].form;
             let has_score = round.own(kind).any(|i| form(i) == Form::Score) || kind.moves() == Moves::Clutter;
-            // Readings that an effect moves by many standard deviations are none of the surface to a score.
-            let is_beyond_score = candidate.gain() > STRONG_NATS && moving.contains(&kind);
+            // A score takes readings that are moved by many standard deviations for something other than the wall.
+            let is_beyond_score = candidate.gain() > BEYOND_SCORE_NATS && moving.contains(&kind);
             candidate.is_beyond_chance = weight >= beyond_chance || is_beyond_score;
             candidate.score = (has_score && !is_beyond_score).then_some(off);
             // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings

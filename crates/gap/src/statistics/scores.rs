@@ -130,8 +130,8 @@ const LEAST_SIGMA_M: f64 = 1e-3;
 /// Errors count up to this many standard deviations.
 const CUT: f64 = 100.0;
 
-/// The strength by which most returns are moved (least absolute deviations), and what it leaves of their errors, by the median or by the
-/// mean, where clutter hides no part of it. Readings that are moved by many standard deviations say nothing to a score: they aren't of the surface.
+/// The strength by which most returns are moved (least absolute deviations), and the share of their errors that it leaves: of the median
+/// or, where there is little clutter, of the mean. A score doesn't see readings that are moved by many standard deviations.
 fn moved(log: &Readings<'_>, of_beams: &[f32]) -> Option<[f64; 2]> {
     let returns =
         log.scans().flatten().filter(|reading| reading.is_return && reading.terms.sigma.is_finite());

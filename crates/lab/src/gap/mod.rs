@@ -32,7 +32,7 @@ pub use filter::FilterOnLog;
 pub use proposal::scenario_with;
 
 use crate::LabError;
-use crate::inspect::{frozen_odometry, late_odometry};
+use crate::inspect::{frozen_odometry, lags};
 use crate::run::{log_map, no_reference, read_scenario_log, selected, spread_stamps};
 use locsim_core::Control;
 use locsim_report::ReportError;
@@ -342,7 +342,7 @@ fn usable(
     let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
     warnings.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
     warnings.extend(summary.remarks.iter().cloned());
-    warnings.extend(late_odometry(&DriveQuality::of(&drive, summary)));
+    warnings.extend(lags(&DriveQuality::of(&drive, summary)));
     warnings.extend(without_stale_scans(&mut drive));
     let frozen = drive.frozen_odometry();
     warnings.extend((frozen[0] > 0.0).then(|| frozen_odometry(frozen)));

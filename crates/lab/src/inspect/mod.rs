@@ -315,20 +315,32 @@ pub fn frozen_odometry([secs, metres]: [f64; 2]) -> String {
     )
 }
 
-/// A sentence on an odometry that is late, or early, against the scans; where they don't tell, against the reference.
-pub fn late_odometry(quality: &DriveQuality) -> Option<String> {
+/// Sentences on an odometry, and on a reference, that are late or early: against the scans or, of the odometry, against the reference
+/// where the scans don't tell.
+pub fn lags(quality: &DriveQuality) -> Vec<String> {
     let clock = &quality.clock;
     let least = NOTABLE.lag_secs.max(NOTABLE.lag_intervals * clock.interval_secs.unwrap_or(0.0));
-    let behind_scans = clock.odometry_lag_secs.map(|lag| (lag, "scans"));
-    let behind_reference = || Some((quality.odometry.as_ref()?.lag_secs, "reference"));
-    let (lag, than) = behind_scans.or_else(behind_reference)?;
-    (lag.abs() >= least).then(|| {
-        format!(
-            "The odometry {} the {than} by {:.0} ms: their stamps are of different clocks, or late.",
-            if lag > 0.0 { "lags behind" } else { "is ahead of" },
-            1e3 * lag.abs()
-        )
-    })
+    let to_reference = quality.odometry.as_ref().map_or(0.0, |odometry| odometry.lag_secs);
+    told_lags(clock.odometry_lag_secs, to_reference, least)
+}
+
+/// The same by the odometry's lags \[s\] against the scans, if they tell one, and against the reference, 0 for none.
+fn told_lags(to_scans: Option<f64>, to_reference: f64, least: f64) -> Vec<String> {
+    let told = |what: &str, than: &str, lag: f64| {
+        (lag.abs() >= least).then(|| {
+            format!(
+                "The {what} {} the {than} by {:.0} ms: their stamps are of different clocks, or late.",
+                if lag > 0.0 { "lags behind" } else { "is ahead of" },
+                1e3 * lag.abs()
+            )
+        })
+    };
+    let all = match to_scans {
+        None => [told("odometry", "reference", to_reference), None],
+        Some(lag) if to_reference == 0.0 => [told("odometry", "scans", lag), None],
+        Some(lag) => [told("odometry", "scans", lag), told("reference", "scans", lag - to_reference)],
+    };
+    all.into_iter().flatten().collect()
 }
 
 fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
@@ -383,8 +395,9 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
             );
         }
     }
-    let late = late_odometry(&facts.quality);
-    warn(late.is_some(), late.unwrap_or_default());
+    for lag in lags(&facts.quality) {
+        warn(true, lag);
+    }
     warn(
         2 * clock.repeated > facts.scans,
         format!(
@@ -427,4 +440,35 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
         );
     }
     warnings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_is_late_is_told_by_both_lags() {
+        for (to_scans, to_reference, wanted) in [
+            (Some(0.22), 0.19, &["The odometry lags behind the scans by 220 ms"][..]),
+            // The odometry is on time, and ahead of the reference.
+            (Some(0.01), -0.12, &["The reference lags behind the scans by 130 ms"]),
+            (Some(0.2), 0.0, &["The odometry lags behind the scans by 200 ms"]),
+            (None, -0.3, &["The odometry is ahead of the reference by 300 ms"]),
+            // The scans are late, or those two are early.
+            (
+                Some(-0.3),
+                -0.1,
+                &[
+                    "The odometry is ahead of the scans by 300 ms",
+                    "The reference is ahead of the scans by 200 ms",
+                ],
+            ),
+            (Some(0.05), 0.04, &[]),
+            (None, 0.0, &[]),
+        ] {
+            let told = told_lags(to_scans, to_reference, 0.08);
+            assert_eq!(told.len(), wanted.len(), "{told:?}");
+            assert!(told.iter().zip(wanted).all(|(told, wanted)| told.starts_with(wanted)), "{told:?}");
+        }
+    }
 }
