@@ -44,7 +44,7 @@ pub use outcome::{
     Unnamed, Verdict,
 };
 pub use purpose::Purpose;
-pub use recorded::Recorded;
+pub use recorded::{LEAST_SCANS, Recorded};
 pub use search::{GapOptions, find, split_by};
 pub use statistics::{Cell, Covariate, Deviation, OBJECT_CELL_M, WALL_CELL_M, cell_at};
 pub use strength::{OtherForm, Strength, oracle_power};

@@ -52,7 +52,7 @@ const FARTHER: f64 = 3.0;
 
 /// How the false-alarm rate is shared out among the groups of statistics, in their order. Each gets its share however many
 /// statistics it has, and one whose largest is now and then far off doesn't raise what the others have to exceed.
-const SHARES: [f64; Group::COUNT] = [0.4, 0.2, 0.15, 0.05, 0.2];
+const SHARES: [f64; Group::COUNT] = [0.38, 0.2, 0.14, 0.05, 0.18, 0.05];
 
 pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halves>]) -> Null {
     let count = others.len() + 1;
@@ -98,10 +98,12 @@ pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halve
     let all = |t: &[f64; Group::COUNT]| t.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let p_library = p_of(&|t| {
         let mut library = *t;
-        library[Group::Cells as usize] = f64::NEG_INFINITY;
+        Group::OMNIBUS.iter().for_each(|group| library[*group as usize] = f64::NEG_INFINITY);
         all(&library)
     });
-    let p_omnibus = p_of(&|t| t[Group::Cells as usize]);
+    let p_omnibus = p_of(&|t| {
+        Group::OMNIBUS.map(|group| t[group as usize]).into_iter().fold(f64::NEG_INFINITY, f64::max)
+    });
     let p = p_of(&all);
     let sorted = sorted(weighed[..count - 1].iter().map(all));
     let above = ((0.01 * sorted.len() as f64).ceil() as usize).max(1);

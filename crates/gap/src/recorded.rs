@@ -8,7 +8,7 @@ const FOLD_SECS: f64 = 2.0;
 const FOLD_SCANS: std::ops::RangeInclusive<usize> = 5..=20;
 
 /// Two of the largest folds, the least that an effect can be fitted to and scored on apart.
-const LEAST_SCANS: usize = 40;
+pub const LEAST_SCANS: usize = 40;
 
 /// The part of a measured log that is held against the simulation: scans with reference poses, in order.
 #[derive(Clone, Debug)]

@@ -1,6 +1,7 @@
 //! Where a log is off, and by how much.
 
 use distreg::empirical_wasserstein_1;
+use distreg::tail::false_discovery_rates;
 use locsim_core::normal;
 use locsim_world::effect::Effect;
 use rand::RngExt;
@@ -22,11 +23,6 @@ const MOST_REGIONS: usize = 40;
 /// A cell is still off beyond this (standard deviations), which a normal number exceeds once in 2000.
 const STILL_OFF: f64 = 3.5;
 
-/// Two-sided p-value of a standard normal number.
-fn two_sided(z: f64) -> f64 {
-    2.0 * normal::tail(z.abs())
-}
-
 /// A hypothesis as far as regions need it.
 pub(crate) struct Side<'r> {
     pub dictionary: &'r Dictionary,
@@ -42,16 +38,12 @@ pub(crate) fn locate(
     simulated: &[Recorded],
 ) -> Vec<Region> {
     let null = before.null;
-    // Benjamini and Hochberg over all cells, on the first half.
+    // Over all cells, on the first half.
     let mut order: Vec<(usize, &Cell)> = before.dictionary.cells().collect();
     order.sort_by(|(a, _), (b, _)| null.halves[*b][0].abs().total_cmp(&null.halves[*a][0].abs()));
-    let count = order.len() as f64;
-    let mut q = vec![1.0_f64; order.len()];
-    let mut least = 1.0_f64;
-    for rank in (0..order.len()).rev() {
-        least = least.min(two_sided(null.halves[order[rank].0][0]) * count / (rank + 1) as f64);
-        q[rank] = least;
-    }
+    let p_values: Vec<f64> =
+        order.iter().map(|(i, _)| 2.0 * normal::tail(null.halves[*i][0].abs())).collect();
+    let q = false_discovery_rates(&p_values);
     let mut regions: Vec<Region> = order
         .iter()
         .zip(q)

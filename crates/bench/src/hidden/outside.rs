@@ -34,7 +34,7 @@ const CORRELATION: f64 = 0.9;
 /// Walls are mirrors from this incidence on \[rad\], 50 deg.
 const MIRROR_RAD: f64 = 50.0 * TAU / 360.0;
 /// Nearer walls are too near \[m\].
-const NEAR_M: f64 = 1.2;
+const NEAR_M: f64 = 1.5;
 
 /// An effect that no stage of the library describes, and what its strength is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, strum::IntoStaticStr, VariantArray)]

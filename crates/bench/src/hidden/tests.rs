@@ -565,7 +565,7 @@ fn what_people_have_met_is_where_and_as_large_as_it_says() {
     assert!(seen > 5, "{seen}");
 
     let near = strong(Outside::NearLoss);
-    let is_near = |pair: &Pair| pair.is_wall() && pair.range < 1.2;
+    let is_near = |pair: &Pair| pair.is_wall() && pair.range < 1.5;
     assert!(near.iter().all(|pair| !pair.is_changed() || is_near(pair) && pair.is_lost()));
     let lost = share(&near, is_near, Pair::is_lost);
     assert!((lost - 0.5).abs() < 0.05, "{lost}");

@@ -3,15 +3,18 @@
 use glam::DVec2;
 use locsim_core::Pose2;
 use locsim_world::effect::Effects;
+use locsim_world::simulation::TurnedFrame;
 
 use super::Misalignment;
-use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::null::REFIT;
 use crate::statistics::{Covariate, Deviation};
+use crate::{GapError, Recorded};
 
 /// Errors of the reference of which a turn and a shift are less than this share have another cause.
 const LEAST_SHARE: f64 = 1.0 / 3.0;
+/// Steps in which a turn is found.
+const STEPS: usize = 4;
 
 /// The turn of the reference's frame \[rad\], positive counter-clockwise, with the shift that goes with it, and what the log gains by poses in
 /// the map's frame. Turn and shift are those of the errors that were fitted to the reference; `None` where it has none, or where most of
@@ -24,29 +27,32 @@ pub(crate) fn turned_frame(
     effects: &Effects,
     fitted: &Fitted,
 ) -> Result<Option<Misalignment>, GapError> {
-    let error = &fitted.nuisances.pose_error;
-    let track = &comparison.recorded.track;
-    let count = track.len() as f64;
-    let center = track.poses().iter().map(Pose2::position).sum::<DVec2>() / count;
-    let shift = fitted.corrections.iter().map(|c| c.truncate()).sum::<DVec2>() / count;
-    let [of_position, of_heading] = [error.sigma_m, error.sigma_rad].map(|sigma| sigma.max(1e-6).powi(-2));
-    let [mut turned, mut information, mut all] = [0.0; 3];
-    for (pose, c) in track.poses().iter().zip(&fitted.corrections) {
-        let arm = pose.position() - center;
-        turned += of_position * arm.perp_dot(c.truncate()) + of_heading * c.z;
-        information += of_position * arm.length_squared() + of_heading;
-        all += of_position * c.truncate().length_squared() + of_heading * c.z * c.z;
+    let nuisances = &fitted.nuisances;
+    let frame_of = |recorded: &Recorded, fitted: &Fitted| {
+        let frame = nuisances.pose_error.turned_frame(&recorded.track, &fitted.corrections);
+        (frame.share > LEAST_SHARE).then_some(frame)
+    };
+    let Some(mut frame) = frame_of(comparison.recorded, fitted) else { return Ok(None) };
+    let (mut recorded, mut turn) = (comparison.recorded.clone(), 0.0);
+    let mut with = Vec::new();
+    // Errors are found smaller than they are, as most errors of a reference come and go.
+    for _ in 0..STEPS {
+        let TurnedFrame { center, shift, .. } = frame;
+        turn += frame.turn;
+        recorded = recorded.with_reference(|pose| {
+            let position = center + shift + DVec2::from_angle(frame.turn).rotate(pose.position() - center);
+            Pose2::new(position.x, position.y, pose.theta + frame.turn)
+        });
+        let aligned = Comparison::new(comparison.nominal, &recorded)?.in_world(effects)?;
+        let fitted = aligned.fit_nuisances_with(effects, nuisances, REFIT);
+        let left = frame_of(&recorded, &fitted);
+        with = fitted.scans;
+        match left {
+            Some(left) => frame = left,
+            None => break,
+        }
     }
-    let turn = turned / information;
-    if turn * turned + of_position * count * shift.length_squared() <= LEAST_SHARE * all {
-        return Ok(None);
-    }
-    let aligned = comparison.recorded.with_reference(|pose| {
-        let position = center + shift + DVec2::from_angle(turn).rotate(pose.position() - center);
-        Pose2::new(position.x, position.y, pose.theta + turn)
-    });
-    let aligned = Comparison::new(comparison.nominal, &aligned)?.in_world(effects)?;
-    let with = aligned.fit_nuisances_with(effects, &fitted.nuisances, REFIT).scans;
+    let information = frame.information;
     let without = comparison.evaluate_views(&comparison.views, effects, fitted, 0).scans;
     let folds = comparison.recorded.folds;
     let gains =

@@ -6,6 +6,7 @@ use super::bins::Bins;
 use super::clutter::{ClutterDensity, ClutterDepth};
 use super::displaced_walls::DisplacedWalls;
 use super::edges::Edges;
+use super::frame::Frame;
 use super::neighbours::Neighbours;
 use super::objects::Objects;
 use super::odometry::{OdometryCorrelation, OdometryLag, Slips};
@@ -60,6 +61,7 @@ impl Dictionary {
             .chain(boxed([Ratios]))
             .chain(boxed([Neighbours]))
             .chain(boxed([OdometryLag]))
+            .chain(boxed([Frame]))
             .collect();
         let (mut statistics, mut firsts) = (Vec::new(), Vec::new());
         for family in &families {

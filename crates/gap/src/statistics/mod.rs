@@ -10,6 +10,7 @@ mod contamination;
 mod dictionary;
 mod displaced_walls;
 mod edges;
+mod frame;
 mod neighbours;
 mod objects;
 mod odometry;
@@ -99,10 +100,14 @@ pub(crate) enum Group {
     /// Shares of readings that are lost or not of the wall, and the depth of clutter. Where clutter stays, such readings
     /// come in crowds, and the largest of these statistics is now and then an outlier.
     Shares,
+    /// An odometry that lags, a reference in a turned frame.
+    Misalignments,
 }
 
 impl Group {
-    pub const COUNT: usize = 5;
+    pub const COUNT: usize = 6;
+    /// Those that are of no effect.
+    pub const OMNIBUS: [Self; 2] = [Self::Cells, Self::Misalignments];
 }
 
 /// The form of a statistic.
@@ -133,6 +138,11 @@ impl Statistic {
 
     fn of_cell(cell: Cell, form: Form) -> Self {
         Self { target: Target::Cell(cell), group: Group::Cells, form, by_one_reading: 0.0 }
+    }
+
+    fn of_misalignment(covariate: Covariate, deviation: Deviation) -> Self {
+        let cell = Cell { covariate, lo: 0.0, hi: 0.0, place: None, deviation };
+        Self { group: Group::Misalignments, ..Self::of_cell(cell, Form::Other) }
     }
 
     /// The same with the most by which one reading changes it.

@@ -1,11 +1,12 @@
 //! Errors of the odometry's increments against those of the reference.
 
+use distreg::moments::Correlation;
 use locsim_core::Folds;
 use locsim_world::effect::{self, Axis, EffectKind};
 use locsim_world::simulation::{Increment, OdometrySpread, lagging, standardized};
 
 use super::contamination::{detectable_share, score};
-use super::{Cell, Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
+use super::{Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
 use crate::catalogue::shown_by;
 
 /// The increments of a log's odometry, with the reference's errors taken off.
@@ -128,9 +129,7 @@ pub(super) struct OdometryLag;
 
 impl Family for OdometryLag {
     fn statistics(&self) -> Vec<Statistic> {
-        let (covariate, deviation) = (Covariate::Odometry, Deviation::Lag);
-        let cell = Cell { covariate, lo: 0.0, hi: 0.0, place: None, deviation };
-        vec![Statistic::of_cell(cell, Form::Other).with_one_reading(LEAST_ROOT)]
+        vec![Statistic::of_misalignment(Covariate::Odometry, Deviation::Lag).with_one_reading(LEAST_ROOT)]
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
@@ -160,33 +159,6 @@ impl Family for OdometryLag {
         let most = steps.map(ratios).max_by(|[a, b], [c, d]| (a + b).total_cmp(&(c + d)));
         // The root of a ratio has no long tail.
         vec![most.unwrap_or_default().map(|ratio| (2.0 * ratio.max(0.0)).sqrt())]
-    }
-}
-
-/// The least variance of standardized errors.
-const LEAST_VARIANCE: f64 = 0.1;
-
-/// Correlation of standardized errors with a motion, about zero, times the root of how many there are.
-#[derive(Clone, Copy, Default)]
-struct Correlation {
-    product: f64,
-    errors: f64,
-    motions: f64,
-    count: f64,
-}
-
-impl Correlation {
-    fn add(&mut self, error: f64, motion: f64) {
-        self.product += error * motion;
-        self.errors += error * error;
-        self.motions += motion * motion;
-        self.count += 1.0;
-    }
-
-    fn value(&self) -> f64 {
-        // Errors far below their least standard deviation are digits of the file.
-        let errors = self.errors.max(LEAST_VARIANCE * self.count);
-        self.product / (errors * self.motions).sqrt().max(1e-300) * self.count.sqrt()
     }
 }
 
@@ -222,20 +194,5 @@ mod tests {
         let turns: fn(u32) -> f64 = |i| if i % 40 < 15 { 0.05 } else { 0.0 };
         assert!(correlated(straight, 0.0, false) < -20.0 && correlated(straight, 0.0, true).abs() < 5.0);
         assert!(correlated(turns, 0.1, true) > 10.0, "{}", correlated(turns, 0.1, true));
-    }
-
-    /// Digits of a file that grow with the motion say nothing; errors of half a standard deviation that do are all that there is.
-    #[test]
-    fn digits_of_a_file_are_no_errors() {
-        let of = |scale: f64| {
-            let mut correlation = Correlation::default();
-            for i in 0..100 {
-                let motion = 700.0 + f64::from(i % 7);
-                correlation.add(scale * motion / 700.0, motion);
-            }
-            correlation.value()
-        };
-        assert!(of(1e-11).abs() < 1e-9, "{}", of(1e-11));
-        assert!((of(0.5) - 10.0).abs() < 1e-9, "{}", of(0.5));
     }
 }
