@@ -48,6 +48,13 @@ impl<'a, R: BufRead> Lines<'a, R> {
                     reason,
                 });
             }
+            if !self.buffer.ends_with(b"\n") && self.buffer.trim_ascii_end().contains(&b'\r') {
+                return Err(DatasetError::Refused {
+                    path: self.path.to_owned(),
+                    line: Some(self.number),
+                    reason: "lines end in carriage returns alone; allowed: a newline, or both".to_owned(),
+                });
+            }
             if self.buffer.len() == LONGEST_LINE && !self.buffer.ends_with(b"\n") {
                 return Err(DatasetError::LongLine {
                     path: self.path.to_owned(),

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::carmen::{self, encode_carmen};
 use crate::output::write_whole;
+use crate::quality::unlikely_units;
 use crate::ros::{self, encode_mcap};
 use crate::source::{self, BEESOFT_MAP, Content, LOGS, Source, not_a_log};
 use crate::{BagOptions, BagTopics, CarmenOptions, DatasetError, LogContents, LogSummary};
@@ -31,13 +32,20 @@ impl LogFormat {
     /// As [`Self::of_name`], for a log that is to be written.
     ///
     /// # Errors
-    /// The name is that of another format of recordings.
+    /// The name is that of another format of recordings; the folder is a bag.
     pub fn to_write(path: &Path) -> Result<Self, DatasetError> {
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         if NOT_WRITTEN.contains(&extension.as_str()) {
             let reason = format!(
                 "a log isn't written as `.{extension}`; allowed: .mcap for a ROS 2 bag; other names, such as .log or .log.gz, are CARMEN logs"
             );
+            return Err(DatasetError::Refused { path: path.to_owned(), line: None, reason });
+        }
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        if ros::is_recording(folder) {
+            let reason =
+                "this folder is a bag, and the file would be taken for a part of it; allowed: another folder"
+                    .to_owned();
             return Err(DatasetError::Refused { path: path.to_owned(), line: None, reason });
         }
         Ok(Self::of_name(path))
@@ -105,6 +113,7 @@ pub fn read(path: &Path, options: &LogOptions, limits: &Limits) -> Result<(Drive
              reference."
         ));
     }
+    summary.remarks.extend(unlikely_units(&drive));
     Ok((drive, summary))
 }
 

@@ -4,6 +4,7 @@ mod clock;
 mod lag;
 mod odometry;
 mod readings;
+mod units;
 
 use locsim_core::Drive;
 use serde::Serialize;
@@ -13,6 +14,7 @@ use lag::{lag_to_reference, with_earlier_odometry};
 pub use clock::ClockQuality;
 pub use odometry::{OdometryError, OdometryQuality, ReferenceQuality};
 pub use readings::ReadingQuality;
+pub(crate) use units::unlikely_units;
 
 use crate::{LogSummary, OdometrySource};
 

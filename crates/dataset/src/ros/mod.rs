@@ -21,7 +21,7 @@ use serde::Serialize;
 
 use crate::{DatasetError, LogSummary};
 
-pub use bag::folder_files;
+pub use bag::{folder_files, is_recording};
 pub use contents::contents;
 pub use read::read;
 pub use rewrite::{BagCopy, DriveEdit, OdometryEdit};

@@ -19,6 +19,8 @@ const MOST_PAIRS: usize = 10_000;
 /// known, unless it stood still.
 const HOLE: i64 = 1_000_000_000;
 const HOLE_INTERVALS: i64 = 10;
+/// However seldom poses come, there is one between those that are farther apart than this (ns): a robot doesn't drive straight for so long.
+const LONGEST_STEP: i64 = 10_000_000_000;
 /// A robot that moved by no more than this (m, rad) stood still: where odometry is sent in motion alone, its first step is in the hole.
 const STILL: (f64, f64) = (0.1, 0.1);
 
@@ -111,8 +113,8 @@ impl Stamped<Pose2> {
     }
 
     fn find_holes(&mut self) {
-        self.longest_step =
-            self.interval().map_or(HOLE, |usual| HOLE.max(usual.saturating_mul(HOLE_INTERVALS)));
+        let usual = self.interval().map_or(HOLE, |usual| usual.saturating_mul(HOLE_INTERVALS));
+        self.longest_step = usual.clamp(HOLE, LONGEST_STEP);
     }
 
     /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span, and in a hole unless those are
@@ -264,6 +266,10 @@ impl Transforms {
     pub fn fix(&mut self, stamped: &TransformStamped) -> Result<(), String> {
         stamped.transform.projected()?;
         let (child, parent) = frames(stamped)?;
+        // As tf2 does.
+        if child == parent {
+            return Ok(());
+        }
         let new = affine(&stamped.transform);
         if let Some(Edge::Fixed(known)) = self.edges.get(&(child.clone(), parent.clone()))
             && !known.abs_diff_eq(new, SAME_TRANSFORM)
@@ -273,6 +279,9 @@ impl Transforms {
         let others = self.edges.range((child.clone(), String::new())..).take_while(|((c, _), _)| *c == child);
         let fixed = others.filter(|(_, edge)| matches!(edge, Edge::Fixed(_))).map(|(key, _)| key.clone());
         for key in fixed.collect::<Vec<_>>() {
+            if key.1 != parent {
+                self.changed_static.insert(format!("{}:{}", quoted(&key.1), quoted(&child)));
+            }
             self.edges.remove(&key);
         }
         self.room()?;

@@ -85,6 +85,7 @@ pub fn read_with_layout(
     let (max, min) = (laser.max_range(), laser.min_range());
     let zero_is_no_return = scans.zero_is_no_return(max);
     let convention = Convention { min, max, zero_is_no_return };
+    let laser_frame = scans.frame().to_owned();
     let laser_edge = motion.transforms.laser_edge(scans.frame(), &base);
     let (empty, resampled_scans) = (scans.empty, scans.resampled_scans);
     let scan_remarks = scans.remarks();
@@ -115,7 +116,9 @@ pub fn read_with_layout(
     if zero_is_no_return {
         evidence += "; readings of 0 are taken for no return, as no other reading is without return";
     }
-    let mut remarks = motion.remarks(&chosen);
+    let spans =
+        [found.steps.first(), found.steps.last()].map(|step| step.map_or(0.0, |step| step.stamp_secs));
+    let mut remarks = motion.remarks(&chosen, &laser_frame);
     remarks.extend(scan_remarks);
     let interval = reference.poses.as_ref().and_then(Poses::interval_secs);
     if let Some(interval) = interval.filter(|secs| *secs > SELDOM_SECS)
@@ -126,6 +129,7 @@ pub fn read_with_layout(
         ));
     }
     remarks.extend(found.remark());
+    remarks.extend(motion.other_clock(spans));
     let summary = LogSummary {
         kind: reference.kind,
         odometry: odometry.source,
@@ -378,6 +382,8 @@ struct Motion {
     base_frame: String,
     /// The frame that a topic's odometry is in.
     odometry_frame: String,
+    /// What the reference's messages are poses of, and the frame that they are in; empty where they don't say.
+    reference_frames: [String; 2],
     /// Poses of the reference, or of the localizer that stands in for it.
     reference: Stamped<Pose2>,
     /// Variances of x, y and heading of these poses (m^2, m^2, rad^2).
@@ -416,8 +422,19 @@ impl Motion {
         }
     }
 
+    /// What is said of a reference whose poses are all of another time than the scans, from and to (s).
+    fn other_clock(&self, [from, to]: [f64; 2]) -> Option<String> {
+        let [first, last] =
+            [self.reference.items.first()?, self.reference.items.last()?].map(|(time, _)| secs(*time));
+        (last < from || first > to).then(|| {
+            format!(
+                "The reference poses are of {first:.1} s to {last:.1} s, the scans of {from:.1} s to {to:.1} s: stamps of one clock are needed."
+            )
+        })
+    }
+
     /// What is odd about the poses, in sentences.
-    fn remarks(&self, chosen: &Chosen) -> Vec<String> {
+    fn remarks(&self, chosen: &Chosen, laser_frame: &str) -> Vec<String> {
         let mut remarks = Vec::new();
         let topic = |source: &Option<PoseSource>| match source {
             Some(PoseSource::Topic(channel)) => Some(channel.clone()),
@@ -440,6 +457,22 @@ impl Motion {
                 ));
             }
         }
+        let [of, within] = self.reference_frames.each_ref().map(|frame| plain(frame));
+        let [base, odometry] = [plain(&self.base_frame), plain(&self.odometry_frame)];
+        if of != base && [of, base].contains(&laser_frame) && ![of, base].contains(&"") {
+            remarks.push(format!(
+                "The reference is the pose of `{}`, the odometry that of `{}`, and one of them is the laser's frame: both are taken for the \
+                 robot's.",
+                quoted(of),
+                quoted(base)
+            ));
+        }
+        if !within.is_empty() && within == odometry {
+            remarks.push(format!(
+                "The reference is in the frame of the odometry, `{}`: it may be odometry, which drifts.",
+                quoted(within)
+            ));
+        }
         if 2 * self.tilted > self.reference.items.len() {
             remarks.push(
                 "Most poses of the reference are tilted by more than 10 degrees: its z axis doesn't point up, and its heading isn't the robot's."
@@ -449,7 +482,7 @@ impl Motion {
         if !self.transforms.changed_static.is_empty() {
             let pairs: Vec<&str> = self.transforms.changed_static.iter().map(String::as_str).collect();
             remarks.push(format!(
-                "Static transforms change during the recording ({}); the last ones are taken for all of it.",
+                "Static transforms change during the recording, or a frame has two parents ({}); the last ones are taken for all of it.",
                 pairs.join(", ")
             ));
         }
@@ -466,9 +499,11 @@ impl Motion {
             }
             pose
         };
+        let mut child = String::new();
         let (header, pose) = match channel.schema.as_str() {
             Odometry::TYPE => {
-                let Odometry { header, pose, .. } = decode(data)?;
+                let Odometry { header, pose, child_frame_id, .. } = decode(data)?;
+                child = child_frame_id;
                 (header, known(pose))
             }
             POSE_WITH_COVARIANCE_STAMPED => {
@@ -476,7 +511,8 @@ impl Motion {
                 (header, known(pose))
             }
             TRANSFORM_STAMPED => {
-                let TransformStamped { header, transform, .. } = decode(data)?;
+                let TransformStamped { header, transform, child_frame_id } = decode(data)?;
+                child = child_frame_id;
                 (header, transform)
             }
             _ => {
@@ -484,7 +520,11 @@ impl Motion {
                 (header, pose)
             }
         };
-        Ok((header.stamp.nanos(), pose))
+        let stamp = header.stamp.nanos();
+        if self.reference.items.is_empty() {
+            self.reference_frames = [child, header.frame_id];
+        }
+        Ok((stamp, pose))
     }
 
     /// Median standard deviations of the reference (m, m, rad); `None` where it comes without covariances.

@@ -10,6 +10,12 @@ use super::poses::{Stamped, plain};
 /// The angle from the first beam of a scan to the last, at the most (rad): a turn, with the rounding of some drivers.
 const WIDEST_SCAN: f64 = 1.05 * std::f64::consts::TAU;
 
+/// The least angle between beams (rad): no lidar has finer ones.
+const LEAST_STEP: f64 = 1e-6;
+
+/// The last beam may be off `angle_max` by so many beams, and by this share of the sector: drivers leave out or add one.
+const OTHER_END: (f64, f64) = (2.5, 0.02);
+
 /// The ends of a scan are this near to those of the first, at the most (rad), and its number of beams differs by no more than this share
 /// of theirs: spinning lidars give as many as a turn happened to have.
 const OTHER_SECTOR: f64 = 0.1;
@@ -58,6 +64,8 @@ pub struct Scans {
     /// Readings of the scans, as the limit counts them.
     readings: u64,
     time_increments_secs: f64,
+    /// Number of readings of the first scan.
+    beams: usize,
     /// Number of scans without readings, which aren't kept.
     pub empty: usize,
     /// Number of scans whose beams aren't those of the first.
@@ -78,7 +86,8 @@ impl Scans {
             self.empty += 1;
             return Ok(());
         }
-        check_bearings(&scan, ranges.len())?;
+        let beams_of_scan = ranges.len();
+        check_bearings(&scan, beams_of_scan)?;
         let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
         let onto_first =
             self.first.as_ref().filter(|first| !are_same_beams(first, beams, &scan, ranges.len()));
@@ -112,6 +121,9 @@ impl Scans {
         }
         self.time_increments_secs += f64::from(scan.time_increment);
         self.stamped.push(scan.header.stamp.nanos(), ranges)?;
+        if self.first.is_none() {
+            self.beams = beams_of_scan;
+        }
         self.first.get_or_insert(scan);
         Ok(())
     }
@@ -140,6 +152,7 @@ impl Scans {
                 self.stamped.items.len()
             ));
         }
+        remarks.extend(self.first.as_ref().and_then(|first| other_end(first, self.beams)));
         if !self.has_plausible_sweep() {
             remarks.push(format!(
                 "time_increment is {:.3e} s, with which the beams of a scan aren't over when the next one begins: all \
@@ -225,6 +238,21 @@ fn on_beams_of(
     Ok(resampled(readings, is_return, &bearings))
 }
 
+/// What is said of a scan whose `angle_max` isn't where its beams end.
+fn other_end(scan: &LaserScan, beams: usize) -> Option<String> {
+    let step = f64::from(scan.angle_increment);
+    let end = bearing(scan, beams.saturating_sub(1));
+    let apart = (f64::from(scan.angle_max) - end).abs();
+    let sector = (end - f64::from(scan.angle_min)).abs();
+    (beams > 1 && apart > (OTHER_END.0 * step.abs()).max(OTHER_END.1 * sector)).then(|| {
+        format!(
+            "angle_max is {:.4} rad, and {beams} ranges from angle_min {:.4} rad on, every angle_increment {step:.6} rad, end at {end:.4} rad. \
+             Increment and number are used; a map that contradicts itself would say that they are wrong.",
+            scan.angle_max, scan.angle_min
+        )
+    })
+}
+
 /// Bearing of a beam (rad).
 fn bearing(scan: &LaserScan, beam: usize) -> f64 {
     f64::from(scan.angle_min) + beam as f64 * f64::from(scan.angle_increment)
@@ -234,10 +262,19 @@ fn bearing(scan: &LaserScan, beam: usize) -> f64 {
 fn check_bearings(scan: &LaserScan, beams: usize) -> Result<(), String> {
     let step = f64::from(scan.angle_increment);
     let most = WIDEST_SCAN / (beams as f64 - 1.0);
-    if beams > 1 && !(step != 0.0 && step.abs() <= most) {
+    if beams > 1 && !(LEAST_STEP..=most).contains(&step.abs()) {
         return Err(format!(
-            "angle_increment is {step} rad; allowed: not 0, at most {most:.6} for {beams} ranges within a turn"
+            "angle_increment is {:?} rad; allowed: {LEAST_STEP} to {most:.6} either way, for {beams} ranges within a turn",
+            scan.angle_increment
         ));
+    }
+    if !(f64::from(scan.angle_min).abs() <= WIDEST_SCAN) {
+        let found = scan.angle_min;
+        return Err(format!("angle_min is {found} rad; allowed: up to {WIDEST_SCAN:.3} either way, a turn"));
+    }
+    if !(scan.range_min >= 0.0 && scan.range_min.is_finite()) {
+        let found = scan.range_min;
+        return Err(format!("range_min is {found}; allowed: a finite number from 0"));
     }
     Ok(())
 }

@@ -25,6 +25,9 @@ const TRAINING_BEAMS: usize = 90;
 const FILTER_BEAMS: usize = 36;
 /// The deviation of a reading where nothing is known of it \[m\]: that of most lidars.
 const USUAL_SIGMA_M: f64 = 0.02;
+/// What a scenario takes as the noise of readings \[m\] and of odometry, at the most.
+const MOST_SIGMA_M: f64 = 1.0;
+const MOST_ALPHA: f64 = 1000.0;
 /// A field of view that lacks less than this many beams of a full circle is one.
 const FULL_CIRCLE_BEAMS: f64 = 1.5;
 /// Rounding to f32 doesn't make -180 degrees 180 \[deg\].
@@ -54,6 +57,16 @@ impl NewScenario<'_> {
     /// [`LabError::Log`] for a log without scans, or without odometry, or without both a reference and a map.
     pub fn text(&self, inspection: &Inspection) -> Result<String, LabError> {
         let refuse = |what: String| LabError::Log { path: self.log.to_owned(), what };
+        let folder = self.out.parent().unwrap_or(Path::new(""));
+        for file in [Some(self.log), self.map].into_iter().flatten() {
+            if file.to_str().is_none() || yaml_path(file, folder).contains("${") {
+                return Err(LabError::Log {
+                    path: file.to_owned(),
+                    what: "a scenario can't name this file: paths there are UTF-8, and `${NAME}` is an environment variable"
+                        .to_owned(),
+                });
+            }
+        }
         if let Some(problem) = &inspection.problem {
             return Err(refuse(problem.clone()));
         }
@@ -62,6 +75,22 @@ impl NewScenario<'_> {
             .as_ref()
             .filter(|_| inspection.lacks.run.is_empty())
             .ok_or_else(|| refuse(format!("a scenario needs {}", inspection.lacks.run.join("; "))))?;
+        let readings = &facts.quality.readings;
+        let noise_m =
+            readings.still_noise_m.filter(|sigma| *sigma > 0.0).or(readings.flat_noise_m).unwrap_or(0.0);
+        if noise_m > MOST_SIGMA_M {
+            return Err(refuse(format!(
+                "the noise of readings would be {noise_m:.2} m, more than {MOST_SIGMA_M} m: ranges may be in centimetres, or stamps all alike"
+            )));
+        }
+        let error = facts.quality.odometry.as_ref().and_then(|odometry| odometry.error.as_ref());
+        if let Some(alpha) = error.and_then(|error| error.alpha.into_iter().find(|alpha| *alpha > MOST_ALPHA))
+        {
+            return Err(refuse(format!(
+                "the odometry's noise against the reference would be alpha {alpha:.0}, more than {MOST_ALPHA}: positions of one of them may be \
+                 in centimetres"
+            )));
+        }
         let has_reference = facts.references() > 0;
         let split = inspection.split.as_ref();
         if self.map.is_none() && split.is_none() {

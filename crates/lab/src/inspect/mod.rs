@@ -13,6 +13,7 @@ use locsim_dataset::{
     DatasetError, DriveQuality, LogContents, LogFormat, LogKind, LogOptions, LogSummary, MountSource,
     OdometrySource, Scanner, decimal, read_contents, read_log,
 };
+use locsim_gap::LEAST_SCANS;
 use serde::Serialize;
 
 pub use init::NewScenario;
@@ -21,9 +22,6 @@ pub use picture::picture;
 pub use split::{COVERED, Part, Role, Split, least_covered};
 
 use crate::LabError;
-
-/// Scans with reference poses that `locsim gap` needs at least.
-const LEAST_GAP_SCANS: usize = 40;
 
 /// Topics that an error lists, at the most.
 const LISTED_TOPICS: usize = 20;
@@ -124,9 +122,7 @@ impl Inspection {
             Ok(read) => (Some(read), None),
             Err(error) => {
                 let alone = LogOptions { without_odometry: true, ..options.clone() };
-                let path = format!("{}: ", log.display());
-                let reason = error.to_string();
-                let reason = reason.strip_prefix(&path).unwrap_or(&reason).to_owned();
+                let reason = without_path(&error.to_string(), log);
                 (scans_alone(&error).then(|| read_log(log, &alone).ok()).flatten(), Some(reason))
             }
         };
@@ -141,7 +137,7 @@ impl Inspection {
         warnings.extend(chosen);
         Ok(Self {
             file: log.display().to_string(),
-            lacks: lacks(facts.as_ref()),
+            lacks: lacks(facts.as_ref(), split.as_ref()),
             warnings,
             reference_candidates,
             contents,
@@ -260,7 +256,7 @@ impl DriveFacts {
     }
 }
 
-fn lacks(facts: Option<&DriveFacts>) -> Lacks {
+fn lacks(facts: Option<&DriveFacts>, split: Option<&Split>) -> Lacks {
     let Some(facts) = facts else {
         let nothing = vec!["a drive that can be read: see the reason above".to_owned()];
         return Lacks { run: nothing.clone(), map: nothing.clone(), gap: nothing };
@@ -277,9 +273,16 @@ fn lacks(facts: Option<&DriveFacts>) -> Lacks {
     if references == 0 {
         lacks.map.push("a reference: the pose from which each scan was taken".to_owned());
         lacks.gap.push("a reference: simulated scans are taken from its poses".to_owned());
-    } else if references < LEAST_GAP_SCANS {
+    } else if references < LEAST_SCANS {
         lacks.gap.push(format!(
-            "scans with a reference pose: {references} of the {LEAST_GAP_SCANS} that it needs at least"
+            "scans with a reference pose: {references} of the {LEAST_SCANS} that it needs at least"
+        ));
+    } else if let Some(localized) = split.map(|split| split.localized(facts.scans))
+        && localized < LEAST_SCANS
+    {
+        lacks.gap.push(format!(
+            "scans to localize on: the proposed split has {localized} of the {LEAST_SCANS} that it needs at least; give \
+             `localize_scans` more of the log"
         ));
     }
     if facts.scans < 2 {
@@ -291,6 +294,14 @@ fn lacks(facts: Option<&DriveFacts>) -> Lacks {
         }
     }
     lacks
+}
+
+/// An error's text without the path that it begins with; a line number stays.
+fn without_path(error: &str, path: &Path) -> String {
+    match error.strip_prefix(&format!("{}:", path.display())) {
+        None => error.to_owned(),
+        Some(rest) => rest.strip_prefix(' ').map_or_else(|| format!("line {rest}"), str::to_owned),
+    }
 }
 
 /// Shares of a drive, lags and errors beyond which a remark is worth reading.
@@ -421,15 +432,6 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
         format!("{:.0} % of the readings are unusable.", 100.0 * readings.unusable_share),
     );
     if let Some(split) = split {
-        let [from, to] = split.localize_scans;
-        let localized = ((to - from) * facts.scans as f64).round() as usize;
-        warn(
-            localized < LEAST_GAP_SCANS,
-            format!(
-                "The proposed split localizes on {localized} scans, and `locsim gap` needs {LEAST_GAP_SCANS}: for that, give \
-                 `localize_scans` more of the log."
-            ),
-        );
         warn(
             split.least_localized < split::COVERED,
             format!(

@@ -76,6 +76,12 @@ pub struct Split {
 type Parts = u32;
 
 impl Split {
+    /// Number of scans of the localized part, of a log with this many.
+    pub fn localized(&self, scans: usize) -> usize {
+        let [from, to] = self.localize_scans;
+        ((to - from) * scans as f64).round() as usize
+    }
+
     /// The split whose localized and training parts the map knows best; `None` for a drive with too few reference poses.
     pub fn propose(drive: &Drive) -> Option<Self> {
         let referenced = drive.steps.iter().filter(|step| step.reference.is_some()).count();

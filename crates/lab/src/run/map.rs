@@ -73,6 +73,23 @@ pub fn grid_files(grid: &OccupancyGrid, image: &str) -> [Vec<u8>; 2] {
     [grid.image_bytes(ImageFormat::Pgm), description.into_bytes()]
 }
 
+/// A larger share of held-out readings that are far from their nominal ranges contradicts the map: people who walk make some per cent.
+const MOST_FAR: f64 = 0.2;
+
+/// What is said of a map that the log it was made of contradicts.
+pub fn contradiction(check: &MapCheck) -> Option<String> {
+    let far =
+        [&check.walls, &check.cells].map(|of| if of.far_share.is_finite() { of.far_share } else { 0.0 });
+    let far = far[0].max(far[1]);
+    (far > MOST_FAR).then(|| {
+        format!(
+            "{:.0} % of the held-out readings are more than {FAR_M} m from the map that the others make: reference poses, the laser's \
+             mount, its angles or the stamps don't go together.",
+            100.0 * far
+        )
+    })
+}
+
 /// How maps agree with held-out readings, as a table.
 pub fn agreement_table(check: &MapCheck) -> TextTable {
     // Nothing is known where no reading has a nominal range.

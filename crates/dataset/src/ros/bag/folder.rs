@@ -10,6 +10,14 @@ use crate::DatasetError;
 /// How the files of a bag's folder end; compressed ones are preferred last.
 const ENDINGS: [&str; 6] = [".mcap", ".db3", ".mcap.zstd", ".mcap.zst", ".db3.zstd", ".db3.zst"];
 
+/// What rosbag2 writes beside the files.
+const METADATA: &str = "metadata.yaml";
+
+/// Whether a folder is that of a recording, by its `metadata.yaml`: another file there would be taken for a part of it.
+pub fn is_recording(folder: &Path) -> bool {
+    folder.join(METADATA).is_file() && files(folder).is_ok()
+}
+
 /// The files of a bag's folder in the order of their numbers: `NAME_0.mcap`, `NAME_1.mcap`, ...
 ///
 /// `ros2 bag reindex` orders them so, too. `metadata.yaml` isn't needed: a recording that was killed has none. Where it is there, so are the files that it lists.
@@ -22,6 +30,10 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
         let path = entry.map_err(failed)?.path();
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else { continue };
         let Some(stem) = ENDINGS.iter().find_map(|ending| name.strip_suffix(ending)) else { continue };
+        // A pipe would be waited for.
+        if fs::metadata(&path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
+            return Err(refuse(format!("`{}` is a pipe or a device; allowed: files", quoted(name))));
+        }
         let numbered = stem.rsplit_once('_').and_then(|(stem, number)| Some((stem, number.parse().ok()?)));
         let (stem, number) = numbered.map_or((stem, None), |(stem, number)| (stem, Some(number)));
         let key = (stem.to_owned(), number);
@@ -49,7 +61,11 @@ const LONGEST_METADATA: u64 = 1 << 24;
 ///
 /// Without that file, and where it isn't as rosbag2 writes it, nothing is said.
 fn complete(folder: &Path, files: &BTreeMap<(String, Option<u64>), PathBuf>) -> Result<(), DatasetError> {
-    let Ok(metadata) = File::open(folder.join("metadata.yaml")) else { return Ok(()) };
+    let metadata = folder.join(METADATA);
+    if !metadata.is_file() {
+        return Ok(());
+    }
+    let Ok(metadata) = File::open(metadata) else { return Ok(()) };
     let mut text = String::new();
     if metadata.take(LONGEST_METADATA).read_to_string(&mut text).is_err() {
         return Ok(());

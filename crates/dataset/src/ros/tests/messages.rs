@@ -203,14 +203,14 @@ fn numbers_that_arithmetic_cannot_bear_are_refused() {
             "/tf_static",
         ),
         (scan_with(&|scan| scan.angle_increment = 1e30), "angle_increment is 1"),
-        (scan_with(&|scan| scan.angle_increment = 0.0), "angle_increment is 0 rad; allowed: not 0, at most"),
+        (scan_with(&|scan| scan.angle_increment = 0.0), "angle_increment is 0.0 rad; allowed: 0.000001 to"),
         // Degrees.
         (
             scan_with(&|scan| scan.angle_increment = -10.0),
-            "angle_increment is -10 rad; allowed: not 0, at most",
+            "angle_increment is -10.0 rad; allowed: 0.000001 to",
         ),
         (scan_with(&|scan| scan.angle_increment = f32::NAN), "angle_increment is NaN rad"),
-        (scan_with(&|scan| scan.angle_min = f32::NAN), "bearing 0 of the laser is not finite"),
+        (scan_with(&|scan| scan.angle_min = f32::NAN), "angle_min is NaN rad"),
         (scan_with(&|scan| scan.time_increment = 1e10), "time_increment is 10000000000; allowed"),
         (scan_with(&|scan| scan.time_increment = 9e8), "time of a beam is 1800000000; allowed"),
         (scan_with(&|scan| scan.range_max = f32::MAX), "maximum range is 34028"),
