@@ -194,8 +194,8 @@ fn what_nav2_parameters_cannot_be_searched_on_is_refused() {
         ),
     );
     for (line, message) in [
-        ("room-run.yaml --evaluations 3", "--evaluations: 3 is not allowed; from 16 to 100000"),
-        ("room-run.yaml --trials 1", "--trials: 1 is not allowed; from 2 to 100000"),
+        ("room-run.yaml --evaluations 3", "'--evaluations <EVALUATIONS>': a whole number from 16 to 100000"),
+        ("room-run.yaml --trials 1", "'--trials <TRIALS>': a whole number from 2 to 100000"),
         ("nothing.yaml", "nothing.yaml: cannot be read"),
         ("nothing.mcap", "nothing.mcap: cannot be read"),
         ("other.txt", "other.txt"),

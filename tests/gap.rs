@@ -231,8 +231,8 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     refused(&gap("nominal.yaml", ""), "--out: found is not allowed; it isn't empty");
     refused(&gap("nominal.yaml", "--force"), "found/gap.json isn't as locsim wrote it, and stays");
     refused(&gap("nominal.yaml", "--without glas"), "\"glas\" is not an effect; one of range_bias");
-    refused(&gap("nominal.yaml", "--replicates 5"), "--replicates: 5 is not allowed; a whole number from 19");
-    refused(&gap("nominal.yaml", "--beams 0"), "--beams: 0 is not allowed");
+    refused(&gap("nominal.yaml", "--replicates 5"), "a whole number from 19 to 100000 is allowed");
+    refused(&gap("nominal.yaml", "--beams 0"), "a whole number from 1 to 100000 is allowed");
     refused("gap nominal.yaml --log missing.log --out found", "missing.log");
     refused("gap nominal.yaml --log measured.log", "--out");
     let text = String::from_utf8(folder.read("measured.log")).unwrap();

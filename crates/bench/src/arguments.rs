@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 use locsim_bench::suite::{Group, Setup, Size};
-use locsim_terminal::{LimitOptions, OutputOptions, Share, Threads, whole};
+use locsim_core::limits::RANGE_M;
+use locsim_terminal::{LimitOptions, OutputOptions, Share, Threads, number, whole};
 
 /// Benchmarks of locsim.
 ///
@@ -61,7 +62,7 @@ pub struct Gap {
     #[arg(long, value_name = "DIR")]
     pub real: Option<PathBuf>,
     /// Range from which a reading of these logs is no return [m]
-    #[arg(long, default_value_t = 40.0, requires = "real")]
+    #[arg(long, default_value_t = 40.0, allow_negative_numbers = true, value_parser = number([1e-3, RANGE_M]), requires = "real")]
     pub max_range: f64,
     /// How much: small (minutes), medium (two hours on two cores), full (a day)
     #[arg(long, value_enum, default_value_t)]
@@ -73,10 +74,10 @@ pub struct Gap {
     #[arg(long, value_enum, value_delimiter = ',', conflicts_with = "real")]
     pub setups: Vec<Setup>,
     /// Everything random derives from it: tune on one seed, score on another
-    #[arg(long, default_value_t = 1, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    #[arg(long, default_value_t = 1, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
     pub seed: u64,
     /// Begin no log after this many minutes, and score what is done; the same command goes on
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
     pub minutes: Option<u64>,
     /// Folder for logs, truths, findings and the report; what it holds already isn't run again
     #[arg(long, default_value = "results/gap-bench")]

@@ -5,8 +5,10 @@ use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use locsim_core::limits::RANGE_M;
+use locsim_lab::gap::GapSettings;
 use locsim_scenario::catalogue;
-use locsim_terminal::{LimitOptions, OutputOptions, Share, Threads, whole};
+use locsim_terminal::{LimitOptions, OutputOptions, Share, Threads, number, whole};
 
 /// A laboratory for particle-filter localization with range sensors.
 ///
@@ -112,10 +114,10 @@ pub struct Run {
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Number of trials, instead of the scenario's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>([1, 1_000_000]))]
     pub trials: Option<u32>,
     /// Seed, instead of the scenario's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
     pub seed: Option<u64>,
     #[command(flatten)]
     pub share: Share,
@@ -163,10 +165,10 @@ pub struct Study {
     #[arg(long, default_value = "results")]
     pub out: PathBuf,
     /// Number of repeats, instead of the study's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>([1, 100_000]))]
     pub repeats: Option<u32>,
     /// Seed, instead of the study's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
     pub seed: Option<u64>,
     #[command(flatten)]
     pub threads: Threads,
@@ -198,10 +200,10 @@ pub struct Sweep {
     #[arg(long)]
     pub yes: bool,
     /// Trials of each cell, instead of the sweep's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>([1, 1_000_000]))]
     pub trials: Option<u32>,
     /// Seed, instead of the sweep's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
     pub seed: Option<u64>,
     #[command(flatten)]
     pub share: Share,
@@ -286,10 +288,10 @@ pub struct Simulate {
     #[arg(long)]
     pub force: bool,
     /// Which trial of the scenario to write
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true, value_parser = whole::<u32>([0, u32::MAX.into()]))]
     pub trial: u32,
     /// Seed, instead of the scenario's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
     pub seed: Option<u64>,
 }
 
@@ -311,7 +313,7 @@ pub struct Apply {
     #[arg(long, value_name = "EFFECT", value_delimiter = ',', value_parser = EffectName, hide_possible_values = true)]
     pub without: Vec<String>,
     /// Seed of the effects' draws, instead of the scenario's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
     pub seed: Option<u64>,
     #[command(flatten)]
     pub log_options: LogOptions,
@@ -356,13 +358,13 @@ pub struct ExportNav2 {
     #[arg(long)]
     pub force: bool,
     /// Sets of parameters that are tried, 16 to 100000
-    #[arg(long, default_value_t = 400, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    #[arg(long, default_value_t = 400, allow_negative_numbers = true, value_parser = whole::<u32>([16, 100_000]))]
     pub evaluations: u32,
     /// Trials of the comparison with nav2's defaults, 2 to 100000
-    #[arg(long, default_value_t = 20, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    #[arg(long, default_value_t = 20, allow_negative_numbers = true, value_parser = whole::<u32>([2, 100_000]))]
     pub trials: u32,
     /// Seed, instead of the scenario's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
     pub seed: Option<u64>,
     #[command(flatten)]
     pub threads: Threads,
@@ -374,12 +376,6 @@ pub struct ExportNav2 {
     /// No progress and no table
     #[arg(long)]
     pub quiet: bool,
-}
-
-/// A cell size that is allowed \[m\].
-fn cell_size(text: &str) -> Result<f64, String> {
-    let size = text.parse::<f64>().ok().filter(|size| (1e-3..=10.0).contains(size));
-    size.ok_or_else(|| "a number from 0.001 to 10 (m) is needed".to_owned())
 }
 
 /// `locsim map`.
@@ -395,10 +391,10 @@ pub struct Map {
     #[arg(long)]
     pub force: bool,
     // Not a doc comment: rustdoc takes brackets for a link.
-    #[arg(long, default_value_t = 0.05, value_parser = cell_size, help = "Cell size [m], 0.001 to 10")]
+    #[arg(long, default_value_t = 0.05, allow_negative_numbers = true, value_parser = number([1e-3, 10.0]), help = "Cell size [m], 0.001 to 10")]
     pub resolution: f64,
     /// Use only this share of the log, for example 0.0,0.5
-    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 1.0])]
+    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 1.0], allow_negative_numbers = true, value_parser = number([0.0, 1.0]))]
     pub share: Vec<f64>,
     #[command(flatten)]
     pub log_options: LogOptions,
@@ -459,7 +455,7 @@ pub struct Init {
 #[derive(Debug, Args)]
 pub struct LogOptions {
     /// Readings at or above this count as no return [m; default: the log's own]
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true, value_parser = number([1e-3, RANGE_M]))]
     pub max_range: Option<f64>,
     /// The bag's topic of laser scans [default: `/scan`, or the only one]
     #[arg(long, value_name = "TOPIC")]
@@ -494,18 +490,18 @@ pub struct Gap {
     pub force: bool,
     /// Simulated logs (beside a baseline: permutations) behind a p-value, at least 19; its least value is 1 / (replicates + 1)
     /// [default: 999; beside a baseline 399]
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>(GapSettings::ALLOWED_REPLICATES))]
     pub replicates: Option<u32>,
     /// Seed, instead of the scenario's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
     pub seed: Option<u64>,
     #[command(flatten)]
     pub threads: Threads,
     /// The most scans of the log that are looked at
-    #[arg(long, default_value_t = 600, allow_negative_numbers = true, value_parser = whole::<usize>)]
+    #[arg(long, default_value_t = 600, allow_negative_numbers = true, value_parser = whole::<usize>(GapSettings::ALLOWED_SCANS))]
     pub scans: usize,
     /// The most beams of a scan that are looked at, evenly spread
-    #[arg(long, default_value_t = 72, allow_negative_numbers = true, value_parser = whole::<usize>)]
+    #[arg(long, default_value_t = 72, allow_negative_numbers = true, value_parser = whole::<usize>(GapSettings::ALLOWED_BEAMS))]
     pub beams: usize,
     /// Effects that are left out of the library, separated by commas
     #[arg(long, value_name = "EFFECT", value_delimiter = ',', value_parser = EffectName, hide_possible_values = true)]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use locsim_core::output::Output;
 use locsim_lab::export::{self, Nav2Options, SimulatorFormat};
 use locsim_scenario::{Overrides, Scenario};
@@ -10,10 +10,6 @@ use locsim_terminal::{DONE, Failure, Session, columns, say};
 
 use crate::arguments::{Export, ExportNav2, ExportSensor};
 use crate::{log_options, of_lab, users_cache};
-
-/// Sets of parameters that may be tried, and trials.
-const EVALUATIONS: [u32; 2] = [16, 100_000];
-const TRIALS: [u32; 2] = [2, 100_000];
 
 /// Endings of the files beside AMCL's.
 const BESIDE: [&str; 3] = ["beluga.yaml", "report.md", "report.html"];
@@ -64,11 +60,6 @@ fn sensor(arguments: &ExportSensor, format: SimulatorFormat) -> anyhow::Result<u
 
 fn nav2(arguments: &ExportNav2) -> Result<u8, Failure> {
     let ExportNav2 { source, out, force, evaluations, trials, quiet, .. } = arguments;
-    for (name, value, [least, most]) in
-        [("evaluations", *evaluations, EVALUATIONS), ("trials", *trials, TRIALS)]
-    {
-        check(name, value, least, most)?;
-    }
     let scenario = nav2_scenario(arguments)?;
     let inputs = scenario.inputs()?;
     let beside = BESIDE.map(|ending| out.with_extension(ending));
@@ -109,11 +100,6 @@ fn nav2(arguments: &ExportNav2) -> Result<u8, Failure> {
         beside[2].display()
     ))?;
     Ok(DONE)
-}
-
-fn check(name: &str, value: u32, least: u32, most: u32) -> anyhow::Result<()> {
-    ensure!((least..=most).contains(&value), "--{name}: {value} is not allowed; from {least} to {most}");
-    Ok(())
 }
 
 /// The scenario, or the one that `locsim init` would write for a log.

@@ -6,14 +6,14 @@ mod export;
 mod recording;
 mod sweep;
 
-use std::borrow::Cow;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail, ensure};
 use clap::{CommandFactory, Parser};
-use locsim_core::output::Output;
-use locsim_dataset::{BagTopics, LogOptions};
+use locsim_core::limits::quoted;
+use locsim_core::output::{Output, in_shell};
+use locsim_dataset::{BagTopics, LogFormat, LogOptions};
 use locsim_lab::apply::apply as apply_effects;
 use locsim_lab::convert::{convert_log, convert_map};
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyOptions};
@@ -199,12 +199,6 @@ pub fn users_cache() -> Option<PathBuf> {
     told.or_else(|| directories::BaseDirs::new().map(|user| user.cache_dir().join("locsim")))
 }
 
-/// A path as shells read it: in quotes where it has blanks and the like.
-fn in_shell(path: &Path) -> String {
-    let text = path.to_string_lossy();
-    shlex::try_quote(&text).map_or_else(|_| text.to_string(), Cow::into_owned)
-}
-
 /// The command that repeats a run.
 fn command_line(scenario: &Scenario, models: Option<&[String]>) -> String {
     let mut command = format!(
@@ -260,7 +254,8 @@ fn validate_one(path: &Path) -> anyhow::Result<String> {
     }
     Ok(if study::is_study(path)? {
         let study = study::Study::load(path, StudyOverrides::default())?;
-        format!("study, {} models, {} repeats", study.models().len(), study.repeats())
+        let [models, repeats] = [study.models().len(), study.repeats() as usize];
+        format!("study, {}, {}", counted(models, "model"), counted(repeats, "repeat"))
     } else if locsim_sweep::is_sweep(path)? {
         let sweep = locsim_sweep::Sweep::load(path, locsim_sweep::SweepOverrides::default())?;
         format!("sweep, {}", sweep.estimate(rayon::current_num_threads())?)
@@ -271,8 +266,14 @@ fn validate_one(path: &Path) -> anyhow::Result<String> {
         }
         let threads = rayon::current_num_threads();
         let cost = run::CostEstimate::of(&scenario, threads).in_words(threads);
-        format!("{} models, {} trials; {cost}", scenario.models.len(), scenario.trials)
+        let (models, trials) = (scenario.models.len(), scenario.trials);
+        format!("{}, {}; {cost}", counted(models, "model"), counted(trials as usize, "trial"))
     })
+}
+
+/// A number of things in words.
+fn counted(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
 fn print_schema(study: bool, sweep: bool) -> anyhow::Result<u8> {
@@ -297,6 +298,7 @@ fn simulate(arguments: &Simulate) -> anyhow::Result<u8> {
     let overrides = Overrides { seed: arguments.seed, ..Overrides::default() };
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     Output { path: &arguments.out, force: arguments.force, inputs: &scenario.inputs()? }.check()?;
+    LogFormat::to_write(&arguments.out)?;
     let drive = run::simulate_trial(&scenario, arguments.trial)?;
     locsim_dataset::write_simulated_log(&arguments.out, &drive)?;
     say(&format!(
@@ -312,7 +314,7 @@ fn apply(arguments: &Apply) -> anyhow::Result<u8> {
     let Apply { scenario, log, out, force, seed, without, log_options: options } = arguments;
     let without = effect_kinds(without)?;
     let scenario = Scenario::load(scenario, &Overrides { seed: *seed, ..Overrides::default() })?;
-    let inputs = [scenario.inputs()?, locsim_dataset::log_files(log)?].concat();
+    let inputs = [scenario.inputs()?, locsim_dataset::log_files(log)?, vec![log.clone()]].concat();
     Output { path: out, force: *force, inputs: &inputs }.check()?;
     let applied = apply_effects(&scenario, log, &without, &self::log_options(options), out)?;
     say(&format!("{}: {applied}", out.display()))?;
@@ -442,12 +444,10 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
 
 fn map(arguments: &Map) -> anyhow::Result<u8> {
     let &[from, to] = arguments.share.as_slice() else {
-        bail!("--share: two numbers are needed, for example 0.0,0.5");
+        let given = arguments.share.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+        bail!("--share: {} is not allowed; two numbers, for example 0.0,0.5", quoted(&given));
     };
-    ensure!(
-        0.0 <= from && from < to && to <= 1.0,
-        "--share: {from},{to} is not allowed; 0 <= from < to <= 1"
-    );
+    ensure!(from < to, "--share: {from},{to} is not allowed; 0 <= from < to <= 1");
     let [image, yaml, walls, picture] =
         map_files(&arguments.out, [".pgm", ".yaml", ".walls.yaml", ".check.svg"]);
     let name = image_name(&image)?;
@@ -469,7 +469,9 @@ fn map(arguments: &Map) -> anyhow::Result<u8> {
     }
     let files: Vec<(Output, &[u8])> = outputs.into_iter().zip(contents.iter().map(Vec::as_slice)).collect();
     Output::write_all(&files)?;
-    maps.summary.remarks.iter().for_each(|remark| complain(&format!("warning: {remark}")));
+    let contradiction = maps.check.as_ref().and_then(run::contradiction);
+    let warnings = maps.summary.remarks.iter().chain(&contradiction);
+    warnings.for_each(|warning| complain(&format!("warning: {warning}")));
     say(&maps.summary.to_string())?;
     let grid = &maps.grid;
     let (width, height, cell) = (grid.width(), grid.height(), grid.resolution_m());
@@ -508,7 +510,7 @@ fn convert(arguments: &Convert) -> anyhow::Result<u8> {
     let Convert { file, out, force, log_options: options } = arguments;
     let options = log_options(options);
     if !locsim_dataset::is_beesoft_map(file) {
-        let inputs = locsim_dataset::log_files(file)?;
+        let inputs = [locsim_dataset::log_files(file)?, vec![file.clone()]].concat();
         Output { path: out, force: *force, inputs: &inputs }.check()?;
         let (scans, summary) = convert_log(file, &options, out)?;
         say(&format!("{summary}\n{}: {scans} scans", out.display()))?;
@@ -607,31 +609,11 @@ fn init(arguments: &Init) -> anyhow::Result<u8> {
         complain(&format!("warning: {warning}"));
     }
     let (file, argument) = (out.display(), in_shell(out));
-    let reference = inspection.drive.as_ref().is_some_and(|drive| drive.references() > 0);
-    let gap = if reference {
+    let gap = if inspection.lacks.gap.is_empty() {
         format!(" `locsim gap {argument} --out found` searches for what its simulator lacks.")
     } else {
         String::new()
     };
     say(&format!("{file}: written. `locsim run {argument}` localizes on the log.{gap}"))?;
     Ok(DONE)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_path_is_quoted_where_a_shell_needs_it() {
-        for (path, is_plain) in [
-            ("scenarios/my-robot_2.yaml", true),
-            ("my drive.yaml", false),
-            ("it's $HOME (2).yaml", false),
-            ("", false),
-        ] {
-            let written = in_shell(Path::new(path));
-            assert_eq!(written == path, is_plain, "{written}");
-            assert_eq!(shlex::split(&written).unwrap(), [path]);
-        }
-    }
 }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, anyhow, ensure};
 use locsim_core::Shard;
+use locsim_core::output::in_shell;
 use locsim_lab::run::RunOptions;
 use locsim_scenario::Scenario;
 use locsim_sweep::{
@@ -145,12 +146,12 @@ fn submit(
         template: sweep.template.clone(),
     };
     let script = job.write()?;
-    let then = format!("then `locsim merge {}`", out.display());
+    let then = format!("then `locsim merge {}`", in_shell(&out));
     if arguments.batch.submit {
         Job::submit(&script)?;
         say(&format!("Submitted {shards} shards; {then}"))?;
     } else {
-        say(&format!("`sh {}` runs {shards} shards; {then}", script.display()))?;
+        say(&format!("`sh {}` runs {shards} shards; {then}", in_shell(&script)))?;
     }
     Ok(DONE)
 }

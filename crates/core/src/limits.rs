@@ -26,6 +26,9 @@ pub const RANGE_M: f64 = 1e4;
 /// No time (s) that is read is larger: beyond it neighbouring times are too far apart.
 pub const STAMP_SECS: f64 = 1e12;
 
+/// No filter has more particles.
+pub const MOST_PARTICLES: u32 = 10_000_000;
+
 /// Maximum number of worker threads for each core of the machine.
 pub const THREADS_PER_CORE: usize = 4;
 

@@ -3,6 +3,7 @@
 //! A reader never sees half a file, and a failure leaves the old file. [`Output::check`] keeps a command from
 //! overwriting its own inputs, and files that exist unless `--force` is given.
 
+use std::borrow::Cow;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -20,6 +21,12 @@ pub enum OutputError {
     /// The command reads it.
     #[error("--out: {} is not allowed; this command reads it", path.display())]
     Input {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The command reads all files of the folder.
+    #[error("--out: {} is not allowed; this command reads its folder, of which it would be a part", path.display())]
+    InputFolder {
         /// The file.
         path: PathBuf,
     },
@@ -45,6 +52,12 @@ pub enum OutputError {
     },
 }
 
+/// A path as shells read it: in quotes where it has blanks and the like.
+pub fn in_shell(path: &Path) -> String {
+    let text = path.to_string_lossy();
+    shlex::try_quote(&text).map_or_else(|_| text.to_string(), Cow::into_owned)
+}
+
 /// A file that a command is asked to write.
 #[derive(Clone, Copy, Debug)]
 pub struct Output<'a> {
@@ -52,7 +65,7 @@ pub struct Output<'a> {
     pub path: &'a Path,
     /// Whether an existing file may be replaced.
     pub force: bool,
-    /// Files that the command reads.
+    /// Files and folders that the command reads.
     pub inputs: &'a [PathBuf],
 }
 
@@ -60,10 +73,18 @@ impl Output<'_> {
     /// Whether the file may be written. Nothing is touched.
     ///
     /// # Errors
-    /// [`OutputError`] for one of the inputs (under whatever name), for something that is no file, and for a file that is
+    /// [`OutputError`] for one of the inputs (under whatever name), for a file in a folder that is one, for something that is no file, and for a file that is
     /// there, unless it is to be replaced.
     pub fn check(&self) -> Result<(), OutputError> {
         let path = || self.path.to_owned();
+        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = Handle::from_path(folder.unwrap_or(Path::new(".")));
+        let mut folders = self.inputs.iter().filter(|input| input.is_dir());
+        if let Ok(folder) = folder
+            && folders.any(|input| Handle::from_path(input).is_ok_and(|input| input == folder))
+        {
+            return Err(OutputError::InputFolder { path: path() });
+        }
         let Ok(found) = fs::metadata(self.path) else { return Ok(()) };
         if !found.is_file() {
             return Err(OutputError::NoFile { path: path() });
@@ -154,6 +175,20 @@ fn without_name(error: &io::Error) -> io::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_path_is_quoted_where_a_shell_needs_it() {
+        for (path, is_plain) in [
+            ("scenarios/my-robot_2.yaml", true),
+            ("my drive.yaml", false),
+            ("it's $HOME (2).yaml", false),
+            ("", false),
+        ] {
+            let written = in_shell(Path::new(path));
+            assert_eq!(written == path, is_plain, "{written}");
+            assert_eq!(shlex::split(&written).unwrap(), [path]);
+        }
+    }
 
     #[test]
     fn a_failure_leaves_what_was_there_and_nothing_else() {

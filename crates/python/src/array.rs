@@ -5,6 +5,7 @@ use std::any::Any;
 use std::sync::Arc;
 
 use bytemuck::Pod;
+use locsim_core::limits::COORDINATE;
 use locsim_core::{Particles, Pose2};
 use pyo3::buffer::{Element, PyBuffer};
 use pyo3::prelude::*;
@@ -79,11 +80,23 @@ pub fn poses(value: &Bound<'_, PyAny>, name: &str) -> Result<Particles, Error> {
     if !matches!(shape.as_slice(), [3] | [_, 3]) {
         return Err(wrong(name, &shape, &["poses", "3 (x, y, theta)"]));
     }
-    if values.iter().any(|value| !value.is_finite()) {
-        return Err(refused(format!("{name}: a pose is not finite")));
+    if values.iter().any(|value| !(value.abs() <= COORDINATE)) {
+        return Err(refused(format!("{name}: a pose is not finite, or beyond {COORDINATE:e}")));
     }
     let (rows, _) = values.as_chunks();
     Ok(rows.iter().map(|&[x, y, theta]| Pose2::new(x, y, theta)).collect())
+}
+
+/// Bearings of beams \[rad\].
+pub fn bearings(value: &Bound<'_, PyAny>) -> Result<Vec<f32>, Error> {
+    let (bearings, _) = Array::<f32>::with_axes(value, "bearings", ["beams"])?;
+    match bearings.iter().position(|bearing| !bearing.is_finite()) {
+        Some(beam) => Err(refused(format!(
+            "bearings: {} of beam {beam} is not allowed; finite numbers",
+            bearings[beam]
+        ))),
+        None => Ok(bearings),
+    }
 }
 
 /// A writable numpy array of its own.

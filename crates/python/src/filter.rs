@@ -1,5 +1,6 @@
 use std::sync::Arc;
 
+use locsim_core::limits::{COORDINATE, MOST_PARTICLES};
 use locsim_core::{
     DependsOn, Laser, LikelihoodGrid, Particles as Set, Pose2, Scan, SensorModel as Density, Weights,
 };
@@ -216,6 +217,22 @@ impl Filter {
                 spread: Spread { sigma_m: start_sigma.0, sigma_rad: start_sigma.1 },
             },
         };
+        let count = match &particles {
+            Particles::Fixed(count) => *count,
+            Particles::Kld(kld) => kld.get().0.max,
+        };
+        if count as u64 > u64::from(MOST_PARTICLES) {
+            return Err(refused(format!("particles: {count} is not allowed; at most {MOST_PARTICLES}")));
+        }
+        for (name, spread) in [("start_sigma", Some(start_sigma)), ("regularization", regularization)] {
+            if let Some((sigma_m, sigma_rad)) = spread
+                && ![sigma_m, sigma_rad].iter().all(|sigma| (0.0..=COORDINATE).contains(sigma))
+            {
+                return Err(refused(format!(
+                    "{name}: ({sigma_m}, {sigma_rad}) is not allowed; numbers from 0 to {COORDINATE:e} (m, rad)"
+                )));
+            }
+        }
         let options = FilterOptions {
             particles: match particles {
                 Particles::Fixed(count) => ParticleCount::Fixed(count),

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
+use locsim_core::limits::MOST_PARTICLES;
 use locsim_core::{CAST_REACH, DistanceMap, Hits, NO_SURFACE, Particles, Pose2, RangeMap};
 use locsim_lab::run::{MapSet, free_poses};
 use locsim_scenario::{RayCast, load_map};
@@ -9,7 +10,7 @@ use locsim_world::raycast::RangeTableOptions;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::array::{Array, booleans, numpy, pose_array, poses, tree, wrong};
+use crate::array::{Array, bearings as bearings_of, booleans, numpy, pose_array, poses, tree, wrong};
 use crate::error::{Error, refused};
 
 /// A map of walls.
@@ -59,6 +60,9 @@ impl Map {
     fn points(points: &Bound<'_, PyAny>) -> Result<(Array<f64>, Vec<usize>), Error> {
         let array = Array::<f64>::of(points, "points")?;
         match array.shape.split_last() {
+            Some((2, _)) if array.values.iter().any(|value| !value.is_finite()) => {
+                Err(refused("points: a coordinate is not finite"))
+            }
             Some((2, rest)) => {
                 let rest = rest.to_vec();
                 Ok((array, rest))
@@ -126,6 +130,9 @@ impl Map {
     /// Random poses (x, y, theta) that keep 25 cm from the walls, float64 [count, 3]; fewer, where the map has next to no room.
     #[pyo3(signature = (count, *, seed = 0))]
     fn free_poses<'py>(&self, py: Python<'py>, count: u32, seed: u64) -> PyResult<Bound<'py, PyAny>> {
+        if count > MOST_PARTICLES {
+            return Err(refused(format!("count: {count} is not allowed; at most {MOST_PARTICLES}")).into());
+        }
         let poses = py.detach(|| free_poses(&self.exact, count, seed));
         pose_array(py, poses.iter())
     }
@@ -148,7 +155,7 @@ impl Map {
         max_range: Option<f32>,
     ) -> Result<Bound<'py, PyAny>, Error> {
         let laser = self::poses(poses, "poses")?;
-        let (bearings, _) = Array::<f32>::with_axes(bearings, "bearings", ["beams"])?;
+        let bearings = bearings_of(bearings)?;
         let reach = positive("max_range", max_range.unwrap_or(self.diagonal()))?;
         let hits = py.detach(|| {
             let mut hits = Hits::default();
@@ -168,7 +175,7 @@ impl Map {
         max_range: f32,
     ) -> Result<Beams, Error> {
         let laser = self::poses(poses, "poses")?;
-        let (bearings, _) = Array::<f32>::with_axes(bearings, "bearings", ["beams"])?;
+        let bearings = bearings_of(bearings)?;
         let max_range = positive("max_range", max_range)?;
         let hits = py.detach(|| {
             let mut hits = Hits::default();

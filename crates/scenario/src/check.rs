@@ -218,6 +218,9 @@ impl<'a> Checker<'a> {
         self.refuse(!path.is_file(), key, || {
             let looked_up =
                 if text.chars().count() > QUOTED_CHARACTERS { "of this name".into() } else { shown(path) };
+            if path.exists() {
+                return format!("`{}` is not allowed; {looked_up} isn't a regular file", quoted(text));
+            }
             format!("`{}` is not allowed; there is no file {looked_up}", quoted(text))
         });
     }
@@ -247,6 +250,9 @@ fn expand(text: &str, environment: Environment<'_>) -> Result<String, String> {
     let mut rest = text;
     while let Some((before, after)) = rest.split_once("${") {
         let (name, after) = after.split_once('}').ok_or("`${` has no `}`")?;
+        if name.is_empty() {
+            return Err("`${}` names no environment variable".to_owned());
+        }
         let value = environment(name).ok_or_else(|| {
             let name = quoted(name);
             format!("the environment variable {name} is not set (export {name}=...)")
@@ -273,6 +279,7 @@ mod tests {
         assert_eq!(expand("x/${A}-${B}/$B", &environment).unwrap(), "x/${B}-b/$B");
         assert_eq!(expand("plain", &environment).unwrap(), "plain");
         assert!(expand("${C}", &environment).unwrap_err().contains("variable C is not set"));
+        assert!(expand("${}", &environment).unwrap_err().contains("names no environment variable"));
         assert!(expand("${A", &environment).unwrap_err().contains("no `}`"));
     }
 }

@@ -126,7 +126,8 @@ pub fn unknown_word(word: &str, what: &str, known: &[&str]) -> String {
     match known {
         [] => text.push_str("none is allowed here"),
         known => {
-            let listed: Vec<String> = known.iter().take(LISTED_WORDS).map(|word| plain(word, 200)).collect();
+            let listed: Vec<String> =
+                known.iter().take(LISTED_WORDS).map(|word| plain(word, QUOTED_CHARACTERS)).collect();
             let _ = write!(text, "allowed: {}", listed.join(", "));
             if known.len() > LISTED_WORDS {
                 let _ = write!(text, " and {} more", known.len() - LISTED_WORDS);

@@ -144,8 +144,9 @@ fn beesoft(path: &Path) -> ScenarioError {
 /// The key of a `map_server` file that an error is about; empty for the whole file.
 fn key_of_grid_error(error: &MapError) -> &'static str {
     match error {
-        MapError::Resolution(_) | MapError::TooFine(_) => "resolution",
+        MapError::Resolution(_) => "resolution",
         MapError::Origin(_) => "origin",
+        MapError::Thresholds { free, .. } if !(0.0..1.0).contains(free) => "free_thresh",
         MapError::Thresholds { .. } => "occupied_thresh",
         MapError::Image { .. }
         | MapError::ImageSize { .. }

@@ -139,6 +139,9 @@ impl std::error::Error for Mismatch {}
 
 impl Mismatch {
     fn value(found: Unexpected<'_>, expected: &dyn Expected) -> Self {
+        // The least and the greatest number of a type help whoever wrote a number.
+        let is_number =
+            matches!(found, Unexpected::Unsigned(_) | Unexpected::Signed(_) | Unexpected::Float(_));
         let found = match found {
             Unexpected::Bool(value) => value.to_string(),
             Unexpected::Unsigned(value) => value.to_string(),
@@ -150,13 +153,14 @@ impl Mismatch {
             Unexpected::Map => "a map".to_owned(),
             other => other.to_string(),
         };
-        Self::Value { found, allowed: plain_words(&expected.to_string()) }
+        Self::Value { found, allowed: plain_words(&expected.to_string(), is_number) }
     }
 }
 
 /// Serde's names of Rust types in words of the file.
-fn plain_words(expected: &str) -> String {
+fn plain_words(expected: &str, is_number: bool) -> String {
     match expected {
+        "u8" | "u16" | "u32" | "u64" | "usize" if !is_number => "a whole number".to_owned(),
         "u8" => whole_numbers_to(u8::MAX.into()),
         "u16" => whole_numbers_to(u16::MAX.into()),
         "u32" => whole_numbers_to(u32::MAX.into()),
@@ -190,7 +194,7 @@ impl de::Error for Mismatch {
     fn invalid_length(length: usize, expected: &dyn Expected) -> Self {
         Self::Value {
             found: format!("a list of length {length}"),
-            allowed: plain_words(&expected.to_string()),
+            allowed: plain_words(&expected.to_string(), false),
         }
     }
 

@@ -70,8 +70,8 @@ pub enum SensorError {
         /// The model.
         model: String,
     },
-    /// There is nothing to choose a tempering from.
-    #[error("tempering: {0}")]
+    /// There is nothing to choose a floor and an exponent from.
+    #[error("floor and exponent: {0}")]
     Calibration(&'static str),
     /// A regression failed.
     #[error("regression: {0}")]
@@ -114,3 +114,7 @@ pub enum SensorError {
         what: String,
     },
 }
+
+/// What training readings lack for a model of a wall's readings.
+pub(crate) const NO_SURFACE: &str = "none of the training readings is of a wall of the map: are map and laser in metres, and does the \
+                                     laser reach the walls?";

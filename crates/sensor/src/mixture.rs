@@ -7,6 +7,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use crate::beam::{Beam, cdfs, log_densities, samples};
+use crate::error::NO_SURFACE;
 use crate::normal::RangeNormal;
 use crate::{ModelKind, SensorError, TrainingSet};
 
@@ -70,7 +71,7 @@ impl BeamMixture {
             .filter(|(z, beam)| kind == ModelKind::BeamMixture || *z < beam.max_range || beam.is_open())
             .collect();
         if !readings.iter().any(|(z, beam)| *z < beam.max_range && !beam.is_open()) {
-            return Err(SensorError::TooFewData { model: kind, what: "no reading of a mapped surface" });
+            return Err(SensorError::TooFewData { model: kind, what: NO_SURFACE });
         }
         let weights = if kind == ModelKind::Classic { [0.5, 0.5, 0.0, 0.0] } else { [0.7, 0.1, 0.1, 0.1] };
         let (sigma_m, lambda_per_m) = first_guess(&readings);

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use crate::axis::Axis;
 use crate::binned::{Counts, published, registered};
+use crate::error::NO_SURFACE;
 use crate::evaluate::{histogram_match, log_loss};
 use crate::histogram::{HistogramTable, Parts};
 use crate::state_grid::StateGrid;
@@ -64,7 +65,7 @@ pub(crate) fn fit(
     held_out: &TrainingSet,
 ) -> Result<(HistogramTable, BTreeMap<String, f64>), SensorError> {
     if !train.readings().any(|(z, beam)| z < beam.max_range && !beam.is_open()) {
-        return Err(SensorError::TooFewData { model: kind, what: "no reading of a mapped surface" });
+        return Err(SensorError::TooFewData { model: kind, what: NO_SURFACE });
     }
     let search = Search::new(kind, train, held_out);
     let registered = kind == ModelKind::NpRegRegistered;

@@ -188,7 +188,9 @@ pub fn choose_tempering(
             }
         }
     }
-    best.ok_or(SensorError::Calibration("no candidate has a finite score"))
+    best.ok_or(SensorError::Calibration(
+        "with each that is tried some training scan has a likelihood of 0; a `floor` above 0 prevents that",
+    ))
 }
 
 /// Log posterior of the true pose of one scan for every floor and exponent.

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use indexmap::IndexMap;
+use locsim_core::output::in_shell;
 use locsim_core::{Control, Shard};
 use locsim_report::ReportError;
 use locsim_report::store::{Folder, Request, Store};
@@ -395,10 +396,10 @@ fn absent(folder: &Path, missing: &[u32], damaged: &BTreeSet<PathBuf>, first: &S
     }
     text.push_str("; run them:\n");
     for folder in damaged {
-        let _ = writeln!(text, "  rm -r {}", folder.display());
+        let _ = writeln!(text, "  rm -r {}", in_shell(folder));
     }
     let command =
-        |shard: &str| format!("{} --out {} --shard {shard}/{of}", first.command(), folder.display());
+        |shard: &str| format!("{} --out {} --shard {shard}/{of}", first.command(), in_shell(folder));
     let line = if let [one] = missing {
         command(&one.to_string())
     } else {

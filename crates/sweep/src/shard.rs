@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use indexmap::IndexMap;
 use locsim_core::Shard;
+use locsim_core::output::in_shell;
 use locsim_report::store::{Folder, Request, Store};
 use locsim_report::trial_set::{CellRows, TrialFile};
 use serde::{Deserialize, Serialize};
@@ -65,15 +66,15 @@ impl ShardSummary {
     /// The command that runs a shard, without its place and number.
     pub fn command(&self) -> String {
         let SweepSummary { file, plan, .. } = &self.sweep;
-        let Some(run) = &self.run else { return format!("locsim sweep {}", file.display()) };
-        let mut command = format!("locsim run {} --seed {}", file.display(), plan.seed);
+        let Some(run) = &self.run else { return format!("locsim sweep {}", in_shell(file)) };
+        let mut command = format!("locsim run {} --seed {}", in_shell(file), plan.seed);
         if let Some(trials) = plan.trials {
             command += " --trials ";
             command += &trials.to_string();
         }
         if let Some(models) = &run.models {
             command += " --models ";
-            command += &models.join(",");
+            command += &in_shell(Path::new(&models.join(",")));
         }
         command
     }

@@ -9,6 +9,6 @@ mod progress;
 mod session;
 
 pub use failure::{BAD_INPUT, DONE, Failure, INTERRUPTED, exit_code};
-pub use options::{LimitOptions, OutputOptions, Share, Threads, whole};
+pub use options::{LimitOptions, OutputOptions, Share, Threads, number, whole};
 pub use output::{columns, complain, say};
 pub use session::Session;

@@ -39,7 +39,7 @@ fn limit_help() -> String {
 #[derive(Debug, Args)]
 pub struct Threads {
     /// Worker threads, at most 4 for each core; results don't depend on it [default: all cores]
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>)]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<usize>([1, most_threads()]))]
     threads: Option<usize>,
 }
 
@@ -52,18 +52,18 @@ impl Threads {
     /// Limits the worker threads of the process.
     ///
     /// # Errors
-    /// A number that is not allowed; threads that the system refuses.
+    /// Threads that the system refuses.
     pub fn set(&self) -> Result<()> {
         if let Some(threads) = self.threads {
-            let most = THREADS_PER_CORE * std::thread::available_parallelism().map_or(1, usize::from);
-            anyhow::ensure!(
-                (1..=most).contains(&threads),
-                "--threads: {threads} is not allowed; a whole number from 1 to {most}, {THREADS_PER_CORE} for each core"
-            );
             rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
         }
         Ok(())
     }
+}
+
+/// The most worker threads on this machine.
+fn most_threads() -> u64 {
+    (THREADS_PER_CORE * std::thread::available_parallelism().map_or(1, usize::from)) as u64
 }
 
 /// One of several shares of the work.
@@ -74,7 +74,7 @@ pub struct Share {
     #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
     pub shard: Option<Shard>,
     /// Number of shards; which one is this is the engine's task number (`SLURM_ARRAY_TASK_ID`, `HQ_TASK_ID`, `PARALLEL_SEQ`)
-    #[arg(long, value_name = "N", conflicts_with = "shard", allow_negative_numbers = true, value_parser = whole::<u32>)]
+    #[arg(long, value_name = "N", conflicts_with = "shard", allow_negative_numbers = true, value_parser = whole::<u32>([1, u32::MAX.into()]))]
     pub shards: Option<u32>,
 }
 
@@ -105,12 +105,24 @@ pub struct OutputOptions {
     pub json: bool,
 }
 
-/// A whole number from 0 on; clap's own message of a number that is too large or negative doesn't say what is allowed.
-///
-/// # Errors
-/// The numbers that are allowed.
-pub fn whole<T: TryFrom<u64> + Copy>(text: &str) -> Result<T, String> {
-    let most = if size_of::<T>() == 4 { u64::from(u32::MAX) } else { u64::MAX };
-    let refused = || format!("a whole number from 0 to {most} is allowed");
-    text.parse::<u64>().ok().and_then(|value| T::try_from(value).ok()).ok_or_else(refused)
+/// A parser of whole numbers from `least` to `most`; clap's own message of a number beyond its type doesn't say what is allowed.
+pub fn whole<T: TryFrom<u64> + Clone + Send + Sync + 'static>(
+    [least, most]: [u64; 2],
+) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let value = text.parse().ok().filter(|value| (least..=most).contains(value));
+        value
+            .and_then(|value| T::try_from(value).ok())
+            .ok_or_else(|| format!("a whole number from {least} to {most} is allowed"))
+    }
+}
+
+/// A parser of finite numbers from `least` to `most`.
+pub fn number(
+    [least, most]: [f64; 2],
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let value = text.parse().ok().filter(|value| (least..=most).contains(value));
+        value.ok_or_else(|| format!("a number from {least} to {most} is allowed"))
+    }
 }

@@ -45,11 +45,11 @@ use locsim_world::map::Geometry;
 /// Bearings of log and scenario that differ by more than this are of other beams \[rad\].
 const SAME_BEARING_RAD: f64 = 2e-3;
 
+/// Where a larger share of the beams has no nominal range in the map, nothing is compared.
+const MOST_LEFT_OUT: f64 = 0.95;
+
 /// Mounts that differ by less than this are the same \[m\] and \[rad\]: logs round.
 const SAME_MOUNT: f64 = 2e-3;
-
-/// Fewer simulated logs than this can't tell a chance of 5 %.
-const LEAST_REPLICATES: u32 = 19;
 
 /// The part of the log that the search uses, and how.
 #[derive(Clone, Debug)]
@@ -75,20 +75,28 @@ impl GapSettings {
     pub const REPLICATES: u32 = 999;
     /// Permutations beside a baseline, unless the user says otherwise.
     pub const PERMUTATIONS: u32 = 399;
+    /// The least and the greatest number of replicates: a p-value of .05, and one of a hundred thousandth.
+    pub const ALLOWED_REPLICATES: [u64; 2] = [19, 100_000];
+    /// The least and the greatest number of scans that a search looks at.
+    pub const ALLOWED_SCANS: [u64; 2] = [locsim_gap::LEAST_SCANS as u64, 1_000_000];
+    /// The least and the greatest number of beams that a search looks at.
+    pub const ALLOWED_BEAMS: [u64; 2] = [1, 100_000];
 
     /// Whether the numbers make sense.
     ///
     /// # Errors
     /// `name: value is not allowed; what is`.
     pub fn check(&self) -> Result<(), String> {
-        if self.replicates < LEAST_REPLICATES {
-            let found = self.replicates;
-            return Err(format!(
-                "replicates: {found} is not allowed; a whole number from {LEAST_REPLICATES}"
-            ));
-        }
-        match [("scans", self.scans), ("beams", self.beams)].into_iter().find(|(_, value)| *value == 0) {
-            Some((name, _)) => Err(format!("{name}: 0 is not allowed; a whole number from 1")),
+        let [replicates, scans, beams] = [Self::ALLOWED_REPLICATES, Self::ALLOWED_SCANS, Self::ALLOWED_BEAMS];
+        let numbers = [
+            ("replicates", u64::from(self.replicates), replicates),
+            ("scans", self.scans as u64, scans),
+            ("beams", self.beams as u64, beams),
+        ];
+        match numbers.into_iter().find(|(_, value, [least, most])| !(least..=most).contains(&value)) {
+            Some((name, value, [least, most])) => {
+                Err(format!("{name}: {value} is not allowed; a whole number from {least} to {most}"))
+            }
             None => Ok(()),
         }
     }
@@ -450,6 +458,16 @@ pub fn find(
         ..usual
     };
     let mut outcome = locsim_gap::find(&nominal, &study.recorded, &search, progress, interrupted)?;
+    if let Some(map) = &outcome.map
+        && map.left_out.share() > MOST_LEFT_OUT
+    {
+        let what = format!(
+            "{:.0} % of the beams have no nominal range in the map, and the others are too few to compare: reference poses, the laser's mount \
+             or its angles and the map don't go together",
+            100.0 * map.left_out.share()
+        );
+        return Err(LabError::Log { path: study.log.clone(), what });
+    }
     if filter {
         outcome.filter = filter::filter_gap(study, &outcome, cache, control)?;
     }

@@ -81,10 +81,10 @@ impl Estimate {
                     + readings * BYTES_OF_TRAINING_READING
                     + poses * training_beams * BYTES_OF_STATE,
             ),
+            ("filter.particles", particles.max(candidates) * BYTES_OF_PARTICLE * threads),
             (
-                "filter.particles",
-                particles.max(candidates) * BYTES_OF_PARTICLE * threads
-                    + trajectories * particles * steps.unwrap_or(0.0) * BYTES_OF_ANCESTOR,
+                "filter.particles x laser.rate_hz x robot.path",
+                trajectories * particles * steps.unwrap_or(0.0) * BYTES_OF_ANCESTOR,
             ),
             ("trials", trials * models * steps.unwrap_or(0.0) * BYTES_OF_ROW),
             ("laser.rate_hz x laser.beams", (threads + 1.0) * steps.unwrap_or(0.0) * 4.0 * beams),
@@ -118,7 +118,7 @@ impl Estimate {
     pub fn check(&self, scenario: &Scenario) -> Result<(), LabError> {
         let limit = Limits::current().memory_bytes;
         let (available, of) =
-            if limit > 0 { (limit as f64, "the limit is") } else { (free_memory(), "this machine has") };
+            if limit > 0 { (limit as f64, "the limit is") } else { (free_memory(), "the process can get") };
         if self.memory_bytes <= available {
             return Ok(());
         }
@@ -145,12 +145,24 @@ impl Estimate {
     }
 }
 
-/// Memory that a process can still get \[bytes\]: the machine's, or its control group's.
+/// Memory that a process can still get \[bytes\]: the machine's, its control group's, or what `ulimit -v` leaves it.
 fn free_memory() -> f64 {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let system = System::new_with_specifics(memory);
     let machine = system.available_memory();
-    system.cgroup_limits().map_or(machine, |group| machine.min(group.free_memory)) as f64
+    let group = system.cgroup_limits().map_or(u64::MAX, |group| group.free_memory);
+    machine.min(group).min(address_space()) as f64
+}
+
+/// Addresses that the process may use \[bytes\].
+#[cfg(unix)]
+fn address_space() -> u64 {
+    rustix::process::getrlimit(rustix::process::Resource::As).current.unwrap_or(u64::MAX)
+}
+
+#[cfg(not(unix))]
+fn address_space() -> u64 {
+    u64::MAX
 }
 
 /// Bytes as people say them.

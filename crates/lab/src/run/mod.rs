@@ -27,7 +27,7 @@ use serde::Serialize;
 pub use bounds::MissedBound;
 pub use estimate::{Estimate as CostEstimate, duration, size};
 pub use laboratory::{MapSet, free_poses, simulate_trial};
-pub use map::{LogMaps, agreement_figure, agreement_table, grid_files};
+pub use map::{LogMaps, agreement_figure, agreement_table, contradiction, grid_files};
 pub use measure::{Measurement, measure};
 pub use training::{ScanData, Surroundings, TrainedModel, temper, train};
 pub use unreferenced::{Unreferenced, UnreferencedModel};
@@ -43,7 +43,7 @@ use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store, StoreError};
 use locsim_report::summary::Summary;
 use locsim_report::{self as report, ReportContext, ReportError};
-use locsim_scenario::{ErrorFrame, Estimate, Scenario, Source};
+use locsim_scenario::{ErrorFrame, Estimate, ModelName, Scenario, Source};
 pub(crate) use measured_log::{log_map, no_reference, selected};
 pub use measured_log::{read_options, read_scenario_log};
 pub(crate) use rehearsal::START;
@@ -100,6 +100,11 @@ pub enum RunSummary {
 /// [`LabError`], as [`run`].
 pub fn check(scenario: &Scenario) -> Result<Vec<String>, LabError> {
     CostEstimate::of(scenario, rayon::current_num_threads()).check(scenario)?;
+    for model in &scenario.models {
+        if let ModelName::Amcl(kind) = model.name {
+            training::amcl_parameters(model, kind)?;
+        }
+    }
     match &scenario.source {
         Source::Simulation(simulation) => check_simulation(scenario, simulation).map(|()| Vec::new()),
         Source::Log(log) => check_measured(scenario, log),

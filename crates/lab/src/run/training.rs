@@ -207,21 +207,25 @@ fn train_one(
     })
 }
 
+/// The parameters of one of AMCL's laser models: nav2's, or those of the model's file.
+///
+/// # Errors
+/// [`LabError::Scenario`] for a file that isn't AMCL's, [`LabError::ModelFile`] for one of another model.
+pub fn amcl_parameters(model: &Model, kind: AmclKind) -> Result<AmclParameters, LabError> {
+    let Some(file) = &model.file else { return Ok(AmclParameters::defaults(kind)) };
+    let parameters = load_amcl(file)?;
+    if parameters.kind == kind {
+        return Ok(parameters);
+    }
+    let found = parameters.kind.laser_model_type();
+    let what = format!("has laser_model_type `{found}`, the scenario asks for {kind}");
+    Err(LabError::ModelFile { path: file.clone(), what })
+}
+
 /// A laser model of AMCL, which has its parameters from a file or nav2, and neither floor nor exponent: as it is, and without a
 /// table, because its weight of a scan is no product.
 fn amcl(model: &Model, kind: AmclKind, distance: &Arc<dyn DistanceMap>) -> Result<TrainedModel, LabError> {
-    let parameters = match &model.file {
-        None => AmclParameters::defaults(kind),
-        Some(file) => {
-            let parameters = load_amcl(file)?;
-            if parameters.kind != kind {
-                let (path, found) = (file.clone(), parameters.kind.laser_model_type());
-                let what = format!("has laser_model_type `{found}`, the scenario asks for {kind}");
-                return Err(LabError::ModelFile { path, what });
-            }
-            parameters
-        }
-    };
+    let parameters = amcl_parameters(model, kind)?;
     let failed = |source| LabError::Sensor { label: model.label.clone(), source };
     let bare: Arc<dyn SensorModel> = Arc::new(Amcl::new(parameters, Arc::clone(distance)).map_err(failed)?);
     let chosen = [

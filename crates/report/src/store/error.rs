@@ -1,6 +1,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use locsim_core::limits::quoted;
 use thiserror::Error;
 
 /// Why a results folder can't be used.
@@ -18,6 +19,30 @@ pub enum StoreError {
         out.display()
     )]
     NotEmpty {
+        /// The results folder.
+        out: PathBuf,
+    },
+    /// The place of the results folder is taken by a file.
+    #[error("--out: {} is not allowed; it is a file, and a folder is needed", quoted(&out.display().to_string()))]
+    NoFolder {
+        /// The path.
+        out: PathBuf,
+    },
+    /// The name is longer than the file system takes, with the endings of the folders beside it.
+    #[error("--out: {} is not allowed; the name is too long", quoted(&out.display().to_string()))]
+    LongName {
+        /// The path.
+        out: PathBuf,
+    },
+    /// A link that leads nowhere.
+    #[error("--out: {} is not allowed; it is a link to something that isn't there", quoted(&out.display().to_string()))]
+    DanglingLink {
+        /// The link.
+        out: PathBuf,
+    },
+    /// The run that was to go on is complete.
+    #[error("--resume: {} is complete; --force begins again", quoted(&out.display().to_string()))]
+    Complete {
         /// The results folder.
         out: PathBuf,
     },

@@ -33,6 +33,10 @@ use manifest::{MANIFEST, State};
 const LOCK: &str = "lock";
 const PARTS: &str = "parts";
 const RESULTS: &str = "results";
+const PARTIAL: &str = ".partial";
+
+/// Bytes of a file's name that every file system takes.
+const LONGEST_NAME: usize = 255;
 
 /// How a results folder is opened.
 #[derive(Clone, Copy, Debug)]
@@ -92,12 +96,22 @@ struct Places {
 impl Places {
     fn of(out: &Path) -> Result<Self, StoreError> {
         // A link's target is what is replaced; a folder that isn't there yet has none.
-        let out = if out.is_symlink() { out.canonicalize().map_err(at(out))? } else { out.to_owned() };
+        let out = if out.is_symlink() {
+            out.canonicalize().map_err(|_| StoreError::DanglingLink { out: out.to_owned() })?
+        } else {
+            out.to_owned()
+        };
+        if out.exists() && !out.is_dir() {
+            return Err(StoreError::NoFolder { out });
+        }
         // A path such as `.` or `..` has no name to put a finished folder in the place of.
         let Some(name) = out.file_name().map(ToOwned::to_owned) else {
             return Err(StoreError::NoName { out });
         };
-        let [partial, old] = [".partial", ".old"].map(|ending| {
+        if name.len() + PARTIAL.len() > LONGEST_NAME {
+            return Err(StoreError::LongName { out });
+        }
+        let [partial, old] = [PARTIAL, ".old"].map(|ending| {
             let mut name = name.clone();
             name.push(ending);
             out.with_file_name(name)
@@ -286,6 +300,11 @@ fn allowed(places: &Places, request: &Request<'_>) -> Result<bool, StoreError> {
     };
     let earlier = match earlier {
         State::Absent | State::Empty => None,
+        State::Results(manifest)
+            if resume && !force && work.is_none() && manifest.fingerprint == fingerprint =>
+        {
+            return Err(StoreError::Complete { out: places.out.clone() });
+        }
         _ if !may_replace => return Err(StoreError::NotEmpty { out: places.out.clone() }),
         State::Foreign(found) => return Err(places.foreign(found)),
         State::Results(manifest) => Some(manifest),

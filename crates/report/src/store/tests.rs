@@ -108,7 +108,10 @@ fn what_locsim_did_not_write_is_refused_and_left_whatever_is_asked_for() {
                 let refused = place.open_as("a", resume, force).unwrap_err();
                 let named = matches!(
                     &refused,
-                    StoreError::Foreign { .. } | StoreError::NotEmpty { .. } | StoreError::File { .. }
+                    StoreError::Foreign { .. }
+                        | StoreError::NotEmpty { .. }
+                        | StoreError::NoFolder { .. }
+                        | StoreError::File { .. }
                 );
                 assert!(named, "{name}: {refused}");
                 assert_eq!(place.everything(), before, "{name}, resume {resume}, force {force}");

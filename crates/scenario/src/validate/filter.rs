@@ -3,7 +3,9 @@ use locsim_mcl::{
     AnnealingOptions, InjectionOptions, KldOptions, ParticleCount, ResampleTrigger, Spread, UpdateThreshold,
 };
 
-use super::{MAX_PARTICLES, beams};
+use locsim_core::limits::MOST_PARTICLES;
+
+use super::beams;
 use crate::check::Allowed::{AboveUpTo, Between, FromBelow, Within};
 use crate::check::{ANGLE, COORDINATE, Checker, LENGTH, NOISE, POSITIVE_LENGTH, number};
 use crate::form::Form;
@@ -31,7 +33,7 @@ pub(super) fn filter(
     Filter {
         particles: match &raw.particles {
             Form::Short(Count(count)) => {
-                ParticleCount::Fixed(check.count("filter.particles", *count, 1, MAX_PARTICLES) as usize)
+                ParticleCount::Fixed(check.count("filter.particles", *count, 1, MOST_PARTICLES) as usize)
             }
             Form::Full(RawAdaptive { kld }) => adaptive(check, kld),
         },
@@ -93,8 +95,8 @@ fn update(check: &mut Checker<'_>, raw: RawUpdate) -> UpdateThreshold {
 
 fn adaptive(check: &mut Checker<'_>, raw: &RawKld) -> ParticleCount {
     let key = |key| join("filter.particles.kld", key);
-    let min = check.count(&key("min"), raw.min, 1, MAX_PARTICLES);
-    let max = check.count(&key("max"), raw.max, 1, MAX_PARTICLES);
+    let min = check.count(&key("min"), raw.min, 1, MOST_PARTICLES);
+    let max = check.count(&key("max"), raw.max, 1, MOST_PARTICLES);
     check.refuse(min > max, &key("max"), || format!("{max} is not allowed; not below `min`, which is {min}"));
     ParticleCount::Kld(KldOptions {
         min: min as usize,
@@ -145,7 +147,7 @@ fn annealing(check: &mut Checker<'_>, raw: RawAnnealing) -> AnnealingOptions {
     let key = |key| join("filter.annealing", key);
     let share = check.number(&key("effective_share"), raw.effective_share, Between(0.0, 1.0));
     AnnealingOptions {
-        candidates: check.count(&key("candidates"), raw.candidates, 1, MAX_PARTICLES) as usize,
+        candidates: check.count(&key("candidates"), raw.candidates, 1, MOST_PARTICLES) as usize,
         effective_share: share,
         moves: check.count(&key("moves"), raw.moves, 1, 1000) as usize,
         step: spread(check, "filter.annealing", RawSpread { sigma_m: raw.sigma_m, sigma_deg: raw.sigma_deg }),

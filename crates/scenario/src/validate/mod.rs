@@ -27,7 +27,6 @@ use super::{
 const MOST_MODELS: usize = 100;
 /// Letters of a name: names become names of files.
 const MOST_LETTERS: usize = 100;
-const MAX_PARTICLES: u32 = 10_000_000;
 const MAX_BEAMS: u32 = 100_000;
 
 /// Checks everything; the error holds every problem.

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use locsim_core::limits::Limits;
 use thiserror::Error;
 
-use super::{FARTHEST_M, FINEST_M};
+use super::{COARSEST_M, FARTHEST_M, FINEST_M};
 
 /// Why a map is refused.
 #[derive(Debug, Error)]
@@ -95,12 +95,9 @@ pub enum MapError {
         /// Its second name.
         second: String,
     },
-    /// The cell size of a grid is not positive and finite.
-    #[error("the cell size must be positive and finite, in metres; got {0}")]
+    /// The cells of a grid are finer than any sensor resolves, larger than a building, or their size is no number.
+    #[error("a cell size of {0:?} m is not allowed; {FINEST_M} to {COARSEST_M} m")]
     Resolution(f64),
-    /// The cells of a grid are finer than any sensor resolves.
-    #[error("a cell size of {0} m is not allowed; at least {FINEST_M} m")]
-    TooFine(f64),
     /// The origin of a grid is not finite, its yaw is more than a turn, or part of the grid is far beyond any building.
     #[error(
         "origin must be [x, y, yaw], with the yaw in radians, up to a turn, and all of the map within {FARTHEST_M} m of 0; \
@@ -137,7 +134,7 @@ pub enum MapError {
         height: f64,
     },
     /// No step of a drive has a reference pose, so there is nothing to make a map from.
-    #[error("none of the {steps} steps has a reference pose and a reading")]
+    #[error("none of the {steps} steps has a reference pose and a return near enough for a map: are ranges in metres?")]
     NoReference {
         /// How many steps were asked for.
         steps: usize,

@@ -2,7 +2,7 @@ use glam::DVec2;
 
 use locsim_core::limits::Limits;
 
-use super::MapError;
+use super::{COARSEST_M, FINEST_M, MapError};
 
 /// Square cells over an axis-aligned box of the map frame, counted from its lower left corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,10 +23,10 @@ impl CellFrame {
     /// The cells that cover the box \[x0, y0, x1, y1\] \[m\].
     ///
     /// # Errors
-    /// [`MapError::Resolution`] for a cell size that is not positive, [`MapError::Extent`] for an empty box or too
+    /// [`MapError::Resolution`] for a cell size that is not from [`FINEST_M`] to [`COARSEST_M`], [`MapError::Extent`] for an empty box or too
     /// many cells.
     pub fn covering([x0, y0, x1, y1]: [f64; 4], cell_m: f64) -> Result<Self, MapError> {
-        if !(cell_m > 0.0 && cell_m.is_finite()) {
+        if !(FINEST_M..=COARSEST_M).contains(&cell_m) {
             return Err(MapError::Resolution(cell_m));
         }
         // A box of whole cells must not get one more by rounding.

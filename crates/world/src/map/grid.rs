@@ -11,7 +11,7 @@ use locsim_core::output::write_file;
 
 use super::geometry::{FreeSpace, bounds_of};
 use super::outline::cell_boundaries;
-use super::{FARTHEST_M, FINEST_M, Geometry, ImageMode, MapError, OccupancyMapFile};
+use super::{COARSEST_M, FARTHEST_M, FINEST_M, Geometry, ImageMode, MapError, OccupancyMapFile};
 
 /// The state of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,7 +57,7 @@ impl OccupancyGrid {
     /// a cell is occupied.
     ///
     /// # Errors
-    /// [`MapError`] when the sizes don't match or are zero, the resolution is not positive or finer than [`FINEST_M`],
+    /// [`MapError`] when the sizes don't match or are zero, the resolution is not from [`FINEST_M`] to [`COARSEST_M`],
     /// the origin not finite, or part of the grid farther from 0 than [`FARTHEST_M`].
     pub fn new(
         width: usize,
@@ -72,11 +72,8 @@ impl OccupancyGrid {
                 return Err(MapError::GridSize { width, height, cells: given });
             }
         }
-        if !(resolution_m > 0.0 && resolution_m.is_finite()) {
+        if !(FINEST_M..=COARSEST_M).contains(&resolution_m) {
             return Err(MapError::Resolution(resolution_m));
-        }
-        if resolution_m < FINEST_M {
-            return Err(MapError::TooFine(resolution_m));
         }
         let grid = Self {
             width,

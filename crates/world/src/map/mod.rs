@@ -48,6 +48,9 @@ pub const FARTHEST_M: f64 = 1e7;
 /// Cells of a grid are at least this wide \[m\].
 pub const FINEST_M: f64 = 1e-4;
 
+/// Cells of a grid are at most this wide \[m\].
+pub const COARSEST_M: f64 = 1000.0;
+
 /// Points that are nearer to each other than this \[m\] coincide.
 const COINCIDENT_M: f64 = 1e-6;
 

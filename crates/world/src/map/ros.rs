@@ -1,3 +1,4 @@
+use std::fmt;
 use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -5,6 +6,7 @@ use std::path::{Path, PathBuf};
 use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, ImageResult, Pixel};
 use locsim_core::Pose2;
 use locsim_core::limits::Limits;
+use serde::de::{self, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{Cell, MapError, OccupancyGrid};
@@ -136,11 +138,23 @@ const MOST_PER_PIXEL: u64 = 8;
 /// Greatest size of a pixel in a file \[bytes\]: three channels of five digits and a blank.
 const MOST_WRITTEN: u64 = 18;
 
+const CUT_OFF: &str = "it ends before its last pixel";
+
 /// Decodes an image that has no more pixels than are allowed.
 fn decode(path: &Path) -> Result<DynamicImage, MapError> {
-    let failed = |source| MapError::Image { path: path.to_owned(), source };
-    let other = |what: &str| failed(ImageError::IoError(io::Error::other(what)));
     let limits = Limits::current();
+    let other = |what: &str| {
+        let source = ImageError::IoError(io::Error::other(what));
+        MapError::Image { path: path.to_owned(), source }
+    };
+    let failed = |source| match source {
+        ImageError::IoError(error) if error.kind() == io::ErrorKind::UnexpectedEof => other(CUT_OFF),
+        ImageError::Limits(_) => other(&format!(
+            "it needs more memory than images of {} pixels do; `--limit map_pixels=N` raises it",
+            limits.map_pixels
+        )),
+        source => MapError::Image { path: path.to_owned(), source },
+    };
     let size_is_allowed = |pixels: u64| {
         if pixels <= limits.map_pixels {
             return Ok(());
@@ -167,7 +181,7 @@ fn decode(path: &Path) -> Result<DynamicImage, MapError> {
     size_is_allowed(u64::from(width) * u64::from(height))?;
     // Packed bitmaps have eight pixels in a byte; nothing else is shorter than its pixels without compression.
     if !is_compressed && decoder.total_bytes() / 8 > found.len() {
-        return Err(other("it ends before its last pixel"));
+        return Err(other(CUT_OFF));
     }
     let raster = decoder.total_bytes();
     let header = end_of_text_header(path).map_err(|error| failed(error.into()))?;
@@ -211,18 +225,27 @@ fn as_integer<S: Serializer>(value: &bool, serializer: S) -> Result<S::Ok, S::Er
 }
 
 fn bool_or_integer<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
-    #[derive(Deserialize)]
-    #[serde(untagged, expecting = "0, 1, true or false")]
-    enum BoolOrInteger {
-        Bool(bool),
-        Integer(u8),
-    }
-    match BoolOrInteger::deserialize(deserializer)? {
-        BoolOrInteger::Bool(value) => Ok(value),
-        BoolOrInteger::Integer(0) => Ok(false),
-        BoolOrInteger::Integer(1) => Ok(true),
-        BoolOrInteger::Integer(other) => {
-            Err(serde::de::Error::invalid_value(serde::de::Unexpected::Unsigned(other.into()), &"0 or 1"))
+    struct BoolOrInteger;
+
+    impl Visitor<'_> for BoolOrInteger {
+        type Value = bool;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("0, 1, true or false")
+        }
+
+        fn visit_bool<E: de::Error>(self, value: bool) -> Result<bool, E> {
+            Ok(value)
+        }
+
+        fn visit_u64<E: de::Error>(self, value: u64) -> Result<bool, E> {
+            match value {
+                0 => Ok(false),
+                1 => Ok(true),
+                other => Err(E::invalid_value(Unexpected::Unsigned(other), &self)),
+            }
         }
     }
+
+    deserializer.deserialize_any(BoolOrInteger)
 }

@@ -318,7 +318,7 @@ fn impossible_table_sizes_are_refused() {
 #[test]
 fn a_table_that_does_not_fit_gets_larger_cells() {
     let exact = square_room();
-    let options = RangeTableOptions { cell_m: 1e-6, most_bytes: 1 << 20, ..RangeTableOptions::default() };
+    let options = RangeTableOptions { cell_m: 1e-4, most_bytes: 1 << 20, ..RangeTableOptions::default() };
     let table = RangeTable::new(&exact, &options, &|_| ()).unwrap();
     assert!(table.bytes() <= 1 << 20 && table.bytes() > 1 << 17, "{} bytes", table.bytes());
     // Cells are doubled until the table fits, and no further.
