@@ -232,7 +232,7 @@ fn options_of_the_command_line() {
     refused(
         &folder,
         &format!("{map} --share 0.5"),
-        "--share: 0.5 is not allowed; two numbers, for example 0.0,0.5",
+        "--share: 0.5 is not allowed; two numbers are needed, for example 0.0,0.5",
     );
     refused(
         &folder,

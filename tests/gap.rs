@@ -232,7 +232,7 @@ fn what_does_not_fit_is_refused_and_earlier_results_stay() {
     refused(&gap("nominal.yaml", "--force"), "found/gap.json isn't as locsim wrote it, and stays");
     refused(&gap("nominal.yaml", "--without glas"), "\"glas\" is not an effect; one of range_bias");
     refused(&gap("nominal.yaml", "--replicates 5"), "a whole number from 19 to 100000 is allowed");
-    refused(&gap("nominal.yaml", "--beams 0"), "a whole number from 1 to 100000 is allowed");
+    refused(&gap("nominal.yaml", "--beams 0"), "a whole number from 1 to 4294967295 is allowed");
     refused("gap nominal.yaml --log missing.log --out found", "missing.log");
     refused("gap nominal.yaml --log measured.log", "--out");
     let text = String::from_utf8(folder.read("measured.log")).unwrap();

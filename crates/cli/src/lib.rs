@@ -13,7 +13,7 @@ use anyhow::{Context, anyhow, bail, ensure};
 use clap::{CommandFactory, Parser};
 use locsim_core::limits::quoted;
 use locsim_core::output::{Output, in_shell};
-use locsim_dataset::{BagTopics, LogFormat, LogOptions};
+use locsim_dataset::{BagTopics, LogOptions};
 use locsim_lab::apply::apply as apply_effects;
 use locsim_lab::convert::{convert_log, convert_map};
 use locsim_lab::gap::{self, GapSettings, GapStudy, GapStudyOptions};
@@ -298,7 +298,6 @@ fn simulate(arguments: &Simulate) -> anyhow::Result<u8> {
     let overrides = Overrides { seed: arguments.seed, ..Overrides::default() };
     let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     Output { path: &arguments.out, force: arguments.force, inputs: &scenario.inputs()? }.check()?;
-    LogFormat::to_write(&arguments.out)?;
     let drive = run::simulate_trial(&scenario, arguments.trial)?;
     locsim_dataset::write_simulated_log(&arguments.out, &drive)?;
     say(&format!(
@@ -314,7 +313,7 @@ fn apply(arguments: &Apply) -> anyhow::Result<u8> {
     let Apply { scenario, log, out, force, seed, without, log_options: options } = arguments;
     let without = effect_kinds(without)?;
     let scenario = Scenario::load(scenario, &Overrides { seed: *seed, ..Overrides::default() })?;
-    let inputs = [scenario.inputs()?, locsim_dataset::log_files(log)?, vec![log.clone()]].concat();
+    let inputs = [scenario.inputs()?, locsim_dataset::log_files(log)?].concat();
     Output { path: out, force: *force, inputs: &inputs }.check()?;
     let applied = apply_effects(&scenario, log, &without, &self::log_options(options), out)?;
     say(&format!("{}: {applied}", out.display()))?;
@@ -445,7 +444,7 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
 fn map(arguments: &Map) -> anyhow::Result<u8> {
     let &[from, to] = arguments.share.as_slice() else {
         let given = arguments.share.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
-        bail!("--share: {} is not allowed; two numbers, for example 0.0,0.5", quoted(&given));
+        bail!("--share: {} is not allowed; two numbers are needed, for example 0.0,0.5", quoted(&given));
     };
     ensure!(from < to, "--share: {from},{to} is not allowed; 0 <= from < to <= 1");
     let [image, yaml, walls, picture] =
@@ -510,7 +509,7 @@ fn convert(arguments: &Convert) -> anyhow::Result<u8> {
     let Convert { file, out, force, log_options: options } = arguments;
     let options = log_options(options);
     if !locsim_dataset::is_beesoft_map(file) {
-        let inputs = [locsim_dataset::log_files(file)?, vec![file.clone()]].concat();
+        let inputs = locsim_dataset::log_files(file)?;
         Output { path: out, force: *force, inputs: &inputs }.check()?;
         let (scans, summary) = convert_log(file, &options, out)?;
         say(&format!("{summary}\n{}: {scans} scans", out.display()))?;

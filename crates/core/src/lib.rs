@@ -17,6 +17,7 @@ mod interval;
 mod lanes;
 mod likelihood;
 pub mod limits;
+mod lines;
 mod model;
 pub mod normal;
 mod normals;
@@ -41,6 +42,7 @@ pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
     turn,
 };
+pub use lines::{Line, lines_through};
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};

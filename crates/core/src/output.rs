@@ -4,6 +4,7 @@
 //! overwriting its own inputs, and files that exist unless `--force` is given.
 
 use std::borrow::Cow;
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -21,12 +22,6 @@ pub enum OutputError {
     /// The command reads it.
     #[error("--out: {} is not allowed; this command reads it", path.display())]
     Input {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The command reads all files of the folder.
-    #[error("--out: {} is not allowed; this command reads its folder, of which it would be a part", path.display())]
-    InputFolder {
         /// The file.
         path: PathBuf,
     },
@@ -52,9 +47,9 @@ pub enum OutputError {
     },
 }
 
-/// A path as shells read it: in quotes where it has blanks and the like.
-pub fn in_shell(path: &Path) -> String {
-    let text = path.to_string_lossy();
+/// A path or a word as shells read it: in quotes where it has blanks and the like.
+pub fn in_shell(word: impl AsRef<OsStr>) -> String {
+    let text = word.as_ref().to_string_lossy();
     shlex::try_quote(&text).map_or_else(|_| text.to_string(), Cow::into_owned)
 }
 
@@ -65,7 +60,7 @@ pub struct Output<'a> {
     pub path: &'a Path,
     /// Whether an existing file may be replaced.
     pub force: bool,
-    /// Files and folders that the command reads.
+    /// Files that the command reads.
     pub inputs: &'a [PathBuf],
 }
 
@@ -73,18 +68,10 @@ impl Output<'_> {
     /// Whether the file may be written. Nothing is touched.
     ///
     /// # Errors
-    /// [`OutputError`] for one of the inputs (under whatever name), for a file in a folder that is one, for something that is no file, and for a file that is
+    /// [`OutputError`] for one of the inputs (under whatever name), for something that is no file, and for a file that is
     /// there, unless it is to be replaced.
     pub fn check(&self) -> Result<(), OutputError> {
         let path = || self.path.to_owned();
-        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let folder = Handle::from_path(folder.unwrap_or(Path::new(".")));
-        let mut folders = self.inputs.iter().filter(|input| input.is_dir());
-        if let Ok(folder) = folder
-            && folders.any(|input| Handle::from_path(input).is_ok_and(|input| input == folder))
-        {
-            return Err(OutputError::InputFolder { path: path() });
-        }
         let Ok(found) = fs::metadata(self.path) else { return Ok(()) };
         if !found.is_file() {
             return Err(OutputError::NoFile { path: path() });

@@ -29,11 +29,11 @@ impl LogFormat {
         if mcap { Self::Bag } else { Self::Carmen }
     }
 
-    /// As [`Self::of_name`], for a log that is to be written.
+    /// As [`Self::of_name`], for a log that is to be written, while another one may be read.
     ///
     /// # Errors
     /// The name is that of another format of recordings; the folder is a bag.
-    pub fn to_write(path: &Path) -> Result<Self, DatasetError> {
+    pub fn to_write(path: &Path, read: Option<&Path>) -> Result<Self, DatasetError> {
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         if NOT_WRITTEN.contains(&extension.as_str()) {
             let reason = format!(
@@ -42,7 +42,10 @@ impl LogFormat {
             return Err(DatasetError::Refused { path: path.to_owned(), line: None, reason });
         }
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        if ros::is_recording(folder) {
+        let is_read = read.is_some_and(|read| {
+            matches!((read.canonicalize(), folder.canonicalize()), (Ok(read), Ok(folder)) if read == folder)
+        });
+        if Self::of_name(path) == Self::Bag && (is_read || ros::is_recording(folder)) {
             let reason =
                 "this folder is a bag, and the file would be taken for a part of it; allowed: another folder"
                     .to_owned();
@@ -162,7 +165,7 @@ pub fn write_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
 /// # Errors
 /// Those of the format's writer.
 pub fn write_simulated_log(path: &Path, drive: &Drive) -> Result<(), DatasetError> {
-    let format = LogFormat::to_write(path)?;
+    let format = LogFormat::to_write(path, None)?;
     write_whole(path, |out| match format {
         LogFormat::Bag => encode_mcap(path, drive, SIMULATED_EPOCH_SECS, out),
         LogFormat::Carmen => encode_carmen(path, drive, out),
@@ -178,7 +181,7 @@ const SIMULATED_EPOCH_SECS: i32 = 1_704_067_200;
 /// # Errors
 /// Those of the format's writer.
 pub fn encode_log(path: &Path, drive: &Drive, out: &mut dyn Write) -> Result<(), DatasetError> {
-    match LogFormat::to_write(path)? {
+    match LogFormat::to_write(path, None)? {
         LogFormat::Bag => encode_mcap(path, drive, 0, out),
         LogFormat::Carmen => encode_carmen(path, drive, out),
     }

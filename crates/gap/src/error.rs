@@ -50,6 +50,19 @@ pub enum GapError {
     /// An effect out of its bounds.
     #[error(transparent)]
     Effect(#[from] locsim_world::effect::EffectError),
+    /// Too few readings have a nominal range in the measured map.
+    #[error(
+        "only {readings} of {all} readings have a nominal range in the map; at least {least} are needed: reference poses, the laser's mount \
+         or its angles and the map don't go together"
+    )]
+    TooFewReadings {
+        /// How many have one.
+        readings: usize,
+        /// How many there are.
+        all: usize,
+        /// How many it takes.
+        least: usize,
+    },
     /// The caller asked to stop.
     #[error("interrupted")]
     Interrupted,

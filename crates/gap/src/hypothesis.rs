@@ -78,6 +78,10 @@ pub(crate) struct Comparison<'a> {
 /// no error changes by more than this \[m\], a radian counting as 3 m.
 pub(crate) const CORRECTIONS: usize = 8;
 const CORRECTED_M: f64 = 0.001;
+/// Such steps in which readings that are far off count.
+const FAR_CORRECTIONS: usize = 4;
+/// Errors that lie more surely than this in one of the patterns of an effect (standard deviations) aren't sought far off.
+const MOST_IN_PATTERN: f64 = 10.0;
 /// Standard deviation of walls' offsets from which fits start \[m\].
 const FIRST_WALL_ERROR_M: f64 = 0.02;
 
@@ -165,7 +169,7 @@ impl<'a> Comparison<'a> {
         };
         let pass_with = |effects: &Effects, fitted: &Fitted, state: usize| match &sources[state] {
             Some(sources) => self.pass_again(views, effects, fitted, sources),
-            None => self.pass(views, effects, fitted),
+            None => self.pass(views, effects, fitted, Reach::Near),
         };
         let pass_of = |fitted: &Fitted| match &bursts {
             Some(bursts) => {
@@ -205,7 +209,21 @@ impl<'a> Comparison<'a> {
 
     /// The same without the log likelihood of the scans, which takes one more look at all readings.
     pub fn find_nuisances(&self, effects: &Effects, start: &Nuisances, iterations: usize) -> Fitted {
-        let mut fitted = self.start(start);
+        let near = self.converge(effects, self.start(start), iterations, 0);
+        if near.nuisances.pose_error.is_none() || !self.views.pieces.is_empty() {
+            return near;
+        }
+        // A reference that errs may err by more for a while; an exact one is not made to.
+        let far = self.converge(effects, near.clone(), iterations, FAR_CORRECTIONS);
+        let total = |fitted: &Fitted| self.evaluate_views(&self.views, effects, fitted, 0).total();
+        // What errs in a pattern is no reference.
+        let is_pattern = far.pattern_scores.iter().any(|score| score.abs() > MOST_IN_PATTERN);
+        if !is_pattern && total(&far) > total(&near) { far } else { near }
+    }
+
+    /// Fits the nuisances step by step, from those of `fitted`. In the first `far` steps readings that are far off count as well.
+    fn converge(&self, effects: &Effects, mut fitted: Fitted, iterations: usize, far: usize) -> Fitted {
+        let start = fitted.nuisances;
         // A process to start from that may be found to be none.
         let mut process = if start.pose_error.is_none() {
             PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 }
@@ -215,13 +233,14 @@ impl<'a> Comparison<'a> {
         let patterns: Vec<Vec<DVec3>> =
             PosePattern::all().iter().map(|pattern| pattern.over(self.recorded)).collect();
         let bursts = BurstStates::of(effects);
-        for round in 0..CORRECTIONS {
+        for round in 0..far + CORRECTIONS {
+            let reach = if round < far { Reach::Far } else { Reach::Near };
             let pass = match &bursts {
                 Some(bursts) => {
                     let states = [&bursts.on, &bursts.off];
-                    self.mixed(bursts, states.map(|effects| self.pass(&self.views, effects, &fitted)))
+                    self.mixed(bursts, states.map(|effects| self.pass(&self.views, effects, &fitted, reach)))
                 }
-                None => self.pass(&self.views, effects, &fitted),
+                None => self.pass(&self.views, effects, &fitted, reach),
             };
             fitted.nuisances.pose_error = PoseError::NONE;
             self.update(&mut fitted, &pass);
@@ -240,7 +259,7 @@ impl<'a> Comparison<'a> {
             let moved = self.fit_walls(&mut fitted, &pass, iterations);
             let change = |(a, b): (&DVec3, &DVec3)| ((*a - *b) * DVec3::new(1.0, 1.0, 3.0)).length();
             let changed = before.iter().zip(&fitted.corrections).map(change).fold(moved, f64::max);
-            let is_last = round + 1 == CORRECTIONS || round > 0 && changed < CORRECTED_M;
+            let is_last = round + 1 == far + CORRECTIONS || round > far && changed < CORRECTED_M;
             if is_last && !fitted.nuisances.pose_error.is_none() {
                 let error = fitted.nuisances.pose_error;
                 fitted.pattern_scores = patterns
@@ -324,12 +343,12 @@ impl<'a> Comparison<'a> {
         sources
     }
 
-    fn pass(&self, views: &Views, effects: &Effects, fitted: &Fitted) -> Pass {
+    fn pass(&self, views: &Views, effects: &Effects, fitted: &Fitted, reach: Reach) -> Pass {
         let mut pass = Pass::new(views.scans());
         let density = self.density(effects, fitted);
         self.for_each_usable(views, fitted, |usable| {
             let terms = density.terms(&views.beams[usable.beam], usable.shift, usable.z);
-            pass.add(views, fitted, &usable, &terms);
+            pass.add(views, fitted, &usable, &terms, reach);
         });
         if !views.pieces.is_empty() {
             self.fill_in(views, &mut pass.log_likelihood);
@@ -355,7 +374,7 @@ impl<'a> Comparison<'a> {
         let mut pass = Pass::new(views.scans());
         let density = self.density(effects, fitted);
         for (usable, sources) in sources {
-            pass.add(views, fitted, usable, &density.terms_of(sources, usable.z));
+            pass.add(views, fitted, usable, &density.terms_of(sources, usable.z), Reach::Near);
         }
         pass
     }
@@ -466,6 +485,16 @@ struct Usable {
     z: f64,
 }
 
+/// How far off a reading may be to say where the robot is, on a map that is taken for exact.
+#[derive(Clone, Copy, PartialEq)]
+enum Reach {
+    /// As far as noise moves a reading of the wall.
+    Near,
+    /// As far as [`wall_error::weight`] has it: from a reference that is off by ten standard deviations of a reading no reading looks like one
+    /// of the wall, and the error would never be found.
+    Far,
+}
+
 /// One look at all readings.
 struct Pass {
     log_likelihood: Vec<f64>,
@@ -488,7 +517,7 @@ impl Pass {
     }
 
     #[inline]
-    fn add(&mut self, views: &Views, fitted: &Fitted, usable: &Usable, terms: &Terms) {
+    fn add(&mut self, views: &Views, fitted: &Fitted, usable: &Usable, terms: &Terms, reach: Reach) {
         let &Usable { scan, beam: number, shift, z } = usable;
         let beam = &views.beams[number];
         self.log_likelihood[scan] += terms.density.ln();
@@ -499,9 +528,10 @@ impl Pass {
                 self.information[scan].add_beam(weight, beam.jacobian, terms.error + pose);
                 self.pulls.push(Pull { beam: number, weight, error: terms.error + shift });
             }
-        } else if terms.hit > 1e-3 {
+        } else if terms.hit > 1e-3 || reach == Reach::Far {
+            let near = || terms.hit / terms.sigma.powi(2);
+            let weight = if reach == Reach::Far { wall_error::weight(terms) } else { near() };
             // Linear in the correction: as seen from no correction.
-            let weight = terms.hit / terms.sigma.powi(2);
             self.information[scan].add_beam(weight, beam.jacobian, terms.error + shift);
         }
         let [shorts, exposure] = &mut self.clutter[scan];
@@ -527,5 +557,31 @@ impl Pass {
             weight: pull.weight * (1.0 - scans[pull.beam / per_scan].probability),
             ..*pull
         }));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+
+    /// A reference that is up to 20 cm off, where noise moves a reading by 1 cm.
+    #[test]
+    fn a_reference_is_followed_beyond_the_noise_of_readings() {
+        let error = PoseError { sigma_m: 0.06, sigma_rad: 0.006, correlation_secs: 5.0 };
+        let regime = Regime { pose_error: Some(error), ..Regime::default() };
+        let drive = record_library(&NOMINAL, &TRUTH, &[], regime, 2).unwrap();
+        let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let corrected = comparison.corrected(&fitted.corrections);
+        let rms = |poses: &[Pose2]| {
+            let apart =
+                poses.iter().zip(TRUTH.poses()).map(|(a, b)| a.position().distance_squared(b.position()));
+            (apart.sum::<f64>() / poses.len() as f64).sqrt()
+        };
+        let [before, after] = [recorded.track.poses(), &corrected].map(rms);
+        assert!(before > 0.05 && after < 0.02, "{before} {after}");
     }
 }

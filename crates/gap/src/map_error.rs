@@ -76,13 +76,6 @@ pub struct LeftOut {
     pub map_errors: f64,
 }
 
-impl LeftOut {
-    /// All of them.
-    pub fn share(&self) -> f64 {
-        self.unknown + self.at_ends + self.map_errors
-    }
-}
-
 /// What a measured map doesn't say, and where it is wrong.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MeasuredMapFindings {

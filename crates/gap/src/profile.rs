@@ -4,6 +4,7 @@
 use glam::DVec2;
 use locsim_core::{Estimate, Interval, median, quantile};
 use locsim_world::effect::{self, BeamState, EffectKind, Moves, Score};
+use locsim_world::raycast::distance_to;
 use locsim_world::simulation::increments;
 use rayon::prelude::*;
 
@@ -109,7 +110,12 @@ impl Source<'_> {
         let at_edges = matches!(named.name.description().statistics.first(), Some(effect::Statistic::Edge));
         let acts_on = |&(_, i): &(f64, usize)| {
             let view = &self.comparison.views.beams[i].view;
-            let at_wall = || named.place.iter().any(|wall| distance(view.endpoint, *wall) < AT_WALL_M);
+            let at_wall = || {
+                named
+                    .place
+                    .iter()
+                    .any(|wall| distance_to(&wall.map(DVec2::from_array), view.endpoint) < AT_WALL_M)
+            };
             (!at_edges || self.edges.beams[i].view.jump.is_some()) && (named.place.is_empty() || at_wall())
         };
         let items: Vec<usize> =
@@ -259,14 +265,6 @@ fn band(mut values: Vec<f64>) -> Estimate {
     Estimate { value, interval: Interval { lo, hi } }
 }
 
-/// Distance of a point from a segment \[m\].
-fn distance(point: DVec2, [a, b]: [[f64; 2]; 2]) -> f64 {
-    let (a, b) = (DVec2::from_array(a), DVec2::from_array(b));
-    let along = (b - a).length_squared().max(1e-12);
-    let share = ((point - a).dot(b - a) / along).clamp(0.0, 1.0);
-    point.distance(a + share * (b - a))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -317,12 +315,5 @@ mod tests {
         };
         assert!(is_known(&bin(1.0, 2.0)));
         assert!(!is_known(&bin(f64::NAN, 2.0)) && !is_known(&bin(1.0, f64::NAN)));
-    }
-
-    #[test]
-    fn a_point_beyond_the_end_of_a_wall_is_as_far_as_the_end() {
-        let wall = [[0.0, 0.0], [2.0, 0.0]];
-        assert!((distance(DVec2::new(1.0, 0.5), wall) - 0.5).abs() < 1e-12);
-        assert!((distance(DVec2::new(5.0, 4.0), wall) - 5.0).abs() < 1e-12);
     }
 }

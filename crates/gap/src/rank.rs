@@ -98,7 +98,9 @@ pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halve
     let all = |t: &[f64; Group::COUNT]| t.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let p_library = p_of(&|t| {
         let mut library = *t;
-        Group::OMNIBUS.iter().for_each(|group| library[*group as usize] = f64::NEG_INFINITY);
+        for group in Group::OMNIBUS {
+            library[group as usize] = f64::NEG_INFINITY;
+        }
         all(&library)
     });
     let p_omnibus = p_of(&|t| {

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::outcome::{BeamPit, PitHistogram, Region};
 use crate::rank::Null;
-use crate::statistics::{Cell, Covariate, Dictionary, WALL_CELL_M, pit_draw};
+use crate::statistics::{Cell, Covariate, Deviation, Dictionary, WALL_CELL_M, pit_draw};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
@@ -40,6 +40,8 @@ pub(crate) fn locate(
     let null = before.null;
     // Over all cells, on the first half.
     let mut order: Vec<(usize, &Cell)> = before.dictionary.cells().collect();
+    // A turn is of the log as a whole: there is no other half to certify it on.
+    order.retain(|(_, cell)| cell.deviation != Deviation::Frame);
     order.sort_by(|(a, _), (b, _)| null.halves[*b][0].abs().total_cmp(&null.halves[*a][0].abs()));
     let p_values: Vec<f64> =
         order.iter().map(|(i, _)| 2.0 * normal::tail(null.halves[*i][0].abs())).collect();

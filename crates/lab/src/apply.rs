@@ -81,7 +81,8 @@ pub fn apply(
         let problem = Problem { line: None, key: "residuals".to_owned(), message };
         return Err(ScenarioError::Invalid { file: scenario.file.clone(), problems: vec![problem] }.into());
     }
-    let is_bag = LogFormat::to_write(out)? == LogFormat::Bag && LogFormat::of_content(log)? == LogFormat::Bag;
+    let is_bag = LogFormat::to_write(out, Some(log))? == LogFormat::Bag
+        && LogFormat::of_content(log)? == LogFormat::Bag;
     let moves_odometry =
         simulator.effects.iter().any(|effect| effect.kind.description().moves == Moves::Odometry);
     let interval_secs = simulator.laser.rate_hz.recip();

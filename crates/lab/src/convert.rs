@@ -19,7 +19,7 @@ const EARLIEST_DATE_SECS: f64 = 1e8;
 /// [`LabError::Dataset`] for a name of another format, and for a log that can't be read or doesn't fit into the format.
 pub fn convert_log(log: &Path, options: &LogOptions, out: &Path) -> Result<(usize, LogSummary), LabError> {
     // Before the log is read, which takes time.
-    LogFormat::to_write(out)?;
+    LogFormat::to_write(out, Some(log))?;
     let (drive, summary) = read_log(log, options)?;
     if drive.steps[0].stamp_secs < EARLIEST_DATE_SECS {
         write_simulated_log(out, &drive)?;

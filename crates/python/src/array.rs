@@ -80,7 +80,7 @@ pub fn poses(value: &Bound<'_, PyAny>, name: &str) -> Result<Particles, Error> {
     if !matches!(shape.as_slice(), [3] | [_, 3]) {
         return Err(wrong(name, &shape, &["poses", "3 (x, y, theta)"]));
     }
-    if values.iter().any(|value| !(value.abs() <= COORDINATE)) {
+    if values.iter().any(|value| !(-COORDINATE..=COORDINATE).contains(value)) {
         return Err(refused(format!("{name}: a pose is not finite, or beyond {COORDINATE:e}")));
     }
     let (rows, _) = values.as_chunks();

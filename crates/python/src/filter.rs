@@ -226,7 +226,7 @@ impl Filter {
         }
         for (name, spread) in [("start_sigma", Some(start_sigma)), ("regularization", regularization)] {
             if let Some((sigma_m, sigma_rad)) = spread
-                && ![sigma_m, sigma_rad].iter().all(|sigma| (0.0..=COORDINATE).contains(sigma))
+                && ![sigma_m, sigma_rad].iter().all(|sigma| *sigma <= COORDINATE)
             {
                 return Err(refused(format!(
                     "{name}: ({sigma_m}, {sigma_rad}) is not allowed; numbers from 0 to {COORDINATE:e} (m, rad)"

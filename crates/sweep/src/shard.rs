@@ -74,7 +74,7 @@ impl ShardSummary {
         }
         if let Some(models) = &run.models {
             command += " --models ";
-            command += &in_shell(Path::new(&models.join(",")));
+            command += &models.iter().map(in_shell).collect::<Vec<_>>().join(",");
         }
         command
     }

@@ -69,7 +69,7 @@ pub enum Outside {
     /// With p a beam that meets a wall at more than 50 deg goes on as in a mirror, and returns from what it meets then, or from
     /// nothing; p \[1\].
     SecondReflection,
-    /// With p a wall nearer than 1.2 m sends nothing back; p \[1\].
+    /// With p a wall nearer than 1.5 m sends nothing back; p \[1\].
     NearLoss,
     /// The odometry is that of A seconds before; A \[s\].
     OdometryLag,

@@ -326,6 +326,7 @@ fn errors_name_file_line_keyword_value_and_what_is_allowed() {
         ("ODOM 0 0 0 0 0 0 0 h 0\n".into(), &["no scan", "found: ODOM 1"]),
         ("PARAM a 1 h 0\nPARAM b\n# end\n".into(), &["no scan", "found: PARAM 2"]),
         (good.trim_end().into(), &["test.log:1: FLASER", "cut off", "newline"]),
+        (format!("{good}{good}").replace('\n', "\r"), &["test.log:1", "lines end in carriage returns alone"]),
         (format!("{good}FLASER 2 1 1 0 0\n"), &[":2: FLASER", "6 fields", "13 for 2 beams"]),
         (format!("{good}ODOM 0 0 0\n"), &[":2: ODOM", "4 fields", "10 (ODOM x y theta"]),
         (format!("{good}TRUEPOS 0 0 0 0 0 0 0 h\n"), &[":2: TRUEPOS", "9 fields", "10 (TRUEPOS"]),

@@ -1,5 +1,6 @@
 //! Numbers of a recording that are likely in other units: millimetres, centimetres, degrees, milliseconds.
 
+use glam::DVec2;
 use locsim_core::{Drive, Pose2, median, wrap_angle};
 
 /// Half of the readings of a lidar on a robot end nearer \[m\].
@@ -7,7 +8,9 @@ const USUAL_RANGE_M: f64 = 100.0;
 /// A laser is mounted nearer to the robot's origin \[m\].
 const USUAL_MOUNT_M: f64 = 5.0;
 /// A robot that moves is slower, and faster \[m/s\].
-const USUAL_SPEED_M_S: [f64; 2] = [2e-3, 30.0];
+const USUAL_SPEED_M_S: [f64; 2] = [2e-3, 60.0];
+/// A robot that comes no farther than this \[m\] stands, and moves by the noise of its poses.
+const LEAST_DRIVE_M: f64 = 1.0;
 /// Steps below are rounding \[m\].
 const LEAST_STEP_M: f64 = 1e-3;
 /// Headings that turn by more between two scans \[rad\] ..
@@ -31,7 +34,7 @@ pub fn unlikely_units(drive: &Drive) -> Vec<String> {
     let usual = if returns.is_empty() { 0.0 } else { median(&mut returns) };
     if usual > USUAL_RANGE_M {
         told.push(format!(
-            "Half of the readings are beyond {usual:.0} m: the ranges may be in centimetres or millimetres; metres are needed."
+            "Half of the returns are beyond {usual:.0} m: the ranges may be in centimetres or millimetres; metres are needed."
         ));
     }
     let mount = drive.laser.base_from_laser().position().length();
@@ -69,12 +72,14 @@ fn of_poses(what: &str, poses: &[(f64, Pose2)]) -> Vec<String> {
         .filter(|[_, metres, _]| *metres > LEAST_STEP_M)
         .map(|[secs, metres, _]| metres / secs)
         .collect();
-    if speeds.len() >= LEAST_STEPS {
+    let begin = poses.first().map_or(DVec2::ZERO, |(_, pose)| pose.position());
+    let reach = poses.iter().map(|(_, pose)| pose.position().distance(begin)).fold(0.0, f64::max);
+    if speeds.len() >= LEAST_STEPS && reach > LEAST_DRIVE_M {
         let speed = median(&mut speeds);
         let [slow, fast] = USUAL_SPEED_M_S;
         let unit = match speed {
             _ if speed > fast => "its positions may be in centimetres or millimetres",
-            _ if speed < slow => "the stamps may be in milliseconds",
+            _ if speed < slow => "the stamps may be in milliseconds or finer",
             _ => "",
         };
         if !unit.is_empty() {
@@ -85,7 +90,9 @@ fn of_poses(what: &str, poses: &[(f64, Pose2)]) -> Vec<String> {
     }
     let large = steps
         .iter()
-        .filter(|[secs, _, turn]| *turn > LARGE_TURN_RAD && *turn > LARGE_RATE_RAD_S * secs)
+        .filter(|[secs, metres, turn]| {
+            *metres > LEAST_STEP_M && *turn > LARGE_TURN_RAD && *turn > LARGE_RATE_RAD_S * secs
+        })
         .count();
     let share = large as f64 / steps.len().max(1) as f64;
     if steps.len() >= LEAST_STEPS && share > LARGE_TURNS {
@@ -124,7 +131,7 @@ mod tests {
     fn each_wrong_unit_is_told_once_and_right_ones_never() {
         assert_eq!(unlikely_units(&drive([1.0; 5])), [""; 0]);
         for (units, said) in [
-            ([100.0, 1.0, 1.0, 1.0, 1.0], &["Half of the readings are beyond 300 m"][..]),
+            ([100.0, 1.0, 1.0, 1.0, 1.0], &["Half of the returns are beyond 300 m"][..]),
             ([1.0, 1000.0, 1.0, 1.0, 1.0], &["By the reference the robot drives at 500.0000 m/s"]),
             ([1.0, 1.0, 57.3, 1.0, 1.0], &["By the reference the robot turns faster"]),
             (

@@ -19,8 +19,8 @@ const MOST_PAIRS: usize = 10_000;
 /// known, unless it stood still.
 const HOLE: i64 = 1_000_000_000;
 const HOLE_INTERVALS: i64 = 10;
-/// However seldom poses come, there is one between those that are farther apart than this (ns): a robot doesn't drive straight for so long.
-const LONGEST_STEP: i64 = 10_000_000_000;
+/// However seldom poses come, there is a hole between those that are farther apart than this (ns): a robot doesn't drive straight for so long.
+const LONGEST_STEP: i64 = 15_000_000_000;
 /// A robot that moved by no more than this (m, rad) stood still: where odometry is sent in motion alone, its first step is in the hole.
 const STILL: (f64, f64) = (0.1, 0.1);
 

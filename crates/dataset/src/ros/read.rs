@@ -32,6 +32,10 @@ const SELDOM_SECS: f64 = 3.0;
 const LISTED_PAIRS: usize = 20;
 
 /// The frames of a robot's base (REP-105, REP-120), after the odometry's own name for it.
+/// Frames that don't drift.
+const FIXED_FRAMES: [&str; 2] = ["map", "world"];
+/// Frames nearer to each other than this (m), as seen from above, are one.
+const SAME_PLACE_M: f64 = 0.005;
 const BASE_FRAMES: [&str; 2] = ["base_link", "base_footprint"];
 
 pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
@@ -74,10 +78,7 @@ pub fn read_with_layout(
         .map_err(|reason| of_first_scan(path, &chosen, reason))?;
     let laser = scans.laser(mount.base_from_laser, mount.mirrored, options);
     if let (Err(LaserError::Ranges { .. }), None) = (&laser, options.max_range_m) {
-        let range_max = scans.first.as_ref().map_or(f32::NAN, |first| first.range_max);
-        let reason = format!(
-            "range_max is {range_max}; allowed: a finite number above range_min, or `--max-range` (`log.max_range_m`)"
-        );
+        let reason = why_no_ranges(&scans, options);
         return Err(of_first_scan(path, &chosen, reason));
     }
     let laser = checked(path, laser)?;
@@ -116,8 +117,6 @@ pub fn read_with_layout(
     if zero_is_no_return {
         evidence += "; readings of 0 are taken for no return, as no other reading is without return";
     }
-    let spans =
-        [found.steps.first(), found.steps.last()].map(|step| step.map_or(0.0, |step| step.stamp_secs));
     let mut remarks = motion.remarks(&chosen, &laser_frame);
     remarks.extend(scan_remarks);
     let interval = reference.poses.as_ref().and_then(Poses::interval_secs);
@@ -129,7 +128,8 @@ pub fn read_with_layout(
         ));
     }
     remarks.extend(found.remark());
-    remarks.extend(motion.other_clock(spans));
+    let reference_span = reference.poses.as_ref().and_then(Poses::span);
+    remarks.extend(reference_span.and_then(|span| other_clock(span.map(secs), found.span_secs)));
     let summary = LogSummary {
         kind: reference.kind,
         odometry: odometry.source,
@@ -374,6 +374,26 @@ fn is_of(channel: &Channel, source: Option<&PoseSource>) -> bool {
     matches!(source, Some(PoseSource::Topic(topic)) if topic == channel)
 }
 
+/// Why the first scan's limits are no laser's.
+fn why_no_ranges(scans: &Scans, options: &BagOptions) -> String {
+    let [min, max] = scans.first.as_ref().map_or([f32::NAN; 2], |first| [first.range_min, first.range_max]);
+    if options.min_range_m.is_none() && !(min >= 0.0 && min.is_finite()) {
+        return format!("range_min is {min}; allowed: a finite number from 0");
+    }
+    format!(
+        "range_max is {max}; allowed: a finite number above range_min, or `--max-range` (`log.max_range_m`); range_min is {min}"
+    )
+}
+
+/// What is said of a reference whose poses are all of another time than the scans (s).
+fn other_clock([first, last]: [f64; 2], [from, to]: [f64; 2]) -> Option<String> {
+    (last < from || first > to).then(|| {
+        format!(
+            "The reference poses are of {first:.1} s to {last:.1} s, the scans of {from:.1} s to {to:.1} s: stamps of one clock are needed."
+        )
+    })
+}
+
 /// How the robot moved, and where its frames are.
 #[derive(Default)]
 struct Motion {
@@ -422,17 +442,6 @@ impl Motion {
         }
     }
 
-    /// What is said of a reference whose poses are all of another time than the scans, from and to (s).
-    fn other_clock(&self, [from, to]: [f64; 2]) -> Option<String> {
-        let [first, last] =
-            [self.reference.items.first()?, self.reference.items.last()?].map(|(time, _)| secs(*time));
-        (last < from || first > to).then(|| {
-            format!(
-                "The reference poses are of {first:.1} s to {last:.1} s, the scans of {from:.1} s to {to:.1} s: stamps of one clock are needed."
-            )
-        })
-    }
-
     /// What is odd about the poses, in sentences.
     fn remarks(&self, chosen: &Chosen, laser_frame: &str) -> Vec<String> {
         let mut remarks = Vec::new();
@@ -459,7 +468,12 @@ impl Motion {
         }
         let [of, within] = self.reference_frames.each_ref().map(|frame| plain(frame));
         let [base, odometry] = [plain(&self.base_frame), plain(&self.odometry_frame)];
-        if of != base && [of, base].contains(&laser_frame) && ![of, base].contains(&"") {
+        // A base and its footprint differ by a height.
+        let are_one = || {
+            let between = self.transforms.fixed(of, base);
+            between.is_some_and(|(between, _)| planar(&between).position().length() < SAME_PLACE_M)
+        };
+        if of != base && [of, base].contains(&laser_frame) && ![of, base].contains(&"") && !are_one() {
             remarks.push(format!(
                 "The reference is the pose of `{}`, the odometry that of `{}`, and one of them is the laser's frame: both are taken for the \
                  robot's.",
@@ -467,7 +481,7 @@ impl Motion {
                 quoted(base)
             ));
         }
-        if !within.is_empty() && within == odometry {
+        if !within.is_empty() && within == odometry && !FIXED_FRAMES.contains(&within) {
             remarks.push(format!(
                 "The reference is in the frame of the odometry, `{}`: it may be odometry, which drifts.",
                 quoted(within)
@@ -480,7 +494,8 @@ impl Motion {
             );
         }
         if !self.transforms.changed_static.is_empty() {
-            let pairs: Vec<&str> = self.transforms.changed_static.iter().map(String::as_str).collect();
+            let pairs: Vec<&str> =
+                self.transforms.changed_static.iter().map(String::as_str).take(LISTED_PAIRS).collect();
             remarks.push(format!(
                 "Static transforms change during the recording, or a frame has two parents ({}); the last ones are taken for all of it.",
                 pairs.join(", ")

@@ -1,7 +1,7 @@
 //! The scans of a bag: one laser's, though spinning lidars give a beam more or less.
 
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
-use locsim_core::{Laser, LaserError, Pose2, resampled};
+use locsim_core::{Laser, LaserError, Pose2, resampled, wrap_angle};
 
 use super::BagOptions;
 use super::messages::{LaserScan, secs};
@@ -64,8 +64,6 @@ pub struct Scans {
     /// Readings of the scans, as the limit counts them.
     readings: u64,
     time_increments_secs: f64,
-    /// Number of readings of the first scan.
-    beams: usize,
     /// Number of scans without readings, which aren't kept.
     pub empty: usize,
     /// Number of scans whose beams aren't those of the first.
@@ -86,8 +84,7 @@ impl Scans {
             self.empty += 1;
             return Ok(());
         }
-        let beams_of_scan = ranges.len();
-        check_bearings(&scan, beams_of_scan)?;
+        check_bearings(&scan, ranges.len())?;
         let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
         let onto_first =
             self.first.as_ref().filter(|first| !are_same_beams(first, beams, &scan, ranges.len()));
@@ -121,9 +118,6 @@ impl Scans {
         }
         self.time_increments_secs += f64::from(scan.time_increment);
         self.stamped.push(scan.header.stamp.nanos(), ranges)?;
-        if self.first.is_none() {
-            self.beams = beams_of_scan;
-        }
         self.first.get_or_insert(scan);
         Ok(())
     }
@@ -152,7 +146,8 @@ impl Scans {
                 self.stamped.items.len()
             ));
         }
-        remarks.extend(self.first.as_ref().and_then(|first| other_end(first, self.beams)));
+        let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
+        remarks.extend(self.first.as_ref().and_then(|first| other_end(first, beams)));
         if !self.has_plausible_sweep() {
             remarks.push(format!(
                 "time_increment is {:.3e} s, with which the beams of a scan aren't over when the next one begins: all \
@@ -242,12 +237,12 @@ fn on_beams_of(
 fn other_end(scan: &LaserScan, beams: usize) -> Option<String> {
     let step = f64::from(scan.angle_increment);
     let end = bearing(scan, beams.saturating_sub(1));
-    let apart = (f64::from(scan.angle_max) - end).abs();
+    let apart = wrap_angle(f64::from(scan.angle_max) - end).abs();
     let sector = (end - f64::from(scan.angle_min)).abs();
     (beams > 1 && apart > (OTHER_END.0 * step.abs()).max(OTHER_END.1 * sector)).then(|| {
         format!(
             "angle_max is {:.4} rad, and {beams} ranges from angle_min {:.4} rad on, every angle_increment {step:.6} rad, end at {end:.4} rad. \
-             Increment and number are used; a map that contradicts itself would say that they are wrong.",
+             Increment and number count. If the map comes out inconsistent, they are wrong.",
             scan.angle_max, scan.angle_min
         )
     })
@@ -268,13 +263,9 @@ fn check_bearings(scan: &LaserScan, beams: usize) -> Result<(), String> {
             scan.angle_increment
         ));
     }
-    if !(f64::from(scan.angle_min).abs() <= WIDEST_SCAN) {
+    if !(-WIDEST_SCAN..=WIDEST_SCAN).contains(&f64::from(scan.angle_min)) {
         let found = scan.angle_min;
         return Err(format!("angle_min is {found} rad; allowed: up to {WIDEST_SCAN:.3} either way, a turn"));
-    }
-    if !(scan.range_min >= 0.0 && scan.range_min.is_finite()) {
-        let found = scan.range_min;
-        return Err(format!("range_min is {found}; allowed: a finite number from 0"));
     }
     Ok(())
 }

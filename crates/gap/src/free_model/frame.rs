@@ -34,17 +34,21 @@ pub(crate) fn turned_frame(
     };
     let Some(mut frame) = frame_of(comparison.recorded, fitted) else { return Ok(None) };
     let (mut recorded, mut turn) = (comparison.recorded.clone(), 0.0);
-    let mut with = Vec::new();
+    let mut with: Vec<f64> = Vec::new();
+    let gain = |scans: &[f64]| scans.iter().sum::<f64>();
     // Errors are found smaller than they are, as most errors of a reference come and go.
     for _ in 0..STEPS {
         let TurnedFrame { center, shift, .. } = frame;
-        turn += frame.turn;
         recorded = recorded.with_reference(|pose| {
             let position = center + shift + DVec2::from_angle(frame.turn).rotate(pose.position() - center);
             Pose2::new(position.x, position.y, pose.theta + frame.turn)
         });
         let aligned = Comparison::new(comparison.nominal, &recorded)?.in_world(effects)?;
         let fitted = aligned.fit_nuisances_with(effects, nuisances, REFIT);
+        if !with.is_empty() && gain(&fitted.scans) < gain(&with) {
+            break;
+        }
+        turn += frame.turn;
         let left = frame_of(&recorded, &fitted);
         with = fitted.scans;
         match left {

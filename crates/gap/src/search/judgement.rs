@@ -13,8 +13,6 @@ use crate::statistics::{Covariate, Deviation, Survey};
 const LEAST_ERRORS: f64 = 2.0;
 /// A dependence that gains less than this share of the one that gains most is left out: it is what that one's curve leaves.
 const LEAST_SHARE: f64 = 0.05;
-/// The least gain of what beams have in common over that of their spread, where it is all that spreads them.
-const IN_COMMON: f64 = 0.9;
 /// The share of the variance of an effect's weights that a covariate explains, where the effect acts on it.
 const OWN_COVARIATE: f64 = 0.9;
 
@@ -128,13 +126,6 @@ impl Judgement {
             all.retain(|found| !found.is_left_by_neighbours(correlation));
         }
         all.sort_by(|a, b| b.gain().total_cmp(&a.gain()));
-        // What the beams of a scan have in common spreads the readings of each: the cause comes first.
-        if let Some(at) = all.iter().position(|found| found.covariate == Covariate::Neighbour)
-            && (all[0].deviation, all[0].covariate) == (Deviation::Spread, Covariate::Everywhere)
-            && all[at].gain() >= IN_COMMON * all[0].gain()
-        {
-            all[..=at].rotate_right(1);
-        }
         let least = all.first().map_or(0.0, |first| LEAST_SHARE * first.gain());
         all.retain(|found| found.gain() >= least);
         all

@@ -175,6 +175,9 @@ struct KnownPart {
     findings: MeasuredMapFindings,
 }
 
+/// Fewer readings with a nominal range can't be compared.
+const LEAST_READINGS: usize = 500;
+
 /// The readings that a measured map says something of, with where it is wrong; `None` of a map that is taken for exact.
 fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart>, GapError> {
     if nominal.pieces.is_none() {
@@ -183,6 +186,10 @@ fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart
     let all = Comparison::new(nominal, recorded)?;
     let unsure = &all.views.unsure;
     let ignored: Vec<bool> = unsure.iter().map(Option::is_some).collect();
+    let readings = ignored.iter().filter(|ignored| !**ignored).count();
+    if readings < LEAST_READINGS {
+        return Err(GapError::TooFewReadings { readings, all: ignored.len(), least: LEAST_READINGS });
+    }
     let sure = recorded.without(&ignored);
     let comparison = all.of(&sure);
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);

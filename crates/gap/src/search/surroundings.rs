@@ -8,6 +8,7 @@ use std::f64::consts::TAU;
 use glam::DVec2;
 use locsim_core::sum_error;
 use locsim_world::effect::{Disc, Effect, Effects, Moves};
+use locsim_world::raycast::distance_to;
 
 use super::Round;
 use super::selection::{LEAST_GAIN_NATS, adds_up};
@@ -23,18 +24,11 @@ const BESIDE_RAD: f64 = 0.1;
 /// A further name gains, without these beams, at least this share of what it gains with them, by the share of beams that are left.
 const LEAST_SHARE: f64 = 0.5;
 
-/// Distance of a point to a line from `a` to `b`.
-fn distance([a, b]: [DVec2; 2], point: DVec2) -> f64 {
-    let along = b - a;
-    let share = (along.dot(point - a) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
-    point.distance(a + share * along)
-}
-
 /// Whether a beam from `origin` to `end`, at a bearing, has to do with an effect of one place.
 fn concerns(effect: &Effect, [origin, end]: [DVec2; 2], bearing: f64) -> bool {
     let at_wall = effect.place.iter().any(|stretch| {
-        distance(*stretch, end) <= NEAR_M
-            || stretch.iter().any(|corner| distance([origin, end], *corner) <= PASSING_M)
+        distance_to(stretch, end) <= NEAR_M
+            || stretch.iter().any(|corner| distance_to(&[origin, end], *corner) <= PASSING_M)
     });
     let in_sector = effect.sector().is_some_and(|[from, to]| {
         let width = (to - from).rem_euclid(TAU) + 2.0 * BESIDE_RAD;
@@ -45,7 +39,7 @@ fn concerns(effect: &Effect, [origin, end]: [DVec2; 2], bearing: f64) -> bool {
 
 /// Whether a beam has to do with a disc.
 fn meets(disc: &Disc, ray: [DVec2; 2]) -> bool {
-    distance(ray, disc.center) <= disc.radius_m + PASSING_M
+    distance_to(&ray, disc.center) <= disc.radius_m + PASSING_M
 }
 
 /// Drops candidates that don't surely gain without the beams that the named effects of one place have to do with. What adds up

@@ -10,6 +10,20 @@ use crate::free_model::Axis;
 use crate::outcome::{CurvePoint, Evidence, Unnamed};
 use crate::statistics::{Covariate, Deviation, Survey};
 
+/// Where what beams have in common gains nearly as much as the noise of every beam, which it makes larger, it is all that does.
+const IN_COMMON: f64 = 0.9;
+
+/// Tells what the beams of a scan have in common before the noise of each that comes of it.
+fn cause_first(all: &mut [Unnamed]) {
+    let gain = |found: &Unnamed| found.evidence.gain_nats.value;
+    if let Some(at) = all.iter().position(|found| found.covariate == Covariate::Neighbour)
+        && (all[0].deviation, all[0].covariate) == (Deviation::Spread, Covariate::Everywhere)
+        && gain(&all[at]) >= IN_COMMON * gain(&all[0])
+    {
+        all[..=at].rotate_right(1);
+    }
+}
+
 /// The dependences of a log beyond a round's effects.
 pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p: f64) -> Vec<Unnamed> {
     let scans = survey.comparison.views.scans() as f64;
@@ -43,7 +57,9 @@ pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p
         let Dependence { deviation, covariate, .. } = dependence;
         Unnamed { deviation, covariate, form_of, evidence, unit, size, wave, curve }
     };
-    judgement.dependences().into_iter().map(told).collect()
+    let mut all: Vec<Unnamed> = judgement.dependences().into_iter().map(told).collect();
+    cause_first(&mut all);
+    all
 }
 
 fn points(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Vec<CurvePoint> {

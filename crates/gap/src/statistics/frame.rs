@@ -6,6 +6,9 @@ use super::{Covariate, Deviation, Family, Halves, Readings, Statistic};
 /// come and go are a turn by chance only.
 pub(super) struct Frame;
 
+/// A greater share is as good as all.
+const MOST_SHARE: f64 = 1.0 - 1e-9;
+
 impl Family for Frame {
     fn statistics(&self) -> Vec<Statistic> {
         vec![Statistic::of_misalignment(Covariate::Everywhere, Deviation::Frame)]
@@ -16,6 +19,6 @@ impl Family for Frame {
         let frame = error.turned_frame(&log.comparison.recorded.track, &log.fitted.corrections);
         let share = if log.has_pose_errors { frame.share_of_turn } else { 0.0 };
         // A turn is of the log as a whole.
-        vec![[0.5 * share.sqrt().atanh().copysign(frame.turn); 2]]
+        vec![[0.5 * share.min(MOST_SHARE).sqrt().atanh().copysign(frame.turn); 2]]
     }
 }

@@ -1,6 +1,7 @@
 //! Effects of a stretch of wall, over cells of the map that walls run through.
 
 use glam::DVec2;
+use locsim_core::{Line, lines_through};
 use locsim_world::effect::{self, EffectKind};
 
 use super::contamination::{detectable_share, score};
@@ -152,7 +153,7 @@ pub(super) fn wall_guesses<const N: usize>(
         }
         let beams = log.comparison.views.beams.iter().filter(|beam| beam.view.range < max);
         let ends = beams.map(|beam| beam.view.endpoint).filter(|end| cells.contains(&wall_cell(*end)));
-        let lines = lines_through(ends.collect());
+        let lines = lines_through(ends.collect(), MOST_WALLS, ON_LINE_M);
         used.extend(cells);
         let best = lines
             .into_iter()
@@ -216,52 +217,6 @@ fn best_stretch<const N: usize>(
     best
 }
 
-/// A line in the map.
-#[derive(Clone, Copy, Debug)]
-struct Line {
-    point: DVec2,
-    /// Its direction, of length 1.
-    along: DVec2,
-}
-
-impl Line {
-    fn distance(&self, point: DVec2) -> f64 {
-        self.along.perp_dot(point - self.point).abs()
-    }
-}
-
-/// The walls that some points lie on, the one with most of them first. Recesses and corners have several in one cell.
-fn lines_through(mut points: Vec<DVec2>) -> Vec<Line> {
-    let mut lines = Vec::new();
-    while lines.len() < MOST_WALLS
-        && let Some(line) = line_through(&points)
-    {
-        lines.push(line);
-        points.retain(|point| line.distance(*point) >= ON_LINE_M);
-    }
-    lines
-}
-
-/// The line that most of some points lie on, of those through two of them.
-fn line_through(points: &[DVec2]) -> Option<Line> {
-    // Of many points a sample does: pairs of 60 are 1770 lines.
-    const MOST: usize = 60;
-    // The noise of two nearer points turns a line by more than 0.1 rad.
-    const APART_M: f64 = 0.2;
-    let few: Vec<DVec2> = points.iter().copied().step_by(points.len().div_ceil(MOST).max(1)).collect();
-    let mut best: Option<(usize, Line)> = None;
-    for (i, &a) in few.iter().enumerate() {
-        for &b in few[i + 1..].iter().filter(|b| a.distance(**b) > APART_M) {
-            let through = Line { point: a, along: (b - a).normalize() };
-            let on_it = few.iter().filter(|point| through.distance(**point) < ON_LINE_M).count();
-            if best.as_ref().is_none_or(|(most, _)| on_it > *most) {
-                best = Some((on_it, Line { point: 0.5 * (a + b), ..through }));
-            }
-        }
-    }
-    best.map(|(_, line)| line)
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::AtomicBool;
@@ -272,24 +227,6 @@ mod tests {
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
     use crate::{GapOptions, Recorded, find};
-
-    /// A recess, its side, and the wall beside it share cells: each is a wall to look at, the one with most beams first.
-    #[test]
-    fn cells_have_several_walls() {
-        let on = |from: [f64; 2], to: [f64; 2], count: usize| {
-            let at = move |i: usize| DVec2::from(from).lerp(DVec2::from(to), i as f64 / count as f64);
-            (0..count).map(at)
-        };
-        let side = on([1.0, 0.04], [1.0, 0.4], 20);
-        let points = on([0.0, 0.0], [1.0, 0.0], 60).chain(side).chain(on([1.04, 0.4], [2.0, 0.4], 40));
-        let lines = lines_through(points.collect());
-        let expected = [(DVec2::ZERO, DVec2::X), (DVec2::new(1.5, 0.4), DVec2::X), (DVec2::X, DVec2::Y)];
-        assert_eq!(lines.len(), expected.len(), "{lines:?}");
-        for (Line { point, along }, (on_it, direction)) in lines.into_iter().zip(expected) {
-            assert!(along.perp_dot(direction).abs() < 0.05, "{along} for {direction}");
-            assert!(direction.perp_dot(point - on_it).abs() < 0.03, "{point} for {on_it}");
-        }
-    }
 
     /// Most beams of a door's cells end on its back and on the wall beside it; a pane in its jamb is found all the same.
     #[test]

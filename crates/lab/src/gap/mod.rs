@@ -45,9 +45,6 @@ use locsim_world::map::Geometry;
 /// Bearings of log and scenario that differ by more than this are of other beams \[rad\].
 const SAME_BEARING_RAD: f64 = 2e-3;
 
-/// Where a larger share of the beams has no nominal range in the map, nothing is compared.
-const MOST_LEFT_OUT: f64 = 0.95;
-
 /// Mounts that differ by less than this are the same \[m\] and \[rad\]: logs round.
 const SAME_MOUNT: f64 = 2e-3;
 
@@ -78,9 +75,9 @@ impl GapSettings {
     /// The least and the greatest number of replicates: a p-value of .05, and one of a hundred thousandth.
     pub const ALLOWED_REPLICATES: [u64; 2] = [19, 100_000];
     /// The least and the greatest number of scans that a search looks at.
-    pub const ALLOWED_SCANS: [u64; 2] = [locsim_gap::LEAST_SCANS as u64, 1_000_000];
+    pub const ALLOWED_SCANS: [u64; 2] = [locsim_gap::LEAST_SCANS as u64, u32::MAX as u64];
     /// The least and the greatest number of beams that a search looks at.
-    pub const ALLOWED_BEAMS: [u64; 2] = [1, 100_000];
+    pub const ALLOWED_BEAMS: [u64; 2] = [1, u32::MAX as u64];
 
     /// Whether the numbers make sense.
     ///
@@ -458,16 +455,6 @@ pub fn find(
         ..usual
     };
     let mut outcome = locsim_gap::find(&nominal, &study.recorded, &search, progress, interrupted)?;
-    if let Some(map) = &outcome.map
-        && map.left_out.share() > MOST_LEFT_OUT
-    {
-        let what = format!(
-            "{:.0} % of the beams have no nominal range in the map, and the others are too few to compare: reference poses, the laser's mount \
-             or its angles and the map don't go together",
-            100.0 * map.left_out.share()
-        );
-        return Err(LabError::Log { path: study.log.clone(), what });
-    }
     if filter {
         outcome.filter = filter::filter_gap(study, &outcome, cache, control)?;
     }

@@ -178,7 +178,7 @@ fn detection_table(outcome: &Outcome) -> TextTable {
     if !outcome.effects.is_empty() {
         rows.push(row("with the named effects", &outcome.detection_after));
     }
-    TextTable::new(["simulator", "p, effects of the library", "p, PIT anywhere", "p, both"], rows)
+    TextTable::new(["simulator", "p, effects of the library", "p, anything else", "p, both"], rows)
 }
 
 /// Regions to look at, and those that follow from the named effects: with them, nothing is off there.

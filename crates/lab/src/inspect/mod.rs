@@ -277,13 +277,15 @@ fn lacks(facts: Option<&DriveFacts>, split: Option<&Split>) -> Lacks {
         lacks.gap.push(format!(
             "scans with a reference pose: {references} of the {LEAST_SCANS} that it needs at least"
         ));
-    } else if let Some(localized) = split.map(|split| split.localized(facts.scans))
-        && localized < LEAST_SCANS
-    {
-        lacks.gap.push(format!(
-            "scans to localize on: the proposed split has {localized} of the {LEAST_SCANS} that it needs at least; give \
-             `localize_scans` more of the log"
-        ));
+    } else {
+        // Beside a map of its own, a scenario of `init` localizes on a half.
+        let localized = split.map_or(references / 2, |split| split.localized(facts.scans));
+        if localized < LEAST_SCANS {
+            lacks.gap.push(format!(
+                "scans to localize on: the proposed split has {localized} of the {LEAST_SCANS} that it needs at least; give \
+                 `localize_scans` more of the log"
+            ));
+        }
     }
     if facts.scans < 2 {
         lacks.run.push("scans: it has one".to_owned());

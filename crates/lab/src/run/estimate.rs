@@ -154,13 +154,19 @@ fn free_memory() -> f64 {
     machine.min(group).min(address_space()) as f64
 }
 
-/// Addresses that the process may use \[bytes\].
-#[cfg(unix)]
+/// Addresses that `ulimit -v` leaves the process \[bytes\].
+#[cfg(target_os = "linux")]
 fn address_space() -> u64 {
-    rustix::process::getrlimit(rustix::process::Resource::As).current.unwrap_or(u64::MAX)
+    let Some(most) = rustix::process::getrlimit(rustix::process::Resource::As).current else {
+        return u64::MAX;
+    };
+    let mut system = System::new();
+    let own = sysinfo::Pid::from_u32(std::process::id());
+    system.refresh_processes(sysinfo::ProcessesToUpdate::Some(&[own]), false);
+    most.saturating_sub(system.process(own).map_or(0, sysinfo::Process::virtual_memory))
 }
 
-#[cfg(not(unix))]
+#[cfg(not(target_os = "linux"))]
 fn address_space() -> u64 {
     u64::MAX
 }

@@ -78,12 +78,11 @@ const MOST_FAR: f64 = 0.2;
 
 /// What is said of a map that the log it was made of contradicts.
 pub fn contradiction(check: &MapCheck) -> Option<String> {
-    let far =
-        [&check.walls, &check.cells].map(|of| if of.far_share.is_finite() { of.far_share } else { 0.0 });
-    let far = far[0].max(far[1]);
+    // Beams that meet no cell count as far from cells: of the walls alone it is said.
+    let far = check.walls.far_share;
     (far > MOST_FAR).then(|| {
         format!(
-            "{:.0} % of the held-out readings are more than {FAR_M} m from the map that the others make: reference poses, the laser's \
+            "{:.0} % of the held-out readings are more than {FAR_M} m from the walls that the others make: reference poses, the laser's \
              mount, its angles or the stamps don't go together.",
             100.0 * far
         )

@@ -41,7 +41,7 @@ pub enum StoreError {
         out: PathBuf,
     },
     /// The run that was to go on is complete.
-    #[error("--resume: {} is complete; --force begins again", quoted(&out.display().to_string()))]
+    #[error("--resume: {} holds finished results, which are not extended; --force begins again", quoted(&out.display().to_string()))]
     Complete {
         /// The results folder.
         out: PathBuf,

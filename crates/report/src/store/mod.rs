@@ -19,6 +19,7 @@ mod manifest;
 mod parts;
 
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 pub use error::StoreError;
@@ -34,9 +35,6 @@ const LOCK: &str = "lock";
 const PARTS: &str = "parts";
 const RESULTS: &str = "results";
 const PARTIAL: &str = ".partial";
-
-/// Bytes of a file's name that every file system takes.
-const LONGEST_NAME: usize = 255;
 
 /// How a results folder is opened.
 #[derive(Clone, Copy, Debug)]
@@ -97,7 +95,10 @@ impl Places {
     fn of(out: &Path) -> Result<Self, StoreError> {
         // A link's target is what is replaced; a folder that isn't there yet has none.
         let out = if out.is_symlink() {
-            out.canonicalize().map_err(|_| StoreError::DanglingLink { out: out.to_owned() })?
+            out.canonicalize().map_err(|error| match error.kind() {
+                io::ErrorKind::NotFound => StoreError::DanglingLink { out: out.to_owned() },
+                _ => at(out)(error),
+            })?
         } else {
             out.to_owned()
         };
@@ -108,14 +109,14 @@ impl Places {
         let Some(name) = out.file_name().map(ToOwned::to_owned) else {
             return Err(StoreError::NoName { out });
         };
-        if name.len() + PARTIAL.len() > LONGEST_NAME {
-            return Err(StoreError::LongName { out });
-        }
         let [partial, old] = [PARTIAL, ".old"].map(|ending| {
             let mut name = name.clone();
             name.push(ending);
             out.with_file_name(name)
         });
+        if fs::symlink_metadata(&partial).is_err_and(|error| error.kind() == io::ErrorKind::InvalidFilename) {
+            return Err(StoreError::LongName { out });
+        }
         Ok(Self { out, partial, old })
     }
 

@@ -295,3 +295,23 @@ fn a_path_without_a_name_of_its_own_is_refused() {
         assert!(matches!(Store::open(&request), Err(StoreError::NoName { .. })), "{out}");
     }
 }
+
+#[test]
+fn places_that_no_folder_can_be_at_are_told_apart() {
+    let place = Place::new();
+    place.results("done");
+    let finished = place.open_as("a", true, false).unwrap_err();
+    assert!(matches!(finished, StoreError::Complete { .. }), "{finished}");
+    let open = |out: &Path| {
+        Store::open(&Request { out, kind: "run", fingerprint: "a", resume: false, force: true }).unwrap_err()
+    };
+    place.write("file", "");
+    assert!(matches!(open(&place.at("file")), StoreError::NoFolder { .. }));
+    let long = open(&place.at(&"n".repeat(300)));
+    assert!(matches!(long, StoreError::LongName { .. }) && long.to_string().len() < 200, "{long}");
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink(place.at("nowhere"), place.at("link")).unwrap();
+        assert!(matches!(open(&place.at("link")), StoreError::DanglingLink { .. }));
+    }
+}

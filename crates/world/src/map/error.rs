@@ -134,7 +134,9 @@ pub enum MapError {
         height: f64,
     },
     /// No step of a drive has a reference pose, so there is nothing to make a map from.
-    #[error("none of the {steps} steps has a reference pose and a return near enough for a map: are ranges in metres?")]
+    #[error(
+        "none of the {steps} steps has a reference pose and a return near enough for a map: are ranges in metres?"
+    )]
     NoReference {
         /// How many steps were asked for.
         steps: usize,

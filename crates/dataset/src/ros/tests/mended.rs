@@ -192,7 +192,7 @@ fn static_transforms_may_change_and_may_be_told_the_other_way_round() {
     assert!(first.read(&BagOptions::default()).unwrap().1.remarks.is_empty());
     let changed = first.add("/tf_static", &transform("base_footprint", "laser", [0.3, 0.0, 0.0], level));
     let (drive, summary) = changed.read(&BagOptions::default()).unwrap();
-    remark(&summary, "Static transforms change during the recording (base_footprint:laser)");
+    remark(&summary, "or a frame has two parents (base_footprint:laser)");
     assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.3, 0.0, 0.0)));
     let quarter = [0.0, 0.0, 0.5_f64.sqrt(), 0.5_f64.sqrt()];
     let reversed = plain().add("/tf_static", &transform("laser", "base_footprint", [0.5, 0.0, 0.0], quarter));
@@ -213,4 +213,73 @@ fn a_reference_that_is_not_upright_is_told() {
     }
     let (_, summary) = bag.read(&BagOptions::default()).unwrap();
     remark(&summary, "Most poses of the reference are tilted by more than 10 degrees");
+}
+
+/// The drive of [`driving`] with a reference of these poses: seconds, what they are poses of, and the frame that they are in.
+fn referenced(poses: &[f64], of: &str, within: &str) -> (Drive, LogSummary) {
+    let add = |bag: Bag, now: &f64| {
+        let mut pose = odometry(*now, &Pose2::new(*now, 0.0, 0.0));
+        pose.child_frame_id = of.into();
+        pose.header.frame_id = within.into();
+        bag.add("/reference", &pose)
+    };
+    let bag = poses.iter().fold(driving(60, |_| true, |now| now), add);
+    bag.read(&BagOptions::default()).unwrap()
+}
+
+#[test]
+fn references_of_other_frames_and_clocks_are_told() {
+    let all: Vec<f64> = (0..=60).map(f64::from).collect();
+    let (drive, summary) = referenced(&all, "base_footprint", "map");
+    assert!(summary.remarks.is_empty() && drive.steps[40].reference.is_some(), "{:?}", summary.remarks);
+    let (_, summary) = referenced(&all, "laser", "map");
+    remark(&summary, "The reference is the pose of `laser`, the odometry that of `base_footprint`");
+    let (_, summary) = referenced(&all, "base_footprint", "odom");
+    remark(&summary, "The reference is in the frame of the odometry, `odom`");
+    let later: Vec<f64> = all.iter().map(|secs| secs + 7200.0).collect();
+    let (drive, summary) = referenced(&later, "base_footprint", "map");
+    assert!(drive.steps.iter().all(|step| step.reference.is_none()));
+    remark(&summary, "The reference poses are of 7200.0 s to 7260.0 s, the scans of 0.0 s to 60.0 s");
+}
+
+/// A robot drives no straight line from one pose to another a minute later.
+#[test]
+fn two_poses_are_no_reference_of_what_is_between() {
+    for (poses, known) in [([0.0, 60.0], false), ([20.0, 30.0], true)] {
+        let (drive, _) = referenced(&poses, "base_footprint", "map");
+        let at = drive.steps.iter().find(|step| step.stamp_secs > 25.0).unwrap();
+        assert_eq!(at.reference.is_some(), known, "{poses:?}");
+    }
+}
+
+#[test]
+fn an_end_of_the_scan_that_is_elsewhere_is_told() {
+    let remarks = |angle_max: f32| {
+        let scan = |secs| LaserScan { angle_max, ..wide_scan(secs, 20) };
+        let bag = Bag::default()
+            .add("/odom", &odometry(1.0, &Pose2::IDENTITY))
+            .add("/scan", &scan(1.5))
+            .add("/odom", &odometry(3.0, &Pose2::IDENTITY));
+        bag.read(&BagOptions::default()).unwrap().1.remarks
+    };
+    // As it is, a beam more, and wrapped.
+    for angle_max in [0.5, 0.5 + 1.0 / 19.0, 0.5 - std::f32::consts::TAU] {
+        assert_eq!(remarks(angle_max), [""; 0], "{angle_max}");
+    }
+    // A sector of half the width, and of the other direction.
+    for angle_max in [0.0, -1.5] {
+        let told = remarks(angle_max);
+        assert!(told.len() == 1 && told[0].starts_with("angle_max is"), "{told:?}");
+    }
+}
+
+#[test]
+fn a_frame_that_is_its_own_parent_is_passed_over() {
+    let level = [0.0, 0.0, 0.0, 1.0];
+    let mounted = plain().add("/tf_static", &transform("base_footprint", "laser", [0.5, 0.0, 0.0], level));
+    let itself = mounted.add("/tf_static", &transform("laser", "laser", [0.0; 3], level));
+    let (drive, summary) = itself.read(&BagOptions::default()).unwrap();
+    assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.5, 0.0, 0.0)) && summary.remarks.is_empty());
+    let two = itself.add("/tf_static", &transform("chassis", "laser", [0.1, 0.0, 0.0], level));
+    remark(&two.read(&BagOptions::default()).unwrap().1, "a frame has two parents (base_footprint:laser)");
 }

@@ -228,3 +228,28 @@ fn a_database_that_is_no_bag_is_refused() {
     let folder = written(&[("cut.db3", whole[..whole.len() - 4096].to_vec())]);
     assert!(log(&folder.path().join("cut.db3")).unwrap_err().contains("not a sound bag in SQLite"));
 }
+
+/// A file that is written into a bag's folder would be taken for a part of it.
+#[test]
+fn no_log_is_written_into_a_bag() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("drive_0.mcap"), plain().bytes()).unwrap();
+    let may = |name: &str, read: Option<&Path>| LogFormat::to_write(&at(name), read).is_ok();
+    // Files of their own beside each other.
+    assert!(may("worse.mcap", None) && may("worse.mcap", Some(&at("drive_0.mcap"))));
+    assert!(!may("drive_1.mcap", Some(folder.path())));
+    assert!(may("drive_1.log", Some(folder.path())));
+    fs::write(at("metadata.yaml"), "rosbag2_bagfile_information: {}\n").unwrap();
+    assert!(!may("worse.mcap", None) && may("worse.log.gz", None));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_pipe_in_a_folder_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = std::process::Command::new("mkfifo").arg(folder.path().join("drive.mcap")).status();
+    assert!(made.unwrap().success());
+    let refused = read_bag(folder.path(), &BagOptions::default()).unwrap_err().to_string();
+    assert!(refused.contains("`drive.mcap` is a pipe or a device"), "{refused}");
+}
