@@ -319,6 +319,7 @@ fn crossed(origin: DVec2, end: DVec2) -> impl Iterator<Item = [i32; 2]> {
 
 #[cfg(test)]
 mod tests {
+    use locsim_core::Pose2;
     use locsim_world::effect::{Effect, EffectKind};
 
     use super::*;
@@ -372,5 +373,17 @@ mod tests {
             let (errors, _) = found(&[plain(kind, values)]);
             assert!(errors.is_empty(), "{kind}: {errors:?}");
         }
+    }
+
+    /// A log of another place has nothing that could be compared.
+    #[test]
+    fn a_log_that_the_map_says_nothing_of_is_refused() {
+        let drive = record_library(&MEASURED, &TRUTH, &[], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 60, 24, |_| true).unwrap();
+        let elsewhere = recorded.with_reference(|pose| Pose2::new(pose.x + 500.0, pose.y, pose.theta));
+        let options = crate::GapOptions { replicates: 19, ..crate::GapOptions::default() };
+        let stop = std::sync::atomic::AtomicBool::new(false);
+        let refused = crate::find(&MEASURED, &elsewhere, &options, &(), &stop);
+        assert!(matches!(refused, Err(crate::GapError::TooFewReadings { readings: 0, .. })), "{refused:?}");
     }
 }

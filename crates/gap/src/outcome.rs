@@ -153,7 +153,7 @@ pub struct Rival {
 pub struct Detection {
     /// By the library's directions.
     pub p_library: f64,
-    /// By the PIT over all cells.
+    /// By the PIT over all cells, and by a lag and a turned frame.
     pub p_omnibus: f64,
     /// By both together: this decides.
     pub p: f64,

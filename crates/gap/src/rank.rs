@@ -13,7 +13,7 @@ pub(crate) struct Null {
     pub z: Vec<f64>,
     /// The same of each half of the log's folds.
     pub halves: Vec<Halves>,
-    /// The log's rank among replicates: p-values of the largest of the library, of the cells, of all.
+    /// The log's rank among replicates: p-values of the largest of the library, of the cells and misalignments, of all.
     pub p_library: f64,
     pub p_omnibus: f64,
     pub p: f64,

@@ -139,6 +139,14 @@ impl<'a> Topics<'a> {
                 Some(PoseSource::Topic(self.named_or_only(&ODOMETRY, name, space, taken, &mut guessed)?))
             }
         };
+        if let (Some(PoseSource::Topic(chosen)), None) = (&odometry, &wanted.odometry) {
+            let others: Vec<_> =
+                self.candidates(&ODOMETRY).filter(|channel| *channel != chosen && alone(channel)).collect();
+            if !others.is_empty() {
+                let others: Vec<_> = others.into_iter().map(|channel| self.in_words(channel)).collect();
+                guessed.push(format!("other odometry: {}", others.join(", ")));
+            }
+        }
         let localizer = if reference.is_none() { self.named(&LOCALIZER, None, space)? } else { None };
         let is_topic = |source: &Option<PoseSource>| matches!(source, Some(PoseSource::Topic(_)));
         // A laser's mount may be among the transforms where none is static.

@@ -176,7 +176,7 @@ struct KnownPart {
 }
 
 /// Fewer readings with a nominal range can't be compared.
-const LEAST_READINGS: usize = 500;
+const LEAST_READINGS: usize = 200;
 
 /// The readings that a measured map says something of, with where it is wrong; `None` of a map that is taken for exact.
 fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart>, GapError> {
