@@ -143,10 +143,10 @@ fn exported_parameters_of_amcl_are_those_of_a_run() {
     let other = if kind == "beam" { "likelihood_field" } else { "beam" };
     let wrong = format!("models: [{{name: amcl_{other}, file: amcl.yaml}}]");
     folder.write("run.yaml", edited(common::SCENARIO, "models: [classic, np_reg_registered]", &wrong));
-    folder
-        .locsim("run run.yaml --out wrong")
-        .code(2)
-        .stderr(contains(format!("has laser_model_type `{kind}`, the scenario asks for amcl_{other}")));
+    for command in ["validate run.yaml", "run run.yaml --out wrong"] {
+        let refused = format!("has laser_model_type `{kind}`, the scenario asks for amcl_{other}");
+        folder.locsim(command).code(2).stderr(contains(refused));
+    }
 }
 
 /// A log is cut as `locsim inspect` proposes; its name has endings and a sign.

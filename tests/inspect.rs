@@ -389,3 +389,55 @@ fn a_missing_choice_is_named() {
     );
     assert_eq!(found["reference_candidates"][0], "map:base_link", "{found}");
 }
+
+/// A CARMEN log of the drive, with the readings of each scan as `change` makes them.
+fn with_readings(folder: &Folder, name: &str, change: impl Fn(Vec<f64>) -> Vec<f64>) {
+    let text = String::from_utf8(folder.read("drive.log")).unwrap();
+    let line = |line: &str| {
+        let mut words: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
+        if words.first().is_some_and(|word| word == "ROBOTLASER1") {
+            let count: usize = words[8].parse().unwrap();
+            let readings = words[9..9 + count].iter().map(|word| word.parse().unwrap()).collect();
+            let changed = change(readings).into_iter().map(|reading| format!("{reading:.3}"));
+            words.splice(9..9 + count, changed.collect::<Vec<_>>());
+        }
+        words.join(" ") + "\n"
+    };
+    folder.write(name, text.lines().map(line).collect::<String>());
+}
+
+/// Scans that are read the other way around contradict each other from pose to pose.
+#[test]
+fn a_map_that_its_log_contradicts_is_told() {
+    let folder = folder_with_a_drive("drive.log");
+    let told = contains("of the held-out readings are more than 0.5 m from the walls");
+    folder.locsim("map drive.log --out right").success().stderr(told.clone().not());
+    with_readings(&folder, "mirrored.log", |readings| readings.into_iter().rev().collect());
+    folder.locsim("map mirrored.log --out wrong").success().stderr(told);
+}
+
+/// What `init` writes is legal: a log of which no legal scenario comes is refused before anything is written.
+#[test]
+fn no_scenario_is_written_that_run_would_refuse() {
+    let folder = folder_with_a_drive("drive.log");
+    with_readings(&folder, "noisy.log", |readings| {
+        let far = |(i, reading): (usize, f64)| {
+            if reading < 4.0 { 40.0 * reading + 3.0 * (i % 2) as f64 } else { 400.0 }
+        };
+        readings.into_iter().enumerate().map(far).collect()
+    });
+    folder
+        .locsim("init noisy.log -o noisy.yaml --max-range 400")
+        .code(2)
+        .stderr(contains("noisy.yaml:").and(contains("laser.noise.sigma_m")));
+    assert!(!folder.path("noisy.yaml").exists());
+    std::fs::copy(folder.path("drive.log"), folder.path("a${NAME}.log")).unwrap();
+    folder
+        .locsim("init a${NAME}.log -o a.yaml")
+        .code(2)
+        .stderr(contains("the environment variable NAME is not set"));
+    folder
+        .locsim("init drive.log -o new/drive.yaml")
+        .code(2)
+        .stderr(contains("new/drive.yaml: cannot be written"));
+}

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use locsim_core::limits::RANGE_M;
+use locsim_core::limits::{MOST_REPEATS, MOST_TRIALS, RANGE_M};
 use locsim_lab::gap::GapSettings;
 use locsim_scenario::catalogue;
 use locsim_terminal::{LimitOptions, OutputOptions, Share, Threads, number, whole};
@@ -114,7 +114,7 @@ pub struct Run {
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Number of trials, instead of the scenario's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>([1, 1_000_000]))]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>([1, MOST_TRIALS.into()]))]
     pub trials: Option<u32>,
     /// Seed, instead of the scenario's
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
@@ -165,7 +165,7 @@ pub struct Study {
     #[arg(long, default_value = "results")]
     pub out: PathBuf,
     /// Number of repeats, instead of the study's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>([1, 100_000]))]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>([1, MOST_REPEATS.into()]))]
     pub repeats: Option<u32>,
     /// Seed, instead of the study's
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]
@@ -200,7 +200,7 @@ pub struct Sweep {
     #[arg(long)]
     pub yes: bool,
     /// Trials of each cell, instead of the sweep's
-    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>([1, 1_000_000]))]
+    #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>([1, MOST_TRIALS.into()]))]
     pub trials: Option<u32>,
     /// Seed, instead of the sweep's
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u64>([0, u64::MAX]))]

@@ -26,8 +26,14 @@ pub const RANGE_M: f64 = 1e4;
 /// No time (s) that is read is larger: beyond it neighbouring times are too far apart.
 pub const STAMP_SECS: f64 = 1e12;
 
-/// No filter has more particles.
+/// The most particles of a filter.
 pub const MOST_PARTICLES: u32 = 10_000_000;
+
+/// The most trials of a run, and of each cell of a sweep.
+pub const MOST_TRIALS: u32 = 1_000_000;
+
+/// The most repeats of a study.
+pub const MOST_REPEATS: u32 = 100_000;
 
 /// Maximum number of worker threads for each core of the machine.
 pub const THREADS_PER_CORE: usize = 4;

@@ -23,7 +23,7 @@ impl Line {
     }
 }
 
-/// At most `most` lines that some points are nearer to than `near_m` \[m\], the one with most of them first. Points count for one line.
+/// Up to `most` lines, the one with most points first. A point that is nearer than `near_m` \[m\] to a line is on it, and counts for one line only.
 pub fn lines_through(mut points: Vec<DVec2>, most: usize, near_m: f64) -> Vec<Line> {
     let mut lines = Vec::new();
     while lines.len() < most
@@ -55,9 +55,9 @@ fn line_through(points: &[DVec2], near_m: f64) -> Option<Line> {
 mod tests {
     use super::*;
 
-    /// A recess, its side, and the wall beside it share cells: each is a wall to look at, the one with most beams first.
+    /// A recess, its side, and the wall beside it.
     #[test]
-    fn cells_have_several_walls() {
+    fn points_of_several_walls_are_on_several_lines() {
         let on = |from: [f64; 2], to: [f64; 2], count: usize| {
             let at = move |i: usize| DVec2::from(from).lerp(DVec2::from(to), i as f64 / count as f64);
             (0..count).map(at)

@@ -48,11 +48,13 @@
 struct SensorIn20Lines;
 
 mod alignment;
+mod correlation;
 pub mod curve;
 mod dataset;
 mod density;
 mod distribution;
 mod error;
+mod false_discovery;
 mod family;
 mod frechet;
 mod kernel;
@@ -73,10 +75,12 @@ mod thin;
 pub mod wave;
 
 pub use alignment::Alignment;
+pub use correlation::Correlation;
 pub use dataset::Dataset;
 pub use density::{DensityEstimate, histogram, kernel_density};
 pub use distribution::{Distribution, Grid, Outcomes, PointMass};
 pub use error::Error;
+pub use false_discovery::false_discovery_rates;
 pub use family::{Family, Parameters, Second, gaussian_parameters};
 pub use frechet::{Frechet, FrechetOptions};
 pub use kernel::Kernel;

@@ -8,19 +8,6 @@ const FEWEST: usize = 10;
 const HEAVIEST: f64 = 0.5;
 const LIGHT: f64 = 1e-6;
 
-/// The false discovery rate at which each of some p-values, in increasing order, is a discovery (Benjamini and Hochberg 1995).
-pub fn false_discovery_rates(p_values: &[f64]) -> Vec<f64> {
-    let count = p_values.len() as f64;
-    let mut rates: Vec<f64> =
-        p_values.iter().enumerate().map(|(rank, p)| p * count / (rank + 1) as f64).collect();
-    let mut least = 1.0_f64;
-    for rate in rates.iter_mut().rev() {
-        least = least.min(*rate);
-        *rate = least;
-    }
-    rates
-}
-
 /// The upper tail of a sample: a generalized Pareto distribution over its last quarter, by probability-weighted moments
 /// (Hosking and Wallis 1987) of all but the largest value, which may be of another distribution. Never lighter than an exponential:
 /// what lies beyond a light tail would be impossible.
@@ -79,17 +66,6 @@ mod tests {
     use rand_philox::Philox;
 
     use super::*;
-
-    #[test]
-    fn a_discovery_has_the_rate_of_the_best_set_that_it_is_in() {
-        let rates = false_discovery_rates(&[0.001, 0.04, 0.041, 0.9]);
-        let expected = [0.004, 0.041 * 4.0 / 3.0, 0.041 * 4.0 / 3.0, 0.9];
-        assert!(
-            rates.iter().zip(expected).all(|(rate, expected)| (rate - expected).abs() < 1e-12),
-            "{rates:?}"
-        );
-        assert!(false_discovery_rates(&[]).is_empty());
-    }
 
     /// The chance of a number that one in a thousand exceeds, by the tail of 100 exponential ones: its logarithm is off by 1.7 (root of the
     /// mean square over 400 samples). By the last tenth of the numbers it is off by 3.4.

@@ -80,7 +80,7 @@ pub(crate) const CORRECTIONS: usize = 8;
 const CORRECTED_M: f64 = 0.001;
 /// Such steps in which readings that are far off count.
 const FAR_CORRECTIONS: usize = 4;
-/// Errors that lie more surely than this in one of the patterns of an effect (standard deviations) aren't sought far off.
+/// A fit whose errors lie more surely than this in one pattern of an effect (standard deviations) isn't taken: the effect explains them.
 const MOST_IN_PATTERN: f64 = 10.0;
 /// Standard deviation of walls' offsets from which fits start \[m\].
 const FIRST_WALL_ERROR_M: f64 = 0.02;
@@ -169,7 +169,7 @@ impl<'a> Comparison<'a> {
         };
         let pass_with = |effects: &Effects, fitted: &Fitted, state: usize| match &sources[state] {
             Some(sources) => self.pass_again(views, effects, fitted, sources),
-            None => self.pass(views, effects, fitted, Reach::Near),
+            None => self.pass(views, effects, fitted, near_weight),
         };
         let pass_of = |fitted: &Fitted| match &bursts {
             Some(bursts) => {
@@ -216,7 +216,6 @@ impl<'a> Comparison<'a> {
         // A reference that errs may err by more for a while; an exact one is not made to.
         let far = self.converge(effects, near.clone(), iterations, FAR_CORRECTIONS);
         let total = |fitted: &Fitted| self.evaluate_views(&self.views, effects, fitted, 0).total();
-        // What errs in a pattern is no reference.
         let is_pattern = far.pattern_scores.iter().any(|score| score.abs() > MOST_IN_PATTERN);
         if !is_pattern && total(&far) > total(&near) { far } else { near }
     }
@@ -234,13 +233,13 @@ impl<'a> Comparison<'a> {
             PosePattern::all().iter().map(|pattern| pattern.over(self.recorded)).collect();
         let bursts = BurstStates::of(effects);
         for round in 0..far + CORRECTIONS {
-            let reach = if round < far { Reach::Far } else { Reach::Near };
+            let weight = if round < far { wall_error::weight } else { near_weight };
             let pass = match &bursts {
                 Some(bursts) => {
                     let states = [&bursts.on, &bursts.off];
-                    self.mixed(bursts, states.map(|effects| self.pass(&self.views, effects, &fitted, reach)))
+                    self.mixed(bursts, states.map(|effects| self.pass(&self.views, effects, &fitted, weight)))
                 }
-                None => self.pass(&self.views, effects, &fitted, reach),
+                None => self.pass(&self.views, effects, &fitted, weight),
             };
             fitted.nuisances.pose_error = PoseError::NONE;
             self.update(&mut fitted, &pass);
@@ -343,12 +342,12 @@ impl<'a> Comparison<'a> {
         sources
     }
 
-    fn pass(&self, views: &Views, effects: &Effects, fitted: &Fitted, reach: Reach) -> Pass {
+    fn pass(&self, views: &Views, effects: &Effects, fitted: &Fitted, weight: Weight) -> Pass {
         let mut pass = Pass::new(views.scans());
         let density = self.density(effects, fitted);
         self.for_each_usable(views, fitted, |usable| {
             let terms = density.terms(&views.beams[usable.beam], usable.shift, usable.z);
-            pass.add(views, fitted, &usable, &terms, reach);
+            pass.add(views, fitted, &usable, &terms, weight);
         });
         if !views.pieces.is_empty() {
             self.fill_in(views, &mut pass.log_likelihood);
@@ -374,7 +373,7 @@ impl<'a> Comparison<'a> {
         let mut pass = Pass::new(views.scans());
         let density = self.density(effects, fitted);
         for (usable, sources) in sources {
-            pass.add(views, fitted, usable, &density.terms_of(sources, usable.z), Reach::Near);
+            pass.add(views, fitted, usable, &density.terms_of(sources, usable.z), near_weight);
         }
         pass
     }
@@ -485,15 +484,14 @@ struct Usable {
     z: f64,
 }
 
-/// How far off a reading may be to say where the robot is, on a map that is taken for exact.
-#[derive(Clone, Copy, PartialEq)]
-enum Reach {
-    /// As far as noise moves a reading of the wall.
-    Near,
-    /// As far as [`wall_error::weight`] has it: from a reference that is off by ten standard deviations of a reading no reading looks like one
-    /// of the wall, and the error would never be found.
-    Far,
+/// The weight of a reading in a fit of poses on a map that is taken for exact \[1/m^2\]: as far as noise moves a reading of the wall.
+/// [`wall_error::weight`] reaches farther: from a reference that is off by ten standard deviations no reading looks like one of the wall.
+fn near_weight(terms: &Terms) -> f64 {
+    if terms.hit > 1e-3 { terms.hit / terms.sigma.powi(2) } else { 0.0 }
 }
+
+/// The weight of a reading in a fit of poses.
+type Weight = fn(&Terms) -> f64;
 
 /// One look at all readings.
 struct Pass {
@@ -517,22 +515,19 @@ impl Pass {
     }
 
     #[inline]
-    fn add(&mut self, views: &Views, fitted: &Fitted, usable: &Usable, terms: &Terms, reach: Reach) {
+    fn add(&mut self, views: &Views, fitted: &Fitted, usable: &Usable, terms: &Terms, weight: Weight) {
         let &Usable { scan, beam: number, shift, z } = usable;
         let beam = &views.beams[number];
         self.log_likelihood[scan] += terms.density.ln();
-        if !views.pieces.is_empty() {
+        let is_exact = views.pieces.is_empty();
+        let weight = if is_exact { weight(terms) } else { wall_error::weight(terms) };
+        if weight > 0.0 {
+            // Linear in the correction: as seen from no correction.
             let pose = DVec3::from_array(beam.jacobian).dot(fitted.corrections[scan]);
-            let weight = wall_error::weight(terms);
-            if weight > 0.0 {
-                self.information[scan].add_beam(weight, beam.jacobian, terms.error + pose);
+            self.information[scan].add_beam(weight, beam.jacobian, terms.error + pose);
+            if !is_exact {
                 self.pulls.push(Pull { beam: number, weight, error: terms.error + shift });
             }
-        } else if terms.hit > 1e-3 || reach == Reach::Far {
-            let near = || terms.hit / terms.sigma.powi(2);
-            let weight = if reach == Reach::Far { wall_error::weight(terms) } else { near() };
-            // Linear in the correction: as seen from no correction.
-            self.information[scan].add_beam(weight, beam.jacobian, terms.error + shift);
         }
         let [shorts, exposure] = &mut self.clutter[scan];
         *shorts += terms.short;

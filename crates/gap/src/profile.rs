@@ -110,12 +110,9 @@ impl Source<'_> {
         let at_edges = matches!(named.name.description().statistics.first(), Some(effect::Statistic::Edge));
         let acts_on = |&(_, i): &(f64, usize)| {
             let view = &self.comparison.views.beams[i].view;
-            let at_wall = || {
-                named
-                    .place
-                    .iter()
-                    .any(|wall| distance_to(&wall.map(DVec2::from_array), view.endpoint) < AT_WALL_M)
-            };
+            let is_at =
+                |wall: &[[f64; 2]; 2]| distance_to(&wall.map(DVec2::from_array), view.endpoint) < AT_WALL_M;
+            let at_wall = || named.place.iter().any(is_at);
             (!at_edges || self.edges.beams[i].view.jump.is_some()) && (named.place.is_empty() || at_wall())
         };
         let items: Vec<usize> =

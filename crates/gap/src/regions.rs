@@ -1,7 +1,6 @@
 //! Where a log is off, and by how much.
 
-use distreg::empirical_wasserstein_1;
-use distreg::tail::false_discovery_rates;
+use distreg::{empirical_wasserstein_1, false_discovery_rates};
 use locsim_core::normal;
 use locsim_world::effect::Effect;
 use rand::RngExt;

@@ -263,6 +263,18 @@ def test_what_a_filter_refuses(room: locsim.Map, world) -> None:
         pf.update([1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match="odometry: a pose is not finite"):
         pf.predict([np.nan, 0, 0])
+    with pytest.raises(ValueError, match="odometry: a pose is not finite, or beyond"):
+        pf.predict([1e300, 0, 0])
+    with pytest.raises(ValueError, match="particles: 1000000000 is not allowed; at most 10000000"):
+        locsim.Filter(room, model, log.bearings, particles=10**9)
+    with pytest.raises(ValueError, match="start_sigma"):
+        locsim.Filter(room, model, log.bearings, start=log.poses[0], start_sigma=(1e308, 0.1))
+    with pytest.raises(ValueError, match="count: 1000000000 is not allowed"):
+        room.free_poses(10**9)
+    with pytest.raises(ValueError, match="bearings: NaN of beam 1 is not allowed"):
+        room.cast(log.poses[:1], [0.0, np.nan])
+    with pytest.raises(ValueError, match="points: a coordinate is not finite"):
+        room.distance([[np.nan, 1.0]])
     with pytest.raises(locsim.FilterError, match="particle count"):
         locsim.Filter(room, model, log.bearings, particles=0)
     with pytest.raises(locsim.FilterError, match="greatest particle count"):

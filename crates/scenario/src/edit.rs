@@ -35,7 +35,7 @@ impl Scenario {
     /// Whether [`with_effects`](Self::with_effects) gives a scenario with those effects.
     pub fn can_grow(&self) -> bool {
         let count = |text: &str| {
-            let scenario = Self::parse_text(&self.file, text, &Overrides::default()).ok()?;
+            let scenario = Self::of_text(&self.file, text, &Overrides::default()).ok()?;
             let simulator = scenario.simulator()?;
             Some([simulator.effects.len(), simulator.residuals.len()])
         };

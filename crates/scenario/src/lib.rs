@@ -56,7 +56,7 @@ impl Scenario {
     /// [`ScenarioError`] with everything that is wrong: file, line, key path, value and what is allowed.
     pub fn load(path: &Path, overrides: &Overrides) -> Result<Self, ScenarioError> {
         let text = yaml::read(path)?;
-        Self::parse_text(path, &text, overrides)
+        Self::of_text(path, &text, overrides)
     }
 
     /// Checks a scenario that isn't read from a file: a tree of its keys and values. `file` stands for it in errors; files that
@@ -65,7 +65,7 @@ impl Scenario {
     /// # Errors
     /// As [`Scenario::load`], without lines.
     pub fn of_tree(file: &Path, tree: &Value, overrides: &Overrides) -> Result<Self, ScenarioError> {
-        Self::parse_text(file, &yaml::text(tree), overrides).map_err(|error| error.without_lines_of(file))
+        Self::of_text(file, &yaml::text(tree), overrides).map_err(|error| error.without_lines_of(file))
     }
 
     /// The scenario's keys and values as they were written. Overrides are not among them.
@@ -84,8 +84,11 @@ impl Scenario {
         ScenarioError::Invalid { file: self.file.clone(), problems: vec![problem] }
     }
 
-    /// [`Scenario::load`] of a text that was read from `path`.
-    fn parse_text(path: &Path, text: &str, overrides: &Overrides) -> Result<Self, ScenarioError> {
+    /// Checks a text that is, or will be, in the file `path`.
+    ///
+    /// # Errors
+    /// As [`Scenario::load`].
+    pub fn of_text(path: &Path, text: &str, overrides: &Overrides) -> Result<Self, ScenarioError> {
         Self::parse(path, text, overrides, &|name| std::env::var(name).ok())
     }
 

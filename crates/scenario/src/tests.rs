@@ -509,7 +509,7 @@ fn no_number_and_no_key_of_a_shipped_scenario_can_do_harm() {
     for path in shipped() {
         let text = std::fs::read_to_string(&path).unwrap();
         for text in hostile_texts(&text) {
-            match Scenario::parse_text(&path, &text, &Overrides::default()) {
+            match Scenario::of_text(&path, &text, &Overrides::default()) {
                 Ok(_) => valid += 1,
                 Err(error) => {
                     assert_told(&error);

@@ -46,7 +46,7 @@ impl Template {
         for (key, value) in values {
             *place(&mut tree, key).map_err(|message| self.refused(key, message))? = value.clone();
         }
-        Scenario::parse_text(&self.file, &yaml::text(&tree), overrides)
+        Scenario::of_text(&self.file, &yaml::text(&tree), overrides)
     }
 
     fn refused(&self, key: &str, message: String) -> ScenarioError {

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use distreg::{Alignment, Dataset, Outcomes};
 use glam::DVec2;
+use locsim_core::limits::MOST_REPEATS;
 use locsim_core::{Draw, Stage};
 use locsim_world::raycast::ExactRangeMap;
 
@@ -54,8 +55,8 @@ pub(super) fn validate<'a>(
     let mut check = checker();
     let name = name(&mut check, raw.name.as_deref(), path);
     let repeats = match overrides.repeats {
-        Some(repeats) => check.count("--repeats", repeats.into(), 1, 100_000),
-        None => check.count("repeats", raw.repeats, 1, 100_000),
+        Some(repeats) => check.count("--repeats", repeats.into(), 1, MOST_REPEATS),
+        None => check.count("repeats", raw.repeats, 1, MOST_REPEATS),
     };
     let folds = check.count("folds", raw.folds, 2, 100) as usize;
     let states = counts(&mut check, "states", &raw.states, folds as u32);

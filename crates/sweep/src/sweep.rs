@@ -1,7 +1,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use locsim_core::limits::quoted;
+use locsim_core::limits::{MOST_TRIALS, quoted};
 use locsim_lab::run::{CostEstimate, duration, size};
 use locsim_report::trial_set::plain;
 use locsim_scenario::check::Checker;
@@ -59,8 +59,8 @@ impl Sweep {
         let name = name(&mut check, raw.name.as_deref(), path);
         let file = check.file("scenario", &raw.scenario);
         let trials = match overrides.trials {
-            Some(trials) => Some(check.count("--trials", trials.into(), 1, 1_000_000)),
-            None => raw.trials.map(|trials| check.count("trials", trials, 1, 1_000_000)),
+            Some(trials) => Some(check.count("--trials", trials.into(), 1, MOST_TRIALS)),
+            None => raw.trials.map(|trials| check.count("trials", trials, 1, MOST_TRIALS)),
         };
         let axes: Vec<Axis> = raw
             .axes

@@ -1,7 +1,7 @@
 //! Numbers of a recording that are likely in other units: millimetres, centimetres, degrees, milliseconds.
 
 use glam::DVec2;
-use locsim_core::{Drive, Pose2, median, wrap_angle};
+use locsim_core::{Drive, DriveStep, Pose2, median, wrap_angle};
 
 /// Half of the readings of a lidar on a robot end nearer \[m\].
 const USUAL_RANGE_M: f64 = 100.0;
@@ -52,7 +52,7 @@ pub fn unlikely_units(drive: &Drive) -> Vec<String> {
 }
 
 /// Stamps \[s\] and poses of the scans that have one.
-fn poses(drive: &Drive, pose: impl Fn(&locsim_core::DriveStep) -> Option<Pose2>) -> Vec<(f64, Pose2)> {
+fn poses(drive: &Drive, pose: impl Fn(&DriveStep) -> Option<Pose2>) -> Vec<(f64, Pose2)> {
     drive.steps.iter().filter_map(|step| Some((step.stamp_secs, pose(step)?))).collect()
 }
 
@@ -108,7 +108,7 @@ fn of_poses(what: &str, poses: &[(f64, Pose2)]) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use locsim_core::{DriveStep, Laser, Scan};
+    use locsim_core::{Laser, Scan};
 
     /// A robot that drives and turns, with units of its own for ranges, positions, headings, stamps and the mount.
     fn drive([range, position, heading, stamp, mount]: [f64; 5]) -> Drive {

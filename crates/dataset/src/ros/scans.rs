@@ -242,7 +242,7 @@ fn other_end(scan: &LaserScan, beams: usize) -> Option<String> {
     (beams > 1 && apart > (OTHER_END.0 * step.abs()).max(OTHER_END.1 * sector)).then(|| {
         format!(
             "angle_max is {:.4} rad, and {beams} ranges from angle_min {:.4} rad on, every angle_increment {step:.6} rad, end at {end:.4} rad. \
-             Increment and number count. If the map comes out inconsistent, they are wrong.",
+             The increment and the number of ranges are used. If the map comes out inconsistent, they are wrong.",
             scan.angle_max, scan.angle_min
         )
     })

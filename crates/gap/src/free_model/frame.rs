@@ -56,13 +56,17 @@ pub(crate) fn turned_frame(
             None => break,
         }
     }
-    let information = frame.information;
     let without = comparison.evaluate_views(&comparison.views, effects, fitted, 0).scans;
     let folds = comparison.recorded.folds;
     let gains =
         folds.sums(&with).iter().zip(folds.sums(&without)).map(|(with, without)| with - without).collect();
     let (deviation, covariate) = (Deviation::Frame, Covariate::Place);
-    Ok(Some(Misalignment { deviation, covariate, estimate: [-turn, information.sqrt().recip()], gains }))
+    Ok(Some(Misalignment {
+        deviation,
+        covariate,
+        estimate: [-turn, frame.information.sqrt().recip()],
+        gains,
+    }))
 }
 
 #[cfg(test)]

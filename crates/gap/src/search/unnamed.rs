@@ -10,10 +10,10 @@ use crate::free_model::Axis;
 use crate::outcome::{CurvePoint, Evidence, Unnamed};
 use crate::statistics::{Covariate, Deviation, Survey};
 
-/// Where what beams have in common gains nearly as much as the noise of every beam, which it makes larger, it is all that does.
+/// What beams share explains the noise of every beam where it gains at least this share of what the noise gains.
 const IN_COMMON: f64 = 0.9;
 
-/// Tells what the beams of a scan have in common before the noise of each that comes of it.
+/// Puts what the beams of a scan share before the noise that it causes.
 fn cause_first(all: &mut [Unnamed]) {
     let gain = |found: &Unnamed| found.evidence.gain_nats.value;
     if let Some(at) = all.iter().position(|found| found.covariate == Covariate::Neighbour)
@@ -132,5 +132,38 @@ mod tests {
         assert!((swing.period - 17.0).abs() < 0.5 && (swing.amplitude - 0.01).abs() < 5e-4, "{swing:?}");
         assert_eq!(of(&|t| 0.03 * (-t / 15.0).exp()), None);
         assert_eq!(of(&|t| 0.03 * (1.0 - t / 20.0).max(0.0)), None);
+    }
+
+    #[test]
+    fn what_beams_share_is_told_before_the_noise_that_it_causes() {
+        let found = |deviation, covariate, nats| Unnamed {
+            deviation,
+            covariate,
+            form_of: None,
+            evidence: Evidence {
+                gain_nats: Estimate::normal(nats, 1.0),
+                gain_nats_per_scan: 1.0,
+                score: None,
+                p: 0.01,
+            },
+            unit: "1",
+            size: 0.0,
+            wave: None,
+            curve: Vec::new(),
+        };
+        let noise = || found(Deviation::Spread, Covariate::Everywhere, 480.0);
+        let lag = || found(Deviation::Lag, Covariate::Odometry, 475.0);
+        for (shared_nats, first) in [(470.0, Covariate::Neighbour), (300.0, Covariate::Everywhere)] {
+            let mut all = vec![noise(), lag(), found(Deviation::Mean, Covariate::Neighbour, shared_nats)];
+            cause_first(&mut all);
+            assert_eq!((all[0].covariate, all.len()), (first, 3), "{shared_nats}");
+        }
+        // Noise over time has another cause.
+        let mut all = vec![
+            found(Deviation::Spread, Covariate::Time, 480.0),
+            found(Deviation::Mean, Covariate::Neighbour, 470.0),
+        ];
+        cause_first(&mut all);
+        assert_eq!(all[0].covariate, Covariate::Time);
     }
 }

@@ -106,7 +106,7 @@ pub(crate) enum Group {
 
 impl Group {
     pub const COUNT: usize = 6;
-    /// Those that are of no effect.
+    /// Those whose statistics aren't of an effect of the library.
     pub const OMNIBUS: [Self; 2] = [Self::Cells, Self::Misalignments];
 }
 

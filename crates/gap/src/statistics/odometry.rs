@@ -1,6 +1,6 @@
 //! Errors of the odometry's increments against those of the reference.
 
-use distreg::moments::Correlation;
+use distreg::Correlation;
 use locsim_core::Folds;
 use locsim_world::effect::{self, Axis, EffectKind};
 use locsim_world::simulation::{Increment, OdometrySpread, lagging, standardized};

@@ -5,6 +5,7 @@ use std::path::Path;
 use locsim_dataset::{LogOptions, OdometryError};
 use locsim_scenario::edit::yaml_path;
 use locsim_scenario::effect::quoted_text;
+use locsim_scenario::{Overrides, Scenario};
 use minijinja::syntax::SyntaxConfig;
 use minijinja::{Environment, context};
 
@@ -25,9 +26,6 @@ const TRAINING_BEAMS: usize = 90;
 const FILTER_BEAMS: usize = 36;
 /// The deviation of a reading where nothing is known of it \[m\]: that of most lidars.
 const USUAL_SIGMA_M: f64 = 0.02;
-/// What a scenario takes as the noise of readings \[m\] and of odometry, at the most.
-const MOST_SIGMA_M: f64 = 1.0;
-const MOST_ALPHA: f64 = 1000.0;
 /// A field of view that lacks less than this many beams of a full circle is one.
 const FULL_CIRCLE_BEAMS: f64 = 1.5;
 /// Rounding to f32 doesn't make -180 degrees 180 \[deg\].
@@ -54,19 +52,10 @@ impl NewScenario<'_> {
     /// The text of the scenario.
     ///
     /// # Errors
-    /// [`LabError::Log`] for a log without scans, or without odometry, or without both a reference and a map.
+    /// [`LabError::Log`] for a log without scans, or without odometry, or without both a reference and a map, and for one of which no legal
+    /// scenario comes: numbers that are out of range, a file that scenarios can't name.
     pub fn text(&self, inspection: &Inspection) -> Result<String, LabError> {
         let refuse = |what: String| LabError::Log { path: self.log.to_owned(), what };
-        let folder = self.out.parent().unwrap_or(Path::new(""));
-        for file in [Some(self.log), self.map].into_iter().flatten() {
-            if file.to_str().is_none() || yaml_path(file, folder).contains("${") {
-                return Err(LabError::Log {
-                    path: file.to_owned(),
-                    what: "a scenario can't name this file: paths there are UTF-8, and `${NAME}` is an environment variable"
-                        .to_owned(),
-                });
-            }
-        }
         if let Some(problem) = &inspection.problem {
             return Err(refuse(problem.clone()));
         }
@@ -75,22 +64,6 @@ impl NewScenario<'_> {
             .as_ref()
             .filter(|_| inspection.lacks.run.is_empty())
             .ok_or_else(|| refuse(format!("a scenario needs {}", inspection.lacks.run.join("; "))))?;
-        let readings = &facts.quality.readings;
-        let noise_m =
-            readings.still_noise_m.filter(|sigma| *sigma > 0.0).or(readings.flat_noise_m).unwrap_or(0.0);
-        if noise_m > MOST_SIGMA_M {
-            return Err(refuse(format!(
-                "the noise of readings would be {noise_m:.2} m, more than {MOST_SIGMA_M} m: ranges may be in centimetres, or stamps all alike"
-            )));
-        }
-        let error = facts.quality.odometry.as_ref().and_then(|odometry| odometry.error.as_ref());
-        if let Some(alpha) = error.and_then(|error| error.alpha.into_iter().find(|alpha| *alpha > MOST_ALPHA))
-        {
-            return Err(refuse(format!(
-                "the odometry's noise against the reference would be alpha {alpha:.0}, more than {MOST_ALPHA}: positions of one of them may be \
-                 in centimetres"
-            )));
-        }
         let has_reference = facts.references() > 0;
         let split = inspection.split.as_ref();
         if self.map.is_none() && split.is_none() {
@@ -107,7 +80,16 @@ impl NewScenario<'_> {
                 )
             }));
         }
-        Ok(self.render(facts, split).map_err(ReportError::from)?)
+        let text = self.render(facts, split).map_err(ReportError::from)?;
+        // A folder that isn't there is refused when the file is written; here no file would be found from it.
+        if self.out.parent().is_none_or(|folder| folder.as_os_str().is_empty() || folder.is_dir()) {
+            Scenario::of_text(self.out, &text, &Overrides::default()).map_err(|error| {
+                refuse(format!(
+                    "no scenario can be made of it; `locsim inspect` says what is odd about the log. {error}"
+                ))
+            })?;
+        }
+        Ok(text)
     }
 
     fn render(&self, facts: &DriveFacts, split: Option<&Split>) -> Result<String, minijinja::Error> {

@@ -8,7 +8,7 @@ mod source;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use locsim_core::limits::quoted;
+use locsim_core::limits::{MOST_TRIALS, quoted};
 use locsim_world::simulation::{RobotPath, Trajectory};
 
 use super::check::Allowed::Within;
@@ -37,9 +37,9 @@ pub(crate) fn validate(
     mut check: Checker<'_>,
 ) -> Result<Scenario, ScenarioError> {
     let name = name(&mut check, raw.name.as_deref(), path);
-    let trials_of_file = check.count("trials", raw.trials, 1, 1_000_000);
+    let trials_of_file = check.count("trials", raw.trials, 1, MOST_TRIALS);
     let trials = match overrides.trials {
-        Some(trials) => check.count("--trials", trials.into(), 1, 1_000_000),
+        Some(trials) => check.count("--trials", trials.into(), 1, MOST_TRIALS),
         None => trials_of_file,
     };
     let ray_cast = source::ray_cast(&mut check, &raw.ray_cast);
