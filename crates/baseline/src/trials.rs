@@ -324,7 +324,8 @@ fn objects(pool: &Pool<'_>) -> Vec<Effect> {
 fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
     let mut cells: BTreeMap<[i32; 2], Vec<u32>> = BTreeMap::new();
     for (index, reading) in pool.readings.iter().enumerate() {
-        if reading.expected.mean.is_finite() {
+        let is_of_wall = !pool.logs[reading.log].views.is_unsure(reading.index);
+        if reading.expected.mean.is_finite() && is_of_wall {
             let end = pool.beam(reading).view.endpoint;
             cells.entry(cell_at(end, WALL_CELL_M)).or_default().push(index as u32);
         }

@@ -61,10 +61,12 @@ mod kernel;
 mod local_regression;
 mod loss;
 pub mod matrix;
+mod max_t;
 pub mod moments;
 mod np_reg;
 mod p_reg;
 mod point_share;
+pub mod random_effects;
 mod regressor;
 mod search;
 mod smoother;
@@ -89,6 +91,7 @@ pub use loss::{
     Loss, Risk, crps, empirical_wasserstein_1, euclidean, histogram_match, log_loss, losses, risk,
     wasserstein_1,
 };
+pub use max_t::MaxT;
 pub use np_reg::{NpReg, NpRegOptions};
 pub use p_reg::{PReg, PRegOptions};
 pub use regressor::{ConditionalDistribution, Predictions, Regressor, Scratch};

@@ -1,4 +1,4 @@
-//! The inverse of a small information matrix.
+//! Inverse and quadratic form of a small information matrix.
 
 use nalgebra::{Cholesky, DMatrix};
 
@@ -31,6 +31,11 @@ pub fn invert(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
         }
         ridge = if ridge == 0.0 { FIRST_RIDGE } else { 2.0 * ridge };
     }
+}
+
+/// The quadratic form of a square matrix at a vector of as many numbers.
+pub fn quadratic(matrix: &[Vec<f64>], v: &[f64]) -> f64 {
+    matrix.iter().zip(v).map(|(row, a)| a * row.iter().zip(v).map(|(m, b)| m * b).sum::<f64>()).sum()
 }
 
 #[cfg(test)]

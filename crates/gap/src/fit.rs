@@ -2,7 +2,7 @@
 
 use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
-use distreg::matrix::invert;
+use distreg::matrix::{invert, quadratic};
 use locsim_core::{Interval, normal, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -487,10 +487,6 @@ impl CostFunction for &Problem<'_, '_, '_> {
         let total = self.search.evaluate_roughly(&self.effect(numbers)?)?;
         Ok(if total.is_finite() { -total } else { f64::MAX })
     }
-}
-
-fn quadratic(matrix: &[Vec<f64>], v: &[f64]) -> f64 {
-    matrix.iter().zip(v).map(|(row, a)| a * row.iter().zip(v).map(|(m, b)| m * b).sum::<f64>()).sum()
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use distreg::random_effects;
 use glam::DVec3;
 use locsim_core::Pose2;
 use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
@@ -414,7 +415,7 @@ impl<'a> Comparison<'a> {
             return;
         };
         let data = wall_error::gather(views, &fitted.corrections, &pass.pulls, fitted.offsets.len());
-        fitted.offsets = wall_error::offsets(pieces.sigmas(), error_m, &data);
+        fitted.offsets = random_effects::most_likely(pieces.sigmas(), error_m, &data);
     }
 
     /// Fits how far walls stand off, and each one's offset. Returns the largest change of an offset \[m\].
@@ -424,11 +425,11 @@ impl<'a> Comparison<'a> {
         };
         let data = wall_error::gather(&self.views, &fitted.corrections, &pass.pulls, fitted.offsets.len());
         let error_m = wall_error::fit(pieces.sigmas(), error_m, &data, iterations);
-        let offsets = wall_error::offsets(pieces.sigmas(), error_m, &data);
+        let offsets = random_effects::most_likely(pieces.sigmas(), error_m, &data);
         let changes = offsets.iter().zip(&fitted.offsets).map(|(a, b)| (a - b).abs());
         let changed = changes.fold(0.0, f64::max);
         fitted.nuisances.wall_error_m = Some(error_m);
-        fitted.known_offsets = wall_error::known(pieces.sigmas(), error_m, &data);
+        fitted.known_offsets = random_effects::posteriors(pieces.sigmas(), error_m, &data);
         fitted.offsets = offsets;
         changed
     }
@@ -439,7 +440,7 @@ impl<'a> Comparison<'a> {
             return;
         };
         let data = wall_error::gather(views, &fitted.corrections, &pass.pulls, fitted.offsets.len());
-        let priors = wall_error::log_priors(pieces.sigmas(), error_m, &data, &fitted.offsets);
+        let priors = random_effects::log_priors(pieces.sigmas(), error_m, &data, &fitted.offsets);
         for pull in &pass.pulls {
             if let Some(PieceView { piece, lean }) = views.pieces[pull.beam] {
                 let share = pull.weight * lean * lean / data[piece as usize].information;

@@ -48,7 +48,7 @@ pub(crate) fn compare(
         let statistics = measure(&other, &fitted, draw.seed(i));
         let likelihood =
             (i < WITH_LIKELIHOOD).then(|| other.evaluate_views(&other.views, &effects, &fitted, 0).total());
-        tick(1);
+        tick(u64::from(i < replicates));
         Ok((statistics, fitted.nuisances, likelihood))
     };
     let (mut statistics, mut nuisances, mut log_likelihoods) = (Vec::new(), Vec::new(), Vec::new());
@@ -68,11 +68,13 @@ pub(crate) fn compare(
             EARLIEST_LOOK => null.p > NOTHING_SO_EARLY,
             _ => null.p > CLEARLY_NOTHING || null.is_clearly_off(),
         };
-        if begun == replicates || is_clear {
-            tick(u64::from(replicates - begun));
+        let is_in_doubt = (FEWEST_TO_REJECT..ENOUGH).contains(&begun) && null.p <= IN_DOUBT;
+        if is_clear || (begun >= replicates && !is_in_doubt) {
+            tick(u64::from(replicates.saturating_sub(begun)));
             return Ok(Null { nuisances, log_likelihoods, ..null });
         }
-        end = if begun < FIRST_LOOK { FIRST_LOOK.min(replicates) } else { replicates };
+        let looks = [FIRST_LOOK.min(replicates), replicates, ENOUGH];
+        end = looks.into_iter().find(|look| *look > begun).unwrap_or(begun);
     }
 }
 
@@ -87,3 +89,9 @@ const CLEARLY_NOTHING: f64 = 0.1;
 const EARLIEST_LOOK: u32 = 59;
 /// if a larger share of them than this exceeds the log.
 const NOTHING_SO_EARLY: f64 = 0.3;
+/// Where it isn't clear after as few replicates as this, the fewest that can reject at a false-alarm rate of 1 %,
+const FEWEST_TO_REJECT: u32 = 99;
+/// and no larger a share of them than this exceeds the log, one replicate more or less would decide.
+const IN_DOUBT: f64 = 0.05;
+/// So many are simulated then. A log is rejected by all of them or not at all, so that the rate of false alarms is theirs.
+const ENOUGH: u32 = 399;

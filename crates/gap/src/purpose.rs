@@ -22,6 +22,8 @@ pub enum Purpose {
     FreeModel = 17,
     /// Prior draws of parameters that a log hardly constrains, for their intervals.
     Prior = 14,
+    /// The simulated logs that say what noise fits of poses and walls leave.
+    Calibration = 19,
     /// Permutations of the stretches of two logs.
     Permutations = 18,
     /// The filter on the measured log.

@@ -1,8 +1,7 @@
 //! A log's statistics ranked among those of replicates: standardized, in groups, under one false-alarm rate.
 
+use distreg::MaxT;
 use distreg::moments::Moments;
-use distreg::tail::Tail;
-use locsim_core::sorted;
 
 use crate::hypothesis::Nuisances;
 use crate::statistics::{Form, Group, Halves, Statistic};
@@ -17,8 +16,7 @@ pub(crate) struct Null {
     pub p_library: f64,
     pub p_omnibus: f64,
     pub p: f64,
-    /// How much each statistic says: minus the logarithm of the chance that one of its group says as much, over the
-    /// group's share of the false-alarm rate.
+    /// How much each statistic says, see [`MaxT`].
     pub weight: Vec<f64>,
     /// The largest weight of each replicate, in order.
     pub largest: Vec<f64>,
@@ -50,9 +48,8 @@ impl Null {
 /// of those by so much.
 const FARTHER: f64 = 3.0;
 
-/// How the false-alarm rate is shared out among the groups of statistics, in their order. Each gets its share however many
-/// statistics it has, and one whose largest is now and then far off doesn't raise what the others have to exceed.
-const SHARES: [f64; Group::COUNT] = [0.38, 0.2, 0.14, 0.05, 0.18, 0.05];
+/// How the false-alarm rate is shared out among the groups of statistics, in their order.
+const SHARES: [f64; Group::COUNT] = [0.38, 0.14, 0.14, 0.05, 0.18, 0.05, 0.06];
 
 pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halves>]) -> Null {
     let count = others.len() + 1;
@@ -85,48 +82,21 @@ pub(crate) fn rank(statistics: &[Statistic], own: &[Halves], others: &[Vec<Halve
         z[i] = rest.normal(values[count - 1], least, is_count);
         spreads[i] = rest.variance().sqrt().max(least);
     }
-    // Each group's largest as a p-value over the group's share, as a logarithm.
-    let tails: Vec<Tail> = (0..Group::COUNT).map(|g| Tail::of(largest.iter().map(|t| t[g]))).collect();
-    let weighed: Vec<[f64; Group::COUNT]> = largest
-        .iter()
-        .map(|t| std::array::from_fn(|g| tails[g].minus_log_p(t[g]) + SHARES[g].ln()))
-        .collect();
-    let p_of = |of: &dyn Fn(&[f64; Group::COUNT]) -> f64| {
-        let mine = of(&weighed[count - 1]);
-        weighed.iter().filter(|other| of(other) >= mine).count() as f64 / count as f64
-    };
-    let all = |t: &[f64; Group::COUNT]| t.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let p_library = p_of(&|t| {
-        let mut library = *t;
-        for group in Group::OMNIBUS {
-            library[group as usize] = f64::NEG_INFINITY;
-        }
-        all(&library)
-    });
-    let p_omnibus = p_of(&|t| {
-        Group::OMNIBUS.map(|group| t[group as usize]).into_iter().fold(f64::NEG_INFINITY, f64::max)
-    });
-    let p = p_of(&all);
-    let sorted = sorted(weighed[..count - 1].iter().map(all));
-    let above = ((0.01 * sorted.len() as f64).ceil() as usize).max(1);
-    let weight = statistics
-        .iter()
-        .zip(&z)
-        .map(|(statistic, &z)| {
-            let group = statistic.group as usize;
-            tails[group].minus_log_p(statistic.off(z)) + SHARES[group].ln()
-        })
-        .collect();
-    let thresholds = std::array::from_fn(|g| tails[g].at(sorted[sorted.len() - above] - SHARES[g].ln()));
+    let max_t = MaxT::new(&largest, SHARES);
+    let is_omnibus = |group: usize| Group::OMNIBUS.iter().any(|of| *of as usize == group);
+    let largest = max_t.of_replicates();
+    let above = ((0.01 * largest.len() as f64).ceil() as usize).max(1);
+    let weights = statistics.iter().zip(&z).map(|(of, &z)| max_t.weight(of.group as usize, of.off(z)));
+    let weight = weights.collect();
     Null {
         z,
         halves,
-        p_library,
-        p_omnibus,
-        p,
+        p_library: max_t.p(|group| !is_omnibus(group)),
+        p_omnibus: max_t.p(is_omnibus),
+        p: max_t.p(|_| true),
         weight,
-        largest: sorted,
-        thresholds,
+        thresholds: max_t.values_at(largest[largest.len() - above]),
+        largest,
         spread: spreads,
         nuisances: Vec::new(),
         log_likelihoods: Vec::new(),

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use glam::DVec2;
-use locsim_core::{Draw, Pose2, Stage, Track};
+use locsim_core::{Draw, Stage, Track};
 use locsim_world::effect::Effect;
 use locsim_world::simulation::{BlockResampling, MovedWalls};
 use rand::RngExt;
@@ -17,7 +17,6 @@ use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// Items of a scan's draws beside those of the simulator.
 const REFERENCE_ERROR: u32 = 1;
-const ODOMETRY_ERROR: u32 = 2;
 /// Item of a piece of wall.
 const WALL_ERROR: u32 = 3;
 /// Item of what all walls stand off by.
@@ -80,9 +79,8 @@ impl<'a> Replay<'a> {
             let scans = readings.chunks(all);
             scans.flat_map(|scan| self.recorded.kept.iter().map(|&beam| scan[beam])).collect()
         };
-        let noise = &self.nuisances.odometry_error.noise;
-        let odometry = locsim_world::simulation::odometry_along(truth.poses(), noise, &effects, seed);
-        Ok(self.recorded.with(readings, self.with_odometry_error(&odometry, seed)))
+        let odometry = self.nuisances.odometry_error.along(truth.poses(), &effects, seed);
+        Ok(self.recorded.with(readings, odometry))
     }
 
     /// The walls of a measured map as far off as such walls are.
@@ -111,29 +109,6 @@ impl<'a> Replay<'a> {
         let track = &self.recorded.track;
         let draw = |scan| Draw::new(seed, Stage::Path, scan).item(REFERENCE_ERROR);
         track.with_poses(self.nuisances.pose_error.perturb(track, draw))
-    }
-
-    /// Increments with the errors that don't grow with the motion.
-    fn with_odometry_error(&self, odometry: &[Pose2], seed: u64) -> Vec<Pose2> {
-        let error = self.nuisances.odometry_error;
-        let mut pose = Pose2::IDENTITY;
-        let mut track = vec![pose];
-        for (i, pair) in odometry.windows(2).enumerate() {
-            let mut rng = Draw::new(seed, Stage::Odometry, i as u32).item(ODOMETRY_ERROR);
-            let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-            let step = pair[1].relative_to(&pair[0]);
-            let stretch = error.sigma_m * normal();
-            let along = step.position().normalize_or_zero();
-            let turn = error.sigma_rad * normal();
-            let step = Pose2::new(
-                step.x + stretch * if along.x == 0.0 && along.y == 0.0 { 1.0 } else { along.x },
-                step.y + stretch * along.y,
-                step.theta + turn,
-            );
-            pose = pose.compose(&step);
-            track.push(pose);
-        }
-        track
     }
 }
 
@@ -200,7 +175,7 @@ impl BlockTruth {
     const WALKING: Self = Self { walks: true, ..Self::of(BlockResampling::EachScanN(40)) };
 
     /// Blocks that stand until they take new places.
-    const fn of(resample: BlockResampling) -> Self {
+    pub const fn of(resample: BlockResampling) -> Self {
         Self { resample, walks: false, density_over_fit: 1.0 }
     }
 

@@ -14,7 +14,6 @@ use locsim_core::{Draw, Drive, Track};
 use locsim_world::effect::{Effect, Effects, Moves};
 use locsim_world::simulation::{BlockResampling, OdometrySpread};
 use rayon::prelude::*;
-use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::hidden::Regime;
 use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
@@ -296,12 +295,6 @@ fn stronger(effect: &Effect, index: usize, up: f64) -> Effect {
 /// An effect that comes in bursts as one that doesn't: how many bursts a log has is chance, and would count as noise.
 fn evenly_spread(effect: &Effect) -> Effect {
     effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread)
-}
-
-/// Power of the best test at a false-alarm rate.
-pub fn oracle_power(lambda: f64, false_alarm: f64) -> f64 {
-    let Ok(normal) = Normal::new(0.0, 1.0) else { return 0.0 };
-    normal.cdf(lambda.max(0.0).sqrt() - normal.inverse_cdf(1.0 - false_alarm))
 }
 
 #[cfg(test)]

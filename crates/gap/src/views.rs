@@ -152,7 +152,7 @@ impl Views {
     }
 
     /// Whether a beam has no nominal range, as far as the map says.
-    pub(crate) fn is_unsure(&self, beam: usize) -> bool {
+    pub fn is_unsure(&self, beam: usize) -> bool {
         matches!(self.unsure.get(beam), Some(Some(_)))
     }
 

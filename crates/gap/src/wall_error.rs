@@ -3,8 +3,8 @@
 //! All beams that meet a piece share its offset, in all scans. Offsets are normal, with a variance that is the map's own and one
 //! that is fitted to the log: what the map doesn't know of its errors.
 
+use distreg::random_effects::{GroupEvidence, common_deviation};
 use glam::DVec3;
-use locsim_core::median;
 
 use crate::likelihood::Terms;
 use crate::views::{PieceView, Views};
@@ -41,16 +41,14 @@ pub(crate) fn weight(terms: &Terms) -> f64 {
     (near / (near + terms.error.powi(2))).powi(2) / terms.sigma.powi(2)
 }
 
-/// Likelihood of the offset of a piece, from its readings: information and its product with the mean.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Data {
-    pub information: f64,
-    vector: f64,
-}
-
 /// What readings say of each piece, given the corrections of the poses.
-pub(crate) fn gather(views: &Views, corrections: &[DVec3], pulls: &[Pull], pieces: usize) -> Vec<Data> {
-    let mut data = vec![Data::default(); pieces];
+pub(crate) fn gather(
+    views: &Views,
+    corrections: &[DVec3],
+    pulls: &[Pull],
+    pieces: usize,
+) -> Vec<GroupEvidence> {
+    let mut data = vec![GroupEvidence::default(); pieces];
     for &Pull { beam, weight, error } in pulls {
         if let Some(PieceView { piece, lean }) = views.pieces[beam] {
             let jacobian = DVec3::from_array(views.beams[beam].jacobian);
@@ -63,69 +61,9 @@ pub(crate) fn gather(views: &Views, corrections: &[DVec3], pulls: &[Pull], piece
     data
 }
 
-fn variances(sigmas: &[f64], error_m: f64) -> impl Iterator<Item = f64> {
-    sigmas.iter().map(move |sigma| sigma * sigma + error_m * error_m)
-}
-
-/// The most likely offset of each piece.
-pub(crate) fn offsets(sigmas: &[f64], error_m: f64, data: &[Data]) -> Vec<f64> {
-    let pieces = variances(sigmas, error_m).zip(data);
-    pieces.map(|(variance, data)| data.vector / (data.information + variance.recip())).collect()
-}
-
-/// Offset and standard deviation of each piece that has readings, about the middle of all: what pieces of such a map stand off by
-/// (the empirical Bayes posterior of all of them; few are far off, and most hardly at all, which no normal number is).
-pub(crate) fn known(sigmas: &[f64], error_m: f64, data: &[Data]) -> Vec<[f64; 2]> {
-    let pieces = variances(sigmas, error_m).zip(data).filter(|(_, data)| data.information > 0.0);
-    let mut known: Vec<[f64; 2]> = pieces
-        .map(|(variance, data)| {
-            let posterior = (data.information + variance.recip()).recip();
-            [posterior * data.vector, posterior.sqrt()]
-        })
-        .collect();
-    let middle = median(&mut known.iter().map(|[offset, _]| *offset).collect::<Vec<_>>());
-    for [offset, _] in &mut known {
-        *offset -= middle;
-    }
-    known
-}
-
-/// Log density of the offsets, with the volume of what they may be (Laplace's method).
-pub(crate) fn log_priors(sigmas: &[f64], error_m: f64, data: &[Data], offsets: &[f64]) -> Vec<f64> {
-    let pieces = variances(sigmas, error_m).zip(data).zip(offsets);
-    pieces
-        .map(|((variance, data), offset)| {
-            -0.5 * (offset * offset / variance + (data.information * variance).ln_1p())
-        })
-        .collect()
-}
-
-/// Standard deviation of the offsets beyond what the map says, by expectation maximization, about their mean: an offset of all
-/// walls is no error of the map, but of the ranges.
-pub(crate) fn fit(sigmas: &[f64], start_m: f64, data: &[Data], iterations: usize) -> f64 {
-    let mut error_m = start_m;
-    for _ in 0..iterations {
-        let mut pieces: Vec<[f64; 3]> = variances(sigmas, error_m)
-            .zip(data)
-            .zip(sigmas)
-            .filter(|((_, data), _)| data.information > 0.0)
-            .map(|((variance, data), sigma)| {
-                let posterior = (data.information + variance.recip()).recip();
-                [posterior * data.vector, posterior, sigma * sigma]
-            })
-            .collect();
-        let middle = median(&mut pieces.iter().map(|[offset, ..]| *offset).collect::<Vec<_>>());
-        pieces.retain(|[offset, ..]| (offset - middle).abs() < OFF_M);
-        let n = pieces.len() as f64;
-        if n < 2.0 {
-            return error_m;
-        }
-        let mean = pieces.iter().map(|[offset, ..]| offset).sum::<f64>() / n;
-        let excess =
-            pieces.iter().map(|[offset, variance, known]| (offset - mean).powi(2) + variance - known);
-        error_m = (excess.sum::<f64>() / n).max(0.0).sqrt().max(LEAST_M);
-    }
-    error_m
+/// Standard deviation of the offsets beyond what the map says: an offset of all walls is no error of the map, but of the ranges.
+pub(crate) fn fit(sigmas: &[f64], start_m: f64, data: &[GroupEvidence], iterations: usize) -> f64 {
+    common_deviation(sigmas, start_m, data, iterations, OFF_M).max(LEAST_M)
 }
 
 #[cfg(test)]

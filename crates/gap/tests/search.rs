@@ -9,7 +9,6 @@ use locsim_gap::PoseError;
 use locsim_gap::hidden::{Regime, record_library};
 use locsim_gap::{
     Covariate, Deviation, GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find,
-    oracle_power,
 };
 use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::map::{Polyline, VectorMap};
@@ -347,7 +346,6 @@ fn strengths_have_the_information_that_is_asked_for() {
     // 160 scans of 24 beams, about nine of ten on walls, sigma 1 cm.
     let normal = (strong.values[0] / 0.01).powi(2) * 160.0 * 24.0;
     assert!((0.6 * normal..1.2 * normal).contains(&found), "{found} of {normal}");
-    assert!((oracle_power(13.03, 0.01) - 0.9).abs() < 0.003);
 }
 
 /// The least error of a bias is that of a mean, sigma / sqrt(n), as is its strength over sqrt(lambda); that of a share of lost

@@ -3,14 +3,19 @@
 use locsim_core::normal::SIGMA_OVER_MAD;
 use locsim_core::{median, sorted};
 use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::simulation::BlockResampling;
+use rayon::prelude::*;
 
-use crate::hypothesis::{Comparison, Fitted};
-use crate::{GapError, Guess, Nominal};
+use crate::hypothesis::{Comparison, Fitted, Nuisances};
+use crate::replay::{BlockTruth, Replay};
+use crate::{GapError, Guess, Nominal, Purpose};
 
 /// A return this far behind a wall is of no wall \[m\].
 const BEHIND_M: f64 = 1.0;
 /// Beams in each of the groups of which the one with the smallest share counts, at the least.
 const FEWEST: f64 = 200.0;
+/// For noise they are at least this part of the readings: what few beams of a wall or two say of it is the fit of these walls.
+const LEAST_PART: f64 = 0.05;
 /// Standard deviations of a count by which it may be too small by chance.
 const ERRORS: f64 = 2.0;
 /// Incidences that groups are of, in equal parts of a right angle, and ranges, in equal parts of the beams.
@@ -20,18 +25,26 @@ const RANGES: usize = 3;
 /// A return this near to a wall is of it \[m\].
 const NEAR_M: f64 = 0.15;
 /// A log whose fitted density of clutter is less than this share of the scenario's has none.
-const HARDLY_ANY: f64 = 0.05;
+pub const HARDLY_ANY: f64 = 0.05;
 /// Walls of a measured map are known no better than this \[m\].
 const LEAST_M: f64 = 1e-3;
+/// Simulated logs that say what noise fits leave.
+const LOGS: u32 = 4;
 /// Standard error of a standard deviation by the median, over it and times the root of the number of values.
 const MEDIAN_ERROR: f64 = 1.17;
 
 /// The simulator with no more noise, and no larger shares of missing and of random readings, than the log has where it has least, and
 /// without clutter where the log has none. Every scenario has a guess of them, and no effect makes the laser's smaller.
-pub fn as_in_log(comparison: &Comparison<'_>, fitted: &Fitted) -> Result<(Nominal, Vec<Guess>), GapError> {
+pub fn as_in_log(
+    comparison: &Comparison<'_>,
+    fitted: &Fitted,
+    seed: u64,
+) -> Result<(Nominal, Vec<Guess>), GapError> {
     let scenario = comparison.nominal;
     let nominal = with_shares_of_log(comparison)?;
-    let sigma_m = noise_of_log(comparison, fitted).max(LEAST_M).min(scenario.laser.sigma_m);
+    let least_m = noise_of_log(comparison, fitted).max(LEAST_M).min(scenario.laser.sigma_m);
+    let simulated_m = noise_of_simulated(comparison, &nominal.clone().with_noise(least_m), fitted, seed)?;
+    let sigma_m = (least_m * least_m / simulated_m).min(scenario.laser.sigma_m);
     let blocks = scenario.blocks.map_or(0.0, |blocks| blocks.per_metre_of_wall);
     let is_bare = blocks > 0.0 && fitted.nuisances.block_density < HARDLY_ANY;
     let nominal = if is_bare { nominal.without_blocks()? } else { nominal }.with_noise(sigma_m);
@@ -61,6 +74,7 @@ fn noise_of_log(comparison: &Comparison<'_>, fitted: &Fitted) -> f64 {
             errors.push([beam.range(), beam.view.incidence, error]);
         }
     });
+    let fewest = FEWEST.max(LEAST_PART * errors.len() as f64);
     let ranges = sorted(errors.iter().map(|[range, ..]| *range));
     let mut groups: [Vec<f64>; INCIDENCES * RANGES] = std::array::from_fn(|_| Vec::new());
     for [range, incidence, error] in errors {
@@ -71,8 +85,27 @@ fn noise_of_log(comparison: &Comparison<'_>, fitted: &Fitted) -> f64 {
         let chance = 1.0 + ERRORS * MEDIAN_ERROR / (errors.len() as f64).sqrt();
         SIGMA_OVER_MAD * median(errors) * chance
     };
-    let large = groups.iter_mut().filter(|errors| errors.len() as f64 >= FEWEST);
+    let large = groups.iter_mut().filter(|errors| errors.len() as f64 >= fewest);
     large.map(of_group).fold(f64::INFINITY, f64::min)
+}
+
+/// The least noise that simulated logs of a simulator seem to have \[m\] (mean): fits of poses and walls take some of it.
+fn noise_of_simulated(
+    comparison: &Comparison<'_>,
+    nominal: &Nominal,
+    fitted: &Fitted,
+    seed: u64,
+) -> Result<f64, GapError> {
+    let comparison = Comparison { nominal, ..comparison.of(comparison.recorded) };
+    let replay = Replay::new(&comparison, &[], fitted, BlockTruth::of(BlockResampling::EachObservation));
+    let draw = Purpose::Calibration.draw(seed);
+    let of_log = |i: u32| {
+        let log = replay.simulate(draw.seed(i))?;
+        let other = comparison.of(&log);
+        Ok(noise_of_log(&other, &other.fit_nuisances(&Nuisances::default(), 20)))
+    };
+    let found = (0..LOGS).into_par_iter().map(of_log).collect::<Result<Vec<f64>, GapError>>()?;
+    Ok(found.iter().sum::<f64>() / f64::from(LOGS))
 }
 
 /// The group of a beam, of a log with these ranges in order.
@@ -137,7 +170,6 @@ mod tests {
     use crate::Recorded;
     use crate::fixtures::{MEASURED, TRUTH};
     use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::Nuisances;
 
     /// Readings with 10 mm of noise: a scenario of 20 mm has as little in the search, one of 5 mm keeps what it has.
     #[test]
@@ -149,7 +181,7 @@ mod tests {
             let scenario = MEASURED.clone().with_noise(guess);
             let comparison = Comparison::new(&scenario, &recorded).unwrap();
             let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-            let (found, guesses) = as_in_log(&comparison, &fitted).unwrap();
+            let (found, guesses) = as_in_log(&comparison, &fitted, 5).unwrap();
             let sigma_m = found.laser.sigma_m;
             assert!((sigma_m - expected).abs() < 0.15 * expected, "{sigma_m} of {guess}");
             let told = guesses.iter().find(|told| told.what == "laser.noise.sigma_m");
@@ -166,7 +198,7 @@ mod tests {
             let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
             let comparison = Comparison::new(&MEASURED, &recorded).unwrap();
             let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-            let (found, guesses) = as_in_log(&comparison, &fitted).unwrap();
+            let (found, guesses) = as_in_log(&comparison, &fitted, 5).unwrap();
             let is_told = guesses.iter().any(|told| told.what == "blocks.per_metre_of_wall");
             assert_eq!((found.blocks.is_none(), is_told), (is_bare, is_bare), "{guesses:?}");
         }

@@ -1,6 +1,6 @@
 //! The free model as the judge of a round.
 
-use locsim_world::effect::{Effect, EffectKind};
+use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
 use rayon::prelude::*;
 
 use super::judgement::{Dependence, Judgement, acts_on, loses_returns};
@@ -113,15 +113,24 @@ impl<'a> State<'a> {
             None => true,
         });
         let Some(leading) = rivals.next() else { return Ok(accepted) };
+        let survey = Survey::new(&round.comparison);
+        let is_right = |effect: &Effect| acts_on(effect, leading, &judgement.covariates, &survey);
         let is_enough = |best: usize| {
-            let gain: f64 = candidates[best].fitted_gains.iter().sum();
-            gain >= NEARLY_ALL * leading.gain() || !leading.beats(&candidates[best])
+            let candidate = &candidates[best];
+            let gain: f64 = candidate.fitted_gains.iter().sum();
+            // A frame that is turned turns the headings as a turned laser does, and the positions with them.
+            let is_of_frame = turns_the_laser(candidate)
+                && dependences.iter().any(|other| other.deviation == Deviation::Frame && other.gain() > gain);
+            // A mean that isn't quite right spreads readings.
+            let is_left = candidate.kind().moves() == Moves::Distribution
+                && leading.deviation == Deviation::Mean
+                && round.effects.iter().any(is_right)
+                && !leading.is_beaten_by(candidate);
+            !is_of_frame && !is_left && (gain >= NEARLY_ALL * leading.gain() || !leading.beats(candidate))
         };
         if accepted.is_some_and(is_enough) {
             return Ok(accepted);
         }
-        let survey = Survey::new(&round.comparison);
-        let is_right = |effect: &Effect| acts_on(effect, leading, &judgement.covariates, &survey);
         if round.effects.iter().any(is_right) {
             return Ok(None);
         }
@@ -139,6 +148,10 @@ impl<'a> State<'a> {
         });
         Ok(right.max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain())))
     }
+}
+
+fn turns_the_laser(candidate: &Candidate) -> bool {
+    candidate.kind().description().statistics.iter().any(|statistic| matches!(statistic, Statistic::Turn))
 }
 
 /// Whether a curve is an effect of the library in any form. Errors and noise over range or incidence, and whatever happens at edges, have

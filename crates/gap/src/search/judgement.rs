@@ -11,6 +11,8 @@ use crate::statistics::{Covariate, Deviation, Survey};
 
 /// Standard errors by which a noise is beyond what neighbours leave.
 const LEAST_ERRORS: f64 = 2.0;
+/// Neighbours that err alike no more than this beyond simulated ones have nothing in common.
+const LEAST_CORRELATION: f64 = 0.02;
 /// A dependence that gains less than this share of the one that gains most is left out: it is what that one's curve leaves.
 const LEAST_SHARE: f64 = 0.05;
 /// The share of the variance of an effect's weights that a covariate explains, where the effect acts on it.
@@ -66,10 +68,17 @@ impl Dependence<'_> {
 
     /// Whether it surely gains more than an effect.
     pub fn beats(&self, candidate: &Candidate) -> bool {
-        let ahead: Vec<f64> =
-            self.gains.iter().zip(&candidate.fitted_gains).map(|(own, other)| own - other).collect();
-        gains_surely(&ahead)
+        gains_surely(&differences(&self.gains, &candidate.fitted_gains))
     }
+
+    /// Whether an effect surely gains more.
+    pub fn is_beaten_by(&self, candidate: &Candidate) -> bool {
+        gains_surely(&differences(&candidate.fitted_gains, &self.gains))
+    }
+}
+
+fn differences(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
 
 /// The free model of a log on top of a round's hypothesis, and those of logs that are simulated by it.
@@ -121,8 +130,9 @@ impl Judgement {
             })
             .filter(|found| gains_surely(&found.gains))
             .collect();
+        let correlation = self.neighbour_correlation();
+        all.retain(|found| found.covariate != Covariate::Neighbour || correlation > LEAST_CORRELATION);
         if all.iter().any(|found| found.covariate == Covariate::Neighbour) {
-            let correlation = self.neighbour_correlation();
             all.retain(|found| !found.is_left_by_neighbours(correlation));
         }
         all.sort_by(|a, b| b.gain().total_cmp(&a.gain()));

@@ -1,6 +1,7 @@
 //! The search: detect, locate, name, add, and stop when nothing is off any more.
 
 mod calibration;
+mod foretold;
 mod initial_guess;
 mod judge;
 mod judgement;
@@ -129,7 +130,7 @@ pub fn find(
 ) -> Result<Outcome, GapError> {
     nominal.check(recorded)?;
     progress.stage("fitting blocks and reference", 1);
-    let known = known_part(nominal, recorded)?;
+    let known = known_part(nominal, recorded, options.seed)?;
     let nominal = known.as_ref().map_or(nominal, |known| &known.nominal);
     let mut options = options.clone();
     if known.is_some() {
@@ -179,7 +180,7 @@ struct KnownPart {
 const LEAST_READINGS: usize = 200;
 
 /// The readings that a measured map says something of, with where it is wrong; `None` of a map that is taken for exact.
-fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart>, GapError> {
+fn known_part(nominal: &Nominal, recorded: &Recorded, seed: u64) -> Result<Option<KnownPart>, GapError> {
     if nominal.pieces.is_none() {
         return Ok(None);
     }
@@ -194,7 +195,7 @@ fn known_part(nominal: &Nominal, recorded: &Recorded) -> Result<Option<KnownPart
     let comparison = all.of(&sure);
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
     let (errors, wrong) = map_error::find(&comparison, &fitted);
-    let (nominal, guesses) = calibration::as_in_log(&comparison.of(&sure.without(&wrong)), &fitted)?;
+    let (nominal, guesses) = calibration::as_in_log(&comparison.of(&sure.without(&wrong)), &fitted, seed)?;
     let share = |count: usize| count as f64 / unsure.len().max(1) as f64;
     let of = |reason| share(unsure.iter().filter(|unsure| **unsure == Some(reason)).count());
     let left_out = LeftOut {

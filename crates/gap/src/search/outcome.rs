@@ -6,6 +6,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
+use super::calibration::HARDLY_ANY;
 use super::judgement::Judgement;
 use super::residual::{LOGS, Nameless};
 use super::selection::gain;
@@ -103,12 +104,14 @@ impl<'a> State<'a> {
     /// Names the density of clutter where it surely isn't the scenario's. It is a nuisance parameter of every hypothesis; the
     /// replicates say how far its fit is off by chance.
     pub fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
-        if self.nominal.blocks.is_none() {
+        let found = last.fitted.nuisances.block_density.ln();
+        // What a scenario guesses, where a log on a measured map has next to none, is no effect.
+        let is_guess = self.nominal.pieces.is_some() && found < HARDLY_ANY.ln();
+        if self.nominal.blocks.is_none() || is_guess {
             return Ok(None);
         }
         let logs: Vec<f64> = last.null.nuisances.iter().map(|found| found.block_density.ln()).collect();
         let (comparison, fitted) = (&first.comparison, &first.fitted);
-        let found = last.fitted.nuisances.block_density.ln();
         let mean = logs.iter().sum::<f64>() / logs.len() as f64;
         let error = (logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (logs.len() as f64 - 1.0)).sqrt();
         // The fit's bias by simulated logs of the last round: the first one's are of a world without the effects.

@@ -76,7 +76,7 @@ pub fn is_sure(candidate: &Candidate) -> bool {
 }
 
 /// The candidate that is named, by index: of those that surely gain the one that gains most. One with fewer parameters is
-/// preferred within a standard error of that, or within what more parameters gain by chance.
+/// preferred where it can't be told from that one, or is behind by what more parameters gain by chance.
 pub fn choose(candidates: &[Candidate]) -> Option<usize> {
     choose_among(candidates, is_sure)
 }
@@ -97,7 +97,7 @@ fn choose_among(candidates: &[Candidate], may: impl Fn(&Candidate) -> bool) -> O
     let simpler = (0..candidates.len()).filter(|&i| i != most && may(&candidates[i])).filter(|&i| {
         let (behind, error) = behind(&candidates[most], &candidates[i]);
         let more = numbers(most).saturating_sub(numbers(i));
-        more > 0 && behind < error.max(BY_CHANCE * more as f64)
+        more > 0 && behind < (BEHIND_ERRORS * error).max(BY_CHANCE * more as f64)
     });
     let gain = |i: usize| candidates[i].gain();
     simpler.min_by(|&a, &b| numbers(a).cmp(&numbers(b)).then(gain(b).total_cmp(&gain(a)))).or(Some(most))

@@ -4,6 +4,7 @@ use locsim_core::Estimate;
 use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
+use super::foretold::drop_unfounded;
 use super::judgement::share_a_moment;
 use super::selection::{
     adds_up, choose, choose_of_odometry, compare_rivals, gain, is_one_cause, is_sure, may_be_of_robot, name,
@@ -111,7 +112,7 @@ impl<'a> State<'a> {
                                 || is_left_by(named, candidate, of_another_form.contains(&named.name)))
                     })
             });
-            let candidates = drop_surroundings(round, candidates)?;
+            let candidates = drop_unfounded(round, drop_surroundings(round, candidates)?)?;
             let accepted = if off && path.named.len() < options.most_effects {
                 match self.weigh(round, &candidates, choose(&candidates))? {
                     // What the odometry does has its name, whether or not the readings have one.
@@ -173,9 +174,7 @@ impl<'a> State<'a> {
             }
         }
         if path.named.len() < count {
-            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
-            path.remaining = most_gaining(&self.candidates_of(&next)?);
-            path.rounds.push(next);
+            self.compare_again(path)?;
         }
         Ok(())
     }
@@ -194,9 +193,7 @@ impl<'a> State<'a> {
             index == 1 || is_there(named)
         });
         if path.named.len() < count {
-            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
-            path.remaining = most_gaining(&self.candidates_of(&next)?);
-            path.rounds.push(next);
+            self.compare_again(path)?;
             self.make_precise(&mut path.named, &path.rounds[path.rounds.len() - 1])?;
         }
         Ok(())
@@ -212,13 +209,7 @@ impl<'a> State<'a> {
         let gains = path.gains.iter().zip(&path.named).filter(|(_, named)| !is_moved_wall(named));
         path.gains = gains.map(|(gains, _)| gains.clone()).collect();
         path.named.retain(|named| !is_moved_wall(named));
-        if path.named.is_empty() {
-            path.rounds.truncate(1);
-        } else {
-            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
-            path.rounds.push(next);
-        }
-        path.remaining = most_gaining(&self.candidates_of(path.last())?);
+        self.compare_again(path)?;
         path.note = Some(format!(
             "{} walls read {:.0} mm too {}, all alike: a kind of surface, rather than walls that have moved.",
             distances.len(),
@@ -242,15 +233,21 @@ impl<'a> State<'a> {
             path.named.remove(last);
             path.gains.remove(last);
             path.gains.truncate(path.named.len());
-            if path.named.is_empty() {
-                path.rounds.truncate(1);
-                path.remaining = most_gaining(&path.first_fits);
-                break;
-            }
-            let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
-            path.remaining = most_gaining(&self.candidates_of(&next)?);
-            path.rounds.push(next);
+            self.compare_again(path)?;
         }
+        Ok(())
+    }
+
+    /// Compares the log with the world of the effects that are named now, and fits those that may be left.
+    fn compare_again(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        if path.named.is_empty() {
+            path.rounds.truncate(1);
+            path.remaining = most_gaining(&path.first_fits);
+            return Ok(());
+        }
+        let next = self.round(path.effects(), path.last().fitted.nuisances, self.options.replicates)?;
+        path.remaining = most_gaining(&self.candidates_of(&next)?);
+        path.rounds.push(next);
         Ok(())
     }
 

@@ -92,7 +92,7 @@ impl Family for DisplacedWalls {
         // A half of the log has half of them.
         let by_one = |count: f64| -(-1.0 / (0.5 * count + 1.0)).ln_1p();
         let of = |count: f64| {
-            Statistic::of_effect(self.kind, Group::Places, Form::Share)
+            Statistic::of_effect(self.kind, Group::DisplacedWalls, Form::Share)
                 .with_one_reading(by_one(count).max(FEW))
         };
         counts.iter().copied().chain(of_pairs).map(of).collect()

@@ -102,10 +102,12 @@ pub(crate) enum Group {
     Shares,
     /// An odometry that lags, a reference in a turned frame.
     Misalignments,
+    /// Walls that are displaced far: clutter that stays in front of a wall looks like another wall.
+    DisplacedWalls,
 }
 
 impl Group {
-    pub const COUNT: usize = 6;
+    pub const COUNT: usize = 7;
     /// Those whose statistics aren't of an effect of the library.
     pub const OMNIBUS: [Self; 2] = [Self::Cells, Self::Misalignments];
 }

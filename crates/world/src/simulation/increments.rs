@@ -1,9 +1,10 @@
 //! Increments of the odometry against those of the reference.
 
 use glam::DVec2;
-use locsim_core::{Pose2, Track, median, normal, wrap_angle};
+use locsim_core::{Draw, Pose2, Stage, Track, median, normal, wrap_angle};
+use rand_distr::{Distribution, StandardNormal};
 
-use super::OdometryNoise;
+use super::{OdometryNoise, odometry_along};
 use crate::effect::Effects;
 
 /// Least standard deviation of an increment's distance \[m\] and turn \[rad\]: the encoders' resolution, also where a simulator wrote
@@ -26,6 +27,9 @@ pub fn increments(track: &[Pose2]) -> Vec<[f64; 2]> {
         .collect()
 }
 
+/// Item of an increment's draws beside those of the noise that grows with the motion.
+const OWN_ERROR: u32 = 2;
+
 /// How far the increments of a log's odometry scatter about those of the reference. The scenario's noise is mostly a guess, and the
 /// reference errs, too: both are fitted to the log.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -42,6 +46,32 @@ pub struct OdometrySpread {
 impl Default for OdometrySpread {
     fn default() -> Self {
         Self { noise: OdometryNoise::default(), sigma_m: LEAST[0], sigma_rad: LEAST[1] }
+    }
+}
+
+impl OdometrySpread {
+    /// `odom_from_base` at each of the true poses, as [`odometry_along`] has it, with the errors that don't grow with the motion. These of
+    /// increment `i` draw from step `i`.
+    pub fn along(&self, truth: &[Pose2], effects: &Effects, seed: u64) -> Vec<Pose2> {
+        let odometry = odometry_along(truth, &self.noise, effects, seed);
+        let mut pose = Pose2::IDENTITY;
+        let mut track = vec![pose];
+        for (i, pair) in odometry.windows(2).enumerate() {
+            let mut rng = Draw::new(seed, Stage::Odometry, i as u32).item(OWN_ERROR);
+            let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+            let step = pair[1].relative_to(&pair[0]);
+            let stretch = self.sigma_m * normal();
+            let along = step.position().normalize_or_zero();
+            let turn = self.sigma_rad * normal();
+            let step = Pose2::new(
+                step.x + stretch * if along.x == 0.0 && along.y == 0.0 { 1.0 } else { along.x },
+                step.y + stretch * along.y,
+                step.theta + turn,
+            );
+            pose = pose.compose(&step);
+            track.push(pose);
+        }
+        track
     }
 }
 
