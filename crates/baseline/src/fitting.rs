@@ -175,6 +175,10 @@ impl Search<'_> {
                     loop {
                         let value = best.effect.values[i];
                         let step = match parameter.role {
+                            // The edge of a sector is between two beams.
+                            Role::Position { first_step } if parameter.unit == "rad" => {
+                                2.0 * first_step.max(self.pool.beam_spacing_rad())
+                            }
                             Role::Position { first_step } => 2.0 * first_step,
                             Role::Shape(_) => value.abs().max(0.1 * parameter.start.abs()),
                             _ => (value - parameter.neutral)

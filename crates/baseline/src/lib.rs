@@ -19,10 +19,12 @@
 //! | fits of an effect | `fitting` |
 //! | effects at one place | `places` |
 //! | permutations, names | `search` |
+//! | returns that are lost at some bearings | `bearings` |
 //! | numbers with their intervals | `precision` |
 //! | how rare a gain is | `null` |
 
 mod assignment;
+mod bearings;
 mod fitting;
 mod increments;
 mod learnt;
@@ -39,6 +41,7 @@ use locsim_gap::Named;
 use locsim_world::effect::EffectKind;
 use serde::Serialize;
 
+pub use bearings::LossesByBearing;
 pub use search::find_changes;
 
 /// How changes since a baseline are searched.
@@ -94,6 +97,8 @@ pub struct Changes {
     pub verdict: ChangeVerdict,
     /// Effects that today's log has beyond the baseline, in the order in which they were named. Numbers are changes.
     pub effects: Vec<Named>,
+    /// Returns that are lost at some bearings, where that explains more than any effect does.
+    pub losses_by_bearing: Option<LossesByBearing>,
     /// Chance that two logs without a change look as different.
     pub p: f64,
     /// Permutations behind it.

@@ -316,6 +316,12 @@ impl<'a> Pool<'a> {
         (view.endpoint - (view.range - f64::from(reading.z)) * heading, heading)
     }
 
+    /// The widest angle between neighbouring beams of today's log \[rad\].
+    pub fn beam_spacing_rad(&self) -> f64 {
+        let bearings = self.logs[1].recorded.laser.bearings();
+        bearings.windows(2).map(|pair| f64::from(pair[1] - pair[0]).abs()).fold(0.0, f64::max)
+    }
+
     /// The beam of a reading by the scenario.
     pub fn beam(&self, reading: &Reading) -> &Beam {
         &self.logs[reading.log].views.beams[reading.index]

@@ -11,6 +11,7 @@ use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use super::assignment::Assignment;
+use super::bearings::{self, LossesByBearing};
 use super::fitting::{Fit, Known, Search};
 use super::increments::{Increments, is_of_odometry};
 use super::learnt::{ERROR_BIN_M, ERROR_BINS, Learnt, bin_of};
@@ -53,6 +54,7 @@ pub fn find_changes(
     let mut changes = Changes {
         verdict: ChangeVerdict::Underpowered,
         effects: Vec::new(),
+        losses_by_bearing: None,
         p: 1.0,
         permutations: 0,
         tried: Vec::new(),
@@ -125,6 +127,9 @@ impl Search<'_> {
             let first = Round { tried, own, places: standing };
             named = self.name(&first, &odometry, &null, &assignment, &known, changes.p)?;
         }
+        if changes.p <= options.false_alarm {
+            changes.losses_by_bearing = self.losses_by_bearing(&mut named, &known)?;
+        }
         changes.verdict = match (changes.p <= options.false_alarm, named.is_empty()) {
             (true, false) => ChangeVerdict::Changed,
             (true, true) => ChangeVerdict::Unexplained,
@@ -139,6 +144,32 @@ impl Search<'_> {
         ];
         changes.effects = named;
         Ok(())
+    }
+
+    /// Losses by bearing, where they explain more than the effect that was named for lost returns, which then is no name.
+    fn losses_by_bearing(
+        &self,
+        named: &mut Vec<Named>,
+        known: &Known,
+    ) -> Result<Option<LossesByBearing>, GapError> {
+        let loss = named.iter().position(|named| named.name.loses_returns());
+        let others = named.iter().enumerate().filter(|(index, _)| Some(*index) != loss);
+        let given = Given { effects: others.map(|(_, named)| named.effect.clone()).collect() };
+        let expected = self.expected_with(&given.effects)?;
+        let mut rival = vec![0.0; self.pool.stretches[1]];
+        if let Some(loss) = loss {
+            let log = self.log_density(&known.learnt, &expected);
+            let is_today = self.true_assignment().is_today;
+            let given =
+                Given { effects: given.effects.into_iter().filter(|e| !is_of_odometry(e.kind)).collect() };
+            let trial = Trial::new(self.pool, &given, named[loss].effect.clone(), &expected, None)?;
+            rival = trial.gains(self.pool, &known.learnt, &log, &is_today);
+        }
+        let found = bearings::find(self.pool, known, &expected, &rival);
+        if let (Some(_), Some(loss)) = (&found, loss) {
+            named.remove(loss);
+        }
+        Ok(found)
     }
 
     fn true_assignment(&self) -> Assignment {

@@ -115,6 +115,39 @@ fn a_sector_that_a_part_of_the_robot_hides_is_named() {
     assert_eq!(names(&found)[0], E::SectorOcclusion, "{found:#?}");
     let range = found.effects[0].params["range_m"].estimate.value;
     assert!((range - 0.5).abs() < 0.05, "{range}");
+    // Beams are ten degrees apart.
+    let edges = ["from_rad", "to_rad"].map(|edge| found.effects[0].params[edge].estimate.value);
+    assert!((edges[0] - 0.2).abs() < 0.18 && (edges[1] - 0.6).abs() < 0.18, "{edges:?}");
+    let p = found.effects[0].params["p"].estimate.value;
+    assert!((p - 0.9).abs() < 0.05, "{p}");
+}
+
+/// A window that is dirty in front of some beams: six of ten returns are lost between 0.5 and 1.2 rad. No effect of the library loses returns by
+/// bearing; one by range or incidence would send the reader elsewhere.
+#[test]
+fn a_dirty_window_is_told_by_its_bearings() {
+    let mut today = log(&[], 2);
+    let bearings = today.laser.bearings().to_vec();
+    assert_eq!(bearings.len(), today.beams());
+    for (i, reading) in today.readings.iter_mut().enumerate() {
+        let is_dirty = (0.5..1.2).contains(&bearings[i % bearings.len()]);
+        if is_dirty && (i * 7) % 10 < 6 {
+            *reading = 5.0;
+        }
+    }
+    let options = BaselineOptions { permutations: 99, seed: 5, ..BaselineOptions::default() };
+    let found = find_changes(&NOMINAL, &log(&[], 1), &today, &options, &(), &AtomicBool::new(false)).unwrap();
+    assert!(found.effects.iter().all(|named| !named.name.loses_returns()), "{found:#?}");
+    let losses = found.losses_by_bearing.unwrap();
+    let ([from, to], share) = losses.most().unwrap();
+    assert!(from > 0.3 && to < 1.4 && (share.value - 0.6).abs() < 0.15, "{from} {to} {share:?}");
+    let stretches = losses.stretches();
+    assert!(matches!(stretches[..], [[from, to]] if from > 0.3 && to < 1.4), "{stretches:?}");
+    let clean = losses.bearings.iter().zip(&losses.shares).filter(|([from, to], _)| *to < 0.3 || *from > 1.4);
+    assert!(clean.clone().count() > 20 && clean.clone().all(|(_, share)| share.value < 0.1), "{losses:?}");
+    // Far surfaces that send nothing back are no bearings.
+    let far = changes(&[], &[(E::RangeDropout, &[0.6, 2.0])]);
+    assert_eq!((names(&far)[0], far.losses_by_bearing), (E::RangeDropout, None));
 }
 
 /// What stands in the room since is named; what stood there before and is gone is no object of today's.

@@ -488,7 +488,9 @@ pub struct Gap {
     /// Replace earlier results of locsim; nothing else is ever touched
     #[arg(long)]
     pub force: bool,
-    /// Simulated logs (beside a baseline: permutations) behind a p-value, at least 19; its least value is 1 / (replicates + 1)
+    /// Simulated logs (beside a baseline: permutations) behind a p-value, at least 19; its least value is 1 / (replicates + 1). Where 99 to
+    /// 398 leave a log in doubt, 399 are simulated. Beside a baseline, changes that all stretches show have smaller values, by Student's
+    /// distribution
     /// [default: 999; beside a baseline 399]
     #[arg(long, allow_negative_numbers = true, value_parser = whole::<u32>(GapSettings::ALLOWED_REPLICATES))]
     pub replicates: Option<u32>,

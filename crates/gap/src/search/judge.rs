@@ -3,7 +3,7 @@
 use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
 use rayon::prelude::*;
 
-use super::judgement::{Dependence, Judgement, acts_on, loses_returns};
+use super::judgement::{Dependence, Judgement, acts_on};
 use super::selection::{is_of_odometry, is_sure};
 use super::unnamed::fit_wave;
 use super::{Round, State};
@@ -108,7 +108,7 @@ impl<'a> State<'a> {
         // Whether returns get lost says nothing of the errors of those that don't, nor do readings of the odometry: each is judged by its own.
         let mut rivals = dependences.iter().filter(|rival| match accepted.map(|best| &candidates[best]) {
             Some(best) if is_of_odometry(best) => rival.covariate == Covariate::Odometry,
-            Some(best) if loses_returns(&best.effect) => rival.deviation == Deviation::NoReturn,
+            Some(best) if best.kind().loses_returns() => rival.deviation == Deviation::NoReturn,
             Some(_) => rival.covariate != Covariate::Odometry,
             None => true,
         });

@@ -198,15 +198,6 @@ pub fn share_a_moment(a: EffectKind, b: EffectKind) -> bool {
     of(a).any(|moment| *moment != Deviation::Mean && of(b).any(|other| other == moment))
 }
 
-/// Whether an effect does nothing but lose returns, of all beams alike.
-pub fn loses_returns(effect: &Effect) -> bool {
-    let statistics = effect.kind.description().statistics;
-    !statistics.is_empty()
-        && statistics
-            .iter()
-            .all(|statistic| matches!(statistic, Statistic::Score { score: Score::NoReturn, .. }))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

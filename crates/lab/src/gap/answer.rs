@@ -270,9 +270,12 @@ pub(super) fn deviation_text(region: &Region) -> &'static str {
     }
 }
 
-/// "0.42 [0.38, 0.46]", all times `scale`.
+/// "0.42 [0.38, 0.46]"; without an interval, as of a place that was only looked for, "0.420".
 pub(super) fn with_interval(&Estimate { value, interval }: &Estimate) -> String {
     let decimals = decimals(interval);
+    if interval.lo.to_bits() == interval.hi.to_bits() {
+        return fixed(value, decimals);
+    }
     let [value, lo, hi] = [value, interval.lo, interval.hi].map(|value| fixed(value, decimals));
     format!("{value} [{lo}, {hi}]")
 }
@@ -307,7 +310,7 @@ mod tests {
         assert_eq!(shown(0.4217, 0.3812, 0.4622), "0.42 [0.38, 0.46]");
         assert_eq!(shown(61.23, 58.9, 63.4), "61 [59, 63]");
         assert_eq!(shown(-0.000_1, -0.04, 0.04), "0.00 [-0.04, 0.04]");
-        assert_eq!(shown(2.0, 2.0, 2.0), "2.000 [2.000, 2.000]");
+        assert_eq!(shown(2.0, 2.0, 2.0), "2.000");
     }
 
     #[test]

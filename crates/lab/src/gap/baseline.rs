@@ -1,6 +1,6 @@
 //! A log against an earlier one of the same robot: what changed since the baseline.
 
-use locsim_baseline::{BaselineOptions, ChangeVerdict, Changes, find_changes};
+use locsim_baseline::{BaselineOptions, ChangeVerdict, Changes, LossesByBearing, find_changes};
 use locsim_gap::Named;
 use locsim_report::store::{Folder, Request};
 use locsim_report::text::{self, TextTable, fixed};
@@ -170,8 +170,13 @@ fn sentences(changes: &Changes) -> Vec<String> {
     let mut text: Vec<String> =
         changes.effects.iter().map(|named| format!("Since the baseline: {}", answer::told(named))).collect();
     text.extend(changes.effects.iter().filter_map(answer::doubt));
+    let losses = changes.losses_by_bearing.as_ref().and_then(losses_sentence);
+    text.extend(losses.clone());
     match changes.verdict {
         ChangeVerdict::None => text.push(format!("Nothing has changed since the baseline (p = {p}).")),
+        ChangeVerdict::Unexplained if losses.is_some() => {
+            text.push(format!("No effect of the library loses returns by bearing (p = {p})."));
+        }
         ChangeVerdict::Unexplained => text.push(format!(
             "Something has changed since the baseline (p = {p}), and no effect of the library surely explains it."
         )),
@@ -198,6 +203,23 @@ fn sentences(changes: &Changes) -> Vec<String> {
     text
 }
 
+/// "Returns are lost at -60 to -20 deg and 10 to 40 deg, most at 20 to 30 deg: 55 % [51, 59]."
+fn losses_sentence(losses: &LossesByBearing) -> Option<String> {
+    let ([from, to], share) = losses.most()?;
+    let span = |[from, to]: [f64; 2]| {
+        format!("{} to {} deg", fixed(from.to_degrees(), 0), fixed(to.to_degrees(), 0))
+    };
+    let stretches: Vec<String> = losses.stretches().into_iter().map(span).collect();
+    let share = share.map(|share| 100.0 * share.clamp(0.0, 1.0));
+    let [value, lo, hi] = [share.value, share.interval.lo, share.interval.hi].map(|share| fixed(share, 0));
+    Some(format!(
+        "Since the baseline: Returns are lost at some bearings: {}; most at {}, {value} % [{lo}, {hi}]. The window is dirty, scratched \
+         or covered there.",
+        stretches.join(" and "),
+        span([from, to]),
+    ))
+}
+
 /// The next steps for the reader.
 fn steps(changes: &Changes) -> Vec<String> {
     let named = |named: &Named| format!("Look on the robot for this change: {}", answer::told(named));
@@ -205,6 +227,9 @@ fn steps(changes: &Changes) -> Vec<String> {
         ChangeVerdict::None => vec!["Nothing: the robot is as it was on the baseline's drive.".to_owned()],
         ChangeVerdict::Underpowered => {
             vec!["Drive where the baseline drove, or take a baseline that has seen these places.".to_owned()]
+        }
+        ChangeVerdict::Unexplained if changes.losses_by_bearing.is_some() => {
+            vec!["Look at the laser's window, and at what the robot may have in front of it.".to_owned()]
         }
         ChangeVerdict::Unexplained => vec![
             "Compare both logs by eye where the robot drove twice.".to_owned(),

@@ -18,6 +18,7 @@ mod unnamed;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use locsim_core::limits::quoted;
 use locsim_core::{Drive, DriveStep, Hits, Particles, Pose2, RangeMap};
 use locsim_dataset::{DriveQuality, LogKind, LogOptions, LogSummary, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Recorded, ResidualStage};
@@ -376,7 +377,8 @@ fn usable(
     if outside > 0 {
         let many = if 10 * outside > references { " Is the reference in the map's frame?" } else { "" };
         warnings.push(format!(
-            "{outside} scans were left out: their reference pose is not in the map's free space.{many}"
+            "{outside} scans of {} were left out: their reference pose is not in the map's free space.{many}",
+            quoted(&log.file_name().unwrap_or_default().to_string_lossy())
         ));
     }
     Ok((drive, recorded))

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use locsim_core::limits::quoted;
-use locsim_core::{Estimate, Interval};
 use locsim_gap::{Named, ResidualStage};
 use locsim_scenario::edit::Entry;
 use locsim_scenario::effect::{effect_yaml_with, in_file, residual_yaml};
@@ -90,10 +89,8 @@ fn entry(study: &GapStudy, named: &Named) -> Entry {
 fn numbers(named: &Named) -> String {
     let number = |parameter: &Parameter| {
         let Some(number) = named.params.get(parameter.name) else { return String::new() };
-        let Estimate { value, interval } = number.estimate.map(|value| in_file(parameter, value));
-        let decimals = super::answer::decimals(interval);
-        let Interval { lo, hi } = interval;
-        format!("{} {value:.decimals$} [{lo:.decimals$}, {hi:.decimals$}]", parameter.key)
+        let estimate = number.estimate.map(|value| in_file(parameter, value));
+        format!("{} {}", parameter.key, super::answer::with_interval(&estimate))
     };
     named.name.parameters().iter().map(number).collect::<Vec<_>>().join(", ")
 }

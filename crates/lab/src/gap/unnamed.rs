@@ -13,7 +13,7 @@ pub(super) fn sentence(found: &Unnamed) -> String {
             format!("The reference's frame is turned by {} against the map's.", size(found))
         }
         (Deviation::Mean, Covariate::Neighbour) => {
-            format!("Neighbouring beams err alike: {}.", size(found))
+            format!("Neighbours among the beams that are compared err alike: {}.", size(found))
         }
         (Deviation::Spread, Covariate::Everywhere) => {
             format!("The noise of every beam is {} times the simulated one.", fixed(1.0 + found.size, 2))

@@ -128,6 +128,13 @@ impl EffectKind {
         self.description().moves
     }
 
+    /// Whether it does nothing but lose returns, of all beams alike.
+    pub fn loses_returns(self) -> bool {
+        let is_loss = |s: &Statistic| matches!(s, Statistic::Score { score: Score::NoReturn, .. });
+        let statistics = self.description().statistics;
+        !statistics.is_empty() && statistics.iter().all(is_loss)
+    }
+
     /// Whether beams start elsewhere, or meet other things, so that a log's beams have to be cast anew.
     pub fn changes_views(self) -> bool {
         matches!(self.moves(), Moves::Scans | Moves::Objects | Moves::Clutter)
