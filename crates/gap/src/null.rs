@@ -68,7 +68,8 @@ pub(crate) fn compare(
             EARLIEST_LOOK => null.p > NOTHING_SO_EARLY,
             _ => null.p > CLEARLY_NOTHING || null.is_clearly_off(),
         };
-        let is_in_doubt = (FEWEST_TO_REJECT..ENOUGH).contains(&begun) && null.p <= IN_DOUBT;
+        let may_be_nothing = replay.effects.is_empty() || null.p * f64::from(begun) > 1.0;
+        let is_in_doubt = (FEWEST_TO_REJECT..ENOUGH).contains(&begun) && null.p <= IN_DOUBT && may_be_nothing;
         if is_clear || (begun >= replicates && !is_in_doubt) {
             tick(u64::from(replicates.saturating_sub(begun)));
             return Ok(Null { nuisances, log_likelihoods, ..null });
@@ -91,7 +92,8 @@ const EARLIEST_LOOK: u32 = 59;
 const NOTHING_SO_EARLY: f64 = 0.3;
 /// Where it isn't clear after as few replicates as this, the fewest that can reject at a false-alarm rate of 1 %,
 const FEWEST_TO_REJECT: u32 = 99;
-/// and no larger a share of them than this exceeds the log, one replicate more or less would decide.
+/// and no larger a share of them than this exceeds the log, one replicate more or less would decide. With effects, a log beyond all of
+/// them is off: what is left there is no alarm.
 const IN_DOUBT: f64 = 0.05;
 /// So many are simulated then. A log is rejected by all of them or not at all, so that the rate of false alarms is theirs.
 const ENOUGH: u32 = 399;

@@ -21,7 +21,6 @@ const ERRORS: f64 = 2.0;
 /// Incidences that groups are of, in equal parts of a right angle, and ranges, in equal parts of the beams.
 const INCIDENCES: usize = 3;
 const RANGES: usize = 3;
-
 /// A return this near to a wall is of it \[m\].
 const NEAR_M: f64 = 0.15;
 /// A log whose fitted density of clutter is less than this share of the scenario's has none.
@@ -42,9 +41,14 @@ pub fn as_in_log(
 ) -> Result<(Nominal, Vec<Guess>), GapError> {
     let scenario = comparison.nominal;
     let nominal = with_shares_of_log(comparison)?;
-    let least_m = noise_of_log(comparison, fitted).max(LEAST_M).min(scenario.laser.sigma_m);
-    let simulated_m = noise_of_simulated(comparison, &nominal.clone().with_noise(least_m), fitted, seed)?;
-    let sigma_m = (least_m * least_m / simulated_m).min(scenario.laser.sigma_m);
+    let sigma_m = match noise_of_log(comparison, fitted).map(|noise_m| noise_m.max(LEAST_M)) {
+        Some(least_m) => {
+            let simulated = nominal.clone().with_noise(least_m);
+            let ratio = least_m / noise_of_simulated(comparison, &simulated, fitted, seed)?;
+            (ratio * least_m).min(scenario.laser.sigma_m)
+        }
+        None => scenario.laser.sigma_m,
+    };
     let blocks = scenario.blocks.map_or(0.0, |blocks| blocks.per_metre_of_wall);
     let is_bare = blocks > 0.0 && fitted.nuisances.block_density < HARDLY_ANY;
     let nominal = if is_bare { nominal.without_blocks()? } else { nominal }.with_noise(sigma_m);
@@ -63,8 +67,8 @@ pub fn as_in_log(
     Ok((nominal, guesses))
 }
 
-/// The least noise of beams of one incidence and range, about where poses and walls fit best \[m\].
-fn noise_of_log(comparison: &Comparison<'_>, fitted: &Fitted) -> f64 {
+/// The least noise of beams of one incidence and range, about where poses and walls fit best \[m\]; `None` of too few readings.
+fn noise_of_log(comparison: &Comparison<'_>, fitted: &Fitted) -> Option<f64> {
     let (views, max) = (&comparison.views, comparison.nominal.laser.max_range_m);
     let mut errors: Vec<[f64; 3]> = Vec::new();
     comparison.for_each_reading(views, &comparison.nominal.effects, fitted, |_, i, _, shift, z, _| {
@@ -86,7 +90,7 @@ fn noise_of_log(comparison: &Comparison<'_>, fitted: &Fitted) -> f64 {
         SIGMA_OVER_MAD * median(errors) * chance
     };
     let large = groups.iter_mut().filter(|errors| errors.len() as f64 >= fewest);
-    large.map(of_group).fold(f64::INFINITY, f64::min)
+    large.map(of_group).reduce(f64::min)
 }
 
 /// The least noise that simulated logs of a simulator seem to have \[m\] (mean): fits of poses and walls take some of it.
@@ -102,7 +106,8 @@ fn noise_of_simulated(
     let of_log = |i: u32| {
         let log = replay.simulate(draw.seed(i))?;
         let other = comparison.of(&log);
-        Ok(noise_of_log(&other, &other.fit_nuisances(&Nuisances::default(), 20)))
+        let noise_m = noise_of_log(&other, &other.fit_nuisances(&Nuisances::default(), 20));
+        Ok(noise_m.unwrap_or(nominal.laser.sigma_m))
     };
     let found = (0..LOGS).into_par_iter().map(of_log).collect::<Result<Vec<f64>, GapError>>()?;
     Ok(found.iter().sum::<f64>() / f64::from(LOGS))

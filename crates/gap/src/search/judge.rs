@@ -119,7 +119,8 @@ impl<'a> State<'a> {
             let candidate = &candidates[best];
             let gain: f64 = candidate.fitted_gains.iter().sum();
             // A frame that is turned turns the headings as a turned laser does, and the positions with them.
-            let is_of_frame = turns_the_laser(candidate)
+            let mut statistics = candidate.kind().description().statistics.iter();
+            let is_of_frame = statistics.any(|statistic| matches!(statistic, Statistic::Turn))
                 && dependences.iter().any(|other| other.deviation == Deviation::Frame && other.gain() > gain);
             // A mean that isn't quite right spreads readings.
             let is_left = candidate.kind().moves() == Moves::Distribution
@@ -148,10 +149,6 @@ impl<'a> State<'a> {
         });
         Ok(right.max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain())))
     }
-}
-
-fn turns_the_laser(candidate: &Candidate) -> bool {
-    candidate.kind().description().statistics.iter().any(|statistic| matches!(statistic, Statistic::Turn))
 }
 
 /// Whether a curve is an effect of the library in any form. Errors and noise over range or incidence, and whatever happens at edges, have

@@ -138,7 +138,6 @@ pub fn find(
             .without
             .extend(EffectKind::ALL.into_iter().filter(|kind| kind.description().is_as_map_errors));
     }
-    let options = &options;
     let recorded = known.as_ref().map_or(recorded, |known| &known.recorded);
     let comparison = match &known {
         Some(known) => Comparison { nominal, recorded, views: Arc::clone(&known.views) },
@@ -147,7 +146,7 @@ pub fn find(
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
     let blocks = fit_persistence(&comparison, &fitted, options.seed)?;
     progress.advance(1);
-    let state = State { nominal, recorded, comparison, options, progress, stop, blocks };
+    let state = State { nominal, recorded, comparison, options: &options, progress, stop, blocks };
     let mut path = state.name_effects(state.round(Vec::new(), fitted.nuisances, options.replicates)?)?;
     state.delete(&mut path)?;
     state.simplify(&mut path)?;

@@ -106,8 +106,7 @@ impl<'a> State<'a> {
     pub fn block_density(&self, first: &Round<'a>, last: &Round<'a>) -> Result<Option<Named>, GapError> {
         let found = last.fitted.nuisances.block_density.ln();
         // What a scenario guesses, where a log on a measured map has next to none, is no effect.
-        let is_guess = self.nominal.pieces.is_some() && found < HARDLY_ANY.ln();
-        if self.nominal.blocks.is_none() || is_guess {
+        if self.nominal.blocks.is_none() || (self.nominal.pieces.is_some() && found < HARDLY_ANY.ln()) {
             return Ok(None);
         }
         let logs: Vec<f64> = last.null.nuisances.iter().map(|found| found.block_density.ln()).collect();

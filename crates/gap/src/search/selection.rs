@@ -217,6 +217,31 @@ pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) 
 mod tests {
     use super::*;
 
+    /// A drift that dies away in 2000 s gains 8 nats more than a bias, with a standard error of 7: the bias has its name. Where it surely gains
+    /// more, the drift has.
+    #[test]
+    fn of_two_that_can_t_be_told_apart_the_simpler_one_is_named() {
+        let candidate = |kind, values: &[f64], gains: Vec<f64>| Candidate {
+            effect: Effect::new(kind, values.to_vec(), Vec::new()).unwrap(),
+            fitted_gains: gains.clone(),
+            gains,
+            intervals: Vec::new(),
+            is_beyond_chance: true,
+            score: None,
+        };
+        let bias = candidate(EffectKind::RangeBias, &[0.02], vec![100.0; 4]);
+        let drift = |more: [f64; 4]| {
+            let gains = more.iter().map(|more| 100.0 + more).collect();
+            candidate(EffectKind::WarmupDrift, &[0.02, 2000.0], gains)
+        };
+        let named = |more| {
+            let candidates = [bias.clone(), drift(more)];
+            candidates[choose(&candidates).unwrap()].kind()
+        };
+        assert_eq!(named([8.0, 0.0, 0.0, 0.0]), EffectKind::RangeBias);
+        assert_eq!(named([8.0, 7.0, 9.0, 8.0]), EffectKind::WarmupDrift);
+    }
+
     /// Four folds of 3, 0, 0 and 3 nats: 6 with an error of sqrt(12).
     #[test]
     fn a_gain_is_surer_where_the_effect_s_own_statistic_is_significant() {

@@ -135,6 +135,12 @@ impl EffectKind {
         !statistics.is_empty() && statistics.iter().all(is_loss)
     }
 
+    /// Whether readings are random under it, whatever a beam meets.
+    pub fn is_of_random_readings(self) -> bool {
+        let is_random = |s: &Statistic| matches!(s, Statistic::Score { score: Score::Uniform, .. });
+        self.description().statistics.iter().any(is_random)
+    }
+
     /// Whether beams start elsewhere, or meet other things, so that a log's beams have to be cast anew.
     pub fn changes_views(self) -> bool {
         matches!(self.moves(), Moves::Scans | Moves::Objects | Moves::Clutter)
