@@ -330,6 +330,6 @@ mod tests {
         assert_eq!(told(-0.02, -0.05, 0.01), "no difference (-0.02 [-0.05, 0.01] m)");
         assert_eq!(told(-0.04, -0.05, -0.03), "-0.04 [-0.05, -0.03] m");
         assert_eq!(told(0.04, 0.03, 0.05), "0.04 [0.03, 0.05] m");
-        assert_eq!(told(0.0, 0.0, 0.0), "no difference (0.000 [0.000, 0.000] m)");
+        assert_eq!(told(0.0, 0.0, 0.0), "no difference (0.000 m)");
     }
 }

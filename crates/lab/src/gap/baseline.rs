@@ -11,7 +11,7 @@ use serde_json::{Value, json as json_of};
 
 use super::{GapStudy, GapStudyOptions, answer, false_alarm, proposal};
 use crate::LabError;
-use locsim_core::Control;
+use locsim_core::{Control, Interval};
 
 const MARKDOWN: &str = include_str!("templates/baseline.md.j2");
 /// Kinds of effect in the report's table; gap.json has all.
@@ -138,6 +138,7 @@ fn markdown(study: &GapStudy, changes: &Changes, diff: &str, command: &str) -> R
         seed => changes.seed,
         p => answer::p_value(changes.p),
         seconds => fixed(changes.seconds, 1),
+        losses_table => changes.losses_by_bearing.as_ref().map(|losses| losses_table(losses).to_markdown()),
         tried_table => (!changes.tried.is_empty()).then(|| tried_table(changes).to_markdown()),
         warnings => study.warnings.iter().map(|warning| text::escape(warning)).collect::<Vec<_>>(),
         notes => changes.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
@@ -146,6 +147,21 @@ fn markdown(study: &GapStudy, changes: &Changes, diff: &str, command: &str) -> R
         fence => page::fence(&[diff, command]),
     };
     Ok(environment.get_template("baseline.md")?.render(page)?)
+}
+
+fn losses_table(losses: &LossesByBearing) -> TextTable {
+    let mut rows: Vec<_> = losses.bearings.iter().zip(&losses.shares).collect();
+    rows.sort_by(|([a, _], _), ([b, _], _)| a.total_cmp(b));
+    let rows = rows.into_iter().map(|([from, to], share)| {
+        let [from, to] = [from, to].map(|bearing| fixed(bearing.to_degrees(), 0));
+        let percent = share.map(|share| 100.0 * share.clamp(0.0, 1.0));
+        let Interval { lo, hi } = percent.interval;
+        [
+            format!("{from} to {to}"),
+            format!("{} [{}, {}]", fixed(percent.value, 0), fixed(lo, 0), fixed(hi, 0)),
+        ]
+    });
+    TextTable::new(["bearing [deg]", "lost [%]"], rows)
 }
 
 fn tried_table(changes: &Changes) -> TextTable {
