@@ -43,9 +43,9 @@ pub fn as_in_log(
     let nominal = with_shares_of_log(comparison)?;
     let sigma_m = match noise_of_log(comparison, fitted).map(|noise_m| noise_m.max(LEAST_M)) {
         Some(least_m) => {
-            let simulated = nominal.clone().with_noise(least_m);
-            let ratio = least_m / noise_of_simulated(comparison, &simulated, fitted, seed)?;
-            (ratio * least_m).min(scenario.laser.sigma_m)
+            let seeming_m =
+                noise_of_simulated(comparison, &nominal.clone().with_noise(least_m), fitted, seed)?;
+            (least_m * least_m / seeming_m).min(scenario.laser.sigma_m)
         }
         None => scenario.laser.sigma_m,
     };

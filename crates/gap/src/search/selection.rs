@@ -34,10 +34,14 @@ pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
 
 /// How far from its laser a robot may have a part of its own \[m\].
 const ROBOT_REACH_M: f64 = 2.0;
+/// Standard errors by which a part of the robot gains, as it is there on all of the drive: one who passes by is so in a fold or two.
+const ROBOT_ERRORS: f64 = 2.0;
 
 /// Whether readings of a sector may come from the robot itself: the floor ahead is farther.
-pub fn may_be_of_robot(effect: &Effect) -> bool {
-    effect.sector().is_none() || effect.value("range_m").is_none_or(|range_m| range_m <= ROBOT_REACH_M)
+pub fn may_be_of_robot(candidate: &Candidate) -> bool {
+    let range_m = candidate.effect.sector().and_then(|_| candidate.effect.value("range_m"));
+    let is_lasting = candidate.gain() > ROBOT_ERRORS * candidate.gain_error();
+    range_m.is_none_or(|range_m| range_m <= ROBOT_REACH_M && is_lasting)
 }
 
 /// Whether a sector of bearings holds the middle of another one. Sectors go counter-clockwise from the first bearing \[rad\].
@@ -319,6 +323,18 @@ mod tests {
             let values = vec![-0.2, 0.4, range_m, 0.05];
             Effect::new(EffectKind::SectorOcclusion, values, Vec::new()).unwrap()
         };
-        assert!(may_be_of_robot(&at(0.4)) && !may_be_of_robot(&at(4.8)) && may_be_of_robot(&bias));
+        let of = |effect: &Effect, gains: &[f64]| {
+            may_be_of_robot(&Candidate {
+                effect: effect.clone(),
+                gains: gains.to_vec(),
+                fitted_gains: gains.to_vec(),
+                intervals: Vec::new(),
+                is_beyond_chance: true,
+                score: None,
+            })
+        };
+        let (always, once) = ([9.0, 11.0, 10.0, 10.0], [40.0, 0.0, 0.0, 0.0]);
+        assert!(of(&at(0.4), &always) && !of(&at(4.8), &always) && of(&bias, &always));
+        assert!(!of(&at(0.4), &once) && of(&bias, &once));
     }
 }

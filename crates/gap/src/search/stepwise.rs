@@ -28,14 +28,12 @@ const SCREENING_REPLICATES: u32 = 19;
 const EXPLAINED: f64 = 0.05;
 /// Effects that are fitted where nothing is off any more, to know how much of the gap may be left.
 const FITTED_AT_END: usize = 3;
-
 /// What a named effect may leave of its gain to others that change the same moment: losses at slanted walls left 1.4 %, where clutter lost
 /// returns as well. Where its form is visibly off, that is far more.
 const LEFT_SHARE: f64 = 0.03;
 const LEFT_BY_FORM_SHARE: f64 = 0.25;
 /// What it may leave to any other, as its likelihood is an approximation: integrals over ranges in steps, a scan at one pose.
 const LEFT_TO_ANY_SHARE: f64 = 3e-4;
-
 /// So many walls don't move alike by chance.
 const MANY_WALLS: usize = 3;
 
@@ -105,7 +103,7 @@ impl<'a> State<'a> {
             let mut candidates = self.candidates_of(round)?;
             let of_another_form = if off { self.of_another_form(round)? } else { Vec::new() };
             candidates.retain(|candidate| {
-                may_be_of_robot(&candidate.effect)
+                may_be_of_robot(candidate)
                     && !path.named.iter().any(|named| {
                         !adds_up(&named.effect, &candidate.effect)
                             && (is_one_cause(&named.effect, &candidate.effect)
