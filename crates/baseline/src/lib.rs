@@ -41,7 +41,7 @@ use locsim_gap::Named;
 use locsim_world::effect::EffectKind;
 use serde::Serialize;
 
-pub use bearings::LossesByBearing;
+pub use bearings::{LossAtBearings, LossesByBearing};
 pub use search::find_changes;
 
 /// How changes since a baseline are searched.

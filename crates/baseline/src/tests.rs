@@ -139,15 +139,38 @@ fn a_dirty_window_is_told_by_its_bearings() {
     let found = find_changes(&NOMINAL, &log(&[], 1), &today, &options, &(), &AtomicBool::new(false)).unwrap();
     assert!(found.effects.iter().all(|named| !named.name.loses_returns()), "{found:#?}");
     let losses = found.losses_by_bearing.unwrap();
-    let ([from, to], share) = losses.most().unwrap();
-    assert!(from > 0.3 && to < 1.4 && (share.value - 0.6).abs() < 0.15, "{from} {to} {share:?}");
-    let stretches = losses.stretches();
-    assert!(matches!(stretches[..], [[from, to]] if from > 0.3 && to < 1.4), "{stretches:?}");
-    let clean = losses.bearings.iter().zip(&losses.shares).filter(|([from, to], _)| *to < 0.3 || *from > 1.4);
-    assert!(clean.clone().count() > 20 && clean.clone().all(|(_, share)| share.value < 0.1), "{losses:?}");
+    let is_dirty = |[from, to]: [f64; 2]| from > 0.3 && to < 1.4;
+    let most = losses.most().unwrap();
+    assert!(is_dirty(most.bearings) && (most.share.value - 0.6).abs() < 0.15, "{most:?}");
+    assert!(matches!(losses.stretches()[..], [stretch] if is_dirty(stretch)), "{losses:?}");
+    let clean = losses.parts.iter().filter(|part| part.bearings[1] < 0.3 || part.bearings[0] > 1.4);
+    assert!(clean.clone().count() > 20 && clean.clone().all(|part| part.share.value < 0.1), "{losses:?}");
     // Far surfaces that send nothing back are no bearings.
     let far = changes(&[], &[(E::RangeDropout, &[0.6, 2.0])]);
     assert_eq!((names(&far)[0], far.losses_by_bearing), (E::RangeDropout, None));
+    // Nor are returns that get lost everywhere, or at one wall, where the library has no name for either.
+    let (max, screen) = (NOMINAL.laser.max_range_m as f32, glam::DVec2::new(5.0, 1.5));
+    let lost = |is_lost: &dyn Fn(usize, f32) -> bool| {
+        let mut today = log(&[], 2);
+        for (i, reading) in today.readings.iter_mut().enumerate() {
+            if is_lost(i, *reading) {
+                *reading = max;
+            }
+        }
+        let without = vec![E::RangeDropout, E::IncidenceDropout, E::Glass];
+        let options = BaselineOptions { permutations: 99, seed: 5, without, ..BaselineOptions::default() };
+        find_changes(&NOMINAL, &log(&[], 1), &today, &options, &(), &AtomicBool::new(false)).unwrap()
+    };
+    let everywhere = lost(&|i, _| (i * 7) % 10 < 3);
+    let poses = log(&[], 2).track.poses().to_vec();
+    let at_screen = lost(&|i, reading| {
+        let (pose, heading) = (poses[i / bearings.len()], f64::from(bearings[i % bearings.len()]));
+        let end = pose.position() + f64::from(reading) * glam::DVec2::from_angle(pose.theta + heading);
+        end.distance(screen) < 0.7
+    });
+    for found in [everywhere, at_screen] {
+        assert_eq!(found.losses_by_bearing, None, "{:?} {}", found.verdict, found.p);
+    }
 }
 
 /// What stands in the room since is named; what stood there before and is gone is no object of today's.

@@ -17,25 +17,19 @@ const CLEAR: f64 = 3.0;
 /// An effect of the readings that gains less than this share of what such a one gains, and less than so much (nats), is no explanation
 /// instead of it.
 const LEAST_GAIN_SHARE: f64 = 0.05;
-const LEAST_GAIN_NATS: f64 = 25.0;
+const SMALL_GAIN_NATS: f64 = 25.0;
 
 /// Drops effects that foretell random readings of which the log has those in front of walls alone: these are of things that stand or
 /// walk there, and so is what else gains next to nothing beside them.
 pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Result<Vec<Candidate>, GapError> {
+    let is_there = |e: &Effect| has_what_it_foretells(&round.comparison, &round.fitted, &round.effects, e);
     let mut most = 0.0_f64;
     for i in (0..candidates.len()).rev() {
-        if candidates[i].kind().is_of_random_readings()
-            && !has_what_it_foretells(
-                &round.comparison,
-                &round.fitted,
-                &round.effects,
-                &candidates[i].effect,
-            )?
-        {
+        if candidates[i].kind().is_of_random_readings() && !is_there(&candidates[i].effect)? {
             most = most.max(total(&candidates.remove(i)));
         }
     }
-    let least = (LEAST_GAIN_SHARE * most).min(LEAST_GAIN_NATS);
+    let least = (LEAST_GAIN_SHARE * most).min(SMALL_GAIN_NATS);
     candidates.retain(|candidate| {
         is_of_odometry(candidate) || candidate.kind().loses_returns() || total(candidate) >= least
     });

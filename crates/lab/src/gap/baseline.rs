@@ -1,6 +1,8 @@
 //! A log against an earlier one of the same robot: what changed since the baseline.
 
-use locsim_baseline::{BaselineOptions, ChangeVerdict, Changes, LossesByBearing, find_changes};
+use locsim_baseline::{
+    BaselineOptions, ChangeVerdict, Changes, LossAtBearings, LossesByBearing, find_changes,
+};
 use locsim_gap::Named;
 use locsim_report::store::{Folder, Request};
 use locsim_report::text::{self, TextTable, fixed};
@@ -11,7 +13,7 @@ use serde_json::{Value, json as json_of};
 
 use super::{GapStudy, GapStudyOptions, answer, false_alarm, proposal};
 use crate::LabError;
-use locsim_core::{Control, Interval};
+use locsim_core::{Control, Estimate, Interval};
 
 const MARKDOWN: &str = include_str!("templates/baseline.md.j2");
 /// Kinds of effect in the report's table; gap.json has all.
@@ -150,18 +152,17 @@ fn markdown(study: &GapStudy, changes: &Changes, diff: &str, command: &str) -> R
 }
 
 fn losses_table(losses: &LossesByBearing) -> TextTable {
-    let mut rows: Vec<_> = losses.bearings.iter().zip(&losses.shares).collect();
-    rows.sort_by(|([a, _], _), ([b, _], _)| a.total_cmp(b));
-    let rows = rows.into_iter().map(|([from, to], share)| {
-        let [from, to] = [from, to].map(|bearing| fixed(bearing.to_degrees(), 0));
-        let percent = share.map(|share| 100.0 * share.clamp(0.0, 1.0));
-        let Interval { lo, hi } = percent.interval;
-        [
-            format!("{from} to {to}"),
-            format!("{} [{}, {}]", fixed(percent.value, 0), fixed(lo, 0), fixed(hi, 0)),
-        ]
+    let rows = losses.parts.iter().map(|LossAtBearings { bearings: [from, to], share }| {
+        let degrees = |bearing: &f64| fixed(bearing.to_degrees(), 0);
+        [format!("{} to {}", degrees(from), degrees(to)), percent(share)]
     });
     TextTable::new(["bearing [deg]", "lost [%]"], rows)
+}
+
+/// "55 [51, 59]".
+fn percent(share: &Estimate) -> String {
+    let Estimate { value, interval: Interval { lo, hi } } = share.map(|share| 100.0 * share.clamp(0.0, 1.0));
+    format!("{} [{}, {}]", fixed(value, 0), fixed(lo, 0), fixed(hi, 0))
 }
 
 fn tried_table(changes: &Changes) -> TextTable {
@@ -173,6 +174,8 @@ fn tried_table(changes: &Changes) -> TextTable {
     TextTable::new(["effect", "gain [nats]", "z"], rows)
 }
 
+/// The next step where returns are lost at some bearings.
+const WINDOW: &str = "Look at the laser's window, and at what the robot may have in front of it.";
 /// Ranges are farther off with a name if they are so by this factor.
 const FARTHER: f64 = 1.1;
 
@@ -219,40 +222,37 @@ fn sentences(changes: &Changes) -> Vec<String> {
     text
 }
 
-/// "Returns are lost at -60 to -20 deg and 10 to 40 deg, most at 20 to 30 deg: 55 % [51, 59]."
+/// "Returns are lost at some bearings: -60 to -20 deg and 10 to 40 deg; of those at 20 to 30 deg 55 [51, 59] %."
 fn losses_sentence(losses: &LossesByBearing) -> Option<String> {
-    let ([from, to], share) = losses.most()?;
+    let most = losses.most()?;
     let span = |[from, to]: [f64; 2]| {
         format!("{} to {} deg", fixed(from.to_degrees(), 0), fixed(to.to_degrees(), 0))
     };
     let stretches: Vec<String> = losses.stretches().into_iter().map(span).collect();
-    let share = share.map(|share| 100.0 * share.clamp(0.0, 1.0));
-    let [value, lo, hi] = [share.value, share.interval.lo, share.interval.hi].map(|share| fixed(share, 0));
     Some(format!(
-        "Since the baseline: Returns are lost at some bearings: {}; most at {}, {value} % [{lo}, {hi}]. The window is dirty, scratched \
-         or covered there.",
+        "Since the baseline: Returns are lost at some bearings: {}; of those at {} {} %. The window is dirty, scratched or covered there.",
         stretches.join(" and "),
-        span([from, to]),
+        span(most.bearings),
+        percent(&most.share),
     ))
 }
 
 /// The next steps for the reader.
 fn steps(changes: &Changes) -> Vec<String> {
     let named = |named: &Named| format!("Look on the robot for this change: {}", answer::told(named));
+    let window = changes.losses_by_bearing.is_some().then(|| WINDOW.to_owned());
     match changes.verdict {
         ChangeVerdict::None => vec!["Nothing: the robot is as it was on the baseline's drive.".to_owned()],
         ChangeVerdict::Underpowered => {
             vec!["Drive where the baseline drove, or take a baseline that has seen these places.".to_owned()]
         }
-        ChangeVerdict::Unexplained if changes.losses_by_bearing.is_some() => {
-            vec!["Look at the laser's window, and at what the robot may have in front of it.".to_owned()]
-        }
+        ChangeVerdict::Unexplained if window.is_some() => window.into_iter().collect(),
         ChangeVerdict::Unexplained => vec![
             "Compare both logs by eye where the robot drove twice.".to_owned(),
             "Search each log by itself, without --baseline.".to_owned(),
         ],
         ChangeVerdict::Changed => {
-            let mut steps: Vec<String> = changes.effects.iter().map(named).collect();
+            let mut steps: Vec<String> = changes.effects.iter().map(named).chain(window).collect();
             steps.push("Repeat the drive when it is mended: nothing should be named then.".to_owned());
             steps
         }
