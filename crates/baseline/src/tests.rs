@@ -2,7 +2,7 @@ use std::f64::consts::TAU;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, LazyLock};
 
-use locsim_core::{Pose2, Track};
+use locsim_core::{Draw, Pose2, Stage, Track};
 use locsim_gap::hidden::{Regime, record_library};
 use locsim_gap::{GapError, Nominal, Recorded};
 use locsim_world::effect::EffectKind as E;
@@ -10,6 +10,7 @@ use locsim_world::effect::{Effect, EffectKind, Effects};
 use locsim_world::map::{Polyline, VectorMap, Wall};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, OdometryNoise};
+use rand::RngExt;
 
 use super::*;
 
@@ -126,12 +127,13 @@ fn a_sector_that_a_part_of_the_robot_hides_is_named() {
 /// bearing; one by range or incidence would send the reader elsewhere.
 #[test]
 fn a_dirty_window_is_told_by_its_bearings() {
+    let chance = |i: usize| -> f64 { Draw::new(9, Stage::Path, i as u32).item(0).random() };
     let mut today = log(&[], 2);
     let bearings = today.laser.bearings().to_vec();
     assert_eq!(bearings.len(), today.beams());
     for (i, reading) in today.readings.iter_mut().enumerate() {
         let is_dirty = (0.5..1.2).contains(&bearings[i % bearings.len()]);
-        if is_dirty && (i * 7) % 10 < 6 {
+        if is_dirty && chance(i) < 0.6 {
             *reading = 5.0;
         }
     }
@@ -148,10 +150,10 @@ fn a_dirty_window_is_told_by_its_bearings() {
     // Far surfaces that send nothing back are no bearings.
     let far = changes(&[], &[(E::RangeDropout, &[0.6, 2.0])]);
     assert_eq!((names(&far)[0], far.losses_by_bearing), (E::RangeDropout, None));
-    // Nor are returns that get lost everywhere, or at one wall, where the library has no name for either.
+    // Nor are returns that get lost everywhere, or at one wall, where no name is left for either. That the log is off is due to a bias.
     let (max, screen) = (NOMINAL.laser.max_range_m as f32, glam::DVec2::new(5.0, 1.5));
     let lost = |is_lost: &dyn Fn(usize, f32) -> bool| {
-        let mut today = log(&[], 2);
+        let mut today = log(&[(E::RangeBias, &[0.06])], 2);
         for (i, reading) in today.readings.iter_mut().enumerate() {
             if is_lost(i, *reading) {
                 *reading = max;
@@ -161,7 +163,7 @@ fn a_dirty_window_is_told_by_its_bearings() {
         let options = BaselineOptions { permutations: 99, seed: 5, without, ..BaselineOptions::default() };
         find_changes(&NOMINAL, &log(&[], 1), &today, &options, &(), &AtomicBool::new(false)).unwrap()
     };
-    let everywhere = lost(&|i, _| (i * 7) % 10 < 3);
+    let everywhere = lost(&|i, _| chance(i) < 0.3);
     let poses = log(&[], 2).track.poses().to_vec();
     let at_screen = lost(&|i, reading| {
         let (pose, heading) = (poses[i / bearings.len()], f64::from(bearings[i % bearings.len()]));
@@ -169,7 +171,12 @@ fn a_dirty_window_is_told_by_its_bearings() {
         end.distance(screen) < 0.7
     });
     for found in [everywhere, at_screen] {
-        assert_eq!(found.losses_by_bearing, None, "{:?} {}", found.verdict, found.p);
+        assert!(
+            names(&found).contains(&E::RangeBias) && found.losses_by_bearing.is_none(),
+            "{:?} {:?}",
+            names(&found),
+            found.losses_by_bearing
+        );
     }
 }
 
