@@ -93,7 +93,7 @@ pub struct Found {
     pub truth: Option<Truth>,
     /// The verdict.
     pub verdict: String,
-    /// Names, in order.
+    /// Names, in order; `losses_by_bearing` where returns are lost at some bearings.
     pub effects: Vec<String>,
     /// Value and 95 % interval of the number that was edited, where the edit is named first.
     pub strength: Option<[f64; 3]>,
@@ -110,6 +110,8 @@ pub struct Found {
 impl Found {
     fn of(truth: Truth, changes: &Changes, seconds: f64) -> Self {
         let first = changes.effects.first();
+        let names = changes.effects.iter().map(|named| named.name.name().to_owned());
+        let window = changes.losses_by_bearing.is_some().then(|| "losses_by_bearing".to_owned());
         let strength = truth.strength.as_ref().and_then(|(parameter, _)| {
             let named = first.filter(|named| Some(named.name.name()) == truth.effect.as_deref())?;
             let estimate = named.params.get(parameter.as_str())?.estimate;
@@ -119,7 +121,7 @@ impl Found {
             strength,
             truth: Some(truth),
             verdict: verdict(changes.verdict).to_owned(),
-            effects: changes.effects.iter().map(|named| named.name.name().to_owned()).collect(),
+            effects: names.chain(window).collect(),
             p: changes.p,
             shared: changes.shared,
             w1_mm: changes.w1_mm,
