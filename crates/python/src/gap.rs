@@ -121,7 +121,7 @@ pub fn gap(
                 Some(options) => laboratory::run_since(&study, options)?,
             };
             let content = laboratory::json_since(&study, &changes)?;
-            let scenario = laboratory::scenario_with(&study, &changes.effects, None, folder)?;
+            let scenario = laboratory::scenario_since(&study, &changes, folder)?;
             return Answer::new(laboratory::answer_since(&changes), &changes.effects, content, scenario, out);
         }
         let outcome = match &options {
@@ -129,8 +129,7 @@ pub fn gap(
             Some(options) => laboratory::run(&study, options)?,
         };
         let content = serde_json::to_string(&outcome)?;
-        let scenario =
-            laboratory::scenario_with(&study, &outcome.effects, outcome.residual.as_ref(), folder)?;
+        let scenario = laboratory::scenario_after(&study, &outcome, folder)?;
         Answer::new(laboratory::answer(&outcome), &outcome.effects, content, scenario, out)
     })
 }

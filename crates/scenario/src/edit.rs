@@ -19,20 +19,42 @@ pub struct Entry {
     pub lines: Vec<String>,
 }
 
+/// Another value of a number that a scenario states.
+pub struct Change<'a> {
+    /// Its key, such as `laser.noise.sigma_m`, or the name of the effect whose `p` it is.
+    pub what: &'a str,
+    /// What the scenario has.
+    pub from: f64,
+    /// What it gets.
+    pub to: f64,
+}
+
+/// What a scenario gets.
+#[derive(Default)]
+pub struct Additions<'a> {
+    /// Numbers that change where the text states them.
+    pub changes: Vec<Change<'a>>,
+    /// Entries at the end of `effects`.
+    pub effects: Vec<Entry>,
+    /// Entries at the end of `residuals`.
+    pub residuals: Vec<Entry>,
+}
+
 impl Scenario {
-    /// The text with effects and residuals appended and a name of its own, for a file in the folder `folder`, an absolute path: files that are
+    /// The text with what is added and a name of its own, for a file in the folder `folder`, an absolute path: files that are
     /// named relative to the scenario's folder are named relative to `folder`.
-    pub fn with_effects(&self, effects: &[Entry], residuals: &[Entry], folder: &Path, name: &str) -> String {
-        let grown = grown(&grown(&self.text, "effects", effects), "residuals", residuals);
+    pub fn with(&self, additions: &Additions<'_>, folder: &Path, name: &str) -> String {
+        let changed = changed(&self.text, &additions.changes);
+        let grown = grown(&grown(&changed, "effects", &additions.effects), "residuals", &additions.residuals);
         renamed(&moved(&grown, &self.file, folder), name)
     }
 
-    /// The text for a file in the folder `folder`, an absolute path, as [`with_effects`](Self::with_effects) has it.
+    /// The text for a file in the folder `folder`, an absolute path, as [`with`](Self::with) has it.
     pub fn text_in(&self, folder: &Path) -> String {
         moved(&self.text, &self.file, folder)
     }
 
-    /// Whether [`with_effects`](Self::with_effects) gives a scenario with those effects.
+    /// Whether [`with`](Self::with) gives a scenario with those effects.
     pub fn can_grow(&self) -> bool {
         let count = |text: &str| {
             let scenario = Self::of_text(&self.file, text, &Overrides::default()).ok()?;
@@ -151,6 +173,44 @@ fn find_list(text: &str, key: &str) -> List {
         _ => {}
     });
     found
+}
+
+/// The text with numbers changed where it states them.
+fn changed(text: &str, changes: &[Change<'_>]) -> String {
+    let mut places: Vec<(Range<usize>, f64)> = Vec::new();
+    // The effect whose keys come.
+    let mut effect = String::new();
+    // Keys of an entry come in any order: `p` before `name`.
+    let mut share: Option<(Range<usize>, f64)> = None;
+    walk(text, &mut |path, event, bytes, _| {
+        let in_list = path.strip_prefix("effects[").and_then(|rest| rest.split_once(']'));
+        let key = in_list.map(|(_, key)| key);
+        match event {
+            Event::MappingStart(..) if key == Some("") => {
+                effect.clear();
+                share = None;
+            }
+            Event::Scalar(word, ..) if key == Some(".name") => effect = word.to_string(),
+            Event::Scalar(word, ..) if key == Some(".p") => {
+                share = word.parse().ok().map(|value| (bytes, value));
+            }
+            Event::MappingEnd if key == Some("") => {
+                let Some((bytes, value)) = share.take() else { return };
+                let change = changes.iter().find(|change| change.what == effect && change.from == value);
+                places.extend(change.map(|change| (bytes, change.to)));
+            }
+            Event::Scalar(..) => {
+                let change = changes.iter().find(|change| change.what == path);
+                places.extend(change.map(|change| (bytes, change.to)));
+            }
+            _ => {}
+        }
+    });
+    let mut text = text.to_owned();
+    for (bytes, value) in places.into_iter().rev() {
+        text.replace_range(bytes, &value.to_string());
+    }
+    text
 }
 
 /// The byte after the end of the line that holds a byte.
@@ -306,6 +366,26 @@ mod tests {
             ("{seed: 1}\n", "{name: n, seed: 1}\n"),
         ] {
             assert_eq!(renamed(text, "n"), expected);
+        }
+    }
+
+    #[test]
+    fn a_number_changes_where_it_stands() {
+        let change = |what, from, to| Change { what, from, to };
+        let changes = [change("laser.noise.sigma_m", 0.02, 0.008), change("crosstalk", 0.01, 0.002)];
+        for (text, expected) in [
+            ("laser: {noise: {sigma_m: 0.02}} # guess\n", "laser: {noise: {sigma_m: 0.008}} # guess\n"),
+            ("laser:\n  noise:\n    sigma_m: 2e-2 # ä\n", "laser:\n  noise:\n    sigma_m: 0.008 # ä\n"),
+            ("effects: [{p: 0.01, name: crosstalk}]\n", "effects: [{p: 0.002, name: crosstalk}]\n"),
+            // Of two with one name, that with this value.
+            (
+                "effects:\n- {name: crosstalk, p: 0.3}\n- name: crosstalk\n  p: 0.01\n",
+                "effects:\n- {name: crosstalk, p: 0.3}\n- name: crosstalk\n  p: 0.002\n",
+            ),
+            ("effects: [{name: glass, p: 0.01}]\n", "effects: [{name: glass, p: 0.01}]\n"),
+            ("errors: {sigma_m: 0.02}\n", "errors: {sigma_m: 0.02}\n"),
+        ] {
+            assert_eq!(changed(text, &changes), expected);
         }
     }
 

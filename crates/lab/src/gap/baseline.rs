@@ -98,7 +98,7 @@ fn write(
     options: &GapStudyOptions<'_>,
 ) -> Result<(), LabError> {
     folder.write("gap.json", format!("{}\n", json(study, changes)?).as_bytes())?;
-    let scenario = proposal::scenario_with(study, &changes.effects, None, &options.out)?;
+    let scenario = proposal::scenario_since(study, changes, &options.out)?;
     folder.write("scenario.yaml", scenario.as_bytes())?;
     let [old, new] = [study.scenario.file.clone(), options.out.join("scenario.yaml")];
     let diff = proposal::diff(

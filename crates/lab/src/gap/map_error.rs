@@ -67,8 +67,8 @@ pub(super) fn sentences(map: &MeasuredMapFindings) -> Vec<String> {
         };
         let guesses: Vec<String> = map.guesses.iter().map(guess).collect();
         text.push(format!(
-            "The scenario has more than the log has where it has least: {}. The search has what the log has; set that in the scenario, \
-             which scenario.yaml leaves as it is.",
+            "The scenario has more than the log has where it has least: {}. The search has what the log has, and \
+             scenario.yaml, too, where the scenario states a number.",
             guesses.join(", ")
         ));
     }

@@ -31,7 +31,7 @@ pub use baseline::{answer_since, find as find_since, json as json_since, run as 
 pub use locsim_gap::{BeamPit, Outcome};
 
 pub use filter::FilterOnLog;
-pub use proposal::scenario_with;
+pub use proposal::{scenario_after, scenario_since};
 
 use laser::{with_beams, with_mount};
 
@@ -483,7 +483,7 @@ fn write(
 ) -> Result<(), LabError> {
     let json = serde_json::to_string_pretty(outcome).map_err(ReportError::from)?;
     folder.write("gap.json", format!("{json}\n").as_bytes())?;
-    let scenario = scenario_with(study, &outcome.effects, outcome.residual.as_ref(), &options.out)?;
+    let scenario = scenario_after(study, outcome, &options.out)?;
     folder.write("scenario.yaml", scenario.as_bytes())?;
     let old = study.scenario.file.display().to_string();
     let diff = proposal::diff(
@@ -495,7 +495,10 @@ fn write(
     folder.write("scenario.diff", diff.as_bytes())?;
     // A name and paths of its own are no news.
     let has_curves = outcome.residual.as_ref().is_some_and(ResidualStage::is_nearer);
-    let shown = if outcome.effects.is_empty() && !has_curves { "" } else { &diff };
+    let is_news = !outcome.effects.is_empty()
+        || has_curves
+        || outcome.map.as_ref().is_some_and(|map| !map.guesses.is_empty());
+    let shown = if !is_news { "" } else { &diff };
     Ok(page::write(folder, study, outcome, shown, &options.command)?)
 }
 

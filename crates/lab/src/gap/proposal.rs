@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
+use locsim_baseline::Changes;
 use locsim_core::limits::quoted;
-use locsim_gap::{Named, ResidualStage};
-use locsim_scenario::edit::Entry;
+use locsim_gap::{Guess, Named, Outcome, ResidualStage};
+use locsim_scenario::edit::{Additions, Change, Entry};
 use locsim_scenario::effect::{effect_yaml_with, in_file, residual_yaml};
 use locsim_world::effect::Parameter;
 use similar::TextDiff;
@@ -13,23 +14,45 @@ use super::GapStudy;
 use crate::LabError;
 use crate::run::out_folder;
 
-/// The scenario with these effects and curves, to be read from the folder `out`.
+/// The scenario with what a search has found, to be read from the folder `out`: effects, curves, and what the log has where the
+/// scenario guessed more.
 ///
 /// # Errors
 /// [`LabError::Store`] for a folder whose path can't be told.
-pub fn scenario_with(
+pub fn scenario_after(study: &GapStudy, outcome: &Outcome, out: &Path) -> Result<String, LabError> {
+    let guesses = outcome.map.as_ref().map_or(&[][..], |map| &map.guesses);
+    scenario_with(study, &outcome.effects, outcome.residual.as_ref(), guesses, out)
+}
+
+/// The scenario with what has changed since a baseline, to be read from the folder `out`.
+///
+/// # Errors
+/// As [`scenario_after`].
+pub fn scenario_since(study: &GapStudy, changes: &Changes, out: &Path) -> Result<String, LabError> {
+    scenario_with(study, &changes.effects, None, &[], out)
+}
+
+fn scenario_with(
     study: &GapStudy,
     effects: &[Named],
     residual: Option<&ResidualStage>,
+    guesses: &[Guess],
     out: &Path,
 ) -> Result<String, LabError> {
-    let entries: Vec<Entry> = effects.iter().map(|named| entry(study, named)).collect();
+    let effects = effects.iter().map(|named| entry(study, named)).collect();
     // Curves that bring the ranges no nearer make no better simulator.
-    let curves: Vec<Entry> = residual
+    let residuals = residual
         .filter(|stage| stage.is_nearer())
         .map_or_else(Vec::new, |stage| residual_entries(study, stage));
-    let name = proposed_name(&study.scenario.name);
-    Ok(study.scenario.with_effects(&entries, &curves, &out_folder(out)?, &name))
+    let changes = guesses.iter().map(change).collect();
+    let additions = Additions { changes, effects, residuals };
+    Ok(study.scenario.with(&additions, &out_folder(out)?, &proposed_name(&study.scenario.name)))
+}
+
+/// What the log has for what the scenario guessed, to three digits.
+fn change(guess: &Guess) -> Change<'_> {
+    let to = format!("{:.2e}", guess.log).parse().unwrap_or(guess.log);
+    Change { what: guess.what, from: guess.scenario, to }
 }
 
 /// The curves, the first with what is known of all.
