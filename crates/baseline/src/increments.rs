@@ -1,5 +1,6 @@
 //! The odometry of both logs: errors of its increments, beyond those that the baseline has.
 
+use locsim_core::{Pose2, median};
 use locsim_world::effect::{Axis, Effect, EffectKind, Moves, Statistic};
 use locsim_world::simulation::{Increment, OdometryModel};
 
@@ -16,12 +17,13 @@ pub(super) struct Increments {
 impl Increments {
     pub fn new(pool: &Pool<'_>) -> Self {
         let mut all = Vec::new();
-        for (log, cast) in pool.logs.iter().enumerate() {
+        let every = strides([0, 1].map(|log| median_step(pool.logs[log].recorded.track.secs())));
+        for (log, (cast, every)) in pool.logs.iter().zip(every).enumerate() {
             let recorded = cast.recorded;
-            let own = Increment::all(&pool.nominal.effects, recorded.track.poses(), &recorded.odometry);
-            all.extend(
-                own.into_iter().enumerate().map(|(i, increment)| (pool.stretch(log, i + 1), increment)),
-            );
+            let thinned = |poses: &[Pose2]| poses.iter().copied().step_by(every).collect::<Vec<_>>();
+            let (poses, odometry) = (thinned(recorded.track.poses()), thinned(&recorded.odometry));
+            let own = Increment::all(&pool.nominal.effects, &poses, &odometry).into_iter().enumerate();
+            all.extend(own.map(|(i, increment)| (pool.stretch(log, (i + 1) * every), increment)));
         }
         Self { all, stretches: pool.stretches[1] }
     }
@@ -72,6 +74,28 @@ impl Increments {
         }
         gains
     }
+}
+
+/// Steps of two logs last equally long if their durations differ by no more than this share.
+const AS_LONG: f64 = 0.1;
+/// The most steps that are put together.
+const MOST_STEPS: usize = 8;
+
+/// How many steps of each of two logs to put together, by how long they last \[s\], so that they last equally long: the noise of an increment
+/// doesn't grow with its distance as an effect does, and steps of another length seem to have another odometry.
+fn strides(secs: [f64; 2]) -> [usize; 2] {
+    let pairs = (2..=2 * MOST_STEPS).flat_map(|sum| (1..sum).map(move |first| [first, sum - first]));
+    let unlike = |pair: &[usize; 2]| (pair[0] as f64 * secs[0] / (pair[1] as f64 * secs[1])).ln().abs();
+    let mut known = pairs.filter(|pair| pair.iter().all(|&steps| steps <= MOST_STEPS));
+    let alike = known.clone().find(|pair| unlike(pair) <= AS_LONG);
+    let nearest = || known.by_ref().min_by(|a, b| unlike(a).total_cmp(&unlike(b)));
+    alike.or_else(nearest).unwrap_or([1, 1])
+}
+
+/// The median time between scans \[s\].
+fn median_step(secs: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = secs.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    median(&mut steps)
 }
 
 /// Errors beyond these standard deviations count as these: a reference that jumps tells nothing of the odometry.
@@ -190,4 +214,24 @@ impl Changed {
 /// Whether a kind acts on the odometry alone.
 pub(super) fn is_of_odometry(kind: EffectKind) -> bool {
     kind.moves() == Moves::Odometry
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_put_together_until_they_last_as_long() {
+        for (secs, expected) in [
+            ([0.1, 0.1], [1, 1]),
+            ([0.1, 0.108], [1, 1]),
+            ([0.3, 0.2], [2, 3]),
+            ([0.1, 0.7], [7, 1]),
+            ([2.3, 0.7], [1, 3]),
+            // Out of reach: as near as can be.
+            ([0.1, 5.0], [8, 1]),
+        ] {
+            assert_eq!(strides(secs), expected, "{secs:?}");
+        }
+    }
 }

@@ -174,7 +174,11 @@ impl Null {
             return 0.0;
         }
         let of_gain = self.roots.get(&kind).map_or(0.0, |roots| roots.weight(root(score.gain)));
-        self.contrasts.get(&kind).map_or(of_gain, |contrasts| contrasts.weight(score.contrast).max(of_gain))
+        let of_contrast = self.contrasts.get(&kind).map_or(0.0, |contrasts| contrasts.weight(score.contrast));
+        // Increments err independently of each other. A likelihood ratio of e^g has a chance of e^-g then (Markov's inequality), however
+        // few permutations gain anything.
+        let most = if is_of_odometry(kind) { score.gain } else { f64::INFINITY };
+        of_gain.max(of_contrast).min(most)
     }
 
     fn most(&self, best: &Best, is_among: &dyn Fn(EffectKind) -> bool) -> f64 {
@@ -261,6 +265,17 @@ mod tests {
         let needed = -0.01_f64.ln();
         assert!(null.weight(E::MissingObject, &least) < needed);
         assert!(null.weight(E::MissingObject, &much) > needed);
+    }
+
+    /// Half a nat of an odometry that gains in no permutation is no discovery.
+    #[test]
+    fn an_odometry_is_no_surer_than_its_likelihood_ratio() {
+        let others: Vec<Best> = (0..99).map(|_| of(EffectKind::WheelSlip, -5.0, -1.0)).collect();
+        let weight = |gain| {
+            let own = of(EffectKind::WheelSlip, gain, 3.0);
+            Null::new(&own, &others, 16).weight(EffectKind::WheelSlip, &own[&EffectKind::WheelSlip])
+        };
+        assert!(weight(0.6) <= 0.6 && weight(40.0) > -0.01_f64.ln());
     }
 
     /// A change of the odometry that no permutation has stands out more than readings that gain more, as they do in permutations.

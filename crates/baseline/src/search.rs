@@ -9,6 +9,7 @@ use locsim_gap::{Evidence, GapError, Named, Nominal, Purpose, Recorded, split_by
 use locsim_world::effect::{Effect, EffectKind, Moves};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::assignment::Assignment;
 use super::bearings::{self, LossesByBearing};
@@ -284,7 +285,9 @@ impl Search<'_> {
                 })
                 .collect::<Result<Vec<Fit>, _>>()?;
             let mut sure = None;
-            while let Some(best) = choose(&fits, assignment) {
+            // That something changed is known for the first name. A further one has to say so itself.
+            let errors = if named.is_empty() { 1.0 } else { errors_by_chance(assignment, chance) };
+            while let Some(best) = choose(&fits, assignment, errors) {
                 let precise = self.precise(&fits[best].effect, &given, &expected, assignment, known)?;
                 if precise.is_known {
                     sure = Some((best, precise));
@@ -318,7 +321,7 @@ impl Search<'_> {
                 self.best_beside(&given, &expected, [&more, tried], odometry, assignment, known)?;
             best.retain(|kind, _| is_new(*kind));
             next = starts(&more, &best, &|kind, score| {
-                null.weight(kind, score) > null.least_weight(kind, chance)
+                null.weight(kind, score) > null.least_weight(kind, chance).max(-chance.ln())
             });
             next.extend(at_place().filter(|effect| is_new(effect.kind)));
             scores = best;
@@ -411,10 +414,21 @@ impl Search<'_> {
     }
 }
 
-/// The fit that is named: the one that is worth most, and surely gains; one with fewer parameters within a standard error.
-fn choose(fits: &[Fit], assignment: &Assignment) -> Option<usize> {
+/// The standard errors that a gain on today's stretches exceeds with this chance where there is none.
+fn errors_by_chance(assignment: &Assignment, chance: f64) -> f64 {
+    let stretches = assignment.is_today.iter().filter(|is| **is).count() as f64;
+    StudentsT::new(0.0, 1.0, (stretches - 1.0).max(1.0)).map_or(1.0, |t| t.inverse_cdf(1.0 - chance))
+}
+
+/// The fit that is named: the one that is worth most, and gains by so many standard errors; one with fewer parameters within a standard
+/// error. What acts at one place, in bursts or on the odometry gains on few stretches, and needs one standard error.
+fn choose(fits: &[Fit], assignment: &Assignment, errors: f64) -> Option<usize> {
     let of_today = |fit: &Fit| assignment.of_today(&fit.gains);
-    let is_sure = |fit: &Fit| fit.worth() > 0.0 && fit.gain() - sum_error(&of_today(fit)) > 0.0;
+    let comes_and_goes = |effect: &Effect| {
+        is_of_place(effect.kind) || is_of_odometry(effect.kind) || effect.bursts().is_some()
+    };
+    let errors = |fit: &Fit| if comes_and_goes(&fit.effect) { 1.0 } else { errors };
+    let is_sure = |fit: &Fit| fit.worth() > 0.0 && fit.gain() - errors(fit) * sum_error(&of_today(fit)) > 0.0;
     let most = (0..fits.len())
         .filter(|&i| is_sure(&fits[i]))
         .max_by(|&a, &b| fits[a].worth().total_cmp(&fits[b].worth()))?;
@@ -467,5 +481,36 @@ fn name(
             p,
         },
         effect,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A noise that gains on half of today's stretches, as where one drive passes what the other didn't, is a name if something has to
+    /// explain the change, and none beside a name that does.
+    #[test]
+    fn a_further_name_has_to_gain_on_all_of_the_drive() {
+        let assignment = Assignment {
+            is_baseline: [[true; 16], [false; 16]].concat(),
+            is_today: [[false; 16], [true; 16]].concat(),
+        };
+        let gains = |today: [f64; 16]| [[0.0; 16], today].concat();
+        let here_and_there = [
+            93.0, 170.0, 99.0, 24.0, 34.0, 97.0, 201.0, -9.0, -35.0, -39.0, -4.0, -31.0, 23.0, -11.0, -14.0,
+            7.0,
+        ];
+        let fit = |kind, gains| Fit { effect: Effect::typical(kind, Vec::new()), gains };
+        let noise = [fit(EffectKind::IncidenceNoise, gains(here_and_there))];
+        let errors = errors_by_chance(&assignment, 0.01);
+        assert!((errors - 2.602).abs() < 1e-3, "{errors}");
+        assert_eq!(choose(&noise, &assignment, 1.0), Some(0));
+        assert_eq!(choose(&noise, &assignment, errors), None);
+        let lasting = [fit(EffectKind::IncidenceNoise, gains([10.0, 30.0].repeat(8).try_into().unwrap()))];
+        assert_eq!(choose(&lasting, &assignment, errors), Some(0));
+        // Wheels slip here and there.
+        let slip = [fit(EffectKind::WheelSlip, gains(here_and_there))];
+        assert_eq!(choose(&slip, &assignment, errors), Some(0));
     }
 }

@@ -113,6 +113,17 @@ impl Laser {
         self.base_from_laser
     }
 
+    /// This laser whose beams are taken at these times \[s, from the scan's stamp\].
+    ///
+    /// # Errors
+    /// [`LaserError::BeamTimes`] for another number of times than of beams.
+    pub fn with_beam_times(self, secs: &[f32]) -> Result<Self, LaserError> {
+        if secs.len() != self.beam_count() {
+            return Err(LaserError::BeamTimes { times: secs.len(), bearings: self.beam_count() });
+        }
+        Ok(Self { beam_times_secs: secs.into(), ..self })
+    }
+
     /// This laser with at most `count` of its beams, evenly spread, and the index of each kept beam.
     pub fn thinned(&self, count: usize) -> (Self, Vec<usize>) {
         let n = self.beam_count();

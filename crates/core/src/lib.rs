@@ -24,6 +24,7 @@ mod normals;
 pub mod output;
 mod particles;
 mod pose;
+mod pose_error;
 mod quantile;
 mod resampled;
 mod shard;
@@ -46,6 +47,10 @@ pub use lines::{Line, lines_through};
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, wrap_angle};
+pub use pose_error::{
+    PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, fit_pose_error, pattern_score,
+    smooth_pose_errors,
+};
 pub use quantile::{median, quantile, sorted};
 pub use resampled::resampled;
 pub use shard::Shard;

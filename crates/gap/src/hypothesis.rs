@@ -4,15 +4,12 @@ use std::sync::Arc;
 
 use distreg::random_effects;
 use glam::DVec3;
-use locsim_core::Pose2;
+use locsim_core::{Pose2, PoseError, PoseInformation, fit_pose_error, pattern_score, smooth_pose_errors};
 use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
-use locsim_world::simulation::{
-    OdometrySpread, PoseError, PoseInformation, ReadingSources, fit_pose_error, log_likelihoods,
-    smooth_pose_errors,
-};
+use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};
 
 use crate::likelihood::{Density, Terms};
-use crate::pose_pattern::{PosePattern, pattern_score, without_patterns};
+use crate::pose_pattern::{PosePattern, without_patterns};
 use crate::views::{PieceView, Views};
 use crate::wall_error::{self, Pull};
 use crate::{GapError, Nominal, Recorded};

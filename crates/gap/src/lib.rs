@@ -35,7 +35,7 @@ mod wall_error;
 pub use catalogue::values_along;
 pub use error::GapError;
 pub use hypothesis::Nuisances;
-pub use locsim_world::simulation::PoseError;
+pub use locsim_core::PoseError;
 pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
 pub use nominal::{Guess, Nominal};
 pub use outcome::{

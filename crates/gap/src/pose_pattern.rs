@@ -4,8 +4,8 @@
 
 use distreg::matrix::invert;
 use glam::DVec3;
+use locsim_core::PoseInformation;
 use locsim_world::effect::{Direction, EffectKind, PoseState, Statistic};
-use locsim_world::simulation::{PoseError, PoseInformation, smooth_pose_errors};
 
 use crate::Recorded;
 use crate::catalogue::{shown_by, values_along};
@@ -65,33 +65,6 @@ pub(crate) fn without_patterns(scans: &[PoseInformation], patterns: &[Vec<DVec3>
             vector: scan.vector - scan.matrix * shift(i),
         })
         .collect()
-}
-
-/// How surely the reference's poses are off along a known pattern, `pattern[scan]` times a constant, on top of errors of
-/// the process: the score of that constant in its own standard deviations.
-///
-/// A displaced laser, a turned one and a late stamp all move whole scans; errors that are fitted first would take them in.
-pub(crate) fn pattern_score(
-    process: &PoseError,
-    secs: &[f64],
-    scans: &[PoseInformation],
-    pattern: &[DVec3],
-) -> f64 {
-    // The part of a vector of data that the process doesn't explain.
-    let left = |vectors: &dyn Fn(usize) -> DVec3| -> Vec<DVec3> {
-        let as_data: Vec<PoseInformation> = scans
-            .iter()
-            .enumerate()
-            .map(|(i, s)| PoseInformation { matrix: s.matrix, vector: vectors(i) })
-            .collect();
-        if process.is_none() {
-            return as_data.iter().map(|s| s.vector).collect();
-        }
-        let mean = smooth_pose_errors(process, secs, &as_data).mean;
-        as_data.iter().zip(mean).map(|(s, mean)| s.vector - s.matrix * mean).collect()
-    };
-    let along = |left: Vec<DVec3>| pattern.iter().zip(left).map(|(p, l)| p.dot(l)).sum::<f64>();
-    along(left(&|i| scans[i].vector)) / along(left(&|i| scans[i].matrix * pattern[i])).max(1e-300).sqrt()
 }
 
 #[cfg(test)]

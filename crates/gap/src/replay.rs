@@ -66,7 +66,9 @@ impl<'a> Replay<'a> {
         let density = self.nuisances.block_density * self.blocks.density_over_fit;
         let BlockTruth { resample, walks, .. } = self.blocks;
         let blocks = BlockPolicy { density, resample, walks };
-        let mut simulator = self.nominal.simulator(&effects, blocks)?;
+        let simulator = self.nominal.simulator(&effects, blocks)?;
+        // As the log's laser sweeps.
+        let mut simulator = simulator.with_beam_times(self.recorded.log_laser.beam_times_secs())?;
         if let Some(moved) = self.moved_walls(seed) {
             simulator = simulator.with_moved_walls(moved);
         }
@@ -233,9 +235,33 @@ fn shared_shorts(comparison: &Comparison<'_>, fitted: &Fitted) -> [f64; LAGS.len
 
 #[cfg(test)]
 mod tests {
+    use locsim_world::simulation::LaserOptions;
+
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
+
+    /// The scenario's laser turns counter-clockwise, the log's clockwise: its walls are where its beams are taken.
+    #[test]
+    fn a_simulated_log_sweeps_as_the_log() {
+        let laser = LaserOptions { scan_secs: 0.1, ..NOMINAL.laser };
+        let nominal =
+            Nominal::new(NOMINAL.map.clone(), laser, None, NOMINAL.odometry, NOMINAL.effects.clone())
+                .unwrap();
+        let mut drive = record_library(&nominal, &TRUTH, &[], Regime::default(), 5).unwrap();
+        let mut secs = drive.laser.beam_times_secs().to_vec();
+        secs.reverse();
+        drive.laser = drive.laser.with_beam_times(&secs).unwrap();
+        let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&nominal, &recorded).unwrap();
+        let fitted = comparison.start(&Nuisances::default());
+        let truth = BlockTruth::of(BlockResampling::EachObservation);
+        let log = Replay::new(&comparison, &[], &fitted, truth).simulate(8).unwrap();
+        let beams = comparison.views.beams.iter().zip(&log.readings);
+        let far = beams.filter(|(beam, z)| (beam.range() - f64::from(**z)).abs() > 0.05);
+        // Returns that get lost, and beams at edges.
+        assert!((far.count() as f64) < 0.05 * log.readings.len() as f64);
+    }
 
     /// Clutter that is drawn anew, that stays and that walks is told apart by where its readings are again.
     #[test]

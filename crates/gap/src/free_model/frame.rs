@@ -1,9 +1,8 @@
 //! A reference in a frame that is turned and shifted against the map's.
 
 use glam::DVec2;
-use locsim_core::Pose2;
+use locsim_core::{Pose2, TurnedFrame};
 use locsim_world::effect::Effects;
-use locsim_world::simulation::TurnedFrame;
 
 use super::Misalignment;
 use crate::hypothesis::{Comparison, Fitted};

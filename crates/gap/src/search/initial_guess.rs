@@ -34,7 +34,13 @@ impl<'a> State<'a> {
         let exact = round.comparison.start_exact(&round.fitted.nuisances);
         let exact =
             exact.as_ref().map(|fitted| Readings::new(&round.comparison, &effects, fitted, false, &pit));
-        let moving = round.dictionary.moving(&log);
+        // Errors of reference and walls that were fitted without an effect that moves most readings follow a part of it.
+        let mut moving = round.dictionary.moving(&log);
+        for (kind, start) in exact.iter().flat_map(|log| round.dictionary.moving(log)) {
+            if moving.iter().all(|(known, _)| *known != kind) {
+                moving.push((kind, start));
+            }
+        }
         let further: Vec<EffectKind> =
             further.iter().copied().chain(moving.iter().map(|(kind, _)| *kind)).collect();
         let guesses =

@@ -68,7 +68,7 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
 
 /// An effect with its numbers: "Far surfaces often send nothing back: `range_dropout`, p = 0.42 [0.38, 0.46]."
 pub(super) fn told(named: &Named) -> String {
-    let sentence = named.name.sentence().trim_end_matches('.');
+    let sentence = named.effect.sentence().trim_end_matches('.');
     let place: Vec<String> = named
         .place
         .iter()

@@ -52,7 +52,8 @@ pub(super) fn with_mount(drive: Drive, scenario: &Laser, warnings: &mut Vec<Stri
 
 /// The drive with its beams in the order of the scenario's, matched by where they point.
 ///
-/// Lidars begin behind, ahead or at a side, some turn clockwise, and some have a beam at both ends of a full circle.
+/// Lidars begin behind, ahead or at a side, some turn clockwise, and some have a beam at both ends of a full circle. Beams are taken when
+/// the log says; one that doesn't say so has the scenario's sweep.
 pub(super) fn with_beams(drive: Drive, scenario: &Laser) -> Result<Drive, String> {
     let log = &drive.laser;
     let (range, max) = (log.max_range(), scenario.max_range());
@@ -62,8 +63,15 @@ pub(super) fn with_beams(drive: Drive, scenario: &Laser) -> Result<Drive, String
         ));
     }
     let order = matching_beams(log.bearings(), scenario.bearings())?;
+    let sweeps = log.beam_times_secs().iter().any(|&secs| secs != 0.0);
+    let secs = if sweeps {
+        order.iter().map(|&beam| log.beam_times_secs()[beam]).collect()
+    } else {
+        scenario.beam_times_secs().to_vec()
+    };
     if order.iter().copied().eq(0..log.beam_count()) {
-        return Ok(drive);
+        let laser = drive.laser.with_beam_times(&secs).map_err(|error| error.to_string())?;
+        return Ok(Drive { laser, ..drive });
     }
     let bearing = |(&theirs, &beam): (&f32, &usize)| {
         let apart = wrap_angle(f64::from(log.bearings()[beam]) - f64::from(theirs));
@@ -71,7 +79,7 @@ pub(super) fn with_beams(drive: Drive, scenario: &Laser) -> Result<Drive, String
     };
     let laser = Laser::new(
         scenario.bearings().iter().zip(&order).map(bearing).collect(),
-        order.iter().map(|&beam| log.beam_times_secs()[beam]).collect(),
+        secs,
         log.min_range(),
         range,
         log.base_from_laser(),
@@ -161,6 +169,21 @@ mod tests {
             }
             assert_eq!(found.laser.beam_times_secs()[0], first as f32);
         }
+    }
+
+    /// A log that doesn't say when its beams are taken has the scenario's sweep.
+    #[test]
+    fn beams_are_taken_when_the_log_says() {
+        let step = PI / 4.0;
+        let scenario = drive(beams(step - PI, step, 8)).laser;
+        let clockwise = drive(beams(PI, -step, 8));
+        let times = |drive| with_beams(drive, &scenario).unwrap().laser.beam_times_secs().to_vec();
+        assert_eq!(times(clockwise.clone()), [7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0, 0.0]);
+        let still = |laser: Laser| laser.with_beam_times(&[0.0; 8]).unwrap();
+        let unsaid = Drive { laser: still(clockwise.laser.clone()), ..clockwise };
+        assert_eq!(times(unsaid), scenario.beam_times_secs());
+        let same = Drive { laser: still(scenario.clone()), ..drive(beams(step - PI, step, 8)) };
+        assert_eq!(times(same), scenario.beam_times_secs());
     }
 
     /// Half a degree of bearings is half a degree of the mount, and says nothing of where the laser is.

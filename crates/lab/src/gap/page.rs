@@ -148,7 +148,7 @@ fn markdown(
 fn named_text<'a>(named: &locsim_gap::Named, figure: Option<FigureLink<'a>>) -> NamedText<'a> {
     NamedText {
         name: named.name.name(),
-        sentence: named.name.sentence(),
+        sentence: named.effect.sentence(),
         formula: named.name.formula(),
         signature: named.name.signature(),
         numbers: answer::numbers(named).join(", "),

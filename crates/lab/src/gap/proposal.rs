@@ -87,11 +87,10 @@ pub(super) fn diff(old: &str, new: &str, old_name: &str, new_name: &str) -> Stri
 
 /// One effect as an entry with what is known of it.
 fn entry(study: &GapStudy, named: &Named) -> Entry {
-    let kind = named.name;
     let evidence = &named.evidence;
     let log = quoted(&study.log.file_name().unwrap_or_default().to_string_lossy());
     let mut comments = vec![
-        format!("Found in {log} by `locsim gap`: {}", kind.sentence()),
+        format!("Found in {log} by `locsim gap`: {}", named.effect.sentence()),
         format!("{}.", numbers(named)),
         format!(
             "It gains {} nats on held-out scans; chance of a false alarm {}.",

@@ -22,6 +22,10 @@ impl EffectType for TimeOffset {
                 formula: "beams are taken delay_secs after their stamps",
                 sentence: "The stamps of the scans are early or late: the robot has moved on when the beams are \
                            taken.",
+                sides: Some([
+                    "The stamps of the scans are late: the beams are taken before the robot is there.",
+                    "The stamps of the scans are early: the robot has moved on when the beams are taken.",
+                ]),
                 signature: "residuals in proportion to speed and turn rate, reversed with the motion",
                 confused_with: &[EffectKind::MountOffset, EffectKind::MountYaw],
                 experiments: &[Experiment::Reverse],
@@ -58,6 +62,10 @@ impl EffectType for MotionSkew {
                 parameters: &[Parameter::strength("sweep_secs", "s", 0.0, [-1.0, 1.0], 0.05)],
                 formula: "beams are taken sweep_secs (bearing / 2 pi) after their stamps, bearing in (-pi, pi]",
                 sentence: "A sweep takes longer or shorter than the beams' stamps say.",
+                sides: Some([
+                    "A sweep takes less time than the beams' stamps say, or goes the other way round.",
+                    "A sweep takes more time than the beams' stamps say.",
+                ]),
                 signature: "residuals in proportion to bearing times turn rate or speed",
                 confused_with: &[EffectKind::TimeOffset, EffectKind::MountYaw],
                 experiments: &[Experiment::Reverse],

@@ -16,6 +16,10 @@ impl EffectType for BlockDensity {
                 parameters: &[Parameter::strength("factor", "1", 1.0, [0.0, 100.0], 2.0)],
                 formula: "blocks per metre of wall times factor",
                 sentence: "There are more, or fewer, unmapped objects along the walls than assumed.",
+                sides: Some([
+                    "There are fewer unmapped objects along the walls than assumed.",
+                    "There are more unmapped objects along the walls than assumed.",
+                ]),
                 signature: "how often readings are short near walls",
                 confused_with: &[EffectKind::BlockDepth, EffectKind::MissingObject],
                 statistics: &[Statistic::ClutterDensity],
@@ -45,6 +49,10 @@ impl EffectType for BlockDepth {
                 parameters: &[Parameter::strength("factor", "1", 1.0, [0.01, 100.0], 1.5)],
                 formula: "width of blocks and their gap to the wall times factor",
                 sentence: "Unmapped objects reach farther, or less far, into the room than assumed.",
+                sides: Some([
+                    "Unmapped objects reach less far into the room than assumed.",
+                    "Unmapped objects reach farther into the room than assumed.",
+                ]),
                 signature: "how short readings are near walls",
                 confused_with: &[EffectKind::BlockDensity],
                 statistics: &[Statistic::ClutterDepth],

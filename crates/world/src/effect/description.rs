@@ -16,6 +16,8 @@ pub struct Description {
     pub formula: &'static str,
     /// Definition in plain language.
     pub sentence: &'static str,
+    /// The same of a strength below its neutral value and of one above, where that matters.
+    pub sides: Option<[&'static str; 2]>,
     /// Its signature in data.
     pub signature: &'static str,
     /// Other kinds that look much like it.
@@ -51,6 +53,7 @@ impl Description {
         has_place: false,
         formula: "",
         sentence: "",
+        sides: None,
         signature: "",
         confused_with: &[],
         experiments: &[],

@@ -94,6 +94,21 @@ impl Effect {
         Ok(Self { kind, values, place })
     }
 
+    /// What it does in plain language, with the side to which its strength lies.
+    pub fn sentence(&self) -> &'static str {
+        let strength = self.kind.strengths().next();
+        match (self.kind.description().sides, strength) {
+            (Some([below, above]), Some(i)) => {
+                if self.values[i] < self.kind.parameters()[i].neutral {
+                    below
+                } else {
+                    above
+                }
+            }
+            _ => self.kind.sentence(),
+        }
+    }
+
     /// Its numbers as an array, for a kind with `N` parameters.
     fn numbers<const N: usize>(&self) -> [f64; N] {
         std::array::from_fn(|i| self.values[i])

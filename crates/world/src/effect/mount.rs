@@ -20,6 +20,10 @@ impl EffectType for MountYaw {
                 parameters: &[Parameter::strength("yaw_rad", "rad", 0.0, [-PI, PI], 0.02).key("yaw_deg")],
                 formula: "the laser's heading on the robot + yaw_rad",
                 sentence: "The laser sits on the robot at another angle than the description says.",
+                sides: Some([
+                    "The laser sits on the robot turned to the right of what the description says.",
+                    "The laser sits on the robot turned to the left of what the description says.",
+                ]),
                 signature: "residuals signed by the slant of the wall, the same wherever the robot is",
                 confused_with: &[EffectKind::OdomImbalance, EffectKind::MotionSkew, EffectKind::TimeOffset],
                 experiments: &[Experiment::TurnsAndLines],

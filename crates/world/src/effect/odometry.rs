@@ -21,6 +21,10 @@ impl EffectType for OdomDistanceScale {
                 formula: "ds (1 + k)",
                 sentence: "The odometry reads every distance too long or too short by the same share: a wheel's \
                            diameter is off.",
+                sides: Some([
+                    "The odometry reads every distance too short by the same share: a wheel's diameter is off.",
+                    "The odometry reads every distance too long by the same share: a wheel's diameter is off.",
+                ]),
                 signature: "increments of distance in proportion to the true ones",
                 confused_with: &[EffectKind::WheelSlip],
                 statistics: &[Statistic::Odometry { error: Axis::Distance, motion: Axis::Distance }],
@@ -50,6 +54,10 @@ impl EffectType for OdomTurnScale {
                 formula: "dtheta (1 + k)",
                 sentence: "The odometry reads every turn too wide or too narrow by the same share: the wheel base is \
                            off.",
+                sides: Some([
+                    "The odometry reads every turn too narrow by the same share: the wheel base is off.",
+                    "The odometry reads every turn too wide by the same share: the wheel base is off.",
+                ]),
                 signature: "increments of heading in proportion to the true ones",
                 confused_with: &[EffectKind::OdomImbalance],
                 experiments: &[Experiment::TurnsAndLines],
@@ -82,6 +90,10 @@ impl EffectType for OdomImbalance {
                 formula: "dtheta + turn_per_m ds",
                 sentence: "The odometry reads a turn while the robot drives straight: one wheel is larger than the \
                            other.",
+                sides: Some([
+                    "The odometry reads a turn to the right while the robot drives straight: one wheel is larger than the other.",
+                    "The odometry reads a turn to the left while the robot drives straight: one wheel is larger than the other.",
+                ]),
                 signature: "increments of heading in proportion to distance",
                 confused_with: &[EffectKind::OdomTurnScale, EffectKind::MountYaw],
                 experiments: &[Experiment::TurnsAndLines],

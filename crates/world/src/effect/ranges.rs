@@ -17,6 +17,10 @@ impl EffectType for RangeBias {
                 parameters: &[Parameter::strength("bias_m", "m", 0.0, [-1.0, 1.0], 0.02)],
                 formula: "mean = r + bias_m",
                 sentence: "Every return is too long or too short by the same length.",
+                sides: Some([
+                    "Every return is too short by the same length.",
+                    "Every return is too long by the same length.",
+                ]),
                 signature: "a flat shift of the residuals over range, incidence, bearing and time",
                 confused_with: &[EffectKind::RangeScale, EffectKind::WarmupDrift],
                 experiments: &[Experiment::Ranges, Experiment::WarmedUp],
@@ -48,6 +52,10 @@ impl EffectType for RangeScale {
                 parameters: &[Parameter::strength("k", "1", 0.0, [-0.2, 0.2], 0.01)],
                 formula: "mean = r (1 + k)",
                 sentence: "Every return is too long or too short by the same share of its range.",
+                sides: Some([
+                    "Every return is too short by the same share of its range.",
+                    "Every return is too long by the same share of its range.",
+                ]),
                 signature: "a shift of the residuals that is linear in range",
                 confused_with: &[EffectKind::RangeBias, EffectKind::WarmupDrift],
                 experiments: &[Experiment::Ranges],
@@ -80,6 +88,10 @@ impl EffectType for IncidenceBias {
                 formula: "mean = r + bias_m tan^2(alpha), alpha at most 80 deg, on walls",
                 sentence: "Returns of slanted walls are too long or too short: the spot that a beam lights up is \
                            stretched.",
+                sides: Some([
+                    "Returns of slanted walls are too short: the spot that a beam lights up is stretched.",
+                    "Returns of slanted walls are too long: the spot that a beam lights up is stretched.",
+                ]),
                 signature: "a shift of the residuals that depends on incidence alone",
                 confused_with: &[EffectKind::MovedWall, EffectKind::RangeScale],
                 statistics: &[Statistic::Score {
@@ -116,6 +128,10 @@ impl EffectType for WarmupDrift {
                 ],
                 formula: "mean = r + bias_m exp(-t / tau_secs), t since the first scan",
                 sentence: "Just after the start returns are off; the shift dies away as the sensor warms up.",
+                sides: Some([
+                    "Just after the start returns are too short; the shift dies away as the sensor warms up.",
+                    "Just after the start returns are too long; the shift dies away as the sensor warms up.",
+                ]),
                 signature: "a shift that fades with time",
                 confused_with: &[EffectKind::RangeBias, EffectKind::RangeScale],
                 experiments: &[Experiment::WarmedUp],

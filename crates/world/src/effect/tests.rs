@@ -490,6 +490,15 @@ fn sectors_hold_their_ends() {
 }
 
 #[test]
+fn a_sentence_says_to_which_side() {
+    let bias = |bias_m| Effect::new(EffectKind::RangeBias, vec![bias_m], Vec::new()).unwrap().sentence();
+    assert!(bias(0.02).contains("too long") && !bias(0.02).contains("too short"));
+    assert!(bias(-0.02).contains("too short") && !bias(-0.02).contains("too long"));
+    let fewer = Effect::new(EffectKind::BlockDensity, vec![0.5], Vec::new()).unwrap();
+    assert!(fewer.sentence().contains("fewer"));
+}
+
+#[test]
 fn the_catalogue_is_complete() {
     for (i, kind) in EffectKind::ALL.into_iter().enumerate() {
         assert_eq!(kind as usize, i);
@@ -500,6 +509,8 @@ fn the_catalogue_is_complete() {
             assert!(text.len() > 4, "{kind}");
         }
         assert!(kind.strengths().next().is_some() && !kind.description().statistics.is_empty(), "{kind}");
+        let has_sides = !kind.is_one_sided() && kind.strengths().count() == 1;
+        assert_eq!(kind.description().sides.is_some(), has_sides, "{kind}");
         for other in kind.confused_with() {
             assert!(kind.confused_with().iter().filter(|again| *again == other).count() == 1, "{kind}");
         }

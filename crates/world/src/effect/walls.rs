@@ -59,6 +59,10 @@ impl EffectType for MovedWall {
                 has_place: true,
                 formula: "r + distance_m / cos(alpha), alpha at most 80 deg, at the place; positive: farther",
                 sentence: "A stretch of wall stands elsewhere than in the map.",
+                sides: Some([
+                    "A stretch of wall stands nearer than in the map.",
+                    "A stretch of wall stands farther away than in the map.",
+                ]),
                 signature: "one stretch of wall that is shifted, whichever way the robot looks at it",
                 confused_with: &[EffectKind::Glass, EffectKind::MissingObject],
                 statistics: &[Statistic::WallShift],

@@ -78,6 +78,15 @@ impl LaserSimulator {
         Ok(Self { options, laser, directions, first_bearing, beams_per_rad })
     }
 
+    /// The same with beams that are taken at these times \[s, from the scan's stamp\]: some lasers turn clockwise, and some begin a sweep
+    /// elsewhere than at their first bearing.
+    ///
+    /// # Errors
+    /// [`SimulationError`] for another number of times than of beams.
+    pub fn with_beam_times(self, secs: &[f32]) -> Result<Self, SimulationError> {
+        Ok(Self { laser: self.laser.with_beam_times(secs)?, ..self })
+    }
+
     /// The laser as a filter knows it.
     pub fn laser(&self) -> &Laser {
         &self.laser

@@ -28,7 +28,6 @@ mod obstruction;
 mod odometry;
 mod odometry_filter;
 mod path;
-mod pose_error;
 mod rectangle;
 mod scan_filter;
 mod survival;
@@ -49,9 +48,6 @@ pub use obstruction::{ObstructionOptions, ObstructionTable};
 pub use odometry::OdometryNoise;
 pub use odometry_filter::{MountFilter, OdometryFilter};
 pub use path::{RobotPath, Trajectory, VelocitySegment};
-pub use pose_error::{
-    PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, fit_pose_error, smooth_pose_errors,
-};
 pub use scan_filter::ScanFilter;
 pub use survival::ClutterSurvival;
 pub use wall_pieces::{MovedWalls, WallPieces};

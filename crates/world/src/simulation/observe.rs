@@ -57,6 +57,15 @@ impl Simulator {
         Self { moved: Some(moved), ..self }
     }
 
+    /// The same with beams that are taken at these times \[s, from the scan's stamp\].
+    ///
+    /// # Errors
+    /// As [`LaserSimulator::with_beam_times`].
+    pub fn with_beam_times(self, secs: &[f32]) -> Result<Self, SimulationError> {
+        let [laser, mounted] = [self.laser, self.mounted].map(|laser| laser.with_beam_times(secs));
+        Ok(Self { laser: laser?, mounted: mounted?, ..self })
+    }
+
     /// The map.
     pub fn map(&self) -> &Arc<ExactRangeMap> {
         &self.map

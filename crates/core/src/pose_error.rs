@@ -4,9 +4,10 @@
 //! standard deviation for both) and of the heading is a first-order autoregressive process, in the map frame.
 
 use glam::{DMat3, DVec2, DVec3};
-use locsim_core::{Pose2, Track};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
+
+use crate::{Pose2, Track};
 
 /// A first-order autoregressive process for the error of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -244,6 +245,28 @@ pub fn fit_pose_error(
     process
 }
 
+/// How surely the reference's poses are off along a known pattern, `pattern[scan]` times a constant, on top of errors of
+/// the process: the score of that constant in its own standard deviations.
+///
+/// A displaced laser, a turned one and a late stamp all move whole scans; errors that are fitted first would take them in.
+pub fn pattern_score(process: &PoseError, secs: &[f64], scans: &[PoseInformation], pattern: &[DVec3]) -> f64 {
+    // The part of a vector of data that the process doesn't explain.
+    let left = |vectors: &dyn Fn(usize) -> DVec3| -> Vec<DVec3> {
+        let as_data: Vec<PoseInformation> = scans
+            .iter()
+            .enumerate()
+            .map(|(i, s)| PoseInformation { matrix: s.matrix, vector: vectors(i) })
+            .collect();
+        if process.is_none() {
+            return as_data.iter().map(|s| s.vector).collect();
+        }
+        let mean = smooth_pose_errors(process, secs, &as_data).mean;
+        as_data.iter().zip(mean).map(|(s, mean)| s.vector - s.matrix * mean).collect()
+    };
+    let along = |left: Vec<DVec3>| pattern.iter().zip(left).map(|(p, l)| p.dot(l)).sum::<f64>();
+    along(left(&|i| scans[i].vector)) / along(left(&|i| scans[i].matrix * pattern[i])).max(1e-300).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -256,7 +279,7 @@ mod tests {
         let track = Track::new(secs.iter().map(|&secs| (secs, Pose2::IDENTITY))).unwrap();
         let matrix = DMat3::from_diagonal(DVec3::new(1e7, 1e7, 1e8));
         let fitted = (0..300).map(|log| {
-            let draw = |scan| locsim_core::Draw::new(log, locsim_core::Stage::Path, scan).item(0);
+            let draw = |scan| crate::Draw::new(log, crate::Stage::Path, scan).item(0);
             let errors = process.perturb(&track, draw);
             let scans = errors
                 .iter()
