@@ -14,7 +14,7 @@ use super::pool::{Expected, Pool, Reading, World};
 
 /// Strengths that are tried, in typical ones, to both sides where there are two: gains vary slowly with the strength, and the best
 /// is fitted.
-const FACTORS: [f64; 3] = [1.0, 3.0, 9.0];
+const FACTORS: [f64; 4] = [0.3, 1.0, 3.0, 9.0];
 /// Probabilities that are tried.
 const PROBABILITIES: [f64; 2] = [0.05, 0.4];
 /// Steps of readings that are tried \[m\]: those of lasers, and coarser ones of drivers and of messages.

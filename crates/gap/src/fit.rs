@@ -121,6 +121,16 @@ impl Search<'_, '_> {
                 settled = other;
             }
         }
+        // Walls of a measured map follow poses, and poses walls: with those that were fitted to it each value is the best one.
+        let has_walls = self.comparison.nominal.pieces.is_some();
+        if has_walls && kind.moves() == Moves::Scans && settled.0 - self.without.total() > STRONG_NATS {
+            let start = Start { values: settled.1.values, place: settled.1.place };
+            let (_, effect) =
+                self.maximize_over(kind, &start, kind.parameters().len(), Self::evaluate_by_refit)?;
+            let refitted = self.refitted(&effect)?;
+            let value = Search { start: &refitted, ..*self }.evaluate(&effect)?.total();
+            settled = (value, effect, refitted);
+        }
         let (value, effect, refitted) = settled;
         if value <= self.without.total() + LEAST_GAIN_NATS {
             return Ok(None);
@@ -149,7 +159,8 @@ impl Search<'_, '_> {
         }
         for _ in 0..MOST_RESTARTS {
             let start = Start { values: effect.values.clone(), place: effect.place.clone() };
-            let (again, better) = self.maximize_over(kind, &start, kind.parameters().len())?;
+            let (again, better) =
+                self.maximize_over(kind, &start, kind.parameters().len(), Self::evaluate_roughly)?;
             let gained = again - value;
             if gained > 0.0 {
                 (value, effect) = (again, better);
@@ -173,6 +184,12 @@ impl Search<'_, '_> {
         Ok(fitted.total() + log_prior(effect))
     }
 
+    /// The same with nuisance parameters that are fitted to each effect.
+    fn evaluate_by_refit(&self, effect: &Effect) -> Result<f64, GapError> {
+        let refitted = self.refitted(effect)?;
+        Ok(Search { start: &refitted, ..*self }.evaluate(effect)?.total() + log_prior(effect))
+    }
+
     fn with(&self, effect: &Effect) -> Vec<Effect> {
         let mut effects = self.given.to_vec();
         effects.push(effect.clone());
@@ -188,11 +205,11 @@ impl Search<'_, '_> {
     /// drive the shape to where it makes up for it.
     fn maximize(&self, kind: EffectKind, start: &Start) -> Result<(f64, Effect), GapError> {
         if priors(kind).next().is_none() {
-            return self.maximize_over(kind, start, kind.parameters().len());
+            return self.maximize_over(kind, start, kind.parameters().len(), Self::evaluate_roughly);
         }
-        let (_, effect) = self.maximize_over(kind, start, 1)?;
+        let (_, effect) = self.maximize_over(kind, start, 1, Self::evaluate_roughly)?;
         let start = Start { values: effect.values, place: effect.place };
-        self.maximize_over(kind, &start, kind.parameters().len())
+        self.maximize_over(kind, &start, kind.parameters().len(), Self::evaluate_roughly)
     }
 
     /// The maximum over the first `count` parameters, the others as they are.
@@ -201,6 +218,7 @@ impl Search<'_, '_> {
         kind: EffectKind,
         start: &Start,
         count: usize,
+        evaluate: fn(&Self, &Effect) -> Result<f64, GapError>,
     ) -> Result<(f64, Effect), GapError> {
         let parameters = kind.parameters();
         let scales: Vec<f64> = parameters
@@ -209,14 +227,14 @@ impl Search<'_, '_> {
             .zip(&start.values)
             .map(|(parameter, &value)| first_step(parameter, value))
             .collect();
-        let problem = Problem { search: self, kind, start, scales: &scales };
+        let problem = Problem { evaluate: &|effect| evaluate(self, effect), kind, start, scales: &scales };
         let origin = vec![0.0; scales.len()];
         // Effects that exclude each other are refused here: in the solver the error would be lost.
         self.comparison.effects(&self.with(&problem.effect(&origin)?))?;
         if kind.is_stepped() {
             // The step of a quantization is right or wrong: there is nothing between to search.
             let effect = problem.effect(&origin)?;
-            return Ok((self.evaluate_roughly(&effect)?, effect));
+            return Ok((evaluate(self, &effect)?, effect));
         }
         let mut simplex = vec![origin.clone()];
         for axis in 0..origin.len() {
@@ -449,14 +467,14 @@ fn first_step(parameter: &Parameter, value: f64) -> f64 {
 }
 
 /// The objective of the simplex search, over changes of the parameters from the start in their first steps.
-struct Problem<'s, 'c, 'a> {
-    search: &'s Search<'c, 'a>,
+struct Problem<'s> {
+    evaluate: &'s dyn Fn(&Effect) -> Result<f64, GapError>,
     kind: EffectKind,
     start: &'s Start,
     scales: &'s [f64],
 }
 
-impl Problem<'_, '_, '_> {
+impl Problem<'_> {
     fn effect(&self, numbers: &[f64]) -> Result<Effect, GapError> {
         let values = self
             .kind
@@ -479,12 +497,12 @@ impl Problem<'_, '_, '_> {
     }
 }
 
-impl CostFunction for &Problem<'_, '_, '_> {
+impl CostFunction for &Problem<'_> {
     type Param = Vec<f64>;
     type Output = f64;
 
     fn cost(&self, numbers: &Vec<f64>) -> Result<f64, argmin::core::Error> {
-        let total = self.search.evaluate_roughly(&self.effect(numbers)?)?;
+        let total = (self.evaluate)(&self.effect(numbers)?)?;
         Ok(if total.is_finite() { -total } else { f64::MAX })
     }
 }
