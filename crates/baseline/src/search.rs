@@ -28,6 +28,9 @@ const LEAST_SHARED: usize = 1000;
 /// Permutations after which a p-value that is surely too large is left as it is (Besag and Clifford 1991).
 const SCREENING: u32 = 99;
 const PLAUSIBLE: f64 = 0.1;
+/// Permutations of logs that fewer leave in doubt, with a p-value of at most so much.
+const IN_DOUBT: u32 = 399;
+const DOUBTFUL: f64 = 0.05;
 /// Kinds of effect that are fitted in a round: those whose best trial gains most.
 const FITTED_KINDS: usize = 5;
 /// False alarms that effects at one place may make, as a share of those of all others: they come on top.
@@ -104,11 +107,17 @@ impl Search<'_> {
         let screening = options.permutations.min(SCREENING);
         let (mut others, mut distances) = self.permute(&tried, &odometry, 0..screening)?;
         let mut null = Null::new(&own, &others, stretches);
-        if null.p(&own) <= PLAUSIBLE && options.permutations > screening {
-            let more = self.permute(&tried, &odometry, screening..options.permutations)?;
-            others.extend(more.0);
-            distances.extend(more.1);
-            null = Null::new(&own, &others, stretches);
+        for permutations in [options.permutations, IN_DOUBT] {
+            let begun = others.len() as u32;
+            let p = null.p(&own);
+            let is_in_doubt = options.false_alarm < p && p <= DOUBTFUL;
+            if permutations > begun && p <= PLAUSIBLE && (permutations == options.permutations || is_in_doubt)
+            {
+                let more = self.permute(&tried, &odometry, begun..permutations)?;
+                others.extend(more.0);
+                distances.extend(more.1);
+                null = Null::new(&own, &others, stretches);
+            }
         }
         changes.permutations = others.len() as u32;
         let p_of_places = standing.values().map(|best| best.p).fold(1.0, f64::min);

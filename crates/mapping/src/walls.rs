@@ -11,6 +11,13 @@ use locsim_world::raycast::Boxes;
 /// A beam that ends farther than this behind a surface \[m\] has passed it.
 const PASSED_M: f64 = 0.1;
 
+/// Where two surfaces of one direction are nearer to each other than [`PASSED_M`], the one in front would hide the other: where one has so many
+/// times as many hits, the other is of the same wall, seen from poses that err.
+const TWIN_SHARE: u32 = 3;
+
+/// Cosine of the angle up to which they are of one direction: 15 degrees.
+const SAME_NORMAL: f64 = 0.966;
+
 /// Lines whose angle has a smaller sine than this, 20 degrees, aren't joined: they meet far away.
 const PARALLEL: f64 = 0.34;
 
@@ -93,12 +100,38 @@ pub(crate) fn walls_of(scans: &[Scan], hits: &[Hit], surfaces: &[Surface]) -> Ve
             }
         }
     }
+    let are_twins = surfaces.iter().enumerate().map(|(number, surface)| {
+        let is_twin = |bin: usize| {
+            let own = hits_near(&counts[number], bin);
+            let middle = surface.point(surface.from + BIN_M * (bin as f64 + 0.5));
+            let before = middle + PASSED_M * surface.normal;
+            boxes.met_by(before, -surface.normal, 2.0 * PASSED_M).into_iter().any(|other| {
+                let theirs = &surfaces[other];
+                let along = theirs.along(middle);
+                other != number
+                    && theirs.normal.dot(surface.normal) > SAME_NORMAL
+                    && theirs.distance(middle).abs() < PASSED_M
+                    && (theirs.from..=theirs.to).contains(&along)
+                    && hits_near(&counts[other], theirs.bin(along)) > TWIN_SHARE * own
+            })
+        };
+        (0..surface.bins()).map(is_twin).collect::<Vec<bool>>()
+    });
+    let are_twins: Vec<Vec<bool>> = are_twins.collect();
     let mut walls = Vec::new();
-    for (surface, counts) in surfaces.iter().zip(&counts) {
+    for ((surface, counts), are_twins) in surfaces.iter().zip(&mut counts).zip(&are_twins) {
+        for (count, _) in counts.iter_mut().zip(are_twins).filter(|(_, is_twin)| **is_twin) {
+            *count = Count::default();
+        }
         pieces(hits, surface, counts, &mut walls);
     }
     join(&mut walls);
     walls
+}
+
+/// Hits in a bin and its neighbours.
+fn hits_near(counts: &[Count], bin: usize) -> u32 {
+    counts[bin.saturating_sub(1)..(bin + 2).min(counts.len())].iter().map(|count| count.hits).sum()
 }
 
 /// The beams that reached a bin of a surface.

@@ -498,7 +498,7 @@ fn write(
     let is_news = !outcome.effects.is_empty()
         || has_curves
         || outcome.map.as_ref().is_some_and(|map| !map.guesses.is_empty());
-    let shown = if !is_news { "" } else { &diff };
+    let shown = if is_news { &diff } else { "" };
     Ok(page::write(folder, study, outcome, shown, &options.command)?)
 }
 

@@ -106,6 +106,24 @@ fn the_walls_of_a_box_are_where_they_are() {
     assert!(long.count() >= 4);
 }
 
+/// A reference whose headings err by up to 1.1 degrees puts readings of a wall at 8 m up to 15 cm off: they are of one wall all the same.
+#[test]
+fn a_reference_that_turns_makes_no_second_wall() {
+    let hall = [[0.0, 0.0], [9.5, 0.0], [9.5, 8.0], [0.0, 8.0]];
+    let world = vector_map(hall.to_vec(), Vec::new());
+    let mut drive = drive(ellipse([4.75, 4.0], [3.5, 2.5], 200).map(|pose| (pose, &world)));
+    for (step, i) in drive.steps.iter_mut().zip(0..) {
+        let turn = 0.02 * (2.4 * f64::from(i)).sin();
+        step.reference = step.reference.map(|pose| Pose2::new(pose.x, pose.y, pose.theta + turn));
+    }
+    let map = mapped(&drive);
+    for side in sides(&hall) {
+        assert_is_mapped(&map, side, 0.95, 0.01);
+    }
+    let length = map.to_geometry().unwrap().wall_length_m();
+    assert!((length - 35.0).abs() < 1.0, "{length}");
+}
+
 #[test]
 fn a_rotated_and_shifted_world_has_a_rotated_and_shifted_map() {
     let by = Pose2::new(123.4, -56.7, 0.6);
