@@ -10,6 +10,8 @@ use crate::statistics::{Covariate, Deviation};
 /// Lags that are tried: to both sides up to half a second, in steps of this \[s\]: 1 cm at 1 m/s, the noise of a laser.
 const STEPS: i32 = 50;
 const STEP_SECS: f64 = 0.01;
+/// Odometries are interpolated at the scans' stamps: a lag of so few steps is none.
+const NO_LAG: usize = 1;
 const MOST_SECS: f64 = STEPS as f64 * STEP_SECS;
 
 /// The odometry's lag behind the stamps \[s\], with its standard error by the curvature of the log likelihood, and the gain on each fold by the
@@ -44,7 +46,11 @@ pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitte
         deviation: Deviation::Lag,
         covariate: Covariate::Odometry,
         estimate: [(lag as f64 - none as f64) * STEP_SECS, STEP_SECS / curvature.sqrt()],
-        gains: (0..folds.count()).map(gain).collect(),
+        gains: if lag.abs_diff(none) > NO_LAG {
+            (0..folds.count()).map(gain).collect()
+        } else {
+            vec![0.0; folds.count()]
+        },
     }
 }
 
