@@ -5,9 +5,13 @@ use locsim_gap::{Covariate, CurvePoint, Deviation, Unnamed};
 use super::covariate::{self, spot};
 use locsim_report::text::{fixed, significant};
 
+/// Noise that is this many times wider is no measurement: such readings are of something else.
+const WIDEST: f64 = 20.0;
+
 /// A dependence in words, with its size: "An unnamed bias depends on bearing: 6 waves around, 8.1 mm."
 pub(super) fn sentence(found: &Unnamed) -> String {
     match (found.deviation, found.covariate) {
+        (Deviation::Lag, _) if found.size < 0.0 => format!("The odometry leads by {}.", size(found)),
         (Deviation::Lag, _) => format!("The odometry lags by {}.", size(found)),
         (Deviation::Frame, _) => {
             format!("The reference's frame is turned by {} against the map's.", size(found))
@@ -70,7 +74,7 @@ pub(super) fn noun(found: &Unnamed) -> &'static str {
 /// How large it is.
 pub(super) fn size(found: &Unnamed) -> String {
     match (found.deviation, found.covariate) {
-        (Deviation::Lag, _) => format!("{} s", fixed(found.size, 2)),
+        (Deviation::Lag, _) => format!("{} s", fixed(found.size.abs(), 2)),
         (Deviation::Frame, _) => format!("{} degrees", fixed(found.size.to_degrees(), 2)),
         (Deviation::Mean, Covariate::Neighbour) => format!("correlation {}", fixed(found.size, 2)),
         _ => value(found, found.size),
@@ -80,6 +84,7 @@ pub(super) fn size(found: &Unnamed) -> String {
 fn value(found: &Unnamed, value: f64) -> String {
     match found.deviation {
         Deviation::Mean => format!("{} mm", significant(1e3 * value)),
+        Deviation::Spread if 1.0 + value > WIDEST => format!("{WIDEST} times the noise and more"),
         Deviation::Spread => format!("{} times the noise", fixed(1.0 + value, 2)),
         Deviation::Skew => format!("skewness {}", fixed(value, 2)),
         _ => format!("{} %", significant(100.0 * value)),
