@@ -124,12 +124,14 @@ impl Search<'_, '_> {
         // Walls of a measured map follow poses, and poses walls: with those that were fitted to it each value is the best one.
         let has_walls = self.comparison.nominal.pieces.is_some();
         if has_walls && kind.moves() == Moves::Scans && settled.0 - self.without.total() > STRONG_NATS {
-            let start = Start { values: settled.1.values, place: settled.1.place };
+            let start = Start { values: settled.1.values.clone(), place: settled.1.place.clone() };
             let (_, effect) =
                 self.maximize_over(kind, &start, kind.parameters().len(), Self::evaluate_by_refit)?;
             let refitted = self.refitted(&effect)?;
-            let value = Search { start: &refitted, ..*self }.evaluate(&effect)?.total();
-            settled = (value, effect, refitted);
+            if effect.is_beyond(&settled.1, &refitted.nuisances.pose_error) {
+                let value = Search { start: &refitted, ..*self }.evaluate(&effect)?.total();
+                settled = (value, effect, refitted);
+            }
         }
         let (value, effect, refitted) = settled;
         if value <= self.without.total() + LEAST_GAIN_NATS {

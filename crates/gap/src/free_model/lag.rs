@@ -41,16 +41,13 @@ pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitte
         all[lag][fold] - all[none][fold]
     };
     let lag = best(&|i| total[i]).clamp(1, all.len() - 2);
+    let is_lag = lag.abs_diff(none) > NO_LAG;
     let curvature = (2.0 * total[lag] - total[lag - 1] - total[lag + 1]).max(1e-6);
     Misalignment {
         deviation: Deviation::Lag,
         covariate: Covariate::Odometry,
         estimate: [(lag as f64 - none as f64) * STEP_SECS, STEP_SECS / curvature.sqrt()],
-        gains: if lag.abs_diff(none) > NO_LAG {
-            (0..folds.count()).map(gain).collect()
-        } else {
-            vec![0.0; folds.count()]
-        },
+        gains: (0..folds.count()).map(|fold| if is_lag { gain(fold) } else { 0.0 }).collect(),
     }
 }
 

@@ -32,6 +32,7 @@ pub(crate) mod tests;
 mod walls;
 
 use glam::DVec2;
+use locsim_core::PoseError;
 use serde::{Serialize, Serializer};
 
 use crate::raycast::distance_to;
@@ -107,6 +108,19 @@ impl Effect {
             }
             _ => self.kind.sentence(),
         }
+    }
+
+    /// Whether it places or turns the laser so differently from another one of its kind that errors of the reference can't be the reason.
+    pub fn is_beyond(&self, other: &Self, reference: &PoseError) -> bool {
+        /// Standard deviations of the reference's errors.
+        const ERRORS: f64 = 3.0;
+        let sigma = |parameter: &Parameter| match parameter.unit {
+            "rad" => reference.sigma_rad,
+            "m" => reference.sigma_m,
+            _ => f64::INFINITY,
+        };
+        let apart = self.values.iter().zip(&other.values).map(|(a, b)| (a - b).abs());
+        self.kind.parameters().iter().zip(apart).any(|(parameter, apart)| apart > ERRORS * sigma(parameter))
     }
 
     /// Its numbers as an array, for a kind with `N` parameters.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use locsim_core::{Draw, Pose2, Stage};
+use locsim_core::{Draw, Pose2, PoseError, Stage};
 use proptest::prelude::*;
 use rand::RngExt;
 
@@ -487,6 +487,19 @@ fn sectors_hold_their_ends() {
     assert!(is_in(pi, 3.0, f64::from(pi).min(std::f64::consts::PI)) && !is_in(-3.0, 3.0, 3.1));
     assert!([-pi + 1e-3, 0.0, pi].into_iter().all(|b| is_in(b, -std::f64::consts::PI, std::f64::consts::PI)));
     assert!(is_in(0.1, 0.1, 0.1) && !is_in(0.2, 0.1, 0.1));
+}
+
+/// A laser turned by half a degree more is beyond what a reference errs by; one displaced by 3 cm more is not.
+#[test]
+fn what_a_reference_may_err_by_is_no_other_effect() {
+    let error = PoseError { sigma_m: 0.025, sigma_rad: 0.0024, correlation_secs: 2.0 };
+    let of = |kind, values: &[f64]| Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
+    let [turned, slightly, more] = [0.0122, 0.018, 0.022].map(|yaw_rad| of(EffectKind::MountYaw, &[yaw_rad]));
+    assert!(more.is_beyond(&turned, &error) && !slightly.is_beyond(&turned, &error));
+    let [near, behind, far] = [-0.042, -0.075, -0.15].map(|x_m| of(EffectKind::MountOffset, &[x_m, 0.0]));
+    assert!(!behind.is_beyond(&near, &error) && far.is_beyond(&near, &error));
+    let [late, later] = [0.1, 0.5].map(|secs| of(EffectKind::TimeOffset, &[secs]));
+    assert!(!later.is_beyond(&late, &error));
 }
 
 #[test]
