@@ -461,7 +461,7 @@ fn what_changed_since_a_baseline_is_named() {
     assert!((bias - 0.04).abs() < 0.01, "{bias}");
     assert_eq!(found["baseline"]["log"], "good.log");
     let report = std::fs::read_to_string(folder.path("since/report.md")).unwrap();
-    assert!(report.contains("Since the baseline: Every return is too long or too short"), "{report}");
+    assert!(report.contains("Since the baseline: Every return is too long by the same length"), "{report}");
     assert!(report.contains("--baseline good.log"), "{report}");
     // The scenario has the change, and runs.
     folder.locsim("validate since/scenario.yaml").success();
