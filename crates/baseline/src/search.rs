@@ -107,17 +107,11 @@ impl Search<'_> {
         let screening = options.permutations.min(SCREENING);
         let (mut others, mut distances) = self.permute(&tried, &odometry, 0..screening)?;
         let mut null = Null::new(&own, &others, stretches);
-        for permutations in [options.permutations, IN_DOUBT] {
-            let begun = others.len() as u32;
-            let p = null.p(&own);
-            let is_in_doubt = options.false_alarm < p && p <= DOUBTFUL;
-            if permutations > begun && p <= PLAUSIBLE && (permutations == options.permutations || is_in_doubt)
-            {
-                let more = self.permute(&tried, &odometry, begun..permutations)?;
-                others.extend(more.0);
-                distances.extend(more.1);
-                null = Null::new(&own, &others, stretches);
-            }
+        while let Some(permutations) = next_permutations(others.len() as u32, null.p(&own), options) {
+            let more = self.permute(&tried, &odometry, others.len() as u32..permutations)?;
+            others.extend(more.0);
+            distances.extend(more.1);
+            null = Null::new(&own, &others, stretches);
         }
         changes.permutations = others.len() as u32;
         let p_of_places = standing.values().map(|best| best.p).fold(1.0, f64::min);
@@ -428,6 +422,17 @@ impl Search<'_> {
     }
 }
 
+/// To how many permutations the comparison goes on after so many; `None` where they are enough.
+fn next_permutations(done: u32, p: f64, options: &BaselineOptions) -> Option<u32> {
+    let is_in_doubt = options.false_alarm < p && p <= DOUBTFUL;
+    match p {
+        _ if p > PLAUSIBLE => None,
+        _ if done < options.permutations => Some(options.permutations),
+        _ if is_in_doubt && done < IN_DOUBT => Some(IN_DOUBT),
+        _ => None,
+    }
+}
+
 /// Whether ranges that are no farther off than those of stretches of the same log \[mm\] are so with effects.
 fn moves_away([before, after, floor]: [f64; 3]) -> bool {
     /// The share of what stretches differ by that is much.
@@ -514,6 +519,19 @@ fn name(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn more_permutations_are_made_where_they_can_change_the_answer() {
+        let next = |done, p, permutations| {
+            next_permutations(done, p, &BaselineOptions { permutations, ..BaselineOptions::default() })
+        };
+        // 399 are the default: the first 99 tell what is clear.
+        assert_eq!((next(99, 0.05, 399), next(99, 0.2, 399)), (Some(399), None));
+        assert_eq!(next(399, 0.02, 399), None);
+        // Of 99 that were asked for one to four are beyond the log.
+        assert_eq!([0.01, 0.02, 0.05, 0.06].map(|p| next(99, p, 99)), [None, Some(399), Some(399), None]);
+        assert_eq!(next(999, 0.02, 999), None);
+    }
 
     /// A bias that gains on half of today's stretches, as where one drive passes what the other didn't, is a name if something has to
     /// explain the change, and none beside a name that does. Noise is none.

@@ -499,7 +499,7 @@ pub struct Gap {
     pub seed: Option<u64>,
     #[command(flatten)]
     pub threads: Threads,
-    /// The most scans of the log that are looked at
+    /// The most scans of the log that are looked at: the first ones, or with --baseline every second, third and so on
     #[arg(long, default_value_t = 600, allow_negative_numbers = true, value_parser = whole::<usize>(GapSettings::ALLOWED_SCANS))]
     pub scans: usize,
     /// The most beams of a scan that are looked at, evenly spread

@@ -100,24 +100,8 @@ pub(crate) fn walls_of(scans: &[Scan], hits: &[Hit], surfaces: &[Surface]) -> Ve
             }
         }
     }
-    let are_twins = surfaces.iter().enumerate().map(|(number, surface)| {
-        let is_twin = |bin: usize| {
-            let own = hits_near(&counts[number], bin);
-            let middle = surface.point(surface.from + BIN_M * (bin as f64 + 0.5));
-            let before = middle + PASSED_M * surface.normal;
-            boxes.met_by(before, -surface.normal, 2.0 * PASSED_M).into_iter().any(|other| {
-                let theirs = &surfaces[other];
-                let along = theirs.along(middle);
-                other != number
-                    && theirs.normal.dot(surface.normal) > SAME_NORMAL
-                    && theirs.distance(middle).abs() < PASSED_M
-                    && (theirs.from..=theirs.to).contains(&along)
-                    && hits_near(&counts[other], theirs.bin(along)) > TWIN_SHARE * own
-            })
-        };
-        (0..surface.bins()).map(is_twin).collect::<Vec<bool>>()
-    });
-    let are_twins: Vec<Vec<bool>> = are_twins.collect();
+    let are_twins: Vec<Vec<bool>> =
+        (0..surfaces.len()).map(|number| twins(surfaces, &counts, &boxes, number)).collect();
     let mut walls = Vec::new();
     for ((surface, counts), are_twins) in surfaces.iter().zip(&mut counts).zip(&are_twins) {
         for (count, _) in counts.iter_mut().zip(are_twins).filter(|(_, is_twin)| **is_twin) {
@@ -127,6 +111,25 @@ pub(crate) fn walls_of(scans: &[Scan], hits: &[Hit], surfaces: &[Surface]) -> Ve
     }
     join(&mut walls);
     walls
+}
+
+/// The bins of a surface that are of the same wall as another surface, which has far more hits there.
+fn twins(surfaces: &[Surface], counts: &[Vec<Count>], boxes: &Boxes, number: usize) -> Vec<bool> {
+    let surface = &surfaces[number];
+    let is_twin = |bin: usize| {
+        let own = hits_near(&counts[number], bin);
+        let middle = surface.point(surface.from + BIN_M * (bin as f64 + 0.5));
+        let across = boxes.met_by(middle + PASSED_M * surface.normal, -surface.normal, 2.0 * PASSED_M);
+        across.into_iter().filter(|&other| other != number).any(|other| {
+            let (theirs, counts) = (&surfaces[other], &counts[other]);
+            let along = theirs.along(middle);
+            theirs.normal.dot(surface.normal) > SAME_NORMAL
+                && theirs.distance(middle).abs() < PASSED_M
+                && (theirs.from..=theirs.to).contains(&along)
+                && hits_near(counts, theirs.bin(along)) > TWIN_SHARE * own
+        })
+    };
+    (0..surface.bins()).map(is_twin).collect()
 }
 
 /// Hits in a bin and its neighbours.

@@ -100,3 +100,40 @@ impl<'a> State<'a> {
             && !(description.is_single && present.any(|effect| effect.kind == kind))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use locsim_world::effect::Effect;
+
+    use super::*;
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::{Comparison, Nuisances};
+    use crate::replay::fit_persistence;
+    use crate::{GapOptions, Recorded};
+
+    /// Errors of the reference have followed a laser that is turned by 3 degrees: it moves no reading any more but with an exact reference.
+    #[test]
+    fn what_the_reference_has_followed_moves_readings_all_the_same() {
+        let yaw = Effect::new(EffectKind::MountYaw, vec![0.05], Vec::new()).unwrap();
+        let regime = Regime { pose_error: Some(Regime::POSE_ERROR), ..Regime::default() };
+        let drive = record_library(&NOMINAL, &TRUTH, &[yaw], regime, 3).unwrap();
+        let recorded = Recorded::new(&drive, 100, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 19, seed: 5, ..GapOptions::default() };
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let blocks = fit_persistence(&comparison, &fitted, options.seed).unwrap();
+        let (nominal, recorded, stop) = (&NOMINAL, &recorded, AtomicBool::new(false));
+        let state =
+            State { nominal, recorded, comparison, options: &options, progress: &(), stop: &stop, blocks };
+        let round = state.round(Vec::new(), fitted.nuisances, options.replicates).unwrap();
+        let log =
+            Readings::new(&round.comparison, &NOMINAL.effects, &round.fitted, false, &pit_draw(options.seed));
+        assert!(round.dictionary.moving(&log).iter().all(|(kind, _)| *kind != EffectKind::MountYaw));
+        let Guesses { starts, moving } = state.first_guesses(&round, 1, 0.01, &[]).unwrap();
+        assert!(moving.contains(&EffectKind::MountYaw), "{moving:?}");
+        assert!(starts.iter().any(|(kind, _)| *kind == EffectKind::MountYaw));
+    }
+}

@@ -67,8 +67,8 @@ pub(super) fn sentences(map: &MeasuredMapFindings) -> Vec<String> {
         };
         let guesses: Vec<String> = map.guesses.iter().map(guess).collect();
         text.push(format!(
-            "The scenario has more than the log has where it has least: {}. The search has what the log has, and \
-             scenario.yaml, too, where the scenario states a number.",
+            "The scenario states more than the log shows: {}. The search uses what the log shows. So does scenario.yaml, where \
+             the scenario states the number.",
             guesses.join(", ")
         ));
     }
