@@ -140,7 +140,7 @@ fn effects_applied_to_a_perfect_recording_are_found_again() {
 
 /// Run by hand: `cargo test -p locsim --test apply -- --ignored --nocapture` prints the table of docs/simulators.md.
 #[test]
-#[ignore = "20 minutes: 26 searches; beside motion_skew, mixed_pixels was named, too (docs/simulators.md)"]
+#[ignore = "20 minutes or more: 26 searches"]
 fn all_effects_applied_to_a_perfect_recording_are_found_again() {
     let folder = folder("perfect.mcap");
     let mut failed = Vec::new();
