@@ -125,12 +125,12 @@ impl Search<'_, '_> {
         let has_walls = self.comparison.nominal.pieces.is_some();
         if has_walls && kind.moves() == Moves::Scans && settled.0 - self.without.total() > STRONG_NATS {
             let start = Start { values: settled.1.values.clone(), place: settled.1.place.clone() };
-            let (_, effect) =
-                self.maximize_over(kind, &start, kind.parameters().len(), Self::evaluate_by_refit)?;
-            let refitted = self.refitted(&effect)?;
-            if effect.is_beyond(&settled.1, &refitted.nuisances.pose_error) {
-                let value = Search { start: &refitted, ..*self }.evaluate(&effect)?.total();
-                settled = (value, effect, refitted);
+            let by_refit =
+                |search: &Self, effect: &Effect| Ok(search.with_refit(effect.clone())?.0 + log_prior(effect));
+            let (_, effect) = self.maximize_over(kind, &start, kind.parameters().len(), by_refit)?;
+            let other = self.with_refit(effect)?;
+            if other.1.is_beyond(&settled.1, &other.2.nuisances.pose_error) {
+                settled = other;
             }
         }
         let (value, effect, refitted) = settled;
@@ -144,6 +144,11 @@ impl Search<'_, '_> {
     fn settle(&self, kind: EffectKind, effect: &Effect) -> Result<(f64, Effect, Fitted), GapError> {
         let start = Start { values: effect.values.clone(), place: effect.place.clone() };
         let (_, effect) = self.maximize(kind, &start)?;
+        self.with_refit(effect)
+    }
+
+    /// An effect with the nuisance parameters fitted to it, and its log likelihood under these.
+    fn with_refit(&self, effect: Effect) -> Result<(f64, Effect, Fitted), GapError> {
         let refitted = self.refitted(&effect)?;
         let value = Search { start: &refitted, ..*self }.evaluate(&effect)?.total();
         Ok((value, effect, refitted))
@@ -184,12 +189,6 @@ impl Search<'_, '_> {
         let stay = self.start.nuisances.pose_error.is_none() && !with_clutter;
         let fitted = self.comparison.evaluate(&self.with(effect), self.start, u32::from(!stay) as usize)?;
         Ok(fitted.total() + log_prior(effect))
-    }
-
-    /// The same with nuisance parameters that are fitted to each effect.
-    fn evaluate_by_refit(&self, effect: &Effect) -> Result<f64, GapError> {
-        let refitted = self.refitted(effect)?;
-        Ok(Search { start: &refitted, ..*self }.evaluate(effect)?.total() + log_prior(effect))
     }
 
     fn with(&self, effect: &Effect) -> Vec<Effect> {
