@@ -25,6 +25,7 @@
 
 mod assignment;
 mod bearings;
+mod everywhere;
 mod fitting;
 mod increments;
 mod learnt;
@@ -99,6 +100,9 @@ pub struct Changes {
     pub effects: Vec<Named>,
     /// Returns that are lost at some bearings, where that explains more than any effect does.
     pub losses_by_bearing: Option<LossesByBearing>,
+    /// Lower and upper corner \[m\] of the place where readings have changed most, where an effect of all beams would explain them there and is
+    /// surely none elsewhere.
+    pub place: Option<[f64; 4]>,
     /// Chance that two logs without a change look as different.
     pub p: f64,
     /// Permutations behind it.

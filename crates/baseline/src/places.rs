@@ -56,6 +56,11 @@ impl Place {
         self.center().distance(other.center()) < APART_M
     }
 
+    /// Whether it is about a point \[m\].
+    pub fn is_at(&self, point: DVec2) -> bool {
+        self.gain > 0.0 && self.center().distance(point) < APART_M
+    }
+
     fn center(&self) -> DVec2 {
         match self.effect.place.first() {
             Some([a, b]) => 0.5 * (*a + *b),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use glam::DVec2;
 use locsim_core::{Estimate, Progress, sum_error};
 use locsim_gap::{Evidence, GapError, Named, Nominal, Purpose, Recorded, split_by};
 use locsim_world::effect::{Effect, EffectKind, Moves};
@@ -13,6 +14,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::assignment::Assignment;
 use super::bearings::{self, LossesByBearing};
+use super::everywhere::{CELL_M, ReadingGain, only_place};
 use super::fitting::{Fit, Known, Search};
 use super::increments::{Increments, is_of_odometry};
 use super::learnt::{ERROR_BIN_M, ERROR_BINS, Learnt, bin_of};
@@ -33,6 +35,8 @@ const IN_DOUBT: u32 = 399;
 const DOUBTFUL: f64 = 0.05;
 /// Kinds of effect that are fitted in a round: those whose best trial gains most.
 const FITTED_KINDS: usize = 5;
+/// Bursts in a smaller share of the drive may have been in a few places.
+const MOST_OF_DRIVE: f64 = 0.5;
 /// False alarms that effects at one place may make, as a share of those of all others: they come on top.
 const SHARE_OF_PLACES: f64 = 0.2;
 
@@ -59,6 +63,7 @@ pub fn find_changes(
         verdict: ChangeVerdict::Underpowered,
         effects: Vec::new(),
         losses_by_bearing: None,
+        place: None,
         p: 1.0,
         permutations: 0,
         tried: Vec::new(),
@@ -129,7 +134,8 @@ impl Search<'_> {
         let mut named = Vec::new();
         if changes.p <= options.false_alarm {
             let first = Round { tried, own, places: standing };
-            named = self.name(&first, &odometry, &null, &assignment, &known, changes.p)?;
+            named =
+                self.name(&first, &odometry, &null, &assignment, &known, changes.p, &mut changes.place)?;
         }
         if changes.p <= options.false_alarm {
             changes.losses_by_bearing = self.losses_by_bearing(&mut named, &known)?;
@@ -244,6 +250,7 @@ impl Search<'_> {
     }
 
     /// Names the effect that gains most, adds it, and looks again.
+    #[expect(clippy::too_many_arguments, reason = "one call, and each is a thing of its own")]
     fn name(
         &self,
         first: &Round,
@@ -252,6 +259,7 @@ impl Search<'_> {
         assignment: &Assignment,
         known: &Known,
         p: f64,
+        only_at: &mut Option<[f64; 4]>,
     ) -> Result<Vec<Named>, GapError> {
         let Round { tried, own, places } = first;
         let mut named: Vec<Named> = Vec::new();
@@ -296,6 +304,20 @@ impl Search<'_> {
             // That something changed is known for the first name. A further one has to say so itself.
             let is_known = named.is_empty();
             while let Some(best) = choose(&fits, assignment, errors_by_chance(assignment, chance), is_known) {
+                if let Some(at) =
+                    self.only_place(&fits[best].effect, &given, &expected, &logs[1], assignment, known)?
+                {
+                    fits.remove(best);
+                    let [lower, upper] = [-0.5, 0.5].map(|side| at + side * CELL_M);
+                    only_at.get_or_insert([lower.x, lower.y, upper.x, upper.y]);
+                    for place in places.values().map(|best| &best.place).filter(|place| place.is_at(at)) {
+                        if fits.iter().all(|fit| fit.effect.kind != place.effect.kind) {
+                            let effect = place.effect.clone();
+                            fits.push(self.fit(effect, &given, &expected, &logs, assignment, known)?);
+                        }
+                    }
+                    continue;
+                }
                 let precise = self.precise(&fits[best].effect, &given, &expected, assignment, known)?;
                 if precise.is_known {
                     sure = Some((best, precise));
@@ -342,6 +364,33 @@ impl Search<'_> {
         };
         named.sort_by(|a, b| rarity(b).total_cmp(&rarity(a)));
         Ok(named)
+    }
+
+    /// The place where an effect of all beams gains, if it loses elsewhere.
+    fn only_place(
+        &self,
+        effect: &Effect,
+        given: &Given,
+        expected: &[Expected],
+        log: &[f64],
+        assignment: &Assignment,
+        known: &Known,
+    ) -> Result<Option<DVec2>, GapError> {
+        let bursts = effect.bursts();
+        let is_seldom = bursts.as_ref().is_some_and(|bursts| bursts.share < MOST_OF_DRIVE);
+        if is_of_place(effect.kind) || is_of_odometry(effect.kind) || is_seldom {
+            return Ok(None);
+        }
+        let effect = bursts.map_or_else(|| effect.clone(), |bursts| bursts.spread);
+        let on_laser = given.effects.iter().filter(|effect| !is_of_odometry(effect.kind)).cloned().collect();
+        let trial = Trial::new(self.pool, &Given { effects: on_laser }, effect, expected, None)?;
+        let gains = trial.reading_gains(self.pool, &known.learnt, log, &assignment.is_today);
+        let of_reading = |(index, gain): (u32, f64)| {
+            let reading = &self.pool.readings[index as usize];
+            let beam = &self.pool.logs[reading.log].views.beams[reading.index];
+            ReadingGain { stretch: reading.stretch as usize, end: beam.view.endpoint, gain }
+        };
+        Ok(only_place(&gains.map(of_reading).collect::<Vec<_>>()))
     }
 
     /// The best trial of each kind beside the given effects; `plain` are the trials beside nothing.

@@ -237,8 +237,9 @@ fn laser(log: &Log, options: &CarmenOptions, mount: Pose2, path: &Path) -> Resul
         || Beams::of_old_line(n, params.resolution, params.field_of_view),
         |layout| layout.beams,
     );
-    let max_range =
-        options.max_range_m.unwrap_or_else(|| log.layout.map_or(SICK_MAX_RANGE, |layout| layout.max_range));
+    let of_lines = log.layout.map(|layout| layout.max_range);
+    let of_params = params.max_range.filter(|max| *max > 0.0).map(|max| (max as f32).min(SICK_MAX_RANGE));
+    let max_range = options.max_range_m.or(of_lines).or(of_params).unwrap_or(SICK_MAX_RANGE);
     let min_range = options.min_range_m.unwrap_or_else(|| params.min_range.unwrap_or(0.0) as f32);
     let interval = params.beam_interval.unwrap_or(0.0);
     let beam_times = (0..n).map(|i| (i as f64 * interval) as f32).collect();

@@ -45,8 +45,8 @@ pub struct CarmenOptions {
     /// Which laser's scans.
     pub laser: CarmenLaser,
     /// Readings of this range (m) or more mean "no return". `None`: the maximum range in the ROBOTLASER line;
-    /// for FLASER and L lines, which have none, 81.83 m, where the SICK LMS begins to count its error codes. Some
-    /// logs need another value; [`LogSummary::longest_return_m`] shows it.
+    /// for FLASER and L lines, which have none, `PARAM robot_front_laser_max` (`robot_rear_laser_max`), and no more than 81.83 m, where the
+    /// SICK LMS begins to count its error codes. Some logs need another value; [`LogSummary::longest_return_m`] shows it.
     pub max_range_m: Option<f32>,
     /// Readings below this range (m) are unusable. `None`: the minimum range that [`write_carmen`] noted in the log,
     /// otherwise 0. A reading of exactly 0 is always unusable.

@@ -82,6 +82,8 @@ pub struct Params {
     pub resolution: Option<f64>,
     /// Degrees.
     pub field_of_view: Option<f64>,
+    /// Range from which a reading is no return \[m\].
+    pub max_range: Option<f64>,
     /// Noted by `write_carmen`.
     pub min_range: Option<f64>,
     pub beam_interval: Option<f64>,
@@ -93,10 +95,13 @@ pub const BEAM_INTERVAL: &str = "locsim_laser_beam_interval_secs";
 
 impl Params {
     fn slot(&mut self, name: &str, laser: CarmenLaser) -> Option<&mut Option<f64>> {
-        let (robot, device) = match laser {
-            CarmenLaser::Front => ("robot_frontlaser_", "laser_front_laser_"),
-            CarmenLaser::Rear => ("robot_rearlaser_", "laser_rear_laser_"),
+        let (robot, device, max_range) = match laser {
+            CarmenLaser::Front => ("robot_frontlaser_", "laser_front_laser_", "robot_front_laser_max"),
+            CarmenLaser::Rear => ("robot_rearlaser_", "laser_rear_laser_", "robot_rear_laser_max"),
         };
+        if name == max_range {
+            return Some(&mut self.max_range);
+        }
         match (name, name.strip_prefix(robot), name.strip_prefix(device)) {
             (_, Some("offset"), _) => Some(&mut self.offset),
             (_, Some("side_offset"), _) => Some(&mut self.side_offset),

@@ -268,6 +268,21 @@ fn the_rear_laser_looks_backwards() {
     assert_eq!(summary.skipped["FLASER"], 1);
 }
 
+/// The maximum range is that of the caller, of the lines, of the parameter of the same laser, of the SICK LMS: the first that there is.
+#[test]
+fn the_maximum_range_is_a_parameter_of_the_log() {
+    let max_of = |text: &str, options: &CarmenOptions| read_with(text, options).unwrap().0.laser.max_range();
+    let scan = "FLASER 1 1 0 0 0 0 0 0 1 h 1\n";
+    let with = |param: &str| format!("PARAM {param} h 0\n{scan}");
+    let own = CarmenOptions::default();
+    assert_eq!(max_of(&with("robot_front_laser_max 8.0"), &own), 8.0);
+    assert_eq!(max_of(&with("robot_rear_laser_max 8.0"), &own), 81.83);
+    assert_eq!(max_of(&with("robot_front_laser_max 90"), &own), 81.83);
+    let options = CarmenOptions { max_range_m: Some(6.0), ..own };
+    assert_eq!(max_of(&with("robot_front_laser_max 8.0"), &options), 6.0);
+    assert_eq!(max_of(&with("robot_front_laser_max 0"), &own), 81.83);
+}
+
 #[test]
 fn comments_unknown_lines_and_windows_line_ends_are_no_obstacle() {
     let text = raw_log().replace('\n', "\r\n");

@@ -21,6 +21,12 @@ const STRETCHES: usize = 200;
 const ONE_WALL: f32 = 0.1;
 /// Three neighbours on one wall: the middle one's residual has this many times the variance of a reading.
 const RESIDUAL_VARIANCE: f64 = 1.5;
+/// Bins of range that tell whether noise grows, the fewest of them, and the fewest deviations of one.
+const BINS: usize = 8;
+const LEAST_BINS: usize = 4;
+const LEAST_OF_BIN: usize = 20;
+/// Noise grows where it does by this share from the first bin to the last.
+const LEAST_GROWTH: f64 = 0.3;
 /// Fewer residuals than this tell nothing.
 const LEAST_RESIDUALS: usize = 500;
 
@@ -42,6 +48,9 @@ pub struct ReadingQuality {
     /// Standard deviation of a reading \[m\] from neighbouring beams on flat walls, with that of its rounding: an upper
     /// bound, as walls aren't flat.
     pub flat_noise_m: Option<f64>,
+    /// Constant part \[m\] of the standard deviation of a reading and its growth with range (m per m), by the same readings as
+    /// [`noise_m`](Self::noise_m); `None` where it hardly grows.
+    pub noise_by_range: Option<[f64; 2]>,
 }
 
 impl ReadingQuality {
@@ -59,16 +68,17 @@ impl ReadingQuality {
         }
         let share = |part: usize| part as f64 / count.max(1) as f64;
         let resolution_m = resolution(drive);
-        let (still_scans, still_noise_m) =
-            if has_odometry { still_noise(drive, resolution_m) } else { (0, None) };
+        let (still_scans, still) = if has_odometry { still_noise(drive, resolution_m) } else { (0, None) };
+        let flat = flat_noise(drive);
         Self {
             no_return_share: share(no_return),
             unusable_share: share(unusable),
             longest_return_m: longest.map(f64::from),
             resolution_m,
             still_scans,
-            still_noise_m,
-            flat_noise_m: flat_noise(drive),
+            still_noise_m: still.map(|noise| noise.sigma_m),
+            flat_noise_m: flat.map(|noise| noise.sigma_m),
+            noise_by_range: still.or(flat).and_then(|noise| noise.by_range),
         }
     }
 
@@ -76,6 +86,48 @@ impl ReadingQuality {
     pub fn noise_m(&self) -> Option<f64> {
         self.still_noise_m.or(self.flat_noise_m)
     }
+}
+
+/// The standard deviation of a reading.
+#[derive(Clone, Copy)]
+struct Noise {
+    /// Of a typical reading \[m\].
+    sigma_m: f64,
+    /// See [`ReadingQuality::noise_by_range`].
+    by_range: Option<[f64; 2]>,
+}
+
+impl Noise {
+    /// By deviations with their ranges \[m\], of which `sigma_of` is the standard deviation.
+    fn of(mut samples: Vec<[f64; 2]>, sigma_of: impl Fn(&mut [f64]) -> f64) -> Self {
+        let mut all: Vec<f64> = samples.iter().map(|[_, deviation]| *deviation).collect();
+        samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let bins = samples.chunks(samples.len().div_ceil(BINS)).filter(|bin| bin.len() >= LEAST_OF_BIN);
+        let points: Vec<[f64; 2]> = bins
+            .map(|bin| {
+                let mut deviations: Vec<f64> = bin.iter().map(|[_, deviation]| *deviation).collect();
+                [bin[bin.len() / 2][0], sigma_of(&mut deviations)]
+            })
+            .collect();
+        Self { sigma_m: sigma_of(&mut all), by_range: line(&points) }
+    }
+}
+
+/// Constant and slope of standard deviations over range, where they surely grow: by least squares of relative errors, neither below 0.
+fn line(points: &[[f64; 2]]) -> Option<[f64; 2]> {
+    let ([first, last], true) = ([points.first()?, points.last()?], points.len() >= LEAST_BINS) else {
+        return None;
+    };
+    let sum = |of: &dyn Fn(f64, f64) -> f64| {
+        points.iter().map(|[r, s]| of(*r, *s) / s.max(1e-6).powi(2)).sum::<f64>()
+    };
+    let (n, x, xx, y, xy) =
+        (sum(&|_, _| 1.0), sum(&|r, _| r), sum(&|r, _| r * r), sum(&|_, s| s), sum(&|r, s| r * s));
+    let slope = (n * xy - x * y) / (n * xx - x * x);
+    let constant = (y - slope * x) / n;
+    let [constant, slope] = if constant >= 0.0 { [constant, slope] } else { [0.0, xy / xx] };
+    let grows = slope * (last[0] - first[0]) > LEAST_GROWTH * (constant + slope * first[0]);
+    grows.then_some([constant, slope])
 }
 
 /// The step that the differences of readings are multiples of.
@@ -112,7 +164,7 @@ fn resolution(drive: &Drive) -> Option<f64> {
 }
 
 /// Number of scans that were taken standing still, and the median deviation of their readings.
-fn still_noise(drive: &Drive, resolution_m: Option<f64>) -> (usize, Option<f64>) {
+fn still_noise(drive: &Drive, resolution_m: Option<f64>) -> (usize, Option<Noise>) {
     let stretches = still_stretches(&drive.steps);
     let scans = stretches.iter().map(|stretch| stretch.len()).sum();
     let max = drive.laser.max_range();
@@ -127,7 +179,7 @@ fn still_noise(drive: &Drive, resolution_m: Option<f64>) -> (usize, Option<f64>)
             if readings().all(|range| range < max) {
                 let mean = readings().map(f64::from).sum::<f64>() / n;
                 let squares: f64 = readings().map(|range| (f64::from(range) - mean).powi(2)).sum();
-                variances.push(squares / (n - 1.0) / of_median);
+                variances.push([mean, squares / (n - 1.0) / of_median]);
             }
         }
     }
@@ -135,7 +187,7 @@ fn still_noise(drive: &Drive, resolution_m: Option<f64>) -> (usize, Option<f64>)
         return (scans, None);
     }
     let rounding = resolution_m.map_or(0.0, |step| step * step / 12.0);
-    (scans, Some((median(&mut variances) - rounding).max(0.0).sqrt()))
+    (scans, Some(Noise::of(variances, |variances| (median(variances) - rounding).max(0.0).sqrt())))
 }
 
 /// Runs of scans during which the odometry doesn't change.
@@ -161,7 +213,7 @@ fn still_stretches(steps: &[DriveStep]) -> Vec<&[DriveStep]> {
 
 /// The deviation of readings from the line through their neighbours: on a flat wall, 1/r is linear in the sine and the cosine
 /// of the bearing.
-fn flat_noise(drive: &Drive) -> Option<f64> {
+fn flat_noise(drive: &Drive) -> Option<Noise> {
     let max = drive.laser.max_range();
     let bearings = drive.laser.bearings();
     let stride = drive.steps.len().div_ceil(RESOLUTION_SCANS).max(1);
@@ -174,10 +226,10 @@ fn flat_noise(drive: &Drive) -> Option<f64> {
                 let [left, middle, right] = [left, middle, right].map(f64::from);
                 let apart = 0.5 * f64::from(bearings[2] - bearings[0]);
                 let on_line = 2.0 * apart.cos() / (1.0 / left + 1.0 / right);
-                residuals.push((middle - on_line).abs());
+                residuals.push([middle, (middle - on_line).abs()]);
             }
         }
     }
-    (residuals.len() >= LEAST_RESIDUALS)
-        .then(|| normal::SIGMA_OVER_MAD * median(&mut residuals) / RESIDUAL_VARIANCE.sqrt())
+    let sigma = |residuals: &mut [f64]| normal::SIGMA_OVER_MAD * median(residuals) / RESIDUAL_VARIANCE.sqrt();
+    (residuals.len() >= LEAST_RESIDUALS).then(|| Noise::of(residuals, sigma))
 }

@@ -37,6 +37,7 @@ fn range(laser: &Pose2, bearing: f64) -> f64 {
 #[derive(Clone, Copy)]
 struct Recording {
     sigma_m: f64,
+    sigma_per_m: f64,
     step_m: f64,
     /// The odometry reads distances times this.
     scale: f64,
@@ -46,7 +47,7 @@ struct Recording {
 
 /// Three seconds of standing still, then a minute around the room: straight on and turning, swinging a little.
 fn drive(recording: Recording) -> Drive {
-    let Recording { sigma_m, step_m, scale, lag_secs } = recording;
+    let Recording { sigma_m, sigma_per_m, step_m, scale, lag_secs } = recording;
     let bearings: Vec<f32> = (0..180).map(|beam| (f64::from(beam) - 90.0).to_radians() as f32).collect();
     let mount = Pose2::new(0.1, 0.0, 0.0);
     let laser = Laser::new(bearings.clone(), vec![0.0; 180], 0.1, 20.0, mount).unwrap();
@@ -67,7 +68,8 @@ fn drive(recording: Recording) -> Drive {
         let pose = pose_at(secs);
         let at = pose.compose(&mount);
         let reading = |&bearing: &f32| {
-            let noisy = range(&at, f64::from(bearing)) + sigma_m * uniform.normal();
+            let range = range(&at, f64::from(bearing));
+            let noisy = range + (sigma_m + sigma_per_m * range) * uniform.normal();
             let read = if step_m > 0.0 { (noisy / step_m).round() * step_m } else { noisy };
             read as f32
         };
@@ -82,7 +84,8 @@ fn drive(recording: Recording) -> Drive {
     Drive { steps: steps.collect(), laser }
 }
 
-const PLAIN: Recording = Recording { sigma_m: 0.02, step_m: 0.0, scale: 1.0, lag_secs: 0.0 };
+const PLAIN: Recording =
+    Recording { sigma_m: 0.02, sigma_per_m: 0.0, step_m: 0.0, scale: 1.0, lag_secs: 0.0 };
 
 fn summary() -> LogSummary {
     LogSummary {
@@ -131,6 +134,21 @@ fn noise_and_resolution_come_from_the_readings() {
         near(readings.flat_noise_m, sigma_m.hypot(step_m / 12.0_f64.sqrt()), 0.15 * sigma_m);
         assert_eq!(readings.noise_m(), readings.still_noise_m);
     }
+}
+
+/// Noise that grows with range is told with its growth, standing still or by flat walls; noise that doesn't without.
+#[test]
+fn growth_of_the_noise_comes_from_the_readings() {
+    let mut moving = drive(Recording { sigma_m: 0.005, sigma_per_m: 0.003, ..PLAIN });
+    let still = DriveQuality::of(&moving, &summary()).readings;
+    moving.steps.drain(..31);
+    let flat = DriveQuality::of(&moving, &summary()).readings;
+    for readings in [still, flat] {
+        let [constant, growth] = readings.noise_by_range.unwrap();
+        near(Some(constant), 0.005, 0.0025);
+        near(Some(growth), 0.003, 0.001);
+    }
+    assert_eq!(quality(PLAIN).readings.noise_by_range, None);
 }
 
 #[test]

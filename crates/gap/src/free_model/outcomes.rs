@@ -10,14 +10,15 @@ use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::Deviation;
 
 /// The moments of a reading that have curves: three of the error of a reading of the surface, and the shares of the other
-/// classes.
-pub(super) const MOMENTS: [Deviation; 6] = [
+/// classes. Two are in front: where clutter can stand, and where hardly anything can.
+pub(super) const MOMENTS: [Deviation; 7] = [
     Deviation::Mean,
     Deviation::Spread,
     Deviation::Skew,
     Deviation::Short,
     Deviation::Long,
     Deviation::NoReturn,
+    Deviation::Short,
 ];
 /// Moments of the surface's readings, the first of [`MOMENTS`].
 const OF_SURFACE: usize = 3;
@@ -30,6 +31,9 @@ pub(super) fn is_share(moment: Deviation) -> bool {
 /// A reading within this of the surface's mean is one of the surface (standard deviations): noise alone brings 6 in 10^5
 /// farther.
 const NEAR: f64 = 4.0;
+/// A reading in front is in the open where the hypothesis has no more than this share of a beam's readings up to there. Few of them
+/// stand out, among all that clutter makes.
+const OPEN: f64 = 1e-3;
 /// Edges of the bins of a reading of the surface (standard deviations). Finer ones would add 1 % to what its mean says.
 const EDGES: [f64; 14] = [-NEAR, -3.0, -2.25, -1.5, -1.0, -0.6, -0.2, 0.2, 0.6, 1.0, 1.5, 2.25, 3.0, NEAR];
 const BINS: usize = EDGES.len() - 1;
@@ -81,6 +85,8 @@ enum Class {
     Short,
     Long,
     NoReturn,
+    /// In front of the surface, in the open.
+    Open,
 }
 
 /// A reading with the probabilities of its classes under the hypothesis.
@@ -90,8 +96,8 @@ pub(super) struct Outcome {
     /// Index of its beam in the log.
     pub beam: u32,
     class: Class,
-    /// Probabilities of a reading of the surface, in front of it, behind it, and of none.
-    probabilities: [f64; 4],
+    /// Probabilities of the classes, in the order of [`Class`].
+    probabilities: [f64; 5],
     /// Standard deviation of a reading of the surface \[m\].
     sigma: f64,
 }
@@ -141,7 +147,7 @@ impl Outcomes {
             let class = if !is_return {
                 Class::NoReturn
             } else if z < lo {
-                Class::Short
+                if cdf(z) > OPEN { Class::Short } else { Class::Open }
             } else if z >= hi || hi <= lo {
                 Class::Long
             } else {
@@ -151,11 +157,13 @@ impl Outcomes {
                 Class::Surface(bin_of(u))
             };
             let floors = [hi - lo, lo - min, max - hi].map(|width| FLOOR * width.max(0.0) / max);
+            let open = below.min(OPEN);
             let probabilities = [
                 (within - below) + floors[0],
-                below + floors[1],
+                (below - open) + floors[1],
                 (returned - within).max(0.0) + floors[2],
                 (1.0 - returned).max(0.0) + FLOOR,
+                open + floors[1],
             ];
             let total: f64 = probabilities.iter().sum();
             all.push(Outcome {
@@ -209,11 +217,12 @@ impl Outcome {
             Class::Short => 1,
             Class::Long => 2,
             Class::NoReturn => 3,
+            Class::Open => 4,
         }
     }
 
     /// Probabilities of the classes under a tilt.
-    fn classes(&self, tilt: &Tilt) -> [f64; 4] {
+    fn classes(&self, tilt: &Tilt) -> [f64; 5] {
         let mut shares = self.probabilities;
         for (share, tilt) in shares[1..].iter_mut().zip(&tilt.0[OF_SURFACE..]) {
             if *tilt != 0.0 {
@@ -252,7 +261,7 @@ impl Outcome {
             }
         }
         let (shares, own) = (self.classes(tilt), self.class());
-        for class in 1..4 {
+        for class in 1..shares.len() {
             let hit = f64::from(u8::from(class == own));
             pull[OF_SURFACE + class - 1] =
                 [hit - shares[class], (shares[class] * (1.0 - shares[class])).max(LEAST_VARIANCE)];

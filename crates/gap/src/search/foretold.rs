@@ -1,15 +1,17 @@
-//! Readings behind walls that random readings foretell.
+//! Readings in front of walls and behind them, and lost ones, that an effect foretells.
 
-use locsim_world::effect::{Effect, Effects};
+use locsim_world::effect::{Effect, Effects, Moves};
 
 use super::Round;
 use super::selection::is_of_odometry;
 use crate::GapError;
 use crate::fit::Candidate;
 use crate::hypothesis::{Comparison, Fitted};
+use crate::null::REFIT;
+use crate::views::Beam;
 
-/// A reading is behind a wall where it is this much longer than the range in the map \[m\].
-const BEHIND_M: f64 = 0.2;
+/// A reading is behind a wall, or in front of it, where it differs by so much from the range in the map \[m\].
+const OFF_M: f64 = 0.2;
 /// The log has at least this share of what an effect foretells,
 const LEAST_SHARE: f64 = 0.5;
 /// where it foretells so many standard deviations more than there would be without it.
@@ -18,21 +20,40 @@ const CLEAR: f64 = 3.0;
 /// instead of it.
 const LEAST_GAIN_SHARE: f64 = 0.05;
 const SMALL_GAIN_NATS: f64 = 25.0;
+/// Clutter is of the same readings, and has to gain this share.
+const LEAST_CLUTTER_SHARE: f64 = 0.5;
+/// Random readings and clutter are alike all around: of the parts into which beams are cut by a covariate,
+const PARTS: usize = 8;
+/// those that lack what is foretold have at most this share of it.
+const MOST_LACKING: f64 = 0.3;
+/// Bursts in a smaller share of the drive may have been in a few places.
+const MOST_OF_DRIVE: f64 = 0.5;
 
-/// Drops effects that foretell random readings of which the log has those in front of walls alone: these are of things that stand or
-/// walk there, and so is what else gains next to nothing beside them.
+/// Drops effects that foretell readings which the log doesn't have. Random readings are behind walls as well, and all around: those in front
+/// alone are of things that stand or walk there, those at some walls of a pane or a mirror, and so is what else gains next to nothing beside
+/// them. Clutter is in front of walls all around. Returns that any beam loses are lost at all places, and by each beam of the laser.
 pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Result<Vec<Candidate>, GapError> {
     let is_there = |e: &Effect| has_what_it_foretells(&round.comparison, &round.fitted, &round.effects, e);
     let mut most = 0.0_f64;
     for i in (0..candidates.len()).rev() {
-        if candidates[i].kind().is_of_random_readings() && !is_there(&candidates[i].effect)? {
+        let kind = candidates[i].kind();
+        if kind.is_of_random_readings() && !is_there(&candidates[i].effect)? {
             most = most.max(total(&candidates.remove(i)));
+        } else if kind.loses_returns() && !is_there(&candidates[i].effect)? {
+            candidates.remove(i);
         }
     }
     let least = (LEAST_GAIN_SHARE * most).min(SMALL_GAIN_NATS);
     candidates.retain(|candidate| {
         is_of_odometry(candidate) || candidate.kind().loses_returns() || total(candidate) >= least
     });
+    for i in (0..candidates.len()).rev() {
+        let is_enough = total(&candidates[i]) >= LEAST_CLUTTER_SHARE * most;
+        let effect = &candidates[i].effect;
+        if effect.kind.moves() == Moves::Clutter && !(is_enough && is_there(effect)?) {
+            candidates.remove(i);
+        }
+    }
     Ok(candidates)
 }
 
@@ -40,40 +61,123 @@ fn total(candidate: &Candidate) -> f64 {
     candidate.fitted_gains.iter().sum()
 }
 
-/// Whether a log, fitted under the given effects, has the readings behind walls that another one foretells.
+/// Whether a log, fitted under the given effects, has the readings that another one foretells: random ones behind walls, clutter in front of
+/// them, and lost ones.
 fn has_what_it_foretells(
     comparison: &Comparison<'_>,
     fitted: &Fitted,
     given: &[Effect],
     effect: &Effect,
 ) -> Result<bool, GapError> {
-    let spread = effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread);
-    let behind =
-        |effects: &[Effect]| Ok::<_, GapError>(behind(comparison, fitted, &comparison.effects(effects)?));
-    let [_, without] = behind(given)?;
-    let [counted, with] = behind(&[given, &[spread]].concat())?;
-    let foretold = with - without;
-    Ok(foretold < CLEAR * with.sqrt() || counted - without >= LEAST_SHARE * foretold)
+    let bursts = effect.bursts();
+    let is_often = bursts.as_ref().is_none_or(|bursts| bursts.share >= MOST_OF_DRIVE);
+    let spread = bursts.map_or_else(|| effect.clone(), |bursts| bursts.spread);
+    let side = match effect.kind {
+        kind if kind.moves() == Moves::Clutter => Side::InFront,
+        kind if kind.loses_returns() => Side::Lost,
+        _ => Side::Behind,
+    };
+    let count = |effects: &[Effect]| {
+        let effects = comparison.effects(effects)?;
+        if side != Side::InFront {
+            return Ok::<_, GapError>(Counts::new(comparison, fitted, &effects, side));
+        }
+        let comparison = comparison.in_world(&effects)?;
+        let fitted = comparison.find_nuisances(&effects, &fitted.nuisances, REFIT);
+        Ok(Counts::new(&comparison, &fitted, &effects, side))
+    };
+    let (without, with) = (count(given)?, count(&[given, &[spread]].concat())?);
+    let is_there = |[_, without]: [f64; 2], [counted, with]: [f64; 2]| {
+        counted - without >= LEAST_SHARE * (with - without)
+    };
+    let is_clear = |[_, without]: [f64; 2], [_, with]: [f64; 2]| with - without > CLEAR * with.sqrt();
+    let [all_without, all_with] = [&without, &with].map(Counts::total);
+    if is_clear(all_without, all_with) && !is_there(all_without, all_with) {
+        return Ok(false);
+    }
+    let lacks = |by: usize| {
+        let parts = without.parts[by].iter().zip(&with.parts[by]);
+        if side == Side::Lost && by == RANGE {
+            // How losses grow with range is a matter of form.
+            return false;
+        }
+        let mut foretold = [0.0; 2];
+        for (&without, &with) in parts.filter(|(without, with)| is_clear(**without, **with)) {
+            foretold[usize::from(is_there(without, with))] += with[1] - without[1];
+        }
+        foretold[0] > MOST_LACKING * (foretold[0] + foretold[1])
+    };
+    Ok(!is_often || !(0..COVARIATES).any(lacks))
 }
 
-/// How many readings are behind walls: in the log, and to be expected.
-fn behind(comparison: &Comparison<'_>, fitted: &Fitted, effects: &Effects) -> [f64; 2] {
-    let max = comparison.nominal.laser.max_range_m;
-    let last = max.next_down();
-    let mut sums = [0.0; 2];
-    comparison.for_each_reading(&comparison.views, effects, fitted, |_, i, density, shift, z, _| {
-        let beam = &comparison.views.beams[i];
-        let from = beam.range() + shift + BEHIND_M;
-        if from < last {
-            sums[0] += f64::from(u8::from(z > from && z < max));
-            sums[1] += density.cdf(beam, shift, last) - density.cdf(beam, shift, from);
-        }
-    });
-    sums
+#[derive(Clone, Copy, PartialEq)]
+enum Side {
+    InFront,
+    Behind,
+    Lost,
+}
+
+/// Range, the two coordinates of where a beam ends, and the beam of the laser.
+const COVARIATES: usize = 4;
+const RANGE: usize = 0;
+const BEAM: usize = 3;
+
+/// How many readings are on one side of walls, in the log and to be expected, in parts by each covariate. Lost ones are in a part for each beam
+/// of the laser.
+struct Counts {
+    parts: [Vec<[f64; 2]>; COVARIATES],
+}
+
+impl Counts {
+    fn new(comparison: &Comparison<'_>, fitted: &Fitted, effects: &Effects, side: Side) -> Self {
+        let (views, max) = (&comparison.views, comparison.nominal.laser.max_range_m);
+        let last = max.next_down();
+        let of_beam = |i: usize, beam: &Beam| {
+            let [x, y] = beam.view.endpoint.to_array();
+            [beam.range(), x, y, (i % views.per_scan) as f64]
+        };
+        let beams = views.beams.iter().enumerate();
+        let edges: [Vec<f64>; COVARIATES] = std::array::from_fn(|by| {
+            let mut values: Vec<f64> = beams.clone().map(|(i, beam)| of_beam(i, beam)[by]).collect();
+            values.sort_by(f64::total_cmp);
+            let parts = if side == Side::Lost && by == BEAM { views.per_scan } else { PARTS };
+            (1..parts).map(|part| values[part * values.len() / parts]).collect()
+        });
+        let mut parts = edges.each_ref().map(|edges| vec![[0.0; 2]; edges.len() + 1]);
+        comparison.for_each_reading(views, effects, fitted, |_, i, density, shift, z, _| {
+            let beam = &views.beams[i];
+            let [is_there, chance] = match side {
+                Side::InFront => {
+                    let to = (beam.range() + shift).min(max) - OFF_M;
+                    [f64::from(u8::from(z < to)), density.cdf(beam, shift, to.max(0.0))]
+                }
+                Side::Lost => [f64::from(u8::from(z >= max)), 1.0 - density.cdf(beam, shift, last)],
+                Side::Behind => {
+                    let from = beam.range() + shift + OFF_M;
+                    if from >= last {
+                        return;
+                    }
+                    let chance = density.cdf(beam, shift, last) - density.cdf(beam, shift, from);
+                    [f64::from(u8::from(z > from && z < max)), chance]
+                }
+            };
+            for ((parts, edges), value) in parts.iter_mut().zip(&edges).zip(of_beam(i, beam)) {
+                let part = &mut parts[edges.partition_point(|edge| *edge <= value)];
+                part[0] += is_there;
+                part[1] += chance;
+            }
+        });
+        Self { parts }
+    }
+
+    fn total(&self) -> [f64; 2] {
+        self.parts[0].iter().fold([0.0; 2], |sum, part| [sum[0] + part[0], sum[1] + part[1]])
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec2;
     use locsim_world::effect::EffectKind;
 
     use super::*;
@@ -103,6 +207,33 @@ mod tests {
             let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
             let found = has_what_it_foretells(&comparison, &fitted, &[], &random(p)).unwrap();
             assert_eq!(found, is_there, "{p} of {hidden:?}");
+        }
+    }
+
+    /// Clutter three times as deep is in front of walls all around. Readings 2 m ahead at a few bearings, as of a floor that is hit, aren't, nor are
+    /// random ones behind one wall.
+    #[test]
+    fn clutter_and_random_readings_are_all_around() {
+        let effect = |kind, values: &[f64]| Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
+        let deep = effect(EffectKind::BlockDepth, &[3.0]);
+        let floor = effect(EffectKind::SectorOcclusion, &[-0.3, 0.3, 2.0, 0.6]);
+        let pane =
+            Effect::new(EffectKind::Glass, vec![0.5], vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]])
+                .unwrap();
+        let random = effect(EffectKind::Crosstalk, &[0.1, 1.0]);
+        for (hidden, foretold, is_there) in [
+            (&deep, &deep, true),
+            (&floor, &effect(EffectKind::BlockDepth, &[5.0]), false),
+            (&random, &random, true),
+            (&pane, &random, false),
+        ] {
+            let drive =
+                record_library(&NOMINAL, &TRUTH, std::slice::from_ref(hidden), Regime::default(), 3).unwrap();
+            let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+            let found = has_what_it_foretells(&comparison, &fitted, &[], foretold).unwrap();
+            assert_eq!(found, is_there, "{} of {}", foretold.kind, hidden.kind);
         }
     }
 }

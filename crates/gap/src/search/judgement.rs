@@ -136,6 +136,14 @@ impl Judgement {
             all.retain(|found| !found.is_left_by_neighbours(correlation));
         }
         all.sort_by(|a, b| b.gain().total_cmp(&a.gain()));
+        // Readings in front are of two classes, and are told once.
+        let mut told = Vec::new();
+        all.retain(|found| {
+            let of = (found.deviation, found.covariate);
+            let is_new = !told.contains(&of);
+            told.push(of);
+            is_new
+        });
         let least = all.first().map_or(0.0, |first| LEAST_SHARE * first.gain());
         all.retain(|found| found.gain() >= least);
         all

@@ -78,14 +78,13 @@ fn point(at: f64, place: Option<[f64; 4]>, [value, error]: [f64; 2]) -> CurvePoi
     CurvePoint { at, place, estimate: Estimate::normal(value, error) }
 }
 
-/// The largest value that is surely not 0; of none, the largest.
+/// The value that is surely largest: that whose interval begins farthest from 0. The largest, where all intervals hold 0.
 fn largest(curve: &[CurvePoint]) -> f64 {
-    let most = |sure: bool| {
-        let points = curve.iter().map(|point| point.estimate);
-        let points = points.filter(|point| !sure || point.interval.lo * point.interval.hi > 0.0);
-        points.map(|point| point.value).max_by(|a, b| a.abs().total_cmp(&b.abs()))
-    };
-    most(true).or_else(|| most(false)).unwrap_or(0.0)
+    let surely = |at: &Estimate| at.interval.lo.max(-at.interval.hi).max(0.0);
+    let points = curve.iter().map(|point| point.estimate);
+    let most =
+        points.max_by(|a, b| surely(a).total_cmp(&surely(b)).then(a.value.abs().total_cmp(&b.value.abs())));
+    most.map_or(0.0, |most| most.value)
 }
 
 /// The wave that a curve over bearing or time is, if it is one.

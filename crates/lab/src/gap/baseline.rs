@@ -197,7 +197,8 @@ fn sentences(changes: &Changes) -> Vec<String> {
             text.push(format!("No effect of the library loses returns by bearing (p = {p})."));
         }
         ChangeVerdict::Unexplained => text.push(format!(
-            "Something has changed since the baseline (p = {p}), and no effect of the library surely explains it."
+            "Something has changed since the baseline{} (p = {p}), and no effect of the library surely explains it.",
+            changes.place.map_or_else(String::new, |place| format!(", {}", at_place(place))),
         )),
         ChangeVerdict::Underpowered => text.push(format!(
             "The log can't be compared with the baseline: {} % of its readings are at places that the baseline has seen.",
@@ -220,6 +221,12 @@ fn sentences(changes: &Changes) -> Vec<String> {
         }
     }
     text
+}
+
+/// "at x 5.0 to 6.0 m, y 4.0 to 5.0 m".
+fn at_place([x0, y0, x1, y1]: [f64; 4]) -> String {
+    let span = |from, to| format!("{} to {} m", fixed(from, 1), fixed(to, 1));
+    format!("at x {}, y {}", span(x0, x1), span(y0, y1))
 }
 
 /// "Returns are lost at some bearings: -60 to -20 deg and 10 to 40 deg; of those at 20 to 30 deg 55 [51, 59] %."
@@ -247,10 +254,13 @@ fn steps(changes: &Changes) -> Vec<String> {
             vec!["Drive where the baseline drove, or take a baseline that has seen these places.".to_owned()]
         }
         ChangeVerdict::Unexplained if window.is_some() => window.into_iter().collect(),
-        ChangeVerdict::Unexplained => vec![
-            "Compare both logs by eye where the robot drove twice.".to_owned(),
-            "Search each log by itself, without --baseline.".to_owned(),
-        ],
+        ChangeVerdict::Unexplained => match changes.place {
+            Some(place) => vec![format!("Look {}, for what stands there now.", at_place(place))],
+            None => vec![
+                "Compare both logs by eye where the robot drove twice.".to_owned(),
+                "Search each log by itself, without --baseline.".to_owned(),
+            ],
+        },
         ChangeVerdict::Changed => {
             let mut steps: Vec<String> = changes.effects.iter().map(named).chain(window).collect();
             steps.push("Repeat the drive when it is mended: nothing should be named then.".to_owned());

@@ -117,7 +117,11 @@ impl NewScenario<'_> {
                 rounded(sigma_m, 2)
             );
         }
-        let sigma_m = cell_m.unwrap_or(sigma_m);
+        let (sigma_m, sigma_per_m) = match (cell_m, readings.noise_by_range) {
+            (Some(cell), _) => (cell, None),
+            (None, Some([sigma_m, growth])) => (sigma_m, Some(growth)),
+            (None, None) => (sigma_m, None),
+        };
         let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let mount = facts.laser.mount;
         let mut environment = Environment::new();
@@ -163,6 +167,7 @@ impl NewScenario<'_> {
                 "estimated: the readings aren't quantized"
             },
             sigma_m => rounded(sigma_m.max(1e-5), 3),
+            sigma_per_m => sigma_per_m.map(|growth| rounded(growth, 3)),
             noise_comment => noise_comment,
             mount_x => micro(mount.x),
             mount_y => micro(mount.y),

@@ -18,6 +18,8 @@ pub struct Description {
     pub sentence: &'static str,
     /// The same of a strength below its neutral value and of one above, where that matters.
     pub sides: Option<[&'static str; 2]>,
+    /// What it does in plain language with some values, where that is something else.
+    pub sentence_of: fn(&[f64]) -> Option<&'static str>,
     /// Its signature in data.
     pub signature: &'static str,
     /// Other kinds that look much like it.
@@ -54,6 +56,7 @@ impl Description {
         formula: "",
         sentence: "",
         sides: None,
+        sentence_of: |_| None,
         signature: "",
         confused_with: &[],
         experiments: &[],

@@ -68,6 +68,9 @@ impl EffectType for IncidenceDropout {
     }
 }
 
+/// Losses with a smaller exponent hardly grow with range.
+const EVEN: f64 = 0.5;
+
 /// No return from far away.
 pub(super) struct RangeDropout;
 
@@ -84,6 +87,9 @@ impl EffectType for RangeDropout {
                 ],
                 formula: "P(no return) = p (r / R)^exponent, R the maximum range",
                 sentence: "Far surfaces often send nothing back.",
+                sentence_of: |values| {
+                    (values[1] < EVEN).then_some("Returns get lost, from near and far alike.")
+                },
                 signature: "missing returns that grow with range",
                 confused_with: &[EffectKind::IncidenceDropout],
                 experiments: &[Experiment::RangeAndIncidence],

@@ -97,6 +97,9 @@ impl Effect {
 
     /// What it does in plain language, with the side to which its strength lies.
     pub fn sentence(&self) -> &'static str {
+        if let Some(sentence) = (self.kind.description().sentence_of)(&self.values) {
+            return sentence;
+        }
         let strength = self.kind.strengths().next();
         match (self.kind.description().sides, strength) {
             (Some([below, above]), Some(i)) => {

@@ -330,6 +330,9 @@ fn means_and_deviations_are_those_of_the_formulas() {
     assert!(near(alternative(EffectKind::Crosstalk).0, 0.42));
     assert_eq!(alternative(EffectKind::MixedPixels), (0.5, Alternative::Between { lo: 0.6, hi: 1.2 }));
     assert_eq!(alternative(EffectKind::Glass), (0.6, Alternative::Near { mean: 4.4, sigma: 0.02 + 0.0088 }));
+    let outside = BeamView { behind: None, ..view };
+    let through = effects(&[EffectKind::Glass]).reading(&laser(0.0), &outside, HitKind::Wall, 1.2);
+    assert!(near(0.5 * through.alternatives.as_slice()[0].0, 0.3) && near(through.density(4.5), 0.3));
     assert_eq!(
         alternative(EffectKind::SectorOcclusion),
         (0.7, Alternative::Near { mean: 0.4, sigma: 0.0208 })

@@ -19,7 +19,7 @@ impl EffectType for Glass {
                 site: Site::World,
                 parameters: &[Parameter::probability(0.5)],
                 has_place: true,
-                formula: "with p, at the place: the reading of the surface behind, no return where there is none",
+                formula: "with p, at the place: the reading of the surface behind; where the map has none, no return or, as likely, a return from anywhere behind",
                 sentence: "A stretch of wall lets beams through: glass, or a grating.",
                 signature: "one stretch of wall that reads too long or not at all",
                 confused_with: &[EffectKind::MovedWall, EffectKind::IncidenceDropout],
@@ -37,7 +37,9 @@ impl EffectType for Glass {
         let [p] = effect.numbers();
         if hit.is_in_range() && hit.mapped && effect.is_at(hit.view.endpoint) {
             let behind = hit.view.behind.filter(|&behind| behind < hit.max);
-            let alternative = behind.map_or(Alternative::NoReturn, |r| Alternative::Near {
+            // Half of these values are beyond the maximum range: maps seldom have what is outside.
+            let unknown = Alternative::Between { lo: hit.view.range, hi: 2.0 * hit.max - hit.view.range };
+            let alternative = behind.map_or(unknown, |r| Alternative::Near {
                 mean: reading.scale * r + reading.bias,
                 sigma: hit.sigma(r) + reading.growth * r * r,
             });
