@@ -47,6 +47,16 @@ pub enum BlockResampling {
     Never,
 }
 
+impl std::fmt::Display for BlockResampling {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::EachObservation => f.write_str("each observation"),
+            Self::EachScanN(scans) => write!(f, "every {scans} scans"),
+            Self::Never => f.write_str("never"),
+        }
+    }
+}
+
 /// A simulated planar laser.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LaserOptions {

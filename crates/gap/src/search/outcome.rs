@@ -1,7 +1,7 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
 use locsim_core::{Draw, Estimate, Interval, Stage, sorted};
-use locsim_world::effect::{Effect, EffectKind, Score};
+use locsim_world::effect::{Effect, EffectKind, Moves, Score};
 use rand::RngExt;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -175,7 +175,8 @@ impl<'a> State<'a> {
         kind: EffectKind,
     ) -> Result<bool, GapError> {
         let (old_mm, new_mm, floor) = self.distances(first, last)?;
-        let is_of_surface = kind.scores().any(|score| matches!(score, Score::Location | Score::Scale));
+        let is_of_surface =
+            kind.is_stepped() || kind.scores().any(|score| matches!(score, Score::Location | Score::Scale));
         Ok(floor.moves_away(old_mm, new_mm, self.nominal.pieces.is_some(), is_of_surface))
     }
 
@@ -243,7 +244,10 @@ impl<'a> State<'a> {
         };
         let range_floor = RangeFloor::of(view, new);
         let [old_mm, new_mm] = [old, new].map(|logs| distance(view, self.recorded, logs));
-        let closed_in_ranges = range_floor.closed(old_mm, new_mm);
+        let is_of_odometry = |effect: &Effect| effect.kind.moves() == Moves::Odometry;
+        let in_odometry = !after.effects.is_empty() && after.effects.iter().all(is_of_odometry);
+        // What is in the odometry moves no ranges.
+        let closed_in_ranges = if in_odometry { None } else { range_floor.closed(old_mm, new_mm) };
         Gap {
             before: score(before.fitted.total(), old_mm),
             after: score(after.fitted.total(), new_mm),
@@ -391,8 +395,8 @@ fn notes(nominal: &Nominal, BlockTruth { resample, walks, .. }: BlockTruth) -> V
         );
     } else if let Some(blocks) = nominal.blocks.filter(|blocks| blocks.resample != resample) {
         notes.push(format!(
-            "Unmapped blocks stay otherwise than the scenario says ({:?} instead of {:?}).",
-            resample, blocks.resample
+            "Unmapped blocks take new places otherwise than the scenario says: {resample} instead of {}.",
+            blocks.resample
         ));
     }
     notes

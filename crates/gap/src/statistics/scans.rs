@@ -4,6 +4,9 @@ use super::{Cell, Covariate, Deviation, Family, Form, Halves, Readings, Statisti
 
 const DEVIATIONS: [Deviation; 3] = [Deviation::Mean, Deviation::Short, Deviation::NoReturn];
 
+/// A reading that is lost in one scan changes its differences to both neighbours by 1. Replicates may have none.
+const BY_ONE: f64 = 2.0;
+
 /// The squared differences of consecutive scans in the sums of their PITs, of their readings in front and of missing returns.
 /// Deviations that stay from scan to scan are for other cells.
 pub(super) struct Scans;
@@ -11,7 +14,9 @@ pub(super) struct Scans;
 impl Family for Scans {
     fn statistics(&self) -> Vec<Statistic> {
         let cell = |deviation| Cell { covariate: Covariate::Scan, lo: 0.0, hi: 0.0, place: None, deviation };
-        DEVIATIONS.map(|deviation| Statistic::of_cell(cell(deviation), Form::Other)).to_vec()
+        DEVIATIONS
+            .map(|deviation| Statistic::of_cell(cell(deviation), Form::Other).with_one_reading(BY_ONE))
+            .to_vec()
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {

@@ -133,6 +133,9 @@ pub(super) fn disagreement(gap: &Gap) -> String {
     let share = gap.gained_share.value;
     let percent = fixed(100.0 * share, 0);
     match gap.closed_in_ranges {
+        None if gap.before.w1_mm.max(gap.after.w1_mm) > gap.w1_visible_mm => {
+            " What is named is in the odometry and moves no ranges.".to_owned()
+        }
         None => format!(
             " Ranges as a whole can't say whether this gap has closed: up to {} mm is what two simulations of this drive \
              differ by, and they are below that before and after.",

@@ -87,6 +87,7 @@ fn value(found: &Unnamed, value: f64) -> String {
         Deviation::Spread if 1.0 + value > WIDEST => format!("{WIDEST} times the noise and more"),
         Deviation::Spread => format!("{} times the noise", fixed(1.0 + value, 2)),
         Deviation::Skew => format!("skewness {}", fixed(value, 2)),
+        _ if value < 0.0 => format!("{} % fewer", significant(-100.0 * value)),
         _ => format!("{} %", significant(100.0 * value)),
     }
 }
