@@ -82,6 +82,29 @@ pub fn gains_beyond(gains: &[f64], floor: f64) -> Vec<f64> {
     gains.iter().map(|gain| share * gain).collect()
 }
 
+/// Each number of a curve costs this (nats): what one that isn't needed gains on the readings that it was fitted to, and loses on
+/// others.
+const NATS_PER_NUMBER: f64 = 1.0;
+
+/// Of curves with so many numbers and these held-out gains on each fold (nats), the index of the one with the fewest that isn't surely behind
+/// the best: a dependence on something is told only where a constant doesn't do. The best one gains most after the cost of its numbers.
+#[must_use]
+pub fn simplest<'g>(curves: impl Iterator<Item = (usize, &'g [f64])>) -> Option<usize> {
+    let curves: Vec<(usize, &[f64])> = curves.collect();
+    let gain = |gains: &[f64]| gains.iter().sum::<f64>();
+    let worth = |&(numbers, gains): &(usize, &[f64])| gain(gains) - NATS_PER_NUMBER * numbers as f64;
+    let (_, most) = *curves.iter().max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
+    let is_as_good = |gains: &[f64]| {
+        let behind: Vec<f64> = most.iter().zip(gains).map(|(most, own)| most - own).collect();
+        gain(&behind) <= LEAST_ERRORS * sum_error(&behind)
+    };
+    let as_good = (0..curves.len()).filter(|&i| is_as_good(curves[i].1));
+    as_good.min_by(|&a, &b| {
+        let [(few, own), (more, other)] = [curves[a], curves[b]];
+        few.cmp(&more).then(gain(other).total_cmp(&gain(own)))
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -133,5 +156,18 @@ mod tests {
         assert_eq!(gains_beyond(&[30.0, 10.0], 20.0), [15.0, 5.0]);
         assert_eq!(gains_beyond(&[30.0, 10.0], 50.0), [0.0, 0.0]);
         assert_eq!(gains_beyond(&[3.0, -10.0], 0.0), [0.0, 0.0]);
+    }
+
+    /// Of ten folds: one number that gains nearly as much as eight is simpler, unless it is surely behind.
+    #[test]
+    fn the_simplest_curve_that_gains_as_much_is_meant() {
+        let even = [10.0; 10];
+        let uneven: Vec<f64> = (0..10).map(|i| if i % 2 == 0 { 16.0 } else { 4.0 }).collect();
+        let choose = |curves: &[(usize, &[f64])]| simplest(curves.iter().copied());
+        assert_eq!(choose(&[(8, &even), (1, &uneven)]), Some(1));
+        assert_eq!(choose(&[(8, &even), (1, &[9.0; 10])]), Some(0));
+        // The numbers cost more than they gain.
+        assert_eq!(choose(&[(8, &even), (1, &[9.5; 10])]), Some(1));
+        assert_eq!(choose(&[]), None);
     }
 }

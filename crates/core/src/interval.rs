@@ -1,4 +1,5 @@
 use serde::{Deserialize, Serialize};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// A 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -57,5 +58,34 @@ impl Estimate {
     #[must_use]
     pub fn map(self, of: impl Fn(f64) -> f64) -> Self {
         Self { value: of(self.value), interval: self.interval.map(of) }
+    }
+}
+
+/// Whether numbers are one number, as far as their 95 % intervals say (chi squared, at 5 %).
+#[must_use]
+pub fn are_alike(numbers: &[Estimate]) -> bool {
+    let error = |number: &Estimate| {
+        ((number.interval.hi - number.interval.lo) / (2.0 * crate::normal::QUANTILE_975)).max(1e-9)
+    };
+    let weights: Vec<f64> = numbers.iter().map(|number| error(number).powi(-2)).collect();
+    let mean = numbers.iter().zip(&weights).map(|(number, w)| w * number.value).sum::<f64>()
+        / weights.iter().sum::<f64>();
+    let squares: f64 =
+        numbers.iter().zip(&weights).map(|(number, w)| w * (number.value - mean).powi(2)).sum();
+    let freedom = numbers.len() as f64 - 1.0;
+    ChiSquared::new(freedom).is_ok_and(|chi_squared| chi_squared.sf(squares) > 0.05)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Walls of one kind of surface read 6 mm short, each to within 1 mm. Walls that moved have moved each on its own.
+    #[test]
+    fn numbers_that_are_one_are_told_from_others() {
+        let of = |values: [f64; 3]| values.map(|value| Estimate::normal(value, 0.001));
+        assert!(are_alike(&of([-0.0062, -0.0051, -0.0065])));
+        assert!(!are_alike(&of([-0.006, 0.006, -0.006])));
+        assert!(!are_alike(&of([-0.006, -0.03, -0.012])));
     }
 }

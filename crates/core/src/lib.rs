@@ -37,8 +37,8 @@ pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, FASTEST, Laser, LaserError, Scan};
 pub use elementary::{sin_cos, sin_cos_near_zero};
 pub use endpoint::{EndpointGrid, EndpointScan, EndpointTable};
-pub use folds::{Folds, gains_beyond, gains_surely, sum_error};
-pub use interval::{Estimate, Interval};
+pub use folds::{Folds, gains_beyond, gains_surely, simplest, sum_error};
+pub use interval::{Estimate, Interval, are_alike};
 pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
     turn,

@@ -3,11 +3,12 @@
 
 use std::sync::LazyLock;
 
-use locsim_core::{Folds, normal};
+use distreg::steps::{Steps, Vertex};
+use locsim_core::{Folds, normal, simplest};
 use locsim_world::effect::Effects;
 
 use super::covariates::{Axis, Covariates};
-use super::{MEAN, Part, SPREAD, simplest};
+use super::{MEAN, Part, SPREAD};
 use crate::hypothesis::{Comparison, Fitted};
 use crate::likelihood::Terms;
 use crate::statistics::Covariate;
@@ -20,25 +21,14 @@ const WIDER: [f64; 19] =
     [0.08, 0.18, 0.3, 0.42, 0.55, 0.7, 0.85, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 2.9, 3.2, 3.6, 4.0];
 const COUNT: usize = 27;
 
-/// Changes that are tried, and the index of none.
-struct Ladder {
-    at: [f64; COUNT],
-    none: usize,
-}
-
-impl Ladder {
-    fn new(below: impl DoubleEndedIterator<Item = f64>, above: &[f64]) -> Self {
-        let below: Vec<f64> = below.map(|step| -step).collect();
-        let all = below.iter().chain([&0.0]).chain(above).copied();
-        let mut at = [0.0; COUNT];
-        at.iter_mut().zip(all).for_each(|(at, step)| *at = step);
-        Self { at, none: below.len() }
-    }
-}
+type Ladder = Steps<COUNT>;
 
 fn ladder(moment: usize) -> &'static Ladder {
-    static OF_BIASES: LazyLock<Ladder> = LazyLock::new(|| Ladder::new(BIASES.into_iter().rev(), &BIASES));
-    static OF_SPREADS: LazyLock<Ladder> = LazyLock::new(|| Ladder::new(NARROWER.into_iter(), &WIDER));
+    static OF_BIASES: LazyLock<Ladder> = LazyLock::new(|| {
+        let below: Vec<f64> = BIASES.into_iter().rev().collect();
+        Ladder::new(&below, &BIASES)
+    });
+    static OF_SPREADS: LazyLock<Ladder> = LazyLock::new(|| Ladder::new(&NARROWER, &WIDER));
     if moment == MEAN { &OF_BIASES } else { &OF_SPREADS }
 }
 
@@ -53,51 +43,6 @@ pub(super) struct Change {
 
 impl Change {
     pub const NONE: Self = Self { bias_m: 0.0, spread: 1.0 };
-}
-
-/// A change between the steps: the vertex of the parabola through the log likelihood at the best step and at its neighbours.
-#[derive(Clone, Copy)]
-struct Fit {
-    /// The best step.
-    step: usize,
-    /// The change, and its standard error.
-    at: f64,
-    error: f64,
-}
-
-impl Fit {
-    /// The best change, where a sum of log likelihoods is known at each step.
-    fn of(ladder: &Ladder, sums: impl Fn(usize) -> f64) -> Self {
-        // None, of steps that are all as good: a level without readings.
-        let step =
-            (0..COUNT).fold(ladder.none, |best, step| if sums(step) > sums(best) { step } else { best });
-        if step == 0 || step == COUNT - 1 {
-            return Self { step, at: ladder.at[step], error: 0.0 };
-        }
-        let [a, b, c] = [step - 1, step, step + 1].map(|step| ladder.at[step]);
-        let [below, here, above] = [step - 1, step, step + 1].map(sums);
-        let (left, right) = ((here - below) / (b - a), (above - here) / (c - b));
-        // The second derivative is twice this, and not above 0, as the middle is the highest.
-        let bend = (right - left) / (c - a);
-        let slope = left + bend * (b - a);
-        if bend >= -1e-12 {
-            return Self { step, at: b, error: 0.0 };
-        }
-        Self { step, at: (b - 0.5 * slope / bend).clamp(a, c), error: (-0.5 / bend).sqrt() }
-    }
-
-    /// Other log likelihoods at this change, by the parabola through the same steps.
-    fn read(self, ladder: &Ladder, sums: impl Fn(usize) -> f64) -> f64 {
-        let Self { step, at, .. } = self;
-        if step == 0 || step == COUNT - 1 || at == ladder.at[step] {
-            return sums(step);
-        }
-        let steps = [step - 1, step, step + 1];
-        let [a, b, c] = steps.map(|step| ladder.at[step]);
-        let [below, here, above] = steps.map(sums);
-        let share = |p: f64, q: f64, r: f64| (at - q) * (at - r) / ((p - q) * (p - r));
-        below * share(a, b, c) + here * share(b, a, c) + above * share(c, a, b)
-    }
 }
 
 /// What is known of each reading: its beam, its fold, its standard deviation (0 of a beam that meets no surface), and the log
@@ -177,11 +122,13 @@ impl Large {
                 sum.iter_mut().zip(row.gains[moment]).for_each(|(sum, more)| *sum += more);
             }
         }
-        let without: Vec<Vec<Fit>> = sums
+        let without: Vec<Vec<Vertex>> = sums
             .iter()
-            .map(|fold| (0..count).map(|l| Fit::of(ladder, |step| total[l][step] - fold[l][step])).collect())
+            .map(|fold| {
+                (0..count).map(|l| Vertex::of(ladder, |step| total[l][step] - fold[l][step])).collect()
+            })
             .collect();
-        let gain_of = |(sums, fit): (&[f64; COUNT], &Fit)| fit.read(ladder, |step| sums[step]);
+        let gain_of = |(sums, fit): (&[f64; COUNT], &Vertex)| fit.read(ladder, |step| sums[step]);
         let gains = sums.iter().zip(&without).map(|(fold, fits)| fold.iter().zip(fits).map(gain_of).sum());
         let of_reading = |row: &Row| {
             let at = without[row.fold][axis.of_beams[row.beam] as usize].at;
@@ -191,7 +138,7 @@ impl Large {
                 Change { spread: at.exp(), ..Change::NONE }
             }
         };
-        let fits: Vec<Fit> = total.iter().map(|sums| Fit::of(ladder, |step| sums[step])).collect();
+        let fits: Vec<Vertex> = total.iter().map(|sums| Vertex::of(ladder, |step| sums[step])).collect();
         Self {
             moment,
             axis: index,
@@ -227,20 +174,6 @@ mod tests {
         }
         let biases = ladder(MEAN);
         assert!((0..COUNT).all(|step| biases.at[step] == -biases.at[COUNT - 1 - step]));
-    }
-
-    /// The log likelihood of readings with unit noise is a parabola, and its vertex is their mean, known to 1 / sqrt(n).
-    #[test]
-    fn a_parabola_is_found_between_the_steps() {
-        let biases = ladder(MEAN);
-        for (mean, n) in [(0.2, 5.0), (-1.7, 20.0), (3.4, 100.0), (12.0, 7.0)] {
-            let log = |step: usize| -0.5 * n * (biases.at[step] - mean).powi(2) + 3.0;
-            let fit = Fit::of(biases, log);
-            assert!((fit.at - mean).abs() < 1e-9 && (fit.error - f64::sqrt(1.0 / n)).abs() < 1e-9);
-            assert!((fit.read(biases, log) - 3.0).abs() < 1e-9);
-        }
-        let flat = Fit::of(biases, |_| 0.0);
-        assert_eq!(flat.error, 0.0);
     }
 
     /// Of readings that are all of the surface the gain is the ratio of two normal densities, and the density that is changed adds up

@@ -19,7 +19,7 @@ mod large;
 mod outcomes;
 
 use distreg::curve::{Shape, Sums, crossfit, curves_without, fit};
-use locsim_core::{Draw, Folds, sum_error};
+use locsim_core::{Draw, Folds, simplest};
 use locsim_world::effect::Effects;
 use rayon::prelude::*;
 
@@ -44,11 +44,6 @@ const SPREAD: usize = 1;
 /// A level says nothing of a kind of reading that fewer than this share of its readings could become. Beams that meet nothing within
 /// reach have no return to lose.
 const LEAST_SHARE: f64 = 0.2;
-/// Each level of a covariate costs this (nats): what a number that isn't needed gains on the readings that it was fitted to, and
-/// loses on others.
-const NATS_PER_LEVEL: f64 = 1.0;
-/// A covariate is surely behind another by this many standard errors of the difference over folds.
-const SURELY: f64 = 2.0;
 /// How often a step of a curve is halved at most, for as long as a half gains more: the promise of a step is a parabola, and a log
 /// score isn't one.
 const HALVINGS: u32 = 4;
@@ -72,25 +67,6 @@ impl Part {
             Self::Half(first) => fold % 2 == first,
         }
     }
-}
-
-/// Of curves over several covariates, as the number of their levels and their held-out gain on each fold, the index of the one with
-/// the fewest levels that isn't surely behind the best: a dependence on something is told only where the same of every beam
-/// doesn't do. The best one gains most after the cost of its levels.
-fn simplest<'g>(curves: impl Iterator<Item = (usize, &'g [f64])>) -> Option<usize> {
-    let curves: Vec<(usize, &[f64])> = curves.collect();
-    let gain = |gains: &[f64]| gains.iter().sum::<f64>();
-    let worth = |&(levels, gains): &(usize, &[f64])| gain(gains) - NATS_PER_LEVEL * levels as f64;
-    let (_, most) = *curves.iter().max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
-    let is_as_good = |gains: &[f64]| {
-        let behind: Vec<f64> = most.iter().zip(gains).map(|(most, own)| most - own).collect();
-        gain(&behind) <= SURELY * sum_error(&behind)
-    };
-    let as_good = (0..curves.len()).filter(|&i| is_as_good(curves[i].1));
-    as_good.min_by(|&a, &b| {
-        let [(few, own), (more, other)] = [curves[a], curves[b]];
-        few.cmp(&more).then(gain(other).total_cmp(&gain(own)))
-    })
 }
 
 /// One moment of a reading as a curve over one covariate.
@@ -640,19 +616,6 @@ mod tests {
                 assert!((value - (factor - 1.0)).abs() < 0.05 * factor, "{value} for {factor}");
             });
         }
-    }
-
-    /// Of ten folds: one level that gains nearly as much as eight is simpler, unless it is surely behind.
-    #[test]
-    fn the_simplest_curve_that_gains_as_much_is_meant() {
-        let even = [10.0; 10];
-        let uneven: Vec<f64> = (0..10).map(|i| if i % 2 == 0 { 16.0 } else { 4.0 }).collect();
-        let choose = |curves: &[(usize, &[f64])]| simplest(curves.iter().copied());
-        assert_eq!(choose(&[(8, &even), (1, &uneven)]), Some(1));
-        assert_eq!(choose(&[(8, &even), (1, &[9.0; 10])]), Some(0));
-        // The levels cost more than they gain.
-        assert_eq!(choose(&[(8, &even), (1, &[9.5; 10])]), Some(1));
-        assert_eq!(choose(&[]), None);
     }
 
     /// The weights of an effect over incidence are explained by incidence; those of a bias by nothing but every beam.

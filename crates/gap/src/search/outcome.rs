@@ -1,5 +1,6 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
+use distreg::Floor;
 use locsim_core::{Draw, Estimate, Interval, Stage, sorted};
 use locsim_world::effect::{Effect, EffectKind, Moves, Score};
 use rand::RngExt;
@@ -13,9 +14,7 @@ use super::selection::gain;
 use super::stepwise::Path;
 use super::{Round, State};
 use crate::fit::Candidate;
-use crate::outcome::{
-    Detectable, Detection, Direction, Evidence, Gap, HALF, Named, Number, Outcome, Verdict,
-};
+use crate::outcome::{Detectable, Detection, Direction, Evidence, Gap, Named, Number, Outcome, Verdict};
 use crate::profile::profiles;
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
@@ -175,9 +174,12 @@ impl<'a> State<'a> {
         kind: EffectKind,
     ) -> Result<bool, GapError> {
         let (old_mm, new_mm, floor) = self.distances(first, last)?;
-        let is_of_surface =
-            kind.is_stepped() || kind.scores().any(|score| matches!(score, Score::Location | Score::Scale));
-        Ok(floor.moves_away(old_mm, new_mm, self.nominal.pieces.is_some(), is_of_surface))
+        // Steps move ranges by half a step at most, to both sides alike.
+        if kind.is_stepped() {
+            return Ok(floor.is_farther(old_mm, new_mm));
+        }
+        let is_of_surface = kind.scores().any(|score| matches!(score, Score::Location | Score::Scale));
+        Ok(moves_away(&floor, [old_mm, new_mm], self.nominal.pieces.is_some(), is_of_surface))
     }
 
     /// Whether simulated ranges are farther from the log's in the later round by more than two simulations differ.
@@ -187,11 +189,11 @@ impl<'a> State<'a> {
     }
 
     /// Distances of simulated ranges from the log's in two rounds \[mm\], and what simulations of the later one differ by.
-    fn distances(&self, first: &Round<'a>, last: &Round<'a>) -> Result<(f64, f64, RangeFloor), GapError> {
+    fn distances(&self, first: &Round<'a>, last: &Round<'a>) -> Result<(f64, f64, Floor), GapError> {
         let (old, new) = (self.replay(first, LOGS)?, self.replay(last, LOGS)?);
         let views = &first.comparison.views;
         let [old_mm, new_mm] = [&old, &new].map(|logs| distance(views, self.recorded, logs));
-        Ok((old_mm, new_mm, RangeFloor::of(views, &new)))
+        Ok((old_mm, new_mm, floor_of(views, &new)))
     }
 
     fn gap(
@@ -242,7 +244,7 @@ impl<'a> State<'a> {
             log_score_nats_per_scan: total / scans,
             w1_mm,
         };
-        let range_floor = RangeFloor::of(view, new);
+        let range_floor = floor_of(view, new);
         let [old_mm, new_mm] = [old, new].map(|logs| distance(view, self.recorded, logs));
         let is_of_odometry = |effect: &Effect| effect.kind.moves() == Moves::Odometry;
         let in_odometry = !after.effects.is_empty() && after.effects.iter().all(is_of_odometry);
@@ -251,14 +253,14 @@ impl<'a> State<'a> {
         Gap {
             before: score(before.fitted.total(), old_mm),
             after: score(after.fitted.total(), new_mm),
-            floor: score(floor, range_floor.mean_mm),
+            floor: score(floor, range_floor.mean),
             gained_nats_per_scan: total(&gained) / scans,
             remaining_nats_per_scan: total(&rest).max(0.0) / scans,
             possible_nats_per_scan: total(&possible).max(0.0) / scans,
             gained_share,
             closed: closed(gained_share, closed_in_ranges),
             closed_in_ranges,
-            w1_visible_mm: range_floor.visible_mm(),
+            w1_visible_mm: range_floor.visible(),
         }
     }
 }
@@ -272,69 +274,27 @@ fn closed(gained: Estimate, in_ranges: Option<f64>) -> Option<Estimate> {
     }
 }
 
-/// Distance of range errors of one simulated log from others of the same simulator \[mm\].
-#[derive(Clone, Copy, Debug)]
-struct RangeFloor {
-    mean_mm: f64,
-    deviation_mm: f64,
+/// Distances of range errors of simulated logs \[mm\], each from the others.
+fn floor_of(views: &Views, logs: &[Recorded]) -> Floor {
+    let distances: Vec<f64> = (0..logs.len())
+        .into_par_iter()
+        .map(|i| {
+            let others: Vec<Recorded> = [&logs[..i], &logs[i + 1..]].concat();
+            distance(views, &logs[i], &others)
+        })
+        .collect();
+    Floor::of(&distances)
 }
 
-impl RangeFloor {
-    /// That of some logs, each held against the others.
-    fn of(views: &Views, logs: &[Recorded]) -> Self {
-        let distances: Vec<f64> = (0..logs.len())
-            .into_par_iter()
-            .map(|i| {
-                let others: Vec<Recorded> = [&logs[..i], &logs[i + 1..]].concat();
-                distance(views, &logs[i], &others)
-            })
-            .collect();
-        let n = distances.len() as f64;
-        let mean_mm = distances.iter().sum::<f64>() / n;
-        let squares: f64 = distances.iter().map(|d| (d - mean_mm).powi(2)).sum();
-        Self { mean_mm, deviation_mm: (squares / (n - 1.0)).sqrt() }
-    }
-
-    /// A distance beyond this isn't one between simulations \[mm\]. One simulation in a hundred is farther from the others: mean and
-    /// deviation are of eight.
-    fn visible_mm(&self) -> f64 {
-        self.mean_mm + 3.0 * self.deviation_mm
-    }
-
-    /// Standard error of the difference of two distances, each of the log from so many simulated ones \[mm\].
-    fn error_mm(&self) -> f64 {
-        self.deviation_mm * (2.0 / LOGS as f64).sqrt()
-    }
-
-    /// Whether a name has to go for its distances. On a measured map ranges have to come nearer. An exact map is to be believed for as long
-    /// as ranges weren't off before, and are hardly more so. A bias or a noise of a surface's readings changes them by millimetres, which
-    /// other errors may hide; readings that are replaced show.
-    fn moves_away(&self, before_mm: f64, after_mm: f64, is_measured: bool, is_of_surface: bool) -> bool {
-        let is_strict = is_measured || self.is_farther(before_mm, after_mm);
-        let least_mm = if is_of_surface { self.error_mm() } else { 0.0 };
-        self.closed(before_mm, after_mm).is_some_and(|closed| {
-            if is_strict { closed <= 0.0 } else { closed < 0.0 && after_mm - before_mm > least_mm }
-        })
-    }
-
-    /// Whether a distance is larger than another by more than two of one simulator differ.
-    fn is_farther(&self, before_mm: f64, after_mm: f64) -> bool {
-        after_mm - before_mm > self.visible_mm() - self.mean_mm
-    }
-
-    /// The share of what is above the floor that is gone; `None` where both are at the floor, to within what it may be by chance.
-    fn closed(&self, before_mm: f64, after_mm: f64) -> Option<f64> {
-        let is_visible = |distance_mm: f64| distance_mm > self.visible_mm();
-        let share = (before_mm - after_mm) / (before_mm - self.mean_mm);
-        match (is_visible(before_mm), is_visible(after_mm)) {
-            (false, false) => None,
-            // It was as near as can be, and isn't any more.
-            (false, true) => Some(0.0),
-            // All of the way, but not by a step across the border.
-            (true, false) if share >= HALF => Some(1.0),
-            (true, _) => Some(share),
-        }
-    }
+/// Whether a name has to go for its distances \[mm\]. On a measured map ranges have to come nearer. An exact map is to be believed for as long
+/// as ranges weren't off before, and are hardly more so. A bias or a noise of a surface's readings changes them by millimetres, which
+/// other errors may hide; readings that are replaced show.
+fn moves_away(floor: &Floor, [before, after]: [f64; 2], is_measured: bool, is_of_surface: bool) -> bool {
+    let is_strict = is_measured || floor.is_farther(before, after);
+    let least_mm = if is_of_surface { floor.error(LOGS) } else { 0.0 };
+    floor.closed(before, after).is_some_and(|closed| {
+        if is_strict { closed <= 0.0 } else { closed < 0.0 && after - before > least_mm }
+    })
 }
 
 /// Strengths that reach the threshold with 90 % probability: a score's spread is the square root of its information.
@@ -411,11 +371,11 @@ mod tests {
     fn no_gap_counts_as_closed_against_the_ranges() {
         let gained = Estimate { value: 0.98, interval: Interval { lo: 0.95, hi: 1.0 } };
         let mut counted = [0; 3];
-        for deviation_mm in [0.1, 4.0, 19.0] {
-            let floor = RangeFloor { mean_mm: 45.0, deviation_mm };
+        for deviation in [0.1, 4.0, 19.0] {
+            let floor = Floor { mean: 45.0, deviation };
             for (before, after) in (0..150).flat_map(|a| (0..150).map(move |b| (f64::from(a), f64::from(b))))
             {
-                let is_open = before - after < 0.5 * (before - floor.mean_mm);
+                let is_open = before - after < 0.5 * (before - floor.mean);
                 let share = closed(gained, floor.closed(before, after)).map(|closed| closed.value);
                 counted[usize::from(share.is_some()) + usize::from(share >= Some(0.9))] += 1;
                 assert!(!is_open || share < Some(0.5), "{before} -> {after}, {floor:?}: {share:?}");
@@ -423,7 +383,7 @@ mod tests {
         }
         assert!(counted.iter().all(|&count| count > 0), "{counted:?}");
         // 53 -> 71 mm, where simulations differ by 45 and up to 75 mm: ranges can't say.
-        let floor = RangeFloor { mean_mm: 45.0, deviation_mm: 10.0 };
+        let floor = Floor { mean: 45.0, deviation: 10.0 };
         assert_eq!(closed(gained, floor.closed(53.0, 71.0)), None);
         assert_eq!(closed(Estimate::around(0.0, 0.0), None), Some(Estimate::around(0.0, 0.0)));
     }
@@ -431,7 +391,7 @@ mod tests {
     /// Simulations that differ by 181 mm give or take 128 aren't as near to a log at 661 mm as others were at 35.
     #[test]
     fn ranges_are_farther_by_more_than_simulations_differ() {
-        let bursts = RangeFloor { mean_mm: 181.0, deviation_mm: 128.0 };
+        let bursts = Floor { mean: 181.0, deviation: 128.0 };
         assert!(bursts.is_farther(35.0, 661.0) && !bursts.is_farther(35.0, 400.0));
         assert!(!bursts.is_farther(661.0, 35.0));
     }
@@ -439,25 +399,26 @@ mod tests {
     /// Ranges are 12 cm off by people, whatever a noise does.
     #[test]
     fn a_noise_may_be_hidden_in_ranges_and_random_readings_may_not() {
-        let floor = RangeFloor { mean_mm: 7.0, deviation_mm: 2.5 };
+        let floor = Floor { mean: 7.0, deviation: 2.5 };
         let [measured, exact] = [true, false];
         let [of_surface, replaced] = [true, false];
-        assert!(!floor.moves_away(123.2, 123.4, exact, of_surface));
-        assert!(floor.moves_away(123.2, 123.4, exact, replaced));
-        assert!(floor.moves_away(123.2, 123.4, measured, of_surface));
+        assert!(!moves_away(&floor, [123.2, 123.4], exact, of_surface));
+        assert!(moves_away(&floor, [123.2, 123.4], exact, replaced));
+        assert!(moves_away(&floor, [123.2, 123.4], measured, of_surface));
         // By more than the standard error of the two, 1.25 mm.
-        assert!(floor.moves_away(123.2, 124.6, exact, of_surface));
+        assert!(moves_away(&floor, [123.2, 124.6], exact, of_surface));
         for kind in [of_surface, replaced] {
             assert!(
-                !floor.moves_away(123.2, 60.0, exact, kind) && !floor.moves_away(123.2, 60.0, measured, kind)
+                !moves_away(&floor, [123.2, 60.0], exact, kind)
+                    && !moves_away(&floor, [123.2, 60.0], measured, kind)
             );
-            assert!(floor.moves_away(123.2, 300.0, exact, kind));
+            assert!(moves_away(&floor, [123.2, 300.0], exact, kind));
         }
     }
 
     #[test]
     fn ranges_count_as_closed_as_far_as_they_came_down_to_their_floor() {
-        let floor = RangeFloor { mean_mm: 10.0, deviation_mm: 1.0 };
+        let floor = Floor { mean: 10.0, deviation: 1.0 };
         assert_eq!(floor.closed(30.0, 15.0), Some(0.75));
         assert_eq!(floor.closed(30.0, 11.0), Some(1.0), "at its floor");
         assert!(floor.closed(13.5, 12.5).is_some_and(|share| share < 0.5), "hardly nearer");

@@ -1,8 +1,7 @@
 //! Stepwise selection: effects are named one at a time, then redundant ones are deleted.
 
-use locsim_core::Estimate;
+use locsim_core::{Estimate, are_alike};
 use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::foretold::drop_unfounded;
 use super::judgement::share_a_moment;
@@ -330,20 +329,6 @@ fn distance_of(wall: &Named) -> Estimate {
     wall.params["distance_m"].estimate
 }
 
-/// Whether numbers are one number, as far as their 95 % intervals say (chi squared, at 5 %).
-fn are_alike(numbers: &[Estimate]) -> bool {
-    let error = |number: &Estimate| {
-        ((number.interval.hi - number.interval.lo) / (2.0 * locsim_core::normal::QUANTILE_975)).max(1e-9)
-    };
-    let weights: Vec<f64> = numbers.iter().map(|number| error(number).powi(-2)).collect();
-    let mean = numbers.iter().zip(&weights).map(|(number, w)| w * number.value).sum::<f64>()
-        / weights.iter().sum::<f64>();
-    let squares: f64 =
-        numbers.iter().zip(&weights).map(|(number, w)| w * (number.value - mean).powi(2)).sum();
-    let freedom = numbers.len() as f64 - 1.0;
-    ChiSquared::new(freedom).is_ok_and(|chi_squared| chi_squared.sf(squares) > 0.05)
-}
-
 /// The last effect that moves ranges. What is in the odometry doesn't.
 fn last_of_ranges(named: &[Named]) -> Option<usize> {
     named.iter().rposition(|named| named.name.moves() != Moves::Odometry)
@@ -407,15 +392,6 @@ mod tests {
             |kinds: &[EffectKind]| last_of_ranges(&kinds.iter().map(|&kind| named(kind)).collect::<Vec<_>>());
         assert_eq!((last(&[tail, scale]), last(&[scale, tail])), (Some(0), Some(1)));
         assert_eq!((last(&[scale]), last(&[])), (None, None));
-    }
-
-    /// Walls of one kind of surface read 6 mm short, each to within 1 mm. Walls that moved have moved each on its own.
-    #[test]
-    fn walls_that_read_alike_are_told_from_walls_that_moved() {
-        let of = |values: [f64; 3]| values.map(|value| Estimate::normal(value, 0.001));
-        assert!(are_alike(&of([-0.0062, -0.0051, -0.0065])));
-        assert!(!are_alike(&of([-0.006, 0.006, -0.006])));
-        assert!(!are_alike(&of([-0.006, -0.03, -0.012])));
     }
 
     /// Losses were named with 1,000 nats. Other losses have to gain 30, noise doesn't.

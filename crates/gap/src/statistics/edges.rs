@@ -1,8 +1,8 @@
 //! Readings between the two surfaces of an edge.
 
+use distreg::contamination::{detectable_share, score};
 use locsim_world::effect::{self, Alternative, EffectKind};
 
-use super::contamination::{detectable_share, score};
 use super::survey::Survey;
 use super::{Family, Form, Group, Halves, Readings, Statistic};
 use crate::catalogue::kinds_shown_by;

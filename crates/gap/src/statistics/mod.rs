@@ -6,7 +6,6 @@
 
 mod bins;
 mod clutter;
-mod contamination;
 mod dictionary;
 mod displaced_walls;
 mod edges;

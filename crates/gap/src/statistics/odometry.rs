@@ -1,11 +1,11 @@
 //! Errors of the odometry's increments against those of the reference.
 
 use distreg::Correlation;
+use distreg::contamination::{detectable_share, score};
 use locsim_core::Folds;
 use locsim_world::effect::{self, Axis, EffectKind};
 use locsim_world::simulation::{Increment, OdometrySpread, lagging, standardized};
 
-use super::contamination::{detectable_share, score};
 use super::{Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
 use crate::catalogue::shown_by;
 

@@ -3,12 +3,12 @@
 use locsim_core::median;
 use locsim_world::effect::{self, Direction, EffectKind, Score, TAIL_FACTOR};
 
-use super::contamination::detectable_share;
 use super::readings::Reading;
 use super::survey::Survey;
 use super::{Family, Form, Group, Halves, Readings, Start, Statistic};
 use crate::catalogue::{shown_by, values_along};
 use crate::likelihood::normal_density;
+use distreg::contamination::detectable_share;
 
 /// The scores of one effect: sums over all beams of a weight times the derivative of the reading's log density.
 pub(super) struct Scores {

@@ -1,10 +1,10 @@
 //! Effects of a stretch of wall, over cells of the map that walls run through.
 
+use distreg::contamination::{detectable_share, score};
 use glam::DVec2;
 use locsim_core::{Line, lines_through};
 use locsim_world::effect::{self, EffectKind};
 
-use super::contamination::{detectable_share, score};
 use super::readings::Reading;
 use super::survey::Survey;
 use super::wall_cells::{WallCells, wall_cell};

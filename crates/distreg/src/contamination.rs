@@ -4,18 +4,20 @@
 /// bounded; at a share of 0 it is a ratio of densities, which can be 10,000 for a single reading.
 const EVENTS: f64 = 15.0;
 
-/// The largest share of a contamination at which its score is taken: that of fewer than 50 beams.
+/// The largest share of a contamination at which its score is taken: that of fewer than 50 readings.
 const MOST: f64 = 0.3;
 
-/// The share at which a contamination of `beams` beams can just be told from chance. Its score is taken there.
-pub(super) fn detectable_share(beams: f64) -> f64 {
-    (EVENTS / beams.max(1.0)).min(MOST)
+/// The share at which a contamination of `readings` readings can just be told from chance. Its score is taken there.
+#[must_use]
+pub fn detectable_share(readings: f64) -> f64 {
+    (EVENTS / readings.max(1.0)).min(MOST)
 }
 
 /// Derivative of a log density by the share of a contamination, at `share`; `ratio` is the contamination's density over
 /// the hypothesis's, less 1. At a share of 0 it would be the ratio itself, which a single reading can make huge.
 #[inline]
-pub(super) fn score(ratio: f64, share: f64) -> f64 {
+#[must_use]
+pub fn score(ratio: f64, share: f64) -> f64 {
     ratio / (1.0 + share * ratio)
 }
 
