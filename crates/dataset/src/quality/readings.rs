@@ -27,6 +27,8 @@ const LEAST_BINS: usize = 4;
 const LEAST_OF_BIN: usize = 20;
 /// Noise grows where it does by this share from the first bin to the last.
 const LEAST_GROWTH: f64 = 0.3;
+/// Readings in larger steps than this share of their noise don't tell whether it grows.
+const FINE: f64 = 0.5;
 /// Fewer residuals than this tell nothing.
 const LEAST_RESIDUALS: usize = 500;
 
@@ -69,7 +71,7 @@ impl ReadingQuality {
         let share = |part: usize| part as f64 / count.max(1) as f64;
         let resolution_m = resolution(drive);
         let (still_scans, still) = if has_odometry { still_noise(drive, resolution_m) } else { (0, None) };
-        let flat = flat_noise(drive);
+        let flat = flat_noise(drive, resolution_m);
         Self {
             no_return_share: share(no_return),
             unusable_share: share(unusable),
@@ -98,18 +100,18 @@ struct Noise {
 }
 
 impl Noise {
-    /// By deviations with their ranges \[m\], of which `sigma_of` is the standard deviation.
-    fn of(mut samples: Vec<[f64; 2]>, sigma_of: impl Fn(&mut [f64]) -> f64) -> Self {
-        let mut all: Vec<f64> = samples.iter().map(|[_, deviation]| *deviation).collect();
+    /// By deviations, of which `sigma_of` is the standard deviation, and by those `samples` with their ranges \[m\] that tell whether it grows.
+    fn of(all: &mut [f64], mut samples: Vec<[f64; 2]>, sigma_of: impl Fn(&mut [f64]) -> f64) -> Self {
         samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
-        let bins = samples.chunks(samples.len().div_ceil(BINS)).filter(|bin| bin.len() >= LEAST_OF_BIN);
+        let bins =
+            samples.chunks(samples.len().div_ceil(BINS).max(1)).filter(|bin| bin.len() >= LEAST_OF_BIN);
         let points: Vec<[f64; 2]> = bins
             .map(|bin| {
                 let mut deviations: Vec<f64> = bin.iter().map(|[_, deviation]| *deviation).collect();
                 [bin[bin.len() / 2][0], sigma_of(&mut deviations)]
             })
             .collect();
-        Self { sigma_m: sigma_of(&mut all), by_range: line(&points) }
+        Self { sigma_m: sigma_of(all), by_range: line(&points) }
     }
 }
 
@@ -187,7 +189,9 @@ fn still_noise(drive: &Drive, resolution_m: Option<f64>) -> (usize, Option<Noise
         return (scans, None);
     }
     let rounding = resolution_m.map_or(0.0, |step| step * step / 12.0);
-    (scans, Some(Noise::of(variances, |variances| (median(variances) - rounding).max(0.0).sqrt())))
+    let mut all: Vec<f64> = variances.iter().map(|[_, variance]| *variance).collect();
+    let sigma = |variances: &mut [f64]| (median(variances) - rounding).max(0.0).sqrt();
+    (scans, Some(Noise::of(&mut all, variances, sigma)))
 }
 
 /// Runs of scans during which the odometry doesn't change.
@@ -212,12 +216,12 @@ fn still_stretches(steps: &[DriveStep]) -> Vec<&[DriveStep]> {
 }
 
 /// The deviation of readings from the line through their neighbours: on a flat wall, 1/r is linear in the sine and the cosine
-/// of the bearing.
-fn flat_noise(drive: &Drive) -> Option<Noise> {
+/// of the bearing. Walls at an incidence of up to 45 degrees tell whether it grows: far ones are slanted, and their roughness shows.
+fn flat_noise(drive: &Drive, resolution_m: Option<f64>) -> Option<Noise> {
     let max = drive.laser.max_range();
     let bearings = drive.laser.bearings();
     let stride = drive.steps.len().div_ceil(RESOLUTION_SCANS).max(1);
-    let mut residuals = Vec::new();
+    let (mut residuals, mut facing) = (Vec::new(), Vec::new());
     for step in drive.steps.iter().step_by(stride) {
         for (ranges, bearings) in step.scan.ranges.windows(3).zip(bearings.windows(3)) {
             let &[left, middle, right] = ranges else { continue };
@@ -226,10 +230,16 @@ fn flat_noise(drive: &Drive) -> Option<Noise> {
                 let [left, middle, right] = [left, middle, right].map(f64::from);
                 let apart = 0.5 * f64::from(bearings[2] - bearings[0]);
                 let on_line = 2.0 * apart.cos() / (1.0 / left + 1.0 / right);
-                residuals.push([middle, (middle - on_line).abs()]);
+                residuals.push((middle - on_line).abs());
+                if (right - left).abs() <= 2.0 * apart * middle {
+                    facing.push([middle, (middle - on_line).abs()]);
+                }
             }
         }
     }
     let sigma = |residuals: &mut [f64]| normal::SIGMA_OVER_MAD * median(residuals) / RESIDUAL_VARIANCE.sqrt();
-    (residuals.len() >= LEAST_RESIDUALS).then(|| Noise::of(residuals, sigma))
+    let noise = (residuals.len() >= LEAST_RESIDUALS).then(|| Noise::of(&mut residuals, facing, sigma))?;
+    // The median of a few steps is a step.
+    let is_fine = resolution_m.is_none_or(|step| step <= FINE * noise.sigma_m);
+    Some(Noise { by_range: noise.by_range.filter(|_| is_fine), ..noise })
 }
