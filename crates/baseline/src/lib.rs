@@ -19,6 +19,7 @@
 //! | fits of an effect | `fitting` |
 //! | effects at one place | `places` |
 //! | permutations, names | `search` |
+//! | whether what an effect of all beams gains is of all places | `everywhere` |
 //! | returns that are lost at some bearings | `bearings` |
 //! | numbers with their intervals | `precision` |
 //! | how rare a gain is | `null` |

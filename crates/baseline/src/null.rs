@@ -7,6 +7,9 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::increments::is_of_odometry;
 
+/// Logs are clearly off where they are beyond all permutations by this (nats): one of e^3 that are so by chance is.
+const FARTHER: f64 = 3.0;
+
 /// The trial of a kind that gains most.
 #[derive(Clone, Copy)]
 pub(super) struct Score {
@@ -184,6 +187,11 @@ impl Null {
     fn most(&self, best: &Best, is_among: &dyn Fn(EffectKind) -> bool) -> f64 {
         let among = best.iter().filter(|(kind, _)| is_among(**kind));
         among.map(|(&kind, score)| self.weight(kind, score)).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Whether the logs are so far beyond all permutations that more of them would not make them logs without a change.
+    pub fn is_clearly_off(&self, own: &Best) -> bool {
+        self.all.last().is_some_and(|most| self.most(own, &|_| true) > most + FARTHER)
     }
 
     /// Share of logs without a change that are as far off.

@@ -36,7 +36,7 @@ const DOUBTFUL: f64 = 0.05;
 /// Kinds of effect that are fitted in a round: those whose best trial gains most.
 const FITTED_KINDS: usize = 5;
 /// Bursts in a smaller share of the drive may have been in a few places.
-const MOST_OF_DRIVE: f64 = 0.5;
+const MOST_OF_DRIVE: f64 = 1.0 / 3.0;
 /// False alarms that effects at one place may make, as a share of those of all others: they come on top.
 const SHARE_OF_PLACES: f64 = 0.2;
 
@@ -112,7 +112,9 @@ impl Search<'_> {
         let screening = options.permutations.min(SCREENING);
         let (mut others, mut distances) = self.permute(&tried, &odometry, 0..screening)?;
         let mut null = Null::new(&own, &others, stretches);
-        while let Some(permutations) = next_permutations(others.len() as u32, null.p(&own), options) {
+        while let Some(permutations) =
+            next_permutations(others.len() as u32, null.p(&own), null.is_clearly_off(&own), options)
+        {
             let more = self.permute(&tried, &odometry, others.len() as u32..permutations)?;
             others.extend(more.0);
             distances.extend(more.1);
@@ -472,12 +474,12 @@ impl Search<'_> {
 }
 
 /// To how many permutations the comparison goes on after so many; `None` where they are enough.
-fn next_permutations(done: u32, p: f64, options: &BaselineOptions) -> Option<u32> {
-    let is_in_doubt = options.false_alarm < p && p <= DOUBTFUL;
+fn next_permutations(done: u32, p: f64, is_clearly_off: bool, options: &BaselineOptions) -> Option<u32> {
+    let is_in_doubt = p <= DOUBTFUL && !is_clearly_off;
     match p {
         _ if p > PLAUSIBLE => None,
         _ if done < options.permutations => Some(options.permutations),
-        _ if is_in_doubt && done < IN_DOUBT => Some(IN_DOUBT),
+        _ if is_in_doubt && (SCREENING..IN_DOUBT).contains(&done) => Some(IN_DOUBT),
         _ => None,
     }
 }
@@ -571,14 +573,17 @@ mod tests {
 
     #[test]
     fn more_permutations_are_made_where_they_can_change_the_answer() {
-        let next = |done, p, permutations| {
-            next_permutations(done, p, &BaselineOptions { permutations, ..BaselineOptions::default() })
-        };
+        let options = |permutations| BaselineOptions { permutations, ..BaselineOptions::default() };
+        let next = |done, p, permutations| next_permutations(done, p, false, &options(permutations));
         // 399 are the default: the first 99 tell what is clear.
         assert_eq!((next(99, 0.05, 399), next(99, 0.2, 399)), (Some(399), None));
         assert_eq!(next(399, 0.02, 399), None);
-        // Of 99 that were asked for one to four are beyond the log.
-        assert_eq!([0.01, 0.02, 0.05, 0.06].map(|p| next(99, p, 99)), [None, Some(399), Some(399), None]);
+        // Of 99 that were asked for none, or up to four, are beyond the log.
+        assert_eq!(
+            [0.01, 0.02, 0.05, 0.06].map(|p| next(99, p, 99)),
+            [Some(399), Some(399), Some(399), None]
+        );
+        assert_eq!(next_permutations(99, 0.01, true, &options(99)), None);
         assert_eq!(next(999, 0.02, 999), None);
     }
 

@@ -27,7 +27,7 @@ const PARTS: usize = 8;
 /// those that lack what is foretold have at most this share of it.
 const MOST_LACKING: f64 = 0.3;
 /// Bursts in a smaller share of the drive may have been in a few places.
-const MOST_OF_DRIVE: f64 = 0.5;
+const MOST_OF_DRIVE: f64 = 1.0 / 3.0;
 
 /// Drops effects that foretell readings which the log doesn't have. Random readings are behind walls as well, and all around: those in front
 /// alone are of things that stand or walk there, those at some walls of a pane or a mirror, and so is what else gains next to nothing beside
@@ -91,7 +91,9 @@ fn has_what_it_foretells(
         counted - without >= LEAST_SHARE * (with - without)
     };
     let is_clear = |[_, without]: [f64; 2], [_, with]: [f64; 2]| with - without > CLEAR * with.sqrt();
-    let [all_without, all_with] = [&without, &with].map(Counts::total);
+    let total =
+        |counts: &Counts| counts.parts[RANGE].iter().fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    let [all_without, all_with] = [&without, &with].map(total);
     if is_clear(all_without, all_with) && !is_there(all_without, all_with) {
         return Ok(false);
     }
@@ -117,10 +119,11 @@ enum Side {
     Lost,
 }
 
-/// Range, the two coordinates of where a beam ends, and the beam of the laser.
-const COVARIATES: usize = 4;
+/// Range, the two coordinates of where a beam ends, the beam of the laser, and how far along a beam a reading in front is.
+const COVARIATES: usize = 5;
 const RANGE: usize = 0;
 const BEAM: usize = 3;
+const ALONG: usize = 4;
 
 /// How many readings are on one side of walls, in the log and to be expected, in parts by each covariate. Lost ones are in a part for each beam
 /// of the laser.
@@ -134,7 +137,7 @@ impl Counts {
         let last = max.next_down();
         let of_beam = |i: usize, beam: &Beam| {
             let [x, y] = beam.view.endpoint.to_array();
-            [beam.range(), x, y, (i % views.per_scan) as f64]
+            [beam.range(), x, y, (i % views.per_scan) as f64, 0.0]
         };
         let beams = views.beams.iter().enumerate();
         let edges: [Vec<f64>; COVARIATES] = std::array::from_fn(|by| {
@@ -148,8 +151,13 @@ impl Counts {
             let beam = &views.beams[i];
             let [is_there, chance] = match side {
                 Side::InFront => {
-                    let to = (beam.range() + shift).min(max) - OFF_M;
-                    [f64::from(u8::from(z < to)), density.cdf(beam, shift, to.max(0.0))]
+                    let to = ((beam.range() + shift).min(max) - OFF_M).max(0.0);
+                    let below = |part: usize| density.cdf(beam, shift, to * part as f64 / PARTS as f64);
+                    for (part, [is_there, chance]) in parts[ALONG].iter_mut().enumerate() {
+                        *is_there += f64::from(u8::from(z < to && part == (PARTS as f64 * z / to) as usize));
+                        *chance += below(part + 1) - below(part);
+                    }
+                    [f64::from(u8::from(z < to)), below(PARTS)]
                 }
                 Side::Lost => [f64::from(u8::from(z >= max)), 1.0 - density.cdf(beam, shift, last)],
                 Side::Behind => {
@@ -161,17 +169,13 @@ impl Counts {
                     [f64::from(u8::from(z > from && z < max)), chance]
                 }
             };
-            for ((parts, edges), value) in parts.iter_mut().zip(&edges).zip(of_beam(i, beam)) {
+            for ((parts, edges), value) in parts[..ALONG].iter_mut().zip(&edges).zip(of_beam(i, beam)) {
                 let part = &mut parts[edges.partition_point(|edge| *edge <= value)];
                 part[0] += is_there;
                 part[1] += chance;
             }
         });
         Self { parts }
-    }
-
-    fn total(&self) -> [f64; 2] {
-        self.parts[0].iter().fold([0.0; 2], |sum, part| [sum[0] + part[0], sum[1] + part[1]])
     }
 }
 
