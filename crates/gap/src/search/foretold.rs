@@ -22,10 +22,8 @@ const LEAST_GAIN_SHARE: f64 = 0.05;
 const SMALL_GAIN_NATS: f64 = 25.0;
 /// Clutter is of the same readings, and has to gain this share.
 const LEAST_CLUTTER_SHARE: f64 = 0.5;
-/// Random readings and clutter are alike all around: of the parts into which beams are cut by a covariate,
+/// Random readings, clutter and losses are all around: beams are cut into so many parts by a covariate.
 const PARTS: usize = 8;
-/// those that lack what is foretold have at most this share of it.
-const MOST_LACKING: f64 = 0.3;
 /// Bursts in a smaller share of the drive may have been in a few places.
 const MOST_OF_DRIVE: f64 = 1.0 / 3.0;
 
@@ -87,16 +85,19 @@ fn has_what_it_foretells(
         Ok(Counts::new(&comparison, &fitted, &effects, side))
     };
     let (without, with) = (count(given)?, count(&[given, &[spread]].concat())?);
-    let is_there = |[_, without]: [f64; 2], [counted, with]: [f64; 2]| {
-        counted - without >= LEAST_SHARE * (with - without)
+    let has = |share: f64, [_, without]: [f64; 2], [counted, with]: [f64; 2]| {
+        counted - without >= share * (with - without)
     };
     let is_clear = |[_, without]: [f64; 2], [_, with]: [f64; 2]| with - without > CLEAR * with.sqrt();
     let total =
         |counts: &Counts| counts.parts[RANGE].iter().fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
     let [all_without, all_with] = [&without, &with].map(total);
-    if is_clear(all_without, all_with) && !is_there(all_without, all_with) {
+    if is_clear(all_without, all_with) && !has(LEAST_SHARE, all_without, all_with) {
         return Ok(false);
     }
+    // The least share of what is foretold that a part has, and the most of it that may be in parts which have less. Surfaces differ in what they
+    // send back: one that sends back all is no exception.
+    let [least, most_lacking] = if side == Side::Lost { [0.2, 0.5] } else { [LEAST_SHARE, 0.3] };
     let lacks = |by: usize| {
         let parts = without.parts[by].iter().zip(&with.parts[by]);
         if side == Side::Lost && by == RANGE {
@@ -105,9 +106,9 @@ fn has_what_it_foretells(
         }
         let mut foretold = [0.0; 2];
         for (&without, &with) in parts.filter(|(without, with)| is_clear(**without, **with)) {
-            foretold[usize::from(is_there(without, with))] += with[1] - without[1];
+            foretold[usize::from(has(least, without, with))] += with[1] - without[1];
         }
-        foretold[0] > MOST_LACKING * (foretold[0] + foretold[1])
+        foretold[0] > most_lacking * (foretold[0] + foretold[1])
     };
     Ok(!is_often || !(0..COVARIATES).any(lacks))
 }
