@@ -32,12 +32,14 @@ const MOST_OF_DRIVE: f64 = 1.0 / 3.0;
 /// them. Clutter is in front of walls all around. Returns that any beam loses are lost at all places, and by each beam of the laser.
 pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Result<Vec<Candidate>, GapError> {
     let is_there = |e: &Effect| has_what_it_foretells(&round.comparison, &round.fitted, &round.effects, e);
+    // What a measured map has for walls may send nothing back at all.
+    let is_exact = round.comparison.nominal.pieces.is_none();
     let mut most = 0.0_f64;
     for i in (0..candidates.len()).rev() {
         let kind = candidates[i].kind();
         if kind.is_of_random_readings() && !is_there(&candidates[i].effect)? {
             most = most.max(total(&candidates.remove(i)));
-        } else if kind.loses_returns() && !is_there(&candidates[i].effect)? {
+        } else if is_exact && kind.loses_returns() && !is_there(&candidates[i].effect)? {
             candidates.remove(i);
         }
     }
