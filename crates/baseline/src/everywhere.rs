@@ -55,7 +55,7 @@ pub(super) fn only_place(gains: &[ReadingGain]) -> Option<DVec2> {
 mod tests {
     use super::*;
 
-    /// Ten places along a wall, seen on each of eight stretches. What gains at one of them alone is of this place; what gains at each isn't, nor
+    /// Twelve places along a wall, seen on each of eight stretches. What gains at one of them alone is of this place; what gains at each isn't, nor
     /// what does nothing at the others.
     #[test]
     fn what_loses_at_all_places_but_one_is_of_one_place() {

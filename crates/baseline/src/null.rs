@@ -7,7 +7,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::increments::is_of_odometry;
 
-/// Logs are clearly off where they are beyond all permutations by this (nats): one of e^3 that are so by chance is.
+/// Logs are clearly off where they are beyond all permutations by this (nats). Of those that are beyond them by chance, one in e^3 is.
 const FARTHER: f64 = 3.0;
 
 /// The trial of a kind that gains most.
