@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::DVec2;
 use locsim_core::{Estimate, Progress, sum_error};
 use locsim_gap::{Evidence, GapError, Named, Nominal, Purpose, Recorded, split_by};
-use locsim_world::effect::{Effect, EffectKind, Moves};
+use locsim_world::effect::{Bursts, Effect, EffectKind, Moves};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -35,8 +35,6 @@ const IN_DOUBT: u32 = 399;
 const DOUBTFUL: f64 = 0.05;
 /// Kinds of effect that are fitted in a round: those whose best trial gains most.
 const FITTED_KINDS: usize = 5;
-/// Bursts in a smaller share of the drive may have been in a few places.
-const MOST_OF_DRIVE: f64 = 1.0 / 3.0;
 /// False alarms that effects at one place may make, as a share of those of all others: they come on top.
 const SHARE_OF_PLACES: f64 = 0.2;
 
@@ -379,8 +377,8 @@ impl Search<'_> {
         known: &Known,
     ) -> Result<Option<DVec2>, GapError> {
         let bursts = effect.bursts();
-        let is_seldom = bursts.as_ref().is_some_and(|bursts| bursts.share < MOST_OF_DRIVE);
-        if is_of_place(effect.kind) || is_of_odometry(effect.kind) || is_seldom {
+        let are_seldom = bursts.as_ref().is_some_and(Bursts::are_seldom);
+        if is_of_place(effect.kind) || is_of_odometry(effect.kind) || are_seldom {
             return Ok(None);
         }
         let effect = bursts.map_or_else(|| effect.clone(), |bursts| bursts.spread);

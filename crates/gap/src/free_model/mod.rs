@@ -509,6 +509,23 @@ mod tests {
         });
     }
 
+    /// One reading in 30 of six neighbouring beams is 30 cm from the laser, where no clutter stands: far fewer than clutter makes, and told first, and by bearing.
+    #[test]
+    fn few_readings_in_the_open_stand_out() {
+        let mut drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 7).unwrap();
+        for (scan, step) in drive.steps.iter_mut().enumerate() {
+            for beam in (20..26).filter(|beam| (scan + 5 * beam) % 30 == 0) {
+                step.scan.ranges[beam] = 0.3;
+            }
+        }
+        learnt(&drive, |model, _| {
+            let of = |c: &Component| (c.moment, c.covariate);
+            let all: Vec<_> = model.components.iter().map(of).collect();
+            assert_eq!(all[0].0, Deviation::Short, "{all:?}");
+            assert!(all.contains(&(Deviation::Short, Covariate::Bearing)), "{all:?}");
+        });
+    }
+
     /// A curve that was tried before a step of other moments is what it would be after it.
     #[test]
     fn a_curve_that_is_kept_is_what_a_new_look_gives() {

@@ -1,6 +1,6 @@
 //! Readings in front of walls and behind them, and lost ones, that an effect foretells.
 
-use locsim_world::effect::{Effect, Effects, Moves};
+use locsim_world::effect::{Bursts, Effect, Effects, Moves};
 
 use super::Round;
 use super::selection::is_of_odometry;
@@ -24,8 +24,6 @@ const SMALL_GAIN_NATS: f64 = 25.0;
 const LEAST_CLUTTER_SHARE: f64 = 0.5;
 /// Random readings, clutter and losses are all around: beams are cut into so many parts by a covariate.
 const PARTS: usize = 8;
-/// Bursts in a smaller share of the drive may have been in a few places.
-const MOST_OF_DRIVE: f64 = 1.0 / 3.0;
 
 /// Drops effects that foretell readings which the log doesn't have. Random readings are behind walls as well, and all around: those in front
 /// alone are of things that stand or walk there, those at some walls of a pane or a mirror, and so is what else gains next to nothing beside
@@ -70,7 +68,7 @@ fn has_what_it_foretells(
     effect: &Effect,
 ) -> Result<bool, GapError> {
     let bursts = effect.bursts();
-    let is_often = bursts.as_ref().is_none_or(|bursts| bursts.share >= MOST_OF_DRIVE);
+    let are_seldom = bursts.as_ref().is_some_and(Bursts::are_seldom);
     let spread = bursts.map_or_else(|| effect.clone(), |bursts| bursts.spread);
     let side = match effect.kind {
         kind if kind.moves() == Moves::Clutter => Side::InFront,
@@ -112,7 +110,7 @@ fn has_what_it_foretells(
         }
         foretold[0] > most_lacking * (foretold[0] + foretold[1])
     };
-    Ok(!is_often || !(0..COVARIATES).any(lacks))
+    Ok(are_seldom || !(0..COVARIATES).any(lacks))
 }
 
 #[derive(Clone, Copy, PartialEq)]

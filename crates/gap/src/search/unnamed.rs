@@ -133,6 +133,18 @@ mod tests {
         assert_eq!(of(&|t| 0.03 * (1.0 - t / 20.0).max(0.0)), None);
     }
 
+    /// A cell that few beams meet has the largest value, and the others the surest.
+    #[test]
+    fn the_value_that_is_told_is_surely_large() {
+        let curve = |values: &[[f64; 2]]| -> Vec<CurvePoint> {
+            values.iter().map(|&value| point(0.0, None, value)).collect()
+        };
+        assert_eq!(largest(&curve(&[[0.46, 0.1], [0.25, 0.01], [0.02, 0.01]])), 0.46);
+        assert_eq!(largest(&curve(&[[0.46, 0.2], [0.25, 0.01], [-0.1, 0.01]])), 0.25);
+        assert_eq!(largest(&curve(&[[0.1, 0.2], [-0.3, 0.2]])), -0.3);
+        assert_eq!(largest(&[]), 0.0);
+    }
+
     #[test]
     fn what_beams_share_is_told_before_the_noise_that_it_causes() {
         let found = |deviation, covariate, nats| Unnamed {

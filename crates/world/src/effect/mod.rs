@@ -176,6 +176,13 @@ pub struct Bursts {
     pub spread: Effect,
 }
 
+impl Bursts {
+    /// Whether they fall on so few windows, less than a third, that all of them may have been in a few places.
+    pub fn are_seldom(&self) -> bool {
+        self.share < 1.0 / 3.0
+    }
+}
+
 fn stretches<S: Serializer>(place: &[[DVec2; 2]], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(place.iter().map(|stretch| stretch.map(|end| end.to_array())))
 }

@@ -545,6 +545,17 @@ fn the_catalogue_is_complete() {
     assert!(error.starts_with("\"glas\" is not an effect; one of range_bias, range_scale,"), "{error}");
 }
 
+/// Losses that hardly grow with range aren't said to be of far surfaces.
+#[test]
+fn a_sentence_says_what_the_values_do() {
+    let sentence = |exponent: f64| {
+        Effect::new(EffectKind::RangeDropout, vec![0.1, exponent], Vec::new()).unwrap().sentence()
+    };
+    assert!(sentence(0.2).contains("near and far alike") && sentence(2.0).contains("Far surfaces"));
+    let bursts = |share| Effect::new(EffectKind::Crosstalk, vec![0.1, share], Vec::new()).unwrap().bursts();
+    assert!(bursts(0.2).unwrap().are_seldom() && !bursts(0.4).unwrap().are_seldom());
+}
+
 /// A log's beams are cast anew for an effect that changes where they start or what they can meet, and for no other.
 #[test]
 fn views_change_where_an_effect_says_so() {
