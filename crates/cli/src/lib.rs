@@ -469,7 +469,7 @@ fn map(arguments: &Map) -> anyhow::Result<u8> {
     let files: Vec<(Output, &[u8])> = outputs.into_iter().zip(contents.iter().map(Vec::as_slice)).collect();
     Output::write_all(&files)?;
     let contradiction = maps.check.as_ref().and_then(run::contradiction);
-    let warnings = maps.summary.remarks.iter().chain(&contradiction);
+    let warnings = maps.summary.remarks.iter().chain(&maps.doubts).chain(&contradiction);
     warnings.for_each(|warning| complain(&format!("warning: {warning}")));
     say(&maps.summary.to_string())?;
     let grid = &maps.grid;

@@ -266,21 +266,24 @@ impl Drive {
     /// How long the odometry stood still while the reference moved \[s\], in stretches of a second or more, and how far the reference
     /// moved in them \[m\]; 0 where it never did.
     pub fn frozen_odometry(&self) -> [f64; 2] {
-        let (mut all, mut here) = ([0.0; 2], [0.0; 2]);
+        let (mut all, mut here, mut from) = ([0.0; 2], [0.0; 2], None);
         let mut add = |stretch: [f64; 2]| {
             if stretch[0] >= FROZEN_SECS && stretch[1] >= FROZEN_M {
                 all.iter_mut().zip(stretch).for_each(|(sum, more)| *sum += more);
             }
         };
         for [before, step] in self.steps.array_windows() {
-            let moved =
-                before.reference.zip(step.reference).map(|(a, b)| b.position().distance(a.position()));
-            match moved {
-                Some(moved) if before.odometry == step.odometry => {
+            match before.reference.zip(step.reference) {
+                Some((a, b)) if before.odometry == step.odometry => {
+                    // A reference that jitters about one place goes nowhere.
+                    let from = from.get_or_insert(a.position());
                     here[0] += step.stamp_secs - before.stamp_secs;
-                    here[1] += moved;
+                    here[1] = f64::max(here[1], from.distance(b.position()));
                 }
-                _ => add(std::mem::take(&mut here)),
+                _ => {
+                    add(std::mem::take(&mut here));
+                    from = None;
+                }
             }
         }
         add(here);
@@ -415,6 +418,12 @@ mod tests {
         let mut waiting = drive(&|i| 20 + i % 3);
         waiting.steps.iter_mut().for_each(|step| step.reference = known);
         assert_eq!(waiting.drop_frozen_reference(), [0.0; 2]);
+        // A robot that stands, and a reference that jitters by a centimetre.
+        let mut standing = drive(&|i| i.min(20));
+        for (i, step) in standing.steps.iter_mut().enumerate().skip(20) {
+            step.reference = Some(Pose2::new(2.0 + 0.01 * (i % 2) as f64, 0.0, 0.0));
+        }
+        assert_eq!(standing.frozen_odometry(), [0.0; 2]);
         let frozen = drive(&|i| if i > 20 { i.max(40) - 20 } else { i }).frozen_odometry();
         assert!(frozen.iter().all(|number| (number - 2.0).abs() < 1e-9), "{frozen:?}");
     }

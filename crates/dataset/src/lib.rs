@@ -30,7 +30,7 @@ mod mutations;
 mod test_drives;
 
 pub use beesoft::{BeesoftMap, is_beesoft_map, read_beesoft_map};
-pub use carmen::{CarmenLaser, CarmenOptions, read_carmen, write_carmen};
+pub use carmen::{CarmenLaser, CarmenOptions, SICK_MAX_RANGE, read_carmen, write_carmen};
 pub use contents::{LogContents, Scanner, ScannerBeams, Topic, TransformPair, decimal};
 pub use error::DatasetError;
 pub use log::{

@@ -10,7 +10,8 @@ use crate::laser::checked;
 use crate::{DatasetError, LogKind, LogSummary, MountSource, OdometrySource};
 
 /// Where the SICK LMS in centimetre mode begins to count error codes instead of distances (m).
-const SICK_MAX_RANGE: f32 = 81.83;
+/// Range from which a reading of a SICK LMS is no return \[m\]: that of lines which don't say theirs.
+pub const SICK_MAX_RANGE: f32 = 81.83;
 
 /// Poses nearer than this (m, rad) are the same pose, printed twice.
 const SAME: f64 = 1e-6;

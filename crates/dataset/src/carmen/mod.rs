@@ -17,6 +17,7 @@ use crate::lines::Lines;
 use crate::source::open_text;
 use crate::{DatasetError, LogContents, LogFormat, LogSummary, Scanner, Topic};
 
+pub use assemble::SICK_MAX_RANGE;
 pub use write::{encode_carmen, write_carmen};
 
 /// Which of a robot's lasers to read.

@@ -31,6 +31,10 @@ const LEAST_GROWTH: f64 = 0.3;
 const FINE: f64 = 0.5;
 /// Fewer residuals than this tell nothing.
 const LEAST_RESIDUALS: usize = 500;
+/// Readings that differ by no more than this share are about as long.
+const AS_LONG: f32 = 0.01;
+/// A reading is behind the wall that its neighbours are of where it is longer by more than this \[m\].
+const BEHIND_M: f32 = 0.5;
 
 /// The laser's properties by the readings of a drive.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -41,6 +45,9 @@ pub struct ReadingQuality {
     pub unusable_share: f64,
     /// Longest return \[m\].
     pub longest_return_m: Option<f64>,
+    /// A far return \[m\] that most readings about as long are to the last digit, and their share of all readings: no returns, as a
+    /// rule, below the maximum range that the log gives.
+    pub repeated: Option<[f64; 2]>,
     /// Step of the readings \[m\]; `None` where they aren't quantized, or there are too few.
     pub resolution_m: Option<f64>,
     /// Number of scans in stretches in which the robot stood still.
@@ -53,6 +60,10 @@ pub struct ReadingQuality {
     /// Constant part \[m\] of the standard deviation of a reading and its growth with range (m per m), by the same readings as
     /// [`noise_m`](Self::noise_m); `None` where it hardly grows.
     pub noise_by_range: Option<[f64; 2]>,
+    /// Share of readings without return where both neighbours are of one wall: an upper bound of the share that any beam loses.
+    pub lost_share: Option<f64>,
+    /// Share of random readings, by those behind the wall that both neighbours are of: an upper bound, as walls have gaps.
+    pub random_share: Option<f64>,
 }
 
 impl ReadingQuality {
@@ -72,15 +83,21 @@ impl ReadingQuality {
         let resolution_m = resolution(drive);
         let (still_scans, still) = if has_odometry { still_noise(drive, resolution_m) } else { (0, None) };
         let flat = flat_noise(drive, resolution_m);
+        let [lost_share, random_share] = stray_shares(drive).map_or([None; 2], |shares| shares.map(Some));
         Self {
             no_return_share: share(no_return),
             unusable_share: share(unusable),
             longest_return_m: longest.map(f64::from),
+            repeated: longest
+                .and_then(|longest| repeated(drive, longest))
+                .map(|[at, times]| [at, share(times as usize)]),
             resolution_m,
             still_scans,
             still_noise_m: still.map(|noise| noise.sigma_m),
             flat_noise_m: flat.map(|noise| noise.sigma_m),
             noise_by_range: still.or(flat).and_then(|noise| noise.by_range),
+            lost_share,
+            random_share,
         }
     }
 
@@ -130,6 +147,18 @@ fn line(points: &[[f64; 2]]) -> Option<[f64; 2]> {
     let [constant, slope] = if constant >= 0.0 { [constant, slope] } else { [0.0, xy / xx] };
     let grows = slope * (last[0] - first[0]) > LEAST_GROWTH * (constant + slope * first[0]);
     grows.then_some([constant, slope])
+}
+
+/// The return that most of those about as long are to the last digit, and how often it is read; none in the nearer half of the reach.
+fn repeated(drive: &Drive, longest: f32) -> Option<[f64; 2]> {
+    let max = drive.laser.max_range();
+    let all = drive.steps.iter().flat_map(|step| step.scan.ranges.iter().copied());
+    let mut far: Vec<f32> = all.filter(|range| *range < max && *range > 0.5 * longest).collect();
+    far.sort_by(f32::total_cmp);
+    let most = far.chunk_by(|a, b| a == b).max_by_key(|alike| alike.len())?;
+    let about = |factor: f32| far.partition_point(|range| *range < factor * most[0]);
+    let as_long = about(1.0 + AS_LONG) - about(1.0 - AS_LONG);
+    (2 * most.len() > as_long).then(|| [f64::from(most[0]), most.len() as f64])
 }
 
 /// The step that the differences of readings are multiples of.
@@ -242,4 +271,32 @@ fn flat_noise(drive: &Drive, resolution_m: Option<f64>) -> Option<Noise> {
     // The median of a few steps is a step.
     let is_fine = resolution_m.is_none_or(|step| step <= FINE * noise.sigma_m);
     Some(Noise { by_range: noise.by_range.filter(|_| is_fine), ..noise })
+}
+
+/// Shares of lost and of random readings between two neighbours on one wall that faces the laser (incidence up to 45 degrees). Random readings are
+/// anywhere up to the maximum range, and those in front of a wall may be of things that stand there.
+fn stray_shares(drive: &Drive) -> Option<[f64; 2]> {
+    let max = drive.laser.max_range();
+    let bearings = drive.laser.bearings();
+    let (mut all, mut lost, mut behind, mut room) = (0_usize, 0_usize, 0_usize, 0.0);
+    for step in &drive.steps {
+        for (ranges, bearings) in step.scan.ranges.windows(3).zip(bearings.windows(3)) {
+            let &[left, middle, right] = ranges else { continue };
+            let (nearer, farther) = (left.min(right), left.max(right));
+            let apart = (bearings[2] - bearings[0]).abs();
+            if nearer > 0.0
+                && farther < max
+                && !middle.is_nan()
+                && farther - nearer <= (apart * farther).min(ONE_WALL * farther)
+            {
+                let beyond = farther + BEHIND_M;
+                all += 1;
+                lost += usize::from(middle >= max);
+                behind += usize::from(middle > beyond && middle < max);
+                room += f64::from((1.0 - beyond / max).max(0.0));
+            }
+        }
+    }
+    (all >= LEAST_RESIDUALS && room >= 1.0)
+        .then(|| [lost as f64 / all as f64, (behind as f64 / room).min(1.0)])
 }

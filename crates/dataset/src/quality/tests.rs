@@ -151,6 +151,42 @@ fn growth_of_the_noise_comes_from_the_readings() {
     assert_eq!(quality(PLAIN).readings.noise_by_range, None);
 }
 
+/// No returns that the log doesn't call so are one number, below the longest return. Returns in steps of a centimetre are many numbers.
+#[test]
+fn a_number_that_is_read_again_and_again_is_told() {
+    let mut recording = drive(Recording { step_m: 0.01, ..PLAIN });
+    assert_eq!(DriveQuality::of(&recording, &summary()).readings.repeated, None);
+    for (scan, step) in recording.steps.iter_mut().enumerate() {
+        step.scan.ranges[scan % 180] = 8.19;
+        step.scan.ranges[(scan + 90) % 180] = 8.19;
+    }
+    recording.steps[3].scan.ranges[4] = 8.2;
+    let [at, share] = DriveQuality::of(&recording, &summary()).readings.repeated.unwrap();
+    near(Some(at), 8.19, 1e-6);
+    near(Some(share), 2.0 / 180.0, 1e-4);
+}
+
+/// Shares of lost and of random readings are seen between neighbours on one wall.
+#[test]
+fn lost_and_random_readings_come_from_their_neighbours() {
+    let readings = quality(PLAIN).readings;
+    assert_eq!((readings.lost_share, readings.random_share), (Some(0.0), Some(0.0)));
+    let mut straying = drive(PLAIN);
+    let max = straying.laser.max_range();
+    let mut uniform = Uniform(11);
+    for range in straying.steps.iter_mut().flat_map(|step| &mut step.scan.ranges) {
+        let drawn = uniform.next();
+        if drawn < 0.01 {
+            *range = max;
+        } else if drawn < 0.03 {
+            *range = max * uniform.next() as f32;
+        }
+    }
+    let readings = DriveQuality::of(&straying, &summary()).readings;
+    near(readings.lost_share, 0.01, 0.003);
+    near(readings.random_share, 0.02, 0.006);
+}
+
 #[test]
 fn a_robot_that_never_stands_still_tells_its_noise_by_flat_walls_alone() {
     let mut moving = drive(PLAIN);

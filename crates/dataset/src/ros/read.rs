@@ -5,7 +5,7 @@ use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
 use locsim_core::{Drive, DriveStep, LaserError, Pose2, Scan};
 
 use super::BagOptions;
-use super::bag::{Bag, Channel};
+use super::bag::{Bag, Channel, counted_messages};
 use super::cloud::Clouds;
 use super::messages::{
     MULTI_ECHO_LASER_SCAN, Message, MultiEchoLaserScan, Odometry, POINT_CLOUD_2,
@@ -118,6 +118,12 @@ pub fn read_with_layout(
         evidence += "; readings of 0 are taken for no return, as no other reading is without return";
     }
     let mut remarks = motion.remarks(&chosen, &laser_frame);
+    let (counted, there) = (counted_messages(path), topics.messages());
+    if let Some(counted) = counted.filter(|counted| *counted > there) {
+        remarks.push(format!(
+            "metadata.yaml counts {counted} messages, and the files hold {there}: a part of the recording is missing, such as a -wal file."
+        ));
+    }
     remarks.extend(scan_remarks);
     let interval = reference.poses.as_ref().and_then(Poses::interval_secs);
     if let Some(interval) = interval.filter(|secs| *secs > SELDOM_SECS)

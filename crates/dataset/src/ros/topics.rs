@@ -170,6 +170,11 @@ impl<'a> Topics<'a> {
         }
     }
 
+    /// Number of messages of all channels.
+    pub fn messages(&self) -> usize {
+        self.tallies.values().map(|tally| tally.messages).sum()
+    }
+
     /// A channel with its number of messages.
     pub fn in_words(&self, channel: &Channel) -> String {
         format!("{} ({} messages)", quoted(&channel.topic), self.count(channel))
@@ -264,6 +269,12 @@ impl<'a> Topics<'a> {
     /// The error that something is missing; it lists what is there.
     pub fn refuse(&self, reason: String) -> DatasetError {
         let listed = self.listed();
+        let is_of_ros_1 = self.tallies.keys().all(|channel| channel.encoding == "ros1");
+        let reason = if is_of_ros_1 && !self.tallies.is_empty() {
+            "messages are those of ROS 1; `rosbags-convert` makes a bag of ROS 2 of its .bag".to_owned()
+        } else {
+            reason
+        };
         let found = if listed.is_empty() { "no topic".to_owned() } else { listed.join(", ") };
         DatasetError::Topic { path: self.path.to_owned(), reason, found }
     }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use locsim_dataset::{LogOptions, OdometryError};
+use locsim_dataset::{LogOptions, OdometryError, SICK_MAX_RANGE, decimal};
 use locsim_scenario::edit::yaml_path;
 use locsim_scenario::effect::quoted_text;
 use locsim_scenario::{Overrides, Scenario};
@@ -26,6 +26,11 @@ const TRAINING_BEAMS: usize = 90;
 const FILTER_BEAMS: usize = 36;
 /// The deviation of a reading where nothing is known of it \[m\]: that of most lidars.
 const USUAL_SIGMA_M: f64 = 0.02;
+/// The shares of lost and of random readings where nothing is known of them, and the most that a scenario is given: what goes beyond is for
+/// `locsim gap` to find.
+const USUAL_SHARE: f64 = 0.01;
+/// The least of them: none in some ten thousand readings doesn't say never.
+const LEAST_SHARE: f64 = 1e-4;
 /// A field of view that lacks less than this many beams of a full circle is one.
 const FULL_CIRCLE_BEAMS: f64 = 1.5;
 /// Rounding to f32 doesn't make -180 degrees 180 \[deg\].
@@ -92,6 +97,17 @@ impl NewScenario<'_> {
         Ok(text)
     }
 
+    /// Where the maximum range is from.
+    fn max_range_comment(&self, facts: &DriveFacts) -> &'static str {
+        match self.options.max_range_m {
+            Some(_) => "as --max-range says",
+            None if facts.laser.max_range_m == decimal(SICK_MAX_RANGE) => {
+                "that of a SICK LMS, where the log names none"
+            }
+            None => "as the log says",
+        }
+    }
+
     fn render(&self, facts: &DriveFacts, split: Option<&Split>) -> Result<String, minijinja::Error> {
         let has_reference = facts.references() > 0;
         let folder = self.out.parent().unwrap_or(Path::new(""));
@@ -122,6 +138,10 @@ impl NewScenario<'_> {
             (None, Some([sigma_m, growth])) => (sigma_m, Some(growth)),
             (None, None) => (sigma_m, None),
         };
+        let (interval_secs, rate_comment) = interval(facts);
+        // Models that are trained on simulated scans have to expect what the map lacks, too.
+        let [lost, random] = [readings.lost_share, readings.random_share]
+            .map(|share| stray_share(share.filter(|_| has_reference)));
         let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let mount = facts.laser.mount;
         let mut environment = Environment::new();
@@ -154,12 +174,14 @@ impl NewScenario<'_> {
             trained => if has_reference { "" } else { ", and what `locsim run` trains its models on" },
             alpha => numbers(&alpha),
             alpha_comment => alpha_comment,
-            rate_hz => rounded(1.0 / facts.quality.clock.interval_secs.filter(|secs| *secs > 0.0).unwrap_or(0.1), 4),
+            rate_hz => rounded(1.0 / interval_secs, 4),
+            rate_comment => rate_comment,
             field_of_view_deg => laser.field_of_view_deg,
             first_beam_deg => laser.first_beam_deg,
             direction => laser.direction,
             min_range_m => rounded(facts.laser.min_range_m, 4),
             max_range => rounded(facts.laser.max_range_m, 6),
+            max_range_comment => self.max_range_comment(facts),
             resolution_m => readings.resolution_m.map_or(0.0, |step| rounded(step, 3)),
             resolution_comment => if readings.resolution_m.is_some() {
                 "estimated: differences of readings are multiples of it"
@@ -169,6 +191,10 @@ impl NewScenario<'_> {
             sigma_m => rounded(sigma_m.max(1e-5), 3),
             sigma_per_m => sigma_per_m.map(|growth| rounded(growth, 3)),
             noise_comment => noise_comment,
+            lost => lost.0,
+            lost_comment => lost.1,
+            random => random.0,
+            random_comment => random.1,
             mount_x => micro(mount.x),
             mount_y => micro(mount.y),
             mount_yaw => micro(mount.theta.to_degrees()),
@@ -190,6 +216,31 @@ impl NewScenario<'_> {
             .filter_map(|(key, topic)| Some(format!("{key}: {}", quoted_text(topic?))))
             .collect();
         (!given.is_empty()).then(|| format!("{{{}}}", given.join(", ")))
+    }
+}
+
+/// The time between scans \[s\], and where it is from.
+fn interval(facts: &DriveFacts) -> (f64, &'static str) {
+    let clock = &facts.quality.clock;
+    let mean = (facts.scans > 1).then(|| clock.duration_secs / (facts.scans - 1) as f64);
+    let [median, mean] = [clock.interval_secs, mean].map(|secs| secs.filter(|secs| *secs > 0.0));
+    match (median, mean) {
+        (Some(median), _) => (median, "the median time between scans"),
+        // Stamps of whole seconds are alike from scan to scan.
+        (None, Some(mean)) => {
+            (mean, "the mean time between scans, most of which have the stamp of the scan before")
+        }
+        (None, None) => (0.1, "a guess: the stamps don't tell"),
+    }
+}
+
+/// A share of stray readings for the scenario, and where it is from.
+fn stray_share(found: Option<f64>) -> (f64, &'static str) {
+    match found {
+        Some(share) if share < USUAL_SHARE => {
+            (rounded(share.max(LEAST_SHARE), 2), "estimated between neighbours on one wall, so at most this")
+        }
+        _ => (USUAL_SHARE, "a guess"),
     }
 }
 

@@ -307,8 +307,14 @@ fn without_path(error: &str, path: &Path) -> String {
 }
 
 /// Shares of a drive, lags and errors beyond which a remark is worth reading.
-const NOTABLE: Notable =
-    Notable { lag_secs: 0.08, position_per_m: 0.1, references: 0.95, unusable: 0.2, lag_intervals: 0.5 };
+const NOTABLE: Notable = Notable {
+    lag_secs: 0.08,
+    position_per_m: 0.1,
+    references: 0.95,
+    unusable: 0.2,
+    lag_intervals: 0.5,
+    repeated: 5e-3,
+};
 
 struct Notable {
     /// What clutter and few turns make of no lag at all is up to 0.05 s.
@@ -319,6 +325,8 @@ struct Notable {
     unusable: f64,
     /// Share of the time between scans: a lag below is within their interpolation.
     lag_intervals: f64,
+    /// Far returns that are alike to the last digit: a wall gives no more than a few of these.
+    repeated: f64,
 }
 
 /// Odometry that stood still \[s\] while the reference moved \[m\].
@@ -328,9 +336,21 @@ pub fn frozen_odometry([secs, metres]: [f64; 2]) -> String {
     )
 }
 
+/// Sentences on what makes maps and simulations of a recording wrong: no returns that look like returns, and stamps.
+pub fn doubts(quality: &DriveQuality) -> Vec<String> {
+    let no_returns = quality.readings.repeated.filter(|[_, share]| *share >= NOTABLE.repeated).map(|[at, share]| {
+        format!(
+            "{:.1} % of the readings are {at:.3} m to the last digit: these may be no returns, which the recording doesn't say. \
+             `--max-range {at:.3}` does.",
+            100.0 * share
+        )
+    });
+    no_returns.into_iter().chain(lags(quality)).collect()
+}
+
 /// Sentences on an odometry, and on a reference, that are late or early: against the scans or, of the odometry, against the reference
 /// where the scans don't tell.
-pub fn lags(quality: &DriveQuality) -> Vec<String> {
+fn lags(quality: &DriveQuality) -> Vec<String> {
     let clock = &quality.clock;
     let least = NOTABLE.lag_secs.max(NOTABLE.lag_intervals * clock.interval_secs.unwrap_or(0.0));
     let to_reference = quality.odometry.as_ref().map_or(0.0, |odometry| odometry.lag_secs);
@@ -408,8 +428,8 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
             );
         }
     }
-    for lag in lags(&facts.quality) {
-        warn(true, lag);
+    for doubt in doubts(&facts.quality) {
+        warn(true, doubt);
     }
     warn(
         2 * clock.repeated > facts.scans,

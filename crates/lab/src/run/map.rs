@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use locsim_dataset::{LogOptions, LogSummary, read_log};
+use locsim_dataset::{DriveQuality, LogOptions, LogSummary, read_log};
 use locsim_mapping::{
     Agreement, HeldOutReading, MapCheck, MappingOptions, check_maps, occupancy_from_drive, walls_from_drive,
 };
@@ -18,6 +18,7 @@ use plotters::prelude::{Color, RGBColor};
 use super::corrected::corrected;
 use super::measured_log::{no_reference, selected, unusable};
 use crate::LabError;
+use crate::inspect::doubts;
 
 /// The figure shows at most this many readings: more hide each other.
 const SHOWN_READINGS: usize = 20_000;
@@ -39,6 +40,8 @@ pub struct LogMaps {
     pub check: Option<MapCheck>,
     /// Counts of the messages that were read.
     pub summary: LogSummary,
+    /// What makes the maps wrong, in words.
+    pub doubts: Vec<String>,
 }
 
 impl LogMaps {
@@ -57,13 +60,14 @@ impl LogMaps {
             let what = no_reference(&summary.topics, &summary.transforms);
             return Err(LabError::Log { path: log.to_owned(), what });
         }
+        let doubts = doubts(&DriveQuality::of(&drive, &summary));
         let (drive, _) = corrected(drive);
         let options = MappingOptions { resolution_m, ..MappingOptions::default() };
         let steps = selected(&drive, shares);
         let grid = occupancy_from_drive(&drive, &steps, &options).map_err(unusable(log))?;
         let walls = walls_from_drive(&drive, &steps, &options).map_err(unusable(log))?;
         let check = check_maps(&drive, &steps, &options).map_err(unusable(log))?;
-        Ok(Self { grid, walls, check, summary })
+        Ok(Self { grid, walls, check, summary, doubts })
     }
 }
 

@@ -57,19 +57,24 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
 /// Bytes of `metadata.yaml` that are looked at.
 const LONGEST_METADATA: u64 = 1 << 24;
 
+/// What `metadata.yaml` of a bag's folder says, if it is there.
+fn metadata(folder: &Path) -> Option<String> {
+    let path = Some(folder.join(METADATA)).filter(|path| path.is_file())?;
+    let mut text = String::new();
+    File::open(path).ok()?.take(LONGEST_METADATA).read_to_string(&mut text).ok()?;
+    Some(text)
+}
+
+/// How many messages `metadata.yaml` counts, if it is there. Those of each topic follow that of all.
+pub fn counted_messages(folder: &Path) -> Option<usize> {
+    metadata(folder)?.lines().find_map(|line| line.trim().strip_prefix("message_count:"))?.trim().parse().ok()
+}
+
 /// Whether the files are there that `metadata.yaml` lists under `relative_file_paths`, compressed or not.
 ///
 /// Without that file, and where it isn't as rosbag2 writes it, nothing is said.
 fn complete(folder: &Path, files: &BTreeMap<(String, Option<u64>), PathBuf>) -> Result<(), DatasetError> {
-    let metadata = folder.join(METADATA);
-    if !metadata.is_file() {
-        return Ok(());
-    }
-    let Ok(metadata) = File::open(metadata) else { return Ok(()) };
-    let mut text = String::new();
-    if metadata.take(LONGEST_METADATA).read_to_string(&mut text).is_err() {
-        return Ok(());
-    }
+    let Some(text) = metadata(folder) else { return Ok(()) };
     let unpacked = |name: &str| {
         let ending = [".zstd", ".zst"].iter().find_map(|ending| name.strip_suffix(ending));
         ending.unwrap_or(name).to_owned()

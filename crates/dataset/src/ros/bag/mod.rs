@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use locsim_core::limits::{Limits, quoted};
 
-pub use folder::{files as folder_files, is_recording};
+pub use folder::{counted_messages, files as folder_files, is_recording};
 
 use crate::DatasetError;
 use crate::log_files;

@@ -138,6 +138,23 @@ fn a_folder_is_read_in_the_order_of_its_numbers() {
     }
 }
 
+/// A database whose log of changes wasn't copied has lost messages, which `metadata.yaml` counts.
+#[test]
+fn messages_that_metadata_counts_are_missed() {
+    let whole = plain();
+    let folder = written(&[("bag_0.db3", whole.db3())]);
+    let remarks = |counted: usize| {
+        let text = format!("rosbag2_bagfile_information:\n  message_count: {counted}\n  topics: []\n");
+        fs::write(folder.path().join("metadata.yaml"), text).unwrap();
+        read_bag(folder.path(), &BagOptions::default()).unwrap().1.remarks
+    };
+    let count = whole.messages.len();
+    let is_told = |remarks: &[String]| remarks.iter().any(|remark| remark.contains("metadata.yaml counts"));
+    assert!(!is_told(&remarks(count)));
+    let found = remarks(count + 3);
+    assert!(is_told(&found), "{found:?}");
+}
+
 #[test]
 fn messages_are_unpacked_one_by_one() {
     let whole = plain();

@@ -65,6 +65,10 @@ fn topics_are_the_default_ones_or_alone_of_their_type() {
             Bag::default().raw("/scan", LaserScan::TYPE, "ros1", &[]).add("/odom", &odometry(1.0, &pose)),
             &["messages of /scan are encoded as `ros1`; allowed: `cdr`"],
         ),
+        (
+            Bag::default().raw("/scan", "sensor_msgs/LaserScan", "ros1", &[]),
+            &["messages are those of ROS 1; `rosbags-convert`", "/scan (sensor_msgs/LaserScan, 1 messages)"],
+        ),
     ] {
         let message = bag.message();
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
