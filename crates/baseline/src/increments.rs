@@ -4,14 +4,23 @@ use locsim_core::{Pose2, median};
 use locsim_world::effect::{Axis, Effect, EffectKind, Moves, Statistic};
 use locsim_world::simulation::{Increment, OdometryModel};
 
-use super::assignment::Assignment;
+use super::assignment::{Assignment, variance_inflation};
 use super::pool::Pool;
 use super::trials::strengths;
 
 /// Increments of both logs, with their stretches.
 pub(super) struct Increments {
     all: Vec<(u32, Increment)>,
-    stretches: usize,
+    /// Stretches of the baseline, and of both logs.
+    stretches: [usize; 2],
+}
+
+/// How surely the odometry of one log errs in another way than that of the other.
+pub(super) struct Contrast {
+    /// In standard errors, signed.
+    pub errors: f64,
+    /// How many times less stretches tell than as many that err independently of each other.
+    pub times_less: f64,
 }
 
 impl Increments {
@@ -25,7 +34,7 @@ impl Increments {
             let own = Increment::all(&pool.nominal.effects, &poses, &odometry).into_iter().enumerate();
             all.extend(own.map(|(i, increment)| (pool.stretch(log, (i + 1) * every), increment)));
         }
-        Self { all, stretches: pool.stretches[1] }
+        Self { all, stretches: pool.stretches }
     }
 
     /// The effects that are tried.
@@ -62,7 +71,7 @@ impl Increments {
         effect: &Effect,
         is_used: &[bool],
     ) -> Vec<f64> {
-        let mut gains = vec![0.0; self.stretches];
+        let mut gains = vec![0.0; self.stretches[1]];
         let without = Changed::of(given);
         let with = Changed::of(&[given, std::slice::from_ref(effect)].concat());
         for (stretch, increment) in &self.all {
@@ -104,18 +113,19 @@ const MOST_DEVIATIONS: f64 = 3.0;
 const SLIP: [f64; 2] = [0.1, 0.3];
 
 impl Increments {
-    /// How surely the odometry errs in another way today: the mean by which an effect of the kind would err on each stretch, today's
-    /// less the baseline's, in standard errors between stretches.
+    /// How surely the odometry errs in another way today, and how many times less its stretches tell than independent ones: the mean by which
+    /// an effect of the kind would err on each stretch, today's less the baseline's, in standard errors between stretches. A wheel that errs
+    /// for many seconds on end errs alike on stretches that follow each other.
     pub fn contrast(
         &self,
         usual: &OdometryModel,
         given: &[Effect],
         kind: EffectKind,
         assignment: &Assignment,
-    ) -> f64 {
+    ) -> Contrast {
         // The given effects are today's.
         let [none, given] = [&[], given].map(Changed::of);
-        let mut sums = vec![[0.0; 2]; self.stretches];
+        let mut sums = vec![[0.0; 2]; self.stretches[1]];
         for (stretch, increment) in &self.all {
             let known = if assignment.is_today[*stretch as usize] { &given } else { &none };
             let [score, information] = known.score(&usual.without(increment), usual, kind);
@@ -125,16 +135,25 @@ impl Increments {
                 sum[1] += information;
             }
         }
-        let [today, baseline] = [&assignment.is_today, &assignment.is_baseline].map(|is_used| {
-            let own: Vec<[f64; 2]> =
-                sums.iter().zip(is_used).filter(|(_, is)| **is).map(|(sum, _)| *sum).collect();
-            let n = f64::max(own.len() as f64, 2.0);
-            let information: f64 = own.iter().map(|sum| sum[1]).sum::<f64>().max(1e-12);
-            let mean = own.iter().map(|sum| sum[0]).sum::<f64>() / information;
-            let squares: f64 = own.iter().map(|[score, part]| (score - mean * part).powi(2)).sum();
-            [mean, n / (n - 1.0) * squares / information.powi(2)]
-        });
-        (today[0] - baseline[0]) / (today[1] + baseline[1]).sqrt().max(1e-12)
+        // By how much each stretch moves the difference of the means, beyond its share of its log's.
+        let mut moves = vec![0.0; sums.len()];
+        let [today, baseline] =
+            [(&assignment.is_today, 1.0), (&assignment.is_baseline, -1.0)].map(|(is_used, sign)| {
+                let own = || (0..sums.len()).filter(|&stretch| is_used[stretch]);
+                let n = f64::max(own().count() as f64, 2.0);
+                let information: f64 = own().map(|stretch| sums[stretch][1]).sum::<f64>().max(1e-12);
+                let mean = own().map(|stretch| sums[stretch][0]).sum::<f64>() / information;
+                for stretch in own() {
+                    let [score, part] = sums[stretch];
+                    moves[stretch] = sign * (n / (n - 1.0)).sqrt() * (score - mean * part) / information;
+                }
+                mean
+            });
+        let variance: f64 = moves.iter().map(|by| by * by).sum();
+        let (first, second) = moves.split_at(self.stretches[0]);
+        let times_less = variance_inflation(&[first, second]);
+        let deviation = (times_less * variance).sqrt().max(1e-12);
+        Contrast { errors: (today - baseline) / deviation, times_less }
     }
 }
 

@@ -4,7 +4,8 @@
 //! of a parabola through points farther apart than that, of all smooth parameters at once. Its variance is that of the sandwich
 //! (Godambe 1960) over stretches of today's log and over places, as readings of one scan share the error of its pose and those of
 //! one wall that of the map (clusters in two ways: Cameron, Gelbach and Miller 2011), and of the jackknife over stretches of the
-//! baseline, which is learnt anew without each of them.
+//! baseline, which is learnt anew without each of them. Wheels
+//! may err alike on stretches that follow each other, which widens both.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -15,7 +16,7 @@ use locsim_world::effect::{Effect, Parameter, Role};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::assignment::Assignment;
+use super::assignment::{Assignment, variance_inflation};
 use super::fitting::{Change, Known, Search};
 use super::pool::Expected;
 use super::trials::Given;
@@ -227,11 +228,20 @@ impl Search<'_> {
             })
             .collect();
         let [places, both] = self.of_places(around, assignment, known, logs);
+        let is_of_odometry = matches!(around.changes[0], Change::Odometry { .. });
         (0..shifts.len())
             .map(|n| {
-                let [today, places, both] = [&today, &places, &both].map(|clusters| sandwich(clusters, n));
+                let moves = |clusters: &[Cluster]| moves(clusters, n);
+                let in_order = moves(&today);
+                let [today, places, both] =
+                    [variance(&in_order), variance(&moves(&places)), variance(&moves(&both))];
                 let two_ways = (today + places - both).max(today).max(places);
-                two_ways + jackknife(&without, shifts, n)
+                // Wheels err alike on stretches that follow each other.
+                let inflation =
+                    |moves: &[f64]| if is_of_odometry { variance_inflation(&[moves]) } else { 1.0 };
+                let moves_of_baseline: Vec<f64> = without.iter().map(|own| own[n] - shifts[n]).collect();
+                two_ways * inflation(&in_order)
+                    + jackknife(&moves_of_baseline) * inflation(&moves_of_baseline)
             })
             .collect()
     }
@@ -304,20 +314,24 @@ fn information(totals: &[f64], steps: &[(usize, f64)]) -> Option<Vec<Vec<f64>>> 
     Some(information)
 }
 
-/// Variance of a number by clusters: of what each differs by from its share of the whole, as the fit may be off the maximum.
-fn sandwich(clusters: &[Cluster], number: usize) -> f64 {
-    let n = clusters.len() as f64;
+/// By how much each cluster moves a number: what it differs by from its share of the whole, as the fit may be off the maximum.
+fn moves(clusters: &[Cluster], number: usize) -> Vec<f64> {
     let sum = |of: &dyn Fn(&Cluster) -> f64| clusters.iter().map(of).sum::<f64>();
     let (whole, information) =
         (sum(&|c| c.shifts[number]), sum(&|c| c.information[number]).max(f64::MIN_POSITIVE));
-    let squares = sum(&|c| (c.shifts[number] - c.information[number] / information * whole).powi(2));
-    if n > 1.0 { n / (n - 1.0) * squares } else { 0.0 }
+    clusters.iter().map(|c| c.shifts[number] - c.information[number] / information * whole).collect()
 }
 
-/// Variance by maxima without each of some stretches.
-fn jackknife(without: &[Vec<f64>], whole: &[f64], number: usize) -> f64 {
-    let n = without.len() as f64;
-    (n - 1.0) / n * without.iter().map(|shifts| (shifts[number] - whole[number]).powi(2)).sum::<f64>()
+/// Variance of a number by what clusters move it.
+fn variance(moves: &[f64]) -> f64 {
+    let n = moves.len() as f64;
+    if n > 1.0 { n / (n - 1.0) * moves.iter().map(|by| by * by).sum::<f64>() } else { 0.0 }
+}
+
+/// Variance of a number by what leaving out each of some stretches moves it.
+fn jackknife(moves: &[f64]) -> f64 {
+    let n = moves.len() as f64;
+    (n - 1.0) / n * moves.iter().map(|by| by * by).sum::<f64>()
 }
 
 #[cfg(test)]
@@ -337,7 +351,7 @@ mod tests {
         assert!((around.shifts(&totals)[0] - 3.75).abs() < 1e-12);
         let clusters: Vec<Cluster> = all.iter().map(|gains| around.cluster(gains)).collect();
         let off = [2.75_f64, 1.75, 4.5].map(|off| (off / 4.0).powi(2));
-        assert!((sandwich(&clusters, 0) - 1.5 * off.iter().sum::<f64>()).abs() < 1e-12);
+        assert!((variance(&moves(&clusters, 0)) - 1.5 * off.iter().sum::<f64>()).abs() < 1e-12);
     }
 
     /// A valley has no maximum.

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec2;
+use locsim_core::median;
 use locsim_gap::{GapError, OBJECT_CELL_M, WALL_CELL_M, cell_at, values_along};
 use locsim_world::effect::{
     Direction, Disc, Effect, EffectKind, JUMP_M, Moves, PLACE_REACH_M, Parameter, Statistic,
@@ -10,7 +11,7 @@ use locsim_world::effect::{
 use rayon::prelude::*;
 
 use super::learnt::Learnt;
-use super::pool::{Expected, Pool, Reading, World};
+use super::pool::{Expected, Pool, REACH_M, Reading, World};
 
 /// Strengths that are tried, in typical ones, to both sides where there are two: gains vary slowly with the strength, and the best
 /// is fitted.
@@ -191,8 +192,10 @@ pub(super) fn trials(
     }
     list.extend(objects(pool).into_iter().map(|effect| (effect, None)));
     for (place, among) in walls(pool) {
-        let displaced = DISPLACED_M.map(|distance| (EffectKind::MovedWall, distance));
-        for (kind, value) in displaced.into_iter().chain([(EffectKind::Glass, LET_THROUGH)]) {
+        let of_logs = [0, 1].map(|log| displacement(pool, &among, log));
+        let far = of_logs.into_iter().flatten().filter(|distance| distance.abs() > DISPLACED_M[2]);
+        let displaced = DISPLACED_M.into_iter().chain(far).map(|distance| (EffectKind::MovedWall, distance));
+        for (kind, value) in displaced.chain([(EffectKind::Glass, LET_THROUGH)]) {
             let effect = Effect::new(kind, vec![value], vec![place]);
             list.extend(effect.ok().map(|effect| (effect, Some(among.clone()))));
         }
@@ -345,6 +348,19 @@ fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
     stretches.sort_by_key(|(_, among)| std::cmp::Reverse(seen(among)));
     stretches.truncate(MOST_WALLS);
     stretches
+}
+
+/// By how much most readings of a log at a stretch are behind the wall or in front of it \[m\]. Readings of a wall that is far from a trial are
+/// no likelier by it.
+fn displacement(pool: &Pool<'_>, among: &[u32], log: usize) -> Option<f64> {
+    let max = pool.nominal.laser.max_range_m as f32;
+    let readings = among.iter().map(|&index| &pool.readings[index as usize]);
+    let own = readings.filter(|reading| reading.log == log && reading.z < max);
+    let mut errors: Vec<f64> = own
+        .map(|reading| f64::from(reading.z - reading.expected.mean) * pool.beam(reading).view.incidence.cos())
+        .filter(|error| error.abs() < REACH_M)
+        .collect();
+    (errors.len() >= LEAST_OF_WALL / 2).then(|| median(&mut errors))
 }
 
 /// The segment along most of some points: that of two of them with most others near it.

@@ -76,9 +76,30 @@ pub fn are_alike(numbers: &[Estimate]) -> bool {
     ChiSquared::new(freedom).is_ok_and(|chi_squared| chi_squared.sf(squares) > 0.05)
 }
 
+/// The value that is surely largest: that whose interval begins farthest from 0. The largest, where all intervals hold 0; 0 of none.
+pub fn surely_largest(numbers: impl IntoIterator<Item = Estimate>) -> f64 {
+    let surely = |at: &Estimate| at.interval.lo.max(-at.interval.hi).max(0.0);
+    let most = numbers
+        .into_iter()
+        .max_by(|a, b| surely(a).total_cmp(&surely(b)).then(a.value.abs().total_cmp(&b.value.abs())));
+    most.map_or(0.0, |most| most.value)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A place that few beams meet has the largest value, and the others the surest.
+    #[test]
+    fn the_surely_largest_value_is_told() {
+        let largest = |values: &[[f64; 2]]| {
+            surely_largest(values.iter().map(|&[value, error]| Estimate::normal(value, error)))
+        };
+        assert_eq!(largest(&[[0.46, 0.1], [0.25, 0.01], [0.02, 0.01]]), 0.46);
+        assert_eq!(largest(&[[0.46, 0.2], [0.25, 0.01], [-0.1, 0.01]]), 0.25);
+        assert_eq!(largest(&[[0.1, 0.2], [-0.3, 0.2]]), -0.3);
+        assert_eq!(largest(&[]), 0.0);
+    }
 
     /// Walls of one kind of surface read 6 mm short, each to within 1 mm. Walls that moved have moved each on its own.
     #[test]

@@ -28,6 +28,7 @@ mod pose_error;
 mod quantile;
 mod resampled;
 mod shard;
+pub mod tilt;
 mod track;
 mod weights;
 
@@ -38,7 +39,7 @@ pub use drive::{Drive, DriveStep, FASTEST, Laser, LaserError, Scan};
 pub use elementary::{sin_cos, sin_cos_near_zero};
 pub use endpoint::{EndpointGrid, EndpointScan, EndpointTable};
 pub use folds::{Folds, gains_beyond, gains_surely, simplest, sum_error};
-pub use interval::{Estimate, Interval, are_alike};
+pub use interval::{Estimate, Interval, are_alike, surely_largest};
 pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
     turn,

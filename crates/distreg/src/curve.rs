@@ -56,7 +56,7 @@ const RIDGE: f64 = 0.01;
 const NEWTON_STEPS: usize = 8;
 const LARGEST_STEP: f64 = 2.0;
 /// The most that a curve of a moment of the surface moves at once: its log score is a parabola only near by.
-const LARGEST_TILT: f64 = 1.0;
+pub const LARGEST_TILT: f64 = 1.0;
 
 /// What a fit works on, one entry for each level: it is used again for each fold.
 #[derive(Default)]

@@ -50,6 +50,34 @@ impl Vertex {
         Self { step, at: (b - 0.5 * slope / bend).clamp(a, c), error: (-0.5 / bend).sqrt() }
     }
 
+    /// Puts those that know less than a quarter of what the whole of their level's readings knows between the nearest that know more: a stretch of
+    /// time that is held out is between those before and after it.
+    pub fn interpolate<const COUNT: usize>(steps: &Steps<COUNT>, levels: &mut [Self], whole: &[Self]) {
+        let is_known = |(own, all): (&Self, &Self)| {
+            let is_last = own.step == all.step && (own.step == 0 || own.step == COUNT - 1);
+            is_last || (own.error > 0.0 && (all.error == 0.0 || own.error <= 2.0 * all.error))
+        };
+        let known: Vec<(usize, f64)> = (0..)
+            .zip(levels.iter().zip(whole))
+            .filter(|(_, pair)| is_known(*pair))
+            .map(|(i, (own, _))| (i, own.at))
+            .collect();
+        for (i, level) in levels.iter_mut().enumerate() {
+            let next = known.partition_point(|(known, _)| *known < i);
+            level.at = match (next.checked_sub(1).map(|before| known[before]), known.get(next)) {
+                (_, Some(&(here, _))) if here == i => continue,
+                (Some((a, before)), Some(&(b, after))) => {
+                    before + (after - before) * (i - a) as f64 / (b - a) as f64
+                }
+                (Some((_, at)), None) | (None, Some(&(_, at))) => at,
+                (None, None) => continue,
+            };
+            let above = steps.at.partition_point(|step| *step < level.at).clamp(1, COUNT - 1);
+            let is_nearer = level.at - steps.at[above - 1] < steps.at[above] - level.at;
+            level.step = if is_nearer { above - 1 } else { above };
+        }
+    }
+
     /// Another log likelihood at this change, by the parabola through the same steps.
     #[must_use]
     pub fn read<const COUNT: usize>(self, steps: &Steps<COUNT>, log: impl Fn(usize) -> f64) -> f64 {
@@ -81,6 +109,16 @@ mod tests {
             assert!((vertex.read(&steps, log) - 3.0).abs() < 1e-9);
         }
         let flat = Vertex::of(&steps, |_| 0.0);
+        // Between those at 0.2 and 1.4; beyond the last one as that.
+        let of = |mean: f64, n: f64| Vertex::of(&steps, |step| -0.5 * n * (steps.at[step] - mean).powi(2));
+        let mut levels = [of(0.2, 50.0), flat, of(-3.0, 1.0), of(1.4, 50.0), flat];
+        Vertex::interpolate(&steps, &mut levels, &[of(0.0, 60.0); 5]);
+        for (level, expected) in levels.iter().zip([0.2, 0.6, 1.0, 1.4, 1.4]) {
+            assert!((level.at - expected).abs() < 1e-9, "{levels:?}");
+            // A parabola is read there, too.
+            let read = level.read(&steps, |step| -(steps.at[step] - 1.0).powi(2));
+            assert!((read + (expected - 1.0).powi(2)).abs() < 1e-9, "{read}");
+        }
         assert_eq!((flat.at, flat.error), (0.0, 0.0));
     }
 }

@@ -22,8 +22,8 @@ const BEYOND_M: f64 = 0.3;
 const SAME_END_M: f64 = 0.1;
 /// The same for long beams, as seen from the laser \[rad\].
 const SAME_TURN_RAD: f64 = 0.02;
-/// A map of more faces than this is a grid's, with a face for each cell.
-const MANY_FACES: usize = 500;
+/// An integral over more faces than this takes long: those of a grid's map, or of a hall with many columns.
+const MANY_FACES: usize = 75;
 
 /// All beams of a log from its reference poses, \[scan\]\[beam\].
 #[derive(Clone)]
@@ -65,7 +65,7 @@ fn shaping(effects: &Effects) -> impl Iterator<Item = &Effect> {
     })
 }
 
-/// Whether the blocks are those of a grid's map, whose faces are of a cell each.
+/// Whether the blocks are those of a map of many faces.
 fn has_many_faces(blocks: &BlockIntegral) -> bool {
     blocks.model().face_count() > MANY_FACES
 }

@@ -122,12 +122,16 @@ impl Large {
                 sum.iter_mut().zip(row.gains[moment]).for_each(|(sum, more)| *sum += more);
             }
         }
-        let without: Vec<Vec<Vertex>> = sums
-            .iter()
-            .map(|fold| {
-                (0..count).map(|l| Vertex::of(ladder, |step| total[l][step] - fold[l][step])).collect()
-            })
-            .collect();
+        let fits: Vec<Vertex> = total.iter().map(|sums| Vertex::of(ladder, |step| sums[step])).collect();
+        let without = |fold: &Vec<[f64; COUNT]>| -> Vec<Vertex> {
+            let of_level = |l: usize| Vertex::of(ladder, |step| total[l][step] - fold[l][step]);
+            let mut levels: Vec<Vertex> = (0..count).map(of_level).collect();
+            if axis.is_ordered {
+                Vertex::interpolate(ladder, &mut levels, &fits);
+            }
+            levels
+        };
+        let without: Vec<Vec<Vertex>> = sums.iter().map(without).collect();
         let gain_of = |(sums, fit): (&[f64; COUNT], &Vertex)| fit.read(ladder, |step| sums[step]);
         let gains = sums.iter().zip(&without).map(|(fold, fits)| fold.iter().zip(fits).map(gain_of).sum());
         let of_reading = |row: &Row| {
@@ -138,7 +142,6 @@ impl Large {
                 Change { spread: at.exp(), ..Change::NONE }
             }
         };
-        let fits: Vec<Vertex> = total.iter().map(|sums| Vertex::of(ladder, |step| sums[step])).collect();
         Self {
             moment,
             axis: index,

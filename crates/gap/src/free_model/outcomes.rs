@@ -1,6 +1,7 @@
 //! A reading as the outcome of a few classes: of the surface, in bins of its PIT there, of something in front of it or
 //! behind it, or of nothing.
 
+use locsim_core::tilt::{MOST, NEAR, bin_of, bins, share_within, tilted};
 use locsim_core::{Draw, normal};
 use locsim_world::effect::Effects;
 use rand::RngExt;
@@ -28,51 +29,16 @@ pub(super) fn is_share(moment: Deviation) -> bool {
     matches!(moment, Deviation::Short | Deviation::Long | Deviation::NoReturn)
 }
 
-/// A reading within this of the surface's mean is one of the surface (standard deviations): noise alone brings 6 in 10^5
-/// farther.
-const NEAR: f64 = 4.0;
 /// A reading in front is in the open where the hypothesis has no more than this share of a beam's readings up to there. Few of them
 /// stand out, among all that clutter makes.
 const OPEN: f64 = 1e-3;
-/// Edges of the bins of a reading of the surface (standard deviations). Finer ones would add 1 % to what its mean says.
-const EDGES: [f64; 14] = [-NEAR, -3.0, -2.25, -1.5, -1.0, -0.6, -0.2, 0.2, 0.6, 1.0, 1.5, 2.25, 3.0, NEAR];
-const BINS: usize = EDGES.len() - 1;
 /// Share of an even density under the hypothesis, so that no reading is impossible; as in the likelihood.
 const FLOOR: f64 = 1e-6;
 /// The least variance that a class with a small probability counts as having.
 const LEAST_VARIANCE: f64 = 1e-9;
-/// The largest tilt of a class's log odds, and of a moment of the surface's readings.
-const MOST: f64 = 14.0;
-
 /// The logarithm of what the probabilities of a reading are multiplied by, for each moment (1).
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tilt(pub [f64; MOMENTS.len()]);
-
-/// The bins of a standard normal number: their probabilities, and the mean of each moment's polynomial there (Hermite
-/// polynomials, so that the moments are orthogonal).
-struct Bins {
-    weight: [f64; BINS],
-    basis: [[f64; OF_SURFACE]; BINS],
-}
-
-impl Bins {
-    fn new() -> Self {
-        let (mut weight, mut basis) = ([0.0; BINS], [[0.0; OF_SURFACE]; BINS]);
-        for (bin, edges) in EDGES.windows(2).enumerate() {
-            let [a, b] = [edges[0], edges[1]];
-            let [at_a, at_b] = [a, b].map(normal::density);
-            let share = normal::cdf(b) - normal::cdf(a);
-            // The integral of a Hermite polynomial times the density is minus the one before it times the density.
-            basis[bin] = [
-                (at_a - at_b) / share,
-                (a * at_a - b * at_b) / share,
-                ((a * a - 1.0) * at_a - (b * b - 1.0) * at_b) / share,
-            ];
-            weight[bin] = share;
-        }
-        Self { weight, basis }
-    }
-}
 
 /// Sums of what a reading says of a moment: pull, and its variance.
 pub(super) type Pull = [[f64; 2]; MOMENTS.len()];
@@ -178,38 +144,6 @@ impl Outcomes {
     }
 }
 
-/// The bin of a PIT among the surface's readings.
-fn bin_of(u: f64) -> u8 {
-    let [first, last] = [-NEAR, NEAR].map(normal::cdf);
-    let at = first + u * (last - first);
-    let inner = &edges_cdf()[1..BINS];
-    inner.partition_point(|&edge| edge <= at) as u8
-}
-
-fn edges_cdf() -> &'static [f64; EDGES.len()] {
-    static CDF: std::sync::LazyLock<[f64; EDGES.len()]> = std::sync::LazyLock::new(|| EDGES.map(normal::cdf));
-    &CDF
-}
-
-fn bins() -> &'static Bins {
-    static BINS_OF_NORMAL: std::sync::LazyLock<Bins> = std::sync::LazyLock::new(Bins::new);
-    &BINS_OF_NORMAL
-}
-
-/// The distribution over the surface's bins under a tilt: probabilities of the bins.
-fn tilted(tilt: &Tilt) -> [f64; BINS] {
-    let Bins { weight, basis } = bins();
-    let mut shares = *weight;
-    if tilt.0[..OF_SURFACE] != [0.0; OF_SURFACE] {
-        for (share, basis) in shares.iter_mut().zip(basis) {
-            let power: f64 = basis.iter().zip(&tilt.0).map(|(b, t)| b * t.clamp(-MOST, MOST)).sum();
-            *share *= power.exp();
-        }
-    }
-    let total: f64 = shares.iter().sum();
-    shares.map(|share| share / total)
-}
-
 impl Outcome {
     fn class(&self) -> usize {
         match self.class {
@@ -240,7 +174,8 @@ impl Outcome {
         match self.class {
             Class::Surface(bin) => {
                 of_class
-                    + (tilted(tilt)[usize::from(bin)] / bins().weight[usize::from(bin)] * total_weight()).ln()
+                    + (tilted(&tilt.0)[usize::from(bin)] / bins().weight[usize::from(bin)] * share_within())
+                        .ln()
             }
             _ => of_class,
         }
@@ -250,7 +185,7 @@ impl Outcome {
     pub fn pull(&self, tilt: &Tilt) -> Pull {
         let mut pull = [[0.0; 2]; MOMENTS.len()];
         if let Class::Surface(bin) = self.class {
-            let (shares, basis) = (tilted(tilt), &bins().basis);
+            let (shares, basis) = (tilted(&tilt.0), &bins().basis);
             for moment in 0..OF_SURFACE {
                 let [mut mean, mut square] = [0.0; 2];
                 for (share, basis) in shares.iter().zip(basis) {
@@ -283,7 +218,7 @@ impl Outcome {
         }
         let of = |tilt: &Tilt| {
             let mut means = [0.0; OF_SURFACE];
-            for (share, basis) in tilted(tilt).iter().zip(&bins().basis) {
+            for (share, basis) in tilted(&tilt.0).iter().zip(&bins().basis) {
                 means.iter_mut().zip(basis).for_each(|(mean, basis)| *mean += share * basis);
             }
             means
@@ -313,12 +248,8 @@ impl Outcome {
     /// Error of a reading of the surface beyond the model (standard deviations).
     pub fn error(&self, tilt: &Tilt) -> Option<f64> {
         let Class::Surface(bin) = self.class else { return None };
-        let (shares, basis) = (tilted(tilt), &bins().basis);
+        let (shares, basis) = (tilted(&tilt.0), &bins().basis);
         let mean: f64 = shares.iter().zip(basis).map(|(share, basis)| share * basis[0]).sum();
         Some(basis[usize::from(bin)][0] - mean)
     }
-}
-
-fn total_weight() -> f64 {
-    normal::cdf(NEAR) - normal::cdf(-NEAR)
 }

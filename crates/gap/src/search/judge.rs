@@ -1,6 +1,6 @@
 //! The free model as the judge of a round.
 
-use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
+use locsim_world::effect::{self, Effect, EffectKind, Moves};
 use rayon::prelude::*;
 
 use super::judgement::{Dependence, Judgement, acts_on};
@@ -10,7 +10,7 @@ use super::{Round, State};
 use crate::fit::Candidate;
 use crate::free_model::{Axis, Covariates, FreeModel, Part, lag, turned_frame};
 use crate::null::REFIT;
-use crate::statistics::{Covariate, Deviation, Survey, pit_draw};
+use crate::statistics::{Covariate, Deviation, Statistic, Survey, Target, pit_draw};
 use crate::{GapError, Purpose};
 
 /// Simulated logs of the hypothesis that the free model is learnt from as well. What it gains there is the simulator's own: beams
@@ -23,9 +23,9 @@ const NEARLY_ALL: f64 = 0.9;
 /// An effect whose formula gains at least this share of what the free curve over its own covariate gains is the right name in
 /// another form. An effect that gains less is another effect.
 const RIGHT_NAME_SHARE: f64 = 0.5;
-/// The same of an effect at a wall, where the curve is farthest off at this very wall: one that has turned about its end gains a third
-/// where it is taken for one that has moved.
-const RIGHT_WALL_SHARE: f64 = 0.25;
+/// The same of an effect at a wall, where the curve is farthest off at this very wall: one that has turned about its end gains a quarter
+/// or less where it is taken for one that has moved, the less the farther its other end is off.
+const RIGHT_WALL_SHARE: f64 = 0.15;
 
 /// A curve of so many waves isn't an effect of the library in another form.
 const COMES_AND_GOES: f64 = 3.0;
@@ -50,7 +50,12 @@ impl<'a> State<'a> {
             FreeModel::new(&round.comparison, &effects, &round.fitted, &covariates, &own, Part::Whole);
         let frame =
             turned_frame(&round.comparison, &effects, &round.fitted)?.filter(|frame| frame.gain() > 0.0);
-        let has_frame = frame.is_some();
+        let is_frame =
+            |of: &Statistic| matches!(&of.target, Target::Cell(cell) if cell.deviation == Deviation::Frame);
+        let turn = round.dictionary.statistics.iter().position(is_frame);
+        let least = round.null.weight_at(self.options.false_alarm);
+        // A turn that replicates don't have is none of those that gain in simulated logs by chance.
+        let may_be_chance = frame.is_some() && turn.is_none_or(|turn| round.null.weight[turn] <= least);
         let misalignments =
             [lag(&round.comparison, &effects, &round.fitted)].into_iter().chain(frame).collect();
         let simulated = (0..LOGS)
@@ -62,7 +67,7 @@ impl<'a> State<'a> {
                 let fitted = comparison.find_nuisances(&effects, &round.fitted.nuisances, REFIT);
                 let own = pit_draw(seed);
                 let model = FreeModel::new(&comparison, &effects, &fitted, &covariates, &own, Part::Whole);
-                let frame = if has_frame { turned_frame(&comparison, &effects, &fitted)? } else { None };
+                let frame = if may_be_chance { turned_frame(&comparison, &effects, &fitted)? } else { None };
                 let misalignments = [lag(&comparison, &effects, &fitted)].into_iter().chain(frame).collect();
                 Ok((model, misalignments))
             })
@@ -120,7 +125,7 @@ impl<'a> State<'a> {
             let gain: f64 = candidate.fitted_gains.iter().sum();
             // A frame that is turned turns the headings as a turned laser does, and the positions with them.
             let mut statistics = candidate.kind().description().statistics.iter();
-            let is_of_frame = statistics.any(|statistic| matches!(statistic, Statistic::Turn))
+            let is_of_frame = statistics.any(|statistic| matches!(statistic, effect::Statistic::Turn))
                 && dependences.iter().any(|other| other.deviation == Deviation::Frame && other.gain() > gain);
             // A mean that isn't quite right spreads readings.
             let is_left = candidate.kind().moves() == Moves::Distribution

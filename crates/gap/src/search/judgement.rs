@@ -42,13 +42,15 @@ impl Dependence<'_> {
         };
         let cells = covariates.axes[component.axis].cells.iter().zip(&component.curve).skip(1);
         let mut sums = [0.0; 2];
-        for (&[x, y, side], [value, error]) in cells.filter_map(|(cell, point)| Some((cell, (*point)?))) {
+        // A value at a limit has no error.
+        let known = cells.filter_map(|(cell, point)| Some((cell, point.filter(|[_, error]| *error > 0.0)?)));
+        for (&[x, y, side], [value, error]) in known {
             let middle = DVec2::new(x + 0.5 * side, y + 0.5 * side);
             // Half a diagonal: the wall runs through the cell.
             let reach = side * std::f64::consts::FRAC_1_SQRT_2;
             let is_at_wall = effect.place.iter().any(|stretch| is_of_wall(stretch, middle, reach));
             // Twice what the cell gains, beyond chance.
-            sums[usize::from(is_at_wall)] += (value / error.max(1e-12)).powi(2) - 1.0;
+            sums[usize::from(is_at_wall)] += (value / error).powi(2) - 1.0;
         }
         sums[1] > sums[0]
     }
@@ -168,7 +170,9 @@ pub fn acts_on(
             }
         }
         Statistic::WallShift => {
-            matches!(deviation, D::Mean | D::Short | D::Long) && dependence.is_at(effect, covariates)
+            // Beams that meet it at several incidences err by several lengths.
+            matches!(deviation, D::Mean | D::Spread | D::Short | D::Long)
+                && dependence.is_at(effect, covariates)
         }
         Statistic::WallLoss => {
             matches!(deviation, D::NoReturn | D::Long) && dependence.is_at(effect, covariates)

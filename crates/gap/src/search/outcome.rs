@@ -178,7 +178,8 @@ impl<'a> State<'a> {
         if kind.is_stepped() {
             return Ok(floor.is_farther(old_mm, new_mm));
         }
-        let is_of_surface = kind.scores().any(|score| matches!(score, Score::Location | Score::Scale));
+        let is_of_surface = kind.moves() == Moves::Scans
+            || kind.scores().any(|score| matches!(score, Score::Location | Score::Scale | Score::Tail));
         Ok(moves_away(&floor, [old_mm, new_mm], self.nominal.pieces.is_some(), is_of_surface))
     }
 
@@ -287,8 +288,8 @@ fn floor_of(views: &Views, logs: &[Recorded]) -> Floor {
 }
 
 /// Whether a name has to go for its distances \[mm\]. On a measured map ranges have to come nearer. An exact map is to be believed for as long
-/// as ranges weren't off before, and are hardly more so. A bias or a noise of a surface's readings changes them by millimetres, which
-/// other errors may hide; readings that are replaced show.
+/// as ranges weren't off before, and are hardly more so. A bias, a noise or a tail of a surface's readings changes them by
+/// millimetres, and so may a laser that is elsewhere or late, which other errors may hide; readings that are replaced show.
 fn moves_away(floor: &Floor, [before, after]: [f64; 2], is_measured: bool, is_of_surface: bool) -> bool {
     let is_strict = is_measured || floor.is_farther(before, after);
     let least_mm = if is_of_surface { floor.error(LOGS) } else { 0.0 };

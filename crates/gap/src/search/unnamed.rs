@@ -1,7 +1,7 @@
 //! Dependences that no effect explains, for people.
 
 use distreg::wave::{self, Wave};
-use locsim_core::Estimate;
+use locsim_core::{Estimate, surely_largest};
 use locsim_world::effect::Effect;
 
 use super::judgement::{Dependence, Judgement, acts_on};
@@ -52,7 +52,7 @@ pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p
         let size = match (dependence.covariate, &wave) {
             (Covariate::Neighbour, _) => judgement.neighbour_correlation(),
             (_, Some(wave)) => wave.amplitude,
-            _ => largest(&curve),
+            _ => surely_largest(curve.iter().map(|point| point.estimate)),
         };
         let Dependence { deviation, covariate, .. } = dependence;
         Unnamed { deviation, covariate, form_of, evidence, unit, size, wave, curve }
@@ -76,15 +76,6 @@ fn points(axis: &Axis, curve: &[Option<[f64; 2]>]) -> Vec<CurvePoint> {
 
 fn point(at: f64, place: Option<[f64; 4]>, [value, error]: [f64; 2]) -> CurvePoint {
     CurvePoint { at, place, estimate: Estimate::normal(value, error) }
-}
-
-/// The value that is surely largest: that whose interval begins farthest from 0. The largest, where all intervals hold 0.
-fn largest(curve: &[CurvePoint]) -> f64 {
-    let surely = |at: &Estimate| at.interval.lo.max(-at.interval.hi).max(0.0);
-    let points = curve.iter().map(|point| point.estimate);
-    let most =
-        points.max_by(|a, b| surely(a).total_cmp(&surely(b)).then(a.value.abs().total_cmp(&b.value.abs())));
-    most.map_or(0.0, |most| most.value)
 }
 
 /// The wave that a curve over bearing or time is, if it is one.
@@ -131,18 +122,6 @@ mod tests {
         assert!((swing.period - 17.0).abs() < 0.5 && (swing.amplitude - 0.01).abs() < 5e-4, "{swing:?}");
         assert_eq!(of(&|t| 0.03 * (-t / 15.0).exp()), None);
         assert_eq!(of(&|t| 0.03 * (1.0 - t / 20.0).max(0.0)), None);
-    }
-
-    /// A cell that few beams meet has the largest value, and the others the surest.
-    #[test]
-    fn the_value_that_is_told_is_surely_large() {
-        let curve = |values: &[[f64; 2]]| -> Vec<CurvePoint> {
-            values.iter().map(|&value| point(0.0, None, value)).collect()
-        };
-        assert_eq!(largest(&curve(&[[0.46, 0.1], [0.25, 0.01], [0.02, 0.01]])), 0.46);
-        assert_eq!(largest(&curve(&[[0.46, 0.2], [0.25, 0.01], [-0.1, 0.01]])), 0.25);
-        assert_eq!(largest(&curve(&[[0.1, 0.2], [-0.3, 0.2]])), -0.3);
-        assert_eq!(largest(&[]), 0.0);
     }
 
     #[test]

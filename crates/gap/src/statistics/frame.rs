@@ -2,12 +2,12 @@
 
 use super::{Covariate, Deviation, Family, Halves, Readings, Statistic};
 
-/// The correlation of the errors of the reference's poses with those that a turn of all of them makes, by Fisher's transformation. Errors that
-/// come and go are a turn by chance only.
+/// The errors of the reference's poses that a turn of all of them makes, over those that it leaves: the root of their squares' ratio. Errors that
+/// come and go are a turn by chance only, and those that last leave much, where a turn leaves nothing.
 pub(super) struct Frame;
 
 /// A greater share is as good as all.
-const MOST_SHARE: f64 = 1.0 - 1e-9;
+const MOST_SHARE: f64 = 1.0 - 1e-6;
 
 impl Family for Frame {
     fn statistics(&self) -> Vec<Statistic> {
@@ -18,7 +18,8 @@ impl Family for Frame {
         let error = &log.fitted.nuisances.pose_error;
         let frame = error.turned_frame(&log.comparison.recorded.track, &log.fitted.corrections);
         let share = if log.has_pose_errors { frame.share_of_turn } else { 0.0 };
+        let share = share.min(MOST_SHARE);
         // A turn is of the log as a whole.
-        vec![[0.5 * share.min(MOST_SHARE).sqrt().atanh().copysign(frame.turn); 2]]
+        vec![[0.5 * (share / (1.0 - share)).sqrt().copysign(frame.turn); 2]]
     }
 }

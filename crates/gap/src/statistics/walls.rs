@@ -117,8 +117,8 @@ impl Family for WallLoss {
 /// Length of the bins into which a wall is cut \[m\], and the least length of a stretch: about three readings at 3 m.
 const STRETCH_BIN_M: f64 = 0.1;
 const STRETCH_LEAST_M: f64 = 0.3;
-/// How far a stretch is looked for on both sides of a cell's wall \[m\]: an effect of a longer one shows in other cells, too.
-const STRETCH_REACH_M: f64 = 4.0;
+/// How far a stretch is looked for on both sides of a cell's wall \[m\]: one wall has one name, however long it is.
+const STRETCH_REACH_M: f64 = 25.0;
 /// Ends of beams within this of a line are on it \[m\].
 const ON_LINE_M: f64 = 0.03;
 /// The same for the readings of a stretch: the line through the ends is known to a few centimetres.

@@ -48,12 +48,12 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
         )),
         Verdict::PartlyExplained if outcome.gap.is_open_in_ranges() => text.push(format!(
             "That is not all: the simulated ranges are still far from the measured ones{}.",
-            worst(&outcome.regions, true)
+            what_is_left(outcome)
         )),
         Verdict::PartlyExplained => text.push(format!(
             "That is not all: something else is still off (p = {}){}.",
             p_value(outcome.detection_after.p),
-            worst(&outcome.regions, true)
+            what_is_left(outcome)
         )),
         Verdict::Named | Verdict::Ambiguous => {}
     }
@@ -64,6 +64,11 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
     text.extend(outcome.residual.as_ref().map(|stage| residual(stage, outcome.gap.floor.w1_mm)));
     text.extend(filter(outcome));
     text
+}
+
+/// Where readings are farthest off, unless a sentence has told what is left: regions are of the log before anything was named.
+fn what_is_left(outcome: &Outcome) -> String {
+    if outcome.unnamed.is_empty() { worst(&outcome.regions, true) } else { String::new() }
 }
 
 /// An effect with its numbers: "Far surfaces often send nothing back: `range_dropout`, p = 0.42 [0.38, 0.46]."

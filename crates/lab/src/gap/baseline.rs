@@ -190,7 +190,11 @@ fn sentences(changes: &Changes) -> Vec<String> {
         changes.effects.iter().map(|named| format!("Since the baseline: {}", answer::told(named))).collect();
     text.extend(changes.effects.iter().filter_map(answer::doubt));
     let losses = changes.losses_by_bearing.as_ref().and_then(losses_sentence);
-    text.extend(losses.clone());
+    // What gains more is told first.
+    let gain = changes.losses_by_bearing.as_ref().map_or(0.0, |losses| losses.gain_nats);
+    let is_first = changes.effects.first().is_some_and(|named| named.evidence.gain_nats.value < gain);
+    let at = if is_first { 0 } else { text.len() };
+    text.splice(at..at, losses.clone());
     match changes.verdict {
         ChangeVerdict::None => text.push(format!("Nothing has changed since the baseline (p = {p}).")),
         ChangeVerdict::Unexplained if losses.is_some() => {

@@ -36,7 +36,7 @@ pub use proposal::{scenario_after, scenario_since};
 use laser::{with_beams, with_mount};
 
 use crate::LabError;
-use crate::inspect::{frozen_odometry, lags};
+use crate::inspect::{doubts, frozen_odometry};
 use crate::run::{log_map, no_reference, read_scenario_log, selected, spread_stamps};
 use locsim_core::Control;
 use locsim_report::ReportError;
@@ -345,7 +345,7 @@ fn usable(
     let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
     warnings.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
     warnings.extend(summary.remarks.iter().cloned());
-    warnings.extend(lags(&DriveQuality::of(&drive, summary)));
+    warnings.extend(doubts(&DriveQuality::of(&drive, summary)));
     warnings.extend(without_stale_scans(&mut drive));
     let frozen = drive.frozen_odometry();
     warnings.extend((frozen[0] > 0.0).then(|| frozen_odometry(frozen)));
