@@ -26,20 +26,6 @@ impl Assignment {
         (today[0] - baseline[0].max(0.0)) / (today[1] + baseline[1] + stretches.powi(-2)).sqrt()
     }
 
-    /// How many times less stretches tell than independent ones, by their gains: those of the first log, and then the other's.
-    pub fn times_less(&self, gains: &[f64], first: usize) -> f64 {
-        let mut moves = vec![0.0; gains.len()];
-        for (is_used, sign) in [(&self.is_today, 1.0), (&self.is_baseline, -1.0)] {
-            let [mean, _] = mean_of(gains, is_used);
-            let n = is_used.iter().filter(|is| **is).count().max(1) as f64;
-            for stretch in (0..gains.len()).filter(|&stretch| is_used[stretch]) {
-                moves[stretch] = sign * (gains[stretch] - mean) / n;
-            }
-        }
-        let (first, second) = moves.split_at(first);
-        variance_inflation(&[first, second])
-    }
-
     /// The gain on today's stretches beyond that on as many stretches of the baseline: an effect that both logs have gains on
     /// both, as does one that makes up for what the baseline's histograms can't express.
     pub fn net(&self, today: &[f64], baseline: &[f64]) -> Vec<f64> {
@@ -63,8 +49,8 @@ fn mean_of(gains: &[f64], is_used: &[bool]) -> [f64; 2] {
 /// Stretches up to so many apart err together, by decreasing weights.
 const MOST_LAG: usize = 4;
 
-/// How many times the variance of a sum over stretches in the order of time is that of independent ones, at least 1: by the products of
-/// those that follow each other (Bartlett's weights; Newey and West 1987). `logs` are what the stretches of each log add to the sum, less
+/// The variance inflation of a sum over stretches in the order of time, by which its variance is larger than that of independent ones, at
+/// least 1: by the products of those that follow each other (Bartlett's weights; Newey and West 1987). `logs` are what the stretches of each log add to the sum, less
 /// what is expected of them.
 pub(super) fn variance_inflation(logs: &[&[f64]]) -> f64 {
     let products = |lag: usize| -> f64 {

@@ -19,8 +19,8 @@ pub(super) struct Increments {
 pub(super) struct Contrast {
     /// In standard errors, signed.
     pub errors: f64,
-    /// How many times less stretches tell than as many that err independently of each other.
-    pub times_less: f64,
+    /// Its variance inflation by stretches that don't err independently.
+    pub inflation: f64,
 }
 
 impl Increments {
@@ -113,7 +113,7 @@ const MOST_DEVIATIONS: f64 = 3.0;
 const SLIP: [f64; 2] = [0.1, 0.3];
 
 impl Increments {
-    /// How surely the odometry errs in another way today, and how many times less its stretches tell than independent ones: the mean by which
+    /// How surely the odometry errs in another way today, with its variance inflation: the mean by which
     /// an effect of the kind would err on each stretch, today's less the baseline's, in standard errors between stretches. A wheel that errs
     /// for many seconds on end errs alike on stretches that follow each other.
     pub fn contrast(
@@ -151,9 +151,9 @@ impl Increments {
             });
         let variance: f64 = moves.iter().map(|by| by * by).sum();
         let (first, second) = moves.split_at(self.stretches[0]);
-        let times_less = variance_inflation(&[first, second]);
-        let deviation = (times_less * variance).sqrt().max(1e-12);
-        Contrast { errors: (today - baseline) / deviation, times_less }
+        let inflation = variance_inflation(&[first, second]);
+        let deviation = (inflation * variance).sqrt().max(1e-12);
+        Contrast { errors: (today - baseline) / deviation, inflation }
     }
 }
 

@@ -4,8 +4,8 @@
 //! of a parabola through points farther apart than that, of all smooth parameters at once. Its variance is that of the sandwich
 //! (Godambe 1960) over stretches of today's log and over places, as readings of one scan share the error of its pose and those of
 //! one wall that of the map (clusters in two ways: Cameron, Gelbach and Miller 2011), and of the jackknife over stretches of the
-//! baseline, which is learnt anew without each of them. Wheels
-//! may err alike on stretches that follow each other, which widens both.
+//! baseline, which is learnt anew without each of them. Both are inflated for the odometry: wheels err alike on stretches that follow each
+//! other.
 
 use std::collections::{BTreeMap, HashMap};
 

@@ -209,12 +209,8 @@ impl Search<'_> {
         let mut best = Best::new();
         for (index, trial) in tried.iter().enumerate() {
             let gains = trial.gains(self.pool, &known.learnt, &log, &used);
-            let gain: f64 = assignment.net(&gains, &gains).iter().sum();
-            add(
-                &mut best,
-                trial.effect.kind,
-                self.score_of(trial.effect.kind, gain, &gains, assignment, index),
-            );
+            let gain = assignment.net(&gains, &gains).iter().sum();
+            add(&mut best, trial.effect.kind, Score { gain, contrast: assignment.contrast(&gains), index });
         }
         for (index, effect) in odometry.iter().enumerate() {
             let gains = self.increments.gains(&known.usual, &[], effect, &used);
@@ -223,21 +219,6 @@ impl Search<'_> {
             add(&mut best, effect.kind, of_odometry(&contrast, gain, tried.len() + index));
         }
         best
-    }
-
-    /// The score of a trial by its net gain and the gains of the stretches (nats). A reference errs alike for some seconds, and its errors look
-    /// like noise, which therefore counts stretches that follow each other as one.
-    fn score_of(
-        &self,
-        kind: EffectKind,
-        gain: f64,
-        gains: &[f64],
-        assignment: &Assignment,
-        index: usize,
-    ) -> Score {
-        let is_noise = kind.description().is_as_map_errors;
-        let times_less = if is_noise { assignment.times_less(gains, self.pool.stretches[0]) } else { 1.0 };
-        Score { gain: gain / times_less, contrast: assignment.contrast(gains) / times_less.sqrt(), index }
     }
 
     /// The best gains, and the distance of range errors \[mm\], where stretches are permuted.
@@ -428,13 +409,10 @@ impl Search<'_> {
             let Some(plain) = plain.iter().find(|plain| plain.effect == trial.effect) else { continue };
             let usual = plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline);
             let gains = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
-            let gain: f64 = assignment.net(&gains, &usual).iter().sum();
+            let gain = assignment.net(&gains, &usual).iter().sum();
             let both: Vec<f64> = gains.iter().zip(usual).map(|(today, baseline)| today + baseline).collect();
-            add(
-                &mut best,
-                trial.effect.kind,
-                self.score_of(trial.effect.kind, gain, &both, assignment, index),
-            );
+            let contrast = assignment.contrast(&both);
+            add(&mut best, trial.effect.kind, Score { gain, contrast, index });
         }
         for (index, effect) in odometry.iter().enumerate() {
             let change = self.change(effect.clone(), given, expected)?;
@@ -495,7 +473,7 @@ impl Search<'_> {
 
 /// The score of a trial of the odometry whose net gain is that of stretches taken for independent (nats).
 fn of_odometry(contrast: &Contrast, gain: f64, index: usize) -> Score {
-    Score { gain: gain / contrast.times_less, contrast: contrast.errors, index }
+    Score { gain: gain / contrast.inflation, contrast: contrast.errors, index }
 }
 
 /// To how many permutations the comparison goes on after so many; `None` where they are enough.

@@ -110,6 +110,48 @@ fn a_wheel_that_wore_since_is_named() {
     assert_eq!(names(&found), [E::OdomImbalance], "{found:#?}");
 }
 
+/// Odometry whose heading errs by up to so much per metre \[rad/m\], alike for eight seconds on end.
+fn wander(log: &mut Recorded, seed: u64, most: f64) {
+    let draw = Draw::new(seed, Stage::Odometry, 0);
+    let odometry = log.odometry.clone();
+    for (i, pair) in odometry.windows(2).enumerate() {
+        let step = pair[1].relative_to(&pair[0]);
+        let drawn: f64 = draw.item((log.track.secs()[i] / 8.0) as u32).random();
+        let turn = (2.0 * drawn - 1.0) * most * step.x.hypot(step.y);
+        log.odometry[i + 1] = log.odometry[i].compose(&Pose2::new(step.x, step.y, step.theta + turn));
+    }
+}
+
+/// Wheels that err for eight seconds on end do so on other stretches of another drive. Of the first twelve pairs of logs five have a change of
+/// the odometry if stretches are taken for independent, and three as it is: of errors that last for a fifth of the drive there are few. These are the two.
+#[test]
+fn wheels_that_wander_have_not_changed() {
+    let options = BaselineOptions { permutations: 99, seed: 5, ..BaselineOptions::default() };
+    let stop = AtomicBool::new(false);
+    for seed in [3, 11] {
+        let [mut baseline, mut today] = [0, 1].map(|i| log(&[], 2 * seed + i));
+        wander(&mut baseline, 10 * seed, 0.5);
+        wander(&mut today, 10 * seed + 1, 0.5);
+        let found = find_changes(&NOMINAL, &baseline, &today, &options, &(), &stop).unwrap();
+        assert_eq!(names(&found), [], "{seed}: {found:#?}");
+    }
+}
+
+/// A wall that stands half a metre nearer, farther than any distance that is tried everywhere.
+#[test]
+fn a_wall_that_moved_far_is_named() {
+    let wall = vec![[glam::DVec2::new(6.0, 1.0), glam::DVec2::new(6.0, 3.2)]];
+    let moved = Effect::new(E::MovedWall, vec![-0.5], wall).unwrap();
+    let drive = record_library(&NOMINAL, &TRUTH, &[moved], Regime::default(), 2).unwrap();
+    let today = Recorded::new(&drive, 400, 36, |_| true).unwrap();
+    let options = BaselineOptions { permutations: 99, seed: 5, ..BaselineOptions::default() };
+    let stop = AtomicBool::new(false);
+    let found = find_changes(&NOMINAL, &log(&[], 1), &today, &options, &(), &stop).unwrap();
+    assert_eq!(names(&found)[0], E::MovedWall, "{found:#?}");
+    let distance = found.effects[0].params["distance_m"].estimate.value;
+    assert!((distance + 0.5).abs() < 0.02, "{distance}");
+}
+
 #[test]
 fn a_sector_that_a_part_of_the_robot_hides_is_named() {
     let found = changes(&[], &[(E::SectorOcclusion, &[0.2, 0.6, 0.5, 0.9])]);

@@ -33,6 +33,8 @@ const FINE: f64 = 0.5;
 const LEAST_RESIDUALS: usize = 500;
 /// Readings that differ by no more than this share are about as long.
 const AS_LONG: f32 = 0.01;
+/// Fewer beams than this may read one number again and again.
+const FEW_BEAMS: usize = 5;
 /// A reading is behind the wall that its neighbours are of where it is longer by more than this \[m\].
 const BEHIND_M: f32 = 0.5;
 
@@ -149,16 +151,20 @@ fn line(points: &[[f64; 2]]) -> Option<[f64; 2]> {
     grows.then_some([constant, slope])
 }
 
-/// The return that most of those about as long are to the last digit, and how often it is read; none in the nearer half of the reach.
+/// The return that most of those about as long are to the last digit, and how often it is read; none in the nearer half of the reach, and none
+/// of a few beams alone, as of a robot that stands and a laser without noise.
 fn repeated(drive: &Drive, longest: f32) -> Option<[f64; 2]> {
     let max = drive.laser.max_range();
-    let all = drive.steps.iter().flat_map(|step| step.scan.ranges.iter().copied());
-    let mut far: Vec<f32> = all.filter(|range| *range < max && *range > 0.5 * longest).collect();
-    far.sort_by(f32::total_cmp);
-    let most = far.chunk_by(|a, b| a == b).max_by_key(|alike| alike.len())?;
-    let about = |factor: f32| far.partition_point(|range| *range < factor * most[0]);
+    let all = drive.steps.iter().flat_map(|step| (0_u32..).zip(&step.scan.ranges));
+    let far = all.filter(|(_, range)| **range < max && **range > 0.5 * longest);
+    let mut far: Vec<(f32, u32)> = far.map(|(beam, range)| (*range, beam)).collect();
+    far.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let most = far.chunk_by(|a, b| a.0 == b.0).max_by_key(|alike| alike.len())?;
+    let at = most[0].0;
+    let about = |factor: f32| far.partition_point(|(range, _)| *range < factor * at);
     let as_long = about(1.0 + AS_LONG) - about(1.0 - AS_LONG);
-    (2 * most.len() > as_long).then(|| [f64::from(most[0]), most.len() as f64])
+    let beams = most.chunk_by(|a, b| a.1 == b.1).count();
+    (2 * most.len() > as_long && beams >= FEW_BEAMS).then(|| [f64::from(at), most.len() as f64])
 }
 
 /// The step that the differences of readings are multiples of.

@@ -156,6 +156,11 @@ fn growth_of_the_noise_comes_from_the_readings() {
 fn a_number_that_is_read_again_and_again_is_told() {
     let mut recording = drive(Recording { step_m: 0.01, ..PLAIN });
     assert_eq!(DriveQuality::of(&recording, &summary()).readings.repeated, None);
+    let mut of_four_beams = recording.clone();
+    for step in &mut of_four_beams.steps {
+        step.scan.ranges[20..24].fill(8.19);
+    }
+    assert_eq!(DriveQuality::of(&of_four_beams, &summary()).readings.repeated, None);
     for (scan, step) in recording.steps.iter_mut().enumerate() {
         step.scan.ranges[scan % 180] = 8.19;
         step.scan.ranges[(scan + 90) % 180] = 8.19;

@@ -1,7 +1,7 @@
 //! A reading as the outcome of a few classes: of the surface, in bins of its PIT there, of something in front of it or
 //! behind it, or of nothing.
 
-use locsim_core::tilt::{MOST, NEAR, bin_of, bins, share_within, tilted};
+use locsim_core::tilt::{self, MOST, NEAR, bin_of, bins, share_within, tilted};
 use locsim_core::{Draw, normal};
 use locsim_world::effect::Effects;
 use rand::RngExt;
@@ -22,7 +22,7 @@ pub(super) const MOMENTS: [Deviation; 7] = [
     Deviation::Short,
 ];
 /// Moments of the surface's readings, the first of [`MOMENTS`].
-const OF_SURFACE: usize = 3;
+const OF_SURFACE: usize = tilt::MOMENTS;
 
 /// Whether a moment is the share of a class.
 pub(super) fn is_share(moment: Deviation) -> bool {
@@ -36,6 +36,7 @@ const OPEN: f64 = 1e-3;
 const FLOOR: f64 = 1e-6;
 /// The least variance that a class with a small probability counts as having.
 const LEAST_VARIANCE: f64 = 1e-9;
+
 /// The logarithm of what the probabilities of a reading are multiplied by, for each moment (1).
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tilt(pub [f64; MOMENTS.len()]);

@@ -219,11 +219,10 @@ impl<'a> State<'a> {
     /// Drops names with which simulated ranges move away from the log, or are farther from it than without the last one, which goes first.
     /// Anything that makes readings off the walls likelier raises the log score where something has no name.
     pub fn come_nearer(&self, path: &mut Path<'a>) -> Result<(), GapError> {
-        let total = |gains: &[f64]| gains.iter().sum::<f64>();
         // On an exact map, a formula that gains more than curves of any shape is right, whatever clutter does to the ranges beside it.
         let is_surely_right = |path: &Path<'a>| -> Result<bool, GapError> {
-            Ok(self.nominal.pieces.is_none()
-                && total(&path.gains[0]) > total(&self.judge(path.first())?.gains()))
+            let of_curves: f64 = self.judge(path.first())?.gains().iter().sum();
+            Ok(self.nominal.pieces.is_none() && path.named[0].evidence.gain_nats.value > of_curves)
         };
         while let Some(last) = last_of_ranges(&path.named) {
             if last == 0 && is_surely_right(path)? {

@@ -1,0 +1,388 @@
+//! Curves that are added one by one, the one that gains most on held-out folds first.
+
+use distreg::curve::{LARGEST_TILT, Shape, Sums, crossfit, curves_without, fit};
+use locsim_core::{Folds, simplest};
+use rayon::prelude::*;
+
+use super::covariates::Covariates;
+use super::large::Large;
+use super::outcomes::{self, MOMENTS, Outcomes, Pull, Tilt};
+use super::{Component, FreeModel, MEAN, SPREAD};
+use crate::statistics::Covariate;
+
+/// The most curves that are added. A log of several strong effects takes a dozen.
+const MOST_STEPS: usize = 40;
+/// A curve has to gain this on held-out folds (nats): as an effect that is named.
+const LEAST_GAIN_NATS: f64 = 2.0;
+/// A level says nothing of a kind of reading that fewer than this share of its readings could become. Beams that meet nothing within
+/// reach have no return to lose.
+const LEAST_SHARE: f64 = 0.2;
+/// How often a step of a curve is halved at most, for as long as a half gains more: the promise of a step is a parabola, and a log
+/// score isn't one.
+const HALVINGS: u32 = 4;
+/// Curves are as smooth as one of these says that gains most on held-out folds: information at which a step between two
+/// neighbouring levels of one standard deviation of the noise is one standard deviation of the prior.
+const STIFFNESSES: [f64; 3] = [1.0, 30.0, 1000.0];
+
+impl FreeModel {
+    /// Adds curves for as long as they gain.
+    pub(super) fn of(
+        outcomes: &Outcomes,
+        covariates: &Covariates,
+        folds: Folds,
+        large: Option<Large>,
+    ) -> Self {
+        let mut state = State::new(outcomes, covariates, folds);
+        let mut components: Vec<Draft> = Vec::new();
+        if let Some(Large { moment, axis, levels, errors, gains, .. }) = large {
+            let tilts = vec![0.0; levels.len()];
+            // A tilt of the mean is in standard deviations, too, and one of the spread the logarithm of a factor, where it is small.
+            components.push(Draft { moment, axis, large: levels, tilts, errors, gains });
+        }
+        let mut score = state.score();
+        let mut correlation = None;
+        for _ in 0..MOST_STEPS {
+            let Some(step) = state.best_step() else { break };
+            if covariates.axes[step.axis].covariate == Covariate::Neighbour {
+                // The correlation of neighbours is its own covariate.
+                correlation.get_or_insert_with(|| state.neighbour_correlation());
+            }
+            let before = state.tilts.clone();
+            let (share, after) = state.apply(&step);
+            let gains: Vec<f64> = after.iter().zip(&score).map(|(after, before)| after - before).collect();
+            if gains.iter().sum::<f64>() < LEAST_GAIN_NATS {
+                // The quadratic approximation promised more than there is.
+                (state.tilts, state.moved) = (before, [false; 2]);
+                state.spent[step.axis][step.moment] = true;
+                continue;
+            }
+            score = after;
+            let Step { axis, moment, levels, curve, errors, .. } = step;
+            // What is left of a large bias would be taken for a spread.
+            let is_cut = moment == MEAN && curve.iter().any(|tilt| tilt.abs() >= LARGEST_TILT);
+            state.on = is_cut.then_some((axis, moment));
+            let curve: Vec<f64> = curve.into_iter().map(|tilt| share * tilt).collect();
+            let whole = state.whole.iter_mut().zip(levels);
+            whole.for_each(|(tilt, level)| tilt.0[moment] += curve[level as usize]);
+            if let Some(known) = components.iter_mut().find(|c| c.axis == axis && c.moment == moment) {
+                known.tilts.iter_mut().zip(curve).for_each(|(sum, more)| *sum += more);
+                known.gains.iter_mut().zip(gains).for_each(|(sum, more)| *sum += more);
+                known.errors = errors;
+            } else {
+                let large = vec![0.0; curve.len()];
+                components.push(Draft { moment, axis, large, tilts: curve, errors, gains });
+            }
+        }
+        let neighbour_correlation = correlation.unwrap_or_else(|| state.neighbour_correlation());
+        let components = components.into_iter().map(|draft| state.finish(draft)).collect();
+        Self { components, neighbour_correlation, folds }
+    }
+}
+
+/// A model as far as it was built: each reading by the curves that were fitted without its fold.
+struct State<'a> {
+    outcomes: &'a Outcomes,
+    covariates: &'a Covariates,
+    folds: Folds,
+    fold_of: Vec<usize>,
+    tilts: Vec<Tilt>,
+    /// The same by curves that were fitted to all folds, which are those that are told.
+    whole: Vec<Tilt>,
+    /// Curves that gain nothing, by axis and moment.
+    spent: Vec<[bool; MOMENTS.len()]>,
+    /// Curves that may be added.
+    tried: Vec<Tried>,
+    /// Axis and moment of a curve that went as far as a step goes, and goes on first.
+    on: Option<(usize, usize)>,
+    /// Whether tilts have moved since, of the surface's moments and of shares: what readings say of the ones doesn't depend on the others.
+    moved: [bool; 2],
+}
+
+/// A curve that is being built: tilts of a moment at the levels of an axis.
+struct Draft {
+    moment: usize,
+    axis: usize,
+    /// A change at each level beside the tilts; see [`Large::levels`].
+    large: Vec<f64>,
+    tilts: Vec<f64>,
+    errors: Vec<f64>,
+    gains: Vec<f64>,
+}
+
+/// The readings of each level of an axis, and what they say of each moment, by fold and level.
+struct OfAxis {
+    levels: Vec<u16>,
+    sums: Vec<Vec<Vec<Sums>>>,
+}
+
+impl OfAxis {
+    fn new(state: &State<'_>, axis: usize, pulls: &[Pull]) -> Self {
+        let levels = state.levels(axis);
+        let count = state.covariates.axes[axis].levels.len();
+        let mut sums = vec![vec![vec![Sums::default(); count]; state.folds.count()]; MOMENTS.len()];
+        for ((pull, &level), &fold) in pulls.iter().zip(&levels).zip(&state.fold_of) {
+            for (sums, more) in sums.iter_mut().zip(pull) {
+                sums[fold][level as usize].add(*more);
+            }
+        }
+        Self { levels, sums }
+    }
+}
+
+/// The moments that depend on each other: 0 for those of the surface's readings, 1 for shares.
+fn block_of(moment: usize) -> usize {
+    usize::from(outcomes::is_share(MOMENTS[moment]))
+}
+
+/// A curve that may be added.
+struct Tried {
+    axis: usize,
+    moment: usize,
+    shape: Shape,
+    /// Held-out gain on each fold, as far as the log score is a parabola (nats).
+    gains: Vec<f64>,
+}
+
+impl Tried {
+    fn gain(&self) -> f64 {
+        self.gains.iter().sum()
+    }
+}
+
+/// A curve to be added.
+struct Step {
+    axis: usize,
+    moment: usize,
+    /// Fitted without each fold.
+    without: Vec<Vec<f64>>,
+    /// Level of each reading.
+    levels: Vec<u16>,
+    curve: Vec<f64>,
+    errors: Vec<f64>,
+}
+
+impl<'a> State<'a> {
+    fn new(outcomes: &'a Outcomes, covariates: &'a Covariates, folds: Folds) -> Self {
+        Self {
+            outcomes,
+            covariates,
+            folds,
+            fold_of: outcomes.all.iter().map(|outcome| folds.of_scan(outcome.scan as usize)).collect(),
+            tilts: vec![Tilt::default(); outcomes.all.len()],
+            whole: vec![Tilt::default(); outcomes.all.len()],
+            spent: vec![[false; MOMENTS.len()]; covariates.axes.len()],
+            tried: Vec::new(),
+            on: None,
+            moved: [true; 2],
+        }
+    }
+
+    /// Log score gained in each fold (nats).
+    fn score(&self) -> Vec<f64> {
+        let readings = self.outcomes.all.par_iter().zip(&self.tilts);
+        let gains: Vec<f64> = readings.map(|(outcome, tilt)| outcome.gain(tilt)).collect();
+        let mut score = vec![0.0; self.folds.count()];
+        for (gain, &fold) in gains.into_iter().zip(&self.fold_of) {
+            score[fold] += gain;
+        }
+        score
+    }
+
+    /// The curve that gains most on held-out folds, over the simplest covariate that gains as much.
+    fn best_step(&mut self) -> Option<Step> {
+        let readings = self.outcomes.all.par_iter().zip(&self.tilts);
+        let pulls: Vec<_> = readings.map(|(outcome, tilt)| outcome.pull(tilt)).collect();
+        let axes: Vec<OfAxis> = (0..self.covariates.axes.len())
+            .into_par_iter()
+            .map(|axis| OfAxis::new(self, axis, &pulls))
+            .collect();
+        let of_axes = axes.par_iter().enumerate();
+        let moved: Vec<Tried> =
+            of_axes.flat_map_iter(|(axis, of_axis)| self.try_curves(axis, of_axis)).collect();
+        self.tried
+            .retain(|tried| !self.moved[block_of(tried.moment)] && !self.spent[tried.axis][tried.moment]);
+        self.tried.extend(moved);
+        self.moved = [false; 2];
+        let on = self.on.take();
+        let is_on = |tried: &&Tried| on == Some((tried.axis, tried.moment)) && tried.gain() > LEAST_GAIN_NATS;
+        let chosen = self.tried.iter().find(is_on).or_else(|| self.simplest_of_best())?;
+        let OfAxis { levels, sums } = axes.into_iter().nth(chosen.axis)?;
+        let without = curves_without(&sums[chosen.moment], chosen.shape);
+        let mut whole = vec![Sums::default(); sums[chosen.moment][0].len()];
+        for ((outcome, tilt), &level) in self.outcomes.all.iter().zip(&self.whole).zip(&levels) {
+            whole[level as usize].add(outcome.pull(tilt)[chosen.moment]);
+        }
+        let (curve, errors) = fit(&[whole], chosen.shape);
+        Some(Step { axis: chosen.axis, moment: chosen.moment, without, levels, curve, errors })
+    }
+
+    /// The simplest of the curves that can't be told from the one that gains most.
+    fn simplest_of_best(&self) -> Option<&Tried> {
+        let tried = &self.tried;
+        let best = tried.iter().max_by(|a, b| a.gain().total_cmp(&b.gain()))?;
+        if best.gain() <= LEAST_GAIN_NATS {
+            return None;
+        }
+        let count = |tried: &Tried| self.covariates.axes[tried.axis].levels.len();
+        let is_neighbour = |tried: &Tried| self.covariates.axes[tried.axis].covariate == Covariate::Neighbour;
+        // Whether neighbours err alike is no simpler or finer form of what beams have in common.
+        let alike: Vec<&Tried> = tried
+            .iter()
+            .filter(|tried| tried.moment == best.moment && is_neighbour(tried) == is_neighbour(best))
+            .collect();
+        Some(alike[simplest(alike.iter().map(|tried| (count(tried), &tried.gains[..])))?])
+    }
+
+    /// The curves over an axis, one for each moment that has moved, each as smooth as gains most.
+    fn try_curves(&self, axis: usize, of_axis: &OfAxis) -> Vec<Tried> {
+        let covariate = &self.covariates.axes[axis];
+        let moments = of_axis.sums.iter().enumerate().filter(|(moment, _)| {
+            // Neighbours are behind the same clutter; what is asked for is whether readings of the surface err alike.
+            let is_of_clutter = covariate.covariate == Covariate::Neighbour && *moment != MEAN;
+            self.moved[block_of(*moment)] && !self.spent[axis][*moment] && !is_of_clutter
+        });
+        let stiffnesses = if covariate.levels.len() == 1 { &STIFFNESSES[..1] } else { &STIFFNESSES };
+        let tried = moments.filter_map(|(moment, sums)| {
+            let is_share = outcomes::is_share(MOMENTS[moment]);
+            let tried = stiffnesses.iter().map(|&stiffness| {
+                let shape = Shape { stiffness, is_ordered: covariate.is_ordered, is_share };
+                Tried { axis, moment, shape, gains: crossfit(sums, shape) }
+            });
+            tried.max_by(|a, b| a.gain().total_cmp(&b.gain()))
+        });
+        tried.collect()
+    }
+
+    /// Adds a step, or the half or less of it that gains more. Gives that share and the score with it.
+    fn apply(&mut self, step: &Step) -> (f64, Vec<f64>) {
+        self.moved[block_of(step.moment)] = true;
+        let before = self.tilts.clone();
+        let total = |score: &[f64]| score.iter().sum::<f64>();
+        let mut with = |share: f64| {
+            for (i, (tilt, before)) in self.tilts.iter_mut().zip(&before).enumerate() {
+                let more = step.without[self.fold_of[i]][step.levels[i] as usize];
+                tilt.0[step.moment] = before.0[step.moment] + share * more;
+            }
+            self.score()
+        };
+        let (mut share, mut score) = (1.0, with(1.0));
+        for _ in 0..HALVINGS {
+            let half = with(0.5 * share);
+            if total(&half) <= total(&score) {
+                break;
+            }
+            (share, score) = (0.5 * share, half);
+        }
+        with(share);
+        (share, score)
+    }
+
+    /// Level of each reading on an axis.
+    fn levels(&self, axis: usize) -> Vec<u16> {
+        let axis = &self.covariates.axes[axis];
+        if axis.covariate == Covariate::Neighbour {
+            return self.neighbours().map(|z| axis.level_of(z.unwrap_or(f64::NAN))).collect();
+        }
+        self.outcomes.all.iter().map(|outcome| axis.of_beams[outcome.beam as usize]).collect()
+    }
+
+    /// Error of the reading of the beam before, beyond the model (standard deviations); `None` without one of the surface.
+    fn neighbours(&self) -> impl Iterator<Item = Option<f64>> {
+        let errors = self.outcomes.all.iter().zip(&self.tilts).map(|(outcome, tilt)| outcome.error(tilt));
+        let errors: Vec<Option<f64>> = errors.collect();
+        (0..errors.len()).map(move |i| {
+            let here = &self.outcomes.all[i];
+            let before = i.checked_sub(1).map(|before| &self.outcomes.all[before])?;
+            if before.scan == here.scan && before.beam + 1 == here.beam { errors[i - 1] } else { None }
+        })
+    }
+
+    /// A curve in units that people know: the mean over the readings of each level. A share is of the readings that weren't of
+    /// its kind before: the probability by which an effect makes them so.
+    fn finish(&self, draft: Draft) -> Component {
+        let Draft { moment, axis, large, tilts, errors, gains } = draft;
+        let mut sums = vec![[0.0; 5]; tilts.len()];
+        for (outcome, &level) in self.outcomes.all.iter().zip(&self.levels(axis)) {
+            let level = level as usize;
+            let [at, up, down] =
+                [0.0, 1.0, -1.0].map(|side| outcome.change(moment, tilts[level] + side * errors[level]));
+            if let (Some(at), Some(up), Some(down)) = (at, up, down) {
+                let both = |at: f64| match moment {
+                    MEAN => large[level] * outcome.sigma() + at,
+                    SPREAD => large[level].exp() * (1.0 + at) - 1.0,
+                    _ => at,
+                };
+                let more = [outcome.weight(moment), both(at), both(up), both(down), 1.0];
+                sums[level].iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+            }
+        }
+        let mean = |[count, at, up, down, readings]: [f64; 5]| {
+            (count > LEAST_SHARE * readings).then(|| [at / count, 0.5 * (up - down).abs() / count])
+        };
+        Component {
+            moment: MOMENTS[moment],
+            covariate: self.covariates.axes[axis].covariate,
+            axis,
+            curve: sums.into_iter().map(mean).collect(),
+            gains,
+        }
+    }
+
+    fn neighbour_correlation(&self) -> f64 {
+        let [mut xy, mut xx, mut yy] = [0.0; 3];
+        for ((outcome, tilt), before) in self.outcomes.all.iter().zip(&self.tilts).zip(self.neighbours()) {
+            if let (Some(x), Some(y)) = (before, outcome.error(tilt)) {
+                xy += x * y;
+                xx += x * x;
+                yy += y * y;
+            }
+        }
+        xy / (xx * yy).sqrt().max(1e-300)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_world::effect::{Effect, EffectKind};
+
+    use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{self, NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::{Comparison, Nuisances};
+    use crate::statistics::pit_draw;
+
+    /// A curve that was tried before a step of other moments is what it would be after it.
+    #[test]
+    fn a_curve_that_is_kept_is_what_a_new_look_gives() {
+        let effect = Effect::new(EffectKind::IncidenceNoise, vec![1.5], Vec::new()).unwrap();
+        let drive = record_library(&NOMINAL, &TRUTH, &[effect], Regime::default(), fixtures::SEED).unwrap();
+        let recorded = Recorded::new(&drive, 120, 36, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let covariates = Covariates::new(&comparison);
+        let outcomes = Outcomes::new(&comparison, &NOMINAL.effects, &fitted, &pit_draw(1), None);
+        let mut state = State::new(&outcomes, &covariates, recorded.folds);
+        let mut blocks = [0; 2];
+        while let Some(step) = state.best_step() {
+            let mut anew = State::new(&outcomes, &covariates, recorded.folds);
+            (anew.tilts, anew.spent) = (state.tilts.clone(), state.spent.clone());
+            let other = anew.best_step().unwrap();
+            assert_eq!((step.axis, step.moment, &step.curve), (other.axis, other.moment, &other.curve));
+            let gains = |state: &State<'_>| {
+                let mut all: Vec<_> =
+                    state.tried.iter().map(|t| (t.axis, t.moment, t.gains.clone())).collect();
+                all.sort_by_key(|(axis, moment, _)| (*axis, *moment));
+                all
+            };
+            assert_eq!(gains(&state), gains(&anew));
+            state.apply(&step);
+            blocks[block_of(step.moment)] += 1;
+            if blocks.iter().sum::<usize>() > 8 {
+                // As a step that gains nothing: another curve comes next, of the other moments at last.
+                (0..covariates.axes.len()).for_each(|axis| state.spent[axis][step.moment] = true);
+            }
+        }
+        assert!(blocks.iter().all(|count| *count > 0), "{blocks:?}");
+    }
+}
