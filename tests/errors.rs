@@ -245,8 +245,8 @@ fn options_of_the_command_line() {
     }
     refused(
         &folder,
-        "simulate room-run.yaml --out nowhere/drive.log",
-        "nowhere/drive.log: cannot be written: No such file or directory (os error 2)",
+        "simulate room-run.yaml --out room.yaml/drive.log",
+        "room.yaml/drive.log: cannot be written: File exists (os error 17)",
     );
 }
 

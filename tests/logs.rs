@@ -215,7 +215,7 @@ fn a_log_and_a_map_of_beesoft_are_converted_and_run() {
     }
 
     for (call, part) in [
-        ("convert hall.dat --out hall", "--out: hall.pgm is not allowed; it exists (--force replaces it)"),
+        ("convert hall.dat --out hall", "error: hall.pgm is not allowed; it exists (--force replaces it)"),
         ("convert hall.log --out hall.mcap", "hall.mcap is not allowed; it exists"),
         (
             "convert hall.dat --out other --max-range 20",

@@ -554,6 +554,10 @@ fn inspect_log(arguments: &Inspect) -> anyhow::Result<u8> {
     } else {
         say(inspection.to_terminal(columns()).trim_end())?;
     }
+    if let (Some(problem), None) = (&inspection.problem, &inspection.drive) {
+        complain(&format!("error: {}: {problem}", arguments.log.display()));
+        return Ok(BAD_INPUT);
+    }
     if let Some(picture) = picture {
         let drive = inspection.recording.as_ref().context("--picture: the log has no drive to draw")?;
         let figure = inspect::picture(drive, inspection.split.as_ref())?;

@@ -20,19 +20,19 @@ pub const TEMPORARY: [&str; 2] = [".locsim-", ".tmp"];
 #[derive(Debug, Error)]
 pub enum OutputError {
     /// The command reads it.
-    #[error("--out: {} is not allowed; this command reads it", path.display())]
+    #[error("{} is not allowed; this command reads it", path.display())]
     Input {
         /// The file.
         path: PathBuf,
     },
     /// It is there already.
-    #[error("--out: {} is not allowed; it exists (--force replaces it)", path.display())]
+    #[error("{} is not allowed; it exists (--force replaces it)", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
     },
     /// It is not a regular file, but for example a folder or a device.
-    #[error("--out: {} is not allowed; it is no file", path.display())]
+    #[error("{} is not allowed; it is no file", path.display())]
     NoFile {
         /// Its path.
         path: PathBuf,
@@ -124,7 +124,7 @@ pub struct Staged {
 }
 
 impl Staged {
-    /// Writes the file through `body`, beside `path`.
+    /// Writes the file through `body`, beside `path`, in folders that are made where they aren't there.
     ///
     /// # Errors
     /// Errors of the system and of `body`; no file is left then.
@@ -136,8 +136,7 @@ impl Staged {
         // As other programs create files: for all whom the user's mask allows.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        // A missing folder is the system's error, without the temporary file's name.
-        fs::metadata(folder)?;
+        fs::create_dir_all(folder)?;
         let mut file = BufWriter::new(builder.tempfile_in(folder).map_err(|error| without_name(&error))?);
         body(&mut file)?;
         let file = file.into_inner()?;
@@ -192,10 +191,13 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_is_not_there_is_told_as_the_system_tells_it() {
+    fn folders_are_made_and_one_that_cannot_be_is_told_as_the_system_tells_it() {
         let folder = tempfile::tempdir().unwrap();
-        let error = write_file(&folder.path().join("none/a"), |_| Ok(())).unwrap_err();
-        assert_eq!(error.to_string(), fs::read(folder.path().join("none/a")).unwrap_err().to_string());
+        let path = folder.path().join("none/a");
+        write_file(&path, |file| file.write_all(b"1")).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"1");
+        let error = write_file(&path.join("b"), |_| Ok(())).unwrap_err();
+        assert_eq!(error.to_string(), fs::create_dir_all(&path).unwrap_err().to_string());
     }
 
     #[cfg(unix)]
@@ -232,7 +234,7 @@ mod tests {
     #[test]
     fn of_files_that_belong_together_all_are_written_or_none() {
         let folder = tempfile::tempdir().unwrap();
-        let [image, text] = ["a.pgm", "none/a.yaml"].map(|name| folder.path().join(name));
+        let [image, text] = ["a.pgm", "a.pgm/a.yaml"].map(|name| folder.path().join(name));
         fs::write(&image, "old").unwrap();
         let output = |path| Output { path, force: true, inputs: &[] };
         let failed = Output::write_all(&[(output(&image), b"new"), (output(&text), b"new")]);

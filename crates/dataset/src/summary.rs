@@ -83,6 +83,8 @@ pub struct LogSummary {
     pub scan_source: String,
     /// Number of odometry messages: ODOM lines, or messages of the odometry's topic.
     pub odometry_messages: usize,
+    /// Median time between odometry messages (s), where they come apart from the scans.
+    pub odometry_interval_secs: Option<f64>,
     /// Number of reference poses: TRUEPOS lines, or messages of the reference's topic.
     pub reference_messages: usize,
     /// Median standard deviations of the reference poses (m, m, rad), where they come with covariances.

@@ -187,8 +187,11 @@ mod tests {
         assert!(matches!(write_tum(&path, &[bad]), Err(DatasetError::Unwritable { .. })));
         assert!(matches!(write_tum(&path, &[]), Err(DatasetError::Unwritable { .. })));
         assert_eq!(fs::read_to_string(&path).unwrap(), "old");
-        let missing = folder.path().join("no/such/folder.tum");
+        let below_a_file = path.join("t.tum");
         let good = StampedPose { stamp_secs: 0.0, pose: Pose2::IDENTITY };
-        assert!(matches!(write_tum(&missing, &[good]), Err(DatasetError::Write { .. })));
+        assert!(matches!(write_tum(&below_a_file, &[good]), Err(DatasetError::Write { .. })));
+        let made = folder.path().join("no/such/folder.tum");
+        write_tum(&made, &[good]).unwrap();
+        assert_eq!(read_tum(&made).unwrap(), [good]);
     }
 }

@@ -60,6 +60,7 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
         evidence: recognised.evidence,
         scan_source: log.keyword.to_owned(),
         odometry_messages: log.odometry_lines,
+        odometry_interval_secs: None,
         reference_messages: log.true_pose_lines,
         reference_deviation: None,
         reference_interval_secs: None,

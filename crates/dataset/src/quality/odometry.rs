@@ -1,6 +1,8 @@
 use locsim_core::{Drive, DriveStep, FASTEST, Pose2, median, wrap_angle};
 use serde::Serialize;
 
+use super::body::base_from_body;
+
 /// Odometry and reference are compared over windows of this length \[m\] or turn \[rad\]: in shorter ones the reference's own
 /// error of some centimetres hides the odometry's.
 const WINDOW: (f64, f64) = (1.0, 1.5);
@@ -75,6 +77,9 @@ pub struct ReferenceQuality {
     pub jump_m: f64,
     /// See `jump_m`.
     pub jump_rad: f64,
+    /// Pose on the robot's base of the body that the reference is of, `base_from_body`, where one explains most of what odometry and reference
+    /// differ by.
+    pub body: Option<Pose2>,
 }
 
 impl OdometryQuality {
@@ -108,14 +113,15 @@ impl OdometryQuality {
 }
 
 impl ReferenceQuality {
-    pub(super) fn of(drive: &Drive, has_odometry: bool) -> Option<Self> {
+    /// `is_comparable` where the odometry can be held against it.
+    pub(super) fn of(drive: &Drive, is_comparable: bool) -> Option<Self> {
         let known: Vec<(f64, Pose2)> =
             drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))).collect();
         let (first, last) = (drive.steps.first()?, drive.steps.last()?);
         let (begin, end) = (known.first()?, known.last()?);
         let inside = known.windows(2).map(|pair| pair[1].0 - pair[0].0);
         let gaps = if known.len() < drive.steps.len() { inside.fold(0.0, f64::max) } else { 0.0 };
-        let jumps = if has_odometry { reference_jumps(drive) } else { Vec::new() };
+        let jumps = if is_comparable { reference_jumps(drive) } else { Vec::new() };
         let median_of = |which: usize| {
             if jumps.is_empty() {
                 0.0
@@ -129,6 +135,7 @@ impl ReferenceQuality {
             jumps: jumps.len(),
             jump_m: median_of(0),
             jump_rad: median_of(1),
+            body: if is_comparable { base_from_body(&windows(drive)) } else { None },
         })
     }
 }
@@ -164,15 +171,15 @@ fn reference_jumps(drive: &Drive) -> Vec<[f64; 2]> {
 
 /// A part of the drive, as odometry and reference have it.
 #[derive(Default)]
-struct Window {
+pub(super) struct Window {
     /// Sums over the steps by odometry: distance \[m\] and turn \[rad\], and their squares.
     distance: f64,
     turn: f64,
     distance_squares: f64,
     turn_squares: f64,
     /// From its first step to its last.
-    odometry: Pose2,
-    reference: Pose2,
+    pub odometry: Pose2,
+    pub reference: Pose2,
 }
 
 fn windows(drive: &Drive) -> Vec<Window> {

@@ -95,6 +95,7 @@ fn summary() -> LogSummary {
         evidence: String::new(),
         scan_source: "/scan".to_owned(),
         odometry_messages: 600,
+        odometry_interval_secs: None,
         reference_messages: 600,
         reference_deviation: None,
         reference_interval_secs: None,
@@ -304,4 +305,39 @@ fn poor_drives_have_no_estimates() {
         let missing = LogSummary { odometry: OdometrySource::Missing, ..summary() };
         assert_eq!(DriveQuality::of(&poor, &missing).odometry, None);
     }
+}
+
+/// A reference of a body that is turned, or lies ahead, and one of the base.
+#[test]
+fn a_reference_of_another_body_is_told() {
+    let plain = drive(Recording { scale: 1.02, ..PLAIN });
+    let told = |recording: &Drive| DriveQuality::of(recording, &summary()).reference.unwrap().body;
+    assert_eq!(told(&plain), None);
+    for body in [Pose2::new(0.2, -0.05, 0.0), Pose2::new(0.0, 0.0, 0.05), Pose2::new(-0.3, 0.1, -1.6)] {
+        let mut other = plain.clone();
+        for step in &mut other.steps {
+            step.reference = step.reference.map(|pose| pose.compose(&body));
+        }
+        let found = told(&other).unwrap();
+        let apart = found.relative_to(&body);
+        assert!(apart.position().length() < 0.02 && apart.theta.abs() < 0.01, "{found:?} for {body:?}");
+    }
+    // Wheels of different size turn the heading, and no body does.
+    let mut imbalanced = plain.clone();
+    let steps = plain.steps.windows(2).map(|pair| pair[1].odometry.relative_to(&pair[0].odometry));
+    for (i, step) in steps.enumerate() {
+        let turned = Pose2 { theta: step.theta + 0.05 * step.position().length(), ..step };
+        imbalanced.steps[i + 1].odometry = imbalanced.steps[i].odometry.compose(&turned);
+    }
+    assert_eq!(told(&imbalanced), None);
+}
+
+/// Odometry that comes once a second is interpolated, which is no lag and no jump.
+#[test]
+fn rare_odometry_tells_no_lag() {
+    let late = drive(Recording { lag_secs: 0.2, ..PLAIN });
+    let rare = LogSummary { odometry_interval_secs: Some(1.0), ..summary() };
+    let [often, rarely] = [summary(), rare].map(|summary| DriveQuality::of(&late, &summary));
+    assert!(often.odometry.unwrap().lag_secs > 0.15 && often.clock.odometry_lag_secs.is_some());
+    assert_eq!((rarely.odometry.unwrap().lag_secs, rarely.clock.odometry_lag_secs), (0.0, None));
 }

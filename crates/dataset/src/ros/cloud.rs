@@ -22,45 +22,53 @@ struct Point {
     range: f32,
 }
 
+/// The points of a cloud.
+struct Cloud {
+    header: Header,
+    /// When it was recorded (ns).
+    logged: i64,
+    points: Vec<Point>,
+}
+
 /// The clouds of a log.
 #[derive(Default)]
 pub struct Clouds {
-    clouds: Vec<(Header, Vec<Point>)>,
+    clouds: Vec<Cloud>,
 }
 
 impl Clouds {
-    /// Takes in a cloud; returns how many points it has.
+    /// Takes in a cloud that was recorded at this time (ns); returns how many points it has.
     ///
     /// # Errors
     /// The cloud's description is wrong, or its points aren't in a plane.
-    pub fn push(&mut self, cloud: PointCloud2) -> Result<usize, String> {
+    pub fn push(&mut self, cloud: PointCloud2, logged: i64) -> Result<usize, String> {
         let points = points(&cloud)?;
         let count = points.len();
-        self.clouds.push((cloud.header, points));
+        self.clouds.push(Cloud { header: cloud.header, logged, points });
         Ok(count)
     }
 
-    /// The scans that the clouds stand for, in their order. A beam without a point is NaN: whether it had no return isn't
+    /// The scans that the clouds stand for, in their order, with their times of recording (ns). A beam without a point is NaN: whether it had no return isn't
     /// known. The maximum range is just above the longest reading.
     ///
     /// # Errors
     /// There are too few points to tell the beams.
-    pub fn into_scans(self) -> Result<impl Iterator<Item = LaserScan>, String> {
+    pub fn into_scans(self) -> Result<impl Iterator<Item = (LaserScan, i64)>, String> {
         let Some(beams) = Beams::of(&self.clouds) else {
             return Err(
                 "the clouds have too few points to tell the beams; allowed: two beams or more".to_owned()
             );
         };
-        let ranges = self.clouds.iter().flat_map(|(_, points)| points).map(|point| point.range);
+        let ranges = self.clouds.iter().flat_map(|cloud| &cloud.points).map(|point| point.range);
         let longest = ranges.fold(0.0, f32::max);
-        Ok(self.clouds.into_iter().map(move |(header, points)| {
+        Ok(self.clouds.into_iter().map(move |Cloud { header, logged, points }| {
             let mut ranges = vec![f32::NAN; beams.count];
             for Point { bearing, range } in points {
                 let reading = &mut ranges[beams.nearest(bearing)];
                 // The nearest of several returns; the least number where one isn't known.
                 *reading = reading.min(range);
             }
-            LaserScan {
+            let scan = LaserScan {
                 header,
                 angle_min: beams.first as f32,
                 angle_max: (beams.first + (beams.count - 1) as f64 * beams.step) as f32,
@@ -71,7 +79,8 @@ impl Clouds {
                 range_max: longest.next_up(),
                 ranges,
                 intensities: Vec::new(),
-            }
+            };
+            (scan, logged)
         }))
     }
 }
@@ -85,19 +94,19 @@ struct Beams {
 
 impl Beams {
     /// The beams that clouds have points on: as far apart as most points of the fullest cloud.
-    fn of(clouds: &[(Header, Vec<Point>)]) -> Option<Self> {
+    fn of(clouds: &[Cloud]) -> Option<Self> {
         let sorted = |points: &[Point]| {
             let mut bearings: Vec<f64> = points.iter().map(|point| point.bearing).collect();
             bearings.sort_by(f64::total_cmp);
             bearings
         };
-        let (_, fullest) = clouds.iter().max_by_key(|(_, points)| points.len())?;
-        let bearings = sorted(fullest);
+        let fullest = clouds.iter().max_by_key(|cloud| cloud.points.len())?;
+        let bearings = sorted(&fullest.points);
         let mut steps: Vec<f64> = bearings.windows(2).map(|pair| pair[1] - pair[0]).collect();
         steps.retain(|step| *step > SAME_BEAM_RAD);
         steps.sort_by(f64::total_cmp);
         let step = *steps.get(steps.len() / 2)?;
-        let all = clouds.iter().flat_map(|(_, points)| points).map(|point| point.bearing);
+        let all = clouds.iter().flat_map(|cloud| &cloud.points).map(|point| point.bearing);
         let (first, last) = all.fold((f64::MAX, f64::MIN), |(lo, hi), b| (b.min(lo), b.max(hi)));
         let span = last - first;
         // Where not even one beam is missing, the beams go around.

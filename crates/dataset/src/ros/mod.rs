@@ -8,8 +8,10 @@ mod contents;
 mod messages;
 mod poses;
 mod read;
+mod remarks;
 mod rewrite;
 mod scans;
+mod stamped;
 mod topics;
 mod write;
 
@@ -39,8 +41,8 @@ pub struct BagTopics {
     /// reference, or, where there is none, the transform from `base_link` or `base_footprint` to `odom`.
     pub odometry: Option<String>,
     /// Reference poses, `nav_msgs/msg/Odometry`, or `PoseStamped`, `PoseWithCovarianceStamped` or `TransformStamped` of
-    /// `geometry_msgs`. `None`: `/reference` or `/ground_truth`; where neither is there, what a localizer found: the
-    /// transform from the base to `map`, or `/amcl_pose`.
+    /// `geometry_msgs`. `None`: `/reference`, `/ground_truth`, `/base_pose_ground_truth` or `/ground_truth/state`; where none is
+    /// there, what a localizer found: the transform from the base to `map`, or `/amcl_pose`.
     pub reference: Option<String>,
 }
 

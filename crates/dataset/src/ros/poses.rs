@@ -3,138 +3,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DAffine3, DQuat, DVec3};
+use locsim_core::Pose2;
 use locsim_core::limits::quoted;
-use locsim_core::{FASTEST, Pose2};
 
 use super::bag::LONGEST_NAME;
 use super::messages::{Pose, TransformStamped, secs};
-
-/// A topic's messages may be logged out of order by this much (ns); further back, the clock was set.
-const OUT_OF_ORDER: i64 = 1_000_000_000;
+use super::stamped::{Stamped, Timing};
 
 /// Pairs of frames in the tree of transforms, at the most; robots have hundreds.
 const MOST_PAIRS: usize = 10_000;
-
-/// Poses farther apart than this (ns), and than this many usual intervals, have a hole between them: what the robot did in it isn't
-/// known, unless it stood still.
-const HOLE: i64 = 1_000_000_000;
-const HOLE_INTERVALS: i64 = 10;
-/// However seldom poses come, there is a hole between those that are farther apart than this (ns): a robot doesn't drive straight for so long.
-const LONGEST_STEP: i64 = 15_000_000_000;
-/// A robot that moved by no more than this (m, rad) stood still: where odometry is sent in motion alone, its first step is in the hole.
-const STILL: (f64, f64) = (0.1, 0.1);
-
-/// A step between poses is a leap beyond this (m) where no robot is so fast; so many poses may lie elsewhere before the next
-/// is where a robot can be.
-const LEAP_M: f64 = 0.5;
-const MOST_ASTRAY: usize = 10;
-
-/// Values with the times (ns) of their headers.
-pub struct Stamped<T> {
-    pub items: Vec<(i64, T)>,
-    latest: i64,
-    /// Number of messages that were logged after a later one.
-    pub late: usize,
-    /// The longest time between values that is no hole (ns).
-    longest_step: i64,
-}
-
-impl<T> Default for Stamped<T> {
-    fn default() -> Self {
-        Self { items: Vec::new(), latest: i64::MIN, late: 0, longest_step: i64::MAX }
-    }
-}
-
-impl<T> Stamped<T> {
-    pub fn push(&mut self, stamp: i64, value: T) -> Result<(), String> {
-        if stamp < self.latest.saturating_sub(OUT_OF_ORDER) {
-            let (found, latest) = (secs(stamp), secs(self.latest));
-            return Err(format!("stamp is {found} s after one of {latest} s; allowed: at most 1 s back"));
-        }
-        self.late += usize::from(stamp < self.latest);
-        self.latest = self.latest.max(stamp);
-        self.items.push((stamp, value));
-        Ok(())
-    }
-
-    pub fn sort(&mut self) {
-        self.items.sort_by_key(|(stamp, _)| *stamp);
-    }
-}
-
-impl Stamped<Pose2> {
-    fn has(&self, stamp: i64) -> bool {
-        self.items.binary_search_by_key(&stamp, |(time, _)| *time).is_ok()
-    }
-
-    /// The first and the last time (ns) of sorted poses.
-    fn span(&self) -> Option<[i64; 2]> {
-        Some([self.items.first()?.0, self.items.last()?.0])
-    }
-
-    /// Median time between poses (ns); those of one time count as one.
-    fn interval(&self) -> Option<i64> {
-        let mut intervals: Vec<i64> = self.items.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
-        if intervals.iter().any(|interval| *interval > 0) {
-            intervals.retain(|interval| *interval > 0);
-        }
-        intervals.sort_unstable();
-        intervals.get(intervals.len() / 2).copied()
-    }
-
-    /// Sorts the poses, leaves out those that lie where no robot can be between their neighbours, and finds out from when on there is a
-    /// hole between two. Returns how many are left out.
-    pub fn arrange(&mut self) -> usize {
-        self.sort();
-        let is_leap = |(from, a): &(i64, Pose2), (to, b): &(i64, Pose2)| {
-            let distance = a.position().distance(b.position());
-            distance > LEAP_M && distance > FASTEST.0 * secs(to - from)
-        };
-        let all = std::mem::take(&mut self.items);
-        let count = all.len();
-        let mut i = 0;
-        while i < count {
-            let astray = match self.items.last() {
-                Some(last) if is_leap(last, &all[i]) => {
-                    // Back soon: what lies between is astray. Else the poses go on elsewhere: a jump.
-                    (1..=MOST_ASTRAY).find(|more| {
-                        let back = all.get(i + more);
-                        back.is_some_and(|back| is_leap(&all[i + more - 1], back) && !is_leap(last, back))
-                    })
-                }
-                _ => None,
-            };
-            i += astray.unwrap_or(0);
-            self.items.push(all[i]);
-            i += 1;
-        }
-        self.find_holes();
-        count - self.items.len()
-    }
-
-    fn find_holes(&mut self) {
-        let usual = self.interval().map_or(HOLE, |usual| usual.saturating_mul(HOLE_INTERVALS));
-        self.longest_step = usual.clamp(HOLE, LONGEST_STEP);
-    }
-
-    /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span, and in a hole unless those are
-    /// `bridged`.
-    fn at(&self, stamp: i64, nth: usize, bridged: bool) -> Option<Pose2> {
-        let from = self.items.partition_point(|(time, _)| *time < stamp);
-        let same = self.items[from..].partition_point(|(time, _)| *time == stamp);
-        if same > 0 {
-            return Some(self.items[from + nth.min(same - 1)].1);
-        }
-        let ((before, a), (after, b)) = (self.items[..from].last()?, self.items.get(from)?);
-        let step = b.relative_to(a);
-        let is_still = step.position().length() < STILL.0 && step.theta.abs() < STILL.1;
-        if !bridged && after - before > self.longest_step && !is_still {
-            return None;
-        }
-        let share = (stamp - before) as f64 / (after - before) as f64;
-        Some(a.interpolate(b, share))
-    }
-}
 
 /// Poses over time.
 pub enum Poses<'a> {
@@ -157,7 +34,7 @@ impl<'a> Poses<'a> {
             Some((*stamp, pose.compose(&Pose2::IDENTITY.relative_to(&odometry))))
         };
         let items = poses.items.iter().filter_map(correction).collect();
-        Self::Corrected { corrections: Stamped { items, ..Stamped::default() }, odometry }
+        Self::Corrected { corrections: Stamped::of(items), odometry }
     }
 
     /// The pose at a time (ns), or the `nth` of several at that very time; `None` outside the span.
@@ -205,6 +82,18 @@ impl<'a> Poses<'a> {
             }),
             Self::Corrected { corrections, .. } => corrections.has(stamp),
             Self::Unknown => false,
+        }
+    }
+
+    /// What the stamps of the motion are worth.
+    pub fn timing(&self) -> Option<&Timing> {
+        match self {
+            Self::Topic(poses) => Some(&poses.timing),
+            Self::Transforms(edges) => edges.iter().find_map(|edge| match edge {
+                Edge::Fixed(_) => None,
+                Edge::Moving { poses, .. } => Some(&poses.timing),
+            }),
+            Self::Corrected { .. } | Self::Unknown => None,
         }
     }
 
@@ -289,8 +178,8 @@ impl Transforms {
         Ok(())
     }
 
-    /// Takes in a transform of one time; one between the same frames that doesn't change comes first.
-    pub fn push(&mut self, stamped: &TransformStamped) -> Result<(), String> {
+    /// Takes in a transform of one time, recorded at another (ns); one between the same frames that doesn't change comes first.
+    pub fn push(&mut self, stamped: &TransformStamped, logged: i64) -> Result<(), String> {
         let pose = stamped.transform.projected()?;
         let key = frames(stamped)?;
         if !self.edges.contains_key(&key) {
@@ -302,7 +191,7 @@ impl Transforms {
             Edge::Fixed(_) => Ok(()),
             Edge::Moving { poses, first, constant } => {
                 *constant &= first.abs_diff_eq(transform, SAME_TRANSFORM);
-                poses.push(stamped.header.stamp.nanos(), pose)
+                poses.push(stamped.header.stamp.nanos(), logged, pose)
             }
         }
     }
@@ -315,13 +204,18 @@ impl Transforms {
     }
 
     /// Sorts all of them. None is left out: a small turn of the map's frame moves the odometry's, which is far away, by a lot.
-    pub fn arrange(&mut self) {
-        for edge in self.edges.values_mut() {
+    ///
+    /// # Errors
+    /// Many stamps of one of them are far off those before and after.
+    pub fn arrange(&mut self) -> Result<(), String> {
+        for ((child, parent), edge) in &mut self.edges {
             if let Edge::Moving { poses, .. } = edge {
-                poses.sort();
+                let of = |reason| format!("{}:{}: {reason}", quoted(parent), quoted(child));
+                poses.sort().map_err(of)?;
                 poses.find_holes();
             }
         }
+        Ok(())
     }
 
     /// The transforms that lead from one frame up to another, the lower frame's first.

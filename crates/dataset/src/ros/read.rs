@@ -2,18 +2,20 @@ use std::path::Path;
 
 use glam::DAffine3;
 use locsim_core::limits::{COORDINATE, Limits, READINGS_PER_SCAN, quoted};
-use locsim_core::{Drive, DriveStep, LaserError, Pose2, Scan};
+use locsim_core::{Drive, DriveStep, LaserError, Pose2, Scan, median};
 
 use super::BagOptions;
-use super::bag::{Bag, Channel, counted_messages};
+use super::bag::{Bag, Channel};
 use super::cloud::Clouds;
 use super::messages::{
     MULTI_ECHO_LASER_SCAN, Message, MultiEchoLaserScan, Odometry, POINT_CLOUD_2,
     POSE_WITH_COVARIANCE_STAMPED, Pose, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped,
     TRANSFORM_STAMPED, TfMessage, TransformStamped, decode, secs,
 };
-use super::poses::{Poses, Stamped, Transforms, affine, plain, planar};
+use super::poses::{Poses, Transforms, affine, plain, planar};
+use super::remarks::{Times, missing_messages};
 use super::scans::{Convention, Scans};
+use super::stamped::{Stamped, Timing};
 use super::topics::{Chosen, MAP, ODOM, PoseSource, Topics};
 use crate::laser::checked;
 use crate::{DatasetError, LogKind, LogSummary, MountSource, OdometrySource};
@@ -25,17 +27,14 @@ const UPRIGHT: f64 = 0.985;
 const FEW: usize = 3;
 const FEW_SHARE: usize = 50;
 
-/// A reference that a localizer gives more seldom than this (s) follows the odometry for most of the time.
-const SELDOM_SECS: f64 = 3.0;
-
 /// Pairs of frames that an error lists, at the most.
 const LISTED_PAIRS: usize = 20;
 
-/// The frames of a robot's base (REP-105, REP-120), after the odometry's own name for it.
 /// Frames that don't drift.
 const FIXED_FRAMES: [&str; 2] = ["map", "world"];
 /// Frames nearer to each other than this (m), as seen from above, are one.
 const SAME_PLACE_M: f64 = 0.005;
+/// The frames of a robot's base (REP-105, REP-120), after the odometry's own name for it.
 const BASE_FRAMES: [&str; 2] = ["base_link", "base_footprint"];
 
 pub fn read(path: &Path, options: &BagOptions, limits: &Limits) -> Result<(Drive, LogSummary), DatasetError> {
@@ -52,6 +51,8 @@ pub struct Layout {
     pub convention: Convention,
     /// Number of scans whose beams aren't those of the first.
     pub resampled_scans: usize,
+    /// Whether times of recording take the place of stamps.
+    pub is_of_recording: bool,
 }
 
 /// The transform from a laser to its parent.
@@ -83,13 +84,13 @@ pub fn read_with_layout(
     }
     let laser = checked(path, laser)?;
 
-    let (max, min) = (laser.max_range(), laser.min_range());
+    let max = laser.max_range();
     let zero_is_no_return = scans.zero_is_no_return(max);
-    let convention = Convention { min, max, zero_is_no_return };
+    let convention = Convention { min: laser.min_range(), max, zero_is_no_return };
     let laser_frame = scans.frame().to_owned();
     let laser_edge = motion.transforms.laser_edge(scans.frame(), &base);
     let (empty, resampled_scans) = (scans.empty, scans.resampled_scans);
-    let scan_remarks = scans.remarks();
+    let (scan_remarks, timing) = (scans.remarks(), scans.stamped.timing);
     let found = Steps::of(scans.stamped, convention, &odometry.poses, reference.poses.as_ref());
     if found.steps.is_empty() {
         return Err(DatasetError::NoOdometry {
@@ -118,29 +119,25 @@ pub fn read_with_layout(
         evidence += "; readings of 0 are taken for no return, as no other reading is without return";
     }
     let mut remarks = motion.remarks(&chosen, &laser_frame);
-    let (counted, there) = (counted_messages(path), topics.messages());
-    if let Some(counted) = counted.filter(|counted| *counted > there) {
-        remarks.push(format!(
-            "metadata.yaml counts {counted} messages, and the files hold {there}: a part of the recording is missing, such as a -wal file."
-        ));
-    }
+    remarks.extend(missing_messages(path, topics.messages()));
     remarks.extend(scan_remarks);
-    let interval = reference.poses.as_ref().and_then(Poses::interval_secs);
-    if let Some(interval) = interval.filter(|secs| *secs > SELDOM_SECS)
-        && matches!(reference.poses, Some(Poses::Corrected { .. }))
-    {
-        remarks.push(format!(
-            "Reference poses come every {interval:.1} s. Between them they follow the odometry, whose error can't be told from them."
-        ));
-    }
     remarks.extend(found.remark());
-    let reference_span = reference.poses.as_ref().and_then(Poses::span);
-    remarks.extend(reference_span.and_then(|span| other_clock(span.map(secs), found.span_secs)));
+    let times = Times {
+        scans: timing,
+        span_secs: found.span_secs,
+        interval_secs: found.interval_secs(),
+        odometry: &odometry.poses,
+        reference: reference.poses.as_ref(),
+        reference_timing: motion.reference_timing(&reference),
+    };
+    remarks.extend(times.remarks());
+    let is_of_recording = times.are_of_recording();
     let summary = LogSummary {
         kind: reference.kind,
         odometry: odometry.source,
         evidence,
         odometry_messages: odometry.messages,
+        odometry_interval_secs: odometry.poses.interval_secs(),
         reference_messages: reference.messages,
         reference_deviation: motion.deviation(),
         reference_interval_secs: reference.poses.as_ref().and_then(Poses::interval_secs),
@@ -165,7 +162,7 @@ pub fn read_with_layout(
     Ok((
         Drive { laser, steps: found.steps },
         summary,
-        Layout { chosen, odom, laser: laser_edge, convention, resampled_scans },
+        Layout { chosen, odom, laser: laser_edge, convention, resampled_scans, is_of_recording },
     ))
 }
 
@@ -230,6 +227,12 @@ impl Steps {
             found.steps.push(DriveStep { stamp_secs: secs(stamp), odometry, reference: pose, scan });
         }
         found
+    }
+
+    /// Median time between scans (s).
+    fn interval_secs(&self) -> f64 {
+        let stamps = self.steps.windows(2).map(|pair| pair[1].stamp_secs - pair[0].stamp_secs);
+        median(&mut stamps.collect::<Vec<_>>())
     }
 
     /// A sentence on scans without odometry. Topics begin and end at different times: some scans are outside of every odometry.
@@ -297,70 +300,90 @@ fn messages(
     let (mut scans, mut motion) = (Scans::default(), Motion::default());
     let (mut clouds, mut points) = (Clouds::default(), 0);
     let mut transforms_read = 0;
-    bag.read(&chosen.channels(), |channel, data| {
-        if *channel == chosen.scan {
-            match channel.schema.as_str() {
-                MULTI_ECHO_LASER_SCAN => {
-                    scans.push(decode::<MultiEchoLaserScan>(data)?.into(), limits)?;
+    let wanted = chosen.channels();
+    bag.visit(
+        |channel| wanted.contains(&channel),
+        |channel, envelope, data| {
+            let logged = envelope.logged;
+            if *channel == chosen.scan {
+                match channel.schema.as_str() {
+                    MULTI_ECHO_LASER_SCAN => {
+                        scans.push(decode::<MultiEchoLaserScan>(data)?.into(), logged, limits)?;
+                    }
+                    POINT_CLOUD_2 => {
+                        points += clouds.push(decode(data)?, logged)? as u64 + READINGS_PER_SCAN;
+                        // A point takes four times what a reading takes.
+                        if points > limits.log_readings / 4 {
+                            return Err(Limits::refusal_above("log_readings", limits.log_readings));
+                        }
+                    }
+                    _ => scans.push(decode(data)?, logged, limits)?,
                 }
-                POINT_CLOUD_2 => {
-                    points += clouds.push(decode(data)?)? as u64 + READINGS_PER_SCAN;
-                    // A point takes four times what a reading takes.
-                    if points > limits.log_readings / 4 {
-                        return Err(Limits::refusal_above("log_readings", limits.log_readings));
+            }
+            if is_of(channel, chosen.odometry.as_ref()) {
+                let odometry: Odometry = decode(data)?;
+                if motion.odometry.items.is_empty() {
+                    motion.base_frame = odometry.child_frame_id;
+                    motion.odometry_frame = odometry.header.frame_id;
+                }
+                match odometry.pose.pose.projected() {
+                    Ok(pose) => motion.odometry.push(odometry.header.stamp.nanos(), logged, pose)?,
+                    Err(reason) => motion.unusable[0].add(reason),
+                }
+            }
+            if is_of(channel, chosen.reference.as_ref()) || Some(channel) == chosen.localizer.as_ref() {
+                let (stamp, pose) = motion.reference_pose(channel, data)?;
+                match pose.projected() {
+                    Ok(planar) => {
+                        motion.tilted += usize::from(affine(&pose).matrix3.z_axis.z < UPRIGHT);
+                        motion.reference.push(stamp, logged, planar)?;
+                    }
+                    Err(reason) => motion.unusable[1].add(reason),
+                }
+            }
+            let fixed = Some(channel) == chosen.fixed_transforms.as_ref();
+            if fixed || Some(channel) == chosen.transforms.as_ref() {
+                let TfMessage { transforms } = decode(data)?;
+                transforms_read += transforms.len() as u64;
+                if transforms_read > limits.log_messages {
+                    return Err(Limits::refusal_above("log_messages", limits.log_messages));
+                }
+                for transform in &transforms {
+                    if fixed {
+                        motion.transforms.fix(transform)?;
+                    // Joints whose state isn't known have numbers that aren't finite; tf2 ignores them, too.
+                    } else if transform.transform.projected().is_ok() {
+                        motion.transforms.push(transform, logged)?;
                     }
                 }
-                _ => scans.push(decode(data)?, limits)?,
             }
-        }
-        if is_of(channel, chosen.odometry.as_ref()) {
-            let odometry: Odometry = decode(data)?;
-            if motion.odometry.items.is_empty() {
-                motion.base_frame = odometry.child_frame_id;
-                motion.odometry_frame = odometry.header.frame_id;
-            }
-            match odometry.pose.pose.projected() {
-                Ok(pose) => motion.odometry.push(odometry.header.stamp.nanos(), pose)?,
-                Err(reason) => motion.unusable[0].add(reason),
-            }
-        }
-        if is_of(channel, chosen.reference.as_ref()) || Some(channel) == chosen.localizer.as_ref() {
-            let (stamp, pose) = motion.reference_pose(channel, data)?;
-            match pose.projected() {
-                Ok(planar) => {
-                    motion.tilted += usize::from(affine(&pose).matrix3.z_axis.z < UPRIGHT);
-                    motion.reference.push(stamp, planar)?;
-                }
-                Err(reason) => motion.unusable[1].add(reason),
-            }
-        }
-        let fixed = Some(channel) == chosen.fixed_transforms.as_ref();
-        if fixed || Some(channel) == chosen.transforms.as_ref() {
-            let TfMessage { transforms } = decode(data)?;
-            transforms_read += transforms.len() as u64;
-            if transforms_read > limits.log_messages {
-                return Err(Limits::refusal_above("log_messages", limits.log_messages));
-            }
-            for transform in &transforms {
-                if fixed {
-                    motion.transforms.fix(transform)?;
-                // Joints whose state isn't known have numbers that aren't finite; tf2 ignores them, too.
-                } else if transform.transform.projected().is_ok() {
-                    motion.transforms.push(transform)?;
-                }
-            }
-        }
-        Ok(())
-    })?;
+            Ok(())
+        },
+    )?;
     if chosen.scan.schema == POINT_CLOUD_2 {
-        let pushed = clouds
-            .into_scans()
-            .and_then(|mut cloud_scans| cloud_scans.try_for_each(|scan| scans.push(scan, limits)));
+        let pushed = clouds.into_scans().and_then(|mut cloud_scans| {
+            cloud_scans.try_for_each(|(scan, logged)| scans.push(scan, logged, limits))
+        });
         pushed.map_err(|reason| of_first_scan(path, chosen, reason))?;
     }
-    scans.stamped.sort();
-    motion.astray = [motion.odometry.arrange(), motion.reference.arrange()];
-    motion.transforms.arrange();
+    let refused = |topic: &str, reason: String| DatasetError::Refused {
+        path: path.to_owned(),
+        line: None,
+        reason: format!("{}: {reason}", quoted(topic)),
+    };
+    let topic_of = |source: &Option<PoseSource>| match source {
+        Some(PoseSource::Topic(channel)) => channel.topic.clone(),
+        _ => String::new(),
+    };
+    scans.stamped.sort().map_err(|reason| refused(&chosen.scan.topic, reason))?;
+    let arrange = |poses: &mut Stamped<Pose2>, source| {
+        poses.arrange().map_err(|reason| refused(&topic_of(source), reason))
+    };
+    motion.astray = [
+        arrange(&mut motion.odometry, &chosen.odometry)?,
+        arrange(&mut motion.reference, &chosen.reference)?,
+    ];
+    motion.transforms.arrange().map_err(|reason| refused("transforms", reason))?;
     for (unusable, poses, source) in [
         (&motion.unusable[0], &motion.odometry, &chosen.odometry),
         (&motion.unusable[1], &motion.reference, &chosen.reference),
@@ -389,15 +412,6 @@ fn why_no_ranges(scans: &Scans, options: &BagOptions) -> String {
     format!(
         "range_max is {max}; allowed: a finite number above range_min, or `--max-range` (`log.max_range_m`); range_min is {min}"
     )
-}
-
-/// What is said of a reference whose poses are all of another time than the scans (s).
-fn other_clock([first, last]: [f64; 2], [from, to]: [f64; 2]) -> Option<String> {
-    (last < from || first > to).then(|| {
-        format!(
-            "The reference poses are of {first:.1} s to {last:.1} s, the scans of {from:.1} s to {to:.1} s: stamps of one clock are needed."
-        )
-    })
 }
 
 /// How the robot moved, and where its frames are.
@@ -493,6 +507,14 @@ impl Motion {
                 quoted(within)
             ));
         }
+        if let Some(PoseSource::Topic(channel)) = &chosen.odometry
+            && FIXED_FRAMES.contains(&odometry)
+        {
+            remarks.push(format!(
+                "The odometry, {}, is in the frame `{odometry}`, which doesn't drift: it may be the true pose, which `--reference-topic` names.",
+                quoted(&channel.topic)
+            ));
+        }
         if 2 * self.tilted > self.reference.items.len() {
             remarks.push(
                 "Most poses of the reference are tilted by more than 10 degrees: its z axis doesn't point up, and its heading isn't the robot's."
@@ -546,6 +568,13 @@ impl Motion {
             self.reference_frames = [child, header.frame_id];
         }
         Ok((stamp, pose))
+    }
+
+    /// What the stamps of the reference are worth.
+    fn reference_timing<'a>(&'a self, found: &'a FoundReference<'_>) -> Option<&'a Timing> {
+        let poses = found.poses.as_ref()?;
+        // A localizer's poses are stamped as the scans that it took.
+        if self.reference.items.is_empty() { poses.timing() } else { Some(&self.reference.timing) }
     }
 
     /// Median standard deviations of the reference (m, m, rad); `None` where it comes without covariances.

@@ -92,6 +92,11 @@ impl BagCopy {
                 "some scans have other beams than the first; allowed: scans of one number of beams, or a CARMEN log to write",
             );
         }
+        if self.layout.is_of_recording {
+            return refuse(
+                "stamps are whole seconds that several messages share; allowed: stamps that tell the messages apart, or a CARMEN log to write",
+            );
+        }
         if edit.mount().is_some() && self.layout.laser.is_none() {
             return refuse(
                 "no transform tells where the laser is mounted; allowed: one, as its mount is to change",

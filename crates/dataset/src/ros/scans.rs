@@ -5,7 +5,8 @@ use locsim_core::{Laser, LaserError, Pose2, resampled, wrap_angle};
 
 use super::BagOptions;
 use super::messages::{LaserScan, secs};
-use super::poses::{Stamped, plain};
+use super::poses::plain;
+use super::stamped::Stamped;
 
 /// The angle from the first beam of a scan to the last, at the most (rad): a turn, with the rounding of some drivers.
 const WIDEST_SCAN: f64 = 1.05 * std::f64::consts::TAU;
@@ -71,8 +72,8 @@ pub struct Scans {
 }
 
 impl Scans {
-    /// Takes in a scan of the same laser as the first.
-    pub fn push(&mut self, mut scan: LaserScan, limits: &Limits) -> Result<(), String> {
+    /// Takes in a scan of the same laser as the first, recorded at this time (ns).
+    pub fn push(&mut self, mut scan: LaserScan, logged: i64, limits: &Limits) -> Result<(), String> {
         let mut ranges = std::mem::take(&mut scan.ranges);
         ranges.shrink_to_fit();
         scan.intensities = Vec::new();
@@ -117,7 +118,7 @@ impl Scans {
             return Err(format!("time_increment is {found}; allowed: a finite number up to {COORDINATE:e}"));
         }
         self.time_increments_secs += f64::from(scan.time_increment);
-        self.stamped.push(scan.header.stamp.nanos(), ranges)?;
+        self.stamped.push(scan.header.stamp.nanos(), logged, ranges)?;
         self.first.get_or_insert(scan);
         Ok(())
     }

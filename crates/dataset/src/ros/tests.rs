@@ -41,12 +41,21 @@ impl Message for PoseStamped {
 pub struct Bag {
     /// Topic, type, encoding, content.
     messages: Vec<(String, String, String, Vec<u8>)>,
+    /// When the first messages were recorded (ns); the others at 0.
+    logged: Vec<u64>,
 }
 
 impl Bag {
     fn add<M: Message>(mut self, topic: &str, message: &M) -> Self {
         self.messages.push((topic.into(), M::TYPE.into(), "cdr".into(), encode(message).unwrap()));
         self
+    }
+
+    /// Adds a message that was recorded at this time.
+    fn add_at<M: Message>(mut self, secs: f64, topic: &str, message: &M) -> Self {
+        self.logged.resize(self.messages.len(), 0);
+        self.logged.push((secs * 1e9).round() as u64);
+        self.add(topic, message)
     }
 
     fn raw(mut self, topic: &str, schema: &str, encoding: &str, data: &[u8]) -> Self {
@@ -62,10 +71,11 @@ impl Bag {
     fn bytes(&self) -> Vec<u8> {
         let options = WriteOptions::new().compression(None).profile("ros2");
         let mut writer: Writer<_> = options.create(Cursor::new(Vec::new())).unwrap();
-        for (topic, schema, encoding, data) in &self.messages {
+        let logged = self.logged.iter().copied().chain(std::iter::repeat(0));
+        for ((topic, schema, encoding, data), log_time) in self.messages.iter().zip(logged) {
             let schema = writer.add_schema(schema, "ros2msg", b"").unwrap();
             let channel_id = writer.add_channel(schema, topic, encoding, &BTreeMap::new()).unwrap();
-            let header = MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
+            let header = MessageHeader { channel_id, sequence: 0, log_time, publish_time: log_time };
             writer.write_to_known_channel(&header, data).unwrap();
         }
         writer.finish().unwrap();

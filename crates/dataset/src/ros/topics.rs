@@ -81,7 +81,7 @@ const ODOMETRY: Role =
     Role { name: "odometry", defaults: &["/odom", "/odometry/filtered"], types: &[Odometry::TYPE] };
 const REFERENCE: Role = Role {
     name: "reference",
-    defaults: &["/reference", "/ground_truth"],
+    defaults: &["/reference", "/ground_truth", "/base_pose_ground_truth", "/ground_truth/state"],
     types: &[Odometry::TYPE, POSE_STAMPED, POSE_WITH_COVARIANCE_STAMPED, TRANSFORM_STAMPED],
 };
 const LOCALIZER: Role =

@@ -336,7 +336,8 @@ pub fn frozen_odometry([secs, metres]: [f64; 2]) -> String {
     )
 }
 
-/// Sentences on what makes maps and simulations of a recording wrong: no returns that look like returns, and stamps.
+/// Sentences on what makes maps and simulations of a recording wrong: no returns that look like returns, a reference of another frame, and
+/// stamps.
 pub fn doubts(quality: &DriveQuality) -> Vec<String> {
     let no_returns = quality.readings.repeated.filter(|[_, share]| *share >= NOTABLE.repeated).map(|[at, share]| {
         format!(
@@ -345,7 +346,16 @@ pub fn doubts(quality: &DriveQuality) -> Vec<String> {
             100.0 * share
         )
     });
-    no_returns.into_iter().chain(lags(quality)).collect()
+    let body = quality.reference.as_ref().and_then(|reference| reference.body).map(|body| {
+        format!(
+            "The reference moves as a body at ({:.2}, {:.2}) m on the odometry's, turned by {:.1} deg: it is the pose of another frame, and is \
+             taken for the robot's. Ranges are off by as much.",
+            body.x,
+            body.y,
+            body.theta.to_degrees()
+        )
+    });
+    no_returns.into_iter().chain(body).chain(lags(quality)).collect()
 }
 
 /// Sentences on an odometry, and on a reference, that are late or early: against the scans or, of the odometry, against the reference
@@ -422,8 +432,9 @@ fn warnings(facts: &DriveFacts, split: Option<&Split>) -> Vec<String> {
                 error.position_per_m == 0.0,
                 "Odometry and reference are the same poses: a filter has nothing to correct.".to_owned(),
             );
+            let body = reference.as_ref().and_then(|reference| reference.body);
             warn(
-                error.position_per_m > NOTABLE.position_per_m,
+                error.position_per_m > NOTABLE.position_per_m && body.is_none(),
                 format!("The odometry is off by {:.0} cm per metre driven.", 100.0 * error.position_per_m),
             );
         }

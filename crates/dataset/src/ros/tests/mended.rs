@@ -229,7 +229,7 @@ fn referenced(poses: &[f64], of: &str, within: &str) -> (Drive, LogSummary) {
 
 #[test]
 fn references_of_other_frames_and_clocks_are_told() {
-    let all: Vec<f64> = (0..=60).map(f64::from).collect();
+    let all: Vec<f64> = (0..=300).map(|i| f64::from(i) / 5.0).collect();
     let (drive, summary) = referenced(&all, "base_footprint", "map");
     assert!(summary.remarks.is_empty() && drive.steps[40].reference.is_some(), "{:?}", summary.remarks);
     let (_, summary) = referenced(&all, "laser", "map");
@@ -282,4 +282,116 @@ fn a_frame_that_is_its_own_parent_is_passed_over() {
     assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.5, 0.0, 0.0)) && summary.remarks.is_empty());
     let two = itself.add("/tf_static", &transform("chassis", "laser", [0.1, 0.0, 0.0], level));
     remark(&two.read(&BagOptions::default()).unwrap().1, "a frame has two parents (base_footprint:laser)");
+}
+
+/// A drive of 5 s whose messages are recorded 20 ms after their stamps, which are changed by `scan` and `odom`.
+fn recorded(scan: impl Fn(f64) -> f64, odom: impl Fn(f64) -> f64) -> Bag {
+    let mut bag = Bag::default();
+    for tick in 0..=50_u32 {
+        let now = 100.0 + f64::from(tick) / 10.0;
+        bag = bag.add_at(now + 0.02, "/odom", &odometry(odom(now), &Pose2::new(now - 100.0, 0.0, 0.0)));
+        if tick % 2 == 0 {
+            bag = bag.add_at(now + 0.05, "/scan", &wide_scan(scan(now + 0.03), 20));
+        }
+    }
+    bag
+}
+
+fn same(now: f64) -> f64 {
+    now
+}
+
+/// One, or three in a row, of another time: of the future, or of the past. More than a few are a clock that was set.
+#[test]
+fn stamps_that_are_far_off_are_left_out() {
+    let whole = recorded(same, same).read(&BagOptions::default()).unwrap();
+    assert_eq!(whole.1.remarks, Vec::<String>::new());
+    for off in [1e5, 30.0, -30.0] {
+        let one = |now: f64| if (101.9..102.1).contains(&now) { now + off } else { now };
+        let (drive, summary) = recorded(one, same).read(&BagOptions::default()).unwrap();
+        remark(
+            &summary,
+            "Messages of the scans whose stamps are seconds off those before and after are left out: 1.",
+        );
+        assert_eq!(drive.steps.len() + 1, whole.0.steps.len());
+        let three = |now: f64| if (101.95..102.25).contains(&now) { now + off } else { now };
+        let (drive, summary) = recorded(same, three).read(&BagOptions::default()).unwrap();
+        remark(
+            &summary,
+            "Messages of the odometry whose stamps are seconds off those before and after are left out: 3.",
+        );
+        // Even motion: interpolated as it is.
+        assert!(drive.steps.iter().all(|step| (step.odometry.x - (step.stamp_secs - 100.0)).abs() < 1e-6));
+    }
+    let last = |now: f64| if now > 104.95 { now - 30.0 } else { now };
+    let (_, summary) = recorded(same, last).read(&BagOptions::default()).unwrap();
+    remark(
+        &summary,
+        "Messages of the odometry whose stamps are seconds off those before and after are left out: 1.",
+    );
+    let set_back = recorded(same, |now| if now > 103.0 { now - 2.5 } else { now }).message();
+    assert!(set_back.contains("/odom: message 35: the clock was set: a stamp is 100.6"), "{set_back}");
+    // Every fourth is of another clock.
+    let often = |now: f64| if ((10.0 * now).round() as u32).is_multiple_of(8) { now - 30.0 } else { now };
+    let message = recorded(same, often).message();
+    assert!(message.contains("/odom: 6 messages have stamps that are seconds off"), "{message}");
+}
+
+/// Drivers that give whole seconds, or none at all.
+#[test]
+fn stamps_of_whole_seconds_give_way_to_the_times_of_recording() {
+    let (expected, _) = recorded(|now| now + 0.02, |now| now + 0.02).read(&BagOptions::default()).unwrap();
+    for stamp in [f64::floor, |_| 0.0] {
+        let (drive, summary) = recorded(stamp, stamp).read(&BagOptions::default()).unwrap();
+        for name in ["scans", "odometry"] {
+            remark(&summary, &format!("Stamps of the {name} are whole seconds that several messages share"));
+        }
+        assert_eq!(summary.remarks.len(), 2, "{:?}", summary.remarks);
+        let both = || drive.steps.iter().zip(&expected.steps);
+        assert_eq!(drive.steps.len(), expected.steps.len());
+        assert!(
+            both().all(|(a, b)| (a.stamp_secs - b.stamp_secs).abs() < 1e-6 && near(&a.odometry, &b.odometry))
+        );
+    }
+    // Recorded at whole seconds, too: nothing is known better.
+    let mut bag = recorded(f64::floor, f64::floor);
+    bag.logged.iter_mut().for_each(|logged| *logged = *logged / 1_000_000_000 * 1_000_000_000);
+    let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+    assert_eq!((summary.remarks, drive.steps[3].stamp_secs), (Vec::new(), 100.0));
+}
+
+#[test]
+fn clocks_that_differ_are_told() {
+    let (_, summary) = recorded(|now| now - 2.0, same).read(&BagOptions::default()).unwrap();
+    remark(
+        &summary,
+        "The scans are recorded 2.0 s after their stamps, the odometry 0.0 s: their stamps are of different clocks.",
+    );
+}
+
+#[test]
+fn rare_odometry_is_told() {
+    let mut bag = Bag::default();
+    for tick in 0..=50_u32 {
+        let now = f64::from(tick) / 10.0;
+        if tick % 10 == 0 {
+            bag = bag.add("/odom", &odometry(now, &Pose2::new(now, 0.0, 0.0)));
+        }
+        bag = bag.add("/scan", &wide_scan(now, 20));
+    }
+    let (_, summary) = bag.read(&BagOptions::default()).unwrap();
+    assert_eq!(summary.odometry_interval_secs, Some(1.0));
+    remark(&summary, "The odometry comes every 1.00 s, scans every 0.10 s: between its poses");
+}
+
+#[test]
+fn odometry_in_a_frame_that_does_not_drift_is_told() {
+    let mut bag = Bag::default();
+    for secs in [1.0, 2.0] {
+        let mut truth = odometry(secs, &Pose2::new(secs, 0.0, 0.0));
+        truth.header.frame_id = "world".into();
+        bag = bag.add("/p3d", &truth);
+    }
+    let (_, summary) = bag.add("/scan", &wide_scan(1.5, 20)).read(&BagOptions::default()).unwrap();
+    remark(&summary, "The odometry, /p3d, is in the frame `world`, which doesn't drift");
 }

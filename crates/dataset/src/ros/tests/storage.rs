@@ -50,7 +50,7 @@ impl Bag {
 
     /// The bag of some of the messages.
     fn part(&self, messages: std::ops::Range<usize>) -> Self {
-        Self { messages: self.messages[messages].to_vec() }
+        Self { messages: self.messages[messages].to_vec(), logged: Vec::new() }
     }
 }
 
