@@ -47,7 +47,7 @@ pub use likelihood::{
 pub use lines::{Line, lines_through};
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
-pub use pose::{Pose2, circular_mean, wrap_angle};
+pub use pose::{Pose2, circular_mean, sector_holds_middle, wrap_angle};
 pub use pose_error::{
     PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, fit_pose_error, pattern_score,
     smooth_pose_errors,

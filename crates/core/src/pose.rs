@@ -17,6 +17,13 @@ pub fn wrap_angle(angle: f64) -> f64 {
     if wrapped > PI || wrapped <= -PI { PI } else { wrapped }
 }
 
+/// Whether a sector of bearings holds the middle of another one. Sectors go counter-clockwise from the first bearing \[rad\].
+#[must_use]
+pub fn sector_holds_middle([from, to]: [f64; 2], [a, b]: [f64; 2]) -> bool {
+    let turn = |from: f64, to: f64| (to - from).rem_euclid(TAU);
+    turn(from, a + 0.5 * turn(a, b)) <= turn(from, to)
+}
+
 /// Weighted circular mean of angles \[rad\]: the direction of the weighted sum of unit vectors.
 ///
 /// `None` when that sum vanishes, that is, when no direction is preferred.

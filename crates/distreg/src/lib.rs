@@ -15,7 +15,8 @@
 //! | quality | [`Loss`], [`losses`], [`risk`] |
 //! | settings | [`cross_validate`] with [`grid_search`] or [`optimize`] |
 //! | curves of residuals | [`curve`]: what a moment of PITs depends on, level by level; [`wave`]: whether that is a wave |
-//! | precision | [`matrix`]: the covariance of estimates from their information |
+//! | series | [`lasting`]: whether errors that last have a mean or a slope |
+//! | precision | [`matrix`]: the covariance of estimates from their information; [`newton`]: steps to the maximum of a likelihood |
 //! | speed | [`ConditionalDistribution::predict_batch`]; [`Table`] for single densities |
 //!
 //! `docs/sensor-in-20-lines.md` shows the whole way for a new sensor. In short:
@@ -60,11 +61,13 @@ mod family;
 mod floor;
 mod frechet;
 mod kernel;
+pub mod lasting;
 mod local_regression;
 mod loss;
 pub mod matrix;
 mod max_t;
 pub mod moments;
+pub mod newton;
 mod np_reg;
 mod p_reg;
 mod point_share;

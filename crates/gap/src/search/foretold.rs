@@ -1,6 +1,7 @@
 //! Readings in front of walls and behind them, and lost ones, that an effect foretells.
 
-use locsim_world::effect::{Bursts, Effect, Effects, Moves};
+use locsim_world::effect::{Bursts, Effect, Effects, Fit, Moves};
+use locsim_world::simulation::BlockResampling;
 
 use super::Round;
 use super::selection::is_of_odometry;
@@ -45,10 +46,15 @@ pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Resu
     candidates.retain(|candidate| {
         is_of_odometry(candidate) || candidate.kind().loses_returns() || total(candidate) >= least
     });
+    // Clutter that stands, as the scenario has it, is no deeper for what comes and goes.
+    let stands = |resample| resample == BlockResampling::Never;
+    let are_others = round.comparison.nominal.blocks.is_some_and(|blocks| stands(blocks.resample));
+    let are_others = are_others && !stands(round.blocks.resample);
     for i in (0..candidates.len()).rev() {
         let is_enough = total(&candidates[i]) >= LEAST_CLUTTER_SHARE * most;
         let effect = &candidates[i].effect;
-        if effect.kind.moves() == Moves::Clutter && !(is_enough && is_there(effect)?) {
+        let is_of_others = are_others && effect.kind.description().fit != Fit::Nuisance;
+        if effect.kind.moves() == Moves::Clutter && (is_of_others || !is_enough || !is_there(effect)?) {
             candidates.remove(i);
         }
     }

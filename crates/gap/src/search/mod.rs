@@ -5,6 +5,7 @@ mod foretold;
 mod initial_guess;
 mod judge;
 mod judgement;
+mod lasting;
 mod outcome;
 mod precision;
 mod residual;

@@ -2,12 +2,11 @@
 
 use std::sync::Arc;
 
-use distreg::matrix::invert;
+use distreg::newton::newton_steps;
 use locsim_core::{Estimate, normal};
 use locsim_world::effect::{Effect, EffectKind, Fit, Parameter, Role};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
-use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Round, State};
 use crate::fit::{PRIORS, log_prior_by_chance};
@@ -73,7 +72,8 @@ impl<'a> State<'a> {
                     let parameter = &kind.parameters()[*i];
                     let fit = named.params[parameter.name];
                     let least = if parameter.is_strength() { normal::QUANTILE_975 * least } else { 0.0 };
-                    let mut estimate = corrected(named.effect.values[*i], parameter.neutral, &shifts);
+                    let mut estimate =
+                        Estimate::less_bias(named.effect.values[*i], parameter.neutral, &shifts);
                     if estimate.interval.half() > MOST_WIDENED * fit.estimate.interval.half().max(least) {
                         // The information is nearly singular, and steps lead anywhere.
                         estimate = fit.estimate;
@@ -170,88 +170,9 @@ fn bound(effect: &Effect, evidence: &Evidence) -> f64 {
     away / information.max(4.0).sqrt()
 }
 
-/// How far each number's fit is from the truth in each log, as \[number\]\[log\], by log likelihoods \[log\]\[itself, each number
-/// up, down, each two up\]; `None` where they have no maximum there.
-fn newton_steps(totals: &[Vec<f64>], steps: &[f64]) -> Option<Vec<Vec<f64>>> {
-    let n = steps.len();
-    let mean = |of: &dyn Fn(&Vec<f64>) -> f64| totals.iter().map(of).sum::<f64>() / totals.len() as f64;
-    let (up, down) = (|i: usize| 1 + 2 * i, |i: usize| 2 + 2 * i);
-    let mut information = vec![vec![0.0; n]; n];
-    let mut both = 1 + 2 * n;
-    for i in 0..n {
-        information[i][i] = mean(&|t| 2.0 * t[0] - t[up(i)] - t[down(i)]) / steps[i].powi(2);
-        if !(information[i][i] > 0.0 && information[i][i].is_finite()) {
-            return None;
-        }
-        for j in 0..i {
-            let mixed = mean(&|t| t[both] - t[up(i)] - t[up(j)] + t[0]) / (steps[i] * steps[j]);
-            let most = 0.98 * (information[i][i] * information[j][j]).sqrt();
-            information[i][j] = (-mixed).clamp(-most, most);
-            information[j][i] = information[i][j];
-            both += 1;
-        }
-    }
-    if information.iter().flatten().any(|value| !value.is_finite()) {
-        return None;
-    }
-    let inverse = invert(&information);
-    let gradient = |t: &Vec<f64>, i: usize| (t[up(i)] - t[down(i)]) / (2.0 * steps[i]);
-    let step = |row: &Vec<f64>, t: &Vec<f64>| {
-        row.iter().enumerate().map(|(i, inverse)| inverse * gradient(t, i)).sum::<f64>()
-    };
-    Some(inverse.iter().map(|row| totals.iter().map(|t| step(row, t)).collect()).collect())
-}
-
-/// A fitted value less its bias, with the 95 % interval of its spread. A bias that would take away most of it, or
-/// add as much, is beyond what a Newton step can say: then the value stays, and the bias is part of its uncertainty.
-fn corrected(value: f64, neutral: f64, shifts: &[f64]) -> Estimate {
-    let n = shifts.len() as f64;
-    let bias = shifts.iter().sum::<f64>() / n;
-    let spread = shifts.iter().map(|shift| (shift - bias).powi(2)).sum::<f64>() / (n - 1.0);
-    let quantile = StudentsT::new(0.0, 1.0, n - 1.0).map_or(normal::QUANTILE_975, |t| t.inverse_cdf(0.975));
-    let mut variance = spread * (1.0 + 1.0 / n);
-    let (away, left) = ((value - neutral).abs(), (value - bias - neutral) * (value - neutral).signum());
-    let is_plausible = left > 0.3 * away && left < 1.7 * away;
-    let value = if is_plausible {
-        value - bias
-    } else {
-        variance += bias * bias;
-        value
-    };
-    Estimate::around(value, quantile * variance.sqrt())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Of a quadratic log likelihood the step leads to the maximum.
-    #[test]
-    fn a_newton_step_finds_the_maximum_of_a_parabola() {
-        let likelihood = |x: f64, y: f64, at: [f64; 2]| {
-            let (dx, dy) = (x - at[0], y - at[1]);
-            -0.5 * (4.0 * dx * dx + 2.0 * 1.5 * dx * dy + 9.0 * dy * dy)
-        };
-        let (sx, sy) = (0.1, 0.2);
-        let maxima = [[0.3, -0.2], [-0.1, 0.4], [0.05, 0.1]];
-        let totals: Vec<Vec<f64>> = maxima
-            .iter()
-            .map(|&at| {
-                [(0.0, 0.0), (sx, 0.0), (-sx, 0.0), (0.0, sy), (0.0, -sy), (sx, sy)]
-                    .map(|(x, y)| likelihood(x, y, at))
-                    .to_vec()
-            })
-            .collect();
-        let shifts = newton_steps(&totals, &[sx, sy]).unwrap();
-        for (log, at) in maxima.iter().enumerate() {
-            for axis in 0..2 {
-                assert!((shifts[axis][log] - at[axis]).abs() < 1e-9, "{axis} {log}");
-            }
-        }
-        let upside_down: Vec<Vec<f64>> =
-            totals.iter().map(|t| t.iter().map(|value| -value).collect()).collect();
-        assert!(newton_steps(&upside_down, &[sx, sy]).is_none());
-    }
 
     /// A bias of 2 cm that gains 50 nats, or has a score of 10 standard deviations, is known to 2 mm; a gain that is larger
     /// than the score allows counts for no more.
@@ -266,17 +187,5 @@ mod tests {
         assert!((by(800.0, Some(10.0)) - 0.002).abs() < 1e-12);
         assert!((by(50.0, Some(40.0)) - 0.002).abs() < 1e-12);
         assert!((by(0.0, Some(0.0)) - 0.01).abs() < 1e-12);
-    }
-
-    /// Steps of 1, 2, 3 from the truth: a bias of 2 and a spread of 1.
-    #[test]
-    fn a_bias_is_taken_off() {
-        let number = corrected(10.0, 0.0, &[1.0, 2.0, 3.0]);
-        assert!((number.value - 8.0).abs() < 1e-12);
-        let hi = number.interval.hi;
-        assert!((hi - 8.0 - 4.302_653 * (4.0_f64 / 3.0).sqrt()).abs() < 1e-5, "{hi}");
-        let doubtful = corrected(2.5, 0.0, &[1.0, 2.0, 3.0]);
-        assert!((doubtful.value - 2.5).abs() < 1e-12);
-        assert!(doubtful.interval.lo < 0.0 && doubtful.interval.hi > 5.0);
     }
 }

@@ -1,10 +1,9 @@
 //! Which effect is named, and which effects can't be told from it.
 
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
 
 use glam::DVec2;
-use locsim_core::{Estimate, sum_error};
+use locsim_core::{Estimate, sector_holds_middle, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Experiment, Moves};
 
 use crate::GapError;
@@ -28,7 +27,7 @@ pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
     let is_of_same_sector = known
         .sector()
         .zip(more.sector())
-        .is_some_and(|(known, more)| holds_middle(known, more) || holds_middle(more, known));
+        .is_some_and(|(known, more)| sector_holds_middle(known, more) || sector_holds_middle(more, known));
     known.kind == more.kind && (is_of_same_wall || is_of_same_sector)
 }
 
@@ -44,10 +43,12 @@ pub fn may_be_of_robot(candidate: &Candidate) -> bool {
     range_m.is_none_or(|range_m| range_m <= ROBOT_REACH_M && is_lasting)
 }
 
-/// Whether a sector of bearings holds the middle of another one. Sectors go counter-clockwise from the first bearing \[rad\].
-fn holds_middle([from, to]: [f64; 2], [a, b]: [f64; 2]) -> bool {
-    let turn = |from: f64, to: f64| (to - from).rem_euclid(TAU);
-    turn(from, a + 0.5 * turn(a, b)) <= turn(from, to)
+/// A drift that takes more drives than this to die away is none: over a drive it is a bias, or grows.
+const MOST_DRIVES: f64 = 2.0;
+
+/// Whether a drift dies away within a drive that took so long \[s\], or about.
+pub fn dies_away(candidate: &Candidate, secs: f64) -> bool {
+    candidate.effect.value("tau_secs").is_none_or(|tau| tau <= MOST_DRIVES * secs)
 }
 
 /// Whether a point is of the same wall as a stretch: within a distance \[m\] of its line, and no farther from its ends than it is long.
@@ -305,6 +306,22 @@ mod tests {
         shifted.gains = vec![11.0, 10.0, 8.9];
         let set = equivalent(&[bias, shifted, odometry], 0);
         assert_eq!(set, [EffectKind::RangeBias, EffectKind::RangeScale]);
+    }
+
+    /// A drift of 90 s is one in a drive of a minute, and none in one of half a minute; a bias has no such time.
+    #[test]
+    fn a_drift_dies_away_within_two_drives() {
+        let of = |kind, values| Candidate {
+            effect: Effect::new(kind, values, Vec::new()).unwrap(),
+            gains: Vec::new(),
+            fitted_gains: Vec::new(),
+            intervals: Vec::new(),
+            is_beyond_chance: true,
+            score: None,
+        };
+        let drift = of(EffectKind::WarmupDrift, vec![0.03, 90.0]);
+        assert!(dies_away(&drift, 60.0) && !dies_away(&drift, 30.0));
+        assert!(dies_away(&of(EffectKind::RangeBias, vec![0.03]), 1.0));
     }
 
     /// A piece of a sector is of the sector, across the back of the robot, too; the sector beside it isn't.

@@ -5,9 +5,10 @@ use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
 
 use super::foretold::drop_unfounded;
 use super::judgement::share_a_moment;
+use super::lasting::drop_passing;
 use super::selection::{
-    adds_up, choose, choose_of_odometry, compare_rivals, gain, is_one_cause, is_sure, may_be_of_robot, name,
-    numbers, sum_of,
+    adds_up, choose, choose_of_odometry, compare_rivals, dies_away, gain, is_one_cause, is_sure,
+    may_be_of_robot, name, numbers, sum_of,
 };
 use super::surroundings::drop_surroundings;
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
@@ -83,6 +84,7 @@ impl<'a> State<'a> {
     /// Names the effect that gains most, adds it, and tests again, until nothing is off or no effect surely gains.
     pub fn name_effects(&self, first: Round<'a>) -> Result<Path<'a>, GapError> {
         let options = self.options;
+        let secs = self.recorded.track.secs().last().copied().unwrap_or_default();
         let mut path = Path {
             rounds: vec![first],
             named: Vec::new(),
@@ -103,13 +105,15 @@ impl<'a> State<'a> {
             let of_another_form = if off { self.of_another_form(round)? } else { Vec::new() };
             candidates.retain(|candidate| {
                 may_be_of_robot(candidate)
+                    && dies_away(candidate, secs)
                     && !path.named.iter().any(|named| {
                         !adds_up(&named.effect, &candidate.effect)
                             && (is_one_cause(&named.effect, &candidate.effect)
                                 || is_left_by(named, candidate, of_another_form.contains(&named.name)))
                     })
             });
-            let candidates = drop_unfounded(round, drop_surroundings(round, candidates)?)?;
+            let candidates =
+                drop_passing(round, drop_unfounded(round, drop_surroundings(round, candidates)?)?)?;
             let accepted = if off && path.named.len() < options.most_effects {
                 match self.weigh(round, &candidates, choose(&candidates))? {
                     // What the odometry does has its name, whether or not the readings have one.

@@ -29,6 +29,7 @@ use glam::DVec2;
 use locsim_world::effect::EffectKind;
 
 pub(crate) use dictionary::Dictionary;
+pub(crate) use odometry::odometry_errors;
 pub(crate) use readings::{Readings, pit_draw};
 pub(crate) use survey::Survey;
 

@@ -1,19 +1,18 @@
 //! Errors of the odometry's increments against those of the reference.
 
-use distreg::Correlation;
 use distreg::contamination::{detectable_share, score};
+use distreg::{Correlation, lasting};
 use locsim_core::Folds;
-use locsim_world::effect::{self, Axis, EffectKind};
+use locsim_world::effect::{self, Axis, EffectKind, Effects};
 use locsim_world::simulation::{Increment, OdometrySpread, lagging, standardized};
 
 use super::{Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
 use crate::catalogue::shown_by;
+use crate::hypothesis::{Comparison, Fitted};
 
 /// The increments of a log's odometry, with the reference's errors taken off.
-fn increments_of(log: &Readings<'_>) -> Vec<Increment> {
-    let comparison = log.comparison;
-    let track = comparison.corrected(&log.fitted.corrections);
-    Increment::all(log.effects, &track, &comparison.recorded.odometry)
+fn increments_of(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted) -> Vec<Increment> {
+    Increment::all(effects, &comparison.corrected(&fitted.corrections), &comparison.recorded.odometry)
 }
 
 /// The correlation of an error of the odometry with a motion.
@@ -32,6 +31,14 @@ impl OdometryCorrelation {
         shown.map(|(kind, (error, motion))| Self { kind, error, motion }).collect()
     }
 
+    /// An increment's error with the motion that it may depend on, in standard deviations; `errs` where the reference has errors.
+    fn pair(&self, increments: &[Increment], scan: usize, spread: &OdometrySpread, errs: bool) -> [f64; 2] {
+        let (error, motion) = (self.error as usize, self.motion as usize);
+        let increment = &increments[scan];
+        let driven = if errs { motion_about(increments, scan) } else { increment.truth };
+        [standardized(increment, spread)[error], driven[motion] / increment.deviation(spread, error)]
+    }
+
     /// Each half's correlation; `errs` where the reference has errors.
     fn of_increments(
         &self,
@@ -40,13 +47,10 @@ impl OdometryCorrelation {
         spread: &OdometrySpread,
         errs: bool,
     ) -> Halves {
-        let (error, motion) = (self.error as usize, self.motion as usize);
         let mut correlations = [Correlation::default(); 2];
-        for (scan, increment) in increments.iter().enumerate() {
-            let driven = if errs { motion_about(increments, scan) } else { increment.truth };
-            let deviation = increment.deviation(spread, error);
-            correlations[folds.half_of(scan)]
-                .add(standardized(increment, spread)[error], driven[motion] / deviation);
+        for scan in 0..increments.len() {
+            let [error, motion] = self.pair(increments, scan, spread, errs);
+            correlations[folds.half_of(scan)].add(error, motion);
         }
         correlations.map(|correlation| correlation.value())
     }
@@ -61,8 +65,31 @@ impl Family for OdometryCorrelation {
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
         let spread = &log.fitted.nuisances.odometry_error;
         let folds = log.comparison.recorded.folds;
-        vec![self.of_increments(&increments_of(log), folds, spread, log.has_pose_errors)]
+        vec![self.of_increments(
+            &increments_of(log.comparison, log.effects, log.fitted),
+            folds,
+            spread,
+            log.has_pose_errors,
+        )]
     }
+}
+
+/// How surely an effect of the odometry has acted all along, in standard errors that know that wheels may err alike for many seconds;
+/// `None` of an effect that comes and goes.
+pub fn odometry_errors(
+    kind: EffectKind,
+    comparison: &Comparison<'_>,
+    effects: &Effects,
+    fitted: &Fitted,
+) -> Option<f64> {
+    let increments = increments_of(comparison, effects, fitted);
+    let (spread, errs) = (&fitted.nuisances.odometry_error, !fitted.nuisances.pose_error.is_none());
+    let errors = |correlation: OdometryCorrelation| {
+        let pair = |scan| correlation.pair(&increments, scan, spread, errs);
+        lasting::slope(&(0..increments.len()).map(pair).collect::<Vec<_>>()).abs()
+    };
+    let own = OdometryCorrelation::all().into_iter().filter(|correlation| correlation.kind == kind);
+    own.map(errors).max_by(f64::total_cmp)
 }
 
 /// The motion of an increment by those two before and two after it. What its own poses err by is in its motion and in its error
@@ -99,7 +126,7 @@ impl Family for Slips {
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
         let odometry_error = &log.fitted.nuisances.odometry_error;
-        let increments = increments_of(log);
+        let increments = increments_of(log.comparison, log.effects, log.fitted);
         let detectable = detectable_share(increments.len() as f64);
         let folds = log.comparison.recorded.folds;
         let mut sums = vec![[0.0; 2]; self.shares.len()];
@@ -133,7 +160,7 @@ impl Family for OdometryLag {
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
-        let increments = increments_of(log);
+        let increments = increments_of(log.comparison, log.effects, log.fitted);
         let track =
             log.comparison.recorded.track.with_poses(log.comparison.corrected(&log.fitted.corrections));
         // Sums over each half's increments: errors by axis, and how many.

@@ -119,6 +119,8 @@ const STRETCH_BIN_M: f64 = 0.1;
 const STRETCH_LEAST_M: f64 = 0.3;
 /// How far a stretch is looked for on both sides of a cell's wall \[m\]: one wall has one name, however long it is.
 const STRETCH_REACH_M: f64 = 25.0;
+/// A wall on which no beam ends for so long \[m\] is another one: a door is narrower, and a line goes on through all that lies on it.
+const STRETCH_GAP_M: f64 = 2.0;
 /// Ends of beams within this of a line are on it \[m\].
 const ON_LINE_M: f64 = 0.03;
 /// The same for the readings of a stretch: the line through the ends is known to a few centimetres.
@@ -203,8 +205,14 @@ fn best_stretch<const N: usize>(
     let mut best: Option<Stretch> = None;
     for from in (0..bins).filter(|&bin| counts[bin] > 0) {
         let mut total = [0.0; N];
+        let mut last = from;
         for to in from..bins {
             add(&mut total, sums[to]);
+            if counts[to] > 0 {
+                last = to;
+            } else if (to - last) as f64 * STRETCH_BIN_M > STRETCH_GAP_M {
+                break;
+            }
             if counts[to] == 0 || (to - from + 1) as f64 * STRETCH_BIN_M < STRETCH_LEAST_M {
                 continue;
             }
