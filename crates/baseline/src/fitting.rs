@@ -9,10 +9,12 @@ use locsim_world::simulation::OdometryModel;
 
 use super::BaselineOptions;
 use super::assignment::Assignment;
+use super::given::Given;
 use super::increments::{Increments, is_of_odometry};
 use super::learnt::Learnt;
+use super::neighbours::Neighbours;
 use super::pool::{Expected, Pool};
-use super::trials::{Given, Trial, usual};
+use super::trials::{Trial, usual};
 
 /// Halvings of the steps of a fit.
 const HALVINGS: usize = 6;
@@ -25,6 +27,7 @@ const LEAST_MORE: f64 = 0.01;
 pub(super) struct Search<'a> {
     pub pool: &'a Pool<'a>,
     pub increments: Increments,
+    pub neighbours: Neighbours,
     pub options: &'a BaselineOptions,
     pub progress: &'a dyn Progress,
     pub stop: &'a AtomicBool,
@@ -87,8 +90,7 @@ impl Search<'_> {
 
     /// What an effect changes beside the given ones.
     pub fn change(&self, effect: Effect, given: &Given, expected: &[Expected]) -> Result<Change, GapError> {
-        let is_alike = |other: &&Effect| is_of_odometry(other.kind) == is_of_odometry(effect.kind);
-        let given = Given { effects: given.effects.iter().filter(is_alike).cloned().collect() };
+        let given = given.of_these(|other| is_of_odometry(other.kind) == is_of_odometry(effect.kind));
         if is_of_odometry(effect.kind) {
             return Ok(Change::Odometry { effect, given });
         }
@@ -96,7 +98,7 @@ impl Search<'_> {
         let baseline = if given.effects.is_empty() {
             None
         } else {
-            Some(Trial::new(self.pool, &Given { effects: Vec::new() }, effect, &usual(self.pool), None)?)
+            Some(Trial::new(self.pool, &given.of_these(|_| false), effect, &usual(self.pool), None)?)
         };
         Ok(Change::Readings { today, baseline })
     }

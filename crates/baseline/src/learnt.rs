@@ -6,12 +6,12 @@
 use super::pool::{CLASSES, Expected, Pool, REACH_M};
 
 /// Width of its bins \[m\]: the noise of a laser, and twice the step of many.
-const BIN_M: f64 = 0.02;
+const BIN_M: f64 = 0.01;
 const BINS: usize = (2.0 * REACH_M / BIN_M) as usize;
 /// Readings that the class of a place counts as.
 const PRIOR_READINGS: f32 = 8.0;
 /// Standard deviations by which histograms are widened \[m\]; between them is interpolated.
-const WIDENED_M: [f64; 6] = [0.0, 0.03, 0.06, 0.12, 0.24, 0.48];
+const WIDENED_M: [f64; 7] = [0.0, 0.015, 0.03, 0.06, 0.12, 0.24, 0.48];
 /// Share of a uniform density under everything, so that no single reading decides.
 const FLOOR: f64 = 1e-3;
 /// The least length over which readings in front or behind are spread \[m\].

@@ -15,11 +15,13 @@
 //! | readings of both logs at the places that both have seen | `pool` |
 //! | the distribution of readings at each place | `learnt` |
 //! | the odometry | `increments` |
+//! | effects that are known already, and their places | `given` |
 //! | effects with the readings that they change | `trials` |
 //! | fits of an effect | `fitting` |
 //! | effects at one place | `places` |
 //! | permutations, names | `search` |
 //! | whether what an effect of all beams gains is of all places | `everywhere` |
+//! | whether noise is that of beams, and not of whole scans | `neighbours` |
 //! | returns that are lost at some bearings | `bearings` |
 //! | numbers with their intervals | `precision` |
 //! | how rare a gain is | `null` |
@@ -28,8 +30,10 @@ mod assignment;
 mod bearings;
 mod everywhere;
 mod fitting;
+mod given;
 mod increments;
 mod learnt;
+mod neighbours;
 mod null;
 mod places;
 mod pool;
@@ -101,6 +105,8 @@ pub struct Changes {
     pub effects: Vec<Named>,
     /// Returns that are lost at some bearings, where that explains more than any effect does.
     pub losses_by_bearing: Option<LossesByBearing>,
+    /// The noise of every beam in the baseline and today \[m\], where it has grown, and more than in the form of an effect.
+    pub noise_of_every_beam_m: Option<[f64; 2]>,
     /// Lower and upper corner \[m\] of the place where readings have changed most, where an effect of all beams would explain them there and is
     /// surely none elsewhere.
     pub place: Option<[f64; 4]>,

@@ -18,9 +18,10 @@ use statrs::function::beta::ln_beta;
 
 use super::assignment::Assignment;
 use super::fitting::{Known, Search};
+use super::given::Given;
 use super::null::root;
 use super::pool::{CLASSES, Expected, REACH_M, is_of_outcomes};
-use super::trials::{Given, Trial, usual};
+use super::trials::{Trial, usual};
 
 /// Places nearer to each other count as one \[m\].
 const APART_M: f64 = 2.5;
@@ -36,11 +37,6 @@ const AT_OBJECT_M: f32 = 0.2;
 const JEFFREYS: f64 = 0.5;
 /// Places by the kind of effect.
 pub(super) type Places = BTreeMap<EffectKind, Vec<Place>>;
-
-/// Whether a kind acts at one place.
-pub(super) fn is_of_place(kind: EffectKind) -> bool {
-    kind.has_place() || kind.moves() == Moves::Objects
-}
 
 /// An effect at a place, with its gain (nats) and how far it stands out.
 #[derive(Clone)]
@@ -122,7 +118,7 @@ impl Search<'_> {
         assignment: &Assignment,
         known: &Known,
     ) -> Result<Places, GapError> {
-        let none = Given { effects: Vec::new() };
+        let none = Given::none();
         let expected = usual(self.pool);
         let logs = self.log_densities(known, &expected);
         let used = assignment.used();

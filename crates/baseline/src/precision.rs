@@ -18,8 +18,8 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::assignment::{Assignment, variance_inflation};
 use super::fitting::{Change, Known, Search};
+use super::given::Given;
 use super::pool::Expected;
-use super::trials::Given;
 
 /// The first step of a number for the parabola, in strengths. It is halved until half of it changes the gain by a quarter or so: up
 /// to half and more where beams over edges make the gain peaked.

@@ -16,13 +16,15 @@ use super::assignment::Assignment;
 use super::bearings::{self, LossesByBearing};
 use super::everywhere::{CELL_M, ReadingGain, only_place};
 use super::fitting::{Fit, Known, Search};
+use super::given::{Given, is_near, is_of_place};
 use super::increments::{Contrast, Increments, is_of_odometry};
 use super::learnt::{ERROR_BIN_M, ERROR_BINS, Learnt, bin_of};
+use super::neighbours::{Neighbours, SURELY, is_noise};
 use super::null::{Best, Null, Score, add};
-use super::places::{self, is_of_place};
+use super::places;
 use super::pool::{Expected, Pool};
 use super::precision::Precise;
-use super::trials::{Given, Trial, of_object, trials, usual};
+use super::trials::{Trial, of_object, trials, usual};
 use super::{BaselineOptions, ChangeVerdict, Changes, Tried};
 
 /// Fewer of today's readings than this, at places that the baseline has seen, say nothing.
@@ -61,6 +63,7 @@ pub fn find_changes(
         verdict: ChangeVerdict::Underpowered,
         effects: Vec::new(),
         losses_by_bearing: None,
+        noise_of_every_beam_m: None,
         place: None,
         p: 1.0,
         permutations: 0,
@@ -77,7 +80,8 @@ pub fn find_changes(
         changes.notes.push("The two logs have too few places in common to be compared.".to_owned());
         return Ok(changes);
     }
-    let search = Search { increments: Increments::new(&pool), pool: &pool, options, progress, stop };
+    let (increments, neighbours) = (Increments::new(&pool), Neighbours::new(&pool));
+    let search = Search { increments, neighbours, pool: &pool, options, progress, stop };
     search.run(&mut changes)?;
     Ok(changes)
 }
@@ -87,13 +91,32 @@ struct Round {
     tried: Vec<Trial>,
     own: Best,
     places: BTreeMap<EffectKind, places::Best>,
+    /// Distance of the range errors of stretches of both logs, the median \[mm\].
+    floor: f64,
+    /// Whether neighbouring beams surely differ by more today.
+    is_noisier: bool,
+}
+
+/// What comes next: the name of a fit, or noise of every beam, by the effect that is nearest to it.
+enum Next {
+    Name(usize, Box<Precise>),
+    Noise(Effect),
+}
+
+/// What is named already, and what a further effect is held against.
+struct Beside<'a> {
+    named: &'a [Named],
+    given: &'a Given,
+    expected: &'a [Expected],
+    /// Log densities of the readings without and with the given effects.
+    logs: &'a [Vec<f64>; 2],
 }
 
 impl Search<'_> {
     fn run(&self, changes: &mut Changes) -> Result<(), GapError> {
         let options = self.options;
         self.progress.stage("trying effects", 1);
-        let given = Given { effects: Vec::new() };
+        let given = Given::none();
         let expected = usual(self.pool);
         let all = trials(self.pool, &given, &expected, &options.without);
         let (placed, tried): (Vec<Trial>, Vec<Trial>) =
@@ -131,17 +154,23 @@ impl Search<'_> {
             z: best.z,
         }));
         changes.tried.sort_by(|a, b| b.gain_nats.total_cmp(&a.gain_nats));
+        let floor = locsim_core::median(&mut distances);
         let mut named = Vec::new();
         if changes.p <= options.false_alarm {
-            let first = Round { tried, own, places: standing };
-            named =
-                self.name(&first, &odometry, &null, &assignment, &known, changes.p, &mut changes.place)?;
+            let is_noisier = self.neighbours.contrast(&assignment) > SURELY;
+            let is_found = |kind: &EffectKind, score: &Score| {
+                is_noise(*kind) && null.weight(*kind, score) > -options.false_alarm.ln()
+            };
+            if !is_noisier && own.iter().any(|(kind, score)| is_found(kind, score)) {
+                changes.notes.push(NOISE_OF_SCANS.to_owned());
+            }
+            let first = Round { tried, own, places: standing, floor, is_noisier };
+            named = self.name(&first, &odometry, &null, &assignment, &known, changes)?;
         }
         if changes.p <= options.false_alarm {
             changes.losses_by_bearing = self.losses_by_bearing(&mut named, &known)?;
         }
         let before = self.distance(&known.learnt, &expected, &assignment);
-        let floor = locsim_core::median(&mut distances);
         let with = |named: &[Named]| {
             let effects: Vec<Effect> = named.iter().map(|named| named.effect.clone()).collect();
             Ok::<_, GapError>(self.distance(&known.learnt, &self.expected_with(&effects)?, &assignment))
@@ -169,14 +198,13 @@ impl Search<'_> {
     ) -> Result<Option<LossesByBearing>, GapError> {
         let loss = named.iter().position(|named| named.name.loses_returns());
         let others = named.iter().enumerate().filter(|(index, _)| Some(*index) != loss);
-        let given = Given { effects: others.map(|(_, named)| named.effect.clone()).collect() };
+        let given = Given::of(self.pool, others.map(|(_, named)| named.effect.clone()).collect());
         let expected = self.expected_with(&given.effects)?;
         let mut rival = vec![0.0; self.pool.stretches[1]];
         if let Some(loss) = loss {
             let log = self.log_density(&known.learnt, &expected);
             let is_today = self.true_assignment().is_today;
-            let given =
-                Given { effects: given.effects.into_iter().filter(|e| !is_of_odometry(e.kind)).collect() };
+            let given = given.of_these(|effect| !is_of_odometry(effect.kind));
             let trial = Trial::new(self.pool, &given, named[loss].effect.clone(), &expected, None)?;
             rival = trial.gains(self.pool, &known.learnt, &log, &is_today);
         }
@@ -207,10 +235,13 @@ impl Search<'_> {
         let log = self.log_density(&known.learnt, compared);
         let used = assignment.used();
         let mut best = Best::new();
+        // Noise is known by neighbouring beams.
+        let noise = self.neighbours.contrast(assignment);
         for (index, trial) in tried.iter().enumerate() {
             let gains = trial.gains(self.pool, &known.learnt, &log, &used);
             let gain = assignment.net(&gains, &gains).iter().sum();
-            add(&mut best, trial.effect.kind, Score { gain, contrast: assignment.contrast(&gains), index });
+            let contrast = if is_noise(trial.effect.kind) { noise } else { assignment.contrast(&gains) };
+            add(&mut best, trial.effect.kind, Score { gain, contrast, index });
         }
         for (index, effect) in odometry.iter().enumerate() {
             let gains = self.increments.gains(&known.usual, &[], effect, &used);
@@ -250,7 +281,6 @@ impl Search<'_> {
     }
 
     /// Names the effect that gains most, adds it, and looks again.
-    #[expect(clippy::too_many_arguments, reason = "one call, and each is a thing of its own")]
     fn name(
         &self,
         first: &Round,
@@ -258,12 +288,11 @@ impl Search<'_> {
         null: &Null,
         assignment: &Assignment,
         known: &Known,
-        p: f64,
-        only_at: &mut Option<[f64; 4]>,
+        changes: &mut Changes,
     ) -> Result<Vec<Named>, GapError> {
-        let Round { tried, own, places } = first;
+        let Round { tried, own, places, .. } = first;
         let mut named: Vec<Named> = Vec::new();
-        let mut given = Given { effects: Vec::new() };
+        let mut given = Given::none();
         let mut expected = usual(self.pool);
         let effect_of = |tried: &[Trial], index: usize| {
             tried
@@ -300,38 +329,22 @@ impl Search<'_> {
                     fit
                 })
                 .collect::<Result<Vec<Fit>, _>>()?;
-            let mut sure = None;
-            // That something changed is known for the first name. A further one has to say so itself.
-            let is_known = named.is_empty();
-            while let Some(best) = choose(&fits, assignment, errors_by_chance(assignment, chance), is_known) {
-                if let Some(at) =
-                    self.only_place(&fits[best].effect, &given, &expected, &logs[1], assignment, known)?
-                {
-                    fits.remove(best);
-                    let [lower, upper] = [-0.5, 0.5].map(|side| at + side * CELL_M);
-                    only_at.get_or_insert([lower.x, lower.y, upper.x, upper.y]);
-                    for place in places.values().map(|best| &best.place).filter(|place| place.is_at(at)) {
-                        if fits.iter().all(|fit| fit.effect.kind != place.effect.kind) {
-                            let effect = place.effect.clone();
-                            fits.push(self.fit(effect, &given, &expected, &logs, assignment, known)?);
-                        }
-                    }
-                    continue;
+            let beside = Beside { named: &named, given: &given, expected: &expected, logs: &logs };
+            let sure = self.surest(&mut fits, &beside, first, assignment, known, changes)?;
+            let effect = match sure {
+                None => break,
+                Some(Next::Noise(effect)) => effect,
+                Some(Next::Name(best, precise)) => {
+                    let effect = precise.effect.clone();
+                    let z = scores.get(&effect.kind).map(|score| null.z(effect.kind, score));
+                    let z_of_place = || places.get(&effect.kind).map_or(0.0, |best| best.z);
+                    let evidence = [z.unwrap_or_else(z_of_place), changes.p];
+                    let scans = self.pool.logs[1].recorded.scans();
+                    named.push(name(&fits, best, *precise, assignment, evidence, scans));
+                    effect
                 }
-                let precise = self.precise(&fits[best].effect, &given, &expected, assignment, known)?;
-                if precise.is_known {
-                    sure = Some((best, precise));
-                    break;
-                }
-                fits.remove(best);
-            }
-            let Some((best, precise)) = sure else { break };
-            let effect = precise.effect.clone();
-            let z = scores.get(&effect.kind).map(|score| null.z(effect.kind, score));
-            let z_of_place = || places.get(&effect.kind).map_or(0.0, |best| best.z);
-            let evidence = [z.unwrap_or_else(z_of_place), p];
-            named.push(name(&fits, best, precise, assignment, evidence, self.pool.logs[1].recorded.scans()));
-            given.effects.push(effect);
+            };
+            given = Given::of(self.pool, given.effects.into_iter().chain([effect]).collect());
             if named.len() == self.options.most_effects {
                 break;
             }
@@ -341,9 +354,8 @@ impl Search<'_> {
                 .into_iter()
                 .filter(|kind| is_of_place(*kind) || self.options.without.contains(kind))
                 .collect();
-            let on_laser =
-                given.effects.iter().filter(|effect| !is_of_odometry(effect.kind)).cloned().collect();
-            let more = trials(self.pool, &Given { effects: on_laser }, &expected, &without);
+            let on_laser = given.of_these(|effect| !is_of_odometry(effect.kind));
+            let more = trials(self.pool, &on_laser, &expected, &without);
             // The rest of a named effect is its form.
             let is_new =
                 |kind: EffectKind| given.effects.iter().all(|known| known.kind != kind || !kind.adds_up());
@@ -366,6 +378,71 @@ impl Search<'_> {
         Ok(named)
     }
 
+    /// The fit that is named next, with its numbers; fits that aren't to be named are left out on the way.
+    fn surest(
+        &self,
+        fits: &mut Vec<Fit>,
+        beside: &Beside<'_>,
+        first: &Round,
+        assignment: &Assignment,
+        known: &Known,
+        changes: &mut Changes,
+    ) -> Result<Option<Next>, GapError> {
+        let Beside { named, given, expected, logs } = *beside;
+        let errors = errors_by_chance(assignment, self.options.false_alarm);
+        // That something changed is known for the first name. A further one has to say so itself.
+        let is_known = named.is_empty() && changes.noise_of_every_beam_m.is_none();
+        while let Some(best) = choose(fits, assignment, errors, is_known) {
+            let effect = &fits[best].effect;
+            if is_noise(effect.kind)
+                && first.is_noisier
+                && self.neighbours.are_all_noisier(effect.kind, assignment)
+            {
+                changes.noise_of_every_beam_m = Some(self.neighbours.noise(assignment));
+                return Ok(Some(Next::Noise(effect.clone())));
+            }
+            if let Some(at) = self.only_place(effect, given, expected, &logs[1], assignment, known)? {
+                fits.remove(best);
+                let [lower, upper] = [-0.5, 0.5].map(|side| at + side * CELL_M);
+                changes.place.get_or_insert([lower.x, lower.y, upper.x, upper.y]);
+                for place in first.places.values().map(|best| &best.place).filter(|place| place.is_at(at)) {
+                    if fits.iter().all(|fit| fit.effect.kind != place.effect.kind) {
+                        let effect = place.effect.clone();
+                        fits.push(self.fit(effect, given, expected, logs, assignment, known)?);
+                    }
+                }
+                continue;
+            }
+            let is_further = !is_known && !is_of_odometry(effect.kind);
+            let is_no_name = is_left_over(&fits[best], named)
+                || is_noise(effect.kind) && (!first.is_noisier || changes.noise_of_every_beam_m.is_some())
+                || is_of_named_wall(effect, given)
+                || is_further && self.is_farther_off(effect, beside, assignment, known, first.floor)?;
+            if !is_no_name {
+                let precise = self.precise(effect, given, expected, assignment, known)?;
+                if precise.is_known {
+                    return Ok(Some(Next::Name(best, Box::new(precise))));
+                }
+            }
+            fits.remove(best);
+        }
+        Ok(None)
+    }
+
+    /// Whether an effect puts ranges farther off, beside what is named.
+    fn is_farther_off(
+        &self,
+        effect: &Effect,
+        Beside { given, expected, .. }: &Beside<'_>,
+        assignment: &Assignment,
+        known: &Known,
+        floor: f64,
+    ) -> Result<bool, GapError> {
+        let all: Vec<Effect> = given.effects.iter().cloned().chain([effect.clone()]).collect();
+        let with = self.distance(&known.learnt, &self.expected_with(&all)?, assignment);
+        Ok(with > self.distance(&known.learnt, expected, assignment) + FARTHER * floor)
+    }
+
     /// The place where an effect of all beams gains, if it loses elsewhere.
     fn only_place(
         &self,
@@ -382,8 +459,8 @@ impl Search<'_> {
             return Ok(None);
         }
         let effect = bursts.map_or_else(|| effect.clone(), |bursts| bursts.spread);
-        let on_laser = given.effects.iter().filter(|effect| !is_of_odometry(effect.kind)).cloned().collect();
-        let trial = Trial::new(self.pool, &Given { effects: on_laser }, effect, expected, None)?;
+        let on_laser = given.of_these(|effect| !is_of_odometry(effect.kind));
+        let trial = Trial::new(self.pool, &on_laser, effect, expected, None)?;
         let gains = trial.reading_gains(self.pool, &known.learnt, log, &assignment.is_today);
         let of_reading = |(index, gain): (u32, f64)| {
             let reading = &self.pool.readings[index as usize];
@@ -405,13 +482,16 @@ impl Search<'_> {
     ) -> Result<Best, GapError> {
         let logs = self.log_densities(known, expected);
         let mut best = Best::new();
+        let is_known = given.effects.iter().any(|given| is_noise(given.kind));
+        let noise = (!is_known).then(|| self.neighbours.contrast(assignment));
         for (index, trial) in tried.iter().enumerate() {
             let Some(plain) = plain.iter().find(|plain| plain.effect == trial.effect) else { continue };
             let usual = plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline);
             let gains = trial.gains(self.pool, &known.learnt, &logs[1], &assignment.is_today);
             let gain = assignment.net(&gains, &usual).iter().sum();
             let both: Vec<f64> = gains.iter().zip(usual).map(|(today, baseline)| today + baseline).collect();
-            let contrast = assignment.contrast(&both);
+            let noise = noise.filter(|_| is_noise(trial.effect.kind));
+            let contrast = noise.unwrap_or_else(|| assignment.contrast(&both));
             add(&mut best, trial.effect.kind, Score { gain, contrast, index });
         }
         for (index, effect) in odometry.iter().enumerate() {
@@ -492,6 +572,28 @@ fn moves_away([before, after, floor]: [f64; 3]) -> bool {
     /// The share of what stretches differ by that is much.
     const MUCH: f64 = 0.5;
     before <= floor && after > before + MUCH * floor
+}
+
+const NOISE_OF_SCANS: &str = "Readings are farther off than the baseline's, and neighbouring beams don't differ by more: whole scans are off, as \
+                              where the reference errs by more. No noise is named for it.";
+
+/// A further name may put ranges farther off by this share of what stretches differ by.
+const FARTHER: f64 = 0.25;
+/// What is left of an effect in a form that isn't quite its own gains up to this share of it: the square of an error of a seventh.
+const LEFT_OVER: f64 = 0.02;
+
+/// Whether a fit gains no more than what the named effects leave over. Readings and odometry are different data.
+fn is_left_over(fit: &Fit, named: &[Named]) -> bool {
+    let alike = named.iter().filter(|named| is_of_odometry(named.name) == is_of_odometry(fit.effect.kind));
+    let most = alike.map(|named| named.evidence.gain_nats.value).fold(0.0, f64::max);
+    fit.gain() < LEFT_OVER * most
+}
+
+/// Whether an effect is about a stretch of wall that is named for something else.
+fn is_of_named_wall(effect: &Effect, given: &Given) -> bool {
+    let middles = || effect.place.iter().map(|[a, b]| 0.5 * (*a + *b));
+    let walls = given.effects.iter().filter(|given| given.kind.has_place());
+    walls.into_iter().any(|wall| middles().any(|middle| is_near(wall, middle)))
 }
 
 /// The standard errors that a gain on today's stretches exceeds with this chance where there is none.

@@ -137,6 +137,44 @@ fn wheels_that_wander_have_not_changed() {
     }
 }
 
+/// Each reading with 2 cm of noise more.
+#[test]
+fn noise_of_every_beam_is_told_and_has_no_name() {
+    let mut today = log(&[], 2);
+    let mut rng = Draw::new(7, Stage::Laser, 0).item(0);
+    let max = NOMINAL.laser.max_range_m as f32;
+    for reading in today.readings.iter_mut().filter(|reading| **reading < max) {
+        // Irwin and Hall's sum of twelve is nearly normal.
+        let normal = (0..12).map(|_| rng.random::<f32>()).sum::<f32>() - 6.0;
+        *reading += 0.02 * normal;
+    }
+    let options = BaselineOptions { permutations: 99, seed: 5, ..BaselineOptions::default() };
+    let found = find_changes(&NOMINAL, &log(&[], 1), &today, &options, &(), &AtomicBool::new(false)).unwrap();
+    assert_eq!((names(&found), found.verdict), (Vec::new(), ChangeVerdict::Unexplained), "{found:#?}");
+    let [baseline, today] = found.noise_of_every_beam_m.unwrap();
+    // 1 cm, and 1 cm with 2 cm beside it.
+    assert!((baseline - 0.01).abs() < 0.002 && (today - 0.0224).abs() < 0.003, "{baseline} {today}");
+}
+
+/// A reference that errs by 2 cm and half a degree for four seconds on end moves whole scans.
+#[test]
+fn a_reference_that_errs_is_no_noise() {
+    let mut today = log(&[], 2);
+    let draw = Draw::new(9, Stage::Path, 0);
+    let err = |secs: f64, pose: &Pose2| {
+        let mut rng = draw.item((secs / 4.0) as u32);
+        let [x, y, theta] = [0.04, 0.04, 0.018].map(|most| most * (rng.random::<f64>() - 0.5));
+        pose.compose(&Pose2::new(x, y, theta))
+    };
+    let poses =
+        today.track.secs().iter().zip(today.track.poses()).map(|(secs, pose)| (*secs, err(*secs, pose)));
+    today.track = Track::new(poses.collect::<Vec<_>>()).unwrap();
+    let options = BaselineOptions { permutations: 99, seed: 5, ..BaselineOptions::default() };
+    let found = find_changes(&NOMINAL, &log(&[], 1), &today, &options, &(), &AtomicBool::new(false)).unwrap();
+    assert!(names(&found).iter().all(|name| !super::neighbours::is_noise(*name)), "{found:#?}");
+    assert_eq!(found.noise_of_every_beam_m, None);
+}
+
 /// A wall that stands half a metre nearer, farther than any distance that is tried everywhere.
 #[test]
 fn a_wall_that_moved_far_is_named() {

@@ -10,6 +10,7 @@ use locsim_world::effect::{
 };
 use rayon::prelude::*;
 
+use super::given::Given;
 use super::learnt::Learnt;
 use super::pool::{Expected, Pool, REACH_M, Reading, World};
 
@@ -48,11 +49,6 @@ pub(super) struct Trial {
     pub changed: Vec<(u32, Expected)>,
 }
 
-/// Effects of today's log that are known already.
-pub(super) struct Given {
-    pub effects: Vec<Effect>,
-}
-
 impl Trial {
     /// The readings that an effect changes beside the given ones; `among` limits them to those by index.
     pub fn new(
@@ -67,7 +63,7 @@ impl Trial {
         let effects = [&given.effects[..], std::slice::from_ref(&acting)].concat();
         let is_of_walls = given.effects.is_empty() && effect.kind.has_place();
         let is_object = given.effects.is_empty() && effect.kind.moves() == Moves::Objects;
-        let changed = if is_object {
+        let mut changed = if is_object {
             of_object(pool, &effect, known)
         } else {
             let world = if is_of_walls { pool.world_of_walls(&effects)? } else { pool.world(&effects)? };
@@ -79,6 +75,7 @@ impl Trial {
                 None => changed(pool, &world, known, all),
             }
         };
+        given.keep_away(effect.kind, &mut changed);
         Ok(Self { effect, share, changed })
     }
 
