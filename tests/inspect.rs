@@ -383,10 +383,9 @@ fn a_missing_choice_is_named() {
         contains("no scan has a reference pose").and(contains("/vrpn_mocap/robot/pose (geometry_msgs")),
     );
     // Of a chain of transforms, the robot's base is named, not the odometry's frame.
-    let found = inspected(
-        &folder,
-        &format!("{} --reference-topic nowhere:base", Recordings::file("tf_only.mcap.zstd")),
-    );
+    let log = Recordings::file("tf_only.mcap.zstd");
+    let call = folder.locsim(&format!("inspect {log} --reference-topic nowhere:base --json")).code(2);
+    let found: Value = serde_json::from_str(&output(&call)).unwrap();
     assert_eq!(found["reference_candidates"][0], "map:base_link", "{found}");
 }
 
@@ -437,7 +436,9 @@ fn no_scenario_is_written_that_run_would_refuse() {
         .code(2)
         .stderr(contains("the environment variable NAME is not set"));
     folder
-        .locsim("init drive.log -o new/drive.yaml")
+        .locsim("init drive.log -o drive.log/drive.yaml")
         .code(2)
-        .stderr(contains("new/drive.yaml: cannot be written"));
+        .stderr(contains("drive.log/drive.yaml: cannot be written"));
+    folder.locsim("init drive.log -o new/drive.yaml").success();
+    folder.locsim("validate new/drive.yaml").success();
 }

@@ -112,6 +112,7 @@ impl Found {
         let first = changes.effects.first();
         let names = changes.effects.iter().map(|named| named.name.name().to_owned());
         let window = changes.losses_by_bearing.is_some().then(|| "losses_by_bearing".to_owned());
+        let noise = changes.noise_of_every_beam_m.is_some().then(|| "noise_of_every_beam".to_owned());
         let strength = truth.strength.as_ref().and_then(|(parameter, _)| {
             let named = first.filter(|named| Some(named.name.name()) == truth.effect.as_deref())?;
             let estimate = named.params.get(parameter.as_str())?.estimate;
@@ -121,7 +122,7 @@ impl Found {
             strength,
             truth: Some(truth),
             verdict: verdict(changes.verdict).to_owned(),
-            effects: names.chain(window).collect(),
+            effects: names.chain(window).chain(noise).collect(),
             p: changes.p,
             shared: changes.shared,
             w1_mm: changes.w1_mm,

@@ -3,7 +3,7 @@
 use glam::DVec2;
 use locsim_core::{Pose2, wrap_angle};
 
-use super::odometry::Window;
+use super::windows::Window;
 
 /// A body is told where it makes the differences of odometry and reference so many times smaller \[their squares\].
 const LEAST_GAIN: f64 = 9.0;

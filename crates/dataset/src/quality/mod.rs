@@ -6,6 +6,7 @@ mod lag;
 mod odometry;
 mod readings;
 mod units;
+mod windows;
 
 use locsim_core::Drive;
 use serde::Serialize;

@@ -2,10 +2,8 @@ use locsim_core::{Drive, DriveStep, FASTEST, Pose2, median, wrap_angle};
 use serde::Serialize;
 
 use super::body::base_from_body;
+use super::windows::{Window, windows};
 
-/// Odometry and reference are compared over windows of this length \[m\] or turn \[rad\]: in shorter ones the reference's own
-/// error of some centimetres hides the odometry's.
-const WINDOW: (f64, f64) = (1.0, 1.5);
 /// Fewer windows say nothing.
 const LEAST_WINDOWS: usize = 5;
 /// A window that turns by less is straight, by more a turn \[rad\].
@@ -167,44 +165,6 @@ fn reference_jumps(drive: &Drive) -> Vec<[f64; 2]> {
     let least = [REFERENCE_JUMP.0.max(USUAL * usual(0)), REFERENCE_JUMP.1.max(USUAL * usual(1))];
     let is_jump = |[apart, way]: &[[f64; 2]; 2]| (0..2).any(|i| apart[i] > least[i] + OF_WAY * way[i]);
     apart.into_iter().filter(is_jump).map(|[apart, _]| apart).collect()
-}
-
-/// A part of the drive, as odometry and reference have it.
-#[derive(Default)]
-pub(super) struct Window {
-    /// Sums over the steps by odometry: distance \[m\] and turn \[rad\], and their squares.
-    distance: f64,
-    turn: f64,
-    distance_squares: f64,
-    turn_squares: f64,
-    /// From its first step to its last.
-    pub odometry: Pose2,
-    pub reference: Pose2,
-}
-
-fn windows(drive: &Drive) -> Vec<Window> {
-    let mut windows = Vec::new();
-    let mut first = 0;
-    let mut open = Window::default();
-    for (i, pair) in drive.steps.windows(2).enumerate() {
-        let (Some(from), Some(to)) = (drive.steps[first].reference, pair[1].reference) else {
-            (first, open) = (i + 1, Window::default());
-            continue;
-        };
-        let step = pair[1].odometry.relative_to(&pair[0].odometry);
-        let (distance, turn) = (step.position().length(), wrap_angle(step.theta).abs());
-        open.distance += distance;
-        open.turn += turn;
-        open.distance_squares += distance * distance;
-        open.turn_squares += turn * turn;
-        if open.distance >= WINDOW.0 || open.turn >= WINDOW.1 {
-            open.odometry = pair[1].odometry.relative_to(&drive.steps[first].odometry);
-            open.reference = to.relative_to(&from);
-            windows.push(std::mem::take(&mut open));
-            first = i + 1;
-        }
-    }
-    windows
 }
 
 impl OdometryError {

@@ -20,7 +20,7 @@ const SHOWN_UNNAMED: usize = 3;
 
 pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
     let mut text: Vec<String> = outcome.effects.iter().map(told).collect();
-    text.extend(outcome.effects.iter().filter_map(doubt));
+    text.extend(outcome.effects.iter().filter_map(|named| doubt(named, &outcome.effects)));
     text.extend(outcome.unnamed.iter().filter_map(unnamed::form_sentence));
     let without_name = outcome.unnamed.iter().filter(|found| found.form_of.is_none());
     text.extend(without_name.take(SHOWN_UNNAMED).map(unnamed::sentence));
@@ -102,9 +102,10 @@ pub(super) fn label(parameter: &Parameter) -> String {
     name.replace('_', " ")
 }
 
-/// The rivals of an effect, and the motion that would distinguish them.
-pub(super) fn doubt(named: &Named) -> Option<String> {
-    let others: Vec<_> = others(named).collect();
+/// The rivals of an effect that have no name themselves, and the motion that would distinguish them.
+pub(super) fn doubt(named: &Named, all: &[Named]) -> Option<String> {
+    let is_named = |other: &&str| all.iter().any(|named| named.name.name() == *other);
+    let others: Vec<_> = others(named).filter(|other| !is_named(other)).collect();
     if others.is_empty() {
         return None;
     }
@@ -288,10 +289,10 @@ pub(super) fn with_interval(&Estimate { value, interval }: &Estimate) -> String 
     format!("{value} [{lo}, {hi}]")
 }
 
-/// Decimals with which an interval has one or two digits.
+/// Decimals with which an interval is 4 to 40 units of the last digit wide.
 pub(super) fn decimals(Interval { lo, hi }: Interval) -> usize {
     let width = (hi - lo).abs();
-    if width > 0.0 && width.is_finite() { (0.3 - width.log10()).ceil().clamp(0.0, 6.0) as usize } else { 3 }
+    if width > 0.0 && width.is_finite() { (0.6 - width.log10()).ceil().clamp(0.0, 6.0) as usize } else { 3 }
 }
 
 /// A chance with two digits.
@@ -316,6 +317,7 @@ mod tests {
         let shown =
             |value: f64, lo: f64, hi: f64| with_interval(&Estimate { value, interval: Interval { lo, hi } });
         assert_eq!(shown(0.4217, 0.3812, 0.4622), "0.42 [0.38, 0.46]");
+        assert_eq!(shown(0.126, 0.016, 0.236), "0.13 [0.02, 0.24]");
         assert_eq!(shown(61.23, 58.9, 63.4), "61 [59, 63]");
         assert_eq!(shown(-0.000_1, -0.04, 0.04), "0.00 [-0.04, 0.04]");
         assert_eq!(shown(2.0, 2.0, 2.0), "2.000");
@@ -336,8 +338,8 @@ mod tests {
             change_in_words(&Estimate { value, interval: Interval { lo, hi } })
         };
         assert_eq!(told(-0.02, -0.05, 0.01), "no difference (-0.02 [-0.05, 0.01] m)");
-        assert_eq!(told(-0.04, -0.05, -0.03), "-0.04 [-0.05, -0.03] m");
-        assert_eq!(told(0.04, 0.03, 0.05), "0.04 [0.03, 0.05] m");
+        assert_eq!(told(-0.04, -0.05, -0.03), "-0.040 [-0.050, -0.030] m");
+        assert_eq!(told(0.04, 0.03, 0.05), "0.040 [0.030, 0.050] m");
         assert_eq!(told(0.0, 0.0, 0.0), "no difference (0.000 m)");
     }
 }

@@ -176,6 +176,8 @@ fn tried_table(changes: &Changes) -> TextTable {
 
 /// The next step where returns are lost at some bearings.
 const WINDOW: &str = "Look at the laser's window, and at what the robot may have in front of it.";
+/// The next step where every beam is noisier.
+const NOISE: &str = "Look at the laser itself: its window, its supply, its temperature.";
 /// Ranges are farther off with a name if they are so by this factor.
 const FARTHER: f64 = 1.1;
 
@@ -188,15 +190,20 @@ fn sentences(changes: &Changes) -> Vec<String> {
     let p = answer::p_value(changes.p);
     let mut text: Vec<String> =
         changes.effects.iter().map(|named| format!("Since the baseline: {}", answer::told(named))).collect();
-    text.extend(changes.effects.iter().filter_map(answer::doubt));
+    text.extend(changes.effects.iter().filter_map(|named| answer::doubt(named, &changes.effects)));
     let losses = changes.losses_by_bearing.as_ref().and_then(losses_sentence);
     // What gains more is told first.
     let gain = changes.losses_by_bearing.as_ref().map_or(0.0, |losses| losses.gain_nats);
     let is_first = changes.effects.first().is_some_and(|named| named.evidence.gain_nats.value < gain);
     let at = if is_first { 0 } else { text.len() };
     text.splice(at..at, losses.clone());
+    let noise = changes.noise_of_every_beam_m.map(noise_sentence);
+    text.extend(noise.clone());
     match changes.verdict {
         ChangeVerdict::None => text.push(format!("Nothing has changed since the baseline (p = {p}).")),
+        ChangeVerdict::Unexplained if noise.is_some() => {
+            text.push(format!("No effect of the library is noise of every beam (p = {p})."));
+        }
         ChangeVerdict::Unexplained if losses.is_some() => {
             text.push(format!("No effect of the library loses returns by bearing (p = {p})."));
         }
@@ -227,6 +234,16 @@ fn sentences(changes: &Changes) -> Vec<String> {
     text
 }
 
+/// "Since the baseline: Every beam is noisier: ..."
+fn noise_sentence([baseline, today]: [f64; 2]) -> String {
+    let mm = |sigma: f64| fixed(1e3 * sigma, 1);
+    format!(
+        "Since the baseline: Every beam is noisier: sigma {} mm, {} mm in the baseline, by what neighbouring beams on one wall differ by.",
+        mm(today),
+        mm(baseline)
+    )
+}
+
 /// "at x 5.0 to 6.0 m, y 4.0 to 5.0 m".
 fn at_place([x0, y0, x1, y1]: [f64; 4]) -> String {
     let span = |from, to| format!("{} to {} m", fixed(from, 1), fixed(to, 1));
@@ -252,6 +269,7 @@ fn losses_sentence(losses: &LossesByBearing) -> Option<String> {
 fn steps(changes: &Changes) -> Vec<String> {
     let named = |named: &Named| format!("Look on the robot for this change: {}", answer::told(named));
     let window = changes.losses_by_bearing.is_some().then(|| WINDOW.to_owned());
+    let window = window.or_else(|| changes.noise_of_every_beam_m.map(|_| NOISE.to_owned()));
     match changes.verdict {
         ChangeVerdict::None => vec!["Nothing: the robot is as it was on the baseline's drive.".to_owned()],
         ChangeVerdict::Underpowered => {

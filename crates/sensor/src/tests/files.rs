@@ -77,7 +77,7 @@ fn a_newer_format_and_a_foreign_file_are_named_as_such() {
 
     let absent = folder.path().join("absent");
     assert!(FittedModel::load(&absent).unwrap_err().to_string().contains("absent"));
-    assert!(fitted(ModelKind::Classic).save(&folder.path().join("no/folder")).is_err());
+    assert!(fitted(ModelKind::Classic).save(&path.join("below a file")).is_err());
 }
 
 #[test]
