@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use locsim_core::Progress;
 use locsim_gap::GapError;
-use locsim_world::effect::{Effect, Role};
+use locsim_world::effect::{Effect, Moves, Role};
 use locsim_world::simulation::OdometryModel;
 
 use super::BaselineOptions;
@@ -14,7 +14,7 @@ use super::increments::{Increments, is_of_odometry};
 use super::learnt::Learnt;
 use super::neighbours::Neighbours;
 use super::pool::{Expected, Pool};
-use super::trials::{Trial, usual};
+use super::trials::{Trial, of_object, usual};
 
 /// Halvings of the steps of a fit.
 const HALVINGS: usize = 6;
@@ -86,6 +86,29 @@ impl Search<'_> {
         readings
             .map(|(reading, expected)| learnt.density(reading.stretch, expected, reading.z).ln())
             .collect()
+    }
+
+    /// The expected readings with these effects.
+    pub fn expected_with(&self, effects: &[Effect]) -> Result<Vec<Expected>, GapError> {
+        let on_laser: Vec<Effect> = effects
+            .iter()
+            .filter(|effect| !is_of_odometry(effect.kind))
+            .map(|effect| effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread))
+            .collect();
+        let (objects, others): (Vec<Effect>, Vec<Effect>) =
+            on_laser.into_iter().partition(|effect| effect.kind.moves() == Moves::Objects);
+        let mut expected = usual(self.pool);
+        if !others.is_empty() {
+            let world = self.pool.world(&others)?;
+            let readings = self.pool.readings.iter().zip(&mut expected);
+            readings.for_each(|(reading, expected)| *expected = self.pool.expected(&world, reading));
+        }
+        for object in &objects {
+            for (index, met) in of_object(self.pool, object, &expected) {
+                expected[index as usize] = met;
+            }
+        }
+        Ok(expected)
     }
 
     /// What an effect changes beside the given ones.

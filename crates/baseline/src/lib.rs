@@ -19,7 +19,8 @@
 //! | effects with the readings that they change | `trials` |
 //! | fits of an effect | `fitting` |
 //! | effects at one place | `places` |
-//! | permutations, names | `search` |
+//! | permutations, and whether anything changed | `search` |
+//! | names | `naming` |
 //! | whether what an effect of all beams gains is of all places | `everywhere` |
 //! | whether noise is that of beams, and not of whole scans | `neighbours` |
 //! | returns that are lost at some bearings | `bearings` |
@@ -33,6 +34,7 @@ mod fitting;
 mod given;
 mod increments;
 mod learnt;
+mod naming;
 mod neighbours;
 mod null;
 mod places;

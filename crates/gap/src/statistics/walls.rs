@@ -234,6 +234,8 @@ mod tests {
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::{Comparison, Nuisances};
+    use crate::statistics::pit_draw;
     use crate::{GapOptions, Recorded, find};
 
     /// Most beams of a door's cells end on its back and on the wall beside it; a pane in its jamb is found all the same.
@@ -249,5 +251,29 @@ mod tests {
         assert_eq!(first.name, EffectKind::Glass, "{:?}", outcome.rivals);
         let ends = first.place[0];
         assert!(ends.iter().all(|end| (end[0] - 2.0).abs() < 0.06), "{ends:?}");
+    }
+
+    /// Lines along walls, on each of which every reading says as much: what is found has no gap, though lines go on beyond theirs.
+    #[test]
+    fn a_stretch_ends_where_the_wall_does() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.start(&Nuisances::default());
+        let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+        let met = comparison.views.beams.iter().filter(|beam| beam.view.range < log.max_range());
+        let ends: Vec<DVec2> = met.map(|beam| beam.view.endpoint).collect();
+        let mut with_gap = 0;
+        for line in lines_through(ends.clone(), 20, ON_LINE_M) {
+            let on_it = ends.iter().filter(|end| line.distance(**end) <= NEAR_LINE_M);
+            let along = locsim_core::sorted(on_it.map(|end| line.along.dot(*end - line.point)));
+            let gaps =
+                || along.windows(2).filter(|pair| pair[1] - pair[0] > STRETCH_GAP_M + 2.0 * STRETCH_BIN_M);
+            with_gap += usize::from(gaps().next().is_some());
+            let Some(found) = best_stretch(&log, line, |_| [1.0], |[sum]| (sum, 1.0)) else { continue };
+            let [from, to] = found.ends.map(|end| line.along.dot(end - line.point));
+            assert!(!gaps().any(|pair| pair[0] >= from && pair[1] <= to), "{from} to {to}");
+        }
+        assert!(with_gap > 0);
     }
 }
