@@ -6,6 +6,7 @@ mod bag;
 mod cloud;
 mod contents;
 mod messages;
+mod motion;
 mod poses;
 mod read;
 mod remarks;
