@@ -34,8 +34,8 @@ pub(super) struct Round {
     pub places: BTreeMap<EffectKind, places::Best>,
     /// Distance of the range errors of stretches of both logs, the median \[mm\].
     pub floor: f64,
-    /// Whether neighbouring beams surely differ by more today.
-    pub is_noisier: bool,
+    /// Whether neighbouring beams surely differ by more today; `None` where they can't tell.
+    pub is_noisier: Option<bool>,
 }
 
 /// What comes next: the name of a fit, or noise of every beam, by the effect that is nearest to it.
@@ -171,7 +171,7 @@ impl Search<'_> {
             let effect = &fits[best].effect;
             if is_noise(effect.kind)
                 && !is_noise_known
-                && first.is_noisier
+                && first.is_noisier == Some(true)
                 && self.neighbours.are_all_noisier(effect.kind, assignment)
             {
                 changes.noise_of_every_beam_m = Some(self.neighbours.noise(assignment));
@@ -191,7 +191,8 @@ impl Search<'_> {
             }
             let is_further = !is_known && !is_of_odometry(effect.kind);
             let is_no_name = is_left_over(&fits[best], named)
-                || is_noise(effect.kind) && (!first.is_noisier || changes.noise_of_every_beam_m.is_some())
+                || is_noise(effect.kind)
+                    && (first.is_noisier == Some(false) || changes.noise_of_every_beam_m.is_some())
                 || is_of_named_wall(effect, given)
                 || is_further && self.is_farther_off(effect, beside, assignment, known, first.floor)?;
             if !is_no_name {
@@ -259,7 +260,7 @@ impl Search<'_> {
         let logs = self.log_densities(known, expected);
         let mut best = Best::new();
         let is_known = given.effects.iter().any(|given| is_noise(given.kind));
-        let noise = (!is_known).then(|| self.neighbours.contrast(assignment));
+        let noise = if is_known { None } else { self.neighbours.contrast(assignment) };
         for (index, trial) in tried.iter().enumerate() {
             let Some(plain) = plain.iter().find(|plain| plain.effect == trial.effect) else { continue };
             let usual = plain.gains(self.pool, &known.learnt, &logs[0], &assignment.is_baseline);

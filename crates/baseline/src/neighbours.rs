@@ -72,9 +72,9 @@ impl Neighbours {
         Self { all }
     }
 
-    /// How surely neighbouring beams differ by more on today's stretches than on the baseline's, in standard errors between places; 0 where too
-    /// few places tell.
-    pub fn contrast(&self, assignment: &Assignment) -> f64 {
+    /// How surely neighbouring beams differ by more on today's stretches than on the baseline's, in standard errors between places; `None` where
+    /// too few places tell, as on a map of cells, whose walls have no incidence.
+    pub fn contrast(&self, assignment: &Assignment) -> Option<f64> {
         let more = self.means(assignment, |_| true, |size| size).into_iter();
         errors_above(&more.map(|[weight, baseline, today]| [weight, today - baseline]).collect::<Vec<_>>())
     }
@@ -145,15 +145,15 @@ impl Neighbours {
     }
 }
 
-/// The weighted mean of places in standard errors between them.
-fn errors_above(more: &[[f64; 2]]) -> f64 {
+/// The weighted mean of places in standard errors between them; `None` of few.
+fn errors_above(more: &[[f64; 2]]) -> Option<f64> {
     if more.len() < LEAST_PLACES {
-        return 0.0;
+        return None;
     }
     let whole: f64 = more.iter().map(|[weight, _]| weight).sum();
     let mean = more.iter().map(|[weight, more]| weight * more).sum::<f64>() / whole;
     let variance: f64 = more.iter().map(|[weight, more]| (weight * (more - mean) / whole).powi(2)).sum();
-    mean / variance.sqrt().max(1e-12)
+    Some(mean / variance.sqrt().max(1e-12))
 }
 
 /// The differences of readings at shared places from the mean of both neighbours, where all three are of one wall.
@@ -205,11 +205,13 @@ mod tests {
                 is_baseline: (0..8).map(|stretch| stretch < 4).collect(),
                 is_today: (0..8).map(|stretch| stretch >= 4).collect(),
             };
-            Neighbours { all: pairs.map(of).collect() }.contrast(&assignment)
+            Neighbours { all: pairs.map(of).collect() }.contrast(&assignment).unwrap()
         };
         assert!(contrast(&|_| 0.1) > 5.0, "{}", contrast(&|_| 0.1));
         assert!(contrast(&|_| 0.0).abs() < SURELY);
         assert!(contrast(&|place| if place == 5 { 1.2 } else { 0.0 }) < SURELY);
+        let nowhere = Assignment { is_baseline: vec![true, false], is_today: vec![false, true] };
+        assert_eq!(Neighbours { all: Vec::new() }.contrast(&nowhere), None);
     }
 
     /// Noise that has doubled everywhere, beyond 3 m, on slanted walls, and of a tenth of the readings by far.

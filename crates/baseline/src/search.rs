@@ -122,11 +122,11 @@ impl Search<'_> {
         let floor = locsim_core::median(&mut distances);
         let mut named = Vec::new();
         if changes.p <= options.false_alarm {
-            let is_noisier = self.neighbours.contrast(&assignment) > SURELY;
+            let is_noisier = self.neighbours.contrast(&assignment).map(|errors| errors > SURELY);
             let is_found = |kind: &EffectKind, score: &Score| {
                 is_noise(*kind) && null.weight(*kind, score) > -options.false_alarm.ln()
             };
-            if !is_noisier && own.iter().any(|(kind, score)| is_found(kind, score)) {
+            if is_noisier == Some(false) && own.iter().any(|(kind, score)| is_found(kind, score)) {
                 changes.notes.push(NOISE_OF_SCANS.to_owned());
             }
             let first = Round { tried, own, places: standing, floor, is_noisier };
@@ -205,7 +205,8 @@ impl Search<'_> {
         for (index, trial) in tried.iter().enumerate() {
             let gains = trial.gains(self.pool, &known.learnt, &log, &used);
             let gain = assignment.net(&gains, &gains).iter().sum();
-            let contrast = if is_noise(trial.effect.kind) { noise } else { assignment.contrast(&gains) };
+            let noise = noise.filter(|_| is_noise(trial.effect.kind));
+            let contrast = noise.unwrap_or_else(|| assignment.contrast(&gains));
             add(&mut best, trial.effect.kind, Score { gain, contrast, index });
         }
         for (index, effect) in odometry.iter().enumerate() {
