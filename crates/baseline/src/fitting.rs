@@ -193,7 +193,8 @@ impl Search<'_> {
         for _ in 0..HALVINGS {
             let before = best.effect.clone();
             for (i, parameter) in kind.parameters().iter().enumerate() {
-                if parameter.role == Role::Step {
+                // Places of both logs are too few for what an effect may do without.
+                if parameter.role == Role::Step || parameter.is_extra() {
                     continue;
                 }
                 for sign in [1.0, -1.0] {
@@ -206,9 +207,7 @@ impl Search<'_> {
                             }
                             Role::Position { first_step } => 2.0 * first_step,
                             Role::Shape(_) => value.abs().max(0.1 * parameter.start.abs()),
-                            _ => (value - parameter.neutral)
-                                .abs()
-                                .max(0.3 * (parameter.start - parameter.neutral).abs()),
+                            _ => parameter.typical_step(value),
                         };
                         let mut effect = best.effect.clone();
                         effect.values[i] = (value + sign * share * step).clamp(parameter.lo, parameter.hi);

@@ -75,7 +75,7 @@ mod tests {
     #[test]
     fn a_place_reaches_a_metre_beyond_what_is_named_there() {
         let wall = vec![[DVec2::new(3.0, 4.0), DVec2::new(5.0, 4.0)]];
-        let wall = Effect::new(EffectKind::MovedWall, vec![0.3], wall).unwrap();
+        let wall = Effect::new(EffectKind::MovedWall, vec![0.3, 0.0], wall).unwrap();
         let disc = Effect::new(EffectKind::MissingObject, vec![4.0, 4.0, 0.4], Vec::new()).unwrap();
         let are_near = |x: f64, y: f64| [&wall, &disc].map(|effect| is_near(effect, DVec2::new(x, y)));
         assert_eq!(are_near(4.5, 4.9), [true, true]);

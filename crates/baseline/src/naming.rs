@@ -142,6 +142,7 @@ impl Search<'_> {
             next.extend(at_place().filter(|effect| is_new(effect.kind)));
             scores = best;
         }
+        self.drop_farther(&mut named, assignment, known, first.floor)?;
         // Gains of readings and of the odometry don't compare. What stands out more among permutations is told first.
         let of_places = stand_out().map(|best| -(best.p / SHARE_OF_PLACES).ln()).fold(0.0, f64::max);
         let rarity = |named: &Named| {
@@ -150,6 +151,31 @@ impl Search<'_> {
         };
         named.sort_by(|a, b| rarity(b).total_cmp(&rarity(a)));
         Ok(named)
+    }
+
+    /// Drops names without which ranges are nearer, beside all others; the one that puts them farthest off goes first. An effect that was named
+    /// before what has really changed took some of that for its own.
+    fn drop_farther(
+        &self,
+        named: &mut Vec<Named>,
+        assignment: &Assignment,
+        known: &Known,
+        floor: f64,
+    ) -> Result<(), GapError> {
+        let distance = |named: &[&Named]| -> Result<f64, GapError> {
+            let effects: Vec<Effect> = named.iter().map(|named| named.effect.clone()).collect();
+            Ok(self.distance(&known.learnt, &self.expected_with(&effects)?, assignment))
+        };
+        loop {
+            let all = distance(&named.iter().collect::<Vec<_>>())?;
+            let mut without = vec![None; named.len()];
+            for index in (0..named.len()).filter(|&i| !is_of_odometry(named[i].name)) {
+                let others = named.iter().enumerate().filter(|(i, _)| *i != index);
+                without[index] = Some(distance(&others.map(|(_, named)| named).collect::<Vec<_>>())?);
+            }
+            let Some(index) = farthest(all, &without, floor) else { return Ok(()) };
+            named.remove(index);
+        }
     }
 
     /// The fit that is named next, with its numbers; fits that aren't to be named are left out on the way.
@@ -167,6 +193,8 @@ impl Search<'_> {
         // That something changed is known for the first name. A further one has to say so itself.
         let is_known = named.is_empty() && changes.noise_of_every_beam_m.is_none();
         let is_noise_known = given.effects.iter().any(|given| is_noise(given.kind));
+        // Errors of the references move scans as a displaced laser does, by less than stretches of the logs differ.
+        let differs_less = |floor: f64| self.distance(&known.learnt, expected, assignment) <= floor;
         while let Some(best) = choose(fits, assignment, errors, is_known) {
             let effect = &fits[best].effect;
             if is_noise(effect.kind)
@@ -194,6 +222,7 @@ impl Search<'_> {
                 || is_noise(effect.kind)
                     && (first.is_noisier == Some(false) || changes.noise_of_every_beam_m.is_some())
                 || is_of_named_wall(effect, given)
+                || effect.kind.displaces_laser() && differs_less(first.floor)
                 || is_further && self.is_farther_off(effect, beside, assignment, known, first.floor)?;
             if !is_no_name {
                 let precise = self.precise(effect, given, expected, assignment, known)?;
@@ -288,6 +317,20 @@ pub(super) fn score_of_odometry(contrast: &Contrast, gain: f64, index: usize) ->
 
 /// A further name may put ranges farther off by this share of what stretches differ by.
 const FARTHER: f64 = 0.25;
+
+/// Or by this share of what they are off without it.
+const FARTHER_SHARE: f64 = 0.1;
+
+/// Of several names the one without which ranges are nearest, by index, where they are nearer by more than a part of the floor or of what they
+/// are off. Distances are those with all names, and without each of them; `None` of one that moves no ranges. A single name stays: a disc
+/// puts ranges farther off than the box that it stands for, and so do bursts that come at other times.
+fn farthest(all: f64, without: &[Option<f64>], floor: f64) -> Option<usize> {
+    let known = without.iter().enumerate().filter_map(|(index, without)| Some((index, (*without)?)));
+    let nearest = known.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let least = (FARTHER * floor).min(FARTHER_SHARE * nearest.1);
+    (without.len() > 1 && all - nearest.1 > least).then_some(nearest.0)
+}
+
 /// What is left of an effect in a form that isn't quite its own gains up to this share of it: the square of an error of a seventh.
 const LEFT_OVER: f64 = 0.02;
 
@@ -425,6 +468,20 @@ mod tests {
         assert!(!is_left_over(&fit(EffectKind::MixedPixels, 25.0), &named));
         assert!(!is_left_over(&fit(EffectKind::OdomImbalance, 15.0), &named));
         assert!(!is_left_over(&fit(EffectKind::MixedPixels, 15.0), &[]));
+    }
+
+    /// Random readings put ranges 7 mm farther off beside an object that takes 6 mm away.
+    #[test]
+    fn a_name_without_which_ranges_are_nearer_goes() {
+        assert_eq!(farthest(17.0, &[Some(10.0), Some(23.0)], 5.1), Some(0));
+        assert_eq!(
+            farthest(17.0, &[None, Some(16.0)], 5.1),
+            None,
+            "by less than a quarter of the floor and a tenth"
+        );
+        assert_eq!(farthest(34.1, &[None, Some(29.3)], 26.6), Some(1));
+        assert_eq!(farthest(34.1, &[Some(9.3)], 26.6), None, "alone");
+        assert_eq!(farthest(17.0, &[None], 5.1), None);
     }
 
     #[test]

@@ -99,7 +99,9 @@ impl Search<'_> {
     ) -> Result<Precise, GapError> {
         let mut effect = effect.clone();
         let parameters = effect.kind.parameters();
-        let is_smooth = |parameter: &Parameter| matches!(parameter.role, Role::Strength | Role::Shape(_));
+        let is_smooth = |parameter: &Parameter| {
+            matches!(parameter.role, Role::Strength | Role::Shape(_)) && !parameter.is_extra()
+        };
         let smooth: Vec<usize> = (0..parameters.len()).filter(|&i| is_smooth(&parameters[i])).collect();
         let logs = self.log_densities(known, expected);
         let mut halves = vec![0.0; parameters.len()];
@@ -125,10 +127,12 @@ impl Search<'_> {
             }
         }
         let numbers = parameters.iter().zip(&effect.values).zip(halves);
-        let numbers = numbers.map(|((parameter, &value), half)| {
-            let estimate = Estimate::around(value, half).map(|value| value.clamp(parameter.lo, parameter.hi));
-            (parameter.name, Number { estimate, unit: parameter.unit })
-        });
+        let numbers =
+            numbers.filter(|((parameter, _), _)| !parameter.is_extra()).map(|((parameter, &value), half)| {
+                let estimate =
+                    Estimate::around(value, half).map(|value| value.clamp(parameter.lo, parameter.hi));
+                (parameter.name, Number { estimate, unit: parameter.unit })
+            });
         Ok(Precise { numbers: numbers.collect(), effect, is_known })
     }
 
@@ -156,9 +160,7 @@ impl Search<'_> {
         let mut steps = Vec::new();
         for &i in smooth {
             let (parameter, value) = (&parameters[i], effect.values[i]);
-            let typical = (parameter.start - parameter.neutral).abs();
-            let mut step = STEP * (value - parameter.neutral).abs().max(0.3 * typical);
-            step = step.min(0.25 * (parameter.hi - parameter.lo));
+            let mut step = (STEP * parameter.typical_step(value)).min(0.25 * (parameter.hi - parameter.lo));
             let mut sides = None;
             for _ in 0..=HALVINGS {
                 // Away from the limits by more than rounding errors.

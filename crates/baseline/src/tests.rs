@@ -179,7 +179,7 @@ fn a_reference_that_errs_is_no_noise() {
 #[test]
 fn a_wall_that_moved_far_is_named() {
     let wall = vec![[glam::DVec2::new(6.0, 1.0), glam::DVec2::new(6.0, 3.2)]];
-    let moved = Effect::new(E::MovedWall, vec![-0.5], wall).unwrap();
+    let moved = Effect::new(E::MovedWall, vec![-0.5, 0.0], wall).unwrap();
     let drive = record_library(&NOMINAL, &TRUTH, &[moved], Regime::default(), 2).unwrap();
     let today = Recorded::new(&drive, 400, 36, |_| true).unwrap();
     let options = BaselineOptions { permutations: 99, seed: 5, ..BaselineOptions::default() };

@@ -193,8 +193,9 @@ pub(super) fn trials(
         let far = of_logs.into_iter().flatten().filter(|distance| distance.abs() > DISPLACED_M[2]);
         let displaced = DISPLACED_M.into_iter().chain(far).map(|distance| (EffectKind::MovedWall, distance));
         for (kind, value) in displaced.chain([(EffectKind::Glass, LET_THROUGH)]) {
-            let effect = Effect::new(kind, vec![value], vec![place]);
-            list.extend(effect.ok().map(|effect| (effect, Some(among.clone()))));
+            let mut effect = Effect::typical(kind, vec![place]);
+            effect.values[0] = value;
+            list.push((effect, Some(among.clone())));
         }
     }
     list.retain(|(effect, _)| !without.contains(&effect.kind));

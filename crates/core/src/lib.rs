@@ -10,6 +10,7 @@ mod control;
 mod deskew;
 mod draw;
 mod drive;
+mod edges;
 mod elementary;
 mod endpoint;
 mod folds;
@@ -28,6 +29,7 @@ mod pose_error;
 mod quantile;
 mod resampled;
 mod shard;
+mod stretches;
 pub mod tilt;
 mod track;
 mod weights;
@@ -36,6 +38,7 @@ pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
 pub use control::{Clock, Control, Progress};
 pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, FASTEST, Laser, LaserError, Scan};
+pub use edges::{even_edges, inner_quantile_edges, quantile_edges};
 pub use elementary::{sin_cos, sin_cos_near_zero};
 pub use endpoint::{EndpointGrid, EndpointScan, EndpointTable};
 pub use folds::{Folds, gains_beyond, gains_surely, simplest, sum_error};
@@ -44,7 +47,7 @@ pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
     turn,
 };
-pub use lines::{Line, lines_through};
+pub use lines::{Line, SlantedStretch, lines_through};
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, sector_holds_middle, wrap_angle};
@@ -55,5 +58,6 @@ pub use pose_error::{
 pub use quantile::{median, quantile, sorted};
 pub use resampled::resampled;
 pub use shard::Shard;
+pub use stretches::Stretches;
 pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

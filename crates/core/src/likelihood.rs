@@ -31,14 +31,19 @@ pub(crate) struct Nats {
 impl Nats {
     /// The entries of log densities; those more than [`SPAN_NATS`] below the greatest count as that far below.
     pub fn of(log_density: &[f32]) -> (Vec<i16>, Self) {
-        let highest = log_density.iter().copied().fold(f32::NEG_INFINITY, f32::max).max(f32::MIN);
-        let lowest = log_density.iter().copied().fold(highest, f32::min);
-        let highest = f64::from(highest);
-        let span = (highest - f64::from(lowest)).clamp(1e-3, SPAN_NATS);
-        let unit = span / f64::from(u16::MAX);
-        let base = highest - span / 2.0;
-        let entries = log_density.iter().map(|&l| ((f64::from(l) - base) / unit).round() as i16).collect();
-        (entries, Self { base, unit })
+        let nats = Self::between(limits(log_density));
+        (log_density.iter().map(|&l| nats.entry(l)).collect(), nats)
+    }
+
+    /// Those of log densities between these limits.
+    fn between([lowest, highest]: [f32; 2]) -> Self {
+        let highest = highest.max(f32::MIN);
+        let span = (f64::from(highest) - f64::from(lowest.min(highest))).clamp(1e-3, SPAN_NATS);
+        Self { base: f64::from(highest) - span / 2.0, unit: span / f64::from(u16::MAX) }
+    }
+
+    fn entry(self, log_density: f32) -> i16 {
+        ((f64::from(log_density) - self.base) / self.unit).round() as i16
     }
 
     /// The same log densities times a factor.
@@ -51,6 +56,11 @@ impl Nats {
     pub fn sum(self, beams: usize, entries: i32) -> f64 {
         self.base * beams as f64 + self.unit * f64::from(entries)
     }
+}
+
+/// The least and the greatest of some log densities.
+fn limits(log_density: &[f32]) -> [f32; 2] {
+    log_density.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], &l| [a.min(l), b.max(l)])
 }
 
 /// The knots of a [`LikelihoodTable`].
@@ -120,10 +130,28 @@ impl LikelihoodTable {
     /// # Panics
     /// If the number of log densities is not the grid's.
     pub fn new(grid: LikelihoodGrid, log_density: &[f32]) -> Self {
+        let row = grid.ranges() * INCIDENCE_KNOTS;
+        Self::of_rows(grid, limits(log_density), log_density.chunks(row))
+    }
+
+    /// The same of rows that come one after the other, so that all of them need not be held. The limits are the least and the greatest of
+    /// all log densities.
+    ///
+    /// # Panics
+    /// As [`LikelihoodTable::new`].
+    pub fn of_rows<R: AsRef<[f32]>>(
+        grid: LikelihoodGrid,
+        limits: [f32; 2],
+        rows: impl IntoIterator<Item = R>,
+    ) -> Self {
         let ranges = grid.ranges();
         let count = grid.rows() * ranges * INCIDENCE_KNOTS;
-        assert_eq!(log_density.len(), count, "log densities do not match the grid");
-        let (mut entries, nats) = Nats::of(log_density);
+        let nats = Nats::between(limits);
+        let mut entries = Vec::with_capacity(count + ranges * INCIDENCE_KNOTS);
+        for row in rows {
+            entries.extend(row.as_ref().iter().map(|&l| nats.entry(l)));
+        }
+        assert_eq!(entries.len(), count, "log densities do not match the grid");
         entries.resize(count + ranges * INCIDENCE_KNOTS, 0);
         Self { grid, ranges, entries, nats }
     }

@@ -1,6 +1,10 @@
 //! Lines that most of some points lie on.
 
+use std::ops::RangeInclusive;
+
 use glam::DVec2;
+
+use crate::sorted;
 
 /// Of more points a sample is looked at: pairs of 60 are 1770 lines.
 const SAMPLE: usize = 60;
@@ -35,6 +39,54 @@ pub fn lines_through(mut points: Vec<DVec2>, most: usize, near_m: f64) -> Vec<Li
     lines
 }
 
+/// A stretch of an axis along which most of some points lie on a slanted line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlantedStretch {
+    /// How many of the points do.
+    pub count: usize,
+    /// From and to where along the axis \[m\].
+    pub ends: [f64; 2],
+    /// The line's height in the middle of the stretch \[m\].
+    pub middle: f64,
+    /// Its slope.
+    pub slope: f64,
+}
+
+impl SlantedStretch {
+    /// The line that most of the points (along the axis, and off it) are within `near_m` \[m\] of. The stretch goes as far as its points have no gap
+    /// of more than `gap_m`, and on to where the line meets the axis, as far as there are `others` on the axis, in ascending order, without
+    /// such a gap. `None` of a line whose slope, without its sign, isn't among `slopes`.
+    pub fn through(
+        points: Vec<DVec2>,
+        others: &[f64],
+        near_m: f64,
+        gap_m: f64,
+        slopes: RangeInclusive<f64>,
+    ) -> Option<Self> {
+        let line = line_through(&points, near_m)?;
+        let slope = line.along.y / line.along.x;
+        if !slopes.contains(&slope.abs()) {
+            return None;
+        }
+        let on_it = points.into_iter().filter(|point| line.distance(*point) < near_m);
+        let on_it = sorted(on_it.map(|point| point.x));
+        let pieces = on_it.chunk_by(|a, b| b - a <= gap_m);
+        let piece = pieces.max_by_key(|piece| piece.len())?;
+        let [from, to] = [piece[0], piece[piece.len() - 1]];
+        let meets = line.point.x - line.point.y / slope;
+        let go_on = |last: &mut f64, s: &f64| {
+            let has_gap = (s - *last).abs() > gap_m;
+            *last = *s;
+            (!has_gap).then_some(*s)
+        };
+        let after = others.iter().filter(|s| (to..=meets).contains(s)).scan(to, go_on).last();
+        let before = others.iter().rev().filter(|s| (meets..=from).contains(s)).scan(from, go_on).last();
+        let ends = [before.unwrap_or(from), after.unwrap_or(to)];
+        let middle = line.point.y + slope * (0.5 * (ends[0] + ends[1]) - line.point.x);
+        Some(Self { count: piece.len(), ends, middle, slope })
+    }
+}
+
 /// The line that most of some points lie on, of those through two of them.
 fn line_through(points: &[DVec2], near_m: f64) -> Option<Line> {
     let few: Vec<DVec2> = points.iter().copied().step_by(points.len().div_ceil(SAMPLE).max(1)).collect();
@@ -54,6 +106,22 @@ fn line_through(points: &[DVec2], near_m: f64) -> Option<Line> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Points rise by a tenth from 3 to 7, and a few lie elsewhere; the axis is seen from 0 to 10 but for 2 to 5 m before the line meets it.
+    #[test]
+    fn a_slanted_stretch_goes_on_to_where_it_meets_the_axis() {
+        let rises = (0..40).map(|i| 3.0 + 0.1 * f64::from(i)).map(|x| DVec2::new(x, 0.1 * (x - 1.0)));
+        let points = || rises.clone().chain([DVec2::new(4.0, -0.4), DVec2::new(8.5, 0.1)]).collect();
+        let of = |others: &[f64]| SlantedStretch::through(points(), others, 0.02, 1.5, 0.01..=0.3).unwrap();
+        let seen: Vec<f64> = (0..20).map(|i| 0.5 * f64::from(i)).collect();
+        let found = of(&seen);
+        assert!(found.count == 40 && (found.slope - 0.1).abs() < 1e-9, "{found:?}");
+        assert!((found.ends[0] - 1.0).abs() < 1e-9 && (found.ends[1] - 6.9).abs() < 1e-9, "{found:?}");
+        assert!((found.middle - 0.295).abs() < 1e-9, "{found:?}");
+        let far: Vec<f64> = seen.into_iter().filter(|s| !(1.2..2.8).contains(s)).collect();
+        assert_eq!(of(&far).ends[0], 3.0, "a gap");
+        assert_eq!(SlantedStretch::through(points(), &[], 0.02, 1.5, 0.2..=0.3), None, "too flat");
+    }
 
     /// A recess, its side, and the wall beside it.
     #[test]

@@ -40,6 +40,13 @@ impl Floor {
         after - before > self.visible() - self.mean
     }
 
+    /// Whether a distance is more than twice another, and larger by more than samples of one distribution differ on average. Where they
+    /// differ by as much as their mean, as with bursts, three standard deviations are more than any distance.
+    #[must_use]
+    pub fn doubles(&self, before: f64, after: f64) -> bool {
+        after > 2.0 * before && after - before > self.mean
+    }
+
     /// The share of what is above the floor that is gone; `None` where both are at the floor, to within what it may be by chance.
     #[must_use]
     pub fn closed(&self, before: f64, after: f64) -> Option<f64> {
@@ -68,5 +75,8 @@ mod tests {
         assert_eq!(floor.closed(30.0, 12.0), Some(1.0), "at its floor");
         assert_eq!((floor.closed(12.0, 9.0), floor.closed(12.0, 20.0)), (None, Some(0.0)));
         assert!(floor.is_farther(10.0, 13.5) && !floor.is_farther(10.0, 12.5));
+        let bursts = Floor { mean: 286.0, deviation: 240.0 };
+        assert!(bursts.doubles(243.0, 735.0) && !bursts.is_farther(243.0, 735.0));
+        assert!(!bursts.doubles(243.0, 480.0) && !bursts.doubles(100.0, 380.0));
     }
 }

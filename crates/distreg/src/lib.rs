@@ -73,6 +73,7 @@ mod p_reg;
 mod point_share;
 pub mod random_effects;
 mod regressor;
+pub mod sandwich;
 mod search;
 mod smoother;
 mod standardized;

@@ -3,9 +3,9 @@
 use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
 use distreg::matrix::{invert, quadratic};
-use locsim_core::{Interval, normal, sum_error};
+use distreg::sandwich::half_widths;
+use locsim_core::{Interval, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
-use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted};
@@ -291,30 +291,13 @@ const MOST_LOST_NATS: f64 = 5.0;
 
 /// 95 % intervals of an effect's parameters, by the inverse of their information and the gradient \[parameter\]\[fold\].
 fn intervals(effect: &Effect, inverse: &[Vec<f64>], gradient: &[Vec<f64>]) -> Vec<Interval> {
-    /// The least share of the half-width by the curvature alone: the sandwich of few folds is now and then far too small.
-    const LEAST_SHARE: f64 = 0.8;
-    let count = gradient.first().map_or(0, Vec::len);
-    // One less than folds, and no fewer than have a variance.
-    let degrees = (count as f64 - 1.0).max(2.0);
-    let quantile = StudentsT::new(0.0, 1.0, degrees).map_or(normal::QUANTILE_975, |t| t.inverse_cdf(0.975));
-    let half = |row: &[f64], variance: f64| {
-        let projected = (0..count).map(|b| row.iter().zip(gradient).map(|(r, g)| r * g[b]).sum::<f64>());
-        let sandwich = projected.map(|p| p * p).sum::<f64>() * count as f64 / degrees;
-        let error = sandwich.max(0.0).sqrt();
-        let curvature = variance.max(0.0).sqrt();
-        // The mean of both variances: each is a poor estimate by itself.
-        let both = (0.5 * (error * error + curvature * curvature)).sqrt();
-        (quantile * both).max(normal::QUANTILE_975 * LEAST_SHARE * curvature)
-    };
     let parameters = effect.kind.parameters().iter().zip(&effect.values);
-    parameters
-        .zip(inverse)
-        .enumerate()
-        .map(|(i, ((parameter, value), row))| {
-            let half = half(row, row[i]);
-            Interval { lo: (value - half).max(parameter.lo), hi: (value + half).min(parameter.hi) }
-        })
-        .collect()
+    let halves = half_widths(inverse, gradient).into_iter();
+    let interval = |((parameter, value), half): ((&Parameter, &f64), f64)| Interval {
+        lo: (value - half).max(parameter.lo),
+        hi: (value + half).min(parameter.hi),
+    };
+    parameters.zip(halves).map(interval).collect()
 }
 
 /// The log likelihood about a fit, a step up and down in each parameter.
@@ -461,10 +444,8 @@ fn first_step(parameter: &Parameter, value: f64) -> f64 {
         // A parameter that can't be negative is searched by its logarithm; this is the least value that one starts from.
         return 1e-3 * (parameter.start - parameter.lo).abs().max(1e-3);
     }
-    let away = (value - parameter.neutral).abs().max(0.3 * (parameter.start - parameter.neutral).abs());
     // Towards the neutral value first, on either side of it.
-    let away = if value < parameter.neutral { -away } else { away };
-    if away == 0.0 { 0.05 * (parameter.hi - parameter.lo) } else { away }
+    if value < parameter.neutral { -parameter.typical_step(value) } else { parameter.typical_step(value) }
 }
 
 /// The objective of the simplex search, over changes of the parameters from the start in their first steps.

@@ -342,7 +342,9 @@ mod tests {
     #[test]
     fn errors_of_the_map_are_told_from_those_of_the_laser() {
         let wall = |kind, value: f64, from: [f64; 2], to: [f64; 2]| {
-            Effect::new(kind, vec![value], vec![[from.into(), to.into()]]).unwrap()
+            let mut effect = Effect::typical(kind, vec![[from.into(), to.into()]]);
+            effect.values[0] = value;
+            effect
         };
         let plain = |kind, values: &[f64]| Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
         let north = ([4.0, 4.0], [2.0, 4.0]);

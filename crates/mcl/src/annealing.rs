@@ -121,6 +121,17 @@ impl Annealer {
         })
     }
 
+    /// The set is spread evenly over free space again.
+    pub fn restart(&mut self) {
+        self.is_uniform = true;
+        self.gathered = false;
+    }
+
+    /// Particles of a global start.
+    pub fn candidates(&self) -> usize {
+        self.options.candidates
+    }
+
     /// Whether the next scan is to be annealed.
     pub fn is_due(&self) -> bool {
         !self.gathered

@@ -501,6 +501,30 @@ impl Filter {
         Ok(self.resampled.then_some(injected))
     }
 
+    /// Starts again anywhere in free space, as [`Start::Global`] does: the particles of the last step are given up, and the next step
+    /// begins with new ones, whose scans are annealed where the options have it. For a robot that is lost.
+    ///
+    /// # Errors
+    /// [`FilterError::NoFreeSpace`] where a particle finds no place, after which the filter cannot go on.
+    pub fn restart(&mut self, map: &dyn RangeMap) -> Result<(), FilterError> {
+        let count = match &mut self.annealer {
+            None => self.count,
+            Some(annealer) => {
+                annealer.restart();
+                self.count.max(annealer.candidates())
+            }
+        };
+        let seed = Draw::new(self.seeds.filter, Stage::Initial, self.step).seed(0);
+        let particles = Start::Global.particles(count, map, seed)?;
+        *overwritten(&mut self.next) = particles;
+        self.ancestors.clear();
+        self.ancestors.resize(count, NO_PARENT);
+        self.random_share = 0.0;
+        self.moved = None;
+        (self.resampled, self.pending) = (true, true);
+        Ok(())
+    }
+
     /// The step that a prediction belongs to: the one at hand until it has moved or resampled.
     fn next_step(&self) -> u32 {
         self.step + u32::from(self.phase != Phase::Begun)

@@ -6,7 +6,7 @@ use locsim_core::Interval;
 use locsim_sensor::ModelKind;
 
 use super::text::{code, escape, metres, metres_with, percent, significant, with_interval};
-use crate::results::{ModelTrial, RunResults, StepRow, USUAL_SCAN};
+use crate::results::{ModelTrial, RunResults, StepRow, UNUSUAL_SCANS, USUAL_SCAN};
 use crate::statistics::{quantile, share_interval};
 use crate::summary::{CLASSIC, ModelSummary, ORACLE, Ratio, Summary};
 
@@ -56,10 +56,6 @@ const CUT_SHARE: f64 = 0.05;
 /// An RMSE beyond this many times the median error is due to a few large errors: of a Gaussian error in the plane it is 1.2 times
 /// the median, of one with twice the spread in a tenth of the steps 1.4 times.
 const FAR_FROM_MEDIAN: f64 = 2.0;
-
-/// A filter whose scans are unusual this often in a row has probably lost the robot. Where the map isn't true in places, up to 21 in a row
-/// were seen (Intel) without that; where it was lost, 87.
-const UNUSUAL_SCANS: usize = 30;
 
 /// Remarks to read before the figures: lost trials, scans that don't fit the map, an RMSE far from the median, few effective particles,
 /// scans that were not taken in whole.
@@ -329,8 +325,12 @@ pub fn beside_the_paper(summary: &Summary) -> Vec<String> {
     sentences
 }
 
-/// Whether registered NP-REG does what it was made for; empty unless it ran beside `classic` or `oracle`.
+/// Whether registered NP-REG does what it was made for; empty unless it ran beside the `oracle`: the aims are of the paper's simulated
+/// corridor.
 pub fn aims(summary: &Summary) -> Vec<String> {
+    if !summary.models.contains_key(ORACLE) {
+        return Vec::new();
+    }
     let Some(ratios) = summary.ratios.get(REGISTERED) else { return Vec::new() };
     let kept = summary.ratios_kept.get(REGISTERED).copied().unwrap_or_default();
     [

@@ -227,6 +227,11 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// Whether scans share errors under some model, as those of a log do.
+    pub fn shares_errors(&self) -> bool {
+        self.models.values().any(|model| model.nees_with_shared_errors_mean != model.nees_mean)
+    }
+
     /// The model that the others are compared with: `classic`, or the first where that isn't in the run.
     pub fn baseline(&self) -> &str {
         let first = self.models.keys().next().map(String::as_str);

@@ -254,8 +254,10 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
             .map(|(name, m)| (name.as_str(), &m.errors, m.intervals.as_ref().map(|i| &i.errors))),
     );
     let [std, rmse] = ["std", "RMSE"].map(|figure| format!("{figure} / {}", summary.baseline()));
+    let has_oracle = summary.models.contains_key(ORACLE);
+    let last = if has_oracle { "RMSE / oracle" } else { "NEES, shared" };
     let mut others = TextTable::new(
-        ["model", "lost [%]", "ESS", "NEES", "ms/step", &std, &rmse, "RMSE / oracle"],
+        ["model", "lost [%]", "ESS", "NEES", "ms/step", &std, &rmse, last],
         summary.models.iter().zip(summary.ratios.values()).map(|((name, model), ratios)| {
             [
                 name.to_owned(),
@@ -265,11 +267,15 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
                 format!("{:.2}", model.step_ms),
                 ratio(ratios.position_std()),
                 ratio(ratios.rmse()),
-                ratio(ratios.rmse_vs_oracle),
+                if has_oracle {
+                    ratio(ratios.rmse_vs_oracle)
+                } else {
+                    significant(model.nees_with_shared_errors_mean)
+                },
             ]
         }),
     );
-    if !summary.models.contains_key(ORACLE) {
+    if !has_oracle && !summary.shares_errors() {
         others.drop_last_column();
     }
     [errors, others]

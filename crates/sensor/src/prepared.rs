@@ -54,6 +54,9 @@ impl Prepared {
     }
 }
 
+/// Rows of a table that are held as numbers at the same time.
+const ROWS_AT_ONCE: usize = 64;
+
 fn over_states(model: &dyn SensorModel, grid: LikelihoodGrid) -> LikelihoodTable {
     let (range, incidence) = grid.states();
     let n = range.len();
@@ -67,15 +70,23 @@ fn over_states(model: &dyn SensorModel, grid: LikelihoodGrid) -> LikelihoodTable
         surface: &surface,
         max_range: grid.max_range,
     };
-    let mut log_density = vec![0.0; grid.rows() * n];
-    log_density.par_chunks_mut(n).enumerate().for_each_init(
-        || vec![0.0; n],
-        |z, (row, out)| {
-            z.fill(grid.reading(row));
-            model.log_density(z, &beams, out);
-        },
-    );
-    LikelihoodTable::new(grid, &log_density)
+    let log_density = |row: usize| {
+        let mut out = vec![0.0; n];
+        model.log_density(&vec![grid.reading(row); n], &beams, &mut out);
+        out
+    };
+    // Every row is evaluated twice: all of them as f32 would take twice the table's own memory.
+    let widest = |[a, b]: [f32; 2], [c, d]: [f32; 2]| [a.min(c), b.max(d)];
+    let none = [f32::INFINITY, f32::NEG_INFINITY];
+    let limits = (0..grid.rows())
+        .into_par_iter()
+        .map(|row| log_density(row).into_iter().fold(none, |limits, l| widest(limits, [l, l])))
+        .reduce(|| none, widest);
+    let blocks = (0..grid.rows()).step_by(ROWS_AT_ONCE).map(|from| {
+        let to = grid.rows().min(from + ROWS_AT_ONCE);
+        (from..to).into_par_iter().map(log_density).collect::<Vec<_>>()
+    });
+    LikelihoodTable::of_rows(grid, limits, blocks.flatten())
 }
 
 fn over_endpoints(model: &dyn SensorModel, max_range: f32, grid: &EndpointGrid) -> EndpointTable {

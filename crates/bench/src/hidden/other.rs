@@ -43,7 +43,7 @@ pub enum OtherForm {
     RangeDropout,
     /// b (1 - t / (2 tau)), and 0 from 2 tau on.
     WarmupDrift,
-    /// The stretch is turned about its first end; its middle is moved by the distance.
+    /// The stretch bulges, as half a sine from end to end whose mean is the distance.
     MovedWall,
     /// A square of the disc's area, askew.
     MissingObject,
@@ -234,7 +234,7 @@ pub(super) fn record(hidden: &Altered<'_>, form: OtherForm, values: &[f64], plac
             })
         }
         OtherForm::MovedWall => hidden.with_readings(|beam, _| match stretch_at(beam, place) {
-            Some(stretch) => beam.standing_at(range_to_turned(beam, stretch, theta)),
+            Some(stretch) => beam.standing_at(range_to_bulge(beam, stretch, theta)),
             None => Change::None,
         }),
         OtherForm::MissingObject => {
@@ -410,18 +410,11 @@ fn stretch_at(beam: &Beam<'_>, place: &[[DVec2; 2]]) -> Option<[DVec2; 2]> {
     })
 }
 
-/// Range of the wall along a stretch that is turned about its first end so that its middle gets away from the laser by
-/// `distance` \[m\].
-fn range_to_turned(beam: &Beam<'_>, [a, b]: [DVec2; 2], distance: f64) -> f64 {
-    if distance == 0.0 {
-        return beam.range;
-    }
-    let along = b - a;
-    let away_is_left = along.perp_dot(beam.origin - a) < 0.0;
-    let angle = (2.0 * distance / along.length()).clamp(-0.9, 0.9).asin();
-    let turned = DVec2::from_angle(if away_is_left { angle } else { -angle }).rotate(along);
-    let range = (a - beam.origin).perp_dot(turned) / beam.direction.perp_dot(turned);
-    if range > 0.0 { range } else { f64::INFINITY }
+/// Range of the wall along a stretch that bulges away from the laser by `distance` on average \[m\].
+fn range_to_bulge(beam: &Beam<'_>, [a, b]: [DVec2; 2], distance: f64) -> f64 {
+    let share = (beam.wall_point() - a).dot(b - a) / (b - a).length_squared();
+    let away = 0.5 * PI * distance * (PI * share.clamp(0.0, 1.0)).sin();
+    beam.range + away / beam.incidence.cos().max(0.1)
 }
 
 /// The edges of a square of the area of a disc, turned by half a radian.

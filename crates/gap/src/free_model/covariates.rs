@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::f64::consts::FRAC_PI_2;
 
-use locsim_core::sorted;
+use locsim_core::{even_edges, inner_quantile_edges};
 
 use crate::hypothesis::Comparison;
 use crate::statistics::{Covariate, cell_at};
@@ -56,6 +56,7 @@ impl Covariates {
         let (nominal, recorded, views) = (comparison.nominal, comparison.recorded, &comparison.views);
         let (scans, per_scan, max) = (views.scans(), views.per_scan, nominal.laser.max_range_m);
         let secs = recorded.track.secs();
+        let even = |lo: f64, hi: f64, levels: usize| even_edges(lo, hi, levels)[1..levels.max(1)].to_vec();
         let velocities = recorded.velocities();
         let speeds: Vec<f64> = velocities.iter().map(|v| v[0].hypot(v[1])).collect();
         let turn_rates: Vec<f64> = velocities.iter().map(|v| v[2]).collect();
@@ -74,13 +75,13 @@ impl Covariates {
         Self {
             axes: vec![
                 of(Covariate::Everywhere, Vec::new(), &|_| 0.0),
-                of(Covariate::Range, quantiles(&ranges, RANGES, &ENDS), &|i| ranges[i]),
+                of(Covariate::Range, inner_quantile_edges(&ranges, RANGES, &ENDS), &|i| ranges[i]),
                 of(Covariate::Incidence, even(0.0, FRAC_PI_2, INCIDENCES), &|i| view(i).incidence),
                 of(Covariate::Bearing, even(first, last, BEARINGS.min(bearings.len())), &|i| view(i).bearing),
                 Axis::of_places(comparison, max),
                 of(Covariate::Time, even(secs[0], secs[secs.len() - 1], times), &|i| secs[i / per_scan]),
-                of(Covariate::Speed, quantiles(&speeds, SPEEDS, &[]), &|i| speeds[i / per_scan]),
-                of(Covariate::TurnRate, quantiles(&turn_rates, TURN_RATES, &[]), &|i| {
+                of(Covariate::Speed, inner_quantile_edges(&speeds, SPEEDS, &[]), &|i| speeds[i / per_scan]),
+                of(Covariate::TurnRate, inner_quantile_edges(&turn_rates, TURN_RATES, &[]), &|i| {
                     turn_rates[i / per_scan]
                 }),
                 of(Covariate::Jump, JUMPS.to_vec(), &|i| jumps[i]),
@@ -116,22 +117,6 @@ impl Covariates {
         }
         1.0 - of_levels.into_iter().map(variation).sum::<f64>() / variation(all)
     }
-}
-
-/// Inner edges of levels of the same width.
-fn even(lo: f64, hi: f64, levels: usize) -> Vec<f64> {
-    (1..levels).map(|i| lo + (hi - lo) * i as f64 / levels as f64).collect()
-}
-
-/// Inner edges between which about equally many of the values lie, and further ones at these shares from both ends.
-fn quantiles(values: &[f64], levels: usize, ends: &[f64]) -> Vec<f64> {
-    let sorted = sorted(values.iter().copied());
-    let even = (1..levels).map(|i| i as f64 / levels as f64);
-    let shares = ends.iter().copied().chain(even).chain(ends.iter().rev().map(|share| 1.0 - share));
-    let mut edges: Vec<f64> =
-        shares.map(|share| sorted[(share * (sorted.len() - 1) as f64) as usize]).collect();
-    edges.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
-    edges
 }
 
 impl Axis {

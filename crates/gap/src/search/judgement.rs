@@ -13,6 +13,8 @@ use crate::statistics::{Covariate, Deviation, Survey};
 const LEAST_ERRORS: f64 = 2.0;
 /// Neighbours that err alike no more than this beyond simulated ones have nothing in common.
 const LEAST_CORRELATION: f64 = 0.02;
+/// Neighbours that err alike so much more than simulated ones have most of their error in common.
+const ALIKE: f64 = 0.3;
 /// A dependence that gains less than this share of the one that gains most is left out: it is what that one's curve leaves.
 const LEAST_SHARE: f64 = 0.05;
 /// The share of the variance of an effect's weights that a covariate explains, where the effect acts on it.
@@ -105,6 +107,12 @@ impl Judgement {
     pub fn neighbour_correlation(&self) -> f64 {
         let simulated = self.simulated.iter().map(|(model, _)| model.neighbour_correlation).sum::<f64>();
         self.model.neighbour_correlation - simulated / self.simulated.len() as f64
+    }
+
+    /// Whether neighbouring beams surely err alike, and much so: what they share is no noise, which each beam has for itself.
+    pub fn neighbours_err_alike(&self) -> bool {
+        self.neighbour_correlation() > ALIKE
+            && self.dependences().iter().any(|found| found.covariate == Covariate::Neighbour)
     }
 
     /// The dependences that surely gain more than those of the same moment on any simulated log, the one that gains most first.

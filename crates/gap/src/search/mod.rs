@@ -153,6 +153,7 @@ pub fn find(
     state.simplify(&mut path)?;
     state.make_sure(&mut path)?;
     state.join_surfaces(&mut path)?;
+    state.drop_shared(&mut path)?;
     state.come_nearer(&mut path)?;
     // Deeper blocks also stand in the way of more beams.
     let deeper = path.named.iter().any(|named| named.name.moves() == Moves::Clutter);

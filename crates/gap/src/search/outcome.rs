@@ -189,6 +189,12 @@ impl<'a> State<'a> {
         Ok(floor.is_farther(old_mm, new_mm))
     }
 
+    /// Whether simulated ranges are more than twice as far from the log's in the later round.
+    pub fn doubles(&self, first: &Round<'a>, last: &Round<'a>) -> Result<bool, GapError> {
+        let (old_mm, new_mm, floor) = self.distances(first, last)?;
+        Ok(floor.doubles(old_mm, new_mm))
+    }
+
     /// Distances of simulated ranges from the log's in two rounds \[mm\], and what simulations of the later one differ by.
     fn distances(&self, first: &Round<'a>, last: &Round<'a>) -> Result<(f64, f64, Floor), GapError> {
         let (old, new) = (self.replay(first, LOGS)?, self.replay(last, LOGS)?);
@@ -293,9 +299,8 @@ fn floor_of(views: &Views, logs: &[Recorded]) -> Floor {
 fn moves_away(floor: &Floor, [before, after]: [f64; 2], is_measured: bool, is_of_surface: bool) -> bool {
     let is_strict = is_measured || floor.is_farther(before, after);
     let least_mm = if is_of_surface { floor.error(LOGS) } else { 0.0 };
-    floor.closed(before, after).is_some_and(|closed| {
-        if is_strict { closed <= 0.0 } else { closed < 0.0 && after - before > least_mm }
-    })
+    let is_off = |closed| if is_strict { closed <= 0.0 } else { closed < 0.0 && after - before > least_mm };
+    floor.doubles(before, after) || floor.closed(before, after).is_some_and(is_off)
 }
 
 /// Strengths that reach the threshold with 90 % probability: a score's spread is the square root of its information.
@@ -414,6 +419,10 @@ mod tests {
                     && !moves_away(&floor, [123.2, 60.0], measured, kind)
             );
             assert!(moves_away(&floor, [123.2, 300.0], exact, kind));
+            // Bursts of simulations differ by more than any distance is large.
+            let bursts = Floor { mean: 286.0, deviation: 240.0 };
+            assert!(moves_away(&bursts, [243.0, 735.0], exact, kind));
+            assert!(!moves_away(&bursts, [243.0, 480.0], exact, kind));
         }
     }
 

@@ -7,7 +7,7 @@ use super::foretold::drop_unfounded;
 use super::judgement::share_a_moment;
 use super::lasting::drop_passing;
 use super::selection::{
-    adds_up, choose, choose_of_odometry, compare_rivals, dies_away, gain, is_one_cause, is_sure,
+    adds_up, choose, choose_apart, compare_rivals, dies_away, gain, is_of_odometry, is_one_cause, is_sure,
     may_be_of_robot, name, numbers, sum_of,
 };
 use super::surroundings::drop_surroundings;
@@ -115,14 +115,15 @@ impl<'a> State<'a> {
             let candidates =
                 drop_passing(round, drop_unfounded(round, drop_surroundings(round, candidates)?)?)?;
             let accepted = if off && path.named.len() < options.most_effects {
-                match self.weigh(round, &candidates, choose(&candidates))? {
-                    // What the odometry does has its name, whether or not the readings have one.
-                    None => match choose_of_odometry(&candidates) {
-                        Some(best) => self.weigh(round, &candidates, Some(best))?,
-                        None => None,
-                    },
-                    named => named,
+                let mut accepted = self.weigh(round, &candidates, choose(&candidates))?;
+                // What the odometry does has its name, whether or not the readings have one, and so have lost returns beside the others.
+                let apart = [is_of_odometry, |other: &Candidate| other.kind().loses_returns()];
+                for best in apart.into_iter().filter_map(|is_apart| choose_apart(&candidates, is_apart)) {
+                    if accepted.is_none() {
+                        accepted = self.weigh(round, &candidates, Some(best))?;
+                    }
                 }
+                accepted
             } else {
                 None
             };
@@ -220,13 +221,30 @@ impl<'a> State<'a> {
         Ok(())
     }
 
+    /// Drops noises with which neighbouring beams still err alike: each beam has its noise for itself. Walls of a measured map are off for
+    /// neighbours alike, whatever the noise is.
+    pub fn drop_shared(&self, path: &mut Path<'a>) -> Result<(), GapError> {
+        let has_noise = self.nominal.pieces.is_none() && path.named.iter().any(|named| named.name.is_noise());
+        let is_off = path.last().null.p <= self.options.false_alarm;
+        if has_noise && is_off && self.judge(path.last())?.neighbours_err_alike() {
+            let gains = path.gains.iter().zip(&path.named).filter(|(_, named)| !named.name.is_noise());
+            path.gains = gains.map(|(gains, _)| gains.clone()).collect();
+            path.named.retain(|named| !named.name.is_noise());
+            self.compare_again(path)?;
+        }
+        Ok(())
+    }
+
     /// Drops names with which simulated ranges move away from the log, or are farther from it than without the last one, which goes first.
     /// Anything that makes readings off the walls likelier raises the log score where something has no name.
     pub fn come_nearer(&self, path: &mut Path<'a>) -> Result<(), GapError> {
-        // On an exact map, a formula that gains more than curves of any shape is right, whatever clutter does to the ranges beside it.
+        // On an exact map, a formula that gains more than curves of any shape is right, whatever clutter does to the ranges beside it: they
+        // are somewhat farther off then, not twice as far.
         let is_surely_right = |path: &Path<'a>| -> Result<bool, GapError> {
             let of_curves: f64 = self.judge(path.first())?.gains().iter().sum();
-            Ok(self.nominal.pieces.is_none() && path.named[0].evidence.gain_nats.value > of_curves)
+            let gains_more =
+                self.nominal.pieces.is_none() && path.named[0].evidence.gain_nats.value > of_curves;
+            Ok(gains_more && !self.doubles(path.first(), path.last())?)
         };
         while let Some(last) = last_of_ranges(&path.named) {
             if last == 0 && is_surely_right(path)? {
@@ -374,12 +392,14 @@ fn is_there(named: &Named) -> bool {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use glam::DVec2;
     use locsim_world::effect::EffectKind;
 
     use super::*;
     use crate::Recorded;
+    use crate::find;
     use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
+    use crate::hidden::{HiddenDrive, Regime, record_library};
     use crate::hypothesis::{Comparison, Nuisances};
     use crate::outcome::Number;
     use crate::replay::fit_persistence;
@@ -429,6 +449,39 @@ mod tests {
         // A thousandth of what is left may be the likelihood's own, but not of other data.
         assert!(is_left(EffectKind::HeavyTail, 0.2, false));
         assert!(!is_left(EffectKind::OdomTurnScale, 0.2, false));
+    }
+
+    /// A laser whose bearings are off by up to a degree, as a sine around, errs as far as walls are slanted. Neighbouring beams err alike:
+    /// it is no noise.
+    #[test]
+    fn errors_that_neighbours_share_are_no_noise() {
+        let hidden = HiddenDrive::new(&NOMINAL, &TRUTH, &NOMINAL.effects, Regime::default(), 3).unwrap();
+        let mut readings = hidden.readings_along(&TRUTH);
+        let bearings = hidden.simulator.laser().laser().bearings().to_vec();
+        for (pose, readings) in TRUTH.poses().iter().zip(readings.chunks_mut(bearings.len())) {
+            let at = pose.compose(&NOMINAL.laser.mount);
+            let cast = |bearing: f64| {
+                let direction = DVec2::from_angle(at.theta + bearing);
+                NOMINAL.map.cast_ray(at.position(), direction, 20.0).map_or(20.0, |hit| hit.range)
+            };
+            for (reading, bearing) in readings.iter_mut().zip(&bearings) {
+                let bearing = f64::from(*bearing);
+                let error = cast(bearing + 0.02 * bearing.sin()) - cast(bearing);
+                if error.abs() < 0.3 && *reading < NOMINAL.laser.max_range_m as f32 {
+                    *reading += error as f32;
+                }
+            }
+        }
+        let drive = hidden.drive(&readings, hidden.odometry());
+        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
+        let outcome = find(&NOMINAL, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
+        assert!(
+            outcome.effects.iter().all(|named| !named.name.is_noise()) && !outcome.unnamed.is_empty(),
+            "{:?} {:?}",
+            outcome.effects,
+            outcome.unnamed
+        );
     }
 
     /// Noise and a tail were named for a turned laser. The turned laser alone takes their place; where it wasn't among the

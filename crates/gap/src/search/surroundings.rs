@@ -105,7 +105,7 @@ mod tests {
     fn what_a_wall_leaves_at_its_end_is_no_name() {
         let wall = |to: f64| {
             let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(to, 4.0)]];
-            Effect::new(EffectKind::MovedWall, vec![-0.1], stretch).unwrap()
+            Effect::new(EffectKind::MovedWall, vec![-0.1, 0.0], stretch).unwrap()
         };
         let bias = Effect::new(EffectKind::RangeBias, vec![0.01], Vec::new()).unwrap();
         let tail = Effect::new(EffectKind::HeavyTail, vec![0.005], Vec::new()).unwrap();
@@ -146,7 +146,7 @@ mod tests {
     #[test]
     fn beams_at_a_wall_and_past_its_ends_have_to_do_with_it() {
         let stretch = [DVec2::new(0.0, 2.0), DVec2::new(4.0, 2.0)];
-        let moved = Effect::new(EffectKind::MovedWall, vec![0.1], vec![stretch]).unwrap();
+        let moved = Effect::new(EffectKind::MovedWall, vec![0.1, 0.0], vec![stretch]).unwrap();
         let from_origin = |x, y| concerns(&moved, [DVec2::ZERO, DVec2::new(x, y)], 0.0);
         assert!(from_origin(2.0, 2.0) && from_origin(2.0, 1.6) && from_origin(-0.3, 8.0));
         assert!(!from_origin(2.0, 1.4) && !from_origin(-3.0, 8.0) && !from_origin(-0.1, 1.0));

@@ -1,6 +1,6 @@
 //! The omnibus search: the PIT of readings over bins of covariates of their beams.
 
-use locsim_core::sorted;
+use locsim_core::{even_edges, quantile_edges};
 use std::f64::consts::FRAC_PI_2;
 
 use super::readings::Reading;
@@ -45,21 +45,21 @@ impl Bins {
         let turn_rate = |i: usize| turn_rates[survey.scan(i)];
         Self {
             axes: vec![
-                axis(Covariate::Range, &even(0.0, survey.max_range, 12), &|i| view(i).range),
-                axis(Covariate::Incidence, &even(0.0, FRAC_PI_2, 9), &|i| view(i).incidence),
-                axis(Covariate::Bearing, &even(first, last, 24), &|i| view(i).bearing),
+                axis(Covariate::Range, &even_edges(0.0, survey.max_range, 12), &|i| view(i).range),
+                axis(Covariate::Incidence, &even_edges(0.0, FRAC_PI_2, 9), &|i| view(i).incidence),
+                axis(Covariate::Bearing, &even_edges(first, last, 24), &|i| view(i).bearing),
                 Axis::of_places(survey),
-                axis(Covariate::Time, &even(0.0, secs[secs.len() - 1] + MARGIN, 20), &|i| {
+                axis(Covariate::Time, &even_edges(0.0, secs[secs.len() - 1] + MARGIN, 20), &|i| {
                     secs[survey.scan(i)]
                 }),
-                axis(Covariate::Speed, &quantiles(&speeds, 5), &|i| speeds[survey.scan(i)]),
-                axis(Covariate::TurnRate, &quantiles(&turn_rates, 7), &turn_rate),
+                axis(Covariate::Speed, &quantile_edges(&speeds, 5), &|i| speeds[survey.scan(i)]),
+                axis(Covariate::TurnRate, &quantile_edges(&turn_rates, 7), &turn_rate),
                 // No jump, jumps as of clutter, of doors, of rooms.
                 axis(Covariate::Jump, &[0.0, 0.3, 0.6, 1.5, survey.max_range], &|i| {
                     survey.jumps[i].map_or(0.0, |[near, far]| far - near)
                 }),
-                axis(Covariate::BearingByTurnRate, &even(first, last, 8), &|i| view(i).bearing)
-                    .crossed_with(&axis(Covariate::TurnRate, &quantiles(&turn_rates, 4), &turn_rate)),
+                axis(Covariate::BearingByTurnRate, &even_edges(first, last, 8), &|i| view(i).bearing)
+                    .crossed_with(&axis(Covariate::TurnRate, &quantile_edges(&turn_rates, 4), &turn_rate)),
             ],
         }
     }
@@ -76,22 +76,6 @@ impl Bins {
 
 /// Added to the last edge, so that the largest value lies below it.
 const MARGIN: f64 = 1e-6;
-
-/// Edges of bins of the same width.
-fn even(lo: f64, hi: f64, bins: usize) -> Vec<f64> {
-    (0..=bins).map(|i| lo + (hi - lo) * i as f64 / bins as f64).collect()
-}
-
-/// Edges between which equally many of the values lie.
-fn quantiles(values: &[f64], bins: usize) -> Vec<f64> {
-    let sorted = sorted(values.iter().copied());
-    let mut edges: Vec<f64> = (0..=bins).map(|i| sorted[(i * (sorted.len() - 1)) / bins]).collect();
-    edges.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
-    if edges.len() < 2 {
-        edges = vec![edges[0] - 0.5, edges[0] + 0.5];
-    }
-    edges
-}
 
 impl Axis {
     /// Bins between edges. Values beyond the edges are in the first or the last bin.

@@ -5,12 +5,19 @@
 //! hides a few readings of many, and a wall that has moved lacks nearly all. So it is the share that is looked at, and the
 //! replicates say what shares clutter makes.
 
+use std::ops::RangeInclusive;
+
+use glam::DVec2;
+use locsim_core::{Line, SlantedStretch, sorted};
 use locsim_world::effect::{self, EffectKind};
 
 use super::readings::Reading;
 use super::survey::Survey;
 use super::wall_cells::WallCells;
-use super::walls::wall_guesses;
+use super::walls::{
+    MOST_STRETCHES, NEAR_LINE_M, ON_LINE_M, STRETCH_GAP_M, STRETCH_LEAST_M, STRETCH_REACH_M, lines_off,
+    wall_guesses,
+};
 use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic};
 use crate::catalogue::kinds_shown_by;
 
@@ -21,6 +28,9 @@ const FARTHEST_M: f64 = 0.5;
 const WINDOWS: usize = (4.0 * FARTHEST_M / WINDOW_M) as usize - 1;
 /// The share of a displaced wall's readings that may be of anything else.
 const OTHERS: f64 = 0.1;
+
+/// Slopes at which a wall is turned: less is a parallel wall as well as can be told from here, more is another wall.
+const TURNS: RangeInclusive<f64> = 0.003..=0.36;
 
 /// A share of readings that says nothing: one of a hundred.
 const FEW: f64 = 0.01;
@@ -124,18 +134,42 @@ impl Family for DisplacedWalls {
             }
             gains
         };
-        wall_guesses(self.kind, &self.walls, log, found, evidence, |gains, _| {
+        let mut starts = wall_guesses(self.kind, &self.walls, log, found, evidence, |gains, _| {
             let gains = gains.into_iter().enumerate().map(|(window, gain)| (gain, middle(window)));
             gains.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0))
-        })
+        });
+        let turned = lines_off(&self.walls, log, found).take(MOST_STRETCHES).filter_map(|(_, lines)| {
+            lines.into_iter().filter_map(|line| turned(log, line)).max_by_key(|(count, _)| *count)
+        });
+        starts.extend(turned.map(|(_, start)| start));
+        starts
     }
+}
+
+/// Where most displaced readings of a wall lie on a line of their own, with how many do. It goes on to where it meets the wall: near there,
+/// readings aren't displaced.
+fn turned(log: &Readings<'_>, wall: Line) -> Option<(usize, Start)> {
+    let along = |reading: &Reading<'_>| {
+        let end = reading.beam.view.endpoint;
+        let s = wall.along.dot(end - wall.point);
+        (wall.distance(end) <= NEAR_LINE_M && s.abs() <= STRETCH_REACH_M).then_some(s)
+    };
+    let all = sorted(log.all.iter().filter_map(along));
+    let displaced = log.all.iter().filter(|reading| reading.is_return).filter_map(|reading| {
+        let by = displacement(reading).filter(|by| by.abs() <= 2.0 * FARTHEST_M)?;
+        Some(DVec2::new(along(reading)?, by))
+    });
+    let found = SlantedStretch::through(displaced.collect(), &all, ON_LINE_M, STRETCH_GAP_M, TURNS)?;
+    let [from, to] = found.ends;
+    let place = vec![[from, to].map(|s| wall.point + s * wall.along)];
+    let start = Start { values: vec![found.middle, found.slope.atan()], place };
+    (to - from >= STRETCH_LEAST_M).then_some((found.count, start))
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::AtomicBool;
 
-    use glam::DVec2;
     use locsim_world::effect::Effect;
 
     use super::*;
@@ -154,11 +188,28 @@ mod tests {
         assert_eq!(windows_of(0.6).count() + windows_of(-0.6).count(), 0);
     }
 
+    /// A wall of 5 m that is turned by 2 degrees about its end is named over its length, with the turn.
+    #[test]
+    fn a_turned_wall_is_named_with_its_turn() {
+        let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]];
+        let turn = 2f64.to_radians();
+        let turned = Effect::new(EffectKind::MovedWall, vec![-2.5 * turn.tan(), -turn], stretch).unwrap();
+        let drive = record_library(&NOMINAL, &TRUTH, &[turned], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
+        let outcome = find(&NOMINAL, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
+        let [named] = &outcome.effects[..] else { panic!("{:?}", outcome.effects) };
+        let [a, b] = named.place[0].map(DVec2::from);
+        assert!(named.name == EffectKind::MovedWall && a.distance(b) > 4.0, "{named:?}");
+        let found = named.params["turn_rad"].estimate;
+        assert!((found.value.abs() - turn).abs() < 0.003 && found.interval.half() < 0.003, "{named:?}");
+    }
+
     /// A wall that has moved by 15 cm, to where clutter can stand for all of a drive and does.
     #[test]
     fn a_wall_that_moved_is_named_among_clutter_that_stays() {
         let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]];
-        let moved = Effect::new(EffectKind::MovedWall, vec![-0.15], stretch).unwrap();
+        let moved = Effect::new(EffectKind::MovedWall, vec![-0.15, 0.0], stretch).unwrap();
         let regime = Regime { persistent_blocks: true, pose_error: None };
         let drive = record_library(&NOMINAL, &TRUTH, &[moved], regime, 3).unwrap();
         let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();

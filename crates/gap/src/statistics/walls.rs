@@ -2,7 +2,7 @@
 
 use distreg::contamination::{detectable_share, score};
 use glam::DVec2;
-use locsim_core::{Line, lines_through};
+use locsim_core::{Line, Stretches, lines_through};
 use locsim_world::effect::{self, EffectKind};
 
 use super::readings::Reading;
@@ -116,17 +116,17 @@ impl Family for WallLoss {
 
 /// Length of the bins into which a wall is cut \[m\], and the least length of a stretch: about three readings at 3 m.
 const STRETCH_BIN_M: f64 = 0.1;
-const STRETCH_LEAST_M: f64 = 0.3;
+pub(super) const STRETCH_LEAST_M: f64 = 0.3;
 /// How far a stretch is looked for on both sides of a cell's wall \[m\]: one wall has one name, however long it is.
-const STRETCH_REACH_M: f64 = 25.0;
+pub(super) const STRETCH_REACH_M: f64 = 25.0;
 /// A wall on which no beam ends for so long \[m\] is another one: a door is narrower, and a line goes on through all that lies on it.
-const STRETCH_GAP_M: f64 = 2.0;
+pub(super) const STRETCH_GAP_M: f64 = 2.0;
 /// Ends of beams within this of a line are on it \[m\].
-const ON_LINE_M: f64 = 0.03;
+pub(super) const ON_LINE_M: f64 = 0.03;
 /// The same for the readings of a stretch: the line through the ends is known to a few centimetres.
-const NEAR_LINE_M: f64 = 0.05;
+pub(super) const NEAR_LINE_M: f64 = 0.05;
 /// The most stretches that fits start from.
-const MOST_STRETCHES: usize = 2;
+pub(super) const MOST_STRETCHES: usize = 2;
 /// The most walls that are looked at in a statistic's cells: the two of a corner, and a third of a recess.
 const MOST_WALLS: usize = 3;
 
@@ -142,32 +142,40 @@ pub(super) fn wall_guesses<const N: usize>(
     evidence: impl Fn(&Reading<'_>) -> [f64; N],
     judge: impl Fn([f64; N], f64) -> (f64, f64),
 ) -> Vec<Start> {
+    let stretches = lines_off(walls, log, found).filter_map(|(z, lines)| {
+        lines
+            .into_iter()
+            .filter_map(|line| best_stretch(log, line, &evidence, |sum| judge(sum, z)))
+            .max_by(|a, b| a.gain.total_cmp(&b.gain))
+    });
+    let starts = stretches.take(MOST_STRETCHES).flat_map(|Stretch { strength, ends, .. }| {
+        // A wall that is displaced far has no score: a typical strength is tried as well.
+        let typical = typical_values(kind, strength);
+        let own = std::iter::once(strength).chain(typical[1..].iter().copied()).collect();
+        [own, typical].map(|values| Start { values, place: vec![ends] })
+    });
+    starts.collect()
+}
+
+/// The walls through the cells that are farthest off, with the statistic's z; each cell once.
+pub(super) fn lines_off<'s>(
+    walls: &'s WallCells,
+    log: &'s Readings<'_>,
+    found: &'s [Found<'_>],
+) -> impl Iterator<Item = (f64, Vec<Line>)> + 's {
     let max = log.max_range();
     let mut used: Vec<[i32; 2]> = Vec::new();
-    let mut stretches = Vec::new();
-    for &Found { z, index, .. } in found {
-        if stretches.len() == MOST_STRETCHES {
-            break;
-        }
+    found.iter().filter_map(move |&Found { z, index, .. }| {
         let cells = walls.of_statistic(index);
         if cells.iter().any(|cell| used.contains(cell)) {
-            continue;
+            return None;
         }
         let beams = log.comparison.views.beams.iter().filter(|beam| beam.view.range < max);
         let ends = beams.map(|beam| beam.view.endpoint).filter(|end| cells.contains(&wall_cell(*end)));
         let lines = lines_through(ends.collect(), MOST_WALLS, ON_LINE_M);
         used.extend(cells);
-        let best = lines
-            .into_iter()
-            .filter_map(|line| best_stretch(log, line, &evidence, |sum| judge(sum, z)))
-            .max_by(|a, b| a.gain.total_cmp(&b.gain));
-        stretches.extend(best);
-    }
-    let starts = stretches.into_iter().flat_map(|Stretch { strength, ends, .. }| {
-        // A wall that is displaced far has no score: a typical strength is tried as well.
-        [vec![strength], typical_values(kind, strength)].map(|values| Start { values, place: vec![ends] })
-    });
-    starts.collect()
+        Some((z, lines))
+    })
 }
 
 /// A stretch of wall with an effect.
@@ -185,44 +193,19 @@ fn best_stretch<const N: usize>(
     evidence: impl Fn(&Reading<'_>) -> [f64; N],
     judge: impl Fn([f64; N]) -> (f64, f64),
 ) -> Option<Stretch> {
-    let bins = (2.0 * STRETCH_REACH_M / STRETCH_BIN_M) as usize;
-    let mut counts = vec![0_usize; bins];
-    let mut sums = vec![[0.0; N]; bins];
-    let add = |sum: &mut [f64; N], more: [f64; N]| {
-        for (sum, more) in sum.iter_mut().zip(more) {
-            *sum += more;
-        }
-    };
+    let mut stretches = Stretches::new((2.0 * STRETCH_REACH_M / STRETCH_BIN_M) as usize);
     for reading in &log.all {
         let end = reading.beam.view.endpoint;
         let bin = (line.along.dot(end - line.point) + STRETCH_REACH_M) / STRETCH_BIN_M;
-        if line.distance(end) <= NEAR_LINE_M && bin >= 0.0 && (bin as usize) < bins {
-            counts[bin as usize] += 1;
-            add(&mut sums[bin as usize], evidence(reading));
+        if line.distance(end) <= NEAR_LINE_M && bin >= 0.0 {
+            stretches.add(bin as usize, evidence(reading));
         }
     }
+    let [least, gap] =
+        [STRETCH_LEAST_M, STRETCH_GAP_M].map(|length| (length / STRETCH_BIN_M).round() as usize);
+    let (gain, strength, bins) = stretches.best(least, gap, judge)?;
     let at = |bin: usize| line.point + (bin as f64 * STRETCH_BIN_M - STRETCH_REACH_M) * line.along;
-    let mut best: Option<Stretch> = None;
-    for from in (0..bins).filter(|&bin| counts[bin] > 0) {
-        let mut total = [0.0; N];
-        let mut last = from;
-        for to in from..bins {
-            add(&mut total, sums[to]);
-            if counts[to] > 0 {
-                last = to;
-            } else if (to - last) as f64 * STRETCH_BIN_M > STRETCH_GAP_M {
-                break;
-            }
-            if counts[to] == 0 || (to - from + 1) as f64 * STRETCH_BIN_M < STRETCH_LEAST_M {
-                continue;
-            }
-            let (gain, strength) = judge(total);
-            if gain > best.as_ref().map_or(0.0, |best| best.gain) {
-                best = Some(Stretch { gain, strength, ends: [from, to + 1].map(at) });
-            }
-        }
-    }
-    best
+    Some(Stretch { gain, strength, ends: [bins.start, bins.end].map(at) })
 }
 
 #[cfg(test)]

@@ -103,6 +103,10 @@ impl Inspection {
         let references = self.drive.as_ref().map_or(0, DriveFacts::references);
         if self.lacks.run.is_empty() && references == 0 {
             "ready with a map (`map:`), but without a reference it can't tell errors".to_owned()
+        } else if self.lacks.run.is_empty() && self.split.is_none() {
+            format!(
+                "ready with a map (`map:`): {references} scans with a reference pose are too few to build one and train on others"
+            )
         } else {
             lack
         }

@@ -14,6 +14,9 @@ const SHARE: f64 = 0.01;
 /// pose is off.
 const NEAR_M: f32 = 0.5;
 
+/// People, glass and what was moved make up to a fifth of the readings far from the map's walls.
+const MOST_FAR: f64 = 0.3;
+
 /// Shorter steps have no direction \[m\]: the reference is off by centimetres.
 const MOVES_M: f64 = 0.03;
 
@@ -27,11 +30,17 @@ fn state(range: f32, incidence: f32, max_range: f32) -> State {
     (octave as u8, incidence.min(INCIDENCES - 1))
 }
 
-/// Nominal ranges and incidences of every beam from every pose, poses outermost.
-fn states(map: &dyn RangeMap, laser: &Laser, poses: impl Iterator<Item = Pose2>) -> Vec<State> {
+/// What every beam meets from every pose, poses outermost.
+fn met(map: &dyn RangeMap, laser: &Laser, poses: impl Iterator<Item = Pose2>) -> Hits {
     let poses: Particles = poses.map(|pose| pose.compose(&laser.base_from_laser())).collect();
     let mut hits = Hits::default();
     map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
+    hits
+}
+
+/// Nominal ranges and incidences of every beam from every pose, poses outermost.
+fn states(map: &dyn RangeMap, laser: &Laser, poses: impl Iterator<Item = Pose2>) -> Vec<State> {
+    let hits = met(map, laser, poses);
     let hits = hits.range.iter().zip(&hits.incidence);
     hits.map(|(&range, &incidence)| state(range, incidence, laser.max_range())).collect()
 }
@@ -61,19 +70,22 @@ pub(super) fn untrained_states(
     let max_range = laser.max_range();
     let at = |octave: u8| max_range / (1_u32 << octave) as f32;
     let range = match octave {
-        0 => format!("beyond {max_range} m"),
-        7 => format!("below {:.1} m", at(6)),
-        _ => format!("of {:.1} to {:.1} m", at(octave), at(octave - 1)),
+        0 => format!("no surface within {max_range} m"),
+        7 => format!("a range below {:.1} m", at(6)),
+        _ => format!("a range of {:.1} to {:.1} m", at(octave), at(octave - 1)),
     };
-    let degrees = 90 / u32::from(INCIDENCES);
+    let degrees = 90 / u32::from(INCIDENCES) * u32::from(incidence);
+    let slant = if octave == 0 {
+        String::new()
+    } else {
+        format!(" at {degrees} to {} degrees", degrees + 90 / u32::from(INCIDENCES))
+    };
     Some(format!(
         "{count} of {} beams ({:.0} %) of the localized part have a nominal range and incidence that no training beam has, \
-         the first in scan {}, most of them a range {range} at {} to {} degrees: there the models extrapolate.",
+         the first in scan {}, most of them {range}{slant}: there the models extrapolate.",
         found.len(),
         100.0 * f64::from(count) / found.len() as f64,
         first.unwrap_or_default(),
-        degrees * u32::from(incidence),
-        degrees * (u32::from(incidence) + 1),
     ))
 }
 
@@ -110,6 +122,25 @@ pub(super) fn outside_of_map(map: &dyn RangeMap, localized: &Drive) -> Option<St
     (10 * outside > all).then(|| {
         format!(
             "{outside} of {all} localized scans have a reference pose outside of the map's free space. Is the reference in the map's frame?"
+        )
+    })
+}
+
+/// A sentence on readings that are far from what the map has, seen from the reference poses, if many are.
+pub(super) fn unlike_map(map: &dyn RangeMap, localized: &Drive) -> Option<String> {
+    let laser = &localized.laser;
+    let known = || localized.steps.iter().filter_map(|step| Some((step.reference?, &step.scan.ranges)));
+    let hits = met(map, laser, known().map(|(pose, _)| pose));
+    let readings = known().flat_map(|(_, ranges)| ranges).zip(&hits.range);
+    let returns = readings.filter(|&(&z, &range)| z < laser.max_range() && range < laser.cast_range());
+    let (far, all) = returns.fold((0_usize, 0_usize), |(far, all), (z, range)| {
+        (far + usize::from((z - range).abs() > NEAR_M), all + 1)
+    });
+    (far as f64 > MOST_FAR * all as f64).then(|| {
+        format!(
+            "{:.0} % of the readings of the localized part are more than {NEAR_M} m from what the map has there, seen from the reference \
+             poses: the map is of another place or another time, or the laser's mount, or the order of its beams, isn't as given.",
+            100.0 * far as f64 / all as f64
         )
     })
 }
@@ -214,6 +245,14 @@ mod tests {
         assert_eq!(outside_of_map(&map, &drive(&[0.0, 1.0, 2.0, 3.0], 1.5)), None);
         let sentence = outside_of_map(&map, &drive(&[0.0, 1.0, 70.0, 80.0], 1.5)).unwrap();
         assert!(sentence.starts_with("2 of 4 localized scans"), "{sentence}");
+    }
+
+    #[test]
+    fn a_map_of_another_place_is_told() {
+        let map = Around { range: 1.5 };
+        assert_eq!(unlike_map(&map, &drive(&[0.0, 0.2], 1.6)), None);
+        let sentence = unlike_map(&map, &drive(&[0.0, 0.2], 3.0)).unwrap();
+        assert!(sentence.starts_with("100 % of the readings"), "{sentence}");
     }
 
     #[test]

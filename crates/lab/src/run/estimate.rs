@@ -21,6 +21,10 @@ const BYTES_OF_PARTICLE: f64 = 88.0;
 const BYTES_OF_ANCESTOR: f64 = 36.0;
 /// Bytes of a row of results, in all the forms that a report makes of it.
 const BYTES_OF_ROW: f64 = 1500.0;
+/// Bytes of a model's table, in the square of its readings: half as many nominal ranges again, by 16 incidences, of two bytes.
+const BYTES_OF_TABLE: f64 = 48.0;
+/// The readings of such a table: every 5 mm, or this many.
+const MOST_READINGS: f64 = 1600.0;
 /// Bytes of the program itself, its tables and figures.
 const BYTES_OF_PROGRAM: f64 = 150e6;
 
@@ -68,6 +72,9 @@ impl Estimate {
         };
         let candidates = scenario.filter.annealing.map_or(0.0, |annealing| annealing.candidates as f64);
 
+        let knots = simulated.map_or(MOST_READINGS, |simulation| simulation.laser.max_range_m / 0.005);
+        let table = BYTES_OF_TABLE * knots.min(MOST_READINGS).powi(2);
+
         let readings = poses * observations * training_beams;
         let trajectories = match scenario.filter.estimate {
             PoseEstimate::MostLikelyTrajectory => threads,
@@ -87,6 +94,13 @@ impl Estimate {
                 trajectories * particles * steps.unwrap_or(0.0) * BYTES_OF_ANCESTOR,
             ),
             ("trials", trials * models * steps.unwrap_or(0.0) * BYTES_OF_ROW),
+            (
+                "models",
+                match scenario.ray_cast {
+                    RayCast::Table { .. } => models * table,
+                    RayCast::Exact => 0.0,
+                },
+            ),
             ("laser.rate_hz x laser.beams", (threads + 1.0) * steps.unwrap_or(0.0) * 4.0 * beams),
             (
                 "ray_cast.memory_mb",
@@ -228,12 +242,12 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_experiment_costs_a_minute_and_less_than_a_gigabyte() {
+    fn the_shipped_experiment_costs_a_minute_and_about_a_gigabyte() {
         let (_folder, scenario) = shipped("trials: 200", "trials: 200");
         let cost = Estimate::of(&scenario, 2);
         // A minute on two cores, as the README says.
         assert!((60.0..240.0).contains(&cost.cpu_secs.unwrap()), "{cost:?}");
-        assert!(cost.memory_bytes < 1e9 && cost.check(&scenario).is_ok(), "{cost:?}");
+        assert!(cost.memory_bytes < 1.3e9 && cost.check(&scenario).is_ok(), "{cost:?}");
     }
 
     #[test]

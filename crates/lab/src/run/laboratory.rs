@@ -16,7 +16,7 @@ use locsim_world::simulation::{
 };
 use rand::RngExt;
 
-use super::coverage::{against_odometry, outside_of_map, unmapped_start, untrained_states};
+use super::coverage::{against_odometry, outside_of_map, unlike_map, unmapped_start, untrained_states};
 use super::filter::fitted_alpha;
 use super::measured_log::{
     MeasuredLog, enough_to_train_on, judged, log_map, measured_scans, selected, unusable,
@@ -304,6 +304,7 @@ impl<'a> Laboratory<'a> {
             against_odometry(&drive),
             unmapped_start(&*maps.exact, &*maps.distance, &drive),
             outside_of_map(&*maps.exact, &drive),
+            unlike_map(&*maps.exact, &drive),
             untrained_states(&*maps.exact, (&data.laser, &data.poses), &drive),
         ];
         let warnings = summary.remarks.into_iter().chain(warnings.into_iter().flatten()).collect();
@@ -531,6 +532,7 @@ pub(super) fn check_measured(scenario: &Scenario, log: &Log) -> Result<Vec<Strin
         against_odometry(&localized),
         unmapped_start(&map, &distance, &localized),
         outside_of_map(&map, &localized),
+        unlike_map(&map, &localized),
     ];
     Ok(warnings.into_iter().flatten().collect())
 }

@@ -80,14 +80,25 @@ pub fn grid_files(grid: &OccupancyGrid, image: &str) -> [Vec<u8>; 2] {
 /// A larger share of held-out readings that are far from their nominal ranges contradicts the map: people who walk make some per cent.
 const MOST_FAR: f64 = 0.2;
 
+/// Poses, mount and stamps that don't go together leave walls less true than this \[cm\].
+const TRUE_CM: f64 = 3.0;
+
 /// What is said of a map that the log it was made of contradicts.
 pub fn contradiction(check: &MapCheck) -> Option<String> {
     // Beams that meet no cell count as far from cells: of the walls alone it is said.
     let far = check.walls.far_share;
+    let median_cm = 100.0 * check.walls.median_abs_m;
+    let reason = if median_cm <= TRUE_CM {
+        format!(
+            "The median is {median_cm:.1} cm, so poses, mount and stamps go together: look for glass, for what was moved between visits, \
+             and for people."
+        )
+    } else {
+        "Reference poses, the laser's mount, its angles or the stamps don't go together.".to_owned()
+    };
     (far > MOST_FAR).then(|| {
         format!(
-            "{:.0} % of the held-out readings are more than {FAR_M} m from the walls that the others make: reference poses, the laser's \
-             mount, its angles or the stamps don't go together.",
+            "{:.0} % of the held-out readings are more than {FAR_M} m from the walls that the others make. {reason}",
             100.0 * far
         )
     })

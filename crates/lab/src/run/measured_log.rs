@@ -48,7 +48,7 @@ fn uncovered(log: &Log, drive: &Drive) -> Option<String> {
     (covered < COVERED).then(|| {
         format!(
             "In one stretch of `log.localize_scans` only {:.0} % of the readings end where scans of `log.map_scans` have \
-             readings, and filters get lost there. `locsim inspect` proposes another split.",
+             readings, and filters may get lost there. `locsim inspect` proposes another split.",
             100.0 * covered
         )
     })

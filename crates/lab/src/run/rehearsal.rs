@@ -2,8 +2,10 @@
 //!
 //! Held-out scans one by one show how the beams of a scan depend on each other. They don't show how scans do: what the map
 //! lacks, scan after scan sees the same way. A filter that takes them as independent is too sure of its pose, and few of its
-//! particles are effective. The normalized estimation error squared (NEES; Bar-Shalom, Li and Kirubarajan, "Estimation
-//! with Applications to Tracking and Navigation", 2001, section 5.4) of a drive shows both.
+//! particles are effective. The log density of the reference poses under the filter's own estimates shows both (Gneiting and Raftery,
+//! "Strictly Proper Scoring Rules, Prediction, and Estimation", 2007). A normalized estimation error squared (NEES; Bar-Shalom, Li and
+//! Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 5.4) that is right alone may be had by a filter
+//! that learns little from its scans: errors and covariance are both large then.
 
 use std::sync::Arc;
 
@@ -21,11 +23,11 @@ use rayon::prelude::*;
 use super::filter::options;
 use crate::LabError;
 
-/// A consistent filter has a NEES of the number of its dimensions on average.
-const DIMENSIONS: f64 = 3.0;
-
 /// Exponents that are tried, upwards.
 const EXPONENTS: [f64; 12] = [0.02, 0.03, 0.04, 0.055, 0.075, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8];
+
+/// Exponents are tried until so many in a row are worse than the best.
+const MOST_WORSE: u32 = 2;
 
 /// Stretches are repeated with other draws until there are this many steps: their errors come in runs, and a few tens of
 /// steps would leave the mean to chance.
@@ -168,9 +170,9 @@ impl<'a> Rehearsal<'a> {
         (steps >= FEWEST_STEPS).then_some(Self { filter, map, stretches, seed })
     }
 
-    /// The greatest exponent with which the filter's own covariance accounts for its errors: up to it, the mean NEES of the
-    /// stretches is no more than a consistent filter's. The least that is tried, if there is none. With it, the deviations of shared
-    /// errors under which the reference poses are likeliest, each normal about the filter's estimate. `floored` is the model as scans
+    /// The exponent under which the reference poses are likeliest, each normal about the filter's estimate with the filter's own
+    /// covariance. That score is proper: it counts how large the errors are as well as whether the covariance accounts for them. With it,
+    /// the deviations of shared errors under which they are likeliest, and the model's table, where there are tables. `floored` is the model as scans
     /// are judged by it.
     ///
     /// # Errors
@@ -181,7 +183,7 @@ impl<'a> Rehearsal<'a> {
         floored: &dyn SensorModel,
         floor: f64,
         tables: Option<(LikelihoodGrid, &EndpointGrid)>,
-    ) -> Result<Rehearsed, LabError> {
+    ) -> Result<(Rehearsed, Option<Prepared>), LabError> {
         let failed = |source| LabError::TrainingData { source };
         let tempered = |exponent: f64| -> Result<Arc<dyn SensorModel>, LabError> {
             Ok(Arc::new(Tempered::new(Arc::clone(model), floor, exponent).map_err(failed)?))
@@ -193,7 +195,8 @@ impl<'a> Rehearsal<'a> {
             }
             _ => None,
         };
-        let mut chosen: Option<(f64, Steps)> = None;
+        let mut chosen: Option<(f64, f64, Steps)> = None;
+        let mut worse = 0;
         for exponent in EXPONENTS {
             let tempered = tempered(exponent)?;
             prepared = prepared.map(|table| table.scaled(Arc::clone(&tempered), exponent / last));
@@ -202,21 +205,26 @@ impl<'a> Rehearsal<'a> {
                 Some(prepared) => self.steps(prepared, floored)?,
                 None => self.steps(&*tempered, floored)?,
             };
-            let nees = mean(steps.errors.iter().map(|error| error.nees(Spread::default())));
-            if nees > DIMENSIONS && chosen.is_some() {
-                break;
-            }
-            chosen = Some((exponent, steps));
-            if nees > DIMENSIONS {
-                break;
+            let deviance = mean(steps.errors.iter().map(|error| error.deviance(Spread::default())));
+            if chosen.as_ref().is_none_or(|(least, ..)| deviance < *least) {
+                chosen = Some((deviance, exponent, steps));
+                worse = 0;
+            } else {
+                worse += 1;
+                if worse == MOST_WORSE {
+                    break;
+                }
             }
         }
-        let (exponent, Steps { errors, mut scan_log_density }) = chosen.expect("one exponent has been tried");
+        let (_, exponent, Steps { errors, mut scan_log_density }) =
+            chosen.expect("one exponent has been tried");
         let shared = shared_errors(&errors);
         let nees = mean(errors.iter().map(|error| error.nees(Spread::default())));
         scan_log_density.sort_by(f64::total_cmp);
         let scan_log_density_nats = quantile(&scan_log_density, 1.0 - USUAL);
-        Ok(Rehearsed { exponent, shared, nees, scan_log_density_nats })
+        let chosen = tempered(exponent)?;
+        let prepared = prepared.map(|table| table.scaled(chosen, exponent / last));
+        Ok((Rehearsed { exponent, shared, nees, scan_log_density_nats }, prepared))
     }
 
     /// All steps of all stretches and their repeats.

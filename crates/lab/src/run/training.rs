@@ -175,17 +175,25 @@ fn train_one(
     let rehearsal = surroundings.rehearsal.as_ref().filter(|_| model.exponent.is_none());
     // The same small floor for all: without one, a single odd reading makes the log loss infinite.
     let floored = Tempered::new(Arc::clone(&bare), LOG_LOSS_FLOOR, 1.0).map_err(failed)?;
-    let rehearsed =
-        rehearsal.map(|rehearsal| rehearsal.choose(&bare, &floored, tempering.floor, tables)).transpose()?;
+    let (rehearsed, prepared) = rehearsal
+        .map(|rehearsal| rehearsal.choose(&bare, &floored, tempering.floor, tables))
+        .transpose()?
+        .unzip();
     let exponent = rehearsed.map_or(tempering.exponent, |rehearsed| rehearsed.exponent);
     let tempered = Tempered::new(Arc::clone(&bare), tempering.floor, exponent).map_err(failed)?;
     let mut tempered: Arc<dyn SensorModel> = Arc::new(tempered);
-    if let Some((states, endpoints)) = tables.filter(|_| tempered.depends_on() != DependsOn::Everything) {
+    if let Some(prepared) = prepared.flatten() {
+        tempered = Arc::new(prepared);
+    } else if let Some((states, endpoints)) =
+        tables.filter(|_| tempered.depends_on() != DependsOn::Everything)
+    {
         tempered = Arc::new(Prepared::new(tempered, states, endpoints).map_err(failed)?);
     }
     let normalized = !matches!(model.name, ModelName::Fitted(kind) if !kind.is_normalized());
     let log_loss_nats = normalized.then(|| evaluate(&floored, held_out).log_loss_nats);
-    let histogram_match_m = normalized.then(|| evaluate(&*bare, held_out).histogram_match_m);
+    // A log has one reading of a state, which is no distribution to be matched.
+    let has_distributions = normalized && rehearsed.is_none();
+    let histogram_match_m = has_distributions.then(|| evaluate(&*bare, held_out).histogram_match_m);
     let mut chosen = fitted.as_ref().map_or_else(BTreeMap::new, |fitted| fitted.chosen().clone());
     chosen.insert("floor".to_owned(), tempering.floor);
     chosen.insert("exponent".to_owned(), exponent);

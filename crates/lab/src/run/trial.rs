@@ -11,8 +11,8 @@ use super::laboratory::Laboratory;
 use super::rehearsal::{PoseError, scan_log_density};
 use super::training::TrainedModel;
 use crate::LabError;
-use locsim_report::results::{ModelTrial, StepRow};
-use locsim_scenario::{ErrorFrame, Errors, Estimate};
+use locsim_report::results::{ModelTrial, StepRow, UNUSUAL_SCANS, USUAL_SCAN};
+use locsim_scenario::{self as scenario, ErrorFrame, Errors, Estimate};
 
 /// Runs one model's filter over a drive. With `detail`, every step is kept in full.
 ///
@@ -37,6 +37,7 @@ pub(super) fn localize(
     let mut steps = Vec::with_capacity(drive.steps.len());
     let mut events = Vec::new();
     let mut spent = Duration::ZERO;
+    let mut misfit = Misfit::new(settings, model);
     for (i, step) in drive.steps.iter().enumerate() {
         let input =
             StepInput { odometry: drive.odometry_increment(i), laser: &drive.laser, scan: &step.scan };
@@ -79,6 +80,13 @@ pub(super) fn localize(
             nees_with_shared_errors: error.nees(model.shared),
             resampled: outcome.resampled,
         });
+        if misfit.is_lost(&steps[i]) {
+            let before = clock();
+            filter.restart(map)?;
+            spent += clock().saturating_sub(before);
+            events
+                .push((i as u32, format!("{UNUSUAL_SCANS} scans in a row don't fit: starts anywhere again")));
+        }
     }
     if let Some(trajectory) = filter.ancestry().and_then(locsim_mcl::Ancestry::most_likely_trajectory) {
         if settings.estimate == Estimate::MostLikelyTrajectory {
@@ -102,6 +110,32 @@ pub(super) fn localize(
         steps,
         events,
     })
+}
+
+/// Scans that don't fit the map at the estimated pose, for a filter that starts anywhere: one that has gathered at a wrong place starts again.
+struct Misfit {
+    /// What 99 of 100 scans of the training drive exceed \[nats per reading\]; `None` where a filter doesn't start again.
+    usual: Option<f64>,
+    /// Scans in a row that don't.
+    scans: usize,
+}
+
+impl Misfit {
+    fn new(filter: &scenario::Filter, model: &TrainedModel) -> Self {
+        let is_anywhere = filter.start == scenario::Start::Global && filter.annealing.is_some();
+        Self { usual: model.row.chosen.get(USUAL_SCAN).copied().filter(|_| is_anywhere), scans: 0 }
+    }
+
+    /// Whether the robot is lost by the scans up to this one. Those that aren't taken in say nothing new.
+    fn is_lost(&mut self, row: &StepRow) -> bool {
+        let Some(usual) = self.usual.filter(|_| row.likelihood_power > 0.0) else { return false };
+        self.scans = if row.scan_log_density_nats < usual { self.scans + 1 } else { 0 };
+        let is_lost = self.scans >= UNUSUAL_SCANS;
+        if is_lost {
+            self.scans = 0;
+        }
+        is_lost
+    }
 }
 
 /// A trial is lost when it ends farther than `lost_m` \[m\] from the truth, or is that far off in more than half of its

@@ -72,6 +72,40 @@ fn annealing_keeps_the_history_whole() {
     }
 }
 
+/// A robot that was taken to another corner is found again after a restart, and isn't without one. No trajectory leads through it.
+#[test]
+fn a_filter_that_starts_again_finds_the_robot_elsewhere() {
+    let laser = laser(30);
+    // Walls of three lengths, so that no place looks like another.
+    let rooms = Rooms { count: 2, wider_m: 3.0 };
+    let annealing = Some(AnnealingOptions { candidates: 8000, ..AnnealingOptions::default() });
+    let options = FilterOptions { annealing, ancestry: true, ..options(1000) };
+    let error = |restarts: bool| {
+        let mut filter = Filter::new(options.clone(), &Start::Global, &rooms, 3).unwrap();
+        let step = |filter: &mut Filter, truth: Pose2, number: u32| {
+            let scan = scan(&rooms, &laser, &MODEL, truth, number);
+            let input = StepInput { odometry: Pose2::IDENTITY, laser: &laser, scan: &scan };
+            filter.step(&input, &rooms, &MODEL).unwrap().estimates.weighted_mean.pose
+        };
+        let here = Pose2::new(3.0, 2.0, 0.7);
+        (0..3).for_each(|number| {
+            step(&mut filter, here, number);
+        });
+        let there = Pose2::new(APART + 9.0, 4.5, -1.0);
+        if restarts {
+            filter.restart(&rooms).unwrap();
+            assert!(filter.ancestors().unwrap().iter().all(|&parent| parent == locsim_mcl::NO_PARENT));
+        }
+        let last = (3..6).map(|number| step(&mut filter, there, number)).last().unwrap();
+        let first_step = filter.ancestry().unwrap().most_likely_trajectory().unwrap().first_step;
+        (last.position().distance(there.position()), first_step)
+    };
+    // The room is the same by half a turn: by one place or the other, or between them.
+    let (with, first_step) = error(true);
+    assert!(with < 8.0 && first_step == 3, "{with} {first_step}");
+    assert!(error(false).0 > 12.0);
+}
+
 #[test]
 fn annealing_options_are_checked() {
     for annealing in [

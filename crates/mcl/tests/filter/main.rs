@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use locsim_core::{Draw, Hits, Laser, Particles, Pose2, RangeMap, Scan, SensorModel, Stage};
 use locsim_mcl::{FilterOptions, OdometryMotion, ParticleCount, ResampleTrigger, Systematic};
-use toy::{Gaussian, Room};
+use toy::Gaussian;
 
 mod annealing;
 mod behaviour;
@@ -20,7 +20,7 @@ fn laser(beams: usize) -> Laser {
 }
 
 /// A scan of `laser` at `base` in `room`, drawn from `model` for time step `step`.
-fn scan(room: &Room, laser: &Laser, model: &Gaussian, base: Pose2, step: u32) -> Scan {
+fn scan(room: &dyn RangeMap, laser: &Laser, model: &Gaussian, base: Pose2, step: u32) -> Scan {
     let pose: Particles = [base.compose(&laser.base_from_laser())].into_iter().collect();
     let mut hits = Hits::default();
     room.cast(pose.as_poses(), laser.bearings(), laser.max_range(), &mut hits);

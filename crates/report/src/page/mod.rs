@@ -69,6 +69,7 @@ pub(crate) fn markdown(
         others_table => others,
         first => (!has(CLASSIC) && results.models.len() > 1).then(|| text::code(summary.baseline())),
         has_oracle => has(ORACLE),
+        shares => !has(ORACLE) && summary.shares_errors(),
         comparisons => findings::comparisons(summary),
         paper_table => with_paper.then(|| paper_table(summary).to_markdown()),
         paper_findings => findings::beside_the_paper(summary),

@@ -41,8 +41,8 @@ pub struct RawFilter {
     /// that leaves as many; 0 to below 1, 0 takes all in whole that aren't annealed. Default: 0.02 on a log, 0 in simulation.
     pub least_effective_share: Option<f64>,
     /// `none`, or scans taken in by small powers of their likelihood while the particles are spread (Del Moral, Doucet and
-    /// Jasra 2006), for a global start; costs some ten weighings of the particles for each such scan. Until they have gathered
-    /// there are as many as KLD sampling asks for, by `particles.kld` or with bins of 0.5 m and 10 degrees up to 20000.
+    /// Jasra 2006), for a global start; costs some ten weighings of the particles for each such scan. On a log with
+    /// training scans, a filter of which 30 scans in a row don't fit starts anywhere again. Until they have gathered there are as many as KLD sampling asks for, by `particles.kld` or with bins of 0.5 m and 10 degrees up to 20000.
     #[serde(default = "default::annealing")]
     pub annealing: Form<NotAnnealed, RawAnnealing>,
 }

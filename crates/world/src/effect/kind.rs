@@ -135,6 +135,19 @@ impl EffectKind {
         !statistics.is_empty() && statistics.iter().all(is_loss)
     }
 
+    /// Whether it is where the laser sits on the robot.
+    pub fn displaces_laser(self) -> bool {
+        self == Self::MountOffset
+    }
+
+    /// Whether it does nothing but spread readings, each beam's by itself.
+    pub fn is_noise(self) -> bool {
+        let is_spread =
+            |s: &Statistic| matches!(s, Statistic::Score { score: Score::Scale | Score::Tail, .. });
+        let statistics = self.description().statistics;
+        !statistics.is_empty() && statistics.iter().all(is_spread)
+    }
+
     /// Whether readings are random under it, whatever a beam meets.
     pub fn is_of_random_readings(self) -> bool {
         let is_random = |s: &Statistic| matches!(s, Statistic::Score { score: Score::Uniform, .. });

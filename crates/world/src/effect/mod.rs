@@ -133,7 +133,12 @@ impl Effect {
 
     /// Whether a point of the map \[m\] is on one of its stretches of wall.
     fn is_at(&self, point: DVec2) -> bool {
-        self.place.iter().any(|stretch| distance_to(stretch, point) <= PLACE_REACH_M)
+        self.stretch_at(point).is_some()
+    }
+
+    /// The stretch of wall that a point of the map \[m\] is on.
+    fn stretch_at(&self, point: DVec2) -> Option<&[DVec2; 2]> {
+        self.place.iter().find(|stretch| distance_to(stretch, point) <= PLACE_REACH_M)
     }
 
     /// The bearings of an effect that acts between two of them, counter-clockwise from the first \[rad\].

@@ -130,6 +130,18 @@ impl Parameter {
         matches!(self.role, Role::Strength | Role::Step)
     }
 
+    /// A change of a value that shows: how far the value is from neutral, no less than 0.3 of what is typical. For a parameter whose
+    /// typical value is the neutral one, a twentieth of its range.
+    pub fn typical_step(&self, value: f64) -> f64 {
+        let away = (value - self.neutral).abs().max(0.3 * (self.start - self.neutral).abs());
+        if away == 0.0 { 0.05 * (self.hi - self.lo) } else { away }
+    }
+
+    /// Whether an effect does without it where a file leaves it out, as a wall does without a turn.
+    pub fn is_extra(&self) -> bool {
+        matches!(self.role, Role::Shape(_)) && self.default == Some(0.0) && self.start == 0.0
+    }
+
     /// The prior of a shape that a log may tell little about.
     pub fn shape_prior(&self) -> Option<Prior> {
         match self.role {

@@ -264,6 +264,7 @@ mod tests {
             range: 3.0,
             incidence: 0.7,
             endpoint: DVec2::new(2.5, 1.5),
+            direction: DVec2::X,
             jump: None,
             behind: None,
         }

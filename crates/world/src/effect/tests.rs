@@ -32,7 +32,7 @@ pub(crate) fn strong(kind: EffectKind) -> Effect {
         E::RangeDropout => &[0.9, 0.7],
         E::MixedPixels => &[0.5],
         E::Glass => &[0.6],
-        E::MovedWall => &[-0.3],
+        E::MovedWall => &[-0.3, 0.05],
         E::MissingObject => &[4.0, 3.0, 0.3],
         E::MountYaw | E::TimeOffset | E::OdomDistanceScale | E::OdomTurnScale => &[0.1],
         E::MountOffset => &[0.1, -0.05],
@@ -109,6 +109,7 @@ fn beams() -> [(BeamView, HitKind, f64); 5] {
         range,
         incidence,
         endpoint: DVec2::new(3.0, 0.05),
+        direction: DVec2::Y,
         jump,
         behind,
     };
@@ -373,6 +374,31 @@ fn effects_of_walls_leave_blocks_alone_and_effects_of_a_place_other_walls() {
         Effects::none().reading(&laser(0.0), &ahead, HitKind::Wall, 1.2),
         "outside the sector"
     );
+}
+
+/// A wall of 4 m whose middle is 10 cm farther and that is turned by 0.05, away at its second end: where a ray meets that wall.
+#[test]
+fn a_turned_wall_is_met_where_it_stands() {
+    let ends = [DVec2::new(1.0, 2.0), DVec2::new(5.0, 2.0)];
+    let turned = Effect::new(EffectKind::MovedWall, vec![0.1, 0.05], vec![ends]).unwrap();
+    let turned = Effects::new(vec![turned]).unwrap();
+    let along = DVec2::from_angle(0.05);
+    for (x, slant) in [(1.1, 0.0), (3.0, 0.0), (4.9, 0.0), (1.5, 1.0), (4.5, 1.0), (4.5, -1.0), (2.0, -1.3)] {
+        let direction = DVec2::Y.rotate(DVec2::from_angle(-slant));
+        let range = 2.0 / direction.y;
+        let origin = DVec2::new(x, 2.0) - range * direction;
+        let view = BeamView {
+            endpoint: DVec2::new(x, 2.0),
+            incidence: slant.abs(),
+            range,
+            direction,
+            ..beams()[1].0
+        };
+        let met = (DVec2::new(3.0, 2.1) - origin).perp_dot(along) / direction.perp_dot(along);
+        assert!((turned.wall_range(&view) - met).abs() < 1e-9, "{x} {slant}");
+    }
+    let beside = BeamView { endpoint: DVec2::new(5.2, 2.0), ..beams()[1].0 };
+    assert_eq!(turned.wall_range(&beside), beside.range);
 }
 
 #[test]

@@ -1,11 +1,13 @@
 //! Effects on a stretch of wall.
 
+use std::f64::consts::PI;
+
 use super::beam::MAX_INCIDENCE_RAD;
 use super::effect_type::EffectType;
 use super::reading::{Hit, Return};
 use super::{
-    Alternative, BeamView, Description, Effect, EffectKind, Moves, Needs, Parameter, Replacement, Site,
-    Statistic,
+    Alternative, BeamView, Description, Effect, EffectKind, Moves, Needs, Parameter, Prior, Replacement,
+    Site, Statistic,
 };
 
 /// A wall that lets beams through.
@@ -48,6 +50,14 @@ impl EffectType for Glass {
     }
 }
 
+/// The most that a wall is turned \[rad\], 20 deg: the form is that of a small turn.
+const MAX_TURN_RAD: f64 = 20.0 * PI / 180.0;
+/// Walls are built or moved askew by about so much \[rad\], 2 deg.
+const TURN_SD_RAD: f64 = 2.0 * PI / 180.0;
+
+/// A ray that is nearly parallel to a turned wall meets it far away: no farther than by so much of the incidence's cosine.
+const LEAST_CLOSING: f64 = 0.2;
+
 /// A wall that isn't where the map has it.
 pub(super) struct MovedWall;
 
@@ -57,9 +67,15 @@ impl EffectType for MovedWall {
             &Description {
                 name: "moved_wall",
                 site: Site::World,
-                parameters: &[Parameter::strength("distance_m", "m", 0.0, [-5.0, 5.0], 0.1)],
+                parameters: &[
+                    Parameter::strength("distance_m", "m", 0.0, [-5.0, 5.0], 0.1),
+                    Parameter::shape("turn_rad", "rad", [-MAX_TURN_RAD, MAX_TURN_RAD], 0.0)
+                        .key("turn_deg")
+                        .default(0.0)
+                        .prior(Prior::Normal { sd: TURN_SD_RAD }),
+                ],
                 has_place: true,
-                formula: "r + distance_m / cos(alpha), alpha at most 80 deg, at the place; positive: farther",
+                formula: "r + distance_m / cos(alpha), alpha at most 80 deg, at the place; positive: farther; turned by turn_rad about its middle, its second end farther",
                 sentence: "A stretch of wall stands elsewhere than in the map.",
                 sides: Some([
                     "A stretch of wall stands nearer than in the map.",
@@ -77,11 +93,15 @@ impl EffectType for MovedWall {
     }
 
     fn wall_range(&self, effect: &Effect, view: &BeamView, range: f64) -> f64 {
-        let [distance_m] = effect.numbers();
-        if effect.is_at(view.endpoint) {
-            range + distance_m / view.incidence.min(MAX_INCIDENCE_RAD).cos()
-        } else {
-            range
+        let [distance_m, turn] = effect.numbers();
+        let Some([a, b]) = effect.stretch_at(view.endpoint) else { return range };
+        let cos = view.incidence.min(MAX_INCIDENCE_RAD).cos();
+        if turn == 0.0 {
+            return range + distance_m / cos;
         }
+        let (along, slope) = ((b - a).normalize(), turn.tan());
+        let s = along.dot(view.endpoint - a.midpoint(*b));
+        let closing = (cos - slope * along.dot(view.direction)).max(LEAST_CLOSING * cos);
+        range + (distance_m + slope * s) / closing
     }
 }

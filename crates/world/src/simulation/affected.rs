@@ -129,6 +129,7 @@ fn views(simulator: &Simulator, pose: &Pose2) -> Vec<BeamView> {
             range: nominal[i],
             incidence: hit.map_or(0.0, |hit| hit.incidence),
             endpoint: origin + nominal[i] * direction,
+            direction,
             jump: jump_at(&nominal, i, true),
             behind: None,
         }
@@ -252,8 +253,12 @@ fn a_missing_object_is_a_wall_of_its_own() {
     let list = vec![
         disc(),
         Effect::new(EffectKind::IncidenceDropout, vec![1.0, 0.8, 0.001], vec![]).unwrap(),
-        Effect::new(EffectKind::MovedWall, vec![1.0], vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]])
-            .unwrap(),
+        Effect::new(
+            EffectKind::MovedWall,
+            vec![1.0, 0.0],
+            vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]],
+        )
+        .unwrap(),
     ];
     let simulator = Simulator::new(room_map(), None, laser, effects(list)).unwrap();
     let reading = |y: f64| f64::from(simulator.observe(&Pose2::new(1.0, y, 0.0), 1, 0)[0]);
@@ -300,7 +305,7 @@ fn glass_shows_what_is_behind_and_a_moved_wall_hides_what_is_before() {
     assert!((reading(&simulator, 3.0, 0.0) - 3.0).abs() < 1e-6, "away from it");
 
     let dense = BlockOptions { per_metre_of_wall: 20.0, clearance_m: 0.0, ..block_options() };
-    let moved = Effect::new(EffectKind::MovedWall, vec![-1.5], place).unwrap();
+    let moved = Effect::new(EffectKind::MovedWall, vec![-1.5, 0.0], place).unwrap();
     let simulator = Simulator::new(map, Some(dense), laser, effects(vec![moved])).unwrap();
     for observation in 0..20 {
         let reading = f64::from(simulator.observe(&Pose2::new(0.2, 2.0, 0.0), 1, observation)[0]);

@@ -126,7 +126,7 @@ impl<'a> BeamCaster<'a> {
         };
         let bearing = f64::from(self.laser.bearings()[beam]);
         let endpoint = origin + range * direction;
-        let mut view = BeamView { secs, bearing, range, incidence, endpoint, jump: None, behind };
+        let mut view = BeamView { secs, bearing, range, incidence, endpoint, direction, jump: None, behind };
         let mut range = self.effects.wall_range(&view);
         if let (Some(moved), Surface::Wall(segment)) = (self.moved, surface) {
             range = (range + moved.change(segment, endpoint, incidence)).max(0.0);

@@ -329,8 +329,16 @@ mod tests {
         let survival =
             ClutterSurvival::new(&clutter, [origin, DVec2::X], origin, range, 0.05, &mut Vec::new());
         let endpoint = origin + range * DVec2::X;
-        let view =
-            BeamView { secs: 3.0, bearing: 0.0, range, incidence: 0.2, endpoint, jump: None, behind: None };
+        let view = BeamView {
+            secs: 3.0,
+            bearing: 0.0,
+            range,
+            incidence: 0.2,
+            endpoint,
+            direction: DVec2::X,
+            jump: None,
+            behind: None,
+        };
         ClutteredBeam::new(view, None, [0.0; 3], survival, 4.0)
     }
 
@@ -431,7 +439,7 @@ mod tests {
         let beam = beam();
         let place = vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]];
         let clear = |offset: f64| {
-            let moved = Effect::new(EffectKind::MovedWall, vec![offset], place.clone()).unwrap();
+            let moved = Effect::new(EffectKind::MovedWall, vec![offset, 0.0], place.clone()).unwrap();
             let effects = Effects::new(vec![moved]).unwrap();
             let mixture = ReadingMixture::new(&LASER, &effects, 1.0);
             mixture.density(&beam, 0.0, 3.0).clear

@@ -241,6 +241,7 @@ impl ScanFilter {
             range,
             incidence: 0.0,
             endpoint: DVec2::ZERO,
+            direction: DVec2::X,
             jump: None,
             behind: None,
         };
