@@ -175,6 +175,15 @@ fn a_reference_that_errs_is_no_noise() {
     assert_eq!(found.noise_of_every_beam_m, None);
 }
 
+/// References that err move scans as a displaced laser does. One that is displaced has its name where ranges differ by more than stretches do.
+#[test]
+fn a_laser_that_is_displaced_by_less_than_stretches_differ_has_no_name() {
+    let displaced = |y: f64| changes(&[], &[(E::MountOffset, &[0.0, y])]);
+    let [little, far] = [displaced(0.006), displaced(0.06)];
+    assert!(little.w1_mm[0] <= little.w1_mm[2] && !names(&little).contains(&E::MountOffset), "{little:#?}");
+    assert!(far.w1_mm[0] > far.w1_mm[2] && names(&far)[0] == E::MountOffset, "{far:#?}");
+}
+
 /// A wall that stands half a metre nearer, farther than any distance that is tried everywhere.
 #[test]
 fn a_wall_that_moved_far_is_named() {

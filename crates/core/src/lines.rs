@@ -107,7 +107,7 @@ fn line_through(points: &[DVec2], near_m: f64) -> Option<Line> {
 mod tests {
     use super::*;
 
-    /// Points rise by a tenth from 3 to 7, and a few lie elsewhere; the axis is seen from 0 to 10 but for 2 to 5 m before the line meets it.
+    /// Points rise by a tenth from 3 to 6.9 m, on a line that meets the axis at 1 m; two others lie elsewhere.
     #[test]
     fn a_slanted_stretch_goes_on_to_where_it_meets_the_axis() {
         let rises = (0..40).map(|i| 3.0 + 0.1 * f64::from(i)).map(|x| DVec2::new(x, 0.1 * (x - 1.0)));

@@ -1,5 +1,7 @@
 //! A sensor model made of one histogram per cell of the state.
 
+use std::sync::Arc;
+
 use locsim_core::{Beams, Draw, SensorModel};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -19,11 +21,12 @@ use crate::state_grid::StateGrid;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(try_from = "Parts", into = "Parts")]
 pub(crate) struct HistogramTable {
-    parts: Parts,
+    // A fitted model and the one that a filter asks are copies, of up to 90 MB.
+    parts: Arc<Parts>,
     /// \[cell\]\[bin\]: ln(mass / width).
-    log_density: Vec<f32>,
+    log_density: Arc<Vec<f32>>,
     /// \[cell\]\[bins + 1\]: mass below each bin.
-    below: Vec<f32>,
+    below: Arc<Vec<f32>>,
     /// ln of the probability of the maximum range on an open beam, the usual case of such a reading.
     open_no_return: f32,
 }
@@ -46,7 +49,7 @@ pub(crate) struct Parts {
 
 impl From<HistogramTable> for Parts {
     fn from(table: HistogramTable) -> Self {
-        table.parts
+        Arc::unwrap_or_clone(table.parts)
     }
 }
 
@@ -83,6 +86,7 @@ impl TryFrom<Parts> for HistogramTable {
             let total = total(&parts.mass[cell * bins..][..bins]);
             return Err(format!("the masses of cell {cell} sum to {total}, more than 1"));
         }
+        let (parts, log_density, below) = (Arc::new(parts), Arc::new(log_density), Arc::new(below));
         let mut table = Self { parts, log_density, below, open_no_return: 0.0 };
         let (max_range, nominal) = (table.parts.max_range, table.parts.grid.reach);
         let open = Beam { pose: 0, bearing: 0, range: max_range, nominal, incidence: 0.0, max_range };

@@ -153,7 +153,10 @@ fn equivalent(candidates: &[Candidate], best: usize) -> Vec<EffectKind> {
         let sure = other.gain() - RIVAL_ERRORS * other.gain_error() > 0.0;
         let of_same_data = is_of_odometry(&candidates[best]) == is_of_odometry(other);
         let is_near = behind < BEHIND_ERRORS * error;
-        if i != best && of_same_data && sure && is_near && !is_same(&candidates[best], other) {
+        // Beside lost returns, what surely gains more was refused for the errors of the others.
+        let loses = |candidate: &Candidate| candidate.kind().loses_returns();
+        let refused = behind < -BEHIND_ERRORS * error && loses(&candidates[best]) && !loses(other);
+        if i != best && of_same_data && sure && is_near && !refused && !is_same(&candidates[best], other) {
             set.push(other.kind());
         }
     }
@@ -251,6 +254,29 @@ mod tests {
         };
         assert_eq!(named([8.0, 0.0, 0.0, 0.0]), EffectKind::RangeBias);
         assert_eq!(named([8.0, 7.0, 9.0, 8.0]), EffectKind::WarmupDrift);
+    }
+
+    /// A loss of returns is named beside a bias that was refused. The bias is no rival of it; a loss that gains nearly as much is.
+    #[test]
+    fn what_was_refused_is_no_rival_of_lost_returns() {
+        let candidate = |kind, gains: [f64; 4]| Candidate {
+            effect: Effect::typical(kind, Vec::new()),
+            fitted_gains: gains.to_vec(),
+            gains: gains.to_vec(),
+            intervals: vec![locsim_core::Interval { lo: 0.0, hi: 1.0 }; 3],
+            is_beyond_chance: true,
+            score: None,
+        };
+        let candidates = [
+            candidate(EffectKind::IncidenceBias, [74.0, 75.0, 73.0, 75.0]),
+            candidate(EffectKind::RangeDropout, [52.0, 53.0, 54.0, 53.0]),
+            candidate(EffectKind::IncidenceDropout, [53.0, 51.0, 55.0, 52.0]),
+        ];
+        let loses = |candidate: &Candidate| candidate.kind().loses_returns();
+        assert_eq!((choose(&candidates), choose_apart(&candidates, loses)), (Some(0), Some(1)));
+        let losses = [EffectKind::RangeDropout, EffectKind::IncidenceDropout];
+        assert_eq!(name(&candidates, 1, 0.01, 100).candidates, losses);
+        assert_eq!(name(&candidates, 0, 0.01, 100).candidates, [EffectKind::IncidenceBias]);
     }
 
     /// Four folds of 3, 0, 0 and 3 nats: 6 with an error of sqrt(12).

@@ -176,7 +176,9 @@ mod tests {
     use crate::Recorded;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::{Comparison, Nuisances};
     use crate::search::{GapOptions, find};
+    use crate::statistics::pit_draw;
 
     #[test]
     fn each_displacement_is_in_two_windows() {
@@ -188,14 +190,29 @@ mod tests {
         assert_eq!(windows_of(0.6).count() + windows_of(-0.6).count(), 0);
     }
 
-    /// A wall of 5 m that is turned by 2 degrees about its end is named over its length, with the turn.
-    #[test]
-    fn a_turned_wall_is_named_with_its_turn() {
+    /// A wall of 5 m that is turned by 2 degrees about its end.
+    fn with_a_turned_wall() -> (Recorded, f64) {
         let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]];
         let turn = 2f64.to_radians();
         let turned = Effect::new(EffectKind::MovedWall, vec![-2.5 * turn.tan(), -turn], stretch).unwrap();
         let drive = record_library(&NOMINAL, &TRUTH, &[turned], Regime::default(), 3).unwrap();
-        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        (Recorded::new(&drive, 300, 72, |_| true).unwrap(), turn)
+    }
+
+    #[test]
+    fn a_fit_starts_from_the_slanted_line_of_a_turned_wall() {
+        let (recorded, turn) = with_a_turned_wall();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(5));
+        let (_, start) = turned(&log, Line { point: DVec2::new(3.0, 4.0), along: DVec2::X }).unwrap();
+        let [a, b] = start.place[0];
+        assert!(a.distance(b) > 4.0 && (start.values[1] - turn).abs() < 0.1 * turn, "{start:?}");
+    }
+
+    #[test]
+    fn a_turned_wall_is_named_over_its_length_with_its_turn() {
+        let (recorded, turn) = with_a_turned_wall();
         let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
         let outcome = find(&NOMINAL, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
         let [named] = &outcome.effects[..] else { panic!("{:?}", outcome.effects) };

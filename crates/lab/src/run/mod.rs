@@ -258,6 +258,8 @@ fn write_results(
         warnings,
         notes: laboratory.notes.clone(),
     };
+    // A report of many trials needs as much memory as map and models do.
+    drop(laboratory);
     let summary = report::write(folder, &results, Some(&detail), &context)?;
     Ok((outcome(scenario, summary, results), Some(detail)))
 }

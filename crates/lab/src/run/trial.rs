@@ -192,6 +192,27 @@ pub(super) fn online_estimate(estimate: Estimate, outcome: &StepOutcome) -> Pose
 mod tests {
     use super::*;
 
+    /// Thirty scans in a row that were taken in; one that fits begins anew, one that wasn't taken in doesn't count.
+    #[test]
+    fn a_filter_starts_again_after_enough_scans_that_do_not_fit() {
+        let scan = |scan_log_density_nats: f64, likelihood_power: f64| StepRow {
+            scan_log_density_nats,
+            likelihood_power,
+            ..StepRow::default()
+        };
+        let restarts = |usual: Option<f64>, scans: &[StepRow]| {
+            let mut misfit = Misfit { usual, scans: 0 };
+            scans.iter().filter(|scan| misfit.is_lost(scan)).count()
+        };
+        let bad = vec![scan(-2.0, 1.0); UNUSUAL_SCANS - 1];
+        let one = [scan(-2.0, 1.0)];
+        assert_eq!(restarts(Some(-1.0), &bad), 0);
+        assert_eq!(restarts(Some(-1.0), &[&bad[..], &one].concat()), 1);
+        assert_eq!(restarts(Some(-1.0), &[&bad[..], &[scan(-2.0, 0.0)], &one, &bad].concat()), 1);
+        assert_eq!(restarts(Some(-1.0), &[&bad[..], &[scan(0.0, 1.0)], &one].concat()), 0);
+        assert_eq!(restarts(None, &[&bad[..], &one].concat()), 0);
+    }
+
     fn row(error_along_m: f64) -> StepRow {
         StepRow { error_along_m, ..StepRow::default() }
     }
