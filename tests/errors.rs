@@ -239,6 +239,21 @@ fn options_of_the_command_line() {
         &format!("{map} --share 0.5,0.2"),
         "--share: 0.5,0.2 is not allowed; 0 <= from < to <= 1",
     );
+    // What a scenario says isn't said twice.
+    let mapped = edited(ON_A_LOG, "drive.log, ", "drive.log, map_scans: [[0, 0.4]], map_resolution_m: 0.1, ");
+    folder.write("of-log.yaml", edited(&mapped, "map: {file: room.yaml}\n", ""));
+    let map = "map of-log.yaml --out m";
+    for (option, what) in [
+        ("--max-range 5", "--max-range: not allowed with a scenario, whose `log` section says it"),
+        ("--scan-topic /scan", "--scan-topic: not allowed with a scenario, whose `log` section says it"),
+        ("--share 0,0.5", "--share: not allowed with a scenario that has `log.map_scans`"),
+    ] {
+        refused(&folder, &format!("{map} {option}"), what);
+    }
+    folder.locsim(map).success();
+    let description = String::from_utf8(folder.read("m.yaml")).unwrap();
+    assert!(description.contains("resolution: 0.1\n"), "{description}");
+    let map = "map drive.log --out m";
     for size in ["0", "1000", "nan"] {
         let call = folder.locsim(&format!("{map} --resolution {size}")).code(2).stdout(is_empty());
         call.stderr(contains("'--resolution <RESOLUTION>'")).stderr(contains("a number from 0.001 to 10"));

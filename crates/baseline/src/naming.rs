@@ -421,6 +421,7 @@ fn name(
             p,
         },
         effect,
+        gains: own,
     }
 }
 

@@ -1,11 +1,12 @@
 //! Commands and options of the program.
 
 use std::ffi::OsStr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use locsim_core::limits::{MOST_REPEATS, MOST_TRIALS, RANGE_M};
+use locsim_core::output::in_shell;
 use locsim_lab::gap::GapSettings;
 use locsim_scenario::catalogue;
 use locsim_terminal::{LimitOptions, OutputOptions, Share, Threads, number, whole};
@@ -32,7 +33,7 @@ pub enum Command {
     Study(Study),
     /// Run a scenario with every combination of other values at some of its keys, here or in shards on a cluster
     Sweep(Sweep),
-    /// Merge the shards of a sweep into the results that one machine would have written
+    /// Merge the shards of a sweep or a run into the results that one machine would have written
     Merge(Merge),
     /// Check scenarios, studies and sweeps without running them
     Validate {
@@ -391,10 +392,10 @@ pub struct Map {
     #[arg(long)]
     pub force: bool,
     // Not a doc comment: rustdoc takes brackets for a link.
-    #[arg(long, default_value_t = 0.05, allow_negative_numbers = true, value_parser = number([1e-3, 10.0]), help = "Cell size [m], 0.001 to 10")]
-    pub resolution: f64,
+    #[arg(long, allow_negative_numbers = true, value_parser = number([1e-3, 10.0]), help = "Cell size [m], 0.001 to 10 [default: the scenario's, or 0.05]")]
+    pub resolution: Option<f64>,
     /// Use only this share of the log, for example 0.0,0.5
-    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 1.0], allow_negative_numbers = true, value_parser = number([0.0, 1.0]))]
+    #[arg(long, value_delimiter = ',', num_args = 1, allow_negative_numbers = true, value_parser = number([0.0, 1.0]))]
     pub share: Vec<f64>,
     #[command(flatten)]
     pub log_options: LogOptions,
@@ -463,10 +464,33 @@ pub struct LogOptions {
     /// The bag's topic of odometry [default: `/odom`, the only one, or the transform `odom:base_link`]
     #[arg(long, value_name = "TOPIC")]
     pub odometry_topic: Option<String>,
-    /// The bag's topic of reference poses or a transform such as `map:base_link` [default: `/reference`,
-    /// `/ground_truth`, or what a localizer found]
+    /// The bag's topic of reference poses or a transform such as `map:base_link` [default: `/reference`, `/ground_truth`,
+    /// `/base_pose_ground_truth`, `/ground_truth/state`, or what a localizer found]
     #[arg(long, value_name = "TOPIC")]
     pub reference_topic: Option<String>,
+}
+
+impl LogOptions {
+    /// Each option that is given, and its value.
+    fn given(&self) -> impl Iterator<Item = (&'static str, String)> {
+        let options = [
+            ("--max-range", self.max_range.map(|max| max.to_string())),
+            ("--scan-topic", self.scan_topic.clone()),
+            ("--odometry-topic", self.odometry_topic.clone()),
+            ("--reference-topic", self.reference_topic.clone()),
+        ];
+        options.into_iter().filter_map(|(option, value)| Some((option, value?)))
+    }
+
+    /// The first option that is given.
+    pub fn first_given(&self) -> Option<&'static str> {
+        self.given().next().map(|(option, _)| option)
+    }
+
+    /// The options as a shell takes them, each behind a blank.
+    pub fn command_line(&self) -> String {
+        self.given().map(|(option, value)| format!(" {option} {}", in_shell(Path::new(&value)))).collect()
+    }
 }
 
 /// `locsim gap`.

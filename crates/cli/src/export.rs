@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use locsim_core::output::Output;
+use locsim_core::output::{Output, in_shell};
 use locsim_lab::export::{self, Nav2Options, SimulatorFormat};
 use locsim_scenario::{Overrides, Scenario};
 use locsim_terminal::{DONE, Failure, Session, columns, say};
@@ -72,10 +72,11 @@ fn nav2(arguments: &ExportNav2) -> Result<u8, Failure> {
     let session = Session::begin(*quiet)?;
     let cache = arguments.cache.clone().or_else(users_cache);
     let command = format!(
-        "locsim export nav2 {} --seed {} --evaluations {evaluations} --trials {trials} -o {}",
-        source.display(),
+        "locsim export nav2 {} --seed {} --evaluations {evaluations} --trials {trials} -o {}{}",
+        in_shell(source),
         scenario.seed,
-        out.display()
+        in_shell(out),
+        arguments.log_options.command_line()
     );
     let options = Nav2Options {
         evaluations: *evaluations,

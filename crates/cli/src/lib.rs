@@ -422,35 +422,25 @@ fn gap_command_line(arguments: &Gap, study: &GapStudy) -> String {
     if arguments.no_filter {
         command += " --no-filter";
     }
-    let arguments::LogOptions { max_range, scan_topic, odometry_topic, reference_topic } =
-        &arguments.log_options;
-    if let Some(max) = max_range {
-        command += " --max-range ";
-        command += &max.to_string();
-    }
-    for (option, topic) in [
-        (" --scan-topic ", scan_topic),
-        (" --odometry-topic ", odometry_topic),
-        (" --reference-topic ", reference_topic),
-    ] {
-        if let Some(topic) = topic {
-            command += option;
-            command += topic;
-        }
-    }
-    command
+    command + &arguments.log_options.command_line()
 }
 
 fn map(arguments: &Map) -> anyhow::Result<u8> {
-    let &[from, to] = arguments.share.as_slice() else {
-        let given = arguments.share.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
-        bail!("--share: {} is not allowed; two numbers are needed, for example 0.0,0.5", quoted(&given));
+    let share = match arguments.share[..] {
+        [] => None,
+        [from, to] => {
+            ensure!(from < to, "--share: {from},{to} is not allowed; 0 <= from < to <= 1");
+            Some([from, to])
+        }
+        _ => {
+            let given = arguments.share.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+            bail!("--share: {} is not allowed; two numbers are needed, for example 0.0,0.5", quoted(&given));
+        }
     };
-    ensure!(from < to, "--share: {from},{to} is not allowed; 0 <= from < to <= 1");
     let [image, yaml, walls, picture] =
         map_files(&arguments.out, [".pgm", ".yaml", ".walls.yaml", ".check.svg"]);
     let name = image_name(&image)?;
-    let source = map_source(arguments, [from, to])?;
+    let source = map_source(arguments, share)?;
     let inputs = [arguments.log.clone(), source.log.clone()];
     let outputs = [&image, &yaml, &walls, &picture].map(|path| Output {
         path,
@@ -460,7 +450,7 @@ fn map(arguments: &Map) -> anyhow::Result<u8> {
     for output in &outputs {
         output.check()?;
     }
-    let maps = LogMaps::from_log(&source.log, &source.shares, arguments.resolution, &source.options)?;
+    let maps = LogMaps::from_log(&source.log, &source.shares, source.resolution_m, &source.options)?;
     let [pgm, description] = run::grid_files(&maps.grid, name);
     let mut contents = vec![pgm, description, maps.walls.to_yaml().into_bytes()];
     if let Some(check) = &maps.check {
@@ -568,30 +558,53 @@ fn inspect_log(arguments: &Inspect) -> anyhow::Result<u8> {
     Ok(DONE)
 }
 
+/// Side of a cell \[m\], where neither `--resolution` nor a scenario says.
+const CELL_M: f64 = 0.05;
+
 /// The scans that maps are built from.
 struct MapSource {
     log: PathBuf,
     shares: Vec<[f64; 2]>,
+    resolution_m: f64,
     options: LogOptions,
 }
 
-/// A share of a log, or the map scans of a scenario's log.
-fn map_source(arguments: &Map, share: [f64; 2]) -> anyhow::Result<MapSource> {
-    let is_scenario =
-        arguments.log.extension().is_some_and(|extension| extension == "yaml" || extension == "yml");
+/// A share of a log, or what a scenario's map is built from.
+fn map_source(arguments: &Map, share: Option<[f64; 2]>) -> anyhow::Result<MapSource> {
+    let Map { log: file, resolution, log_options: options, .. } = arguments;
+    let is_scenario = file.extension().is_some_and(|extension| extension == "yaml" || extension == "yml");
+    let all = || vec![share.unwrap_or([0.0, 1.0])];
+    let resolution_m = resolution.unwrap_or(CELL_M);
     if !is_scenario {
-        let options = log_options(&arguments.log_options);
-        return Ok(MapSource { log: arguments.log.clone(), shares: vec![share], options });
+        return Ok(MapSource {
+            log: file.clone(),
+            shares: all(),
+            resolution_m,
+            options: log_options(options),
+        });
     }
-    let scenario = Scenario::load(&arguments.log, &Overrides::default())?;
+    if let Some(option) = options.first_given() {
+        bail!("{option}: not allowed with a scenario, whose `log` section says it");
+    }
+    let scenario = Scenario::load(file, &Overrides::default())?;
     let Source::Log(log) = &scenario.source else {
-        bail!("{}: the scenario has no `log` to build a map from", arguments.log.display());
+        bail!("{}: the scenario has no `log` to build a map from", file.display());
     };
-    let shares = match &log.map {
-        LogMap::File(_) => vec![share],
-        LogMap::FromScans { scans, .. } | LogMap::Walls { scans } => scans.clone(),
+    let (scans, cell_m) = match &log.map {
+        LogMap::File(_) => (None, None),
+        LogMap::FromScans { scans, resolution_m } => (Some(scans.clone()), Some(*resolution_m)),
+        LogMap::Walls { scans } => (Some(scans.clone()), None),
     };
-    Ok(MapSource { log: log.file.clone(), shares, options: run::read_options(log) })
+    ensure!(
+        share.is_none() || scans.is_none(),
+        "--share: not allowed with a scenario that has `log.map_scans`"
+    );
+    Ok(MapSource {
+        log: log.file.clone(),
+        shares: scans.unwrap_or_else(all),
+        resolution_m: resolution.or(cell_m).unwrap_or(CELL_M),
+        options: run::read_options(log),
+    })
 }
 
 fn init(arguments: &Init) -> anyhow::Result<u8> {

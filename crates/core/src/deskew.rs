@@ -51,7 +51,7 @@ impl Drive {
             let taken_from = odometry.pose_at(stamp + f64::from(secs)).compose(&mount);
             let moved = taken_from.relative_to(&from_stamp);
             let bearing = f64::from(bearing);
-            if range >= max {
+            if range.is_nan() || range >= max {
                 return (bearing + moved.theta, range);
             }
             let point = moved.transform_point(f64::from(range) * DVec2::from_angle(bearing));
@@ -122,6 +122,20 @@ mod tests {
             assert!(corrected.laser.beam_times_secs().iter().all(|secs| *secs == 0.0));
         }
         assert!(drive(0.0, 1.0).deskewed().is_none());
+    }
+
+    /// Half a circle against the robot's turn ends before its last beams. They have no reading, whatever there is at other bearings.
+    #[test]
+    fn an_unusable_reading_is_no_return() {
+        let mut swept = drive(0.2, -1.0);
+        let [bearings, times] =
+            [swept.laser.bearings(), swept.laser.beam_times_secs()].map(|all| all[..180].to_vec());
+        swept.laser = Laser::new(bearings, times, 0.1, 3.6, swept.laser.base_from_laser()).unwrap();
+        swept.steps.iter_mut().for_each(|step| step.scan.ranges.truncate(180));
+        let last = |drive: &Drive| drive.deskewed().unwrap().steps[1].scan.ranges[175..].to_vec();
+        assert!(last(&swept).iter().all(|range| range.is_nan()), "{:?}", last(&swept));
+        swept.steps[1].scan.ranges[20] = f32::NAN;
+        assert!(last(&swept).iter().all(|range| range.is_nan()), "{:?}", last(&swept));
     }
 
     /// An odometry that starts again at the origin moves no reading, and unusable readings stay so.

@@ -152,6 +152,13 @@ pub struct Scan {
     pub ranges: Vec<f32>,
 }
 
+impl Scan {
+    /// Number of usable readings.
+    pub fn usable(&self) -> usize {
+        self.ranges.iter().filter(|range| !range.is_nan()).count()
+    }
+}
+
 /// One scan of a drive with the poses recorded at its stamp.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveStep {

@@ -87,11 +87,13 @@ const ROUND: f32 = 8_388_608.0;
 const ROUND_MASK: u32 = (1 << 23) - 1;
 
 impl LikelihoodGrid {
-    /// Knots fit for a laser: every 5 mm, or every 1600th of a maximum range above 8 m. A table of them has at most
-    /// 125 MB.
+    /// Knots over readings, at the most: a table then has at most 94 MB.
+    pub const MOST_READINGS: f32 = 1400.0;
+
+    /// Knots fit for a laser: every 5 mm, or as many as there may be over a maximum range above 7 m.
     pub fn for_laser(laser: &Laser) -> Self {
         let (max_range, reach) = (laser.max_range(), laser.cast_range());
-        Self { max_range, reach, step_m: (max_range / 1600.0).max(0.005) }
+        Self { max_range, reach, step_m: (max_range / Self::MOST_READINGS).max(0.005) }
     }
 
     /// Number of knots over nominal range.

@@ -10,7 +10,8 @@ const STEEPEST: f64 = 5.67;
 const NEAR_BEAMS: f64 = 0.9;
 
 /// Readings \[m\] with their bearings \[rad\], in any order, at evenly spaced `bearings` \[rad\]: on the line between two neighbours of one surface, the
-/// nearest one elsewhere, and NaN where none is near. Only where `is_return` holds a reading is of a surface. Those that are NaN don't count.
+/// nearest one elsewhere, and NaN where none is near. Only where `is_return` holds a reading is of a surface. Those that are NaN don't count, nor those at a
+/// bearing that is none.
 pub fn resampled(
     readings: impl IntoIterator<Item = (f64, f32)>,
     is_return: impl Fn(f32) -> bool,
@@ -22,7 +23,7 @@ pub fn resampled(
     let step = (f64::from(*last) - first) / (bearings.len() - 1).max(1) as f64;
     // From the first bearing on, in the direction of the others.
     let along = |bearing: f64| (step.signum() * (bearing - first)).rem_euclid(TAU);
-    let known = readings.into_iter().filter(|(_, range)| !range.is_nan());
+    let known = readings.into_iter().filter(|(bearing, range)| bearing.is_finite() && !range.is_nan());
     let mut seen: Vec<(f64, f32)> = known.map(|(bearing, range)| (along(bearing), range)).collect();
     seen.sort_by(|a, b| a.0.total_cmp(&b.0));
     bearings.iter().map(|bearing| at(&seen, along(f64::from(*bearing)), step.abs(), &is_return)).collect()

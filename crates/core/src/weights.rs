@@ -102,6 +102,15 @@ impl Weights {
         Ok(log_mean)
     }
 
+    /// The log of the weighted mean likelihood alone, as [`update`](Self::update) returns it (nats); minus infinity where every particle has
+    /// likelihood zero, or one has none that is a number below infinity.
+    pub fn log_mean(&self, log_likelihood: &[f64]) -> f64 {
+        let Ok((highest, _)) = self.highest(log_likelihood) else { return f64::NEG_INFINITY };
+        let terms = self.log_ratio.iter().zip(log_likelihood);
+        let sum: f64 = terms.map(|(log_ratio, l)| exp_nonpositive(log_ratio + l - highest)).sum();
+        self.log_greatest + highest + sum.ln()
+    }
+
     /// The greatest sum of log ratio and log likelihood, and where it stands first.
     fn highest(&self, log_likelihood: &[f64]) -> Result<(f64, usize), WeightError> {
         let (mut highest, mut best_run) = (f64::NEG_INFINITY, 0);

@@ -74,6 +74,16 @@ pub struct Named {
     /// The effect itself.
     #[serde(skip)]
     pub effect: Effect,
+    /// What the log gained on each fold when it was named, and by others that it explains \[nats\].
+    #[serde(skip)]
+    pub gains: Vec<f64>,
+}
+
+impl Named {
+    /// Adds what another name gained on each fold \[nats\].
+    pub(crate) fn add_gains(&mut self, other: &[f64]) {
+        self.gains.iter_mut().zip(other).for_each(|(gain, other)| *gain += other);
+    }
 }
 
 /// A dependence that no effect of the library explains.

@@ -3,9 +3,13 @@ use locsim_core::{Particles, Pose2};
 /// The parent of a particle that was injected at random.
 pub const NO_PARENT: u32 = u32::MAX;
 
+/// After so many steps, particles from which no current one descends are given up.
+pub const PRUNED_AFTER: usize = 256;
+
 /// A filter's whole history: each step's particles as they were weighted, and who descends from whom.
 ///
-/// Takes memory in proportion to steps times particles (28 bytes each), so it is off by default.
+/// Takes 28 bytes for each particle of the last [`PRUNED_AFTER`] steps, and for each earlier one from which a current one descends: soon
+/// a few, as paths have common beginnings (Jacob, Murray and Rubenthaler, "Path storage in the particle filter", 2015).
 #[derive(Clone, Debug, Default)]
 pub struct Ancestry {
     generations: Vec<Generation>,
@@ -13,6 +17,8 @@ pub struct Ancestry {
     log_weight: Vec<f64>,
     /// Log evidence of all steps so far (nats).
     log_evidence: f64,
+    /// Generations before this one hold ancestors of current particles alone, or did when last pruned.
+    pruned: usize,
 }
 
 #[derive(Clone, Debug)]
@@ -59,6 +65,37 @@ impl Ancestry {
         }
         self.generations
             .push(Generation { particles: particles.clone(), parents: parents.map(<[u32]>::to_vec) });
+        if self.generations.len() - self.pruned > PRUNED_AFTER {
+            self.prune();
+        }
+    }
+
+    /// Gives up all particles of earlier generations from which no current one descends.
+    fn prune(&mut self) {
+        self.pruned = self.generations.len();
+        let current = self.generations.last().map_or(0, |generation| generation.particles.len());
+        // Of the younger generation those that stay, as they were numbered, in order.
+        let mut staying: Vec<u32> = (0..current as u32).collect();
+        for younger in (1..self.generations.len()).rev() {
+            let (older, generation) = self.generations[..=younger].split_at_mut(younger);
+            let (older, generation) = (&mut older[younger - 1], &mut generation[0]);
+            let parent =
+                |child: &u32| generation.parents.as_ref().map_or(*child, |parents| parents[*child as usize]);
+            let parents: Vec<u32> = staying.iter().map(parent).collect();
+            let mut number = vec![NO_PARENT; older.particles.len()];
+            for parent in parents.iter().filter(|parent| **parent != NO_PARENT) {
+                number[*parent as usize] = 0;
+            }
+            staying = (0..).zip(&number).filter(|(_, used)| **used == 0).map(|(i, _)| i).collect();
+            for (new, old) in (0..).zip(&staying) {
+                number[*old as usize] = new;
+            }
+            let renumbered =
+                |parent: u32| if parent == NO_PARENT { NO_PARENT } else { number[parent as usize] };
+            generation.parents = Some(parents.into_iter().map(renumbered).collect());
+            let kept = staying.iter().map(|i| older.particles.get(*i as usize)).collect();
+            older.particles = kept;
+        }
     }
 
     /// Number of recorded steps.
@@ -112,6 +149,9 @@ impl Ancestry {
 
 #[cfg(test)]
 mod tests {
+    use locsim_core::{Draw, Stage};
+    use rand::RngExt;
+
     use super::*;
 
     /// Particles at x = 10 * step + index.
@@ -145,6 +185,37 @@ mod tests {
         assert_eq!(ancestry.log_weights(), [-10.0, -10.0, -3.0]);
         let best = ancestry.most_likely_trajectory().unwrap();
         assert_eq!((best.first_step, xs(&best)), (1, vec![12.0]));
+    }
+
+    /// A thousand steps, with injected particles now and then and sets of other sizes: paths and weights are those of a history that is kept
+    /// whole, and most of it is given up.
+    #[test]
+    fn a_history_without_descendants_is_given_up() {
+        let (mut pruned, mut whole) = (Ancestry::default(), Ancestry::default());
+        let draw = Draw::new(3, Stage::Resample, 0);
+        let mut count = 20;
+        for step in 0..1000 {
+            let mut rng = draw.item(step);
+            let next: u32 = if step % 50 == 7 { rng.random_range(5..40) } else { count };
+            let injects = step % 301 == 300;
+            let resampled = next != count || injects || step % 3 != 0;
+            let mut parent = |i: u32| if injects && i == 0 { NO_PARENT } else { rng.random_range(0..count) };
+            let parents: Option<Vec<u32>> =
+                (step > 0 && resampled).then(|| (0..next).map(&mut parent).collect());
+            let log_likelihood: Vec<f64> = (0..next).map(|_| rng.random()).collect();
+            for ancestry in [&mut pruned, &mut whole] {
+                ancestry.record(&generation(step, next), parents.as_deref(), Some((&log_likelihood, 0.5)));
+            }
+            whole.pruned = whole.generations.len();
+            count = next;
+        }
+        assert_eq!(pruned.log_weights(), whole.log_weights());
+        for particle in 0..count as usize {
+            assert_eq!(pruned.trajectory(particle), whole.trajectory(particle));
+        }
+        let kept =
+            |ancestry: &Ancestry| ancestry.generations.iter().map(|g| g.particles.len()).sum::<usize>();
+        assert!(2 * kept(&pruned) < kept(&whole), "{} of {}", kept(&pruned), kept(&whole));
     }
 
     #[test]

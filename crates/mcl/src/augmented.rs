@@ -45,6 +45,11 @@ impl Augmented {
         Ok(Self { options, averages: None })
     }
 
+    /// Begins again without an average.
+    pub fn restart(&mut self) {
+        self.averages = None;
+    }
+
     /// Takes in one step's log evidence (nats) of `beams` usable beams and returns the share of particles to
     /// replace by random ones, `max(0, 1 - w_fast / w_slow)`: 0 without usable beams and at the first step. A
     /// log evidence of minus infinity (every particle impossible) counts as `w_avg` = 0.

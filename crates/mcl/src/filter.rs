@@ -121,7 +121,7 @@ pub struct StepOutcome {
     pub effective_sample_size: f64,
     /// Power of the scan's likelihood that was taken in: 1 of a whole scan, less where
     /// [`FilterOptions::least_effective_share`] or [`FilterOptions::annealing`] cut it, 0 of one that
-    /// [`FilterOptions::update`] left out.
+    /// [`FilterOptions::update`] left out, or that has no usable reading.
     pub likelihood_power: f64,
     /// Number of particles that were weighted.
     pub particle_count: usize,
@@ -198,14 +198,12 @@ fn bearable_power(weights: &Weights, log_likelihood: &[f64], share: f64) -> f64 
     largest_step(weights, log_likelihood, 1.0, least)
 }
 
-/// Scales log likelihoods by their bearable power and returns it.
-fn temper(weights: &Weights, log_likelihood: &mut [f64], share: f64) -> f64 {
-    let power = bearable_power(weights, log_likelihood, share);
+/// Scales log likelihoods by a power below 1.
+fn temper(log_likelihood: &mut [f64], power: f64) {
     if power < 1.0 {
         // A power of 0 would make a number of what is impossible.
         log_likelihood.iter_mut().filter(|l| l.is_finite()).for_each(|l| *l *= power);
     }
-    power
 }
 
 /// How far a step has come: what it draws next must not be what it has drawn.
@@ -375,12 +373,14 @@ impl Filter {
         Ok(())
     }
 
-    /// Whether a scan is to be taken in: after enough motion, and until then where none since could be used. One that a power of its
-    /// likelihood was taken in of counts: without motion between them, the particles that it leaves are all that later ones choose from.
+    /// Whether a scan is to be taken in: after enough motion, and until then where none since could be used, but none without a usable
+    /// reading. One that a power of its likelihood was taken in of counts: without motion between them, the particles that it leaves are all that later ones choose from.
     fn is_due(&mut self, scan: &Scan) -> bool {
-        let Some(threshold) = self.options.update else { return true };
-        self.moved = self.moved.filter(|moved| !threshold.is_reached(moved));
-        self.moved.is_none() && scan.ranges.iter().any(|z| !z.is_nan())
+        let moved_enough = self.options.update.is_none_or(|threshold| {
+            self.moved = self.moved.filter(|moved| !threshold.is_reached(moved));
+            self.moved.is_none()
+        });
+        moved_enough && scan.usable() > 0
     }
 
     /// The estimates of a step whose scan isn't taken in.
@@ -413,19 +413,21 @@ impl Filter {
         let log_likelihood = overwritten(&mut self.log_likelihood);
         log_likelihood.resize(self.particles.len(), 0.0);
         self.weigher.log_likelihoods(self.particles.as_poses(), laser, scan, map, model, log_likelihood);
-        let annealing = self.annealer.as_mut().filter(|annealer| annealer.is_due());
+        let usable_beams = scan.usable();
+        let annealing = self.annealer.as_mut().filter(|annealer| annealer.is_due() && usable_beams > 0);
         let annealed = annealing.is_some();
-        let mut likelihood_power = 1.0;
+        let share = self.options.least_effective_share.or(annealed.then_some(LEAST_EFFECTIVE));
+        let mut likelihood_power =
+            share.map_or(1.0, |share| bearable_power(&self.weights, log_likelihood, share));
+        // That of the whole scan. Weights and ancestry go on with what is taken in of it.
+        let whole_log_evidence = (likelihood_power < 1.0).then(|| self.weights.log_mean(log_likelihood));
         let weighed = match annealing {
             None => {
-                if let Some(share) = self.options.least_effective_share {
-                    likelihood_power = temper(&self.weights, log_likelihood, share);
-                }
+                temper(log_likelihood, likelihood_power);
                 Arc::make_mut(&mut self.weights).update(log_likelihood)
             }
             Some(annealer) => {
-                let share = self.options.least_effective_share.unwrap_or(LEAST_EFFECTIVE);
-                let most = bearable_power(&self.weights, log_likelihood, share);
+                let most = likelihood_power;
                 let weigher = &mut self.weigher;
                 let set = Set {
                     particles: Arc::make_mut(&mut self.particles),
@@ -443,7 +445,7 @@ impl Filter {
         };
         // 0 is the power of a scan that was left out.
         likelihood_power = likelihood_power.max(f64::MIN_POSITIVE);
-        let (log_evidence, recovered) = match weighed {
+        let (tempered_log_evidence, recovered) = match weighed {
             Ok(log_evidence) => (log_evidence, None),
             Err(WeightError::AllZero) => {
                 self.equal_weights();
@@ -457,6 +459,8 @@ impl Filter {
         if recovered.is_none() {
             self.moved = Some(Pose2::IDENTITY);
         }
+        let log_evidence =
+            whole_log_evidence.filter(|_| recovered.is_none()).unwrap_or(tempered_log_evidence);
         let descended = std::mem::take(&mut self.descended);
         if let Some(ancestry) = &mut self.ancestry {
             let parents = match &self.annealer {
@@ -473,15 +477,17 @@ impl Filter {
                 }
                 _ => descended.then_some(self.ancestors.as_slice()),
             };
-            let likelihoods = recovered.is_none().then_some((self.log_likelihood.as_slice(), log_evidence));
+            let likelihoods =
+                recovered.is_none().then_some((self.log_likelihood.as_slice(), tempered_log_evidence));
             ancestry.record(&self.particles, parents, likelihoods);
         }
         let estimates = self.estimates();
         if let Some(annealer) = &mut self.annealer {
             annealer.observe(&estimates.weighted_mean);
         }
-        let usable_beams = scan.ranges.iter().filter(|z| !z.is_nan()).count();
-        self.random_share = self.augmented.as_mut().map_or(0.0, |a| a.update(log_evidence, usable_beams));
+        // A set that is spread over the map expects scans less than one that has gathered.
+        let augmented = self.augmented.as_mut().filter(|_| !annealed);
+        self.random_share = augmented.map_or(0.0, |augmented| augmented.update(log_evidence, usable_beams));
         Ok(Update { log_evidence, likelihood_power, recovered, estimates })
     }
 
@@ -520,6 +526,9 @@ impl Filter {
         self.ancestors.clear();
         self.ancestors.resize(count, NO_PARENT);
         self.random_share = 0.0;
+        if let Some(augmented) = &mut self.augmented {
+            augmented.restart();
+        }
         self.moved = None;
         (self.resampled, self.pending) = (true, true);
         Ok(())

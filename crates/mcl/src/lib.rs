@@ -23,7 +23,7 @@ mod update_threshold;
 mod weigh;
 
 pub use adaptive::{KldOptions, KldSampler};
-pub use ancestry::{Ancestry, NO_PARENT, Trajectory};
+pub use ancestry::{Ancestry, NO_PARENT, PRUNED_AFTER, Trajectory};
 pub use annealing::AnnealingOptions;
 pub use augmented::{Augmented, InjectionOptions};
 pub use bins::PoseBins;

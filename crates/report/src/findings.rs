@@ -1,7 +1,5 @@
 //! Findings: sentences that follow from the numbers alone.
 
-use std::ops::Range;
-
 use locsim_core::Interval;
 use locsim_sensor::ModelKind;
 
@@ -127,31 +125,42 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
 /// A sentence on trials with many scans in a row whose log density is below `usual`. It needs no reference pose: a robot that is
 /// lost without anyone knowing shows it.
 fn unusual_scans(model: &str, trials: &[&ModelTrial], usual: f64) -> Option<String> {
-    let runs: Vec<Range<usize>> = trials
+    // A scan that wasn't taken in shows what the one before did, and one without readings nothing.
+    let says = |row: &StepRow| row.likelihood_power > 0.0 && !row.scan_log_density_nats.is_nan();
+    let runs: Vec<(usize, usize)> = trials
         .iter()
-        .map(|trial| longest_run(&trial.steps, |row| row.scan_log_density_nats < usual))
-        .filter(|run| run.len() >= UNUSUAL_SCANS)
+        .map(|trial| {
+            longest_run(&trial.steps, |row| Some(row.scan_log_density_nats < usual).filter(|_| says(row)))
+        })
+        .filter(|(count, _)| *count >= UNUSUAL_SCANS)
         .collect();
-    let longest = runs.iter().max_by_key(|run| run.len())?;
+    let (longest, first) = runs.iter().rev().max_by_key(|(count, _)| *count)?;
     Some(format!(
         "Under {model}, the scans don't fit the map at the estimated pose in {} of {} trials: up to {} scans in a row, from scan \
          {} on, have a lower likelihood than 99 of 100 scans of the training drive. The filter has lost the robot there, or the map isn't \
          true.",
         runs.len(),
         trials.len(),
-        longest.len(),
-        longest.start
+        longest,
+        first
     ))
 }
 
-/// The longest run of rows of which something holds, the first of these if there are several.
-fn longest_run(rows: &[StepRow], holds: impl Fn(&StepRow) -> bool) -> Range<usize> {
-    let (mut longest, mut begin) = (0..0, 0);
+/// How many rows the longest run has in which something holds, and the index of its first row. Rows that don't say whether it does neither
+/// count nor end a run.
+fn longest_run(rows: &[StepRow], holds: impl Fn(&StepRow) -> Option<bool>) -> (usize, usize) {
+    let (mut longest, mut count, mut first) = ((0, 0), 0, 0);
     for (i, row) in rows.iter().enumerate() {
-        if !holds(row) {
-            begin = i + 1;
-        } else if i + 1 - begin > longest.len() {
-            longest = begin..i + 1;
+        match holds(row) {
+            None => continue,
+            Some(false) => count = 0,
+            Some(true) => {
+                first = if count == 0 { i } else { first };
+                count += 1;
+            }
+        }
+        if count > longest.0 {
+            longest = (count, first);
         }
     }
     longest
@@ -466,9 +475,10 @@ mod tests {
     /// 32 scans below the usual in a row are told, 29 aren't, and of several runs the longest is.
     #[test]
     fn scans_that_do_not_fit_the_map_are_told_where_they_last() {
-        let trial = |runs: &[Range<usize>]| {
+        let trial = |runs: &[std::ops::Range<usize>]| {
             let row = |step: usize| StepRow {
                 scan_log_density_nats: if runs.iter().any(|run| run.contains(&step)) { -3.0 } else { 0.0 },
+                likelihood_power: 1.0,
                 ..StepRow::default()
             };
             let steps = (0..90).map(row).collect();
@@ -481,5 +491,13 @@ mod tests {
             "{sentence}"
         );
         assert_eq!(unusual_scans("np_reg", &[&kept, &kept], -1.0), None);
+        // A robot that stands, and one whose laser is covered for some scans.
+        let mut standing = trial(&[2..60]);
+        standing.steps[10..50].iter_mut().for_each(|row| row.likelihood_power = 0.0);
+        assert_eq!(unusual_scans("np_reg", &[&standing], -1.0), None);
+        let mut covered = trial(&[2..45]);
+        covered.steps[20..30].iter_mut().for_each(|row| row.scan_log_density_nats = f64::NAN);
+        let sentence = unusual_scans("np_reg", &[&covered], -1.0).unwrap();
+        assert!(sentence.contains("up to 33 scans in a row, from scan 2 on"), "{sentence}");
     }
 }

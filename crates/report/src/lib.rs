@@ -3,6 +3,7 @@
 
 pub mod figures;
 mod findings;
+mod localized;
 pub mod page;
 pub mod palette;
 pub mod results;
@@ -22,6 +23,7 @@ use crate::summary::{Summary, SummaryError};
 
 use figures::{Figure, Rasterizer};
 pub use findings::warnings;
+pub use localized::Localized;
 pub use text::TextTable;
 pub use text::terminal_table;
 pub use trial_row::TrialRow;

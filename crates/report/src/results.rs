@@ -33,8 +33,8 @@ pub struct StepRow {
     pub particles: u32,
     /// The step's log evidence `ln p(z_t | z_1..t-1)` under this model (nats).
     pub log_evidence_nats: f64,
-    /// Mean log density of the scan's readings at the weighted mean (nats per reading), with a floor of 0.001 under the model's
-    /// density.
+    /// Mean log density of the scan's readings at the step's own estimate (nats per reading), with a floor of 0.001 under the model's
+    /// density; NaN of a scan without usable readings.
     pub scan_log_density_nats: f64,
     /// Normalized estimation error squared of the weighted mean, e^T C^-1 e over (x, y, heading), where C is the filter's covariance: on
     /// average 3 where C is right, more where the filter is too sure.
@@ -114,6 +114,9 @@ pub struct RunResults {
     pub seconds: f64,
     /// Where errors are measured: "map x axis" or "robot".
     pub error_frame: String,
+    /// From an unknown start, the distance to the truth within which the filter has found the robot \[m\]: the scenario's `lost_m`.
+    /// `None` where the start is known.
+    pub localized_within_m: Option<f64>,
     /// Which estimate the errors are of.
     pub estimate: String,
     /// Model names in the scenario's order.

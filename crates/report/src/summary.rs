@@ -6,6 +6,7 @@ use locsim_core::Interval;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::localized::Localized;
 use crate::results::{ModelTrial, RunResults, TrainingRow};
 use crate::statistics::{Bootstrap, Moments, PooledValues, share_interval};
 
@@ -157,6 +158,9 @@ pub struct ModelSummary {
     pub intervals: Option<ModelIntervals>,
     /// The errors without lost trials; `None` when all were lost.
     pub kept: Option<Kept>,
+    /// How soon the filter found the robot; only from an unknown start.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub localized: Option<Localized>,
 }
 
 /// A ratio of two models' figures on the same trials.
@@ -265,10 +269,9 @@ impl Summary {
             };
             results.models.iter().cloned().zip(samples.iter().map(of)).collect()
         };
-        let models = samples
-            .iter()
-            .zip(&results.training)
-            .map(|(sample, train)| sample.summary(train.clone(), bootstrap.as_ref()));
+        let models = samples.iter().zip(&results.training).enumerate().map(|(i, (sample, train))| {
+            sample.summary(train.clone(), Localized::of(results, i), bootstrap.as_ref())
+        });
         Ok(Self {
             scenario: results.scenario.clone(),
             seed: results.seed,
@@ -397,7 +400,12 @@ impl Sample {
         copies.iter().zip(&self.lost).map(|(&n, &lost)| if lost { 0 } else { n }).collect()
     }
 
-    fn summary(&self, train: TrainingRow, bootstrap: Option<&Bootstrap>) -> ModelSummary {
+    fn summary(
+        &self,
+        train: TrainingRow,
+        localized: Option<Localized>,
+        bootstrap: Option<&Bootstrap>,
+    ) -> ModelSummary {
         let trials = self.lost.len() as u32;
         let lost = self.lost.iter().filter(|&&lost| lost).count() as u32;
         let all = vec![1; self.lost.len()];
@@ -426,6 +434,7 @@ impl Sample {
             intervals: intervals
                 .map(|errors| ModelIntervals { lost_share: share_interval(lost, trials), errors }),
             kept,
+            localized,
         }
     }
 }

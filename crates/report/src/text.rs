@@ -5,6 +5,7 @@ use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, LineStyle
 use locsim_core::Interval;
 use locsim_core::limits::is_hidden;
 
+use crate::localized::localized_table;
 use crate::summary::{Errors, ORACLE, Ratio, Summary};
 
 /// Placeholder of a missing value.
@@ -284,11 +285,14 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
 /// The headline table for a terminal of `width` columns (`None`: of any), in two halves, with a line on how to read it.
 pub fn terminal_table(summary: &Summary, width: Option<usize>) -> String {
     let [errors, others] = headline_tables(summary);
+    let localized =
+        localized_table(summary).map_or_else(String::new, |table| format!("{}\n", table.to_terminal(width)));
     format!(
-        "{}: {} trials, seed {}\n{}\n{}\nmean ± standard deviation of signed errors over all steps; [lo, hi]: 95 % \
+        "{}: {} trial{}, seed {}\n{}\n{}\n{localized}mean ± standard deviation of signed errors over all steps; [lo, hi]: 95 % \
          bootstrap over trials\n",
         summary.scenario,
         summary.trials,
+        if summary.trials == 1 { "" } else { "s" },
         summary.seed,
         errors.to_terminal(width),
         others.to_terminal(width)

@@ -89,6 +89,7 @@ fn results(models: &[usize], trials: u32) -> RunResults {
         seed: 7,
         seconds: 12.5,
         error_frame: "map: along is x, across is y".to_owned(),
+        localized_within_m: None,
         estimate: "most likely trajectory".to_owned(),
         models: models.iter().map(|&m| MODELS[m].0.to_owned()).collect(),
         training: training.collect(),
@@ -275,6 +276,26 @@ fn a_run_on_a_real_log_has_no_paper_and_no_ratios() {
     let report = fs::read_to_string(dir.path().join("report.md")).unwrap();
     assert!(!report.contains("Beside the paper") && !report.contains("true pose"));
     insta::assert_snapshot!("real_log_report", report);
+}
+
+/// Trials of a filter that starts anywhere have a table of their own: in report, terminal and summary, and nowhere else.
+#[test]
+fn localization_from_an_unknown_start_is_told() {
+    let known = results(&ALL, 5);
+    let unknown = RunResults { localized_within_m: Some(0.05), ..known.clone() };
+    let [known, unknown] = [known, unknown].map(|results| {
+        let dir = tempfile::tempdir().unwrap();
+        let summary = write(&Folder::new(dir.path()).unwrap(), &results, None, &context()).unwrap();
+        let [report, json] =
+            ["report.md", "summary.json"].map(|name| fs::read_to_string(dir.path().join(name)).unwrap());
+        [report, terminal_table(&summary, None), json]
+    });
+    for (text, sign) in
+        unknown.iter().zip(["## From an unknown start", "within 30 m [%]", "trials_after_30_m"])
+    {
+        assert!(text.contains(sign), "{text}");
+    }
+    assert!(known.iter().all(|text| !text.contains("30 m") && !text.contains("30_m")));
 }
 
 #[test]

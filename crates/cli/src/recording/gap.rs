@@ -48,7 +48,7 @@ pub fn record(study: &GapStudy, outcome: &Outcome, file: &Path) -> anyhow::Resul
     for (i, (pose, secs)) in recorded.track.poses().iter().zip(recorded.track.secs()).enumerate() {
         stream.set_time_sequence("step", i as i64);
         stream.set_duration_secs("time", *secs);
-        stream.log("world/robot/path", &path(driven[..=i].to_vec(), TRUTH))?;
+        stream.log("world/robot/path", &path(super::driven(i).map(|i| driven[i]).collect(), TRUTH))?;
         stream.log("world/robot/pose", &arrow(pose, 0.5, TRUTH))?;
         for (side, (name, _)) in SIDES.iter().enumerate() {
             stream.log(format!("world/{name}/scan"), &scans.rays(i, side))?;

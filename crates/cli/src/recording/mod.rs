@@ -224,6 +224,14 @@ fn log_static(stream: &RecordingStream, trial: &DetailedTrial) -> RecordingStrea
     log_density_axes(stream, trial)
 }
 
+/// Points of a path that is logged at each step. With all of them a recording would grow with the square of its steps.
+const PATH_POINTS: usize = 500;
+
+/// The steps up to one, and evenly spaced ones where they are many, that its path is drawn through.
+fn driven(step: usize) -> impl Iterator<Item = usize> {
+    (0..step).step_by((step / PATH_POINTS).max(1)).chain([step])
+}
+
 fn log_world(
     stream: &RecordingStream,
     trial: &DetailedTrial,
@@ -240,12 +248,11 @@ fn log_world(
                 .with_radii([rerun::Radius::new_ui_points(1.5)]),
         )?;
     }
-    let truth: Vec<_> =
-        trial.drive.steps[..=i].iter().filter_map(|s| s.reference.as_ref().map(pose_point)).collect();
+    let truth = driven(i).filter_map(|i| trial.drive.steps[i].reference.as_ref().map(pose_point)).collect();
     stream.log("world/truth/path", &path(truth, TRUTH).with_draw_order(order::TRUTH))?;
     stream.log(
         "world/odometry/path",
-        &path(trial.dead_reckoning[..=i].iter().map(pose_point).collect(), palette::DEAD_RECKONING)
+        &path(driven(i).map(|i| pose_point(&trial.dead_reckoning[i])).collect(), palette::DEAD_RECKONING)
             .with_draw_order(order::ODOMETRY),
     )?;
     if let Some(pose) = &step.reference {

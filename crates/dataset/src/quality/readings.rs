@@ -114,6 +114,8 @@ impl ReadingQuality {
 struct Noise {
     /// Of a typical reading \[m\].
     sigma_m: f64,
+    /// Of the shortest ones \[m\].
+    nearest_m: f64,
     /// See [`ReadingQuality::noise_by_range`].
     by_range: Option<[f64; 2]>,
 }
@@ -130,7 +132,9 @@ impl Noise {
                 [bin[bin.len() / 2][0], sigma_of(&mut deviations)]
             })
             .collect();
-        Self { sigma_m: sigma_of(all), by_range: line(&points) }
+        let sigma_m = sigma_of(all);
+        let nearest_m = points.first().map_or(sigma_m, |[_, sigma]| *sigma);
+        Self { sigma_m, nearest_m, by_range: line(&points) }
     }
 }
 
@@ -274,6 +278,10 @@ fn flat_noise(drive: &Drive, resolution_m: Option<f64>) -> Option<Noise> {
     }
     let sigma = |residuals: &mut [f64]| normal::SIGMA_OVER_MAD * median(residuals) / RESIDUAL_VARIANCE.sqrt();
     let noise = (residuals.len() >= LEAST_RESIDUALS).then(|| Noise::of(&mut residuals, facing, sigma))?;
+    // The distance of neighbours on a wall, and what stands between them, grow with range, too: without a constant part it is that.
+    if noise.by_range.is_some_and(|[constant, _]| constant == 0.0) {
+        return Some(Noise { sigma_m: noise.nearest_m, by_range: None, ..noise });
+    }
     // The median of a few steps is a step.
     let is_fine = resolution_m.is_none_or(|step| step <= FINE * noise.sigma_m);
     Some(Noise { by_range: noise.by_range.filter(|_| is_fine), ..noise })

@@ -152,6 +152,22 @@ fn growth_of_the_noise_comes_from_the_readings() {
     assert_eq!(quality(PLAIN).readings.noise_by_range, None);
 }
 
+/// Walls as rough as neighbours are apart: it isn't the laser that errs by nothing near them, and by more and more farther off.
+#[test]
+fn rough_walls_are_no_growing_noise() {
+    let mut drive = drive(Recording { sigma_m: 0.002, ..PLAIN });
+    drive.steps.drain(..31);
+    let mut uniform = Uniform(5);
+    for range in drive.steps.iter_mut().flat_map(|step| &mut step.scan.ranges) {
+        *range *= 1.0 + 0.04 * (uniform.next() - 0.5) as f32;
+    }
+    let readings = DriveQuality::of(&drive, &summary()).readings;
+    assert_eq!(readings.noise_by_range, None);
+    let nearest = drive.steps.iter().flat_map(|step| &step.scan.ranges).copied().fold(f32::MAX, f32::min);
+    let all = readings.flat_noise_m.unwrap();
+    assert!(all < 0.04 * f64::from(nearest), "{all} of ranges from {nearest} m");
+}
+
 /// No returns that the log doesn't call so are one number, below the longest return. Returns in steps of a centimetre are many numbers.
 #[test]
 fn a_number_that_is_read_again_and_again_is_told() {

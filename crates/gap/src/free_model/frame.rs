@@ -12,6 +12,8 @@ use crate::{GapError, Recorded};
 
 /// Errors of the reference of which a turn and a shift are less than this share have another cause.
 const LEAST_SHARE: f64 = 1.0 / 3.0;
+/// A smaller turn \[rad\] is none: 4 mm at 10 m. Errors are then those of a shift.
+const LEAST_TURN: f64 = 4e-4;
 /// Steps in which a turn is found.
 const STEPS: usize = 4;
 
@@ -54,6 +56,9 @@ pub(crate) fn turned_frame(
             Some(left) => frame = left,
             None => break,
         }
+    }
+    if turn.abs() < LEAST_TURN {
+        return Ok(None);
     }
     let without = comparison.evaluate_views(&comparison.views, effects, fitted, 0).scans;
     let folds = comparison.recorded.folds;

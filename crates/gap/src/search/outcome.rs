@@ -32,7 +32,7 @@ impl<'a> State<'a> {
     /// The outcome of the steps of a search.
     pub fn outcome(&self, path: Path<'a>, nameless: Nameless) -> Result<Outcome, GapError> {
         let State { nominal, recorded, options, .. } = *self;
-        let Path { rounds, named, rivals, gains, remaining, note, .. } = path;
+        let Path { rounds, named, rivals, remaining, note, .. } = path;
         let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
         let still_off = after.null.p <= options.false_alarm;
         let detectable = detectable(before);
@@ -43,7 +43,7 @@ impl<'a> State<'a> {
         let profiles = profiles(&named, &before.comparison, &after.comparison, [&old, &new]);
         let (old, new) = (&old[..LOGS], &new[..LOGS]);
         let judged = [self.judge(before)?, self.judge(after)?];
-        let gap = self.gap(&rounds, &gains, remaining.as_ref(), judged, [old, new]);
+        let gap = self.gap(&rounds, &named, remaining.as_ref(), judged, [old, new]);
         let Nameless { unnamed, curves } = nameless;
         let residual = self.residual_stage(after, &unnamed, curves, new)?;
         let is_ambiguous = named.iter().any(|named| named.candidates.len() > 1);
@@ -156,6 +156,7 @@ impl<'a> State<'a> {
             },
             split_by: None,
             effect,
+            gains,
         }))
     }
 
@@ -206,7 +207,7 @@ impl<'a> State<'a> {
     fn gap(
         &self,
         rounds: &[Round<'a>],
-        gains: &[Vec<f64>],
+        named: &[Named],
         remaining: Option<&Candidate>,
         judged: [&Judgement; 2],
         [old, new]: [&[Recorded]; 2],
@@ -215,7 +216,7 @@ impl<'a> State<'a> {
         let total = |values: &[f64]| values.iter().sum::<f64>();
         let scans = self.recorded.scans() as f64;
         let folds = self.recorded.folds.count();
-        let gained: Vec<f64> = (0..folds).map(|b| gains.iter().map(|g| g[b]).sum()).collect();
+        let gained: Vec<f64> = (0..folds).map(|b| named.iter().map(|named| named.gains[b]).sum()).collect();
         // The free model doesn't know the odometry, of which an effect of the library may say more.
         let [possible, free] = judged.map(Judgement::gains);
         let rest = match remaining {
@@ -225,7 +226,7 @@ impl<'a> State<'a> {
         let share = |gained: f64, rest: f64| {
             if gained <= 0.0 { 0.0 } else { gained / (gained + rest.max(0.0)) }
         };
-        let gained_share = if gains.is_empty() {
+        let gained_share = if named.is_empty() {
             Estimate::around(0.0, 0.0)
         } else {
             let draw = Draw::new(self.options.seed, Stage::Bootstrap, CLOSED_SHARE);

@@ -195,6 +195,7 @@ pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Name
             p,
         },
         effect: candidate.effect.clone(),
+        gains: candidate.gains.clone(),
     }
 }
 

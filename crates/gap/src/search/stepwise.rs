@@ -50,8 +50,6 @@ pub struct Path<'a> {
     first_fits: Vec<Candidate>,
     first_choice: usize,
     pub rivals: Vec<Rival>,
-    /// Gain of each round's choice on each fold (nats).
-    pub gains: Vec<Vec<f64>>,
     /// The effect that would gain most on top.
     pub remaining: Option<Candidate>,
     /// A remark on the choice, for the report.
@@ -91,7 +89,6 @@ impl<'a> State<'a> {
             first_fits: Vec::new(),
             first_choice: 0,
             rivals: Vec::new(),
-            gains: Vec::new(),
             remaining: None,
             note: None,
         };
@@ -135,20 +132,23 @@ impl<'a> State<'a> {
                 path.remaining = rest;
                 break;
             };
+            let adds_to =
+                path.named.iter().position(|known| adds_up(&known.effect, &candidates[best].effect));
+            if adds_to.is_some() && path.rounds.len() > 2 * options.most_effects {
+                // The sum of an effect's fits doesn't settle.
+                path.remaining = Some(candidates[best].clone());
+                break;
+            }
             let (p, fitted) = (round.null.p, round.fitted.clone());
             path.rivals.extend(compare_rivals(&candidates, &candidates[best], path.rounds.len()));
-            path.gains.push(candidates[best].gains.clone());
             let more = name(&candidates, best, p, self.recorded.scans());
             if path.rounds.len() == 1 {
                 (path.first_fits, path.first_choice) = (candidates, best);
             }
-            match path.named.iter().position(|known| adds_up(&known.effect, &more.effect)) {
+            match adds_to {
                 Some(known) => {
                     path.named[known].effect = sum_of(&path.named[known].effect, &more.effect)?;
-                    if path.rounds.len() > 2 * options.most_effects {
-                        // The sum of an effect's fits doesn't settle.
-                        break;
-                    }
+                    path.named[known].add_gains(&more.gains);
                     self.refit(&mut path.named, known, &fitted)?;
                 }
                 None => path.named.push(more),
@@ -172,7 +172,9 @@ impl<'a> State<'a> {
             if self.refit(&mut path.named, i, fitted)? || path.named.len() == 1 {
                 i += 1;
             } else {
-                path.named.remove(i);
+                // What it gained the others do.
+                let explained = path.named.remove(i);
+                path.named[0].add_gains(&explained.gains);
             }
         }
         if path.named.len() < count {
@@ -208,8 +210,6 @@ impl<'a> State<'a> {
         if distances.len() < MANY_WALLS || !are_alike(&distances) {
             return Ok(());
         }
-        let gains = path.gains.iter().zip(&path.named).filter(|(_, named)| !is_moved_wall(named));
-        path.gains = gains.map(|(gains, _)| gains.clone()).collect();
         path.named.retain(|named| !is_moved_wall(named));
         self.compare_again(path)?;
         path.note = Some(format!(
@@ -227,8 +227,6 @@ impl<'a> State<'a> {
         let has_noise = self.nominal.pieces.is_none() && path.named.iter().any(|named| named.name.is_noise());
         let is_off = path.last().null.p <= self.options.false_alarm;
         if has_noise && is_off && self.judge(path.last())?.neighbours_err_alike() {
-            let gains = path.gains.iter().zip(&path.named).filter(|(_, named)| !named.name.is_noise());
-            path.gains = gains.map(|(gains, _)| gains.clone()).collect();
             path.named.retain(|named| !named.name.is_noise());
             self.compare_again(path)?;
         }
@@ -258,8 +256,6 @@ impl<'a> State<'a> {
                 break;
             }
             path.named.remove(last);
-            path.gains.remove(last);
-            path.gains.truncate(path.named.len());
             self.compare_again(path)?;
         }
         Ok(())
@@ -318,7 +314,6 @@ impl<'a> State<'a> {
                 named.name,
             ));
             path.rivals = compare_rivals(&path.first_fits, &path.first_fits[i], 1);
-            path.gains = vec![path.first_fits[i].gains.clone()];
             path.named = vec![named];
             path.rounds.truncate(1);
             path.remaining = most_gaining(&self.candidates_of(&round)?);

@@ -180,7 +180,8 @@ impl DriveFacts {
             ),
         ));
         let lag = clock.odometry_lag_secs.map_or("can't be told from this drive".to_owned(), |lag| {
-            format!("odometry {:+.0} ms behind the scans", 1e3 * lag)
+            let side = if lag < 0.0 { "ahead of" } else { "behind" };
+            format!("odometry {:.0} ms {side} the scans", 1e3 * lag.abs())
         });
         rows.push(("lag", lag));
         section(f, width, "Clocks", &rows)

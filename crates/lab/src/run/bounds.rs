@@ -96,6 +96,7 @@ mod tests {
             train,
             intervals: None,
             kept: Some(Kept { trials: 1, errors, intervals: None }),
+            localized: None,
         };
         let mut found = BTreeSet::new();
         figures("", &serde_json::to_value(summary).unwrap(), &mut found);

@@ -6,8 +6,11 @@ use locsim_mcl::{Filter, StepOutcome, Trajectory};
 use super::training::TrainedModel;
 use locsim_report::results::{BeamProbe, DetailedModel, DetailedStep};
 
-/// Particles kept per step at the most; of more, every so manieth is.
+/// Particles kept per step at the most; of more, evenly spaced ones are. In all steps of all models there are at most so many, of 32 bytes,
+/// but for [`FEWEST`] per step.
 const PARTICLES: usize = 1000;
+const ALL_PARTICLES: usize = 8_000_000;
+const FEWEST: usize = 30;
 
 /// Ranges at which a probed beam's density is sampled.
 const PROBE_POINTS: usize = 450;
@@ -26,15 +29,25 @@ pub(super) struct Detail<'a> {
     /// Chosen by the first model's filter, `None` while that runs.
     probes: Option<Vec<Probe>>,
     own_probes: Vec<Probe>,
+    /// Particles that are kept of a step.
+    particles: usize,
     model: DetailedModel,
 }
 
 impl<'a> Detail<'a> {
-    /// Starts collecting for `model`; `probes` are what an earlier model's [`Detail::into_model`] returned.
-    pub fn new(map: &'a dyn RangeMap, drive: &'a Drive, model: &str, probes: Option<Vec<Probe>>) -> Self {
+    /// Starts collecting for `model`, one of `models`; `probes` are what an earlier model's [`Detail::into_model`] returned.
+    pub fn new(
+        map: &'a dyn RangeMap,
+        drive: &'a Drive,
+        model: &str,
+        models: usize,
+        probes: Option<Vec<Probe>>,
+    ) -> Self {
+        let steps = (drive.steps.len() * models).max(1);
+        let particles = (ALL_PARTICLES / steps).clamp(FEWEST, PARTICLES);
         let model =
             DetailedModel { name: model.to_owned(), steps: Vec::new(), most_likely_trajectory: Vec::new() };
-        Self { map, drive, probes, own_probes: Vec::new(), model }
+        Self { map, drive, probes, own_probes: Vec::new(), particles, model }
     }
 
     /// Takes one step in.
@@ -61,7 +74,7 @@ impl<'a> Detail<'a> {
             },
         };
         self.own_probes.push(probe);
-        let stride = filter.particles().len().div_ceil(PARTICLES);
+        let stride = filter.particles().len().div_ceil(self.particles);
         let mean = &outcome.estimates.weighted_mean;
         let covariance = &mean.covariance;
         self.model.steps.push(DetailedStep {

@@ -1,11 +1,12 @@
 //! The cost of a run, estimated from its scenario alone. A run that the machine can't hold is refused before it starts.
 
+use locsim_core::LikelihoodGrid;
 use locsim_core::limits::Limits;
 use locsim_world::simulation::Trajectory;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
 use crate::LabError;
-use locsim_mcl::{KldOptions, ParticleCount};
+use locsim_mcl::{KldOptions, PRUNED_AFTER, ParticleCount};
 use locsim_scenario::{Estimate as PoseEstimate, ModelName, RayCast, Scenario, Source};
 
 /// Bytes of a training reading in all the forms that it has at once: as scanned, in the training set, as the list of
@@ -17,14 +18,12 @@ const BYTES_OF_SCAN: f64 = 48.0;
 const BYTES_OF_STATE: f64 = 128.0;
 /// Bytes of a particle in a filter; docs/ARCHITECTURE.md counts them.
 const BYTES_OF_PARTICLE: f64 = 88.0;
-/// Bytes of a particle's pose and parent, kept for each step where trajectories are wanted.
+/// Bytes of a particle's pose and parent, kept for the last steps where trajectories are wanted.
 const BYTES_OF_ANCESTOR: f64 = 36.0;
 /// Bytes of a row of results while trials run, and in all the forms that a report makes of it, when map and models are gone.
 const BYTES_OF_ROW: [f64; 2] = [300.0, 1500.0];
 /// Bytes of a model's table, in the square of its readings: half as many nominal ranges again, by 16 incidences, of two bytes.
 const BYTES_OF_TABLE: f64 = 48.0;
-/// The readings of such a table: every 5 mm, or this many.
-const MOST_READINGS: f64 = 1600.0;
 /// Bytes of the program itself, its tables and figures.
 const BYTES_OF_PROGRAM: f64 = 150e6;
 
@@ -72,7 +71,8 @@ impl Estimate {
         };
         let candidates = scenario.filter.annealing.map_or(0.0, |annealing| annealing.candidates as f64);
 
-        let knots = simulated.map_or(MOST_READINGS, |simulation| simulation.laser.max_range_m / 0.005);
+        let most = f64::from(LikelihoodGrid::MOST_READINGS);
+        let knots = simulated.map_or(most, |simulation| simulation.laser.max_range_m / 0.005);
         // The fields look at where a reading ends, the oracle casts.
         let has_table = |name| match name {
             ModelName::Fitted(kind) => kind.is_normalized(),
@@ -80,7 +80,7 @@ impl Estimate {
             ModelName::Oracle => false,
         };
         let tables = scenario.models.iter().filter(|model| has_table(model.name)).count() as f64;
-        let bytes_of_tables = tables * BYTES_OF_TABLE * knots.min(MOST_READINGS).powi(2);
+        let bytes_of_tables = tables * BYTES_OF_TABLE * knots.min(most).powi(2);
 
         let readings = poses * observations * training_beams;
         let trajectories = match scenario.filter.estimate {
@@ -100,8 +100,8 @@ impl Estimate {
             ),
             ("filter.particles", particles.max(candidates) * BYTES_OF_PARTICLE * threads),
             (
-                "filter.particles x laser.rate_hz x robot.path",
-                trajectories * particles * steps.unwrap_or(0.0) * BYTES_OF_ANCESTOR,
+                "filter.particles x filter.estimate",
+                trajectories * particles * steps.unwrap_or(0.0).min(PRUNED_AFTER as f64) * BYTES_OF_ANCESTOR,
             ),
             ("trials", rows * row),
             (

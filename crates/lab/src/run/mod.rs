@@ -11,6 +11,7 @@ mod laboratory;
 mod map;
 mod measure;
 mod measured_log;
+mod misfit;
 mod rehearsal;
 mod training;
 mod trial;
@@ -216,6 +217,8 @@ fn results_of(laboratory: &Laboratory<'_>, trials: Vec<Trial>, seconds: f64) -> 
             ErrorFrame::Map => "map: along is x, across is y".to_owned(),
             ErrorFrame::Robot => "robot: along is forward, across is left".to_owned(),
         },
+        localized_within_m: (scenario.filter.start == locsim_scenario::Start::Global)
+            .then_some(scenario.errors.lost_m),
         estimate: estimate_name(scenario.filter.estimate).to_owned(),
         models: scenario.models.iter().map(|model| model.label.clone()).collect(),
         training: laboratory.models.iter().map(|model| model.row.clone()).collect(),
@@ -362,7 +365,7 @@ fn detailed_trial(
     let mut probes = None;
     let mut models = Vec::new();
     for model in laboratory.models.iter().filter(|model| recorded.contains(&model.label)) {
-        let mut detail = Detail::new(&*laboratory.maps.exact, &drive, &model.label, probes);
+        let mut detail = Detail::new(&*laboratory.maps.exact, &drive, &model.label, recorded.len(), probes);
         trial::localize(laboratory, model, &drive, seed, clock, Some(&mut detail))?;
         let (model, used) = detail.into_model();
         models.push(model);

@@ -130,7 +130,7 @@ pub(super) struct Rehearsed {
 /// Share of the scans of a robot that isn't lost whose log density is usual.
 const USUAL: f64 = 0.99;
 
-/// The mean log density of a scan's readings from a pose, `map_from_base` \[nats per reading\]; 0 without usable readings.
+/// The mean log density of a scan's readings from a pose, `map_from_base` \[nats per reading\]; NaN without usable readings.
 pub(super) fn scan_log_density(
     model: &dyn SensorModel,
     map: &dyn RangeMap,
@@ -144,8 +144,7 @@ pub(super) fn scan_log_density(
     let mut log_density = vec![0.0; laser.beam_count()];
     let beams = hits.beams(laser_pose.as_poses(), laser.bearings(), laser.max_range());
     model.log_density(&scan.ranges, &beams, &mut log_density);
-    let usable = scan.ranges.iter().filter(|z| !z.is_nan()).count();
-    log_density.into_iter().map(f64::from).sum::<f64>() / usable.max(1) as f64
+    log_density.into_iter().map(f64::from).sum::<f64>() / scan.usable() as f64
 }
 
 /// What a localization on the stretches shows, step by step.

@@ -191,8 +191,8 @@ fn train_one(
     }
     let normalized = !matches!(model.name, ModelName::Fitted(kind) if !kind.is_normalized());
     let log_loss_nats = normalized.then(|| evaluate(&floored, held_out).log_loss_nats);
-    // A log has one reading of a state, which is no distribution to be matched.
-    let has_distributions = normalized && rehearsed.is_none();
+    // One reading of a state, which is what a log has, is no distribution to be matched.
+    let has_distributions = normalized && held_out.reading_count() > held_out.len();
     let histogram_match_m = has_distributions.then(|| evaluate(&*bare, held_out).histogram_match_m);
     let mut chosen = fitted.as_ref().map_or_else(BTreeMap::new, |fitted| fitted.chosen().clone());
     chosen.insert("floor".to_owned(), tempering.floor);

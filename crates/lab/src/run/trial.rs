@@ -8,11 +8,12 @@ use locsim_mcl::{Filter, Spread, Start, StepInput, StepOutcome};
 use super::detail::Detail;
 use super::filter::{self, options};
 use super::laboratory::Laboratory;
+use super::misfit::Misfit;
 use super::rehearsal::{PoseError, scan_log_density};
 use super::training::TrainedModel;
 use crate::LabError;
-use locsim_report::results::{ModelTrial, StepRow, UNUSUAL_SCANS, USUAL_SCAN};
-use locsim_scenario::{self as scenario, ErrorFrame, Errors, Estimate};
+use locsim_report::results::{ModelTrial, StepRow};
+use locsim_scenario::{ErrorFrame, Errors, Estimate};
 
 /// Runs one model's filter over a drive. With `detail`, every step is kept in full.
 ///
@@ -45,11 +46,17 @@ pub(super) fn localize(
         let outcome = filter.step(&input, map, &*model.tempered)?;
         spent += clock().saturating_sub(before);
         let first_event = events.len();
+        let estimate = online_estimate(settings.estimate, &outcome);
+        let scan_density = |pose| scan_log_density(&*model.floored, map, &drive.laser, &step.scan, pose);
         if let Some(recovery) = outcome.recovered {
             events.push((i as u32, recovery.to_string()));
         }
         if outcome.injected > 0 {
             events.push((i as u32, format!("{} random particles injected", outcome.injected)));
+        }
+        let is_lost = misfit.is_lost(&outcome, scan_density);
+        if is_lost {
+            events.push((i as u32, Misfit::event()));
         }
         if let Some(detail) = detail.as_deref_mut() {
             let events = events[first_event..].iter().map(|(_, event): &(u32, String)| event.clone());
@@ -61,7 +68,7 @@ pub(super) fn localize(
             stamp_secs: step.stamp_secs,
             truth: truth[i],
             dead_reckoning: dead_reckoning[i],
-            estimate: online_estimate(settings.estimate, &outcome),
+            estimate,
             error_along_m: 0.0,
             error_across_m: 0.0,
             error_heading_rad: 0.0,
@@ -69,23 +76,15 @@ pub(super) fn localize(
             likelihood_power: outcome.likelihood_power,
             particles: outcome.particle_count as u32,
             log_evidence_nats: outcome.log_evidence,
-            scan_log_density_nats: scan_log_density(
-                &*model.floored,
-                map,
-                &drive.laser,
-                &step.scan,
-                outcome.estimates.weighted_mean.pose,
-            ),
+            scan_log_density_nats: scan_density(estimate),
             nees: error.nees(Spread::default()),
             nees_with_shared_errors: error.nees(model.shared),
             resampled: outcome.resampled,
         });
-        if misfit.is_lost(&steps[i]) {
+        if is_lost {
             let before = clock();
             filter.restart(map)?;
             spent += clock().saturating_sub(before);
-            events
-                .push((i as u32, format!("{UNUSUAL_SCANS} scans in a row don't fit: starts anywhere again")));
         }
     }
     if let Some(trajectory) = filter.ancestry().and_then(locsim_mcl::Ancestry::most_likely_trajectory) {
@@ -110,32 +109,6 @@ pub(super) fn localize(
         steps,
         events,
     })
-}
-
-/// Scans that don't fit the map at the estimated pose, for a filter that starts anywhere: one that has gathered at a wrong place starts again.
-struct Misfit {
-    /// What 99 of 100 scans of the training drive exceed \[nats per reading\]; `None` where a filter doesn't start again.
-    usual: Option<f64>,
-    /// Scans in a row that don't.
-    scans: usize,
-}
-
-impl Misfit {
-    fn new(filter: &scenario::Filter, model: &TrainedModel) -> Self {
-        let is_anywhere = filter.start == scenario::Start::Global && filter.annealing.is_some();
-        Self { usual: model.row.chosen.get(USUAL_SCAN).copied().filter(|_| is_anywhere), scans: 0 }
-    }
-
-    /// Whether the robot is lost by the scans up to this one. Those that aren't taken in say nothing new.
-    fn is_lost(&mut self, row: &StepRow) -> bool {
-        let Some(usual) = self.usual.filter(|_| row.likelihood_power > 0.0) else { return false };
-        self.scans = if row.scan_log_density_nats < usual { self.scans + 1 } else { 0 };
-        let is_lost = self.scans >= UNUSUAL_SCANS;
-        if is_lost {
-            self.scans = 0;
-        }
-        is_lost
-    }
 }
 
 /// A trial is lost when it ends farther than `lost_m` \[m\] from the truth, or is that far off in more than half of its
@@ -191,27 +164,6 @@ pub(super) fn online_estimate(estimate: Estimate, outcome: &StepOutcome) -> Pose
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Thirty scans in a row that were taken in; one that fits begins anew, one that wasn't taken in doesn't count.
-    #[test]
-    fn a_filter_starts_again_after_enough_scans_that_do_not_fit() {
-        let scan = |scan_log_density_nats: f64, likelihood_power: f64| StepRow {
-            scan_log_density_nats,
-            likelihood_power,
-            ..StepRow::default()
-        };
-        let restarts = |usual: Option<f64>, scans: &[StepRow]| {
-            let mut misfit = Misfit { usual, scans: 0 };
-            scans.iter().filter(|scan| misfit.is_lost(scan)).count()
-        };
-        let bad = vec![scan(-2.0, 1.0); UNUSUAL_SCANS - 1];
-        let one = [scan(-2.0, 1.0)];
-        assert_eq!(restarts(Some(-1.0), &bad), 0);
-        assert_eq!(restarts(Some(-1.0), &[&bad[..], &one].concat()), 1);
-        assert_eq!(restarts(Some(-1.0), &[&bad[..], &[scan(-2.0, 0.0)], &one, &bad].concat()), 1);
-        assert_eq!(restarts(Some(-1.0), &[&bad[..], &[scan(0.0, 1.0)], &one].concat()), 0);
-        assert_eq!(restarts(None, &[&bad[..], &one].concat()), 0);
-    }
 
     fn row(error_along_m: f64) -> StepRow {
         StepRow { error_along_m, ..StepRow::default() }

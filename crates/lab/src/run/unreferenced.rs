@@ -9,6 +9,7 @@ use locsim_report::figures::Figure;
 use locsim_report::figures::canvas::{DrawError, INK, Mark, WIDTH, figure, line, model_color};
 use locsim_report::figures::geometry::{Point, Window, join};
 use locsim_report::figures::map::{LEFT, MARGINS, MapPanel};
+use locsim_report::results::UNUSUAL_SCANS;
 use locsim_report::store::Folder;
 use locsim_report::text::{TextTable, escape, fixed};
 use locsim_report::{ReportError, page, write_figures};
@@ -22,6 +23,8 @@ use serde::Serialize;
 use super::RunOptions;
 use super::filter::{self, options};
 use super::laboratory::Laboratory;
+use super::misfit::Misfit;
+use super::rehearsal::scan_log_density;
 use super::training::TrainedModel;
 use super::trial::online_estimate;
 use crate::LabError;
@@ -80,8 +83,10 @@ pub struct UnreferencedModel {
     pub gathered_secs: Option<f64>,
     /// The largest distance between the last estimates of two trials \[m\].
     pub disagreement_m: f64,
-    /// Number of scans of all trials that no particle could explain.
+    /// Number of scans of all trials that no particle could explain. The evidence is that of the others.
     pub recoveries: usize,
+    /// How often filters of all trials started anywhere again, as their scans didn't fit.
+    pub restarts: usize,
     /// Milliseconds of a step.
     pub step_ms: f64,
 }
@@ -95,6 +100,7 @@ struct Track {
     log_evidence: f64,
     cut: usize,
     recoveries: usize,
+    restarts: usize,
     spent: Duration,
 }
 
@@ -180,8 +186,10 @@ fn localize(
         log_evidence: 0.0,
         cut: 0,
         recoveries: 0,
+        restarts: 0,
         spent: Duration::ZERO,
     };
+    let mut misfit = Misfit::new(settings, model);
     for (i, step) in drive.steps.iter().enumerate() {
         let input =
             StepInput { odometry: drive.odometry_increment(i), laser: &drive.laser, scan: &step.scan };
@@ -195,9 +203,18 @@ fn localize(
         if outcome.likelihood_power > 0.0 {
             track.effective_shares.push(outcome.effective_sample_size / outcome.particle_count as f64);
         }
-        track.log_evidence += outcome.log_evidence;
+        if outcome.recovered.is_none() {
+            track.log_evidence += outcome.log_evidence;
+        }
         track.cut += usize::from(outcome.likelihood_power > 0.0 && outcome.likelihood_power < 1.0);
         track.recoveries += usize::from(outcome.recovered.is_some());
+        let density = |pose| scan_log_density(&*model.floored, map, &drive.laser, &step.scan, pose);
+        if misfit.is_lost(&outcome, density) {
+            let before = clock();
+            filter.restart(map)?;
+            track.spent += clock().saturating_sub(before);
+            track.restarts += 1;
+        }
     }
     Ok(track)
 }
@@ -208,6 +225,7 @@ fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&
     // Scans that `filter.update` left out say nothing.
     let taken_in = tracks.iter().map(|track| track.effective_shares.len()).sum::<usize>() as f64 / count;
     let mean = |of: &dyn Fn(&Track) -> f64| tracks.iter().map(|track| of(track)).sum::<f64>() / count;
+    let explained = taken_in - mean(&|track| track.recoveries as f64);
     let spread = |axis: usize| {
         let spreads = tracks.iter().flat_map(|track| &track.spreads);
         median(&mut spreads.map(|spread| spread[axis]).collect::<Vec<_>>())
@@ -233,7 +251,7 @@ fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&
     });
     UnreferencedModel {
         model: model.label.clone(),
-        log_evidence_nats: is_density.then(|| mean(&|track| track.log_evidence) / taken_in),
+        log_evidence_nats: is_density.then(|| mean(&|track| track.log_evidence) / explained),
         effective_share: mean(&|track| track.effective_shares.iter().sum::<f64>()) / taken_in,
         cut_share: mean(&|track| track.cut as f64) / taken_in,
         spread_median_m: spread(0),
@@ -243,6 +261,7 @@ fn summary(model: &TrainedModel, scenario: &Scenario, drive: &Drive, tracks: &[&
         gathered_secs: (!gathered.is_empty()).then(|| median(&mut gathered)),
         disagreement_m: apart.fold(0.0, f64::max),
         recoveries: tracks.iter().map(|track| track.recoveries).sum(),
+        restarts: tracks.iter().map(|track| track.restarts).sum(),
         step_ms: mean(&|track| track.spent.as_secs_f64()) * 1e3 / scans,
     }
 }
@@ -259,6 +278,18 @@ fn findings(models: &[UnreferencedModel]) -> Vec<String> {
             findings.push(format!(
                 "`{name}`: {:.0} % of the trials never gather to {GATHERED_M} m.",
                 100.0 * (1.0 - model.gathered_share)
+            ));
+        }
+        if model.recoveries > 0 {
+            findings.push(format!(
+                "`{name}`: no particle explains {} of the scans. The evidence leaves them out.",
+                model.recoveries
+            ));
+        }
+        if model.restarts > 0 {
+            findings.push(format!(
+                "`{name}`: filters started anywhere again {} times, as {UNUSUAL_SCANS} scans in a row didn't fit.",
+                model.restarts
             ));
         }
         if model.disagreement_m > AGREEMENT_M {

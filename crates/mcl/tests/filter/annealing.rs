@@ -235,9 +235,11 @@ fn moves_keep_what_is_known_from_before() {
         spread: Spread { sigma_m: 0.05, sigma_rad: 0.02 },
     };
     let mut filter = Filter::new(options, &start, &ROOM, 1).unwrap();
-    let blind = Scan { ranges: vec![f32::NAN; 4] };
-    let input = StepInput { odometry: Pose2::IDENTITY, laser: &laser, scan: &blind };
-    let covariance = filter.step(&input, &ROOM, &MODEL).unwrap().estimates.weighted_mean.covariance;
+    // Any reading is as likely as any other.
+    let flat = Gaussian { sigma_m: 1e6 };
+    let scan = Scan { ranges: vec![1.0; 4] };
+    let input = StepInput { odometry: Pose2::IDENTITY, laser: &laser, scan: &scan };
+    let covariance = filter.step(&input, &ROOM, &flat).unwrap().estimates.weighted_mean.covariance;
     let [x, y, theta] = [0, 1, 2].map(|i| covariance[i][i].sqrt());
     // A deviation of 2,000 particles is known to 1.6 % (one standard deviation).
     for (deviation, expected) in
@@ -245,6 +247,25 @@ fn moves_keep_what_is_known_from_before() {
     {
         assert!((deviation / expected - 1.0).abs() < 0.06, "{deviation}, expected {expected}");
     }
+}
+
+/// A scan without a usable reading leaves a start anywhere as it is, candidate for candidate, with and without a least motion.
+#[test]
+fn a_blind_scan_uses_up_no_candidates() {
+    let laser = laser(4);
+    let annealing = Some(AnnealingOptions { candidates: 5000, ..AnnealingOptions::default() });
+    let mut filter =
+        Filter::new(FilterOptions { annealing, ..options(100) }, &Start::Global, &ROOM, 1).unwrap();
+    let before = filter.particles().len();
+    let blind = Scan { ranges: vec![f32::NAN; 4] };
+    let input = StepInput { odometry: Pose2::IDENTITY, laser: &laser, scan: &blind };
+    let outcome = filter.step(&input, &ROOM, &MODEL).unwrap();
+    assert_eq!((outcome.likelihood_power, outcome.log_evidence, outcome.resampled), (0.0, 0.0, false));
+    assert_eq!((before, filter.particles().len()), (5000, 5000));
+    // The parts of a step, as Python calls them, likewise.
+    filter.predict(&Pose2::IDENTITY).unwrap();
+    filter.update(&laser, &blind, &ROOM, &MODEL).unwrap();
+    assert_eq!(filter.particles().len(), 5000);
 }
 
 /// In a room whose second half is longer the robot gathers, and then the number of particles is the filter's own.

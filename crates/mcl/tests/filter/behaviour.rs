@@ -112,19 +112,37 @@ fn a_global_start_finds_the_pose_and_its_mirror_image_and_needs_few_particles_th
 
 #[test]
 fn random_particles_recover_a_kidnapped_robot_and_nothing_else_does() {
-    let kidnapped = |injection| {
+    let kidnapped = |injection, least_effective_share| {
         let clusters = Some(PoseBins::new(0.5, 10_f64.to_radians()).unwrap());
-        let mut filter = filter(FilterOptions { injection, clusters, ..options(3000) }, &tracking(0.1));
+        let options = FilterOptions { injection, clusters, least_effective_share, ..options(3000) };
+        let mut filter = filter(options, &tracking(0.1));
         drive(&mut filter, START, 20);
         let (truth, outcomes) = drive(&mut filter, Pose2::new(4.5, 2.0, 2.0), 40);
         let cluster = outcomes[39].estimates.densest_cluster.unwrap();
         let injected: usize = outcomes.iter().map(|outcome| outcome.injected).sum();
         (distance_up_to_symmetry(&cluster.estimate.pose, &truth), injected)
     };
-    let (error, injected) = kidnapped(Some(InjectionOptions { alpha_slow: 0.02, alpha_fast: 0.5 }));
-    assert!(error < 0.15 && injected > 0, "error {error} m after {injected} random particles");
-    let (error, injected) = kidnapped(None);
+    let injection = InjectionOptions { alpha_slow: 0.02, alpha_fast: 0.5 };
+    // Scans that are taken in by a power show the loss as well.
+    for least_effective_share in [None, Some(0.02)] {
+        let (error, injected) = kidnapped(Some(injection), least_effective_share);
+        assert!(error < 0.15 && injected > 0, "error {error} m after {injected} random particles");
+    }
+    let (error, injected) = kidnapped(None, None);
     assert!(error > 0.5 && injected == 0, "error {error} m without random particles");
+}
+
+/// A filter that starts again has no expectations: its new particles aren't replaced by random ones.
+#[test]
+fn a_restart_begins_without_random_particles() {
+    let injection = Some(InjectionOptions { alpha_slow: 0.02, alpha_fast: 0.5 });
+    let mut filter = filter(FilterOptions { injection, ..options(3000) }, &tracking(0.1));
+    drive(&mut filter, START, 20);
+    let (truth, lost) = drive(&mut filter, Pose2::new(4.5, 2.0, 2.0), 2);
+    assert!(lost[1].injected > 300, "{}", lost[1].injected);
+    filter.restart(&ROOM).unwrap();
+    let (_, outcomes) = drive(&mut filter, truth, 1);
+    assert_eq!(outcomes[0].injected, 0);
 }
 
 #[test]
@@ -301,11 +319,13 @@ fn a_scan_that_would_leave_few_particles_is_taken_in_by_a_power() {
     let after = |least_effective_share, model: &Gaussian| {
         let mut filter = filter(FilterOptions { least_effective_share, ..options(2000) }, &tracking(0.2));
         let outcome = stand(&mut filter, model).unwrap();
-        (outcome.effective_sample_size, filter.log_likelihood().to_vec())
+        (outcome.effective_sample_size, filter.log_likelihood().to_vec(), outcome.log_evidence)
     };
-    let (few, whole) = after(None, &sharp);
+    let (few, whole, log_evidence) = after(None, &sharp);
     assert!(few < 20.0, "{few} are effective");
-    let (enough, scaled) = after(Some(0.05), &sharp);
+    let (enough, scaled, of_cut_scan) = after(Some(0.05), &sharp);
+    // Whatever is taken in, the scan was as likely.
+    assert!((of_cut_scan - log_evidence).abs() < 1e-9 * log_evidence.abs(), "{of_cut_scan}, {log_evidence}");
     assert!((enough / 100.0 - 1.0).abs() < 1e-3, "{enough} are effective");
     let power = scaled[0] / whole[0];
     assert!((0.0..0.5).contains(&power), "power {power}");
