@@ -142,7 +142,7 @@ pub struct RawModel {
     pub label: Option<String>,
     /// Weight of a uniform floor under the density, 0 to below 1. Default: chosen on held-out data.
     pub floor: Option<f64>,
-    /// Exponent of the likelihood, above 0 to 1. Default: chosen on held-out data.
+    /// Exponent of the likelihood, above 0 to 1. Default: chosen on held-out data; on a log, by localizing on its training scans.
     pub exponent: Option<f64>,
     /// A fitted model to load instead of fitting it; for a laser model of AMCL a parameter file of ROS 2. Relative to the scenario
     /// file; `${VARIABLE}` is replaced from the environment.
