@@ -25,13 +25,26 @@ pub fn slope(pairs: &[[f64; 2]]) -> f64 {
     }
     let slope = pairs.iter().map(|[error, x]| error * x).sum::<f64>() / squares;
     let scores: Vec<f64> = pairs.iter().map(|[error, x]| x * (error - slope * x)).collect();
+    let seen = if are_seen_to_last(&scores) { SEEN } else { 1.0 };
+    slope * squares / (seen * error_of_sum(&scores)).max(1e-300)
+}
+
+/// The mean of values in the order of time, and its standard error, which knows that errors last. [`QUANTILE_975`] of these make half of a
+/// 95 % interval. NaN of no values.
+pub fn mean(values: &[f64]) -> [f64; 2] {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let scores: Vec<f64> = values.iter().map(|value| value - mean).collect();
+    [mean, error_of_sum(&scores) / count]
+}
+
+/// Standard error of the sum of scores whose mean is 0.
+fn error_of_sum(scores: &[f64]) -> f64 {
     let products = |lag: usize| scores.iter().zip(&scores[lag..]).map(|(a, b)| a * b).sum::<f64>();
     let most = (BANDWIDTH * scores.len() as f64) as usize;
     let weight = |lag: usize| 2.0 * (1.0 - lag as f64 / (most + 1) as f64);
     let together: f64 = (1..=most).map(|lag| weight(lag) * products(lag)).sum();
-    let variance = products(0) + together.max(0.0);
-    let seen = if are_seen_to_last(&scores) { SEEN } else { 1.0 };
-    slope * squares / (seen * variance.sqrt()).max(1e-300)
+    (products(0) + together.max(0.0)).sqrt()
 }
 
 /// Whether scores are surely correlated in time. The first lag is left out: an error of a position makes two steps err the opposite way.
@@ -74,6 +87,25 @@ mod tests {
         let [alone, lasting] = [1, 40].map(|lasts| slope(&errors(0.25, lasts)).abs());
         assert!((QUANTILE_99..12.0).contains(&alone), "{alone}");
         assert!(lasting < QUANTILE_975, "{lasting}");
+    }
+
+    /// The interval of the mean of 400 independent errors of .58 is .2 wide, as a bandwidth of half the series asks for much. It holds the
+    /// true mean in some 19 of 20 series, and so does that of errors which last for twenty steps.
+    #[test]
+    fn an_interval_of_a_mean_holds_it() {
+        for (lasts, widths) in [(1, 0.07..0.15), (20, 0.3..0.6)] {
+            let intervals = (0..200).map(|seed| {
+                let values: Vec<f64> =
+                    errors_of(7_919 * seed + 1, 0.4, lasts).into_iter().map(|[value, _]| value).collect();
+                let [mean, error] = mean(&values);
+                (((mean - 0.4).abs() <= QUANTILE_975 * error), QUANTILE_975 * error)
+            });
+            let (held, half): (Vec<bool>, Vec<f64>) = intervals.unzip();
+            // Of 200 with a share of .95 fewer than 180 hold it once in a thousand; lasting ones hold it a little more rarely.
+            assert!(held.iter().filter(|held| **held).count() >= 176, "{lasts}");
+            let half = half.iter().sum::<f64>() / 200.0;
+            assert!(widths.contains(&half), "{lasts}: {half}");
+        }
     }
 
     /// Of series of five errors without a mean, one in thirty has one by chance; independent errors are hardly ever seen to last.

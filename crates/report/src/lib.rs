@@ -4,6 +4,7 @@
 pub mod figures;
 mod findings;
 mod localized;
+mod nees;
 pub mod page;
 pub mod palette;
 pub mod results;
@@ -24,6 +25,7 @@ use crate::summary::{Summary, SummaryError};
 use figures::{Figure, Rasterizer};
 pub use findings::warnings;
 pub use localized::Localized;
+pub use nees::NeesIntervals;
 pub use text::TextTable;
 pub use text::terminal_table;
 pub use trial_row::TrialRow;

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::localized::Localized;
+use crate::nees::NeesIntervals;
 use crate::results::{ModelTrial, RunResults, TrainingRow};
 use crate::statistics::{Bootstrap, Moments, PooledValues, share_interval};
 
@@ -150,6 +151,8 @@ pub struct ModelSummary {
     pub nees_mean: f64,
     /// The same with the covariance of the errors that scans of a log share added to the filter's.
     pub nees_with_shared_errors_mean: f64,
+    /// 95 % intervals of these two; `None` of a drive of fewer than 20 steps.
+    pub nees_intervals: Option<NeesIntervals>,
     /// Mean wall time of a filter step (ms); with `seconds` the only figure that a repeated run doesn't reproduce.
     pub step_ms: f64,
     /// How the model did on held-out training data, and what was chosen on it.
@@ -251,7 +254,7 @@ impl Summary {
         check(results)?;
         let bootstrap = Bootstrap::new(results.seed, results.trials.len());
         let samples: Vec<Sample> =
-            (0..results.models.len()).map(|model| Sample::new(results, model)).collect();
+            (0..results.models.len()).map(|model| Sample::new(results, model, bootstrap.as_ref())).collect();
         let by_model = |name: &str| results.models.iter().position(|m| m == name).map(|i| &samples[i]);
         let (classic, oracle) = (by_model(CLASSIC), by_model(ORACLE));
         let first = samples.first().filter(|_| classic.is_none() && samples.len() > 1);
@@ -332,11 +335,12 @@ struct Sample {
     ess_mean: f64,
     nees_mean: f64,
     nees_with_shared_errors_mean: f64,
+    nees_intervals: Option<NeesIntervals>,
     step_ms: f64,
 }
 
 impl Sample {
-    fn new(results: &RunResults, model: usize) -> Self {
+    fn new(results: &RunResults, model: usize, bootstrap: Option<&Bootstrap>) -> Self {
         let trials: Vec<&ModelTrial> = results.trials.iter().map(|t| &t.models[model]).collect();
         let per_trial = |value: fn(&crate::results::StepRow) -> f64| {
             trials.iter().map(|t| t.steps.iter().map(value).collect::<Moments>()).collect::<Vec<_>>()
@@ -357,6 +361,7 @@ impl Sample {
             ess_mean: Moments::pooled(ess.iter().map(|m| (m, 1))).mean(),
             nees_mean: mean_of_trials(|s| s.nees),
             nees_with_shared_errors_mean: mean_of_trials(|s| s.nees_with_shared_errors),
+            nees_intervals: NeesIntervals::of(&trials, bootstrap),
             step_ms: trials.iter().map(|t| t.step_ms).sum::<f64>() / trials.len() as f64,
         }
     }
@@ -429,6 +434,7 @@ impl Sample {
             ess_mean: self.ess_mean,
             nees_mean: self.nees_mean,
             nees_with_shared_errors_mean: self.nees_with_shared_errors_mean,
+            nees_intervals: self.nees_intervals,
             step_ms: self.step_ms,
             train,
             intervals: intervals

@@ -6,6 +6,7 @@ use locsim_core::Interval;
 use locsim_core::limits::is_hidden;
 
 use crate::localized::localized_table;
+use crate::nees::nees_text;
 use crate::summary::{Errors, ORACLE, Ratio, Summary};
 
 /// Placeholder of a missing value.
@@ -79,6 +80,18 @@ impl TextTable {
     pub fn drop_last_column(&mut self) {
         for row in self.rows.iter_mut().chain([&mut self.header]) {
             row.pop();
+        }
+    }
+
+    /// Leaves the intervals of columns out whose title begins so.
+    fn drop_intervals(&mut self, title: &str) {
+        for column in
+            (0..self.header.len()).filter(|i| self.header[*i].starts_with(title)).collect::<Vec<_>>()
+        {
+            for row in &mut self.rows {
+                let value = row[column].find(" [").unwrap_or(row[column].len());
+                row[column].truncate(value);
+            }
         }
     }
 
@@ -264,14 +277,15 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
                 name.to_owned(),
                 percent(model.lost_share),
                 format!("{:.1}", model.ess_mean),
-                significant(model.nees_mean),
+                nees_text(model.nees_mean, model.nees_intervals.map(|i| i.nees_mean)),
                 format!("{:.2}", model.step_ms),
                 ratio(ratios.position_std()),
                 ratio(ratios.rmse()),
                 if has_oracle {
                     ratio(ratios.rmse_vs_oracle)
                 } else {
-                    significant(model.nees_with_shared_errors_mean)
+                    let interval = model.nees_intervals.map(|i| i.nees_with_shared_errors_mean);
+                    nees_text(model.nees_with_shared_errors_mean, interval)
                 },
             ]
         }),
@@ -284,7 +298,9 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
 
 /// The headline table for a terminal of `width` columns (`None`: of any), in two halves, with a line on how to read it.
 pub fn terminal_table(summary: &Summary, width: Option<usize>) -> String {
-    let [errors, others] = headline_tables(summary);
+    let [errors, mut others] = headline_tables(summary);
+    // A terminal is narrow.
+    others.drop_intervals("NEES");
     let localized =
         localized_table(summary).map_or_else(String::new, |table| format!("{}\n", table.to_terminal(width)));
     format!(

@@ -92,6 +92,7 @@ mod tests {
             ess_mean: 1.0,
             nees_mean: 3.0,
             nees_with_shared_errors_mean: 3.0,
+            nees_intervals: None,
             step_ms: 1.0,
             train,
             intervals: None,
