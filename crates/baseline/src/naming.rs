@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::DVec2;
 use locsim_core::{Estimate, sum_error};
 use locsim_gap::{Evidence, GapError, Named, split_by};
-use locsim_world::effect::{Bursts, Effect, EffectKind};
+use locsim_world::effect::{Bursts, Effect, EffectKind, Moves};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -193,7 +193,8 @@ impl Search<'_> {
         // That something changed is known for the first name. A further one has to say so itself.
         let is_known = named.is_empty() && changes.noise_of_every_beam_m.is_none();
         let is_noise_known = given.effects.iter().any(|given| is_noise(given.kind));
-        // Errors of the references move scans as a displaced laser does, by less than stretches of the logs differ.
+        // Errors of the references move scans as a displaced laser does, by less than stretches of the logs differ. Nor is it a bias that puts ranges
+        // farther off that differ by less.
         let differs_less = |floor: f64| self.distance(&known.learnt, expected, assignment) <= floor;
         while let Some(best) = choose(fits, assignment, errors, is_known) {
             let effect = &fits[best].effect;
@@ -223,7 +224,11 @@ impl Search<'_> {
                     && (first.is_noisier == Some(false) || changes.noise_of_every_beam_m.is_some())
                 || is_of_named_wall(effect, given)
                 || effect.kind.displaces_laser() && differs_less(first.floor)
-                || is_further && self.is_farther_off(effect, beside, assignment, known, first.floor)?;
+                || is_bias(effect.kind)
+                    && differs_less(first.floor)
+                    && self.is_farther_off(effect, beside, assignment, known, 0.0)?
+                || is_further
+                    && self.is_farther_off(effect, beside, assignment, known, FARTHER * first.floor)?;
             if !is_no_name {
                 let precise = self.precise(effect, given, expected, assignment, known)?;
                 if precise.is_known {
@@ -235,18 +240,18 @@ impl Search<'_> {
         Ok(None)
     }
 
-    /// Whether an effect puts ranges farther off, beside what is named.
+    /// Whether an effect puts ranges farther off by more than a distance \[mm\], beside what is named.
     fn is_farther_off(
         &self,
         effect: &Effect,
         Beside { given, expected, .. }: &Beside<'_>,
         assignment: &Assignment,
         known: &Known,
-        floor: f64,
+        by_mm: f64,
     ) -> Result<bool, GapError> {
         let all: Vec<Effect> = given.effects.iter().cloned().chain([effect.clone()]).collect();
         let with = self.distance(&known.learnt, &self.expected_with(&all)?, assignment);
-        Ok(with > self.distance(&known.learnt, expected, assignment) + FARTHER * floor)
+        Ok(with > self.distance(&known.learnt, expected, assignment) + by_mm)
     }
 
     /// The place where an effect of all beams gains, if it loses elsewhere.
@@ -423,6 +428,11 @@ fn name(
         effect,
         gains: own,
     }
+}
+
+/// Whether a kind moves the mean of all readings.
+fn is_bias(kind: EffectKind) -> bool {
+    kind.moves() == Moves::Readings
 }
 
 #[cfg(test)]

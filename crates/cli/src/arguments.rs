@@ -489,7 +489,9 @@ impl LogOptions {
 
     /// The options as a shell takes them, each behind a blank.
     pub fn command_line(&self) -> String {
-        self.given().map(|(option, value)| format!(" {option} {}", in_shell(Path::new(&value)))).collect()
+        self.given().fold(String::new(), |line, (option, value)| {
+            line + " " + option + " " + &in_shell(Path::new(&value))
+        })
     }
 }
 

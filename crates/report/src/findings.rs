@@ -492,10 +492,10 @@ mod tests {
         );
         assert_eq!(unusual_scans("np_reg", &[&kept, &kept], -1.0), None);
         // A robot that stands, and one whose laser is covered for some scans.
-        let mut standing = trial(&[2..60]);
+        let mut standing = trial(std::slice::from_ref(&(2..60)));
         standing.steps[10..50].iter_mut().for_each(|row| row.likelihood_power = 0.0);
         assert_eq!(unusual_scans("np_reg", &[&standing], -1.0), None);
-        let mut covered = trial(&[2..45]);
+        let mut covered = trial(std::slice::from_ref(&(2..45)));
         covered.steps[20..30].iter_mut().for_each(|row| row.scan_log_density_nats = f64::NAN);
         let sentence = unusual_scans("np_reg", &[&covered], -1.0).unwrap();
         assert!(sentence.contains("up to 33 scans in a row, from scan 2 on"), "{sentence}");

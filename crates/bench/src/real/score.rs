@@ -22,8 +22,11 @@ pub struct RealScore {
     pub false_alarm: Share,
     /// Share of 95 % intervals that hold the true strength, of edits that are named first.
     pub covered: Share,
-    /// Median of Wasserstein-1 after over before, of edits of readings that are named first, and the largest.
+    /// Median of Wasserstein-1 after over before, and the largest, of edits that are named first and whose ranges differ by more than twice what
+    /// stretches of the logs do.
     pub w1_ratio: Option<[f64; 2]>,
+    /// Share of edits that are named first, whatever the ranges differ by, with which these are farther off.
+    pub farther: Share,
     /// Number of searches, and of those planned.
     pub runs: usize,
     /// Planned searches.
@@ -66,7 +69,9 @@ impl RealScore {
             .map(|found| found.w1_mm[1] / found.w1_mm[0])
             .collect();
         ratios.sort_by(f64::total_cmp);
+        let farther = Share::of(right.iter().map(|found| found.w1_mm[1] > found.w1_mm[0]));
         Self {
+            farther,
             named_first: of(&|_| true),
             by_edit: edits.into_iter().map(|edit| (edit, of(&|case| case.edit == edit))).collect(),
             by_log: logs.into_iter().map(|log| (log.clone(), of(&|case| case.log == log))).collect(),
@@ -104,11 +109,12 @@ pub fn table(score: &RealScore) -> String {
     ];
     if let Some([median, most]) = score.w1_ratio {
         rows.push([
-            "W1 after / before, median and most".to_owned(),
+            "W1 after / before where it is above twice the floor, named first: median and most".to_owned(),
             format!("{median:.2}, {most:.2}"),
-            "<= 0.5".to_owned(),
+            "<= 0.5, never above 1".to_owned(),
         ]);
     }
+    rows.push(["named first, and ranges farther off".to_owned(), share(&score.farther), "0".to_owned()]);
     let by = score.by_edit.iter().map(|(edit, of)| (word(*edit), of));
     let by_log = score.by_log.iter().map(|(log, of)| (log.clone(), of));
     rows.extend(by.chain(by_log).map(|(name, of)| [format!("  {name}"), share(of), String::new()]));

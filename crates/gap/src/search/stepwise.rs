@@ -515,12 +515,21 @@ mod tests {
                 first_choice: at(wrong[0]),
                 first_fits: fits,
                 rivals: Vec::new(),
-                gains: Vec::new(),
                 remaining: None,
                 note: None,
             }
         };
         let names = |path: &Path<'_>| path.named.iter().map(|named| named.name).collect::<Vec<_>>();
+
+        // What a deleted name gained is the others': they explain it.
+        let mut both = path(fits.clone());
+        both.named.push(name(&fits, at(EffectKind::MountYaw), 0.01, recorded.scans()));
+        let gained = |path: &Path<'_>| path.named.iter().flat_map(|named| &named.gains).sum::<f64>();
+        let before = gained(&both);
+        both.rounds.push(state.round(both.effects(), fitted.nuisances, options.replicates).unwrap());
+        state.delete(&mut both).unwrap();
+        assert!(names(&both).contains(&EffectKind::MountYaw) && both.named.len() < 3, "{:?}", names(&both));
+        assert!((gained(&both) - before).abs() < 1e-6 * before.abs());
 
         let mut with = path(fits.clone());
         state.simplify(&mut with).unwrap();
@@ -570,7 +579,6 @@ mod tests {
                 first_fits: fits.clone(),
                 first_choice: at,
                 rivals: Vec::new(),
-                gains: Vec::new(),
                 remaining: None,
                 note: None,
             };

@@ -13,6 +13,18 @@ use crate::statistics::{Covariate, Deviation, Survey};
 /// What beams share explains the noise of every beam where it gains at least this share of what the noise gains.
 const IN_COMMON: f64 = 0.9;
 
+/// A share of readings that changes by less is a trifle, however surely it does.
+const LEAST_SHARE: f64 = 1e-3;
+
+/// Whether a dependence is of a share that hardly changes.
+fn is_trifle(found: &Unnamed) -> bool {
+    let is_share = matches!(
+        found.deviation,
+        Deviation::Short | Deviation::Long | Deviation::NoReturn | Deviation::Share
+    );
+    is_share && found.size.abs() < LEAST_SHARE
+}
+
 /// Puts what the beams of a scan share before the noise that it causes.
 fn cause_first(all: &mut [Unnamed]) {
     let gain = |found: &Unnamed| found.evidence.gain_nats.value;
@@ -57,7 +69,8 @@ pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p
         let Dependence { deviation, covariate, .. } = dependence;
         Unnamed { deviation, covariate, form_of, evidence, unit, size, wave, curve }
     };
-    let mut all: Vec<Unnamed> = judgement.dependences().into_iter().map(told).collect();
+    let mut all: Vec<Unnamed> =
+        judgement.dependences().into_iter().map(told).filter(|found| !is_trifle(found)).collect();
     cause_first(&mut all);
     all
 }

@@ -69,7 +69,7 @@ pub(crate) fn markdown(
         errors_table => errors,
         others_table => others,
         localized_table => localized_table(summary).map(|table| table.to_markdown()),
-        localized_within => results.localized_within_m.map(|within| text::significant(within)),
+        localized_within => results.localized_within_m.map(text::significant),
         first => (!has(CLASSIC) && results.models.len() > 1).then(|| text::code(summary.baseline())),
         has_oracle => has(ORACLE),
         shares => !has(ORACLE) && summary.shares_errors(),
