@@ -40,6 +40,7 @@ mod null;
 mod places;
 mod pool;
 mod precision;
+mod random_readings;
 mod search;
 #[cfg(test)]
 mod tests;

@@ -20,6 +20,7 @@ use super::null::{Best, Null, Score, add};
 use super::places;
 use super::pool::Expected;
 use super::precision::Precise;
+use super::random_readings::are_behind_as_well;
 use super::trials::{Trial, trials, usual};
 
 /// Kinds of effect that are fitted in a round: those whose best trial gains most.
@@ -224,6 +225,7 @@ impl Search<'_> {
                     && (first.is_noisier == Some(false) || changes.noise_of_every_beam_m.is_some())
                 || is_of_named_wall(effect, given)
                 || effect.kind.displaces_laser() && differs_less(first.floor)
+                || effect.kind.is_of_random_readings() && !are_behind_as_well(self.pool, effect)
                 || is_bias(effect.kind)
                     && differs_less(first.floor)
                     && self.is_farther_off(effect, beside, assignment, known, 0.0)?
