@@ -19,7 +19,7 @@ const LAYERS: [(&str, &[&str]); 19] = [
     ("locsim-dataset", &["locsim-core"]),
     ("locsim-gap", &["distreg", "locsim-core", "locsim-world"]),
     ("locsim-baseline", &["distreg", "locsim-core", "locsim-gap", "locsim-world"]),
-    ("locsim-report", &["locsim-core", "locsim-sensor"]),
+    ("locsim-report", &["distreg", "locsim-core", "locsim-sensor"]),
     ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"]),
     ("locsim-study", &["distreg", "locsim-core", "locsim-report", "locsim-scenario", "locsim-world"]),
     (

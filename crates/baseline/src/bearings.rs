@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
 use std::hash::Hash;
 
-use locsim_core::{Estimate, gains_surely, sum_error};
-use locsim_gap::{WALL_CELL_M, cell_at};
+use locsim_core::{Estimate, cell_at, gains_surely, sum_error};
+use locsim_gap::WALL_CELL_M;
 use serde::Serialize;
 
 use super::fitting::Known;

@@ -1,10 +1,11 @@
 //! The readings of both logs at the places that both have seen, and what a reading is expected to be.
 
+use locsim_core::cell_at;
 use std::collections::HashMap;
 use std::sync::Arc;
 
 use glam::DVec2;
-use locsim_gap::{GapError, Nominal, Recorded, Views, cell_at};
+use locsim_gap::{GapError, Nominal, Recorded, Views};
 use locsim_world::effect::{Alternative, Effect, EffectKind, Effects, HitKind, Statistic, burst_window};
 use locsim_world::simulation::ClutteredBeam as Beam;
 

@@ -10,8 +10,8 @@
 use std::collections::{BTreeMap, HashMap};
 
 use distreg::matrix::invert;
-use locsim_core::Estimate;
-use locsim_gap::{GapError, Number, cell_at};
+use locsim_core::{Estimate, cell_at};
+use locsim_gap::{GapError, Number};
 use locsim_world::effect::{Effect, Parameter, Role};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};

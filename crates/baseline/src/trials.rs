@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec2;
-use locsim_core::median;
-use locsim_gap::{GapError, OBJECT_CELL_M, WALL_CELL_M, cell_at, values_along};
+use locsim_core::{cell_at, median};
+use locsim_gap::{GapError, OBJECT_CELL_M, WALL_CELL_M, values_along};
 use locsim_world::effect::{
     Direction, Disc, Effect, EffectKind, JUMP_M, Moves, PLACE_REACH_M, Parameter, Statistic,
 };

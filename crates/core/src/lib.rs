@@ -6,6 +6,7 @@
 //! `base` to coordinates of `map`.
 
 mod beams;
+mod cells;
 mod control;
 mod deskew;
 mod draw;
@@ -35,6 +36,7 @@ mod track;
 mod weights;
 
 pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
+pub use cells::{cell_at, cells_between};
 pub use control::{Clock, Control, Progress};
 pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, FASTEST, Laser, LaserError, Scan};

@@ -46,6 +46,6 @@ pub use outcome::{
 pub use purpose::Purpose;
 pub use recorded::{LEAST_SCANS, Recorded};
 pub use search::{GapOptions, find, split_by};
-pub use statistics::{Cell, Covariate, Deviation, OBJECT_CELL_M, WALL_CELL_M, cell_at};
+pub use statistics::{Cell, Covariate, Deviation, OBJECT_CELL_M, WALL_CELL_M};
 pub use strength::{OtherForm, Strength};
 pub use views::Views;

@@ -6,13 +6,13 @@
 use std::collections::{BTreeMap, HashSet};
 
 use glam::DVec2;
-use locsim_core::median;
+use locsim_core::{cell_at, cells_between, median};
 use locsim_world::simulation::WallPieces;
 use serde::Serialize;
 
 use crate::Guess;
 use crate::hypothesis::{Comparison, Fitted};
-use crate::statistics::{OBJECT_CELL_M, cell_at};
+use crate::statistics::OBJECT_CELL_M;
 use crate::views::{PieceView, beam_headings};
 
 /// A reading is far from where the map has it when it is off by more than this \[m\], and more than a turn of the robot by this
@@ -246,7 +246,7 @@ fn objects(comparison: &Comparison<'_>, places: &[Place], ignored: &mut [bool]) 
     let mut cells: BTreeMap<[i32; 2], Cell<'_>> = BTreeMap::new();
     for place in places {
         let is_short = place.is_far && place.error < 0.0;
-        for cell in crossed(place.origin, place.end) {
+        for cell in cells_between(place.origin, place.end, OBJECT_CELL_M) {
             cells.entry(cell).or_default().crossed += 1;
         }
         if is_short {
@@ -271,7 +271,7 @@ fn objects(comparison: &Comparison<'_>, places: &[Place], ignored: &mut [bool]) 
     if !found.is_empty() {
         for (i, (origin, heading)) in rays.into_iter().enumerate() {
             let end = origin + views.beams[i].range() * DVec2::from_angle(heading);
-            ignored[i] |= crossed(origin, end).any(|cell| found.contains_key(&cell));
+            ignored[i] |= cells_between(origin, end, OBJECT_CELL_M).any(|cell| found.contains_key(&cell));
         }
     }
     // Neighbouring cells are of one object.
@@ -302,19 +302,6 @@ fn objects(comparison: &Comparison<'_>, places: &[Place], ignored: &mut [bool]) 
         });
     }
     errors
-}
-
-/// The cells that a beam crosses, up to the one in which it ends.
-fn crossed(origin: DVec2, end: DVec2) -> impl Iterator<Item = [i32; 2]> {
-    let length = origin.distance(end);
-    let steps = (2.0 * length / OBJECT_CELL_M).ceil().max(1.0) as usize;
-    let mut last = None;
-    (0..=steps).filter_map(move |i| {
-        let cell = cell_at(origin.lerp(end, i as f64 / steps as f64), OBJECT_CELL_M);
-        let is_new = last != Some(cell);
-        last = Some(cell);
-        is_new.then_some(cell)
-    })
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use glam::DVec2;
-use locsim_core::{Draw, Stage, Track};
+use locsim_core::{Draw, Stage, Track, cell_at};
 use locsim_world::effect::Effect;
 use locsim_world::simulation::{BlockResampling, MovedWalls};
 use rand::RngExt;
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::nominal::BlockPolicy;
-use crate::statistics::{OBJECT_CELL_M, cell_at};
+use crate::statistics::OBJECT_CELL_M;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// Items of a scan's draws beside those of the simulator.

@@ -3,9 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::results::{RunResults, StepRow};
-use crate::statistics::{quantile, share_interval};
-use crate::summary::Summary;
-use crate::text::{TextTable, fixed, percent};
+use crate::statistics::quantile;
 
 /// Distance of driving \[m\] after which a filter should have found the robot.
 const SOON_M: f64 = 30.0;
@@ -46,26 +44,6 @@ fn localized_after(steps: &[StepRow], within_m: f64) -> Option<f64> {
     let first = steps.iter().rposition(|row| row.position_error_m() > within_m).map_or(0, |last| last + 1);
     let driven = |pair: &[StepRow]| pair[0].truth.position().distance(pair[1].truth.position());
     (first < steps.len()).then(|| steps[..=first].windows(2).map(driven).sum())
-}
-
-/// One row for each model; `None` where the start is known.
-pub(crate) fn localized_table(summary: &Summary) -> Option<TextTable> {
-    let share = |count: u32| {
-        let interval = share_interval(count, summary.trials);
-        let share = f64::from(count) / f64::from(summary.trials);
-        format!("{} [{}, {}]", percent(share), percent(interval.lo), percent(interval.hi))
-    };
-    let rows: Option<Vec<[String; 4]>> = summary
-        .models
-        .iter()
-        .map(|(name, model)| {
-            let localized = model.localized?;
-            let after = localized.after_m_median.map_or_else(|| "never".to_owned(), |after| fixed(after, 1));
-            Some([name.clone(), share(localized.trials), share(localized.trials_after_30_m), after])
-        })
-        .collect();
-    let header = ["model", "localized [%]", "within 30 m [%]", "distance until localized, p50 [m]"];
-    rows.map(|rows| TextTable::new(header, rows))
 }
 
 #[cfg(test)]

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::results::{ModelTrial, StepRow};
 use crate::statistics::{Bootstrap, Moments};
-use crate::text::significant;
 
 /// Of more steps, neighbours are put together: errors that last are summed over all pairs of steps.
 const MOST_VALUES: usize = 2000;
@@ -69,14 +68,6 @@ fn over_steps(trials: &[&ModelTrial], value: fn(&StepRow) -> f64) -> Option<Inte
         &together.map(|part| part.iter().copied().collect::<Moments>().mean()).collect::<Vec<_>>(),
     );
     Some(Interval { lo: (mean - QUANTILE_975 * error).max(0.0), hi: mean + QUANTILE_975 * error })
-}
-
-/// A mean NEES with its interval.
-pub(crate) fn nees_text(mean: f64, interval: Option<Interval>) -> String {
-    let interval = interval.map_or_else(String::new, |Interval { lo, hi }| {
-        format!(" [{}, {}]", significant(lo), significant(hi))
-    });
-    format!("{}{interval}", significant(mean))
 }
 
 #[cfg(test)]

@@ -5,8 +5,7 @@ use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, LineStyle
 use locsim_core::Interval;
 use locsim_core::limits::is_hidden;
 
-use crate::localized::localized_table;
-use crate::nees::nees_text;
+use crate::statistics::share_interval;
 use crate::summary::{Errors, ORACLE, Ratio, Summary};
 
 /// Placeholder of a missing value.
@@ -294,6 +293,34 @@ pub fn headline_tables(summary: &Summary) -> [TextTable; 2] {
         others.drop_last_column();
     }
     [errors, others]
+}
+
+/// A mean NEES with its interval.
+fn nees_text(mean: f64, interval: Option<Interval>) -> String {
+    let interval = interval.map_or_else(String::new, |Interval { lo, hi }| {
+        format!(" [{}, {}]", significant(lo), significant(hi))
+    });
+    format!("{}{interval}", significant(mean))
+}
+
+/// How soon each model finds the robot from an unknown start, a row each; `None` where the start is known.
+pub fn localized_table(summary: &Summary) -> Option<TextTable> {
+    let share = |count: u32| {
+        let interval = share_interval(count, summary.trials);
+        let share = f64::from(count) / f64::from(summary.trials);
+        format!("{} [{}, {}]", percent(share), percent(interval.lo), percent(interval.hi))
+    };
+    let rows: Option<Vec<[String; 4]>> = summary
+        .models
+        .iter()
+        .map(|(name, model)| {
+            let localized = model.localized?;
+            let after = localized.after_m_median.map_or_else(|| "never".to_owned(), |after| fixed(after, 1));
+            Some([name.clone(), share(localized.trials), share(localized.trials_after_30_m), after])
+        })
+        .collect();
+    let header = ["model", "localized [%]", "within 30 m [%]", "distance until localized, p50 [m]"];
+    rows.map(|rows| TextTable::new(header, rows))
 }
 
 /// The headline table for a terminal of `width` columns (`None`: of any), in two halves, with a line on how to read it.

@@ -3,10 +3,10 @@
 use std::collections::HashMap;
 use std::f64::consts::FRAC_PI_2;
 
-use locsim_core::{even_edges, inner_quantile_edges};
+use locsim_core::{cell_at, even_edges, inner_quantile_edges};
 
 use crate::hypothesis::Comparison;
-use crate::statistics::{Covariate, cell_at};
+use crate::statistics::Covariate;
 use crate::views::jumps;
 
 /// The covariates of a log's beams. They depend on poses and map, and never on readings.

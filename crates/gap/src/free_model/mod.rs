@@ -31,6 +31,7 @@ use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::{Covariate, Deviation};
 use large::{Change, Large};
 use outcomes::Outcomes;
+pub(crate) use outcomes::is_share;
 
 /// A log on which the curves gain more than this (nats) is looked at for a bias or a spread of many standard deviations.
 const STRONG_NATS: f64 = 200.0;

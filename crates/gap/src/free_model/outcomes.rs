@@ -25,7 +25,7 @@ pub(super) const MOMENTS: [Deviation; 7] = [
 const OF_SURFACE: usize = tilt::MOMENTS;
 
 /// Whether a moment is the share of a class.
-pub(super) fn is_share(moment: Deviation) -> bool {
+pub fn is_share(moment: Deviation) -> bool {
     matches!(moment, Deviation::Short | Deviation::Long | Deviation::NoReturn)
 }
 

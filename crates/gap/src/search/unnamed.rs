@@ -6,7 +6,7 @@ use locsim_world::effect::Effect;
 
 use super::judgement::{Dependence, Judgement, acts_on};
 use super::selection::gain;
-use crate::free_model::Axis;
+use crate::free_model::{Axis, is_share};
 use crate::outcome::{CurvePoint, Evidence, Unnamed};
 use crate::statistics::{Covariate, Deviation, Survey};
 
@@ -18,11 +18,7 @@ const LEAST_SHARE: f64 = 1e-3;
 
 /// Whether a dependence is of a share that hardly changes.
 fn is_trifle(found: &Unnamed) -> bool {
-    let is_share = matches!(
-        found.deviation,
-        Deviation::Short | Deviation::Long | Deviation::NoReturn | Deviation::Share
-    );
-    is_share && found.size.abs() < LEAST_SHARE
+    is_share(found.deviation) && found.size.abs() < LEAST_SHARE
 }
 
 /// Puts what the beams of a scan share before the noise that it causes.

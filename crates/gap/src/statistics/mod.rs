@@ -313,8 +313,3 @@ fn typical_guesses(found: &[Found<'_>]) -> Vec<Start> {
     });
     starts.collect()
 }
-
-/// The cell of a lattice of squares that a point is in, by their side \[m\].
-pub fn cell_at(point: DVec2, side: f64) -> [i32; 2] {
-    [(point.x / side).floor() as i32, (point.y / side).floor() as i32]
-}

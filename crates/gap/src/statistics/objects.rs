@@ -1,5 +1,6 @@
 //! Objects that the map lacks: readings in front of the walls, counted where they lie in the map.
 
+use locsim_core::cell_at;
 use std::collections::HashMap;
 
 use glam::DVec2;
@@ -7,7 +8,7 @@ use locsim_world::effect::{self, EffectKind};
 
 use super::readings::Reading;
 use super::survey::Survey;
-use super::{Family, Form, Found, Group, Halves, OBJECT_CELL_M, Readings, Start, Statistic, cell_at};
+use super::{Family, Form, Found, Group, Halves, OBJECT_CELL_M, Readings, Start, Statistic};
 use crate::catalogue::kinds_shown_by;
 
 /// The error of where a reading lies that noise and errors of the reference make \[m\], or five standard deviations of a laser

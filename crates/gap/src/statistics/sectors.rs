@@ -1,11 +1,12 @@
 //! Parts of the robot in front of the laser: readings in front of the walls, counted by bearing and range.
 
+use locsim_core::cell_at;
 use std::collections::HashSet;
 
 use locsim_world::effect::{self, EffectKind};
 
 use super::survey::Survey;
-use super::{Family, Form, Found, Group, Halves, OBJECT_CELL_M, Readings, Start, Statistic, cell_at};
+use super::{Family, Form, Found, Group, Halves, OBJECT_CELL_M, Readings, Start, Statistic};
 use crate::catalogue::kinds_shown_by;
 
 /// Bins of bearing over the field of view: of 15 degrees for a full turn.

@@ -12,7 +12,6 @@ use super::figures::Figure;
 use super::findings::{self, NP_REG, PAPER};
 use super::text::{self, TextTable};
 use super::{ReportContext, ReportError};
-use crate::localized::localized_table;
 use crate::results::RunResults;
 use crate::summary::{CLASSIC, Kept, ORACLE, Summary};
 
@@ -68,7 +67,7 @@ pub(crate) fn markdown(
         estimate => text::escape(&results.estimate),
         errors_table => errors,
         others_table => others,
-        localized_table => localized_table(summary).map(|table| table.to_markdown()),
+        localized_table => text::localized_table(summary).map(|table| table.to_markdown()),
         localized_within => results.localized_within_m.map(text::significant),
         first => (!has(CLASSIC) && results.models.len() > 1).then(|| text::code(summary.baseline())),
         has_oracle => has(ORACLE),
