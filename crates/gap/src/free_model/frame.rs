@@ -57,20 +57,14 @@ pub(crate) fn turned_frame(
             None => break,
         }
     }
-    if turn.abs() < LEAST_TURN {
-        return Ok(None);
-    }
     let without = comparison.evaluate_views(&comparison.views, effects, fitted, 0).scans;
     let folds = comparison.recorded.folds;
     let gains =
         folds.sums(&with).iter().zip(folds.sums(&without)).map(|(with, without)| with - without).collect();
     let (deviation, covariate) = (Deviation::Frame, Covariate::Place);
-    Ok(Some(Misalignment {
-        deviation,
-        covariate,
-        estimate: [-turn, frame.information.sqrt().recip()],
-        gains,
-    }))
+    let estimate = [-turn, frame.information.sqrt().recip()];
+    let found = Misalignment { deviation, covariate, estimate, gains };
+    Ok((turn.abs() >= LEAST_TURN).then_some(found))
 }
 
 #[cfg(test)]

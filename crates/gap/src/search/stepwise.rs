@@ -132,8 +132,8 @@ impl<'a> State<'a> {
                 path.remaining = rest;
                 break;
             };
-            let adds_to =
-                path.named.iter().position(|known| adds_up(&known.effect, &candidates[best].effect));
+            let chosen = &candidates[best].effect;
+            let adds_to = path.named.iter().position(|known| adds_up(&known.effect, chosen));
             if adds_to.is_some() && path.rounds.len() > 2 * options.most_effects {
                 // The sum of an effect's fits doesn't settle.
                 path.remaining = Some(candidates[best].clone());

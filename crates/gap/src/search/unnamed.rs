@@ -16,11 +16,6 @@ const IN_COMMON: f64 = 0.9;
 /// A share of readings that changes by less is a trifle, however surely it does.
 const LEAST_SHARE: f64 = 1e-3;
 
-/// Whether a dependence is of a share that hardly changes.
-fn is_trifle(found: &Unnamed) -> bool {
-    is_share(found.deviation) && found.size.abs() < LEAST_SHARE
-}
-
 /// Puts what the beams of a scan share before the noise that it causes.
 fn cause_first(all: &mut [Unnamed]) {
     let gain = |found: &Unnamed| found.evidence.gain_nats.value;
@@ -65,8 +60,8 @@ pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p
         let Dependence { deviation, covariate, .. } = dependence;
         Unnamed { deviation, covariate, form_of, evidence, unit, size, wave, curve }
     };
-    let mut all: Vec<Unnamed> =
-        judgement.dependences().into_iter().map(told).filter(|found| !is_trifle(found)).collect();
+    let mut all: Vec<Unnamed> = judgement.dependences().into_iter().map(told).collect();
+    all.retain(|found| !is_share(found.deviation) || found.size.abs() >= LEAST_SHARE);
     cause_first(&mut all);
     all
 }
