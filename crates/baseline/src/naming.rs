@@ -194,8 +194,8 @@ impl Search<'_> {
         // That something changed is known for the first name. A further one has to say so itself.
         let is_known = named.is_empty() && changes.noise_of_every_beam_m.is_none();
         let is_noise_known = given.effects.iter().any(|given| is_noise(given.kind));
-        // Errors of the references move scans as a displaced laser does, by less than stretches of the logs differ. Nor is it a bias that puts ranges
-        // farther off that differ by less.
+        // Errors of the references move scans as a displaced laser does, by less than stretches of the logs differ. What puts such ranges farther off is
+        // no bias either.
         let differs_less = |floor: f64| self.distance(&known.learnt, expected, assignment) <= floor;
         while let Some(best) = choose(fits, assignment, errors, is_known) {
             let effect = &fits[best].effect;

@@ -6,9 +6,9 @@ use super::pool::Pool;
 
 /// A reading is behind a wall where it is farther than the map has it by so much \[m\].
 const BEHIND_M: f64 = 0.2;
-/// Today's log has at least this share of what an effect foretells there,
+/// Today's log has at least this share of what an effect predicts there,
 const LEAST_SHARE: f64 = 0.5;
-/// where it foretells so many standard deviations more than the baseline has.
+/// where it predicts so many standard deviations more than the baseline has.
 const CLEAR: f64 = 3.0;
 
 /// Readings of beams that meet a wall.
@@ -26,13 +26,13 @@ impl Behind {
     /// Whether today's readings behind walls are as many more than the baseline's as a share `p` of random ones makes.
     fn grew_by(self, today: Self, p: f64) -> bool {
         let usual = self.behind / self.count.max(1.0) * today.count;
-        let foretold = p * today.room;
-        let is_clear = foretold > CLEAR * (usual + foretold).sqrt();
-        !is_clear || today.behind - usual >= LEAST_SHARE * foretold
+        let predicted = p * today.room;
+        let is_clear = predicted > CLEAR * (usual + predicted).sqrt();
+        !is_clear || today.behind - usual >= LEAST_SHARE * predicted
     }
 }
 
-/// Whether today's log has the readings behind walls that an effect of random readings foretells; so where they are too few to tell.
+/// Whether today's log has the readings behind walls that an effect of random readings predicts; so where they are too few to tell.
 pub(super) fn are_behind_as_well(pool: &Pool<'_>, effect: &Effect) -> bool {
     let spread = effect.bursts().map_or_else(|| effect.clone(), |bursts| bursts.spread);
     let Some(p) = spread.value("p") else { return true };

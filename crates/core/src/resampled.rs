@@ -10,8 +10,8 @@ const STEEPEST: f64 = 5.67;
 const NEAR_BEAMS: f64 = 0.9;
 
 /// Readings \[m\] with their bearings \[rad\], in any order, at evenly spaced `bearings` \[rad\]: on the line between two neighbours of one surface, the
-/// nearest one elsewhere, and NaN where none is near. Only where `is_return` holds a reading is of a surface. Those that are NaN don't count, nor those at a
-/// bearing that is none.
+/// nearest one elsewhere, and NaN where none is near. Only where `is_return` holds a reading is of a surface. Readings that are NaN, or at a bearing
+/// that isn't finite, don't count.
 pub fn resampled(
     readings: impl IntoIterator<Item = (f64, f32)>,
     is_return: impl Fn(f32) -> bool,

@@ -114,8 +114,8 @@ pub struct Estimates {
 /// The outcome of a filter step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOutcome {
-    /// `ln p(z_t | z_1..t-1)` (nats), the log of the weighted mean likelihood; minus infinity if all were zero, 0 of a scan that was
-    /// left out.
+    /// `ln p(z_t | z_1..t-1)` (nats), the log of the weighted mean likelihood of the whole scan, whatever power of it was taken in;
+    /// minus infinity if all were zero, 0 of a scan that was left out.
     pub log_evidence: f64,
     /// 1 / sum of squared weights, after weighting and before resampling.
     pub effective_sample_size: f64,
@@ -138,7 +138,7 @@ pub struct StepOutcome {
 /// The outcome of an update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Update {
-    /// `ln p(z_t | z_1..t-1)` (nats), the log of the weighted mean likelihood; minus infinity if all were zero.
+    /// `ln p(z_t | z_1..t-1)` (nats), as in [`StepOutcome`].
     pub log_evidence: f64,
     /// Power of the scan's likelihood that was taken in, as in [`StepOutcome`].
     pub likelihood_power: f64,

@@ -10,7 +10,7 @@ use arrow::datatypes::{DataType, Float64Type, UInt32Type, UInt64Type};
 use locsim_core::{Draw, Drive, DriveStep, Laser, Pose2, Scan, Stage};
 use locsim_report::results::{
     BeamProbe, DetailedModel, DetailedStep, DetailedTrial, ModelTrial, RunResults, StepRow, TrainingRow,
-    Trial,
+    Trial, USUAL_SCAN,
 };
 use locsim_report::store::{Folder, StoreError};
 use locsim_report::summary::{Summary, SummaryError};
@@ -271,6 +271,9 @@ fn a_run_on_a_real_log_has_no_paper_and_no_ratios() {
     let dir = tempfile::tempdir().unwrap();
     let mut results = results(&[1, 5], 1);
     results.description.clear();
+    for row in &mut results.training {
+        row.chosen.insert(USUAL_SCAN.to_owned(), -1.0);
+    }
     let context = ReportContext { simulated: false, warnings: vec![], notes: vec![], ..context() };
     write(&Folder::new(dir.path()).unwrap(), &results, None, &context).unwrap();
     let report = fs::read_to_string(dir.path().join("report.md")).unwrap();

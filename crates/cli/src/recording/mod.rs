@@ -224,12 +224,12 @@ fn log_static(stream: &RecordingStream, trial: &DetailedTrial) -> RecordingStrea
     log_density_axes(stream, trial)
 }
 
-/// Points of a path that is logged at each step. With all of them a recording would grow with the square of its steps.
+/// Most points of a path that is logged at each step, and its last one. With all of them a recording would grow with the square of its steps.
 const PATH_POINTS: usize = 500;
 
 /// The steps up to one, and evenly spaced ones where they are many, that its path is drawn through.
 fn driven(step: usize) -> impl Iterator<Item = usize> {
-    (0..step).step_by((step / PATH_POINTS).max(1)).chain([step])
+    (0..step).step_by(step.div_ceil(PATH_POINTS).max(1)).chain([step])
 }
 
 fn log_world(
@@ -527,4 +527,21 @@ fn blend(from: [u8; 3], to: [u8; 3], share: f64) -> rerun::Color {
     let share = share.clamp(0.0, 1.0);
     let channel = |i: usize| (f64::from(from[i]) * (1.0 - share) + f64::from(to[i]) * share).round() as u8;
     rerun::Color::from_rgb(channel(0), channel(1), channel(2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// All steps of a short drive, some of a long one, and always the last.
+    #[test]
+    fn a_path_has_its_last_point_and_not_too_many() {
+        assert_eq!(driven(0).collect::<Vec<_>>(), [0]);
+        assert_eq!(driven(3).collect::<Vec<_>>(), [0, 1, 2, 3]);
+        for step in [500, 501, 999, 36_000] {
+            let path: Vec<usize> = driven(step).collect();
+            assert!((PATH_POINTS / 2..=PATH_POINTS + 1).contains(&path.len()), "{step}: {}", path.len());
+            assert_eq!(path.last(), Some(&step));
+        }
+    }
 }

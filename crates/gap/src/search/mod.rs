@@ -1,13 +1,13 @@
 //! The search: detect, locate, name, add, and stop when nothing is off any more.
 
 mod calibration;
-mod foretold;
 mod initial_guess;
 mod judge;
 mod judgement;
 mod lasting;
 mod outcome;
 mod precision;
+mod predicted;
 mod residual;
 mod selection;
 mod stepwise;

@@ -3,9 +3,9 @@
 use locsim_core::{Estimate, are_alike};
 use locsim_world::effect::{Effect, EffectKind, Moves, Statistic};
 
-use super::foretold::drop_unfounded;
 use super::judgement::share_a_moment;
 use super::lasting::drop_passing;
+use super::predicted::drop_unfounded;
 use super::selection::{
     adds_up, choose, choose_apart, compare_rivals, dies_away, gain, is_of_odometry, is_one_cause, is_sure,
     may_be_of_robot, name, numbers, sum_of,

@@ -73,12 +73,8 @@ impl Estimate {
 
         let most = f64::from(LikelihoodGrid::MOST_READINGS);
         let knots = simulated.map_or(most, |simulation| simulation.laser.max_range_m / 0.005);
-        // The fields look at where a reading ends, the oracle casts.
-        let has_table = |name| match name {
-            ModelName::Fitted(kind) => kind.is_normalized(),
-            ModelName::Amcl(_) => true,
-            ModelName::Oracle => false,
-        };
+        // The fields look at where a reading ends, the oracle casts, and AMCL's weight of a scan is no product over beams.
+        let has_table = |name| matches!(name, ModelName::Fitted(kind) if kind.is_normalized());
         let tables = scenario.models.iter().filter(|model| has_table(model.name)).count() as f64;
         let bytes_of_tables = tables * BYTES_OF_TABLE * knots.min(most).powi(2);
 

@@ -12,7 +12,7 @@ use super::figures::Figure;
 use super::findings::{self, NP_REG, PAPER};
 use super::text::{self, TextTable};
 use super::{ReportContext, ReportError};
-use crate::results::RunResults;
+use crate::results::{RunResults, USUAL_SCAN};
 use crate::summary::{CLASSIC, Kept, ORACLE, Summary};
 
 const MARKDOWN: &str = include_str!("../templates/report.md.j2");
@@ -62,6 +62,7 @@ pub(crate) fn markdown(
         model_count => results.models.len(),
         seconds => format!("{:.1}", results.seconds),
         simulated => context.simulated,
+        rehearsed => summary.models.values().any(|model| model.train.chosen.contains_key(USUAL_SCAN)),
         truth => if context.simulated { "true pose" } else { "reference pose" },
         error_frame => text::escape(&results.error_frame),
         estimate => text::escape(&results.estimate),

@@ -1,4 +1,4 @@
-//! Readings in front of walls and behind them, and lost ones, that an effect foretells.
+//! Readings in front of walls and behind them, and lost ones, that an effect predicts.
 
 use locsim_world::effect::{Bursts, Effect, Effects, Fit, Moves};
 use locsim_world::simulation::BlockResampling;
@@ -13,9 +13,9 @@ use crate::views::Beam;
 
 /// A reading is behind a wall, or in front of it, where it differs by so much from the range in the map \[m\].
 const OFF_M: f64 = 0.2;
-/// The log has at least this share of what an effect foretells,
+/// The log has at least this share of what an effect predicts,
 const LEAST_SHARE: f64 = 0.5;
-/// where it foretells so many standard deviations more than there would be without it.
+/// where it predicts so many standard deviations more than there would be without it.
 const CLEAR: f64 = 3.0;
 /// An effect of the readings that gains less than this share of what such a one gains, and less than so much (nats), is no explanation
 /// instead of it.
@@ -26,11 +26,11 @@ const LEAST_CLUTTER_SHARE: f64 = 0.5;
 /// Random readings, clutter and losses are all around: beams are cut into so many parts by a covariate.
 const PARTS: usize = 8;
 
-/// Drops effects that foretell readings which the log doesn't have. Random readings are behind walls as well, and all around: those in front
+/// Drops effects that predict readings which the log doesn't have. Random readings are behind walls as well, and all around: those in front
 /// alone are of things that stand or walk there, those at some walls of a pane or a mirror, and so is what else gains next to nothing beside
 /// them. Clutter is in front of walls all around. Returns that any beam loses are lost at all places, and by each beam of the laser.
 pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Result<Vec<Candidate>, GapError> {
-    let is_there = |e: &Effect| has_what_it_foretells(&round.comparison, &round.fitted, &round.effects, e);
+    let is_there = |e: &Effect| has_what_it_predicts(&round.comparison, &round.fitted, &round.effects, e);
     // What a measured map has for walls may send nothing back at all.
     let is_exact = round.comparison.nominal.pieces.is_none();
     let mut most = 0.0_f64;
@@ -65,9 +65,9 @@ fn total(candidate: &Candidate) -> f64 {
     candidate.fitted_gains.iter().sum()
 }
 
-/// Whether a log, fitted under the given effects, has the readings that another one foretells: random ones behind walls, clutter in front of
+/// Whether a log, fitted under the given effects, has the readings that another one predicts: random ones behind walls, clutter in front of
 /// them, and lost ones.
-fn has_what_it_foretells(
+fn has_what_it_predicts(
     comparison: &Comparison<'_>,
     fitted: &Fitted,
     given: &[Effect],
@@ -101,7 +101,7 @@ fn has_what_it_foretells(
     if is_clear(all_without, all_with) && !has(LEAST_SHARE, all_without, all_with) {
         return Ok(false);
     }
-    // The least share of what is foretold that a part has, and the most of it that may be in parts which have less. Surfaces differ in what they
+    // The least share of what is predicted that a part has, and the most of it that may be in parts which have less. Surfaces differ in what they
     // send back: one that sends back all is no exception.
     let [least, most_lacking] = if side == Side::Lost { [0.2, 0.5] } else { [LEAST_SHARE, 0.3] };
     let lacks = |by: usize| {
@@ -110,11 +110,11 @@ fn has_what_it_foretells(
             // How losses grow with range is a matter of form.
             return false;
         }
-        let mut foretold = [0.0; 2];
+        let mut predicted = [0.0; 2];
         for (&without, &with) in parts.filter(|(without, with)| is_clear(**without, **with)) {
-            foretold[usize::from(has(least, without, with))] += with[1] - without[1];
+            predicted[usize::from(has(least, without, with))] += with[1] - without[1];
         }
-        foretold[0] > most_lacking * (foretold[0] + foretold[1])
+        predicted[0] > most_lacking * (predicted[0] + predicted[1])
     };
     Ok(are_seldom || !(0..COVARIATES).any(lacks))
 }
@@ -216,7 +216,7 @@ mod tests {
             let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
             let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
             let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-            let found = has_what_it_foretells(&comparison, &fitted, &[], &random(p)).unwrap();
+            let found = has_what_it_predicts(&comparison, &fitted, &[], &random(p)).unwrap();
             assert_eq!(found, is_there, "{p} of {hidden:?}");
         }
     }
@@ -232,7 +232,7 @@ mod tests {
             Effect::new(EffectKind::Glass, vec![0.5], vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]])
                 .unwrap();
         let random = effect(EffectKind::Crosstalk, &[0.1, 1.0]);
-        for (hidden, foretold, is_there) in [
+        for (hidden, predicted, is_there) in [
             (&deep, &deep, true),
             (&floor, &effect(EffectKind::BlockDepth, &[5.0]), false),
             (&random, &random, true),
@@ -243,8 +243,8 @@ mod tests {
             let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
             let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
             let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-            let found = has_what_it_foretells(&comparison, &fitted, &[], foretold).unwrap();
-            assert_eq!(found, is_there, "{} of {}", foretold.kind, hidden.kind);
+            let found = has_what_it_predicts(&comparison, &fitted, &[], predicted).unwrap();
+            assert_eq!(found, is_there, "{} of {}", predicted.kind, hidden.kind);
         }
     }
 }
