@@ -190,7 +190,12 @@ pub fn comparisons(summary: &Summary) -> Vec<String> {
         format!("{} with {} m", code(name), metres_with(model.errors.position_rmse_m, interval))
     };
     if let [best, rest @ ..] = ranked.as_slice() {
-        let next = rest.first().map_or_else(String::new, |next| format!("; next {}", figure(*next)));
+        let next = rest.first().map_or_else(String::new, |next| {
+            let ratio = summary.ratios.get(next.0).and_then(|ratios| ratios.rmse_vs_lowest);
+            let ratio = ratio
+                .map_or_else(String::new, |r| format!(", {} times that, {}", ratio_text(r), direction(r)));
+            format!("; next {}{ratio}", figure(*next))
+        });
         sentences.push(format!("Lowest position RMSE over all trials: {}{next}.", figure(*best)));
     }
     let median = |m: &ModelSummary| m.errors.position_median_m;
@@ -222,10 +227,10 @@ pub fn comparisons(summary: &Summary) -> Vec<String> {
 /// Which side of 1 a ratio is on.
 fn direction(ratio: Ratio) -> &'static str {
     match ratio.interval() {
-        None => "a single trial, so no interval",
+        None => "no interval: one drive, and a short one",
         Some(interval) if interval.hi < 1.0 => "lower",
         Some(interval) if interval.lo > 1.0 => "higher",
-        Some(_) => "no difference that these trials can show",
+        Some(_) => "no difference that this run can show",
     }
 }
 

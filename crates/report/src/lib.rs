@@ -1,6 +1,7 @@
 //! The files of a results folder for readers: `summary.json`, tables, figures and the report. `docs/RESULTS.md` lists
 //! every file and column.
 
+mod drive;
 pub mod figures;
 mod findings;
 mod localized;

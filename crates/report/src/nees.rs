@@ -1,16 +1,11 @@
 //! Whether a filter's covariance is right: the normalized estimation error squared, with its interval.
 
-use distreg::lasting::{self, QUANTILE_975};
 use locsim_core::Interval;
 use serde::{Deserialize, Serialize};
 
+use crate::drive;
 use crate::results::{ModelTrial, StepRow};
 use crate::statistics::{Bootstrap, Moments};
-
-/// Of more steps, neighbours are put together: errors that last are summed over all pairs of steps.
-const MOST_VALUES: usize = 2000;
-/// Fewer steps tell nothing of how long errors last.
-const FEWEST_STEPS: usize = 20;
 
 /// 95 % intervals of the mean NEES.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,7 +22,7 @@ impl NeesIntervals {
     /// several drives.
     pub(crate) fn of(trials: &[&ModelTrial], bootstrap: Option<&Bootstrap>) -> Option<Self> {
         let values = [|row: &StepRow| row.nees, |row: &StepRow| row.nees_with_shared_errors];
-        let [nees_mean, nees_with_shared_errors_mean] = if share_a_drive(trials) {
+        let [nees_mean, nees_with_shared_errors_mean] = if drive::is_shared(trials) {
             let [own, shared] = values.map(|value| over_steps(trials, value));
             [own?, shared?]
         } else {
@@ -47,27 +42,9 @@ impl NeesIntervals {
     }
 }
 
-/// Whether all trials are of the same true poses.
-fn share_a_drive(trials: &[&ModelTrial]) -> bool {
-    trials.windows(2).all(|pair| {
-        let [a, b] = [pair[0], pair[1]].map(|trial| trial.steps.iter().map(|row| row.truth));
-        a.eq(b)
-    })
-}
-
 fn over_steps(trials: &[&ModelTrial], value: fn(&StepRow) -> f64) -> Option<Interval> {
-    let steps = trials[0].steps.len();
-    if steps < FEWEST_STEPS {
-        return None;
-    }
-    let mean =
-        |step: usize| trials.iter().map(|trial| value(&trial.steps[step])).sum::<f64>() / trials.len() as f64;
-    let means: Vec<f64> = (0..steps).map(mean).collect();
-    let together = means.chunks(steps.div_ceil(MOST_VALUES));
-    let [mean, error] = lasting::mean(
-        &together.map(|part| part.iter().copied().collect::<Moments>().mean()).collect::<Vec<_>>(),
-    );
-    Some(Interval { lo: (mean - QUANTILE_975 * error).max(0.0), hi: mean + QUANTILE_975 * error })
+    let [mean, half] = drive::mean(&drive::by_step(trials, value)?);
+    Some(Interval { lo: (mean - half).max(0.0), hi: mean + half })
 }
 
 #[cfg(test)]
@@ -113,7 +90,7 @@ mod tests {
         let short: Vec<ModelTrial> = trials(|_, _| 3.0, 0.0)
             .into_iter()
             .map(|mut trial| {
-                trial.steps.truncate(FEWEST_STEPS - 1);
+                trial.steps.truncate(19);
                 trial
             })
             .collect();

@@ -6,6 +6,7 @@ use locsim_core::Interval;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::drive;
 use crate::localized::Localized;
 use crate::nees::NeesIntervals;
 use crate::results::{ModelTrial, RunResults, TrainingRow};
@@ -171,7 +172,8 @@ pub struct ModelSummary {
 pub struct Ratio {
     /// The ratio.
     pub value: f64,
-    /// Lower end of its 95 % interval by the paired bootstrap; `None` with a single trial.
+    /// Lower end of its 95 % interval: by the paired bootstrap over trials. Where all are of one drive, it is at least as wide as how its
+    /// steps vary, whose errors last (Kiefer and Vogelsang 2005). `None` of one drive of fewer than 20 steps.
     pub lo: Option<f64>,
     /// Upper end, likewise.
     pub hi: Option<f64>,
@@ -194,6 +196,8 @@ pub struct Ratios {
     pub rmse_vs_classic: Option<Ratio>,
     /// `position_rmse_m` over that of `oracle`.
     pub rmse_vs_oracle: Option<Ratio>,
+    /// `position_rmse_m` over the lowest of all models.
+    pub rmse_vs_lowest: Option<Ratio>,
     /// `position_std_m` over that of the first model; only in a run without `classic`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_std_vs_first: Option<Ratio>,
@@ -225,6 +229,9 @@ pub struct Summary {
     pub trials: u32,
     /// Wall time of the run (s).
     pub seconds: f64,
+    /// Whether all trials are of one drive, as those of a log: they differ in the filter's draws alone.
+    #[serde(default)]
+    pub one_drive: bool,
     /// The models in the scenario's order.
     pub models: IndexMap<String, ModelSummary>,
     /// Ratios over all trials, in the same order.
@@ -253,19 +260,22 @@ impl Summary {
     pub fn new(results: &RunResults) -> Result<Self, SummaryError> {
         check(results)?;
         let bootstrap = Bootstrap::new(results.seed, results.trials.len());
-        let samples: Vec<Sample> =
+        let samples: Vec<Sample<'_>> =
             (0..results.models.len()).map(|model| Sample::new(results, model, bootstrap.as_ref())).collect();
         let by_model = |name: &str| results.models.iter().position(|m| m == name).map(|i| &samples[i]);
         let (classic, oracle) = (by_model(CLASSIC), by_model(ORACLE));
         let first = samples.first().filter(|_| classic.is_none() && samples.len() > 1);
+        let all = vec![1; results.trials.len()];
+        let lowest = samples.iter().min_by(|a, b| a.position_rmse(&all).total_cmp(&b.position_rmse(&all)));
         let ratios = |kept: bool| {
-            let of = |sample: &Sample| {
-                let std = |base| ratio(sample, base, kept, bootstrap.as_ref(), Sample::position_std);
-                let rmse = |base| ratio(sample, base, kept, bootstrap.as_ref(), Sample::position_rmse);
+            let of = |sample: &Sample<'_>| {
+                let std = |base| ratio(sample, base, kept, bootstrap.as_ref(), Spread::AboutMean);
+                let rmse = |base| ratio(sample, base, kept, bootstrap.as_ref(), Spread::AboutTruth);
                 Ratios {
                     position_std_vs_classic: std(classic),
                     rmse_vs_classic: rmse(classic),
                     rmse_vs_oracle: rmse(oracle),
+                    rmse_vs_lowest: rmse(lowest),
                     position_std_vs_first: std(first),
                     rmse_vs_first: rmse(first),
                 }
@@ -280,6 +290,7 @@ impl Summary {
             seed: results.seed,
             trials: results.trials.len() as u32,
             seconds: results.seconds,
+            one_drive: drive::is_shared(&samples[0].trials),
             models: results.models.iter().cloned().zip(models).collect(),
             ratios: ratios(false),
             ratios_kept: ratios(true),
@@ -326,7 +337,8 @@ fn check(results: &RunResults) -> Result<(), SummaryError> {
 }
 
 /// One model's errors by trial, in the form that resampling wants.
-struct Sample {
+struct Sample<'a> {
+    trials: Vec<&'a ModelTrial>,
     along: Vec<Moments>,
     across: Vec<Moments>,
     heading: Vec<Moments>,
@@ -339,8 +351,8 @@ struct Sample {
     step_ms: f64,
 }
 
-impl Sample {
-    fn new(results: &RunResults, model: usize, bootstrap: Option<&Bootstrap>) -> Self {
+impl<'a> Sample<'a> {
+    fn new(results: &'a RunResults, model: usize, bootstrap: Option<&Bootstrap>) -> Self {
         let trials: Vec<&ModelTrial> = results.trials.iter().map(|t| &t.models[model]).collect();
         let per_trial = |value: fn(&crate::results::StepRow) -> f64| {
             trials.iter().map(|t| t.steps.iter().map(value).collect::<Moments>()).collect::<Vec<_>>()
@@ -363,6 +375,7 @@ impl Sample {
             nees_with_shared_errors_mean: mean_of_trials(|s| s.nees_with_shared_errors),
             nees_intervals: NeesIntervals::of(&trials, bootstrap),
             step_ms: trials.iter().map(|t| t.step_ms).sum::<f64>() / trials.len() as f64,
+            trials,
         }
     }
 
@@ -445,23 +458,69 @@ impl Sample {
     }
 }
 
-/// `statistic` of `sample` over that of `base`, on the same trials; with `kept` on those that neither lost.
+/// The two figures of how large position errors are.
+#[derive(Clone, Copy)]
+enum Spread {
+    /// RMSE.
+    AboutTruth,
+    /// Standard deviation.
+    AboutMean,
+}
+
+impl Spread {
+    fn of(self, sample: &Sample<'_>, copies: &[u32]) -> f64 {
+        match self {
+            Self::AboutTruth => sample.position_rmse(copies),
+            Self::AboutMean => sample.position_std(copies),
+        }
+    }
+
+    /// Its square at each step of the drive that all trials share, over those with copies.
+    fn by_step(self, sample: &Sample<'_>, copies: &[u32]) -> Option<Vec<f64>> {
+        let centre = match self {
+            Self::AboutTruth => [0.0; 2],
+            Self::AboutMean => [&sample.along, &sample.across].map(|of| Sample::pooled(of, copies).mean()),
+        };
+        let trials = sample.trials.iter().zip(copies).filter(|(_, copies)| **copies > 0);
+        let trials: Vec<&ModelTrial> = trials.map(|(trial, _)| *trial).collect();
+        drive::by_step(&trials, |row| {
+            (row.error_along_m - centre[0]).powi(2) + (row.error_across_m - centre[1]).powi(2)
+        })
+    }
+}
+
+/// `spread` of `sample` over that of `base`, on the same trials; with `kept` on those that neither lost.
 fn ratio(
-    sample: &Sample,
-    base: Option<&Sample>,
+    sample: &Sample<'_>,
+    base: Option<&Sample<'_>>,
     kept: bool,
     bootstrap: Option<&Bootstrap>,
-    statistic: fn(&Sample, &[u32]) -> f64,
+    spread: Spread,
 ) -> Option<Ratio> {
     let base = base?;
-    let of = |copies: &[u32]| {
-        let copies = if kept { base.without_lost(&sample.without_lost(copies)) } else { copies.to_vec() };
-        [statistic(sample, &copies) / statistic(base, &copies)]
+    let chosen = |copies: &[u32]| {
+        if kept { base.without_lost(&sample.without_lost(copies)) } else { copies.to_vec() }
     };
-    let [value] = of(&vec![1; sample.lost.len()]);
+    let of = |copies: &[u32]| {
+        let copies = chosen(copies);
+        [spread.of(sample, &copies) / spread.of(base, &copies)]
+    };
+    let all = vec![1; sample.lost.len()];
+    let [value] = of(&all);
     if !value.is_finite() {
         return None;
     }
-    let interval = bootstrap.and_then(|b| b.intervals(of)).map(|[interval]| interval);
+    let over_trials = bootstrap.and_then(|b| b.intervals(of)).map(|[interval]| interval);
+    let interval = if drive::is_shared(&sample.trials) {
+        let by_step = |of: &Sample<'_>| spread.by_step(of, &chosen(&all));
+        by_step(sample).zip(by_step(base)).map(|(own, other)| {
+            let factor = drive::factor_of_root_ratio(&own, &other);
+            // A trial that is lost makes the filter's draws matter more than the drive.
+            let Interval { lo, hi } = over_trials.unwrap_or(Interval { lo: value, hi: value });
+            Interval { lo: lo.min(value / factor), hi: hi.max(value * factor) }
+        })
+    } else {
+        over_trials
+    };
     Some(Ratio { value, lo: interval.map(|i| i.lo), hi: interval.map(|i| i.hi) })
 }

@@ -330,9 +330,10 @@ pub fn terminal_table(summary: &Summary, width: Option<usize>) -> String {
     others.drop_intervals("NEES");
     let localized =
         localized_table(summary).map_or_else(String::new, |table| format!("{}\n", table.to_terminal(width)));
+    let of_ratios = if summary.one_drive { ", of ratios by the steps of the one drive" } else { "" };
     format!(
         "{}: {} trial{}, seed {}\n{}\n{}\n{localized}mean ± standard deviation of signed errors over all steps; [lo, hi]: 95 % \
-         bootstrap over trials\n",
+         bootstrap over trials{of_ratios}\n",
         summary.scenario,
         summary.trials,
         if summary.trials == 1 { "" } else { "s" },

@@ -62,6 +62,7 @@ pub(crate) fn markdown(
         model_count => results.models.len(),
         seconds => format!("{:.1}", results.seconds),
         simulated => context.simulated,
+        one_drive => summary.one_drive,
         rehearsed => summary.models.values().any(|model| model.train.chosen.contains_key(USUAL_SCAN)),
         truth => if context.simulated { "true pose" } else { "reference pose" },
         error_frame => text::escape(&results.error_frame),
