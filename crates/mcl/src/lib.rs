@@ -33,7 +33,7 @@ pub use filter::{
     Estimates, Filter, FilterOptions, ParticleCount, Recovery, ResampleTrigger, StepInput, StepOutcome,
     Update,
 };
-pub use motion::{MotionModel, OdometryMotion, VelocityMotion};
+pub use motion::{MotionModel, OdometryMotion, RandomWalk, VelocityMotion};
 pub use resampling::{Multinomial, Resampler, Residual, Stratified, Systematic};
 pub use spread::Spread;
 pub use start::Start;

@@ -8,7 +8,7 @@ use locsim_dataset::OdometryError;
 use locsim_lab::run::MapSet;
 use locsim_mcl::{
     self as mcl, AnnealingOptions, FilterOptions, InjectionOptions, KldOptions, Multinomial, OdometryMotion,
-    ParticleCount, ResampleTrigger, Resampler, Residual, Spread, Start, Stratified, Systematic,
+    ParticleCount, RandomWalk, ResampleTrigger, Resampler, Residual, Spread, Start, Stratified, Systematic,
 };
 use locsim_sensor::{Prepared, Tempered};
 use pyo3::prelude::*;
@@ -39,6 +39,8 @@ const START_SIGMA: (f64, f64) = (0.2, 0.1);
 ///     start: Pose of the robot (x, y, theta) around which the particles start; by default anywhere in the map.
 ///     start_sigma: Standard deviations of the start, of position [m] and heading [rad].
 ///     alpha: Noise of the odometry motion model (table 5.6 there).
+///     random_walk: Standard deviation [m] of a random walk of the position beside it, after a metre of way or a radian of turning (a
+///         scenario on a log has 0.04); by default none.
 ///     mount: Where the laser is on the robot (x, y, theta).
 ///     tempering: Floor and exponent of the density, as `SensorModel.choose_tempering` gives them.
 ///     resampler: systematic, stratified, multinomial or residual.
@@ -182,7 +184,7 @@ impl Filter {
     #[new]
     #[pyo3(signature = (
         map, model, bearings, *, particles = Particles::Fixed(1000), start = None, start_sigma = START_SIGMA,
-        alpha = OdometryError::USUAL_ALPHA, mount = (0.0, 0.0, 0.0), tempering = TEMPERING,
+        alpha = OdometryError::USUAL_ALPHA, random_walk = 0.0, mount = (0.0, 0.0, 0.0), tempering = TEMPERING,
         resampler = "systematic", injection = None, regularization = None, least_effective_share = None, annealing = None,
         table = true, seed = 0,
     ))]
@@ -196,6 +198,7 @@ impl Filter {
         start: Option<&Bound<'_, PyAny>>,
         start_sigma: (f64, f64),
         alpha: [f64; 4],
+        random_walk: f64,
         mount: (f64, f64, f64),
         tempering: (f64, f64),
         resampler: &str,
@@ -238,7 +241,7 @@ impl Filter {
                 Particles::Fixed(count) => ParticleCount::Fixed(count),
                 Particles::Kld(kld) => ParticleCount::Kld(kld.get().0),
             },
-            motion: Arc::new(OdometryMotion::new(alpha)?),
+            motion: Arc::new(RandomWalk::new(Arc::new(OdometryMotion::new(alpha)?), random_walk)?),
             resampler: self::resampler(resampler)?,
             trigger: ResampleTrigger::EachStep,
             injection: injection.map(|(alpha_slow, alpha_fast)| InjectionOptions { alpha_slow, alpha_fast }),

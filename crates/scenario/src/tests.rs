@@ -134,6 +134,7 @@ fn every_key_arrives_in_si_units_and_radians() {
                 bin_rad: degrees(5.0),
             }),
             motion: Motion::Odometry(Some([0.1, 0.05, 0.1, 0.05])),
+            random_walk_m: 0.02,
             resampler: Resampler::Residual,
             resample: ResampleTrigger::EffectiveShareBelow(0.5),
             injection: Some(InjectionOptions { alpha_slow: 0.001, alpha_fast: 0.1 }),
@@ -245,6 +246,14 @@ fn a_log_is_read_with_its_parts() {
     assert_eq!(scenario.training.observations, 1);
     assert_eq!(scenario.filter.start, Start::Global);
     assert_eq!(scenario.filter.least_effective_share, Some(0.1));
+    for (motion, walk) in [
+        ("{model: odometry}", 0.04),
+        ("{model: odometry, random_walk_m: 0}", 0.0),
+        ("{model: odometry, alpha: [0.1, 0.05, 0.1, 0.05], random_walk_m: 0.01}", 0.01),
+    ] {
+        let other = edited(&text("log.yaml"), "{model: odometry, alpha: [0.1, 0.05, 0.1, 0.05]}", motion);
+        assert_eq!(parse(&other).unwrap().filter.random_walk_m, walk);
+    }
     for (line, share) in [("", Some(0.02)), ("  least_effective_share: 0\n", None)] {
         let other = edited(&text("log.yaml"), "  least_effective_share: 0.1\n", line);
         assert_eq!(parse(&other).unwrap().filter.least_effective_share, share);

@@ -338,6 +338,8 @@ pub struct Filter {
     pub particles: ParticleCount,
     /// How particles move.
     pub motion: Motion,
+    /// Standard deviation of a random walk of the position after a metre of way or a radian of turning (m).
+    pub random_walk_m: f64,
     /// How ancestors are drawn.
     pub resampler: Resampler,
     /// When they are drawn.

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use locsim_core::{Drive, Pose2};
 use locsim_dataset::OdometryError;
 use locsim_mcl::{
-    FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, ParticleCount, PoseBins, Resampler,
-    Residual, Spread, Start, Stratified, Systematic, VelocityMotion,
+    FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, ParticleCount, PoseBins, RandomWalk,
+    Resampler, Residual, Spread, Start, Stratified, Systematic, VelocityMotion,
 };
 use locsim_scenario::{self as scenario, Estimate, Motion};
 
@@ -69,6 +69,7 @@ pub(crate) fn options(settings: &scenario::Filter, ancestry: bool) -> Result<Fil
         }
         Motion::Velocity(alpha) => Arc::new(VelocityMotion::new(alpha)?),
     };
+    let motion = Arc::new(RandomWalk::new(motion, settings.random_walk_m)?);
     let resampler: Arc<dyn Resampler> = match settings.resampler {
         scenario::Resampler::Multinomial => Arc::new(Multinomial),
         scenario::Resampler::Systematic => Arc::new(Systematic),

@@ -274,6 +274,7 @@ class Filter:
         start: ArrayLike | None = None,
         start_sigma: tuple[float, float] = ...,
         alpha: Sequence[float] = ...,
+        random_walk: float = 0.0,
         mount: tuple[float, float, float] = ...,
         tempering: tuple[float, float] = ...,
         resampler: str = "systematic",

@@ -101,6 +101,11 @@ pub struct RawMotion {
     /// left out: they are then fitted to the log's odometry, on scans with a reference pose that no trial localizes on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alpha: Option<Vec<f64>>,
+    /// Standard deviation of a random walk of the position, in all directions alike, after a metre of way or a radian of turning (m), 0 to
+    /// 1000; it grows with the root of either. Maps and reference poses that were made of a log are off by some centimetres, by
+    /// others a few metres farther on. Default: 0.04 where `alpha` is left out, else 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub random_walk_m: Option<f64>,
 }
 
 /// The motion models there are.

@@ -19,6 +19,9 @@ use crate::{Filter, Motion, Start};
 /// Least effective share of a filter on a log. A log's map and odometry err in ways that no motion noise has, and a scan after such an
 /// error leaves few of 2,000 particles.
 const LEAST_EFFECTIVE: f64 = 0.02;
+/// Random walk of the position beside motion noise that is fitted to a log's odometry (m, after a metre): about what maps and references of
+/// logs differ by from place to place.
+const RANDOM_WALK_M: f64 = 0.04;
 /// How far a robot moves between two scans of a log that are taken in: less than between two of most logs, and more than an odometry
 /// jitters by.
 const STANDING: RawUpdate = RawUpdate { distance_m: 0.02, angle_deg: 1.0 };
@@ -38,6 +41,10 @@ pub(super) fn filter(
             Form::Full(RawAdaptive { kld }) => adaptive(check, kld),
         },
         motion: motion(check, &raw.motion, has_log),
+        random_walk_m: {
+            let fitted = if raw.motion.alpha.is_none() { RANDOM_WALK_M } else { 0.0 };
+            check.number("filter.motion.random_walk_m", raw.motion.random_walk_m.unwrap_or(fitted), LENGTH)
+        },
         resampler: raw.resampler,
         resample: match raw.resample {
             RawResample::EachStep => ResampleTrigger::EachStep,
