@@ -64,7 +64,8 @@ pub struct ReadingQuality {
     pub noise_by_range: Option<[f64; 2]>,
     /// Share of readings without return where both neighbours are of one wall: an upper bound of the share that any beam loses.
     pub lost_share: Option<f64>,
-    /// Share of random readings, by those behind the wall that both neighbours are of: an upper bound, as walls have gaps.
+    /// Share of random readings, by those behind the wall that both neighbours are of, in the half of the room there that has fewer: an upper
+    /// bound, as walls have gaps.
     pub random_share: Option<f64>,
 }
 
@@ -288,11 +289,12 @@ fn flat_noise(drive: &Drive, resolution_m: Option<f64>) -> Option<Noise> {
 }
 
 /// Shares of lost and of random readings between two neighbours on one wall that faces the laser (incidence up to 45 degrees). Random readings are
-/// anywhere up to the maximum range, and those in front of a wall may be of things that stand there.
+/// anywhere up to the maximum range. Those in front of a wall may be of things that stand there, and those behind it of what is seen through a
+/// gap; that is as far as the next wall, so that of the nearer and the farther half of the room behind the one with fewer readings counts.
 fn stray_shares(drive: &Drive) -> Option<[f64; 2]> {
     let max = drive.laser.max_range();
     let bearings = drive.laser.bearings();
-    let (mut all, mut lost, mut behind, mut room) = (0_usize, 0_usize, 0_usize, 0.0);
+    let (mut all, mut lost, mut behind, mut room) = (0_usize, 0_usize, [0_usize; 2], 0.0);
     for step in &drive.steps {
         for (ranges, bearings) in step.scan.ranges.windows(3).zip(bearings.windows(3)) {
             let &[left, middle, right] = ranges else { continue };
@@ -306,11 +308,13 @@ fn stray_shares(drive: &Drive) -> Option<[f64; 2]> {
                 let beyond = farther + BEHIND_M;
                 all += 1;
                 lost += usize::from(middle >= max);
-                behind += usize::from(middle > beyond && middle < max);
+                if middle > beyond && middle < max {
+                    behind[usize::from(middle > 0.5 * (beyond + max))] += 1;
+                }
                 room += f64::from((1.0 - beyond / max).max(0.0));
             }
         }
     }
     (all >= LEAST_RESIDUALS && room >= 1.0)
-        .then(|| [lost as f64 / all as f64, (behind as f64 / room).min(1.0)])
+        .then(|| [lost as f64 / all as f64, (2.0 * behind[0].min(behind[1]) as f64 / room).min(1.0)])
 }

@@ -1,8 +1,8 @@
 //! The findings in a few sentences: angles in degrees, numbers with their significant digits.
 
 use locsim_core::{Estimate, Interval};
-use locsim_gap::{Covariate, Deviation, Gap, Named, Outcome, Region, ResidualStage, Verdict};
-use locsim_world::effect::Parameter;
+use locsim_gap::{Covariate, Deviation, Direction, Gap, Named, Outcome, Region, ResidualStage, Verdict};
+use locsim_world::effect::{Parameter, Site};
 
 use super::covariate::span;
 use super::{map_error, unnamed};
@@ -42,6 +42,12 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
             "No effect of the library does that (p = {p}): it is what a free model of the readings finds on stretches of \
              the drive that it wasn't fitted to.",
         )),
+        Verdict::Unexplained if let Some(direction) = only_of_odometry(outcome) => text.push(format!(
+            "The odometry is off (p = {p}), as by `{}` ({:.1} standard deviations of simulated logs), but not as steadily as a name \
+             needs: wheels whose errors come and go do that. No statistic of the readings is off.",
+            direction.name,
+            direction.z.abs()
+        )),
         Verdict::Unexplained => text.push(format!(
             "Something is off (p = {p}), and no effect of the library explains it{}.",
             worst(&outcome.regions, false)
@@ -64,6 +70,17 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
     text.extend(outcome.residual.as_ref().map(|stage| residual(stage, outcome.gap.floor.w1_mm)));
     text.extend(filter(outcome));
     text
+}
+
+/// The farthest direction of the odometry, where directions of the odometry are off and no others.
+pub(super) fn only_of_odometry(outcome: &Outcome) -> Option<&Direction> {
+    farthest_of_odometry(&outcome.directions, outcome.threshold)
+}
+
+fn farthest_of_odometry(directions: &[Direction], threshold: f64) -> Option<&Direction> {
+    let off = || directions.iter().filter(|direction| direction.z.abs() > threshold);
+    let farthest = off().max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()))?;
+    off().all(|direction| direction.name.site() == Site::Odometry).then_some(farthest)
 }
 
 /// Where readings are farthest off, unless a sentence has told what is left: regions are of the log before anything was named.
@@ -310,6 +327,8 @@ pub(super) fn p_value(p: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use locsim_world::effect::EffectKind;
+
     use super::*;
 
     #[test]
@@ -321,6 +340,19 @@ mod tests {
         assert_eq!(shown(61.23, 58.9, 63.4), "61 [59, 63]");
         assert_eq!(shown(-0.000_1, -0.04, 0.04), "0.00 [-0.04, 0.04]");
         assert_eq!(shown(2.0, 2.0, 2.0), "2.000");
+    }
+
+    #[test]
+    fn the_odometry_is_told_where_nothing_else_is_off() {
+        let farthest = |z: [f64; 3]| {
+            let kinds = [EffectKind::OdomTurnScale, EffectKind::OdomImbalance, EffectKind::MovedWall];
+            let directions: Vec<Direction> =
+                kinds.into_iter().zip(z).map(|(name, z)| Direction { name, z }).collect();
+            farthest_of_odometry(&directions, 4.0).map(|direction| direction.name)
+        };
+        assert_eq!(farthest([4.5, -7.8, 3.9]), Some(EffectKind::OdomImbalance));
+        assert_eq!(farthest([4.5, -7.8, -4.1]), None);
+        assert_eq!(farthest([3.5, -3.8, 3.9]), None);
     }
 
     #[test]

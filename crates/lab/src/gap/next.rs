@@ -3,7 +3,7 @@
 use locsim_gap::{Covariate, Deviation, Named, Outcome, PoseError, Region, ResidualStage, Unnamed, Verdict};
 use locsim_world::effect::{Description, Moves};
 
-use super::answer::{change_in_words, others, p_value, region_text};
+use super::answer::{change_in_words, only_of_odometry, others, p_value, region_text};
 use super::unnamed;
 
 /// Typical effects that an underpowered log names at the most.
@@ -44,6 +44,11 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
             meanwhile(outcome).unwrap_or_else(|| {
                 "Do not rely on the simulator where this matters: `gap.json` (`unnamed`) has the curve with its band.".to_owned()
             }),
+        ],
+        Verdict::Unexplained if only_of_odometry(outcome).is_some() => [
+            "Look at the wheels: load, tyre pressure, a floor that is slippery in places.".to_owned(),
+            "Leave the laser's simulation as it is: the readings show no difference from it.".to_owned(),
+            "Raise `robot.odometry_noise` if the wheels always do that, and repeat the search.".to_owned(),
         ],
         Verdict::Unexplained => [
             rest(outcome),
@@ -132,6 +137,10 @@ fn rest(outcome: &Outcome) -> String {
         (Some(found), _) if unnamed::is_of_frame(found) => {
             "Turn the reference's poses into the map's frame: they come from another map, or from an older one.".to_owned()
         }
+        (Some(found), _) if unnamed::is_of_all_noise(found) => format!(
+            "Multiply the scenario's `laser.noise` by {}, and repeat the search.",
+            unnamed::noise_factor(found)
+        ),
         (Some(found), _) => {
             // What depends on place isn't a property of the robot, and what is in front of walls is part of it at one bearing alone.
             let at = match (found.deviation, found.covariate) {

@@ -19,8 +19,8 @@ pub(super) fn sentence(found: &Unnamed) -> String {
         (Deviation::Mean, Covariate::Neighbour) => {
             format!("Neighbours among the beams that are compared err alike: {}.", size(found))
         }
-        (Deviation::Spread, Covariate::Everywhere) => {
-            format!("The noise of every beam is {} times the simulated one.", fixed(1.0 + found.size, 2))
+        _ if is_of_all_noise(found) => {
+            format!("The noise of every beam is {} times the simulated one.", noise_factor(found))
         }
         (_, Covariate::Everywhere) => format!("An unnamed {} of every beam: {}.", noun(found), size(found)),
         _ => format!(
@@ -46,6 +46,16 @@ pub(super) fn form_sentence(found: &Unnamed) -> Option<String> {
 /// Whether it is the frame of the reference that is off, and not the readings.
 pub(super) fn is_of_frame(found: &Unnamed) -> bool {
     found.deviation == Deviation::Frame
+}
+
+/// Whether it is the noise of every beam that is off.
+pub(super) fn is_of_all_noise(found: &Unnamed) -> bool {
+    (found.deviation, found.covariate) == (Deviation::Spread, Covariate::Everywhere)
+}
+
+/// The noise over the simulated one.
+pub(super) fn noise_factor(found: &Unnamed) -> String {
+    fixed(1.0 + found.size, 2)
 }
 
 /// The dependent quantity and what it depends on: "bias that depends on bearing".

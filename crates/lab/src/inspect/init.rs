@@ -26,6 +26,8 @@ const TRAINING_BEAMS: usize = 90;
 const FILTER_BEAMS: usize = 36;
 /// The deviation of a reading where nothing is known of it \[m\]: that of most lidars.
 const USUAL_SIGMA_M: f64 = 0.02;
+/// Readings that differ by more than this are of different things \[m\].
+const MOST_SIGMA_M: f64 = 0.3;
 /// The shares of lost and of random readings where nothing is known of them, and the most that a scenario is given: what goes beyond is for
 /// `locsim gap` to find.
 const USUAL_SHARE: f64 = 0.01;
@@ -117,10 +119,10 @@ impl NewScenario<'_> {
         let laser = Laser::of(facts);
         let readings = &facts.quality.readings;
         let (sigma_m, mut noise_comment) = match (readings.still_noise_m, readings.flat_noise_m) {
-            (Some(sigma), _) if sigma > 0.0 => {
+            (Some(sigma), _) if sigma > 0.0 && sigma < MOST_SIGMA_M => {
                 (sigma, format!("estimated from {} scans standing still", readings.still_scans))
             }
-            (_, Some(sigma)) if sigma > 0.0 => {
+            (_, Some(sigma)) if sigma > 0.0 && sigma < MOST_SIGMA_M => {
                 (sigma, "estimated from neighbouring beams on flat walls, so at most this".to_owned())
             }
             _ => (USUAL_SIGMA_M, "a guess: the recording doesn't tell".to_owned()),
@@ -133,11 +135,12 @@ impl NewScenario<'_> {
                 rounded(sigma_m, 2)
             );
         }
-        let (sigma_m, sigma_per_m) = match (cell_m, readings.noise_by_range) {
-            (Some(cell), _) => (cell, None),
-            (None, Some([sigma_m, growth])) => (sigma_m, Some(growth)),
-            (None, None) => (sigma_m, None),
-        };
+        let (sigma_m, sigma_per_m) =
+            match (cell_m, readings.noise_by_range.filter(|[sigma, _]| *sigma < MOST_SIGMA_M)) {
+                (Some(cell), _) => (cell, None),
+                (None, Some([sigma_m, growth])) => (sigma_m, Some(growth)),
+                (None, None) => (sigma_m, None),
+            };
         let (interval_secs, rate_comment) = interval(facts);
         // Models that are trained on simulated scans have to expect what the map lacks, too.
         let [lost, random] = [readings.lost_share, readings.random_share]

@@ -2,6 +2,7 @@
 
 use super::effect_type::EffectType;
 use super::{Description, Effect, EffectKind, Fit, Moves, Needs, Parameter, Site, Statistic};
+use crate::map::FINEST_M;
 use crate::options::BlockOptions;
 
 /// More or fewer unmapped blocks.
@@ -67,8 +68,9 @@ impl EffectType for BlockDepth {
 
     fn blocks(&self, effect: &Effect, blocks: BlockOptions) -> BlockOptions {
         let [factor] = effect.numbers();
+        // Two such effects may make blocks thinner than any can be.
         BlockOptions {
-            width_m: blocks.width_m.map(|width| factor * width),
+            width_m: blocks.width_m.map(|width| (factor * width).max(FINEST_M)),
             wall_distance_m: blocks.wall_distance_m.map(|gap| factor * gap),
             ..blocks
         }

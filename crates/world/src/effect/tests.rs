@@ -7,6 +7,7 @@ use proptest::prelude::*;
 use rand::RngExt;
 
 use super::*;
+use crate::map::FINEST_M;
 use crate::simulation::LaserOptions;
 use crate::simulation::fixtures::laser_options;
 
@@ -580,6 +581,15 @@ fn a_sentence_says_what_the_values_do() {
     assert!(sentence(0.2).contains("near and far alike") && sentence(2.0).contains("Far surfaces"));
     let bursts = |share| Effect::new(EffectKind::Crosstalk, vec![0.1, share], Vec::new()).unwrap().bursts();
     assert!(bursts(0.2).unwrap().are_seldom() && !bursts(0.4).unwrap().are_seldom());
+}
+
+/// Blocks that are flattened by all that an effect can, twice over, are blocks still.
+#[test]
+fn blocks_stay_as_thick_as_any_can_be() {
+    let flat = Effect::new(EffectKind::BlockDepth, vec![0.01], Vec::new()).unwrap();
+    let effects = Effects::new(vec![flat.clone(), flat]).unwrap();
+    let blocks = effects.blocks(crate::simulation::fixtures::block_options());
+    assert!(blocks.width_m.iter().all(|width| *width >= FINEST_M), "{:?}", blocks.width_m);
 }
 
 /// A log's beams are cast anew for an effect that changes where they start or what they can meet, and for no other.
