@@ -29,6 +29,7 @@
 
 mod assignment;
 mod bearings;
+mod directions;
 mod everywhere;
 mod fitting;
 mod given;

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::assignment::Assignment;
 use super::bearings::{self, LossesByBearing};
+use super::directions;
 use super::fitting::{Known, Search};
 use super::given::{Given, is_of_place};
 use super::increments::{Increments, is_of_odometry};
@@ -71,6 +72,8 @@ pub fn find_changes(
         changes.notes.push("The two logs have too few places in common to be compared.".to_owned());
         return Ok(changes);
     }
+    let [of_baseline, of_today] = [baseline, today].map(|log| log.track.poses());
+    changes.notes.extend(directions::note(of_baseline, of_today));
     let (increments, neighbours) = (Increments::new(&pool), Neighbours::new(&pool));
     let search = Search { increments, neighbours, pool: &pool, options, progress, stop };
     search.run(&mut changes)?;
