@@ -59,7 +59,50 @@ const FAR_FROM_MEDIAN: f64 = 2.0;
 /// scans that were not taken in whole.
 pub fn warnings(results: &RunResults) -> Vec<String> {
     let of_models = results.models.iter().enumerate().flat_map(|(i, model)| warnings_of(results, i, model));
-    left_out(results).into_iter().chain(of_models).collect()
+    let together = [few_effective(results), cut_scans(results)].into_iter().flatten();
+    left_out(results).into_iter().chain(of_models).chain(together).collect()
+}
+
+/// What `told` says of the steps of each model, one after another; `None` where it says nothing of any.
+fn of_each(results: &RunResults, told: impl Fn(&[&StepRow]) -> Option<String>) -> Option<String> {
+    let said = results.models.iter().enumerate().filter_map(|(index, model)| {
+        let trials = results.trials.iter().map(|trial| &trial.models[index]);
+        let taken_in: Vec<&StepRow> =
+            trials.flat_map(|trial| &trial.steps).filter(|row| row.likelihood_power > 0.0).collect();
+        told(&taken_in).map(|text| format!("{model} {text}"))
+    });
+    let said: Vec<String> = said.collect();
+    (!said.is_empty()).then(|| said.join(", "))
+}
+
+/// A sentence on the models under which few particles are effective in most steps.
+fn few_effective(results: &RunResults) -> Option<String> {
+    let said = of_each(results, |rows| {
+        let is_few = |row: &&&StepRow| row.effective_sample_size < FEW_EFFECTIVE * f64::from(row.particles);
+        let few = rows.iter().filter(is_few).count() as f64 / rows.len().max(1) as f64;
+        (few > 0.5).then(|| format!("{:.0} %", 100.0 * few))
+    })?;
+    Some(format!(
+        "Fewer than {:.0} % of the particles were effective in most steps ({said}): more particles or smaller exponents may give another \
+         result.",
+        100.0 * FEW_EFFECTIVE
+    ))
+}
+
+/// A sentence on the models of which many scans were taken in by a power of their likelihood.
+fn cut_scans(results: &RunResults) -> Option<String> {
+    let said = of_each(results, |rows| {
+        let powers = rows.iter().map(|row| row.likelihood_power);
+        let mut cut: Vec<f64> = powers.filter(|power| *power < 1.0).collect();
+        cut.sort_by(f64::total_cmp);
+        let share = cut.len() as f64 / rows.len().max(1) as f64;
+        (share > CUT_SHARE).then(|| format!("{:.0} %, {}", 100.0 * share, significant(quantile(&cut, 0.5))))
+    })?;
+    Some(format!(
+        "Scans that would have left fewer effective particles than `filter.least_effective_share` were taken in by a smaller power of their \
+         likelihood (share of the scans and median power: {said}): there that key decides how sure the filter is, not the model's \
+         exponent."
+    ))
 }
 
 /// A sentence on the scans that weren't taken in, which are the same under each model.
@@ -86,12 +129,6 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
     errors.sort_by(f64::total_cmp);
     let median = quantile(&errors, 0.5);
     let rmse = (errors.iter().map(|error| error * error).sum::<f64>() / steps).sqrt();
-    let is_few = |row: &&StepRow| row.effective_sample_size < FEW_EFFECTIVE * f64::from(row.particles);
-    let taken_in = || rows().filter(|row| row.likelihood_power > 0.0);
-    let of_taken_in = (taken_in().count() as f64).max(1.0);
-    let few = taken_in().filter(is_few).count() as f64 / of_taken_in;
-    let powers = rows().map(|row| row.likelihood_power);
-    let cut: Vec<f64> = powers.filter(|power| *power > 0.0 && *power < 1.0).collect();
     [
         (lost > 0).then(|| {
             let all = trials.len();
@@ -107,15 +144,6 @@ fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {
                 metres(median)
             )
         }),
-        (few > 0.5).then(|| {
-            format!(
-                "Under {model}, fewer than {:.0} % of the particles were effective in {:.0} % of the steps: more particles or a \
-                 smaller exponent may give another result.",
-                100.0 * FEW_EFFECTIVE,
-                100.0 * few
-            )
-        }),
-        (cut.len() as f64 > CUT_SHARE * of_taken_in).then(|| cut_scans(model, cut, of_taken_in)),
     ]
     .into_iter()
     .flatten()
@@ -164,19 +192,6 @@ fn longest_run(rows: &[StepRow], holds: impl Fn(&StepRow) -> Option<bool>) -> (u
         }
     }
     longest
-}
-
-/// A sentence on the scans that were taken in by the powers `cut` of their likelihood, of `steps` scans.
-fn cut_scans(model: &str, mut cut: Vec<f64>, steps: f64) -> String {
-    cut.sort_by(f64::total_cmp);
-    format!(
-        "Under {model}, {} of {steps:.0} scans ({:.0} %) would have left fewer effective particles than \
-         `filter.least_effective_share`, and were taken in by a smaller power of their likelihood (median {}): there that key \
-         decides how sure the filter is, not the model's exponent.",
-        cut.len(),
-        100.0 * cut.len() as f64 / steps,
-        significant(quantile(&cut, 0.5))
-    )
 }
 
 /// Which models did best and how each compares with the baseline.
