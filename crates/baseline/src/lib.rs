@@ -122,6 +122,8 @@ pub struct Changes {
     pub tried: Vec<Tried>,
     /// Share of today's readings at places that the baseline has seen.
     pub shared: f64,
+    /// Share of today's scans at places of the baseline that look the other way.
+    pub reversed: f64,
     /// Wasserstein-1 distance of range errors between the baseline and today's log at the places that both have seen \[mm\]: as
     /// it is, with the named effects, and between permutations (median). Errors count as at most 1 m, and so do lost returns.
     pub w1_mm: [f64; 3],

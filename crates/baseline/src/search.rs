@@ -61,6 +61,7 @@ pub fn find_changes(
         permutations: 0,
         tried: Vec::new(),
         shared: pool.shared,
+        reversed: directions::share_reversed(baseline.track.poses(), today.track.poses()),
         w1_mm: [0.0; 3],
         scans: [baseline.scans(), today.scans()],
         beams: today.beams(),
@@ -72,8 +73,6 @@ pub fn find_changes(
         changes.notes.push("The two logs have too few places in common to be compared.".to_owned());
         return Ok(changes);
     }
-    let [of_baseline, of_today] = [baseline, today].map(|log| log.track.poses());
-    changes.notes.extend(directions::note(of_baseline, of_today));
     let (increments, neighbours) = (Increments::new(&pool), Neighbours::new(&pool));
     let search = Search { increments, neighbours, pool: &pool, options, progress, stop };
     search.run(&mut changes)?;

@@ -186,6 +186,9 @@ pub fn answer_since(changes: &Changes) -> String {
     sentences(changes).join("\n")
 }
 
+/// Share of the common places at which a drive is the other way round.
+const MANY_REVERSED: f64 = 0.5;
+
 fn sentences(changes: &Changes) -> Vec<String> {
     let p = answer::p_value(changes.p);
     let mut text: Vec<String> =
@@ -221,6 +224,13 @@ fn sentences(changes: &Changes) -> Vec<String> {
                 "Range errors {before} -> {after} mm from the baseline's with what is named, {floor} mm between stretches of both \
                  logs (p = {p})."
             ));
+            text.extend((changes.reversed > MANY_REVERSED).then(|| {
+                format!(
+                    "At {} % of the common places the robot drives the other way today. What map and reference err by doesn't cancel \
+                     then, and looks like a laser that is displaced: compare drives in one direction.",
+                    fixed(100.0 * changes.reversed, 0)
+                )
+            }));
             let [before, after, _] = changes.w1_mm;
             if after > FARTHER * before {
                 text.push(
