@@ -434,6 +434,7 @@ fn no_scenario_is_written_that_run_would_refuse() {
         .locsim("init a${NAME}.log -o a.yaml")
         .code(2)
         .stderr(contains("the environment variable NAME is not set"));
+    assert!(!folder.path("a.yaml").exists());
     folder
         .locsim("init drive.log -o drive.log/drive.yaml")
         .code(2)

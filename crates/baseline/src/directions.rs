@@ -5,8 +5,15 @@ use locsim_core::Pose2;
 
 /// A scan is at another's place within this \[m\].
 const SAME_PLACE_M: f64 = 1.0;
+/// Scans of a log that are looked at, evenly spread.
+const MOST_SCANS: usize = 1000;
+
 /// Share of today's scans within a metre of the baseline's that look the other way than the nearest of these; 0 where there are none.
 pub(crate) fn share_reversed(baseline: &[Pose2], today: &[Pose2]) -> f64 {
+    let evenly = |poses: &[Pose2]| -> Vec<Pose2> {
+        poses.iter().copied().step_by(poses.len().div_ceil(MOST_SCANS).max(1)).collect()
+    };
+    let [baseline, today] = [baseline, today].map(evenly);
     let apart = |a: &Pose2, b: &Pose2| a.position().distance(b.position());
     let nearest = |pose: &Pose2| {
         let nearest = baseline.iter().min_by(|a, b| apart(a, pose).total_cmp(&apart(b, pose)));

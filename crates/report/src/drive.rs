@@ -44,6 +44,9 @@ pub(crate) fn mean(values: &[f64]) -> [f64; 2] {
 /// The factor from the root of the ratio of two means to either end of its 95 % interval, by the delta method. Both are of the same steps.
 pub(crate) fn factor_of_root_ratio(values: &[f64], base: &[f64]) -> f64 {
     let [own, other] = [values, base].map(|values| values.iter().sum::<f64>() / values.len() as f64);
+    if own == 0.0 {
+        return 1.0;
+    }
     let relative: Vec<f64> = values.iter().zip(base).map(|(a, b)| a / own - b / other).collect();
     let [_, half] = mean(&relative);
     (0.5 * half).exp()
@@ -62,6 +65,7 @@ mod tests {
         let factor = |run: usize| factor_of_root_ratio(&errors(run, 0), &errors(run, 1));
         let (in_turn, lasting) = (factor(1), factor(100));
         assert!(in_turn < 1.1 && lasting > 1.5, "{in_turn} {lasting}");
+        assert_eq!(factor_of_root_ratio(&[0.0; 30], &errors(1, 0)[..30]), 1.0);
         // Errors that both have leave nothing open.
         assert!((factor_of_root_ratio(&errors(100, 0), &errors(100, 0)) - 1.0).abs() < 1e-9);
     }

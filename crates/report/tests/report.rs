@@ -490,7 +490,8 @@ fn one_trial_has_errors_without_intervals_and_ratios_by_its_steps() {
     assert!((ratio.value - rmse("np_reg_registered") / rmse("classic")).abs() < 1e-12, "{}", ratio.value);
     let interval = ratio.interval().unwrap();
     assert!(interval.contains(ratio.value) && interval.hi > 1.1 * interval.lo, "{interval:?}");
-    assert!(terminal_table(&summary, None).contains("np_reg_registered"));
+    let table = terminal_table(&summary, None);
+    assert!(table.contains("np_reg_registered") && table.contains("of ratios by the steps of the one drive"));
 }
 
 #[test]

@@ -44,7 +44,7 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
         )),
         Verdict::Unexplained if let Some(direction) = only_of_odometry(outcome) => text.push(format!(
             "The odometry is off (p = {p}), as by `{}` ({:.1} standard deviations of simulated logs), but not as steadily as a name \
-             needs: wheels whose errors come and go do that. No statistic of the readings is off.",
+             needs: wheels whose errors come and go do that. Of the readings nothing stands out as much.",
             direction.name,
             direction.z.abs()
         )),
@@ -72,9 +72,10 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
     text
 }
 
-/// The farthest direction of the odometry, where directions of the odometry are off and no others.
+/// The farthest direction of the odometry, where directions of the odometry are off, no others, and the PIT isn't.
 pub(super) fn only_of_odometry(outcome: &Outcome) -> Option<&Direction> {
-    farthest_of_odometry(&outcome.directions, outcome.threshold)
+    let are_readings_usual = outcome.detection.p_omnibus > super::false_alarm(outcome.detection.replicates);
+    farthest_of_odometry(&outcome.directions, outcome.threshold).filter(|_| are_readings_usual)
 }
 
 fn farthest_of_odometry(directions: &[Direction], threshold: f64) -> Option<&Direction> {

@@ -7,7 +7,9 @@ use std::sync::Arc;
 use locsim_core::{Drive, DriveStep, Estimate, Laser, Pose2, RangeMap, Scan, Track};
 use locsim_dataset::OdometryError;
 use locsim_gap::{FilterError, FilterGap, GapError, Outcome, Purpose};
-use locsim_mcl::{Filter, FilterOptions, OdometryMotion, ParticleCount, Spread, Start, StepInput};
+use locsim_mcl::{
+    Filter, FilterOptions, OdometryMotion, ParticleCount, RandomWalk, Spread, Start, StepInput,
+};
 use locsim_world::effect::{Effect, Effects, OdometryErrors};
 use locsim_world::simulation::Simulator;
 use rayon::prelude::*;
@@ -236,7 +238,7 @@ fn rmse(
     };
     let options = FilterOptions {
         particles: ParticleCount::Fixed(PARTICLES),
-        motion: Arc::new(OdometryMotion::new(alpha)?),
+        motion: Arc::new(RandomWalk::new(Arc::new(OdometryMotion::new(alpha)?), settings.random_walk_m)?),
         ..filter_options(settings, false)?
     };
     let reference = |step: &DriveStep| step.reference.unwrap_or(Pose2::IDENTITY);

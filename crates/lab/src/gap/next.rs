@@ -47,7 +47,7 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
         ],
         Verdict::Unexplained if only_of_odometry(outcome).is_some() => [
             "Look at the wheels: load, tyre pressure, a floor that is slippery in places.".to_owned(),
-            "Leave the laser's simulation as it is: the readings show no difference from it.".to_owned(),
+            "Leave the laser's simulation as it is: nothing stands out in the readings.".to_owned(),
             "Raise `robot.odometry_noise` if the wheels always do that, and repeat the search.".to_owned(),
         ],
         Verdict::Unexplained => [

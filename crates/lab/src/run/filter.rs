@@ -147,6 +147,24 @@ mod tests {
         assert_eq!(fitted_alpha(&garbage, &localized), Some(without));
     }
 
+    /// The random walk of a scenario is that of its filter.
+    #[test]
+    fn particles_walk_as_the_scenario_says() {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/ci-smoke.yaml");
+        let mut settings = scenario::Scenario::load(&file, &scenario::Overrides::default()).unwrap().filter;
+        settings.motion = Motion::Odometry(Some([0.0; 4]));
+        let mut across = |walk: f64| {
+            settings.random_walk_m = walk;
+            let mut particles: Particles = std::iter::repeat_n(Pose2::IDENTITY, 2000).collect();
+            let draw = Draw::new(1, Stage::Motion, 0);
+            let motion = options(&settings, false).unwrap().motion;
+            motion.propagate(&Pose2::new(1.0, 0.0, 0.0), &draw, &mut particles);
+            (particles.y.iter().map(|y| y * y).sum::<f64>() / 2000.0).sqrt()
+        };
+        assert_eq!(across(0.0), 0.0);
+        assert!((across(0.05) / 0.05 - 1.0).abs() < 0.1);
+    }
+
     /// Ten times the scans, each with a tenth of the way, have as much noise over the same way.
     #[test]
     fn the_least_noise_is_of_the_way_and_not_of_the_scans() {
