@@ -424,11 +424,13 @@ fn with_motion_noise(
         None => "a guess: too few of the other scans have reference poses to fit it to",
     };
     let numbers = alpha.map(|alpha| format!("{alpha:.2e}")).join(", ");
-    let walk = format!("{} m in the root of a metre", settings.random_walk_m);
-    let note = format!(
-        "The filter's motion noise (alpha 1 to 4: {numbers}) is {from}. Beside it the position walks at random by {walk} \
-         (`filter.motion.random_walk_m`)."
-    );
+    let walk = match settings.random_walk_m {
+        0.0 => String::new(),
+        walk => format!(
+            " Beside it the position walks at random, by {walk} m after a metre (`filter.motion.random_walk_m`)."
+        ),
+    };
+    let note = format!("The filter's motion noise (alpha 1 to 4: {numbers}) is {from}.{walk}");
     (scenario::Filter { motion: Motion::Odometry(Some(alpha)), ..settings.clone() }, Some(note))
 }
 
