@@ -86,6 +86,9 @@ pub fn gains_beyond(gains: &[f64], floor: f64) -> Vec<f64> {
 /// others.
 const NATS_PER_NUMBER: f64 = 1.0;
 
+/// A curve that gains a share less by so much is as good: what is left of a very strong dependence is the likelihood's approximation.
+const TRIFLE: f64 = 1e-3;
+
 /// Of curves with so many numbers and these held-out gains on each fold (nats), the index of the one with the fewest that isn't surely behind
 /// the best: a dependence on something is told only where a constant doesn't do. The best one gains most after the cost of its numbers.
 #[must_use]
@@ -96,7 +99,7 @@ pub fn simplest<'g>(curves: impl Iterator<Item = (usize, &'g [f64])>) -> Option<
     let (_, most) = *curves.iter().max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
     let is_as_good = |gains: &[f64]| {
         let behind: Vec<f64> = most.iter().zip(gains).map(|(most, own)| most - own).collect();
-        gain(&behind) <= LEAST_ERRORS * sum_error(&behind)
+        gain(&behind) <= f64::max(LEAST_ERRORS * sum_error(&behind), TRIFLE * gain(most))
     };
     let as_good = (0..curves.len()).filter(|&i| is_as_good(curves[i].1));
     as_good.min_by(|&a, &b| {

@@ -55,7 +55,7 @@ pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, sector_holds_middle, wrap_angle};
 pub use pose_error::{
     PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, fit_pose_error, pattern_score,
-    smooth_pose_errors,
+    predictive_gain, smooth_pose_errors,
 };
 pub use quantile::{median, quantile, sorted};
 pub use resampled::resampled;

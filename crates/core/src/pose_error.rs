@@ -204,6 +204,18 @@ pub fn smooth_pose_errors(
     SmoothedPoseErrors { mean, covariance, with_previous, log_evidence, log_volume }
 }
 
+/// How much likelier `scans` are with the errors that other beams of the same scans say they have (nats): an error of a pose is in all
+/// beams of its scan, noise is not. Below 0 where it isn't.
+pub fn predictive_gain(
+    process: &PoseError,
+    secs: &[f64],
+    others: &[PoseInformation],
+    scans: &[PoseInformation],
+) -> f64 {
+    let errors = smooth_pose_errors(process, secs, others).mean;
+    scans.iter().zip(errors).map(|(scan, e)| scan.vector.dot(e) - 0.5 * e.dot(scan.matrix * e)).sum()
+}
+
 /// Estimates the process by expectation maximization, about the mean of the errors: a constant error is no
 /// fluctuation, and can't be told from a laser mounted otherwise.
 pub fn fit_pose_error(

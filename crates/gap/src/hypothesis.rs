@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use distreg::random_effects;
 use glam::DVec3;
-use locsim_core::{Pose2, PoseError, PoseInformation, fit_pose_error, pattern_score, smooth_pose_errors};
+use locsim_core::{
+    Pose2, PoseError, PoseInformation, fit_pose_error, pattern_score, predictive_gain, smooth_pose_errors,
+};
 use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
 use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};
 
@@ -181,7 +183,7 @@ impl<'a> Comparison<'a> {
             self.update_walls(views, &mut fitted, &pass);
         }
         let pass = pass_of(&fitted);
-        self.add_prior(&mut fitted, &pass.information);
+        self.add_prior(&mut fitted, &pass.information());
         self.add_prior_of_walls(views, &mut fitted, &pass);
         for (scan, likelihood) in fitted.scans.iter_mut().zip(&pass.log_likelihood) {
             *scan += likelihood;
@@ -241,17 +243,22 @@ impl<'a> Comparison<'a> {
             };
             fitted.nuisances.pose_error = PoseError::NONE;
             self.update(&mut fitted, &pass);
+            let (secs, information) = (self.recorded.track.secs(), pass.information());
             // A constant pattern is a displaced laser or a late stamp rather than an error of the reference.
-            let rest = without_patterns(&pass.information, &patterns);
-            process = fit_pose_error(process, self.recorded.track.secs(), &rest, iterations);
-            // Three parameters have to earn their keep.
-            let corrections =
-                if smooth_pose_errors(&process, self.recorded.track.secs(), &rest).log_evidence > 6.0 {
-                    fitted.nuisances.pose_error = process;
-                    smooth_pose_errors(&process, self.recorded.track.secs(), &pass.information).mean
-                } else {
-                    vec![DVec3::ZERO; fitted.corrections.len()]
-                };
+            let rest = without_patterns(&information, &patterns);
+            process = fit_pose_error(process, secs, &rest, iterations);
+            // Three parameters have to earn their keep. Noise of some beams gains, too, but not on the others.
+            let is_error = smooth_pose_errors(&process, secs, &rest).log_evidence > 6.0 && {
+                let [even, odd] = pass.halves.each_ref().map(|half| without_patterns(half, &patterns));
+                predictive_gain(&process, secs, &even, &odd) + predictive_gain(&process, secs, &odd, &even)
+                    > 0.0
+            };
+            let corrections = if is_error {
+                fitted.nuisances.pose_error = process;
+                smooth_pose_errors(&process, secs, &information).mean
+            } else {
+                vec![DVec3::ZERO; fitted.corrections.len()]
+            };
             let before = std::mem::replace(&mut fitted.corrections, corrections);
             let moved = self.fit_walls(&mut fitted, &pass, iterations);
             let change = |(a, b): (&DVec3, &DVec3)| ((*a - *b) * DVec3::new(1.0, 1.0, 3.0)).length();
@@ -261,9 +268,7 @@ impl<'a> Comparison<'a> {
                 let error = fitted.nuisances.pose_error;
                 fitted.pattern_scores = patterns
                     .iter()
-                    .map(|pattern| {
-                        pattern_score(&error, self.recorded.track.secs(), &pass.information, pattern)
-                    })
+                    .map(|pattern| pattern_score(&error, secs, &information, pattern))
                     .collect();
             }
             if is_last {
@@ -402,7 +407,7 @@ impl<'a> Comparison<'a> {
         if !fitted.nuisances.pose_error.is_none() {
             let process = &fitted.nuisances.pose_error;
             fitted.corrections =
-                smooth_pose_errors(process, self.recorded.track.secs(), &pass.information).mean;
+                smooth_pose_errors(process, self.recorded.track.secs(), &pass.information()).mean;
         }
     }
 
@@ -494,7 +499,8 @@ type Weight = fn(&Terms) -> f64;
 /// One look at all readings.
 struct Pass {
     log_likelihood: Vec<f64>,
-    information: Vec<PoseInformation>,
+    /// What beams of even and of odd number say of the errors of each scan's pose.
+    halves: [Vec<PoseInformation>; 2],
     /// Of each scan, the expected number of readings of blocks, and how many the nominal density expects where beams could
     /// have met one.
     clutter: Vec<[f64; 2]>,
@@ -506,10 +512,16 @@ impl Pass {
     fn new(scans: usize) -> Self {
         Self {
             log_likelihood: vec![0.0; scans],
-            information: vec![PoseInformation::default(); scans],
+            halves: [vec![PoseInformation::default(); scans], vec![PoseInformation::default(); scans]],
             clutter: vec![[0.0; 2]; scans],
             pulls: Vec::new(),
         }
+    }
+
+    /// What all beams say of the errors of each scan's pose.
+    fn information(&self) -> Vec<PoseInformation> {
+        let [even, odd] = &self.halves;
+        even.iter().zip(odd).map(|(&even, &odd)| even + odd).collect()
     }
 
     #[inline]
@@ -522,7 +534,7 @@ impl Pass {
         if weight > 0.0 {
             // Linear in the correction: as seen from no correction.
             let pose = DVec3::from_array(beam.jacobian).dot(fitted.corrections[scan]);
-            self.information[scan].add_beam(weight, beam.jacobian, terms.error + pose);
+            self.halves[number % 2][scan].add_beam(weight, beam.jacobian, terms.error + pose);
             if !is_exact {
                 self.pulls.push(Pull { beam: number, weight, error: terms.error + shift });
             }
@@ -540,8 +552,9 @@ impl Pass {
             let clutter = [self.clutter[scan], without.clutter[scan]];
             self.clutter[scan] =
                 [0, 1].map(|i| probability * clutter[0][i] + (1.0 - probability) * clutter[1][i]);
-            self.information[scan] =
-                self.information[scan] * probability + without.information[scan] * (1.0 - probability);
+            for (with, without) in self.halves.iter_mut().zip(&without.halves) {
+                with[scan] = with[scan] * probability + without[scan] * (1.0 - probability);
+            }
         }
         for pull in &mut self.pulls {
             pull.weight *= scans[pull.beam / per_scan].probability;
@@ -555,6 +568,8 @@ impl Pass {
 
 #[cfg(test)]
 mod tests {
+    use locsim_world::effect::EffectKind;
+
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
@@ -576,5 +591,25 @@ mod tests {
         };
         let [before, after] = [recorded.track.poses(), &corrected].map(rms);
         assert!(before > 0.05 && after < 0.02, "{before} {after}");
+    }
+
+    /// Noise of grazing beams moves no scan; small errors of the poses do, and are found beside it.
+    #[test]
+    fn noise_of_grazing_beams_is_no_error_of_the_reference() {
+        let errs = |pose_error: Option<PoseError>, slope: f64, seed: u64| {
+            let noise = Effect::new(EffectKind::IncidenceNoise, vec![slope], vec![]).unwrap();
+            let regime = Regime { pose_error, ..Regime::default() };
+            let drive = record_library(&NOMINAL, &TRUTH, std::slice::from_ref(&noise), regime, seed).unwrap();
+            let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            !comparison
+                .find_nuisances(&NOMINAL.effects, &Nuisances::default(), 20)
+                .nuisances
+                .pose_error
+                .is_none()
+        };
+        let small = PoseError { sigma_m: 0.0015, sigma_rad: 0.0005, correlation_secs: 2.0 };
+        let found = |pose_error, slope| (1..=10).filter(|&seed| errs(pose_error, slope, seed)).count();
+        assert_eq!([found(None, 0.1), found(None, 0.5), found(Some(small), 0.1)], [0, 0, 10]);
     }
 }

@@ -4,9 +4,9 @@ use distreg::curve::{LARGEST_TILT, Shape, Sums, crossfit, curves_without, fit};
 use locsim_core::{Folds, simplest};
 use rayon::prelude::*;
 
-use super::covariates::Covariates;
+use super::covariates::{Covariates, NOISE_OF_SCANS, variances_of_others};
 use super::large::Large;
-use super::outcomes::{self, MOMENTS, Outcomes, Pull, Tilt};
+use super::outcomes::{self, MOMENTS, Outcome, Outcomes, Pull, Tilt};
 use super::{Component, FreeModel, MEAN, SPREAD};
 use crate::statistics::Covariate;
 
@@ -219,16 +219,29 @@ impl<'a> State<'a> {
     /// The simplest of the curves that can't be told from the one that gains most.
     fn simplest_of_best(&self) -> Option<&Tried> {
         let tried = &self.tried;
-        let best = tried.iter().max_by(|a, b| a.gain().total_cmp(&b.gain()))?;
-        if best.gain() <= LEAST_GAIN_NATS {
-            return None;
+        let is_of_scans = |tried: &&Tried| self.covariates.axes[tried.axis].covariate == Covariate::Scan;
+        let best_of = |of_scans: bool| {
+            let own = tried.iter().filter(move |tried| is_of_scans(tried) == of_scans);
+            own.max_by(|a, b| a.gain().total_cmp(&b.gain()))
+        };
+        let of_moment = |found: &&Tried| -> f64 {
+            let others = tried.iter().filter(|other| other.moment == found.moment && !is_of_scans(other));
+            others.map(Tried::gain).fold(0.0, f64::max)
+        };
+        // The noise of a scan's other beams tells that of any cause, a little less well than the cause.
+        let noisy = best_of(true).filter(|noisy| noisy.gain() > NOISE_OF_SCANS * of_moment(noisy));
+        let best = best_of(false);
+        if let Some(noisy) = noisy.filter(|noisy| best.is_none_or(|best| noisy.gain() > best.gain())) {
+            return (noisy.gain() > LEAST_GAIN_NATS).then_some(noisy);
         }
+        let best = best?;
         let count = |tried: &Tried| self.covariates.axes[tried.axis].levels.len();
         let is_neighbour = |tried: &Tried| self.covariates.axes[tried.axis].covariate == Covariate::Neighbour;
         // Whether neighbours err alike is no simpler or finer form of what beams have in common.
         let alike: Vec<&Tried> = tried
             .iter()
             .filter(|tried| tried.moment == best.moment && is_neighbour(tried) == is_neighbour(best))
+            .filter(|tried| !is_of_scans(tried))
             .collect();
         Some(alike[simplest(alike.iter().map(|tried| (count(tried), &tried.gains[..])))?])
     }
@@ -237,9 +250,13 @@ impl<'a> State<'a> {
     fn try_curves(&self, axis: usize, of_axis: &OfAxis) -> Vec<Tried> {
         let covariate = &self.covariates.axes[axis];
         let moments = of_axis.sums.iter().enumerate().filter(|(moment, _)| {
-            // Neighbours are behind the same clutter; what is asked for is whether readings of the surface err alike.
-            let is_of_clutter = covariate.covariate == Covariate::Neighbour && *moment != MEAN;
-            self.moved[block_of(*moment)] && !self.spent[axis][*moment] && !is_of_clutter
+            // The beams of a scan are behind the same clutter; what is asked for is whether readings of the surface err alike.
+            let is_asked = match covariate.covariate {
+                Covariate::Neighbour => *moment == MEAN,
+                Covariate::Scan => *moment == SPREAD,
+                _ => true,
+            };
+            self.moved[block_of(*moment)] && !self.spent[axis][*moment] && is_asked
         });
         let stiffnesses = if covariate.levels.len() == 1 { &STIFFNESSES[..1] } else { &STIFFNESSES };
         let tried = moments.filter_map(|(moment, sums)| {
@@ -280,8 +297,15 @@ impl<'a> State<'a> {
     /// Level of each reading on an axis.
     fn levels(&self, axis: usize) -> Vec<u16> {
         let axis = &self.covariates.axes[axis];
-        if axis.covariate == Covariate::Neighbour {
-            return self.neighbours().map(|z| axis.level_of(z.unwrap_or(f64::NAN))).collect();
+        let of = |value: Option<f64>| axis.level_of(value.unwrap_or(f64::NAN));
+        match axis.covariate {
+            Covariate::Neighbour => return self.neighbours().map(of).collect(),
+            Covariate::Scan => {
+                let readings = self.outcomes.all.iter().zip(&self.tilts);
+                let errors = readings.map(|(outcome, tilt)| (outcome.scan as usize, outcome.error(tilt)));
+                return variances_of_others(errors).map(of).collect();
+            }
+            _ => {}
         }
         self.outcomes.all.iter().map(|outcome| axis.of_beams[outcome.beam as usize]).collect()
     }
@@ -301,9 +325,9 @@ impl<'a> State<'a> {
     /// its kind before: the probability by which an effect makes them so.
     fn finish(&self, draft: Draft) -> Component {
         let Draft { moment, axis, large, tilts, errors, gains } = draft;
+        let covariate = self.covariates.axes[axis].covariate;
         let mut sums = vec![[0.0; 5]; tilts.len()];
-        for (outcome, &level) in self.outcomes.all.iter().zip(&self.levels(axis)) {
-            let level = level as usize;
+        let mut add = |outcome: &Outcome, level: usize| {
             let [at, up, down] =
                 [0.0, 1.0, -1.0].map(|side| outcome.change(moment, tilts[level] + side * errors[level]));
             if let (Some(at), Some(up), Some(down)) = (at, up, down) {
@@ -315,17 +339,25 @@ impl<'a> State<'a> {
                 let more = [outcome.weight(moment), both(at), both(up), both(down), 1.0];
                 sums[level].iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
             }
+        };
+        if covariate == Covariate::Scan {
+            // With the curve scans are as noisy as others: each level is told of all readings.
+            let levels = (0..tilts.len()).flat_map(|level| self.outcomes.all.iter().map(move |o| (o, level)));
+            levels.for_each(|(outcome, level)| add(outcome, level));
+        } else {
+            let levels = self.levels(axis);
+            self.outcomes.all.iter().zip(levels).for_each(|(outcome, level)| add(outcome, level.into()));
         }
         let mean = |[count, at, up, down, readings]: [f64; 5]| {
             (count > LEAST_SHARE * readings).then(|| [at / count, 0.5 * (up - down).abs() / count])
         };
-        Component {
-            moment: MOMENTS[moment],
-            covariate: self.covariates.axes[axis].covariate,
-            axis,
-            curve: sums.into_iter().map(mean).collect(),
-            gains,
+        let mut curve: Vec<_> = sums.into_iter().map(mean).collect();
+        if self.covariates.axes[axis].is_of_readings()
+            && let Some(nothing_is_said) = curve.last_mut()
+        {
+            *nothing_is_said = None;
         }
+        Component { moment: MOMENTS[moment], covariate, axis, curve, gains }
     }
 
     fn neighbour_correlation(&self) -> f64 {

@@ -36,6 +36,8 @@ const RANGES: usize = 24;
 /// be thinned out in a level of even width.
 const ENDS: [f64; 4] = [0.0025, 0.005, 0.01, 0.02];
 const SPEEDS: usize = 8;
+/// A robot that is slower doesn't reverse \[m/s\].
+const STANDS_M_S: f64 = 1e-3;
 const TURN_RATES: usize = 12;
 /// A level of time is of no fewer scans than half a fold, so that a fold that is held out isn't a level's only one; and there are
 /// no more levels than this.
@@ -45,11 +47,36 @@ const SCANS_PER_TIME: usize = 5;
 const JUMPS: [f64; 4] = [0.15, 0.4, 0.8, 1.6];
 /// Edges of the levels of a neighbour's error (standard deviations).
 const NEIGHBOURS: [f64; 8] = [-2.0, -1.2, -0.7, -0.25, 0.25, 0.7, 1.2, 2.0];
+/// Edges of the levels of the variance of a scan's other errors (1).
+const SCANS: [f64; 10] = [0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2, 3.0, 4.5, 7.0];
 /// Side of the cells of places \[m\], doubled until there are no more than these.
 const PLACE_M: f64 = 0.5;
 const MOST_PLACES: usize = 200;
 /// Walls at round numbers aren't at the borders of cells \[m\].
 const BORDER_M: f64 = 0.17;
+
+/// Noise comes and goes with scans where that gains so many times what anything else does: the noise of a scan's other beams tells that of
+/// any cause, a little less well than the cause.
+pub(super) const NOISE_OF_SCANS: f64 = 1.25;
+/// Fewer other readings of a scan say nothing of its noise.
+const FEWEST_OTHERS: f64 = 8.0;
+
+/// For each reading, by the number of its scan and its error, the variance of the errors of its scan's others about their mean; `None` of few.
+pub(super) fn variances_of_others(
+    errors: impl Iterator<Item = (usize, Option<f64>)>,
+) -> impl Iterator<Item = Option<f64>> {
+    let errors: Vec<(usize, Option<f64>)> = errors.collect();
+    let moments = |error: Option<f64>| error.map_or([0.0; 3], |error| [1.0, error, error * error]);
+    let mut sums = vec![[0.0; 3]; errors.last().map_or(0, |(scan, _)| scan + 1)];
+    for &(scan, error) in &errors {
+        sums[scan].iter_mut().zip(moments(error)).for_each(|(sum, more)| *sum += more);
+    }
+    errors.into_iter().map(move |(scan, own)| {
+        let own = moments(own);
+        let [count, sum, squares] = [0, 1, 2].map(|i| sums[scan][i] - own[i]);
+        (count >= FEWEST_OTHERS).then(|| ((squares - sum * sum / count) / (count - 1.0)).max(0.0))
+    })
+}
 
 impl Covariates {
     pub fn new(comparison: &Comparison<'_>) -> Self {
@@ -58,7 +85,8 @@ impl Covariates {
         let secs = recorded.track.secs();
         let even = |lo: f64, hi: f64, levels: usize| even_edges(lo, hi, levels)[1..levels.max(1)].to_vec();
         let velocities = recorded.velocities();
-        let speeds: Vec<f64> = velocities.iter().map(|v| v[0].hypot(v[1])).collect();
+        let speed = |v: &[f64; 3]| if v[0] < -STANDS_M_S { -v[0].hypot(v[1]) } else { v[0].hypot(v[1]) };
+        let speeds: Vec<f64> = velocities.iter().map(speed).collect();
         let turn_rates: Vec<f64> = velocities.iter().map(|v| v[2]).collect();
         let bearings: Vec<f64> = recorded.laser.bearings().iter().map(|&b| f64::from(b)).collect();
         let jumps: Vec<f64> = (0..scans)
@@ -85,7 +113,8 @@ impl Covariates {
                     turn_rates[i / per_scan]
                 }),
                 of(Covariate::Jump, JUMPS.to_vec(), &|i| jumps[i]),
-                Axis { of_beams: Vec::new(), ..of(Covariate::Neighbour, NEIGHBOURS.to_vec(), &|_| 0.0) },
+                Axis::of_readings(Covariate::Neighbour, &NEIGHBOURS),
+                Axis::of_readings(Covariate::Scan, &SCANS),
             ],
         }
     }
@@ -107,7 +136,7 @@ impl Covariates {
         if covariate == Covariate::Everywhere || is_constant {
             return f64::from(u8::from(is_constant && covariate == Covariate::Everywhere));
         }
-        if axis.of_beams.is_empty() {
+        if axis.is_of_readings() {
             return 0.0;
         }
         let mut of_levels = vec![[0.0; 3]; axis.levels.len()];
@@ -120,7 +149,27 @@ impl Covariates {
 }
 
 impl Axis {
-    /// Levels between inner edges; those of a neighbour that isn't there are the last.
+    /// Levels of what other readings of the scan say, between inner edges; the last is of those that say nothing.
+    fn of_readings(covariate: Covariate, edges: &[f64]) -> Self {
+        let ends = [edges[0], edges[edges.len() - 1]];
+        let middles = edges.windows(2).map(|pair| 0.5 * (pair[0] + pair[1]));
+        let levels = std::iter::once(ends[0]).chain(middles).chain([ends[1], f64::NAN]);
+        Self {
+            covariate,
+            levels: levels.collect(),
+            is_ordered: true,
+            of_beams: Vec::new(),
+            cells: Vec::new(),
+            edges: edges.to_vec(),
+        }
+    }
+
+    /// Whether its levels are of what other readings say.
+    pub fn is_of_readings(&self) -> bool {
+        self.of_beams.is_empty()
+    }
+
+    /// Levels between inner edges.
     fn new(covariate: Covariate, edges: Vec<f64>, values: impl Iterator<Item = f64>) -> Self {
         let values: Vec<f64> = values.collect();
         let mut axis = Self {
@@ -132,7 +181,7 @@ impl Axis {
             edges,
         };
         axis.of_beams = values.iter().map(|&value| axis.level_of(value)).collect();
-        let count = axis.edges.len() + 1 + usize::from(covariate == Covariate::Neighbour);
+        let count = axis.edges.len() + 1;
         let (mut sums, mut counts) = (vec![0.0; count], vec![0.0; count]);
         for (value, &level) in values.iter().zip(&axis.of_beams) {
             sums[level as usize] += value;

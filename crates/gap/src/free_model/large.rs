@@ -7,7 +7,7 @@ use distreg::steps::{Steps, Vertex};
 use locsim_core::{Folds, normal, simplest};
 use locsim_world::effect::Effects;
 
-use super::covariates::{Axis, Covariates};
+use super::covariates::{Axis, Covariates, NOISE_OF_SCANS, variances_of_others};
 use super::{MEAN, Part, SPREAD};
 use crate::hypothesis::{Comparison, Fitted};
 use crate::likelihood::Terms;
@@ -20,6 +20,8 @@ const NARROWER: [f64; 7] = [1.2, 0.9, 0.65, 0.45, 0.3, 0.18, 0.08];
 const WIDER: [f64; 19] =
     [0.08, 0.18, 0.3, 0.42, 0.55, 0.7, 0.85, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 2.9, 3.2, 3.6, 4.0];
 const COUNT: usize = 27;
+/// Readings that err by more are none of the surface (standard deviations).
+const MOST_DEVIATIONS: f64 = 10.0;
 
 type Ladder = Steps<COUNT>;
 
@@ -45,12 +47,15 @@ impl Change {
     pub const NONE: Self = Self { bias_m: 0.0, spread: 1.0 };
 }
 
-/// What is known of each reading: its beam, its fold, its standard deviation (0 of a beam that meets no surface), and the log
+/// What is known of each reading: its scan, its beam, its fold, its standard deviation (0 of a beam that meets no surface), and the log
 /// score that it gains by each change (nats).
 struct Row {
+    scan: usize,
     beam: usize,
     fold: usize,
     sigma: f64,
+    /// Its error in standard deviations, where it is of the surface.
+    error: Option<f64>,
     gains: [[f64; COUNT]; 2],
 }
 
@@ -94,15 +99,21 @@ impl Large {
                     *gain = gain_by_spread(&terms, step.exp());
                 }
             }
-            rows.push(Row { beam: i, fold: folds.of_scan(scan), sigma, gains });
+            let error = Some(terms.error / sigma).filter(|error| error.abs() < MOST_DEVIATIONS);
+            rows.push(Row { scan, beam: i, fold: folds.of_scan(scan), sigma, error, gains });
         });
         let best = [MEAN, SPREAD].into_iter().filter_map(|moment| {
             let axes = covariates.axes.iter().enumerate();
-            let axes = axes.filter(|(_, axis)| axis.covariate != Covariate::Neighbour);
-            let all: Vec<Self> =
-                axes.map(|(index, axis)| Self::over(moment, index, axis, &rows, folds, part)).collect();
-            let index = simplest(all.iter().map(|change| (change.levels.len(), &change.gains[..])))?;
-            all.into_iter().nth(index)
+            let over = |index, axis: &Axis| Self::over(moment, index, axis, &rows, folds, part);
+            let ordinary = axes.clone().filter(|(_, axis)| !axis.is_of_readings());
+            let all: Vec<Self> = ordinary.map(|(index, axis)| over(index, axis)).collect();
+            let most = all.iter().map(Self::gain).fold(0.0, f64::max);
+            let mut of_scans = axes.filter(|(_, axis)| moment == SPREAD && axis.covariate == Covariate::Scan);
+            let noisy = of_scans.next().map(|(index, axis)| over(index, axis));
+            noisy.filter(|noisy| noisy.gain() > NOISE_OF_SCANS * most).or_else(|| {
+                let index = simplest(all.iter().map(|change| (change.levels.len(), &change.gains[..])))?;
+                all.into_iter().nth(index)
+            })
         });
         best.max_by(|a, b| a.gain().total_cmp(&b.gain()))
     }
@@ -114,10 +125,16 @@ impl Large {
 
     fn over(moment: usize, index: usize, axis: &Axis, rows: &[Row], folds: Folds, part: Part) -> Self {
         let (count, ladder) = (axis.levels.len(), ladder(moment));
+        let levels: Vec<usize> = if axis.is_of_readings() {
+            let errors = rows.iter().map(|row| (row.scan, row.error));
+            let of = |value: Option<f64>| usize::from(axis.level_of(value.unwrap_or(f64::NAN)));
+            variances_of_others(errors).map(of).collect()
+        } else {
+            rows.iter().map(|row| usize::from(axis.of_beams[row.beam])).collect()
+        };
         let mut sums = vec![vec![[0.0; COUNT]; count]; folds.count()];
         let mut total = vec![[0.0; COUNT]; count];
-        for row in rows.iter().filter(|row| part.includes(row.fold)) {
-            let level = axis.of_beams[row.beam] as usize;
+        for (row, &level) in rows.iter().zip(&levels).filter(|(row, _)| part.includes(row.fold)) {
             for sum in [&mut sums[row.fold][level], &mut total[level]] {
                 sum.iter_mut().zip(row.gains[moment]).for_each(|(sum, more)| *sum += more);
             }
@@ -134,8 +151,8 @@ impl Large {
         let without: Vec<Vec<Vertex>> = sums.iter().map(without).collect();
         let gain_of = |(sums, fit): (&[f64; COUNT], &Vertex)| fit.read(ladder, |step| sums[step]);
         let gains = sums.iter().zip(&without).map(|(fold, fits)| fold.iter().zip(fits).map(gain_of).sum());
-        let of_reading = |row: &Row| {
-            let at = without[row.fold][axis.of_beams[row.beam] as usize].at;
+        let of_reading = |(row, &level): (&Row, &usize)| {
+            let at = without[row.fold][level].at;
             if moment == MEAN {
                 Change { bias_m: at * row.sigma, ..Change::NONE }
             } else {
@@ -145,7 +162,7 @@ impl Large {
         Self {
             moment,
             axis: index,
-            of_readings: rows.iter().map(of_reading).collect(),
+            of_readings: rows.iter().zip(&levels).map(of_reading).collect(),
             levels: fits.iter().map(|fit| fit.at).collect(),
             errors: fits.iter().map(|fit| fit.error).collect(),
             gains: gains.collect(),

@@ -301,6 +301,43 @@ mod tests {
         }
     }
 
+    /// One scan in four has three times the noise, at no time, place or speed of its own.
+    #[test]
+    fn scans_that_are_noisier_than_others_are_told_as_that() {
+        let mut drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 7).unwrap();
+        let max = drive.laser.max_range();
+        let sigma = NOMINAL.laser.sigma_m * 8.0_f64.sqrt();
+        for (scan, step) in drive.steps.iter_mut().enumerate().filter(|(scan, _)| scan * scan % 7 == 2) {
+            for (beam, range) in step.scan.ranges.iter_mut().enumerate().filter(|(_, r)| **r < max) {
+                let draw = Draw::new(5, locsim_core::Stage::Bootstrap, scan as u32);
+                let normal: f64 = StandardNormal.sample(&mut draw.item(beam as u32));
+                *range = (*range + (sigma * normal) as f32).min(max);
+            }
+        }
+        learnt(&drive, |model, _| {
+            let first = &model.components[0];
+            assert_eq!((first.moment, first.covariate), (Deviation::Spread, Covariate::Scan));
+            // Of the noisiest scans; the last level is of those of few readings.
+            let [.., Some([value, _]), None] = first.curve[..] else { panic!("{:?}", first.curve) };
+            assert!((value - 2.0).abs() < 0.4, "{value}");
+        });
+    }
+
+    /// The robot of the fixture drives back in reverse.
+    #[test]
+    fn the_speed_of_a_robot_in_reverse_is_below_zero() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 7).unwrap();
+        let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+        let axes = Covariates::new(&Comparison::new(&NOMINAL, &recorded).unwrap()).axes;
+        let speeds = axes.into_iter().find(|axis| axis.covariate == Covariate::Speed).unwrap();
+        let velocities = recorded.velocities();
+        let of_scans = velocities.iter().enumerate().filter(|(_, v)| v[0].abs() > 0.3);
+        for (scan, velocity) in of_scans {
+            let level = usize::from(speeds.of_beams[scan * 72]);
+            assert_eq!(speeds.levels[level] < 0.0, velocity[0] < 0.0, "{velocity:?} {:?}", speeds.levels);
+        }
+    }
+
     /// A bias of 15 mm beside a noise of 10 that comes around three times in the drive, and a noise that grows from once to 2.5 times. Each
     /// stretch of time is held out once, and is between those before and after it.
     #[test]

@@ -114,10 +114,10 @@ mod tests {
     use crate::replay::fit_persistence;
     use crate::{GapOptions, Recorded};
 
-    /// Errors of the reference have followed a laser that is turned by 3 degrees: it moves no reading any more but with an exact reference.
+    /// Errors of the reference have followed a laser that is turned by 1.7 degrees: it moves no reading any more but with an exact reference.
     #[test]
     fn what_the_reference_has_followed_moves_readings_all_the_same() {
-        let yaw = Effect::new(EffectKind::MountYaw, vec![0.05], Vec::new()).unwrap();
+        let yaw = Effect::new(EffectKind::MountYaw, vec![0.03], Vec::new()).unwrap();
         let regime = Regime { pose_error: Some(Regime::POSE_ERROR), ..Regime::default() };
         let drive = record_library(&NOMINAL, &TRUTH, &[yaw], regime, 3).unwrap();
         let recorded = Recorded::new(&drive, 100, 72, |_| true).unwrap();

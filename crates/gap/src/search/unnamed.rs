@@ -20,7 +20,8 @@ const LEAST_SHARE: f64 = 1e-3;
 fn cause_first(all: &mut [Unnamed]) {
     let gain = |found: &Unnamed| found.evidence.gain_nats.value;
     if let Some(at) = all.iter().position(|found| found.covariate == Covariate::Neighbour)
-        && (all[0].deviation, all[0].covariate) == (Deviation::Spread, Covariate::Everywhere)
+        && all[0].deviation == Deviation::Spread
+        && matches!(all[0].covariate, Covariate::Everywhere | Covariate::Scan)
         && gain(&all[at]) >= IN_COMMON * gain(&all[0])
     {
         all[..=at].rotate_right(1);

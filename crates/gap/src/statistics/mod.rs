@@ -194,7 +194,7 @@ pub enum Covariate {
     Place,
     /// Time since the first scan \[s\].
     Time,
-    /// The robot's speed \[m/s\].
+    /// The robot's speed, below 0 in reverse \[m/s\].
     Speed,
     /// The robot's turn rate \[rad/s\].
     TurnRate,
@@ -208,7 +208,8 @@ pub enum Covariate {
     Neighbour,
     /// The odometry.
     Odometry,
-    /// Each scan as a whole: how much scans differ in what their beams share.
+    /// Each scan as a whole: how much scans differ in what their beams share. Of a curve, the mean square of the errors of the scan's
+    /// other beams, in their standard deviations.
     Scan,
     /// Every beam: the PIT's tenths, from `lo` to `hi`.
     Pit,

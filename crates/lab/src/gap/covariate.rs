@@ -18,7 +18,7 @@ pub(super) fn noun(covariate: Covariate) -> &'static str {
         Covariate::Everywhere => "nothing",
         Covariate::Neighbour => "the neighbouring beam's error",
         Covariate::Odometry => "the odometry",
-        Covariate::Scan => "the scan",
+        Covariate::Scan => "how noisy the scan's other beams are",
         Covariate::Pit | Covariate::Ratio => "the reading",
     }
 }

@@ -22,6 +22,9 @@ pub(super) fn sentence(found: &Unnamed) -> String {
         _ if is_of_all_noise(found) => {
             format!("The noise of every beam is {} times the simulated one.", noise_factor(found))
         }
+        (Deviation::Spread, Covariate::Scan) => {
+            format!("Some scans are noisier than others: {}.", extent(found))
+        }
         (_, Covariate::Everywhere) => format!("An unnamed {} of every beam: {}.", noun(found), size(found)),
         _ => format!(
             "An unnamed {} depends on {}: {}.",
@@ -115,11 +118,16 @@ pub(super) fn extent(found: &Unnamed) -> String {
             Deviation::Spread => format!("{} % of the noise", significant(100.0 * wave.amplitude)),
             _ => value(found, wave.amplitude),
         };
-        return if found.covariate == Covariate::Bearing {
+        return if found.covariate == Covariate::Bearing && 2.0 * count + 1.0 >= found.curve.len() as f64 {
+            format!("one beam and the next among those that are compared differ, {amplitude}")
+        } else if found.covariate == Covariate::Bearing {
             format!("{} waves around, {amplitude}", fixed(count, 0))
         } else {
             format!("period {} s, {amplitude}", significant(period))
         };
+    }
+    if found.covariate == Covariate::Scan {
+        return format!("up to {}", size(found));
     }
     let at = found.curve.iter().find(|point| point.estimate.value == found.size);
     let place = |at: &CurvePoint| format!(" at {}", spot(found.covariate, at));
