@@ -54,7 +54,7 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
     }
     let readings = (steps.len() * laser.beam_count()) as f64;
     let summary = LogSummary {
-        remarks: Vec::new(),
+        remarks: clock.remark().into_iter().collect(),
         kind: recognised.kind,
         odometry: recognised.odometry,
         evidence: recognised.evidence,
@@ -254,6 +254,10 @@ struct Clock {
     last: Option<f64>,
     /// Time that the log's clock has lost since the start (s).
     offset: f64,
+    /// The last stamp as it was logged (s).
+    logged: f64,
+    /// How often the clock was set, and the first time from when to when (s).
+    set: (usize, Option<[f64; 2]>),
     repaired: usize,
     repeated: usize,
 }
@@ -263,6 +267,8 @@ impl Clock {
         let mut stamp = logged + self.offset;
         if let Some(last) = self.last {
             if !(-BACKWARDS..=LEAP).contains(&(stamp - last)) {
+                self.set.0 += 1;
+                self.set.1.get_or_insert([self.logged, logged]);
                 self.offset = last - logged;
                 stamp = f64::NEG_INFINITY;
             }
@@ -272,8 +278,16 @@ impl Clock {
             }
             self.repeated += usize::from(stamp == last);
         }
-        self.last = Some(stamp);
+        (self.last, self.logged) = (Some(stamp), logged);
         stamp
+    }
+
+    /// A sentence on a clock that was set.
+    fn remark(&self) -> Option<String> {
+        let (count, [from, to]) = (self.set.0, self.set.1?);
+        Some(format!(
+            "The log's clock was set, or leapt, {count} times, first from {from:.2} s to {to:.2} s: times go on from there."
+        ))
     }
 }
 
@@ -287,5 +301,8 @@ mod tests {
         let stamps = [10.0, 11.0, 10.9, 12.0, 4e9, 4e9 + 1.0, 5.0, 5.0, 7.0].map(|t| clock.stamp(t));
         assert_eq!(stamps, [10.0, 11.0, 11.0, 12.0, 12.0, 13.0, 13.0, 13.0, 15.0]);
         assert_eq!((clock.repaired, clock.repeated), (3, 4));
+        let remark = clock.remark().unwrap();
+        assert!(remark.contains("2 times, first from 12.00 s to 4000000000.00 s"), "{remark}");
+        assert_eq!(Clock::default().remark(), None);
     }
 }

@@ -66,9 +66,19 @@ pub fn read_with_layout(
         .mount(options.base_from_laser, scans.frame(), &base)
         .map_err(|reason| of_first_scan(path, &chosen, reason))?;
     let laser = scans.laser(mount.base_from_laser, mount.mirrored, options);
-    if let (Err(LaserError::Ranges { .. }), None) = (&laser, options.max_range_m) {
-        let reason = why_no_ranges(&scans, options);
-        return Err(of_first_scan(path, &chosen, reason));
+    match laser {
+        Err(LaserError::Ranges { .. }) => {
+            let reason = why_no_ranges(&scans, options);
+            return Err(of_first_scan(path, &chosen, reason));
+        }
+        Err(LaserError::NoBeams) => {
+            let reason = format!(
+                "ranges is empty, as it is in all {} scans; allowed: at least one reading",
+                scans.empty
+            );
+            return Err(of_first_scan(path, &chosen, reason));
+        }
+        _ => {}
     }
     let laser = checked(path, laser)?;
 
@@ -322,7 +332,7 @@ fn messages(
         Some(PoseSource::Topic(channel)) => channel.topic.clone(),
         _ => String::new(),
     };
-    scans.stamped.sort().map_err(|reason| refused(&chosen.scan.topic, reason))?;
+    scans.sort().map_err(|reason| refused(&chosen.scan.topic, reason))?;
     let arrange = |poses: &mut Stamped<Pose2>, source| {
         poses.arrange().map_err(|reason| refused(&topic_of(source), reason))
     };
@@ -353,6 +363,11 @@ fn is_of(channel: &Channel, source: Option<&PoseSource>) -> bool {
 /// Why the first scan's limits are no laser's.
 fn why_no_ranges(scans: &Scans, options: &BagOptions) -> String {
     let [min, max] = scans.first.as_ref().map_or([f32::NAN; 2], |first| [first.range_min, first.range_max]);
+    if let Some(found) = options.max_range_m {
+        return format!(
+            "the maximum range is {found} m, of `log.max_range_m` or `--max-range`; allowed: above the laser's minimum of {min} m"
+        );
+    }
     if options.min_range_m.is_none() && !(min >= 0.0 && min.is_finite()) {
         return format!("range_min is {min}; allowed: a finite number from 0");
     }

@@ -82,6 +82,12 @@ impl Times<'_> {
                     timing.astray
                 ));
             }
+            if let Some([after, by]) = timing.set_back {
+                remarks.push(format!(
+                    "Stamps of {name} go back by {by:.2} s after {after:.2} s and go on from there, as where the clock was set back: \
+                     two stretches of the drive may lie over each other, with wrong poses."
+                ));
+            }
             if timing.is_of_recording {
                 remarks.push(format!(
                     "Stamps of {name} are whole seconds that several messages share: the times of recording are taken instead."

@@ -25,6 +25,11 @@ const MOST_OTHER_BEAMS: f64 = 0.1;
 /// A sweep takes no longer than this share of the time between scans.
 const LONGEST_SWEEP: f64 = 1.1;
 
+/// Scans of fewer beams may have the same readings by chance.
+const LEAST_COPIED: usize = 16;
+/// More scans with one stamp have it for another reason than being recorded several times.
+const MOST_COPIES: usize = 3;
+
 /// How a driver writes readings that are none.
 #[derive(Clone, Copy)]
 pub struct Convention {
@@ -69,6 +74,8 @@ pub struct Scans {
     pub empty: usize,
     /// Number of scans whose beams aren't those of the first.
     pub resampled_scans: usize,
+    /// Number of scans that were recorded twice, which are left out.
+    copies: usize,
 }
 
 impl Scans {
@@ -123,9 +130,29 @@ impl Scans {
         Ok(())
     }
 
+    /// Sorts by time, and leaves out copies where all scans of one time have the same readings.
+    ///
+    /// # Errors
+    /// As [`Stamped::sort`].
+    pub fn sort(&mut self) -> Result<(), String> {
+        self.stamped.sort()?;
+        let items = &mut self.stamped.items;
+        let bits = |ranges: &[f32]| ranges.iter().map(|range| range.to_bits()).collect::<Vec<_>>();
+        let of_one_time = || items.windows(2).filter(|pair| pair[0].0 == pair[1].0);
+        let beams = items.first().map_or(0, |(_, ranges)| ranges.len());
+        let are_few = items.windows(MOST_COPIES + 1).all(|run| run[0].0 < run[MOST_COPIES].0);
+        let are_copies = |pair: &[(i64, Vec<f32>)]| bits(&pair[0].1) == bits(&pair[1].1);
+        if beams >= LEAST_COPIED && are_few && of_one_time().all(are_copies) {
+            let count = items.len();
+            items.dedup_by_key(|(stamp, _)| *stamp);
+            self.copies = count - items.len();
+        }
+        Ok(())
+    }
+
     /// Mean time from a beam to the next (s).
     fn beam_interval(&self) -> f64 {
-        self.time_increments_secs / self.stamped.items.len().max(1) as f64
+        self.time_increments_secs / (self.stamped.items.len() + self.copies).max(1) as f64
     }
 
     /// Whether a scan's beams, by their times, are over when the next scan begins. Scans may be stamped in pairs: their mean interval counts.
@@ -145,6 +172,12 @@ impl Scans {
                 "{} of {} scans have other beams than the first; their readings are interpolated at its bearings.",
                 self.resampled_scans,
                 self.stamped.items.len()
+            ));
+        }
+        if self.copies > 0 {
+            remarks.push(format!(
+                "{} scans are copies of another, with its stamp and its readings: they are left out.",
+                self.copies
             ));
         }
         let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());

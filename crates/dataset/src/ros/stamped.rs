@@ -41,6 +41,8 @@ pub struct Stamped<T> {
     /// Values far behind the latest, with their times of recording, until it shows which of both are astray.
     behind: Vec<(i64, i64, T)>,
     latest: i64,
+    /// Messages on end that are behind the latest.
+    run: Run,
     /// Number of messages that were logged after a later one.
     pub late: usize,
     pub timing: Timing,
@@ -57,6 +59,42 @@ pub struct Timing {
     pub is_of_recording: bool,
     /// Median time from stamp to recording (s); `None` of a few messages.
     pub delay_secs: Option<f64>,
+    /// The stamp (s) after which stamps first go on from an earlier one, and by how much that is earlier (s), as where the clock was set
+    /// back by less than what messages may be out of order.
+    pub set_back: Option<[f64; 2]>,
+}
+
+/// Messages on end whose stamps are behind the latest and go up.
+#[derive(Clone, Copy, Debug, Default)]
+struct Run {
+    /// The stamp before them (ns).
+    before: i64,
+    /// The first of them (ns).
+    first: i64,
+    count: usize,
+    /// Number of those of few messages, as of ones that were delayed.
+    short: usize,
+}
+
+impl Run {
+    fn go_on(&mut self, before: i64, stamp: i64) {
+        if stamp <= before {
+            self.end();
+        }
+        if self.count == 0 {
+            (self.before, self.first) = (before, stamp);
+        }
+        self.count += 1;
+    }
+
+    fn end(&mut self) {
+        self.short += usize::from((1..=MOST_STRAY).contains(&self.count));
+        self.count = 0;
+    }
+
+    fn set_back(&self) -> Option<[f64; 2]> {
+        (self.count > MOST_STRAY).then(|| [secs(self.before), secs(self.before - self.first)])
+    }
 }
 
 impl<T> Default for Stamped<T> {
@@ -66,6 +104,7 @@ impl<T> Default for Stamped<T> {
             logged: Vec::new(),
             behind: Vec::new(),
             latest: i64::MIN,
+            run: Run::default(),
             late: 0,
             timing: Timing::default(),
             longest_step: i64::MAX,
@@ -89,11 +128,21 @@ impl<T> Stamped<T> {
             return if self.behind.len() > MOST_STRAY { self.go_back(MOST_STRAY) } else { Ok(()) };
         }
         self.leave_behind();
-        self.late += usize::from(stamp < self.latest);
+        self.take_in(stamp, logged, value);
+        Ok(())
+    }
+
+    fn take_in(&mut self, stamp: i64, logged: i64, value: T) {
+        if stamp < self.latest {
+            self.late += 1;
+            self.run.go_on(self.items.last().map_or(stamp, |(before, _)| *before), stamp);
+            self.timing.set_back = self.timing.set_back.or(self.run.set_back());
+        } else {
+            self.run.end();
+        }
         self.latest = self.latest.max(stamp);
         self.items.push((stamp, value));
         self.logged.push(logged);
-        Ok(())
     }
 
     /// Takes those behind for astray.
@@ -107,6 +156,13 @@ impl<T> Stamped<T> {
         let Some(&(first, ..)) = self.behind.first() else { return Ok(()) };
         let limit = first.saturating_add(OUT_OF_ORDER);
         let ahead = self.items.iter().rev().take_while(|(stamp, _)| *stamp > limit).count();
+        if ahead == 0 {
+            // Not far behind the one before, if behind the latest: messages come in another order than their stamps.
+            for (stamp, logged, value) in std::mem::take(&mut self.behind) {
+                self.take_in(stamp, logged, value);
+            }
+            return Ok(());
+        }
         if ahead > most {
             return Err(self.too_far_back(first));
         }
@@ -141,6 +197,10 @@ impl<T> Stamped<T> {
             return Err(format!(
                 "{astray} messages have stamps that are seconds off those before and after; allowed: one in {STRAY_SHARE}"
             ));
+        }
+        self.run.end();
+        if self.run.short > MOST_STRAY {
+            self.timing.set_back = None;
         }
         self.timing.delay_secs = self.delay().map(secs);
         if self.are_stamps_alike() {

@@ -395,3 +395,45 @@ fn odometry_in_a_frame_that_does_not_drift_is_told() {
     let (_, summary) = bag.add("/scan", &wide_scan(1.5, 20)).read(&BagOptions::default()).unwrap();
     remark(&summary, "The odometry, /p3d, is in the frame `world`, which doesn't drift");
 }
+
+/// A network that delivers late, and a file that was written backwards: no order of recording is refused where the stamps are whole.
+#[test]
+fn messages_in_any_order_near_their_stamps_are_sorted() {
+    let expected = recorded(same, same).read(&BagOptions::default()).unwrap().0;
+    let stamps = |drive: &Drive| drive.steps.iter().map(|step| step.stamp_secs).collect::<Vec<_>>();
+    for which in 0..3 {
+        let mut bag = recorded(same, same);
+        let count = bag.messages.len();
+        match which {
+            0 => bag.messages.reverse(),
+            1 => bag.messages[count / 2..].reverse(),
+            _ => bag.messages[count / 3..count / 2].reverse(),
+        }
+        let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+        assert_eq!(stamps(&drive), stamps(&expected), "{which}");
+        assert!(!summary.remarks.iter().any(|remark| remark.contains("set back")), "{:?}", summary.remarks);
+    }
+}
+
+/// Stamps that go back by 0.85 s and on from there are in order again once they are sorted.
+#[test]
+fn a_clock_that_was_set_back_by_less_than_a_second_is_told() {
+    let back = |now: f64| if now < 102.0 { now } else { now - 0.85 };
+    let (_, summary) = recorded(back, back).read(&BagOptions::default()).unwrap();
+    remark(&summary, "Stamps of the scans go back by 0.");
+    remark(&summary, "Stamps of the odometry go back by 0.");
+}
+
+#[test]
+fn scans_that_were_recorded_twice_count_once() {
+    let mut bag = recorded(same, same);
+    let (expected, _) = bag.read(&BagOptions::default()).unwrap();
+    for at in (0..bag.messages.len()).rev() {
+        bag.messages.insert(at, bag.messages[at].clone());
+        bag.logged.insert(at, bag.logged[at]);
+    }
+    let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+    assert_eq!(drive.steps.len(), expected.steps.len());
+    // One of them is after the last odometry.
+    remark(&summary, &format!("{} scans are copies of another", expected.steps.len() + 1));
+}
