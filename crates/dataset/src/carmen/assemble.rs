@@ -23,6 +23,9 @@ const RIGID: f64 = 0.02;
 /// set or wrapped.
 const BACKWARDS: f64 = 60.0;
 
+/// Stamps that go backwards by more than this (s) weren't just logged out of order.
+const MOST_HELD_SECS: f64 = 1.0;
+
 /// No two scans of a log are further apart in time (s).
 const LEAP: f64 = 1e6;
 
@@ -54,7 +57,7 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
     }
     let readings = (steps.len() * laser.beam_count()) as f64;
     let summary = LogSummary {
-        remarks: clock.remark().into_iter().collect(),
+        remarks: clock.remarks(),
         kind: recognised.kind,
         odometry: recognised.odometry,
         evidence: recognised.evidence,
@@ -258,6 +261,8 @@ struct Clock {
     logged: f64,
     /// How often the clock was set, and the first time from when to when (s).
     set: (usize, Option<[f64; 2]>),
+    /// How many stamps went backwards otherwise, and by how much at the most (s).
+    held: (usize, f64),
     repaired: usize,
     repeated: usize,
 }
@@ -273,6 +278,9 @@ impl Clock {
                 stamp = f64::NEG_INFINITY;
             }
             if stamp < last {
+                if stamp.is_finite() {
+                    self.held = (self.held.0 + 1, self.held.1.max(last - stamp));
+                }
                 self.repaired += 1;
                 stamp = last;
             }
@@ -282,12 +290,21 @@ impl Clock {
         stamp
     }
 
-    /// A sentence on a clock that was set.
-    fn remark(&self) -> Option<String> {
-        let (count, [from, to]) = (self.set.0, self.set.1?);
-        Some(format!(
-            "The log's clock was set, or leapt, {count} times, first from {from:.2} s to {to:.2} s: times go on from there."
-        ))
+    /// Sentences on a clock that was set, and on stamps that are held for long.
+    fn remarks(&self) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if let (count, Some([from, to])) = self.set {
+            remarks.push(format!(
+                "The log's clock was set, or leapt, {count} times, first from {from:.2} s to {to:.2} s: times go on from there."
+            ));
+        }
+        let (count, most) = self.held;
+        if most > MOST_HELD_SECS {
+            remarks.push(format!(
+                "{count} stamps go backwards, by up to {most:.2} s, as where the clock was set back: their scans have the latest time before them."
+            ));
+        }
+        remarks
     }
 }
 
@@ -301,8 +318,11 @@ mod tests {
         let stamps = [10.0, 11.0, 10.9, 12.0, 4e9, 4e9 + 1.0, 5.0, 5.0, 7.0].map(|t| clock.stamp(t));
         assert_eq!(stamps, [10.0, 11.0, 11.0, 12.0, 12.0, 13.0, 13.0, 13.0, 15.0]);
         assert_eq!((clock.repaired, clock.repeated), (3, 4));
-        let remark = clock.remark().unwrap();
-        assert!(remark.contains("2 times, first from 12.00 s to 4000000000.00 s"), "{remark}");
-        assert_eq!(Clock::default().remark(), None);
+        let remarks = clock.remarks();
+        assert!(remarks[0].contains("2 times, first from 12.00 s to 4000000000.00 s"), "{remarks:?}");
+        assert_eq!((remarks.len(), Clock::default().remarks().len()), (1, 0));
+        let mut held = Clock::default();
+        assert_eq!([20.0, 17.0, 18.0].map(|t| held.stamp(t)), [20.0; 3]);
+        assert!(held.remarks()[0].starts_with("2 stamps go backwards, by up to 3.00 s"));
     }
 }
