@@ -80,6 +80,12 @@ pub struct Named {
 }
 
 impl Named {
+    /// Leaves out the effects that may be the cause instead.
+    pub(crate) fn leave_alone(&mut self) {
+        self.candidates.truncate(1);
+        self.split_by = None;
+    }
+
     /// Adds what another name gained on each fold \[nats\].
     pub(crate) fn add_gains(&mut self, other: &[f64]) {
         self.gains.iter_mut().zip(other).for_each(|(gain, other)| *gain += other);

@@ -66,19 +66,8 @@ pub fn read_with_layout(
         .mount(options.base_from_laser, scans.frame(), &base)
         .map_err(|reason| of_first_scan(path, &chosen, reason))?;
     let laser = scans.laser(mount.base_from_laser, mount.mirrored, options);
-    match laser {
-        Err(LaserError::Ranges { .. }) => {
-            let reason = why_no_ranges(&scans, options);
-            return Err(of_first_scan(path, &chosen, reason));
-        }
-        Err(LaserError::NoBeams) => {
-            let reason = format!(
-                "ranges is empty, as it is in all {} scans; allowed: at least one reading",
-                scans.empty
-            );
-            return Err(of_first_scan(path, &chosen, reason));
-        }
-        _ => {}
+    if let Some(reason) = laser.as_ref().err().and_then(|error| why_no_laser(error, &scans, options)) {
+        return Err(of_first_scan(path, &chosen, reason));
     }
     let laser = checked(path, laser)?;
 
@@ -358,6 +347,18 @@ fn messages(
 /// Whether poses are messages of this channel.
 fn is_of(channel: &Channel, source: Option<&PoseSource>) -> bool {
     matches!(source, Some(PoseSource::Topic(topic)) if topic == channel)
+}
+
+/// Why the scans are of no laser, where it is for what the first one says.
+fn why_no_laser(error: &LaserError, scans: &Scans, options: &BagOptions) -> Option<String> {
+    match error {
+        LaserError::Ranges { .. } => Some(why_no_ranges(scans, options)),
+        LaserError::NoBeams => Some(format!(
+            "ranges is empty, as it is in all {} scans; allowed: at least one reading",
+            scans.empty
+        )),
+        _ => None,
+    }
 }
 
 /// Why the first scan's limits are no laser's.

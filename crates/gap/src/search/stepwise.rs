@@ -111,8 +111,11 @@ impl<'a> State<'a> {
             });
             let candidates =
                 drop_passing(round, drop_unfounded(round, drop_surroundings(round, candidates)?)?)?;
+            let mut is_by_form = false;
             let accepted = if off && path.named.len() < options.most_effects {
-                let mut accepted = self.weigh(round, &candidates, choose(&candidates))?;
+                let likeliest = choose(&candidates);
+                let mut accepted = self.weigh(round, &candidates, likeliest)?;
+                is_by_form = accepted.is_some() && accepted != likeliest;
                 // What the odometry does has its name, whether or not the readings have one, and so have lost returns beside the others.
                 let apart = [is_of_odometry, |other: &Candidate| other.kind().loses_returns()];
                 for best in apart.into_iter().filter_map(|is_apart| choose_apart(&candidates, is_apart)) {
@@ -141,7 +144,11 @@ impl<'a> State<'a> {
             }
             let (p, fitted) = (round.null.p, round.fitted.clone());
             path.rivals.extend(compare_rivals(&candidates, &candidates[best], path.rounds.len()));
-            let more = name(&candidates, best, p, self.recorded.scans());
+            let mut more = name(&candidates, best, p, self.recorded.scans());
+            if is_by_form {
+                // What gains as much as its formula was refused: its curve gains more.
+                more.leave_alone();
+            }
             if path.rounds.len() == 1 {
                 (path.first_fits, path.first_choice) = (candidates, best);
             }
