@@ -301,7 +301,7 @@ mod tests {
         }
     }
 
-    /// One scan in four has three times the noise, at no time, place or speed of its own.
+    /// Two scans in seven have three times the noise, at no time, place or speed of its own.
     #[test]
     fn scans_that_are_noisier_than_others_are_told_as_that() {
         let mut drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 7).unwrap();
