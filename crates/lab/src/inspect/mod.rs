@@ -123,10 +123,6 @@ impl Inspection {
             Err(error) => {
                 let alone = LogOptions { without_odometry: true, ..options.clone() };
                 let reason = without_path(&error.to_string(), log);
-                // Who asks for an odometry isn't helped by a drive without one.
-                if options.topics.odometry.is_some() {
-                    return Err(error.into());
-                }
                 (scans_alone(&error).then(|| read_log(log, &alone).ok()).flatten(), Some(reason))
             }
         };
