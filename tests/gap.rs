@@ -9,7 +9,7 @@ use std::path::Path;
 use common::{Folder, edited, output};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::{contains, is_empty};
-use serde_json::Value;
+use serde_json::{Value, json};
 use stamps::with_one_stamp;
 
 /// The nominal scenario: the room, two rounds in it.
@@ -280,6 +280,8 @@ fn an_error_over_range_has_its_name_in_any_form() {
     let names: Vec<&Value> =
         outcome["effects"].as_array().unwrap().iter().map(|effect| &effect["name"]).collect();
     assert_eq!(names, ["range_scale"], "{outcome:#}");
+    // What is likelier than its formula was refused for its curve.
+    assert_eq!(outcome["effects"][0]["candidates"], json!(["range_scale"]), "{outcome:#}");
     let left = &outcome["unnamed"][0];
     assert_eq!((&left["covariate"], &left["form_of"]), (&"range".into(), &"range_scale".into()), "{left:#}");
 }

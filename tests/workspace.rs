@@ -103,7 +103,7 @@ const LAYERS: [(&str, &[&str]); 19] = [
 ];
 
 /// Most lines of code in a crate, tests left out: a larger one has more than one subject.
-const MOST_LINES: usize = 9200;
+const MOST_LINES: usize = 9000;
 
 /// Dependencies that one crate keeps to itself, and the place in its sources (a file or a folder) that names them.
 const KEPT: [(&str, &str, &str); 4] = [

@@ -1,12 +1,13 @@
 //! Curves that are added one by one, the one that gains most on held-out folds first.
 
 use distreg::curve::{LARGEST_TILT, Shape, Sums, crossfit, curves_without, fit};
+use locsim_core::tilt::{Outcome, Pull, Tilt};
 use locsim_core::{Folds, simplest};
 use rayon::prelude::*;
 
 use super::covariates::{Covariates, NOISE_OF_SCANS, variances_of_others};
 use super::large::Large;
-use super::outcomes::{self, MOMENTS, Outcome, Outcomes, Pull, Tilt};
+use super::outcomes::{self, MOMENTS, Outcomes};
 use super::{Component, FreeModel, MEAN, SPREAD};
 use crate::statistics::Covariate;
 
@@ -332,7 +333,7 @@ impl<'a> State<'a> {
                 [0.0, 1.0, -1.0].map(|side| outcome.change(moment, tilts[level] + side * errors[level]));
             if let (Some(at), Some(up), Some(down)) = (at, up, down) {
                 let both = |at: f64| match moment {
-                    MEAN => large[level] * outcome.sigma() + at,
+                    MEAN => large[level] * outcome.sigma + at,
                     SPREAD => large[level].exp() * (1.0 + at) - 1.0,
                     _ => at,
                 };

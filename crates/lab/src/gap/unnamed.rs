@@ -5,6 +5,9 @@ use locsim_gap::{Covariate, CurvePoint, Deviation, Unnamed};
 use super::covariate::{self, spot};
 use locsim_report::text::{fixed, significant};
 
+/// A curve goes up and down in turn where neighbouring points are correlated below this; fewer points than that say nothing.
+const IN_TURN: f64 = -0.6;
+const FEWEST_IN_TURN: usize = 8;
 /// Noise that is this many times wider is no measurement: such readings are of something else.
 const WIDEST: f64 = 20.0;
 
@@ -112,15 +115,17 @@ pub(super) fn extent(found: &Unnamed) -> String {
     {
         return size(found);
     }
+    let amount = |by: f64| match found.deviation {
+        Deviation::Spread => format!("{} % of the noise", significant(100.0 * by)),
+        _ => value(found, by),
+    };
+    let values: Vec<f64> = found.curve.iter().map(|point| point.estimate.value).collect();
+    if let Some(by) = alternates(&values).filter(|_| found.covariate == Covariate::Bearing) {
+        return format!("one beam and the next, of those that are compared, differ by {}", amount(by));
+    }
     if let Some(wave) = &found.wave {
-        let (period, count) = (wave.period, wave.count);
-        let amplitude = match found.deviation {
-            Deviation::Spread => format!("{} % of the noise", significant(100.0 * wave.amplitude)),
-            _ => value(found, wave.amplitude),
-        };
-        return if found.covariate == Covariate::Bearing && 2.0 * count + 1.0 >= found.curve.len() as f64 {
-            format!("one beam and the next among those that are compared differ, {amplitude}")
-        } else if found.covariate == Covariate::Bearing {
+        let (period, count, amplitude) = (wave.period, wave.count, amount(wave.amplitude));
+        return if found.covariate == Covariate::Bearing {
             format!("{} waves around, {amplitude}", fixed(count, 0))
         } else {
             format!("period {} s, {amplitude}", significant(period))
@@ -132,4 +137,32 @@ pub(super) fn extent(found: &Unnamed) -> String {
     let at = found.curve.iter().find(|point| point.estimate.value == found.size);
     let place = |at: &CurvePoint| format!(" at {}", spot(found.covariate, at));
     format!("up to {}{}", value(found, found.size), at.map(place).unwrap_or_default())
+}
+
+/// By how much the points of a curve differ from the next, where they go up and down in turn.
+fn alternates(values: &[f64]) -> Option<f64> {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let variation: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    let pairs = || values.windows(2).map(|pair| [pair[0], pair[1]]);
+    let together: f64 = pairs().map(|[a, b]| (a - mean) * (b - mean)).sum();
+    let is_alternating = values.len() >= FEWEST_IN_TURN && together < IN_TURN * variation;
+    is_alternating.then(|| pairs().map(|[a, b]| (b - a).abs()).sum::<f64>() / (count - 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Beams of odd number are 15 mm longer; a wave and a step are none of that.
+    #[test]
+    fn beams_that_differ_in_turn_are_told_from_waves() {
+        let of = |value: &dyn Fn(u32) -> f64| alternates(&(0..72).map(value).collect::<Vec<_>>());
+        let noise = |i: u32| 0.002 * f64::from(i * i % 7) / 7.0;
+        let by = of(&|i| 0.015 * f64::from(i % 2) + noise(i)).unwrap();
+        assert!((by - 0.015).abs() < 0.001, "{by}");
+        assert_eq!(of(&|i| 0.01 * (f64::from(i) * std::f64::consts::TAU / 9.0).sin() + noise(i)), None);
+        assert_eq!(of(&|i| if i < 36 { 0.01 } else { 0.0 }), None);
+        assert_eq!(alternates(&[0.0, 1.0, 0.0]), None);
+    }
 }
