@@ -9,7 +9,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Each crate of the workspace and the crates of the workspace that it uses, which stand above it.
-const LAYERS: [(&str, &[&str]); 19] = [
+const LAYERS: [(&str, &[&str]); 20] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
@@ -37,6 +37,19 @@ const LAYERS: [(&str, &[&str]); 19] = [
             "locsim-world",
         ],
     ),
+    (
+        "locsim-export",
+        &[
+            "locsim-core",
+            "locsim-dataset",
+            "locsim-lab",
+            "locsim-mcl",
+            "locsim-report",
+            "locsim-scenario",
+            "locsim-sensor",
+            "locsim-world",
+        ],
+    ),
     ("locsim-sweep", &["locsim-core", "locsim-lab", "locsim-report", "locsim-scenario"]),
     ("locsim-terminal", &["locsim-core", "locsim-report"]),
     (
@@ -44,6 +57,7 @@ const LAYERS: [(&str, &[&str]); 19] = [
         &[
             "locsim-core",
             "locsim-dataset",
+            "locsim-export",
             "locsim-lab",
             "locsim-report",
             "locsim-scenario",

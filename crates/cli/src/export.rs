@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use locsim_core::output::{Output, in_shell};
-use locsim_lab::export::{self, Nav2Options, SimulatorFormat};
+use locsim_export::{self as export, Nav2Options, SimulatorFormat};
 use locsim_scenario::{Overrides, Scenario};
 use locsim_terminal::{DONE, Failure, Session, columns, say};
 

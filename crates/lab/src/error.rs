@@ -77,6 +77,9 @@ pub enum LabError {
     /// A search can't be done, or was stopped.
     #[error(transparent)]
     Gap(#[from] locsim_gap::GapError),
+    /// The user stopped work of which nothing is kept.
+    #[error("interrupted")]
+    Stopped,
     /// The user stopped the run; finished trials are kept.
     #[error("interrupted after {finished} of {trials} trials; add --resume to go on")]
     Interrupted {
@@ -90,6 +93,9 @@ pub enum LabError {
 impl LabError {
     /// Whether the user stopped the work.
     pub fn is_interruption(&self) -> bool {
-        matches!(self, Self::Interrupted { .. } | Self::Gap(locsim_gap::GapError::Interrupted))
+        matches!(
+            self,
+            Self::Interrupted { .. } | Self::Stopped | Self::Gap(locsim_gap::GapError::Interrupted)
+        )
     }
 }

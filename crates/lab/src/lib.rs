@@ -5,7 +5,6 @@
 pub mod apply;
 pub mod convert;
 mod error;
-pub mod export;
 pub mod gap;
 pub mod inspect;
 pub mod run;

@@ -347,7 +347,7 @@ fn micro(value: f64) -> f64 {
 }
 
 /// A number with `digits` significant digits.
-pub(crate) fn rounded(value: f64, digits: i32) -> f64 {
+pub fn rounded(value: f64, digits: i32) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return 0.0;
     }

@@ -16,8 +16,7 @@ use locsim_dataset::{
 use locsim_gap::LEAST_SCANS;
 use serde::Serialize;
 
-pub use init::NewScenario;
-pub(crate) use init::rounded;
+pub use init::{NewScenario, rounded};
 pub use picture::picture;
 pub use split::{COVERED, Part, Role, Split, least_covered};
 

@@ -15,7 +15,7 @@ const TRAINING_DRIVES: u32 = 6;
 const FIRST_DRIVE: u32 = u32::MAX - 1000;
 
 /// A map and drives with reference poses, with all beams of the laser.
-pub(crate) struct Grounds {
+pub struct Grounds {
     /// The map.
     pub maps: MapSet,
     /// Drives to search on.
@@ -31,7 +31,7 @@ impl Grounds {
     ///
     /// # Errors
     /// What is wrong with map, log or world; [`LabError::Log`] for a log without training scans, or without reference poses.
-    pub(crate) fn prepare(
+    pub fn prepare(
         scenario: &Scenario,
         trials: u32,
         cache: Option<&Path>,

@@ -386,7 +386,7 @@ pub(super) fn drive_of(world: &World, seed: u64, scenario: &Scenario) -> Result<
 }
 
 /// Attaches the scenario's file to what the simulator refuses.
-pub(crate) fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> LabError {
+pub fn refused(scenario: &Scenario) -> impl FnOnce(SimulationError) -> LabError {
     let path = scenario.file.clone();
     move |source| LabError::Simulation { path, source }
 }

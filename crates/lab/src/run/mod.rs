@@ -27,9 +27,11 @@ use serde::Serialize;
 
 pub use bounds::MissedBound;
 pub use estimate::{Estimate as CostEstimate, duration, size};
-pub use laboratory::{MapSet, free_poses, simulate_trial};
+pub use grounds::Grounds;
+pub use laboratory::{MapSet, free_poses, refused, simulate_trial};
 pub use map::{LogMaps, agreement_figure, agreement_table, contradiction, grid_files};
 pub use measure::{Measurement, measure};
+pub use rehearsal::START;
 pub use training::{ScanData, Surroundings, TrainedModel, temper, train};
 pub use unreferenced::{Unreferenced, UnreferencedModel};
 
@@ -37,8 +39,6 @@ use crate::LabError;
 pub(crate) use corrected::spread_stamps;
 use detail::Detail;
 pub(crate) use filter::options as filter_options;
-pub(crate) use grounds::Grounds;
-pub(crate) use laboratory::refused;
 use laboratory::{Laboratory, TrialDrive, check_measured, check_simulation};
 use locsim_report::results::{DetailedTrial, RunResults, StepRow, Trial};
 use locsim_report::store::{Folder, Part, Request, Store, StoreError};
@@ -47,7 +47,6 @@ use locsim_report::{self as report, ReportContext, ReportError};
 use locsim_scenario::{ErrorFrame, Estimate, ModelName, Scenario, Source};
 pub(crate) use measured_log::{log_map, no_reference, selected};
 pub use measured_log::{read_options, read_scenario_log};
-pub(crate) use rehearsal::START;
 
 /// The recording's name in the results folder.
 pub const RECORDING: &str = "recording.rrd";

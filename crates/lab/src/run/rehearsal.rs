@@ -34,7 +34,7 @@ const MOST_WORSE: u32 = 2;
 const STEPS: usize = 200;
 
 /// Spread of the start where the scenario's filter starts anywhere: an exponent is that of a filter that has gathered.
-pub(crate) const START: Spread = Spread { sigma_m: 0.1, sigma_rad: 0.05 };
+pub const START: Spread = Spread { sigma_m: 0.1, sigma_rad: 0.05 };
 
 /// Stretches with fewer steps than this in all tell nothing.
 const FEWEST_STEPS: usize = 10;

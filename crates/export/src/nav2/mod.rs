@@ -19,9 +19,9 @@ use self::amcl::{Localizer, odometry_noise, updates};
 use self::comparison::Comparison;
 use self::files::Origin;
 use self::search::Search;
-use crate::LabError;
-use crate::inspect::{Inspection, NewScenario, rounded};
-use crate::run::{Grounds, START};
+use locsim_lab::LabError;
+use locsim_lab::inspect::{Inspection, NewScenario, rounded};
+use locsim_lab::run::{Grounds, START};
 
 /// Fewer updates in all training drives tell nothing.
 const LEAST_UPDATES: usize = 10;

@@ -11,7 +11,7 @@ use super::amcl::Settings;
 use super::comparison::Comparison;
 use super::files::{self, Origin, Parameter};
 use super::search::Found;
-use crate::LabError;
+use locsim_lab::LabError;
 
 const MARKDOWN: &str = include_str!("../templates/nav2.md.j2");
 

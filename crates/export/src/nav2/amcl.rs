@@ -10,8 +10,8 @@ use locsim_mcl::{
 };
 use locsim_sensor::{Amcl, AmclKind, AmclParameters};
 
-use crate::LabError;
-use crate::run::MapSet;
+use locsim_lab::LabError;
+use locsim_lab::run::MapSet;
 
 /// AMCL updates after this motion: along x or y of the odometry \[m\], or a turn \[rad\].
 pub(super) const UPDATE_MIN_D: f64 = 0.25;

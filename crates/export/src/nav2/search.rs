@@ -11,8 +11,8 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use super::amcl::{Localizer, Settings};
-use crate::LabError;
-use crate::inspect::rounded;
+use locsim_lab::LabError;
+use locsim_lab::inspect::rounded;
 
 /// Significant digits of a parameter: what is written is what was tried.
 const DIGITS: i32 = 3;
@@ -155,7 +155,7 @@ impl Search<'_> {
             .par_iter()
             .map(|settings| {
                 if self.control.is_interrupted() {
-                    return Err(locsim_gap::GapError::Interrupted.into());
+                    return Err(LabError::Stopped);
                 }
                 let lost_m = self.localizer.lost_m;
                 let mut sum = 0.0;

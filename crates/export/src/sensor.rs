@@ -8,8 +8,8 @@ use locsim_scenario::{Problem, Scenario, ScenarioError, SimulatorOptions};
 use locsim_world::effect::{Effect, EffectKind, Effects, Moves, Site};
 use locsim_world::simulation::{LaserOptions, LaserSimulator};
 
-use crate::LabError;
-use crate::run::refused;
+use locsim_lab::LabError;
+use locsim_lab::run::refused;
 
 /// Cameras that render ranges see nothing nearer than this \[m\], and can't have 0.
 const NEAR_M: f64 = 0.01;

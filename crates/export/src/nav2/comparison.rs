@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::amcl::{Errors, Localizer, Settings};
 use super::search::{Found, Search};
-use crate::LabError;
+use locsim_lab::LabError;
 
 /// Under which name the rows stand, the first that the others are compared with.
 const NAMES: [&str; 3] = ["nav2's defaults", "+ odometry's alphas", "exported"];
@@ -56,7 +56,7 @@ impl Comparison {
             .into_par_iter()
             .map(|trial| {
                 if search.control.is_interrupted() {
-                    return Err(locsim_gap::GapError::Interrupted.into());
+                    return Err(LabError::Stopped);
                 }
                 let drive = &drives[trial as usize % drives.len()];
                 let of = |settings| localizer.errors(settings, drive, seeds.seed(trial), f64::INFINITY);

@@ -7,7 +7,7 @@ use locsim_sensor::{AmclKind, AmclParameters};
 
 use super::amcl::{PARTICLES, PF_ERR, PF_Z, UPDATE_MIN_A, UPDATE_MIN_D, USUAL_ALPHA};
 use super::search::{Found, LEAST_ALPHA};
-use crate::inspect::rounded;
+use locsim_lab::inspect::rounded;
 
 /// What the comments tell of a search.
 pub(super) struct Origin<'a> {
