@@ -26,9 +26,16 @@ const SAME_PLACE_M: f64 = 0.005;
 /// The frames of a robot's base (REP-105, REP-120), after the odometry's own name for it.
 const BASE_FRAMES: [&str; 2] = ["base_link", "base_footprint"];
 
+/// The namespaces that a frame is in, the innermost first, with their slashes; the last is none.
+fn namespaces(frame: &str) -> impl Iterator<Item = &str> {
+    frame.rmatch_indices('/').map(|(end, _)| &frame[..=end]).chain([""])
+}
+
 /// The odometry of a drive.
 pub struct FoundOdometry<'a> {
     pub poses: Poses<'a>,
+    /// The frame that it is in, and that of the base that it moves.
+    pub frames: [String; 2],
     pub source: OdometrySource,
     pub messages: usize,
     /// Where it was found, in words.
@@ -37,14 +44,14 @@ pub struct FoundOdometry<'a> {
 
 impl FoundOdometry<'_> {
     /// No odometry, of a base of the usual name.
-    pub fn none() -> (Self, String) {
-        let odometry = Self {
+    pub fn none() -> Self {
+        Self {
             poses: Poses::Unknown,
+            frames: [ODOM, BASE_FRAMES[0]].map(str::to_owned),
             source: OdometrySource::Missing,
             messages: 0,
             evidence: "nowhere".to_owned(),
-        };
-        (odometry, BASE_FRAMES[0].to_owned())
+        }
     }
 }
 
@@ -106,15 +113,6 @@ impl Unusable {
 }
 
 impl Motion {
-    /// The frame that the odometry is in.
-    pub fn odometry_frame(&self, chosen: &Chosen) -> String {
-        match &chosen.odometry {
-            Some(PoseSource::Topic(_)) => plain(&self.odometry_frame).to_owned(),
-            Some(PoseSource::Transform { parent, .. }) => parent.clone(),
-            None => ODOM.to_owned(),
-        }
-    }
-
     /// What is odd about the poses, in sentences.
     pub fn remarks(&self, chosen: &Chosen, laser_frame: &str) -> Vec<String> {
         let mut remarks = Vec::new();
@@ -240,45 +238,52 @@ impl Motion {
         Some([median(0)?, median(1)?, median(2)?])
     }
 
-    /// The odometry, and the frame of the base that it moves.
+    /// The odometry: of its topic, or of transforms in the namespace of the laser's frame, or in none.
     pub fn odometry(
         &self,
         chosen: &Chosen,
         topics: &Topics<'_>,
-    ) -> Result<(FoundOdometry<'_>, String), DatasetError> {
-        let (parent, bases) = match &chosen.odometry {
+        laser_frame: &str,
+    ) -> Result<FoundOdometry<'_>, DatasetError> {
+        let pairs: Vec<[String; 2]> = match &chosen.odometry {
             Some(PoseSource::Topic(channel)) => {
                 let odometry = FoundOdometry {
                     poses: Poses::Topic(&self.odometry),
+                    frames: [&self.odometry_frame, &self.base_frame].map(|frame| plain(frame).to_owned()),
                     source: OdometrySource::Topic,
                     messages: topics.count(channel),
                     evidence: topics.in_words(channel),
                 };
-                return Ok((odometry, plain(&self.base_frame).to_owned()));
+                return Ok(odometry);
             }
-            Some(PoseSource::Transform { parent, child }) => (parent.as_str(), vec![child.as_str()]),
-            None => (ODOM, BASE_FRAMES.to_vec()),
+            Some(PoseSource::Transform { parent, child }) => vec![[parent.clone(), child.clone()]],
+            None => (namespaces(laser_frame))
+                .flat_map(|space| BASE_FRAMES.map(|base| [ODOM, base].map(|frame| format!("{space}{frame}"))))
+                .collect(),
         };
-        let found = bases.iter().find_map(|base| Some((base, self.transforms.chain(base, parent)?)));
-        let Some((base, edges)) = found else {
-            return Err(self.no_transforms("odometry", parent, bases[0], topics));
+        let chain = |[parent, base]: &[String; 2]| self.transforms.chain(base, parent);
+        let Some((frames, edges)) = pairs.iter().find_map(|pair| Some((pair.clone(), chain(pair)?))) else {
+            // The names without a namespace are the last.
+            let [parent, base] = &pairs[pairs.len().saturating_sub(BASE_FRAMES.len())];
+            return Err(self.no_transforms("odometry", parent, base, topics));
         };
-        let odometry = FoundOdometry {
+        let evidence = format!("the transforms {}:{}", quoted(&frames[0]), quoted(&frames[1]));
+        Ok(FoundOdometry {
             poses: Poses::Transforms(edges),
+            frames,
             source: OdometrySource::Transforms,
             messages: chosen.transforms.as_ref().map_or(0, |channel| topics.count(channel)),
-            evidence: format!("the transforms {}:{}", quoted(parent), quoted(base)),
-        };
-        Ok((odometry, (*base).to_owned()))
+            evidence,
+        })
     }
 
     pub fn reference<'a>(
         &'a self,
         chosen: &Chosen,
         topics: &Topics<'_>,
-        odometry: &'a Poses<'a>,
-        base: &str,
+        odometry: &'a FoundOdometry<'a>,
     ) -> Result<FoundReference<'a>, DatasetError> {
+        let [_, base] = &odometry.frames;
         let transforms = chosen.transforms.as_ref().map_or(0, |channel| topics.count(channel));
         let found = |poses, kind, messages, evidence| {
             Ok(FoundReference { poses: Some(poses), kind, messages, evidence })
@@ -286,7 +291,7 @@ impl Motion {
         match &chosen.reference {
             Some(PoseSource::Topic(channel)) => {
                 let poses = if channel.schema == POSE_WITH_COVARIANCE_STAMPED {
-                    Poses::corrected(&self.reference, odometry)
+                    Poses::corrected(&self.reference, &odometry.poses)
                 } else {
                     Poses::Topic(&self.reference)
                 };
@@ -301,14 +306,19 @@ impl Motion {
             }
             None => {}
         }
-        let mut bases = [base].into_iter().chain(BASE_FRAMES);
-        if let Some((base, edges)) = bases.find_map(|base| Some((base, self.transforms.chain(base, MAP)?))) {
-            let evidence = format!("the transforms {MAP}:{}, which a localizer found", quoted(base));
+        let mut pairs = [base.as_str()]
+            .into_iter()
+            .chain(BASE_FRAMES)
+            .flat_map(|base| namespaces(base).map(move |space| (format!("{space}{MAP}"), base)));
+        let chain = |(map, base): (String, _)| Some((self.transforms.chain(base, &map)?, map, base));
+        if let Some((edges, map, base)) = pairs.find_map(chain) {
+            let evidence =
+                format!("the transforms {}:{}, which a localizer found", quoted(&map), quoted(base));
             return found(Poses::Transforms(edges), LogKind::Localized, transforms, evidence);
         }
         if let Some(channel) = &chosen.localizer {
             let evidence = format!("{}, which a localizer found", topics.in_words(channel));
-            let poses = Poses::corrected(&self.reference, odometry);
+            let poses = Poses::corrected(&self.reference, &odometry.poses);
             return found(poses, LogKind::Localized, topics.count(channel), evidence);
         }
         let evidence = "no topic".to_owned();

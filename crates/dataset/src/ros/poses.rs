@@ -97,17 +97,31 @@ impl<'a> Poses<'a> {
         }
     }
 
+    /// Median time between poses of the robot's motion (s), without what corrects it.
+    pub fn motion_interval_secs(&self) -> Option<f64> {
+        match self {
+            Self::Transforms(edges) => edges.iter().find_map(|edge| edge.interval()).map(secs),
+            Self::Corrected { odometry, .. } => odometry.motion_interval_secs(),
+            Self::Topic(_) | Self::Unknown => self.interval_secs(),
+        }
+    }
+
+    /// Median time between corrections of the motion (s); `None` where nothing corrects it.
+    pub fn correction_interval_secs(&self) -> Option<f64> {
+        match self {
+            Self::Transforms(edges) => {
+                edges.iter().filter_map(|edge| edge.interval()).skip(1).max().map(secs)
+            }
+            Self::Corrected { corrections, .. } => corrections.interval().map(secs),
+            Self::Topic(_) | Self::Unknown => None,
+        }
+    }
+
     /// Median time between poses (s): of the slowest transform where there are several.
     pub fn interval_secs(&self) -> Option<f64> {
         match self {
             Self::Topic(poses) => poses.interval().map(secs),
-            Self::Transforms(edges) => edges
-                .iter()
-                .filter_map(|edge| match edge {
-                    Edge::Fixed(_) => None,
-                    Edge::Moving { poses, .. } => poses.interval().map(secs),
-                })
-                .max_by(f64::total_cmp),
+            Self::Transforms(edges) => edges.iter().filter_map(|edge| edge.interval()).max().map(secs),
             Self::Corrected { corrections, .. } => corrections.interval().map(secs),
             Self::Unknown => None,
         }
@@ -133,6 +147,14 @@ pub enum Edge {
 const SAME_TRANSFORM: f64 = 1e-6;
 
 impl Edge {
+    /// Median time between its poses (ns); `None` where it doesn't move.
+    fn interval(&self) -> Option<i64> {
+        match self {
+            Self::Fixed(_) => None,
+            Self::Moving { poses, .. } => poses.interval(),
+        }
+    }
+
     fn at(&self, stamp: i64, nth: usize, bridged: bool) -> Option<Pose2> {
         match self {
             Self::Fixed(transform) => Some(planar(transform)),

@@ -59,11 +59,15 @@ pub fn read_with_layout(
     let topics = Topics::of(path, &bag)?;
     let chosen = topics.choose(options)?;
     let (scans, motion) = messages(path, &bag, &chosen, limits)?;
-    let (odometry, base) =
-        if options.without_odometry { FoundOdometry::none() } else { motion.odometry(&chosen, &topics)? };
-    let reference = motion.reference(&chosen, &topics, &odometry.poses, &base)?;
+    let odometry = if options.without_odometry {
+        FoundOdometry::none()
+    } else {
+        motion.odometry(&chosen, &topics, scans.frame())?
+    };
+    let reference = motion.reference(&chosen, &topics, &odometry)?;
+    let [odom, base] = &odometry.frames;
     let mount = motion
-        .mount(options.base_from_laser, scans.frame(), &base)
+        .mount(options.base_from_laser, scans.frame(), base)
         .map_err(|reason| of_first_scan(path, &chosen, reason))?;
     let laser = scans.laser(mount.base_from_laser, mount.mirrored, options);
     if let Some(reason) = laser.as_ref().err().and_then(|error| why_no_laser(error, &scans, options)) {
@@ -75,7 +79,7 @@ pub fn read_with_layout(
     let zero_is_no_return = scans.zero_is_no_return(max);
     let convention = Convention { min: laser.min_range(), max, zero_is_no_return };
     let laser_frame = scans.frame().to_owned();
-    let laser_edge = motion.transforms.laser_edge(scans.frame(), &base);
+    let laser_edge = motion.transforms.laser_edge(scans.frame(), base);
     let (empty, resampled_scans) = (scans.empty, scans.resampled_scans);
     let (scan_remarks, timing) = (scans.remarks(), scans.stamped.timing);
     let found = Steps::of(scans.stamped, convention, &odometry.poses, reference.poses.as_ref());
@@ -143,7 +147,7 @@ pub fn read_with_layout(
         longest_return_m: found.longest,
         scan_source: quoted(&chosen.scan.topic),
     };
-    let odom = motion.odometry_frame(&chosen);
+    let odom = odom.clone();
     let laser_edge =
         laser_edge.map(|(frame, parent, base_from_parent)| LaserEdge { frame, parent, base_from_parent });
     Ok((

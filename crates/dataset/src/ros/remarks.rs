@@ -42,15 +42,14 @@ impl Times<'_> {
         let mut remarks = Vec::new();
         remarks.extend(self.interpolated("odometry", self.odometry.interval_secs()));
         if let Some(reference) = self.reference {
-            let interval = reference.interval_secs();
-            if matches!(reference, Poses::Corrected { .. }) {
-                remarks.extend(interval.filter(|secs| *secs > SELDOM_SECS).map(|secs| {
+            if let Some(secs) = reference.correction_interval_secs() {
+                remarks.extend((secs > SELDOM_SECS).then(|| {
                     format!(
                         "Reference poses come every {secs:.1} s. Between them they follow the odometry, whose error can't be told from them."
                     )
                 }));
             } else {
-                remarks.extend(self.interpolated("reference", interval));
+                remarks.extend(self.interpolated("reference", reference.motion_interval_secs()));
             }
         }
         remarks.extend(self.stamps());

@@ -104,6 +104,64 @@ fn odometry_is_read_from_transforms() {
     assert!(unknown.read(&BagOptions::default()).is_ok());
 }
 
+/// A robot of several, whose drivers put its name before each frame; `map` is of all of them.
+#[test]
+fn frames_may_be_in_the_namespace_of_the_laser() {
+    let poses = [Pose2::new(1.0, 2.0, 3.0), Pose2::new(3.0, 6.0, -3.0)];
+    let mut bag = Bag::default();
+    for (secs, pose) in [1.0, 3.0].into_iter().zip(&poses) {
+        bag = bag
+            .add("/tf", &moving(secs, "fleet/a/odom", "fleet/a/base_link", pose))
+            .add("/tf", &moving(secs, "odom", "base_link", &Pose2::IDENTITY));
+    }
+    let level = [0.0, 0.0, 0.0, 1.0];
+    bag =
+        bag.add("/tf_static", &transform("fleet/a/base_link", "fleet/a/front/laser", [0.5, 0.0, 0.0], level));
+    for secs in [1.0, 1.5, 3.0] {
+        let mut scan = scan(secs, &[1.0, 2.0, 3.0, 4.0, 5.0]);
+        scan.header.frame_id = "fleet/a/front/laser".to_owned();
+        bag = bag.add("/a/scan", &scan);
+    }
+    let (expected, _) = plain().read(&BagOptions::default()).unwrap();
+    let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+    assert!(summary.evidence.contains("the transforms fleet/a/odom:fleet/a/base_link"), "{summary}");
+    let odometry = |drive: &Drive| drive.steps.iter().map(|step| step.odometry).collect::<Vec<_>>();
+    assert_eq!(odometry(&drive), odometry(&expected));
+    assert!(near(&drive.laser.base_from_laser(), &Pose2::new(0.5, 0.0, 0.0)));
+    assert_eq!(summary.kind, LogKind::Raw);
+
+    let localized = bag
+        .add("/tf", &moving(1.0, "map", "fleet/a/odom", &Pose2::IDENTITY))
+        .add("/tf", &moving(3.0, "map", "fleet/a/odom", &Pose2::IDENTITY));
+    let (drive, summary) = localized.read(&BagOptions::default()).unwrap();
+    assert_eq!(summary.kind, LogKind::Localized);
+    assert!(near(&drive.steps[0].reference.unwrap(), &poses[0]), "{summary}");
+}
+
+/// Odometry and scans every 0.1 s, corrected every `every` tenths of a second. Poses of the base follow the odometry meanwhile.
+#[test]
+fn corrections_may_come_seldom() {
+    let remarks = |every: usize| {
+        let mut bag = Bag::default();
+        for i in 0..100 {
+            let (secs, pose) = (1.0 + 0.1 * f64::from(i), Pose2::new(0.03 * f64::from(i), 0.0, 0.0));
+            bag = bag
+                .add("/scan", &scan(secs, &[1.0, 2.0, 3.0, 4.0, 5.0]))
+                .add("/tf", &moving(secs, "odom", "base_link", &pose));
+            if (i as usize).is_multiple_of(every) {
+                bag = bag.add("/tf", &moving(secs, "map", "odom", &Pose2::IDENTITY));
+            }
+        }
+        bag.read(&BagOptions::default()).unwrap().1.remarks
+    };
+    assert_eq!(remarks(10), [""; 0]);
+    let [seldom] = &remarks(40)[..] else { panic!("one remark") };
+    assert!(
+        seldom.starts_with("Reference poses come every 4.0 s. Between them they follow the odometry"),
+        "{seldom}"
+    );
+}
+
 #[test]
 fn frames_without_a_way_between_them_are_refused_with_those_that_are_there() {
     let message =
