@@ -36,6 +36,18 @@ pub struct BlockOptions {
     pub clearance_m: f64,
 }
 
+impl BlockOptions {
+    /// The greatest distance of a part of a block from its wall \[m\].
+    pub fn reach_m(&self) -> f64 {
+        self.wall_distance_m[1] + self.diameter_m()
+    }
+
+    /// The greatest distance between two parts of a block \[m\].
+    pub fn diameter_m(&self) -> f64 {
+        self.length_m[1].hypot(self.width_m[1])
+    }
+}
+
 /// When blocks take new places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum BlockResampling {

@@ -10,6 +10,7 @@ mod filter;
 mod laser;
 mod map_error;
 mod next;
+mod open;
 mod page;
 mod profile;
 mod proposal;
@@ -202,6 +203,11 @@ impl GapStudy {
         let baseline = baseline.transpose()?;
         let laser = simulated.laser();
         let (drive, recorded) = usable(&log, drive, &summary, laser, &map, &settings, &mut warnings)?;
+        // Beside a baseline, clutter is as the baseline has it.
+        if baseline.is_none() {
+            let steps = drive.steps.iter().filter(|step| is_free(&map, step));
+            warnings.extend(open::warning(steps, &drive.laser, &map, simulator.blocks.as_ref()));
+        }
         let is_localized = summary.kind == LogKind::Localized;
         Ok(Self {
             scenario,
@@ -267,8 +273,7 @@ impl GapStudy {
 
     /// Scans that can be compared: those with a reference pose in the map's free space.
     fn usable_steps(&self) -> impl Iterator<Item = &DriveStep> {
-        let free = |pose: Pose2| self.map.geometry().is_free(pose.x, pose.y);
-        self.drive.steps.iter().filter(move |step| step.reference.is_some_and(free))
+        self.drive.steps.iter().filter(|step| is_free(&self.map, step))
     }
 
     /// The scenario as it simulates now.
@@ -277,6 +282,11 @@ impl GapStudy {
         let effects = self.simulator.effects()?;
         Nominal::new(Arc::clone(&self.map), laser, blocks, odometry_noise, effects)
     }
+}
+
+/// Whether a scan's reference pose is known, and in the map's free space.
+fn is_free(map: &ExactRangeMap, step: &DriveStep) -> bool {
+    step.reference.is_some_and(|pose| map.geometry().is_free(pose.x, pose.y))
 }
 
 /// A log with the map that it is held against.
@@ -351,7 +361,7 @@ fn usable(
     warnings.extend((frozen[0] > 0.0).then(|| frozen_odometry(frozen)));
     let free = |pose: &Pose2| map.geometry().is_free(pose.x, pose.y);
     let references = drive.steps.iter().filter(|step| step.reference.is_some()).count();
-    let is_usable = |step: &&DriveStep| step.reference.is_some_and(|pose| free(&pose));
+    let is_usable = |step: &&DriveStep| is_free(map, step);
     let part = if settings.baseline.is_some() {
         let each = drive.steps.iter().filter(is_usable).count().div_ceil(settings.scans).max(1);
         let steps = drive.steps.iter().filter(is_usable).step_by(each).cloned().collect();

@@ -213,14 +213,12 @@ impl BlockModel {
     /// The points of a lattice of `side` \[m\], as multiples of it, with part of a block perhaps in the upright square around them
     /// whose sides are twice `half` \[m\]. Around all others no block ever stands.
     pub fn lattice_in_reach(&self, side: f64, half: f64) -> HashSet<[i32; 2]> {
-        let BlockOptions { length_m: [_, length], width_m: [_, width], wall_distance_m: [_, gap], .. } =
-            self.options;
-        let diameter = length.hypot(width);
+        let (diameter, reach) = (self.options.diameter_m(), self.options.reach_m());
         let mut points = HashSet::new();
         for face in &self.faces {
             // The square's own extent along the face, and as much away from it.
             let extent = half * (face.along.x.abs() + face.along.y.abs());
-            let (before, out) = (0.5 * diameter + extent, gap + diameter + extent);
+            let (before, out) = (0.5 * diameter + extent, reach + extent);
             let [a, b] = [-before, face.length + before].map(|at| face.start + at * face.along);
             let corners = [-extent, out].map(|out| [a, b].map(|at| at + out * face.inward));
             let all = corners.as_flattened();

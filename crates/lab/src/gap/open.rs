@@ -1,0 +1,154 @@
+//! What stands farther from all walls than the scenario's blocks reach: people in the open, furniture amid a room. Simulated logs have
+//! nothing there, and the search takes it for errors of the readings.
+
+use locsim_core::{DistanceMap, DriveStep, Hits, Laser, Particles, RangeMap, median, quantile};
+use locsim_world::raycast::{DistanceGrid, ExactRangeMap};
+use locsim_world::simulation::BlockOptions;
+
+/// Scans that are looked at, at the most.
+const SCANS: usize = 300;
+/// Cells of the distance to the nearest wall, and the greatest distance that they tell \[m\].
+const CELL_M: f64 = 0.1;
+const FARTHEST_M: f64 = 6.0;
+/// A reading is of something in front of the wall if it is shorter by this, and in the open if it ends this much beyond the blocks'
+/// reach \[m\]: more than noise, cells and errors of a reference make of it.
+const MARGIN_M: f64 = 0.3;
+/// Neighbouring beams that see one thing end within this \[m\]. Random readings have no such neighbours.
+const ONE_THING_M: f64 = 0.2;
+/// Fewer readings, and a lesser share of all returns, aren't told.
+const LEAST_READINGS: usize = 50;
+const LEAST_SHARE: f64 = 3e-3;
+/// A beam that sees so much more than the median beam sees the robot itself.
+const OF_ROBOT_SHARE: f64 = 0.1;
+/// Share of these readings that the distance in the warning holds.
+const MOST: f64 = 0.95;
+
+/// A warning on readings in the open, from scans whose reference poses are known; `None` where there are few.
+pub(super) fn warning<'a>(
+    steps: impl Iterator<Item = &'a DriveStep>,
+    laser: &Laser,
+    map: &ExactRangeMap,
+    blocks: Option<&BlockOptions>,
+) -> Option<String> {
+    let steps: Vec<&DriveStep> = steps.collect();
+    let distances = DistanceGrid::new(map.geometry(), CELL_M, FARTHEST_M).ok()?;
+    let reach_m = blocks.map_or(0.0, BlockOptions::reach_m);
+    let beams = laser.beam_count();
+    let (mut returns, mut open) = (vec![0_usize; beams], vec![Vec::new(); beams]);
+    let mut hits = Hits::default();
+    for step in steps.iter().step_by(steps.len().div_ceil(SCANS).max(1)) {
+        let Some(reference) = step.reference else { continue };
+        let pose = reference.compose(&laser.base_from_laser());
+        let poses: Particles = std::iter::once(pose).collect();
+        map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
+        let ranges = &step.scan.ranges;
+        let in_open = |beam: usize| -> Option<f64> {
+            let range = f64::from(ranges[beam]);
+            if !(range < f64::from(hits.range[beam]) - MARGIN_M) {
+                return None;
+            }
+            let (sin, cos) = (pose.theta + f64::from(laser.bearings()[beam])).sin_cos();
+            let distance = f64::from(distances.distance(pose.x + range * cos, pose.y + range * sin));
+            (distance > reach_m + MARGIN_M).then_some(distance)
+        };
+        let found: Vec<Option<f64>> = (0..beams).map(in_open).collect();
+        for beam in 0..beams {
+            returns[beam] += usize::from(ranges[beam] < laser.max_range());
+            let sees_it_too = |other: Option<usize>| {
+                let other = other.filter(|other| found.get(*other).is_some_and(Option::is_some));
+                other.is_some_and(|other| f64::from((ranges[other] - ranges[beam]).abs()) < ONE_THING_M)
+            };
+            let neighbours = [beam.checked_sub(1), Some(beam + 1)];
+            open[beam].extend(found[beam].filter(|_| neighbours.into_iter().any(sees_it_too)));
+        }
+    }
+    let share = |beam: usize| open[beam].len() as f64 / returns[beam].max(1) as f64;
+    let most = OF_ROBOT_SHARE + 2.0 * median(&mut (0..beams).map(share).collect::<Vec<_>>());
+    let mut farthest: Vec<f64> =
+        (0..beams).filter(|&beam| share(beam) <= most).flat_map(|beam| &open[beam]).copied().collect();
+    let share = farthest.len() as f64 / returns.iter().sum::<usize>().max(1) as f64;
+    if farthest.len() < LEAST_READINGS || share < LEAST_SHARE {
+        return None;
+    }
+    let percent = 100.0 * share;
+    let reach = if blocks.is_some() {
+        format!("farther from all walls than the scenario's `blocks` reach ({reach_m:.1} m)")
+    } else {
+        "in front of the walls, and the scenario has no `blocks`".to_owned()
+    };
+    let most_m = quantile(&mut farthest, MOST);
+    Some(format!(
+        "{percent:.1} % of the readings end {reach}: people or things in the open, most of them within {most_m:.1} m of a wall. The search may take \
+         them for errors of the readings; `blocks.wall_distance_m` up to {most_m:.1} gives the simulated logs such things, too."
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_core::{Pose2, Scan};
+    use locsim_world::map::{Polyline, VectorMap};
+    use locsim_world::simulation::BlockResampling;
+
+    use super::*;
+
+    const BEAMS: usize = 72;
+
+    fn blocks(gap_m: f64) -> BlockOptions {
+        BlockOptions {
+            per_metre_of_wall: 0.1,
+            length_m: [0.3, 0.4],
+            width_m: [0.2, 0.3],
+            yaw_rad: [0.0, 0.0],
+            wall_distance_m: [0.0, gap_m],
+            resample: BlockResampling::EachObservation,
+            speed_m_s: [0.0, 0.0],
+            clearance_m: 0.0,
+        }
+    }
+
+    /// 100 scans amid a hall of 12 m. `beam` of the `seen` beams of scan i sees something at a distance \[m\].
+    fn told(
+        seen: usize,
+        beam: impl Fn(usize, usize) -> usize,
+        at_m: f32,
+        blocks: Option<&BlockOptions>,
+    ) -> Option<String> {
+        let corners = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]];
+        let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
+        let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
+        let map = ExactRangeMap::new(map.to_geometry().unwrap());
+        let bearings: Vec<f32> = (0..BEAMS).map(|i| (i as f32 * 5.0 - 177.5).to_radians()).collect();
+        let laser = Laser::new(bearings, vec![0.0; BEAMS], 0.0, 20.0, Pose2::IDENTITY).unwrap();
+        let poses: Particles = std::iter::once(Pose2::IDENTITY).collect();
+        let mut hits = Hits::default();
+        map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
+        let step = |i: usize| {
+            let mut ranges = hits.range.clone();
+            (0..seen).for_each(|j| ranges[beam(i, j)] = at_m);
+            let pose = Pose2::IDENTITY;
+            DriveStep { stamp_secs: i as f64, odometry: pose, reference: Some(pose), scan: Scan { ranges } }
+        };
+        let steps: Vec<DriveStep> = (0..100).map(step).collect();
+        warning(steps.iter(), &laser, &map, blocks)
+    }
+
+    #[test]
+    fn what_walks_in_the_open_is_told() {
+        let walks = |i: usize, j: usize| i * 7 % (BEAMS - 2) + j;
+        let told_with = |gap_m: f64| told(3, walks, 2.0, Some(&blocks(gap_m)));
+        let text = told_with(0.5).unwrap();
+        assert!(
+            text.starts_with(
+                "4.2 % of the readings end farther from all walls than the scenario's `blocks` reach (1.0 m)"
+            ),
+            "{text}"
+        );
+        // Two metres ahead are four metres to the walls; in the corners it is less.
+        assert!(text.contains("`blocks.wall_distance_m` up to 4.5"), "{text}");
+        assert_eq!(told_with(5.0), None);
+        assert!(told(3, walks, 2.0, None).unwrap().contains("the scenario has no `blocks`"));
+        // One beam in a place is a random reading; the same beams at all times see the robot.
+        assert_eq!(told(3, |i, j| (i * 7 + 20 * j) % BEAMS, 2.0, Some(&blocks(0.5))), None);
+        assert_eq!(told(3, |_, j| j, 2.0, Some(&blocks(0.5))), None);
+    }
+}
