@@ -169,8 +169,9 @@ fn a_scenario_may_leave_out_what_is_optional() {
         folder.write(&format!("{name}-hidden.yaml"), hidden);
         for log in ["", "-hidden"] {
             folder.locsim(&format!("simulate {name}{log}.yaml --seed 11 --out {name}{log}.log")).success();
-            let line =
-                format!("gap {name}.yaml --log {name}{log}.log --out {name}{log} --replicates 19 --json");
+            let line = format!(
+                "gap {name}.yaml --log {name}{log}.log --out {name}{log} --replicates 19 --threads 1 --json"
+            );
             let outcome: Value = serde_json::from_str(&output(&folder.locsim(&line).success())).unwrap();
             let found: Vec<&str> =
                 outcome["effects"].as_array().unwrap().iter().map(|e| e["name"].as_str().unwrap()).collect();

@@ -60,6 +60,7 @@ fn sensor(arguments: &ExportSensor, format: SimulatorFormat) -> anyhow::Result<u
 
 fn nav2(arguments: &ExportNav2) -> Result<u8, Failure> {
     let ExportNav2 { source, out, force, evaluations, trials, quiet, .. } = arguments;
+    arguments.threads.set()?;
     let scenario = nav2_scenario(arguments)?;
     let inputs = scenario.inputs()?;
     let beside = BESIDE.map(|ending| out.with_extension(ending));
@@ -68,7 +69,6 @@ fn nav2(arguments: &ExportNav2) -> Result<u8, Failure> {
     for path in files {
         output(path).check().map_err(anyhow::Error::from)?;
     }
-    arguments.threads.set()?;
     let session = Session::begin(*quiet)?;
     let cache = arguments.cache.clone().or_else(users_cache);
     let command = format!(

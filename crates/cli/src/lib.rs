@@ -101,8 +101,8 @@ fn of_lab(error: LabError) -> Failure {
 fn run_scenario(arguments: &Run) -> Result<u8, Failure> {
     let overrides =
         Overrides { trials: arguments.trials, seed: arguments.seed, models: arguments.models.clone() };
-    let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     arguments.threads.set()?;
+    let scenario = Scenario::load(&arguments.scenario, &overrides)?;
     if let Some(shard) = arguments.share.asked()? {
         return sweep::run_trials(arguments, scenario, shard);
     }
@@ -340,8 +340,9 @@ fn gap(arguments: &Gap) -> Result<u8, Failure> {
     let (Some(scenario), Some(out)) = (&arguments.scenario, &arguments.out) else {
         return Err(anyhow!("a scenario and --out are needed").into());
     };
-    let study = GapStudy::load(scenario, arguments.log.as_deref(), gap_settings(arguments)?)?;
+    // Before anything is computed on them.
     arguments.threads.set()?;
+    let study = GapStudy::load(scenario, arguments.log.as_deref(), gap_settings(arguments)?)?;
     let session = Session::begin(arguments.output.quiet)?;
     let cache = arguments.cache.clone().or_else(users_cache);
     let options = GapStudyOptions {

@@ -27,8 +27,8 @@ fn of_sweep(error: SweepError) -> Failure {
 /// Runs a sweep or a shard of it, or writes the scripts that call `program` to do it.
 pub fn run(arguments: &arguments::Sweep, program: &Path) -> Result<u8, Failure> {
     let overrides = SweepOverrides { trials: arguments.trials, seed: arguments.seed };
-    let sweep = Sweep::load(&arguments.sweep, overrides)?;
     arguments.threads.set()?;
+    let sweep = Sweep::load(&arguments.sweep, overrides)?;
     if arguments.dry_run {
         say(&format!("{}: {}", sweep.name, sweep.estimate(rayon::current_num_threads())?))?;
         return Ok(DONE);

@@ -35,7 +35,7 @@ impl Regime {
             Some(blocks) if !self.persistent_blocks => blocks.resample,
             _ => BlockResampling::Never,
         };
-        nominal.simulator(effects, BlockPolicy { density: 1.0, resample, walks: false })
+        nominal.simulator(effects, BlockPolicy { density: 1.0, resample, walking: 0.0 })
     }
 }
 

@@ -86,17 +86,24 @@ impl Nominal {
 
     /// The simulator with more effects, as many blocks as `blocks` says and clutter that stays as long as `blocks` says.
     pub(crate) fn simulator(&self, effects: &Effects, blocks: BlockPolicy) -> Result<Simulator, GapError> {
-        let options = self.blocks.map(|nominal| BlockOptions {
-            per_metre_of_wall: nominal.per_metre_of_wall * blocks.density,
-            resample: blocks.resample,
-            speed_m_s: match blocks.resample {
-                _ if blocks.walks => WALKING_M_S,
-                BlockResampling::EachObservation => [0.0; 2],
-                _ => nominal.speed_m_s,
-            },
+        let BlockPolicy { density, resample, walking } = blocks;
+        let of = |nominal: BlockOptions, share: f64, resample, speed_m_s| BlockOptions {
+            per_metre_of_wall: nominal.per_metre_of_wall * density * share,
+            resample,
+            speed_m_s,
             ..nominal
+        };
+        let standing = self.blocks.map(|nominal| {
+            let stands = resample == BlockResampling::EachObservation;
+            of(nominal, 1.0 - walking, resample, if stands { [0.0; 2] } else { nominal.speed_m_s })
         });
-        Ok(Simulator::new(Arc::clone(&self.map), options, self.laser, effects.clone())?)
+        let simulator = Simulator::new(Arc::clone(&self.map), standing, self.laser, effects.clone())?;
+        match self.blocks {
+            Some(nominal) if walking > 0.0 => {
+                Ok(simulator.with_more_blocks(of(nominal, walking, PASSING, WALKING_M_S))?)
+            }
+            _ => Ok(simulator),
+        }
     }
 
     /// The same simulator with more residuals.
@@ -144,6 +151,8 @@ impl Nominal {
 
 /// Speeds of people \[m/s\].
 const WALKING_M_S: [f64; 2] = [0.5, 1.5];
+/// People walk past, and others come.
+const PASSING: BlockResampling = BlockResampling::EachScanN(40);
 
 /// A number of the scenario's laser that is larger than the log's, where the log's is least.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -161,8 +170,8 @@ pub struct Guess {
 pub struct BlockPolicy {
     /// Factor on their density.
     pub density: f64,
-    /// When they take new places.
+    /// When they take new places, those that don't walk.
     pub resample: BlockResampling,
-    /// Whether they go to and fro as people do, whatever the nominal speed is.
-    pub walks: bool,
+    /// The share of them that walk past as people do, whatever the nominal speed is.
+    pub walking: f64,
 }

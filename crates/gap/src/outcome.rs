@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use locsim_core::Estimate;
+use locsim_core::{Estimate, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Residual};
 use serde::{Deserialize, Serialize, Serializer};
 
@@ -74,7 +74,7 @@ pub struct Named {
     /// The effect itself.
     #[serde(skip)]
     pub effect: Effect,
-    /// What the log gained on each fold when it was named, and by others that it explains \[nats\].
+    /// What the log gained on each fold when it was named, whatever of it counted, and by others that it explains \[nats\].
     #[serde(skip)]
     pub gains: Vec<f64>,
 }
@@ -84,6 +84,13 @@ impl Named {
     pub(crate) fn leave_alone(&mut self) {
         self.candidates.truncate(1);
         self.split_by = None;
+    }
+
+    /// Makes the evidence that of all gains: those that counted for the choice may have been limited by the score.
+    pub(crate) fn count_all_gains(&mut self, scans: usize) {
+        let gain_nats = Estimate::normal(self.gains.iter().sum(), sum_error(&self.gains));
+        self.evidence =
+            Evidence { gain_nats, gain_nats_per_scan: gain_nats.value / scans as f64, ..self.evidence };
     }
 
     /// Adds what another name gained on each fold \[nats\].

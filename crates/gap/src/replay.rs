@@ -41,8 +41,8 @@ pub(crate) struct Replay<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct BlockTruth {
     pub resample: BlockResampling,
-    /// Whether it walks; see [`BlockPolicy::walks`].
-    pub walks: bool,
+    /// The share of it that walks; see [`BlockPolicy::walking`].
+    pub walking: f64,
     /// True density over fitted density: readings of blocks right in front of walls are taken for the walls.
     pub density_over_fit: f64,
 }
@@ -64,8 +64,8 @@ impl<'a> Replay<'a> {
     pub fn simulate(&self, seed: u64) -> Result<Recorded, GapError> {
         let effects = self.nominal.effects_with(self.effects)?;
         let density = self.nuisances.block_density * self.blocks.density_over_fit;
-        let BlockTruth { resample, walks, .. } = self.blocks;
-        let blocks = BlockPolicy { density, resample, walks };
+        let BlockTruth { resample, walking, .. } = self.blocks;
+        let blocks = BlockPolicy { density, resample, walking };
         let simulator = self.nominal.simulator(&effects, blocks)?;
         // As the log's laser sweeps.
         let mut simulator = simulator.with_beam_times(self.recorded.log_laser.beam_times_secs())?;
@@ -132,8 +132,8 @@ pub(crate) fn fit_persistence(
         BlockTruth::of(BlockResampling::EachScanN(10)),
         BlockTruth::of(BlockResampling::EachScanN(40)),
         BlockTruth::of(BlockResampling::Never),
-        BlockTruth::WALKING,
     ];
+    policies.extend(WALKING_SHARES.map(BlockTruth::walking));
     let own_policy = BlockTruth::of(blocks.resample);
     if !policies.contains(&own_policy) {
         policies.push(own_policy);
@@ -163,22 +163,29 @@ pub(crate) fn fit_persistence(
         .zip(&distances)
         .filter(|(_, distance)| **distance <= 1.3 * least + 0.02)
         .map(|(policy, _)| *policy)
-        .max_by_key(|policy| match policy.resample {
-            BlockResampling::EachObservation => 1,
-            BlockResampling::EachScanN(scans) if policy.walks => scans / 2,
-            BlockResampling::EachScanN(scans) => scans,
-            BlockResampling::Never => u32::MAX,
-        });
+        .max_by(|a, b| a.stay_scans().total_cmp(&b.stay_scans()));
     Ok(best.unwrap_or(own_policy))
 }
 
 impl BlockTruth {
-    /// People who walk past, seen in some tens of scans each.
-    const WALKING: Self = Self { walks: true, ..Self::of(BlockResampling::EachScanN(40)) };
+    /// Blocks of which this share walks past as people do, and the rest never moves.
+    const fn walking(share: f64) -> Self {
+        Self { walking: share, ..Self::of(BlockResampling::Never) }
+    }
+
+    /// In how many scans a block is seen at one place, about.
+    fn stay_scans(&self) -> f64 {
+        let stays = match self.resample {
+            BlockResampling::EachObservation => 1,
+            BlockResampling::EachScanN(scans) => scans,
+            BlockResampling::Never => u32::MAX,
+        };
+        self.walking * PASSING_SCANS + (1.0 - self.walking) * f64::from(stays)
+    }
 
     /// Blocks that stand until they take new places.
     pub const fn of(resample: BlockResampling) -> Self {
-        Self { resample, walks: false, density_over_fit: 1.0 }
+        Self { resample, walking: 0.0, density_over_fit: 1.0 }
     }
 
     /// The same blocks with the bias that the fit of their density has in a world with these effects, by simulated logs.
@@ -208,6 +215,11 @@ impl BlockTruth {
         Ok(Self { density_over_fit: (simulated / mean).clamp(0.5, 2.0), ..self })
     }
 }
+
+/// Shares of clutter that walks which are tried.
+const WALKING_SHARES: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
+/// In so many scans people are seen at a place.
+const PASSING_SCANS: f64 = 20.0;
 
 /// Numbers of scans after which blocks are looked for where they were.
 const LAGS: [usize; 4] = [1, 4, 16, 64];
@@ -263,7 +275,7 @@ mod tests {
         assert!((far.count() as f64) < 0.05 * log.readings.len() as f64);
     }
 
-    /// Clutter that is drawn anew, that stays and that walks is told apart by where its readings are again.
+    /// Clutter that is drawn anew, that stays, that walks and of which a half does each is told apart by where its readings are again.
     #[test]
     fn a_log_tells_how_its_clutter_stays() {
         let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 5).unwrap();
@@ -271,11 +283,15 @@ mod tests {
         let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
         let [redrawn, stays] = [BlockResampling::EachObservation, BlockResampling::Never].map(BlockTruth::of);
-        for truth in [redrawn, stays, BlockTruth::WALKING] {
+        for truth in [redrawn, stays, BlockTruth::walking(0.5), BlockTruth::walking(1.0)] {
             let log = Replay::new(&comparison, &[], &fitted, truth).simulate(8).unwrap();
             let log = comparison.of(&log);
             let fitted = log.fit_nuisances(&Nuisances::default(), 20);
-            assert_eq!(fit_persistence(&log, &fitted, 3).unwrap(), truth);
+            let found = fit_persistence(&log, &fitted, 3).unwrap();
+            // Of shares about as good the one with more that stays.
+            let is_right =
+                if truth.walking == 0.5 { [0.25, 0.5].contains(&found.walking) } else { found == truth };
+            assert!(is_right, "{found:?} {truth:?}");
         }
     }
 }

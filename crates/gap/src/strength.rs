@@ -100,7 +100,7 @@ impl<'a> Strength<'a> {
             effects,
             nuisances: self.nuisances(),
             known_offsets: Vec::new(),
-            blocks: BlockTruth { resample, walks: false, density_over_fit: 1.0 },
+            blocks: BlockTruth { resample, walking: 0.0, density_over_fit: 1.0 },
         }
     }
 

@@ -83,7 +83,7 @@ mod tests {
         let bias = Effect::new(EffectKind::RangeBias, vec![bias_m], Vec::new()).unwrap();
         let effects =
             MEASURED.effects_with(if bias_m == 0.0 { &[] } else { std::slice::from_ref(&bias) }).unwrap();
-        let policy = BlockPolicy { density: 1.0, resample: MEASURED.blocks.unwrap().resample, walks: false };
+        let policy = BlockPolicy { density: 1.0, resample: MEASURED.blocks.unwrap().resample, walking: 0.0 };
         let pieces = Arc::clone(MEASURED.pieces.as_ref().unwrap());
         let simulator = MEASURED.simulator(&effects, policy).unwrap();
         let simulator = simulator.with_moved_walls(MovedWalls { pieces, offsets: offsets.to_vec() });

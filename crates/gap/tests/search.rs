@@ -95,6 +95,20 @@ fn nothing_is_found_where_nothing_is_hidden() {
     }
 }
 
+/// A bias that is many times the noise at slanted walls gains what the log gains by it.
+#[test]
+fn a_bias_of_many_standard_deviations_gains_what_the_log_gains() {
+    let nominal = nominal();
+    let hidden = effect(EffectKind::IncidenceBias, &[0.1]);
+    let outcome = search(&nominal, &log(&nominal, &[hidden], Regime::default(), 3), Vec::new());
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert_eq!(names, [EffectKind::IncidenceBias]);
+    let (gap, evidence) = (&outcome.gap, &outcome.effects[0].evidence);
+    let gained = gap.after.log_score_nats_per_scan - gap.before.log_score_nats_per_scan;
+    assert!((0.8..1.2).contains(&(gap.gained_nats_per_scan / gained)), "{gap:?}");
+    assert!((0.8..1.2).contains(&(evidence.gain_nats_per_scan / gained)), "{evidence:?}");
+}
+
 /// Strengths of information 150 and more, which the best test misses once in 10^20 logs.
 #[test]
 fn a_hidden_effect_is_named_with_its_number() {

@@ -322,8 +322,8 @@ impl<'a> State<'a> {
         })
     }
 
-    /// A curve in units that people know: the mean over the readings of each level. A share is of the readings that weren't of
-    /// its kind before: the probability by which an effect makes them so.
+    /// A curve in units that people know: the mean over the readings of each level. A share that grows is of the readings that weren't of
+    /// its kind before: the probability by which an effect makes them so. One that shrinks is of all readings.
     fn finish(&self, draft: Draft) -> Component {
         let Draft { moment, axis, large, tilts, errors, gains } = draft;
         let covariate = self.covariates.axes[axis].covariate;
@@ -350,7 +350,8 @@ impl<'a> State<'a> {
             self.outcomes.all.iter().zip(levels).for_each(|(outcome, level)| add(outcome, level.into()));
         }
         let mean = |[count, at, up, down, readings]: [f64; 5]| {
-            (count > LEAST_SHARE * readings).then(|| [at / count, 0.5 * (up - down).abs() / count])
+            let of = if at < 0.0 { readings } else { count };
+            (count > LEAST_SHARE * readings).then(|| [at / of, 0.5 * (up - down).abs() / of])
         };
         let mut curve: Vec<_> = sums.into_iter().map(mean).collect();
         if self.covariates.axes[axis].is_of_readings()

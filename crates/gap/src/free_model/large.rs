@@ -134,7 +134,11 @@ impl Large {
         };
         let mut sums = vec![vec![[0.0; COUNT]; count]; folds.count()];
         let mut total = vec![[0.0; COUNT]; count];
-        for (row, &level) in rows.iter().zip(&levels).filter(|(row, _)| part.includes(row.fold)) {
+        // Things that stand before a wall are as far from it as they are: no noise and no bias of the readings there.
+        let counts = |row: &Row| {
+            part.includes(row.fold) && (axis.covariate != Covariate::Place || row.error.is_some())
+        };
+        for (row, &level) in rows.iter().zip(&levels).filter(|(row, _)| counts(row)) {
             for sum in [&mut sums[row.fold][level], &mut total[level]] {
                 sum.iter_mut().zip(row.gains[moment]).for_each(|(sum, more)| *sum += more);
             }

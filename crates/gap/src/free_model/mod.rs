@@ -225,6 +225,30 @@ mod tests {
         });
     }
 
+    /// The hypothesis loses nearly all far returns, the log loses none: the share of readings that isn't lost is no more than all.
+    #[test]
+    fn a_share_falls_by_no_more_than_all() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 7).unwrap();
+        let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let lost = Effect::new(EffectKind::RangeDropout, vec![1.0, 0.3], Vec::new()).unwrap();
+        let effects = NOMINAL.effects_with(&[lost]).unwrap();
+        let fitted = comparison.start(&Nuisances::default());
+        let covariates = Covariates::new(&comparison);
+        let model = FreeModel::new(&comparison, &effects, &fitted, &covariates, &pit_draw(1), Part::Whole);
+        let lost = |c: &&Component| c.moment == Deviation::NoReturn;
+        let values: Vec<f64> = model
+            .components
+            .iter()
+            .filter(lost)
+            .flat_map(|c| &c.curve)
+            .flatten()
+            .map(|[value, _]| *value)
+            .collect();
+        let least = values.iter().copied().fold(0.0, f64::min);
+        assert!((-1.0..-0.5).contains(&least), "{least} {values:?}");
+    }
+
     /// A bias of 1 cm that comes around twice.
     #[test]
     fn a_bias_over_bearing_is_learnt_as_it_is() {

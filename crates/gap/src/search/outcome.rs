@@ -32,7 +32,11 @@ impl<'a> State<'a> {
     /// The outcome of the steps of a search.
     pub fn outcome(&self, path: Path<'a>, nameless: Nameless) -> Result<Outcome, GapError> {
         let State { nominal, recorded, options, .. } = *self;
-        let Path { rounds, named, rivals, remaining, note, .. } = path;
+        let Path { rounds, mut named, rivals, remaining, note, .. } = path;
+        // Of several, each has the evidence of its gain beside the others.
+        if let [only] = &mut named[..] {
+            only.count_all_gains(recorded.scans());
+        }
         let (before, after) = (&rounds[0], &rounds[rounds.len() - 1]);
         let still_off = after.null.p <= options.false_alarm;
         let detectable = detectable(before);
@@ -349,17 +353,19 @@ fn directions(round: &Round<'_>) -> Vec<Direction> {
     out
 }
 
-fn notes(nominal: &Nominal, BlockTruth { resample, walks, .. }: BlockTruth) -> Vec<String> {
+fn notes(nominal: &Nominal, BlockTruth { resample, walking, .. }: BlockTruth) -> Vec<String> {
     let mut notes = vec![
         "A constant yaw of the laser's mount and a constant error of the reference's heading can't be told apart from \
          scans alone."
             .to_owned(),
     ];
-    if walks {
-        notes.push(
-            "What the map doesn't know walks: the simulations that the log is held against have it so."
-                .to_owned(),
-        );
+    if walking > 0.0 {
+        let what = if walking < 1.0 {
+            format!("About {:.0} % of what the map doesn't know walks, the rest stands", 100.0 * walking)
+        } else {
+            "What the map doesn't know walks".to_owned()
+        };
+        notes.push(format!("{what}: the simulations that the log is held against have it so."));
     } else if let Some(blocks) = nominal.blocks.filter(|blocks| blocks.resample != resample) {
         notes.push(format!(
             "Unmapped blocks take new places otherwise than the scenario says: {resample} instead of {}.",

@@ -195,7 +195,7 @@ pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Name
             p,
         },
         effect: candidate.effect.clone(),
-        gains: candidate.gains.clone(),
+        gains: candidate.fitted_gains.clone(),
     }
 }
 
@@ -278,6 +278,25 @@ mod tests {
         let losses = [EffectKind::RangeDropout, EffectKind::IncidenceDropout];
         assert_eq!(name(&candidates, 1, 0.01, 100).candidates, losses);
         assert_eq!(name(&candidates, 0, 0.01, 100).candidates, [EffectKind::IncidenceBias]);
+    }
+
+    /// A score is a linear approximation, and limits what counts for a choice. The log gains what it gains.
+    #[test]
+    fn a_name_has_the_gain_of_the_log_however_much_of_it_counted() {
+        let mut candidate = Candidate {
+            effect: Effect::typical(EffectKind::IncidenceBias, Vec::new()),
+            gains: vec![30.0, 50.0],
+            fitted_gains: vec![30.0, 50.0],
+            intervals: vec![locsim_core::Interval { lo: 0.0, hi: 1.0 }; 3],
+            is_beyond_chance: true,
+            score: Some(4.0),
+        };
+        candidate.limit(16.0);
+        let mut named = name(&[candidate], 0, 0.01, 100);
+        assert!((named.evidence.gain_nats.value - 16.0).abs() < 1e-9);
+        named.count_all_gains(100);
+        let Evidence { gain_nats, gain_nats_per_scan, .. } = named.evidence;
+        assert!((gain_nats.value - 80.0).abs() < 1e-9 && (gain_nats_per_scan - 0.8).abs() < 1e-9);
     }
 
     /// Four folds of 3, 0, 0 and 3 nats: 6 with an error of sqrt(12).

@@ -16,6 +16,8 @@ use crate::raycast::ExactRangeMap;
 pub struct Simulator {
     map: Arc<ExactRangeMap>,
     blocks: Option<BlockModel>,
+    /// Those of another kind beside them.
+    more_blocks: Option<BlockModel>,
     laser: LaserSimulator,
     /// The laser where it really sits.
     mounted: LaserSimulator,
@@ -30,6 +32,7 @@ pub(super) struct Scratch {
     cast: CastScan,
     /// The blocks of the last scan.
     pub blocks: Vec<Placement>,
+    more_blocks: Vec<Placement>,
     ranges: Vec<f64>,
 }
 
@@ -48,7 +51,17 @@ impl Simulator {
         let blocks =
             blocks.map(|options| BlockModel::new(effects.blocks(options), map.geometry())).transpose()?;
         let mounted = LaserSimulator::new(LaserOptions { mount: effects.laser_mount(laser.mount), ..laser })?;
-        Ok(Self { map, blocks, laser: LaserSimulator::new(laser)?, mounted, effects, moved: None })
+        let laser = LaserSimulator::new(laser)?;
+        Ok(Self { map, blocks, more_blocks: None, laser, mounted, effects, moved: None })
+    }
+
+    /// The same with blocks of another kind in its drives, drawn independently of the first, as people beside furniture.
+    ///
+    /// # Errors
+    /// As [`BlockModel::new`].
+    pub fn with_more_blocks(self, blocks: BlockOptions) -> Result<Self, SimulationError> {
+        let more_blocks = Some(BlockModel::new(self.effects.blocks(blocks), self.map.geometry())?);
+        Ok(Self { more_blocks, ..self })
     }
 
     /// The same with walls that stand elsewhere than the map has them. Blocks stand by the walls of the map.
@@ -147,7 +160,7 @@ impl Simulator {
         scratch: &mut Scratch,
         out: &mut [f32],
     ) {
-        let Scratch { cast, blocks, ranges } = scratch;
+        let Scratch { cast, blocks, ranges, .. } = scratch;
         if let Some(model) = &self.blocks {
             model.place_blocks(&Draw::new(seed, Stage::Blocks, observation), 0.0, pose.position(), blocks);
         }
@@ -165,10 +178,15 @@ impl Simulator {
         map_from_base_at: impl Fn(f64) -> Pose2,
         scratch: &mut Scratch,
     ) -> Scan {
-        let Scratch { cast, blocks, ranges } = scratch;
-        if let Some(model) = &self.blocks {
+        let Scratch { cast, blocks, more_blocks, ranges } = scratch;
+        let kinds =
+            [(&self.blocks, seed), (&self.more_blocks, Draw::new(seed, Stage::Blocks, u32::MAX).seed(0))];
+        blocks.clear();
+        for (model, seed) in kinds {
+            let Some(model) = model else { continue };
             let robot = map_from_base_at(stamp_secs).position();
-            model.place_blocks(&model.draw(seed, step), stamp_secs, robot, blocks);
+            model.place_blocks(&model.draw(seed, step), stamp_secs, robot, more_blocks);
+            blocks.append(more_blocks);
         }
         cast.update(&self.caster(), stamp_secs, map_from_base_at);
         cast.ranges_among(blocks, &self.mounted, ranges);
@@ -281,6 +299,21 @@ mod tests {
                 prop_assert!((f64::from(reading) - hit.range).abs() < 1e-5, "{} {}", reading, hit.range);
             }
         }
+    }
+
+    /// Without noise a reading among blocks of two kinds is the shorter of those among either.
+    #[test]
+    fn blocks_of_two_kinds_hide_what_either_hides() {
+        let none = BlockOptions { per_metre_of_wall: 0.0, ..block_options() };
+        let of = |blocks| Simulator::new(room_map(), Some(blocks), laser_options(), Effects::none()).unwrap();
+        let track = Track::new(some_poses().iter().enumerate().map(|(i, pose)| (i as f64, pose))).unwrap();
+        let first = of(block_options()).scan_along(&track, 5);
+        let more = of(none).with_more_blocks(block_options()).unwrap().scan_along(&track, 5);
+        let both = of(block_options()).with_more_blocks(block_options()).unwrap().scan_along(&track, 5);
+        let nearer: Vec<f32> = first.iter().zip(&more).map(|(a, b)| a.min(*b)).collect();
+        assert_eq!(bits(&both), bits(&nearer));
+        let hidden = |a: &[f32]| a.iter().zip(&both).filter(|(a, both)| a > both).count();
+        assert!(hidden(&first) > 10 && hidden(&more) > 10, "{} {}", hidden(&first), hidden(&more));
     }
 
     #[test]
