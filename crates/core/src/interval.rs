@@ -54,6 +54,12 @@ impl Estimate {
         Self::around(value, crate::normal::QUANTILE_975 * error)
     }
 
+    /// The sum of what folds gain, with its normal error over them.
+    #[must_use]
+    pub fn of_sum(folds: &[f64]) -> Self {
+        Self::normal(folds.iter().sum(), crate::sum_error(folds))
+    }
+
     /// A fitted value less its bias, with the 95 % interval of its spread, by how far fits to simulated logs are from the truth. A bias that would
     /// take away most of what the value is beyond a neutral one, or add as much, is beyond what fits can say: then the value stays, and the bias
     /// is part of its uncertainty.

@@ -87,22 +87,11 @@ impl Nominal {
     /// The simulator with more effects, as many blocks as `blocks` says and clutter that stays as long as `blocks` says.
     pub(crate) fn simulator(&self, effects: &Effects, blocks: BlockPolicy) -> Result<Simulator, GapError> {
         let BlockPolicy { density, resample, walking } = blocks;
-        let of = |nominal: BlockOptions, share: f64, resample, speed_m_s| BlockOptions {
-            per_metre_of_wall: nominal.per_metre_of_wall * density * share,
-            resample,
-            speed_m_s,
-            ..nominal
-        };
-        let standing = self.blocks.map(|nominal| {
-            let stands = resample == BlockResampling::EachObservation;
-            of(nominal, 1.0 - walking, resample, if stands { [0.0; 2] } else { nominal.speed_m_s })
-        });
+        let standing = self.blocks.map(|blocks| blocks.times(density * (1.0 - walking)).resampled(resample));
         let simulator = Simulator::new(Arc::clone(&self.map), standing, self.laser, effects.clone())?;
-        match self.blocks {
-            Some(nominal) if walking > 0.0 => {
-                Ok(simulator.with_more_blocks(of(nominal, walking, PASSING, WALKING_M_S))?)
-            }
-            _ => Ok(simulator),
+        match self.blocks.filter(|_| walking > 0.0) {
+            Some(blocks) => Ok(simulator.with_more_blocks(blocks.times(density * walking).walking())?),
+            None => Ok(simulator),
         }
     }
 
@@ -148,11 +137,6 @@ impl Nominal {
         Ok(())
     }
 }
-
-/// Speeds of people \[m/s\].
-const WALKING_M_S: [f64; 2] = [0.5, 1.5];
-/// People walk past, and others come.
-const PASSING: BlockResampling = BlockResampling::EachScanN(40);
 
 /// A number of the scenario's laser that is larger than the log's, where the log's is least.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use locsim_core::{Estimate, sum_error};
+use locsim_core::Estimate;
 use locsim_world::effect::{Effect, EffectKind, Residual};
 use serde::{Deserialize, Serialize, Serializer};
 
@@ -88,7 +88,7 @@ impl Named {
 
     /// Makes the evidence that of all gains: those that counted for the choice may have been limited by the score.
     pub(crate) fn count_all_gains(&mut self, scans: usize) {
-        let gain_nats = Estimate::normal(self.gains.iter().sum(), sum_error(&self.gains));
+        let gain_nats = Estimate::of_sum(&self.gains);
         self.evidence =
             Evidence { gain_nats, gain_nats_per_scan: gain_nats.value / scans as f64, ..self.evidence };
     }

@@ -36,7 +36,29 @@ pub struct BlockOptions {
     pub clearance_m: f64,
 }
 
+/// Speeds of people \[m/s\].
+const WALKING_M_S: [f64; 2] = [0.5, 1.5];
+
 impl BlockOptions {
+    /// Times as many.
+    #[must_use]
+    pub fn times(self, factor: f64) -> Self {
+        Self { per_metre_of_wall: factor * self.per_metre_of_wall, ..self }
+    }
+
+    /// The same blocks, which take new places when `resample` says. Those that do at every scan don't move.
+    #[must_use]
+    pub fn resampled(self, resample: BlockResampling) -> Self {
+        let stand = resample == BlockResampling::EachObservation;
+        Self { resample, speed_m_s: if stand { [0.0; 2] } else { self.speed_m_s }, ..self }
+    }
+
+    /// The same blocks as people who walk along the walls, each for some tens of scans.
+    #[must_use]
+    pub fn walking(self) -> Self {
+        Self { resample: BlockResampling::EachScanN(40), speed_m_s: WALKING_M_S, ..self }
+    }
+
     /// The greatest distance of a part of a block from its wall \[m\].
     pub fn reach_m(&self) -> f64 {
         self.wall_distance_m[1] + self.diameter_m()

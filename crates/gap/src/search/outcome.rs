@@ -10,7 +10,6 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::calibration::HARDLY_ANY;
 use super::judgement::Judgement;
 use super::residual::{LOGS, Nameless};
-use super::selection::gain;
 use super::stepwise::Path;
 use super::{Round, State};
 use crate::fit::Candidate;
@@ -142,7 +141,7 @@ impl<'a> State<'a> {
             .zip(folds.sums(&without.scans))
             .map(|(with, without)| with - without)
             .collect();
-        let gain_nats = gain(&gains);
+        let gain_nats = Estimate::of_sum(&gains);
         if gain_nats.interval.lo <= 0.0 {
             return Ok(None);
         }

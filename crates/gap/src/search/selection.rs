@@ -125,11 +125,6 @@ fn behind(best: &Candidate, other: &Candidate) -> (f64, f64) {
     (difference.iter().sum(), sum_error(&difference))
 }
 
-pub fn gain(folds: &[f64]) -> Estimate {
-    let (value, error) = (folds.iter().sum::<f64>(), sum_error(folds));
-    Estimate::normal(value, error)
-}
-
 pub fn numbers(candidate: &Candidate) -> BTreeMap<&'static str, Number> {
     let effect = &candidate.effect;
     let parameters = effect.kind.parameters().iter().zip(&effect.values).zip(&candidate.intervals);
@@ -181,7 +176,7 @@ fn is_same(best: &Candidate, other: &Candidate) -> bool {
 pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Named {
     let candidate = &candidates[best];
     let set = equivalent(candidates, best);
-    let gain_nats = gain(&candidate.gains);
+    let gain_nats = Estimate::of_sum(&candidate.gains);
     Named {
         name: candidate.kind(),
         split_by: split_by(&set),
@@ -219,7 +214,7 @@ pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) 
                 round,
                 name: candidate.kind(),
                 params: numbers(candidate),
-                gain_nats: gain(&candidate.gains),
+                gain_nats: Estimate::of_sum(&candidate.gains),
                 behind_nats: Estimate::normal(value, error),
             }
         })
@@ -311,7 +306,7 @@ mod tests {
             is_beyond_chance,
             score: None,
         };
-        assert!((gain(&[3.0, 0.0, 0.0, 3.0]).value - 6.0).abs() < 1e-12);
+        assert!((Estimate::of_sum(&[3.0, 0.0, 0.0, 3.0]).value - 6.0).abs() < 1e-12);
         assert!((sum_error(&[3.0, 0.0, 0.0, 3.0]) - 12.0_f64.sqrt()).abs() < 1e-12);
         assert!(is_sure(&candidate(vec![3.0, 0.0, 0.0, 3.0], false)));
         // 3 with an error of 3: only where the effect's own direction is off.

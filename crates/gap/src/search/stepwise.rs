@@ -7,7 +7,7 @@ use super::judgement::share_a_moment;
 use super::lasting::drop_passing;
 use super::predicted::drop_unfounded;
 use super::selection::{
-    adds_up, choose, choose_apart, compare_rivals, dies_away, gain, is_of_odometry, is_one_cause, is_sure,
+    adds_up, choose, choose_apart, compare_rivals, dies_away, is_of_odometry, is_one_cause, is_sure,
     may_be_of_robot, name, numbers, sum_of,
 };
 use super::surroundings::drop_surroundings;
@@ -344,7 +344,7 @@ impl<'a> State<'a> {
         if let Some(candidate) = fit {
             let named = &mut named[index];
             named.params = numbers(&candidate);
-            named.evidence.gain_nats = gain(&candidate.gains);
+            named.evidence.gain_nats = Estimate::of_sum(&candidate.gains);
             named.evidence.gain_nats_per_scan = named.evidence.gain_nats.value / self.recorded.scans() as f64;
             named.effect = candidate.effect;
         }

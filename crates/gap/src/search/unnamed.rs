@@ -5,7 +5,6 @@ use locsim_core::{Estimate, surely_largest};
 use locsim_world::effect::Effect;
 
 use super::judgement::{Dependence, Judgement, acts_on};
-use super::selection::gain;
 use crate::free_model::{Axis, is_share};
 use crate::outcome::{CurvePoint, Evidence, Unnamed};
 use crate::statistics::{Covariate, Deviation, Survey};
@@ -36,7 +35,7 @@ pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p
             .iter()
             .find(|effect| acts_on(effect, &dependence, &judgement.covariates, survey))
             .map(|effect| effect.kind);
-        let gain_nats = gain(&dependence.gains);
+        let gain_nats = Estimate::of_sum(&dependence.gains);
         let gain_nats_per_scan = gain_nats.value / scans;
         let evidence = Evidence { gain_nats, gain_nats_per_scan, score: None, p };
         let shift = dependence.misalignment.map(|found| point(0.0, None, found.estimate));
