@@ -44,7 +44,8 @@ pub(super) fn warning<'a>(
         let ranges = &step.scan.ranges;
         let in_open = |beam: usize| -> Option<f64> {
             let range = f64::from(ranges[beam]);
-            if !(range < f64::from(hits.range[beam]) - MARGIN_M) {
+            let is_in_front = range < f64::from(hits.range[beam]) - MARGIN_M;
+            if !is_in_front {
                 return None;
             }
             let (sin, cos) = (pose.theta + f64::from(laser.bearings()[beam])).sin_cos();
