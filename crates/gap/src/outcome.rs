@@ -165,7 +165,7 @@ pub struct Rival {
     pub name: EffectKind,
     /// Its numbers.
     pub params: BTreeMap<&'static str, Number>,
-    /// Log score gained on scans that its numbers weren't fitted to (nats).
+    /// Log score gained on scans that its numbers weren't fitted to, as far as its own score among simulated logs allows (nats).
     pub gain_nats: Estimate,
     /// By how much it is behind the best of its round, paired over folds (nats).
     pub behind_nats: Estimate,

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use glam::DVec2;
 use locsim_core::{Draw, Stage, Track, cell_at};
 use locsim_world::effect::Effect;
-use locsim_world::simulation::{BlockResampling, MovedWalls};
+use locsim_world::simulation::{BlockOptions, BlockResampling, MovedWalls};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
@@ -173,6 +173,11 @@ impl BlockTruth {
         Self { walking: share, ..Self::of(BlockResampling::Never) }
     }
 
+    /// Whether all of it stays where it is.
+    pub fn stands(&self) -> bool {
+        self.resample == BlockResampling::Never && self.walking == 0.0
+    }
+
     /// In how many scans a block is seen at one place, about.
     fn stay_scans(&self) -> f64 {
         let stays = match self.resample {
@@ -180,7 +185,9 @@ impl BlockTruth {
             BlockResampling::EachScanN(scans) => scans,
             BlockResampling::Never => u32::MAX,
         };
-        self.walking * PASSING_SCANS + (1.0 - self.walking) * f64::from(stays)
+        // One that walks by half of the time until it is elsewhere.
+        let passes = 0.5 * f64::from(BlockOptions::PASSING_SCANS);
+        self.walking * passes + (1.0 - self.walking) * f64::from(stays)
     }
 
     /// Blocks that stand until they take new places.
@@ -218,8 +225,6 @@ impl BlockTruth {
 
 /// Shares of clutter that walks which are tried.
 const WALKING_SHARES: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
-/// In so many scans people are seen at a place.
-const PASSING_SCANS: f64 = 20.0;
 
 /// Numbers of scans after which blocks are looked for where they were.
 const LAGS: [usize; 4] = [1, 4, 16, 64];
@@ -292,6 +297,7 @@ mod tests {
             let is_right =
                 if truth.walking == 0.5 { [0.25, 0.5].contains(&found.walking) } else { found == truth };
             assert!(is_right, "{found:?} {truth:?}");
+            assert_eq!(found.stands(), truth == stays);
         }
     }
 }

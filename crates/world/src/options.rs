@@ -40,6 +40,9 @@ pub struct BlockOptions {
 const WALKING_M_S: [f64; 2] = [0.5, 1.5];
 
 impl BlockOptions {
+    /// Scans after which those that walk are elsewhere.
+    pub const PASSING_SCANS: u32 = 40;
+
     /// Times as many.
     #[must_use]
     pub fn times(self, factor: f64) -> Self {
@@ -56,7 +59,7 @@ impl BlockOptions {
     /// The same blocks as people who walk along the walls, each for some tens of scans.
     #[must_use]
     pub fn walking(self) -> Self {
-        Self { resample: BlockResampling::EachScanN(40), speed_m_s: WALKING_M_S, ..self }
+        Self { resample: BlockResampling::EachScanN(Self::PASSING_SCANS), speed_m_s: WALKING_M_S, ..self }
     }
 
     /// The greatest distance of a part of a block from its wall \[m\].

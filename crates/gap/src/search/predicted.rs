@@ -1,15 +1,14 @@
 //! Readings in front of walls and behind them, and lost ones, that an effect predicts.
 
-use locsim_world::effect::{Bursts, Effect, Effects, Fit, Moves};
-use locsim_world::simulation::BlockResampling;
-
 use super::Round;
 use super::selection::is_of_odometry;
 use crate::GapError;
 use crate::fit::Candidate;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::null::REFIT;
+use crate::replay::BlockTruth;
 use crate::views::Beam;
+use locsim_world::effect::{Bursts, Effect, Effects, Fit, Moves};
 
 /// A reading is behind a wall, or in front of it, where it differs by so much from the range in the map \[m\].
 const OFF_M: f64 = 0.2;
@@ -47,9 +46,8 @@ pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Resu
         is_of_odometry(candidate) || candidate.kind().loses_returns() || total(candidate) >= least
     });
     // Clutter that stands, as the scenario has it, is no deeper for what comes and goes.
-    let stands = |resample| resample == BlockResampling::Never;
-    let are_others = round.comparison.nominal.blocks.is_some_and(|blocks| stands(blocks.resample));
-    let are_others = are_others && !stands(round.blocks.resample);
+    let of_scenario = round.comparison.nominal.blocks.map(|blocks| BlockTruth::of(blocks.resample));
+    let are_others = of_scenario.is_some_and(|blocks| blocks.stands()) && !round.blocks.stands();
     for i in (0..candidates.len()).rev() {
         let is_enough = total(&candidates[i]) >= LEAST_CLUTTER_SHARE * most;
         let effect = &candidates[i].effect;

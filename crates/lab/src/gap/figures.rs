@@ -106,7 +106,8 @@ pub(super) fn all(study: &GapStudy, outcome: &Outcome) -> Result<Vec<Figure>, Re
         figures.push(figure(
             "rivals",
             "Log score that each effect gains on scans that its numbers were not fitted to, with 95 % intervals over \
-             blocks of scans. The first of each round is the best.",
+             blocks of scans. The first of each round is the best. A gain counts as far as the effect's own score among \
+             simulated logs allows, which may be little of a strong effect's.",
             rivals(outcome),
         )?);
     }

@@ -1,17 +1,19 @@
 //! What stands farther from all walls than the scenario's blocks reach: people in the open, furniture amid a room. Simulated logs have
 //! nothing there, and the search takes it for errors of the readings.
 
-use locsim_core::{DistanceMap, DriveStep, Hits, Laser, Particles, RangeMap, median, quantile};
+use locsim_core::{DistanceMap, DriveStep, Hits, Laser, NO_SURFACE, Particles, RangeMap, median, quantile};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap};
 use locsim_world::simulation::BlockOptions;
 
 /// Scans that are looked at, at the most.
 const SCANS: usize = 300;
-/// Cells of the distance to the nearest wall, and the greatest distance that they tell \[m\].
-const CELL_M: f64 = 0.1;
+/// The greatest distance to the nearest wall that is told \[m\], and the cells that tell it: of this side \[m\], or of a larger one where there
+/// would be more of them than this.
 const FARTHEST_M: f64 = 6.0;
+const CELL_M: f64 = 0.1;
+const MOST_CELLS: f64 = 4e6;
 /// A reading is of something in front of the wall if it is shorter by this, and in the open if it ends this much beyond the blocks'
-/// reach \[m\]: more than noise, cells and errors of a reference make of it.
+/// reach and a cell \[m\]: more than noise and errors of a reference make of it.
 const MARGIN_M: f64 = 0.3;
 /// Neighbouring beams that see one thing end within this \[m\]. Random readings have no such neighbours.
 const ONE_THING_M: f64 = 0.2;
@@ -31,7 +33,10 @@ pub(super) fn warning<'a>(
     blocks: Option<&BlockOptions>,
 ) -> Option<String> {
     let steps: Vec<&DriveStep> = steps.collect();
-    let distances = DistanceGrid::new(map.geometry(), CELL_M, FARTHEST_M).ok()?;
+    let [x0, y0, x1, y1] = map.geometry().bounds();
+    let area = (x1 - x0 + 2.0 * FARTHEST_M) * (y1 - y0 + 2.0 * FARTHEST_M);
+    let cell_m = (area / MOST_CELLS).sqrt().max(CELL_M);
+    let distances = DistanceGrid::new(map.geometry(), cell_m, FARTHEST_M).ok()?;
     let reach_m = blocks.map_or(0.0, BlockOptions::reach_m);
     let beams = laser.beam_count();
     let (mut returns, mut open) = (vec![0_usize; beams], vec![Vec::new(); beams]);
@@ -44,13 +49,14 @@ pub(super) fn warning<'a>(
         let ranges = &step.scan.ranges;
         let in_open = |beam: usize| -> Option<f64> {
             let range = f64::from(ranges[beam]);
+            // What stands before the border of what is known may be a wall.
             let is_in_front = range < f64::from(hits.range[beam]) - MARGIN_M;
-            if !is_in_front {
+            if !is_in_front || hits.surface[beam] == NO_SURFACE || distances.is_unknown(hits.surface[beam]) {
                 return None;
             }
             let (sin, cos) = (pose.theta + f64::from(laser.bearings()[beam])).sin_cos();
             let distance = f64::from(distances.distance(pose.x + range * cos, pose.y + range * sin));
-            (distance > reach_m + MARGIN_M).then_some(distance)
+            (distance > reach_m + MARGIN_M + cell_m).then_some(distance)
         };
         let found: Vec<Option<f64>> = (0..beams).map(in_open).collect();
         for beam in 0..beams {
