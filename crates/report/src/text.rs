@@ -164,6 +164,24 @@ pub fn escape(text: &str) -> String {
     escaped
 }
 
+/// A sentence of the program's own: as [`escape`], but a plain name between backticks is code.
+pub fn sentence(text: &str) -> String {
+    let escaped = escape(text);
+    let parts: Vec<&str> = escaped.split("\\`").collect();
+    let is_name = |c: char| c.is_ascii_alphanumeric() || "_-./:".contains(c);
+    let is_code =
+        |i: usize| i % 2 == 1 && i + 1 < parts.len() && !parts[i].is_empty() && parts[i].chars().all(is_name);
+    let mut sentence = String::with_capacity(escaped.len());
+    for (i, part) in parts.iter().enumerate() {
+        if i > 0 {
+            let is_mark = is_code(i) || is_code(i - 1);
+            sentence += if is_mark { "`" } else { "\\`" };
+        }
+        sentence += part;
+    }
+    sentence
+}
+
 /// A name as code in Markdown.
 pub fn code(name: &str) -> String {
     format!("`{}`", visible(name).replace('`', "'").replace('\n', " "))
@@ -346,6 +364,18 @@ pub fn terminal_table(summary: &Summary, width: Option<usize>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_in_sentences_are_code_and_nothing_else_is() {
+        for (text, shown) in [
+            ("`blocks.wall_distance_m` up to 2.4", "`blocks.wall_distance_m` up to 2.4"),
+            ("`a`, `<b>` and `c", "`a`, \\`\\<b>\\` and \\`c"),
+            ("`` and `a b`", "\\`\\` and \\`a b\\`"),
+            ("`a` *b*", "`a` \\*b\\*"),
+        ] {
+            assert_eq!(sentence(text), shown);
+        }
+    }
 
     #[test]
     fn text_from_outside_is_neither_markup_nor_a_link() {

@@ -86,7 +86,7 @@ fn markdown(
         .enumerate()
         .map(|(i, named)| named_text(named, figure(named.name.name()).filter(|_| is_first(i))));
     let named: Vec<NamedText<'_>> = named.collect();
-    let answers: Vec<String> = answer::sentences(outcome).iter().map(|line| text::escape(line)).collect();
+    let answers: Vec<String> = answer::sentences(outcome).iter().map(|line| text::sentence(line)).collect();
     let nuisances = &outcome.nuisances;
     let (regions, followed) = regions(outcome);
     let page = context! {
@@ -136,8 +136,8 @@ fn markdown(
         odometry_mm => fixed(1e3 * nuisances.odometry_error.sigma_m, 1),
         odometry_deg => fixed(nuisances.odometry_error.sigma_rad.to_degrees(), 2),
         odometry_alpha => nuisances.odometry_error.noise.alpha().map(significant).join(", "),
-        warnings => study.warnings.iter().map(|warning| text::escape(warning)).collect::<Vec<_>>(),
-        notes => outcome.notes.iter().map(|note| text::escape(note)).collect::<Vec<_>>(),
+        warnings => study.warnings.iter().map(|warning| text::sentence(warning)).collect::<Vec<_>>(),
+        notes => outcome.notes.iter().map(|note| text::sentence(note)).collect::<Vec<_>>(),
         command => command.trim(),
         diff => diff.trim_end(),
         fence => page::fence(&[diff, command]),

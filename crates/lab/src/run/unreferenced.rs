@@ -11,7 +11,7 @@ use locsim_report::figures::geometry::{Point, Window, join};
 use locsim_report::figures::map::{LEFT, MARGINS, MapPanel};
 use locsim_report::results::UNUSUAL_SCANS;
 use locsim_report::store::Folder;
-use locsim_report::text::{TextTable, escape, fixed};
+use locsim_report::text::{TextTable, escape, fixed, sentence};
 use locsim_report::{ReportError, page, write_figures};
 use locsim_scenario::{ModelName, Scenario};
 use locsim_sensor::ModelKind;
@@ -378,7 +378,7 @@ fn markdown(
         table => results.table().to_markdown(),
         findings => &results.findings,
         figures => figures.iter().map(link).collect::<Vec<_>>(),
-        notes => laboratory.notes.iter().map(|note| escape(note)).collect::<Vec<_>>(),
+        notes => laboratory.notes.iter().map(|note| sentence(note)).collect::<Vec<_>>(),
         fence => page::fence(&[yaml, command]),
         command => command,
         yaml => yaml,
