@@ -112,6 +112,27 @@ fn a_simulated_log_is_mapped_learnt_from_and_localized_on() {
     folder.locsim("run simulated.yaml --quiet --record none --trials 1").success();
 }
 
+/// Odometry that is 8 % long, on a drive of some 60 m. Poses of the log are true.
+#[test]
+fn a_worn_wheel_is_calibrated_unless_the_scenario_says_no() {
+    let folder = Folder::new();
+    let loop_of_the_room = "[2.6, 0.9], [2.6, 0.6], [0.6, 0.6], [0.6, 0.9], ".repeat(14);
+    let path = format!("[[0.6, 0.9], {}]", loop_of_the_room.trim_end_matches(", "));
+    let text = edited(&edited(SCENARIO, "[[0.6, 0.9], [2.6, 0.9]]", &path), "beams: 12", "beams: 60");
+    folder.write("drive.yaml", format!("{text}\neffects: [{{odom_distance_scale: {{k: 0.08}}}}]\n"));
+    folder.locsim("simulate drive.yaml --out drive.log --seed 5").success();
+    let log =
+        "{file: drive.log, train_scans: [[0.0, 0.7]], localize_scans: [[0.7, 1.0]]}\nmap: {file: room.yaml}";
+    for (motion, is_told) in [("", true), (", calibrate: false", false)] {
+        let text = edited(&on_a_log(log), ", alpha: [0.1, 0.05, 0.1, 0.05]", motion);
+        localizes(&folder, "worn.yaml", &text, 0.1);
+        let report = String::from_utf8(folder.read("worn.yaml.d/report.md")).unwrap();
+        let told = "The odometry is calibrated by the reference poses of all other scans (`filter.motion.calibrate`): a metre of it is 0.9";
+        assert_eq!(report.contains(told), is_told, "{report}");
+        std::fs::remove_dir_all(folder.path("worn.yaml.d")).unwrap();
+    }
+}
+
 /// Stamps of six digits since 1970 are all alike. Errors don't depend on them, and steps have times of their own none the less.
 #[test]
 fn a_log_whose_clock_stands_still_is_localized_on() {

@@ -38,7 +38,8 @@ pub use log::{
     write_simulated_log,
 };
 pub use quality::{
-    ClockQuality, DriveQuality, OdometryError, OdometryQuality, ReadingQuality, ReferenceQuality,
+    ClockQuality, DriveQuality, OdometryCalibration, OdometryError, OdometryQuality, ReadingQuality,
+    ReferenceQuality,
 };
 pub use ros::{BagCopy, BagOptions, BagTopics, DriveEdit, OdometryEdit, read_bag, write_mcap};
 pub use summary::{LogKind, LogSummary, MountSource, OdometrySource};

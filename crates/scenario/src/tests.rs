@@ -134,6 +134,7 @@ fn every_key_arrives_in_si_units_and_radians() {
                 bin_rad: degrees(5.0),
             }),
             motion: Motion::Odometry(Some([0.1, 0.05, 0.1, 0.05])),
+            calibrate: false,
             random_walk_m: 0.02,
             resampler: Resampler::Residual,
             resample: ResampleTrigger::EffectiveShareBelow(0.5),
@@ -246,13 +247,15 @@ fn a_log_is_read_with_its_parts() {
     assert_eq!(scenario.training.observations, 1);
     assert_eq!(scenario.filter.start, Start::Global);
     assert_eq!(scenario.filter.least_effective_share, Some(0.1));
-    for (motion, walk) in [
-        ("{model: odometry}", 0.04),
-        ("{model: odometry, random_walk_m: 0}", 0.0),
-        ("{model: odometry, alpha: [0.1, 0.05, 0.1, 0.05], random_walk_m: 0.01}", 0.01),
+    for (motion, walk, calibrate) in [
+        ("{model: odometry}", 0.04, true),
+        ("{model: odometry, calibrate: false, random_walk_m: 0}", 0.0, false),
+        ("{model: odometry, alpha: [0.1, 0.05, 0.1, 0.05], random_walk_m: 0.01}", 0.01, false),
+        ("{model: odometry, alpha: [0.1, 0.05, 0.1, 0.05], calibrate: true}", 0.0, true),
     ] {
         let other = edited(&text("log.yaml"), "{model: odometry, alpha: [0.1, 0.05, 0.1, 0.05]}", motion);
-        assert_eq!(parse(&other).unwrap().filter.random_walk_m, walk);
+        let filter = parse(&other).unwrap().filter;
+        assert_eq!((filter.random_walk_m, filter.calibrate), (walk, calibrate));
     }
     for (line, share) in [("", Some(0.02)), ("  least_effective_share: 0\n", None)] {
         let other = edited(&text("log.yaml"), "  least_effective_share: 0.1\n", line);
@@ -456,6 +459,13 @@ fn values_that_would_overflow_later_are_refused() {
         assert_told(&error);
         assert!(error.to_string().contains(" is not allowed; "), "{error}");
     }
+}
+
+#[test]
+fn an_odometry_is_calibrated_on_a_log_alone() {
+    let error = parse(&edited(&text("simulation.yaml"), "calibrate: false", "calibrate: true")).unwrap_err();
+    assert_told(&error);
+    assert!(error.to_string().contains("filter.motion.calibrate: true is not allowed"), "{error}");
 }
 
 #[test]

@@ -338,6 +338,8 @@ pub struct Filter {
     pub particles: ParticleCount,
     /// How particles move.
     pub motion: Motion,
+    /// Whether the systematic error of a log's odometry is taken out.
+    pub calibrate: bool,
     /// Standard deviation of a random walk of the position after a metre of way or a radian of turning (m).
     pub random_walk_m: f64,
     /// How ancestors are drawn.

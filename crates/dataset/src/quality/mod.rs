@@ -1,6 +1,7 @@
 //! The quality of a recording, estimated from itself: readings, odometry against the reference, clocks.
 
 mod body;
+mod calibration;
 mod clock;
 mod lag;
 mod odometry;
@@ -13,6 +14,7 @@ use serde::Serialize;
 
 use lag::{lag_to_reference, with_earlier_odometry};
 
+pub use calibration::OdometryCalibration;
 pub use clock::ClockQuality;
 pub use odometry::{OdometryError, OdometryQuality, ReferenceQuality};
 pub use readings::ReadingQuality;

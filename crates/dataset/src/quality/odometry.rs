@@ -2,6 +2,7 @@ use locsim_core::{Drive, DriveStep, FASTEST, Pose2, median, wrap_angle};
 use serde::Serialize;
 
 use super::body::base_from_body;
+use super::calibration::OdometryCalibration;
 use super::windows::{Window, windows};
 
 /// Fewer windows say nothing.
@@ -41,6 +42,8 @@ pub struct OdometryQuality {
     pub lag_secs: f64,
     /// Its error, beside the lag; `None` without a reference to compare it with.
     pub error: Option<OdometryError>,
+    /// The part of it that is systematic; `None` where none shows.
+    pub calibration: Option<OdometryCalibration>,
 }
 
 /// The error of odometry against a reference, over windows of about a metre.
@@ -106,6 +109,7 @@ impl OdometryQuality {
             frozen_m,
             lag_secs,
             error: OdometryError::of(on_time),
+            calibration: OdometryCalibration::of(on_time),
         }
     }
 }

@@ -1,5 +1,7 @@
 //! Parts of a drive, over which odometry and reference are compared.
 
+use std::ops::Range;
+
 use locsim_core::{Drive, Pose2, wrap_angle};
 
 /// Odometry and reference are compared over windows of this length \[m\] or turn \[rad\]: in shorter ones the reference's own
@@ -13,6 +15,8 @@ pub struct Window {
     pub turn: f64,
     pub distance_squares: f64,
     pub turn_squares: f64,
+    /// The steps whose increments are its motion.
+    pub steps: Range<usize>,
     /// From its first step to its last.
     pub odometry: Pose2,
     pub reference: Pose2,
@@ -35,6 +39,7 @@ pub fn windows(drive: &Drive) -> Vec<Window> {
         open.distance_squares += distance * distance;
         open.turn_squares += turn * turn;
         if open.distance >= WINDOW.0 || open.turn >= WINDOW.1 {
+            open.steps = first + 1..i + 2;
             open.odometry = pair[1].odometry.relative_to(&drive.steps[first].odometry);
             open.reference = to.relative_to(&from);
             windows.push(std::mem::take(&mut open));

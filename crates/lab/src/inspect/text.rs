@@ -155,6 +155,7 @@ impl DriveFacts {
                 ),
             ));
             rows.push(("its error", odometry_error(odometry)));
+            rows.extend(odometry.calibration.map(|found| ("of that, systematic", found.to_string())));
         } else {
             rows.push(("odometry", "none".to_owned()));
         }

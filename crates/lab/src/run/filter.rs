@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use locsim_core::{Drive, Pose2};
-use locsim_dataset::OdometryError;
+use locsim_dataset::{OdometryCalibration, OdometryError};
 use locsim_mcl::{
     FilterOptions, KldOptions, MotionModel, Multinomial, OdometryMotion, ParticleCount, PoseBins, RandomWalk,
     Resampler, Residual, Spread, Start, Stratified, Systematic, VelocityMotion,
@@ -25,14 +25,26 @@ const LEAST_VARIANCE: f64 = 0.001;
 /// Of steps of a few millimetres, most of the way is jitter of the encoders.
 const MOST_LEAST_ALPHA: f64 = 0.1;
 
-/// Motion noise fitted to the odometry's error against the reference, on the scans of a log without those that trials localize
-/// on; `None` with too few of them.
-pub(crate) fn fitted_alpha(drive: &Drive, localized: &[usize]) -> Option<[f64; 4]> {
+/// Takes the systematic part of the odometry's error out of a log, as the scans without those that trials localize on show it; `None`
+/// where they show none.
+pub(crate) fn calibrated(drive: &mut Drive, localized: &[usize]) -> Option<OdometryCalibration> {
+    let found = OdometryCalibration::of(&without_references(drive, localized))?;
+    found.apply(drive);
+    Some(found)
+}
+
+fn without_references(drive: &Drive, localized: &[usize]) -> Drive {
     let mut others = drive.clone();
     for &i in localized {
         others.steps[i].reference = None;
     }
-    let error = OdometryError::of(&others)?;
+    others
+}
+
+/// Motion noise fitted to the odometry's error against the reference, on the scans of a log without those that trials localize
+/// on; `None` with too few of them.
+pub(crate) fn fitted_alpha(drive: &Drive, localized: &[usize]) -> Option<[f64; 4]> {
+    let error = OdometryError::of(&without_references(drive, localized))?;
     let least = least_alpha(drive);
     Some(std::array::from_fn(|i| (FITTED_TIMES * error.alpha[i]).max(least[i])))
 }
@@ -145,6 +157,29 @@ mod tests {
             garbage.steps[i].odometry = Pose2::new(i as f64, -7.0, 1.0);
         }
         assert_eq!(fitted_alpha(&garbage, &localized), Some(without));
+    }
+
+    /// Odometry that is 10 % long is shortened by what the scans show that aren't localized on, and all of the drive with it.
+    #[test]
+    fn odometry_is_calibrated_on_scans_that_are_not_localized_on() {
+        let mut long = drive([1e-4; 4], 1000);
+        for step in &mut long.steps {
+            let Pose2 { x, y, theta } = step.odometry;
+            step.odometry = Pose2::new(1.1 * x, 1.1 * y, theta);
+        }
+        let localized: Vec<usize> = (600..800).collect();
+        for &i in &localized {
+            // Says nothing of the odometry: it isn't to be looked at.
+            long.steps[i].reference = Some(Pose2::IDENTITY);
+        }
+        let length = |drive: &Drive| -> f64 {
+            (601..800).map(|i| drive.odometry_increment(i).position().length()).sum()
+        };
+        let before = length(&long);
+        let found = calibrated(&mut long, &localized).unwrap();
+        assert!((found.matrix[0][0] - 1.0 / 1.1).abs() < 0.005, "{found}");
+        assert!((length(&long) / before - 1.0 / 1.1).abs() < 0.005);
+        assert_eq!(calibrated(&mut long, &localized), None, "nothing is left of it");
     }
 
     /// The random walk of a scenario is that of its filter.

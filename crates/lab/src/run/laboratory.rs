@@ -17,7 +17,7 @@ use locsim_world::simulation::{
 use rand::RngExt;
 
 use super::coverage::{against_odometry, outside_of_map, unlike_map, unmapped_start, untrained_states};
-use super::filter::fitted_alpha;
+use super::filter::{calibrated, fitted_alpha};
 use super::measured_log::{
     MeasuredLog, enough_to_train_on, judged, log_map, measured_scans, selected, unusable,
 };
@@ -224,7 +224,7 @@ impl<'a> Laboratory<'a> {
         progress: &dyn Progress,
     ) -> Result<Self, LabError> {
         progress.stage("reading the log", 1);
-        let MeasuredLog { drive, summary, corrections, warning } = MeasuredLog::read(scenario, log)?;
+        let MeasuredLog { mut drive, summary, corrections, warning } = MeasuredLog::read(scenario, log)?;
         progress.advance(1);
         let map = log_map(log, &drive, progress)?;
         let followed = followed(&scenario.filter, log, &drive);
@@ -240,6 +240,7 @@ impl<'a> Laboratory<'a> {
         };
         enough_to_train_on(log, data.poses.len())?;
         let (localized, unjudged) = judged(&drive, selected(&drive, &log.localize_scans));
+        let calibration = if scenario.filter.calibrate { calibrated(&mut drive, &localized) } else { None };
         let (filter, motion_note) = with_motion_noise(&scenario.filter, &drive, &localized);
         let stretches = log.train_scans.iter().map(|interval| {
             let steps = selected(&drive, &[*interval]).into_iter().map(|i| drive.steps[i].clone()).collect();
@@ -281,6 +282,9 @@ impl<'a> Laboratory<'a> {
                 .to_owned(),
         ];
         notes.extend(corrections);
+        notes.extend(calibration.map(|found| {
+            format!("The odometry is calibrated by the reference poses of all other scans (`filter.motion.calibrate`): {found}.")
+        }));
         notes.extend(motion_note);
         let drive = with_filter_beams(Drive { steps: localized, ..drive }, scenario);
         let dropped = train_steps.len() - usable;

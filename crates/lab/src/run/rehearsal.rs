@@ -23,10 +23,13 @@ use rayon::prelude::*;
 use super::filter::options;
 use crate::LabError;
 
-/// Exponents that are tried, upwards.
+/// Exponents that are tried: from [`FIRST`] upwards, and downwards where none above it is better.
 const EXPONENTS: [f64; 12] = [0.02, 0.03, 0.04, 0.055, 0.075, 0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8];
 
-/// Exponents are tried until so many in a row are worse than the best.
+/// The first of them that is tried: on measured logs, models have 0.04 to 0.8.
+const FIRST: usize = 7;
+
+/// Either way exponents are tried until so many in a row are worse than the best.
 const MOST_WORSE: u32 = 2;
 
 /// Stretches are repeated with other draws until there are this many steps: their errors come in runs, and a few tens of
@@ -96,6 +99,28 @@ fn shared_errors(errors: &[PoseError]) -> Spread {
 fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     let count = values.len() as f64;
     values.sum::<f64>() / count
+}
+
+/// Tries exponents in order until [`MOST_WORSE`] in a row have a greater deviance than the best.
+fn climb<T>(
+    best: &mut (f64, f64, T),
+    exponents: impl Iterator<Item = f64>,
+    tried: &mut impl FnMut(f64) -> Result<(f64, f64, T), LabError>,
+) -> Result<(), LabError> {
+    let mut worse = 0;
+    for exponent in exponents {
+        let next = tried(exponent)?;
+        if next.0 < best.0 {
+            *best = next;
+            worse = 0;
+        } else {
+            worse += 1;
+            if worse == MOST_WORSE {
+                break;
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Stretches of a drive that no trial localizes on, and the filter of the trials.
@@ -187,36 +212,31 @@ impl<'a> Rehearsal<'a> {
         let tempered = |exponent: f64| -> Result<Arc<dyn SensorModel>, LabError> {
             Ok(Arc::new(Tempered::new(Arc::clone(model), floor, exponent).map_err(failed)?))
         };
-        let mut last = EXPONENTS[0];
+        let mut last = EXPONENTS[FIRST];
         let mut prepared = match tables {
             Some((states, endpoints)) if model.depends_on() != DependsOn::Everything => {
                 Some(Prepared::new(tempered(last)?, states, endpoints).map_err(failed)?)
             }
             _ => None,
         };
-        let mut chosen: Option<(f64, f64, Steps)> = None;
-        let mut worse = 0;
-        for exponent in EXPONENTS {
+        let mut tried = |exponent: f64| -> Result<(f64, f64, Steps), LabError> {
             let tempered = tempered(exponent)?;
-            prepared = prepared.map(|table| table.scaled(Arc::clone(&tempered), exponent / last));
+            let table = prepared.take().map(|table| table.scaled(Arc::clone(&tempered), exponent / last));
             last = exponent;
-            let steps = match &prepared {
+            let steps = match &table {
                 Some(prepared) => self.steps(prepared, floored)?,
                 None => self.steps(&*tempered, floored)?,
             };
-            let deviance = mean(steps.errors.iter().map(|error| error.deviance(Spread::default())));
-            if chosen.as_ref().is_none_or(|(least, ..)| deviance < *least) {
-                chosen = Some((deviance, exponent, steps));
-                worse = 0;
-            } else {
-                worse += 1;
-                if worse == MOST_WORSE {
-                    break;
-                }
-            }
+            prepared = table;
+            Ok((mean(steps.errors.iter().map(|error| error.deviance(Spread::default()))), exponent, steps))
+        };
+        let mut chosen = tried(EXPONENTS[FIRST])?;
+        let (below, above) = (&EXPONENTS[..FIRST], &EXPONENTS[FIRST + 1..]);
+        climb(&mut chosen, above.iter().copied(), &mut tried)?;
+        if chosen.1 <= EXPONENTS[FIRST] {
+            climb(&mut chosen, below.iter().rev().copied(), &mut tried)?;
         }
-        let (_, exponent, Steps { errors, mut scan_log_density }) =
-            chosen.expect("one exponent has been tried");
+        let (_, exponent, Steps { errors, mut scan_log_density }) = chosen;
         let shared = shared_errors(&errors);
         let nees = mean(errors.iter().map(|error| error.nees(Spread::default())));
         scan_log_density.sort_by(f64::total_cmp);

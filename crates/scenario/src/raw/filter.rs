@@ -101,6 +101,10 @@ pub struct RawMotion {
     /// left out: they are then fitted to the log's odometry, on scans with a reference pose that no trial localizes on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alpha: Option<Vec<f64>>,
+    /// Whether the systematic part of the odometry's error (wheels of another size or track) is taken out, as it shows against reference
+    /// poses of scans that no trial localizes on. Only for a log. Default: `true` where `alpha` is left out, else `false`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibrate: Option<bool>,
     /// Standard deviation of a random walk of the position, in all directions alike, after a metre of way or a radian of turning (m), 0 to
     /// 1000; it grows with the root of either. Maps and reference poses that were made of a log are off by some centimetres, by
     /// others a few metres farther on. Default: 0.04 where `alpha` is left out, else 0.

@@ -41,6 +41,12 @@ pub(super) fn filter(
             Form::Full(RawAdaptive { kld }) => adaptive(check, kld),
         },
         motion: motion(check, &raw.motion, has_log),
+        calibrate: {
+            check.refuse(!has_log && raw.motion.calibrate == Some(true), "filter.motion.calibrate", || {
+                "true is not allowed; only the odometry of a `log` can be calibrated".to_owned()
+            });
+            has_log && raw.motion.calibrate.unwrap_or(raw.motion.alpha.is_none())
+        },
         random_walk_m: {
             let fitted = if raw.motion.alpha.is_none() { RANDOM_WALK_M } else { 0.0 };
             check.number("filter.motion.random_walk_m", raw.motion.random_walk_m.unwrap_or(fitted), LENGTH)
