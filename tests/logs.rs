@@ -119,7 +119,7 @@ fn a_worn_wheel_is_calibrated_unless_the_scenario_says_no() {
     let loop_of_the_room = "[2.6, 0.9], [2.6, 0.6], [0.6, 0.6], [0.6, 0.9], ".repeat(14);
     let path = format!("[[0.6, 0.9], {}]", loop_of_the_room.trim_end_matches(", "));
     let text = edited(&edited(SCENARIO, "[[0.6, 0.9], [2.6, 0.9]]", &path), "beams: 12", "beams: 60");
-    folder.write("drive.yaml", format!("{text}\neffects: [{{odom_distance_scale: {{k: 0.08}}}}]\n"));
+    folder.write("drive.yaml", format!("{text}\neffects: [{{name: odom_distance_scale, k: 0.08}}]\n"));
     folder.locsim("simulate drive.yaml --out drive.log --seed 5").success();
     let log =
         "{file: drive.log, train_scans: [[0.0, 0.7]], localize_scans: [[0.7, 1.0]]}\nmap: {file: room.yaml}";
