@@ -48,6 +48,9 @@ pub(super) fn warning<'a>(
         map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
         let ranges = &step.scan.ranges;
         let in_open = |beam: usize| -> Option<f64> {
+            if ranges[beam] >= laser.max_range() {
+                return None;
+            }
             let range = f64::from(ranges[beam]);
             // What stands before the border of what is known may be a wall.
             let is_in_front = range < f64::from(hits.range[beam]) - MARGIN_M;
@@ -120,7 +123,18 @@ mod tests {
         at_m: f32,
         blocks: Option<&BlockOptions>,
     ) -> Option<String> {
-        let corners = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]];
+        told_in(6.0, seen, beam, at_m, blocks)
+    }
+
+    /// The same amid a hall whose walls are `wall_m` away.
+    fn told_in(
+        wall_m: f64,
+        seen: usize,
+        beam: impl Fn(usize, usize) -> usize,
+        at_m: f32,
+        blocks: Option<&BlockOptions>,
+    ) -> Option<String> {
+        let corners = [[-wall_m, -wall_m], [wall_m, -wall_m], [wall_m, wall_m], [-wall_m, wall_m]];
         let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
         let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
         let map = ExactRangeMap::new(map.to_geometry().unwrap());
@@ -130,7 +144,7 @@ mod tests {
         let mut hits = Hits::default();
         map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
         let step = |i: usize| {
-            let mut ranges = hits.range.clone();
+            let mut ranges: Vec<f32> = hits.range.iter().map(|range| range.min(laser.max_range())).collect();
             (0..seen).for_each(|j| ranges[beam(i, j)] = at_m);
             let pose = Pose2::IDENTITY;
             DriveStep { stamp_secs: i as f64, odometry: pose, reference: Some(pose), scan: Scan { ranges } }
@@ -154,6 +168,8 @@ mod tests {
         assert!(text.contains("`blocks.wall_distance_m` up to 4.5"), "{text}");
         assert_eq!(told_with(5.0), None);
         assert!(told(3, walks, 2.0, None).unwrap().contains("the scenario has no `blocks`"));
+        // Walls beyond the maximum range return nothing, and nothing stands where a reading without return seems to end.
+        assert_eq!(told_in(24.0, 0, walks, 2.0, Some(&blocks(0.5))), None);
         // One beam in a place is a random reading; the same beams at all times see the robot.
         assert_eq!(told(3, |i, j| (i * 7 + 20 * j) % BEAMS, 2.0, Some(&blocks(0.5))), None);
         assert_eq!(told(3, |_, j| j, 2.0, Some(&blocks(0.5))), None);
