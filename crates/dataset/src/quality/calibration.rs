@@ -74,10 +74,7 @@ impl OdometryCalibration {
             }
         }
         let (_, free, after) = best?;
-        let fitted = fit(&windows.iter().collect::<Vec<_>>(), free);
-        let matrix = std::array::from_fn(|row| {
-            std::array::from_fn(|column| f64::from(row == column) + fitted[3 * row + column])
-        });
+        let matrix = matrix(&fit(&windows.iter().collect::<Vec<_>>(), free));
         let errors = [before, after].map(|errors| {
             let mean = errors.iter().map(|&error| error * error).sum::<DVec3>() / errors.len() as f64;
             mean.map(f64::sqrt).to_array()
@@ -87,12 +84,8 @@ impl OdometryCalibration {
 
     /// Replaces the odometry of a drive, from its first pose on.
     pub fn apply(&self, drive: &mut Drive) {
-        let [forward, left, turn] = self.matrix;
-        let row =
-            |row: [f64; 3], step: Pose2| row[0] * step.x + row[1] * step.y + row[2] * wrap_angle(step.theta);
         let increments: Vec<Pose2> = (0..drive.steps.len())
-            .map(|i| drive.odometry_increment(i))
-            .map(|step| Pose2::new(row(forward, step), row(left, step), row(turn, step)))
+            .map(|i| true_increment(&self.matrix, drive.odometry_increment(i)))
             .collect();
         let Some(mut pose) = drive.steps.first().map(|step| step.odometry) else { return };
         for (step, increment) in drive.steps.iter_mut().zip(increments) {
@@ -102,7 +95,7 @@ impl OdometryCalibration {
     }
 }
 
-/// `after a metre forward the robot is at 0.957 m, 0.026 m to the left, and has turned by +3.58 deg; ...`.
+/// `a metre of it is 0.957 m forward, +0.026 m to the left and +3.58 deg, 90 deg of it are 87.20 deg. ...`.
 impl fmt::Display for OdometryCalibration {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [forward, left, turn] = self.matrix;
@@ -131,9 +124,10 @@ struct Motion {
 impl Motion {
     /// The reference's motion less the odometry's (forward, left, turn), in the frame of the window's begin.
     fn error(&self, fitted: &Coefficients) -> DVec3 {
+        let matrix = matrix(fitted);
         let (mut pose, mut turn) = (Pose2::IDENTITY, 0.0);
         for &step in &self.steps {
-            let step = corrected(step, fitted);
+            let step = true_increment(&matrix, step);
             pose = pose.compose(&step);
             turn += step.theta;
         }
@@ -143,13 +137,14 @@ impl Motion {
 
     /// The derivatives of the odometry's motion (forward, left, turn) by the coefficients.
     fn derivatives(&self, fitted: &Coefficients) -> [Coefficients; 3] {
+        let matrix = matrix(fitted);
         let mut pose = Pose2::IDENTITY;
         let path: Vec<(f64, _)> = self
             .steps
             .iter()
             .map(|&step| {
                 let heading = pose.theta;
-                pose = pose.compose(&corrected(step, fitted));
+                pose = pose.compose(&true_increment(&matrix, step));
                 (heading, pose.position())
             })
             .collect();
@@ -170,12 +165,16 @@ impl Motion {
     }
 }
 
-/// An increment with the systematic error that was fitted.
-fn corrected(step: Pose2, fitted: &Coefficients) -> Pose2 {
-    let step = [step.x, step.y, wrap_angle(step.theta)];
-    let [x, y, theta] = std::array::from_fn(|row| {
-        step[row] + (0..3).map(|column| fitted[3 * row + column] * step[column]).sum::<f64>()
-    });
+/// The matrix of coefficients, which are 0 for an odometry that is right.
+fn matrix(fitted: &Coefficients) -> [[f64; 3]; 3] {
+    std::array::from_fn(|row| {
+        std::array::from_fn(|column| f64::from(row == column) + fitted[3 * row + column])
+    })
+}
+
+/// The true increment of one by odometry.
+fn true_increment(matrix: &[[f64; 3]; 3], step: Pose2) -> Pose2 {
+    let [x, y, theta] = matrix.map(|row| row[0] * step.x + row[1] * step.y + row[2] * wrap_angle(step.theta));
     Pose2::new(x, y, theta)
 }
 
