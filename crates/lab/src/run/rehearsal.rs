@@ -123,6 +123,18 @@ fn climb<T>(
     Ok(())
 }
 
+/// What `tried` makes of the exponent with the least deviance, and that exponent: (deviance, exponent, ..).
+fn least<T>(
+    mut tried: impl FnMut(f64) -> Result<(f64, f64, T), LabError>,
+) -> Result<(f64, f64, T), LabError> {
+    let mut best = tried(EXPONENTS[FIRST])?;
+    climb(&mut best, EXPONENTS[FIRST + 1..].iter().copied(), &mut tried)?;
+    if best.1 <= EXPONENTS[FIRST] {
+        climb(&mut best, EXPONENTS[..FIRST].iter().rev().copied(), &mut tried)?;
+    }
+    Ok(best)
+}
+
 /// Stretches of a drive that no trial localizes on, and the filter of the trials.
 pub struct Rehearsal<'a> {
     filter: &'a scenario::Filter,
@@ -219,7 +231,7 @@ impl<'a> Rehearsal<'a> {
             }
             _ => None,
         };
-        let mut tried = |exponent: f64| -> Result<(f64, f64, Steps), LabError> {
+        let tried = |exponent: f64| -> Result<(f64, f64, Steps), LabError> {
             let tempered = tempered(exponent)?;
             let table = prepared.take().map(|table| table.scaled(Arc::clone(&tempered), exponent / last));
             last = exponent;
@@ -230,13 +242,7 @@ impl<'a> Rehearsal<'a> {
             prepared = table;
             Ok((mean(steps.errors.iter().map(|error| error.deviance(Spread::default()))), exponent, steps))
         };
-        let mut chosen = tried(EXPONENTS[FIRST])?;
-        let (below, above) = (&EXPONENTS[..FIRST], &EXPONENTS[FIRST + 1..]);
-        climb(&mut chosen, above.iter().copied(), &mut tried)?;
-        if chosen.1 <= EXPONENTS[FIRST] {
-            climb(&mut chosen, below.iter().rev().copied(), &mut tried)?;
-        }
-        let (_, exponent, Steps { errors, mut scan_log_density }) = chosen;
+        let (_, exponent, Steps { errors, mut scan_log_density }) = least(tried)?;
         let shared = shared_errors(&errors);
         let nees = mean(errors.iter().map(|error| error.nees(Spread::default())));
         scan_log_density.sort_by(f64::total_cmp);
@@ -311,6 +317,24 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
+
+    /// Wherever the least deviance is, it is found, and two exponents on either side are tried in vain at most.
+    #[test]
+    fn the_exponent_of_the_least_deviance_is_found() {
+        for (at, &wanted) in EXPONENTS.iter().enumerate() {
+            let mut asked = Vec::new();
+            let (_, found, ()) = least(|exponent| {
+                asked.push(exponent);
+                Ok(((exponent / wanted).ln().abs(), exponent, ()))
+            })
+            .unwrap();
+            assert_eq!(found, wanted);
+            let way = FIRST.abs_diff(at);
+            assert!(asked.len() <= way + 5, "{asked:?} for {wanted}");
+            asked.sort_by(f64::total_cmp);
+            assert!(asked.is_sorted_by(|a, b| a < b), "each once: {asked:?}");
+        }
+    }
 
     /// An error of 3 cm with a deviation of 1 cm: 9, and a mean of 9 / (1 + 8) with 8 cm^2 of shared errors.
     #[test]
