@@ -60,7 +60,7 @@ const FAR_FROM_MEDIAN: f64 = 2.0;
 pub fn warnings(results: &RunResults) -> Vec<String> {
     let of_models = results.models.iter().enumerate().flat_map(|(i, model)| warnings_of(results, i, model));
     let together = [few_effective(results), cut_scans(results)].into_iter().flatten();
-    left_out(results).into_iter().chain(of_models).chain(together).collect()
+    left_out(results).into_iter().chain(off_map(results)).chain(of_models).chain(together).collect()
 }
 
 /// What `told` says of the steps of each model, one after another; `None` where it says nothing of any.
@@ -118,6 +118,50 @@ fn left_out(results: &RunResults) -> Option<String> {
             100.0 * left_out as f64 / of as f64
         )
     })
+}
+
+/// A sentence on the stretches on which reference poses and map disagree, with the errors elsewhere.
+fn off_map(results: &RunResults) -> Option<String> {
+    let told: Vec<String> = results
+        .disagreements
+        .iter()
+        .map(|found| {
+            let apart = if found.most_m - found.least_m < 0.005 {
+                format!("{:.2}", found.most_m)
+            } else {
+                format!("{:.2} to {:.2}", found.least_m, found.most_m)
+            };
+            format!(
+                "scans {} to {} by {apart} m ({:.0} % of their returns end within {:.2} m of a mapped surface, {:.0} % from \
+                 poses that far beside)",
+                found.first_scan,
+                found.last_scan,
+                100.0 * found.near_share,
+                found.near_m,
+                100.0 * found.near_share_beside,
+            )
+        })
+        .collect();
+    if told.is_empty() {
+        return None;
+    }
+    let elsewhere = results.models.iter().enumerate().filter_map(|(index, model)| {
+        let rows = results.trials.iter().flat_map(|trial| &trial.models[index].steps);
+        let outside = rows.filter(|row| !results.disagreements.iter().any(|found| found.has(row.step)));
+        let squares: Vec<f64> = outside.map(|row| row.position_error_m().powi(2)).collect();
+        let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+        (!squares.is_empty()).then(|| format!("{model} {} m", metres(mean.sqrt())))
+    });
+    let elsewhere: Vec<String> = elsewhere.collect();
+    let rest = if elsewhere.is_empty() {
+        String::new()
+    } else {
+        format!(" RMSE without these scans: {}.", elsewhere.join(", "))
+    };
+    Some(format!(
+        "The reference poses and the map disagree in {}. A filter that is right in the map is wrong against the reference there.{rest}",
+        told.join(", in ")
+    ))
 }
 
 fn warnings_of(results: &RunResults, index: usize, model: &str) -> Vec<String> {

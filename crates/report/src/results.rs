@@ -123,8 +123,37 @@ pub struct RunResults {
     pub models: Vec<String>,
     /// Held-out quality of each model, in the same order.
     pub training: Vec<TrainingRow>,
+    /// Stretches of a measured drive on which its reference poses and the map disagree.
+    pub disagreements: Vec<Disagreement>,
     /// All trials in order.
     pub trials: Vec<Trial>,
+}
+
+/// A stretch of a measured drive whose scans fit the map better from poses beside its reference poses: a filter that is right in
+/// the map is wrong against the reference there.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Disagreement {
+    /// Index of its first scan in the drive.
+    pub first_scan: u32,
+    /// Index of its last scan.
+    pub last_scan: u32,
+    /// How far beside the reference poses these poses are, at least \[m\].
+    pub least_m: f64,
+    /// The same at most.
+    pub most_m: f64,
+    /// A reading is near a mapped surface up to this distance \[m\].
+    pub near_m: f64,
+    /// Share of the returns that end near one, from the reference poses.
+    pub near_share: f64,
+    /// The same from the poses beside them.
+    pub near_share_beside: f64,
+}
+
+impl Disagreement {
+    /// Whether a scan is in the stretch.
+    pub fn has(&self, step: u32) -> bool {
+        (self.first_scan..=self.last_scan).contains(&step)
+    }
 }
 
 /// One trial in full, for pictures and recordings.

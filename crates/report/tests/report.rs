@@ -9,12 +9,12 @@ use arrow::array::{Array, AsArray};
 use arrow::datatypes::{DataType, Float64Type, UInt32Type, UInt64Type};
 use locsim_core::{Draw, Drive, DriveStep, Laser, Pose2, Scan, Stage};
 use locsim_report::results::{
-    BeamProbe, DetailedModel, DetailedStep, DetailedTrial, ModelTrial, RunResults, StepRow, TrainingRow,
-    Trial, USUAL_SCAN,
+    BeamProbe, DetailedModel, DetailedStep, DetailedTrial, Disagreement, ModelTrial, RunResults, StepRow,
+    TrainingRow, Trial, USUAL_SCAN,
 };
 use locsim_report::store::{Folder, StoreError};
 use locsim_report::summary::{Summary, SummaryError};
-use locsim_report::{ReportContext, terminal_table, write};
+use locsim_report::{ReportContext, terminal_table, warnings, write};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 /// Name, standard deviation of the errors [m], and the trial it loses, if any.
@@ -95,6 +95,7 @@ fn results(models: &[usize], trials: u32) -> RunResults {
         estimate: "most likely trajectory".to_owned(),
         models: models.iter().map(|&m| MODELS[m].0.to_owned()).collect(),
         training: training.collect(),
+        disagreements: Vec::new(),
         trials: (0..trials)
             .map(|trial| Trial {
                 trial,
@@ -301,6 +302,42 @@ fn localization_from_an_unknown_start_is_told() {
         assert!(text.contains(sign), "{text}");
     }
     assert!(known.iter().all(|text| !text.contains("30 m") && !text.contains("30_m")));
+}
+
+/// Where reference and map disagree is said, with the errors elsewhere; of a drive that is all so there are none.
+#[test]
+fn a_reference_beside_the_map_is_told() {
+    let mut results = results(&[1, 5], 2);
+    assert!(warnings(&results).iter().all(|warning| !warning.contains("disagree")));
+    let off = |first_scan, last_scan| Disagreement {
+        first_scan,
+        last_scan,
+        least_m: 0.152,
+        most_m: 0.35,
+        near_m: 0.05,
+        near_share: 0.561,
+        near_share_beside: 0.849,
+    };
+    let last = results.trials[0].models[0].steps.len() as u32 - 1;
+    let rmse = |from: u32| {
+        let rows = results.trials.iter().flat_map(|trial| &trial.models[0].steps);
+        let squares: Vec<f64> =
+            rows.filter(|row| row.step >= from).map(|row| row.position_error_m().powi(2)).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    let elsewhere = rmse(5);
+    results.disagreements = vec![off(0, 4)];
+    let said = warnings(&results).into_iter().find(|warning| warning.contains("disagree")).unwrap();
+    let expected = format!(
+        "The reference poses and the map disagree in scans 0 to 4 by 0.15 to 0.35 m (56 % of their returns end within 0.05 m of \
+         a mapped surface, 85 % from poses that far beside). A filter that is right in the map is wrong against the reference there. \
+         RMSE without these scans: {} {elsewhere:.4} m, ",
+        results.models[0]
+    );
+    assert!(said.starts_with(&expected), "{said}\n{expected}");
+    results.disagreements = vec![off(0, last)];
+    let said = warnings(&results).into_iter().find(|warning| warning.contains("disagree")).unwrap();
+    assert!(said.ends_with("against the reference there."), "{said}");
 }
 
 #[test]

@@ -27,23 +27,39 @@ impl Beam {
     }
 }
 
+/// The beam of a batch with this pose and bearing.
+#[inline]
+pub(crate) fn beam_at(beams: &Beams<'_>, pose: usize, bearing: usize) -> Beam {
+    let i = pose * beams.per_pose() + bearing;
+    let (nominal, incidence) = (beams.range[i], beams.incidence[i]);
+    let max_range = beams.max_range;
+    Beam { pose, bearing, range: nominal.min(max_range), nominal, incidence, max_range }
+}
+
 /// Calls `f(index of beam, beam)` for every beam, pose-major.
 fn each_beam(beams: &Beams<'_>, mut f: impl FnMut(usize, Beam)) {
     let k = beams.per_pose();
     for pose in 0..beams.poses() {
         for bearing in 0..k {
-            let i = pose * k + bearing;
-            let (nominal, incidence) = (beams.range[i], beams.incidence[i]);
-            let max_range = beams.max_range;
-            let range = nominal.min(max_range);
-            f(i, Beam { pose, bearing, range, nominal, incidence, max_range });
+            f(pose * k + bearing, beam_at(beams, pose, bearing));
         }
     }
 }
 
-/// `log_density` of a batch from that of one beam. NaN gives 0, a negative reading minus infinity and a
-/// reading beyond the maximum range counts as the maximum range, so `f` sees only readings from 0 to the
-/// maximum.
+/// The log density of one beam. NaN gives 0, a negative reading minus infinity and a reading beyond the maximum range
+/// counts as the maximum range, so `f` sees only readings from 0 to the maximum.
+#[inline]
+pub(crate) fn log_density(z: f32, beam: &Beam, f: impl FnOnce(f32, &Beam) -> f32) -> f32 {
+    if z.is_nan() {
+        0.0
+    } else if z < 0.0 {
+        f32::NEG_INFINITY
+    } else {
+        f(z.min(beam.max_range), beam)
+    }
+}
+
+/// `log_density` of a batch from that of one beam, as [`log_density`].
 #[inline]
 pub(crate) fn log_densities(
     z: &[f32],
@@ -51,16 +67,7 @@ pub(crate) fn log_densities(
     out: &mut [f32],
     mut f: impl FnMut(f32, Beam) -> f32,
 ) {
-    each_beam(beams, |i, beam| {
-        let z = z[beam.bearing];
-        out[i] = if z.is_nan() {
-            0.0
-        } else if z < 0.0 {
-            f32::NEG_INFINITY
-        } else {
-            f(z.min(beam.max_range), beam)
-        };
-    });
+    each_beam(beams, |i, beam| out[i] = log_density(z[beam.bearing], &beam, |z, beam| f(z, *beam)));
 }
 
 /// `cdf` of a batch from that of one beam: 0 below 0, 1 from the maximum range on, NaN for NaN; `f` sees only

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::axis::Axis;
-use crate::beam::{Beam, cdfs, log_densities, samples};
+use crate::beam::{Beam, beam_at, cdfs, log_density, samples};
 use crate::binned::kernel;
 use crate::field::{Profile, end_of};
 use crate::{ModelKind, SensorError, TrainingSet};
@@ -37,6 +37,9 @@ const FARTHEST_M: f32 = 2.0;
 const STEP_M: f32 = 0.05;
 /// The integral is taken over at most this many training beams, evenly chosen.
 const MOST_BEAMS: usize = 16_000;
+
+/// Directions of so many bearings are computed at once, for all poses.
+const BEARINGS_AT_ONCE: usize = 64;
 
 /// Logs of densities that a file may hold: their integral over a beam neither overflows nor vanishes.
 const LOGS: std::ops::RangeInclusive<f32> = -80.0..=40.0;
@@ -111,19 +114,35 @@ impl Intensity {
     }
 }
 
-/// The class of a beam.
-#[inline]
-fn class_of(beam: &Beam, surface: u32, map: &dyn DistanceMap) -> usize {
-    if beam.nominal >= CAST_REACH * beam.max_range {
-        return CLASSES - 1;
+/// What a beam's class depends on besides the beam: the map, and where bins of nominal range begin.
+struct Classes<'a> {
+    map: &'a dyn DistanceMap,
+    /// Nominal ranges from here on meet nothing \[m\].
+    open: f32,
+    /// Upper ends of all bins of nominal range but the first \[m\].
+    nearer: [f32; RANGES - 1],
+}
+
+impl<'a> Classes<'a> {
+    fn new(max_range: f32, map: &'a dyn DistanceMap) -> Self {
+        let nearer = std::array::from_fn(|i| max_range / (1_u32 << i) as f32);
+        Self { map, open: CAST_REACH * max_range, nearer }
     }
-    let range = (0..RANGES - 1).take_while(|&i| beam.nominal < beam.max_range / (1_u32 << i) as f32).count();
-    if map.is_unknown(surface) {
-        return WALLS + range;
+
+    /// The class of a beam that meets `surface`.
+    #[inline]
+    fn of(&self, beam: &Beam, surface: u32) -> usize {
+        if beam.nominal >= self.open {
+            return CLASSES - 1;
+        }
+        let range = self.nearer.iter().map(|nearer| usize::from(beam.nominal < *nearer)).sum::<usize>();
+        if self.map.is_unknown(surface) {
+            return WALLS + range;
+        }
+        let incidence = (beam.incidence * (INCIDENCES as f32 / FRAC_PI_2)) as usize;
+        let passed = usize::from(self.map.hit_share(surface) < SOLID_SHARE);
+        (range * INCIDENCES + incidence.min(INCIDENCES - 1)) * SOLIDITIES + passed
     }
-    let incidence = (beam.incidence * (INCIDENCES as f32 / FRAC_PI_2)) as usize;
-    let passed = usize::from(map.hit_share(surface) < SOLID_SHARE);
-    (range * INCIDENCES + incidence.min(INCIDENCES - 1)) * SOLIDITIES + passed
 }
 
 /// Fits the intensity. Bandwidth and weights of the coarser densities minimize the log loss on `held_out`.
@@ -188,9 +207,10 @@ impl Axes {
     /// Class and bin of every reading; no bin without return.
     fn places(&self, data: &TrainingSet, map: &dyn DistanceMap) -> Vec<(usize, Option<usize>)> {
         let mut places = Vec::with_capacity(data.reading_count());
+        let classes = Classes::new(data.max_range(), map);
         for i in 0..data.len() {
             let beam = data.beam(i);
-            let class = class_of(&beam, data.state(i).surface, map);
+            let class = classes.of(&beam, data.state(i).surface);
             let direction = data.heading(i).sin_cos();
             places.extend(data.observations(i).iter().map(|&z| {
                 let bin = (z < beam.max_range).then(|| {
@@ -273,7 +293,7 @@ impl Axes {
         metres: &mut [f32],
     ) {
         let beam = train.beam(i);
-        let class = class_of(&beam, train.state(i).surface, map);
+        let class = Classes::new(train.max_range(), map).of(&beam, train.state(i).surface);
         let direction = train.heading(i).sin_cos();
         let weight = weight * train.observations(i).len() as f32;
         for u in 0..self.offset.bins() {
@@ -402,7 +422,7 @@ pub(crate) struct NpRegField {
 impl NpRegField {
     /// The running integral of the density along beam `i`, from 0 to the share of returns.
     fn profile(&self, beams: &Beams<'_>, i: usize, beam: &Beam) -> Profile {
-        let class = class_of(beam, beams.surface[i], &*self.map);
+        let class = Classes::new(beams.max_range, &*self.map).of(beam, beams.surface[i]);
         let no_return = self.intensity.0.log_no_return[class].exp();
         Profile::along(beams, i, 1.0 - no_return, |z, x, y| {
             self.intensity.at(class, z - beam.nominal, self.map.distance(x, y)).exp()
@@ -421,22 +441,31 @@ impl SensorModel for NpRegField {
 
     fn log_density(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
         let k = beams.per_pose();
-        let mut last = usize::MAX;
-        let (mut sin, mut cos) = (0.0, 1.0);
-        log_densities(z, beams, out, |z, beam| {
-            let class = class_of(&beam, beams.surface[beam.pose * k + beam.bearing], &*self.map);
-            if z >= beam.max_range {
-                return self.intensity.0.log_no_return[class];
+        let classes = Classes::new(beams.max_range, &*self.map);
+        let Intensity(Parts { log_no_return, .. }) = &self.intensity;
+        let mut directions = [(0.0, 1.0); BEARINGS_AT_ONCE];
+        for first in (0..k).step_by(BEARINGS_AT_ONCE) {
+            let bearings = &beams.bearings[first..k.min(first + BEARINGS_AT_ONCE)];
+            for (direction, bearing) in directions.iter_mut().zip(bearings) {
+                *direction = locsim_core::sin_cos(f64::from(*bearing));
             }
-            if beam.pose != last {
-                (sin, cos) = beams.laser.theta[beam.pose].sin_cos();
-                last = beam.pose;
+            for pose in 0..beams.poses() {
+                let laser = beams.laser.get(pose);
+                let (sin, cos) = laser.theta.sin_cos();
+                for (bearing, &(s, c)) in (first..).zip(&directions[..bearings.len()]) {
+                    let i = pose * k + bearing;
+                    out[i] = log_density(z[bearing], &beam_at(beams, pose, bearing), |z, beam| {
+                        let class = classes.of(beam, beams.surface[i]);
+                        if z >= beam.max_range {
+                            return log_no_return[class];
+                        }
+                        let direction = (sin * c + cos * s, cos * c - sin * s);
+                        let [x, y] = end_of(laser, direction, z);
+                        self.intensity.at(class, z - beam.nominal, self.map.distance(x, y))
+                    });
+                }
             }
-            let (s, c) = locsim_core::sin_cos(f64::from(beams.bearings[beam.bearing]));
-            let direction = (sin * c + cos * s, cos * c - sin * s);
-            let [x, y] = end_of(beams.laser.get(beam.pose), direction, z);
-            self.intensity.at(class, z - beam.nominal, self.map.distance(x, y))
-        });
+        }
     }
 
     fn cdf(&self, z: &[f32], beams: &Beams<'_>, out: &mut [f32]) {
@@ -569,7 +598,7 @@ mod tests {
             let (mut sum, mut beams) = (0.0, 0.0);
             for i in (0..set.len()).filter(|&i| (set.state(i).surface == BORDER) == unknown) {
                 let state = set.state(i);
-                let class = class_of(&set.beam(i), state.surface, &Wall);
+                let class = Classes::new(MAX_RANGE, &Wall).of(&set.beam(i), state.surface);
                 let steps = 4000_u16;
                 let step = MAX_RANGE / f32::from(steps);
                 let along: f32 = (0..steps)

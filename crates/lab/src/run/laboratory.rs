@@ -9,6 +9,7 @@ use locsim_core::{
     Survival,
 };
 use locsim_dataset::{LogKind, OdometryError};
+use locsim_report::results::Disagreement;
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap, RangeTable, RangeTableOptions, Vicinity};
 use locsim_world::simulation::{
@@ -17,6 +18,7 @@ use locsim_world::simulation::{
 use rand::RngExt;
 
 use super::coverage::{against_odometry, outside_of_map, unlike_map, unmapped_start, untrained_states};
+use super::disagreement::disagreements;
 use super::filter::{calibrated, fitted_alpha};
 use super::measured_log::{
     MeasuredLog, enough_to_train_on, judged, log_map, measured_scans, selected, unusable,
@@ -313,6 +315,14 @@ impl<'a> Laboratory<'a> {
         ];
         let warnings = summary.remarks.into_iter().chain(warnings.into_iter().flatten()).collect();
         Ok(Self { scenario, filter, maps, models, warnings, notes, drives: Drives::Measured(drive) })
+    }
+
+    /// Where reference poses of a log and its map disagree.
+    pub(super) fn disagreements(&self) -> Vec<Disagreement> {
+        match &self.drives {
+            Drives::Measured(drive) => disagreements(&*self.maps.distance, drive),
+            Drives::Simulated(_) => Vec::new(),
+        }
     }
 
     /// The measured drive, if it has no reference pose to hold an estimate against.

@@ -4,6 +4,7 @@ mod bounds;
 mod corrected;
 mod coverage;
 mod detail;
+mod disagreement;
 mod estimate;
 mod filter;
 mod grounds;
@@ -221,6 +222,7 @@ fn results_of(laboratory: &Laboratory<'_>, trials: Vec<Trial>, seconds: f64) -> 
         estimate: estimate_name(scenario.filter.estimate).to_owned(),
         models: scenario.models.iter().map(|model| model.label.clone()).collect(),
         training: laboratory.models.iter().map(|model| model.row.clone()).collect(),
+        disagreements: laboratory.disagreements(),
         trials,
     }
 }

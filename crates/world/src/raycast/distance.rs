@@ -70,8 +70,10 @@ impl DistanceMap for DistanceGrid {
         if !inside {
             return self.max_m;
         }
-        let (right, up) = (column.fract() as f32, row.fract() as f32);
-        let i = row as usize * columns + column as usize;
+        // Not `fract`, which is a call without SSE 4.1.
+        let (left, bottom) = (column as u32, row as u32);
+        let (right, up) = ((column - f64::from(left)) as f32, (row - f64::from(bottom)) as f32);
+        let i = bottom as usize * columns + left as usize;
         let below = self.distances[i] * (1.0 - right) + self.distances[i + 1] * right;
         let above = self.distances[i + columns] * (1.0 - right) + self.distances[i + columns + 1] * right;
         below * (1.0 - up) + above * up
