@@ -75,7 +75,7 @@ fn log(nominal: &Nominal, effects: &[Effect], regime: Regime, seed: u64) -> Reco
 }
 
 fn search(nominal: &Nominal, recorded: &Recorded, without: Vec<EffectKind>) -> Outcome {
-    let options = GapOptions { replicates: 199, without, seed: 5, ..GapOptions::default() };
+    let options = GapOptions { replicates: 99, without, seed: 5, ..GapOptions::default() };
     find(nominal, recorded, &options, &(), &AtomicBool::new(false)).unwrap()
 }
 
@@ -323,6 +323,26 @@ fn what_the_library_lacks_is_told_without_a_name() {
     let told: Vec<_> = outcome.unnamed.iter().map(|found| (found.deviation, found.covariate)).collect();
     assert_eq!(told, [(Deviation::Short, Covariate::Bearing)]);
     assert!(!outcome.regions.is_empty());
+}
+
+/// Every other three seconds a third of the returns is lost: no loss over incidence or range, whatever those gain.
+#[test]
+fn losses_that_come_and_go_have_no_name() {
+    let nominal = nominal();
+    let mut drive = record_library(&nominal, &truth(160), &[], Regime::default(), 4).unwrap();
+    let max = drive.laser.max_range();
+    for (scan, step) in drive.steps.iter_mut().enumerate().filter(|(scan, _)| (scan / 30) % 2 == 1) {
+        let draw = Draw::new(6, Stage::Bootstrap, scan as u32);
+        let lost = step.scan.ranges.iter_mut().enumerate();
+        let lost = lost.filter(|(beam, _)| draw.item(*beam as u32).random::<f64>() < 0.33);
+        lost.for_each(|(_, range)| *range = max);
+    }
+    let recorded = Recorded::new(&drive, 600, 72, |_| true).unwrap();
+    let outcome = search(&nominal, &recorded, Vec::new());
+    assert_eq!((outcome.verdict, outcome.effects.len()), (Verdict::Unnamed, 0), "{:?}", outcome.effects);
+    let first = &outcome.unnamed[0];
+    assert_eq!((first.deviation, first.covariate), (Deviation::NoReturn, Covariate::Losses));
+    assert!((0.2..0.45).contains(&first.size), "{first:?}");
 }
 
 #[test]

@@ -47,17 +47,21 @@ pub struct Outcome {
     pub sigma: f64,
 }
 
-impl Outcome {
-    fn class(&self) -> usize {
-        match self.class {
-            Class::Surface(_) => 0,
-            Class::Short => 1,
-            Class::Long => 2,
-            Class::NoReturn => 3,
-            Class::Open => 4,
+impl Class {
+    /// Its index among [`Outcome::probabilities`].
+    #[must_use]
+    pub fn index(self) -> usize {
+        match self {
+            Self::Surface(_) => 0,
+            Self::Short => 1,
+            Self::Long => 2,
+            Self::NoReturn => 3,
+            Self::Open => 4,
         }
     }
+}
 
+impl Outcome {
     /// Probabilities of the classes under a tilt.
     fn classes(&self, tilt: &Tilt) -> [f64; 1 + SHARES] {
         let mut shares = self.probabilities;
@@ -73,7 +77,7 @@ impl Outcome {
     /// Log score gained by a tilt (nats).
     #[must_use]
     pub fn gain(&self, tilt: &Tilt) -> f64 {
-        let class = self.class();
+        let class = self.class.index();
         let of_class = (self.classes(tilt)[class] / self.probabilities[class]).ln();
         match self.class {
             Class::Surface(bin) => {
@@ -100,7 +104,7 @@ impl Outcome {
                 pull[moment] = [basis[usize::from(bin)][moment] - mean, square - mean * mean];
             }
         }
-        let (shares, own) = (self.classes(tilt), self.class());
+        let (shares, own) = (self.classes(tilt), self.class.index());
         for class in 1..shares.len() {
             let hit = f64::from(u8::from(class == own));
             pull[MOMENTS + class - 1] =

@@ -1,15 +1,15 @@
 //! Curves that are added one by one, the one that gains most on held-out folds first.
 
 use distreg::curve::{LARGEST_TILT, Shape, Sums, crossfit, curves_without, fit};
-use locsim_core::tilt::{Outcome, Pull, Tilt};
+use locsim_core::tilt::{Class, Outcome, Pull, Tilt};
 use locsim_core::{Folds, simplest};
 use rayon::prelude::*;
 
-use super::covariates::{Covariates, NOISE_OF_SCANS, variances_of_others};
+use super::covariates::{Covariates, LOSSES_OF_SCANS, NOISE_OF_SCANS, mean_of_others, variances_of_others};
 use super::large::Large;
 use super::outcomes::{self, MOMENTS, Outcomes};
 use super::{Component, FreeModel, MEAN, SPREAD};
-use crate::statistics::Covariate;
+use crate::statistics::{Covariate, Deviation};
 
 /// The most curves that are added. A log of several strong effects takes a dozen.
 const MOST_STEPS: usize = 40;
@@ -220,20 +220,23 @@ impl<'a> State<'a> {
     /// The simplest of the curves that can't be told from the one that gains most.
     fn simplest_of_best(&self) -> Option<&Tried> {
         let tried = &self.tried;
-        let is_of_scans = |tried: &&Tried| self.covariates.axes[tried.axis].covariate == Covariate::Scan;
-        let best_of = |of_scans: bool| {
-            let own = tried.iter().filter(move |tried| is_of_scans(tried) == of_scans);
-            own.max_by(|a, b| a.gain().total_cmp(&b.gain()))
+        let is_of_scans = |tried: &&Tried| {
+            matches!(self.covariates.axes[tried.axis].covariate, Covariate::Scan | Covariate::Losses)
         };
+        let most = |a: &&Tried, b: &&Tried| a.gain().total_cmp(&b.gain());
         let of_moment = |found: &&Tried| -> f64 {
             let others = tried.iter().filter(|other| other.moment == found.moment && !is_of_scans(other));
             others.map(Tried::gain).fold(0.0, f64::max)
         };
-        // The noise of a scan's other beams tells that of any cause, a little less well than the cause.
-        let noisy = best_of(true).filter(|noisy| noisy.gain() > NOISE_OF_SCANS * of_moment(noisy));
-        let best = best_of(false);
-        if let Some(noisy) = noisy.filter(|noisy| best.is_none_or(|best| noisy.gain() > best.gain())) {
-            return (noisy.gain() > LEAST_GAIN_NATS).then_some(noisy);
+        // A scan's other beams tell noise and losses of any cause, a little less well than the cause.
+        let beyond = |found: &&Tried| {
+            let factor = if found.moment == SPREAD { NOISE_OF_SCANS } else { LOSSES_OF_SCANS };
+            found.gain() > factor * of_moment(found)
+        };
+        let of_scans = tried.iter().filter(is_of_scans).filter(beyond).max_by(most);
+        let best = tried.iter().filter(|tried| !is_of_scans(tried)).max_by(most);
+        if let Some(found) = of_scans.filter(|found| best.is_none_or(|best| found.gain() > best.gain())) {
+            return (found.gain() > LEAST_GAIN_NATS).then_some(found);
         }
         let best = best?;
         let count = |tried: &Tried| self.covariates.axes[tried.axis].levels.len();
@@ -255,6 +258,7 @@ impl<'a> State<'a> {
             let is_asked = match covariate.covariate {
                 Covariate::Neighbour => *moment == MEAN,
                 Covariate::Scan => *moment == SPREAD,
+                Covariate::Losses => MOMENTS[*moment] == Deviation::NoReturn,
                 _ => true,
             };
             self.moved[block_of(*moment)] && !self.spent[axis][*moment] && is_asked
@@ -305,6 +309,14 @@ impl<'a> State<'a> {
                 let readings = self.outcomes.all.iter().zip(&self.tilts);
                 let errors = readings.map(|(outcome, tilt)| (outcome.scan as usize, outcome.error(tilt)));
                 return variances_of_others(errors).map(of).collect();
+            }
+            Covariate::Losses => {
+                let is_lost = |outcome: &Outcome| f64::from(u8::from(outcome.class == Class::NoReturn));
+                let excess = self.outcomes.all.iter().map(|outcome| {
+                    let expected = outcome.probabilities[Class::NoReturn.index()];
+                    (outcome.scan as usize, is_lost(outcome) - expected)
+                });
+                return mean_of_others(excess).map(of).collect();
             }
             _ => {}
         }

@@ -49,17 +49,36 @@ const JUMPS: [f64; 4] = [0.15, 0.4, 0.8, 1.6];
 const NEIGHBOURS: [f64; 8] = [-2.0, -1.2, -0.7, -0.25, 0.25, 0.7, 1.2, 2.0];
 /// Edges of the levels of the variance of a scan's other errors (1).
 const SCANS: [f64; 10] = [0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2, 3.0, 4.5, 7.0];
+/// Edges of the levels of the share of a scan's other beams without return, beyond the simulated share (1).
+const LOSSES: [f64; 9] = [-0.03, 0.02, 0.05, 0.08, 0.12, 0.16, 0.22, 0.3, 0.5];
 /// Side of the cells of places \[m\], doubled until there are no more than these.
 const PLACE_M: f64 = 0.5;
 const MOST_PLACES: usize = 200;
 /// Walls at round numbers aren't at the borders of cells \[m\].
 const BORDER_M: f64 = 0.17;
 
-/// Noise comes and goes with scans where that gains so many times what anything else does: the noise of a scan's other beams tells that of
-/// any cause, a little less well than the cause.
+/// Noise comes and goes with scans where that gains so many times what anything else does, and losses do: a scan's other beams tell those
+/// of any cause, a little less well than the cause. Losses are seen for sure, noise isn't.
 pub(super) const NOISE_OF_SCANS: f64 = 1.25;
+pub(super) const LOSSES_OF_SCANS: f64 = 1.1;
 /// Fewer other readings of a scan say nothing of its noise.
 const FEWEST_OTHERS: f64 = 8.0;
+
+/// For each reading, by the number of its scan and what it is more than expected, the mean of that of its scan's others; `None` of few.
+pub(super) fn mean_of_others(
+    excess: impl Iterator<Item = (usize, f64)>,
+) -> impl Iterator<Item = Option<f64>> {
+    let excess: Vec<(usize, f64)> = excess.collect();
+    let mut sums = vec![[0.0; 2]; excess.last().map_or(0, |(scan, _)| scan + 1)];
+    for &(scan, more) in &excess {
+        sums[scan][0] += 1.0;
+        sums[scan][1] += more;
+    }
+    excess.into_iter().map(move |(scan, own)| {
+        let [count, sum] = sums[scan];
+        (count > FEWEST_OTHERS).then(|| (sum - own) / (count - 1.0))
+    })
+}
 
 /// For each reading, by the number of its scan and its error, the variance of the errors of its scan's others about their mean; `None` of few.
 pub(super) fn variances_of_others(
@@ -115,6 +134,7 @@ impl Covariates {
                 of(Covariate::Jump, JUMPS.to_vec(), &|i| jumps[i]),
                 Axis::of_readings(Covariate::Neighbour, &NEIGHBOURS),
                 Axis::of_readings(Covariate::Scan, &SCANS),
+                Axis::of_readings(Covariate::Losses, &LOSSES),
             ],
         }
     }

@@ -184,6 +184,7 @@ mod tests {
     use crate::{Recorded, fixtures};
     use locsim_core::Drive;
     use locsim_world::effect::{Effect, EffectKind};
+    use rand::RngExt;
     use rand_distr::{Distribution, StandardNormal};
 
     fn learnt(drive: &Drive, check: impl FnOnce(&FreeModel, &Covariates)) {
@@ -344,6 +345,31 @@ mod tests {
             // Of the noisiest scans; the last level is of those of few readings.
             let [.., Some([value, _]), None] = first.curve[..] else { panic!("{:?}", first.curve) };
             assert!((value - 2.0).abs() < 0.4, "{value}");
+        });
+    }
+
+    /// Three scans in seven lose a quarter of their returns, at no time, place or speed of their own.
+    #[test]
+    fn scans_that_lose_more_returns_than_others_are_told_as_that() {
+        let mut drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 7).unwrap();
+        let max = drive.laser.max_range();
+        for (scan, step) in drive.steps.iter_mut().enumerate().filter(|(scan, _)| scan * scan % 7 < 2) {
+            let draw = Draw::new(5, locsim_core::Stage::Bootstrap, scan as u32);
+            for (beam, range) in step.scan.ranges.iter_mut().enumerate() {
+                if draw.item(beam as u32).random::<f64>() < 0.25 {
+                    *range = max;
+                }
+            }
+        }
+        learnt(&drive, |model, covariates| {
+            let first = &model.components[0];
+            assert_eq!((first.moment, first.covariate), (Deviation::NoReturn, Covariate::Losses));
+            let of_many = covariates.axes[first.axis].levels.iter().zip(&first.curve);
+            let of_many = of_many.filter(|(share, _)| (0.2..0.35).contains(*share));
+            assert!(of_many.clone().count() > 0);
+            for (share, value) in of_many {
+                assert!((value.unwrap()[0] - 0.25).abs() < 0.05, "{share}: {value:?}");
+            }
         });
     }
 

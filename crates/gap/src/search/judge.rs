@@ -27,6 +27,8 @@ const RIGHT_NAME_SHARE: f64 = 0.5;
 /// or less where it is taken for one that has moved, the less the farther its other end is off.
 const RIGHT_WALL_SHARE: f64 = 0.15;
 
+/// Losses that differ from scan to scan by so much, as a share of what the best curve gains, aren't those of a beam's range or incidence.
+const COMES_AND_GOES_SHARE: f64 = 0.1;
 /// A curve of so many waves isn't an effect of the library in another form.
 const COMES_AND_GOES: f64 = 3.0;
 
@@ -127,12 +129,20 @@ impl<'a> State<'a> {
             let mut statistics = candidate.kind().description().statistics.iter();
             let is_of_frame = statistics.any(|statistic| matches!(statistic, effect::Statistic::Turn))
                 && dependences.iter().any(|other| other.deviation == Deviation::Frame && other.gain() > gain);
+            let comes_and_goes = candidate.kind().loses_returns()
+                && dependences.iter().any(|other| {
+                    other.covariate == Covariate::Losses
+                        && other.gain() > COMES_AND_GOES_SHARE * leading.gain()
+                });
             // A mean that isn't quite right spreads readings.
             let is_left = candidate.kind().moves() == Moves::Distribution
                 && leading.deviation == Deviation::Mean
                 && round.effects.iter().any(is_right)
                 && !leading.is_beaten_by(candidate);
-            !is_of_frame && !is_left && (gain >= NEARLY_ALL * leading.gain() || !leading.beats(candidate))
+            !is_of_frame
+                && !is_left
+                && !comes_and_goes
+                && (gain >= NEARLY_ALL * leading.gain() || !leading.beats(candidate))
         };
         if accepted.is_some_and(is_enough) {
             return Ok(accepted);

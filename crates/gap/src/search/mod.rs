@@ -152,6 +152,7 @@ pub fn find(
     state.delete(&mut path)?;
     state.simplify(&mut path)?;
     state.make_sure(&mut path)?;
+    state.join_biases(&mut path)?;
     state.join_surfaces(&mut path)?;
     state.drop_shared(&mut path)?;
     state.come_nearer(&mut path)?;

@@ -211,6 +211,8 @@ pub enum Covariate {
     /// Each scan as a whole: how much scans differ in what their beams share. Of a curve, the mean square of the errors of the scan's
     /// other beams, in their standard deviations.
     Scan,
+    /// The share of the scan's other beams without return, beyond that of the simulation \[1\].
+    Losses,
     /// Every beam: the PIT's tenths, from `lo` to `hi`.
     Pit,
     /// Reading over nominal range, of readings that are not of the surface \[1\].

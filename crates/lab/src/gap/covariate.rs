@@ -19,6 +19,7 @@ pub(super) fn noun(covariate: Covariate) -> &'static str {
         Covariate::Neighbour => "the neighbouring beam's error",
         Covariate::Odometry => "the odometry",
         Covariate::Scan => "how noisy the scan's other beams are",
+        Covariate::Losses => "how many returns the scan's other beams lose",
         Covariate::Pit | Covariate::Ratio => "the reading",
     }
 }
@@ -39,6 +40,7 @@ pub(super) fn span(covariate: Covariate, lo: f64, hi: f64) -> String {
         Covariate::Odometry => ("odometry", "", false),
         Covariate::Neighbour => ("error of the neighbouring beam", "standard deviations", false),
         Covariate::Scan => ("scan", "", false),
+        Covariate::Losses => ("share of the scan's other beams without return", "", false),
         Covariate::Pit => ("PIT", "", false),
         Covariate::Ratio => ("reading over nominal range", "", false),
     };

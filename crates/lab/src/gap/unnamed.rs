@@ -28,6 +28,7 @@ pub(super) fn sentence(found: &Unnamed) -> String {
         (Deviation::Spread, Covariate::Scan) => {
             format!("Some scans are noisier than others: {}.", extent(found))
         }
+        (_, Covariate::Losses) => format!("Some scans lose more returns than others: {}.", extent(found)),
         (_, Covariate::Everywhere) => format!("An unnamed {} of every beam: {}.", noun(found), size(found)),
         _ => format!(
             "An unnamed {} depends on {}: {}.",
@@ -131,7 +132,7 @@ pub(super) fn extent(found: &Unnamed) -> String {
             format!("period {} s, {amplitude}", significant(period))
         };
     }
-    if found.covariate == Covariate::Scan {
+    if matches!(found.covariate, Covariate::Scan | Covariate::Losses) {
         return format!("up to {}", size(found));
     }
     let at = found.curve.iter().find(|point| point.estimate.value == found.size);

@@ -148,6 +148,13 @@ impl EffectKind {
         !statistics.is_empty() && statistics.iter().all(is_spread)
     }
 
+    /// Whether it does nothing but shift readings.
+    pub fn is_bias(self) -> bool {
+        let is_shift = |s: &Statistic| matches!(s, Statistic::Score { score: Score::Location, .. });
+        let statistics = self.description().statistics;
+        !statistics.is_empty() && statistics.iter().all(is_shift)
+    }
+
     /// Whether readings are random under it, whatever a beam meets.
     pub fn is_of_random_readings(self) -> bool {
         let is_random = |s: &Statistic| matches!(s, Statistic::Score { score: Score::Uniform, .. });
