@@ -362,9 +362,9 @@ mod tests {
             }
         }
         learnt(&drive, |model, covariates| {
-            let first = &model.components[0];
-            assert_eq!((first.moment, first.covariate), (Deviation::NoReturn, Covariate::Losses));
-            let of_many = covariates.axes[first.axis].levels.iter().zip(&first.curve);
+            let most = model.components.iter().max_by(|a, b| a.gain().total_cmp(&b.gain())).unwrap();
+            assert_eq!((most.moment, most.covariate), (Deviation::NoReturn, Covariate::Losses));
+            let of_many = covariates.axes[most.axis].levels.iter().zip(&most.curve);
             let of_many = of_many.filter(|(share, _)| (0.2..0.35).contains(*share));
             assert!(of_many.clone().count() > 0);
             for (share, value) in of_many {

@@ -136,11 +136,9 @@ fn common_shift(nats: &[Vec<f32>], shifts: &[Shift]) -> Option<Shift> {
     let better = gains.iter().filter(|gain| **gain > 0.0).count() as f64;
     let is_same = (even.x - odd.x).hypot(even.y - odd.y) <= SAME_M;
     let is_large = even.length().min(odd.length()) >= LEAST_M;
-    (is_same && is_large && mean >= LEAST_NATS && better >= LEAST_SHARE * gains.len() as f64).then(|| Shift {
-        x: 0.5 * (even.x + odd.x),
-        y: 0.5 * (even.y + odd.y),
-        turn: 0.5 * (even.turn + odd.turn),
-    })
+    (is_same && is_large && mean >= LEAST_NATS && better >= LEAST_SHARE * gains.len() as f64).then_some(
+        Shift { x: 0.5 * (even.x + odd.x), y: 0.5 * (even.y + odd.y), turn: 0.5 * (even.turn + odd.turn) },
+    )
 }
 
 /// The stretches of `localized` whose scans all fit the map better from poses beside their reference poses.
