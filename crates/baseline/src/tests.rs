@@ -66,7 +66,7 @@ fn log(effects: &[(EffectKind, &[f64])], seed: u64) -> Recorded {
         .map(|(kind, values)| Effect::new(*kind, values.to_vec(), Vec::new()).unwrap())
         .collect();
     let drive = record_library(&NOMINAL, &TRUTH, &effects, Regime::default(), seed).unwrap();
-    Recorded::new(&drive, 300, 36, |_| true).unwrap()
+    Recorded::new(&drive, 400, 36, |_| true).unwrap()
 }
 
 fn changes(baseline: &[(EffectKind, &[f64])], today: &[(EffectKind, &[f64])]) -> Changes {

@@ -69,6 +69,7 @@ mod max_t;
 pub mod moments;
 pub mod newton;
 mod np_reg;
+pub mod others;
 mod p_reg;
 mod point_share;
 pub mod random_effects;

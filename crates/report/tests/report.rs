@@ -335,6 +335,14 @@ fn a_reference_beside_the_map_is_told() {
         results.models[0]
     );
     assert!(said.starts_with(&expected), "{said}\n{expected}");
+    let drawn = |results: &RunResults| {
+        let dir = tempfile::tempdir().unwrap();
+        write(&Folder::new(dir.path()).unwrap(), results, None, &context()).unwrap();
+        fs::read_to_string(dir.path().join("figures/error_over_time.svg")).unwrap()
+    };
+    assert!(drawn(&results).contains("reference and map disagree"));
+    results.disagreements.clear();
+    assert!(!drawn(&results).contains("disagree"));
     results.disagreements = vec![off(0, last)];
     let said = warnings(&results).into_iter().find(|warning| warning.contains("disagree")).unwrap();
     assert!(said.ends_with("against the reference there."), "{said}");

@@ -1,11 +1,12 @@
 //! Curves that are added one by one, the one that gains most on held-out folds first.
 
 use distreg::curve::{LARGEST_TILT, Shape, Sums, crossfit, curves_without, fit};
+use distreg::others::{mean_of_others, variances_of_others};
 use locsim_core::tilt::{Class, Outcome, Pull, Tilt};
 use locsim_core::{Folds, simplest};
 use rayon::prelude::*;
 
-use super::covariates::{Covariates, LOSSES_OF_SCANS, NOISE_OF_SCANS, mean_of_others, variances_of_others};
+use super::covariates::{Covariates, LOSSES_OF_SCANS, NOISE_OF_SCANS};
 use super::large::Large;
 use super::outcomes::{self, MOMENTS, Outcomes};
 use super::{Component, FreeModel, MEAN, SPREAD};

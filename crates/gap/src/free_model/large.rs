@@ -3,11 +3,12 @@
 
 use std::sync::LazyLock;
 
+use distreg::others::variances_of_others;
 use distreg::steps::{Steps, Vertex};
 use locsim_core::{Folds, normal, simplest};
 use locsim_world::effect::Effects;
 
-use super::covariates::{Axis, Covariates, NOISE_OF_SCANS, variances_of_others};
+use super::covariates::{Axis, Covariates, NOISE_OF_SCANS};
 use super::{MEAN, Part, SPREAD};
 use crate::hypothesis::{Comparison, Fitted};
 use crate::likelihood::Terms;

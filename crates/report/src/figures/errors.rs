@@ -1,7 +1,7 @@
 //! Figures of errors and effective sample sizes over all trials.
 
 use locsim_core::Interval;
-use plotters::prelude::{Circle, Color, PathElement, Polygon, RGBColor, Text};
+use plotters::prelude::{Circle, Color, PathElement, Polygon, RGBColor, Rectangle, Text};
 
 use super::canvas::{
     Area, Axis, DrawError, Drawn, HEADING, INK, LABEL, Mark, WIDTH, chart, figure, line, model_color, px,
@@ -17,6 +17,8 @@ const FINEST_M: f64 = 1e-4;
 const POINTS: u32 = 240;
 /// Most points of a drawn time series.
 const MOMENTS: usize = 500;
+/// Where reference and map disagree.
+const DISAGREEMENT: RGBColor = RGBColor(0xf4, 0xe3, 0xb5);
 
 fn legend(models: &[String]) -> Vec<(String, Mark)> {
     models.iter().map(|m| (m.clone(), Mark::Line(model_color(models, m)))).collect()
@@ -81,12 +83,23 @@ impl Series {
     }
 }
 
+/// The times at which reference and map disagree, from and to (s since the start of the drive).
+fn disagreements(results: &RunResults) -> Vec<[f64; 2]> {
+    let Some(steps) = results.trials.first().and_then(|trial| Some(&trial.models.first()?.steps)) else {
+        return Vec::new();
+    };
+    let secs =
+        |step: u32| steps.iter().find(|row| row.step >= step).map(|row| row.stamp_secs - steps[0].stamp_secs);
+    let found = results.disagreements.iter();
+    found.filter_map(|found| Some([secs(found.first_scan)?, secs(found.last_scan)?])).collect()
+}
+
 fn extremes<'a>(values: impl Iterator<Item = &'a f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), &v| (lo.min(v), hi.max(v)))
 }
 
 /// Position error over time: one panel per model with its median and the band of the middle 80 % of trials; the
-/// other models' medians stand behind in grey.
+/// other models' medians stand behind in grey, and stretches on which reference and map disagree are coloured.
 pub fn over_time(results: &RunResults) -> Result<String, DrawError> {
     let series: Vec<Series> =
         (0..results.models.len()).map(|m| Series::new(results, m, StepRow::position_error_m)).collect();
@@ -97,11 +110,16 @@ pub fn over_time(results: &RunResults) -> Result<String, DrawError> {
     let x = Axis::linear("time [s]", 0.0, end, 5.0);
     let columns = if series.len() == 1 { 1 } else { 2 };
     let rows = series.len().div_ceil(columns);
-    let legend = [
+    let mut legend = vec![
         ("median over trials".to_owned(), Mark::Line(INK)),
         ("10 % to 90 % of trials".to_owned(), Mark::Area(RGBColor(0xcc, 0xcc, 0xcc))),
         ("medians of the other models".to_owned(), Mark::Line(RGBColor(0xcc, 0xcc, 0xcc))),
     ];
+    let disagreements = disagreements(results);
+    if !disagreements.is_empty() {
+        legend.push(("reference and map disagree".to_owned(), Mark::Area(DISAGREEMENT)));
+    }
+    let (floor, ceiling) = y.ends();
     figure("Position error over time", &legend, 252.0 * rows as f64, |area| {
         for (index, panel) in area.split_evenly((rows, columns)).iter().enumerate().take(series.len()) {
             let (model, own) = (&results.models[index], &series[index]);
@@ -109,6 +127,10 @@ pub fn over_time(results: &RunResults) -> Result<String, DrawError> {
             panel.draw(&Text::new(model.clone(), (px(74.0), px(12.0)), text(HEADING, color)))?;
             let (_, below) = panel.split_vertically(px(28.0));
             let mut chart = chart(&below, &x, &y, 74.0)?;
+            let shaded = disagreements.iter().map(|&[from, to]| {
+                Rectangle::new([(from, floor), (to, ceiling)], DISAGREEMENT.mix(0.7).filled())
+            });
+            chart.draw_series(shaded)?;
             for other in series.iter().enumerate().filter(|(i, _)| *i != index).map(|(_, s)| s) {
                 let points = other.points(&other.median);
                 chart.draw_series([PathElement::new(points, line(RGBColor(0xcc, 0xcc, 0xcc), 1.0))])?;
