@@ -56,6 +56,7 @@ mod dataset;
 mod density;
 mod distribution;
 mod error;
+pub mod explained;
 mod false_discovery;
 mod family;
 mod floor;

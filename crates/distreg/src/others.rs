@@ -33,3 +33,40 @@ pub fn variances_of_others(
         (count >= FEWEST_OTHERS).then(|| ((squares - sum * sum / count) / (count - 1.0)).max(0.0))
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Ten readings in one scan, nine in the next, three in the last: too few.
+    #[test]
+    fn a_reading_does_not_count_for_itself() {
+        let scans = [0, 1, 2]
+            .into_iter()
+            .zip([10, 9, 3])
+            .flat_map(|(scan, count)| (0..count).map(move |i| (scan, i)));
+        let values: Vec<(usize, f64)> = scans.map(|(scan, i)| (scan, f64::from(i))).collect();
+        let means: Vec<_> = mean_of_others(values.iter().copied()).collect();
+        let variances: Vec<_> =
+            variances_of_others(values.iter().map(|&(scan, value)| (scan, Some(value)))).collect();
+        for (k, &(scan, own)) in values.iter().enumerate() {
+            let others: Vec<f64> =
+                values.iter().enumerate().filter(|(j, v)| *j != k && v.0 == scan).map(|(_, v)| v.1).collect();
+            let mean = others.iter().sum::<f64>() / others.len() as f64;
+            let variance =
+                others.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (others.len() as f64 - 1.0);
+            let near = |found: Option<f64>, expected: f64| {
+                found.is_some_and(|found| (found - expected).abs() < 1e-9)
+            };
+            match scan {
+                2 => assert_eq!((means[k], variances[k]), (None, None)),
+                _ => assert!(
+                    near(means[k], mean) && near(variances[k], variance),
+                    "{own}: {:?} {:?}",
+                    means[k],
+                    variances[k]
+                ),
+            }
+        }
+    }
+}

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::f64::consts::FRAC_PI_2;
 
+use distreg::explained::{are_all_alike, explained_share};
 use locsim_core::{cell_at, even_edges, inner_quantile_edges};
 
 use crate::hypothesis::Comparison;
@@ -110,25 +111,11 @@ impl Covariates {
     pub fn explained(&self, covariate: Covariate, values: impl Iterator<Item = f64>) -> f64 {
         let Some(axis) = self.axes.iter().find(|axis| axis.covariate == covariate) else { return 0.0 };
         let values: Vec<f64> = values.collect();
-        let moments = |values: &mut dyn Iterator<Item = f64>| {
-            values.fold([0.0; 3], |[n, sum, squares], v| [n + 1.0, sum + v, squares + v * v])
-        };
-        let variation = |[n, sum, squares]: [f64; 3]| squares - sum * sum / f64::max(n, 1.0);
-        let all = moments(&mut values.iter().copied());
-        // Numbers that differ by rounding only.
-        let is_constant = variation(all) <= 1e-9 * all[2];
+        let is_constant = are_all_alike(&values);
         if covariate == Covariate::Everywhere || is_constant {
             return f64::from(u8::from(is_constant && covariate == Covariate::Everywhere));
         }
-        if axis.is_of_readings() {
-            return 0.0;
-        }
-        let mut of_levels = vec![[0.0; 3]; axis.levels.len()];
-        for (value, &level) in values.iter().zip(&axis.of_beams) {
-            let more = [1.0, *value, value * value];
-            of_levels[level as usize].iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
-        }
-        1.0 - of_levels.into_iter().map(variation).sum::<f64>() / variation(all)
+        if axis.is_of_readings() { 0.0 } else { explained_share(&values, &axis.of_beams) }
     }
 }
 
@@ -138,14 +125,7 @@ impl Axis {
         let ends = [edges[0], edges[edges.len() - 1]];
         let middles = edges.windows(2).map(|pair| 0.5 * (pair[0] + pair[1]));
         let levels = std::iter::once(ends[0]).chain(middles).chain([ends[1], f64::NAN]);
-        Self {
-            covariate,
-            levels: levels.collect(),
-            is_ordered: true,
-            of_beams: Vec::new(),
-            cells: Vec::new(),
-            edges: edges.to_vec(),
-        }
+        Self { levels: levels.collect(), ..Self::of_edges(covariate, edges.to_vec()) }
     }
 
     /// Whether its levels are of what other readings say.
@@ -153,17 +133,16 @@ impl Axis {
         self.of_beams.is_empty()
     }
 
+    /// An axis with these inner edges, as yet without levels and beams.
+    fn of_edges(covariate: Covariate, edges: Vec<f64>) -> Self {
+        let (levels, of_beams, cells) = (Vec::new(), Vec::new(), Vec::new());
+        Self { covariate, levels, is_ordered: true, of_beams, cells, edges }
+    }
+
     /// Levels between inner edges.
     fn new(covariate: Covariate, edges: Vec<f64>, values: impl Iterator<Item = f64>) -> Self {
         let values: Vec<f64> = values.collect();
-        let mut axis = Self {
-            covariate,
-            levels: Vec::new(),
-            is_ordered: true,
-            of_beams: Vec::new(),
-            cells: Vec::new(),
-            edges,
-        };
+        let mut axis = Self::of_edges(covariate, edges);
         axis.of_beams = values.iter().map(|&value| axis.level_of(value)).collect();
         let count = axis.edges.len() + 1;
         let (mut sums, mut counts) = (vec![0.0; count], vec![0.0; count]);
