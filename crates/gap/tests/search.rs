@@ -325,6 +325,26 @@ fn what_the_library_lacks_is_told_without_a_name() {
     assert!(!outcome.regions.is_empty());
 }
 
+/// A bias that rises to 6 cm within a metre or two, and stays: one cause, one name, and a curve over range.
+#[test]
+fn a_bias_of_another_course_is_named_once() {
+    let nominal = nominal();
+    let mut drive = record_library(&nominal, &truth(160), &[], Regime::default(), 4).unwrap();
+    let max = drive.laser.max_range();
+    for range in drive.steps.iter_mut().flat_map(|step| &mut step.scan.ranges).filter(|range| **range < max) {
+        *range = (*range + 0.06 * (1.0 - (-*range / 1.5).exp())).min(max);
+    }
+    let outcome = search(&nominal, &Recorded::new(&drive, 600, 72, |_| true).unwrap(), Vec::new());
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert!(matches!(names[..], [EffectKind::RangeBias | EffectKind::RangeScale]), "{names:?}");
+    let told = outcome.unnamed.iter().map(|found| (found.deviation, found.covariate));
+    assert!(
+        told.clone().any(|of| of == (Deviation::Mean, Covariate::Range)),
+        "{:?}",
+        told.collect::<Vec<_>>()
+    );
+}
+
 /// Every other three seconds a third of the returns is lost: no loss over incidence or range, whatever those gain.
 #[test]
 fn losses_that_come_and_go_have_no_name() {

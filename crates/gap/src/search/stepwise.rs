@@ -465,8 +465,8 @@ mod tests {
         assert!(!is_left(EffectKind::RangeDropout, 251.0, true));
         assert!(!is_left(EffectKind::HeavyTail, 29.0, true));
         assert!(is_left(EffectKind::RangeBias, 249.0, true) && !is_left(EffectKind::RangeBias, 31.0, false));
-        // A thousandth of what is left may be the likelihood's own, but not of other data.
-        assert!(is_left(EffectKind::HeavyTail, 0.2, false));
+        // Two thousandths may be the likelihood's own, but not of other data.
+        assert!(is_left(EffectKind::HeavyTail, 1.9, false) && !is_left(EffectKind::HeavyTail, 2.1, false));
         assert!(!is_left(EffectKind::OdomTurnScale, 0.2, false));
     }
 

@@ -10,8 +10,9 @@ use rayon::prelude::*;
 const MOVES_M: f64 = 0.2;
 /// Scans of a window, half of which search for a common pose beside the references; the other half says whether it is better.
 const WINDOW: usize = 10;
-/// At most this many scans of a drive are looked at.
+/// At most this many scans of a drive are looked at, and so many beams of each, evenly chosen.
 const MOST_SCANS: usize = 1000;
+const MOST_BEAMS: usize = 72;
 
 /// Poses beside the reference: to so many steps of this length \[m\] either way in x and y ..
 const SHIFTS: i32 = 10;
@@ -82,7 +83,8 @@ struct Fit {
 fn fit(map: &dyn DistanceMap, laser: &Laser, step: &DriveStep, robot: Pose2) -> Fit {
     let pose = robot.compose(&laser.base_from_laser());
     let mut fit = Fit::default();
-    for (&z, &bearing) in step.scan.ranges.iter().zip(laser.bearings()) {
+    let stride = laser.beam_count().div_ceil(MOST_BEAMS).max(1);
+    for (&z, &bearing) in step.scan.ranges.iter().zip(laser.bearings()).step_by(stride) {
         if z < laser.max_range() {
             let (sin, cos) = locsim_core::sin_cos(pose.theta + f64::from(bearing));
             let distance = map.distance(pose.x + f64::from(z) * cos, pose.y + f64::from(z) * sin);
