@@ -129,11 +129,6 @@ impl<'a> State<'a> {
             let mut statistics = candidate.kind().description().statistics.iter();
             let is_of_frame = statistics.any(|statistic| matches!(statistic, effect::Statistic::Turn))
                 && dependences.iter().any(|other| other.deviation == Deviation::Frame && other.gain() > gain);
-            let comes_and_goes = candidate.kind().loses_returns()
-                && dependences.iter().any(|other| {
-                    other.covariate == Covariate::Losses
-                        && other.gain() > COMES_AND_GOES_SHARE * leading.gain()
-                });
             // A mean that isn't quite right spreads readings.
             let is_left = candidate.kind().moves() == Moves::Distribution
                 && leading.deviation == Deviation::Mean
@@ -141,7 +136,7 @@ impl<'a> State<'a> {
                 && !leading.is_beaten_by(candidate);
             !is_of_frame
                 && !is_left
-                && !comes_and_goes
+                && !(candidate.kind().loses_returns() && losses_come_and_go(&dependences, leading.gain()))
                 && (gain >= NEARLY_ALL * leading.gain() || !leading.beats(candidate))
         };
         if accepted.is_some_and(is_enough) {
@@ -164,6 +159,12 @@ impl<'a> State<'a> {
         });
         Ok(right.max_by(|&a, &b| candidates[a].gain().total_cmp(&candidates[b].gain())))
     }
+}
+
+/// Whether losses differ from scan to scan by enough, where the best curve gains `most` (nats).
+fn losses_come_and_go(dependences: &[Dependence<'_>], most: f64) -> bool {
+    let of_scans = dependences.iter().filter(|found| found.covariate == Covariate::Losses);
+    of_scans.map(Dependence::gain).any(|gain| gain > COMES_AND_GOES_SHARE * most)
 }
 
 /// Whether a curve is an effect of the library in any form. Errors and noise over range or incidence, and whatever happens at edges, have
@@ -189,6 +190,22 @@ mod tests {
 
     use super::*;
     use crate::free_model::Component;
+
+    /// Losses over range gain 400 nats. Those over the scan's other beams gain 48 beside it, or 32.
+    #[test]
+    fn losses_come_and_go_where_a_tenth_of_their_gain_is_by_scans() {
+        let of = |covariate, gain: f64| Dependence {
+            deviation: Deviation::NoReturn,
+            covariate,
+            gains: vec![gain; 4],
+            component: None,
+            misalignment: None,
+        };
+        let come_and_go =
+            |covariate, gain| losses_come_and_go(&[of(Covariate::Range, 100.0), of(covariate, gain)], 400.0);
+        assert!(come_and_go(Covariate::Losses, 12.0) && !come_and_go(Covariate::Losses, 8.0));
+        assert!(!come_and_go(Covariate::Place, 90.0));
+    }
 
     #[test]
     fn one_name_in_any_form_is_for_trends_over_range_and_incidence_and_for_edges() {
