@@ -136,7 +136,7 @@ impl<'a> State<'a> {
                 && !leading.is_beaten_by(candidate);
             !is_of_frame
                 && !is_left
-                && !(candidate.kind().loses_returns() && losses_come_and_go(&dependences, leading.gain()))
+                && !comes_and_goes(candidate.kind(), &dependences, leading.gain())
                 && (gain >= NEARLY_ALL * leading.gain() || !leading.beats(candidate))
         };
         if accepted.is_some_and(is_enough) {
@@ -161,10 +161,10 @@ impl<'a> State<'a> {
     }
 }
 
-/// Whether losses differ from scan to scan by enough, where the best curve gains `most` (nats).
-fn losses_come_and_go(dependences: &[Dependence<'_>], most: f64) -> bool {
+/// Whether an effect loses returns, and losses differ from scan to scan too much for it, where the best curve gains `most` (nats).
+fn comes_and_goes(kind: EffectKind, dependences: &[Dependence<'_>], most: f64) -> bool {
     let of_scans = dependences.iter().filter(|found| found.covariate == Covariate::Losses);
-    of_scans.map(Dependence::gain).any(|gain| gain > COMES_AND_GOES_SHARE * most)
+    kind.loses_returns() && of_scans.map(Dependence::gain).any(|gain| gain > COMES_AND_GOES_SHARE * most)
 }
 
 /// Whether a curve is an effect of the library in any form. Errors and noise over range or incidence, and whatever happens at edges, have
@@ -201,10 +201,13 @@ mod tests {
             component: None,
             misalignment: None,
         };
-        let come_and_go =
-            |covariate, gain| losses_come_and_go(&[of(Covariate::Range, 100.0), of(covariate, gain)], 400.0);
-        assert!(come_and_go(Covariate::Losses, 12.0) && !come_and_go(Covariate::Losses, 8.0));
-        assert!(!come_and_go(Covariate::Place, 90.0));
+        let refused = |kind, covariate, gain| {
+            comes_and_goes(kind, &[of(Covariate::Range, 100.0), of(covariate, gain)], 400.0)
+        };
+        let losses = EffectKind::IncidenceDropout;
+        assert!(refused(losses, Covariate::Losses, 12.0) && !refused(losses, Covariate::Losses, 8.0));
+        assert!(!refused(losses, Covariate::Place, 90.0));
+        assert!(!refused(EffectKind::RangeBias, Covariate::Losses, 90.0));
     }
 
     #[test]
