@@ -312,7 +312,7 @@ impl<'a> Comparison<'a> {
         Density::new(&self.nominal.laser, effects, fitted.nuisances.block_density)
     }
 
-    fn for_each_usable(&self, views: &Views, fitted: &Fitted, mut visit: impl FnMut(Usable)) {
+    pub fn for_each_usable(&self, views: &Views, fitted: &Fitted, mut visit: impl FnMut(Usable)) {
         let max = self.nominal.laser.max_range_m;
         for scan in 0..views.scans() {
             let correction = fitted.corrections[scan];
@@ -477,14 +477,14 @@ impl<'a> Comparison<'a> {
 
 /// A usable reading of a beam.
 #[derive(Clone, Copy)]
-struct Usable {
-    scan: usize,
+pub(crate) struct Usable {
+    pub scan: usize,
     /// Number of its beam in the log.
-    beam: usize,
+    pub beam: usize,
     /// Change of the beam's range by errors of pose and wall \[m\].
-    shift: f64,
+    pub shift: f64,
     /// The reading \[m\].
-    z: f64,
+    pub z: f64,
 }
 
 /// The weight of a reading in a fit of poses on a map that is taken for exact \[1/m^2\]: as far as noise moves a reading of the wall.

@@ -10,7 +10,8 @@ use locsim_world::effect::Effects;
 
 use super::covariates::{Axis, Covariates, NOISE_OF_SCANS};
 use super::{MEAN, Part, SPREAD};
-use crate::hypothesis::{Comparison, Fitted};
+use crate::Recorded;
+use crate::hypothesis::{Comparison, Fitted, Usable};
 use crate::likelihood::Terms;
 use crate::statistics::Covariate;
 
@@ -61,6 +62,7 @@ struct Row {
 }
 
 /// A bias or a spread over one covariate.
+#[derive(Clone)]
 pub(super) struct Large {
     /// [`MEAN`] or [`SPREAD`].
     pub moment: usize,
@@ -76,15 +78,16 @@ pub(super) struct Large {
 }
 
 impl Large {
-    /// The one that gains most on held-out folds, of those that the part of the log has.
-    pub fn new(
+    /// The bias and the spread that gain most on held-out folds, of those that the part of the log has, each over the simplest covariate of those
+    /// that can't be told apart; last the bias that gains most, whether or not it can.
+    pub fn of_moments(
         comparison: &Comparison<'_>,
         effects: &Effects,
         fitted: &Fitted,
         covariates: &Covariates,
         folds: Folds,
         part: Part,
-    ) -> Option<Self> {
+    ) -> (Vec<Self>, Option<Self>) {
         let views = &*comparison.views;
         let mut rows = Vec::with_capacity(views.beams.len());
         let [biases, spreads] = [MEAN, SPREAD].map(ladder);
@@ -103,7 +106,9 @@ impl Large {
             let error = Some(terms.error / sigma).filter(|error| error.abs() < MOST_DEVIATIONS);
             rows.push(Row { scan, beam: i, fold: folds.of_scan(scan), sigma, error, gains });
         });
-        let best = [MEAN, SPREAD].into_iter().filter_map(|moment| {
+        let mut best = Vec::new();
+        let mut most_biased = None;
+        for moment in [MEAN, SPREAD] {
             let axes = covariates.axes.iter().enumerate();
             let over = |index, axis: &Axis| Self::over(moment, index, axis, &rows, folds, part);
             let ordinary = axes.clone().filter(|(_, axis)| !axis.is_of_readings());
@@ -111,12 +116,28 @@ impl Large {
             let most = all.iter().map(Self::gain).fold(0.0, f64::max);
             let mut of_scans = axes.filter(|(_, axis)| moment == SPREAD && axis.covariate == Covariate::Scan);
             let noisy = of_scans.next().map(|(index, axis)| over(index, axis));
-            noisy.filter(|noisy| noisy.gain() > NOISE_OF_SCANS * most).or_else(|| {
-                let index = simplest(all.iter().map(|change| (change.levels.len(), &change.gains[..])))?;
-                all.into_iter().nth(index)
-            })
+            let simplest = simplest(all.iter().map(|change| (change.levels.len(), &change.gains[..])));
+            if moment == MEAN {
+                most_biased = all.iter().max_by(|a, b| a.gain().total_cmp(&b.gain())).cloned();
+            }
+            let noisy = noisy.filter(|noisy| noisy.gain() > NOISE_OF_SCANS * most);
+            best.extend(noisy.or_else(|| all.into_iter().nth(simplest?)));
+        }
+        (best, most_biased)
+    }
+
+    /// A log without this bias, whose readings are those of a fit.
+    pub fn taken_off(&self, comparison: &Comparison<'_>, fitted: &Fitted) -> Recorded {
+        let max = comparison.nominal.laser.max_range_m;
+        let mut readings = comparison.recorded.readings.clone();
+        let mut changes = self.of_readings.iter();
+        comparison.for_each_usable(&comparison.views, fitted, |Usable { beam, z, .. }| {
+            let Change { bias_m, .. } = changes.next().copied().unwrap_or(Change::NONE);
+            if z < max {
+                readings[beam] = (z - bias_m) as f32;
+            }
         });
-        best.max_by(|a, b| a.gain().total_cmp(&b.gain()))
+        comparison.recorded.with(readings, comparison.recorded.odometry.clone())
     }
 
     /// Log score gained on held-out folds (nats).

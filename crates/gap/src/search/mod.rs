@@ -290,7 +290,10 @@ impl<'a> State<'a> {
             let form = |i: usize| round.dictionary.statistics[i].form;
             let has_score = round.own(kind).any(|i| form(i) == Form::Score) || kind.moves() == Moves::Clutter;
             // A score takes readings that are moved by many standard deviations for something other than the wall.
-            let is_beyond_score = candidate.gain() > BEYOND_SCORE_NATS && moving.contains(&kind);
+            // Nor does one that counts a reading as one event at the most say how much many of them gain.
+            let is_bounded = |i: usize| round.dictionary.statistics[i].by_one_reading > 0.0;
+            let is_beyond_score = candidate.gain() > BEYOND_SCORE_NATS
+                && (moving.contains(&kind) || round.own(kind).all(is_bounded));
             candidate.is_beyond_chance = weight >= beyond_chance || is_beyond_score;
             candidate.score = (has_score && !is_beyond_score).then_some(off);
             // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings

@@ -19,11 +19,16 @@ pub fn adds_up(known: &Effect, more: &Effect) -> bool {
 const SAME_WALL_M: f64 = 0.3;
 
 /// Whether two effects of one kind are of the same wall or the same sector. A wall that moved otherwise than the library says would
-/// be moved again and again, and a thing of several ranges would be put before the laser piece by piece.
+/// be moved again and again, and a thing of several ranges would be put before the laser piece by piece. The other wall of a corner ends on
+/// this one, and is another.
 pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
-    let ends = more.place.iter().flatten();
+    let is_along = |stretch: &[DVec2; 2], [a, b]: &[DVec2; 2]| {
+        let is_near = |end: &DVec2| off_wall(stretch, *end) <= SAME_WALL_M;
+        let is_at = |end: &DVec2| is_of_wall(stretch, *end, SAME_WALL_M);
+        is_near(a) && is_near(b) && (is_at(a) || is_at(b))
+    };
     let is_of_same_wall =
-        known.place.iter().any(|stretch| ends.clone().any(|end| is_of_wall(stretch, *end, SAME_WALL_M)));
+        known.place.iter().any(|stretch| more.place.iter().any(|other| is_along(stretch, other)));
     let is_of_same_sector = known
         .sector()
         .zip(more.sector())
@@ -58,10 +63,15 @@ pub fn dies_away(candidate: &Candidate, secs: f64) -> bool {
 }
 
 /// Whether a point is of the same wall as a stretch: within a distance \[m\] of its line, and no farther from its ends than it is long.
-pub fn is_of_wall([a, b]: &[DVec2; 2], point: DVec2, reach_m: f64) -> bool {
-    let (length, along) = (a.distance(*b), (*b - *a).normalize_or_zero());
-    let at = along.dot(point - *a);
-    along.perp_dot(point - *a).abs() <= reach_m && (-length..=2.0 * length).contains(&at)
+pub fn is_of_wall(stretch: &[DVec2; 2], point: DVec2, reach_m: f64) -> bool {
+    let [a, b] = *stretch;
+    let (length, at) = (a.distance(b), (b - a).normalize_or_zero().dot(point - a));
+    off_wall(stretch, point) <= reach_m && (-length..=2.0 * length).contains(&at)
+}
+
+/// Distance of a point from the line of a stretch \[m\].
+fn off_wall([a, b]: &[DVec2; 2], point: DVec2) -> f64 {
+    (*b - *a).normalize_or_zero().perp_dot(point - *a).abs()
 }
 
 /// Two effects as one: strengths add up, and other parameters are those of the effect that is known.
@@ -369,6 +379,20 @@ mod tests {
         let drift = of(EffectKind::WarmupDrift, vec![0.03, 90.0]);
         assert!(dies_away(&drift, 60.0) && !dies_away(&drift, 30.0));
         assert!(dies_away(&of(EffectKind::RangeBias, vec![0.03]), 1.0));
+    }
+
+    /// A wall of 7 m, a piece of it, its continuation, and the wall that ends at its corner.
+    #[test]
+    fn the_other_wall_of_a_corner_is_another_cause() {
+        let glass = |from: [f64; 2], to: [f64; 2]| {
+            Effect::new(EffectKind::Glass, vec![0.4], vec![[from.into(), to.into()]]).unwrap()
+        };
+        let known = glass([23.0, 18.0], [23.0, 11.0]);
+        assert!(is_one_cause(&known, &glass([23.1, 14.0], [23.1, 15.0])));
+        assert!(is_one_cause(&known, &glass([23.0, 11.5], [23.0, 3.0])));
+        assert!(!is_one_cause(&known, &glass([23.0, 11.0], [30.0, 11.0])));
+        assert!(!is_one_cause(&known, &glass([24.0, 18.0], [24.0, 11.0])));
+        assert!(!is_one_cause(&known, &glass([23.0, 90.0], [23.0, 95.0])));
     }
 
     /// A piece of a sector is of the sector, across the back of the robot, too; the sector beside it isn't.

@@ -35,6 +35,9 @@ const LEFT_BY_FORM_SHARE: f64 = 0.25;
 /// What it may leave to any other, as its likelihood is an approximation: integrals over ranges in steps, a scan at one pose. Beside 5,000 and
 /// 7,000 nats of late or lost readings, clutter and tails that weren't there gained 5 and 6.
 const LEFT_TO_ANY_SHARE: f64 = 2e-3;
+/// What gains less than this share may be by chance: it has to gain by so many standard errors, the two-sided 95 % quantile.
+const FAINT_SHARE: f64 = 0.05;
+const FAINT_ERRORS: f64 = 1.96;
 /// So many walls don't move alike by chance.
 const MANY_WALLS: usize = 3;
 
@@ -191,21 +194,19 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Makes the numbers of the named effects precise, and drops later ones whose strength has an interval that holds its neutral
-    /// value: a further name is one more chance to be wrong, and what an earlier one leaves is often its form.
+    /// Makes the numbers of the named effects precise, and drops those whose strength has an interval that holds its neutral value: what
+    /// may not be there has no name.
     pub fn make_sure(&self, path: &mut Path<'a>) -> Result<(), GapError> {
         if path.named.is_empty() {
             return Ok(());
         }
         self.make_precise(&mut path.named, &path.rounds[path.rounds.len() - 1])?;
         let count = path.named.len();
-        let mut index = 0;
-        path.named.retain(|named| {
-            index += 1;
-            index == 1 || is_there(named)
-        });
+        path.named.retain(is_there);
         if path.named.len() < count {
             self.compare_again(path)?;
+        }
+        if (1..count).contains(&path.named.len()) {
             self.make_precise(&mut path.named, &path.rounds[path.rounds.len() - 1])?;
         }
         Ok(())
@@ -389,13 +390,18 @@ fn is_left_by(named: &Named, candidate: &Candidate, is_of_another_form: bool) ->
     if a != b {
         return false;
     }
-    // A formula that isn't quite right is off by a constant, too.
-    let share = match candidate.kind().is_constant() || share_a_moment(named.name, candidate.kind()) {
+    // A formula that isn't quite right is off by a constant, too, and a mean that isn't spreads readings.
+    let is_spread =
+        is_of_another_form && named.name.is_bias() && candidate.kind().moves() == Moves::Distribution;
+    let is_akin = candidate.kind().is_constant() || share_a_moment(named.name, candidate.kind());
+    let share = match is_akin || is_spread {
         true if is_of_another_form => LEFT_BY_FORM_SHARE,
         true => LEFT_SHARE,
         false => LEFT_TO_ANY_SHARE,
     };
-    candidate.gain() < share * named.evidence.gain_nats.value
+    let before = named.evidence.gain_nats.value;
+    let is_faint = candidate.gain() < (FAINT_SHARE * before).min(FAINT_ERRORS * candidate.gain_error());
+    is_faint || candidate.gain() < share * before
 }
 
 /// Whether a strength of an effect surely isn't its neutral value; an effect without numbers or strengths is there.
@@ -465,9 +471,23 @@ mod tests {
         assert!(!is_left(EffectKind::RangeDropout, 251.0, true));
         assert!(!is_left(EffectKind::HeavyTail, 29.0, true));
         assert!(is_left(EffectKind::RangeBias, 249.0, true) && !is_left(EffectKind::RangeBias, 31.0, false));
+        // A bias whose form is off spreads readings; noise beside one whose form is right is another cause.
+        let bias = name(&[candidate(EffectKind::RangeScale, 1000.0)], 0, 0.01, 100);
+        let is_spread = |gain, is_of_another_form| {
+            is_left_by(&bias, &candidate(EffectKind::RangeNoise, gain), is_of_another_form)
+        };
+        assert!(is_spread(249.0, true) && !is_spread(251.0, true) && !is_spread(31.0, false));
         // Two thousandths may be the likelihood's own, but not of other data.
         assert!(is_left(EffectKind::HeavyTail, 1.9, false) && !is_left(EffectKind::HeavyTail, 2.1, false));
         assert!(!is_left(EffectKind::OdomTurnScale, 0.2, false));
+        // A few bursts gain by less than two standard errors: 48 nats may be by chance beside 1,000, 60 are another matter.
+        let bursts = |gain: f64| {
+            let mut candidate = candidate(EffectKind::HeavyTail, gain);
+            candidate.gains = vec![0.0; 10];
+            candidate.gains[..2].fill(0.5 * gain);
+            is_left_by(&losses, &candidate, false)
+        };
+        assert!(bursts(48.0) && !bursts(60.0) && !is_left(EffectKind::HeavyTail, 48.0, false));
     }
 
     /// A laser whose bearings are off by up to a degree, as a sine around, errs as far as walls are slanted. Neighbouring beams err alike:
@@ -566,9 +586,9 @@ mod tests {
         assert!(without.note.is_none());
     }
 
-    /// A yaw is hidden. A bias of nothing beside it is dropped; the first name stays, however weak.
+    /// A yaw is hidden. A tail of nothing beside it is dropped, whichever comes first.
     #[test]
-    fn a_further_name_has_to_be_surely_there() {
+    fn what_is_named_has_to_be_surely_there() {
         let yaw = Effect::new(EffectKind::MountYaw, vec![0.02], Vec::new()).unwrap();
         let drive = record_library(&NOMINAL, &TRUTH, &[yaw], Regime::default(), 3).unwrap();
         let recorded = Recorded::new(&drive, 100, 72, |_| true).unwrap();
@@ -592,7 +612,8 @@ mod tests {
         assert!(is_there(&yaw) && !is_there(&weak));
         for (named, kept) in [
             (vec![yaw.clone(), weak.clone()], vec![EffectKind::MountYaw]),
-            (vec![weak, yaw], vec![EffectKind::HeavyTail, EffectKind::MountYaw]),
+            (vec![weak.clone(), yaw], vec![EffectKind::MountYaw]),
+            (vec![weak], Vec::new()),
         ] {
             let effects = named.iter().map(|named| named.effect.clone()).collect();
             let round = || state.round(Vec::new(), fitted.nuisances, options.replicates).unwrap();
