@@ -4,6 +4,8 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 use statrs::function::erf::erfc;
 
+use crate::elementary::exp_nonpositive;
+
 /// Standard deviation over median absolute deviation (Hampel 1974).
 pub const SIGMA_OVER_MAD: f64 = 1.4826;
 
@@ -13,7 +15,7 @@ pub const QUANTILE_975: f64 = 1.96;
 /// Density at `t`.
 #[inline]
 pub fn density(t: f64) -> f64 {
-    (-0.5 * t * t).exp() / (2.0 * PI).sqrt()
+    exp_nonpositive(-0.5 * t * t) / (2.0 * PI).sqrt()
 }
 
 /// P(N(0, 1) <= `t`).

@@ -1,5 +1,9 @@
 //! What the other readings of a scan say of one.
 
+use statrs::statistics::{Data, OrderStatistics};
+
+/// Standard deviation of normal numbers over their median absolute deviation.
+const SIGMA_OVER_MAD: f64 = 1.4826;
 /// Fewer other readings of a scan say nothing of it.
 const FEWEST_OTHERS: f64 = 8.0;
 
@@ -17,26 +21,44 @@ pub fn mean_of_others(excess: impl Iterator<Item = (usize, f64)>) -> impl Iterat
     })
 }
 
-/// For each reading, by the number of its scan and its error, the variance of the errors of its scan's others about their mean; `None` of few.
+/// For each reading, by the number of its scan and its error, the variance of the errors of its scan's others, by their median absolute deviation;
+/// `None` of few. Clutter just before a wall is a part of a scan's readings that it doesn't see.
 pub fn variances_of_others(
     errors: impl Iterator<Item = (usize, Option<f64>)>,
 ) -> impl Iterator<Item = Option<f64>> {
     let errors: Vec<(usize, Option<f64>)> = errors.collect();
-    let moments = |error: Option<f64>| error.map_or([0.0; 3], |error| [1.0, error, error * error]);
-    let mut sums = vec![[0.0; 3]; errors.last().map_or(0, |(scan, _)| scan + 1)];
+    let mut deviations: Vec<Vec<f64>> = vec![Vec::new(); errors.last().map_or(0, |(scan, _)| scan + 1)];
     for &(scan, error) in &errors {
-        sums[scan].iter_mut().zip(moments(error)).for_each(|(sum, more)| *sum += more);
+        deviations[scan].extend(error);
     }
-    errors.into_iter().map(move |(scan, own)| {
-        let own = moments(own);
-        let [count, sum, squares] = [0, 1, 2].map(|i| sums[scan][i] - own[i]);
-        (count >= FEWEST_OTHERS).then(|| ((squares - sum * sum / count) / (count - 1.0)).max(0.0))
+    let medians: Vec<f64> = deviations
+        .iter_mut()
+        .map(|errors| {
+            let middle = Data::new(&mut errors[..]).median();
+            errors.iter_mut().for_each(|error| *error = (*error - middle).abs());
+            errors.sort_by(f64::total_cmp);
+            middle
+        })
+        .collect();
+    errors.into_iter().map(move |(scan, error)| {
+        let sorted = &deviations[scan];
+        let own = error.map(|error| sorted.partition_point(|other| *other < (error - medians[scan]).abs()));
+        let count = sorted.len() - usize::from(own.is_some());
+        let at = |rank: usize| sorted[rank + usize::from(own.is_some_and(|own| own <= rank))];
+        let middle = || 0.5 * (at((count - 1) / 2) + at(count / 2));
+        (count as f64 >= FEWEST_OTHERS).then(|| (SIGMA_OVER_MAD * middle()).powi(2))
     })
 }
 
 #[cfg(test)]
 mod tests {
+    use statrs::distribution::{ContinuousCDF, Normal};
+
     use super::*;
+
+    fn median(values: Vec<f64>) -> f64 {
+        Data::new(values).median()
+    }
 
     /// Ten readings in one scan, nine in the next, three in the last: too few.
     #[test]
@@ -53,8 +75,11 @@ mod tests {
             let others: Vec<f64> =
                 values.iter().enumerate().filter(|(j, v)| *j != k && v.0 == scan).map(|(_, v)| v.1).collect();
             let mean = others.iter().sum::<f64>() / others.len() as f64;
-            let variance =
-                others.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (others.len() as f64 - 1.0);
+            // The middle is that of all of the scan's.
+            let of_scan = |v: &&(usize, f64)| v.0 == scan;
+            let middle = median(values.iter().filter(of_scan).map(|v| v.1).collect());
+            let deviation = median(others.iter().map(|v| (v - middle).abs()).collect());
+            let variance = (SIGMA_OVER_MAD * deviation).powi(2);
             let near = |found: Option<f64>, expected: f64| {
                 found.is_some_and(|found| (found - expected).abs() < 1e-9)
             };
@@ -68,5 +93,15 @@ mod tests {
                 ),
             }
         }
+    }
+
+    /// A fifth of a scan's readings is of clutter, seven standard deviations in front.
+    #[test]
+    fn clutter_is_no_noise_of_a_scan() {
+        let normal = Normal::standard();
+        let error = |i| if i % 5 == 0 { -7.0 } else { normal.inverse_cdf((f64::from(i) + 0.5) / 60.0) };
+        let errors = (0..60).map(|i| (0, Some(error(i))));
+        let variances: Vec<f64> = variances_of_others(errors).flatten().collect();
+        assert!(variances.len() == 60 && variances.iter().all(|v| (0.7..2.0).contains(v)), "{variances:?}");
     }
 }

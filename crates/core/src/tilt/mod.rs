@@ -5,6 +5,7 @@ mod outcome;
 
 use std::sync::LazyLock;
 
+use crate::elementary::exp_nonpositive;
 use crate::normal;
 
 pub use outcome::{Class, MOMENTS_OF_READING, Outcome, Pull, Tilt};
@@ -26,6 +27,10 @@ pub struct Bins {
     pub weight: [f64; BINS],
     /// Mean of each moment's polynomial in each bin.
     pub basis: [[f64; MOMENTS]; BINS],
+    /// The same by moment.
+    of_moments: [[f64; BINS]; MOMENTS],
+    /// The same with their squares after them.
+    pub squares: [[f64; 2 * MOMENTS]; BINS],
 }
 
 impl Bins {
@@ -43,7 +48,10 @@ impl Bins {
             ];
             weight[bin] = share;
         }
-        Self { weight, basis }
+        let of_moments = std::array::from_fn(|moment| basis.map(|of_bin| of_bin[moment]));
+        let squares =
+            basis.map(|[mean, spread, skew]| [mean, spread, skew, mean * mean, spread * spread, skew * skew]);
+        Self { weight, basis, of_moments, squares }
     }
 }
 
@@ -72,13 +80,16 @@ pub fn share_within() -> f64 {
 /// Probabilities of the bins under tilts, of which the first [`MOMENTS`] count.
 #[must_use]
 pub fn tilted(tilts: &[f64]) -> [f64; BINS] {
-    let Bins { weight, basis } = bins();
+    let Bins { weight, of_moments, .. } = bins();
     let mut shares = *weight;
     if tilts.iter().take(MOMENTS).any(|tilt| *tilt != 0.0) {
-        for (share, basis) in shares.iter_mut().zip(basis) {
-            let power: f64 = basis.iter().zip(tilts).map(|(b, t)| b * t.clamp(-MOST, MOST)).sum();
-            *share *= power.exp();
+        let mut powers = [0.0; BINS];
+        for (basis, tilt) in of_moments.iter().zip(tilts) {
+            let tilt = tilt.clamp(-MOST, MOST);
+            powers.iter_mut().zip(basis).for_each(|(power, b)| *power += b * tilt);
         }
+        let most = powers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        shares.iter_mut().zip(powers).for_each(|(share, power)| *share *= exp_nonpositive(power - most));
     }
     let total: f64 = shares.iter().sum();
     shares.map(|share| share / total)

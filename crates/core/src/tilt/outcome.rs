@@ -94,14 +94,13 @@ impl Outcome {
     pub fn pull(&self, tilt: &Tilt) -> Pull {
         let mut pull = [[0.0; 2]; MOMENTS_OF_READING];
         if let Class::Surface(bin) = self.class {
-            let (shares, basis) = (tilted(&tilt.0), &bins().basis);
+            let mut means = [0.0; 2 * MOMENTS];
+            for (share, basis) in tilted(&tilt.0).iter().zip(&bins().squares) {
+                means.iter_mut().zip(basis).for_each(|(mean, b)| *mean += share * b);
+            }
             for moment in 0..MOMENTS {
-                let [mut mean, mut square] = [0.0; 2];
-                for (share, basis) in shares.iter().zip(basis) {
-                    mean += share * basis[moment];
-                    square += share * basis[moment].powi(2);
-                }
-                pull[moment] = [basis[usize::from(bin)][moment] - mean, square - mean * mean];
+                let [mean, square] = [means[moment], means[MOMENTS + moment]];
+                pull[moment] = [bins().basis[usize::from(bin)][moment] - mean, square - mean * mean];
             }
         }
         let (shares, own) = (self.classes(tilt), self.class.index());

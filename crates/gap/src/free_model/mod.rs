@@ -150,7 +150,7 @@ impl FreeModel {
         if exact.is_some() {
             large.extend(look(fitted).0);
         }
-        if let Some(bias) = bias {
+        if let Some(bias) = bias.filter(|bias| bias.gain() > STRONG_NATS) {
             let rest = bias.taken_off(comparison, start);
             let other = comparison.of(&rest).find_nuisances(effects, &fitted.nuisances, REFIT);
             large.extend(look(&other).0);

@@ -27,7 +27,8 @@ const RIGHT_NAME_SHARE: f64 = 0.5;
 /// or less where it is taken for one that has moved, the less the farther its other end is off.
 const RIGHT_WALL_SHARE: f64 = 0.15;
 
-/// Losses that differ from scan to scan by so much, as a share of what the best curve gains, aren't those of a beam's range or incidence.
+/// Losses or noise that differ from scan to scan by so much, as a share of what the best curve gains, aren't those of a beam's range or
+/// incidence, nor a tail.
 const COMES_AND_GOES_SHARE: f64 = 0.1;
 /// A curve of so many waves isn't an effect of the library in another form.
 const COMES_AND_GOES: f64 = 3.0;
@@ -161,10 +162,14 @@ impl<'a> State<'a> {
     }
 }
 
-/// Whether an effect loses returns, and losses differ from scan to scan too much for it, where the best curve gains `most` (nats).
+/// Whether an effect loses returns or spreads readings, and losses or noise differ from scan to scan too much for it, where the best curve
+/// gains `most` (nats).
 fn comes_and_goes(kind: EffectKind, dependences: &[Dependence<'_>], most: f64) -> bool {
-    let of_scans = dependences.iter().filter(|found| found.covariate == Covariate::Losses);
-    kind.loses_returns() && of_scans.map(Dependence::gain).any(|gain| gain > COMES_AND_GOES_SHARE * most)
+    let of_scans = |covariate| {
+        let own = dependences.iter().filter(move |found| found.covariate == covariate);
+        own.map(Dependence::gain).any(|gain| gain > COMES_AND_GOES_SHARE * most)
+    };
+    kind.loses_returns() && of_scans(Covariate::Losses) || kind.is_noise() && of_scans(Covariate::Scan)
 }
 
 /// Whether a curve is an effect of the library in any form. Errors and noise over range or incidence, and whatever happens at edges, have
@@ -193,7 +198,7 @@ mod tests {
 
     /// Losses over range gain 400 nats. Those over the scan's other beams gain 48 beside it, or 32.
     #[test]
-    fn losses_come_and_go_where_a_tenth_of_their_gain_is_by_scans() {
+    fn losses_and_noise_come_and_go_where_a_tenth_of_the_gain_is_by_scans() {
         let of = |covariate, gain: f64| Dependence {
             deviation: Deviation::NoReturn,
             covariate,
@@ -208,6 +213,12 @@ mod tests {
         assert!(refused(losses, Covariate::Losses, 12.0) && !refused(losses, Covariate::Losses, 8.0));
         assert!(!refused(losses, Covariate::Place, 90.0));
         assert!(!refused(EffectKind::RangeBias, Covariate::Losses, 90.0));
+        // So with noise: a tail is of every scan.
+        let tail = EffectKind::HeavyTail;
+        assert!(refused(tail, Covariate::Scan, 12.0) && !refused(tail, Covariate::Scan, 8.0));
+        assert!(
+            !refused(tail, Covariate::Losses, 90.0) && !refused(EffectKind::RangeBias, Covariate::Scan, 90.0)
+        );
     }
 
     #[test]

@@ -391,8 +391,7 @@ fn is_left_by(named: &Named, candidate: &Candidate, is_of_another_form: bool) ->
         return false;
     }
     // A formula that isn't quite right is off by a constant, too, and a mean that isn't spreads readings.
-    let is_spread =
-        is_of_another_form && named.name.is_bias() && candidate.kind().moves() == Moves::Distribution;
+    let is_spread = is_of_another_form && named.name.is_bias() && candidate.kind().is_noise();
     let is_akin = candidate.kind().is_constant() || share_a_moment(named.name, candidate.kind());
     let share = match is_akin || is_spread {
         true if is_of_another_form => LEFT_BY_FORM_SHARE,
@@ -404,13 +403,18 @@ fn is_left_by(named: &Named, candidate: &Candidate, is_of_another_form: bool) ->
     is_faint || candidate.gain() < share * before
 }
 
-/// Whether a strength of an effect surely isn't its neutral value; an effect without numbers or strengths is there.
+/// Whether a strength of an effect surely isn't its neutral value; an effect without numbers or strengths is there, and so is one whose
+/// likelihood ends at a limit and says nothing of how sure it is.
 fn is_there(named: &Named) -> bool {
     let strengths = named.name.parameters().iter().filter(|parameter| parameter.is_strength());
     let mut intervals = strengths
         .filter_map(|parameter| Some((parameter, named.params.get(parameter.name)?.estimate.interval)))
         .peekable();
-    intervals.peek().is_none() || intervals.any(|(parameter, interval)| !interval.contains(parameter.neutral))
+    intervals.peek().is_none()
+        || intervals.any(|(parameter, interval)| {
+            let is_unknown = interval.contains(parameter.lo) && interval.contains(parameter.hi);
+            is_unknown || !interval.contains(parameter.neutral)
+        })
 }
 
 #[cfg(test)]

@@ -208,7 +208,7 @@ pub enum Covariate {
     Neighbour,
     /// The odometry.
     Odometry,
-    /// Each scan as a whole: how much scans differ in what their beams share. Of a curve, the mean square of the errors of the scan's
+    /// Each scan as a whole: how much scans differ in what their beams share. Of a curve, the variance of the errors of the scan's
     /// other beams, in their standard deviations.
     Scan,
     /// The share of the scan's other beams without return, beyond that of the simulation \[1\].
