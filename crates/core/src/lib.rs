@@ -49,7 +49,7 @@ pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
     turn,
 };
-pub use lines::{Line, SlantedStretch, lines_through};
+pub use lines::{Line, SlantedStretch, is_along_wall, is_of_wall, lines_through};
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, sector_holds_middle, wrap_angle};

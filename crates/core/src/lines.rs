@@ -27,6 +27,26 @@ impl Line {
     }
 }
 
+/// Whether a point is of the same wall as a stretch: within a distance \[m\] of its line, and no farther from its ends than it is long.
+pub fn is_of_wall(stretch: &[DVec2; 2], point: DVec2, reach_m: f64) -> bool {
+    let [a, b] = *stretch;
+    let (length, at) = (a.distance(b), (b - a).normalize_or_zero().dot(point - a));
+    off_wall(stretch, point) <= reach_m && (-length..=2.0 * length).contains(&at)
+}
+
+/// Whether another stretch is of the same wall: both of its ends are on its line, and one is no farther from its ends than it is long. The other wall
+/// of a corner ends on it, and isn't along it.
+pub fn is_along_wall(stretch: &[DVec2; 2], [a, b]: &[DVec2; 2], reach_m: f64) -> bool {
+    let is_near = |end: &DVec2| off_wall(stretch, *end) <= reach_m;
+    let is_at = |end: &DVec2| is_of_wall(stretch, *end, reach_m);
+    is_near(a) && is_near(b) && (is_at(a) || is_at(b))
+}
+
+/// Distance of a point from the line of a stretch \[m\].
+fn off_wall([a, b]: &[DVec2; 2], point: DVec2) -> f64 {
+    (*b - *a).normalize_or_zero().perp_dot(point - *a).abs()
+}
+
 /// Up to `most` lines, the one with most points first. A point that is nearer than `near_m` \[m\] to a line is on it, and counts for one line only.
 pub fn lines_through(mut points: Vec<DVec2>, most: usize, near_m: f64) -> Vec<Line> {
     let mut lines = Vec::new();

@@ -77,6 +77,7 @@ pub mod random_effects;
 mod regressor;
 pub mod sandwich;
 mod search;
+pub mod sequential;
 mod smoother;
 mod standardized;
 pub mod steps;

@@ -35,7 +35,9 @@ pub fn variances_of_others(
         .iter_mut()
         .map(|errors| {
             let middle = Data::new(&mut errors[..]).median();
-            errors.iter_mut().for_each(|error| *error = (*error - middle).abs());
+            for error in errors.iter_mut() {
+                *error = (*error - middle).abs();
+            }
             errors.sort_by(f64::total_cmp);
             middle
         })

@@ -1,5 +1,33 @@
 //! A maximum between steps at which a log likelihood is known.
 
+use std::sync::LazyLock;
+
+/// Biases that are tried, in standard deviations, to both sides. Between them a parabola is.
+const BIASES: [f64; 13] = [0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.5, 10.0, 14.0, 20.0, 28.0, 40.0];
+/// Logarithms of factors on the spread that are tried, below 1 and above.
+const NARROWER: [f64; 7] = [1.2, 0.9, 0.65, 0.45, 0.3, 0.18, 0.08];
+const WIDER: [f64; 19] =
+    [0.08, 0.18, 0.3, 0.42, 0.55, 0.7, 0.85, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 2.9, 3.2, 3.6, 4.0];
+/// The number of biases, and of spreads, no change among them.
+pub const COUNT: usize = 27;
+
+/// Biases that may be many standard deviations large (standard deviations).
+#[must_use]
+pub fn biases() -> &'static Steps<COUNT> {
+    static OF_BIASES: LazyLock<Steps<COUNT>> = LazyLock::new(|| {
+        let below: Vec<f64> = BIASES.into_iter().rev().collect();
+        Steps::new(&below, &BIASES)
+    });
+    &OF_BIASES
+}
+
+/// Changes of a spread (logarithms of factors).
+#[must_use]
+pub fn spreads() -> &'static Steps<COUNT> {
+    static OF_SPREADS: LazyLock<Steps<COUNT>> = LazyLock::new(|| Steps::new(&NARROWER, &WIDER));
+    &OF_SPREADS
+}
+
 /// Changes that are tried, in increasing order, no change among them.
 pub struct Steps<const COUNT: usize> {
     /// The changes.
@@ -96,6 +124,16 @@ impl Vertex {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn ladders_go_up_and_biases_are_even_on_both_sides() {
+        for steps in [biases(), spreads()] {
+            assert!(steps.at.windows(2).all(|pair| pair[1] > pair[0]));
+            assert_eq!(steps.at[steps.none], 0.0);
+        }
+        let biases = super::biases();
+        assert!((0..COUNT).all(|step| biases.at[step] == -biases.at[COUNT - 1 - step]));
+    }
 
     /// The log likelihood of readings with unit noise is a parabola, and its vertex is their mean, known to 1 / sqrt(n).
     #[test]

@@ -1,10 +1,8 @@
 //! A bias or a spread that may be many standard deviations large, as a curve over one covariate: the likelihood of the readings
 //! where what they meet is nearer or farther, or where they err by so much more. A tilt of bins has no such change.
 
-use std::sync::LazyLock;
-
 use distreg::others::variances_of_others;
-use distreg::steps::{Steps, Vertex};
+use distreg::steps::{COUNT, Steps, Vertex, biases, spreads};
 use locsim_core::{Folds, normal, simplest};
 use locsim_world::effect::Effects;
 
@@ -15,25 +13,11 @@ use crate::hypothesis::{Comparison, Fitted, Usable};
 use crate::likelihood::Terms;
 use crate::statistics::Covariate;
 
-/// Biases that are tried, in standard deviations of a reading, to both sides. Between them a parabola is.
-const BIASES: [f64; 13] = [0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.5, 10.0, 14.0, 20.0, 28.0, 40.0];
-/// Logarithms of factors on the spread that are tried, below 1 and above.
-const NARROWER: [f64; 7] = [1.2, 0.9, 0.65, 0.45, 0.3, 0.18, 0.08];
-const WIDER: [f64; 19] =
-    [0.08, 0.18, 0.3, 0.42, 0.55, 0.7, 0.85, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 2.9, 3.2, 3.6, 4.0];
-const COUNT: usize = 27;
 /// Readings that err by more are none of the surface (standard deviations).
 const MOST_DEVIATIONS: f64 = 10.0;
 
-type Ladder = Steps<COUNT>;
-
-fn ladder(moment: usize) -> &'static Ladder {
-    static OF_BIASES: LazyLock<Ladder> = LazyLock::new(|| {
-        let below: Vec<f64> = BIASES.into_iter().rev().collect();
-        Ladder::new(&below, &BIASES)
-    });
-    static OF_SPREADS: LazyLock<Ladder> = LazyLock::new(|| Ladder::new(&NARROWER, &WIDER));
-    if moment == MEAN { &OF_BIASES } else { &OF_SPREADS }
+fn ladder(moment: usize) -> &'static Steps<COUNT> {
+    if moment == MEAN { biases() } else { spreads() }
 }
 
 /// A change of the error of a reading of the surface.
@@ -78,8 +62,8 @@ pub(super) struct Large {
 }
 
 impl Large {
-    /// The bias and the spread that gain most on held-out folds, of those that the part of the log has, each over the simplest covariate of those
-    /// that can't be told apart; last the bias that gains most, whether or not it can.
+    /// The bias and the spread that gain most on held-out folds, of those that the part of the log has, each over the simplest of the covariates
+    /// that can't be told apart. Beside them the bias that gains most over any covariate, told apart or not.
     pub fn of_moments(
         comparison: &Comparison<'_>,
         effects: &Effects,
@@ -126,7 +110,7 @@ impl Large {
         (best, most_biased)
     }
 
-    /// A log without this bias, whose readings are those of a fit.
+    /// The log with this bias taken off its returns. `fitted` is what the bias was found with.
     pub fn taken_off(&self, comparison: &Comparison<'_>, fitted: &Fitted) -> Recorded {
         let max = comparison.nominal.laser.max_range_m;
         let mut readings = comparison.recorded.readings.clone();
@@ -211,16 +195,6 @@ fn gain_by_spread(terms: &Terms, factor: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn ladders_go_up_and_biases_are_even_on_both_sides() {
-        for ladder in [MEAN, SPREAD].map(ladder) {
-            assert!(ladder.at.windows(2).all(|pair| pair[1] > pair[0]));
-            assert_eq!(ladder.at[ladder.none], 0.0);
-        }
-        let biases = ladder(MEAN);
-        assert!((0..COUNT).all(|step| biases.at[step] == -biases.at[COUNT - 1 - step]));
-    }
 
     /// Of readings that are all of the surface the gain is the ratio of two normal densities, and the density that is changed adds up
     /// to 1.

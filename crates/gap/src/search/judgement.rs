@@ -1,10 +1,9 @@
 //! A hypothesis judged by a free model: the dependence by which it gains, and the effects that act on it.
 
 use glam::DVec2;
-use locsim_core::{gains_beyond, gains_surely};
+use locsim_core::{gains_beyond, gains_surely, is_of_wall};
 use locsim_world::effect::{Effect, EffectKind, Score, Statistic};
 
-use super::selection::is_of_wall;
 use crate::fit::Candidate;
 use crate::free_model::{Component, Covariates, FreeModel, Misalignment};
 use crate::statistics::{Covariate, Deviation, Survey};

@@ -78,7 +78,7 @@ const SOMEWHAT_OFF: f64 = 0.5;
 /// linear approximation about the neutral value.
 const BEYOND_DOUBT: f64 = 10.0;
 
-/// A fit of an effect that most readings are moved by is believed without its score where it gains more than this (nats).
+/// A fit is believed without its score where it gains more than this (nats), if most readings are moved by the effect, or the score is bounded.
 const BEYOND_SCORE_NATS: f64 = 200.0;
 
 /// A hypothesis with what simulations of it look like.

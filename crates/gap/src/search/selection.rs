@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use glam::DVec2;
-use locsim_core::{Estimate, quantile, sector_holds_middle, sum_error};
+use locsim_core::{Estimate, is_along_wall, quantile, sector_holds_middle, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Experiment, Moves};
 
 use crate::GapError;
@@ -22,13 +21,10 @@ const SAME_WALL_M: f64 = 0.3;
 /// be moved again and again, and a thing of several ranges would be put before the laser piece by piece. The other wall of a corner ends on
 /// this one, and is another.
 pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
-    let is_along = |stretch: &[DVec2; 2], [a, b]: &[DVec2; 2]| {
-        let is_near = |end: &DVec2| off_wall(stretch, *end) <= SAME_WALL_M;
-        let is_at = |end: &DVec2| is_of_wall(stretch, *end, SAME_WALL_M);
-        is_near(a) && is_near(b) && (is_at(a) || is_at(b))
-    };
-    let is_of_same_wall =
-        known.place.iter().any(|stretch| more.place.iter().any(|other| is_along(stretch, other)));
+    let is_of_same_wall = known
+        .place
+        .iter()
+        .any(|stretch| more.place.iter().any(|other| is_along_wall(stretch, other, SAME_WALL_M)));
     let is_of_same_sector = known
         .sector()
         .zip(more.sector())
@@ -60,18 +56,6 @@ const MOST_DRIVES: f64 = 2.0;
 /// Whether a drift dies away within a drive that took so long \[s\], or about.
 pub fn dies_away(candidate: &Candidate, secs: f64) -> bool {
     candidate.effect.value("tau_secs").is_none_or(|tau| tau <= MOST_DRIVES * secs)
-}
-
-/// Whether a point is of the same wall as a stretch: within a distance \[m\] of its line, and no farther from its ends than it is long.
-pub fn is_of_wall(stretch: &[DVec2; 2], point: DVec2, reach_m: f64) -> bool {
-    let [a, b] = *stretch;
-    let (length, at) = (a.distance(b), (b - a).normalize_or_zero().dot(point - a));
-    off_wall(stretch, point) <= reach_m && (-length..=2.0 * length).contains(&at)
-}
-
-/// Distance of a point from the line of a stretch \[m\].
-fn off_wall([a, b]: &[DVec2; 2], point: DVec2) -> f64 {
-    (*b - *a).normalize_or_zero().perp_dot(point - *a).abs()
 }
 
 /// Two effects as one: strengths add up, and other parameters are those of the effect that is known.
