@@ -1,39 +1,40 @@
 //! A sequential Monte Carlo test: after how many replicates it may stop, because more of them could not change the answer (Besag and Clifford 1991).
 
-/// After how many replicates is looked first. In a nominal world that is later, as the question is also what would have been seen.
+/// Replicates after which the test may stop,
+const FIRST_LOOK: u32 = 199;
+/// if a larger share of them than this exceeds the data.
+const CLEARLY_NOTHING: f64 = 0.1;
+/// Where a rejection is no alarm, it may stop after this many,
+const EARLIEST_LOOK: u32 = 59;
+/// if a larger share of them than this exceeds the data.
+const NOTHING_SO_EARLY: f64 = 0.3;
+/// Where it isn't clear after as few replicates as this, the fewest that can reject at 1 %,
+const FEWEST_TO_REJECT: u32 = 99;
+/// and no larger a share of them than this exceeds the data, one replicate more or less would decide. Where a rejection is no alarm, data beyond all
+/// of them are rejected.
+const IN_DOUBT: f64 = 0.05;
+/// So many are simulated then. Data are rejected by all of them or not at all, so that the rate of false alarms is theirs.
+const ENOUGH: u32 = 399;
+
+/// After how many replicates is looked first; later where a rejection would be an alarm.
 #[must_use]
-pub fn first_look(is_nominal: bool) -> u32 {
-    if is_nominal { FIRST_LOOK } else { EARLIEST_LOOK }
+pub fn first_look(is_alarm: bool) -> u32 {
+    if is_alarm { FIRST_LOOK } else { EARLIEST_LOOK }
 }
 
-/// To how many replicates the test goes on after `begun` of those that were asked for, with the p-value so far; `None` where they are enough.
+/// To how many replicates the test goes on after `begun` of the `replicates` that were asked for; `None` where they are enough. `p` is the p-value so
+/// far, `is_clearly_off` says that the data are far beyond all, and `is_alarm` that a rejection would be an alarm.
 #[must_use]
-pub fn next_look(begun: u32, replicates: u32, p: f64, is_clearly_off: bool, is_nominal: bool) -> Option<u32> {
+pub fn next_look(begun: u32, replicates: u32, p: f64, is_clearly_off: bool, is_alarm: bool) -> Option<u32> {
     let is_clear = match begun {
         EARLIEST_LOOK => p > NOTHING_SO_EARLY,
         _ => p > CLEARLY_NOTHING || is_clearly_off,
     };
-    let may_be_nothing = is_nominal || p * f64::from(begun) > 1.0;
+    let may_be_nothing = is_alarm || p * f64::from(begun) > 1.0;
     let is_in_doubt = (FEWEST_TO_REJECT..ENOUGH).contains(&begun) && p <= IN_DOUBT && may_be_nothing;
     let next = [FIRST_LOOK.min(replicates), replicates, ENOUGH].into_iter().find(|look| *look > begun);
     next.filter(|look| !is_clear && (*look <= replicates || is_in_doubt))
 }
-
-/// Replicates after which the comparison may stop, because more of them could not change the answer (Besag and Clifford 1991).
-const FIRST_LOOK: u32 = 199;
-/// It stops there if a larger share of the replicates than this exceeds the log.
-const CLEARLY_NOTHING: f64 = 0.1;
-/// In a world with effects it may stop after this many replicates,
-const EARLIEST_LOOK: u32 = 59;
-/// if a larger share of them than this exceeds the log.
-const NOTHING_SO_EARLY: f64 = 0.3;
-/// Where it isn't clear after as few replicates as this, the fewest that can reject at a false-alarm rate of 1 %,
-const FEWEST_TO_REJECT: u32 = 99;
-/// and no larger a share of them than this exceeds the log, one replicate more or less would decide. With effects, a log beyond all of
-/// them is off: what is left there is no alarm.
-const IN_DOUBT: f64 = 0.05;
-/// So many are simulated then. A log is rejected by all of them or not at all, so that the rate of false alarms is theirs.
-const ENOUGH: u32 = 399;
 
 #[cfg(test)]
 mod tests {
@@ -53,10 +54,10 @@ mod tests {
         );
         assert_eq!((next(99, 99, 0.01), next(399, 99, 0.01)), (Some(399), None));
         assert_eq!(next_look(99, 99, 0.01, true, true), None);
-        // With effects a log that is beyond all is off.
-        let with_effects = |begun, p| next_look(begun, 99, p, false, false);
-        assert_eq!((with_effects(59, 0.4), with_effects(59, 0.1)), (None, Some(99)));
-        assert_eq!((with_effects(99, 0.01), with_effects(99, 0.02)), (None, Some(399)));
+        // Where a rejection is no alarm, data beyond all are rejected.
+        let without_alarm = |begun, p| next_look(begun, 99, p, false, false);
+        assert_eq!((without_alarm(59, 0.4), without_alarm(59, 0.1)), (None, Some(99)));
+        assert_eq!((without_alarm(99, 0.01), without_alarm(99, 0.02)), (None, Some(399)));
         // 19 can't reject, and screen.
         assert_eq!(next(19, 19, 0.05), None);
     }

@@ -54,7 +54,8 @@ pub(crate) fn compare(
     };
     let (mut statistics, mut nuisances, mut log_likelihoods) = (Vec::new(), Vec::new(), Vec::new());
     let mut begun = 0;
-    // Of a world with effects the question is whether anything is left; of the nominal one also what would have been seen.
+    // Of a world with effects the question is whether anything is left; of the nominal one also what would have been seen, and a rejection is an
+    // alarm.
     let is_nominal = replay.effects.is_empty();
     let mut end = first_look(is_nominal).min(replicates);
     loop {

@@ -94,6 +94,14 @@ pub fn choose_apart(candidates: &[Candidate], is_apart: fn(&Candidate) -> bool) 
     })
 }
 
+/// Whether an effect loses returns, and gains by two standard errors: lost returns that have a name beside errors that have none aren't chance.
+pub fn surely_loses_returns(candidate: &Candidate) -> bool {
+    candidate.kind().loses_returns() && candidate.gain() > SURE_ERRORS * candidate.gain_error()
+}
+
+/// Standard errors of a gain whose interval doesn't hold 0: the two-sided 95 % quantile.
+pub const SURE_ERRORS: f64 = 1.96;
+
 fn choose_among(candidates: &[Candidate], may: impl Fn(&Candidate) -> bool) -> Option<usize> {
     let most = (0..candidates.len())
         .filter(|&i| may(&candidates[i]))
@@ -262,8 +270,13 @@ mod tests {
             candidate(EffectKind::RangeDropout, [52.0, 53.0, 54.0, 53.0]),
             candidate(EffectKind::IncidenceDropout, [53.0, 51.0, 55.0, 52.0]),
         ];
-        let loses = |candidate: &Candidate| candidate.kind().loses_returns();
-        assert_eq!((choose(&candidates), choose_apart(&candidates, loses)), (Some(0), Some(1)));
+        assert_eq!(
+            (choose(&candidates), choose_apart(&candidates, surely_loses_returns)),
+            (Some(0), Some(1))
+        );
+        // All of it on one fold of four: 79 nats, with a standard error of 80.
+        let by_chance = [candidate(EffectKind::RangeDropout, [79.0, 5.0, -10.0, 5.0])];
+        assert!(is_sure(&by_chance[0]) && choose_apart(&by_chance, surely_loses_returns).is_none());
         let losses = [EffectKind::RangeDropout, EffectKind::IncidenceDropout];
         assert_eq!(name(&candidates, 1, 0.01, 100).candidates, losses);
         assert_eq!(name(&candidates, 0, 0.01, 100).candidates, [EffectKind::IncidenceBias]);

@@ -7,8 +7,8 @@ use super::judgement::share_a_moment;
 use super::lasting::drop_passing;
 use super::predicted::drop_unfounded;
 use super::selection::{
-    adds_up, choose, choose_apart, compare_rivals, dies_away, is_of_odometry, is_one_cause, is_sure,
-    may_be_of_robot, name, numbers, sum_of,
+    SURE_ERRORS, adds_up, choose, choose_apart, compare_rivals, dies_away, is_of_odometry, is_one_cause,
+    is_sure, may_be_of_robot, name, numbers, sum_of, surely_loses_returns,
 };
 use super::surroundings::drop_surroundings;
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
@@ -35,9 +35,8 @@ const LEFT_BY_FORM_SHARE: f64 = 0.25;
 /// What it may leave to any other, as its likelihood is an approximation: integrals over ranges in steps, a scan at one pose. Beside 5,000 and
 /// 7,000 nats of late or lost readings, clutter and tails that weren't there gained 5 and 6.
 const LEFT_TO_ANY_SHARE: f64 = 2e-3;
-/// What gains less than this share may be by chance: it has to gain by so many standard errors, the two-sided 95 % quantile.
+/// What gains less than this share may be by chance, unless its interval doesn't hold 0.
 const FAINT_SHARE: f64 = 0.05;
-const FAINT_ERRORS: f64 = 1.96;
 /// So many walls don't move alike by chance.
 const MANY_WALLS: usize = 3;
 
@@ -121,7 +120,7 @@ impl<'a> State<'a> {
                 let mut accepted = self.weigh(round, &candidates, likeliest)?;
                 is_by_form = accepted.is_some() && accepted != likeliest;
                 // What the odometry does has its name, whether or not the readings have one, and so have lost returns beside the others.
-                let apart = [is_of_odometry, |other: &Candidate| other.kind().loses_returns()];
+                let apart = [is_of_odometry, surely_loses_returns];
                 for best in apart.into_iter().filter_map(|is_apart| choose_apart(&candidates, is_apart)) {
                     if accepted.is_none() {
                         accepted = self.weigh(round, &candidates, Some(best))?;
@@ -399,7 +398,7 @@ fn is_left_by(named: &Named, candidate: &Candidate, is_of_another_form: bool) ->
         false => LEFT_TO_ANY_SHARE,
     };
     let before = named.evidence.gain_nats.value;
-    let is_faint = candidate.gain() < (FAINT_SHARE * before).min(FAINT_ERRORS * candidate.gain_error());
+    let is_faint = candidate.gain() < (FAINT_SHARE * before).min(SURE_ERRORS * candidate.gain_error());
     is_faint || candidate.gain() < share * before
 }
 
