@@ -22,7 +22,7 @@ pub fn mean_of_others(excess: impl Iterator<Item = (usize, f64)>) -> impl Iterat
 }
 
 /// For each reading, by the number of its scan and its error, the variance of the errors of its scan's others, by their median absolute deviation;
-/// `None` of few. Clutter just before a wall is a part of a scan's readings that it doesn't see.
+/// `None` of few. Clutter just before a wall makes a mean square large, and hardly changes a median.
 pub fn variances_of_others(
     errors: impl Iterator<Item = (usize, Option<f64>)>,
 ) -> impl Iterator<Item = Option<f64>> {
