@@ -278,7 +278,11 @@ fn flat_noise(drive: &Drive, resolution_m: Option<f64>) -> Option<Noise> {
         }
     }
     let sigma = |residuals: &mut [f64]| normal::SIGMA_OVER_MAD * median(residuals) / RESIDUAL_VARIANCE.sqrt();
-    let noise = (residuals.len() >= LEAST_RESIDUALS).then(|| Noise::of(&mut residuals, facing, sigma))?;
+    let mut noise = (residuals.len() >= LEAST_RESIDUALS).then(|| Noise::of(&mut residuals, facing, sigma))?;
+    // Near walls most neighbours are of one step, and seem to have no noise at all. Rounding alone is more.
+    let rounding = resolution_m.map_or(0.0, |step| step / 12.0_f64.sqrt());
+    noise.sigma_m = noise.sigma_m.max(rounding);
+    noise.nearest_m = noise.nearest_m.max(rounding);
     // The distance of neighbours on a wall, and what stands between them, grow with range, too: without a constant part it is that.
     if noise.by_range.is_some_and(|[constant, _]| constant == 0.0) {
         return Some(Noise { sigma_m: noise.nearest_m, by_range: None, ..noise });
