@@ -280,16 +280,16 @@ fn flat_noise(drive: &Drive, resolution_m: Option<f64>) -> Option<Noise> {
     let sigma = |residuals: &mut [f64]| normal::SIGMA_OVER_MAD * median(residuals) / RESIDUAL_VARIANCE.sqrt();
     let mut noise = (residuals.len() >= LEAST_RESIDUALS).then(|| Noise::of(&mut residuals, facing, sigma))?;
     // Near walls most neighbours are of one step, and seem to have no noise at all. Rounding alone is more.
-    let rounding = resolution_m.map_or(0.0, |step| step / 12.0_f64.sqrt());
-    noise.sigma_m = noise.sigma_m.max(rounding);
-    noise.nearest_m = noise.nearest_m.max(rounding);
+    noise.sigma_m = noise.sigma_m.max(resolution_m.map_or(0.0, |step| step / 12.0_f64.sqrt()));
+    // The median of a few steps is a step.
+    if resolution_m.is_some_and(|step| step > FINE * noise.sigma_m) {
+        return Some(Noise { by_range: None, ..noise });
+    }
     // The distance of neighbours on a wall, and what stands between them, grow with range, too: without a constant part it is that.
     if noise.by_range.is_some_and(|[constant, _]| constant == 0.0) {
         return Some(Noise { sigma_m: noise.nearest_m, by_range: None, ..noise });
     }
-    // The median of a few steps is a step.
-    let is_fine = resolution_m.is_none_or(|step| step <= FINE * noise.sigma_m);
-    Some(Noise { by_range: noise.by_range.filter(|_| is_fine), ..noise })
+    Some(noise)
 }
 
 /// Shares of lost and of random readings between two neighbours on one wall that faces the laser (incidence up to 45 degrees). Random readings are
