@@ -111,7 +111,7 @@ impl ReadingQuality {
 }
 
 /// The standard deviation of a reading.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Noise {
     /// Of a typical reading \[m\].
     sigma_m: f64,
@@ -136,6 +136,20 @@ impl Noise {
         let sigma_m = sigma_of(all);
         let nearest_m = points.first().map_or(sigma_m, |[_, sigma]| *sigma);
         Self { sigma_m, nearest_m, by_range: line(&points) }
+    }
+
+    /// What neighbours on walls tell of the laser, where readings are in steps \[m\].
+    fn of_walls(self, step_m: f64) -> Self {
+        // Near walls most neighbours are of one step, and seem to have no noise at all. Rounding alone is more.
+        let rounding = step_m / 12.0_f64.sqrt();
+        let [sigma_m, nearest_m] = [self.sigma_m, self.nearest_m].map(|sigma| sigma.max(rounding));
+        match self.by_range {
+            // The median of a few steps is a step.
+            _ if step_m > FINE * sigma_m => Self { sigma_m, nearest_m, by_range: None },
+            // The distance of neighbours on a wall, and what stands between them, grow with range, too: without a constant part it is that.
+            Some([0.0, _]) => Self { sigma_m: nearest_m, nearest_m, by_range: None },
+            by_range => Self { sigma_m, nearest_m, by_range },
+        }
     }
 }
 
@@ -278,18 +292,8 @@ fn flat_noise(drive: &Drive, resolution_m: Option<f64>) -> Option<Noise> {
         }
     }
     let sigma = |residuals: &mut [f64]| normal::SIGMA_OVER_MAD * median(residuals) / RESIDUAL_VARIANCE.sqrt();
-    let mut noise = (residuals.len() >= LEAST_RESIDUALS).then(|| Noise::of(&mut residuals, facing, sigma))?;
-    // Near walls most neighbours are of one step, and seem to have no noise at all. Rounding alone is more.
-    noise.sigma_m = noise.sigma_m.max(resolution_m.map_or(0.0, |step| step / 12.0_f64.sqrt()));
-    // The median of a few steps is a step.
-    if resolution_m.is_some_and(|step| step > FINE * noise.sigma_m) {
-        return Some(Noise { by_range: None, ..noise });
-    }
-    // The distance of neighbours on a wall, and what stands between them, grow with range, too: without a constant part it is that.
-    if noise.by_range.is_some_and(|[constant, _]| constant == 0.0) {
-        return Some(Noise { sigma_m: noise.nearest_m, by_range: None, ..noise });
-    }
-    Some(noise)
+    (residuals.len() >= LEAST_RESIDUALS)
+        .then(|| Noise::of(&mut residuals, facing, sigma).of_walls(resolution_m.unwrap_or(0.0)))
 }
 
 /// Shares of lost and of random readings between two neighbours on one wall that faces the laser (incidence up to 45 degrees). Random readings are
@@ -321,4 +325,25 @@ fn stray_shares(drive: &Drive) -> Option<[f64; 2]> {
     }
     (all >= LEAST_RESIDUALS && room >= 1.0)
         .then(|| [lost as f64 / all as f64, (2.0 * behind[0].min(behind[1]) as f64 / room).min(1.0)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Steps of 1 cm, which near neighbours are alike in: noise that seems to grow from nothing is that of the rounding.
+    #[test]
+    fn coarse_steps_are_noise_all_the_same() {
+        let rounding = 0.01 / 12.0_f64.sqrt();
+        let of = |sigma_m, nearest_m, by_range, step_m| {
+            let Noise { sigma_m, by_range, .. } = Noise { sigma_m, nearest_m, by_range }.of_walls(step_m);
+            (sigma_m, by_range)
+        };
+        assert_eq!(of(0.03, 0.0002, Some([0.0, 0.004]), 0.01), (rounding, None));
+        assert_eq!(of(0.0002, 0.0002, None, 0.01), (rounding, None));
+        // Fine steps tell noise and growth; a noise of two steps is the least that does.
+        assert_eq!(of(0.03, 0.004, Some([0.0, 0.004]), 0.001), (0.004, None));
+        assert_eq!(of(0.03, 0.004, Some([0.002, 0.004]), 0.001), (0.03, Some([0.002, 0.004])));
+        assert_eq!(of(0.015, 0.004, Some([0.002, 0.004]), 0.01), (0.015, None));
+    }
 }

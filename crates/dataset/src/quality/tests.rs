@@ -168,16 +168,6 @@ fn rough_walls_are_no_growing_noise() {
     assert!(all < 0.04 * f64::from(nearest), "{all} of ranges from {nearest} m");
 }
 
-/// In steps of 2 cm neighbours on a near wall are alike: the noise is no less than that of the rounding.
-#[test]
-fn coarse_steps_are_noise_all_the_same() {
-    let mut drive = drive(Recording { sigma_m: 0.0002, step_m: 0.02, ..PLAIN });
-    drive.steps.drain(..31);
-    let readings = DriveQuality::of(&drive, &summary()).readings;
-    near(readings.resolution_m, 0.02, 1e-6);
-    assert!(readings.flat_noise_m.unwrap() >= 0.02 / 12.0_f64.sqrt(), "{readings:?}");
-}
-
 /// No returns that the log doesn't call so are one number, below the longest return. Returns in steps of a centimetre are many numbers.
 #[test]
 fn a_number_that_is_read_again_and_again_is_told() {

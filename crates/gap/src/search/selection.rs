@@ -21,10 +21,8 @@ const SAME_WALL_M: f64 = 0.3;
 /// be moved again and again, and a thing of several ranges would be put before the laser piece by piece. The other wall of a corner ends on
 /// this one, and is another.
 pub fn is_one_cause(known: &Effect, more: &Effect) -> bool {
-    let is_of_same_wall = known
-        .place
-        .iter()
-        .any(|stretch| more.place.iter().any(|other| is_along_wall(stretch, other, SAME_WALL_M)));
+    let is_along = |stretch| more.place.iter().any(|other| is_along_wall(stretch, other, SAME_WALL_M));
+    let is_of_same_wall = known.place.iter().any(is_along);
     let is_of_same_sector = known
         .sector()
         .zip(more.sector())
