@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use glam::DVec2;
 use locsim_core::{Estimate, sum_error};
-use locsim_gap::{Evidence, GapError, Named, split_by};
-use locsim_world::effect::{Bursts, Effect, EffectKind, Moves};
+use locsim_gap::{Evidence, GapError, Named};
+use locsim_world::effect::{Bursts, Effect, EffectKind, Experiment, Moves};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -417,7 +417,7 @@ fn name(
     let gain_nats = Estimate::normal(fit.gain(), sum_error(&own));
     Named {
         name: fit.effect.kind,
-        split_by: split_by(&candidates),
+        split_by: Experiment::telling_apart(&candidates),
         candidates,
         params: numbers,
         place: effect.place.iter().map(|stretch| stretch.map(|end| end.to_array())).collect(),

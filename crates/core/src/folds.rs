@@ -66,6 +66,11 @@ const LEAST_ERRORS: f64 = 2.0;
 const BEYOND_DOUBT_NATS: f64 = 25.0;
 const LOST_SHARE: f64 = 0.1;
 
+/// What each fold gains more by the one than by the other.
+pub fn differences(one: &[f64], other: &[f64]) -> Vec<f64> {
+    one.iter().zip(other).map(|(one, other)| one - other).collect()
+}
+
 /// Whether the sum of held-out gains (nats) of folds is sure: by two standard errors over folds, or by far more than is lost on any of them. What shows in few folds has a large
 /// standard error: a turn, a wall that is passed nearby.
 pub fn gains_surely(gains: &[f64]) -> bool {

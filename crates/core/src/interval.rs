@@ -60,6 +60,16 @@ impl Estimate {
         Self::normal(folds.iter().sum(), crate::sum_error(folds))
     }
 
+    /// The median of values of replicates, with the interval that holds 95 % of them; NaN if a value is.
+    #[must_use]
+    pub fn of_replicates(mut values: Vec<f64>) -> Self {
+        if values.iter().any(|value| value.is_nan()) {
+            return Self::around(f64::NAN, 0.0);
+        }
+        let [lo, value, hi] = [0.025, 0.5, 0.975].map(|share| crate::quantile(&mut values, share));
+        Self { value, interval: Interval { lo, hi } }
+    }
+
     /// A fitted value less its bias, with the 95 % interval of its spread, by how far fits to simulated logs are from the truth. A bias that would
     /// take away most of what the value is beyond a neutral one, or add as much, is beyond what fits can say: then the value stays, and the bias
     /// is part of its uncertainty.

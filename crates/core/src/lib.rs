@@ -43,7 +43,7 @@ pub use drive::{Drive, DriveStep, FASTEST, Laser, LaserError, Scan};
 pub use edges::{even_edges, inner_quantile_edges, quantile_edges};
 pub use elementary::{sin_cos, sin_cos_near_zero};
 pub use endpoint::{EndpointGrid, EndpointScan, EndpointTable};
-pub use folds::{Folds, gains_beyond, gains_surely, simplest, sum_error};
+pub use folds::{Folds, differences, gains_beyond, gains_surely, simplest, sum_error};
 pub use interval::{Estimate, Interval, are_alike, surely_largest};
 pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
@@ -57,7 +57,7 @@ pub use pose_error::{
     PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, fit_pose_error, pattern_score,
     predictive_gain, smooth_pose_errors,
 };
-pub use quantile::{median, quantile, sorted};
+pub use quantile::{equal_bins, median, quantile, sorted};
 pub use resampled::resampled;
 pub use shard::Shard;
 pub use stretches::Stretches;

@@ -25,6 +25,18 @@ impl Line {
     pub fn distance(&self, point: DVec2) -> f64 {
         self.along.perp_dot(point - self.point).abs()
     }
+
+    /// The same line, along which most of these directions cross it from its right.
+    #[must_use]
+    pub fn seen_from_its_right(self, directions: impl Iterator<Item = DVec2>) -> Self {
+        let from_right: f64 = directions.map(|direction| self.away(direction)).sum();
+        Self { along: if from_right < 0.0 { -self.along } else { self.along }, ..self }
+    }
+
+    /// 1 for a direction that crosses it from its right to its left, -1 for one from its left.
+    pub fn away(&self, direction: DVec2) -> f64 {
+        self.along.perp_dot(direction).signum()
+    }
 }
 
 /// Whether a point is of the same wall as a stretch: within a distance \[m\] of its line, and no farther from its ends than it is long.

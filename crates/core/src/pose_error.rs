@@ -40,6 +40,26 @@ impl PoseError {
         (-secs.max(0.0) / self.correlation_secs).exp().min(0.9999)
     }
 
+    /// The log density of errors of poses at these times \[s\], scan by scan, with the volume of what they may be by what the scans say (Laplace's
+    /// method), so that processes can be compared (nats).
+    pub fn log_prior(&self, secs: &[f64], errors: &[DVec3], scans: &[PoseInformation]) -> Vec<f64> {
+        if self.is_none() {
+            return vec![0.0; scans.len()];
+        }
+        let mut log_prior = smooth_pose_errors(self, secs, scans).log_volume;
+        let inverse = self.covariance().inverse();
+        for i in 0..log_prior.len() {
+            let (innovation, share) = if i == 0 {
+                (errors[0], 1.0)
+            } else {
+                let phi = self.correlation(secs[i] - secs[i - 1]);
+                (errors[i] - phi * errors[i - 1], 1.0 - phi * phi)
+            };
+            log_prior[i] -= 0.5 * innovation.dot(inverse * innovation) / share;
+        }
+        log_prior
+    }
+
     /// Variance of the mean of `n` errors, `secs` apart, over that of an error.
     fn variance_of_mean(&self, secs: f64, n: usize) -> f64 {
         let (phi, n) = (self.correlation(secs), n as f64);

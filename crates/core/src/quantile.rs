@@ -14,6 +14,18 @@ pub fn median(values: &mut [f64]) -> f64 {
     quantile(values, 0.5)
 }
 
+/// Items in at most `most` bins by a covariate, of as many items each and at least `least`: the mean covariate of each bin, and its items.
+pub fn equal_bins(mut items: Vec<(f64, usize)>, most: usize, least: usize) -> Vec<(f64, Vec<usize>)> {
+    items.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let count = most.min(items.len() / least);
+    let bin = |bin: usize| {
+        let part = &items[bin * items.len() / count..(bin + 1) * items.len() / count];
+        let at = part.iter().map(|(at, _)| at).sum::<f64>() / part.len() as f64;
+        (at, part.iter().map(|(_, item)| *item).collect())
+    };
+    (0..count).map(bin).collect()
+}
+
 /// Values in increasing order.
 pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();

@@ -26,7 +26,7 @@ pub enum LogKind {
 pub enum OdometrySource {
     /// The robot pose in each scan's own line.
     ScanLines,
-    /// The last ODOM line before each scan.
+    /// ODOM lines: between those before and after a scan, where their times say so and are at most half a second apart; otherwise the last one before it.
     OdomLines,
     /// ODOM lines that start again from the corrected pose after each scan, as gmapping writes them: the last
     /// one before a scan, seen from the scan before, is the odometry of the interval.

@@ -121,6 +121,44 @@ impl Vertex {
     }
 }
 
+/// The best changes at the levels of a covariate, with and without each fold.
+pub struct Crossfit {
+    /// By all folds.
+    pub levels: Vec<Vertex>,
+    /// Without each fold.
+    pub without: Vec<Vec<Vertex>>,
+    /// Log likelihood that each fold gains by what is best without it.
+    pub gains: Vec<f64>,
+}
+
+impl Crossfit {
+    /// By the log likelihood of each fold's readings at each level and step; levels are in an order, or have nothing to do with each other.
+    #[must_use]
+    pub fn of<const COUNT: usize>(
+        steps: &Steps<COUNT>,
+        folds: &[Vec<[f64; COUNT]>],
+        is_ordered: bool,
+    ) -> Self {
+        let mut total = vec![[0.0; COUNT]; folds.first().map_or(0, Vec::len)];
+        for (level, more) in folds.iter().flat_map(|fold| fold.iter().enumerate()) {
+            total[level].iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+        }
+        let levels: Vec<Vertex> = total.iter().map(|sums| Vertex::of(steps, |step| sums[step])).collect();
+        let without = |fold: &Vec<[f64; COUNT]>| -> Vec<Vertex> {
+            let of_level = |l: usize| Vertex::of(steps, |step| total[l][step] - fold[l][step]);
+            let mut rest: Vec<Vertex> = (0..total.len()).map(of_level).collect();
+            if is_ordered {
+                Vertex::interpolate(steps, &mut rest, &levels);
+            }
+            rest
+        };
+        let without: Vec<Vec<Vertex>> = folds.iter().map(without).collect();
+        let gain_of = |(sums, fit): (&[f64; COUNT], &Vertex)| fit.read(steps, |step| sums[step]);
+        let gains = folds.iter().zip(&without).map(|(fold, fits)| fold.iter().zip(fits).map(gain_of).sum());
+        Self { gains: gains.collect(), levels, without }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -183,7 +183,8 @@ impl<'a> Comparison<'a> {
             self.update_walls(views, &mut fitted, &pass);
         }
         let pass = pass_of(&fitted);
-        self.add_prior(&mut fitted, &pass.information());
+        let (process, secs) = (&fitted.nuisances.pose_error, self.recorded.track.secs());
+        fitted.scans = process.log_prior(secs, &fitted.corrections, &pass.information());
         self.add_prior_of_walls(views, &mut fitted, &pass);
         for (scan, likelihood) in fitted.scans.iter_mut().zip(&pass.log_likelihood) {
             *scan += likelihood;
@@ -448,29 +449,6 @@ impl<'a> Comparison<'a> {
                 let share = pull.weight * lean * lean / data[piece as usize].information;
                 fitted.scans[pull.beam / views.per_scan] += share * priors[piece as usize];
             }
-        }
-    }
-
-    /// The log density of the corrections, scan by scan, with the volume of what they may be (Laplace's method), so that
-    /// processes can be compared.
-    fn add_prior(&self, fitted: &mut Fitted, information: &[PoseInformation]) {
-        let process = fitted.nuisances.pose_error;
-        fitted.scans.fill(0.0);
-        if process.is_none() {
-            return;
-        }
-        fitted.scans = smooth_pose_errors(&process, self.recorded.track.secs(), information).log_volume;
-        let inverse = process.covariance().inverse();
-        for i in 0..fitted.scans.len() {
-            let here = fitted.corrections[i];
-            let (innovation, share) = if i == 0 {
-                (here, 1.0)
-            } else {
-                let phi =
-                    process.correlation(self.recorded.track.secs()[i] - self.recorded.track.secs()[i - 1]);
-                (here - phi * fitted.corrections[i - 1], 1.0 - phi * phi)
-            };
-            fitted.scans[i] -= 0.5 * innovation.dot(inverse * innovation) / share;
         }
     }
 }

@@ -45,7 +45,7 @@ pub use outcome::{
 };
 pub use purpose::Purpose;
 pub use recorded::{LEAST_SCANS, Recorded};
-pub use search::{GapOptions, find, split_by};
+pub use search::{GapOptions, find};
 pub use statistics::{Cell, Covariate, Deviation, OBJECT_CELL_M, WALL_CELL_M};
 pub use strength::{OtherForm, Strength};
 pub use views::Views;

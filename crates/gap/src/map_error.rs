@@ -334,7 +334,7 @@ mod tests {
             effect
         };
         let plain = |kind, values: &[f64]| Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
-        let north = ([4.0, 4.0], [2.0, 4.0]);
+        let north = ([2.0, 4.0], [4.0, 4.0]);
         for (effect, kind, middle) in [
             (wall(EffectKind::MovedWall, 0.3, north.0, north.1), MapErrorKind::MovedWall, [3.0, 4.0]),
             (wall(EffectKind::Glass, 0.6, [5.0, 1.0], [5.0, 2.0]), MapErrorKind::Hole, [5.0, 1.5]),

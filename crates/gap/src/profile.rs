@@ -2,7 +2,7 @@
 //! shows what the effect does.
 
 use glam::DVec2;
-use locsim_core::{Estimate, Interval, median, quantile};
+use locsim_core::{Estimate, equal_bins, median, quantile};
 use locsim_world::effect::{self, BeamState, EffectKind, Moves, Score};
 use locsim_world::raycast::distance_to;
 use locsim_world::simulation::increments;
@@ -65,7 +65,10 @@ impl Source<'_> {
         let (quantity, over) = shown_by(named.name, self.comparison.nominal.laser.max_range_m);
         let bins = match over {
             Over::Error => self.error_bins(named),
-            _ => equal_bins(self.items(quantity, over)),
+            _ => {
+                let bins = equal_bins(self.items(quantity, over), BINS, LEAST).into_iter();
+                bins.map(|(at, items)| Bin { at, items, interval: None }).collect()
+            }
         };
         let bins = bins.into_iter().map(|Bin { at, items, interval }| {
             let value = |log: &Recorded| match interval {
@@ -76,8 +79,8 @@ impl Source<'_> {
                 at,
                 count: items.len(),
                 measured: value(self.comparison.recorded),
-                before: band(before.iter().map(value).collect()),
-                after: band(after.iter().map(value).collect()),
+                before: Estimate::of_replicates(before.iter().map(value).collect()),
+                after: Estimate::of_replicates(after.iter().map(value).collect()),
             }
         });
         Profile { name: named.name, quantity, over, bins: bins.filter(is_known).collect() }
@@ -240,30 +243,10 @@ fn is_known(bin: &ProfileBin) -> bool {
     [bin.measured, bin.before.value, bin.after.value].iter().all(|value| value.is_finite())
 }
 
-/// Bins of as many items each, with their mean covariate.
-fn equal_bins(mut items: Vec<(f64, usize)>) -> Vec<Bin> {
-    items.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let count = BINS.min(items.len() / LEAST);
-    (0..count)
-        .map(|bin| {
-            let part = &items[bin * items.len() / count..(bin + 1) * items.len() / count];
-            let at = part.iter().map(|(at, _)| at).sum::<f64>() / part.len() as f64;
-            Bin { at, items: part.iter().map(|(_, i)| *i).collect(), interval: None }
-        })
-        .collect()
-}
-
-/// The median of simulated values, and the interval that holds 95 % of them; NaN if a value is.
-fn band(mut values: Vec<f64>) -> Estimate {
-    if values.iter().any(|value| value.is_nan()) {
-        return Estimate::around(f64::NAN, 0.0);
-    }
-    let [lo, value, hi] = [0.025, 0.5, 0.975].map(|share| quantile(&mut values, share));
-    Estimate { value, interval: Interval { lo, hi } }
-}
-
 #[cfg(test)]
 mod tests {
+    use locsim_core::Interval;
+
     use super::*;
 
     /// Each effect by what its definition says: losses over incidence, a scale over range, a drift over time.
@@ -299,16 +282,19 @@ mod tests {
     #[test]
     fn a_band_holds_95_percent() {
         let values = (0..=40).rev().map(f64::from).collect();
-        assert_eq!(band(values), Estimate { value: 20.0, interval: Interval { lo: 1.0, hi: 39.0 } });
+        assert_eq!(
+            Estimate::of_replicates(values),
+            Estimate { value: 20.0, interval: Interval { lo: 1.0, hi: 39.0 } }
+        );
     }
 
     #[test]
     fn a_bin_without_a_return_in_one_log_is_left_out() {
         let bin = |measured: f64, simulated: f64| {
-            let before = band(vec![1.0; 40]);
+            let before = Estimate::of_replicates(vec![1.0; 40]);
             let mut values = vec![1.0; 40];
             values[3] = simulated;
-            ProfileBin { at: 1.0, count: 50, measured, before, after: band(values) }
+            ProfileBin { at: 1.0, count: 50, measured, before, after: Estimate::of_replicates(values) }
         };
         assert!(is_known(&bin(1.0, 2.0)));
         assert!(!is_known(&bin(f64::NAN, 2.0)) && !is_known(&bin(1.0, f64::NAN)));

@@ -237,7 +237,7 @@ fn typical(kind: EffectKind, map: &ExactRangeMap, poses: &[Pose2], draw: &Draw) 
     (Effect { kind, values, place }, index)
 }
 
-/// The stretch of a wall, at most so long \[m\], around where a ray meets it.
+/// The stretch of a wall, at most so long \[m\], around where a ray meets it; the ray comes from its right.
 fn wall_at(map: &ExactRangeMap, from: DVec2, direction: DVec2, length: f64) -> Option<[DVec2; 2]> {
     let hit = map.cast_ray(from, direction, 50.0)?;
     let at = from + hit.range * direction;
@@ -250,7 +250,8 @@ fn wall_at(map: &ExactRangeMap, from: DVec2, direction: DVec2, length: f64) -> O
     let along = (b - a).normalize();
     let middle = (at - a).dot(along);
     let (lo, hi) = ((middle - 0.5 * length).max(0.0), (middle + 0.5 * length).min(a.distance(b)));
-    Some([a + lo * along, a + hi * along])
+    let [from, to] = [lo, hi].map(|at| a + at * along);
+    Some(if along.perp_dot(direction) > 0.0 { [from, to] } else { [to, from] })
 }
 
 /// Draws what is hidden in a log.

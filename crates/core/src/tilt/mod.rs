@@ -1,6 +1,7 @@
 //! A standard normal number in bins, under tilts of its first moments: their probabilities are multiplied by exp(t x), exp(t (x^2 - 1)) and
 //! exp(t (x^3 - 3 x)), the Hermite polynomials, so that small tilts are orthogonal.
 
+mod looks;
 mod outcome;
 
 use std::sync::LazyLock;
@@ -8,7 +9,8 @@ use std::sync::LazyLock;
 use crate::elementary::exp_nonpositive;
 use crate::normal;
 
-pub use outcome::{Class, MOMENTS_OF_READING, Outcome, Pull, Tilt};
+pub use looks::Looks;
+pub use outcome::{Class, Look, MOMENTS_OF_READING, Outcome, SHARES, Tilt};
 
 /// Moments that are tilted: mean, spread and skewness.
 pub const MOMENTS: usize = 3;

@@ -4,7 +4,7 @@
 use super::{MOMENTS, MOST, bins, share_within, tilted};
 
 /// Classes beside the surface's, each with the share of readings that are of it as its moment.
-const SHARES: usize = 4;
+pub const SHARES: usize = 4;
 /// Moments of a reading: those of the surface's readings, and the shares of the other classes.
 pub const MOMENTS_OF_READING: usize = MOMENTS + SHARES;
 /// The least variance that a class with a small probability counts as having.
@@ -14,8 +14,20 @@ const LEAST_VARIANCE: f64 = 1e-9;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tilt(pub [f64; MOMENTS_OF_READING]);
 
-/// Sums of what a reading says of a moment: pull, and its variance.
-pub type Pull = [[f64; 2]; MOMENTS_OF_READING];
+/// What a reading says of moments that don't depend on others': those of the surface's readings, or the shares of the other classes.
+#[derive(Clone, Copy, Debug)]
+pub struct Look<const N: usize> {
+    /// Log score gained by their tilts (nats).
+    pub gain: f64,
+    /// The slope of the log score by each moment's tilt, and its variance.
+    pub pulls: [[f64; 2]; N],
+}
+
+impl<const N: usize> Default for Look<N> {
+    fn default() -> Self {
+        Self { gain: 0.0, pulls: [[0.0; 2]; N] }
+    }
+}
 
 /// The class of a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,42 +86,44 @@ impl Outcome {
         shares.map(|share| share / total)
     }
 
-    /// Log score gained by a tilt (nats).
+    /// What a tilt of the surface's moments makes of the reading; nothing of one that isn't of the surface.
     #[must_use]
-    pub fn gain(&self, tilt: &Tilt) -> f64 {
-        let class = self.class.index();
-        let of_class = (self.classes(tilt)[class] / self.probabilities[class]).ln();
-        match self.class {
-            Class::Surface(bin) => {
-                of_class
-                    + (tilted(&tilt.0)[usize::from(bin)] / bins().weight[usize::from(bin)] * share_within())
-                        .ln()
-            }
-            _ => of_class,
-        }
-    }
-
-    /// The slope of the log score by each moment's tilt, and its variance.
-    #[must_use]
-    pub fn pull(&self, tilt: &Tilt) -> Pull {
-        let mut pull = [[0.0; 2]; MOMENTS_OF_READING];
+    pub fn surface(&self, tilt: &Tilt) -> Look<MOMENTS> {
+        let mut look = Look::default();
         if let Class::Surface(bin) = self.class {
+            let (bin, shares) = (usize::from(bin), tilted(&tilt.0));
+            look.gain = (shares[bin] / bins().weight[bin] * share_within()).ln();
             let mut means = [0.0; 2 * MOMENTS];
-            for (share, basis) in tilted(&tilt.0).iter().zip(&bins().squares) {
+            for (share, basis) in shares.iter().zip(&bins().squares) {
                 means.iter_mut().zip(basis).for_each(|(mean, b)| *mean += share * b);
             }
-            for moment in 0..MOMENTS {
+            for (moment, pull) in look.pulls.iter_mut().enumerate() {
                 let [mean, square] = [means[moment], means[MOMENTS + moment]];
-                pull[moment] = [bins().basis[usize::from(bin)][moment] - mean, square - mean * mean];
+                *pull = [bins().basis[bin][moment] - mean, square - mean * mean];
             }
         }
+        look
+    }
+
+    /// What a tilt of the other classes' shares makes of the reading.
+    #[must_use]
+    pub fn shares(&self, tilt: &Tilt) -> Look<SHARES> {
         let (shares, own) = (self.classes(tilt), self.class.index());
-        for class in 1..shares.len() {
+        let pull = |class: usize| {
             let hit = f64::from(u8::from(class == own));
-            pull[MOMENTS + class - 1] =
-                [hit - shares[class], (shares[class] * (1.0 - shares[class])).max(LEAST_VARIANCE)];
+            [hit - shares[class], (shares[class] * (1.0 - shares[class])).max(LEAST_VARIANCE)]
+        };
+        let gain = (shares[own] / self.probabilities[own]).ln();
+        Look { gain, pulls: std::array::from_fn(|share| pull(1 + share)) }
+    }
+
+    /// The slope of the log score by a moment's tilt, and its variance.
+    #[must_use]
+    pub fn pull(&self, tilt: &Tilt, moment: usize) -> [f64; 2] {
+        match moment.checked_sub(MOMENTS) {
+            None => self.surface(tilt).pulls[moment],
+            Some(share) => self.shares(tilt).pulls[share],
         }
-        pull
     }
 
     /// The change that a tilt of one moment makes: the mean of a reading of the surface \[m\], its spread (a factor, less 1), its skewness,
@@ -149,15 +163,6 @@ impl Outcome {
         let class = (moment + 1).checked_sub(MOMENTS).filter(|class| *class > 0);
         class.map_or(1.0, |class| 1.0 - self.probabilities[class])
     }
-
-    /// Error of a reading of the surface beyond the model (standard deviations).
-    #[must_use]
-    pub fn error(&self, tilt: &Tilt) -> Option<f64> {
-        let Class::Surface(bin) = self.class else { return None };
-        let (shares, basis) = (tilted(&tilt.0), &bins().basis);
-        let mean: f64 = shares.iter().zip(basis).map(|(share, basis)| share * basis[0]).sum();
-        Some(basis[usize::from(bin)][0] - mean)
-    }
 }
 
 #[cfg(test)]
@@ -165,6 +170,10 @@ mod tests {
     use super::*;
 
     const CLASSES: [Class; 5] = [Class::Surface(7), Class::Short, Class::Long, Class::NoReturn, Class::Open];
+
+    fn gain(outcome: &Outcome, tilt: &Tilt) -> f64 {
+        outcome.surface(tilt).gain + outcome.shares(tilt).gain
+    }
 
     fn outcome(class: Class) -> Outcome {
         Outcome { scan: 0, beam: 0, class, probabilities: [0.7, 0.1, 0.05, 0.1, 0.05], sigma: 0.01 }
@@ -175,10 +184,10 @@ mod tests {
     fn a_tilted_outcome_is_a_distribution() {
         let tilt = Tilt([0.4, -0.2, 0.1, 0.8, -0.5, 0.3, 1.2]);
         let surface = bins().weight.iter().enumerate().map(|(bin, weight)| {
-            0.7 * weight / share_within() * outcome(Class::Surface(bin as u8)).gain(&tilt).exp()
+            0.7 * weight / share_within() * gain(&outcome(Class::Surface(bin as u8)), &tilt).exp()
         });
         let others = CLASSES[1..].iter().zip([0.1, 0.05, 0.1, 0.05]);
-        let others = others.map(|(&class, share)| share * outcome(class).gain(&tilt).exp());
+        let others = others.map(|(&class, share)| share * gain(&outcome(class), &tilt).exp());
         let total = surface.sum::<f64>() + others.sum::<f64>();
         assert!((total - 1.0).abs() < 1e-12, "{total}");
     }
@@ -188,11 +197,12 @@ mod tests {
         let tilt = Tilt([0.3, 0.1, -0.05, 0.4, -0.2, 0.1, 0.6]);
         for class in CLASSES {
             let (outcome, step) = (outcome(class), 1e-6);
-            for (moment, [slope, _]) in outcome.pull(&tilt).into_iter().enumerate() {
+            let (surface, shares) = (outcome.surface(&tilt).pulls, outcome.shares(&tilt).pulls);
+            for (moment, [slope, _]) in surface.into_iter().chain(shares).enumerate() {
                 let at = |by: f64| {
                     let mut tilt = tilt;
                     tilt.0[moment] += by;
-                    outcome.gain(&tilt)
+                    gain(&outcome, &tilt)
                 };
                 let expected = (at(step) - at(-step)) / (2.0 * step);
                 assert!((slope - expected).abs() < 1e-6, "{class:?} {moment}: {slope} {expected}");

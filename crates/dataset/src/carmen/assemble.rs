@@ -29,6 +29,9 @@ const MOST_HELD_SECS: f64 = 1.0;
 /// No two scans of a log are further apart in time (s).
 const LEAP: f64 = 1e6;
 
+/// Between two ODOM lines that are no further apart in time (s) the robot is taken to move evenly.
+const EVEN_SECS: f64 = 0.5;
+
 /// Turns the lines of a log into a drive.
 pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive, LogSummary), DatasetError> {
     let recognised = Recognised::from(&log);
@@ -115,7 +118,7 @@ impl Recognised {
         let one_pose = count(&|s| near(&s.laser_pose, &s.robot_pose, SAME));
         let follows: Vec<bool> = scans
             .windows(2)
-            .filter_map(|w| Some(near(&w[1].before.first_odometry?, &w[0].laser_pose, SAME)))
+            .filter_map(|w| Some(near(&w[1].before.first_odometry?.1, &w[0].laser_pose, SAME)))
             .collect();
         let restarted = follows.iter().filter(|same| **same).count();
         let at_scan_time = |s: &ScanLine| s.before.last_odometry.filter(|(time, _)| *time == s.stamp_secs);
@@ -191,20 +194,19 @@ fn mount(log: &Log, kind: LogKind, laser: CarmenLaser) -> (Pose2, MountSource) {
 /// Odometry and reference of the base at each scan; the number of intervals without odometry.
 fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Option<Pose2>)>, usize) {
     let laser_from_base = mount.inverse();
-    let mut latest = log.first_odometry;
+    let of_lines = poses_of_lines(&log.scans);
     let mut chained: Option<Pose2> = None;
     let mut previous: Option<Pose2> = None;
     let mut missing = 0;
-    let poses = log.scans.iter().map(|scan| {
+    let poses = log.scans.iter().zip(of_lines).map(|(scan, of_lines)| {
         let last = scan.before.last_odometry.map(|(_, pose)| pose);
-        latest = last.or(latest);
         let odometry = match recognised.odometry {
             // A CARMEN log has no topics and no transforms.
             OdometrySource::ScanLines
             | OdometrySource::Topic
             | OdometrySource::Transforms
             | OdometrySource::Missing => scan.robot_pose,
-            OdometrySource::OdomLines => latest.unwrap_or(scan.robot_pose),
+            OdometrySource::OdomLines => of_lines.or(log.first_odometry).unwrap_or(scan.robot_pose),
             OdometrySource::RestartedOdomLines => {
                 let pose = match (chained, previous) {
                     (Some(chained), Some(previous)) => {
@@ -233,6 +235,34 @@ fn poses(log: &Log, recognised: &Recognised, mount: &Pose2) -> (Vec<(Pose2, Opti
         (odometry, reference)
     });
     (poses.collect(), missing)
+}
+
+/// The pose by ODOM lines at each scan's time: between the line before it and the one after it, where their times say so; otherwise that of the last
+/// line before it. `None` before the first line.
+fn poses_of_lines(scans: &[ScanLine]) -> Vec<Option<Pose2>> {
+    let mut after: Vec<Option<(f64, Pose2)>> = Vec::with_capacity(scans.len());
+    let mut next = None;
+    for scan in scans.iter().rev() {
+        after.push(next);
+        next = scan.before.first_odometry.or(next);
+    }
+    let mut latest = None;
+    let at_scan = |(scan, after): (&ScanLine, Option<(f64, Pose2)>)| {
+        latest = scan.before.last_odometry.or(latest);
+        let (secs, pose): (f64, Pose2) = latest?;
+        let steps = [
+            scan.before.first_odometry.map(|first| (first, (secs, pose))),
+            after.map(|after| ((secs, pose), after)),
+        ];
+        let step = steps
+            .into_iter()
+            .flatten()
+            .find(|((from, _), (to, _))| (*from..*to).contains(&scan.stamp_secs) && to - from <= EVEN_SECS);
+        let between =
+            step.map(|((from, a), (to, b))| a.interpolate(&b, (scan.stamp_secs - from) / (to - from)));
+        Some(between.unwrap_or(pose))
+    };
+    scans.iter().zip(after.into_iter().rev()).map(at_scan).collect()
 }
 
 fn laser(log: &Log, options: &CarmenOptions, mount: Pose2, path: &Path) -> Result<Laser, DatasetError> {

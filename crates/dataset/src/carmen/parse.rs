@@ -37,7 +37,7 @@ impl Log {
         self.odometry_lines += 1;
         self.first_odometry.get_or_insert(pose);
         between.odometry_lines += 1;
-        between.first_odometry.get_or_insert(pose);
+        between.first_odometry.get_or_insert((stamp_secs, pose));
         between.last_odometry = Some((stamp_secs, pose));
     }
 }
@@ -56,8 +56,8 @@ pub struct ScanLine {
 pub struct Between {
     /// Number of ODOM or O lines.
     pub odometry_lines: usize,
-    /// Pose of the first ODOM line.
-    pub first_odometry: Option<Pose2>,
+    /// Time and pose of the first ODOM line.
+    pub first_odometry: Option<(f64, Pose2)>,
     /// Time and pose of the last ODOM line.
     pub last_odometry: Option<(f64, Pose2)>,
     /// True pose and odometry of the last TRUEPOS line.

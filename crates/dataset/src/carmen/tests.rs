@@ -577,3 +577,35 @@ proptest! {
         }
     }
 }
+
+/// ODOM lines every 40 ms and scans every 130 ms, each with its own time: between two lines the odometry is where the robot was. Lines that are a
+/// second apart, or of another clock, tell no more than where they are.
+#[test]
+fn odometry_of_lines_is_at_the_times_of_the_scans() {
+    let at = |secs: f64| words(&Pose2::new(0.8 * secs, 0.0, 0.5 * secs));
+    let text = |interval: f64, of_clock: f64| {
+        let mut text = String::new();
+        let (mut line, mut scan) = (0.0, 0.0);
+        for _ in 0..300 {
+            if line <= scan {
+                writeln!(text, "ODOM {} 0 0 0 {} h 0", at(line), line + of_clock).unwrap();
+                line += interval;
+            } else {
+                writeln!(text, "FLASER 1 1 0 0 0 0 0 0 {scan} h 0").unwrap();
+                scan += 0.13;
+            }
+        }
+        text
+    };
+    let worst = |text: &str| {
+        let (drive, summary) = read_text(text).unwrap();
+        assert_eq!(summary.odometry, OdometrySource::OdomLines);
+        let off = |step: &DriveStep| (step.odometry.x - 0.8 * step.stamp_secs).abs();
+        // After the last line nothing is known.
+        drive.steps[..drive.steps.len() - 1].iter().map(off).fold(0.0, f64::max)
+    };
+    assert!(worst(&text(0.04, 0.0)) < 1e-6);
+    for (interval, of_clock) in [(1.0, 0.0), (0.04, 500.0)] {
+        assert!(worst(&text(interval, of_clock)) > 0.8 * 0.02);
+    }
+}

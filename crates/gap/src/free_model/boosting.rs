@@ -2,11 +2,11 @@
 
 use distreg::curve::{LARGEST_TILT, Shape, Sums, crossfit, curves_without, fit};
 use distreg::others::{mean_of_others, variances_of_others};
-use locsim_core::tilt::{Class, Outcome, Pull, Tilt};
+use locsim_core::tilt::{Class, Looks, Outcome, Tilt};
 use locsim_core::{Folds, simplest};
 use rayon::prelude::*;
 
-use super::covariates::{Covariates, LOSSES_OF_SCANS, NOISE_OF_SCANS};
+use super::covariates::{Axis, Covariates, LOSSES_OF_SCANS, NOISE_OF_SCANS};
 use super::large::Large;
 use super::outcomes::{self, MOMENTS, Outcomes};
 use super::{Component, FreeModel, MEAN, SPREAD};
@@ -41,20 +41,20 @@ impl FreeModel {
             // A tilt of the mean is in standard deviations, too, and one of the spread the logarithm of a factor, where it is small.
             components.push(Draft { moment, axis, large: levels, tilts, errors, gains });
         }
-        let mut score = state.score();
+        let mut score = state.looks.score(&state.fold_of, folds.count());
         let mut correlation = None;
         for _ in 0..MOST_STEPS {
             let Some(step) = state.best_step() else { break };
             if covariates.axes[step.axis].covariate == Covariate::Neighbour {
                 // The correlation of neighbours is its own covariate.
-                correlation.get_or_insert_with(|| state.neighbour_correlation());
+                correlation.get_or_insert_with(|| state.looks.neighbour_correlation(&outcomes.all));
             }
-            let before = state.tilts.clone();
+            let before = (state.tilts.clone(), state.looks.clone());
             let (share, after) = state.apply(&step);
             let gains: Vec<f64> = after.iter().zip(&score).map(|(after, before)| after - before).collect();
             if gains.iter().sum::<f64>() < LEAST_GAIN_NATS {
                 // The quadratic approximation promised more than there is.
-                (state.tilts, state.moved) = (before, [false; 2]);
+                ((state.tilts, state.looks), state.moved) = (before, [false; 2]);
                 state.spent[step.axis][step.moment] = true;
                 continue;
             }
@@ -75,7 +75,8 @@ impl FreeModel {
                 components.push(Draft { moment, axis, large, tilts: curve, errors, gains });
             }
         }
-        let neighbour_correlation = correlation.unwrap_or_else(|| state.neighbour_correlation());
+        let neighbour_correlation =
+            correlation.unwrap_or_else(|| state.looks.neighbour_correlation(&outcomes.all));
         let components = components.into_iter().map(|draft| state.finish(draft)).collect();
         Self { components, neighbour_correlation, folds }
     }
@@ -88,10 +89,12 @@ struct State<'a> {
     folds: Folds,
     fold_of: Vec<usize>,
     tilts: Vec<Tilt>,
+    looks: Looks,
     /// The same by curves that were fitted to all folds, which are those that are told.
     whole: Vec<Tilt>,
     /// Curves that gain nothing, by axis and moment.
     spent: Vec<[bool; MOMENTS.len()]>,
+    axes: Vec<OfAxis>,
     /// Curves that may be added.
     tried: Vec<Tried>,
     /// Axis and moment of a curve that went as far as a step goes, and goes on first.
@@ -111,23 +114,28 @@ struct Draft {
     gains: Vec<f64>,
 }
 
-/// The readings of each level of an axis, and what they say of each moment, by fold and level.
+/// The level of each reading on an axis, and what readings say of each moment that is asked there, by fold and level.
+#[derive(Clone, Default)]
 struct OfAxis {
     levels: Vec<u16>,
-    sums: Vec<Vec<Vec<Sums>>>,
+    sums: [Vec<Vec<Sums>>; MOMENTS.len()],
 }
 
 impl OfAxis {
-    fn new(state: &State<'_>, axis: usize, pulls: &[Pull]) -> Self {
-        let levels = state.levels(axis);
-        let count = state.covariates.axes[axis].levels.len();
-        let mut sums = vec![vec![vec![Sums::default(); count]; state.folds.count()]; MOMENTS.len()];
-        for ((pull, &level), &fold) in pulls.iter().zip(&levels).zip(&state.fold_of) {
-            for (sums, more) in sums.iter_mut().zip(pull) {
-                sums[fold][level as usize].add(*more);
-            }
+    /// Takes in the tilts that have moved.
+    fn follow(&mut self, state: &State<'_>, axis: usize) {
+        let Axis { covariate, levels, .. } = &state.covariates.axes[axis];
+        let is_of_errors = matches!(covariate, Covariate::Neighbour | Covariate::Scan);
+        if self.levels.is_empty() || (is_of_errors && state.moved[0]) {
+            self.levels = state.levels(axis);
         }
-        Self { levels, sums }
+        for moment in (0..MOMENTS.len()).filter(|&moment| state.is_new(axis, moment)) {
+            let mut sums = vec![vec![Sums::default(); levels.len()]; state.folds.count()];
+            for ((pull, &level), &fold) in state.looks.pulls(moment).zip(&self.levels).zip(&state.fold_of) {
+                sums[fold][level as usize].add(pull);
+            }
+            self.sums[moment] = sums;
+        }
     }
 }
 
@@ -165,13 +173,16 @@ struct Step {
 
 impl<'a> State<'a> {
     fn new(outcomes: &'a Outcomes, covariates: &'a Covariates, folds: Folds) -> Self {
+        let plain = vec![Tilt::default(); outcomes.all.len()];
         Self {
             outcomes,
             covariates,
             folds,
             fold_of: outcomes.all.iter().map(|outcome| folds.of_scan(outcome.scan as usize)).collect(),
-            tilts: vec![Tilt::default(); outcomes.all.len()],
-            whole: vec![Tilt::default(); outcomes.all.len()],
+            looks: Looks::new(&outcomes.all, &plain),
+            whole: plain.clone(),
+            tilts: plain,
+            axes: vec![OfAxis::default(); covariates.axes.len()],
             spent: vec![[false; MOMENTS.len()]; covariates.axes.len()],
             tried: Vec::new(),
             on: None,
@@ -179,26 +190,24 @@ impl<'a> State<'a> {
         }
     }
 
-    /// Log score gained in each fold (nats).
-    fn score(&self) -> Vec<f64> {
-        let readings = self.outcomes.all.par_iter().zip(&self.tilts);
-        let gains: Vec<f64> = readings.map(|(outcome, tilt)| outcome.gain(tilt)).collect();
-        let mut score = vec![0.0; self.folds.count()];
-        for (gain, &fold) in gains.into_iter().zip(&self.fold_of) {
-            score[fold] += gain;
-        }
-        score
+    /// Whether a curve is asked for, and may differ from what it was.
+    fn is_new(&self, axis: usize, moment: usize) -> bool {
+        // The beams of a scan are behind the same clutter; what is asked for is whether readings of the surface err alike.
+        let is_asked = match self.covariates.axes[axis].covariate {
+            Covariate::Neighbour => moment == MEAN,
+            Covariate::Scan => moment == SPREAD,
+            Covariate::Losses => MOMENTS[moment] == Deviation::NoReturn,
+            _ => true,
+        };
+        self.moved[block_of(moment)] && !self.spent[axis][moment] && is_asked
     }
 
     /// The curve that gains most on held-out folds, over the simplest covariate that gains as much.
     fn best_step(&mut self) -> Option<Step> {
-        let readings = self.outcomes.all.par_iter().zip(&self.tilts);
-        let pulls: Vec<_> = readings.map(|(outcome, tilt)| outcome.pull(tilt)).collect();
-        let axes: Vec<OfAxis> = (0..self.covariates.axes.len())
-            .into_par_iter()
-            .map(|axis| OfAxis::new(self, axis, &pulls))
-            .collect();
-        let of_axes = axes.par_iter().enumerate();
+        let mut axes = std::mem::take(&mut self.axes);
+        axes.par_iter_mut().enumerate().for_each(|(axis, of_axis)| of_axis.follow(self, axis));
+        self.axes = axes;
+        let of_axes = self.axes.par_iter().enumerate();
         let moved: Vec<Tried> =
             of_axes.flat_map_iter(|(axis, of_axis)| self.try_curves(axis, of_axis)).collect();
         self.tried
@@ -208,14 +217,17 @@ impl<'a> State<'a> {
         let on = self.on.take();
         let is_on = |tried: &&Tried| on == Some((tried.axis, tried.moment)) && tried.gain() > LEAST_GAIN_NATS;
         let chosen = self.tried.iter().find(is_on).or_else(|| self.simplest_of_best())?;
-        let OfAxis { levels, sums } = axes.into_iter().nth(chosen.axis)?;
-        let without = curves_without(&sums[chosen.moment], chosen.shape);
-        let mut whole = vec![Sums::default(); sums[chosen.moment][0].len()];
-        for ((outcome, tilt), &level) in self.outcomes.all.iter().zip(&self.whole).zip(&levels) {
-            whole[level as usize].add(outcome.pull(tilt)[chosen.moment]);
+        let &Tried { axis, moment, shape, .. } = chosen;
+        let OfAxis { levels, sums } = &self.axes[axis];
+        let without = curves_without(&sums[moment], shape);
+        let mut whole = vec![Sums::default(); sums[moment][0].len()];
+        let readings = self.outcomes.all.par_iter().zip(&self.whole);
+        let pulls: Vec<_> = readings.map(|(outcome, tilt)| outcome.pull(tilt, moment)).collect();
+        for (pull, &level) in pulls.into_iter().zip(levels) {
+            whole[level as usize].add(pull);
         }
-        let (curve, errors) = fit(&[whole], chosen.shape);
-        Some(Step { axis: chosen.axis, moment: chosen.moment, without, levels, curve, errors })
+        let (curve, errors) = fit(&[whole], shape);
+        Some(Step { axis, moment, without, levels: levels.clone(), curve, errors })
     }
 
     /// The simplest of the curves that can't be told from the one that gains most.
@@ -254,19 +266,10 @@ impl<'a> State<'a> {
     /// The curves over an axis, one for each moment that has moved, each as smooth as gains most.
     fn try_curves(&self, axis: usize, of_axis: &OfAxis) -> Vec<Tried> {
         let covariate = &self.covariates.axes[axis];
-        let moments = of_axis.sums.iter().enumerate().filter(|(moment, _)| {
-            // The beams of a scan are behind the same clutter; what is asked for is whether readings of the surface err alike.
-            let is_asked = match covariate.covariate {
-                Covariate::Neighbour => *moment == MEAN,
-                Covariate::Scan => *moment == SPREAD,
-                Covariate::Losses => MOMENTS[*moment] == Deviation::NoReturn,
-                _ => true,
-            };
-            self.moved[block_of(*moment)] && !self.spent[axis][*moment] && is_asked
-        });
+        let moments = (0..MOMENTS.len()).filter(|&moment| self.is_new(axis, moment));
         let stiffnesses = if covariate.levels.len() == 1 { &STIFFNESSES[..1] } else { &STIFFNESSES };
-        let tried = moments.filter_map(|(moment, sums)| {
-            let is_share = outcomes::is_share(MOMENTS[moment]);
+        let tried = moments.filter_map(|moment| {
+            let (sums, is_share) = (&of_axis.sums[moment], outcomes::is_share(MOMENTS[moment]));
             let tried = stiffnesses.iter().map(|&stiffness| {
                 let shape = Shape { stiffness, is_ordered: covariate.is_ordered, is_share };
                 Tried { axis, moment, shape, gains: crossfit(sums, shape) }
@@ -286,17 +289,19 @@ impl<'a> State<'a> {
                 let more = step.without[self.fold_of[i]][step.levels[i] as usize];
                 tilt.0[step.moment] = before.0[step.moment] + share * more;
             }
-            self.score()
+            let looks = self.looks.with(step.moment, &self.outcomes.all, &self.tilts);
+            (looks.score(&self.fold_of, self.folds.count()), looks, self.tilts.clone())
         };
-        let (mut share, mut score) = (1.0, with(1.0));
+        let (mut share, mut best) = (1.0, with(1.0));
         for _ in 0..HALVINGS {
             let half = with(0.5 * share);
-            if total(&half) <= total(&score) {
+            if total(&half.0) <= total(&best.0) {
                 break;
             }
-            (share, score) = (0.5 * share, half);
+            (share, best) = (0.5 * share, half);
         }
-        with(share);
+        let score;
+        (score, self.looks, self.tilts) = best;
         (share, score)
     }
 
@@ -305,10 +310,12 @@ impl<'a> State<'a> {
         let axis = &self.covariates.axes[axis];
         let of = |value: Option<f64>| axis.level_of(value.unwrap_or(f64::NAN));
         match axis.covariate {
-            Covariate::Neighbour => return self.neighbours().map(of).collect(),
+            Covariate::Neighbour => {
+                return self.looks.errors_before(&self.outcomes.all).into_iter().map(of).collect();
+            }
             Covariate::Scan => {
-                let readings = self.outcomes.all.iter().zip(&self.tilts);
-                let errors = readings.map(|(outcome, tilt)| (outcome.scan as usize, outcome.error(tilt)));
+                let readings = self.outcomes.all.iter().zip(self.looks.errors(&self.outcomes.all));
+                let errors = readings.map(|(outcome, error)| (outcome.scan as usize, error));
                 return variances_of_others(errors).map(of).collect();
             }
             Covariate::Losses => {
@@ -322,17 +329,6 @@ impl<'a> State<'a> {
             _ => {}
         }
         self.outcomes.all.iter().map(|outcome| axis.of_beams[outcome.beam as usize]).collect()
-    }
-
-    /// Error of the reading of the beam before, beyond the model (standard deviations); `None` without one of the surface.
-    fn neighbours(&self) -> impl Iterator<Item = Option<f64>> {
-        let errors = self.outcomes.all.iter().zip(&self.tilts).map(|(outcome, tilt)| outcome.error(tilt));
-        let errors: Vec<Option<f64>> = errors.collect();
-        (0..errors.len()).map(move |i| {
-            let here = &self.outcomes.all[i];
-            let before = i.checked_sub(1).map(|before| &self.outcomes.all[before])?;
-            if before.scan == here.scan && before.beam + 1 == here.beam { errors[i - 1] } else { None }
-        })
     }
 
     /// A curve in units that people know: the mean over the readings of each level. A share that grows is of the readings that weren't of
@@ -374,18 +370,6 @@ impl<'a> State<'a> {
         }
         Component { moment: MOMENTS[moment], covariate, axis, curve, gains }
     }
-
-    fn neighbour_correlation(&self) -> f64 {
-        let [mut xy, mut xx, mut yy] = [0.0; 3];
-        for ((outcome, tilt), before) in self.outcomes.all.iter().zip(&self.tilts).zip(self.neighbours()) {
-            if let (Some(x), Some(y)) = (before, outcome.error(tilt)) {
-                xy += x * y;
-                xx += x * x;
-                yy += y * y;
-            }
-        }
-        xy / (xx * yy).sqrt().max(1e-300)
-    }
 }
 
 #[cfg(test)]
@@ -414,6 +398,7 @@ mod tests {
         while let Some(step) = state.best_step() {
             let mut anew = State::new(&outcomes, &covariates, recorded.folds);
             (anew.tilts, anew.spent) = (state.tilts.clone(), state.spent.clone());
+            anew.looks = Looks::new(&outcomes.all, &anew.tilts);
             let other = anew.best_step().unwrap();
             assert_eq!((step.axis, step.moment, &step.curve), (other.axis, other.moment, &other.curve));
             let gains = |state: &State<'_>| {

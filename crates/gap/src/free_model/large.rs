@@ -2,7 +2,7 @@
 //! where what they meet is nearer or farther, or where they err by so much more. A tilt of bins has no such change.
 
 use distreg::others::variances_of_others;
-use distreg::steps::{COUNT, Steps, Vertex, biases, spreads};
+use distreg::steps::{COUNT, Crossfit, Steps, biases, spreads};
 use locsim_core::{Folds, normal, simplest};
 use locsim_world::effect::Effects;
 
@@ -130,7 +130,6 @@ impl Large {
     }
 
     fn over(moment: usize, index: usize, axis: &Axis, rows: &[Row], folds: Folds, part: Part) -> Self {
-        let (count, ladder) = (axis.levels.len(), ladder(moment));
         let levels: Vec<usize> = if axis.is_of_readings() {
             let errors = rows.iter().map(|row| (row.scan, row.error));
             let of = |value: Option<f64>| usize::from(axis.level_of(value.unwrap_or(f64::NAN)));
@@ -138,29 +137,15 @@ impl Large {
         } else {
             rows.iter().map(|row| usize::from(axis.of_beams[row.beam])).collect()
         };
-        let mut sums = vec![vec![[0.0; COUNT]; count]; folds.count()];
-        let mut total = vec![[0.0; COUNT]; count];
+        let mut sums = vec![vec![[0.0; COUNT]; axis.levels.len()]; folds.count()];
         // Things that stand before a wall are as far from it as they are: no noise and no bias of the readings there.
         let counts = |row: &Row| {
             part.includes(row.fold) && (axis.covariate != Covariate::Place || row.error.is_some())
         };
         for (row, &level) in rows.iter().zip(&levels).filter(|(row, _)| counts(row)) {
-            for sum in [&mut sums[row.fold][level], &mut total[level]] {
-                sum.iter_mut().zip(row.gains[moment]).for_each(|(sum, more)| *sum += more);
-            }
+            sums[row.fold][level].iter_mut().zip(row.gains[moment]).for_each(|(sum, more)| *sum += more);
         }
-        let fits: Vec<Vertex> = total.iter().map(|sums| Vertex::of(ladder, |step| sums[step])).collect();
-        let without = |fold: &Vec<[f64; COUNT]>| -> Vec<Vertex> {
-            let of_level = |l: usize| Vertex::of(ladder, |step| total[l][step] - fold[l][step]);
-            let mut levels: Vec<Vertex> = (0..count).map(of_level).collect();
-            if axis.is_ordered {
-                Vertex::interpolate(ladder, &mut levels, &fits);
-            }
-            levels
-        };
-        let without: Vec<Vec<Vertex>> = sums.iter().map(without).collect();
-        let gain_of = |(sums, fit): (&[f64; COUNT], &Vertex)| fit.read(ladder, |step| sums[step]);
-        let gains = sums.iter().zip(&without).map(|(fold, fits)| fold.iter().zip(fits).map(gain_of).sum());
+        let Crossfit { levels: fits, without, gains } = Crossfit::of(ladder(moment), &sums, axis.is_ordered);
         let of_reading = |(row, &level): (&Row, &usize)| {
             let at = without[row.fold][level].at;
             if moment == MEAN {
@@ -175,7 +160,7 @@ impl Large {
             of_readings: rows.iter().zip(&levels).map(of_reading).collect(),
             levels: fits.iter().map(|fit| fit.at).collect(),
             errors: fits.iter().map(|fit| fit.error).collect(),
-            gains: gains.collect(),
+            gains,
         }
     }
 }

@@ -123,6 +123,9 @@ impl<'a> State<'a> {
         let Some(leading) = rivals.next() else { return Ok(accepted) };
         let survey = Survey::new(&round.comparison);
         let is_right = |effect: &Effect| acts_on(effect, leading, &judgement.covariates, &survey);
+        // A tail is noise of every beam as well. One that gains less than a factor on the noise is no tail.
+        let is_noise = (leading.deviation, leading.covariate) == (Deviation::Spread, Covariate::Everywhere);
+        let is_no_tail = |of: &Candidate| is_noise && of.kind().is_tail() && leading.beats(of);
         let is_enough = |best: usize| {
             let candidate = &candidates[best];
             let gain: f64 = candidate.fitted_gains.iter().sum();
@@ -137,6 +140,7 @@ impl<'a> State<'a> {
                 && !leading.is_beaten_by(candidate);
             !is_of_frame
                 && !is_left
+                && !is_no_tail(candidate)
                 && !comes_and_goes(candidate.kind(), &dependences, leading.gain())
                 && (gain >= NEARLY_ALL * leading.gain() || !leading.beats(candidate))
         };
@@ -155,6 +159,7 @@ impl<'a> State<'a> {
                 false => RIGHT_NAME_SHARE,
             };
             is_sure(candidate)
+                && !is_no_tail(candidate)
                 && candidate.fitted_gains.iter().sum::<f64>() >= least * leading.gain()
                 && is_right(&candidate.effect)
         });

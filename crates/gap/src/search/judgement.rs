@@ -1,7 +1,7 @@
 //! A hypothesis judged by a free model: the dependence by which it gains, and the effects that act on it.
 
 use glam::DVec2;
-use locsim_core::{gains_beyond, gains_surely, is_of_wall};
+use locsim_core::{differences, gains_beyond, gains_surely, is_of_wall};
 use locsim_world::effect::{Effect, EffectKind, Score, Statistic};
 
 use crate::fit::Candidate;
@@ -78,10 +78,6 @@ impl Dependence<'_> {
     pub fn is_beaten_by(&self, candidate: &Candidate) -> bool {
         gains_surely(&differences(&candidate.fitted_gains, &self.gains))
     }
-}
-
-fn differences(a: &[f64], b: &[f64]) -> Vec<f64> {
-    a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
 
 /// The free model of a log on top of a round's hypothesis, and those of logs that are simulated by it.

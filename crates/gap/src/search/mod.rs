@@ -6,6 +6,7 @@ mod judge;
 mod judgement;
 mod lasting;
 mod outcome;
+mod pair;
 mod precision;
 mod predicted;
 mod residual;
@@ -35,8 +36,6 @@ use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 use initial_guess::Guesses;
 use judgement::Judgement;
-
-pub use selection::split_by;
 
 /// How a search is run.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use locsim_core::{Estimate, is_along_wall, quantile, sector_holds_middle, sum_error};
+use locsim_core::{Estimate, differences, is_along_wall, quantile, sector_holds_middle, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Experiment, Moves};
 
 use crate::GapError;
@@ -121,7 +121,7 @@ const BY_CHANCE: f64 = 1.92;
 
 /// How much less a candidate gains than another, with the standard error over folds (nats).
 fn behind(best: &Candidate, other: &Candidate) -> (f64, f64) {
-    let difference: Vec<f64> = best.gains.iter().zip(&other.gains).map(|(a, b)| a - b).collect();
+    let difference = differences(&best.gains, &other.gains);
     (difference.iter().sum(), sum_error(&difference))
 }
 
@@ -179,7 +179,7 @@ pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Name
     let gain_nats = Estimate::of_sum(&candidate.gains);
     Named {
         name: candidate.kind(),
-        split_by: split_by(&set),
+        split_by: Experiment::telling_apart(&set),
         candidates: set,
         params: numbers(candidate),
         place: candidate.effect.place.iter().map(|stretch| stretch.map(|end| end.to_array())).collect(),
@@ -192,17 +192,6 @@ pub fn name(candidates: &[Candidate], best: usize, p: f64, scans: usize) -> Name
         effect: candidate.effect.clone(),
         gains: candidate.fitted_gains.clone(),
     }
-}
-
-/// A drive that tells effects apart which look alike on this log: the first experiment in which two of them differ.
-pub fn split_by(set: &[EffectKind]) -> Option<&'static str> {
-    if set.len() < 2 {
-        return None;
-    }
-    let tells = |experiment: &Experiment| {
-        set.iter().filter(|kind| kind.description().experiments.contains(experiment)).count() >= 2
-    };
-    Some(Experiment::ALL.into_iter().find(tells).unwrap_or(Experiment::OtherViewpoints).sentence())
 }
 
 pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) -> Vec<Rival> {

@@ -22,7 +22,7 @@ use crate::statistics::Start;
 /// that was chosen.
 const TRIED_ALONE: usize = 9;
 /// Replicates that decide whether an effect alone is worth a full round: 19 are the fewest that reject at 5 %.
-const SCREENING_REPLICATES: u32 = 19;
+pub const SCREENING_REPLICATES: u32 = 19;
 /// An effect alone explains the log if the p-value with it is above this. At the false-alarm rate of 1 % an effect would do
 /// that leaves the log beyond 98 of 100 replicates.
 const EXPLAINED: f64 = 0.05;
@@ -37,6 +37,8 @@ const LEFT_BY_FORM_SHARE: f64 = 0.25;
 const LEFT_TO_ANY_SHARE: f64 = 2e-3;
 /// What gains less than this share may be by chance, unless its interval doesn't hold 0.
 const FAINT_SHARE: f64 = 0.05;
+/// What is said of a pane behind which the map has nothing.
+const OFF_MAP: &str = "Behind the pane the map has nothing, so simulated beams that it lets through end anywhere. Ranges come nearer once the map has what stands there.";
 /// So many walls don't move alike by chance.
 const MANY_WALLS: usize = 3;
 
@@ -118,6 +120,11 @@ impl<'a> State<'a> {
             let accepted = if off && path.named.len() < options.most_effects {
                 let likeliest = choose(&candidates);
                 let mut accepted = self.weigh(round, &candidates, likeliest)?;
+                // Two errors at once are no curve over one covariate, and spread the readings.
+                let is_cause = |best: usize| !candidates[best].kind().is_noise();
+                if path.named.len() + 1 < options.most_effects && !accepted.is_some_and(is_cause) {
+                    accepted = self.first_of_two(round, &candidates)?.or(accepted);
+                }
                 is_by_form = accepted.is_some() && accepted != likeliest;
                 // What the odometry does has its name, whether or not the readings have one, and so have lost returns beside the others.
                 let apart = [is_of_odometry, surely_loses_returns];
@@ -268,6 +275,11 @@ impl<'a> State<'a> {
                 self.nominal.pieces.is_none() && path.named[0].evidence.gain_nats.value > of_curves;
             Ok(gains_more && !self.doubles(path.first(), path.last())?)
         };
+        // Where beams end that a wall lets through to what the map doesn't have, no simulation knows.
+        if path.named.iter().any(|named| leads_off_map(path.last(), &named.effect)) {
+            path.note.get_or_insert(OFF_MAP.into());
+            return Ok(());
+        }
         while let Some(last) = last_of_ranges(&path.named) {
             if last == 0 && is_surely_right(path)? {
                 break;
@@ -371,6 +383,15 @@ impl<'a> State<'a> {
 
 fn is_moved_wall(named: &Named) -> bool {
     named.name.description().statistics.iter().any(|statistic| matches!(statistic, Statistic::WallShift))
+}
+
+/// Whether an effect lets beams through a wall behind which the map has nothing for most of them.
+fn leads_off_map(round: &Round<'_>, effect: &Effect) -> bool {
+    let mut statistics = effect.kind.description().statistics.iter();
+    let at_wall =
+        round.comparison.views.beams.iter().filter(|beam| effect.stretch_at(beam.view.endpoint).is_some());
+    let behind = at_wall.map(|beam| if beam.view.behind.is_some() { -1 } else { 1 });
+    statistics.any(|statistic| matches!(statistic, Statistic::WallLoss)) && behind.sum::<i32>() > 0
 }
 
 /// How far a wall has moved \[m\].

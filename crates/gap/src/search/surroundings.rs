@@ -104,7 +104,7 @@ mod tests {
     #[test]
     fn what_a_wall_leaves_at_its_end_is_no_name() {
         let wall = |to: f64| {
-            let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(to, 4.0)]];
+            let stretch = vec![[DVec2::new(to, 4.0), DVec2::new(5.5, 4.0)]];
             Effect::new(EffectKind::MovedWall, vec![-0.1, 0.0], stretch).unwrap()
         };
         let bias = Effect::new(EffectKind::RangeBias, vec![0.01], Vec::new()).unwrap();

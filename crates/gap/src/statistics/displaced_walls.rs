@@ -56,13 +56,15 @@ fn displacement(reading: &Reading<'_>) -> Option<f64> {
 pub(super) struct DisplacedWalls {
     kind: EffectKind,
     walls: WallCells,
+    /// Whether readings behind the wall count alone: clutter that stays is never there.
+    is_of_behind: bool,
 }
 
 impl DisplacedWalls {
     pub fn all(survey: &Survey<'_>) -> Vec<Self> {
-        kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::WallShift))
-            .map(|kind| Self { kind, walls: survey.walls.clone() })
-            .collect()
+        let of =
+            |kind| [false, true].map(|is_of_behind| Self { kind, walls: survey.walls.clone(), is_of_behind });
+        kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::WallShift)).flat_map(of).collect()
     }
 }
 
@@ -102,8 +104,8 @@ impl Family for DisplacedWalls {
         // A half of the log has half of them.
         let by_one = |count: f64| -(-1.0 / (0.5 * count + 1.0)).ln_1p();
         let of = |count: f64| {
-            Statistic::of_effect(self.kind, Group::DisplacedWalls, Form::Share)
-                .with_one_reading(by_one(count).max(FEW))
+            let group = if self.is_of_behind { Group::Places } else { Group::DisplacedWalls };
+            Statistic::of_effect(self.kind, group, Form::Share).with_one_reading(by_one(count).max(FEW))
         };
         counts.iter().copied().chain(of_pairs).map(of).collect()
     }
@@ -113,7 +115,8 @@ impl Family for DisplacedWalls {
         for reading in &log.all {
             let Some(cell) = self.walls.of_beam(reading.index) else { continue };
             cells[cell].all[reading.half] += 1.0;
-            for window in displacement(reading).into_iter().flat_map(windows_of) {
+            let counted = displacement(reading).filter(|_| reading.is_behind || !self.is_of_behind);
+            for window in counted.map(|by| reading.side() * by).into_iter().flat_map(windows_of) {
                 cells[cell].windows[window][reading.half] += 1.0;
             }
         }
@@ -122,13 +125,13 @@ impl Family for DisplacedWalls {
     }
 
     fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
-        let evidence = |reading: &Reading<'_>| {
+        let evidence = |reading: &Reading<'_>, away: f64| {
             // Without a return, or with one of what hides wall and displaced wall alike, a reading says nothing.
             if !reading.is_return {
                 return [0.0; WINDOWS];
             }
             let mut gains = [OTHERS.ln(); WINDOWS];
-            for window in displacement(reading).into_iter().flat_map(windows_of) {
+            for window in displacement(reading).map(|by| away * by).into_iter().flat_map(windows_of) {
                 let density = reading.beam.view.incidence.cos() / WINDOW_M;
                 gains[window] = (OTHERS + (1.0 - OTHERS) * density / reading.terms.density).ln();
             }
@@ -157,7 +160,7 @@ fn turned(log: &Readings<'_>, wall: Line) -> Option<(usize, Start)> {
     let all = sorted(log.all.iter().filter_map(along));
     let displaced = log.all.iter().filter(|reading| reading.is_return).filter_map(|reading| {
         let by = displacement(reading).filter(|by| by.abs() <= 2.0 * FARTHEST_M)?;
-        Some(DVec2::new(along(reading)?, by))
+        Some(DVec2::new(along(reading)?, wall.away(reading.beam.view.direction) * by))
     });
     let found = SlantedStretch::through(displaced.collect(), &all, ON_LINE_M, STRETCH_GAP_M, TURNS)?;
     let [from, to] = found.ends;
@@ -171,10 +174,11 @@ mod tests {
     use std::sync::atomic::AtomicBool;
 
     use locsim_world::effect::Effect;
+    use locsim_world::simulation::{Robot, RobotPath, simulate_drive};
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::fixtures::{NOMINAL, SEED, TRUTH};
     use crate::hidden::{Regime, record_library};
     use crate::hypothesis::{Comparison, Nuisances};
     use crate::search::{GapOptions, find};
@@ -192,9 +196,9 @@ mod tests {
 
     /// A wall of 5 m that is turned by 2 degrees about its end.
     fn with_a_turned_wall() -> (Recorded, f64) {
-        let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]];
+        let stretch = vec![[DVec2::new(0.5, 4.0), DVec2::new(5.5, 4.0)]];
         let turn = 2f64.to_radians();
-        let turned = Effect::new(EffectKind::MovedWall, vec![-2.5 * turn.tan(), -turn], stretch).unwrap();
+        let turned = Effect::new(EffectKind::MovedWall, vec![-2.5 * turn.tan(), turn], stretch).unwrap();
         let drive = record_library(&NOMINAL, &TRUTH, &[turned], Regime::default(), 3).unwrap();
         (Recorded::new(&drive, 300, 72, |_| true).unwrap(), turn)
     }
@@ -225,7 +229,7 @@ mod tests {
     /// A wall that has moved by 15 cm, to where clutter can stand for all of a drive and does.
     #[test]
     fn a_wall_that_moved_is_named_among_clutter_that_stays() {
-        let stretch = vec![[DVec2::new(5.5, 4.0), DVec2::new(0.5, 4.0)]];
+        let stretch = vec![[DVec2::new(0.5, 4.0), DVec2::new(5.5, 4.0)]];
         let moved = Effect::new(EffectKind::MovedWall, vec![-0.15, 0.0], stretch).unwrap();
         let regime = Regime { persistent_blocks: true, pose_error: None };
         let drive = record_library(&NOMINAL, &TRUTH, &[moved], regime, 3).unwrap();
@@ -236,5 +240,30 @@ mod tests {
         assert_eq!(first.name, EffectKind::MovedWall, "{:?} {:?}", outcome.rivals, outcome.detection);
         let distance = first.params["distance_m"].estimate.value;
         assert!((distance + 0.15).abs() < 0.005, "{distance}");
+    }
+
+    /// A thin partition that has moved is nearer for a robot on one side and farther for one on the other. Clutter that stays could be before it, and
+    /// never behind.
+    #[test]
+    fn a_partition_that_moved_is_named_from_both_sides() {
+        let path = RobotPath::Waypoints {
+            points_m: vec![[3.0, 1.6], [4.2, 1.5], [4.2, 2.8], [5.6, 2.8], [5.5, 0.6], [4.2, 0.5]],
+            speed_m_s: 0.4,
+            turn_rate_rad_s: 0.8,
+        };
+        let robot = Robot { path, start_jitter_m: 0.0, odometry_noise: NOMINAL.odometry };
+        let simulator = Regime::default().simulator(&NOMINAL, &NOMINAL.effects).unwrap();
+        let around = simulate_drive(&simulator, &robot, SEED).unwrap().drive.reference().unwrap();
+        let screen = vec![[DVec2::new(5.0, 1.0), DVec2::new(5.0, 2.0)]];
+        let moved = Effect::new(EffectKind::MovedWall, vec![0.15, 0.0], screen).unwrap();
+        let regime = Regime { persistent_blocks: true, pose_error: None };
+        let drive = record_library(&NOMINAL, &around, &[moved], regime, 3).unwrap();
+        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
+        let outcome = find(&NOMINAL, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
+        let [named] = &outcome.effects[..] else { panic!("{:?}", outcome.effects) };
+        let [a, b] = named.place[0].map(DVec2::from);
+        let west = named.params["distance_m"].estimate.value * (b - a).y.signum();
+        assert!(named.name == EffectKind::MovedWall && (west - 0.15).abs() < 0.01, "{named:?}");
     }
 }

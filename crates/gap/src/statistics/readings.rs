@@ -120,7 +120,12 @@ impl Reading<'_> {
         Density::contamination(&self.terms, other)
     }
 
-    /// Derivative of the log density by a displacement of the wall along its normal \[1/m\].
+    /// The side of its wall that it is seen from, 1 or -1. Walls that are parallel have the same.
+    pub fn side(&self) -> f64 {
+        side_of(-self.beam.view.normal)
+    }
+
+    /// Derivative of the log density by a displacement of the wall away from the laser, along its normal \[1/m\].
     pub fn wall_shift_score(&self) -> f64 {
         let Terms { hit, error, sigma, .. } = self.terms;
         if sigma.is_infinite() {
@@ -128,6 +133,11 @@ impl Reading<'_> {
         }
         hit * error / sigma.powi(2) / self.beam.view.incidence.cos().max(LEAST_COSINE)
     }
+}
+
+/// Of the two normals of a wall one is at less than 90 degrees to a direction, which few walls are parallel to.
+pub(super) fn side_of(normal: DVec2) -> f64 {
+    normal.dot(DVec2::new(0.8, 0.6)).signum()
 }
 
 /// Beams more grazing than 80 degrees count as that (cosine): their ends move far with a wall that moves little.

@@ -5,7 +5,7 @@ use glam::DVec2;
 use locsim_core::{Line, Stretches, lines_through};
 use locsim_world::effect::{self, EffectKind};
 
-use super::readings::Reading;
+use super::readings::{Reading, side_of};
 use super::survey::Survey;
 use super::wall_cells::{WallCells, wall_cell};
 use super::{Family, Found, Halves, Readings, Start, Statistic, typical_values};
@@ -32,12 +32,13 @@ impl Family for WallShift {
     }
 
     fn measure(&self, log: &Readings<'_>) -> Vec<Halves> {
-        self.walls.sums(log, |reading, _| reading.wall_shift_score())
+        // One that has moved is farther for beams from one side and nearer for those from the other.
+        self.walls.sums(log, |reading, _| reading.side() * reading.wall_shift_score())
     }
 
     fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
-        let evidence = |reading: &Reading<'_>| {
-            let score = reading.wall_shift_score();
+        let evidence = |reading: &Reading<'_>, away: f64| {
+            let score = away * reading.wall_shift_score();
             [score, score * score]
         };
         wall_guesses(self.kind, &self.walls, log, found, evidence, |[score, information], z| {
@@ -102,7 +103,7 @@ impl Family for WallLoss {
 
     fn first_guesses(&self, log: &Readings<'_>, found: &[Found<'_>]) -> Vec<Start> {
         let max = log.max_range();
-        let evidence = |reading: &Reading<'_>| {
+        let evidence = |reading: &Reading<'_>, _: f64| {
             let ratio = loss_ratio(reading, max);
             // The gain itself: sums of few events aren't normal.
             LOSS_SHARES.map(|share| (share * ratio).ln_1p())
@@ -132,20 +133,22 @@ const MOST_WALLS: usize = 3;
 
 /// Starts at the stretches of wall that say most, on the walls through the cells that are farthest off.
 ///
-/// `evidence` is what a reading says, in numbers that add up over readings. By their sum over a stretch and the statistic's z,
-/// `judge` gives the gain in nats and the strength.
+/// `evidence` is what a reading says, in numbers that add up over readings, and 1 for a beam from the wall's right, to whose left it is farther, or -1.
+/// By their sum over a stretch and the statistic's z, `judge` gives the gain in nats and the strength.
 pub(super) fn wall_guesses<const N: usize>(
     kind: EffectKind,
     walls: &WallCells,
     log: &Readings<'_>,
     found: &[Found<'_>],
-    evidence: impl Fn(&Reading<'_>) -> [f64; N],
+    evidence: impl Fn(&Reading<'_>, f64) -> [f64; N],
     judge: impl Fn([f64; N], f64) -> (f64, f64),
 ) -> Vec<Start> {
     let stretches = lines_off(walls, log, found).filter_map(|(z, lines)| {
         lines
             .into_iter()
-            .filter_map(|line| best_stretch(log, line, &evidence, |sum| judge(sum, z)))
+            .filter_map(|line| {
+                best_stretch(log, line, &evidence, |sum| judge(sum, z * side_of(line.along.perp())))
+            })
             .max_by(|a, b| a.gain.total_cmp(&b.gain))
     });
     let starts = stretches.take(MOST_STRETCHES).flat_map(|Stretch { strength, ends, .. }| {
@@ -157,7 +160,7 @@ pub(super) fn wall_guesses<const N: usize>(
     starts.collect()
 }
 
-/// The walls through the cells that are farthest off, with the statistic's z; each cell once.
+/// The walls through the cells that are farthest off, with the statistic's z; each cell once, and each wall with most of its beams from its right.
 pub(super) fn lines_off<'s>(
     walls: &'s WallCells,
     log: &'s Readings<'_>,
@@ -172,9 +175,13 @@ pub(super) fn lines_off<'s>(
         }
         let beams = log.comparison.views.beams.iter().filter(|beam| beam.view.range < max);
         let ends = beams.map(|beam| beam.view.endpoint).filter(|end| cells.contains(&wall_cell(*end)));
-        let lines = lines_through(ends.collect(), MOST_WALLS, ON_LINE_M);
+        let lines = lines_through(ends.collect(), MOST_WALLS, ON_LINE_M).into_iter().map(|line| {
+            let views = log.all.iter().map(|reading| &reading.beam.view);
+            let of_wall = views.filter(|view| line.distance(view.endpoint) <= NEAR_LINE_M);
+            line.seen_from_its_right(of_wall.map(|view| view.direction))
+        });
         used.extend(cells);
-        Some((z, lines))
+        Some((z, lines.collect()))
     })
 }
 
@@ -190,7 +197,7 @@ struct Stretch {
 fn best_stretch<const N: usize>(
     log: &Readings<'_>,
     line: Line,
-    evidence: impl Fn(&Reading<'_>) -> [f64; N],
+    evidence: impl Fn(&Reading<'_>, f64) -> [f64; N],
     judge: impl Fn([f64; N]) -> (f64, f64),
 ) -> Option<Stretch> {
     let mut stretches = Stretches::new((2.0 * STRETCH_REACH_M / STRETCH_BIN_M) as usize);
@@ -198,7 +205,7 @@ fn best_stretch<const N: usize>(
         let end = reading.beam.view.endpoint;
         let bin = (line.along.dot(end - line.point) + STRETCH_REACH_M) / STRETCH_BIN_M;
         if line.distance(end) <= NEAR_LINE_M && bin >= 0.0 {
-            stretches.add(bin as usize, evidence(reading));
+            stretches.add(bin as usize, evidence(reading, line.away(reading.beam.view.direction)));
         }
     }
     let [least, gap] =
@@ -253,7 +260,7 @@ mod tests {
             let gaps =
                 || along.windows(2).filter(|pair| pair[1] - pair[0] > STRETCH_GAP_M + 2.0 * STRETCH_BIN_M);
             with_gap += usize::from(gaps().next().is_some());
-            let Some(found) = best_stretch(&log, line, |_| [1.0], |[sum]| (sum, 1.0)) else { continue };
+            let Some(found) = best_stretch(&log, line, |_, _| [1.0], |[sum]| (sum, 1.0)) else { continue };
             let [from, to] = found.ends.map(|end| line.along.dot(end - line.point));
             assert!(!gaps().any(|pair| pair[0] >= from && pair[1] <= to), "{from} to {to}");
         }

@@ -30,6 +30,8 @@ pub struct BeamView {
     pub endpoint: DVec2,
     /// Direction of the nominal ray in the map frame, of length 1.
     pub direction: DVec2,
+    /// Normal of the wall that the nominal ray meets, to the laser's side, of length 1; zero where there is none.
+    pub normal: DVec2,
     /// Nominal ranges of this beam and of the neighbour that it differs from most, the nearer first \[m\]; `None` if
     /// neither differs by more than [`JUMP_M`]. Also see [`jump_at`].
     pub jump: Option<[f64; 2]>,

@@ -187,6 +187,14 @@ impl Experiment {
         Self::OtherViewpoints,
     ];
 
+    /// A drive that tells effects apart which look alike on a log: the first one in which two of them differ, as a sentence; `None` of one effect.
+    pub fn telling_apart(set: &[EffectKind]) -> Option<&'static str> {
+        let differ =
+            |of: &Self| set.iter().filter(|kind| kind.description().experiments.contains(of)).count() >= 2;
+        (set.len() >= 2)
+            .then(|| Self::ALL.into_iter().find(differ).unwrap_or(Self::OtherViewpoints).sentence())
+    }
+
     /// An experiment, and the result that tells the effect from its rivals.
     pub fn sentence(self) -> &'static str {
         match self {

@@ -148,6 +148,11 @@ impl EffectKind {
         !statistics.is_empty() && statistics.iter().all(is_spread)
     }
 
+    /// Whether it is noise that a few readings have.
+    pub fn is_tail(self) -> bool {
+        self.scores().any(|score| matches!(score, Score::Tail))
+    }
+
     /// Whether it does nothing but shift readings.
     pub fn is_bias(self) -> bool {
         let is_shift = |s: &Statistic| matches!(s, Statistic::Score { score: Score::Location, .. });

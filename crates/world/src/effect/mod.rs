@@ -137,7 +137,7 @@ impl Effect {
     }
 
     /// The stretch of wall that a point of the map \[m\] is on.
-    fn stretch_at(&self, point: DVec2) -> Option<&[DVec2; 2]> {
+    pub fn stretch_at(&self, point: DVec2) -> Option<&[DVec2; 2]> {
         self.place.iter().find(|stretch| distance_to(stretch, point) <= PLACE_REACH_M)
     }
 

@@ -265,6 +265,7 @@ mod tests {
             incidence: 0.7,
             endpoint: DVec2::new(2.5, 1.5),
             direction: DVec2::X,
+            normal: DVec2::ZERO,
             jump: None,
             behind: None,
         }

@@ -111,6 +111,7 @@ fn beams() -> [(BeamView, HitKind, f64); 5] {
         incidence,
         endpoint: DVec2::new(3.0, 0.05),
         direction: DVec2::Y,
+        normal: DVec2::ZERO,
         jump,
         behind,
     };
@@ -377,7 +378,7 @@ fn effects_of_walls_leave_blocks_alone_and_effects_of_a_place_other_walls() {
     );
 }
 
-/// A wall of 4 m whose middle is 10 cm farther and that is turned by 0.05, away at its second end: where a ray meets that wall.
+/// A wall of 4 m whose middle is 10 cm to the left and that is turned by 0.05: where a ray from either side meets that wall.
 #[test]
 fn a_turned_wall_is_met_where_it_stands() {
     let ends = [DVec2::new(1.0, 2.0), DVec2::new(5.0, 2.0)];
@@ -385,18 +386,20 @@ fn a_turned_wall_is_met_where_it_stands() {
     let turned = Effects::new(vec![turned]).unwrap();
     let along = DVec2::from_angle(0.05);
     for (x, slant) in [(1.1, 0.0), (3.0, 0.0), (4.9, 0.0), (1.5, 1.0), (4.5, 1.0), (4.5, -1.0), (2.0, -1.3)] {
-        let direction = DVec2::Y.rotate(DVec2::from_angle(-slant));
-        let range = 2.0 / direction.y;
-        let origin = DVec2::new(x, 2.0) - range * direction;
-        let view = BeamView {
-            endpoint: DVec2::new(x, 2.0),
-            incidence: slant.abs(),
-            range,
-            direction,
-            ..beams()[1].0
-        };
-        let met = (DVec2::new(3.0, 2.1) - origin).perp_dot(along) / direction.perp_dot(along);
-        assert!((turned.wall_range(&view) - met).abs() < 1e-9, "{x} {slant}");
+        for up in [DVec2::Y, DVec2::NEG_Y] {
+            let direction = up.rotate(DVec2::from_angle(-slant));
+            let range = 2.0 / direction.y.abs();
+            let origin = DVec2::new(x, 2.0) - range * direction;
+            let view = BeamView {
+                endpoint: DVec2::new(x, 2.0),
+                incidence: slant.abs(),
+                range,
+                direction,
+                ..beams()[1].0
+            };
+            let met = (DVec2::new(3.0, 2.1) - origin).perp_dot(along) / direction.perp_dot(along);
+            assert!((turned.wall_range(&view) - met).abs() < 1e-9, "{x} {slant}");
+        }
     }
     let beside = BeamView { endpoint: DVec2::new(5.2, 2.0), ..beams()[1].0 };
     assert_eq!(turned.wall_range(&beside), beside.range);

@@ -75,7 +75,7 @@ impl EffectType for MovedWall {
                         .prior(Prior::Normal { sd: TURN_SD_RAD }),
                 ],
                 has_place: true,
-                formula: "r + distance_m / cos(alpha), alpha at most 80 deg, at the place; positive: farther; turned by turn_rad about its middle, its second end farther",
+                formula: "r + distance_m / cos(alpha) seen from the right of the line from its first end to its second, r - distance_m / cos(alpha) from the left; alpha at most 80 deg; turned by turn_rad about its middle",
                 sentence: "A stretch of wall stands elsewhere than in the map.",
                 sides: Some([
                     "A stretch of wall stands nearer than in the map.",
@@ -95,13 +95,15 @@ impl EffectType for MovedWall {
     fn wall_range(&self, effect: &Effect, view: &BeamView, range: f64) -> f64 {
         let [distance_m, turn] = effect.numbers();
         let Some([a, b]) = effect.stretch_at(view.endpoint) else { return range };
+        let along = (b - a).normalize();
+        let away = along.perp_dot(view.direction).signum();
         let cos = view.incidence.min(MAX_INCIDENCE_RAD).cos();
         if turn == 0.0 {
-            return range + distance_m / cos;
+            return range + away * distance_m / cos;
         }
-        let (along, slope) = ((b - a).normalize(), turn.tan());
+        let slope = turn.tan();
         let s = along.dot(view.endpoint - a.midpoint(*b));
-        let closing = (cos - slope * along.dot(view.direction)).max(LEAST_CLOSING * cos);
-        range + (distance_m + slope * s) / closing
+        let closing = (cos - away * slope * along.dot(view.direction)).max(LEAST_CLOSING * cos);
+        range + away * (distance_m + slope * s) / closing
     }
 }

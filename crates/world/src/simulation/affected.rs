@@ -130,6 +130,7 @@ fn views(simulator: &Simulator, pose: &Pose2) -> Vec<BeamView> {
             incidence: hit.map_or(0.0, |hit| hit.incidence),
             endpoint: origin + nominal[i] * direction,
             direction,
+            normal: DVec2::ZERO,
             jump: jump_at(&nominal, i, true),
             behind: None,
         }

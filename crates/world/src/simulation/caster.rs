@@ -115,21 +115,33 @@ impl<'a> BeamCaster<'a> {
     fn cast_one(&self, &Ray { beam, secs, origin, direction, .. }: &Ray) -> CastBeam {
         let [reach, max] = [self.laser.cast_range(), self.laser.max_range()].map(f64::from);
         let hit = self.map.cast_segment(origin, direction, reach);
-        let (range, incidence, mut surface) = hit.map_or((reach, 0.0, Surface::None), |(segment, range)| {
-            let hit = self.map.hit((segment, range), direction.to_angle());
-            (range, hit.incidence, Surface::Wall(segment))
-        });
-        let behind = if self.effects.needs().behind {
-            self.map.cast_behind(origin, direction, range, max)
-        } else {
-            None
+        let mut view = BeamView {
+            secs,
+            bearing: f64::from(self.laser.bearings()[beam]),
+            range: reach,
+            incidence: 0.0,
+            endpoint: origin + reach * direction,
+            direction,
+            normal: DVec2::ZERO,
+            jump: None,
+            behind: None,
         };
-        let bearing = f64::from(self.laser.bearings()[beam]);
-        let endpoint = origin + range * direction;
-        let mut view = BeamView { secs, bearing, range, incidence, endpoint, direction, jump: None, behind };
+        let mut surface = Surface::None;
+        if let Some((segment, range)) = hit {
+            let [a, b] = self.map.geometry().segments()[segment];
+            let normal = (b - a).perp().normalize_or_zero();
+            view.range = range;
+            view.incidence = self.map.hit((segment, range), direction.to_angle()).incidence;
+            view.endpoint = origin + range * direction;
+            view.normal = -normal * normal.dot(direction).signum();
+            surface = Surface::Wall(segment);
+        }
+        if self.effects.needs().behind {
+            view.behind = self.map.cast_behind(origin, direction, view.range, max);
+        }
         let mut range = self.effects.wall_range(&view);
         if let (Some(moved), Surface::Wall(segment)) = (self.moved, surface) {
-            range = (range + moved.change(segment, endpoint, incidence)).max(0.0);
+            range = (range + moved.change(segment, view.endpoint, view.incidence)).max(0.0);
         }
         for (number, object) in self.effects.objects().iter().enumerate() {
             if let Some(nearer) = object.first_hit(origin, direction, range) {

@@ -336,6 +336,7 @@ mod tests {
             incidence: 0.2,
             endpoint,
             direction: DVec2::X,
+            normal: DVec2::ZERO,
             jump: None,
             behind: None,
         };

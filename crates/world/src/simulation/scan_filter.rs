@@ -242,6 +242,7 @@ impl ScanFilter {
             incidence: 0.0,
             endpoint: DVec2::ZERO,
             direction: DVec2::X,
+            normal: DVec2::ZERO,
             jump: None,
             behind: None,
         };
