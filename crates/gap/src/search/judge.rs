@@ -125,7 +125,8 @@ impl<'a> State<'a> {
         let is_right = |effect: &Effect| acts_on(effect, leading, &judgement.covariates, &survey);
         // A tail is noise of every beam as well. One that gains less than a factor on the noise is no tail.
         let is_noise = (leading.deviation, leading.covariate) == (Deviation::Spread, Covariate::Everywhere);
-        let is_no_tail = |of: &Candidate| is_noise && of.kind().is_tail() && leading.beats(of);
+        let is_tail = |of: &Candidate| of.kind().scores().any(|score| matches!(score, effect::Score::Tail));
+        let is_no_tail = |of: &Candidate| is_noise && is_tail(of) && leading.beats(of);
         let is_enough = |best: usize| {
             let candidate = &candidates[best];
             let gain: f64 = candidate.fitted_gains.iter().sum();

@@ -72,9 +72,9 @@ pub const LEAST_GAIN_NATS: f64 = 2.0;
 
 /// Whether a candidate surely gains: by more than a standard error, or by half of one where its own statistics are
 /// significant. One standard error is little, because the replicates have already said that something is off; the gain of a
-/// few rare events never exceeds its standard error by much.
+/// few rare events never exceeds its standard error by much. A noise is no rare event: what only a few stretches have is something else.
 pub fn is_sure(candidate: &Candidate) -> bool {
-    let errors = if candidate.is_beyond_chance { 0.5 } else { 1.0 };
+    let errors = if candidate.is_beyond_chance && !candidate.kind().is_noise() { 0.5 } else { 1.0 };
     candidate.gain() > LEAST_GAIN_NATS && candidate.gain() - errors * candidate.gain_error() > 0.0
 }
 

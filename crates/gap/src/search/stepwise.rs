@@ -37,8 +37,6 @@ const LEFT_BY_FORM_SHARE: f64 = 0.25;
 const LEFT_TO_ANY_SHARE: f64 = 2e-3;
 /// What gains less than this share may be by chance, unless its interval doesn't hold 0.
 const FAINT_SHARE: f64 = 0.05;
-/// What is said of a pane behind which the map has nothing.
-const OFF_MAP: &str = "Behind the pane the map has nothing, so simulated beams that it lets through end anywhere. Ranges come nearer once the map has what stands there.";
 /// So many walls don't move alike by chance.
 const MANY_WALLS: usize = 3;
 
@@ -277,7 +275,6 @@ impl<'a> State<'a> {
         };
         // Where beams end that a wall lets through to what the map doesn't have, no simulation knows.
         if path.named.iter().any(|named| leads_off_map(path.last(), &named.effect)) {
-            path.note.get_or_insert(OFF_MAP.into());
             return Ok(());
         }
         while let Some(last) = last_of_ranges(&path.named) {
@@ -387,11 +384,10 @@ fn is_moved_wall(named: &Named) -> bool {
 
 /// Whether an effect lets beams through a wall behind which the map has nothing for most of them.
 fn leads_off_map(round: &Round<'_>, effect: &Effect) -> bool {
-    let mut statistics = effect.kind.description().statistics.iter();
     let at_wall =
         round.comparison.views.beams.iter().filter(|beam| effect.stretch_at(beam.view.endpoint).is_some());
     let behind = at_wall.map(|beam| if beam.view.behind.is_some() { -1 } else { 1 });
-    statistics.any(|statistic| matches!(statistic, Statistic::WallLoss)) && behind.sum::<i32>() > 0
+    effect.kind.lets_beams_through() && behind.sum::<i32>() > 0
 }
 
 /// How far a wall has moved \[m\].

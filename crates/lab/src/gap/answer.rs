@@ -148,12 +148,13 @@ fn gap(outcome: &Outcome) -> String {
         gap.before.w1_mm,
         gap.after.w1_mm,
         gap.floor.w1_mm,
-        disagreement(&outcome.gap)
+        disagreement(outcome)
     )
 }
 
 /// An explanation where log score and ranges disagree, with a leading blank; empty where they agree.
-pub(super) fn disagreement(gap: &Gap) -> String {
+pub(super) fn disagreement(outcome: &Outcome) -> String {
+    let gap = &outcome.gap;
     let share = gap.gained_share.value;
     let percent = fixed(100.0 * share, 0);
     match gap.closed_in_ranges {
@@ -168,8 +169,13 @@ pub(super) fn disagreement(gap: &Gap) -> String {
         Some(ranges) if ranges >= share => String::new(),
         Some(ranges) if ranges <= 0.0 => format!(
             " The two disagree, and the gap counts as open: the log score gains {percent} % of what can be gained, but \
-             the simulated ranges are no nearer to the measured ones. Something else is missing, or the effect has \
-             another form."
+             the simulated ranges are no nearer to the measured ones. {}",
+            if outcome.effects.iter().any(|named| named.name.lets_beams_through()) {
+                "Where the map has nothing behind a wall that lets beams through, simulated ones end anywhere: ranges \
+                 come nearer once the map has what stands there."
+            } else {
+                "Something else is missing, or the effect has another form."
+            }
         ),
         Some(ranges) => format!(
             " The smaller share counts: the log score gains {percent} % of what can be gained, the simulated ranges \

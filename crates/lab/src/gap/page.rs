@@ -125,7 +125,7 @@ fn markdown(
         rivals_table => (!outcome.rivals.is_empty()).then(|| rivals_table(outcome).to_markdown()),
         gap_table => gap_table(outcome).to_markdown(),
         closed => answer::closed(&outcome.gap),
-        disagreement => answer::disagreement(&outcome.gap),
+        disagreement => answer::disagreement(outcome),
         false_alarm => significant(super::false_alarm(outcome.detection.replicates)),
         filter_table => filter_table(outcome).map(|table| table.to_markdown()),
         detectable_table => detectable_table(outcome).to_markdown(),

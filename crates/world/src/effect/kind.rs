@@ -148,9 +148,9 @@ impl EffectKind {
         !statistics.is_empty() && statistics.iter().all(is_spread)
     }
 
-    /// Whether it is noise that a few readings have.
-    pub fn is_tail(self) -> bool {
-        self.scores().any(|score| matches!(score, Score::Tail))
+    /// Whether some beams go on behind the walls that it acts on.
+    pub fn lets_beams_through(self) -> bool {
+        self.description().statistics.iter().any(|statistic| matches!(statistic, Statistic::WallLoss))
     }
 
     /// Whether it does nothing but shift readings.
