@@ -187,7 +187,7 @@ fn a_laser_that_is_displaced_by_less_than_stretches_differ_has_no_name() {
 /// A wall that stands half a metre nearer, farther than any distance that is tried everywhere.
 #[test]
 fn a_wall_that_moved_far_is_named() {
-    let wall = vec![[glam::DVec2::new(6.0, 1.0), glam::DVec2::new(6.0, 3.2)]];
+    let wall = vec![[glam::DVec2::new(6.0, 3.2), glam::DVec2::new(6.0, 1.0)]];
     let moved = Effect::new(E::MovedWall, vec![-0.5, 0.0], wall).unwrap();
     let drive = record_library(&NOMINAL, &TRUTH, &[moved], Regime::default(), 2).unwrap();
     let today = Recorded::new(&drive, 400, 36, |_| true).unwrap();

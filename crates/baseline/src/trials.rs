@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec2;
-use locsim_core::{cell_at, median};
+use locsim_core::{Line, cell_at, median};
 use locsim_gap::{GapError, OBJECT_CELL_M, WALL_CELL_M, values_along};
 use locsim_world::effect::{
     Direction, Disc, Effect, EffectKind, JUMP_M, Moves, PLACE_REACH_M, Parameter, Statistic,
@@ -189,7 +189,7 @@ pub(super) fn trials(
     }
     list.extend(objects(pool).into_iter().map(|effect| (effect, None)));
     for (place, among) in walls(pool) {
-        let of_logs = [0, 1].map(|log| displacement(pool, &among, log));
+        let of_logs = [0, 1].map(|log| displacement(pool, &place, &among, log));
         let far = of_logs.into_iter().flatten().filter(|distance| distance.abs() > DISPLACED_M[2]);
         let displaced = DISPLACED_M.into_iter().chain(far).map(|distance| (EffectKind::MovedWall, distance));
         for (kind, value) in displaced.chain([(EffectKind::Glass, LET_THROUGH)]) {
@@ -321,7 +321,7 @@ fn objects(pool: &Pool<'_>) -> Vec<Effect> {
     discs.filter_map(|values| Effect::new(EffectKind::MissingObject, values, Vec::new()).ok()).collect()
 }
 
-/// Stretches of wall, with the readings of beams that end there.
+/// Stretches of wall, with the readings of beams that end there, most of which come from the right.
 fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
     let mut cells: BTreeMap<[i32; 2], Vec<u32>> = BTreeMap::new();
     for (index, reading) in pool.readings.iter().enumerate() {
@@ -334,9 +334,10 @@ fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
     let mut stretches: Vec<([DVec2; 2], Vec<u32>)> = cells
         .into_values()
         .filter_map(|among| {
-            let ends: Vec<DVec2> =
-                among.iter().map(|&index| pool.beam(&pool.readings[index as usize]).view.endpoint).collect();
-            let place = line_through(&ends)?;
+            let views = || among.iter().map(|&index| pool.beam(&pool.readings[index as usize]).view);
+            let [a, b] = line_through(&views().map(|view| view.endpoint).collect::<Vec<_>>())?;
+            let from_right: f64 = views().map(|view| line_of(&[a, b]).away(view.direction)).sum();
+            let place = if from_right < 0.0 { [b, a] } else { [a, b] };
             (among.len() >= LEAST_OF_WALL).then_some((place, among))
         })
         .collect();
@@ -348,14 +349,22 @@ fn walls(pool: &Pool<'_>) -> Vec<([DVec2; 2], Vec<u32>)> {
     stretches
 }
 
-/// By how much most readings of a log at a stretch are behind the wall or in front of it \[m\]. Readings of a wall that is far from a trial are
-/// no likelier by it.
-fn displacement(pool: &Pool<'_>, among: &[u32], log: usize) -> Option<f64> {
+fn line_of([a, b]: &[DVec2; 2]) -> Line {
+    Line { point: *a, along: (b - a).normalize() }
+}
+
+/// By how much most readings of a log at a stretch are to the left of the wall \[m\]. Readings of a wall that is far from a trial are no likelier
+/// by it.
+fn displacement(pool: &Pool<'_>, place: &[DVec2; 2], among: &[u32], log: usize) -> Option<f64> {
     let max = pool.nominal.laser.max_range_m as f32;
     let readings = among.iter().map(|&index| &pool.readings[index as usize]);
     let own = readings.filter(|reading| reading.log == log && reading.z < max);
     let mut errors: Vec<f64> = own
-        .map(|reading| f64::from(reading.z - reading.expected.mean) * pool.beam(reading).view.incidence.cos())
+        .map(|reading| {
+            let view = pool.beam(reading).view;
+            let behind = f64::from(reading.z - reading.expected.mean) * view.incidence.cos();
+            line_of(place).away(view.direction) * behind
+        })
         .filter(|error| error.abs() < REACH_M)
         .collect();
     (errors.len() >= LEAST_OF_WALL / 2).then(|| median(&mut errors))

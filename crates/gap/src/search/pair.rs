@@ -51,3 +51,28 @@ impl<'a> State<'a> {
         Ok(None)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use locsim_world::effect::{Effect, EffectKind};
+
+    use crate::fixtures::{NOMINAL, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::{GapOptions, Recorded, find};
+
+    /// A bias of every return and a part of the robot before some beams are one curve over bearing.
+    #[test]
+    fn a_bias_and_a_part_of_the_robot_are_two() {
+        let bias = Effect::new(EffectKind::RangeBias, vec![0.02], Vec::new()).unwrap();
+        let part = Effect::new(EffectKind::SectorOcclusion, vec![2.0, 2.9, 0.3, 1.0], Vec::new()).unwrap();
+        let drive = record_library(&NOMINAL, &TRUTH, &[bias, part], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        let options = GapOptions { replicates: 99, seed: 5, ..GapOptions::default() };
+        let outcome = find(&NOMINAL, &recorded, &options, &(), &AtomicBool::new(false)).unwrap();
+        let mut names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+        names.sort();
+        assert_eq!(names, [EffectKind::RangeBias, EffectKind::SectorOcclusion], "{:?}", outcome.unnamed);
+    }
+}

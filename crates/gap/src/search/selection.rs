@@ -72,10 +72,12 @@ pub const LEAST_GAIN_NATS: f64 = 2.0;
 
 /// Whether a candidate surely gains: by more than a standard error, or by half of one where its own statistics are
 /// significant. One standard error is little, because the replicates have already said that something is off; the gain of a
-/// few rare events never exceeds its standard error by much. A noise is no rare event: what only a few stretches have is something else.
+/// few rare events never exceeds its standard error by much. A noise is no rare event: what one stretch of the drive has, and no other, is something else.
 pub fn is_sure(candidate: &Candidate) -> bool {
-    let errors = if candidate.is_beyond_chance && !candidate.kind().is_noise() { 0.5 } else { 1.0 };
-    candidate.gain() > LEAST_GAIN_NATS && candidate.gain() - errors * candidate.gain_error() > 0.0
+    let (gain, errors) = (candidate.gain(), if candidate.is_beyond_chance { 0.5 } else { 1.0 });
+    let most = candidate.gains.iter().copied().fold(0.0, f64::max);
+    let is_passing = candidate.kind().is_noise() && most > 0.5 * gain;
+    gain > LEAST_GAIN_NATS && gain - errors * candidate.gain_error() > 0.0 && !is_passing
 }
 
 /// The candidate that is named, by index: of those that surely gain the one that gains most. One with fewer parameters is
@@ -215,6 +217,27 @@ pub fn compare_rivals(candidates: &[Candidate], best: &Candidate, round: usize) 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// 60 nats on ten stretches, of which one has 9 or 40.
+    #[test]
+    fn a_noise_of_one_stretch_is_none() {
+        let is_sure_of = |kind: EffectKind, best: f64| {
+            let rest = (60.0 - best) / 9.0;
+            let gains: Vec<f64> = std::iter::once(best).chain([rest; 9]).collect();
+            is_sure(&Candidate {
+                effect: Effect::typical(kind, Vec::new()),
+                fitted_gains: gains.clone(),
+                gains,
+                intervals: Vec::new(),
+                is_beyond_chance: true,
+                score: None,
+            })
+        };
+        for noise in [EffectKind::RangeNoise, EffectKind::IncidenceNoise, EffectKind::HeavyTail] {
+            assert!(is_sure_of(noise, 9.0) && !is_sure_of(noise, 40.0));
+        }
+        assert!(is_sure_of(EffectKind::WarmupDrift, 40.0));
+    }
 
     /// A drift that dies away in 2000 s gains 8 nats more than a bias, with a standard error of 7: the bias has its name. Where it surely gains
     /// more, the drift has.

@@ -257,7 +257,7 @@ fn a_missing_object_is_a_wall_of_its_own() {
         Effect::new(
             EffectKind::MovedWall,
             vec![1.0, 0.0],
-            vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]],
+            vec![[DVec2::new(6.0, 4.0), DVec2::new(6.0, 0.0)]],
         )
         .unwrap(),
     ];

@@ -438,7 +438,7 @@ mod tests {
     #[test]
     fn clutter_stands_in_front_of_where_the_wall_is() {
         let beam = beam();
-        let place = vec![[DVec2::new(6.0, 0.0), DVec2::new(6.0, 4.0)]];
+        let place = vec![[DVec2::new(6.0, 4.0), DVec2::new(6.0, 0.0)]];
         let clear = |offset: f64| {
             let moved = Effect::new(EffectKind::MovedWall, vec![offset, 0.0], place.clone()).unwrap();
             let effects = Effects::new(vec![moved]).unwrap();

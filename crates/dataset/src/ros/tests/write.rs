@@ -7,8 +7,9 @@ proptest! {
     #[test]
     fn a_written_drive_reads_back(mut drive in drive(), known in any::<bool>()) {
         // Between two known references a reader interpolates: all or none.
-        // A robot drives a metre or so, and a reference isn't the same at all times.
+        // A robot drives a metre or so, a reference isn't the same at all times, and a sweep of 40 beams in 40 ms is over before the next one.
         for (step, i) in drive.steps.iter_mut().zip(0_u32..) {
+            step.stamp_secs += 0.05 * f64::from(i);
             step.odometry = Pose2::new(1e-4 * step.odometry.x, 1e-4 * step.odometry.y, step.odometry.theta);
             step.reference = known.then(|| Pose2::new(1.0 + 0.01 * f64::from(i), -2.0, 3.0));
         }
