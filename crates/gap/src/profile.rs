@@ -63,12 +63,11 @@ struct Source<'a> {
 impl Source<'_> {
     fn profile(&self, named: &Named, before: &[Recorded], after: &[Recorded]) -> Profile {
         let (quantity, over) = shown_by(named.name, self.comparison.nominal.laser.max_range_m);
-        let bins = match over {
-            Over::Error => self.error_bins(named),
-            _ => {
-                let bins = equal_bins(self.items(quantity, over), BINS, LEAST).into_iter();
-                bins.map(|(at, items)| Bin { at, items, interval: None }).collect()
-            }
+        let bins = if over == Over::Error {
+            self.error_bins(named)
+        } else {
+            let bins = equal_bins(self.items(quantity, over), BINS, LEAST).into_iter();
+            bins.map(|(at, items)| Bin { at, items, interval: None }).collect()
         };
         let bins = bins.into_iter().map(|Bin { at, items, interval }| {
             let value = |log: &Recorded| match interval {
