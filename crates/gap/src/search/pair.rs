@@ -61,7 +61,7 @@ mod tests {
     use crate::hidden::{Regime, record_library};
     use crate::{GapOptions, Recorded, find};
 
-    /// A bias of every return and a part of the robot before some beams are one curve over bearing.
+    /// A bias of every return and a part of the robot before some beams may be one curve over bearing. In this room each also gains enough by itself.
     #[test]
     fn a_bias_and_a_part_of_the_robot_are_two() {
         let bias = Effect::new(EffectKind::RangeBias, vec![0.025], Vec::new()).unwrap();
