@@ -144,6 +144,8 @@ def stretch_beside(part, rng):
     half = 0.5 * STRETCH_M
     middles = [min(max(x, a + half), b - half) for a, b, at in WALLS if at == y]
     middle = min(middles, key=lambda middle: abs(middle - x))
+    # The robot is on the right of the line from the first end to the second, so that a positive distance is farther for it.
+    half = half if y > 0 else -half
     return {"from_m": [round(middle - half, 3), y], "to_m": [round(middle + half, 3), y]}
 
 
