@@ -60,6 +60,6 @@ pub use pose_error::{
 pub use quantile::{equal_bins, median, quantile, sorted};
 pub use resampled::resampled;
 pub use shard::Shard;
-pub use stretches::Stretches;
+pub use stretches::{Stretch, Stretches};
 pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

@@ -94,6 +94,8 @@ pub struct TurnedFrame {
     pub center: DVec2,
     /// The shift \[m\].
     pub shift: DVec2,
+    /// Standard error of the shift along each axis, of errors that are as large and last as long as the process says \[m\].
+    pub shift_error_m: f64,
     /// The turn \[rad\], positive counter-clockwise.
     pub turn: f64,
     /// Information of the turn \[1/rad^2\].
@@ -102,6 +104,17 @@ pub struct TurnedFrame {
     pub share: f64,
     /// Share that the turn makes of what the shift leaves.
     pub share_of_turn: f64,
+    /// Share that the shift makes of what the turn leaves.
+    pub share_of_shift: f64,
+}
+
+impl TurnedFrame {
+    /// A pose of the turned frame, turned and shifted.
+    pub fn put_right(&self, pose: &Pose2) -> Pose2 {
+        let arm = pose.position() - self.center;
+        let position = self.center + self.shift + DVec2::from_angle(self.turn).rotate(arm);
+        Pose2::new(position.x, position.y, pose.theta + self.turn)
+    }
 }
 
 impl PoseError {
@@ -119,15 +132,18 @@ impl PoseError {
             all += of_position * c.truncate().length_squared() + of_heading * c.z * c.z;
         }
         let turn = turned / information;
+        let secs = track.secs().last().unwrap_or(&0.0) - track.secs().first().unwrap_or(&0.0);
         let (by_turn, by_shift) = (turn * turned, of_position * count * shift.length_squared());
         let share = |part: f64, of: f64| if of > 0.0 { part / of } else { 0.0 };
         TurnedFrame {
             center,
             shift,
+            shift_error_m: self.sigma_m * self.variance_of_mean(secs / count, track.len()).sqrt(),
             turn,
             information,
             share: share(by_turn + by_shift, all),
             share_of_turn: share(by_turn, all - by_shift),
+            share_of_shift: share(by_shift, all - by_turn),
         }
     }
 }

@@ -38,7 +38,8 @@ impl Moments {
         self
     }
 
-    fn mean(&self) -> f64 {
+    /// The mean.
+    pub fn mean(&self) -> f64 {
         self.about + self.sums[0] / self.count
     }
 
@@ -76,6 +77,17 @@ impl Moments {
         let ratio = (1.0 + t * skewness.signum() / shape.sqrt()).max(0.0);
         skewness.signum() * 3.0 * shape.sqrt() * (ratio.cbrt() - 1.0 + 1.0 / (9.0 * shape))
     }
+}
+
+/// The mean of a number under its likelihood, by its values at even steps and the log likelihood of each (nats): where nothing is known
+/// before, the best estimate of a location (Pitman 1939).
+pub fn mean_of_likelihood(values: impl Iterator<Item = f64> + Clone, log_likelihoods: &[f64]) -> f64 {
+    let most = log_likelihoods.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let [sum, weights] = values.zip(log_likelihoods).fold([0.0; 2], |[sum, weights], (value, likelihood)| {
+        let weight = (likelihood - most).exp();
+        [sum + weight * value, weights + weight]
+    });
+    sum / weights
 }
 
 #[cfg(test)]
@@ -119,5 +131,12 @@ mod tests {
         assert!((rest.mean() - without.mean()).abs() < 1e-12);
         assert!((rest.variance() - without.variance()).abs() < 1e-12);
         assert!((rest.skewness() - without.skewness()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_mean_of_a_normal_likelihood_is_its_middle() {
+        let values = (-40..=40).map(|i| 0.1 * f64::from(i));
+        let logs: Vec<f64> = values.clone().map(|value| -800.0 - 2.0 * (value - 0.73).powi(2)).collect();
+        assert!((mean_of_likelihood(values, &logs) - 0.73).abs() < 1e-9);
     }
 }

@@ -4,7 +4,7 @@ use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
 use distreg::matrix::{invert, quadratic};
 use distreg::sandwich::half_widths;
-use locsim_core::{Interval, sum_error};
+use locsim_core::{Interval, differences, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
 
 use crate::GapError;
@@ -267,7 +267,7 @@ impl Search<'_, '_> {
         let fitted = self.evaluate(&effect)?;
         let folds = self.comparison.recorded.folds;
         let without = folds.sums(&self.without.scans);
-        let gains: Vec<f64> = folds.sums(&fitted.scans).iter().zip(&without).map(|(a, b)| a - b).collect();
+        let gains = differences(&folds.sums(&fitted.scans), &without);
         let (gains, intervals) = if effect.kind.is_stepped() {
             (gains, vec![Interval::around(effect.values[0], 0.0)])
         } else {

@@ -102,8 +102,8 @@ impl Named {
 /// A dependence that no effect of the library explains.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unnamed {
-    /// The quantity that depends on the covariate: a reading's mean, its spread, a share; the odometry's lag; or the turn of the
-    /// reference's frame.
+    /// The quantity that depends on the covariate: a reading's mean, its spread, a share; the odometry's lag; the turn or the
+    /// shift of the reference's frame.
     pub deviation: Deviation,
     /// On what.
     pub covariate: Covariate,
@@ -112,15 +112,15 @@ pub struct Unnamed {
     pub form_of: Option<EffectKind>,
     /// The evidence for it.
     pub evidence: Evidence,
-    /// Unit of size and curve: metres of the mean, seconds of a lag, radians of a turn; 1 of a share, of the spread's relative change, of the
+    /// Unit of size and curve: metres of the mean and of a shift, seconds of a lag, radians of a turn; 1 of a share, of the spread's relative change, of the
     /// correlation of neighbouring beams.
     pub unit: &'static str,
     /// Amplitude of the wave, where the curve is one, and otherwise the largest value of the curve; the correlation of
-    /// neighbouring beams; the odometry's lag; the turn of the reference's frame.
+    /// neighbouring beams; the odometry's lag; the turn of the reference's frame, or the length of its shift.
     pub size: f64,
     /// The wave that the curve is.
     pub wave: Option<distreg::wave::Wave>,
-    /// The curve with its 95 % band; of a lag or a turn, the number itself.
+    /// The curve with its 95 % band; of a lag or a turn, the number itself; of a shift, those along x and y.
     pub curve: Vec<CurvePoint>,
 }
 
@@ -176,7 +176,7 @@ pub struct Rival {
 pub struct Detection {
     /// By the library's directions.
     pub p_library: f64,
-    /// By the PIT over all cells, and by a lag and a turned frame.
+    /// By the PIT over all cells, and by a lag and a turned or shifted frame.
     pub p_omnibus: f64,
     /// By both together: this decides.
     pub p: f64,

@@ -1,7 +1,7 @@
 //! Where a log is off, and by how much.
 
 use distreg::{empirical_wasserstein_1, false_discovery_rates};
-use locsim_core::normal;
+use locsim_core::{equal_bins, normal};
 use locsim_world::effect::Effect;
 use rand::RngExt;
 use rayon::prelude::*;
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::hypothesis::{Comparison, Fitted};
 use crate::outcome::{BeamPit, PitHistogram, Region};
 use crate::rank::Null;
-use crate::statistics::{Cell, Covariate, Deviation, Dictionary, WALL_CELL_M, pit_draw};
+use crate::statistics::{Cell, Covariate, Dictionary, WALL_CELL_M, pit_draw};
 use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
 
@@ -39,8 +39,8 @@ pub(crate) fn locate(
     let null = before.null;
     // Over all cells, on the first half.
     let mut order: Vec<(usize, &Cell)> = before.dictionary.cells().collect();
-    // A turn is of the log as a whole: there is no other half to certify it on.
-    order.retain(|(_, cell)| cell.deviation != Deviation::Frame);
+    // A frame is of the log as a whole: there is no other half to certify it on.
+    order.retain(|(_, cell)| !cell.deviation.is_of_frame());
     order.sort_by(|(a, _), (b, _)| null.halves[*b][0].abs().total_cmp(&null.halves[*a][0].abs()));
     let p_values: Vec<f64> =
         order.iter().map(|(i, _)| 2.0 * normal::tail(null.halves[*i][0].abs())).collect();
@@ -163,57 +163,45 @@ pub(crate) fn pits(
     Ok(out)
 }
 
+/// Bins of a covariate in which the PIT is counted.
+const PIT_BINS: usize = 5;
+
 /// PIT histograms over a few bins of each covariate that has an order.
 pub(crate) fn histograms(comparison: &Comparison<'_>, pits: &[BeamPit]) -> Vec<PitHistogram> {
-    let views = &comparison.views;
-    let recorded = comparison.recorded;
+    use Covariate as C;
+    let (views, recorded) = (&comparison.views, comparison.recorded);
     let velocities = recorded.velocities();
     let k = views.per_scan;
     let value = |covariate: Covariate, i: usize| match covariate {
-        Covariate::Range => views.beams[i].view.range.min(comparison.nominal.laser.max_range_m),
-        Covariate::Incidence => views.beams[i].view.incidence,
-        Covariate::Bearing => views.beams[i].view.bearing,
-        Covariate::Time => recorded.track.secs()[i / k],
-        Covariate::Speed => velocities[i / k][0].hypot(velocities[i / k][1]),
+        C::Range => views.beams[i].view.range.min(comparison.nominal.laser.max_range_m),
+        C::Incidence => views.beams[i].view.incidence,
+        C::Bearing => views.beams[i].view.bearing,
+        C::Time => recorded.track.secs()[i / k],
+        C::Speed => velocities[i / k][0].hypot(velocities[i / k][1]),
         _ => velocities[i / k][2],
     };
-    [
-        Covariate::Range,
-        Covariate::Incidence,
-        Covariate::Bearing,
-        Covariate::Time,
-        Covariate::Speed,
-        Covariate::TurnRate,
-    ]
-    .into_par_iter()
-    .flat_map_iter(|covariate| {
-        const BINS: usize = 5;
-        let mut order: Vec<(f64, usize)> = (0..pits.len())
-            .filter(|&i| pits[i].before.is_finite() && pits[i].after.is_finite())
-            .map(|i| (value(covariate, i), i))
-            .collect();
-        order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let count = order.len();
-        (0..BINS)
-            .map(move |bin| {
-                let part = &order[bin * count / BINS..(bin + 1) * count / BINS];
+    let covariates = [C::Range, C::Incidence, C::Bearing, C::Time, C::Speed, C::TurnRate].into_par_iter();
+    let of_covariate = |covariate| {
+        let known = (0..pits.len()).filter(|&i| pits[i].before.is_finite() && pits[i].after.is_finite());
+        equal_bins(known.map(|i| (value(covariate, i), i)).collect(), PIT_BINS, 1).into_iter().map(
+            move |(_, part)| {
                 let histogram = |of: &dyn Fn(&BeamPit) -> f32| {
                     let mut shares = [0.0; 10];
-                    for &(_, i) in part {
+                    for &i in &part {
                         shares[((10.0 * of(&pits[i])) as usize).min(9)] += 1.0 / part.len() as f64;
                     }
                     shares
                 };
                 PitHistogram {
                     covariate,
-                    lo: part.first().map_or(0.0, |p| p.0),
-                    hi: part.last().map_or(0.0, |p| p.0),
+                    lo: part.first().map_or(0.0, |&i| value(covariate, i)),
+                    hi: part.last().map_or(0.0, |&i| value(covariate, i)),
                     before: histogram(&|pit| pit.before),
                     after: histogram(&|pit| pit.after),
                     readings: part.len(),
                 }
-            })
-            .collect::<Vec<_>>()
-    })
-    .collect()
+            },
+        )
+    };
+    covariates.flat_map_iter(of_covariate).collect()
 }

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use glam::DVec2;
 use locsim_core::{Draw, Stage, Track, cell_at};
-use locsim_world::effect::Effect;
+use locsim_world::effect::{Effect, Effects};
 use locsim_world::simulation::{BlockOptions, BlockResampling, MovedWalls};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -118,13 +118,15 @@ impl<'a> Replay<'a> {
 /// density is left out; see [`BlockTruth::in_world`].
 pub(crate) fn fit_persistence(
     comparison: &Comparison<'_>,
+    effects: &[Effect],
     fitted: &Fitted,
     seed: u64,
 ) -> Result<BlockTruth, GapError> {
     let Some(blocks) = comparison.nominal.blocks else {
         return Ok(BlockTruth::of(BlockResampling::EachObservation));
     };
-    let shared = |recorded: &Recorded| shared_shorts(&comparison.of(recorded), fitted);
+    let all = comparison.effects(effects)?;
+    let shared = |recorded: &Recorded| shared_shorts(&comparison.of(recorded), &all, fitted);
     let own = shared(comparison.recorded);
     let mut policies = vec![
         BlockTruth::of(BlockResampling::EachObservation),
@@ -142,7 +144,7 @@ pub(crate) fn fit_persistence(
     let distances = policies
         .iter()
         .map(|&policy| {
-            let replay = Replay::new(comparison, &[], fitted, policy);
+            let replay = Replay::new(comparison, effects, fitted, policy);
             let logs = (0..6)
                 .into_par_iter()
                 .map(|i| Ok(shared(&replay.simulate(draw.seed(i))?)))
@@ -179,7 +181,7 @@ impl BlockTruth {
     }
 
     /// In how many scans a block is seen at one place, about.
-    fn stay_scans(&self) -> f64 {
+    pub fn stay_scans(&self) -> f64 {
         let stays = match self.resample {
             BlockResampling::EachObservation => 1,
             BlockResampling::EachScanN(scans) => scans,
@@ -230,9 +232,8 @@ const WALKING_SHARES: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
 const LAGS: [usize; 4] = [1, 4, 16, 64];
 
 /// Share of cells of the map with a short reading in a scan that have one again a given number of scans later.
-fn shared_shorts(comparison: &Comparison<'_>, fitted: &Fitted) -> [f64; LAGS.len()] {
+fn shared_shorts(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted) -> [f64; LAGS.len()] {
     let mut cells = vec![HashSet::new(); comparison.views.scans()];
-    let effects = &comparison.nominal.effects;
     comparison.for_each_reading(&comparison.views, effects, fitted, |scan, i, _, _, z, terms| {
         if terms.short > 0.5 {
             let beam = &comparison.views.beams[i];
@@ -292,7 +293,7 @@ mod tests {
             let log = Replay::new(&comparison, &[], &fitted, truth).simulate(8).unwrap();
             let log = comparison.of(&log);
             let fitted = log.fit_nuisances(&Nuisances::default(), 20);
-            let found = fit_persistence(&log, &fitted, 3).unwrap();
+            let found = fit_persistence(&log, &[], &fitted, 3).unwrap();
             // Of shares about as good the one with more that stays.
             let is_right =
                 if truth.walking == 0.5 { [0.25, 0.5].contains(&found.walking) } else { found == truth };

@@ -10,6 +10,7 @@
 
 use std::sync::Arc;
 
+use distreg::moments::{Moments, mean_of_likelihood};
 use locsim_core::{Draw, Drive, Track};
 use locsim_world::effect::{Effect, Effects, Moves};
 use locsim_world::simulation::{BlockResampling, OdometrySpread};
@@ -167,15 +168,9 @@ impl<'a> Strength<'a> {
             })
             .collect::<Result<Vec<f64>, GapError>>()?;
         let nothing = self.nothing[..logs as usize].par_iter().map(|(log, without)| ratio(log, *without));
-        let nothing = nothing.collect::<Vec<f64>>();
-        let moments = |ratios: &[f64]| {
-            let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
-            let squares = ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>();
-            (mean, squares / (ratios.len() as f64 - 1.0))
-        };
-        let ((mean, variance), (mean_without, variance_without)) = (moments(&with), moments(&nothing));
+        let [with, without] = [with, nothing.collect()].map(|ratios| Moments::of(ratios.into_iter()));
         // Of an effect that is lost in rounding neither mean nor variance says anything.
-        Ok((mean - mean_without).powi(2) / (0.5 * (variance + variance_without)).max(1e-6))
+        Ok((with.mean() - without.mean()).powi(2) / (0.5 * (with.variance() + without.variance())).max(1e-6))
     }
 
     /// The strength of an effect whose information is `lambda`: number `index` of `effect` is scaled about its neutral
@@ -265,14 +260,7 @@ impl<'a> Strength<'a> {
                 let log = self.simulate(&[stronger(effect, index, 0.0)], 2 * LOGS + i)?;
                 let likelihoods: Vec<f64> =
                     variants.iter().map(|(_, all, views)| self.log_likelihood(&log, all, views)).collect();
-                let most = likelihoods.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-                let (mut sum, mut weights) = (0.0, 0.0);
-                for ((up, ..), likelihood) in variants.iter().zip(&likelihoods) {
-                    let weight = (likelihood - most).exp();
-                    sum += weight * up;
-                    weights += weight;
-                }
-                Ok(sum / weights)
+                Ok(mean_of_likelihood(variants.iter().map(|(up, ..)| *up), &likelihoods))
             })
             .collect::<Result<Vec<f64>, GapError>>()?;
         let square = errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64;

@@ -11,7 +11,7 @@ use locsim_gap::{
     Covariate, Deviation, GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Verdict, find,
 };
 use locsim_world::effect::{Effect, EffectKind, Effects};
-use locsim_world::map::{Polyline, VectorMap};
+use locsim_world::map::{Polyline, VectorMap, Wall};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, OdometryNoise};
 use rand::RngExt;
@@ -22,11 +22,16 @@ fn nominal() -> Nominal {
 
 /// A room whose laser loses and invents a few readings, with more effects.
 fn nominal_with(more: Vec<Effect>) -> Nominal {
+    nominal_in(Vec::new(), 0.01, more)
+}
+
+/// The same room with more walls, for a laser with this noise \[m\].
+fn nominal_in(walls: Vec<Wall>, sigma_m: f64, more: Vec<Effect>) -> Nominal {
     let outline = Polyline {
         points_m: vec![[0.0, 0.0], [7.0, 0.0], [7.0, 3.0], [4.0, 3.0], [4.0, 4.0], [0.0, 4.0]],
         ..Polyline::default()
     };
-    let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
+    let map = VectorMap { outline, obstacles: Vec::new(), walls };
     let laser = LaserOptions {
         rate_hz: 10.0,
         beams: 24,
@@ -35,7 +40,7 @@ fn nominal_with(more: Vec<Effect>) -> Nominal {
         min_range_m: 0.05,
         max_range_m: 6.0,
         resolution_m: 0.001,
-        sigma_m: 0.01,
+        sigma_m,
         sigma_per_m: 0.0,
         mount: Pose2::new(0.1, 0.0, 0.0),
         scan_secs: 0.0,
@@ -260,7 +265,7 @@ fn a_turned_frame_is_told_and_errors_that_come_and_go_are_none() {
             *reference = turned.compose(&reference.relative_to(&middle));
         }
         let outcome = search(&nominal, &Recorded::new(&drive, 600, 72, |_| true).unwrap(), Vec::new());
-        let found = outcome.unnamed.iter().find(|found| found.deviation == Deviation::Frame);
+        let found = outcome.unnamed.iter().find(|found| found.deviation == Deviation::FrameTurn);
         assert_eq!(found.is_some(), turn > 0.0, "{:?}", outcome.detection);
         let names: Vec<_> = outcome.effects.iter().map(|named| named.name).collect();
         assert_eq!(names, [], "{turn}: {:?} {:?}", outcome.rivals, outcome.nuisances);
@@ -323,6 +328,30 @@ fn what_the_library_lacks_is_told_without_a_name() {
     let told: Vec<_> = outcome.unnamed.iter().map(|found| (found.deviation, found.covariate)).collect();
     assert_eq!(told, [(Deviation::Short, Covariate::Bearing)]);
     assert!(!outcome.regions.is_empty());
+}
+
+/// Every beam has twice the noise, as a tail of the errors would have in a part of the readings.
+#[test]
+fn noise_of_every_beam_is_no_tail() {
+    let robot = nominal_in(Vec::new(), 0.02, Vec::new());
+    let outcome = search(&nominal(), &log(&robot, &[], Regime::default(), 4), Vec::new());
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert_eq!(names, [], "{:?}", outcome.rivals);
+    let told = &outcome.unnamed[0];
+    assert_eq!((told.deviation, told.covariate), (Deviation::Spread, Covariate::Everywhere));
+    assert!((told.size - 1.0).abs() < 0.15, "{}", told.size);
+}
+
+/// Behind a pane in the outer wall stands a wall that the map doesn't have: no simulation knows where its beams end.
+#[test]
+fn a_pane_keeps_its_name_whatever_the_map_lacks_behind_it() {
+    let outside = Wall { name: "facade".to_owned(), from_m: [-1.0, -1.0], to_m: [8.0, -1.0] };
+    let pane = [DVec2::new(1.0, 0.0), DVec2::new(5.0, 0.0)];
+    let glass = Effect::new(EffectKind::Glass, vec![0.7], vec![pane]).unwrap();
+    let robot = nominal_in(vec![outside], 0.01, Vec::new());
+    let outcome = search(&nominal(), &log(&robot, &[glass], Regime::default(), 6), Vec::new());
+    let names: Vec<EffectKind> = outcome.effects.iter().map(|named| named.name).collect();
+    assert_eq!(names, [EffectKind::Glass], "{:?} {:?}", outcome.gap, outcome.rivals);
 }
 
 /// A bias that rises to 6 cm within a metre or two, and stays: one cause, one name, and a curve over range.

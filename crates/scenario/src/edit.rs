@@ -11,7 +11,7 @@ use crate::effect::{effect_yaml, quoted_text};
 use crate::key_path::join;
 use crate::{Overrides, Scenario};
 
-/// An entry of the list `effects` or `residuals`.
+/// An entry of the list `effects` or `residuals`, or the keys of `blocks`.
 pub struct Entry {
     /// Comments above it, without `#`.
     pub comments: Vec<String>,
@@ -34,6 +34,8 @@ pub struct Change<'a> {
 pub struct Additions<'a> {
     /// Numbers that change where the text states them.
     pub changes: Vec<Change<'a>>,
+    /// The keys of `blocks`, for a scenario that has none.
+    pub blocks: Option<Entry>,
     /// Entries at the end of `effects`.
     pub effects: Vec<Entry>,
     /// Entries at the end of `residuals`.
@@ -45,7 +47,10 @@ impl Scenario {
     /// named relative to the scenario's folder are named relative to `folder`.
     pub fn with(&self, additions: &Additions<'_>, folder: &Path, name: &str) -> String {
         let changed = changed(&self.text, &additions.changes);
-        let grown = grown(&grown(&changed, "effects", &additions.effects), "residuals", &additions.residuals);
+        // A mapping that isn't there is written as a list that isn't.
+        let with_blocks = grown(&changed, "blocks", additions.blocks.as_slice());
+        let grown =
+            grown(&grown(&with_blocks, "effects", &additions.effects), "residuals", &additions.residuals);
         renamed(&moved(&grown, &self.file, folder), name)
     }
 

@@ -31,6 +31,8 @@ pub struct ClockQuality {
     /// How much later than the scans' stamps the odometry shows the turns that the scans show \[s\]; `None` where the robot
     /// turned too little, or scans are too rare.
     pub odometry_lag_secs: Option<f64>,
+    /// Standard error of that lag \[s\].
+    pub odometry_lag_error_secs: Option<f64>,
 }
 
 impl ClockQuality {
@@ -39,6 +41,7 @@ impl ClockQuality {
         let intervals: Vec<f64> = stamps().zip(stamps().skip(1)).map(|(a, b)| b - a).collect();
         let usual = median(&mut intervals.clone());
         let (first, last) = (stamps().next().unwrap_or_default(), stamps().next_back().unwrap_or_default());
+        let lag = if has_odometry { odometry_lag(drive, usual) } else { None };
         Self {
             first_secs: first,
             duration_secs: last - first,
@@ -49,7 +52,8 @@ impl ClockQuality {
             repeated: summary.stamps_repeated,
             stale: drive.stale_scans().len(),
             dropped: summary.scans_dropped,
-            odometry_lag_secs: if has_odometry { odometry_lag(drive, usual) } else { None },
+            odometry_lag_secs: lag.map(|lag| lag.secs),
+            odometry_lag_error_secs: lag.map(|lag| lag.error_secs),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The time by which odometry lags behind the scans, from the turns that both show, and behind the reference.
 
-use locsim_core::{Drive, DriveStep, Track, wrap_angle};
+use glam::DVec2;
+use locsim_core::{Drive, DriveStep, Laser, Track, wrap_angle};
 
 /// Scans that come more seldom \[s\] tell no lag: between them the odometry is interpolated.
 const LONGEST_INTERVAL_SECS: f64 = 0.5;
@@ -8,6 +9,8 @@ const LONGEST_INTERVAL_SECS: f64 = 0.5;
 const LAGS_SECS: (f64, f64) = (0.5, 0.01);
 /// Pairs of scans that are compared, at the most: those that turn most.
 const PAIRS: usize = 600;
+/// Parts of the drive that are left out in turn.
+const PARTS: usize = 8;
 /// Fewer turning pairs tell nothing.
 const LEAST_PAIRS: usize = 30;
 /// A pair turns when it turns by this much \[rad\], and by less than this: scans that turn more have too little in common.
@@ -81,30 +84,22 @@ pub(super) fn with_earlier_odometry(drive: &Drive, lag_secs: f64) -> Drive {
     Drive { laser: drive.laser.clone(), steps: drive.steps.iter().zip(track.secs()).map(step).collect() }
 }
 
-/// See [`ClockQuality`](super::ClockQuality).
-pub(super) fn odometry_lag(drive: &Drive, interval_secs: f64) -> Option<f64> {
+/// How much later than the scans the odometry shows the same turns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct OdometryLag {
+    /// The lag \[s\].
+    pub secs: f64,
+    /// Its standard error, by leaving out parts of the drive in turn (jackknife) \[s\].
+    pub error_secs: f64,
+}
+
+/// The odometry's lag behind the scans; `None` where the robot turned too little, or scans are too rare.
+pub(super) fn odometry_lag(drive: &Drive, interval_secs: f64) -> Option<OdometryLag> {
     if !(interval_secs > 0.0 && interval_secs < LONGEST_INTERVAL_SECS) {
         return None;
     }
-    let beam_rad = even_spacing(drive.laser.bearings())?;
     let track = Track::new(drive.steps.iter().map(|step| (step.stamp_secs, step.odometry))).ok()?;
-    let mut turning: Vec<(usize, f64)> = (1..drive.steps.len())
-        .map(|i| (i, wrap_angle(drive.odometry_increment(i).theta).abs()))
-        .filter(|(i, turn)| {
-            let secs = track.secs()[*i] - track.secs()[*i - 1];
-            secs > 0.0 && secs < 2.0 * interval_secs && (TURNING.0..TURNING.1).contains(turn)
-        })
-        .collect();
-    let stride = turning.len().div_ceil(PAIRS).max(1);
-    turning = turning.into_iter().step_by(stride).collect();
-    let turns: Vec<(f64, f64, f64)> = turning
-        .into_iter()
-        .filter_map(|(i, _)| {
-            let [before, after] = [i - 1, i].map(|i| drive.steps[i].scan.ranges.as_slice());
-            let turn = turn_between(before, after, beam_rad, drive.laser.max_range())?;
-            Some((track.secs()[i - 1], track.secs()[i], turn))
-        })
-        .collect();
+    let turns = turns(drive, &track, interval_secs)?;
     if turns.len() < LEAST_PAIRS {
         return None;
     }
@@ -113,28 +108,82 @@ pub(super) fn odometry_lag(drive: &Drive, interval_secs: f64) -> Option<f64> {
     // Of a laser that sweeps, a scan is taken about half a sweep after its stamp.
     let times = drive.laser.beam_times_secs();
     let middle = times.iter().map(|secs| f64::from(*secs)).sum::<f64>() / times.len().max(1) as f64;
-    let agreement = |lag: f64| {
-        let by_odometry = turns.iter().map(|(from, to, _)| {
-            let [a, b] = [*from, *to].map(|secs| track.pose_at(secs + middle + lag).theta);
-            wrap_angle(b - a)
-        });
-        correlation(by_odometry.zip(turns.iter().map(|(.., turn)| *turn)))
+    let sums = |lag: i32| {
+        let mut parts = [PairSums::default(); PARTS];
+        for (i, &(from, to, turn)) in turns.iter().enumerate() {
+            let [a, b] = [from, to].map(|secs| track.pose_at(secs + middle + f64::from(lag) * step).theta);
+            parts[i * PARTS / turns.len()].add(wrap_angle(b - a), turn);
+        }
+        parts
     };
-    let agreements: Vec<f64> = (-count..=count).map(|i| agreement(f64::from(i) * step)).collect();
-    let (best, most) = agreements.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
-    let is_inside = (1..agreements.len() - 1).contains(&best);
-    (is_inside && *most > AGREEMENT).then(|| f64::from(best as i32 - count) * step)
+    let lags: Vec<[PairSums; PARTS]> = (-count..=count).map(sums).collect();
+    // The lag and the correlation at it, without one of the parts.
+    let best = |left_out: Option<usize>| {
+        let of_lag = |parts: &[PairSums; PARTS]| {
+            let kept = parts.iter().enumerate().filter(|(i, _)| Some(*i) != left_out);
+            kept.fold(PairSums::default(), |sum, (_, part)| sum.plus(part)).correlation()
+        };
+        let all: Vec<f64> = lags.iter().map(of_lag).collect();
+        let (best, most) = all.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
+        let bend = if (1..all.len() - 1).contains(&best) {
+            2.0 * all[best] - all[best - 1] - all[best + 1]
+        } else {
+            return None;
+        };
+        let fraction = if bend > 0.0 { 0.5 * (all[best + 1] - all[best - 1]) / bend } else { 0.0 };
+        Some(((f64::from(best as i32 - count) + fraction) * step, *most))
+    };
+    let (secs, agreement) = best(None)?;
+    let without: Vec<f64> = (0..PARTS).filter_map(|part| Some(best(Some(part))?.0)).collect();
+    let mean = without.iter().sum::<f64>() / without.len() as f64;
+    let squares = without.iter().map(|lag| (lag - mean).powi(2)).sum::<f64>();
+    let error_secs = (squares * (without.len() as f64 - 1.0) / without.len() as f64).sqrt();
+    (agreement > AGREEMENT && without.len() == PARTS).then_some(OdometryLag { secs, error_secs })
 }
 
-/// Pearson's correlation: blind to the scale and to the constant bias that driving past walls gives the turns of scans.
-fn correlation(pairs: impl Iterator<Item = (f64, f64)> + Clone) -> f64 {
-    let n = pairs.clone().count() as f64;
-    let (x, y) = pairs.clone().fold((0.0, 0.0), |(x, y), pair| (x + pair.0 / n, y + pair.1 / n));
-    let (xx, xy, yy) = pairs.fold((0.0, 0.0, 0.0), |(xx, xy, yy), pair| {
-        let (dx, dy) = (pair.0 - x, pair.1 - y);
-        (xx + dx * dx, xy + dx * dy, yy + dy * dy)
-    });
-    if xx * yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
+/// Pairs of scans between which the robot turns: their times \[s\], and the turn that the scans show \[rad\].
+fn turns(drive: &Drive, track: &Track, interval_secs: f64) -> Option<Vec<(f64, f64, f64)>> {
+    let beam_rad = even_spacing(drive.laser.bearings())?;
+    let mut turning: Vec<usize> = (1..drive.steps.len())
+        .filter(|&i| {
+            let secs = track.secs()[i] - track.secs()[i - 1];
+            let turn = wrap_angle(drive.odometry_increment(i).theta).abs();
+            secs > 0.0 && secs < 2.0 * interval_secs && (TURNING.0..TURNING.1).contains(&turn)
+        })
+        .collect();
+    let stride = turning.len().div_ceil(PAIRS).max(1);
+    turning = turning.into_iter().step_by(stride).collect();
+    let laser_at = |i: usize| drive.steps[i].odometry.compose(&drive.laser.base_from_laser());
+    let turn = |i: usize| {
+        let [before, after] = [i - 1, i].map(|i| drive.steps[i].scan.ranges.as_slice());
+        // Driving past walls turns a scan as well.
+        let moved = laser_at(i).relative_to(&laser_at(i - 1)).position();
+        let before = seen_from(moved, before, &drive.laser, beam_rad);
+        let turn = turn_between(&before, after, beam_rad, drive.laser.max_range())?;
+        Some((track.secs()[i - 1], track.secs()[i], turn))
+    };
+    Some(turning.into_iter().filter_map(turn).collect())
+}
+
+/// Sums over pairs of numbers that their correlation takes.
+#[derive(Clone, Copy, Default)]
+struct PairSums([f64; 6]);
+
+impl PairSums {
+    fn add(&mut self, x: f64, y: f64) {
+        *self = self.plus(&Self([1.0, x, y, x * x, x * y, y * y]));
+    }
+
+    fn plus(&self, other: &Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] + other.0[i]))
+    }
+
+    /// Pearson's correlation: blind to the scale and to a constant bias.
+    fn correlation(&self) -> f64 {
+        let [n, x, y, xx, xy, yy] = self.0;
+        let [xx, xy, yy] = [xx - x * x / n, xy - x * y / n, yy - y * y / n];
+        if xx * yy > 0.0 { xy / (xx * yy).sqrt() } else { 0.0 }
+    }
 }
 
 /// The spacing of evenly spaced beams \[rad\].
@@ -142,6 +191,34 @@ fn even_spacing(bearings: &[f32]) -> Option<f64> {
     let spacing = f64::from(bearings.get(1)? - bearings[0]);
     let even = bearings.windows(2).all(|pair| (f64::from(pair[1] - pair[0]) - spacing).abs() < 1e-4);
     (even && spacing.abs() > 1e-4).then_some(spacing)
+}
+
+/// A scan as it is seen from elsewhere, by a laser that hasn't turned. Beams that what it saw says nothing of have no return.
+fn seen_from(place: DVec2, ranges: &[f32], laser: &Laser, beam_rad: f64) -> Vec<f32> {
+    let (first, max) = (f64::from(laser.bearings()[0]), laser.max_range());
+    let mut seen = vec![max; ranges.len()];
+    // The beam, to a fraction, and the range of each point.
+    let points = ranges.iter().zip(laser.bearings()).map(|(&range, &bearing)| {
+        (range < max).then(|| {
+            let point = f64::from(range) * DVec2::from_angle(f64::from(bearing)) - place;
+            let beam = f64::from(bearing) + wrap_angle(point.to_angle() - f64::from(bearing)) - first;
+            (beam / beam_rad, point.length())
+        })
+    });
+    let points: Vec<_> = points.collect();
+    for pair in points.windows(2) {
+        let [Some((from, near)), Some((to, far))] = *pair else { continue };
+        if to <= from || (far - near).abs() > f64::from(OTHER_SURFACE_M) {
+            continue;
+        }
+        for beam in from.ceil().max(0.0) as usize..=to.floor().max(-1.0) as usize {
+            let range = near + (far - near) * (beam as f64 - from) / (to - from);
+            if let Some(seen) = seen.get_mut(beam) {
+                *seen = seen.min(range as f32);
+            }
+        }
+    }
+    seen
 }
 
 /// The turn between two scans \[rad\] by the shift of their beams at which they agree best, to a fraction of a beam.

@@ -3,7 +3,7 @@
 use distreg::curve::{LARGEST_TILT, Shape, Sums, crossfit, curves_without, fit};
 use distreg::others::{mean_of_others, variances_of_others};
 use locsim_core::tilt::{Class, Looks, Outcome, Tilt};
-use locsim_core::{Folds, simplest};
+use locsim_core::{Folds, differences, simplest};
 use rayon::prelude::*;
 
 use super::covariates::{Axis, Covariates, LOSSES_OF_SCANS, NOISE_OF_SCANS};
@@ -51,7 +51,7 @@ impl FreeModel {
             }
             let before = (state.tilts.clone(), state.looks.clone());
             let (share, after) = state.apply(&step);
-            let gains: Vec<f64> = after.iter().zip(&score).map(|(after, before)| after - before).collect();
+            let gains = differences(&after, &score);
             if gains.iter().sum::<f64>() < LEAST_GAIN_NATS {
                 // The quadratic approximation promised more than there is.
                 ((state.tilts, state.looks), state.moved) = (before, [false; 2]);

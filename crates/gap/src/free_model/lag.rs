@@ -55,7 +55,7 @@ pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitte
     Misalignment {
         deviation: Deviation::Lag,
         covariate: Covariate::Odometry,
-        estimate: [(lag as f64 - none as f64) * STEP_SECS, STEP_SECS / curvature.sqrt()],
+        estimates: vec![[(lag as f64 - none as f64) * STEP_SECS, STEP_SECS / curvature.sqrt()]],
         gains: (0..folds.count()).map(|fold| if is_lag { gain(fold) } else { 0.0 }).collect(),
     }
 }
@@ -82,7 +82,7 @@ mod tests {
             let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
             let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
             let lag = lag(&comparison, &NOMINAL.effects, &fitted);
-            assert!((lag.estimate[0] - 0.1 * f64::from(late)).abs() < 0.03, "{lag:?}");
+            assert!((lag.estimates[0][0] - 0.1 * f64::from(late)).abs() < 0.03, "{lag:?}");
             assert_eq!(lag.gain() > 5.0, late > 0, "{lag:?}");
         }
     }

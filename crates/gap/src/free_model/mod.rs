@@ -24,7 +24,7 @@ use locsim_core::{Draw, Folds};
 use locsim_world::effect::Effects;
 
 pub(crate) use covariates::{Axis, Covariates};
-pub(crate) use frame::turned_frame;
+pub(crate) use frame::misaligned_frame;
 pub(crate) use lag::lag;
 
 use crate::hypothesis::{Comparison, Fitted};
@@ -83,8 +83,8 @@ impl Component {
 pub(crate) struct Misalignment {
     pub deviation: Deviation,
     pub covariate: Covariate,
-    /// Fitted to a log, SI unit, and its standard error.
-    pub estimate: [f64; 2],
+    /// Fitted to a log, SI unit, each with its standard error.
+    pub estimates: Vec<[f64; 2]>,
     /// Log score gained on folds (nats).
     pub gains: Vec<f64>,
 }

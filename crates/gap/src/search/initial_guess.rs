@@ -124,7 +124,7 @@ mod tests {
         let options = GapOptions { replicates: 19, seed: 5, ..GapOptions::default() };
         let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-        let blocks = fit_persistence(&comparison, &fitted, options.seed).unwrap();
+        let blocks = fit_persistence(&comparison, &[], &fitted, options.seed).unwrap();
         let (nominal, recorded, stop) = (&NOMINAL, &recorded, AtomicBool::new(false));
         let state =
             State { nominal, recorded, comparison, options: &options, progress: &(), stop: &stop, blocks };

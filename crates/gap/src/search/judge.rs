@@ -4,13 +4,13 @@ use locsim_world::effect::{self, Effect, EffectKind, Moves};
 use rayon::prelude::*;
 
 use super::judgement::{Dependence, Judgement, acts_on};
-use super::selection::{is_of_odometry, is_sure};
+use super::selection::{is_of_odometry, is_sure, is_tail};
 use super::unnamed::fit_wave;
 use super::{Round, State};
 use crate::fit::Candidate;
-use crate::free_model::{Axis, Covariates, FreeModel, Part, lag, turned_frame};
+use crate::free_model::{Axis, Covariates, FreeModel, Part, lag, misaligned_frame};
 use crate::null::REFIT;
-use crate::statistics::{Covariate, Deviation, Statistic, Survey, Target, pit_draw};
+use crate::statistics::{Covariate, Deviation, Statistic, Survey, pit_draw};
 use crate::{GapError, Purpose};
 
 /// Simulated logs of the hypothesis that the free model is learnt from as well. What it gains there is the simulator's own: beams
@@ -52,13 +52,14 @@ impl<'a> State<'a> {
         let model =
             FreeModel::new(&round.comparison, &effects, &round.fitted, &covariates, &own, Part::Whole);
         let frame =
-            turned_frame(&round.comparison, &effects, &round.fitted)?.filter(|frame| frame.gain() > 0.0);
-        let is_frame =
-            |of: &Statistic| matches!(&of.target, Target::Cell(cell) if cell.deviation == Deviation::Frame);
-        let turn = round.dictionary.statistics.iter().position(is_frame);
+            misaligned_frame(&round.comparison, &effects, &round.fitted)?.filter(|frame| frame.gain() > 0.0);
         let least = round.null.weight_at(self.options.false_alarm);
-        // A turn that replicates don't have is none of those that gain in simulated logs by chance.
-        let may_be_chance = frame.is_some() && turn.is_none_or(|turn| round.null.weight[turn] <= least);
+        // A frame that replicates don't have is none of those that gain in simulated logs by chance.
+        let may_be_chance = frame.as_ref().is_some_and(|frame| {
+            let is_own = |of: &Statistic| of.cell().is_some_and(|cell| cell.deviation == frame.deviation);
+            let own = round.dictionary.statistics.iter().position(is_own);
+            own.is_none_or(|own| round.null.weight[own] <= least)
+        });
         let misalignments =
             [lag(&round.comparison, &effects, &round.fitted)].into_iter().chain(frame).collect();
         let simulated = (0..LOGS)
@@ -70,7 +71,8 @@ impl<'a> State<'a> {
                 let fitted = comparison.find_nuisances(&effects, &round.fitted.nuisances, REFIT);
                 let own = pit_draw(seed);
                 let model = FreeModel::new(&comparison, &effects, &fitted, &covariates, &own, Part::Whole);
-                let frame = if may_be_chance { turned_frame(&comparison, &effects, &fitted)? } else { None };
+                let frame =
+                    if may_be_chance { misaligned_frame(&comparison, &effects, &fitted)? } else { None };
                 let misalignments = [lag(&comparison, &effects, &fitted)].into_iter().chain(frame).collect();
                 Ok((model, misalignments))
             })
@@ -78,8 +80,8 @@ impl<'a> State<'a> {
         Ok(Judgement { model, covariates, misalignments, simulated })
     }
 
-    /// Effects that act on what the free model gains most by. They are fitted, however little their formulas say: a range scale that
-    /// grows with the square looks like noise first.
+    /// Effects that act on what the free model gains most by, and where that is noise those that move scans as a whole. They are fitted, however
+    /// little their formulas say: a range scale that grows with the square looks like noise first, and so does a late stamp.
     pub fn acting_on_leading(&self, round: &Round<'a>) -> Result<Vec<EffectKind>, GapError> {
         let judgement = self.judge(round)?;
         let dependences = judgement.dependences();
@@ -88,6 +90,7 @@ impl<'a> State<'a> {
         let acts = |kind: &EffectKind| {
             let effect = Effect::typical(*kind, Vec::new());
             !kind.has_place() && acts_on(&effect, leading, &judgement.covariates, &survey)
+                || leading.deviation == Deviation::Spread && kind.moves() == Moves::Scans
         };
         Ok(EffectKind::ALL.into_iter().filter(acts).collect())
     }
@@ -125,7 +128,6 @@ impl<'a> State<'a> {
         let is_right = |effect: &Effect| acts_on(effect, leading, &judgement.covariates, &survey);
         // A tail is noise of every beam as well. One that gains less than a factor on the noise is no tail.
         let is_noise = (leading.deviation, leading.covariate) == (Deviation::Spread, Covariate::Everywhere);
-        let is_tail = |of: &Candidate| of.kind().scores().any(|score| matches!(score, effect::Score::Tail));
         let is_no_tail = |of: &Candidate| is_noise && is_tail(of) && leading.beats(of);
         let is_enough = |best: usize| {
             let candidate = &candidates[best];
@@ -133,7 +135,9 @@ impl<'a> State<'a> {
             // A frame that is turned turns the headings as a turned laser does, and the positions with them.
             let mut statistics = candidate.kind().description().statistics.iter();
             let is_of_frame = statistics.any(|statistic| matches!(statistic, effect::Statistic::Turn))
-                && dependences.iter().any(|other| other.deviation == Deviation::Frame && other.gain() > gain);
+                && dependences
+                    .iter()
+                    .any(|other| other.deviation == Deviation::FrameTurn && other.gain() > gain);
             // A mean that isn't quite right spreads readings.
             let is_left = candidate.kind().moves() == Moves::Distribution
                 && leading.deviation == Deviation::Mean

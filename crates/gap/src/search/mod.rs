@@ -144,7 +144,7 @@ pub fn find(
         None => Comparison::new(nominal, recorded)?,
     };
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-    let blocks = fit_persistence(&comparison, &fitted, options.seed)?;
+    let blocks = fit_persistence(&comparison, &[], &fitted, options.seed)?;
     progress.advance(1);
     let state = State { nominal, recorded, comparison, options: &options, progress, stop, blocks };
     let mut path = state.name_effects(state.round(Vec::new(), fitted.nuisances, options.replicates)?)?;
@@ -238,7 +238,13 @@ impl<'a> State<'a> {
         let comparison = self.comparison.in_world(&all)?;
         let fitted = comparison.fit_nuisances_with(&all, &nuisances, 20);
         let seed = Purpose::Round.draw(self.options.seed).seed(effects.len() as u32);
-        let blocks = self.blocks.in_world(&comparison, &effects, &fitted, seed)?;
+        let mut blocks = self.blocks;
+        if !effects.is_empty() && !blocks.stands() {
+            // Readings that are far off don't show what stands.
+            let found = fit_persistence(&comparison, &effects, &fitted, seed)?;
+            blocks = if found.stay_scans() > blocks.stay_scans() { found } else { blocks };
+        }
+        let blocks = blocks.in_world(&comparison, &effects, &fitted, seed)?;
         let dictionary = Dictionary::new(&comparison);
         self.progress.stage(
             if effects.is_empty() { "simulating the nominal world" } else { "simulating with the effects" },
@@ -281,6 +287,9 @@ impl<'a> State<'a> {
             .collect::<Result<Vec<_>, _>>()?;
         let mut candidates: Vec<Candidate> = fits.into_iter().flatten().collect();
         let beyond_chance = round.null.weight_at(self.options.false_alarm);
+        // A noise explains a little of anything. Scans that are moved explain more only where they are moved.
+        let noises = candidates.iter().filter(|candidate| candidate.kind().is_noise());
+        let of_noise = noises.map(Candidate::gain).max_by(f64::total_cmp).unwrap_or(f64::INFINITY);
         for candidate in &mut candidates {
             let (off, weight) = round.most_telling(candidate.kind()).map_or((0.0, f64::NEG_INFINITY), |i| {
                 (round.dictionary.statistics[i].off(round.null.z[i]), round.null.weight[i])
@@ -292,7 +301,9 @@ impl<'a> State<'a> {
             // Nor does one that counts a reading as one event at the most say how much many of them gain.
             let is_bounded = |i: usize| round.dictionary.statistics[i].by_one_reading > 0.0;
             let is_beyond_score = candidate.gain() > BEYOND_SCORE_NATS
-                && (moving.contains(&kind) || round.own(kind).all(is_bounded));
+                && (moving.contains(&kind)
+                    || round.own(kind).all(is_bounded)
+                    || kind.moves() == Moves::Scans && candidate.gain() > of_noise);
             candidate.is_beyond_chance = weight >= beyond_chance || is_beyond_score;
             candidate.score = (has_score && !is_beyond_score).then_some(off);
             // Beyond its score a fit gains only where the effect is strong. The depth of clutter has no score, and readings

@@ -1,7 +1,7 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
 use distreg::Floor;
-use locsim_core::{Draw, Estimate, Interval, Stage, sorted};
+use locsim_core::{Draw, Estimate, Interval, Stage, differences, sorted};
 use locsim_world::effect::{Effect, EffectKind, Moves, Score};
 use rand::RngExt;
 use rayon::prelude::*;
@@ -135,12 +135,7 @@ impl<'a> State<'a> {
         nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
         let without = comparison.evaluate(&[], &nominal, 0)?;
         let folds = self.recorded.folds;
-        let gains: Vec<f64> = folds
-            .sums(&fitted.scans)
-            .iter()
-            .zip(folds.sums(&without.scans))
-            .map(|(with, without)| with - without)
-            .collect();
+        let gains = differences(&folds.sums(&fitted.scans), &folds.sums(&without.scans));
         let gain_nats = Estimate::of_sum(&gains);
         if gain_nats.interval.lo <= 0.0 {
             return Ok(None);

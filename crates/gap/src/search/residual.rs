@@ -122,7 +122,7 @@ fn curve(component: &Component, covariates: &Covariates) -> Option<Residual> {
         Deviation::NoReturn => Moment::NoReturn,
         Deviation::Short => Moment::Short,
         Deviation::Long => Moment::Long,
-        Deviation::Skew | Deviation::Share | Deviation::Lag | Deviation::Frame => return None,
+        _ => return None,
     };
     let axis: &Axis = &covariates.axes[component.axis];
     let known =

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use locsim_core::{Estimate, differences, is_along_wall, quantile, sector_holds_middle, sum_error};
-use locsim_world::effect::{Effect, EffectKind, Experiment, Moves};
+use locsim_world::effect::{self, Effect, EffectKind, Experiment, Moves};
 
 use crate::GapError;
 use crate::fit::Candidate;
@@ -54,6 +54,19 @@ const MOST_DRIVES: f64 = 2.0;
 /// Whether a drift dies away within a drive that took so long \[s\], or about.
 pub fn dies_away(candidate: &Candidate, secs: f64) -> bool {
     candidate.effect.value("tau_secs").is_none_or(|tau| tau <= MOST_DRIVES * secs)
+}
+
+/// A tail is of no more than this share of the readings. What most of them have is their noise.
+const MOST_IN_TAIL: f64 = 0.5;
+
+/// Whether an effect gives some of the readings a tail.
+pub fn is_tail(candidate: &Candidate) -> bool {
+    candidate.kind().scores().any(|score| matches!(score, effect::Score::Tail))
+}
+
+/// Whether a candidate is no tail, or one of a minority of the readings.
+pub fn is_of_few(candidate: &Candidate) -> bool {
+    !is_tail(candidate) || candidate.effect.values[0] <= MOST_IN_TAIL
 }
 
 /// Two effects as one: strengths add up, and other parameters are those of the effect that is known.

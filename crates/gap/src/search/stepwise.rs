@@ -7,8 +7,8 @@ use super::judgement::share_a_moment;
 use super::lasting::drop_passing;
 use super::predicted::drop_unfounded;
 use super::selection::{
-    SURE_ERRORS, adds_up, choose, choose_apart, compare_rivals, dies_away, is_of_odometry, is_one_cause,
-    is_sure, may_be_of_robot, name, numbers, sum_of, surely_loses_returns,
+    SURE_ERRORS, adds_up, choose, choose_apart, compare_rivals, dies_away, is_of_few, is_of_odometry,
+    is_one_cause, is_sure, may_be_of_robot, name, numbers, sum_of, surely_loses_returns,
 };
 use super::surroundings::drop_surroundings;
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
@@ -105,6 +105,7 @@ impl<'a> State<'a> {
             let of_another_form = if off { self.of_another_form(round)? } else { Vec::new() };
             candidates.retain(|candidate| {
                 may_be_of_robot(candidate)
+                    && is_of_few(candidate)
                     && dies_away(candidate, secs)
                     && !path.named.iter().any(|named| {
                         !adds_up(&named.effect, &candidate.effect)
@@ -553,7 +554,7 @@ mod tests {
         let options = GapOptions { replicates: 39, seed: 5, ..GapOptions::default() };
         let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-        let blocks = fit_persistence(&comparison, &fitted, options.seed).unwrap();
+        let blocks = fit_persistence(&comparison, &[], &fitted, options.seed).unwrap();
         let stop = AtomicBool::new(false);
         let state = State {
             nominal: &NOMINAL,
@@ -615,7 +616,7 @@ mod tests {
         let options = GapOptions { replicates: 39, seed: 5, ..GapOptions::default() };
         let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-        let blocks = fit_persistence(&comparison, &fitted, options.seed).unwrap();
+        let blocks = fit_persistence(&comparison, &[], &fitted, options.seed).unwrap();
         let stop = AtomicBool::new(false);
         let (nominal, recorded) = (&NOMINAL, &recorded);
         let state =

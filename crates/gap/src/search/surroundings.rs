@@ -6,7 +6,7 @@
 use std::f64::consts::TAU;
 
 use glam::DVec2;
-use locsim_core::sum_error;
+use locsim_core::{differences, sum_error};
 use locsim_world::effect::{Disc, Effect, Effects, Moves};
 use locsim_world::raycast::distance_to;
 
@@ -72,7 +72,7 @@ pub fn drop_surroundings(round: &Round<'_>, candidates: Vec<Candidate>) -> Resul
         let mut effects = round.effects.clone();
         effects.push(candidate.effect.clone());
         let with = folds.sums(&comparison.evaluate(&effects, &round.fitted, 1)?.scans);
-        let gains: Vec<f64> = with.iter().zip(&without).map(|(with, without)| with - without).collect();
+        let gains = differences(&with, &without);
         let (gain, all) = (gains.iter().sum::<f64>(), candidate.fitted_gains.iter().sum::<f64>());
         Ok(gain > LEAST_GAIN_NATS.max(sum_error(&gains)) && gain >= LEAST_SHARE * left * all)
     };
@@ -115,7 +115,7 @@ mod tests {
         let options = GapOptions { replicates: 19, seed: 5, ..GapOptions::default() };
         let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-        let blocks = fit_persistence(&comparison, &fitted, options.seed).unwrap();
+        let blocks = fit_persistence(&comparison, &[], &fitted, options.seed).unwrap();
         let stop = AtomicBool::new(false);
         let (nominal, recorded) = (&NOMINAL, &recorded);
         let state =

@@ -38,23 +38,27 @@ pub fn unnamed(judgement: &Judgement, effects: &[Effect], survey: &Survey<'_>, p
         let gain_nats = Estimate::of_sum(&dependence.gains);
         let gain_nats_per_scan = gain_nats.value / scans;
         let evidence = Evidence { gain_nats, gain_nats_per_scan, score: None, p };
-        let shift = dependence.misalignment.map(|found| point(0.0, None, found.estimate));
-        let (curve, wave) = dependence.component.map_or_else(
-            || (shift.into_iter().collect(), None),
-            |component| {
+        let numbers = dependence.misalignment.iter().flat_map(|found| &found.estimates).zip(0..);
+        let (curve, wave) = match dependence.component {
+            None => (numbers.map(|(&number, axis)| point(f64::from(axis), None, number)).collect(), None),
+            Some(component) => {
                 let axis = &judgement.covariates.axes[component.axis];
                 (points(axis, &component.curve), wave(axis, &component.curve))
-            },
-        );
+            }
+        };
         let unit = match (dependence.deviation, dependence.covariate) {
             (Deviation::Lag, _) => "s",
-            (Deviation::Frame, _) => "rad",
+            (Deviation::FrameTurn, _) => "rad",
+            (Deviation::FrameShift, _) => "m",
             (Deviation::Mean, covariate) if covariate != Covariate::Neighbour => "m",
             _ => "1",
         };
         let size = match (dependence.covariate, &wave) {
             (Covariate::Neighbour, _) => judgement.neighbour_correlation(),
             (_, Some(wave)) => wave.amplitude,
+            _ if dependence.deviation == Deviation::FrameShift => {
+                curve.iter().map(|along| along.estimate.value.powi(2)).sum::<f64>().sqrt()
+            }
             _ => surely_largest(curve.iter().map(|point| point.estimate)),
         };
         let Dependence { deviation, covariate, .. } = dependence;

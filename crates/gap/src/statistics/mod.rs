@@ -100,7 +100,7 @@ pub(crate) enum Group {
     /// Shares of readings that are lost or not of the wall, and the depth of clutter. Where clutter stays, such readings
     /// come in crowds, and the largest of these statistics is now and then an outlier.
     Shares,
-    /// An odometry that lags, a reference in a turned frame.
+    /// An odometry that lags, a reference in a turned or shifted frame.
     Misalignments,
     /// Walls that are displaced far: clutter that stays in front of a wall looks like another wall.
     DisplacedWalls,
@@ -240,7 +240,17 @@ pub enum Deviation {
     /// How late something is.
     Lag,
     /// How far the reference's frame is turned.
-    Frame,
+    #[serde(rename = "frame")]
+    FrameTurn,
+    /// How far it is shifted.
+    FrameShift,
+}
+
+impl Deviation {
+    /// Whether it is of the reference's frame.
+    pub fn is_of_frame(self) -> bool {
+        matches!(self, Self::FrameTurn | Self::FrameShift)
+    }
 }
 
 /// A cell of the omnibus search.

@@ -1,8 +1,7 @@
 //! Effects of a stretch of wall, over cells of the map that walls run through.
 
 use distreg::contamination::{detectable_share, score};
-use glam::DVec2;
-use locsim_core::{Line, Stretches, lines_through};
+use locsim_core::{Line, Stretch, Stretches, lines_through};
 use locsim_world::effect::{self, EffectKind};
 
 use super::readings::{Reading, side_of};
@@ -185,14 +184,6 @@ pub(super) fn lines_off<'s>(
     })
 }
 
-/// A stretch of wall with an effect.
-struct Stretch {
-    /// Gain of the effect \[nats\].
-    gain: f64,
-    strength: f64,
-    ends: [DVec2; 2],
-}
-
 /// The stretch of a line that gains most; `None` where none gains anything.
 fn best_stretch<const N: usize>(
     log: &Readings<'_>,
@@ -200,25 +191,21 @@ fn best_stretch<const N: usize>(
     evidence: impl Fn(&Reading<'_>, f64) -> [f64; N],
     judge: impl Fn([f64; N]) -> (f64, f64),
 ) -> Option<Stretch> {
-    let mut stretches = Stretches::new((2.0 * STRETCH_REACH_M / STRETCH_BIN_M) as usize);
+    let mut stretches = Stretches::new(line, STRETCH_BIN_M, STRETCH_REACH_M);
     for reading in &log.all {
-        let end = reading.beam.view.endpoint;
-        let bin = (line.along.dot(end - line.point) + STRETCH_REACH_M) / STRETCH_BIN_M;
-        if line.distance(end) <= NEAR_LINE_M && bin >= 0.0 {
-            stretches.add(bin as usize, evidence(reading, line.away(reading.beam.view.direction)));
+        let view = &reading.beam.view;
+        if line.distance(view.endpoint) <= NEAR_LINE_M {
+            stretches.add(view.endpoint, evidence(reading, line.away(view.direction)));
         }
     }
-    let [least, gap] =
-        [STRETCH_LEAST_M, STRETCH_GAP_M].map(|length| (length / STRETCH_BIN_M).round() as usize);
-    let (gain, strength, bins) = stretches.best(least, gap, judge)?;
-    let at = |bin: usize| line.point + (bin as f64 * STRETCH_BIN_M - STRETCH_REACH_M) * line.along;
-    Some(Stretch { gain, strength, ends: [bins.start, bins.end].map(at) })
+    stretches.best(STRETCH_LEAST_M, STRETCH_GAP_M, judge)
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use glam::DVec2;
     use locsim_world::effect::Effect;
 
     use super::*;

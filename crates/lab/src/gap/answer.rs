@@ -285,7 +285,8 @@ pub(super) fn deviation_text(region: &Region) -> &'static str {
     }
     match (region.deviation, more) {
         (Deviation::Lag, _) => "late",
-        (Deviation::Frame, _) => "turned",
+        (Deviation::FrameTurn, _) => "turned",
+        (Deviation::FrameShift, _) => "shifted",
         (Deviation::Share, true) => "too many readings",
         (Deviation::Share, false) => "too few readings",
         (Deviation::Skew, true) => "errors with a tail to the long side",

@@ -32,7 +32,8 @@ fn quantity(found: &Unnamed) -> (String, f64) {
         Deviation::Mean if found.covariate != Covariate::Neighbour => ("mm", 1e3),
         Deviation::Mean | Deviation::Skew => ("1", 1.0),
         Deviation::Lag => ("s", 1.0),
-        Deviation::Frame => ("deg", 1_f64.to_degrees()),
+        Deviation::FrameTurn => ("deg", 1_f64.to_degrees()),
+        Deviation::FrameShift => ("mm", 1e3),
         _ => ("%", 1e2),
     };
     (format!("{} [{unit}]", unnamed::noun(found)), scale)

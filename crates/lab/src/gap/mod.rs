@@ -23,9 +23,9 @@ use locsim_core::limits::quoted;
 use locsim_core::{Drive, DriveStep, Hits, Particles, Pose2, RangeMap};
 use locsim_dataset::{DriveQuality, LogKind, LogOptions, LogSummary, read_log};
 use locsim_gap::{GapError, GapOptions, Nominal, Recorded, ResidualStage};
-use locsim_world::effect::EffectKind;
+use locsim_world::effect::{EffectKind, Moves};
 use locsim_world::raycast::ExactRangeMap;
-use locsim_world::simulation::{LaserSimulator, Simulator};
+use locsim_world::simulation::{BlockOptions, LaserSimulator, Simulator};
 
 pub use answer::answer;
 pub use baseline::{answer_since, find as find_since, json as json_since, run as run_since};
@@ -103,6 +103,8 @@ pub struct GapStudy {
     /// The scenario.
     scenario: Scenario,
     simulator: SimulatorOptions,
+    /// Blocks that the log has and the scenario hasn't; they are among the simulator's.
+    added_blocks: Option<BlockOptions>,
     log: PathBuf,
     map: Arc<ExactRangeMap>,
     /// The log with the scenario's laser mount.
@@ -172,7 +174,7 @@ impl GapStudy {
             let problem = Problem { line: None, key: key.to_owned(), message: message.to_owned() };
             ScenarioError::Invalid { file: file.clone(), problems: vec![problem] }
         };
-        let Some(simulator) = scenario.simulator() else {
+        let Some(mut simulator) = scenario.simulator() else {
             let message =
                 "the key is missing; beside a log, it describes the simulation that could lack something";
             return Err(refuse("laser", message).into());
@@ -203,15 +205,21 @@ impl GapStudy {
         let baseline = baseline.transpose()?;
         let laser = simulated.laser();
         let (drive, recorded) = usable(&log, drive, &summary, laser, &map, &settings, &mut warnings)?;
+        let mut added_blocks = None;
         // Beside a baseline, clutter is as the baseline has it.
         if baseline.is_none() {
             let steps = drive.steps.iter().filter(|step| is_free(&map, step));
-            warnings.extend(open::warning(steps, &drive.laser, &map, simulator.blocks.as_ref()));
+            if let Some(found) = open::in_open(steps, &drive.laser, &map, simulator.blocks.as_ref()) {
+                warnings.push(found.warning());
+                added_blocks = found.blocks();
+                simulator.blocks = simulator.blocks.or(added_blocks);
+            }
         }
         let is_localized = summary.kind == LogKind::Localized;
         Ok(Self {
             scenario,
             simulator,
+            added_blocks,
             log,
             map,
             drive,
@@ -456,10 +464,15 @@ pub fn find(
     progress.advance(1);
     let replicates = study.settings.replicates;
     let usual = GapOptions::default();
+    let mut without = study.settings.without.clone();
+    if study.added_blocks.is_some() {
+        // The scenario says nothing of them that could be wrong.
+        without.extend(EffectKind::ALL.into_iter().filter(|kind| kind.moves() == Moves::Clutter));
+    }
     let search = GapOptions {
         replicates,
         false_alarm: false_alarm(replicates),
-        without: study.settings.without.clone(),
+        without,
         seed: study.scenario.seed,
         ..usual
     };

@@ -135,7 +135,7 @@ fn rest(outcome: &Outcome) -> String {
     let without_name = outcome.unnamed.iter().find(|found| found.form_of.is_none());
     match (without_name, outcome.unnamed.first()) {
         (Some(found), _) if unnamed::is_of_frame(found) => {
-            "Turn the reference's poses into the map's frame: they come from another map, or from an older one.".to_owned()
+            "Put the reference's poses into the map's frame: they come from another map, or from an older one.".to_owned()
         }
         (Some(found), _) if unnamed::is_of_all_noise(found) => format!(
             "Multiply the scenario's `laser.noise` by {}, and repeat the search.",

@@ -1,9 +1,9 @@
 //! What stands farther from all walls than the scenario's blocks reach: people in the open, furniture amid a room. Simulated logs have
-//! nothing there, and the search takes it for errors of the readings.
+//! nothing there, and the search takes it for errors of the readings. A scenario without any blocks gets some.
 
 use locsim_core::{DistanceMap, DriveStep, Hits, Laser, NO_SURFACE, Particles, RangeMap, median, quantile};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap};
-use locsim_world::simulation::BlockOptions;
+use locsim_world::simulation::{BlockOptions, BlockResampling};
 
 /// Scans that are looked at, at the most.
 const SCANS: usize = 300;
@@ -25,19 +25,68 @@ const OF_ROBOT_SHARE: f64 = 0.1;
 /// Share of these readings that the distance in the warning holds.
 const MOST: f64 = 0.95;
 
-/// A warning on readings in the open, from scans whose reference poses are known; `None` where there are few.
-pub(super) fn warning<'a>(
+/// Readings in the open.
+pub(super) struct InOpen {
+    /// Their share of all returns.
+    share: f64,
+    /// Distance to the nearest wall that most of them have at the most \[m\].
+    most_m: f64,
+    /// How far the scenario's blocks reach \[m\]; `None` where it has none.
+    reach_m: Option<f64>,
+}
+
+impl InOpen {
+    /// What is told of them.
+    pub fn warning(&self) -> String {
+        let (percent, most_m) = (100.0 * self.share, self.most_m);
+        self.reach_m.map_or_else(
+            || {
+                format!(
+                    "{percent:.1} % of the readings end in front of the walls, and the scenario has no `blocks`: people or things in the \
+                     open, most of them within {most_m:.1} m of a wall. Simulated logs get blocks up to there, as many as the log has."
+                )
+            },
+            |reach_m| {
+                format!(
+                    "{percent:.1} % of the readings end farther from all walls than the scenario's `blocks` reach ({reach_m:.1} m): people \
+                     or things in the open, most of them within {most_m:.1} m of a wall. The search may take them for errors of the \
+                     readings; `blocks.wall_distance_m` up to {most_m:.1} gives the simulated logs such things, too."
+                )
+            },
+        )
+    }
+
+    /// Blocks for a scenario that has none. How many there are is fitted to the log, as is how long they stay.
+    pub fn blocks(&self) -> Option<BlockOptions> {
+        let blocks = BlockOptions {
+            per_metre_of_wall: 0.1,
+            length_m: [0.1, 0.6],
+            width_m: [0.1, 0.4],
+            yaw_rad: [-std::f64::consts::FRAC_PI_4, std::f64::consts::FRAC_PI_4],
+            // To the digit that is told.
+            wall_distance_m: [0.0, (10.0 * self.most_m).round() / 10.0],
+            resample: BlockResampling::EachObservation,
+            speed_m_s: [0.0, 0.0],
+            clearance_m: 0.35,
+        };
+        self.reach_m.is_none().then_some(blocks)
+    }
+}
+
+/// Readings in the open, from scans whose reference poses are known; `None` where there are few.
+pub(super) fn in_open<'a>(
     steps: impl Iterator<Item = &'a DriveStep>,
     laser: &Laser,
     map: &ExactRangeMap,
     blocks: Option<&BlockOptions>,
-) -> Option<String> {
+) -> Option<InOpen> {
     let steps: Vec<&DriveStep> = steps.collect();
     let [x0, y0, x1, y1] = map.geometry().bounds();
     let area = (x1 - x0 + 2.0 * FARTHEST_M) * (y1 - y0 + 2.0 * FARTHEST_M);
     let cell_m = (area / MOST_CELLS).sqrt().max(CELL_M);
     let distances = DistanceGrid::new(map.geometry(), cell_m, FARTHEST_M).ok()?;
-    let reach_m = blocks.map_or(0.0, BlockOptions::reach_m);
+    let own_reach_m = blocks.map(BlockOptions::reach_m);
+    let reach_m = own_reach_m.unwrap_or(0.0);
     let beams = laser.beam_count();
     let (mut returns, mut open) = (vec![0_usize; beams], vec![Vec::new(); beams]);
     let mut hits = Hits::default();
@@ -47,7 +96,7 @@ pub(super) fn warning<'a>(
         let poses: Particles = std::iter::once(pose).collect();
         map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
         let ranges = &step.scan.ranges;
-        let in_open = |beam: usize| -> Option<f64> {
+        let distance_of = |beam: usize| -> Option<f64> {
             if ranges[beam] >= laser.max_range() {
                 return None;
             }
@@ -61,7 +110,7 @@ pub(super) fn warning<'a>(
             let distance = f64::from(distances.distance(pose.x + range * cos, pose.y + range * sin));
             (distance > reach_m + MARGIN_M + cell_m).then_some(distance)
         };
-        let found: Vec<Option<f64>> = (0..beams).map(in_open).collect();
+        let found: Vec<Option<f64>> = (0..beams).map(distance_of).collect();
         for beam in 0..beams {
             returns[beam] += usize::from(ranges[beam] < laser.max_range());
             let sees_it_too = |other: Option<usize>| {
@@ -80,24 +129,13 @@ pub(super) fn warning<'a>(
     if farthest.len() < LEAST_READINGS || share < LEAST_SHARE {
         return None;
     }
-    let percent = 100.0 * share;
-    let reach = if blocks.is_some() {
-        format!("farther from all walls than the scenario's `blocks` reach ({reach_m:.1} m)")
-    } else {
-        "in front of the walls, and the scenario has no `blocks`".to_owned()
-    };
-    let most_m = quantile(&mut farthest, MOST);
-    Some(format!(
-        "{percent:.1} % of the readings end {reach}: people or things in the open, most of them within {most_m:.1} m of a wall. The search may take \
-         them for errors of the readings; `blocks.wall_distance_m` up to {most_m:.1} gives the simulated logs such things, too."
-    ))
+    Some(InOpen { share, most_m: quantile(&mut farthest, MOST), reach_m: own_reach_m })
 }
 
 #[cfg(test)]
 mod tests {
     use locsim_core::{Pose2, Scan};
     use locsim_world::map::{Polyline, VectorMap};
-    use locsim_world::simulation::BlockResampling;
 
     use super::*;
 
@@ -150,7 +188,7 @@ mod tests {
             DriveStep { stamp_secs: i as f64, odometry: pose, reference: Some(pose), scan: Scan { ranges } }
         };
         let steps: Vec<DriveStep> = (0..100).map(step).collect();
-        warning(steps.iter(), &laser, &map, blocks)
+        in_open(steps.iter(), &laser, &map, blocks).map(|found| found.warning())
     }
 
     #[test]

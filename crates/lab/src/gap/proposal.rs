@@ -5,9 +5,11 @@ use std::path::Path;
 use locsim_baseline::Changes;
 use locsim_core::limits::quoted;
 use locsim_gap::{Guess, Named, Outcome, ResidualStage};
+use locsim_report::text::significant;
 use locsim_scenario::edit::{Additions, Change, Entry};
 use locsim_scenario::effect::{effect_yaml_with, in_file, residual_yaml};
 use locsim_world::effect::Parameter;
+use locsim_world::simulation::BlockOptions;
 use similar::TextDiff;
 
 use super::GapStudy;
@@ -21,7 +23,9 @@ use crate::run::out_folder;
 /// [`LabError::Store`] for a folder whose path can't be told.
 pub fn scenario_after(study: &GapStudy, outcome: &Outcome, out: &Path) -> Result<String, LabError> {
     let guesses = outcome.map.as_ref().map_or(&[][..], |map| &map.guesses);
-    scenario_with(study, &outcome.effects, outcome.residual.as_ref(), guesses, out)
+    let blocks = study.added_blocks.map(|blocks| blocks.times(outcome.nuisances.block_density));
+    let blocks = blocks.as_ref().map(|blocks| block_entry(study, blocks));
+    scenario_with(study, &outcome.effects, outcome.residual.as_ref(), guesses, blocks, out)
 }
 
 /// The scenario with what has changed since a baseline, to be read from the folder `out`.
@@ -29,7 +33,7 @@ pub fn scenario_after(study: &GapStudy, outcome: &Outcome, out: &Path) -> Result
 /// # Errors
 /// As [`scenario_after`].
 pub fn scenario_since(study: &GapStudy, changes: &Changes, out: &Path) -> Result<String, LabError> {
-    scenario_with(study, &changes.effects, None, &[], out)
+    scenario_with(study, &changes.effects, None, &[], None, out)
 }
 
 fn scenario_with(
@@ -37,6 +41,7 @@ fn scenario_with(
     effects: &[Named],
     residual: Option<&ResidualStage>,
     guesses: &[Guess],
+    blocks: Option<Entry>,
     out: &Path,
 ) -> Result<String, LabError> {
     let effects = effects.iter().map(|named| entry(study, named)).collect();
@@ -45,8 +50,24 @@ fn scenario_with(
         .filter(|stage| stage.is_nearer())
         .map_or_else(Vec::new, |stage| residual_entries(study, stage));
     let changes = guesses.iter().map(change).collect();
-    let additions = Additions { changes, effects, residuals };
+    let additions = Additions { changes, blocks, effects, residuals };
     Ok(study.scenario.with(&additions, &out_folder(out)?, &proposed_name(&study.scenario.name)))
+}
+
+/// Blocks that the log has and the scenario hasn't.
+fn block_entry(study: &GapStudy, blocks: &BlockOptions) -> Entry {
+    let log = quoted(&study.log.file_name().unwrap_or_default().to_string_lossy());
+    let range = |key: &str, [from, to]: [f64; 2]| format!("{key}: [{from}, {to}]");
+    Entry {
+        comments: vec![format!("As many as {log} has, found by `locsim gap`; sizes are a guess.")],
+        lines: vec![
+            format!("per_metre_of_wall: {}", significant(blocks.per_metre_of_wall)),
+            range("length_m", blocks.length_m),
+            range("width_m", blocks.width_m),
+            range("wall_distance_m", blocks.wall_distance_m),
+            range("yaw_deg", blocks.yaw_rad.map(f64::to_degrees)),
+        ],
+    }
 }
 
 /// What the log has for what the scenario guessed, to three digits.

@@ -16,8 +16,22 @@ pub(super) fn sentence(found: &Unnamed) -> String {
     match (found.deviation, found.covariate) {
         (Deviation::Lag, _) if found.size < 0.0 => format!("The odometry leads by {}.", size(found)),
         (Deviation::Lag, _) => format!("The odometry lags by {}.", size(found)),
-        (Deviation::Frame, _) => {
+        (Deviation::FrameTurn, _) => {
             format!("The reference's frame is turned by {} against the map's.", size(found))
+        }
+        (Deviation::FrameShift, _) => {
+            let along: Vec<String> =
+                found.curve.iter().map(|along| value(found, along.estimate.value)).collect();
+            format!(
+                "The reference's frame is shifted by {} against the map's ({}).",
+                size(found),
+                along
+                    .iter()
+                    .zip(["x", "y"])
+                    .map(|(by, axis)| format!("{by} along {axis}"))
+                    .collect::<Vec<_>>()
+                    .join(", ")
+            )
         }
         (Deviation::Mean, Covariate::Neighbour) => {
             format!("Neighbours among the beams that are compared err alike: {}.", size(found))
@@ -52,7 +66,7 @@ pub(super) fn form_sentence(found: &Unnamed) -> Option<String> {
 
 /// Whether it is the frame of the reference that is off, and not the readings.
 pub(super) fn is_of_frame(found: &Unnamed) -> bool {
-    found.deviation == Deviation::Frame
+    found.deviation.is_of_frame()
 }
 
 /// Whether it is the noise of every beam that is off.
@@ -84,7 +98,8 @@ pub(super) fn noun(found: &Unnamed) -> &'static str {
         Deviation::NoReturn => "share of missing returns",
         Deviation::Share => "share of readings",
         Deviation::Lag => "lag",
-        Deviation::Frame => "turn of the reference's frame",
+        Deviation::FrameTurn => "turn of the reference's frame",
+        Deviation::FrameShift => "shift of the reference's frame",
     }
 }
 
@@ -92,7 +107,7 @@ pub(super) fn noun(found: &Unnamed) -> &'static str {
 pub(super) fn size(found: &Unnamed) -> String {
     match (found.deviation, found.covariate) {
         (Deviation::Lag, _) => format!("{} s", fixed(found.size.abs(), 2)),
-        (Deviation::Frame, _) => format!("{} degrees", fixed(found.size.to_degrees(), 2)),
+        (Deviation::FrameTurn, _) => format!("{} degrees", fixed(found.size.to_degrees(), 2)),
         (Deviation::Mean, Covariate::Neighbour) => format!("correlation {}", fixed(found.size, 2)),
         _ => value(found, found.size),
     }
@@ -100,7 +115,7 @@ pub(super) fn size(found: &Unnamed) -> String {
 
 fn value(found: &Unnamed, value: f64) -> String {
     match found.deviation {
-        Deviation::Mean => format!("{} mm", significant(1e3 * value)),
+        Deviation::Mean | Deviation::FrameShift => format!("{} mm", significant(1e3 * value)),
         Deviation::Spread if 1.0 + value > WIDEST => format!("{WIDEST} times the noise and more"),
         Deviation::Spread => format!("{} times the noise", fixed(1.0 + value, 2)),
         Deviation::Skew => format!("skewness {}", fixed(value, 2)),

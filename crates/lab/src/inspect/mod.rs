@@ -363,7 +363,9 @@ fn lags(quality: &DriveQuality) -> Vec<String> {
     let clock = &quality.clock;
     let least = NOTABLE.lag_secs.max(NOTABLE.lag_intervals * clock.interval_secs.unwrap_or(0.0));
     let to_reference = quality.odometry.as_ref().map_or(0.0, |odometry| odometry.lag_secs);
-    told_lags(clock.odometry_lag_secs, to_reference, least)
+    // A lag that may be twice its error off tells nothing of one that is worth a word.
+    let is_sure = clock.odometry_lag_error_secs.is_some_and(|error| 2.0 * error < least);
+    told_lags(clock.odometry_lag_secs.filter(|_| is_sure), to_reference, least)
 }
 
 /// The same by the odometry's lags \[s\] against the scans, if they tell one, and against the reference, 0 for none.

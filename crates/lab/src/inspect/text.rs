@@ -182,7 +182,8 @@ impl DriveFacts {
         ));
         let lag = clock.odometry_lag_secs.map_or("can't be told from this drive".to_owned(), |lag| {
             let side = if lag < 0.0 { "ahead of" } else { "behind" };
-            format!("odometry {:.0} ms {side} the scans", 1e3 * lag.abs())
+            let error = clock.odometry_lag_error_secs.unwrap_or_default();
+            format!("odometry {:.0} ± {:.0} ms {side} the scans", 1e3 * lag.abs(), 1e3 * error)
         });
         rows.push(("lag", lag));
         section(f, width, "Clocks", &rows)
