@@ -111,6 +111,8 @@ pub struct Changes {
     pub losses_by_bearing: Option<LossesByBearing>,
     /// The noise of every beam in the baseline and today \[m\], where it has grown, and more than in the form of an effect.
     pub noise_of_every_beam_m: Option<[f64; 2]>,
+    /// By how much the odometry lags behind the reference in the baseline and today \[s\], where that has changed.
+    pub odometry_lag_secs: Option<[f64; 2]>,
     /// Lower and upper corner \[m\] of the place where readings have changed most, where an effect of all beams would explain them there and is
     /// surely none elsewhere.
     pub place: Option<[f64; 4]>,

@@ -56,6 +56,7 @@ pub fn find_changes(
         effects: Vec::new(),
         losses_by_bearing: None,
         noise_of_every_beam_m: None,
+        odometry_lag_secs: None,
         place: None,
         p: 1.0,
         permutations: 0,

@@ -395,6 +395,13 @@ mod tests {
     }
 
     #[test]
+    fn blocks_are_added_with_their_keys() {
+        let keys = Entry { comments: vec!["why".to_owned()], lines: vec!["length_m: [0.1, 0.6]".to_owned()] };
+        let text = grown("a: 1\n", "blocks", &[keys]);
+        assert_eq!(text, "a: 1\nblocks:\n  # why\n  length_m: [0.1, 0.6]\n");
+    }
+
+    #[test]
     fn an_entry_is_appended_however_the_list_is_written() {
         for (text, expected) in [
             ("a: 1\n", "a: 1\neffects:\n  # why\n  - {name: heavy_tail, p: 0.1}\n"),

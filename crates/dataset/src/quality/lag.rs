@@ -194,7 +194,7 @@ fn even_spacing(bearings: &[f32]) -> Option<f64> {
 }
 
 /// A scan as it is seen from elsewhere, by a laser that hasn't turned. Beams that what it saw says nothing of have no return.
-fn seen_from(place: DVec2, ranges: &[f32], laser: &Laser, beam_rad: f64) -> Vec<f32> {
+pub(super) fn seen_from(place: DVec2, ranges: &[f32], laser: &Laser, beam_rad: f64) -> Vec<f32> {
     let (first, max) = (f64::from(laser.bearings()[0]), laser.max_range());
     let mut seen = vec![max; ranges.len()];
     // The beam, to a fraction, and the range of each point.

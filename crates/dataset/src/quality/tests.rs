@@ -261,6 +261,24 @@ fn jumps_are_counted() {
     assert_eq!(DriveQuality::of(&jumping, &summary()).odometry.unwrap().jumps, None);
 }
 
+/// A scan seen from 12 cm ahead and 5 cm to the left is the scan that is taken there, as far as the first one saw it.
+#[test]
+fn a_scan_is_seen_from_elsewhere() {
+    let bearings: Vec<f32> = (0..180).map(|beam| (f64::from(beam) - 90.0).to_radians() as f32).collect();
+    let laser = Laser::new(bearings.clone(), vec![0.0; 180], 0.1, 20.0, Pose2::IDENTITY).unwrap();
+    let place = glam::DVec2::new(0.12, 0.05);
+    let scan_at = |place: glam::DVec2| -> Vec<f32> {
+        let pose = Pose2::new(0.3 + place.x, -0.4 + place.y, 0.0);
+        bearings.iter().map(|&bearing| range(&pose, f64::from(bearing)) as f32).collect()
+    };
+    let [first, there] = [glam::DVec2::ZERO, place].map(scan_at);
+    let seen = super::lag::seen_from(place, &first, &laser, 1_f64.to_radians());
+    let known: Vec<f32> =
+        (0..180).filter(|&i| seen[i] < laser.max_range()).map(|i| (seen[i] - there[i]).abs()).collect();
+    let unmoved = first.iter().zip(&there).map(|(a, b)| (a - b).abs()).sum::<f32>() / 180.0;
+    assert!(known.len() > 150 && known.iter().sum::<f32>() / (known.len() as f32) < 0.1 * unmoved);
+}
+
 #[test]
 fn a_lag_is_found_on_either_side() {
     for lag_secs in [-0.15, 0.0, 0.2] {

@@ -20,6 +20,8 @@ const MARKDOWN: &str = include_str!("templates/baseline.md.j2");
 const SHOWN: usize = 10;
 /// Share of today's readings at places that the baseline has seen, below which the answer says so.
 const FEW_SHARED: f64 = 0.3;
+/// A lag of the odometry that has changed by less is none: it comes and goes with the interpolation \[s\].
+const LEAST_LAG_SECS: f64 = 0.05;
 
 /// Holds the log against the baseline and writes the results folder, which is made beside its place and renamed when complete.
 ///
@@ -67,6 +69,13 @@ pub fn find(study: &GapStudy, control: Control<'_>) -> Result<Changes, LabError>
             "Only {} % of the log's readings are at places that the baseline has seen; the others are compared for objects and lost returns alone.",
             fixed(100.0 * changes.shared, 0)
         ));
+    }
+    let lags = [baseline.odometry_lag_secs, study.odometry_lag_secs];
+    if (lags[1] - lags[0]).abs() >= LEAST_LAG_SECS {
+        changes.odometry_lag_secs = Some(lags);
+        if changes.verdict == ChangeVerdict::None {
+            changes.verdict = ChangeVerdict::Unexplained;
+        }
     }
     changes.notes.splice(0..0, study.remarks());
     changes.seconds = control.seconds_since(began);
@@ -178,6 +187,8 @@ fn tried_table(changes: &Changes) -> TextTable {
 const WINDOW: &str = "Look at the laser's window, and at what the robot may have in front of it.";
 /// The next step where every beam is noisier.
 const NOISE: &str = "Look at the laser itself: its window, its supply, its temperature.";
+/// The next step where the odometry lags.
+const STAMPS: &str = "Look at what stamps the odometry, and at what filters it.";
 /// Ranges are farther off with a name if they are so by this factor.
 const FARTHER: f64 = 1.1;
 
@@ -202,10 +213,15 @@ fn sentences(changes: &Changes) -> Vec<String> {
     text.splice(at..at, losses.clone());
     let noise = changes.noise_of_every_beam_m.map(noise_sentence);
     text.extend(noise.clone());
+    let lag = changes.odometry_lag_secs.map(lag_sentence);
+    text.extend(lag.clone());
     match changes.verdict {
         ChangeVerdict::None => text.push(format!("Nothing has changed since the baseline (p = {p}).")),
         ChangeVerdict::Unexplained if noise.is_some() => {
             text.push(format!("No effect of the library is noise of every beam (p = {p})."));
+        }
+        ChangeVerdict::Unexplained if lag.is_some() => {
+            text.push(format!("No effect of the library is a lag of the odometry. Readings as different as these come by chance with p = {p}."));
         }
         ChangeVerdict::Unexplained if losses.is_some() => {
             text.push(format!("No effect of the library loses returns by bearing (p = {p})."));
@@ -254,6 +270,15 @@ fn noise_sentence([baseline, today]: [f64; 2]) -> String {
     )
 }
 
+/// "Since the baseline: The odometry lags behind the reference: ..."
+fn lag_sentence([baseline, today]: [f64; 2]) -> String {
+    format!(
+        "Since the baseline: The odometry lags behind the reference by {} s, {} s in the baseline: its stamps are late, or it is filtered.",
+        fixed(today, 2),
+        fixed(baseline, 2)
+    )
+}
+
 /// "at x 5.0 to 6.0 m, y 4.0 to 5.0 m".
 fn at_place([x0, y0, x1, y1]: [f64; 4]) -> String {
     let span = |from, to| format!("{} to {} m", fixed(from, 1), fixed(to, 1));
@@ -286,6 +311,7 @@ fn steps(changes: &Changes) -> Vec<String> {
             vec!["Drive where the baseline drove, or take a baseline that has seen these places.".to_owned()]
         }
         ChangeVerdict::Unexplained if window.is_some() => window.into_iter().collect(),
+        ChangeVerdict::Unexplained if changes.odometry_lag_secs.is_some() => vec![STAMPS.to_owned()],
         ChangeVerdict::Unexplained => match changes.place {
             Some(place) => vec![format!("Look {}, for what stands there now.", at_place(place))],
             None => vec![

@@ -110,6 +110,8 @@ pub struct GapStudy {
     /// The log with the scenario's laser mount.
     drive: Drive,
     recorded: Recorded,
+    /// By how much its odometry lags behind its reference.
+    odometry_lag_secs: f64,
     /// The log that it is held against, if there is one.
     baseline: Option<Baseline>,
     settings: GapSettings,
@@ -125,6 +127,7 @@ pub struct GapStudy {
 struct Baseline {
     log: PathBuf,
     recorded: Recorded,
+    odometry_lag_secs: f64,
 }
 
 /// How to do it.
@@ -199,12 +202,14 @@ impl GapStudy {
             let (drive, summary) = read_log(&path, &settings.log)?;
             notes.push(format!("Baseline: {}", summary.to_string().replace('\n', "; ")));
             let laser = simulated.laser();
-            let (_, recorded) = usable(&path, drive, &summary, laser, &map, &settings, &mut warnings)?;
-            Ok(Baseline { log: path, recorded })
+            let (_, recorded, odometry_lag_secs) =
+                usable(&path, drive, &summary, laser, &map, &settings, &mut warnings)?;
+            Ok(Baseline { log: path, recorded, odometry_lag_secs })
         });
         let baseline = baseline.transpose()?;
         let laser = simulated.laser();
-        let (drive, recorded) = usable(&log, drive, &summary, laser, &map, &settings, &mut warnings)?;
+        let (drive, recorded, odometry_lag_secs) =
+            usable(&log, drive, &summary, laser, &map, &settings, &mut warnings)?;
         let mut added_blocks = None;
         // Beside a baseline, clutter is as the baseline has it.
         if baseline.is_none() {
@@ -224,6 +229,7 @@ impl GapStudy {
             map,
             drive,
             recorded,
+            odometry_lag_secs,
             baseline,
             settings,
             notes,
@@ -346,7 +352,7 @@ impl Held {
     }
 }
 
-/// The part of a log that is looked at, with the scenario's laser.
+/// The part of a log that is looked at, with the scenario's laser, and by how much the odometry lags behind the reference \[s\].
 ///
 /// Beside a baseline the scans are spread evenly over the log, so that both see the same places.
 fn usable(
@@ -357,13 +363,15 @@ fn usable(
     map: &ExactRangeMap,
     settings: &GapSettings,
     warnings: &mut Vec<String>,
-) -> Result<(Drive, Recorded), LabError> {
+) -> Result<(Drive, Recorded, f64), LabError> {
     let refuse = |what: String| LabError::Log { path: log.to_owned(), what };
     let drive = with_mount(drive, laser.laser(), warnings);
     let mut drive = with_beams(drive, laser.laser()).map_err(refuse)?;
     warnings.extend(spread_stamps(&mut drive, laser.options().rate_hz.recip()));
     warnings.extend(summary.remarks.iter().cloned());
-    warnings.extend(doubts(&DriveQuality::of(&drive, summary)));
+    let quality = DriveQuality::of(&drive, summary);
+    let lag_secs = quality.odometry.as_ref().map_or(0.0, |odometry| odometry.lag_secs);
+    warnings.extend(doubts(&quality));
     warnings.extend(without_stale_scans(&mut drive));
     let frozen = drive.frozen_odometry();
     warnings.extend((frozen[0] > 0.0).then(|| frozen_odometry(frozen)));
@@ -399,7 +407,7 @@ fn usable(
             quoted(&log.file_name().unwrap_or_default().to_string_lossy())
         ));
     }
-    Ok((drive, recorded))
+    Ok((drive, recorded, lag_secs))
 }
 
 /// Leaves out scans that were sent again; a note on them.

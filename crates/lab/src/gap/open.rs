@@ -161,7 +161,7 @@ mod tests {
         at_m: f32,
         blocks: Option<&BlockOptions>,
     ) -> Option<String> {
-        told_in(6.0, seen, beam, at_m, blocks)
+        told_in(6.0, seen, beam, at_m, blocks).map(|found| found.warning())
     }
 
     /// The same amid a hall whose walls are `wall_m` away.
@@ -171,7 +171,7 @@ mod tests {
         beam: impl Fn(usize, usize) -> usize,
         at_m: f32,
         blocks: Option<&BlockOptions>,
-    ) -> Option<String> {
+    ) -> Option<InOpen> {
         let corners = [[-wall_m, -wall_m], [wall_m, -wall_m], [wall_m, wall_m], [-wall_m, wall_m]];
         let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
         let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
@@ -188,7 +188,7 @@ mod tests {
             DriveStep { stamp_secs: i as f64, odometry: pose, reference: Some(pose), scan: Scan { ranges } }
         };
         let steps: Vec<DriveStep> = (0..100).map(step).collect();
-        in_open(steps.iter(), &laser, &map, blocks).map(|found| found.warning())
+        in_open(steps.iter(), &laser, &map, blocks)
     }
 
     #[test]
@@ -206,8 +206,12 @@ mod tests {
         assert!(text.contains("`blocks.wall_distance_m` up to 4.5"), "{text}");
         assert_eq!(told_with(5.0), None);
         assert!(told(3, walks, 2.0, None).unwrap().contains("the scenario has no `blocks`"));
+        // Blocks are added where there are none, and as far as these readings are.
+        let added = |blocks| told_in(6.0, 3, walks, 2.0, blocks).unwrap().blocks();
+        assert_eq!(added(None).map(|blocks| blocks.wall_distance_m), Some([0.0, 4.5]));
+        assert_eq!(added(Some(&blocks(0.5))), None);
         // Walls beyond the maximum range return nothing, and nothing stands where a reading without return seems to end.
-        assert_eq!(told_in(24.0, 0, walks, 2.0, Some(&blocks(0.5))), None);
+        assert!(told_in(24.0, 0, walks, 2.0, Some(&blocks(0.5))).is_none());
         // One beam in a place is a random reading; the same beams at all times see the robot.
         assert_eq!(told(3, |i, j| (i * 7 + 20 * j) % BEAMS, 2.0, Some(&blocks(0.5))), None);
         assert_eq!(told(3, |_, j| j, 2.0, Some(&blocks(0.5))), None);
