@@ -435,7 +435,7 @@ fn a_reference_in_a_turned_frame_is_no_turned_laser() {
     let size = found["size"].as_f64().unwrap();
     assert!((size - turn).abs() < 0.2 * turn, "{found:#}");
     let report = String::from_utf8(folder.read("found/report.md")).unwrap();
-    assert!(report.contains("1. Turn the reference's poses into the map's frame"), "{report}");
+    assert!(report.contains("1. Put the reference's poses into the map's frame"), "{report}");
 }
 
 #[test]

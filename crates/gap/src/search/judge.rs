@@ -119,7 +119,10 @@ impl<'a> State<'a> {
         // Whether returns get lost says nothing of the errors of those that don't, nor do readings of the odometry: each is judged by its own.
         let mut rivals = dependences.iter().filter(|rival| match accepted.map(|best| &candidates[best]) {
             Some(best) if is_of_odometry(best) => rival.covariate == Covariate::Odometry,
-            Some(best) if best.kind().loses_returns() => rival.deviation == Deviation::NoReturn,
+            // In a frame that is off, beams end elsewhere.
+            Some(best) if best.kind().loses_returns() => {
+                rival.deviation == Deviation::NoReturn || rival.deviation.is_of_frame()
+            }
             Some(_) => rival.covariate != Covariate::Odometry,
             None => true,
         });

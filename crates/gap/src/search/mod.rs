@@ -302,7 +302,7 @@ impl<'a> State<'a> {
             let is_bounded = |i: usize| round.dictionary.statistics[i].by_one_reading > 0.0;
             let is_beyond_score = candidate.gain() > BEYOND_SCORE_NATS
                 && (moving.contains(&kind)
-                    || round.own(kind).all(is_bounded)
+                    || weight >= beyond_chance && round.own(kind).all(is_bounded)
                     || kind.moves() == Moves::Scans && candidate.gain() > of_noise);
             candidate.is_beyond_chance = weight >= beyond_chance || is_beyond_score;
             candidate.score = (has_score && !is_beyond_score).then_some(off);
