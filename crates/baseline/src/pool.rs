@@ -338,7 +338,7 @@ pub(super) fn is_of_outcomes(kind: EffectKind) -> bool {
 /// Whether a reading is of what is behind a pane.
 fn is_pane(world: &World, alternative: Alternative) -> bool {
     matches!(alternative, Alternative::Near { .. })
-        && world.effects.list().last().is_some_and(|effect| effect.kind == EffectKind::Glass)
+        && world.effects.list().last().is_some_and(|effect| effect.kind.lets_beams_through())
 }
 
 /// Shares of an alternative in front of a return, and within the reach of its errors.

@@ -193,7 +193,7 @@ impl Edit {
             Some(first) => Some((track(&mut referenced)?, first - stamps[0])),
             None => None,
         };
-        let needing: Vec<&str> = ScanFilter::needing_map(effects).map(|kind| kind.name()).collect();
+        let needing: Vec<&str> = ScanFilter::needing_map(effects).map(EffectKind::name).collect();
         let mut placed = vec![false; stamps.len()];
         if !needing.is_empty() {
             if reference.is_none() {
