@@ -1,7 +1,12 @@
 //! What stands farther from all walls than the scenario's blocks reach: people in the open, furniture amid a room. Simulated logs have
 //! nothing there, and the search takes it for errors of the readings. A scenario without any blocks gets some.
 
-use locsim_core::{DistanceMap, DriveStep, Hits, Laser, NO_SURFACE, Particles, RangeMap, median, quantile};
+use std::collections::BTreeSet;
+
+use glam::DVec2;
+use locsim_core::{
+    DistanceMap, DriveStep, Hits, Laser, NO_SURFACE, Particles, RangeMap, cell_at, median, quantile,
+};
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap};
 use locsim_world::simulation::{BlockOptions, BlockResampling};
 
@@ -22,6 +27,8 @@ const LEAST_READINGS: usize = 50;
 const LEAST_SHARE: f64 = 3e-3;
 /// A beam that sees so much more than the median beam sees the robot itself.
 const OF_ROBOT_SHARE: f64 = 0.1;
+/// Side of the cells, of which two by two are a place \[m\].
+const PLACE_M: f64 = 0.5;
 /// Share of these readings that the distance in the warning holds.
 const MOST: f64 = 0.95;
 
@@ -96,7 +103,7 @@ pub(super) fn in_open<'a>(
         let poses: Particles = std::iter::once(pose).collect();
         map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
         let ranges = &step.scan.ranges;
-        let distance_of = |beam: usize| -> Option<f64> {
+        let distance_of = |beam: usize| -> Option<(f64, [i32; 2])> {
             if ranges[beam] >= laser.max_range() {
                 return None;
             }
@@ -107,10 +114,11 @@ pub(super) fn in_open<'a>(
                 return None;
             }
             let (sin, cos) = (pose.theta + f64::from(laser.bearings()[beam])).sin_cos();
-            let distance = f64::from(distances.distance(pose.x + range * cos, pose.y + range * sin));
-            (distance > reach_m + MARGIN_M + cell_m).then_some(distance)
+            let end = pose.position() + range * DVec2::new(cos, sin);
+            let distance = f64::from(distances.distance(end.x, end.y));
+            (distance > reach_m + MARGIN_M + cell_m).then_some((distance, cell_at(end, PLACE_M)))
         };
-        let found: Vec<Option<f64>> = (0..beams).map(distance_of).collect();
+        let found: Vec<Option<(f64, [i32; 2])>> = (0..beams).map(distance_of).collect();
         for beam in 0..beams {
             returns[beam] += usize::from(ranges[beam] < laser.max_range());
             let sees_it_too = |other: Option<usize>| {
@@ -123,8 +131,16 @@ pub(super) fn in_open<'a>(
     }
     let share = |beam: usize| open[beam].len() as f64 / returns[beam].max(1) as f64;
     let most = OF_ROBOT_SHARE + 2.0 * median(&mut (0..beams).map(share).collect::<Vec<_>>());
-    let mut farthest: Vec<f64> =
-        (0..beams).filter(|&beam| share(beam) <= most).flat_map(|beam| &open[beam]).copied().collect();
+    let told = || (0..beams).filter(|&beam| share(beam) <= most).flat_map(|beam| &open[beam]);
+    let mut farthest: Vec<f64> = told().map(|(distance, _)| *distance).collect();
+    let in_place = |[x, y]: [i32; 2]| {
+        told().filter(|(_, [i, j])| (x..=x + 1).contains(i) && (y..=y + 1).contains(j)).count()
+    };
+    let places: BTreeSet<[i32; 2]> = told().map(|(_, cell)| *cell).collect();
+    // One thing is no clutter: the search tells what it is, and where.
+    if blocks.is_none() && places.into_iter().any(|place| 2 * in_place(place) > farthest.len()) {
+        return None;
+    }
     let share = farthest.len() as f64 / returns.iter().sum::<usize>().max(1) as f64;
     if farthest.len() < LEAST_READINGS || share < LEAST_SHARE {
         return None;
