@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+use locsim_core::RecordedError;
 use locsim_dataset::DatasetError;
 use locsim_gap::GapError;
 use locsim_lab::LabError;
@@ -82,6 +83,9 @@ pub enum BenchError {
     /// A search failed, or was stopped.
     #[error(transparent)]
     Gap(#[from] GapError),
+    /// No part of a log can be compared.
+    #[error(transparent)]
+    Recorded(#[from] RecordedError),
     /// A log could not be written or read.
     #[error(transparent)]
     Log(#[from] DatasetError),

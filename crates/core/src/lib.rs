@@ -28,6 +28,7 @@ mod particles;
 mod pose;
 mod pose_error;
 mod quantile;
+mod recorded;
 mod resampled;
 mod shard;
 mod stretches;
@@ -58,6 +59,7 @@ pub use pose_error::{
     predictive_gain, smooth_pose_errors,
 };
 pub use quantile::{equal_bins, median, quantile, sorted};
+pub use recorded::{LEAST_SCANS, Recorded, RecordedError};
 pub use resampled::resampled;
 pub use shard::Shard;
 pub use stretches::{Stretch, Stretches};

@@ -1,6 +1,6 @@
 use std::f64::consts::{PI, TAU};
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::elementary::ROUND;
@@ -90,6 +90,18 @@ impl Pose2 {
         let moved = share * (other.position() - self.position());
         let turned = share * wrap_angle(other.theta - self.theta);
         Self::new(self.x + moved.x, self.y + moved.y, self.theta + turned)
+    }
+
+    /// The pose with an error added: x, y \[m\] and heading \[rad\].
+    #[must_use]
+    pub fn moved(&self, error: DVec3) -> Self {
+        Self::new(self.x + error.x, self.y + error.y, self.theta + error.z)
+    }
+
+    /// What [`Pose2::moved`] adds to `other` to make it this pose.
+    #[must_use]
+    pub fn error_from(&self, other: &Self) -> DVec3 {
+        DVec3::new(self.x - other.x, self.y - other.y, wrap_angle(self.theta - other.theta))
     }
 
     /// All three components are finite.

@@ -4,6 +4,7 @@
 //! standard deviation for both) and of the heading is a first-order autoregressive process, in the map frame.
 
 use glam::{DMat3, DVec2, DVec3};
+use nalgebra::{Matrix3, Vector3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -66,25 +67,30 @@ impl PoseError {
         ((1.0 + phi) / (1.0 - phi) - 2.0 * phi * (1.0 - phi.powf(n)) / (n * (1.0 - phi).powi(2))) / n
     }
 
+    /// Simulated errors of poses at these times \[s\]; the error at pose `i` is drawn from `draw(i)`.
+    pub fn simulate<R: Rng>(&self, secs: &[f64], draw: impl Fn(u32) -> R) -> Vec<DVec3> {
+        let mut error = DVec3::ZERO;
+        let errors = (0..secs.len()).map(|i| {
+            if self.is_none() {
+                return error;
+            }
+            let phi = if i == 0 { 0.0 } else { self.correlation(secs[i] - secs[i - 1]) };
+            let sigma = DVec3::new(self.sigma_m, self.sigma_m, self.sigma_rad);
+            error = phi * error + (1.0 - phi * phi).sqrt() * sigma * normals(&mut draw(i as u32));
+            error
+        });
+        errors.collect()
+    }
+
     /// The poses of a track, each with a simulated error of the process; the error at pose `i` is drawn from `draw(i)`.
     pub fn perturb<R: Rng>(&self, track: &Track, draw: impl Fn(u32) -> R) -> Vec<Pose2> {
-        if self.is_none() {
-            return track.poses().to_vec();
-        }
-        let sigma = [self.sigma_m, self.sigma_m, self.sigma_rad];
-        let secs = track.secs();
-        let mut error = [0.0; 3];
-        let perturbed = track.poses().iter().enumerate().map(|(i, pose)| {
-            let phi = if i == 0 { 0.0 } else { self.correlation(secs[i] - secs[i - 1]) };
-            let mut rng = draw(i as u32);
-            for (error, sigma) in error.iter_mut().zip(sigma) {
-                let normal: f64 = StandardNormal.sample(&mut rng);
-                *error = phi * *error + (1.0 - phi * phi).sqrt() * sigma * normal;
-            }
-            Pose2::new(pose.x + error[0], pose.y + error[1], pose.theta + error[2])
-        });
-        perturbed.collect()
+        track.poses().iter().zip(self.simulate(track.secs(), draw)).map(|(pose, e)| pose.moved(e)).collect()
     }
+}
+
+/// Three draws of a standard normal variable.
+fn normals(rng: &mut impl Rng) -> DVec3 {
+    DVec3::from_array(std::array::from_fn(|_| StandardNormal.sample(rng)))
 }
 
 /// A turn about the middle of all poses and a shift of them: what the errors of poses in a turned frame have in common.
@@ -185,6 +191,18 @@ impl PoseInformation {
         let j = DVec3::from_array(jacobian);
         self.matrix += DMat3::from_cols(weight * j * j.x, weight * j * j.y, weight * j * j.z);
         self.vector += weight * error * j;
+    }
+
+    /// What beams as informative as these say of a pose that errs so, with noise of theirs.
+    #[must_use]
+    pub fn simulate(&self, error: DVec3, rng: &mut impl Rng) -> Self {
+        // Beams along a corridor say nothing of one direction.
+        let ridge = 1e-9 * (self.matrix.x_axis.x + self.matrix.y_axis.y + self.matrix.z_axis.z);
+        let matrix = Matrix3::from(self.matrix.to_cols_array_2d()) + Matrix3::from_diagonal_element(ridge);
+        let normal = Vector3::from(normals(rng).to_array());
+        let noise = matrix.cholesky().map_or(Vector3::zeros(), |factor| factor.l() * normal);
+        let noise = DVec3::from_array(noise.into());
+        Self { matrix: self.matrix, vector: self.matrix * error + noise }
     }
 }
 
@@ -318,6 +336,41 @@ pub fn pattern_score(process: &PoseError, secs: &[f64], scans: &[PoseInformation
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What simulated scans say of an error has its mean and their own spread, also where they say nothing of one direction.
+    #[test]
+    fn scans_tell_an_error_as_surely_as_their_beams_are_many() {
+        let mut scan = PoseInformation::default();
+        for (weight, jacobian) in [(1e4, [1.0, 0.5, -2.0]), (4e4, [1.0, 0.5, 1.0])] {
+            scan.add_beam(weight, jacobian, 0.0);
+        }
+        let error = DVec3::new(0.01, -0.02, 0.003);
+        let draw = crate::Draw::new(5, crate::Stage::Path, 0);
+        let (mut mean, mut square) = (DVec3::ZERO, DMat3::ZERO);
+        let count = 20_000;
+        for i in 0..count {
+            let told = scan.simulate(error, &mut draw.item(i));
+            let noise = told.vector - scan.matrix * error;
+            mean += noise / f64::from(count);
+            square += DMat3::from_cols(noise * noise.x, noise * noise.y, noise * noise.z)
+                * f64::from(count).recip();
+        }
+        for i in 0..3 {
+            let variance = scan.matrix.col(i)[i];
+            // Five standard errors.
+            assert!(mean[i].abs() < 5.0 * (variance / f64::from(count)).sqrt(), "{mean}");
+            for j in 0..3 {
+                let scale = (variance * scan.matrix.col(j)[j]).sqrt();
+                let off = square.col(i)[j] - scan.matrix.col(i)[j];
+                assert!(
+                    off.abs() < 5.0 * scale * (2.0 / f64::from(count)).sqrt(),
+                    "{i} {j}: {off} of {scale}"
+                );
+            }
+        }
+        let nothing = PoseInformation::default().simulate(error, &mut draw.item(0));
+        assert_eq!(nothing.vector, DVec3::ZERO);
+    }
 
     /// Logs of three correlation times, whose mean is taken off, have errors as large as they were drawn in the mean.
     #[test]

@@ -84,6 +84,11 @@ impl Track {
         let share = if duration == 0.0 { 0.0 } else { (secs - self.secs[i]) / duration };
         self.poses[i].interpolate(&self.poses[other], share)
     }
+
+    /// The pose at a time during the sweep that begins at pose `i`: several sweeps may begin at one time.
+    pub fn pose_during(&self, i: usize, secs: f64) -> Pose2 {
+        if secs == self.secs[i] { self.poses[i] } else { self.pose_at(secs) }
+    }
 }
 
 #[cfg(test)]

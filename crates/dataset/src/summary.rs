@@ -1,6 +1,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use locsim_core::Pose2;
 use serde::Serialize;
 
 /// The kind of poses in a log.
@@ -73,6 +74,8 @@ impl fmt::Display for MountSource {
 /// Content of a log, and how it was interpreted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogSummary {
+    /// Reference poses between the scans, with their times \[s\]; empty where the log's reference comes no oftener than scans.
+    pub between: Vec<(f64, Pose2)>,
     /// The kind of the poses.
     pub kind: LogKind,
     /// Where the odometry comes from.

@@ -1,18 +1,13 @@
-use locsim_core::TrackError;
+use locsim_core::RecordedError;
 use locsim_world::simulation::SimulationError;
 use thiserror::Error;
 
 /// Why a log can't be held against a simulation.
 #[derive(Debug, Error)]
 pub enum GapError {
-    /// Too few scans have a reference pose.
-    #[error("only {scans} scans with a reference pose in the map's free space; at least {least} are needed")]
-    TooFewScans {
-        /// How many there are.
-        scans: usize,
-        /// How many it takes.
-        least: usize,
-    },
+    /// No part of the log can be compared.
+    #[error(transparent)]
+    Recorded(#[from] RecordedError),
     /// The log's laser is not the scenario's.
     #[error("the log's laser {what} is {log}, the scenario's {scenario}")]
     Laser {
@@ -28,9 +23,6 @@ pub enum GapError {
         "the nominal laser has no noise: no reading of a real one has a density under it; set laser.noise.sigma_m"
     )]
     NoNoise,
-    /// The reference poses and their stamps make no track.
-    #[error(transparent)]
-    Track(#[from] TrackError),
     /// A hidden drive needs a speed between any two of its poses.
     #[error("a drive needs at least two poses, each later than the one before")]
     Truth,

@@ -35,7 +35,7 @@ impl Regime {
             Some(blocks) if !self.persistent_blocks => blocks.resample,
             _ => BlockResampling::Never,
         };
-        nominal.simulator(effects, BlockPolicy { density: 1.0, resample, walking: 0.0 })
+        nominal.simulator(effects, 1.0, BlockPolicy::of(resample))
     }
 }
 
@@ -89,7 +89,7 @@ impl<'a> HiddenDrive<'a> {
 
     /// Readings \[scan\]\[beam\] of a robot that followed `track`.
     pub fn readings_along(&self, track: &Track) -> Vec<f32> {
-        self.simulator.scan_along(track, self.seed)
+        self.simulator.scan_along(track.secs(), |scan, secs| track.pose_during(scan, secs), self.seed)
     }
 
     /// `odom_from_base` at each scan.

@@ -1,5 +1,6 @@
 //! The log likelihood of a log under a hypothesis, with the reference's errors and the density of blocks profiled out.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use distreg::random_effects;
@@ -11,7 +12,7 @@ use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
 use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};
 
 use crate::likelihood::{Density, Terms};
-use crate::pose_pattern::{PosePattern, without_patterns};
+use crate::pose_pattern::{PosePattern, errors_beyond_patterns, without_patterns};
 use crate::views::{PieceView, Views};
 use crate::wall_error::{self, Pull};
 use crate::{GapError, Nominal, Recorded};
@@ -48,6 +49,8 @@ pub(crate) struct Fitted {
     pub nuisances: Nuisances,
     /// Error of each reference pose.
     pub corrections: Vec<DVec3>,
+    /// What the scans say of these errors; empty where the process isn't fitted.
+    pub information: Vec<PoseInformation>,
     /// Offset of each piece of a measured map's walls \[m\]; empty of a map that is taken for exact.
     pub offsets: Vec<f64>,
     /// Offset and standard deviation of each piece that has readings, about the middle of all \[m\].
@@ -63,12 +66,18 @@ impl Fitted {
     pub fn total(&self) -> f64 {
         self.scans.iter().sum()
     }
+
+    /// Whether an effect explains the errors of the poses: they take up a part of it, and aren't what they seem.
+    fn is_in_pattern(&self) -> bool {
+        self.pattern_scores.iter().any(|score| score.abs() > MOST_IN_PATTERN)
+    }
 }
 
 /// Views of a log, for hypotheses that see the world alike.
+#[derive(Clone)]
 pub(crate) struct Comparison<'a> {
     pub nominal: &'a Nominal,
-    pub recorded: &'a Recorded,
+    pub recorded: Cow<'a, Recorded>,
     /// Views of its beams in the world that hypotheses change: the nominal one, or one with effects that are named
     /// already.
     pub views: Arc<Views>,
@@ -78,9 +87,11 @@ pub(crate) struct Comparison<'a> {
 /// no error changes by more than this \[m\], a radian counting as 3 m.
 pub(crate) const CORRECTIONS: usize = 8;
 const CORRECTED_M: f64 = 0.001;
+/// The most times that beams are cast anew.
+const RECASTS: usize = 2;
 /// Such steps in which readings that are far off count.
 const FAR_CORRECTIONS: usize = 4;
-/// A fit whose errors lie more surely than this in one pattern of an effect (standard deviations) isn't taken: the effect explains them.
+/// Errors that lie more surely than this in one pattern of an effect (standard deviations) are the effect's.
 const MOST_IN_PATTERN: f64 = 10.0;
 /// Standard deviation of walls' offsets from which fits start \[m\].
 const FIRST_WALL_ERROR_M: f64 = 0.02;
@@ -89,12 +100,14 @@ impl<'a> Comparison<'a> {
     /// # Errors
     /// As [`Views::new`].
     pub fn new(nominal: &'a Nominal, recorded: &'a Recorded) -> Result<Self, GapError> {
-        Ok(Self { nominal, recorded, views: Arc::new(Views::new(nominal, recorded, &nominal.effects)?) })
+        let views = Arc::new(Views::new(nominal, recorded, &nominal.effects)?);
+        Ok(Self { nominal, recorded: Cow::Borrowed(recorded), views })
     }
 
     /// The same views for another log of the same poses.
-    pub fn of(&self, recorded: &'a Recorded) -> Self {
-        Self { nominal: self.nominal, recorded, views: Arc::clone(&self.views) }
+    pub fn of<'b>(&'b self, recorded: &'b Recorded) -> Comparison<'b> {
+        let views = Arc::clone(&self.views);
+        Comparison { nominal: self.nominal, recorded: Cow::Borrowed(recorded), views }
     }
 
     /// The log's views in a world with these effects, while they are fitted; see [`Views::with`].
@@ -102,7 +115,7 @@ impl<'a> Comparison<'a> {
         if self.views.are_of(effects) {
             Ok(Arc::clone(&self.views))
         } else {
-            Ok(Arc::new(self.views.with(self.nominal, self.recorded, effects)?))
+            Ok(Arc::new(self.views.with(self.nominal, &self.recorded, effects)?))
         }
     }
 
@@ -111,9 +124,33 @@ impl<'a> Comparison<'a> {
         let views = if self.views.are_of(effects) {
             Arc::clone(&self.views)
         } else {
-            Arc::new(self.views.anew(self.nominal, self.recorded, effects)?)
+            Arc::new(self.views.anew(self.nominal, &self.recorded, effects)?)
         };
-        Ok(Self { nominal: self.nominal, recorded: self.recorded, views })
+        Ok(Self { views, ..self.clone() })
+    }
+
+    /// The same world seen from the reference poses without the errors that were fitted, with the nuisances fitted anew. Ranges are
+    /// linear in errors only as far as no beam passes an edge. The errors on a measured map stay as they are: which of its beams count is known.
+    pub fn recast(mut self, effects: &Effects, mut fitted: Fitted) -> Result<(Self, Fitted), GapError> {
+        for _ in 0..RECASTS {
+            let process = &fitted.nuisances.pose_error;
+            if process.is_none() || self.nominal.pieces.is_some() || fitted.is_in_pattern() {
+                break;
+            }
+            let errors = errors_beyond_patterns(process, &self.recorded, &fitted.information);
+            if most_change(&errors, &self.recorded.corrections) < CORRECTED_M {
+                break;
+            }
+            let recorded = self.recorded.corrected(errors);
+            let views = Arc::new(Views::new(self.nominal, &recorded, effects)?);
+            let after = Self { nominal: self.nominal, recorded: Cow::Owned(recorded), views };
+            let refitted = after.fit_nuisances_with(effects, &fitted.nuisances, 20);
+            if refitted.nuisances.pose_error.is_none() {
+                break;
+            }
+            (self, fitted) = (after, refitted);
+        }
+        Ok((self, fitted))
     }
 
     /// Effects of the nominal world and more.
@@ -124,11 +161,14 @@ impl<'a> Comparison<'a> {
     /// Where an evaluation with these nuisances begins.
     pub fn start(&self, nuisances: &Nuisances) -> Fitted {
         let n = self.recorded.scans();
+        let is_exact = nuisances.pose_error.is_none();
+        let corrections = if is_exact { vec![DVec3::ZERO; n] } else { self.recorded.corrections.clone() };
         let pieces = self.nominal.pieces.as_ref();
         let wall_error_m = pieces.map(|_| nuisances.wall_error_m.unwrap_or(FIRST_WALL_ERROR_M));
         Fitted {
             nuisances: Nuisances { wall_error_m, ..*nuisances },
-            corrections: vec![DVec3::ZERO; n],
+            corrections,
+            information: Vec::new(),
             offsets: vec![0.0; pieces.map_or(0, |pieces| pieces.sigmas().len())],
             known_offsets: Vec::new(),
             scans: vec![0.0; n],
@@ -217,8 +257,7 @@ impl<'a> Comparison<'a> {
         // A reference that errs may err by more for a while; an exact one is not made to.
         let far = self.converge(effects, near.clone(), iterations, FAR_CORRECTIONS);
         let total = |fitted: &Fitted| self.evaluate_views(&self.views, effects, fitted, 0).total();
-        let is_pattern = far.pattern_scores.iter().any(|score| score.abs() > MOST_IN_PATTERN);
-        if !is_pattern && total(&far) > total(&near) { far } else { near }
+        if !far.is_in_pattern() && total(&far) > total(&near) { far } else { near }
     }
 
     /// Fits the nuisances step by step, from those of `fitted`. In the first `far` steps readings that are far off count as well.
@@ -230,8 +269,7 @@ impl<'a> Comparison<'a> {
         } else {
             start.pose_error
         };
-        let patterns: Vec<Vec<DVec3>> =
-            PosePattern::all().iter().map(|pattern| pattern.over(self.recorded)).collect();
+        let patterns = PosePattern::all_over(&self.recorded);
         let bursts = BurstStates::of(effects);
         for round in 0..far + CORRECTIONS {
             let weight = if round < far { wall_error::weight } else { near_weight };
@@ -262,8 +300,7 @@ impl<'a> Comparison<'a> {
             };
             let before = std::mem::replace(&mut fitted.corrections, corrections);
             let moved = self.fit_walls(&mut fitted, &pass, iterations);
-            let change = |(a, b): (&DVec3, &DVec3)| ((*a - *b) * DVec3::new(1.0, 1.0, 3.0)).length();
-            let changed = before.iter().zip(&fitted.corrections).map(change).fold(moved, f64::max);
+            let changed = moved.max(most_change(&before, &fitted.corrections));
             let is_last = round + 1 == far + CORRECTIONS || round > far && changed < CORRECTED_M;
             if is_last && !fitted.nuisances.pose_error.is_none() {
                 let error = fitted.nuisances.pose_error;
@@ -273,6 +310,7 @@ impl<'a> Comparison<'a> {
                     .collect();
             }
             if is_last {
+                fitted.information = information;
                 break;
             }
         }
@@ -285,14 +323,15 @@ impl<'a> Comparison<'a> {
     pub fn refit(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
         let effects = self.effects(more)?;
         let views = self.views_with(&effects)?;
-        let comparison = Self { nominal: self.nominal, recorded: self.recorded, views };
+        let comparison = Self { views, ..self.clone() };
         Ok(comparison.fit_nuisances_with(&effects, &start.nuisances, iterations))
     }
 
     /// Reference poses with their errors taken off.
     pub fn corrected(&self, corrections: &[DVec3]) -> Vec<Pose2> {
+        let corrections = corrections.iter().zip(&self.recorded.corrections);
         let poses = self.recorded.track.poses().iter().zip(corrections);
-        poses.map(|(pose, c)| Pose2::new(pose.x + c.x, pose.y + c.y, pose.theta + c.z)).collect()
+        poses.map(|(pose, (c, known))| pose.moved(*c - *known)).collect()
     }
 
     /// The terms of every usable reading under the effects, with beam index.
@@ -316,7 +355,7 @@ impl<'a> Comparison<'a> {
     pub fn for_each_usable(&self, views: &Views, fitted: &Fitted, mut visit: impl FnMut(Usable)) {
         let max = self.nominal.laser.max_range_m;
         for scan in 0..views.scans() {
-            let correction = fitted.corrections[scan];
+            let correction = fitted.corrections[scan] - self.recorded.corrections[scan];
             let first = scan * views.per_scan;
             for (i, beam) in views.scan(scan).iter().enumerate() {
                 let reading = f64::from(self.recorded.readings[first + i]);
@@ -453,6 +492,12 @@ impl<'a> Comparison<'a> {
     }
 }
 
+/// The largest change of an error \[m\], a radian counting as 3 m.
+fn most_change(a: &[DVec3], b: &[DVec3]) -> f64 {
+    let changes = a.iter().zip(b).map(|(a, b)| ((*a - *b) * DVec3::new(1.0, 1.0, 3.0)).length());
+    changes.fold(0.0, f64::max)
+}
+
 /// A usable reading of a beam.
 #[derive(Clone, Copy)]
 pub(crate) struct Usable {
@@ -510,7 +555,7 @@ impl Pass {
         let is_exact = views.pieces.is_empty();
         let weight = if is_exact { weight(terms) } else { wall_error::weight(terms) };
         if weight > 0.0 {
-            // Linear in the correction: as seen from no correction.
+            // Linear in the correction: as seen from the reference pose.
             let pose = DVec3::from_array(beam.jacobian).dot(fitted.corrections[scan]);
             self.halves[number % 2][scan].add_beam(weight, beam.jacobian, terms.error + pose);
             if !is_exact {
@@ -547,10 +592,13 @@ impl Pass {
 #[cfg(test)]
 mod tests {
     use locsim_world::effect::EffectKind;
+    use locsim_world::simulation::BlockResampling;
 
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
+    use crate::nominal::BlockPolicy;
+    use crate::replay::{BlockTruth, Replay};
 
     /// A reference that is up to 20 cm off, where noise moves a reading by 1 cm.
     #[test]
@@ -569,6 +617,36 @@ mod tests {
         };
         let [before, after] = [recorded.track.poses(), &corrected].map(rms);
         assert!(before > 0.05 && after < 0.02, "{before} {after}");
+    }
+
+    /// Beams that pass an edge only because the reference is off are at walls again once they are cast from where the robot was: the log is
+    /// likelier, and its likelihood is that of simulated logs. The errors themselves are as large as before.
+    #[test]
+    fn a_log_is_as_likely_as_simulated_ones_once_its_beams_are_cast_anew() {
+        let error = PoseError { sigma_m: 0.015, sigma_rad: 0.004, correlation_secs: 4.0 };
+        let regime = Regime { pose_error: Some(error), ..Regime::default() };
+        let [mut gained, mut off] = [Vec::new(), Vec::new()];
+        for seed in 1..=3 {
+            let drive = record_library(&NOMINAL, &TRUTH, &[], regime, seed).unwrap();
+            let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
+            let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+            let before = comparison.fit_nuisances(&Nuisances::default(), 20);
+            let (comparison, after) = comparison.recast(&NOMINAL.effects, before.clone()).unwrap();
+            gained.push(after.total() - before.total());
+            assert!(most_change(&before.corrections, &after.corrections) < 0.03);
+            let blocks = BlockTruth::of(BlockPolicy::of(BlockResampling::EachObservation));
+            let replay = Replay::new(&comparison, &[], &after, blocks);
+            let of_simulated = (0..16).map(|i| {
+                let log = replay.simulate(i).unwrap();
+                assert!(log.is_corrected());
+                comparison.of(&log).fit_nuisances(&after.nuisances, 4).total()
+            });
+            let moments = distreg::moments::Moments::of(of_simulated);
+            off.push((after.total() - moments.mean()) / moments.variance().sqrt());
+        }
+        assert!(gained.iter().all(|gained| *gained > 100.0), "{gained:?}");
+        // Of three each within 4 standard deviations of 16: a false alarm in 300.
+        assert!(off.iter().all(|off| off.abs() < 4.0), "{off:?}");
     }
 
     /// Noise of grazing beams moves no scan; small errors of the poses do, and are found beside it.

@@ -23,7 +23,6 @@ mod pose_pattern;
 mod profile;
 mod purpose;
 mod rank;
-mod recorded;
 mod regions;
 mod replay;
 mod search;
@@ -35,7 +34,7 @@ mod wall_error;
 pub use catalogue::values_along;
 pub use error::GapError;
 pub use hypothesis::Nuisances;
-pub use locsim_core::PoseError;
+pub use locsim_core::{LEAST_SCANS, PoseError, Recorded};
 pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
 pub use nominal::{Guess, Nominal};
 pub use outcome::{
@@ -44,7 +43,6 @@ pub use outcome::{
     Unnamed, Verdict,
 };
 pub use purpose::Purpose;
-pub use recorded::{LEAST_SCANS, Recorded};
 pub use search::{GapOptions, find};
 pub use statistics::{Cell, Covariate, Deviation, OBJECT_CELL_M, WALL_CELL_M};
 pub use strength::{OtherForm, Strength};

@@ -124,7 +124,7 @@ pub(crate) fn find(comparison: &Comparison<'_>, fitted: &Fitted) -> (Vec<MapErro
 
 fn places(comparison: &Comparison<'_>, fitted: &Fitted) -> Vec<Place> {
     let views = &comparison.views;
-    let rays = beam_headings(comparison.nominal, comparison.recorded);
+    let rays = beam_headings(comparison.nominal, &comparison.recorded);
     let max = comparison.nominal.laser.max_range_m;
     let mut places = Vec::new();
     let effects = &comparison.nominal.effects;
@@ -267,7 +267,7 @@ fn objects(comparison: &Comparison<'_>, places: &[Place], ignored: &mut [bool]) 
         cells.iter().filter(|(_, cell)| stands(cell)).map(|(at, cell)| (*at, cell)).collect();
     // Beams that would come there, whether they were stopped or not.
     let views = &comparison.views;
-    let rays = beam_headings(comparison.nominal, comparison.recorded);
+    let rays = beam_headings(comparison.nominal, &comparison.recorded);
     if !found.is_empty() {
         for (i, (origin, heading)) in rays.into_iter().enumerate() {
             let end = origin + views.beams[i].range() * DVec2::from_angle(heading);
@@ -369,7 +369,8 @@ mod tests {
     fn a_log_that_the_map_says_nothing_of_is_refused() {
         let drive = record_library(&MEASURED, &TRUTH, &[], Regime::default(), 3).unwrap();
         let recorded = Recorded::new(&drive, 60, 24, |_| true).unwrap();
-        let elsewhere = recorded.with_reference(|pose| Pose2::new(pose.x + 500.0, pose.y, pose.theta));
+        let poses = recorded.track.poses().iter().map(|pose| Pose2::new(pose.x + 500.0, pose.y, pose.theta));
+        let elsewhere = Recorded { track: recorded.track.with_poses(poses.collect()), ..recorded };
         let options = crate::GapOptions { replicates: 19, ..crate::GapOptions::default() };
         let stop = std::sync::atomic::AtomicBool::new(false);
         let refused = crate::find(&MEASURED, &elsewhere, &options, &(), &stop);

@@ -84,15 +84,21 @@ impl Nominal {
         Ok(Some(Arc::new(BlockIntegral::new(&model))))
     }
 
-    /// The simulator with more effects, as many blocks as `blocks` says and clutter that stays as long as `blocks` says.
-    pub(crate) fn simulator(&self, effects: &Effects, blocks: BlockPolicy) -> Result<Simulator, GapError> {
-        let BlockPolicy { density, resample, walking } = blocks;
-        let standing = self.blocks.map(|blocks| blocks.times(density * (1.0 - walking)).resampled(resample));
+    /// The simulator with more effects, `density` times as many blocks, and clutter that stays as long as `policy` says.
+    pub(crate) fn simulator(
+        &self,
+        effects: &Effects,
+        density: f64,
+        policy: BlockPolicy,
+    ) -> Result<Simulator, GapError> {
+        let BlockPolicy { resample, passing, walks } = policy;
+        let standing = self.blocks.map(|blocks| blocks.times(density * (1.0 - passing)).resampled(resample));
         let simulator = Simulator::new(Arc::clone(&self.map), standing, self.laser, effects.clone())?;
-        match self.blocks.filter(|_| walking > 0.0) {
-            Some(blocks) => Ok(simulator.with_more_blocks(blocks.times(density * walking).walking())?),
-            None => Ok(simulator),
-        }
+        let Some(blocks) = self.blocks.filter(|_| passing > 0.0) else { return Ok(simulator) };
+        let passing = blocks.times(density * passing);
+        let passing =
+            if walks { passing.walking() } else { passing.resampled(BlockResampling::EachObservation) };
+        Ok(simulator.with_more_blocks(passing)?)
     }
 
     /// The same simulator with more residuals.
@@ -149,13 +155,42 @@ pub struct Guess {
     pub log: f64,
 }
 
-/// Properties of clutter, fitted to the log, that a simulation of it needs besides the nominal options.
+/// How long clutter stays, fitted to the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockPolicy {
-    /// Factor on their density.
-    pub density: f64,
-    /// When they take new places, those that don't walk.
+    /// When blocks take new places, those that stay.
     pub resample: BlockResampling,
-    /// The share of them that walk past as people do, whatever the nominal speed is.
-    pub walking: f64,
+    /// The share of them that doesn't stay, whatever the nominal simulator has.
+    pub passing: f64,
+    /// Whether these walk past, as people do; otherwise they are elsewhere at each observation.
+    pub walks: bool,
+}
+
+impl BlockPolicy {
+    /// Blocks that stand until they take new places.
+    pub const fn of(resample: BlockResampling) -> Self {
+        Self { resample, passing: 0.0, walks: false }
+    }
+
+    /// Blocks of which this share doesn't stay, and the rest never moves.
+    pub(crate) const fn passing(share: f64, walks: bool) -> Self {
+        Self { resample: BlockResampling::Never, passing: share, walks }
+    }
+
+    /// Whether all of it stays where it is.
+    pub(crate) fn stands(&self) -> bool {
+        self.resample == BlockResampling::Never && self.passing == 0.0
+    }
+
+    /// In how many scans a block is seen at one place, about.
+    pub(crate) fn stay_scans(&self) -> f64 {
+        let stays = match self.resample {
+            BlockResampling::EachObservation => 1,
+            BlockResampling::EachScanN(scans) => scans,
+            BlockResampling::Never => u32::MAX,
+        };
+        // One that walks by half of the time until it is elsewhere.
+        let passes = if self.walks { 0.5 * f64::from(BlockOptions::PASSING_SCANS) } else { 1.0 };
+        self.passing * passes + (1.0 - self.passing) * f64::from(stays)
+    }
 }

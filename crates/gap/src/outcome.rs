@@ -437,6 +437,8 @@ pub struct Outcome {
     pub threshold: f64,
     /// Nuisance parameters that were fitted before any effect was named: clutter, errors of the reference, which may have taken up a part of one.
     pub nuisances: Nuisances,
+    /// The same beside the effects that are named.
+    pub nuisances_after: Nuisances,
     /// PIT histograms.
     pub pit: Vec<PitHistogram>,
     /// The profile of each named effect: readings or odometry, measured and simulated.

@@ -4,7 +4,7 @@
 
 use distreg::matrix::invert;
 use glam::DVec3;
-use locsim_core::PoseInformation;
+use locsim_core::{PoseError, PoseInformation, smooth_pose_errors};
 use locsim_world::effect::{Direction, EffectKind, PoseState, Statistic};
 
 use crate::Recorded;
@@ -33,6 +33,11 @@ impl PosePattern {
             .collect()
     }
 
+    /// Errors of each pose of a log in all patterns; see [`PosePattern::over`].
+    pub fn all_over(recorded: &Recorded) -> Vec<Vec<DVec3>> {
+        Self::all().iter().map(|pattern| pattern.over(recorded)).collect()
+    }
+
     /// Error of each pose of a log \[m, m, rad\] in the map frame, up to a factor.
     pub fn over(&self, recorded: &Recorded) -> Vec<DVec3> {
         let values = values_along(self.kind, self.direction);
@@ -43,6 +48,16 @@ impl PosePattern {
             .map(|robot| DVec3::from_array((self.error)(&robot, &values)))
             .collect()
     }
+}
+
+/// Errors of a log's poses that scans tell, but for what looks like an effect: that is left to the effect.
+pub(crate) fn errors_beyond_patterns(
+    process: &PoseError,
+    recorded: &Recorded,
+    scans: &[PoseInformation],
+) -> Vec<DVec3> {
+    let rest = without_patterns(scans, &PosePattern::all_over(recorded));
+    smooth_pose_errors(process, recorded.track.secs(), &rest).mean
 }
 
 /// Data of scans after the least-squares fit of the patterns is subtracted.

@@ -77,7 +77,7 @@ impl Source<'_> {
             ProfileBin {
                 at,
                 count: items.len(),
-                measured: value(self.comparison.recorded),
+                measured: value(&self.comparison.recorded),
                 before: Estimate::of_replicates(before.iter().map(value).collect()),
                 after: Estimate::of_replicates(after.iter().map(value).collect()),
             }
@@ -120,7 +120,7 @@ impl Source<'_> {
         let items: Vec<usize> =
             self.items(Quantity::Share, Over::Range).into_iter().filter(acts_on).map(|(_, i)| i).collect();
         let mut errors: Vec<f64> =
-            items.iter().filter_map(|&i| self.error(self.comparison.recorded, i)).map(f64::abs).collect();
+            items.iter().filter_map(|&i| self.error(&self.comparison.recorded, i)).map(f64::abs).collect();
         if errors.len() < LEAST {
             return Vec::new();
         }

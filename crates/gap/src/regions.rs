@@ -124,7 +124,7 @@ pub(crate) fn pits(
     effects: &[Effect],
     seed: u64,
 ) -> Result<Vec<BeamPit>, GapError> {
-    let recorded = before.recorded;
+    let recorded = &*before.recorded;
     let mut out = vec![
         BeamPit { before: f32::NAN, after: f32::NAN, residual: f32::NAN, ..BeamPit::default() };
         before.views.beams.len()
@@ -169,7 +169,7 @@ const PIT_BINS: usize = 5;
 /// PIT histograms over a few bins of each covariate that has an order.
 pub(crate) fn histograms(comparison: &Comparison<'_>, pits: &[BeamPit]) -> Vec<PitHistogram> {
     use Covariate as C;
-    let (views, recorded) = (&comparison.views, comparison.recorded);
+    let (views, recorded) = (&comparison.views, &*comparison.recorded);
     let velocities = recorded.velocities();
     let k = views.per_scan;
     let value = |covariate: Covariate, i: usize| match covariate {

@@ -2,21 +2,24 @@
 
 use std::collections::HashSet;
 
-use glam::DVec2;
-use locsim_core::{Draw, Stage, Track, cell_at};
+use glam::{DVec2, DVec3};
+use locsim_core::{Draw, Pose2, PoseInformation, Stage, Track, cell_at};
 use locsim_world::effect::{Effect, Effects};
-use locsim_world::simulation::{BlockOptions, BlockResampling, MovedWalls};
+use locsim_world::simulation::{BlockResampling, MovedWalls};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::nominal::BlockPolicy;
+use crate::pose_pattern::errors_beyond_patterns;
 use crate::statistics::OBJECT_CELL_M;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// Items of a scan's draws beside those of the simulator.
 const REFERENCE_ERROR: u32 = 1;
+/// Noise of what a scan says of that.
+const TOLD_ERROR: u32 = 2;
 /// Item of a piece of wall.
 const WALL_ERROR: u32 = 3;
 /// Item of what all walls stand off by.
@@ -32,6 +35,8 @@ pub(crate) struct Replay<'a> {
     /// Effects beyond the nominal ones.
     pub effects: &'a [Effect],
     pub nuisances: Nuisances,
+    /// What the log's scans say of errors of its poses.
+    pub information: &'a [PoseInformation],
     /// Offset and standard deviation of pieces of a measured map's walls \[m\].
     pub known_offsets: Vec<[f64; 2]>,
     pub blocks: BlockTruth,
@@ -40,9 +45,7 @@ pub(crate) struct Replay<'a> {
 /// True density of clutter as a function of the fitted one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct BlockTruth {
-    pub resample: BlockResampling,
-    /// The share of it that walks; see [`BlockPolicy::walking`].
-    pub walking: f64,
+    pub policy: BlockPolicy,
     /// True density over fitted density: readings of blocks right in front of walls are taken for the walls.
     pub density_over_fit: f64,
 }
@@ -50,30 +53,40 @@ pub(crate) struct BlockTruth {
 impl<'a> Replay<'a> {
     /// The simulator with the effects and the nuisance parameters that were fitted to a log.
     pub fn new(
-        comparison: &Comparison<'a>,
+        comparison: &'a Comparison<'_>,
         effects: &'a [Effect],
-        fitted: &Fitted,
+        fitted: &'a Fitted,
         blocks: BlockTruth,
     ) -> Self {
-        let (nominal, recorded) = (comparison.nominal, comparison.recorded);
-        let known_offsets = fitted.known_offsets.clone();
-        Self { nominal, recorded, effects, nuisances: fitted.nuisances, known_offsets, blocks }
+        Self {
+            nominal: comparison.nominal,
+            recorded: &comparison.recorded,
+            effects,
+            nuisances: fitted.nuisances,
+            information: &fitted.information,
+            known_offsets: fitted.known_offsets.clone(),
+            blocks,
+        }
     }
 
     /// One simulated log.
     pub fn simulate(&self, seed: u64) -> Result<Recorded, GapError> {
         let effects = self.nominal.effects_with(self.effects)?;
         let density = self.nuisances.block_density * self.blocks.density_over_fit;
-        let BlockTruth { resample, walking, .. } = self.blocks;
-        let blocks = BlockPolicy { density, resample, walking };
-        let simulator = self.nominal.simulator(&effects, blocks)?;
+        let simulator = self.nominal.simulator(&effects, density, self.blocks.policy)?;
         // As the log's laser sweeps.
         let mut simulator = simulator.with_beam_times(self.recorded.log_laser.beam_times_secs())?;
         if let Some(moved) = self.moved_walls(seed) {
             simulator = simulator.with_moved_walls(moved);
         }
-        let truth = self.true_track(seed);
-        let readings = simulator.scan_along(&truth, seed);
+        let (erring, corrections) = self.errors(seed);
+        let track = &self.recorded.track;
+        let base_at = |scan: usize, secs| {
+            let error = erring.pose_during(scan, secs).error_from(&track.pose_during(scan, secs));
+            self.recorded.pose_at(scan, secs).moved(error - corrections[scan])
+        };
+        let truth: Vec<Pose2> = track.secs().iter().enumerate().map(|(i, &secs)| base_at(i, secs)).collect();
+        let readings = simulator.scan_along(track.secs(), base_at, seed);
         let all = self.recorded.log_laser.beam_count();
         let readings = if all == self.recorded.beams() {
             readings
@@ -81,8 +94,8 @@ impl<'a> Replay<'a> {
             let scans = readings.chunks(all);
             scans.flat_map(|scan| self.recorded.kept.iter().map(|&beam| scan[beam])).collect()
         };
-        let odometry = self.nuisances.odometry_error.along(truth.poses(), &effects, seed);
-        Ok(self.recorded.with(readings, odometry))
+        let odometry = self.nuisances.odometry_error.along(&truth, &effects, seed);
+        Ok(Recorded { corrections, ..self.recorded.with(readings, odometry) })
     }
 
     /// The walls of a measured map as far off as such walls are.
@@ -106,11 +119,21 @@ impl<'a> Replay<'a> {
         Some(MovedWalls { pieces, offsets })
     }
 
-    /// True poses of a log whose reference is the recorded one.
-    pub fn true_track(&self, seed: u64) -> Track {
-        let track = &self.recorded.track;
-        let draw = |scan| Draw::new(seed, Stage::Path, scan).item(REFERENCE_ERROR);
-        track.with_poses(self.nuisances.pose_error.perturb(track, draw))
+    /// The recorded poses with errors as the log's reference poses have them, and what is known of these, which is taken off: nothing where
+    /// nothing is known of the log's, and otherwise what scans like its own tell.
+    pub fn errors(&self, seed: u64) -> (Track, Vec<DVec3>) {
+        let (track, process) = (&self.recorded.track, &self.nuisances.pose_error);
+        let draw = |item| move |scan| Draw::new(seed, Stage::Path, scan).item(item);
+        let errors = process.simulate(track.secs(), draw(REFERENCE_ERROR));
+        let known = if self.recorded.is_corrected() {
+            let scans = self.information.iter().zip(&errors).enumerate();
+            let told = scans.map(|(i, (scan, e))| scan.simulate(*e, &mut draw(TOLD_ERROR)(i as u32)));
+            errors_beyond_patterns(process, self.recorded, &told.collect::<Vec<_>>())
+        } else {
+            vec![DVec3::ZERO; errors.len()]
+        };
+        let erring = track.poses().iter().zip(errors).map(|(pose, error)| pose.moved(error));
+        (track.with_poses(erring.collect()), known)
     }
 }
 
@@ -121,22 +144,19 @@ pub(crate) fn fit_persistence(
     effects: &[Effect],
     fitted: &Fitted,
     seed: u64,
-) -> Result<BlockTruth, GapError> {
+) -> Result<BlockPolicy, GapError> {
     let Some(blocks) = comparison.nominal.blocks else {
-        return Ok(BlockTruth::of(BlockResampling::EachObservation));
+        return Ok(BlockPolicy::of(BlockResampling::EachObservation));
     };
     let all = comparison.effects(effects)?;
     let shared = |recorded: &Recorded| shared_shorts(&comparison.of(recorded), &all, fitted);
-    let own = shared(comparison.recorded);
-    let mut policies = vec![
-        BlockTruth::of(BlockResampling::EachObservation),
-        BlockTruth::of(BlockResampling::EachScanN(3)),
-        BlockTruth::of(BlockResampling::EachScanN(10)),
-        BlockTruth::of(BlockResampling::EachScanN(40)),
-        BlockTruth::of(BlockResampling::Never),
-    ];
-    policies.extend(WALKING_SHARES.map(BlockTruth::walking));
-    let own_policy = BlockTruth::of(blocks.resample);
+    let own = shared(&comparison.recorded);
+    let own_policy = BlockPolicy::of(blocks.resample);
+    let resamples = [BlockResampling::EachObservation, BlockResampling::Never].into_iter();
+    let resamples = resamples.chain([3, 10, 40].map(BlockResampling::EachScanN));
+    let mut policies: Vec<BlockPolicy> = resamples.map(BlockPolicy::of).collect();
+    policies.extend(SHARES.map(|share| BlockPolicy::passing(share, true)));
+    policies.extend(SHARES[..4].iter().map(|share| BlockPolicy::passing(*share, false)));
     if !policies.contains(&own_policy) {
         policies.push(own_policy);
     }
@@ -144,7 +164,7 @@ pub(crate) fn fit_persistence(
     let distances = policies
         .iter()
         .map(|&policy| {
-            let replay = Replay::new(comparison, effects, fitted, policy);
+            let replay = Replay::new(comparison, effects, fitted, BlockTruth::of(policy));
             let logs = (0..6)
                 .into_par_iter()
                 .map(|i| Ok(shared(&replay.simulate(draw.seed(i))?)))
@@ -170,31 +190,9 @@ pub(crate) fn fit_persistence(
 }
 
 impl BlockTruth {
-    /// Blocks of which this share walks past as people do, and the rest never moves.
-    const fn walking(share: f64) -> Self {
-        Self { walking: share, ..Self::of(BlockResampling::Never) }
-    }
-
-    /// Whether all of it stays where it is.
-    pub fn stands(&self) -> bool {
-        self.resample == BlockResampling::Never && self.walking == 0.0
-    }
-
-    /// In how many scans a block is seen at one place, about.
-    pub fn stay_scans(&self) -> f64 {
-        let stays = match self.resample {
-            BlockResampling::EachObservation => 1,
-            BlockResampling::EachScanN(scans) => scans,
-            BlockResampling::Never => u32::MAX,
-        };
-        // One that walks by half of the time until it is elsewhere.
-        let passes = 0.5 * f64::from(BlockOptions::PASSING_SCANS);
-        self.walking * passes + (1.0 - self.walking) * f64::from(stays)
-    }
-
-    /// Blocks that stand until they take new places.
-    pub const fn of(resample: BlockResampling) -> Self {
-        Self { resample, walking: 0.0, density_over_fit: 1.0 }
+    /// As dense as fits say.
+    pub const fn of(policy: BlockPolicy) -> Self {
+        Self { policy, density_over_fit: 1.0 }
     }
 
     /// The same blocks with the bias that the fit of their density has in a world with these effects, by simulated logs.
@@ -225,8 +223,8 @@ impl BlockTruth {
     }
 }
 
-/// Shares of clutter that walks which are tried.
-const WALKING_SHARES: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
+/// Shares of clutter that doesn't stay which are tried.
+const SHARES: [f64; 5] = [0.25, 0.5, 0.75, 0.9, 1.0];
 
 /// Numbers of scans after which blocks are looked for where they were.
 const LAGS: [usize; 4] = [1, 4, 16, 64];
@@ -273,7 +271,7 @@ mod tests {
         let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
         let comparison = Comparison::new(&nominal, &recorded).unwrap();
         let fitted = comparison.start(&Nuisances::default());
-        let truth = BlockTruth::of(BlockResampling::EachObservation);
+        let truth = BlockTruth::of(BlockPolicy::of(BlockResampling::EachObservation));
         let log = Replay::new(&comparison, &[], &fitted, truth).simulate(8).unwrap();
         let beams = comparison.views.beams.iter().zip(&log.readings);
         let far = beams.filter(|(beam, z)| (beam.range() - f64::from(**z)).abs() > 0.05);
@@ -288,15 +286,21 @@ mod tests {
         let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
         let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
         let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-        let [redrawn, stays] = [BlockResampling::EachObservation, BlockResampling::Never].map(BlockTruth::of);
-        for truth in [redrawn, stays, BlockTruth::walking(0.5), BlockTruth::walking(1.0)] {
-            let log = Replay::new(&comparison, &[], &fitted, truth).simulate(8).unwrap();
+        let [redrawn, stays] =
+            [BlockResampling::EachObservation, BlockResampling::Never].map(BlockPolicy::of);
+        let passing = [(0.5, true), (1.0, true), (0.5, false)];
+        let passing = passing.map(|(share, walks)| BlockPolicy::passing(share, walks));
+        for truth in [redrawn, stays].into_iter().chain(passing) {
+            let log = Replay::new(&comparison, &[], &fitted, BlockTruth::of(truth)).simulate(8).unwrap();
             let log = comparison.of(&log);
             let fitted = log.fit_nuisances(&Nuisances::default(), 20);
             let found = fit_persistence(&log, &[], &fitted, 3).unwrap();
             // Of shares about as good the one with more that stays.
-            let is_right =
-                if truth.walking == 0.5 { [0.25, 0.5].contains(&found.walking) } else { found == truth };
+            let is_right = if truth.passing == 0.5 {
+                [0.25, 0.5].contains(&found.passing) && found.walks == truth.walks
+            } else {
+                found == truth
+            };
             assert!(is_right, "{found:?} {truth:?}");
             assert_eq!(found.stands(), truth == stays);
         }

@@ -8,6 +8,7 @@
 //! impossible it is without the effect. The best possible test, which knows the effect, finds it with probability
 //! Phi(sqrt(lambda) - 2.33) at a false-alarm rate of 1 %.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use distreg::moments::{Moments, mean_of_likelihood};
@@ -18,6 +19,7 @@ use rayon::prelude::*;
 
 use crate::hidden::Regime;
 use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
+use crate::nominal::BlockPolicy;
 use crate::replay::{BlockTruth, Replay};
 use crate::views::Views;
 use crate::{GapError, Nominal, PoseError, Purpose, Recorded};
@@ -100,8 +102,9 @@ impl<'a> Strength<'a> {
             recorded: self.recorded,
             effects,
             nuisances: self.nuisances(),
+            information: &[],
             known_offsets: Vec::new(),
-            blocks: BlockTruth { resample, walking: 0.0, density_over_fit: 1.0 },
+            blocks: BlockTruth::of(BlockPolicy::of(resample)),
         }
     }
 
@@ -110,7 +113,11 @@ impl<'a> Strength<'a> {
     }
 
     fn log_likelihood(&self, log: &Recorded, effects: &Effects, views: &Views) -> f64 {
-        let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(&self.views) };
+        let comparison = Comparison {
+            nominal: self.nominal,
+            recorded: Cow::Borrowed(log),
+            views: Arc::clone(&self.views),
+        };
         let start = comparison.start(&self.nuisances());
         let iterations = if start.nuisances.pose_error.is_none() { 2 } else { CORRECTIONS };
         comparison.evaluate_views(views, effects, &start, iterations).total()
@@ -124,7 +131,7 @@ impl<'a> Strength<'a> {
         number: u32,
     ) -> Result<Recorded, GapError> {
         let seed = self.draw.seed(number);
-        let truth = self.replay(&[]).true_track(seed);
+        let truth = self.replay(&[]).errors(seed).0;
         // The error of the reference is in the true poses already.
         let regime = Regime { pose_error: None, ..self.regime };
         let drive = form(&truth, effect, regime, seed)?;

@@ -237,10 +237,7 @@ fn rays<'a>(
     scan: usize,
     beams: impl IntoIterator<Item = usize> + 'a,
 ) -> impl Iterator<Item = Ray> {
-    let track = &recorded.track;
-    let stamp = track.secs()[scan];
-    let base_at = move |secs| if secs == stamp { track.poses()[scan] } else { recorded.pose_at(secs) };
-    caster.rays(beams, stamp, base_at)
+    caster.rays(beams, recorded.track.secs()[scan], move |secs| recorded.pose_at(scan, secs))
 }
 
 /// Where each beam that is looked at begins \[m\], and its heading in the map frame \[rad\], in the nominal world.

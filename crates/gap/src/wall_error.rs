@@ -83,15 +83,15 @@ mod tests {
         let bias = Effect::new(EffectKind::RangeBias, vec![bias_m], Vec::new()).unwrap();
         let effects =
             MEASURED.effects_with(if bias_m == 0.0 { &[] } else { std::slice::from_ref(&bias) }).unwrap();
-        let policy = BlockPolicy { density: 1.0, resample: MEASURED.blocks.unwrap().resample, walking: 0.0 };
+        let policy = BlockPolicy::of(MEASURED.blocks.unwrap().resample);
         let pieces = Arc::clone(MEASURED.pieces.as_ref().unwrap());
-        let simulator = MEASURED.simulator(&effects, policy).unwrap();
+        let simulator = MEASURED.simulator(&effects, 1.0, policy).unwrap();
         let simulator = simulator.with_moved_walls(MovedWalls { pieces, offsets: offsets.to_vec() });
         let recorded = Recorded::new(&DRIVE, 400, 72, |_| true).unwrap();
         let poses = TRUTH.poses()[..recorded.scans()].to_vec();
         let odometry = odometry_along(&poses, &MEASURED.odometry, &effects, 3);
         let track = recorded.track.with_poses(poses);
-        let readings = simulator.scan_along(&track, 3);
+        let readings = simulator.scan_along(track.secs(), |scan, secs| track.pose_during(scan, secs), 3);
         Recorded { track, ..recorded }.with(readings, odometry)
     }
 

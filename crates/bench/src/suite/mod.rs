@@ -15,7 +15,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use locsim_core::{Control, Draw, Drive, Estimate, Progress, Shard, Stage};
+use locsim_core::{Control, Draw, Drive, Estimate, Progress, RecordedError, Shard, Stage};
 use locsim_dataset::{LogOptions, read_log, write_log};
 use locsim_gap::hidden::record_library;
 use locsim_gap::{GapError, GapOptions, Nominal, Outcome, Recorded, Strength, Unnamed, Verdict, find};
@@ -446,7 +446,7 @@ fn found_file(case: &Case) -> String {
 fn hide(world: &World, strength_of: &Strength<'_>, case: &Case, log: &Path) -> Result<TruthFile, BenchError> {
     let World { nominal, drive, .. } = world;
     let regime = REGIMES[case.regime].1;
-    let path = drive.reference().map_err(GapError::from)?;
+    let path = drive.reference().map_err(RecordedError::from)?;
     let strong = |effect: &Effect, index: usize, form: Option<OtherForm>| {
         // A course goes about the library's formula, whose strength it has: a formula that fits it badly gains little at any strength.
         let form = form.filter(|form| !matches!(form, OtherForm::Course(..)));

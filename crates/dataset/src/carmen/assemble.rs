@@ -60,6 +60,7 @@ pub fn assemble(log: Log, options: &CarmenOptions, path: &Path) -> Result<(Drive
     }
     let readings = (steps.len() * laser.beam_count()) as f64;
     let summary = LogSummary {
+        between: Vec::new(),
         remarks: clock.remarks(),
         kind: recognised.kind,
         odometry: recognised.odometry,

@@ -89,6 +89,7 @@ const PLAIN: Recording =
 
 fn summary() -> LogSummary {
     LogSummary {
+        between: Vec::new(),
         remarks: Vec::new(),
         kind: LogKind::Referenced,
         odometry: OdometrySource::Topic,

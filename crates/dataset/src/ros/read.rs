@@ -123,7 +123,9 @@ pub fn read_with_layout(
     };
     remarks.extend(times.remarks());
     let is_of_recording = times.are_of_recording();
+    let between = reference.poses.as_ref().map_or_else(Vec::new, |poses| between(&found.steps, poses));
     let summary = LogSummary {
+        between,
         kind: reference.kind,
         odometry: odometry.source,
         evidence,
@@ -155,6 +157,20 @@ pub fn read_with_layout(
         summary,
         Layout { chosen, odom, laser: laser_edge, convention, resampled_scans, is_of_recording },
     ))
+}
+
+/// A robot that turns within a sweep is known this well \[s\].
+const BETWEEN_SECS: f64 = 0.02;
+
+/// Poses between scans with their times \[s\].
+fn between(steps: &[DriveStep], poses: &Poses<'_>) -> Vec<(f64, Pose2)> {
+    let pairs = steps.array_windows().map(|[a, b]| [a.stamp_secs, b.stamp_secs]);
+    let times = pairs.flat_map(|[from, to]| {
+        // A pause tells nothing of a sweep.
+        let parts = ((to - from).min(1.0) / BETWEEN_SECS).ceil() as u32;
+        (1..parts).map(move |i| from + f64::from(i) * BETWEEN_SECS).filter(move |secs| *secs < to)
+    });
+    times.filter_map(|secs| Some((secs, poses.at((1e9 * secs) as i64, 0)?))).collect()
 }
 
 /// The scans of a drive with their poses, and what is counted on the way.

@@ -64,7 +64,7 @@ pub(super) const NOISE_OF_SCANS: f64 = 1.25;
 pub(super) const LOSSES_OF_SCANS: f64 = 1.1;
 impl Covariates {
     pub fn new(comparison: &Comparison<'_>) -> Self {
-        let (nominal, recorded, views) = (comparison.nominal, comparison.recorded, &comparison.views);
+        let (nominal, recorded, views) = (comparison.nominal, &*comparison.recorded, &comparison.views);
         let (scans, per_scan, max) = (views.scans(), views.per_scan, nominal.laser.max_range_m);
         let secs = recorded.track.secs();
         let even = |lo: f64, hi: f64, levels: usize| even_edges(lo, hi, levels)[1..levels.max(1)].to_vec();

@@ -1,6 +1,6 @@
 //! A reference in a frame that is turned and shifted against the map's.
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use locsim_core::differences;
 use locsim_world::effect::Effects;
 
@@ -35,12 +35,13 @@ pub(crate) fn misaligned_frame(
         let frame = nuisances.pose_error.turned_frame(&recorded.track, &fitted.corrections);
         (frame.share > LEAST_SHARE).then_some(frame)
     };
-    let Some(mut frame) = frame_of(comparison.recorded, fitted) else { return Ok(None) };
-    let (mut recorded, mut turn, mut moved) = (comparison.recorded.clone(), 0.0, DVec2::ZERO);
+    let Some(mut frame) = frame_of(&comparison.recorded, fitted) else { return Ok(None) };
+    let (mut recorded, mut turn, mut moved) = (comparison.recorded.clone().into_owned(), 0.0, DVec2::ZERO);
     let mut with: Vec<f64> = Vec::new();
     // Errors are found smaller than they are, as most errors of a reference come and go.
     for _ in 0..STEPS {
         recorded = recorded.with_reference(|pose| frame.put_right(pose));
+        recorded = recorded.corrected(vec![DVec3::ZERO; recorded.scans()]);
         let aligned = Comparison::new(comparison.nominal, &recorded)?.in_world(effects)?;
         let fitted = aligned.fit_nuisances_with(effects, nuisances, REFIT);
         if !with.is_empty() && fitted.total() < with.iter().sum() {

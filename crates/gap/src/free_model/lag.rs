@@ -18,7 +18,7 @@ const MOST_SECS: f64 = STEPS as f64 * STEP_SECS;
 /// lag of the others: over none, or over as much to the other side where that is likelier, because a reference errs less between two of its
 /// poses.
 pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted) -> Misalignment {
-    let recorded = comparison.recorded;
+    let recorded = &*comparison.recorded;
     let corrected = comparison.corrected(&fitted.corrections);
     let increments = Increment::all(effects, &corrected, &recorded.odometry);
     let track = recorded.track.with_poses(corrected);

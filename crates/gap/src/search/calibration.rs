@@ -7,6 +7,7 @@ use locsim_world::simulation::BlockResampling;
 use rayon::prelude::*;
 
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
+use crate::nominal::BlockPolicy;
 use crate::replay::{BlockTruth, Replay};
 use crate::{GapError, Guess, Nominal, Purpose};
 
@@ -100,8 +101,13 @@ fn noise_of_simulated(
     fitted: &Fitted,
     seed: u64,
 ) -> Result<f64, GapError> {
-    let comparison = Comparison { nominal, ..comparison.of(comparison.recorded) };
-    let replay = Replay::new(&comparison, &[], fitted, BlockTruth::of(BlockResampling::EachObservation));
+    let comparison = Comparison { nominal, ..comparison.of(&comparison.recorded) };
+    let replay = Replay::new(
+        &comparison,
+        &[],
+        fitted,
+        BlockTruth::of(BlockPolicy::of(BlockResampling::EachObservation)),
+    );
     let draw = Purpose::Calibration.draw(seed);
     let of_log = |i: u32| {
         let log = replay.simulate(draw.seed(i))?;

@@ -15,6 +15,7 @@ mod stepwise;
 mod surroundings;
 mod unnamed;
 
+use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
@@ -27,6 +28,7 @@ use rayon::prelude::*;
 use crate::fit::{Candidate, Search};
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::map_error::{self, LeftOut, MeasuredMapFindings};
+use crate::nominal::BlockPolicy;
 use crate::null::compare;
 use crate::outcome::Outcome;
 use crate::rank::Null;
@@ -140,10 +142,13 @@ pub fn find(
     }
     let recorded = known.as_ref().map_or(recorded, |known| &known.recorded);
     let comparison = match &known {
-        Some(known) => Comparison { nominal, recorded, views: Arc::clone(&known.views) },
+        Some(known) => {
+            Comparison { nominal, recorded: Cow::Borrowed(recorded), views: Arc::clone(&known.views) }
+        }
         None => Comparison::new(nominal, recorded)?,
     };
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+    let (comparison, fitted) = comparison.recast(&nominal.effects, fitted)?;
     let blocks = fit_persistence(&comparison, &[], &fitted, options.seed)?;
     progress.advance(1);
     let state = State { nominal, recorded, comparison, options: &options, progress, stop, blocks };
@@ -223,7 +228,7 @@ struct State<'a> {
     options: &'a GapOptions,
     progress: &'a dyn Progress,
     stop: &'a AtomicBool,
-    blocks: BlockTruth,
+    blocks: BlockPolicy,
 }
 
 impl<'a> State<'a> {
@@ -237,6 +242,7 @@ impl<'a> State<'a> {
         let all = self.nominal.effects_with(&effects)?;
         let comparison = self.comparison.in_world(&all)?;
         let fitted = comparison.fit_nuisances_with(&all, &nuisances, 20);
+        let (comparison, fitted) = comparison.recast(&all, fitted)?;
         let seed = Purpose::Round.draw(self.options.seed).seed(effects.len() as u32);
         let mut blocks = self.blocks;
         if !effects.is_empty() && !blocks.stands() {
@@ -244,7 +250,7 @@ impl<'a> State<'a> {
             let found = fit_persistence(&comparison, &effects, &fitted, seed)?;
             blocks = if found.stay_scans() > blocks.stay_scans() { found } else { blocks };
         }
-        let blocks = blocks.in_world(&comparison, &effects, &fitted, seed)?;
+        let blocks = BlockTruth::of(blocks).in_world(&comparison, &effects, &fitted, seed)?;
         let dictionary = Dictionary::new(&comparison);
         self.progress.stage(
             if effects.is_empty() { "simulating the nominal world" } else { "simulating with the effects" },

@@ -13,11 +13,11 @@ use super::residual::{LOGS, Nameless};
 use super::stepwise::Path;
 use super::{Round, State};
 use crate::fit::Candidate;
+use crate::nominal::BlockPolicy;
 use crate::outcome::{Detectable, Detection, Direction, Evidence, Gap, Named, Number, Outcome, Verdict};
 use crate::profile::profiles;
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
-use crate::replay::BlockTruth;
 use crate::statistics::{Form, Group, Statistic, Target};
 use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
@@ -92,6 +92,7 @@ impl<'a> State<'a> {
             directions: directions(before),
             threshold: before.null.thresholds[Group::Wide as usize],
             nuisances: before.fitted.nuisances,
+            nuisances_after: after.fitted.nuisances,
             pit,
             profiles,
             notes: notes(nominal, self.blocks).into_iter().chain(note).collect(),
@@ -132,7 +133,7 @@ impl<'a> State<'a> {
         let parameter = &kind.parameters()[0];
         let effect = Effect::new(kind, vec![truth.exp().clamp(parameter.lo, parameter.hi)], Vec::new())?;
         let mut nominal = fitted.clone();
-        nominal.nuisances.block_density = 1.0 / self.blocks.density_over_fit;
+        nominal.nuisances.block_density = 1.0;
         let without = comparison.evaluate(&[], &nominal, 0)?;
         let folds = self.recorded.folds;
         let gains = differences(&folds.sums(&fitted.scans), &folds.sums(&without.scans));
@@ -347,17 +348,18 @@ fn directions(round: &Round<'_>) -> Vec<Direction> {
     out
 }
 
-fn notes(nominal: &Nominal, BlockTruth { resample, walking, .. }: BlockTruth) -> Vec<String> {
+fn notes(nominal: &Nominal, BlockPolicy { resample, passing, walks }: BlockPolicy) -> Vec<String> {
     let mut notes = vec![
         "A constant yaw of the laser's mount and a constant error of the reference's heading can't be told apart from \
          scans alone."
             .to_owned(),
     ];
-    if walking > 0.0 {
-        let what = if walking < 1.0 {
-            format!("About {:.0} % of what the map doesn't know walks, the rest stands", 100.0 * walking)
+    if passing > 0.0 {
+        let does = if walks { "walks" } else { "is elsewhere in every scan" };
+        let what = if passing < 1.0 {
+            format!("About {:.0} % of what the map doesn't know {does}, the rest stands", 100.0 * passing)
         } else {
-            "What the map doesn't know walks".to_owned()
+            format!("What the map doesn't know {does}")
         };
         notes.push(format!("{what}: the simulations that the log is held against have it so."));
     } else if let Some(blocks) = nominal.blocks.filter(|blocks| blocks.resample != resample) {

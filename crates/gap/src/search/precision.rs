@@ -123,14 +123,14 @@ impl<'a> State<'a> {
                 let views = if views.are_of(&all) {
                     Arc::clone(views)
                 } else {
-                    Arc::new(views.with(self.nominal, self.recorded, &all)?)
+                    Arc::new(views.with(self.nominal, &round.comparison.recorded, &all)?)
                 };
                 Ok((all, views, effects.swap_remove(index)))
             })
             .collect::<Result<Vec<_>, GapError>>()?;
         let chance = Purpose::Prior.draw(self.options.seed);
         let of_log = |(number, log): (usize, &Recorded)| {
-            let comparison = Comparison { nominal: self.nominal, recorded: log, views: Arc::clone(views) };
+            let comparison = Comparison { views: Arc::clone(views), ..round.comparison.of(log) };
             let start = comparison.find_nuisances(&variants[0].0, &round.fitted.nuisances, REFIT);
             let mut chance = chance.item(number as u32);
             let typical: [f64; PRIORS] = std::array::from_fn(|_| StandardNormal.sample(&mut chance));

@@ -5,8 +5,8 @@ use super::selection::is_of_odometry;
 use crate::GapError;
 use crate::fit::Candidate;
 use crate::hypothesis::{Comparison, Fitted};
+use crate::nominal::BlockPolicy;
 use crate::null::REFIT;
-use crate::replay::BlockTruth;
 use crate::views::Beam;
 use locsim_world::effect::{Bursts, Effect, Effects, Fit, Moves};
 
@@ -46,8 +46,8 @@ pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Resu
         is_of_odometry(candidate) || candidate.kind().loses_returns() || total(candidate) >= least
     });
     // Clutter that stands, as the scenario has it, is no deeper for what comes and goes.
-    let of_scenario = round.comparison.nominal.blocks.map(|blocks| BlockTruth::of(blocks.resample));
-    let are_others = of_scenario.is_some_and(|blocks| blocks.stands()) && !round.blocks.stands();
+    let of_scenario = round.comparison.nominal.blocks.map(|blocks| BlockPolicy::of(blocks.resample));
+    let are_others = of_scenario.is_some_and(|blocks| blocks.stands()) && !round.blocks.policy.stands();
     for i in (0..candidates.len()).rev() {
         let is_enough = total(&candidates[i]) >= LEAST_CLUTTER_SHARE * most;
         let effect = &candidates[i].effect;

@@ -48,7 +48,8 @@ impl<'a> State<'a> {
         let mut curves: Vec<Residual> = Vec::new();
         for pass in 0..PASSES {
             let nominal = self.nominal.with_residuals(&curves)?;
-            let comparison = Comparison { nominal: &nominal, ..round.comparison.of(self.recorded) };
+            let comparison =
+                Comparison { nominal: &nominal, ..round.comparison.of(&round.comparison.recorded) };
             let effects = comparison.effects(&round.effects)?;
             let fitted = if pass == 0 {
                 round.fitted.clone()
@@ -89,7 +90,7 @@ impl<'a> State<'a> {
             // Of the other half.
             let nominal =
                 self.nominal.with_residuals(&self.curves(round, unnamed, Part::Half(1 - half))?)?;
-            let comparison = Comparison { nominal: &nominal, ..comparison.of(self.recorded) };
+            let comparison = Comparison { nominal: &nominal, ..comparison.of(&comparison.recorded) };
             let effects = comparison.effects(&round.effects)?;
             let nuisances = comparison.find_nuisances(&effects, &Nuisances::default(), 20).nuisances;
             let replay = Replay { nominal: &nominal, nuisances, ..round.replay() };

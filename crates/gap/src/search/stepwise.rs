@@ -14,7 +14,6 @@ use super::surroundings::drop_surroundings;
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
 use crate::GapError;
 use crate::fit::{Candidate, Search};
-use crate::hypothesis::Fitted;
 use crate::outcome::{Named, Rival};
 use crate::statistics::Start;
 
@@ -37,6 +36,8 @@ const LEFT_BY_FORM_SHARE: f64 = 0.25;
 const LEFT_TO_ANY_SHARE: f64 = 2e-3;
 /// What gains less than this share may be by chance, unless its interval doesn't hold 0.
 const FAINT_SHARE: f64 = 0.05;
+/// Numbers that make the log likelier by this are others (nats).
+const LIKELIER_NATS: f64 = 2.0;
 /// So many walls don't move alike by chance.
 const MANY_WALLS: usize = 3;
 
@@ -151,7 +152,7 @@ impl<'a> State<'a> {
                 path.remaining = Some(candidates[best].clone());
                 break;
             }
-            let (p, fitted) = (round.null.p, round.fitted.clone());
+            let (p, nuisances) = (round.null.p, round.fitted.nuisances);
             path.rivals.extend(compare_rivals(&candidates, &candidates[best], path.rounds.len()));
             let mut more = name(&candidates, best, p, self.recorded.scans());
             if is_by_form {
@@ -165,11 +166,11 @@ impl<'a> State<'a> {
                 Some(known) => {
                     path.named[known].effect = sum_of(&path.named[known].effect, &more.effect)?;
                     path.named[known].add_gains(&more.gains);
-                    self.refit(&mut path.named, known, &fitted)?;
+                    self.refit(&mut path.named, known, &path.rounds[path.rounds.len() - 1])?;
                 }
                 None => path.named.push(more),
             }
-            let next = self.round(path.effects(), fitted.nuisances, options.replicates)?;
+            let next = self.round(path.effects(), nuisances, options.replicates)?;
             path.rounds.push(next);
         }
         Ok(path)
@@ -178,14 +179,16 @@ impl<'a> State<'a> {
     /// Deletes effects that don't surely gain beside the others. A later effect may explain what an earlier one was named for:
     /// a strong yaw looks like noise at first.
     pub fn delete(&self, path: &mut Path<'a>) -> Result<(), GapError> {
-        if path.named.len() < 2 {
+        // Of poses that were corrected once more an effect is seen as it is.
+        let is_corrected = path.last().comparison.recorded.is_corrected();
+        let count = path.named.len();
+        if count == 0 || count == 1 && !is_corrected {
             return Ok(());
         }
-        let count = path.named.len();
+        let before = path.effects();
         let mut i = 0;
         while i < path.named.len() {
-            let fitted = &path.rounds[path.rounds.len() - 1].fitted;
-            if self.refit(&mut path.named, i, fitted)? || path.named.len() == 1 {
+            if self.refit(&mut path.named, i, &path.rounds[path.rounds.len() - 1])? || path.named.len() == 1 {
                 i += 1;
             } else {
                 // What it gained the others do.
@@ -193,7 +196,13 @@ impl<'a> State<'a> {
                 path.named[0].add_gains(&explained.gains);
             }
         }
-        if path.named.len() < count {
+        let is_likelier = || -> Result<bool, GapError> {
+            let Round { comparison, fitted, .. } = path.last();
+            let [old, new] =
+                [&before, &path.effects()].map(|effects| comparison.evaluate(effects, fitted, 1));
+            Ok(is_corrected && new?.total() > old?.total() + LIKELIER_NATS)
+        };
+        if path.named.len() < count || is_likelier()? {
             self.compare_again(path)?;
         }
         Ok(())
@@ -251,13 +260,17 @@ impl<'a> State<'a> {
         Ok(())
     }
 
-    /// Drops noises with which neighbouring beams still err alike: each beam has its noise for itself. Walls of a measured map are off for
-    /// neighbours alike, whatever the noise is.
+    /// Drops noises with which neighbouring beams still err alike: each beam has its noise for itself. Names that gained little beside them go,
+    /// too. Walls of a measured map are off for neighbours alike, whatever the noise is.
     pub fn drop_shared(&self, path: &mut Path<'a>) -> Result<(), GapError> {
         let has_noise = self.nominal.pieces.is_none() && path.named.iter().any(|named| named.name.is_noise());
         let is_off = path.last().null.p <= self.options.false_alarm;
         if has_noise && is_off && self.judge(path.last())?.neighbours_err_alike() {
-            path.named.retain(|named| !named.name.is_noise());
+            let gain = |named: &Named| named.evidence.gain_nats.value;
+            let noises = path.named.iter().filter(|named| named.name.is_noise());
+            // What gained hardly anything beside it stands or falls with it.
+            let least = FAINT_SHARE * noises.map(gain).fold(0.0, f64::max);
+            path.named.retain(|named| !named.name.is_noise() && gain(named) >= least);
             self.compare_again(path)?;
         }
         Ok(())
@@ -358,11 +371,11 @@ impl<'a> State<'a> {
     }
 
     /// Refits the parameters of one effect, with the others as they are. Returns whether it still surely gains.
-    fn refit(&self, named: &mut [Named], index: usize, start: &Fitted) -> Result<bool, GapError> {
+    fn refit(&self, named: &mut [Named], index: usize, round: &Round<'a>) -> Result<bool, GapError> {
         let others = named.iter().enumerate().filter(|(i, _)| *i != index);
         let given: Vec<Effect> = others.map(|(_, named)| named.effect.clone()).collect();
-        let comparison = self.comparison.in_world(&self.nominal.effects_with(&given)?)?;
-        let without = comparison.evaluate(&given, start, 1)?;
+        let comparison = round.comparison.in_world(&self.nominal.effects_with(&given)?)?;
+        let without = comparison.evaluate(&given, &round.fitted, 1)?;
         let search = Search { comparison: &comparison, given: &given, without: &without, start: &without };
         let effect = &named[index].effect;
         let from = Start { values: effect.values.clone(), place: effect.place.clone() };
@@ -371,8 +384,12 @@ impl<'a> State<'a> {
         if let Some(candidate) = fit {
             let named = &mut named[index];
             named.params = numbers(&candidate);
-            named.evidence.gain_nats = Estimate::of_sum(&candidate.gains);
-            named.evidence.gain_nats_per_scan = named.evidence.gain_nats.value / self.recorded.scans() as f64;
+            // Beside others it gains less.
+            if !given.is_empty() {
+                named.evidence.gain_nats = Estimate::of_sum(&candidate.gains);
+                named.evidence.gain_nats_per_scan =
+                    named.evidence.gain_nats.value / self.recorded.scans() as f64;
+            }
             named.effect = candidate.effect;
         }
         Ok(gains)

@@ -46,7 +46,7 @@ fn meets(disc: &Disc, ray: [DVec2; 2]) -> bool {
 /// with one of these stays, and what is in the odometry.
 pub fn drop_surroundings(round: &Round<'_>, candidates: Vec<Candidate>) -> Result<Vec<Candidate>, GapError> {
     let own = Effects::new(round.effects.clone())?;
-    let (views, recorded) = (&round.comparison.views, round.comparison.recorded);
+    let (views, recorded) = (&round.comparison.views, &*round.comparison.recorded);
     let mount = recorded.laser.base_from_laser();
     let lasers: Vec<DVec2> =
         recorded.track.poses().iter().map(|pose| pose.compose(&mount).position()).collect();

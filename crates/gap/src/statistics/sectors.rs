@@ -72,7 +72,7 @@ impl Sectors {
 /// The range about which most readings of a window lie \[m\]: the middle of the densest tenth of a metre.
 fn densest_range(log: &Readings<'_>, bearings: &[f64], window: &Window) -> f64 {
     const WIDTH_M: f64 = 0.1;
-    let recorded = log.comparison.recorded;
+    let recorded = &*log.comparison.recorded;
     let mut near: Vec<f64> = recorded
         .readings
         .iter()

@@ -21,7 +21,7 @@ pub(crate) struct Survey<'a> {
 
 impl<'a> Survey<'a> {
     pub fn new(comparison: &'a Comparison<'a>) -> Self {
-        let (nominal, recorded) = (comparison.nominal, comparison.recorded);
+        let (nominal, recorded) = (comparison.nominal, &*comparison.recorded);
         let max_range = nominal.laser.max_range_m;
         let scans = 0..comparison.views.scans();
         Self {
@@ -51,7 +51,7 @@ impl<'a> Survey<'a> {
     /// A beam, as weights of scores see it.
     pub fn beam_state(&self, index: usize) -> BeamState {
         let (beam, scan) = (&self.comparison.views.beams[index], self.scan(index));
-        let (laser, recorded) = (&self.comparison.nominal.laser, self.comparison.recorded);
+        let (laser, recorded) = (&self.comparison.nominal.laser, &*self.comparison.recorded);
         let range = beam.range();
         BeamState {
             secs: recorded.track.secs()[scan],

@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use locsim_core::{Drive, DriveStep, Estimate, Laser, Pose2, RangeMap, Scan, Track};
+use locsim_core::{Drive, DriveStep, Estimate, Laser, Pose2, RangeMap, RecordedError, Scan, Track};
 use locsim_dataset::OdometryError;
 use locsim_gap::{FilterError, FilterGap, GapError, Outcome, Purpose};
 use locsim_mcl::{
@@ -183,7 +183,7 @@ fn corrected(study: &GapStudy, effects: &Effects) -> Result<Corrected, GapError>
     .unwrap_or_else(|_| laser.clone());
     let odometry = corrected_odometry(&drive.steps, &effects.odometry_errors());
     let stamps = drive.steps.iter().map(|step| step.stamp_secs);
-    let track = Track::new(stamps.zip(odometry)).map_err(GapError::from)?;
+    let track = Track::new(stamps.zip(odometry)).map_err(RecordedError::from).map_err(GapError::from)?;
     let delay = effects.beam_secs(0.0, 0.0);
     let max = laser.max_range();
     let (steps, to_stamp) = drive

@@ -394,8 +394,12 @@ fn usable(
             _ => error.to_string(),
         })
     })?;
-    let recorded = if settings.baseline.is_some() {
-        recorded.along(drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))))
+    // Where scans are left out, and where the log knows more of a sweep.
+    let recorded = if settings.baseline.is_some() || !summary.between.is_empty() {
+        let scans = drive.steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?)));
+        let mut poses: Vec<(f64, Pose2)> = scans.chain(summary.between.iter().copied()).collect();
+        poses.sort_by(|a, b| a.0.total_cmp(&b.0));
+        recorded.along(poses)
     } else {
         recorded
     };

@@ -13,13 +13,17 @@ const SHOWN_BLIND: usize = 3;
 pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
     match outcome.verdict {
         Verdict::None => [
-            reference_first(&outcome.nuisances.pose_error).unwrap_or_else(|| {
+            reference_first(outcome).unwrap_or_else(|| {
                 "Keep the scenario: this log shows no difference from its simulations.".to_owned()
             }),
             "Read the detectable strengths below: a weaker effect would not have been found.".to_owned(),
             "Repeat the search on a log from other surroundings before you rely on the simulator there.".to_owned(),
         ],
-        Verdict::Named => [remedy(&outcome.effects), use_in_filter(outcome), CONFIRM.to_owned()],
+        Verdict::Named => [
+            remedy(&outcome.effects),
+            use_in_filter(outcome),
+            reference_first(outcome).unwrap_or_else(|| CONFIRM.to_owned()),
+        ],
         Verdict::Ambiguous => [
             undecided(&outcome.effects),
             experiment(&outcome.effects),
@@ -67,17 +71,18 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
     }
 }
 
-/// An error of the reference from which on it hides what else is off \[m\].
-const LARGE_ERROR_M: f64 = 0.03;
+/// An error of the reference from which on it hides what else is off \[m\], \[rad\].
+const LARGE_ERROR: (f64, f64) = (0.03, 0.01);
 
 /// A reference that is far off for long takes up what else is off.
-fn reference_first(error: &PoseError) -> Option<String> {
-    (error.sigma_m > LARGE_ERROR_M).then(|| {
+fn reference_first(outcome: &Outcome) -> Option<String> {
+    let PoseError { sigma_m, sigma_rad, correlation_secs } = outcome.nuisances_after.pose_error;
+    (sigma_m > LARGE_ERROR.0 || sigma_rad > LARGE_ERROR.1).then(|| {
         format!(
-            "Look at the reference poses first: as fitted they err by {:.0} mm, for about {:.0} s on end. A jump of them or an old map \
-             does that, and it hides other effects.",
-            1e3 * error.sigma_m,
-            error.correlation_secs
+            "Look at the reference poses: as fitted they err by {:.0} mm and {:.1} degrees, for about {correlation_secs:.0} s on end. A jump \
+             of them, an old map or a laser that was knocked on the way does that, and it hides other effects.",
+            1e3 * sigma_m,
+            sigma_rad.to_degrees(),
         )
     })
 }

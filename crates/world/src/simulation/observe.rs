@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use locsim_core::{Draw, Pose2, Poses, Scan, Stage, Track};
+use locsim_core::{Draw, Pose2, Poses, Scan, Stage};
 use rayon::prelude::*;
 
 use super::blocks::Placement;
@@ -229,18 +229,15 @@ impl Simulator {
         }
     }
 
-    /// The scans of a robot that follows `track` (`map_from_base`), one from each of its poses on: readings \[m\] in
-    /// \[scan\]\[beam\] order. Blocks take new places, and time counts from the first scan, as in
+    /// The scans of a robot that is at `at(i, secs)` (`map_from_base`) at a time of scan `i`, which is stamped `secs[i]`: readings
+    /// \[m\] in \[scan\]\[beam\] order. Blocks take new places, and time counts from the first scan, as in
     /// [`simulate_drive`](super::simulate_drive).
-    pub fn scan_along(&self, track: &Track, seed: u64) -> Vec<f32> {
+    pub fn scan_along(&self, secs: &[f64], at: impl Fn(usize, f64) -> Pose2 + Sync, seed: u64) -> Vec<f32> {
         let beams = self.laser.laser().beam_count();
-        let mut out = vec![0.0; track.len() * beams];
+        let mut out = vec![0.0; secs.len() * beams];
         out.par_chunks_mut(beams).enumerate().for_each_init(Scratch::default, |scratch, (i, out)| {
-            let stamp = track.secs()[i];
-            // Poses of several scans may have one stamp.
-            let base_at = |secs: f64| if secs == stamp { track.poses()[i] } else { track.pose_at(secs) };
-            let scan = self.sweep(seed, i as u32, stamp, base_at, scratch);
-            out.copy_from_slice(&scan.ranges);
+            let base_at = |secs| at(i, secs);
+            out.copy_from_slice(&self.sweep(seed, i as u32, secs[i], base_at, scratch).ranges);
         });
         out
     }
@@ -249,7 +246,7 @@ impl Simulator {
 #[cfg(test)]
 mod tests {
     use glam::DVec2;
-    use locsim_core::{Hits, Particles, RangeMap};
+    use locsim_core::{Hits, Particles, RangeMap, Track};
     use proptest::prelude::*;
 
     use super::super::fixtures::{block_options, laser_options, on_threads, room_map};
@@ -270,7 +267,8 @@ mod tests {
         let along = |secs: f64| {
             let stamped =
                 some_poses().iter().enumerate().map(|(i, pose)| (secs * i as f64, pose)).collect::<Vec<_>>();
-            simulator(noisy_laser()).scan_along(&Track::new(stamped).unwrap(), 5)
+            let track = Track::new(stamped).unwrap();
+            simulator(noisy_laser()).scan_along(track.secs(), |i, secs| track.pose_during(i, secs), 5)
         };
         assert_eq!(along(0.0), along(1.0));
     }
