@@ -137,7 +137,7 @@ impl Recorded {
         let track = self.track.with_poses(poses.collect());
         // Between the scans the reference stays: the errors of a scan are those of its whole sweep.
         let along = self.along.clone().or_else(|| Some(self.track.clone()));
-        Self { track, along, corrections, ..self.clone() }
+        Self { track, corrections, along, ..self.clone() }
     }
 
     /// Whether beams are cast from other poses than the reference's.

@@ -123,9 +123,8 @@ pub fn read_with_layout(
     };
     remarks.extend(times.remarks());
     let is_of_recording = times.are_of_recording();
-    let between = reference.poses.as_ref().map_or_else(Vec::new, |poses| between(&found.steps, poses));
     let summary = LogSummary {
-        between,
+        between: found.between,
         kind: reference.kind,
         odometry: odometry.source,
         evidence,
@@ -177,6 +176,8 @@ fn between(steps: &[DriveStep], poses: &Poses<'_>) -> Vec<(f64, Pose2)> {
 #[derive(Default)]
 struct Steps {
     steps: Vec<DriveStep>,
+    /// Reference poses between them, with their times (s).
+    between: Vec<(f64, Pose2)>,
     /// Number of scans with readings, and their first and last time (s).
     scans: usize,
     span_secs: [f64; 2],
@@ -233,6 +234,7 @@ impl Steps {
             let scan = Scan { ranges };
             found.steps.push(DriveStep { stamp_secs: secs(stamp), odometry, reference: pose, scan });
         }
+        found.between = reference.map_or_else(Vec::new, |poses| between(&found.steps, poses));
         found
     }
 

@@ -148,8 +148,8 @@ pub fn find(
         None => Comparison::new(nominal, recorded)?,
     };
     let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
-    let (comparison, fitted) = comparison.recast(&nominal.effects, fitted)?;
-    let blocks = fit_persistence(&comparison, &[], &fitted, options.seed)?;
+    let (corrected, fitted) = comparison.clone().recast(&nominal.effects, fitted)?;
+    let blocks = fit_persistence(&corrected, &[], &fitted, options.seed)?;
     progress.advance(1);
     let state = State { nominal, recorded, comparison, options: &options, progress, stop, blocks };
     let mut path = state.name_effects(state.round(Vec::new(), fitted.nuisances, options.replicates)?)?;

@@ -321,8 +321,8 @@ fn bursts_of_crosstalk_last_for_a_second() {
     let nominal = Simulator::new(room_map(), None, laser_options(), Effects::none()).unwrap();
     let poses = (0..200).map(|i| (0.2 * f64::from(i) + 0.05, Pose2::new(2.0, 2.0, 0.0)));
     let track = Track::new(poses).unwrap();
-    let clear = nominal.scan_along(&track, 1);
-    let readings = simulator.scan_along(&track, 1);
+    let clear = nominal.scan_along(track.secs(), |i, secs| track.pose_during(i, secs), 1);
+    let readings = simulator.scan_along(track.secs(), |i, secs| track.pose_during(i, secs), 1);
     let disturbed: Vec<bool> = readings.chunks(36).zip(clear.chunks(36)).map(|(a, b)| a != b).collect();
     for window in disturbed.chunks(5) {
         assert!(window.iter().all(|scan| *scan == window[0]), "{window:?}");
@@ -342,12 +342,14 @@ fn scans_and_odometry_along_a_drive_are_the_drives() {
     let simulator = Simulator::new(room_map(), Some(blocks), laser, effects(list)).unwrap();
     let drive = simulate_drive(&simulator, &robot(), 11).unwrap();
     let track = drive.drive.reference().unwrap();
-    let along = on_threads(2, || simulator.scan_along(&track, 11));
+    let along =
+        on_threads(2, || simulator.scan_along(track.secs(), |i, secs| track.pose_during(i, secs), 11));
     assert_eq!(along.iter().map(|z| z.to_bits()).collect::<Vec<_>>(), scan_bits(&drive));
     let odometry = odometry_along(track.poses(), &robot().odometry_noise, simulator.effects(), 11);
     assert_eq!(pose_bits(odometry), odometry_bits(&drive));
     let later = track.secs().iter().map(|secs| secs + 64.0).zip(track.poses().iter().copied());
-    let shifted = simulator.scan_along(&Track::new(later).unwrap(), 11);
+    let later = Track::new(later).unwrap();
+    let shifted = simulator.scan_along(later.secs(), |i, secs| later.pose_during(i, secs), 11);
     let differing = along.iter().zip(&shifted).filter(|(a, b)| (*a - *b).abs() > 0.0011).count();
     assert_eq!(differing, 0, "time counts from the first scan");
 }

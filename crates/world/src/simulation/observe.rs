@@ -305,9 +305,17 @@ mod tests {
         let none = BlockOptions { per_metre_of_wall: 0.0, ..block_options() };
         let of = |blocks| Simulator::new(room_map(), Some(blocks), laser_options(), Effects::none()).unwrap();
         let track = Track::new(some_poses().iter().enumerate().map(|(i, pose)| (i as f64, pose))).unwrap();
-        let first = of(block_options()).scan_along(&track, 5);
-        let more = of(none).with_more_blocks(block_options()).unwrap().scan_along(&track, 5);
-        let both = of(block_options()).with_more_blocks(block_options()).unwrap().scan_along(&track, 5);
+        let first = of(block_options()).scan_along(track.secs(), |i, secs| track.pose_during(i, secs), 5);
+        let more = of(none).with_more_blocks(block_options()).unwrap().scan_along(
+            track.secs(),
+            |i, secs| track.pose_during(i, secs),
+            5,
+        );
+        let both = of(block_options()).with_more_blocks(block_options()).unwrap().scan_along(
+            track.secs(),
+            |i, secs| track.pose_during(i, secs),
+            5,
+        );
         let nearer: Vec<f32> = first.iter().zip(&more).map(|(a, b)| a.min(*b)).collect();
         assert_eq!(bits(&both), bits(&nearer));
         let hidden = |a: &[f32]| a.iter().zip(&both).filter(|(a, both)| a > both).count();

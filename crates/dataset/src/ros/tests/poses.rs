@@ -104,6 +104,24 @@ fn odometry_is_read_from_transforms() {
     assert!(unknown.read(&BagOptions::default()).is_ok());
 }
 
+/// Between scans the reference is where it was then, every 20 ms, and a pause is not filled.
+#[test]
+fn a_reference_is_known_between_scans() {
+    let pose = |secs, x| amcl(secs, &Pose2::new(x, 0.0, 0.0));
+    let bag = plain().add("/amcl_pose", &pose(1.0, 0.0)).add("/amcl_pose", &pose(1.25, 1.0));
+    let bag = bag.add("/amcl_pose", &pose(1.5, 0.0)).add("/amcl_pose", &pose(3.0, 0.0));
+    let (_, summary) = bag.read(&reference("/amcl_pose")).unwrap();
+    let of_turn: Vec<_> = summary.between.iter().filter(|(secs, _)| *secs < 1.5).collect();
+    assert_eq!(of_turn.len(), 24);
+    for (secs, pose) in of_turn {
+        let expected = 1.0 - (secs - 1.25).abs() / 0.25;
+        assert!((pose.x - expected).abs() < 1e-6, "{secs} {pose:?}");
+    }
+    assert!(summary.between.is_sorted_by(|a, b| a.0 < b.0));
+    assert!(summary.between.iter().all(|(secs, _)| *secs < 2.5), "a second after a scan");
+    assert!(plain().read(&BagOptions::default()).unwrap().1.between.is_empty());
+}
+
 /// A robot of several, whose drivers put its name before each frame; `map` is of all of them.
 #[test]
 fn frames_may_be_in_the_namespace_of_the_laser() {
