@@ -74,7 +74,7 @@ impl fmt::Display for MountSource {
 /// Content of a log, and how it was interpreted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogSummary {
-    /// Reference poses between the scans, with their times \[s\]; empty where the log's reference comes no oftener than scans.
+    /// Reference poses between the scans, interpolated every 20 ms, with their times \[s\]; empty without a reference, and of a CARMEN log.
     pub between: Vec<(f64, Pose2)>,
     /// The kind of the poses.
     pub kind: LogKind,
