@@ -142,6 +142,11 @@ impl Mismatch {
         // The least and the greatest number of a type help whoever wrote a number.
         let is_number =
             matches!(found, Unexpected::Unsigned(_) | Unexpected::Signed(_) | Unexpected::Float(_));
+        let is_below = match found {
+            Unexpected::Signed(value) => value < 0,
+            Unexpected::Float(value) => value < u64::MAX as f64,
+            _ => false,
+        };
         let found = match found {
             Unexpected::Bool(value) => value.to_string(),
             Unexpected::Unsigned(value) => value.to_string(),
@@ -153,7 +158,11 @@ impl Mismatch {
             Unexpected::Map => "a map".to_owned(),
             other => other.to_string(),
         };
-        Self::Value { found, allowed: plain_words(&expected.to_string(), is_number) }
+        let allowed = match expected.to_string().as_str() {
+            "u64" | "usize" if is_below => "a whole number, at least 0".to_owned(),
+            expected => plain_words(expected, is_number),
+        };
+        Self::Value { found, allowed }
     }
 }
 
@@ -549,12 +558,17 @@ mod tests {
             #[expect(dead_code, reason = "only whether it can be read counts")]
             seed: u64,
         }
-        for word in ["18446744073709551616", "-1", "1.5", "1e3", "-18446744073709551616", ".inf"] {
+        let (to, least) = ("a whole number from 0 to 18446744073709551615", "a whole number, at least 0");
+        for (word, allowed) in [
+            ("18446744073709551616", to),
+            (".inf", to),
+            ("-1", least),
+            ("1.5", least),
+            ("1e3", least),
+            ("-18446744073709551616", least),
+        ] {
             let error = parse::<One>(Path::new("s.yaml"), &format!("seed: {word}\n")).unwrap_err();
-            let expected = format!(
-                "s.yaml:1: seed: {word} is not allowed; a whole number from 0 to 18446744073709551615"
-            );
-            assert_eq!(error.to_string(), expected);
+            assert_eq!(error.to_string(), format!("s.yaml:1: seed: {word} is not allowed; {allowed}"));
         }
         parse::<One>(Path::new("s.yaml"), "seed: 18446744073709551615\n").unwrap();
     }

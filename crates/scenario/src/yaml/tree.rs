@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::rc::Rc;
 
 use locsim_core::limits::{Limits, YAML_DEPTH, quoted};
-use saphyr_parser::{Event, Parser, ScalarStyle, Tag};
+use saphyr_parser::{Event, Marker, Parser, ScalarStyle, Tag};
 
 use crate::Problem;
 use crate::error::{LISTED, and_more};
@@ -137,6 +137,12 @@ fn control_character(text: &str) -> Option<Problem> {
     Some(Problem { line: Some(line_at(text.as_bytes(), at)), key: String::new(), message })
 }
 
+/// The word that a parser's marker is at.
+fn word_at(text: &str, marker: &Marker) -> String {
+    let line = text.lines().nth(marker.line().saturating_sub(1)).unwrap_or_default();
+    line.chars().skip(marker.col()).take_while(|c| !c.is_whitespace() && !",[]{}".contains(*c)).collect()
+}
+
 /// The line of a byte, from 1.
 pub(super) fn line_at(bytes: &[u8], at: usize) -> usize {
     bytes[..at].split(|byte| *byte == b'\n').count()
@@ -152,6 +158,13 @@ impl Reader<'_> {
                 message: match error.info() {
                     // The parser's own limit is wider, but it may meet it before it tells of the first value.
                     "recursion limit exceeded" => too_deep("more"),
+                    "while parsing node, found unknown anchor" => {
+                        let alias = word_at(text, error.marker());
+                        format!(
+                            "`{}` is not allowed; an alias of an anchor `&` that stands before it",
+                            quoted(&alias)
+                        )
+                    }
                     info => format!("not readable as YAML: {}", quoted(info)),
                 },
             })?;
@@ -483,6 +496,10 @@ mod tests {
             ("a: 1\n---\nb: 2", "2: a second document is not allowed; one in each file"),
             ("a: 1\n[b]: 2", "2: a map or list as a key is not allowed; a word"),
             ("a: &x b\n*x : 2", "2: an alias as a key is not allowed; a word"),
+            (
+                "a: &x 1\nb: {c: *yes}",
+                "2: `*yes` is not allowed; an alias of an anchor `&` that stands before it",
+            ),
             ("a: 1\nb: \u{0}2", "2: not readable as YAML: the control character \\u{0} is not allowed; text"),
             ("b: 1\na: 2\nb: 3", "3: b: the key stands twice, first at line 1"),
         ] {
