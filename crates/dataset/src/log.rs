@@ -84,6 +84,20 @@ pub struct LogOptions {
     pub without_odometry: bool,
 }
 
+impl LogOptions {
+    /// The same, and what isn't given as in `others`.
+    #[must_use]
+    pub fn or(self, others: &Self) -> Self {
+        let or = |own: Option<String>, other: &Option<String>| own.or_else(|| other.clone());
+        let topics = BagTopics {
+            scan: or(self.topics.scan, &others.topics.scan),
+            odometry: or(self.topics.odometry, &others.topics.odometry),
+            reference: or(self.topics.reference, &others.topics.reference),
+        };
+        Self { max_range_m: self.max_range_m.or(others.max_range_m), topics, ..self }
+    }
+}
+
 /// Reads a log in the format of its content: [`read_bag`](crate::read_bag) or
 /// [`read_carmen`](crate::read_carmen).
 ///

@@ -14,7 +14,7 @@ use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{MountFilter, OdometryFilter, ScanFilter};
 
 use crate::LabError;
-use crate::run::{log_map, no_reference, read_scenario_log, refused};
+use crate::run::{log_map, no_reference, options_beside, read_scenario_log, refused};
 
 /// Delays of beams that differ by less than this from evenly spaced ones are evenly spaced \[s\]: a nanosecond is the resolution
 /// of a stamp, and beam times are f32.
@@ -81,6 +81,7 @@ pub fn apply(
         let problem = Problem { line: None, key: "residuals".to_owned(), message };
         return Err(ScenarioError::Invalid { file: scenario.file.clone(), problems: vec![problem] }.into());
     }
+    let options = &options_beside(scenario, log, options);
     let is_bag = LogFormat::to_write(out, Some(log))? == LogFormat::Bag
         && LogFormat::of_content(log)? == LogFormat::Bag;
     let moves_odometry =

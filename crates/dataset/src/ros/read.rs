@@ -15,7 +15,7 @@ use super::messages::{
 use super::motion::{FoundOdometry, LISTED_PAIRS, Motion, UPRIGHT};
 use super::poses::{Poses, affine};
 use super::remarks::{Times, missing_messages};
-use super::scans::{Convention, Scans};
+use super::scans::{Convention, NoReturn, Scans};
 use super::stamped::Stamped;
 use super::topics::{Chosen, PoseSource, Topics};
 use crate::laser::checked;
@@ -76,8 +76,9 @@ pub fn read_with_layout(
     let laser = checked(path, laser)?;
 
     let max = laser.max_range();
-    let zero_is_no_return = scans.zero_is_no_return(max);
-    let convention = Convention { min: laser.min_range(), max, zero_is_no_return };
+    let is_cloud = chosen.scan.schema == POINT_CLOUD_2;
+    let no_return = if is_cloud { NoReturn::Above } else { scans.no_return(max) };
+    let convention = Convention { min: laser.min_range(), max, no_return };
     let laser_frame = scans.frame().to_owned();
     let laser_edge = motion.transforms.laser_edge(scans.frame(), base);
     let (empty, resampled_scans) = (scans.empty, scans.resampled_scans);
@@ -103,11 +104,12 @@ pub fn read_with_layout(
         evidence += "; ";
         evidence += guess;
     }
-    if chosen.scan.schema == POINT_CLOUD_2 {
+    if is_cloud {
         evidence += "; clouds don't tell readings without return, nor the maximum range";
     }
-    if zero_is_no_return {
-        evidence += "; readings of 0 are taken for no return, as no other reading is without return";
+    for word in no_return.evidence() {
+        evidence += "; ";
+        evidence += word;
     }
     let mut remarks = motion.remarks(&chosen, &laser_frame);
     remarks.extend(missing_messages(path, topics.messages()));

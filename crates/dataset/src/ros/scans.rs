@@ -25,6 +25,14 @@ const MOST_OTHER_BEAMS: f64 = 0.1;
 /// A sweep takes no longer than this share of the time between scans.
 const LONGEST_SWEEP: f64 = 1.1;
 
+/// A word for no return is used so many times as often as readings at the maximum range.
+const NO_WORD: usize = 100;
+/// A beam is hidden if it has no reading in so many scans.
+const LEAST_HIDDEN: usize = 20;
+/// Filters take out the readings of so many beams between two surfaces at the most, which are farther apart than this (m).
+const LONGEST_VEIL: usize = 3;
+const LEAST_JUMP_M: f32 = 0.2;
+
 /// Scans of fewer beams may have the same readings by chance.
 const LEAST_COPIED: usize = 16;
 /// More scans with one stamp have it for another reason than being recorded several times.
@@ -35,14 +43,45 @@ const MOST_COPIES: usize = 3;
 pub struct Convention {
     pub min: f32,
     pub max: f32,
-    /// 0 is no return.
-    pub zero_is_no_return: bool,
+    /// What stands for no return beside the maximum range.
+    pub no_return: NoReturn,
+}
+
+/// What a driver writes where nothing came back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoReturn {
+    /// Infinity, or a range that isn't below the maximum.
+    Above,
+    /// 0.
+    Zero,
+    /// NaN.
+    NotANumber,
+}
+
+impl NoReturn {
+    /// What is said of it; nothing of what REP-117 asks for.
+    pub fn evidence(self) -> Option<&'static str> {
+        match self {
+            Self::Above => None,
+            Self::Zero => {
+                Some("readings of 0 are taken for no return, as no other reading is without return")
+            }
+            Self::NotANumber => {
+                Some("readings of NaN are taken for no return, as no other reading is without return")
+            }
+        }
+    }
 }
 
 impl Convention {
     /// The reading as a drive has it: the maximum range without return, NaN where it isn't usable.
     pub fn reading(self, range: f32) -> f32 {
-        if range >= self.max || (range == 0.0 && self.zero_is_no_return) {
+        let is_none = match self.no_return {
+            NoReturn::Above => false,
+            NoReturn::Zero => range == 0.0,
+            NoReturn::NotANumber => range.is_nan(),
+        };
+        if range >= self.max || is_none {
             self.max
         } else if range.is_nan() || range < self.min || range == 0.0 {
             f32::NAN
@@ -53,10 +92,13 @@ impl Convention {
 
     /// A reading of a drive as the driver would write it.
     pub fn written(self, reading: f32) -> f32 {
-        match reading {
-            none if none == self.max && self.zero_is_no_return => 0.0,
-            none if none == self.max => f32::INFINITY,
-            reading => reading,
+        if reading != self.max {
+            return reading;
+        }
+        match self.no_return {
+            NoReturn::Above => f32::INFINITY,
+            NoReturn::Zero => 0.0,
+            NoReturn::NotANumber => f32::NAN,
         }
     }
 }
@@ -76,6 +118,8 @@ pub struct Scans {
     pub resampled_scans: usize,
     /// Number of scans that were recorded twice, which are left out.
     copies: usize,
+    /// Whether the driver writes NaN: a beam that another scan lacks is NaN as well.
+    writes_nan: bool,
 }
 
 impl Scans {
@@ -92,6 +136,7 @@ impl Scans {
             self.empty += 1;
             return Ok(());
         }
+        self.writes_nan |= ranges.iter().any(|range| range.is_nan());
         check_bearings(&scan, ranges.len())?;
         let beams = self.stamped.items.first().map_or(0, |(_, ranges)| ranges.len());
         let onto_first =
@@ -197,12 +242,25 @@ impl Scans {
         self.first.as_ref().map_or("", |first| plain(&first.header.frame_id))
     }
 
-    /// Whether the driver writes 0 for no return: it does where some readings are 0 and none is infinite or at the
-    /// maximum.
-    pub fn zero_is_no_return(&self, max: f32) -> bool {
-        let mut readings = self.stamped.items.iter().flat_map(|(_, ranges)| ranges);
-        let zeros = readings.clone().any(|range| *range == 0.0);
-        zeros && !readings.any(|range| *range >= max)
+    /// What the driver writes for no return: 0, or else NaN, where some readings are so and hardly one is infinite or at the maximum. Beams
+    /// that never have another reading are those that the robot itself hides, and don't count. Nor is NaN no return where most of it stands
+    /// between a near surface and a far one: filters take such readings out.
+    pub fn no_return(&self, max: f32) -> NoReturn {
+        let scans: Vec<&[f32]> = self.stamped.items.iter().map(|(_, ranges)| ranges.as_slice()).collect();
+        let above = scans.iter().flat_map(|ranges| ranges.iter()).filter(|range| **range >= max).count();
+        let beams = scans.first().map_or(0, |ranges| ranges.len());
+        let is_word = |of: &dyn Fn(f32) -> bool| {
+            let counts = (0..beams).map(|beam| scans.iter().filter(|ranges| of(ranges[beam])).count());
+            let some = counts.filter(|count| *count < scans.len() || scans.len() < LEAST_HIDDEN);
+            above * NO_WORD < some.sum::<usize>()
+        };
+        if is_word(&|range| range == 0.0) {
+            NoReturn::Zero
+        } else if self.writes_nan && is_word(&f32::is_nan) && !are_between_surfaces(&scans) {
+            NoReturn::NotANumber
+        } else {
+            NoReturn::Above
+        }
     }
 
     /// The laser that the scans describe; `mirrored` where it hangs upside down.
@@ -226,6 +284,23 @@ impl Scans {
             base_from_laser,
         )
     }
+}
+
+/// Whether most readings of NaN, in runs of three at most, are between two surfaces that are apart along the beam.
+fn are_between_surfaces(scans: &[&[f32]]) -> bool {
+    let [mut all, mut between] = [0, 0];
+    for ranges in scans {
+        let mut last: Option<usize> = None;
+        for (beam, range) in ranges.iter().enumerate().filter(|(_, range)| !range.is_nan()) {
+            let missing = last.map_or(beam, |last| beam - last - 1);
+            let is_jump = last.is_some_and(|last| (ranges[last] - range).abs() > LEAST_JUMP_M);
+            all += missing;
+            between += if is_jump && missing <= LONGEST_VEIL { missing } else { 0 };
+            last = Some(beam);
+        }
+        all += last.map_or(ranges.len(), |last| ranges.len() - last - 1);
+    }
+    2 * between > all
 }
 
 /// Whether a scan has the beams of the first, by bits.

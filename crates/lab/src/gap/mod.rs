@@ -38,7 +38,7 @@ use laser::{with_beams, with_mount};
 
 use crate::LabError;
 use crate::inspect::{doubts, frozen_odometry};
-use crate::run::{log_map, no_reference, read_scenario_log, selected, spread_stamps};
+use crate::run::{log_map, no_reference, options_beside, read_scenario_log, selected, spread_stamps};
 use locsim_core::Control;
 use locsim_report::ReportError;
 use locsim_report::store::{Folder, Request};
@@ -199,7 +199,7 @@ impl GapStudy {
             if same_file(&path, &log) {
                 warnings.push("The baseline is the log itself: nothing can have changed.".to_owned());
             }
-            let (drive, summary) = read_log(&path, &settings.log)?;
+            let (drive, summary) = read_log(&path, &options_beside(&scenario, &path, &settings.log))?;
             notes.push(format!("Baseline: {}", summary.to_string().replace('\n', "; ")));
             let laser = simulated.laser();
             let (_, recorded, odometry_lag_secs) =
@@ -334,12 +334,18 @@ impl Held {
             }
             Source::Log(log) => log,
         };
-        let (drive, summary) = read_scenario_log(scenario, of_scenario)?;
-        let map = log_map(of_scenario, &drive, &())?;
         if let Some(log) = log {
-            let (drive, summary) = read_log(log, &settings.log)?;
+            let (drive, summary) = read_log(log, &options_beside(scenario, log, &settings.log))?;
+            let map = match &of_scenario.map {
+                LogMap::File(_) => log_map(of_scenario, &drive, &())?,
+                LogMap::FromScans { .. } | LogMap::Walls { .. } => {
+                    log_map(of_scenario, &read_scenario_log(scenario, of_scenario)?.0, &())?
+                }
+            };
             return Ok(Self { log: log.to_owned(), map, drive, summary });
         }
+        let (drive, summary) = read_scenario_log(scenario, of_scenario)?;
+        let map = log_map(of_scenario, &drive, &())?;
         let steps = match &of_scenario.map {
             LogMap::File(_) => drive.steps,
             LogMap::FromScans { .. } | LogMap::Walls { .. } => {

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use locsim_core::{Drive, DriveStep, Pose2, Progress, RangeMap};
-use locsim_dataset::{BagTopics, DatasetError, LogOptions, LogSummary, read_log};
+use locsim_dataset::{BagTopics, DatasetError, LogFormat, LogOptions, LogSummary, read_log};
 use locsim_mapping::{MappingOptions, occupancy_from_drive, walls_from_drive};
-use locsim_scenario::{self as scenario, Log, LogMap, Scenario};
+use locsim_scenario::{self as scenario, Log, LogMap, Scenario, Source};
 use locsim_world::map::{Geometry, MapError};
 use locsim_world::raycast::ExactRangeMap;
 
@@ -214,6 +214,16 @@ pub fn read_scenario_log(scenario: &Scenario, log: &Log) -> Result<(Drive, LogSu
 pub fn read_options(log: &Log) -> LogOptions {
     let max_range_m = log.max_range_m.map(|max| max as f32);
     LogOptions { max_range_m, topics: log.topics.clone(), ..LogOptions::default() }
+}
+
+/// How a log that is named beside a scenario is read: as given, and where nothing is given as the scenario's own log.
+pub fn options_beside(scenario: &Scenario, log: &Path, given: &LogOptions) -> LogOptions {
+    let Source::Log(own) = &scenario.source else { return given.clone() };
+    let mut own = read_options(own);
+    if !matches!(LogFormat::of_content(log), Ok(LogFormat::Bag)) {
+        own.topics = BagTopics::default();
+    }
+    given.clone().or(&own)
 }
 
 /// Training scans of a log: those whose reference pose lies in the map's free space, at most as many as asked

@@ -47,7 +47,7 @@ use locsim_report::summary::Summary;
 use locsim_report::{self as report, ReportContext, ReportError};
 use locsim_scenario::{ErrorFrame, Estimate, ModelName, Scenario, Source};
 pub(crate) use measured_log::{log_map, no_reference, selected};
-pub use measured_log::{read_options, read_scenario_log};
+pub use measured_log::{options_beside, read_options, read_scenario_log};
 
 /// The recording's name in the results folder.
 pub const RECORDING: &str = "recording.rrd";

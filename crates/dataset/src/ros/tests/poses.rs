@@ -324,6 +324,34 @@ fn zero_is_no_return_where_a_driver_has_no_other_word_for_it() {
     }
 }
 
+/// NaN is no return where a driver has no other word for it, but not on beams that have nothing else, nor between two surfaces.
+#[test]
+fn nan_is_no_return_where_a_driver_has_no_other_word_for_it() {
+    let nan = f32::NAN;
+    let read = |scans: &[&[f32]]| {
+        let mut bag = Bag::default().add("/odom", &odometry(1.0, &Pose2::IDENTITY));
+        for (i, ranges) in scans.iter().enumerate() {
+            bag = bag.add("/scan", &scan(1.0 + 1e-3 * i as f64, ranges));
+        }
+        let (drive, summary) =
+            bag.add("/odom", &odometry(2.0, &Pose2::IDENTITY)).read(&BagOptions::default()).unwrap();
+        (drive.steps[0].scan.ranges.clone(), summary)
+    };
+    let (ranges, summary) = read(&[&[nan, 1.0, 1.0, 1.0], &[1.0; 4]]);
+    assert_eq!(ranges[0], 8.0);
+    assert!(summary.evidence.contains("readings of NaN are taken for no return"), "{summary}");
+    let (ranges, summary) = read(&[&[nan, f32::INFINITY, 1.0, 1.0], &[1.0; 4]]);
+    assert!(ranges[0].is_nan() && !summary.evidence.contains("readings of NaN"), "{summary}");
+    // A filter's, at the edge of a near surface.
+    assert!(read(&[&[1.0, nan, 3.0, 3.0], &[1.0; 4]]).0[1].is_nan());
+    // A part of the robot before the first beam.
+    assert!(read(&[&[nan, 1.0, 1.0, 1.0][..]; 30]).0[0].is_nan());
+    assert_eq!(
+        read(&[&[&[nan, nan, 1.0, 1.0][..]], &[&[nan, 1.0, 1.0, 1.0][..]; 29][..]].concat()).0[1],
+        8.0
+    );
+}
+
 #[test]
 fn bearings_are_as_the_scans_have_them() {
     let turn = |first: f32, step: f32| LaserScan {
