@@ -37,7 +37,7 @@ mod track;
 mod weights;
 
 pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
-pub use cells::{cell_at, cells_between};
+pub use cells::{cell_at, cells_between, most_of_four, share_again};
 pub use control::{Clock, Control, Progress};
 pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, FASTEST, Laser, LaserError, Scan};
@@ -55,8 +55,8 @@ pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, Sens
 pub use particles::{Particles, Poses};
 pub use pose::{Pose2, circular_mean, sector_holds_middle, wrap_angle};
 pub use pose_error::{
-    PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, fit_pose_error, pattern_score,
-    predictive_gain, smooth_pose_errors,
+    PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, are_errors, fit_pose_error, most_change,
+    pattern_score, smooth_pose_errors, without_patterns,
 };
 pub use quantile::{equal_bins, median, quantile, sorted};
 pub use recorded::{LEAST_SCANS, Recorded, RecordedError};

@@ -4,7 +4,7 @@
 //! standard deviation for both) and of the heading is a first-order autoregressive process, in the map frame.
 
 use glam::{DMat3, DVec2, DVec3};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -270,6 +270,19 @@ pub fn predictive_gain(
     scans.iter().zip(errors).map(|(scan, e)| scan.vector.dot(e) - 0.5 * e.dot(scan.matrix * e)).sum()
 }
 
+/// Whether scans tell errors of a process, by all beams and by two halves of them. Its three parameters have to earn their keep (nats); noise of
+/// some beams gains, too, but not on the others.
+pub fn are_errors(
+    process: &PoseError,
+    secs: &[f64],
+    scans: &[PoseInformation],
+    [a, b]: &[Vec<PoseInformation>; 2],
+) -> bool {
+    const LEAST_EVIDENCE: f64 = 6.0;
+    smooth_pose_errors(process, secs, scans).log_evidence > LEAST_EVIDENCE
+        && predictive_gain(process, secs, a, b) + predictive_gain(process, secs, b, a) > 0.0
+}
+
 /// Estimates the process by expectation maximization, about the mean of the errors: a constant error is no
 /// fluctuation, and can't be told from a laser mounted otherwise.
 pub fn fit_pose_error(
@@ -309,6 +322,33 @@ pub fn fit_pose_error(
         };
     }
     process
+}
+
+/// Data of scans after the least-squares fit of errors in these patterns is subtracted. Each pattern has an error for each scan.
+pub fn without_patterns(scans: &[PoseInformation], patterns: &[Vec<DVec3>]) -> Vec<PoseInformation> {
+    let sum = |of: &dyn Fn(usize) -> f64| (0..scans.len()).map(of).sum::<f64>();
+    let count = patterns.len();
+    let normal = DMatrix::from_fn(count, count, |row, column| {
+        sum(&|i| patterns[row][i].dot(scans[i].matrix * patterns[column][i]))
+    });
+    let data = DVector::from_fn(count, |row, _| sum(&|i| patterns[row][i].dot(scans[i].vector)));
+    // Each in its own scale. Patterns that scans can't tell apart share what they have in common.
+    let scale = DVector::from_fn(count, |i, _| normal[(i, i)].max(f64::MIN_POSITIVE).sqrt().recip());
+    let scaled = DMatrix::from_fn(count, count, |i, j| normal[(i, j)] * scale[i] * scale[j]);
+    let numbers = scaled.svd(true, true).solve(&data.component_mul(&scale), 1e-12);
+    let numbers = numbers.map_or_else(|_| DVector::zeros(count), |numbers| numbers.component_mul(&scale));
+    let shift = |i: usize| patterns.iter().zip(&numbers).map(|(p, number)| *number * p[i]).sum::<DVec3>();
+    let left = scans.iter().enumerate().map(|(i, scan)| PoseInformation {
+        matrix: scan.matrix,
+        vector: scan.vector - scan.matrix * shift(i),
+    });
+    left.collect()
+}
+
+/// The greatest change of an error \[m\], a radian counting as 3 m.
+pub fn most_change(a: &[DVec3], b: &[DVec3]) -> f64 {
+    let changes = a.iter().zip(b).map(|(a, b)| ((*a - *b) * DVec3::new(1.0, 1.0, 3.0)).length());
+    changes.fold(0.0, f64::max)
 }
 
 /// How surely the reference's poses are off along a known pattern, `pattern[scan]` times a constant, on top of errors of
@@ -370,6 +410,23 @@ mod tests {
         }
         let nothing = PoseInformation::default().simulate(error, &mut draw.item(0));
         assert_eq!(nothing.vector, DVec3::ZERO);
+    }
+
+    /// Data along the patterns are subtracted to the last bit; data orthogonal to them stay.
+    #[test]
+    fn patterns_are_taken_off() {
+        let matrix = DMat3::from_diagonal(DVec3::new(4.0, 9.0, 100.0));
+        let pattern: Vec<DVec3> = (0..6).map(|i| DVec3::new(1.0, 0.5 * f64::from(i), 0.1)).collect();
+        let other: Vec<DVec3> = (0..6).map(|i| DVec3::new(0.0, 0.0, f64::from(i % 2))).collect();
+        let along = |i: usize| 0.03 * pattern[i] - 0.2 * other[i];
+        let scans: Vec<PoseInformation> =
+            (0..6).map(|i| PoseInformation { matrix, vector: matrix * along(i) }).collect();
+        for rest in without_patterns(&scans, &[pattern.clone(), other.clone()]) {
+            assert!(rest.vector.length() < 1e-9, "{}", rest.vector);
+        }
+        let rest = without_patterns(&scans, std::slice::from_ref(&pattern));
+        let score: f64 = pattern.iter().zip(&rest).map(|(p, rest)| p.dot(rest.vector)).sum();
+        assert!(score.abs() < 1e-9 && rest[1].vector.length() > 1.0, "{score}");
     }
 
     /// Logs of three correlation times, whose mean is taken off, have errors as large as they were drawn in the mean.

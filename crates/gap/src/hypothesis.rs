@@ -6,15 +6,16 @@ use std::sync::Arc;
 use distreg::random_effects;
 use glam::DVec3;
 use locsim_core::{
-    Pose2, PoseError, PoseInformation, fit_pose_error, pattern_score, predictive_gain, smooth_pose_errors,
+    Pose2, PoseError, PoseInformation, are_errors, fit_pose_error, most_change, pattern_score,
+    smooth_pose_errors, without_patterns,
 };
 use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
 use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};
 
 use crate::likelihood::{Density, Terms};
-use crate::pose_pattern::{PosePattern, errors_beyond_patterns, without_patterns};
+use crate::pose_pattern::{PosePattern, errors_beyond_patterns};
 use crate::views::{PieceView, Views};
-use crate::wall_error::{self, Pull};
+use crate::wall_error::{self, LEAST_M, OFF_M, Pull};
 use crate::{GapError, Nominal, Recorded};
 
 /// Nuisance parameters: the parameters of a simulation besides the scenario, fitted to the log.
@@ -93,6 +94,8 @@ const RECASTS: usize = 2;
 const FAR_CORRECTIONS: usize = 4;
 /// Errors that lie more surely than this in one pattern of an effect (standard deviations) are the effect's.
 const MOST_IN_PATTERN: f64 = 10.0;
+/// Squares of errors exceed the variance of the noise by more than this factor where there is more noise than is simulated.
+const LEAST_EXCESS: f64 = 1.3;
 /// Standard deviation of walls' offsets from which fits start \[m\].
 const FIRST_WALL_ERROR_M: f64 = 0.02;
 
@@ -262,23 +265,19 @@ impl<'a> Comparison<'a> {
 
     /// Fits the nuisances step by step, from those of `fitted`. In the first `far` steps readings that are far off count as well.
     fn converge(&self, effects: &Effects, mut fitted: Fitted, iterations: usize, far: usize) -> Fitted {
-        let start = fitted.nuisances;
-        // A process to start from that may be found to be none.
-        let mut process = if start.pose_error.is_none() {
-            PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 }
-        } else {
-            start.pose_error
-        };
+        let mut process = fitted.nuisances.pose_error;
+        if process.is_none() {
+            // One to start from, that may be found to be none.
+            process = PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 };
+        }
         let patterns = PosePattern::all_over(&self.recorded);
         let bursts = BurstStates::of(effects);
         for round in 0..far + CORRECTIONS {
             let weight = if round < far { wall_error::weight } else { near_weight };
+            let pass_of = |effects: &Effects| self.pass(&self.views, effects, &fitted, weight);
             let pass = match &bursts {
-                Some(bursts) => {
-                    let states = [&bursts.on, &bursts.off];
-                    self.mixed(bursts, states.map(|effects| self.pass(&self.views, effects, &fitted, weight)))
-                }
-                None => self.pass(&self.views, effects, &fitted, weight),
+                Some(bursts) => self.mixed(bursts, [&bursts.on, &bursts.off].map(pass_of)),
+                None => pass_of(effects),
             };
             fitted.nuisances.pose_error = PoseError::NONE;
             self.update(&mut fitted, &pass);
@@ -286,13 +285,8 @@ impl<'a> Comparison<'a> {
             // A constant pattern is a displaced laser or a late stamp rather than an error of the reference.
             let rest = without_patterns(&information, &patterns);
             process = fit_pose_error(process, secs, &rest, iterations);
-            // Three parameters have to earn their keep. Noise of some beams gains, too, but not on the others.
-            let is_error = smooth_pose_errors(&process, secs, &rest).log_evidence > 6.0 && {
-                let [even, odd] = pass.halves.each_ref().map(|half| without_patterns(half, &patterns));
-                predictive_gain(&process, secs, &even, &odd) + predictive_gain(&process, secs, &odd, &even)
-                    > 0.0
-            };
-            let corrections = if is_error {
+            let halves = pass.halves.each_ref().map(|half| without_patterns(half, &patterns));
+            let corrections = if are_errors(&process, secs, &rest, &halves) {
                 fitted.nuisances.pose_error = process;
                 smooth_pose_errors(&process, secs, &information).mean
             } else {
@@ -395,6 +389,7 @@ impl<'a> Comparison<'a> {
         if !views.pieces.is_empty() {
             self.fill_in(views, &mut pass.log_likelihood);
         }
+        pass.admit_noise();
         pass
     }
 
@@ -466,7 +461,9 @@ impl<'a> Comparison<'a> {
             return 0.0;
         };
         let data = wall_error::gather(&self.views, &fitted.corrections, &pass.pulls, fitted.offsets.len());
-        let error_m = wall_error::fit(pieces.sigmas(), error_m, &data, iterations);
+        // An offset of all walls is no error of the map, but of the ranges.
+        let error_m = random_effects::common_deviation(pieces.sigmas(), error_m, &data, iterations, OFF_M);
+        let error_m = error_m.max(LEAST_M);
         let offsets = random_effects::most_likely(pieces.sigmas(), error_m, &data);
         let changes = offsets.iter().zip(&fitted.offsets).map(|(a, b)| (a - b).abs());
         let changed = changes.fold(0.0, f64::max);
@@ -490,12 +487,6 @@ impl<'a> Comparison<'a> {
             }
         }
     }
-}
-
-/// The largest change of an error \[m\], a radian counting as 3 m.
-fn most_change(a: &[DVec3], b: &[DVec3]) -> f64 {
-    let changes = a.iter().zip(b).map(|(a, b)| ((*a - *b) * DVec3::new(1.0, 1.0, 3.0)).length());
-    changes.fold(0.0, f64::max)
 }
 
 /// A usable reading of a beam.
@@ -529,6 +520,8 @@ struct Pass {
     clutter: Vec<[f64; 2]>,
     /// What readings say of a measured map's walls.
     pulls: Vec<Pull>,
+    /// Squares of errors at walls of an exact map, each over the variance of the noise, and how many they are.
+    squares: [f64; 2],
 }
 
 impl Pass {
@@ -538,6 +531,15 @@ impl Pass {
             halves: [vec![PoseInformation::default(); scans], vec![PoseInformation::default(); scans]],
             clutter: vec![[0.0; 2]; scans],
             pulls: Vec::new(),
+            squares: [0.0; 2],
+        }
+    }
+
+    /// Readings say less of the poses where they err by more than the noise that is simulated: poses would follow what is noise.
+    fn admit_noise(&mut self) {
+        let excess = self.squares[0] / self.squares[1].max(1.0);
+        if excess > LEAST_EXCESS {
+            self.halves.iter_mut().flatten().for_each(|scan| *scan = *scan * excess.recip());
         }
     }
 
@@ -553,6 +555,11 @@ impl Pass {
         let beam = &views.beams[number];
         self.log_likelihood[scan] += terms.density.ln();
         let is_exact = views.pieces.is_empty();
+        if is_exact {
+            let near = near_weight(terms);
+            self.squares[0] += near * terms.error.powi(2);
+            self.squares[1] += if near > 0.0 { terms.hit } else { 0.0 };
+        }
         let weight = if is_exact { weight(terms) } else { wall_error::weight(terms) };
         if weight > 0.0 {
             // Linear in the correction: as seen from the reference pose.

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use glam::{DVec2, DVec3};
-use locsim_core::{Draw, Pose2, PoseInformation, Stage, Track, cell_at};
+use locsim_core::{Draw, Pose2, PoseInformation, Stage, Track, cell_at, share_again};
 use locsim_world::effect::{Effect, Effects};
 use locsim_world::simulation::{BlockResampling, MovedWalls};
 use rand::RngExt;
@@ -240,13 +240,7 @@ fn shared_shorts(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted
             cells[scan].insert(cell_at(point, OBJECT_CELL_M));
         }
     });
-    LAGS.map(|lag| {
-        let pairs = cells.iter().zip(cells.iter().skip(lag));
-        let (both, all) = pairs.fold((0, 1), |(both, all), (here, later)| {
-            (both + here.intersection(later).count(), all + here.len())
-        });
-        both as f64 / f64::from(all as u32)
-    })
+    LAGS.map(|lag| share_again(&cells, lag))
 }
 
 #[cfg(test)]

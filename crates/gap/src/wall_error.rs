@@ -3,7 +3,7 @@
 //! All beams that meet a piece share its offset, in all scans. Offsets are normal, with a variance that is the map's own and one
 //! that is fitted to the log: what the map doesn't know of its errors.
 
-use distreg::random_effects::{GroupEvidence, common_deviation};
+use distreg::random_effects::GroupEvidence;
 use glam::DVec3;
 
 use crate::likelihood::Terms;
@@ -17,9 +17,9 @@ const NEAR_M: f64 = 0.05;
 const FAR_M: f64 = 0.5;
 /// Pieces that are farther off than this are errors of the map that are told one by one; how far the others are off is fitted
 /// without them \[m\].
-const OFF_M: f64 = 0.1;
+pub(crate) const OFF_M: f64 = 0.1;
 /// The least standard deviation of the offsets \[m\].
-const LEAST_M: f64 = 1e-4;
+pub(crate) const LEAST_M: f64 = 1e-4;
 
 /// What a reading says of poses and walls.
 #[derive(Clone, Copy, Debug)]
@@ -59,11 +59,6 @@ pub(crate) fn gather(
         }
     }
     data
-}
-
-/// Standard deviation of the offsets beyond what the map says: an offset of all walls is no error of the map, but of the ranges.
-pub(crate) fn fit(sigmas: &[f64], start_m: f64, data: &[GroupEvidence], iterations: usize) -> f64 {
-    common_deviation(sigmas, start_m, data, iterations, OFF_M).max(LEAST_M)
 }
 
 #[cfg(test)]

@@ -87,9 +87,12 @@ impl<'a> State<'a> {
         let dependences = judgement.dependences();
         let Some(leading) = dependences.first() else { return Ok(Vec::new()) };
         let survey = Survey::new(&round.comparison);
+        // Of few readings behind one wall no statistic is far off, however sure they are.
+        let are_behind = dependences.iter().any(|left| left.deviation == Deviation::Long);
         let acts = |kind: &EffectKind| {
             let effect = Effect::typical(*kind, Vec::new());
-            !kind.has_place() && acts_on(&effect, leading, &judgement.covariates, &survey)
+            are_behind && kind.lets_beams_through()
+                || !kind.has_place() && acts_on(&effect, leading, &judgement.covariates, &survey)
                 || leading.deviation == Deviation::Spread && kind.moves() == Moves::Scans
         };
         Ok(EffectKind::ALL.into_iter().filter(acts).collect())

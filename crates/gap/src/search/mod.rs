@@ -303,11 +303,13 @@ impl<'a> State<'a> {
             let kind = candidate.kind();
             let form = |i: usize| round.dictionary.statistics[i].form;
             let has_score = round.own(kind).any(|i| form(i) == Form::Score) || kind.moves() == Moves::Clutter;
-            // A score takes readings that are moved by many standard deviations for something other than the wall.
+            // A score takes readings that are moved by many standard deviations for something other than the wall. Most beams of a wall go
+            // through it for no other reason.
             // Nor does one that counts a reading as one event at the most say how much many of them gain.
             let is_bounded = |i: usize| round.dictionary.statistics[i].by_one_reading > 0.0;
             let is_beyond_score = candidate.gain() > BEYOND_SCORE_NATS
                 && (moving.contains(&kind)
+                    || kind.lets_beams_through() && candidate.effect.values[0] > 0.5
                     || weight >= beyond_chance && round.own(kind).all(is_bounded)
                     || kind.moves() == Moves::Scans && candidate.gain() > of_noise);
             candidate.is_beyond_chance = weight >= beyond_chance || is_beyond_score;

@@ -10,7 +10,7 @@ use super::selection::{
     SURE_ERRORS, adds_up, choose, choose_apart, compare_rivals, dies_away, is_of_few, is_of_odometry,
     is_one_cause, is_sure, may_be_of_robot, name, numbers, sum_of, surely_loses_returns,
 };
-use super::surroundings::drop_surroundings;
+use super::surroundings::{drop_of_one_place, drop_surroundings};
 use super::{FAR_OFF, Round, SOMEWHAT_OFF, State};
 use crate::GapError;
 use crate::fit::{Candidate, Search};
@@ -114,8 +114,8 @@ impl<'a> State<'a> {
                                 || is_left_by(named, candidate, of_another_form.contains(&named.name)))
                     })
             });
-            let candidates =
-                drop_passing(round, drop_unfounded(round, drop_surroundings(round, candidates)?)?)?;
+            let candidates = drop_of_one_place(round, drop_surroundings(round, candidates)?)?;
+            let candidates = drop_passing(round, drop_unfounded(round, candidates)?)?;
             let mut is_by_form = false;
             let accepted = if off && path.named.len() < options.most_effects {
                 let likeliest = choose(&candidates);
