@@ -107,7 +107,7 @@ pub fn read_with_layout(
     if is_cloud {
         evidence += "; clouds don't tell readings without return, nor the maximum range";
     }
-    for word in no_return.evidence() {
+    if let Some(word) = no_return.evidence() {
         evidence += "; ";
         evidence += word;
     }
