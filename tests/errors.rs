@@ -118,9 +118,10 @@ fn encodings_and_whole_numbers() {
     let latin_1 = edited(SCENARIO, "A short drive", "Eine kurze R\u{1}cke").replace('\u{1}', "?");
     let latin_1: Vec<u8> = latin_1.bytes().map(|byte| if byte == b'?' { 0xfc } else { byte }).collect();
     assert_eq!(told(latin_1).trim_end(), "error: s.yaml:2: the byte 0xfc is not allowed; text in UTF-8");
-    for seed in ["18446744073709551616", "-1", "1.5"] {
-        let message =
-            format!("error: s.yaml:3: seed: {seed} is not allowed; a whole number from 0 to {}", u64::MAX);
+    let to = format!("a whole number from 0 to {}", u64::MAX);
+    let least = "a whole number, at least 0".to_owned();
+    for (seed, allowed) in [("18446744073709551616", &to), ("-1", &least), ("1.5", &least)] {
+        let message = format!("error: s.yaml:3: seed: {seed} is not allowed; {allowed}");
         assert_eq!(told(edited(SCENARIO, "seed: 3", &format!("seed: {seed}"))).trim_end(), message);
     }
 }

@@ -88,10 +88,9 @@ impl<'a> State<'a> {
         let Some(leading) = dependences.first() else { return Ok(Vec::new()) };
         let survey = Survey::new(&round.comparison);
         // Of few readings behind one wall no statistic is far off, however sure they are.
-        let are_behind = dependences.iter().any(|left| left.deviation == Deviation::Long);
         let acts = |kind: &EffectKind| {
             let effect = Effect::typical(*kind, Vec::new());
-            are_behind && kind.lets_beams_through()
+            dependences.iter().any(|left| left.deviation == Deviation::Long) && kind.lets_beams_through()
                 || !kind.has_place() && acts_on(&effect, leading, &judgement.covariates, &survey)
                 || leading.deviation == Deviation::Spread && kind.moves() == Moves::Scans
         };

@@ -112,7 +112,9 @@ pub fn drop_of_one_place(round: &Round<'_>, candidates: Vec<Candidate>) -> Resul
     let is_all_around = |candidate: &Candidate| -> Result<bool, GapError> {
         let effect = &candidate.effect;
         let is_of_beams = effect.kind.moves() == Moves::Distribution && effect.bursts().is_none();
-        if !is_of_beams || effect.kind.has_place() || effect.sector().is_some() {
+        // Losses have a rule of their own: surfaces differ in what they send back.
+        if !is_of_beams || effect.kind.has_place() || effect.sector().is_some() || effect.kind.loses_returns()
+        {
             return Ok(true);
         }
         let with = logarithms(std::slice::from_ref(effect))?;
