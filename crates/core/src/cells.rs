@@ -1,6 +1,7 @@
 //! Square cells of the plane.
 
 use std::collections::{BTreeMap, HashSet};
+use std::hash::BuildHasher;
 
 use glam::DVec2;
 
@@ -24,7 +25,7 @@ pub fn most_of_four(numbers: impl IntoIterator<Item = ([i32; 2], f64)>) -> [f64;
 }
 
 /// Share of the cells that are there again so many sets later; of one cell more, that isn't.
-pub fn share_again(sets: &[HashSet<[i32; 2]>], later: usize) -> f64 {
+pub fn share_again<S: BuildHasher>(sets: &[HashSet<[i32; 2], S>], later: usize) -> f64 {
     let pairs = sets.iter().zip(sets.iter().skip(later));
     let (both, all) = pairs.fold((0, 1), |(both, all), (here, later)| {
         (both + here.intersection(later).count(), all + here.len())
@@ -65,7 +66,7 @@ mod tests {
     /// Three cells are looked for in the next set, of which two are there.
     #[test]
     fn cells_are_found_again() {
-        let sets = [vec![[0, 0], [1, 0]], vec![[1, 0]], vec![[1, 0], [2, 0]]].map(HashSet::from_iter);
+        let sets = [vec![[0, 0], [1, 0]], vec![[1, 0]], vec![[1, 0], [2, 0]]].map(HashSet::<_>::from_iter);
         assert!((share_again(&sets, 1) - 2.0 / 4.0).abs() < 1e-12);
         assert!((share_again(&sets, 2) - 1.0 / 3.0).abs() < 1e-12);
     }

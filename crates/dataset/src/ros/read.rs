@@ -100,16 +100,12 @@ pub fn read_with_layout(
         reference.evidence,
         mount.evidence
     );
-    for guess in &chosen.guessed {
+    for guess in chosen.guessed.iter().map(String::as_str).chain(no_return.evidence()) {
         evidence += "; ";
         evidence += guess;
     }
     if is_cloud {
         evidence += "; clouds don't tell readings without return, nor the maximum range";
-    }
-    if let Some(word) = no_return.evidence() {
-        evidence += "; ";
-        evidence += word;
     }
     let mut remarks = motion.remarks(&chosen, &laser_frame);
     remarks.extend(missing_messages(path, topics.messages()));
