@@ -25,9 +25,11 @@ const MOST_OTHER_BEAMS: f64 = 0.1;
 /// A sweep takes no longer than this share of the time between scans.
 const LONGEST_SWEEP: f64 = 1.1;
 
-/// A word for no return is used so many times as often as readings at the maximum range.
-const NO_WORD: usize = 100;
-/// A beam is hidden if it has no reading in so many scans.
+/// What stands for no return is at least so many times as frequent as readings at the maximum range,
+const TIMES_AS_FREQUENT: usize = 100;
+/// and NaN at least one reading of so many: a few are too near, or unusable for another reason.
+const ONE_OF: usize = 1000;
+/// A beam is hidden if it has no reading in so many scans. Fewer scans don't tell what NaN means.
 const LEAST_HIDDEN: usize = 20;
 /// Filters take out the readings of so many beams between two surfaces at the most, which are farther apart than this (m).
 const LONGEST_VEIL: usize = 3;
@@ -64,10 +66,10 @@ impl NoReturn {
         match self {
             Self::Above => None,
             Self::Zero => {
-                Some("readings of 0 are taken for no return, as no other reading is without return")
+                Some("readings of 0 are taken for no return, as hardly another reading is without return")
             }
             Self::NotANumber => {
-                Some("readings of NaN are taken for no return, as no other reading is without return")
+                Some("readings of NaN are taken for no return, as hardly another reading is without return")
             }
         }
     }
@@ -249,14 +251,20 @@ impl Scans {
         let scans: Vec<&[f32]> = self.stamped.items.iter().map(|(_, ranges)| ranges.as_slice()).collect();
         let above = scans.iter().flat_map(|ranges| ranges.iter()).filter(|range| **range >= max).count();
         let beams = scans.first().map_or(0, |ranges| ranges.len());
-        let is_word = |of: &dyn Fn(f32) -> bool| {
+        let frequency = |of: &dyn Fn(f32) -> bool| {
             let counts = (0..beams).map(|beam| scans.iter().filter(|ranges| of(ranges[beam])).count());
             let some = counts.filter(|count| *count < scans.len() || scans.len() < LEAST_HIDDEN);
-            above * NO_WORD < some.sum::<usize>()
+            some.sum::<usize>()
         };
-        if is_word(&|range| range == 0.0) {
+        let [zeros, nans] = [frequency(&|range| range == 0.0), frequency(&f32::is_nan)];
+        if zeros > TIMES_AS_FREQUENT * above {
             NoReturn::Zero
-        } else if self.writes_nan && is_word(&f32::is_nan) && !are_between_surfaces(&scans) {
+        } else if self.writes_nan
+            && nans > TIMES_AS_FREQUENT * above
+            && scans.len() >= LEAST_HIDDEN
+            && ONE_OF * nans >= beams * scans.len()
+            && !are_between_surfaces(&scans)
+        {
             NoReturn::NotANumber
         } else {
             NoReturn::Above

@@ -337,13 +337,22 @@ fn nan_is_no_return_where_a_driver_has_no_other_word_for_it() {
             bag.add("/odom", &odometry(2.0, &Pose2::IDENTITY)).read(&BagOptions::default()).unwrap();
         (drive.steps[0].scan.ranges.clone(), summary)
     };
-    let (ranges, summary) = read(&[&[nan, 1.0, 1.0, 1.0], &[1.0; 4]]);
+    let first_of = |first: &'static [f32]| -> Vec<&[f32]> {
+        std::iter::once(first).chain([&[1.0; 4][..]; 29]).collect()
+    };
+    let (ranges, summary) = read(&first_of(&[f32::NAN, 1.0, 1.0, 1.0]));
     assert_eq!(ranges[0], 8.0);
     assert!(summary.evidence.contains("readings of NaN are taken for no return"), "{summary}");
-    let (ranges, summary) = read(&[&[nan, f32::INFINITY, 1.0, 1.0], &[1.0; 4]]);
+    let (ranges, summary) = read(&first_of(&[f32::NAN, f32::INFINITY, 1.0, 1.0]));
     assert!(ranges[0].is_nan() && !summary.evidence.contains("readings of NaN"), "{summary}");
     // A filter's, at the edge of a near surface.
-    assert!(read(&[&[1.0, nan, 3.0, 3.0], &[1.0; 4]]).0[1].is_nan());
+    assert!(read(&first_of(&[1.0, f32::NAN, 3.0, 3.0])).0[1].is_nan());
+    // A few scans don't tell.
+    assert!(read(&first_of(&[f32::NAN, 1.0, 1.0, 1.0])[..5]).0[0].is_nan());
+    // One of 1,200 readings, on a beam that has others.
+    let (first, others) = ([nan, 1.0, 1.0, 1.0], [1.0; 4]);
+    let few: Vec<&[f32]> = std::iter::once(&first[..]).chain([&others[..]; 299]).collect();
+    assert!(read(&few).0[0].is_nan() && read(&few[..200]).0[0] == 8.0);
     // A part of the robot before the first beam.
     assert!(read(&[&[nan, 1.0, 1.0, 1.0][..]; 30]).0[0].is_nan());
     assert_eq!(
