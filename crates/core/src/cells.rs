@@ -45,6 +45,14 @@ pub fn cells_between(from: DVec2, to: DVec2, side_m: f64) -> impl Iterator<Item 
     })
 }
 
+/// The middle of the points that are this near \[m\] to the one that most are near to; `None` of no points.
+pub fn densest(points: &[DVec2], near_m: f64) -> Option<DVec2> {
+    let near =
+        |p: &DVec2| points.iter().filter(move |q| p.distance(**q) < near_m).copied().collect::<Vec<_>>();
+    let most = points.iter().map(near).max_by_key(Vec::len)?;
+    Some(most.iter().sum::<DVec2>() / most.len() as f64)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -20,6 +20,7 @@ mod lanes;
 mod likelihood;
 pub mod limits;
 mod lines;
+mod low_discrepancy;
 mod model;
 pub mod normal;
 mod normals;
@@ -27,17 +28,19 @@ pub mod output;
 mod particles;
 mod pose;
 mod pose_error;
+mod purpose;
 mod quantile;
 mod recorded;
 mod resampled;
 mod shard;
 mod stretches;
+mod survival;
 pub mod tilt;
 mod track;
 mod weights;
 
 pub use beams::{Beams, CAST_REACH, Hits, NO_SURFACE};
-pub use cells::{cell_at, cells_between, most_of_four, share_again};
+pub use cells::{cell_at, cells_between, densest, most_of_four, share_again};
 pub use control::{Clock, Control, Progress};
 pub use draw::{BATCH, Draw, Stage};
 pub use drive::{Drive, DriveStep, FASTEST, Laser, LaserError, Scan};
@@ -50,18 +53,21 @@ pub use likelihood::{
     BEAMS_PER_RUN, BeamRun, INCIDENCE_KNOTS, LikelihoodGrid, LikelihoodScale, LikelihoodTable, PreparedScan,
     turn,
 };
-pub use lines::{Line, SlantedStretch, is_along_wall, is_of_wall, lines_through};
+pub use lines::{Line, SlantedStretch, distance_to, is_along_wall, is_of_wall, lines_through};
+pub use low_discrepancy::low_discrepancy;
 pub use model::{DependsOn, DistanceMap, ModelTable, Obstructions, RangeMap, SensorModel, Survival};
 pub use particles::{Particles, Poses};
-pub use pose::{Pose2, circular_mean, sector_holds_middle, wrap_angle};
+pub use pose::{Pose2, circular_mean, increments, sector_holds_middle, wrap_angle};
 pub use pose_error::{
-    PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, are_errors, fit_pose_error, most_change,
-    pattern_score, smooth_pose_errors, without_patterns,
+    PoseError, PoseInformation, SmoothedPoseErrors, TurnedFrame, are_errors, fit_pose_error, longest_lasting,
+    most_change, pattern_score, smooth_pose_errors, without_patterns,
 };
+pub use purpose::Purpose;
 pub use quantile::{equal_bins, median, quantile, sorted};
 pub use recorded::{LEAST_SCANS, Recorded, RecordedError};
 pub use resampled::resampled;
 pub use shard::Shard;
 pub use stretches::{Stretch, Stretches};
+pub use survival::survival_of;
 pub use track::{Track, TrackError};
 pub use weights::{WeightError, Weights};

@@ -135,6 +135,13 @@ fn line_through(points: &[DVec2], near_m: f64) -> Option<Line> {
     best.map(|(_, line)| line)
 }
 
+/// Distance from a point to a segment \[m\].
+pub fn distance_to(&[a, b]: &[DVec2; 2], point: DVec2) -> f64 {
+    let edge = b - a;
+    let share = ((point - a).dot(edge) / edge.length_squared()).clamp(0.0, 1.0);
+    point.distance(a + share * edge)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -110,6 +110,18 @@ impl Pose2 {
     }
 }
 
+/// Distance driven (signed along the heading) \[m\] and turn \[rad\] from each pose of a track to the next.
+pub fn increments(track: &[Pose2]) -> Vec<[f64; 2]> {
+    track
+        .windows(2)
+        .map(|pair| {
+            let step = pair[1].relative_to(&pair[0]);
+            let forward = DVec2::from_angle(0.5 * step.theta).dot(step.position());
+            [forward.signum() * step.position().length(), step.theta]
+        })
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

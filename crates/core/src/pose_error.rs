@@ -1,7 +1,8 @@
 //! Errors of the reference poses: a correction for each scan, smooth in time.
 //!
 //! Beams of one scan share the error of its pose, and neighbouring scans share some of it. The error of x, y (one
-//! standard deviation for both) and of the heading is a first-order autoregressive process, in the map frame.
+//! standard deviation for both) and of the heading is a first-order autoregressive process and white noise, in the map frame: a localizer's
+//! estimate drifts, and wheels or a camera add something to each pose.
 
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
@@ -10,7 +11,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::{Pose2, Track};
 
-/// A first-order autoregressive process for the error of a pose.
+/// A first-order autoregressive process with white noise for the error of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct PoseError {
     /// Standard deviation of x and of y \[m\].
@@ -19,18 +20,23 @@ pub struct PoseError {
     pub sigma_rad: f64,
     /// Time in which the correlation falls to 1/e \[s\].
     pub correlation_secs: f64,
+    /// Standard deviation of the white noise of x and of y \[m\].
+    pub white_m: f64,
+    /// Standard deviation of the white noise of the heading \[rad\].
+    pub white_rad: f64,
 }
 
 impl PoseError {
     /// Exact reference poses.
-    pub const NONE: Self = Self { sigma_m: 0.0, sigma_rad: 0.0, correlation_secs: 1.0 };
+    pub const NONE: Self =
+        Self { sigma_m: 0.0, sigma_rad: 0.0, correlation_secs: 1.0, white_m: 0.0, white_rad: 0.0 };
 
     /// No error to speak of.
     pub fn is_none(&self) -> bool {
         self.sigma_m <= 0.0 && self.sigma_rad <= 0.0
     }
 
-    /// Covariance of the error of a pose: x, y, heading.
+    /// Covariance of the process: x, y, heading.
     pub fn covariance(&self) -> DMat3 {
         let (xy, heading) = (self.sigma_m.max(1e-6).powi(2), self.sigma_rad.max(1e-7).powi(2));
         DMat3::from_diagonal(DVec3::new(xy, xy, heading))
@@ -49,6 +55,19 @@ impl PoseError {
         }
         let mut log_prior = smooth_pose_errors(self, secs, scans).log_volume;
         let inverse = self.covariance().inverse();
+        let white = self.white_information();
+        // What is likeliest to be of the process.
+        let errors = white.map_or_else(
+            || errors.to_vec(),
+            |matrix| {
+                let known = |e: &DVec3| PoseInformation { matrix, vector: matrix * *e };
+                let slow = smooth_process(self, secs, &errors.iter().map(known).collect::<Vec<_>>()).mean;
+                for ((log_prior, e), slow) in log_prior.iter_mut().zip(errors).zip(&slow) {
+                    *log_prior -= 0.5 * (*e - *slow).dot(matrix * (*e - *slow));
+                }
+                slow
+            },
+        );
         for i in 0..log_prior.len() {
             let (innovation, share) = if i == 0 {
                 (errors[0], 1.0)
@@ -74,12 +93,33 @@ impl PoseError {
             if self.is_none() {
                 return error;
             }
+            let mut rng = draw(i as u32);
             let phi = if i == 0 { 0.0 } else { self.correlation(secs[i] - secs[i - 1]) };
             let sigma = DVec3::new(self.sigma_m, self.sigma_m, self.sigma_rad);
-            error = phi * error + (1.0 - phi * phi).sqrt() * sigma * normals(&mut draw(i as u32));
-            error
+            error = phi * error + (1.0 - phi * phi).sqrt() * sigma * normals(&mut rng);
+            error + DVec3::new(self.white_m, self.white_m, self.white_rad) * normals(&mut rng)
         });
         errors.collect()
+    }
+
+    /// Information of a pose's white noise; `None` where there is none to speak of.
+    fn white_information(&self) -> Option<DMat3> {
+        let [of_position, of_heading] =
+            [self.white_m.max(1e-7), self.white_rad.max(1e-8)].map(|sigma| sigma.powi(-2));
+        let information = DMat3::from_diagonal(DVec3::new(of_position, of_position, of_heading));
+        (self.white_m > 1e-7 || self.white_rad > 1e-8).then_some(information)
+    }
+
+    /// What scans say of the process alone, with the covariance of each scan's white noise given the process.
+    fn without_white(&self, scans: &[PoseInformation]) -> Option<(Vec<PoseInformation>, Vec<DMat3>)> {
+        let white = self.white_information()?;
+        let of_process = scans.iter().map(|scan| {
+            let covariance = (white + scan.matrix).inverse();
+            let less = |vector: DVec3| scan.matrix * (covariance * vector);
+            let matrix = scan.matrix - scan.matrix * covariance * scan.matrix;
+            (PoseInformation { matrix, vector: scan.vector - less(scan.vector) }, covariance)
+        });
+        Some(of_process.unzip())
     }
 
     /// The poses of a track, each with a simulated error of the process; the error at pose `i` is drawn from `draw(i)`.
@@ -219,12 +259,30 @@ pub struct SmoothedPoseErrors {
     pub log_volume: Vec<f64>,
 }
 
-/// Kalman filter and Rauch-Tung-Striebel smoother.
+/// Kalman filter and Rauch-Tung-Striebel smoother, and then the white noise of each pose.
 pub fn smooth_pose_errors(
     process: &PoseError,
     secs: &[f64],
     scans: &[PoseInformation],
 ) -> SmoothedPoseErrors {
+    let Some(((of_process, of_white), white)) = process.without_white(scans).zip(process.white_information())
+    else {
+        return smooth_process(process, secs, scans);
+    };
+    let mut smoothed = smooth_process(process, secs, &of_process);
+    for (i, (scan, own)) in scans.iter().zip(of_white).enumerate() {
+        let volume = 0.5 * (own.determinant() * white.determinant()).ln();
+        smoothed.log_evidence += volume + 0.5 * scan.vector.dot(own * scan.vector);
+        smoothed.log_volume[i] += volume;
+        let kept = DMat3::IDENTITY - own * scan.matrix;
+        smoothed.mean[i] = kept * smoothed.mean[i] + own * scan.vector;
+        smoothed.covariance[i] = own + kept * smoothed.covariance[i] * kept.transpose();
+    }
+    smoothed
+}
+
+/// The errors of the process alone.
+fn smooth_process(process: &PoseError, secs: &[f64], scans: &[PoseInformation]) -> SmoothedPoseErrors {
     let n = scans.len();
     let stationary = process.covariance();
     let (mut predicted_mean, mut predicted) = (vec![DVec3::ZERO; n], vec![stationary; n]);
@@ -283,6 +341,9 @@ pub fn are_errors(
         && predictive_gain(process, secs, a, b) + predictive_gain(process, secs, b, a) > 0.0
 }
 
+/// Steps of expectation maximization are this many times as long, of a logarithm.
+const OVERRELAXED: f64 = 1.7;
+
 /// Estimates the process by expectation maximization, about the mean of the errors: a constant error is no
 /// fluctuation, and can't be told from a laser mounted otherwise.
 pub fn fit_pose_error(
@@ -293,14 +354,22 @@ pub fn fit_pose_error(
 ) -> PoseError {
     let n = scans.len() as f64;
     let step_secs = (secs.last().unwrap_or(&1.0) / (n - 1.0).max(1.0)).max(1e-6);
+    // Steps of white noise are short where scans tell little of a single pose: they are made longer.
+    let farther = |from: f64, to: f64| if from > 0.0 { to * (to / from).powf(OVERRELAXED - 1.0) } else { to };
     let mut process = start;
     for _ in 0..iterations {
-        let smoothed = smooth_pose_errors(&process, secs, scans);
+        let (of_process, of_white) =
+            process.without_white(scans).unwrap_or_else(|| (scans.to_vec(), vec![DMat3::ZERO; scans.len()]));
+        let smoothed = smooth_process(&process, secs, &of_process);
         let center = smoothed.mean.iter().sum::<DVec3>() / n;
-        let (mut square, mut product) = (DVec3::ZERO, DVec3::ZERO);
+        let (mut square, mut product, mut white) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
         for i in 0..scans.len() {
             let mean = smoothed.mean[i] - center;
             let diagonal = |m: &DMat3| DVec3::new(m.x_axis.x, m.y_axis.y, m.z_axis.z);
+            let (own, scan) = (of_white[i], &scans[i]);
+            let noise = own * (scan.vector - scan.matrix * smoothed.mean[i]);
+            let shared = own * scan.matrix;
+            white += noise * noise + diagonal(&(own + shared * smoothed.covariance[i] * shared.transpose()));
             square += mean * mean + diagonal(&smoothed.covariance[i]);
             if i > 0 {
                 product += mean * (smoothed.mean[i - 1] - center) + diagonal(&smoothed.with_previous[i]);
@@ -319,9 +388,110 @@ pub fn fit_pose_error(
             sigma_m: (0.5 * (square.x + square.y) / n).sqrt(),
             sigma_rad: (square.z / n).sqrt(),
             correlation_secs: -step_secs / phi.ln(),
+            white_m: farther(process.white_m, (0.5 * (white.x + white.y) / n).sqrt()),
+            white_rad: farther(process.white_rad, (white.z / n).sqrt()),
         };
     }
     process
+}
+
+/// Processes that are less likely than the best by up to this are as good (nats): of one number, one standard error and a half.
+const AS_LIKELY_NATS: f64 = 1.0;
+/// Each process that is tried lasts by this factor longer than the one before.
+const LONGER: f64 = 1.25;
+
+/// The process that lasts longest among those that explain scans about as well, each with the fluctuations from scan to scan of `process`, for
+/// which the variance is proportional to the time. Constant errors of x and y, and errors in `patterns`, one error for each scan, may have any
+/// size (restricted likelihood): a fit without these takes what hasn't ended within the log for one of them, and so finds errors that last too
+/// short a time and are too small.
+pub fn longest_lasting(
+    process: PoseError,
+    secs: &[f64],
+    scans: &[PoseInformation],
+    patterns: &[Vec<DVec3>],
+) -> PoseError {
+    let constants = [DVec3::X, DVec3::Y].map(|axis| vec![axis; scans.len()]);
+    let patterns = [patterns, &constants].concat();
+    let all_secs = secs.last().unwrap_or(&0.0) - secs.first().unwrap_or(&0.0);
+    let of_process = process.without_white(scans).map_or_else(|| scans.to_vec(), |(scans, _)| scans);
+    let mut best = f64::NEG_INFINITY;
+    let mut longest = process;
+    let mut next = process;
+    while next.correlation_secs <= all_secs {
+        let evidence = restricted_log_evidence(&next, secs, &of_process, &patterns);
+        best = best.max(evidence);
+        if evidence >= best - AS_LIKELY_NATS {
+            longest = next;
+        } else {
+            break;
+        }
+        let larger = LONGER.sqrt();
+        next = PoseError {
+            sigma_m: larger * next.sigma_m,
+            sigma_rad: larger * next.sigma_rad,
+            correlation_secs: LONGER * next.correlation_secs,
+            ..next
+        };
+    }
+    longest
+}
+
+/// Log evidence of scans for a process (nats), up to what doesn't depend on it, integrated over errors in these patterns.
+fn restricted_log_evidence(
+    process: &PoseError,
+    secs: &[f64],
+    scans: &[PoseInformation],
+    patterns: &[Vec<DVec3>],
+) -> f64 {
+    // The data, then what each pattern would make of them.
+    let count = patterns.len() + 1;
+    let vectors = |i: usize| {
+        let told = patterns.iter().map(move |pattern| scans[i].matrix * pattern[i]);
+        std::iter::once(scans[i].vector).chain(told)
+    };
+    let stationary = process.covariance();
+    let (mut covariance, mut means) = (stationary, vec![DVec3::ZERO; count]);
+    let mut log_volume = 0.0;
+    // What the process explains of the product of two of them.
+    let mut explained = DMatrix::<f64>::zeros(count, count);
+    for i in 0..scans.len() {
+        let mut predicted = stationary;
+        if i > 0 {
+            let phi = process.correlation(secs[i] - secs[i - 1]);
+            predicted = covariance * (phi * phi) + stationary * (1.0 - phi * phi);
+            for mean in &mut means {
+                *mean *= phi;
+            }
+        }
+        let prior = predicted.inverse();
+        covariance = (prior + scans[i].matrix).inverse();
+        log_volume += 0.5 * (covariance.determinant().max(1e-300) / predicted.determinant().max(1e-300)).ln();
+        let before: Vec<[DVec3; 2]> = means.iter().map(|mean| [*mean, prior * *mean]).collect();
+        let sums: Vec<DVec3> = vectors(i).zip(&before).map(|(vector, [_, prior])| vector + *prior).collect();
+        means = sums.iter().map(|sum| covariance * *sum).collect();
+        for a in 0..count {
+            for b in 0..=a {
+                explained[(a, b)] += sums[a].dot(means[b]) - before[a][1].dot(before[b][0]);
+            }
+        }
+    }
+    let own = |a: usize, b: usize| -> f64 {
+        (0..scans.len()).map(|i| patterns[a][i].dot(scans[i].matrix * patterns[b][i])).sum()
+    };
+    let data = |a: usize| -> f64 { (0..scans.len()).map(|i| patterns[a][i].dot(scans[i].vector)).sum() };
+    // Each pattern in its own scale, with a little for those that scans can't tell apart.
+    let scale: Vec<f64> = (0..count - 1).map(|a| own(a, a).max(f64::MIN_POSITIVE).sqrt().recip()).collect();
+    let information = DMatrix::from_fn(count - 1, count - 1, |a, b| {
+        let [more, less] = [a.max(b), a.min(b)];
+        let ridge = if a == b { 1e-9 } else { 0.0 };
+        scale[a] * scale[b] * (own(more, less) - explained[(more + 1, less + 1)]) + ridge
+    });
+    let vector = DVector::from_fn(count - 1, |a, _| scale[a] * (data(a) - explained[(a + 1, 0)]));
+    let of_patterns = information.cholesky().map_or(0.0, |factor| {
+        let log_determinant = 2.0 * factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum::<f64>();
+        0.5 * (vector.dot(&factor.solve(&vector)) - log_determinant)
+    });
+    log_volume + 0.5 * explained[(0, 0)] + of_patterns
 }
 
 /// Data of scans after the least-squares fit of errors in these patterns is subtracted. Each pattern has an error for each scan.
@@ -412,6 +582,88 @@ mod tests {
         assert_eq!(nothing.vector, DVec3::ZERO);
     }
 
+    /// Errors of three seconds that are seen for thirty look shorter without what looks like a constant. The process that lasts longest is hardly
+    /// ever too short, with a constant error as well as without.
+    #[test]
+    fn errors_that_last_are_not_taken_for_constants() {
+        let truth = PoseError { sigma_m: 0.02, sigma_rad: 0.003, correlation_secs: 3.0, ..PoseError::NONE };
+        let secs: Vec<f64> = (0..300).map(|i| 0.1 * f64::from(i)).collect();
+        let matrix = DMat3::from_diagonal(DVec3::new(2e5, 2e5, 2e6));
+        // A robot that turns once and a quarter, with a laser that may be turned, or elsewhere on it, and a reference that may be shifted.
+        let mut patterns: Vec<Vec<DVec3>> = vec![vec![DVec3::Z; 300]];
+        let at_heading = |turn: f64| {
+            let heading = |i: u32| glam::DVec2::from_angle(turn + f64::from(i) / 40.0).extend(0.0);
+            (0..300).map(heading).collect()
+        };
+        patterns.extend([0.0, std::f64::consts::FRAC_PI_2].map(at_heading));
+        let (mut short_about_mean, mut short) = (0, 0);
+        for log in 0..60 {
+            let draw = |item: u32| crate::Draw::new(log, crate::Stage::Path, item);
+            let errors = truth.simulate(&secs, |scan| draw(scan).item(0));
+            let constant = if log % 2 == 0 { DVec3::ZERO } else { DVec3::new(0.05, -0.03, 0.01) };
+            let scan = PoseInformation { matrix, vector: DVec3::ZERO };
+            let told = errors.iter().enumerate();
+            let scans: Vec<PoseInformation> =
+                told.map(|(i, e)| scan.simulate(*e + constant, &mut draw(i as u32).item(1))).collect();
+            let constants = [DVec3::X, DVec3::Y].map(|axis| vec![axis; 300]);
+            let rest = without_patterns(&scans, &[&patterns[..], &constants].concat());
+            let start =
+                PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0, ..PoseError::NONE };
+            let about_mean = fit_pose_error(start, &secs, &rest, 20);
+            let longest = longest_lasting(about_mean, &secs, &scans, &patterns);
+            let of_mean = |process: &PoseError| process.sigma_m * process.variance_of_mean(0.1, 300).sqrt();
+            short_about_mean += usize::from(of_mean(&about_mean) < 0.7 * of_mean(&truth));
+            short += usize::from(of_mean(&longest) < 0.7 * of_mean(&truth));
+            // It isn't anything, either.
+            assert!(of_mean(&longest) < 4.0 * of_mean(&truth), "{longest:?}");
+        }
+        assert!(short_about_mean > 12 && short < 4, "{short_about_mean} {short}");
+    }
+
+    /// The restricted evidence is that of the scans integrated over a constant, by a sum.
+    #[test]
+    fn restricted_evidence_is_integrated_over_patterns() {
+        let secs: Vec<f64> = (0..12).map(|i| 0.5 * f64::from(i)).collect();
+        let draw = crate::Draw::new(3, crate::Stage::Path, 0);
+        let mut scan = PoseInformation::default();
+        for (weight, jacobian) in [(1e4, [1.0, 0.5, -0.2]), (4e4, [0.2, -1.0, 1.0]), (2e4, [0.0, 1.0, 2.0])] {
+            scan.add_beam(weight, jacobian, 0.0);
+        }
+        let scans: Vec<PoseInformation> =
+            (0..12).map(|i| scan.simulate(DVec3::new(0.02, 0.0, 0.01), &mut draw.item(i))).collect();
+        let pattern: Vec<DVec3> = (0..12).map(|i| DVec3::new(1.0, 0.1 * f64::from(i), 0.3)).collect();
+        let evidence = |process: &PoseError| {
+            let step = 1e-4;
+            // Of the shifted data, and of what the shift alone explains.
+            let at = |size: f64| {
+                let shifted = scans.iter().zip(&pattern).map(|(scan, p)| PoseInformation {
+                    matrix: scan.matrix,
+                    vector: scan.vector - scan.matrix * (size * *p),
+                });
+                let shifted: Vec<PoseInformation> = shifted.collect();
+                let alone = scans
+                    .iter()
+                    .zip(&pattern)
+                    .map(|(scan, p)| size * p.dot(scan.vector) - 0.5 * size * size * p.dot(scan.matrix * *p));
+                smooth_pose_errors(process, &secs, &shifted).log_evidence + alone.sum::<f64>()
+            };
+            let sizes = (-3000..=3000).map(|i| f64::from(i) * step);
+            let logs: Vec<f64> = sizes.map(at).collect();
+            let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            most + logs.iter().map(|log| (log - most).exp()).sum::<f64>().ln()
+        };
+        let processes = [(0.01, 1.0), (0.02, 3.0)].map(|(sigma_m, correlation_secs)| PoseError {
+            sigma_m,
+            sigma_rad: 0.004,
+            correlation_secs,
+            ..PoseError::NONE
+        });
+        let [a, b] = processes.map(|process| evidence(&process));
+        let patterns = std::slice::from_ref(&pattern);
+        let [c, d] = processes.map(|process| restricted_log_evidence(&process, &secs, &scans, patterns));
+        assert!(((a - b) - (c - d)).abs() < 1e-6, "{a} {b} {c} {d}");
+    }
+
     /// Data along the patterns are subtracted to the last bit; data orthogonal to them stay.
     #[test]
     fn patterns_are_taken_off() {
@@ -432,7 +684,7 @@ mod tests {
     /// Logs of three correlation times, whose mean is taken off, have errors as large as they were drawn in the mean.
     #[test]
     fn errors_of_a_short_log_are_as_large_as_they_are() {
-        let process = PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 };
+        let process = PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0, ..PoseError::NONE };
         let secs: Vec<f64> = (0..60).map(|i| 0.1 * f64::from(i)).collect();
         let track = Track::new(secs.iter().map(|&secs| (secs, Pose2::IDENTITY))).unwrap();
         let matrix = DMat3::from_diagonal(DVec3::new(1e7, 1e7, 1e8));
@@ -456,7 +708,7 @@ mod tests {
     /// The mean maximizes the joint log density of errors and scans: its gradient, written out, vanishes.
     #[test]
     fn the_smoothed_errors_are_the_most_likely_ones() {
-        let process = PoseError { sigma_m: 0.02, sigma_rad: 0.005, correlation_secs: 0.7 };
+        let process = PoseError { sigma_m: 0.02, sigma_rad: 0.005, correlation_secs: 0.7, ..PoseError::NONE };
         let secs: Vec<f64> = (0..9).map(|i| 0.1 * f64::from(i) + 0.02 * f64::from(i % 3)).collect();
         let scans: Vec<PoseInformation> = (0..9)
             .map(|i| {
@@ -481,5 +733,80 @@ mod tests {
             let gradient = data - inverse * (innovation(i) - later);
             assert!(gradient.length() < 1e-6 * scans[i].vector.length(), "{i}: {gradient}");
         }
+    }
+
+    /// Mean, evidence and prior of a process with white noise are those of the normal distribution of all errors at once.
+    #[test]
+    fn a_process_with_white_noise_is_one_normal_distribution() {
+        let process = PoseError {
+            sigma_m: 0.02,
+            sigma_rad: 0.005,
+            correlation_secs: 0.7,
+            white_m: 0.004,
+            white_rad: 0.002,
+        };
+        let secs: Vec<f64> = (0..9).map(|i| 0.1 * f64::from(i) + 0.02 * f64::from(i % 3)).collect();
+        let scan = |i: u32| {
+            let mut information = PoseInformation::default();
+            for beam in 0..4 {
+                let angle = f64::from(i) + 1.3 * f64::from(beam);
+                let error = 0.01 * (3.0 * angle).sin();
+                information.add_beam(1e4, [angle.cos(), angle.sin(), 2.0 * (2.0 * angle).cos()], error);
+            }
+            information
+        };
+        let scans: Vec<PoseInformation> = (0..9).map(scan).collect();
+        let (slow, white) = ([0.02, 0.02, 0.005_f64], [0.004, 0.004, 0.002_f64]);
+        let prior = DMatrix::from_fn(27, 27, |a, b| {
+            let (a, b, axis, other) = (a / 3, b / 3, a % 3, b % 3);
+            let same = if axis == other { 1.0 } else { 0.0 };
+            let phi: f64 =
+                (a.min(b) + 1..=a.max(b)).map(|i| process.correlation(secs[i] - secs[i - 1])).product();
+            same * (phi * slow[axis].powi(2) + if a == b { white[axis].powi(2) } else { 0.0 })
+        });
+        let told = DMatrix::from_fn(27, 27, |a, b| {
+            if a / 3 == b / 3 { scans[a / 3].matrix.col(b % 3)[a % 3] } else { 0.0 }
+        });
+        let vector = DVector::from_fn(27, |a, _| scans[a / 3].vector[a % 3]);
+        let inverse = prior.clone().try_inverse().unwrap();
+        let mean = (&inverse + &told).try_inverse().unwrap() * &vector;
+        let volume = -0.5 * (DMatrix::identity(27, 27) + &prior * &told).determinant().ln();
+        let found = smooth_pose_errors(&process, &secs, &scans);
+        for a in 0..27 {
+            assert!((found.mean[a / 3][a % 3] - mean[a]).abs() < 1e-9);
+        }
+        assert!((found.log_evidence - volume - 0.5 * vector.dot(&mean)).abs() < 1e-6);
+        let log_prior = process.log_prior(&secs, &found.mean, &scans).iter().sum::<f64>();
+        assert!((log_prior - volume + 0.5 * mean.dot(&(inverse * &mean))).abs() < 1e-6);
+    }
+
+    /// Noise that each pose has beside a slow error is found, and doesn't make that look quick.
+    #[test]
+    fn white_noise_is_told_from_errors_that_last() {
+        let slow = PoseError { sigma_m: 0.01, sigma_rad: 0.004, correlation_secs: 2.0, ..PoseError::NONE };
+        let truth = PoseError { white_m: 0.002, white_rad: 0.001, ..slow };
+        let secs: Vec<f64> = (0..300).map(|i| 0.1 * f64::from(i)).collect();
+        let matrix = DMat3::from_diagonal(DVec3::new(2e6, 2e6, 1e7));
+        let start = PoseError { white_m: 0.001, white_rad: 0.0005, ..slow };
+        let (mut quick, mut of_white) = (0, [0.0; 2]);
+        for log in 0..20 {
+            let draw = |item: u32| crate::Draw::new(log, crate::Stage::Path, item);
+            let errors = truth.simulate(&secs, |scan| draw(scan).item(0));
+            let scan = PoseInformation { matrix, vector: DVec3::ZERO };
+            let told = errors.iter().enumerate();
+            let scans: Vec<PoseInformation> =
+                told.map(|(i, e)| scan.simulate(*e, &mut draw(i as u32).item(1))).collect();
+            let found = fit_pose_error(start, &secs, &scans, 80);
+            quick += usize::from(found.correlation_secs < 0.7);
+            of_white[0] += found.white_m / 20.0;
+            of_white[1] += found.white_rad / 20.0;
+            let without = fit_pose_error(slow, &secs, &scans, 80);
+            assert!(without.correlation_secs < found.correlation_secs);
+        }
+        assert!(quick <= 2, "{quick}");
+        assert!(
+            (of_white[0] / 0.002 - 1.0).abs() < 0.15 && (of_white[1] / 0.001 - 1.0).abs() < 0.15,
+            "{of_white:?}"
+        );
     }
 }

@@ -5,7 +5,7 @@ use argmin::solver::neldermead::NelderMead;
 use distreg::matrix::{invert, quadratic};
 use distreg::sandwich::half_widths;
 use locsim_core::{Interval, differences, sum_error};
-use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior, Role};
+use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior};
 
 use crate::GapError;
 use crate::hypothesis::{Comparison, Fitted};
@@ -226,7 +226,7 @@ impl Search<'_, '_> {
             .iter()
             .take(count)
             .zip(&start.values)
-            .map(|(parameter, &value)| first_step(parameter, value))
+            .map(|(parameter, &value)| parameter.first_step(value))
             .collect();
         let problem = Problem { evaluate: &|effect| evaluate(self, effect), kind, start, scales: &scales };
         let origin = vec![0.0; scales.len()];
@@ -416,7 +416,7 @@ fn priors(kind: EffectKind) -> impl Iterator<Item = (usize, Prior)> {
 fn log_prior(effect: &Effect) -> f64 {
     let parameters = effect.kind.parameters();
     priors(effect.kind)
-        .map(|(i, prior)| log_normal(prior.deviations(effect.values[i], parameters[i].start)))
+        .map(|(i, prior)| -0.5 * prior.deviations(effect.values[i], parameters[i].start).powi(2))
         .sum()
 }
 
@@ -425,27 +425,9 @@ pub(crate) fn log_prior_by_chance(effect: &Effect, about: &Effect, deviations: [
     priors(effect.kind)
         .zip(deviations)
         .map(|((i, prior), deviations)| {
-            log_normal(prior.deviations(effect.values[i], about.values[i]) - deviations)
+            -0.5 * (prior.deviations(effect.values[i], about.values[i]) - deviations).powi(2)
         })
         .sum()
-}
-
-/// Log density of the standard normal distribution, up to a constant.
-fn log_normal(deviations: f64) -> f64 {
-    -0.5 * deviations.powi(2)
-}
-
-/// First step of a search in a parameter that starts at `value`.
-fn first_step(parameter: &Parameter, value: f64) -> f64 {
-    if let Role::Position { first_step } = parameter.role {
-        return first_step;
-    }
-    if parameter.lo >= 0.0 {
-        // A parameter that can't be negative is searched by its logarithm; this is the least value that one starts from.
-        return 1e-3 * (parameter.start - parameter.lo).abs().max(1e-3);
-    }
-    // Towards the neutral value first, on either side of it.
-    if value < parameter.neutral { -parameter.typical_step(value) } else { parameter.typical_step(value) }
 }
 
 /// The objective of the simplex search, over changes of the parameters from the start in their first steps.

@@ -24,18 +24,22 @@ pub struct Regime {
 
 impl Regime {
     /// An error that is common, of 1 cm and 0.003 rad, kept up for 2 s.
-    pub const POSE_ERROR: PoseError = PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 };
+    pub const POSE_ERROR: PoseError =
+        PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0, ..PoseError::NONE };
 
     /// The world of a drive with these effects.
     ///
     /// # Errors
     /// As the simulator's.
     pub fn simulator(self, nominal: &Nominal, effects: &Effects) -> Result<Simulator, GapError> {
-        let resample = match nominal.blocks {
-            Some(blocks) if !self.persistent_blocks => blocks.resample,
-            _ => BlockResampling::Never,
-        };
-        nominal.simulator(effects, 1.0, BlockPolicy::of(resample))
+        nominal.simulator(effects, 1.0, self.blocks(nominal))
+    }
+
+    /// How long blocks stay.
+    pub(crate) fn blocks(self, nominal: &Nominal) -> BlockPolicy {
+        let of_scenario = nominal.blocks.filter(|_| !self.persistent_blocks);
+        of_scenario
+            .map_or(BlockPolicy::of(BlockResampling::Never), |blocks| BlockPolicy::of_scenario(&blocks))
     }
 }
 

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use distreg::random_effects;
 use glam::DVec3;
 use locsim_core::{
-    Pose2, PoseError, PoseInformation, are_errors, fit_pose_error, most_change, pattern_score,
-    smooth_pose_errors, without_patterns,
+    Pose2, PoseError, PoseInformation, are_errors, fit_pose_error, longest_lasting, most_change,
+    pattern_score, smooth_pose_errors, without_patterns,
 };
 use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
 use locsim_world::simulation::{OdometrySpread, ReadingSources, log_likelihoods};
@@ -268,7 +268,13 @@ impl<'a> Comparison<'a> {
         let mut process = fitted.nuisances.pose_error;
         if process.is_none() {
             // One to start from, that may be found to be none.
-            process = PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0 };
+            process = PoseError {
+                sigma_m: 0.01,
+                sigma_rad: 0.003,
+                correlation_secs: 2.0,
+                white_m: 0.001,
+                white_rad: 3e-4,
+            };
         }
         let patterns = PosePattern::all_over(&self.recorded);
         let bursts = BurstStates::of(effects);
@@ -297,7 +303,9 @@ impl<'a> Comparison<'a> {
             let changed = moved.max(most_change(&before, &fitted.corrections));
             let is_last = round + 1 == far + CORRECTIONS || round > far && changed < CORRECTED_M;
             if is_last && !fitted.nuisances.pose_error.is_none() {
-                let error = fitted.nuisances.pose_error;
+                let error = longest_lasting(process, secs, &information, &patterns);
+                fitted.nuisances.pose_error = error;
+                fitted.corrections = smooth_pose_errors(&error, secs, &information).mean;
                 fitted.pattern_scores = patterns
                     .iter()
                     .map(|pattern| pattern_score(&error, secs, &information, pattern))
@@ -610,7 +618,7 @@ mod tests {
     /// A reference that is up to 20 cm off, where noise moves a reading by 1 cm.
     #[test]
     fn a_reference_is_followed_beyond_the_noise_of_readings() {
-        let error = PoseError { sigma_m: 0.06, sigma_rad: 0.006, correlation_secs: 5.0 };
+        let error = PoseError { sigma_m: 0.06, sigma_rad: 0.006, correlation_secs: 5.0, ..PoseError::NONE };
         let regime = Regime { pose_error: Some(error), ..Regime::default() };
         let drive = record_library(&NOMINAL, &TRUTH, &[], regime, 2).unwrap();
         let recorded = Recorded::new(&drive, 400, 72, |_| true).unwrap();
@@ -630,7 +638,7 @@ mod tests {
     /// likelier, and its likelihood is that of simulated logs. The errors themselves are as large as before.
     #[test]
     fn a_log_is_as_likely_as_simulated_ones_once_its_beams_are_cast_anew() {
-        let error = PoseError { sigma_m: 0.015, sigma_rad: 0.004, correlation_secs: 4.0 };
+        let error = PoseError { sigma_m: 0.015, sigma_rad: 0.004, correlation_secs: 4.0, ..PoseError::NONE };
         let regime = Regime { pose_error: Some(error), ..Regime::default() };
         let [mut gained, mut off] = [Vec::new(), Vec::new()];
         for seed in 1..=3 {
@@ -659,7 +667,8 @@ mod tests {
     /// Noise of grazing beams moves no scan; small errors of the poses do, and are found beside it.
     #[test]
     fn noise_of_grazing_beams_is_no_error_of_the_reference() {
-        let small = PoseError { sigma_m: 0.0015, sigma_rad: 0.0005, correlation_secs: 2.0 };
+        let small =
+            PoseError { sigma_m: 0.0015, sigma_rad: 0.0005, correlation_secs: 2.0, ..PoseError::NONE };
         let noise = |slope| Effect::new(EffectKind::IncidenceNoise, vec![slope], vec![]).unwrap();
         // In how many of ten logs errors are found, before and after the noise has its name.
         let found = |pose_error: Option<PoseError>, slope: f64| {

@@ -21,7 +21,6 @@ mod null;
 mod outcome;
 mod pose_pattern;
 mod profile;
-mod purpose;
 mod rank;
 mod regions;
 mod replay;
@@ -34,7 +33,7 @@ mod wall_error;
 pub use catalogue::values_along;
 pub use error::GapError;
 pub use hypothesis::Nuisances;
-pub use locsim_core::{LEAST_SCANS, PoseError, Recorded};
+pub use locsim_core::{LEAST_SCANS, PoseError, Purpose, Recorded};
 pub use map_error::{LeftOut, MapError, MapErrorKind, MeasuredMapFindings};
 pub use nominal::{Guess, Nominal};
 pub use outcome::{
@@ -42,7 +41,6 @@ pub use outcome::{
     Named, Number, Outcome, Over, PitHistogram, Profile, ProfileBin, Quantity, Region, ResidualStage, Rival,
     Unnamed, Verdict,
 };
-pub use purpose::Purpose;
 pub use search::{GapOptions, find};
 pub use statistics::{Cell, Covariate, Deviation, OBJECT_CELL_M, WALL_CELL_M};
 pub use strength::{OtherForm, Strength};

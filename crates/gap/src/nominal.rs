@@ -20,6 +20,8 @@ pub struct Nominal {
     pub laser: LaserOptions,
     /// Unmapped blocks, if there are any.
     pub blocks: Option<BlockOptions>,
+    /// People and things in the open, farther from walls than these reach.
+    open: Option<BlockOptions>,
     /// How odometry errs.
     pub odometry: OdometryNoise,
     /// Effects that it has already.
@@ -55,7 +57,26 @@ impl Nominal {
         let simulator = Simulator::new(Arc::clone(&map), blocks, laser, effects.clone())?;
         let integral = simulator.blocks().map(|model| Arc::new(BlockIntegral::new(model)));
         let pieces = WallPieces::new(map.geometry()).map(Arc::new);
-        Ok(Self { map, laser, blocks, odometry, effects, integral, pieces })
+        Ok(Self { map, laser, blocks, open: None, odometry, effects, integral, pieces })
+    }
+
+    /// The same simulator with people and things in the open, if it has blocks at all.
+    ///
+    /// # Errors
+    /// [`GapError::Simulation`] for options out of range.
+    pub fn with_things_in_the_open(mut self, open: BlockOptions) -> Result<Self, GapError> {
+        self.open = self.blocks.map(|_| open);
+        self.integral = self.blocks.map(|blocks| self.integral_of(&blocks)).transpose()?;
+        Ok(self)
+    }
+
+    /// Prior of these blocks beside what is in the open.
+    fn integral_of(&self, blocks: &BlockOptions) -> Result<Arc<BlockIntegral>, GapError> {
+        let integral = |options: &BlockOptions| -> Result<BlockIntegral, GapError> {
+            Ok(BlockIntegral::new(&BlockModel::new(*options, self.map.geometry())?))
+        };
+        let open = self.open.as_ref().map(integral).transpose()?;
+        Ok(Arc::new(integral(blocks)?.and(open.map(Arc::new))))
     }
 
     /// The same simulator without clutter.
@@ -79,9 +100,7 @@ impl Nominal {
         if blocks == self.integral.as_ref().map(|integral| integral.model().options()) {
             return Ok(self.integral.clone());
         }
-        let Some(blocks) = blocks else { return Ok(None) };
-        let model = BlockModel::new(*blocks, self.map.geometry())?;
-        Ok(Some(Arc::new(BlockIntegral::new(&model))))
+        blocks.map(|blocks| self.integral_of(blocks)).transpose()
     }
 
     /// The simulator with more effects, `density` times as many blocks, and clutter that stays as long as `policy` says.
@@ -91,13 +110,23 @@ impl Nominal {
         density: f64,
         policy: BlockPolicy,
     ) -> Result<Simulator, GapError> {
-        let BlockPolicy { resample, passing, walks } = policy;
-        let standing = self.blocks.map(|blocks| blocks.times(density * (1.0 - passing)).resampled(resample));
-        let simulator = Simulator::new(Arc::clone(&self.map), standing, self.laser, effects.clone())?;
+        let BlockPolicy { resample, moves, passing, walks } = policy;
+        let standing = self.blocks.map(|blocks| BlockOptions {
+            speed_m_s: if moves { blocks.speed_m_s } else { [0.0; 2] },
+            ..blocks.times(density * (1.0 - passing)).resampled(resample)
+        });
+        let mut simulator = Simulator::new(Arc::clone(&self.map), standing, self.laser, effects.clone())?;
+        if let Some(open) = self.open {
+            simulator = simulator.with_more_blocks(open.times(density))?;
+        }
         let Some(blocks) = self.blocks.filter(|_| passing > 0.0) else { return Ok(simulator) };
         let passing = blocks.times(density * passing);
-        let passing =
-            if walks { passing.walking() } else { passing.resampled(BlockResampling::EachObservation) };
+        let passing = match (walks, passing.speed_m_s[1] > 0.0) {
+            (false, _) => passing.resampled(BlockResampling::EachObservation),
+            (true, false) => passing.walking(),
+            // As fast as the scenario says.
+            (true, true) => passing,
+        };
         Ok(simulator.with_more_blocks(passing)?)
     }
 
@@ -160,6 +189,8 @@ pub struct Guess {
 pub struct BlockPolicy {
     /// When blocks take new places, those that stay.
     pub resample: BlockResampling,
+    /// Whether those that stay for more than a scan move meanwhile, as fast as the nominal simulator's.
+    pub moves: bool,
     /// The share of them that doesn't stay, whatever the nominal simulator has.
     pub passing: f64,
     /// Whether these walk past, as people do; otherwise they are elsewhere at each observation.
@@ -169,17 +200,22 @@ pub struct BlockPolicy {
 impl BlockPolicy {
     /// Blocks that stand until they take new places.
     pub const fn of(resample: BlockResampling) -> Self {
-        Self { resample, passing: 0.0, walks: false }
+        Self { resample, moves: false, passing: 0.0, walks: false }
+    }
+
+    /// Blocks as a scenario has them.
+    pub(crate) fn of_scenario(blocks: &BlockOptions) -> Self {
+        Self { moves: blocks.speed_m_s[1] > 0.0, ..Self::of(blocks.resample) }
     }
 
     /// Blocks of which this share doesn't stay, and the rest never moves.
     pub(crate) const fn passing(share: f64, walks: bool) -> Self {
-        Self { resample: BlockResampling::Never, passing: share, walks }
+        Self { passing: share, walks, ..Self::of(BlockResampling::Never) }
     }
 
     /// Whether all of it stays where it is.
     pub(crate) fn stands(&self) -> bool {
-        self.resample == BlockResampling::Never && self.passing == 0.0
+        *self == Self::of(BlockResampling::Never)
     }
 
     /// In how many scans a block is seen at one place, about.
@@ -189,6 +225,7 @@ impl BlockPolicy {
             BlockResampling::EachScanN(scans) => scans,
             BlockResampling::Never => u32::MAX,
         };
+        let stays = if self.moves { stays.min(BlockOptions::PASSING_SCANS) } else { stays };
         // One that walks by half of the time until it is elsewhere.
         let passes = if self.walks { 0.5 * f64::from(BlockOptions::PASSING_SCANS) } else { 1.0 };
         self.passing * passes + (1.0 - self.passing) * f64::from(stays)

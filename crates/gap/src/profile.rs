@@ -2,10 +2,8 @@
 //! shows what the effect does.
 
 use glam::DVec2;
-use locsim_core::{Estimate, equal_bins, median, quantile};
+use locsim_core::{Estimate, distance_to, equal_bins, increments, median, quantile};
 use locsim_world::effect::{self, BeamState, EffectKind, Moves, Score};
-use locsim_world::raycast::distance_to;
-use locsim_world::simulation::increments;
 use rayon::prelude::*;
 
 use crate::Recorded;

@@ -151,7 +151,7 @@ pub(crate) fn fit_persistence(
     let all = comparison.effects(effects)?;
     let shared = |recorded: &Recorded| shared_shorts(&comparison.of(recorded), &all, fitted);
     let own = shared(&comparison.recorded);
-    let own_policy = BlockPolicy::of(blocks.resample);
+    let own_policy = BlockPolicy::of_scenario(&blocks);
     let resamples = [BlockResampling::EachObservation, BlockResampling::Never].into_iter();
     let resamples = resamples.chain([3, 10, 40].map(BlockResampling::EachScanN));
     let mut policies: Vec<BlockPolicy> = resamples.map(BlockPolicy::of).collect();
@@ -245,7 +245,7 @@ fn shared_shorts(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted
 
 #[cfg(test)]
 mod tests {
-    use locsim_world::simulation::LaserOptions;
+    use locsim_world::simulation::{BlockOptions, LaserOptions};
 
     use super::*;
     use crate::fixtures::{NOMINAL, TRUTH};
@@ -297,6 +297,36 @@ mod tests {
             };
             assert!(is_right, "{found:?} {truth:?}");
             assert_eq!(found.stands(), truth == stays);
+        }
+    }
+
+    /// A scenario says that what stands there moves. What the log has may stand all the same.
+    #[test]
+    fn blocks_that_a_scenario_has_move_may_stand() {
+        let moving = BlockOptions {
+            resample: BlockResampling::Never,
+            speed_m_s: [0.2, 0.6],
+            ..NOMINAL.blocks.unwrap()
+        };
+        let nominal = Nominal::new(
+            NOMINAL.map.clone(),
+            NOMINAL.laser,
+            Some(moving),
+            NOMINAL.odometry,
+            NOMINAL.effects.clone(),
+        )
+        .unwrap();
+        let drive = record_library(&nominal, &TRUTH, &[], Regime::default(), 5).unwrap();
+        let recorded = Recorded::new(&drive, 300, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&nominal, &recorded).unwrap();
+        let fitted = comparison.fit_nuisances(&Nuisances::default(), 20);
+        let stands = BlockPolicy::of(BlockResampling::Never);
+        for truth in [stands, BlockPolicy::of_scenario(&moving)] {
+            let log = Replay::new(&comparison, &[], &fitted, BlockTruth::of(truth)).simulate(8).unwrap();
+            let log = comparison.of(&log);
+            let fitted = log.fit_nuisances(&Nuisances::default(), 20);
+            let found = fit_persistence(&log, &[], &fitted, 3).unwrap();
+            assert_eq!(found.stands(), truth == stands, "{found:?}");
         }
     }
 }

@@ -14,12 +14,11 @@ use std::sync::Arc;
 use distreg::moments::{Moments, mean_of_likelihood};
 use locsim_core::{Draw, Drive, Track};
 use locsim_world::effect::{Effect, Effects, Moves};
-use locsim_world::simulation::{BlockResampling, OdometrySpread};
+use locsim_world::simulation::OdometrySpread;
 use rayon::prelude::*;
 
 use crate::hidden::Regime;
 use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
-use crate::nominal::BlockPolicy;
 use crate::replay::{BlockTruth, Replay};
 use crate::views::Views;
 use crate::{GapError, Nominal, PoseError, Purpose, Recorded};
@@ -92,11 +91,6 @@ impl<'a> Strength<'a> {
     }
 
     fn replay<'r>(&'r self, effects: &'r [Effect]) -> Replay<'r> {
-        let resample = if self.regime.persistent_blocks {
-            BlockResampling::Never
-        } else {
-            self.nominal.blocks.map_or(BlockResampling::EachObservation, |blocks| blocks.resample)
-        };
         Replay {
             nominal: self.nominal,
             recorded: self.recorded,
@@ -104,7 +98,7 @@ impl<'a> Strength<'a> {
             nuisances: self.nuisances(),
             information: &[],
             known_offsets: Vec::new(),
-            blocks: BlockTruth::of(BlockPolicy::of(resample)),
+            blocks: BlockTruth::of(self.regime.blocks(self.nominal)),
         }
     }
 

@@ -146,9 +146,9 @@ impl Views {
         Self { beams, per_scan: recorded.beams(), pieces, unsure, shaped_by, blocks }
     }
 
-    /// The points of a lattice near which unmapped blocks may stand; see [`locsim_world::simulation::BlockModel::lattice_in_reach`].
+    /// The points of a lattice near which unmapped blocks may stand; see [`BlockIntegral::lattice_in_reach`].
     pub fn blocks_in_reach(&self, side: f64, half: f64) -> HashSet<[i32; 2]> {
-        self.blocks.as_ref().map_or_else(HashSet::new, |blocks| blocks.model().lattice_in_reach(side, half))
+        self.blocks.as_ref().map_or_else(HashSet::new, |blocks| blocks.lattice_in_reach(side, half))
     }
 
     /// Whether a beam has no nominal range, as far as the map says.

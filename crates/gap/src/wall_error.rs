@@ -78,7 +78,7 @@ mod tests {
         let bias = Effect::new(EffectKind::RangeBias, vec![bias_m], Vec::new()).unwrap();
         let effects =
             MEASURED.effects_with(if bias_m == 0.0 { &[] } else { std::slice::from_ref(&bias) }).unwrap();
-        let policy = BlockPolicy::of(MEASURED.blocks.unwrap().resample);
+        let policy = BlockPolicy::of_scenario(&MEASURED.blocks.unwrap());
         let pieces = Arc::clone(MEASURED.pieces.as_ref().unwrap());
         let simulator = MEASURED.simulator(&effects, 1.0, policy).unwrap();
         let simulator = simulator.with_moved_walls(MovedWalls { pieces, offsets: offsets.to_vec() });

@@ -256,7 +256,7 @@ fn an_odometry_that_lags_is_told_whatever_its_noise() {
 #[test]
 fn a_frame_of_its_own_is_told_and_errors_that_come_and_go_are_none() {
     let nominal = nominal();
-    let errs = PoseError { sigma_m: 0.04, sigma_rad: 0.002, correlation_secs: 5.0 };
+    let errs = PoseError { sigma_m: 0.04, sigma_rad: 0.002, correlation_secs: 5.0, ..PoseError::NONE };
     for (frame, pose_error, expected) in [
         (Pose2::new(0.0, 0.0, 0.007), None, Some((Deviation::FrameTurn, 0.007))),
         (Pose2::new(0.032, -0.024, 0.0), None, Some((Deviation::FrameShift, 0.04))),

@@ -189,7 +189,7 @@ fn simplified(ring: &[DVec2]) -> Vec<DVec2> {
     while let Some((a, b)) = stack.pop() {
         let (p, q) = (ring[a], ring[b % ring.len()]);
         let worst = (a + 1..b)
-            .map(|i| (i, locsim_world::raycast::distance_to(&[p, q], ring[i])))
+            .map(|i| (i, locsim_core::distance_to(&[p, q], ring[i])))
             .max_by(|x, y| x.1.total_cmp(&y.1));
         if let Some((i, distance)) = worst
             && distance > SIMPLIFIED_M

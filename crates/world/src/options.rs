@@ -64,7 +64,14 @@ impl BlockOptions {
 
     /// The greatest distance of a part of a block from its wall \[m\].
     pub fn reach_m(&self) -> f64 {
-        self.wall_distance_m[1] + self.diameter_m()
+        let [length, width] = [self.length_m[1], self.width_m[1]];
+        let [from, to] = self.yaw_rad;
+        let depth = |yaw: f64| length * yaw.sin().abs() + width * yaw.cos().abs();
+        // It is deepest with a diagonal across, twice in each half-turn.
+        let across = length.atan2(width);
+        let has = |yaw: f64| (yaw - from).rem_euclid(std::f64::consts::PI) <= to - from;
+        let depth = if has(across) || has(-across) { self.diameter_m() } else { depth(from).max(depth(to)) };
+        self.wall_distance_m[1] + depth
     }
 
     /// The greatest distance between two parts of a block \[m\].

@@ -232,7 +232,8 @@ mod tests {
     #[test]
     fn a_bias_beside_a_reference_that_errs_is_no_spread() {
         for (sigma_rad, growth, most) in [(0.01, 0.02, 0.06), (0.03, 0.04, 0.1)] {
-            let pose_error = Some(PoseError { sigma_m: 0.01, sigma_rad, correlation_secs: 2.0 });
+            let pose_error =
+                Some(PoseError { sigma_m: 0.01, sigma_rad, correlation_secs: 2.0, ..PoseError::NONE });
             let regime = Regime { pose_error, ..Regime::default() };
             let mut drive = record_library(&NOMINAL, &TRUTH, &[], regime, 7).unwrap();
             for step in &mut drive.steps {

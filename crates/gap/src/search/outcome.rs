@@ -348,7 +348,7 @@ fn directions(round: &Round<'_>) -> Vec<Direction> {
     out
 }
 
-fn notes(nominal: &Nominal, BlockPolicy { resample, passing, walks }: BlockPolicy) -> Vec<String> {
+fn notes(nominal: &Nominal, BlockPolicy { resample, moves, passing, walks }: BlockPolicy) -> Vec<String> {
     let mut notes = vec![
         "A constant yaw of the laser's mount and a constant error of the reference's heading can't be told apart from \
          scans alone."
@@ -362,6 +362,11 @@ fn notes(nominal: &Nominal, BlockPolicy { resample, passing, walks }: BlockPolic
             format!("What the map doesn't know {does}")
         };
         notes.push(format!("{what}: the simulations that the log is held against have it so."));
+    } else if nominal
+        .blocks
+        .is_some_and(|blocks| resample == blocks.resample && blocks.speed_m_s[1] > 0.0 && !moves)
+    {
+        notes.push("Unmapped blocks stand, though the scenario has them move.".to_owned());
     } else if let Some(blocks) = nominal.blocks.filter(|blocks| blocks.resample != resample) {
         notes.push(format!(
             "Unmapped blocks take new places otherwise than the scenario says: {resample} instead of {}.",

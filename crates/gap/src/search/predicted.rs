@@ -46,7 +46,7 @@ pub fn drop_unfounded(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Resu
         is_of_odometry(candidate) || candidate.kind().loses_returns() || total(candidate) >= least
     });
     // Clutter that stands, as the scenario has it, is no deeper for what comes and goes.
-    let of_scenario = round.comparison.nominal.blocks.map(|blocks| BlockPolicy::of(blocks.resample));
+    let of_scenario = round.comparison.nominal.blocks.map(|blocks| BlockPolicy::of_scenario(&blocks));
     let are_others = of_scenario.is_some_and(|blocks| blocks.stands()) && !round.blocks.policy.stands();
     for i in (0..candidates.len()).rev() {
         let is_enough = total(&candidates[i]) >= LEAST_CLUTTER_SHARE * most;

@@ -583,9 +583,9 @@ mod tests {
             blocks,
         };
         let first = || state.round(Vec::new(), fitted.nuisances, options.replicates).unwrap();
-        let fits = state.candidates(&first(), options.fitted_kinds, FAR_OFF, &[]).unwrap();
-        let at = |kind| fits.iter().position(|fit| fit.kind() == kind).unwrap();
         let wrong = [EffectKind::IncidenceNoise, EffectKind::HeavyTail];
+        let fits = state.candidates(&first(), options.fitted_kinds, FAR_OFF, &wrong).unwrap();
+        let at = |kind| fits.iter().position(|fit| fit.kind() == kind).unwrap();
         assert!(
             is_sure(&fits[at(EffectKind::MountYaw)]) && wrong.iter().all(|&kind| is_sure(&fits[at(kind)]))
         );

@@ -6,9 +6,8 @@
 use std::f64::consts::TAU;
 
 use glam::DVec2;
-use locsim_core::{cell_at, differences, most_of_four, sum_error};
+use locsim_core::{cell_at, differences, distance_to, most_of_four, sum_error};
 use locsim_world::effect::{Disc, Effect, Effects, Moves};
-use locsim_world::raycast::distance_to;
 
 use super::Round;
 use super::selection::{LEAST_GAIN_NATS, adds_up};

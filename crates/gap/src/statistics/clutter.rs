@@ -9,6 +9,13 @@ use crate::catalogue::kinds_shown_by;
 /// Readings farther in front of a wall are hardly of clutter \[m\].
 const DEEPEST_M: f64 = 1.5;
 
+/// The effects that show in a statistic of clutter: none where the scenario has no clutter. The density is at its limit then, and the depth that
+/// of a few readings past edges, each of which would stand out from all.
+fn all_of(survey: &Survey<'_>, shows: fn(&effect::Statistic) -> bool) -> impl Iterator<Item = EffectKind> {
+    let has_clutter = survey.comparison.nominal.blocks.is_some();
+    kinds_shown_by(shows).filter(move |_| has_clutter)
+}
+
 /// The mean distance to the wall of readings in front of it. Whether clutter can stand there by the hypothesis is not asked:
 /// that is the question.
 pub(super) struct ClutterDepth {
@@ -16,8 +23,8 @@ pub(super) struct ClutterDepth {
 }
 
 impl ClutterDepth {
-    pub fn all() -> Vec<Self> {
-        kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::ClutterDepth))
+    pub fn all(survey: &Survey<'_>) -> Vec<Self> {
+        all_of(survey, |statistic| matches!(statistic, effect::Statistic::ClutterDepth))
             .map(|kind| Self { kind })
             .collect()
     }
@@ -45,10 +52,8 @@ pub(super) struct ClutterDensity {
 }
 
 impl ClutterDensity {
-    /// None where the scenario has no clutter: the fit is then at its limit, and a reading that moves it stands out from all.
     pub fn all(survey: &Survey<'_>) -> Vec<Self> {
-        kinds_shown_by(|statistic| matches!(statistic, effect::Statistic::ClutterDensity))
-            .filter(|_| survey.comparison.nominal.blocks.is_some())
+        all_of(survey, |statistic| matches!(statistic, effect::Statistic::ClutterDensity))
             .map(|kind| Self { kind })
             .collect()
     }
@@ -75,6 +80,22 @@ mod tests {
     use crate::hypothesis::{Comparison, Nuisances};
     use crate::statistics::pit_draw;
 
+    /// A beam that passes an edge ends far in front of where it should. Without clutter that says nothing of its depth.
+    #[test]
+    fn a_scenario_without_clutter_has_no_statistic_of_it() {
+        let nominal = NOMINAL.without_blocks().unwrap();
+        let drive = record_library(&nominal, &TRUTH, &[], Regime::default(), 2).unwrap();
+        let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+        for (nominal, has_any) in [(&nominal, false), (&*NOMINAL, true)] {
+            let comparison = Comparison::new(nominal, &recorded).unwrap();
+            let survey = Survey::new(&comparison);
+            assert_eq!(
+                [ClutterDepth::all(&survey).is_empty(), ClutterDensity::all(&survey).is_empty()],
+                [!has_any; 2]
+            );
+        }
+    }
+
     /// Clutter three times as deep seems more than twice as deep, though nominal clutter can't stand where most of it is
     /// seen.
     #[test]
@@ -86,7 +107,7 @@ mod tests {
             let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
             let fitted = comparison.start(&Nuisances::default());
             let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
-            ClutterDepth::all()[0].measure(&log)[0].iter().sum::<f64>()
+            ClutterDepth::all(&Survey::new(&comparison))[0].measure(&log)[0].iter().sum::<f64>()
         };
         let (nominal, deep) = (depth(1.0), depth(3.0));
         assert!(deep > 2.0 * nominal, "{nominal} {deep}");

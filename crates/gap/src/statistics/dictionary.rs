@@ -48,7 +48,7 @@ impl Dictionary {
             .chain(boxed(WallLoss::all(&survey)))
             .chain(boxed(Edges::all(&survey)))
             .chain(boxed(Steps::all()))
-            .chain(boxed(ClutterDepth::all()))
+            .chain(boxed(ClutterDepth::all(&survey)))
             .chain(boxed(ClutterDensity::all(&survey)))
             .chain(boxed(OdometryCorrelation::all()))
             .chain(boxed(Slips::all()))

@@ -1,6 +1,6 @@
 //! Objects that the map lacks: readings in front of the walls, counted where they lie in the map.
 
-use locsim_core::cell_at;
+use locsim_core::{cell_at, densest};
 use std::collections::HashMap;
 
 use glam::DVec2;
@@ -55,12 +55,8 @@ impl Objects {
             (x..=x + 1).contains(&i) && (y..=y + 1).contains(&j)
         };
         let points: Vec<DVec2> = log.in_front().map(Reading::point).filter(is_inside).collect();
-        let near = |p: &DVec2| points.iter().filter(|q| p.distance(**q) < TOGETHER_M).count();
-        let Some(center) = points.iter().copied().max_by_key(near) else {
-            return DVec2::new(f64::from(x + 1), f64::from(y + 1)) * OBJECT_CELL_M;
-        };
-        let close: Vec<DVec2> = points.iter().copied().filter(|p| p.distance(center) < TOGETHER_M).collect();
-        close.iter().sum::<DVec2>() / close.len() as f64
+        let middle = DVec2::new(f64::from(x + 1), f64::from(y + 1)) * OBJECT_CELL_M;
+        densest(&points, TOGETHER_M).unwrap_or(middle)
     }
 }
 

@@ -89,7 +89,7 @@ impl Scores {
         let meets_surface = reading.beam.range() < max;
         match self.score {
             Score::Location if reading.is_return => terms.hit * terms.error / terms.sigma.powi(2),
-            Score::Scale if reading.is_return => terms.hit * (t * t - 1.0),
+            Score::Scale if reading.is_return => terms.hit * ((t * t).min(MOST_SQUARE) - 1.0),
             Score::NoReturn if meets_surface => {
                 reading.contamination(f64::from(u8::from(!reading.is_return)))
             }
@@ -118,6 +118,9 @@ fn is_contamination(score: Score) -> bool {
     }
 }
 
+/// A noise is in all readings: the square of an error counts up to this (variances). A few readings of five standard deviations, of clutter at
+/// a wall or a pose that errs, are no noise, and in sums of squares they would be as much as thousands of others.
+const MOST_SQUARE: f64 = 9.0;
 /// Beams of less weight than this say nothing of a strength.
 const LEAST_WEIGHT: f64 = 1e-6;
 /// An effect moves readings by many standard deviations if with it their errors are this share of what they were.
@@ -232,5 +235,43 @@ impl Family for Scores {
             }
         }
         sums
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Recorded;
+    use crate::fixtures::{NOMINAL, SIGMA_M, TRUTH};
+    use crate::hidden::{Regime, record_library};
+    use crate::hypothesis::{Comparison, Nuisances};
+    use crate::statistics::pit_draw;
+
+    /// Thirty readings that are four and a half deviations off are less of a noise than all readings that are a tenth noisier.
+    #[test]
+    fn a_few_readings_are_no_noise() {
+        let drive = record_library(&NOMINAL, &TRUTH, &[], Regime::default(), 3).unwrap();
+        let recorded = Recorded::new(&drive, 200, 72, |_| true).unwrap();
+        let comparison = Comparison::new(&NOMINAL, &recorded).unwrap();
+        let fitted = comparison.start(&Nuisances::default());
+        let views = &comparison.views.beams;
+        let score = |error: &dyn Fn(usize, f64) -> f64| {
+            let moved = |(i, z): (usize, &f32)| {
+                let (range, z) = (views[i].range(), f64::from(*z));
+                let is_of_wall = range < 4.5 && (z - range).abs() < 3.0 * SIGMA_M;
+                if is_of_wall { (range + error(i, z - range)) as f32 } else { z as f32 }
+            };
+            let readings = recorded.readings.iter().enumerate().map(moved).collect();
+            let recorded = recorded.with(readings, recorded.odometry.clone());
+            let comparison = comparison.of(&recorded);
+            let log = Readings::new(&comparison, &NOMINAL.effects, &fitted, false, &pit_draw(1));
+            let scores = Scores::all(&Survey::new(&comparison));
+            let noise = scores.iter().find(|scores| scores.kind == EffectKind::RangeNoise).unwrap();
+            noise.measure(&log)[0].iter().sum::<f64>()
+        };
+        let as_it_is = score(&|_, error| error);
+        let few = score(&|i, error| if i % 480 == 7 { 4.5 * SIGMA_M } else { error });
+        let noisier = score(&|_, error| 1.1 * error);
+        assert!(few > as_it_is && noisier > few, "{as_it_is} {few} {noisier}");
     }
 }

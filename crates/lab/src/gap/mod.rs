@@ -22,7 +22,7 @@ use std::sync::Arc;
 use locsim_core::limits::quoted;
 use locsim_core::{Drive, DriveStep, Hits, Particles, Pose2, RangeMap};
 use locsim_dataset::{DriveQuality, LogKind, LogOptions, LogSummary, read_log};
-use locsim_gap::{GapError, GapOptions, Nominal, Recorded, ResidualStage};
+use locsim_gap::{GapError, GapOptions, Nominal, Purpose, Recorded, ResidualStage};
 use locsim_world::effect::{EffectKind, Moves};
 use locsim_world::raycast::ExactRangeMap;
 use locsim_world::simulation::{BlockOptions, LaserSimulator, Simulator};
@@ -105,6 +105,8 @@ pub struct GapStudy {
     simulator: SimulatorOptions,
     /// Blocks that the log has and the scenario hasn't; they are among the simulator's.
     added_blocks: Option<BlockOptions>,
+    /// People and things that the log has farther from walls than the scenario's blocks reach.
+    in_the_open: Option<BlockOptions>,
     log: PathBuf,
     map: Arc<ExactRangeMap>,
     /// The log with the scenario's laser mount.
@@ -210,12 +212,15 @@ impl GapStudy {
         let laser = simulated.laser();
         let (drive, recorded, odometry_lag_secs) =
             usable(&log, drive, &summary, laser, &map, &settings, &mut warnings)?;
-        let mut added_blocks = None;
+        let (mut added_blocks, mut in_the_open) = (None, None);
         // Beside a baseline, clutter is as the baseline has it.
         if baseline.is_none() {
-            let steps = drive.steps.iter().filter(|step| is_free(&map, step));
-            if let Some(found) = open::in_open(steps, &drive.laser, &map, simulator.blocks.as_ref()) {
-                warnings.push(found.warning());
+            let steps = open::looked_at(drive.steps.iter().filter(|step| is_free(&map, step)));
+            let blocks = simulator.blocks.as_ref();
+            if let Some(found) = open::in_open(&steps, &drive.laser, &map, blocks) {
+                warnings.extend(found.warning());
+                let seed = Purpose::InTheOpen.draw(scenario.seed).seed(0);
+                in_the_open = found.things(&steps, &simulated, blocks, seed).map_err(GapError::from)?;
                 added_blocks = found.blocks();
                 simulator.blocks = simulator.blocks.or(added_blocks);
             }
@@ -225,6 +230,7 @@ impl GapStudy {
             scenario,
             simulator,
             added_blocks,
+            in_the_open,
             log,
             map,
             drive,
@@ -294,7 +300,11 @@ impl GapStudy {
     fn nominal(&self) -> Result<Nominal, GapError> {
         let SimulatorOptions { blocks, laser, odometry_noise, .. } = self.simulator;
         let effects = self.simulator.effects()?;
-        Nominal::new(Arc::clone(&self.map), laser, blocks, odometry_noise, effects)
+        let nominal = Nominal::new(Arc::clone(&self.map), laser, blocks, odometry_noise, effects)?;
+        match self.in_the_open {
+            Some(open) => nominal.with_things_in_the_open(open),
+            None => Ok(nominal),
+        }
     }
 }
 

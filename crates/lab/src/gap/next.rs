@@ -76,7 +76,7 @@ const LARGE_ERROR: (f64, f64) = (0.03, 0.01);
 
 /// A reference that is far off for long takes up what else is off.
 fn reference_first(outcome: &Outcome) -> Option<String> {
-    let PoseError { sigma_m, sigma_rad, correlation_secs } = outcome.nuisances_after.pose_error;
+    let PoseError { sigma_m, sigma_rad, correlation_secs, .. } = outcome.nuisances_after.pose_error;
     (sigma_m > LARGE_ERROR.0 || sigma_rad > LARGE_ERROR.1).then(|| {
         format!(
             "Look at the reference poses: as fitted they err by {:.0} mm and {:.1} degrees, for about {correlation_secs:.0} s on end. A jump \

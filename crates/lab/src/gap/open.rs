@@ -1,14 +1,15 @@
-//! What stands farther from all walls than the scenario's blocks reach: people in the open, furniture amid a room. Simulated logs have
-//! nothing there, and the search takes it for errors of the readings. A scenario without any blocks gets some.
+//! What stands farther from all walls than the scenario's blocks reach: people in the open, furniture amid a room. A search whose simulated logs
+//! have nothing there takes it for errors of the readings. So they get as much of it as the log has, and a scenario without any blocks gets some.
 
 use std::collections::BTreeSet;
 
 use glam::DVec2;
 use locsim_core::{
-    DistanceMap, DriveStep, Hits, Laser, NO_SURFACE, Particles, RangeMap, cell_at, median, quantile,
+    DistanceMap, DriveStep, Hits, Laser, NO_SURFACE, Particles, Pose2, RangeMap, Scan, cell_at, median,
+    quantile,
 };
 use locsim_world::raycast::{DistanceGrid, ExactRangeMap};
-use locsim_world::simulation::{BlockOptions, BlockResampling};
+use locsim_world::simulation::{BlockOptions, BlockResampling, SimulationError, Simulator};
 
 /// Scans that are looked at, at the most.
 const SCANS: usize = 300;
@@ -25,6 +26,11 @@ const ONE_THING_M: f64 = 0.2;
 /// Fewer readings, and a lesser share of all returns, aren't told.
 const LEAST_READINGS: usize = 50;
 const LEAST_SHARE: f64 = 3e-3;
+/// The same for simulated logs that get such things: a few dozen readings where nothing can stand are beyond all that have none.
+const FEW_READINGS: usize = 20;
+const FEW_SHARE: f64 = 2e-4;
+/// Blocks per metre of wall with which it is found how many there are \[1/m\].
+const TRIED_PER_METRE: f64 = 0.05;
 /// A beam that sees so much more than the median beam sees the robot itself.
 const OF_ROBOT_SHARE: f64 = 0.1;
 /// Side of the cells, of which two by two are a place \[m\].
@@ -38,15 +44,22 @@ pub(super) struct InOpen {
     share: f64,
     /// Distance to the nearest wall that most of them have at the most \[m\].
     most_m: f64,
+    /// The greatest \[m\].
+    farthest_m: f64,
     /// How far the scenario's blocks reach \[m\]; `None` where it has none.
     reach_m: Option<f64>,
+    /// Whether there are enough to be told.
+    is_told: bool,
+    /// Whether most of them are of one thing. It is no clutter then: the search tells what it is, and where.
+    is_one_thing: bool,
 }
 
 impl InOpen {
-    /// What is told of them.
-    pub fn warning(&self) -> String {
+    /// What is told of them, if anything.
+    pub fn warning(&self) -> Option<String> {
         let (percent, most_m) = (100.0 * self.share, self.most_m);
-        self.reach_m.map_or_else(
+        let is_told = self.is_told && !(self.is_one_thing && self.reach_m.is_none());
+        let text = self.reach_m.map_or_else(
             || {
                 format!(
                     "{percent:.1} % of the readings end in front of the walls, and the scenario has no `blocks`: people or things in the \
@@ -56,11 +69,12 @@ impl InOpen {
             |reach_m| {
                 format!(
                     "{percent:.1} % of the readings end farther from all walls than the scenario's `blocks` reach ({reach_m:.1} m): people \
-                     or things in the open, most of them within {most_m:.1} m of a wall. The search may take them for errors of the \
-                     readings; `blocks.wall_distance_m` up to {most_m:.1} gives the simulated logs such things, too."
+                     or things in the open, most of them within {most_m:.1} m of a wall. Simulated logs get as many, beside the \
+                     scenario's blocks; `scenario.yaml` doesn't have them."
                 )
             },
-        )
+        );
+        is_told.then_some(text)
     }
 
     /// Blocks for a scenario that has none. How many there are is fitted to the log, as is how long they stay.
@@ -76,18 +90,74 @@ impl InOpen {
             speed_m_s: [0.0, 0.0],
             clearance_m: 0.35,
         };
-        self.reach_m.is_none().then_some(blocks)
+        (self.reach_m.is_none() && self.is_told && !self.is_one_thing).then_some(blocks)
+    }
+
+    /// People and things in the open beside a scenario's blocks, as many as the log has: the share of such readings in scans of a simulator along
+    /// the same poses says how many these are.
+    ///
+    /// # Errors
+    /// As the simulator's.
+    pub fn things(
+        &self,
+        steps: &[&DriveStep],
+        simulator: &Simulator,
+        blocks: Option<&BlockOptions>,
+        seed: u64,
+    ) -> Result<Option<BlockOptions>, SimulationError> {
+        let Some(clearance_m) = blocks.map(|blocks| blocks.clearance_m).filter(|_| !self.is_one_thing) else {
+            return Ok(None);
+        };
+        let tried = BlockOptions {
+            per_metre_of_wall: TRIED_PER_METRE,
+            length_m: [0.1, 0.5],
+            width_m: [0.1, 0.5],
+            yaw_rad: [-std::f64::consts::FRAC_PI_4, std::f64::consts::FRAC_PI_4],
+            // A reading where nothing can stand would count as much as many others.
+            wall_distance_m: [0.0, self.farthest_m],
+            resample: BlockResampling::EachObservation,
+            speed_m_s: [0.0, 0.0],
+            clearance_m,
+        };
+        let simulator = simulator.clone().with_more_blocks(tried)?;
+        let laser = simulator.laser().laser();
+        let known: Vec<(f64, Pose2)> =
+            steps.iter().filter_map(|step| Some((step.stamp_secs, step.reference?))).collect();
+        let secs: Vec<f64> = known.iter().map(|(secs, _)| *secs).collect();
+        let readings = simulator.scan_along(&secs, |i, _| known[i].1, seed);
+        let simulated =
+            known.iter().zip(readings.chunks(laser.beam_count())).map(|((secs, pose), ranges)| {
+                let scan = Scan { ranges: ranges.to_vec() };
+                DriveStep { stamp_secs: *secs, odometry: *pose, reference: Some(*pose), scan }
+            });
+        let simulated: Vec<DriveStep> = simulated.collect();
+        let found = in_open(&simulated.iter().collect::<Vec<_>>(), laser, simulator.map(), blocks);
+        Ok(found.map(|found| BlockOptions {
+            resample: BlockResampling::EachScanN(BlockOptions::PASSING_SCANS),
+            // Some stand, some walk.
+            speed_m_s: [0.0, WALKING_M_S],
+            ..tried.times(self.share / found.share)
+        }))
     }
 }
 
+/// The greatest speed of people \[m/s\].
+const WALKING_M_S: f64 = 1.4;
+
+/// The scans that are looked at.
+pub(super) fn looked_at<'a>(steps: impl Iterator<Item = &'a DriveStep>) -> Vec<&'a DriveStep> {
+    let steps: Vec<&DriveStep> = steps.collect();
+    let every = steps.len().div_ceil(SCANS).max(1);
+    steps.into_iter().step_by(every).collect()
+}
+
 /// Readings in the open, from scans whose reference poses are known; `None` where there are few.
-pub(super) fn in_open<'a>(
-    steps: impl Iterator<Item = &'a DriveStep>,
+pub(super) fn in_open(
+    steps: &[&DriveStep],
     laser: &Laser,
     map: &ExactRangeMap,
     blocks: Option<&BlockOptions>,
 ) -> Option<InOpen> {
-    let steps: Vec<&DriveStep> = steps.collect();
     let [x0, y0, x1, y1] = map.geometry().bounds();
     let area = (x1 - x0 + 2.0 * FARTHEST_M) * (y1 - y0 + 2.0 * FARTHEST_M);
     let cell_m = (area / MOST_CELLS).sqrt().max(CELL_M);
@@ -97,7 +167,7 @@ pub(super) fn in_open<'a>(
     let beams = laser.beam_count();
     let (mut returns, mut open) = (vec![0_usize; beams], vec![Vec::new(); beams]);
     let mut hits = Hits::default();
-    for step in steps.iter().step_by(steps.len().div_ceil(SCANS).max(1)) {
+    for step in steps {
         let Some(reference) = step.reference else { continue };
         let pose = reference.compose(&laser.base_from_laser());
         let poses: Particles = std::iter::once(pose).collect();
@@ -137,21 +207,27 @@ pub(super) fn in_open<'a>(
         told().filter(|(_, [i, j])| (x..=x + 1).contains(i) && (y..=y + 1).contains(j)).count()
     };
     let places: BTreeSet<[i32; 2]> = told().map(|(_, cell)| *cell).collect();
-    // One thing is no clutter: the search tells what it is, and where.
-    if blocks.is_none() && places.into_iter().any(|place| 2 * in_place(place) > farthest.len()) {
-        return None;
-    }
+    let is_one_thing = places.into_iter().any(|place| 2 * in_place(place) > farthest.len());
     let share = farthest.len() as f64 / returns.iter().sum::<usize>().max(1) as f64;
-    if farthest.len() < LEAST_READINGS || share < LEAST_SHARE {
-        return None;
-    }
-    Some(InOpen { share, most_m: quantile(&mut farthest, MOST), reach_m: own_reach_m })
+    let is_told = farthest.len() >= LEAST_READINGS && share >= LEAST_SHARE;
+    let are_few = farthest.len() < FEW_READINGS || share < FEW_SHARE;
+    (!are_few).then(|| InOpen {
+        share,
+        most_m: quantile(&mut farthest, MOST),
+        farthest_m: quantile(&mut farthest, 1.0),
+        reach_m: own_reach_m,
+        is_told,
+        is_one_thing,
+    })
 }
 
 #[cfg(test)]
 mod tests {
-    use locsim_core::{Pose2, Scan};
+    use std::sync::Arc;
+
+    use locsim_world::effect::Effects;
     use locsim_world::map::{Polyline, VectorMap};
+    use locsim_world::simulation::LaserOptions;
 
     use super::*;
 
@@ -177,7 +253,7 @@ mod tests {
         at_m: f32,
         blocks: Option<&BlockOptions>,
     ) -> Option<String> {
-        told_in(6.0, seen, beam, at_m, blocks).map(|found| found.warning())
+        told_in(6.0, seen, beam, at_m, blocks).and_then(|found| found.warning())
     }
 
     /// The same amid a hall whose walls are `wall_m` away.
@@ -204,7 +280,55 @@ mod tests {
             DriveStep { stamp_secs: i as f64, odometry: pose, reference: Some(pose), scan: Scan { ranges } }
         };
         let steps: Vec<DriveStep> = (0..100).map(step).collect();
-        in_open(steps.iter(), &laser, &map, blocks)
+        in_open(&looked_at(steps.iter()), &laser, &map, blocks)
+    }
+
+    /// Scans of a simulator have things in the open at a known density, which is found from them. One thing alone is none of these.
+    #[test]
+    fn simulated_logs_get_as_many_things_in_the_open_as_a_log_has() {
+        let corners = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]];
+        let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
+        let map = VectorMap { outline, obstacles: Vec::new(), walls: Vec::new() };
+        let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
+        let laser = LaserOptions {
+            rate_hz: 10.0,
+            beams: 360,
+            field_of_view_rad: std::f64::consts::TAU,
+            first_bearing_rad: None,
+            min_range_m: 0.05,
+            max_range_m: 20.0,
+            resolution_m: 0.001,
+            sigma_m: 0.01,
+            sigma_per_m: 0.0,
+            mount: Pose2::IDENTITY,
+            scan_secs: 0.0,
+        };
+        let walls = blocks(0.2);
+        let simulator = Simulator::new(Arc::clone(&map), Some(walls), laser, Effects::none()).unwrap();
+        let truth = BlockOptions { per_metre_of_wall: 0.03, wall_distance_m: [0.0, 4.0], ..blocks(0.2) };
+        let world = simulator.clone().with_more_blocks(truth).unwrap();
+        let secs: Vec<f64> = (0..200).map(|i| 0.1 * f64::from(i)).collect();
+        let readings = world.scan_along(&secs, |_, _| Pose2::IDENTITY, 3);
+        let step = |(secs, ranges): (&f64, &[f32])| DriveStep {
+            stamp_secs: *secs,
+            odometry: Pose2::IDENTITY,
+            reference: Some(Pose2::IDENTITY),
+            scan: Scan { ranges: ranges.to_vec() },
+        };
+        let steps: Vec<DriveStep> = secs.iter().zip(readings.chunks(360)).map(step).collect();
+        let steps: Vec<&DriveStep> = steps.iter().collect();
+        let laser = world.laser().laser();
+        let found = in_open(&steps, laser, &map, Some(&walls)).unwrap();
+        let things = found.things(&steps, &simulator, Some(&walls), 7).unwrap().unwrap();
+        let again = simulator.clone().with_more_blocks(things).unwrap();
+        let readings = again.scan_along(&secs, |_, _| Pose2::IDENTITY, 5);
+        let steps_again: Vec<DriveStep> = secs.iter().zip(readings.chunks(360)).map(step).collect();
+        let refound = in_open(&steps_again.iter().collect::<Vec<_>>(), laser, &map, Some(&walls)).unwrap();
+        let ratio = refound.share / found.share;
+        // Things stay for forty scans, so that the share of 200 scans varies.
+        assert!((0.5..2.0).contains(&ratio), "{} {}", found.share, refound.share);
+        let one_thing = InOpen { is_one_thing: true, ..found };
+        assert!(one_thing.things(&steps, &simulator, Some(&walls), 7).unwrap().is_none());
     }
 
     #[test]
@@ -219,7 +343,7 @@ mod tests {
             "{text}"
         );
         // Two metres ahead are four metres to the walls; in the corners it is less.
-        assert!(text.contains("`blocks.wall_distance_m` up to 4.5"), "{text}");
+        assert!(text.contains("most of them within 4.5 m of a wall"), "{text}");
         assert_eq!(told_with(5.0), None);
         assert!(told(3, walks, 2.0, None).unwrap().contains("the scenario has no `blocks`"));
         // Blocks are added where there are none, and as far as these readings are.

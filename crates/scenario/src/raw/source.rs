@@ -36,7 +36,7 @@ pub enum RayCastMethod {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawBlocks {
-    /// Blocks per metre of wall (1/m), 0 to 100.
+    /// Blocks per metre of wall face (1/m), 0 to 100; a thin wall has two faces. The number that is drawn is Poisson-distributed. Blocks may overlap each other, and stick into other walls.
     pub per_metre_of_wall: f64,
     /// Length of a block along the wall, before it is turned (m), 0.001 to 10000.
     pub length_m: [f64; 2],
@@ -45,7 +45,7 @@ pub struct RawBlocks {
     /// Yaw relative to the wall (deg), -180 to 180.
     #[serde(default)]
     pub yaw_deg: [f64; 2],
-    /// Gap between the wall and the block's nearest side (m), 0 to 10000.
+    /// Gap between the wall and the block's nearest corner, after it is turned (m), 0 to 10000.
     #[serde(default)]
     pub wall_distance_m: [f64; 2],
     /// When blocks take new places.
@@ -54,7 +54,7 @@ pub struct RawBlocks {
     /// Speed along the wall, either way (m/s), 0 to 1000; only with `never` or `each_scan_n`.
     #[serde(default)]
     pub speed_m_s: [f64; 2],
-    /// No block comes closer than this to the robot's centre (m), 0 to 10000.
+    /// A block that is closer than this to the robot's centre is left out (m), 0 to 10000.
     #[serde(default = "default::clearance_m")]
     pub clearance_m: f64,
 }
@@ -172,7 +172,7 @@ pub struct RawLaser {
     /// Where the laser sits on the robot.
     #[serde(default)]
     pub mount: RawMount,
-    /// Time one sweep takes (s), 0 to 1 / `rate_hz`; beams are stamped along it.
+    /// Time that the laser takes for its field of view (s), 0 to 1 / `rate_hz`: for a full circle that is the whole turn. Beams are stamped along it.
     #[serde(default)]
     pub scan_secs: f64,
 }

@@ -32,10 +32,8 @@ pub(crate) mod tests;
 mod walls;
 
 use glam::DVec2;
-use locsim_core::PoseError;
+use locsim_core::{PoseError, distance_to};
 use serde::{Serialize, Serializer};
-
-use crate::raycast::distance_to;
 
 pub use beam::{BeamView, HitKind, JUMP_M, jump_at};
 pub use burst_states::{BurstStates, InBurst};

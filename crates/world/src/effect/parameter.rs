@@ -137,6 +137,19 @@ impl Parameter {
         if away == 0.0 { 0.05 * (self.hi - self.lo) } else { away }
     }
 
+    /// First step of a search that starts at `value`.
+    pub fn first_step(&self, value: f64) -> f64 {
+        if let Role::Position { first_step } = self.role {
+            return first_step;
+        }
+        if self.lo >= 0.0 {
+            // A parameter that can't be negative is searched by its logarithm; this is the least value that one starts from.
+            return 1e-3 * (self.start - self.lo).abs().max(1e-3);
+        }
+        // Towards the neutral value first, on either side of it.
+        if value < self.neutral { -self.typical_step(value) } else { self.typical_step(value) }
+    }
+
     /// Whether an effect does without it where a file leaves it out, as a wall does without a turn.
     pub fn is_extra(&self) -> bool {
         matches!(self.role, Role::Shape(_)) && self.default == Some(0.0) && self.start == 0.0

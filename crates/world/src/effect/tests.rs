@@ -525,7 +525,7 @@ fn sectors_hold_their_ends() {
 /// A laser turned by half a degree more is beyond what a reference errs by; one displaced by 3 cm more is not.
 #[test]
 fn what_a_reference_may_err_by_is_no_other_effect() {
-    let error = PoseError { sigma_m: 0.025, sigma_rad: 0.0024, correlation_secs: 2.0 };
+    let error = PoseError { sigma_m: 0.025, sigma_rad: 0.0024, correlation_secs: 2.0, ..PoseError::NONE };
     let of = |kind, values: &[f64]| Effect::new(kind, values.to_vec(), Vec::new()).unwrap();
     let [turned, slightly, more] = [0.0122, 0.018, 0.022].map(|yaw_rad| of(EffectKind::MountYaw, &[yaw_rad]));
     assert!(more.is_beyond(&turned, &error) && !slightly.is_beyond(&turned, &error));

@@ -5,8 +5,9 @@ use locsim_core::DistanceMap;
 use parry2d_f64::partitioning::{Bvh, BvhNode};
 use rayon::prelude::*;
 
-use super::segment::{distance_to, tree_over};
+use super::segment::tree_over;
 use crate::map::{CellFrame, Geometry, MapError};
+use locsim_core::distance_to;
 
 /// Side of a square tile of cells that queries the tree together, ..
 const BLOCK: usize = 8;

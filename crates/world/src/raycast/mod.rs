@@ -14,6 +14,5 @@ mod unsure;
 pub use boxes::Boxes;
 pub use distance::DistanceGrid;
 pub use exact::{BEHIND_M, ExactRangeMap, RayHit};
-pub use segment::distance_to;
 pub use table::{RangeTable, RangeTableOptions, Vicinity};
 pub use unsure::{Unsure, unsure};

@@ -44,13 +44,6 @@ pub(super) fn incidence(angle: f64, heading: f64) -> f64 {
     (FRAC_PI_2 - from_segment).abs()
 }
 
-/// Distance from a point to a segment \[m\].
-pub fn distance_to(&[a, b]: &[DVec2; 2], point: DVec2) -> f64 {
-    let edge = b - a;
-    let share = ((point - a).dot(edge) / edge.length_squared()).clamp(0.0, 1.0);
-    point.distance(a + share * edge)
-}
-
 /// A tree over the segments; leaf `i` is segment `i`. Boxes are wider than the segments' overlap, so that rounding
 /// at the edge of a box never decides whether a ray meets the segment.
 pub(super) fn tree_over(segments: &[[DVec2; 2]]) -> Bvh {

@@ -1,4 +1,8 @@
+use std::collections::HashSet;
+use std::sync::Arc;
+
 use glam::DVec2;
+use locsim_core::low_discrepancy;
 
 use super::BlockModel;
 use super::faces::Face;
@@ -31,6 +35,8 @@ pub struct BlockIntegral {
     density: f64,
     /// Boxes around what the blocks of each face reach: a grid's map has many thousand faces.
     reach: Boxes,
+    /// Blocks of another kind.
+    more: Option<Arc<BlockIntegral>>,
 }
 
 /// A block at the beginning of a face, in coordinates along the face and away from it.
@@ -81,12 +87,25 @@ impl BlockIntegral {
         }
         let density = model.options().per_metre_of_wall / f64::from(count.max(1));
         let reach = Boxes::new(model.faces().iter().map(|face| box_around(face, diameter_m, depth_m)));
-        Self { model: model.clone(), shapes, depth_m, diameter_m, density, reach }
+        Self { model: model.clone(), shapes, depth_m, diameter_m, density, reach, more: None }
     }
 
-    /// The blocks it is of.
+    /// The same with blocks of another kind beside them.
+    #[must_use]
+    pub fn and(self, more: Option<Arc<Self>>) -> Self {
+        Self { more, ..self }
+    }
+
+    /// The blocks it is of, without those of another kind.
     pub fn model(&self) -> &BlockModel {
         &self.model
+    }
+
+    /// The points of a lattice near which blocks of either kind may stand; see [`BlockModel::lattice_in_reach`].
+    pub fn lattice_in_reach(&self, side: f64, half: f64) -> HashSet<[i32; 2]> {
+        let mut points = self.model.lattice_in_reach(side, half);
+        points.extend(self.more.iter().flat_map(|more| more.lattice_in_reach(side, half)));
+        points
     }
 
     /// Calls `met` with (near, far, count) of every stretch of a ray from `origin` along the unit vector `direction`, up to
@@ -99,6 +118,19 @@ impl BlockIntegral {
         robot: DVec2,
         limit: f64,
         mut met: impl FnMut(f64, f64, f64),
+    ) {
+        for kind in std::iter::once(self).chain(self.more.as_deref()) {
+            kind.own_stretches(origin, direction, robot, limit, &mut met);
+        }
+    }
+
+    fn own_stretches(
+        &self,
+        origin: DVec2,
+        direction: DVec2,
+        robot: DVec2,
+        limit: f64,
+        met: &mut impl FnMut(f64, f64, f64),
     ) {
         if self.shapes[0].is_empty() {
             return;
@@ -284,20 +316,6 @@ impl Shape {
         let x = ranges.map(|range| ray.origin.x + range * ray.direction.x);
         [ranges, std::array::from_fn(|corner| x[corner] - self.x[corner])]
     }
-}
-
-/// Point `i` of the sequence of Halton (1960), which fills the unit cube evenly: the digits of `i` in four bases, mirrored at
-/// the point.
-fn low_discrepancy(i: u32) -> [f64; 4] {
-    [2, 3, 5, 7].map(|base| {
-        let (mut rest, mut place, mut sum) = (i + 1, 1.0, 0.0);
-        while rest > 0 {
-            place /= f64::from(base);
-            sum += place * f64::from(rest % base);
-            rest /= base;
-        }
-        sum
-    })
 }
 
 #[cfg(test)]

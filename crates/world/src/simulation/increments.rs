@@ -1,7 +1,6 @@
 //! Increments of the odometry against those of the reference.
 
-use glam::DVec2;
-use locsim_core::{Draw, Pose2, Stage, Track, median, normal, wrap_angle};
+use locsim_core::{Draw, Pose2, Stage, Track, increments, median, normal, wrap_angle};
 use rand_distr::{Distribution, StandardNormal};
 
 use super::{OdometryNoise, odometry_along};
@@ -14,18 +13,6 @@ const LEAST: [f64; 2] = [1e-4, 1e-4];
 const CUT: f64 = 4.0;
 /// Under the increments' normal density lies another one, this much wider, of this share.
 const WIDE: (f64, f64) = (0.01, 6.0);
-
-/// Distance driven (signed along the heading) \[m\] and turn \[rad\] from each pose of a track to the next.
-pub fn increments(track: &[Pose2]) -> Vec<[f64; 2]> {
-    track
-        .windows(2)
-        .map(|pair| {
-            let step = pair[1].relative_to(&pair[0]);
-            let forward = DVec2::from_angle(0.5 * step.theta).dot(step.position());
-            [forward.signum() * step.position().length(), step.theta]
-        })
-        .collect()
-}
 
 /// Item of an increment's draws beside those of the noise that grows with the motion.
 const OWN_ERROR: u32 = 2;

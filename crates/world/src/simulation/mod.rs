@@ -38,9 +38,7 @@ pub use blocks::{Block, BlockModel};
 pub use caster::{BeamCaster, CastBeam, Ray, Surface};
 pub use drive::{Robot, SimulatedDrive, odometry_along, simulate_drive};
 pub use error::SimulationError;
-pub use increments::{
-    Increment, OdometryModel, OdometrySpread, increments, lagging, log_likelihoods, standardized,
-};
+pub use increments::{Increment, OdometryModel, OdometrySpread, lagging, log_likelihoods, standardized};
 pub use laser::LaserSimulator;
 pub use mixture::{ClutteredBeam, MixtureDensity, ReadingMixture, ReadingSources};
 pub use observe::Simulator;

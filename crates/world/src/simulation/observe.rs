@@ -16,8 +16,8 @@ use crate::raycast::ExactRangeMap;
 pub struct Simulator {
     map: Arc<ExactRangeMap>,
     blocks: Option<BlockModel>,
-    /// Those of another kind beside them.
-    more_blocks: Option<BlockModel>,
+    /// Those of other kinds beside them.
+    more_blocks: Vec<BlockModel>,
     laser: LaserSimulator,
     /// The laser where it really sits.
     mounted: LaserSimulator,
@@ -52,16 +52,16 @@ impl Simulator {
             blocks.map(|options| BlockModel::new(effects.blocks(options), map.geometry())).transpose()?;
         let mounted = LaserSimulator::new(LaserOptions { mount: effects.laser_mount(laser.mount), ..laser })?;
         let laser = LaserSimulator::new(laser)?;
-        Ok(Self { map, blocks, more_blocks: None, laser, mounted, effects, moved: None })
+        Ok(Self { map, blocks, more_blocks: Vec::new(), laser, mounted, effects, moved: None })
     }
 
-    /// The same with blocks of another kind in its drives, drawn independently of the first, as people beside furniture.
+    /// The same with blocks of another kind in its drives, drawn independently of the others, as people beside furniture.
     ///
     /// # Errors
     /// As [`BlockModel::new`].
-    pub fn with_more_blocks(self, blocks: BlockOptions) -> Result<Self, SimulationError> {
-        let more_blocks = Some(BlockModel::new(self.effects.blocks(blocks), self.map.geometry())?);
-        Ok(Self { more_blocks, ..self })
+    pub fn with_more_blocks(mut self, blocks: BlockOptions) -> Result<Self, SimulationError> {
+        self.more_blocks.push(BlockModel::new(self.effects.blocks(blocks), self.map.geometry())?);
+        Ok(self)
     }
 
     /// The same with walls that stand elsewhere than the map has them. Blocks stand by the walls of the map.
@@ -179,11 +179,10 @@ impl Simulator {
         scratch: &mut Scratch,
     ) -> Scan {
         let Scratch { cast, blocks, more_blocks, ranges } = scratch;
-        let kinds =
-            [(&self.blocks, seed), (&self.more_blocks, Draw::new(seed, Stage::Blocks, u32::MAX).seed(0))];
+        let of_others = Draw::new(seed, Stage::Blocks, u32::MAX);
+        let others = self.more_blocks.iter().zip(0..).map(|(model, kind)| (model, of_others.seed(kind)));
         blocks.clear();
-        for (model, seed) in kinds {
-            let Some(model) = model else { continue };
+        for (model, seed) in self.blocks.iter().map(|model| (model, seed)).chain(others) {
             let robot = map_from_base_at(stamp_secs).position();
             model.place_blocks(&model.draw(seed, step), stamp_secs, robot, more_blocks);
             blocks.append(more_blocks);

@@ -2,10 +2,9 @@ use std::f64::consts::TAU;
 use std::sync::{Arc, OnceLock};
 
 use glam::DVec2;
-use locsim_core::{CAST_REACH, Obstructions, Survival};
+use locsim_core::{CAST_REACH, Obstructions, Survival, survival_of};
 
 use super::error::{check, check_count};
-use super::survival::survival_of;
 use super::{BlockIntegral, BlockModel, SimulationError};
 use crate::map::Geometry;
 use crate::raycast::ExactRangeMap;

@@ -1,6 +1,7 @@
 use std::sync::Arc;
 
 use glam::DVec2;
+use locsim_core::survival_of;
 
 use super::BlockIntegral;
 
@@ -82,19 +83,6 @@ impl ClutterSurvival {
     }
 }
 
-/// The first bin in which clutter is expected, and the probability that none stands before the beginning of this bin and of
-/// each after it, up to the end of the last bin in which some is expected; `counts[i]` is expected in bin `i`.
-pub(super) fn survival_of(counts: &[f64]) -> (usize, impl Iterator<Item = f32>) {
-    let first = counts.iter().position(|&count| count > 0.0).unwrap_or(counts.len());
-    let end = counts.iter().rposition(|&count| count > 0.0).map_or(first, |last| last + 1);
-    let mut expected = 0.0;
-    let entries = counts[first..end].iter().map(move |count| {
-        expected += count;
-        f64::exp(-expected) as f32
-    });
-    (first, std::iter::once(1.0).chain(entries))
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::fixtures::{block_options, room};
@@ -102,6 +90,28 @@ mod tests {
     use super::*;
 
     const BIN_M: f64 = 0.05;
+
+    /// A beam gets past blocks of two kinds where it gets past each. What either kind may reach is in reach.
+    #[test]
+    fn two_kinds_of_blocks_are_in_the_way_of_a_beam_independently() {
+        let at_walls = BlockModel::new(block_options(), &room()).unwrap();
+        let far = BlockOptions { wall_distance_m: [0.5, 1.5], per_metre_of_wall: 0.1, ..block_options() };
+        let in_the_open = BlockModel::new(far, &room()).unwrap();
+        let [one, other] = [&at_walls, &in_the_open].map(BlockIntegral::new);
+        let both = one.clone().and(Some(Arc::new(other.clone())));
+        let (origin, direction) = (DVec2::new(2.0, 1.7), DVec2::from_angle(0.4));
+        let survival = |blocks: &BlockIntegral, range: f64| {
+            ClutterSurvival::new(blocks, [origin, direction], origin, 3.0, BIN_M, &mut Vec::new()).at(range).0
+        };
+        for range in [0.5, 1.0, 1.5, 2.0, 2.5].map(|range| range + 1e-9) {
+            let apart = survival(&one, range) * survival(&other, range);
+            assert!((survival(&both, range) - apart).abs() < 1e-3, "{range}");
+        }
+        assert!(survival(&other, 3.0) < 0.99);
+        let points = both.lattice_in_reach(0.25, 0.1);
+        assert!(points.is_superset(&at_walls.lattice_in_reach(0.25, 0.1)));
+        assert!(points.is_superset(&in_the_open.lattice_in_reach(0.25, 0.1)));
+    }
 
     /// Entries are the exponential of minus the clutter expected up to their ranges, by an integral summed otherwise.
     #[test]

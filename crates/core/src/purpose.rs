@@ -1,4 +1,4 @@
-use locsim_core::{Draw, Stage};
+use crate::{Draw, Stage};
 
 /// Purposes for which a search draws random numbers. Each purpose has a seed of its own, so that no two share a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,6 +24,8 @@ pub enum Purpose {
     Prior = 14,
     /// The simulated logs that say what noise fits of poses and walls leave.
     Calibration = 19,
+    /// The simulated scans that tell how much there is in the open.
+    InTheOpen = 20,
     /// Permutations of the stretches of two logs.
     Permutations = 18,
     /// The filter on the measured log.
