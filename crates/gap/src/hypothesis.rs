@@ -266,15 +266,13 @@ impl<'a> Comparison<'a> {
     /// Fits the nuisances step by step, from those of `fitted`. In the first `far` steps readings that are far off count as well.
     fn converge(&self, effects: &Effects, mut fitted: Fitted, iterations: usize, far: usize) -> Fitted {
         let mut process = fitted.nuisances.pose_error;
+        // Where walls err as well, they and the noise of single poses take from each other.
+        let has_exact_walls = self.views.pieces.is_empty();
         if process.is_none() {
             // One to start from, that may be found to be none.
-            process = PoseError {
-                sigma_m: 0.01,
-                sigma_rad: 0.003,
-                correlation_secs: 2.0,
-                white_m: 0.001,
-                white_rad: 3e-4,
-            };
+            let [white_m, white_rad] = if has_exact_walls { [0.001, 3e-4] } else { [0.0; 2] };
+            process =
+                PoseError { sigma_m: 0.01, sigma_rad: 0.003, correlation_secs: 2.0, white_m, white_rad };
         }
         let patterns = PosePattern::all_over(&self.recorded);
         let bursts = BurstStates::of(effects);
@@ -303,7 +301,11 @@ impl<'a> Comparison<'a> {
             let changed = moved.max(most_change(&before, &fitted.corrections));
             let is_last = round + 1 == far + CORRECTIONS || round > far && changed < CORRECTED_M;
             if is_last && !fitted.nuisances.pose_error.is_none() {
-                let error = longest_lasting(process, secs, &information, &patterns);
+                let error = if has_exact_walls {
+                    longest_lasting(process, secs, &information, &patterns)
+                } else {
+                    process
+                };
                 fitted.nuisances.pose_error = error;
                 fitted.corrections = smooth_pose_errors(&error, secs, &information).mean;
                 fitted.pattern_scores = patterns

@@ -1,7 +1,9 @@
 //! The findings in a few sentences: angles in degrees, numbers with their significant digits.
 
 use locsim_core::{Estimate, Interval};
-use locsim_gap::{Covariate, Deviation, Direction, Gap, Named, Outcome, Region, ResidualStage, Verdict};
+use locsim_gap::{
+    Covariate, Deviation, Direction, Gap, Named, Outcome, PoseError, Region, ResidualStage, Verdict,
+};
 use locsim_world::effect::{Parameter, Site};
 
 use super::covariate::span;
@@ -26,9 +28,13 @@ pub(super) fn sentences(outcome: &Outcome) -> Vec<String> {
     text.extend(without_name.take(SHOWN_UNNAMED).map(unnamed::sentence));
     let p = p_value(outcome.detection.p);
     match outcome.verdict {
-        Verdict::None => {
-            text.push(format!("Nothing is off: the log looks like the scenario's simulations (p = {p})."));
-        }
+        Verdict::None => text.push(match large_reference_error(outcome) {
+            None => format!("Nothing is off: the log looks like the scenario's simulations (p = {p})."),
+            Some(error) => format!(
+                "Nothing is off beside the reference poses, which err by {error}, as fitted: the log looks like simulations with such a \
+                 reference (p = {p}). A laser that was knocked on the way looks the same."
+            ),
+        }),
         Verdict::Underpowered => text.push(format!(
             "Nothing was found (p = {p}), but most effects of a typical strength would not have been found in this log \
              either: {}. More scans, or a path with more variety, would show them.",
@@ -331,6 +337,21 @@ pub(super) fn p_value(p: f64) -> String {
     } else {
         format!("{p:.2}")
     }
+}
+
+/// An error of the reference from which on it hides what else is off \[m\], \[rad\].
+const LARGE_ERROR: (f64, f64) = (0.03, 0.01);
+
+/// How far the reference poses are off, if that is far.
+pub(super) fn large_reference_error(outcome: &Outcome) -> Option<String> {
+    let PoseError { sigma_m, sigma_rad, correlation_secs, .. } = outcome.nuisances_after.pose_error;
+    (sigma_m > LARGE_ERROR.0 || sigma_rad > LARGE_ERROR.1).then(|| {
+        format!(
+            "{:.0} mm and {:.1} degrees, for about {correlation_secs:.0} s on end",
+            1e3 * sigma_m,
+            sigma_rad.to_degrees(),
+        )
+    })
 }
 
 #[cfg(test)]

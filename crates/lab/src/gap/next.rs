@@ -1,9 +1,9 @@
 //! The next steps for the reader, in three lines that follow from the verdict.
 
-use locsim_gap::{Covariate, Deviation, Named, Outcome, PoseError, Region, ResidualStage, Unnamed, Verdict};
+use locsim_gap::{Covariate, Deviation, Named, Outcome, Region, ResidualStage, Unnamed, Verdict};
 use locsim_world::effect::{Description, Moves};
 
-use super::answer::{change_in_words, only_of_odometry, others, p_value, region_text};
+use super::answer::{change_in_words, large_reference_error, only_of_odometry, others, p_value, region_text};
 use super::unnamed;
 
 /// Typical effects that an underpowered log names at the most.
@@ -71,18 +71,12 @@ pub(super) fn steps(outcome: &Outcome) -> [String; 3] {
     }
 }
 
-/// An error of the reference from which on it hides what else is off \[m\], \[rad\].
-const LARGE_ERROR: (f64, f64) = (0.03, 0.01);
-
 /// A reference that is far off for long takes up what else is off.
 fn reference_first(outcome: &Outcome) -> Option<String> {
-    let PoseError { sigma_m, sigma_rad, correlation_secs, .. } = outcome.nuisances_after.pose_error;
-    (sigma_m > LARGE_ERROR.0 || sigma_rad > LARGE_ERROR.1).then(|| {
+    large_reference_error(outcome).map(|error| {
         format!(
-            "Look at the reference poses: as fitted they err by {:.0} mm and {:.1} degrees, for about {correlation_secs:.0} s on end. A jump \
-             of them, an old map or a laser that was knocked on the way does that, and it hides other effects.",
-            1e3 * sigma_m,
-            sigma_rad.to_degrees(),
+            "Look at the reference poses: as fitted they err by {error}. A jump of them, an old map or a laser that was knocked on the way \
+             does that, and it hides other effects."
         )
     })
 }

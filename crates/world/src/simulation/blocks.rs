@@ -331,8 +331,8 @@ mod tests {
         for corner in corners {
             assert!(reach.contains(&(corner / side).to_array().map(|at| at.round() as i32)), "{corner}");
         }
-        // A gap of 0.5 m, a diameter of 0.72 m and half of a square from the south wall at x = 3 m.
-        for (y, may) in [(0.0, true), (1.2, true), (1.3, false), (2.0, false), (-0.05, false)] {
+        // A gap of 0.5 m, a depth of 0.64 m at the greatest yaw and half of a square from the south wall at x = 3 m.
+        for (y, may) in [(0.0, true), (1.15, true), (1.2, false), (2.0, false), (-0.05, false)] {
             assert_eq!(reach.contains(&[60, (y / side).round() as i32]), may, "{y}");
         }
     }
