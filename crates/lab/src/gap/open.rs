@@ -67,10 +67,14 @@ impl InOpen {
                 )
             },
             |reach_m| {
+                let simulated = if self.is_one_thing {
+                    "Most of them are at one place: it is for the search to say what stands there."
+                } else {
+                    "Simulated logs get as many, beside the scenario's blocks; `scenario.yaml` doesn't have them."
+                };
                 format!(
                     "{percent:.1} % of the readings end farther from all walls than the scenario's `blocks` reach ({reach_m:.1} m): people \
-                     or things in the open, most of them within {most_m:.1} m of a wall. Simulated logs get as many, beside the \
-                     scenario's blocks; `scenario.yaml` doesn't have them."
+                     or things in the open, most of them within {most_m:.1} m of a wall. {simulated}"
                 )
             },
         );
@@ -345,6 +349,10 @@ mod tests {
         );
         // Two metres ahead are four metres to the walls; in the corners it is less.
         assert!(text.contains("most of them within 4.5 m of a wall"), "{text}");
+        assert!(text.contains("Simulated logs get as many"), "{text}");
+        let found = told_in(6.0, 3, walks, 2.0, Some(&blocks(0.5))).unwrap();
+        let one_thing = InOpen { is_one_thing: true, ..found }.warning().unwrap();
+        assert!(!one_thing.contains("Simulated logs get as many"), "{one_thing}");
         assert_eq!(told_with(5.0), None);
         assert!(told(3, walks, 2.0, None).unwrap().contains("the scenario has no `blocks`"));
         // Blocks are added where there are none, and as far as these readings are.
