@@ -9,7 +9,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Each crate of the workspace and the crates of the workspace that it uses, which stand above it.
-const LAYERS: [(&str, &[&str]); 20] = [
+const LAYERS: [(&str, &[&str]); 21] = [
     ("distreg", &[]),
     ("locsim-core", &[]),
     ("locsim-world", &["locsim-core"]),
@@ -17,7 +17,8 @@ const LAYERS: [(&str, &[&str]); 20] = [
     ("locsim-sensor", &["distreg", "locsim-core"]),
     ("locsim-mcl", &["locsim-core"]),
     ("locsim-dataset", &["locsim-core"]),
-    ("locsim-gap", &["distreg", "locsim-core", "locsim-world"]),
+    ("locsim-comparison", &["distreg", "locsim-core", "locsim-world"]),
+    ("locsim-gap", &["distreg", "locsim-comparison", "locsim-core", "locsim-world"]),
     ("locsim-baseline", &["distreg", "locsim-core", "locsim-gap", "locsim-world"]),
     ("locsim-report", &["distreg", "locsim-core", "locsim-sensor"]),
     ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"]),
@@ -88,6 +89,7 @@ const LAYERS: [(&str, &[&str]); 20] = [
         &[
             "distreg",
             "locsim-baseline",
+            "locsim-comparison",
             "locsim-core",
             "locsim-dataset",
             "locsim-gap",

@@ -83,6 +83,9 @@ pub enum BenchError {
     /// A search failed, or was stopped.
     #[error(transparent)]
     Gap(#[from] GapError),
+    /// A log can't be compared with a simulator.
+    #[error(transparent)]
+    Comparison(#[from] locsim_gap::ComparisonError),
     /// No part of a log can be compared.
     #[error(transparent)]
     Recorded(#[from] RecordedError),

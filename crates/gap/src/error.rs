@@ -1,31 +1,15 @@
+use locsim_comparison::ComparisonError;
 use locsim_core::RecordedError;
+use locsim_world::effect::EffectError;
 use locsim_world::simulation::SimulationError;
 use thiserror::Error;
 
 /// Why a log can't be held against a simulation.
 #[derive(Debug, Error)]
 pub enum GapError {
-    /// No part of the log can be compared.
+    /// The log can't be compared with the simulator.
     #[error(transparent)]
-    Recorded(#[from] RecordedError),
-    /// The log's laser is not the scenario's.
-    #[error("the log's laser {what} is {log}, the scenario's {scenario}")]
-    Laser {
-        /// The difference.
-        what: &'static str,
-        /// As the log says.
-        log: f64,
-        /// As the scenario says.
-        scenario: f64,
-    },
-    /// The simulated laser has no noise.
-    #[error(
-        "the nominal laser has no noise: no reading of a real one has a density under it; set laser.noise.sigma_m"
-    )]
-    NoNoise,
-    /// A hidden drive needs a speed between any two of its poses.
-    #[error("a drive needs at least two poses, each later than the one before")]
-    Truth,
+    Comparison(#[from] ComparisonError),
     /// An option is out of its range.
     #[error("{option} must be {allowed}; got {value}")]
     Option {
@@ -36,12 +20,6 @@ pub enum GapError {
         /// The allowed content.
         allowed: &'static str,
     },
-    /// The simulator refused.
-    #[error(transparent)]
-    Simulation(#[from] SimulationError),
-    /// An effect out of its bounds.
-    #[error(transparent)]
-    Effect(#[from] locsim_world::effect::EffectError),
     /// Too few readings have a nominal range in the measured map.
     #[error(
         "only {readings} of {all} readings have a nominal range in the map; at least {least} are needed: reference poses, the laser's mount \
@@ -58,4 +36,22 @@ pub enum GapError {
     /// The caller asked to stop.
     #[error("interrupted")]
     Interrupted,
+}
+
+impl From<RecordedError> for GapError {
+    fn from(error: RecordedError) -> Self {
+        ComparisonError::from(error).into()
+    }
+}
+
+impl From<SimulationError> for GapError {
+    fn from(error: SimulationError) -> Self {
+        ComparisonError::from(error).into()
+    }
+}
+
+impl From<EffectError> for GapError {
+    fn from(error: EffectError) -> Self {
+        ComparisonError::from(error).into()
+    }
 }

@@ -4,11 +4,11 @@ use argmin::core::{CostFunction, Executor};
 use argmin::solver::neldermead::NelderMead;
 use distreg::matrix::{invert, quadratic};
 use distreg::sandwich::half_widths;
+use locsim_comparison::{Comparison, Fitted};
 use locsim_core::{Interval, differences, sum_error};
 use locsim_world::effect::{Effect, EffectKind, Fit, Moves, Parameter, Prior};
 
 use crate::GapError;
-use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::Start;
 
 /// The most iterations of the simplex search for each parameter. They bound the time of a fit that doesn't settle.
@@ -180,7 +180,7 @@ impl Search<'_, '_> {
     }
 
     fn evaluate(&self, effect: &Effect) -> Result<Fitted, GapError> {
-        self.comparison.evaluate(&self.with(effect), self.start, 1)
+        Ok(self.comparison.evaluate(&self.with(effect), self.start, 1)?)
     }
 
     /// The log likelihood with the prior, as the search uses it: nuisance parameters that the effect doesn't touch aren't refitted.
@@ -199,7 +199,7 @@ impl Search<'_, '_> {
 
     /// The nuisance parameters fitted with an effect.
     fn refitted(&self, effect: &Effect) -> Result<Fitted, GapError> {
-        self.comparison.refit(&self.with(effect), self.start, REFIT_STEPS)
+        Ok(self.comparison.refit(&self.with(effect), self.start, REFIT_STEPS)?)
     }
 
     /// The maximum near a start. Where a shape has a prior, the strength is fitted first: a strength that is far off would

@@ -6,14 +6,13 @@
 use std::collections::{BTreeMap, HashSet};
 
 use glam::DVec2;
+use locsim_comparison::{Comparison, Fitted, PieceView, beam_headings};
 use locsim_core::{cell_at, cells_between, median};
 use locsim_world::simulation::WallPieces;
 use serde::Serialize;
 
 use crate::Guess;
-use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::OBJECT_CELL_M;
-use crate::views::{PieceView, beam_headings};
 
 /// A reading is far from where the map has it when it is off by more than this \[m\], and more than a turn of the robot by this
 /// makes \[rad\].
@@ -306,14 +305,14 @@ fn objects(comparison: &Comparison<'_>, places: &[Place], ignored: &mut [bool]) 
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::Nuisances;
+    use locsim_comparison::fixtures::{MEASURED, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
     use locsim_core::Pose2;
     use locsim_world::effect::{Effect, EffectKind};
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{MEASURED, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::Nuisances;
 
     fn found(effects: &[Effect]) -> (Vec<MapError>, f64) {
         let drive = record_library(&MEASURED, &TRUTH, effects, Regime::default(), 3).unwrap();

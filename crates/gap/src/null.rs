@@ -9,13 +9,13 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use distreg::sequential::{first_look, next_look};
+use locsim_comparison::Replay;
 use rayon::prelude::*;
 
-use crate::hypothesis::{Comparison, Fitted};
 use crate::rank::{Null, rank};
-use crate::replay::Replay;
 use crate::statistics::{Dictionary, Readings, pit_draw};
 use crate::{GapError, Purpose};
+use locsim_comparison::{Comparison, Fitted};
 
 /// Expectation maximization steps of a replicate, which starts at the fitted process.
 pub(crate) const REFIT: usize = 4;

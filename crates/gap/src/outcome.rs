@@ -6,9 +6,9 @@ use locsim_core::Estimate;
 use locsim_world::effect::{Effect, EffectKind, Residual};
 use serde::{Deserialize, Serialize, Serializer};
 
-use crate::hypothesis::Nuisances;
 use crate::map_error::MeasuredMapFindings;
 use crate::statistics::{Covariate, Deviation};
+use locsim_comparison::Nuisances;
 
 /// The result of a search in one word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

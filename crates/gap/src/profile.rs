@@ -2,14 +2,13 @@
 //! shows what the effect does.
 
 use glam::DVec2;
+use locsim_comparison::{Comparison, Views};
 use locsim_core::{Estimate, distance_to, equal_bins, increments, median, quantile};
 use locsim_world::effect::{self, BeamState, EffectKind, Moves, Score};
 use rayon::prelude::*;
 
 use crate::Recorded;
-use crate::hypothesis::Comparison;
 use crate::outcome::{Named, Over, Profile, ProfileBin, Quantity};
-use crate::views::Views;
 
 /// Bins of a profile over a covariate, of as many readings each.
 const BINS: usize = 12;

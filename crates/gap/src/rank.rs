@@ -3,8 +3,8 @@
 use distreg::MaxT;
 use distreg::moments::Moments;
 
-use crate::hypothesis::Nuisances;
 use crate::statistics::{Form, Group, Halves, Statistic};
+use locsim_comparison::Nuisances;
 
 /// The statistics of a log beside those of replicates.
 pub(crate) struct Null {

@@ -1,17 +1,17 @@
 //! Where a log is off, and by how much.
 
 use distreg::{empirical_wasserstein_1, false_discovery_rates};
+use locsim_comparison::Views;
 use locsim_core::{equal_bins, normal};
 use locsim_world::effect::Effect;
 use rand::RngExt;
 use rayon::prelude::*;
 
-use crate::hypothesis::{Comparison, Fitted};
 use crate::outcome::{BeamPit, PitHistogram, Region};
 use crate::rank::Null;
 use crate::statistics::{Cell, Covariate, Dictionary, WALL_CELL_M, pit_draw};
-use crate::views::Views;
 use crate::{GapError, Nominal, Recorded};
+use locsim_comparison::{Comparison, Fitted};
 
 /// False discovery rate of regions: on average, at most one of ten regions is there by chance.
 const DISCOVERY_RATE: f64 = 0.1;

@@ -17,11 +17,9 @@ use locsim_world::effect::{Effect, Effects, Moves};
 use locsim_world::simulation::OdometrySpread;
 use rayon::prelude::*;
 
-use crate::hidden::Regime;
-use crate::hypothesis::{CORRECTIONS, Comparison, Nuisances};
-use crate::replay::{BlockTruth, Replay};
-use crate::views::Views;
 use crate::{GapError, Nominal, PoseError, Purpose, Recorded};
+use locsim_comparison::hidden::Regime;
+use locsim_comparison::{BlockTruth, CORRECTIONS, Comparison, Nuisances, Replay, Views};
 
 /// An effect in another form than the library's: a drive along true poses with an effect of these values, under these conditions,
 /// by a seed.
@@ -103,7 +101,7 @@ impl<'a> Strength<'a> {
     }
 
     fn simulate(&self, effects: &[Effect], number: u32) -> Result<Recorded, GapError> {
-        self.replay(effects).simulate(self.draw.seed(number))
+        Ok(self.replay(effects).simulate(self.draw.seed(number))?)
     }
 
     fn log_likelihood(&self, log: &Recorded, effects: &Effects, views: &Views) -> f64 {
@@ -288,11 +286,11 @@ fn evenly_spread(effect: &Effect) -> Effect {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::record_library;
     use locsim_world::effect::EffectKind;
 
     use super::*;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::record_library;
 
     /// A sweep and a late stamp move beams over edges, where the likelihood is steep: by its curvature there, the least errors would be
     /// 0.05 to 0.13 of a shift's. Fits of 24 logs with such effects err by 0.4 and 1.3 of it.

@@ -37,7 +37,7 @@ const WHOLE_SCAN: u32 = u32::MAX;
 /// [`OtherForm::kind`], SI units, `place` its stretches of wall, if it has a place.
 ///
 /// # Errors
-/// [`GapError::Effect`] for values or a place that the library's effect doesn't take.
+/// [`GapError::Comparison`] for values or a place that the library's effect doesn't take.
 pub fn record_other(
     nominal: &Nominal,
     truth: &Track,
@@ -96,7 +96,7 @@ impl<'a> Deref for Altered<'a> {
 
 impl<'a> Altered<'a> {
     fn new(nominal: &'a Nominal, truth: &'a Track, regime: Regime, seed: u64) -> Result<Self, GapError> {
-        HiddenDrive::new(nominal, truth, &nominal.effects, regime, seed).map(Self)
+        Ok(Self(HiddenDrive::new(nominal, truth, &nominal.effects, regime, seed)?))
     }
 
     /// Random numbers of the hidden effect; item `beam` for a beam, [`WHOLE_SCAN`] for a scan. Under a seed of its

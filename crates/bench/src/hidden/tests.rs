@@ -1,7 +1,7 @@
 use std::f64::consts::{FRAC_PI_3, TAU};
 
+use locsim_comparison::fixtures::{DRIVE, MAX_M, NOMINAL, SEED, SIGMA_M, TRUTH};
 use locsim_core::{Laser, Track, wrap_angle};
-use locsim_gap::fixtures::{DRIVE, MAX_M, NOMINAL, SEED, SIGMA_M, TRUTH};
 use locsim_gap::{PoseError, Recorded, Strength};
 use locsim_world::effect::EffectKind;
 

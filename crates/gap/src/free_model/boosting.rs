@@ -374,13 +374,13 @@ impl<'a> State<'a> {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{self, NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
     use locsim_world::effect::{Effect, EffectKind};
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{self, NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
     use crate::statistics::pit_draw;
 
     /// A curve that was tried before a step of other moments is what it would be after it.

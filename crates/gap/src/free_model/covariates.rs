@@ -4,11 +4,11 @@ use std::collections::HashMap;
 use std::f64::consts::FRAC_PI_2;
 
 use distreg::explained::{are_all_alike, explained_share};
+use locsim_comparison::jumps;
 use locsim_core::{cell_at, even_edges, inner_quantile_edges};
 
-use crate::hypothesis::Comparison;
 use crate::statistics::Covariate;
-use crate::views::jumps;
+use locsim_comparison::Comparison;
 
 /// The covariates of a log's beams. They depend on poses and map, and never on readings.
 pub(crate) struct Covariates {

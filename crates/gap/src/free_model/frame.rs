@@ -1,11 +1,11 @@
 //! A reference in a frame that is turned and shifted against the map's.
 
 use glam::{DVec2, DVec3};
+use locsim_comparison::{Comparison, Fitted};
 use locsim_core::differences;
 use locsim_world::effect::Effects;
 
 use super::Misalignment;
-use crate::hypothesis::{Comparison, Fitted};
 use crate::null::REFIT;
 use crate::statistics::{Covariate, Deviation};
 use crate::{GapError, Recorded};
@@ -72,12 +72,12 @@ pub(crate) fn misaligned_frame(
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::Nuisances;
+    use locsim_comparison::fixtures::{DRIVE, NOMINAL};
     use locsim_core::Pose2;
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{DRIVE, NOMINAL};
-    use crate::hypothesis::Nuisances;
 
     /// A reference that is turned by 7 mrad about the map's origin, and one that is shifted by 40 mm.
     #[test]

@@ -1,10 +1,10 @@
 //! An odometry that lags behind the stamps.
 
+use locsim_comparison::{Comparison, Fitted};
 use locsim_world::effect::Effects;
 use locsim_world::simulation::{Increment, lagging, standardized};
 
 use super::Misalignment;
-use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::{Covariate, Deviation};
 
 /// Lags that are tried: to both sides up to half a second, in steps of this \[s\]: 1 cm at 1 m/s, the noise of a laser.
@@ -62,13 +62,13 @@ pub(crate) fn lag(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitte
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::Nuisances;
+    use locsim_comparison::fixtures::{DRIVE, NOMINAL};
     use locsim_core::{Draw, Pose2, Stage, gains_surely};
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{DRIVE, NOMINAL};
-    use crate::hypothesis::Nuisances;
 
     /// Odometry of the scan before: it lags by a tenth of a second.
     #[test]

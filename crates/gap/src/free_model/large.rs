@@ -3,14 +3,13 @@
 
 use distreg::others::variances_of_others;
 use distreg::steps::{COUNT, Crossfit, Steps, biases, spreads};
+use locsim_comparison::{Comparison, Fitted, Terms, Usable};
 use locsim_core::{Folds, normal, simplest};
 use locsim_world::effect::Effects;
 
 use super::covariates::{Axis, Covariates, NOISE_OF_SCANS};
 use super::{MEAN, Part, SPREAD};
 use crate::Recorded;
-use crate::hypothesis::{Comparison, Fitted, Usable};
-use crate::likelihood::Terms;
 use crate::statistics::Covariate;
 
 /// Readings that err by more are none of the surface (standard deviations).

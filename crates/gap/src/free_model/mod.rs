@@ -27,10 +27,10 @@ pub(crate) use covariates::{Axis, Covariates};
 pub(crate) use frame::misaligned_frame;
 pub(crate) use lag::lag;
 
-use crate::hypothesis::{Comparison, Fitted};
 use crate::null::REFIT;
 use crate::statistics::{Covariate, Deviation};
 use large::{Change, Large};
+use locsim_comparison::{Comparison, Fitted};
 use outcomes::Outcomes;
 pub(crate) use outcomes::is_share;
 
@@ -181,12 +181,13 @@ impl FreeModel {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::Nuisances;
+    use locsim_comparison::fixtures::{self, NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+
     use super::*;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::Nuisances;
     use crate::statistics::pit_draw;
-    use crate::{PoseError, Recorded, fixtures};
+    use crate::{PoseError, Recorded};
     use locsim_core::Drive;
     use locsim_world::effect::{Effect, EffectKind};
     use rand_distr::{Distribution, StandardNormal};

@@ -1,13 +1,13 @@
 //! A reading as the outcome of a few classes: of the surface, in bins of its PIT there, of something in front of it or
 //! behind it, or of nothing.
 
+use locsim_comparison::{Comparison, Fitted};
 use locsim_core::tilt::{Class, MOMENTS_OF_READING, NEAR, Outcome, bin_of};
 use locsim_core::{Draw, normal};
 use locsim_world::effect::Effects;
 use rand::RngExt;
 
 use super::large::Change;
-use crate::hypothesis::{Comparison, Fitted};
 use crate::statistics::Deviation;
 
 /// The moments of a reading that have curves: three of the error of a reading of the surface, and the shares of the other

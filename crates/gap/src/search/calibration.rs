@@ -1,14 +1,12 @@
 //! What a scenario guesses of laser and clutter, by the log: noise, the shares of random and of missing readings, the density of clutter.
 
+use locsim_comparison::{BlockPolicy, BlockTruth, Comparison, Fitted, Nuisances, Replay};
 use locsim_core::normal::SIGMA_OVER_MAD;
 use locsim_core::{median, sorted};
 use locsim_world::effect::{Effect, EffectKind};
 use locsim_world::simulation::BlockResampling;
 use rayon::prelude::*;
 
-use crate::hypothesis::{Comparison, Fitted, Nuisances};
-use crate::nominal::BlockPolicy;
-use crate::replay::{BlockTruth, Replay};
 use crate::{GapError, Guess, Nominal, Purpose};
 
 /// A return this far behind a wall is of no wall \[m\].
@@ -177,10 +175,11 @@ fn with_shares_of_log(comparison: &Comparison<'_>) -> Result<Nominal, GapError> 
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{MEASURED, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{MEASURED, TRUTH};
-    use crate::hidden::{Regime, record_library};
 
     /// Readings with 10 mm of noise: a scenario of 20 mm has as little in the search, one of 5 mm keeps what it has.
     #[test]

@@ -105,13 +105,12 @@ impl<'a> State<'a> {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances, fit_persistence};
     use locsim_world::effect::Effect;
 
     use super::*;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
-    use crate::replay::fit_persistence;
     use crate::{GapOptions, Recorded};
 
     /// Errors of the reference have followed a laser that is turned by 1.7 degrees: it moves no reading any more but with an exact reference.

@@ -22,15 +22,15 @@ pub fn drop_passing(round: &Round<'_>, mut candidates: Vec<Candidate>) -> Result
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
     use locsim_core::{Draw, Pose2, Stage};
     use locsim_world::effect::{Effect, EffectKind};
     use rand::RngExt;
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
 
     /// Standard errors of unlike wheels, in a log with this effect, and with headings that err by up to `most` radians per metre for ten seconds
     /// on end.

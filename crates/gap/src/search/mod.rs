@@ -20,21 +20,20 @@ use std::cmp::Ordering;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
+use locsim_comparison::{
+    BlockPolicy, BlockTruth, Comparison, Fitted, Nuisances, Replay, Views, fit_persistence,
+};
 use locsim_core::Progress;
 use locsim_world::effect::{Effect, EffectKind, Moves};
 use locsim_world::raycast::Unsure;
 use rayon::prelude::*;
 
 use crate::fit::{Candidate, Search};
-use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::map_error::{self, LeftOut, MeasuredMapFindings};
-use crate::nominal::BlockPolicy;
 use crate::null::compare;
 use crate::outcome::Outcome;
 use crate::rank::Null;
-use crate::replay::{BlockTruth, Replay, fit_persistence};
 use crate::statistics::{Dictionary, Form};
-use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 use initial_guess::Guesses;
 use judgement::Judgement;

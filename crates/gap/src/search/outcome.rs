@@ -1,6 +1,7 @@
 //! The outcome of a search: verdict, regions, size of the gap.
 
 use distreg::Floor;
+use locsim_comparison::{BlockPolicy, Views};
 use locsim_core::{Draw, Estimate, Interval, Stage, differences, sorted};
 use locsim_world::effect::{Effect, EffectKind, Moves, Score};
 use rand::RngExt;
@@ -13,13 +14,11 @@ use super::residual::{LOGS, Nameless};
 use super::stepwise::Path;
 use super::{Round, State};
 use crate::fit::Candidate;
-use crate::nominal::BlockPolicy;
 use crate::outcome::{Detectable, Detection, Direction, Evidence, Gap, Named, Number, Outcome, Verdict};
 use crate::profile::profiles;
 use crate::rank::Null;
 use crate::regions::{Side, distance, histograms, locate, pits};
 use crate::statistics::{Form, Group, Statistic, Target};
-use crate::views::Views;
 use crate::{GapError, Nominal, Purpose, Recorded};
 
 /// Simulated logs behind the 95 % bands of profiles: one of them lies beyond each end.
@@ -163,7 +162,7 @@ impl<'a> State<'a> {
     fn replay(&self, round: &Round<'a>, logs: usize) -> Result<Vec<Recorded>, GapError> {
         let replay = round.replay();
         let draw = Purpose::Distance.draw(self.options.seed);
-        (0..logs as u32).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
+        (0..logs as u32).into_par_iter().map(|i| Ok(replay.simulate(draw.seed(i))?)).collect()
     }
 
     /// Whether simulated ranges are no nearer to the log's in the later round, whose last effect this is, than in the first.

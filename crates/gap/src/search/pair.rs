@@ -55,10 +55,10 @@ impl<'a> State<'a> {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
     use locsim_world::effect::{Effect, EffectKind};
 
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
     use crate::{GapOptions, Recorded, find};
 
     /// A bias of every return and a part of the robot before some beams may be one curve over bearing. In this room each also gains enough by itself.

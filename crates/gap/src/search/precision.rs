@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use distreg::newton::newton_steps;
+use locsim_comparison::{Comparison, ComparisonError, Replay, Views};
 use locsim_core::{Estimate, normal};
 use locsim_world::effect::{Effect, EffectKind, Fit, Parameter, Role};
 use rand_distr::{Distribution, StandardNormal};
@@ -10,11 +11,8 @@ use rayon::prelude::*;
 
 use super::{Round, State};
 use crate::fit::{PRIORS, log_prior_by_chance};
-use crate::hypothesis::Comparison;
 use crate::null::REFIT;
 use crate::outcome::{Evidence, Named, Number};
-use crate::replay::Replay;
-use crate::views::Views;
 use crate::{GapError, Purpose, Recorded};
 
 /// Simulated logs. The standard deviation over 24 has an error of 15 %, and makes an interval 5 % wider than a known one would.
@@ -35,7 +33,7 @@ impl<'a> State<'a> {
         let logs = (0..LOGS)
             .into_par_iter()
             .map(|i| replay.simulate(draw.seed(i)))
-            .collect::<Result<Vec<_>, GapError>>()?;
+            .collect::<Result<Vec<_>, ComparisonError>>()?;
         let all = self.nominal.effects_with(&effects)?;
         let views = round.comparison.views_with(&all)?;
         self.progress.stage("making numbers precise", named.len() as u64);
@@ -127,7 +125,7 @@ impl<'a> State<'a> {
                 };
                 Ok((all, views, effects.swap_remove(index)))
             })
-            .collect::<Result<Vec<_>, GapError>>()?;
+            .collect::<Result<Vec<_>, ComparisonError>>()?;
         let chance = Purpose::Prior.draw(self.options.seed);
         let of_log = |(number, log): (usize, &Recorded)| {
             let comparison = Comparison { views: Arc::clone(views), ..round.comparison.of(log) };

@@ -1,13 +1,12 @@
 //! Readings in front of walls and behind them, and lost ones, that an effect predicts.
 
+use locsim_comparison::{Beam, BlockPolicy, Comparison, Fitted};
+
 use super::Round;
 use super::selection::is_of_odometry;
 use crate::GapError;
 use crate::fit::Candidate;
-use crate::hypothesis::{Comparison, Fitted};
-use crate::nominal::BlockPolicy;
 use crate::null::REFIT;
-use crate::views::Beam;
 use locsim_world::effect::{Bursts, Effect, Effects, Fit, Moves};
 
 /// A reading is behind a wall, or in front of it, where it differs by so much from the range in the map \[m\].
@@ -187,13 +186,13 @@ impl Counts {
 #[cfg(test)]
 mod tests {
     use glam::DVec2;
+    use locsim_comparison::Nuisances;
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
     use locsim_world::effect::EffectKind;
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::Nuisances;
 
     /// Random readings of one beam in ten are there where they are hidden. Things that the map lacks, in front of walls, are no random readings,
     /// nor is nothing; of one beam in ten thousand nobody can tell.

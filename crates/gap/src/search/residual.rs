@@ -1,15 +1,14 @@
 //! Curves without a name as a part of the simulator.
 
+use locsim_comparison::{Comparison, Nuisances, Replay};
 use locsim_world::effect::{BeamCovariate, Levels, Moment, Residual};
 use rayon::prelude::*;
 
 use super::unnamed::unnamed;
 use super::{Round, State};
 use crate::free_model::{Axis, Component, Covariates, FreeModel, Part};
-use crate::hypothesis::{Comparison, Nuisances};
 use crate::outcome::{ResidualStage, Unnamed};
 use crate::regions::{distance, distance_in_halves};
-use crate::replay::Replay;
 use crate::statistics::{Covariate, Deviation, Survey, pit_draw};
 use crate::{GapError, Purpose, Recorded};
 
@@ -94,7 +93,7 @@ impl<'a> State<'a> {
             let effects = comparison.effects(&round.effects)?;
             let nuisances = comparison.find_nuisances(&effects, &Nuisances::default(), 20).nuisances;
             let replay = Replay { nominal: &nominal, nuisances, ..round.replay() };
-            (0..LOGS as u32).into_par_iter().map(|i| replay.simulate(draw.seed(i))).collect()
+            (0..LOGS as u32).into_par_iter().map(|i| Ok(replay.simulate(draw.seed(i))?)).collect()
         });
         let halves: Vec<Vec<Recorded>> = halves.collect::<Result<_, GapError>>()?;
         let views = &comparison.views;

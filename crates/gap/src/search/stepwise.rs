@@ -456,16 +456,15 @@ mod tests {
     use std::sync::atomic::AtomicBool;
 
     use glam::DVec2;
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{HiddenDrive, Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances, fit_persistence};
     use locsim_world::effect::EffectKind;
 
     use super::*;
     use crate::Recorded;
     use crate::find;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{HiddenDrive, Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
     use crate::outcome::Number;
-    use crate::replay::fit_persistence;
     use crate::search::GapOptions;
 
     /// What is in the odometry stays when a name goes with which ranges move away.

@@ -6,6 +6,7 @@
 use std::f64::consts::TAU;
 
 use glam::DVec2;
+use locsim_comparison::Beam;
 use locsim_core::{cell_at, differences, distance_to, most_of_four, sum_error};
 use locsim_world::effect::{Disc, Effect, Effects, Moves};
 
@@ -13,7 +14,6 @@ use super::Round;
 use super::selection::{LEAST_GAIN_NATS, adds_up};
 use crate::GapError;
 use crate::fit::Candidate;
-use crate::views::Beam;
 
 /// Beams that end this near to an effect have to do with it \[m\], and those that pass its ends this near.
 const NEAR_M: f64 = 0.5;
@@ -128,14 +128,13 @@ pub fn drop_of_one_place(round: &Round<'_>, candidates: Vec<Candidate>) -> Resul
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances, fit_persistence};
     use locsim_world::effect::EffectKind;
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
-    use crate::replay::fit_persistence;
     use crate::search::{GapOptions, State};
 
     /// A wall has moved, and is named without its last 40 cm. A tail that is worth something there alone is no name; a bias of all

@@ -169,10 +169,11 @@ impl Family for Bins {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{DRIVE, NOMINAL};
+    use locsim_comparison::{Comparison, Nuisances};
+
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{DRIVE, NOMINAL};
-    use crate::hypothesis::{Comparison, Nuisances};
     use crate::statistics::pit_draw;
 
     /// The beams that a cell is said to include are those whose readings are in its sum.

@@ -1,10 +1,10 @@
 //! Clutter: how deep it reaches into the room, and how much there is.
 
+use locsim_comparison::kinds_shown_by;
 use locsim_world::effect::{self, EffectKind};
 
 use super::survey::Survey;
 use super::{Family, Form, Group, Halves, Readings, Statistic};
-use crate::catalogue::kinds_shown_by;
 
 /// Readings farther in front of a wall are hardly of clutter \[m\].
 const DEEPEST_M: f64 = 1.5;
@@ -71,13 +71,13 @@ impl Family for ClutterDensity {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
     use locsim_world::effect::Effect;
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
     use crate::statistics::pit_draw;
 
     /// A beam that passes an edge ends far in front of where it should. Without clutter that says nothing of its depth.

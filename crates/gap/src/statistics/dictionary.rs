@@ -1,5 +1,6 @@
 //! All statistics of a log.
 
+use locsim_comparison::Comparison;
 use locsim_world::effect::EffectKind;
 
 use super::bins::Bins;
@@ -20,7 +21,6 @@ use super::steps::Steps;
 use super::survey::Survey;
 use super::walls::{WallLoss, WallShift};
 use super::{Cell, Family, Found, Halves, Readings, Start, Statistic};
-use crate::hypothesis::Comparison;
 
 /// The families of statistics that are looked at in a log.
 pub(crate) struct Dictionary {
@@ -115,10 +115,11 @@ impl Dictionary {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::Nuisances;
+    use locsim_comparison::fixtures::{DRIVE, NOMINAL};
+
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{DRIVE, NOMINAL};
-    use crate::hypothesis::Nuisances;
     use crate::statistics::{Form, pit_draw};
 
     /// Each effect of the library has a statistic, and each statistic a value.

@@ -8,6 +8,7 @@
 use std::ops::RangeInclusive;
 
 use glam::DVec2;
+use locsim_comparison::kinds_shown_by;
 use locsim_core::{Line, SlantedStretch, sorted};
 use locsim_world::effect::{self, EffectKind};
 
@@ -19,7 +20,6 @@ use super::walls::{
     wall_guesses,
 };
 use super::{Family, Form, Found, Group, Halves, Readings, Start, Statistic};
-use crate::catalogue::kinds_shown_by;
 
 /// Width of the windows of displacement, and the largest one \[m\]: farther before a wall stand things of their own.
 const WINDOW_M: f64 = 0.04;
@@ -173,14 +173,14 @@ fn turned(log: &Readings<'_>, wall: Line) -> Option<(usize, Start)> {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use locsim_comparison::fixtures::{NOMINAL, SEED, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
     use locsim_world::effect::Effect;
     use locsim_world::simulation::{Robot, RobotPath, simulate_drive};
 
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{NOMINAL, SEED, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
     use crate::search::{GapOptions, find};
     use crate::statistics::pit_draw;
 

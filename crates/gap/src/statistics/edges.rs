@@ -1,11 +1,11 @@
 //! Readings between the two surfaces of an edge.
 
 use distreg::contamination::{detectable_share, score};
+use locsim_comparison::kinds_shown_by;
 use locsim_world::effect::{self, Alternative, EffectKind};
 
 use super::survey::Survey;
 use super::{Family, Form, Group, Halves, Readings, Statistic};
-use crate::catalogue::kinds_shown_by;
 
 /// The score of an effect by which beams at edges read anything between the edge's two surfaces.
 pub(super) struct Edges {

@@ -29,14 +29,13 @@ use glam::DVec2;
 use locsim_world::effect::EffectKind;
 
 pub(crate) use dictionary::Dictionary;
+pub(crate) use locsim_comparison::OBJECT_CELL_M;
 pub(crate) use odometry::odometry_errors;
 pub(crate) use readings::{Readings, pit_draw};
 pub(crate) use survey::Survey;
 
 /// Side of a cell of the map in which walls are counted \[m\].
 pub const WALL_CELL_M: f64 = 1.0;
-/// Side of a cell of the map in which readings in front of walls are counted \[m\]: about a small object's size.
-pub const OBJECT_CELL_M: f64 = 0.25;
 
 /// Statistics of one kind, with all that depends on the kind. A new kind is a type that implements this, and a line in
 /// [`Dictionary::new`].

@@ -4,12 +4,12 @@ use locsim_core::{cell_at, densest};
 use std::collections::HashMap;
 
 use glam::DVec2;
+use locsim_comparison::kinds_shown_by;
 use locsim_world::effect::{self, EffectKind};
 
 use super::readings::Reading;
 use super::survey::Survey;
 use super::{Family, Form, Found, Group, Halves, OBJECT_CELL_M, Readings, Start, Statistic};
-use crate::catalogue::kinds_shown_by;
 
 /// The error of where a reading lies that noise and errors of the reference make \[m\], or five standard deviations of a laser
 /// with more noise.
@@ -130,14 +130,14 @@ impl Family for Objects {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
     use locsim_world::effect::Effect;
 
     use super::super::sectors::Sectors;
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
     use crate::statistics::pit_draw;
 
     /// An object in the room is seen many times at one place of the room and few times at one bearing and range from the

@@ -2,13 +2,12 @@
 
 use distreg::contamination::{detectable_share, score};
 use distreg::{Correlation, lasting};
+use locsim_comparison::{Comparison, Fitted, shown_by};
 use locsim_core::Folds;
 use locsim_world::effect::{self, Axis, EffectKind, Effects};
 use locsim_world::simulation::{Increment, OdometrySpread, lagging, standardized};
 
 use super::{Covariate, Deviation, Family, Form, Group, Halves, Readings, Statistic};
-use crate::catalogue::shown_by;
-use crate::hypothesis::{Comparison, Fitted};
 
 /// The increments of a log's odometry, with the reference's errors taken off.
 fn increments_of(comparison: &Comparison<'_>, effects: &Effects, fitted: &Fitted) -> Vec<Increment> {

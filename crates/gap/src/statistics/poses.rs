@@ -1,7 +1,8 @@
 //! Errors of the reference poses in the patterns of a displaced or turned laser and of a late stamp.
 
+use locsim_comparison::PosePattern;
+
 use super::{Family, Form, Group, Halves, Readings, Statistic};
-use crate::pose_pattern::PosePattern;
 
 /// The scores of all patterns, for hypotheses with errors of the reference poses.
 pub(super) struct Poses {
@@ -35,11 +36,11 @@ impl Family for Poses {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
     use locsim_world::effect::EffectKind;
 
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
     use crate::statistics::{Dictionary, Readings, pit_draw};
     use crate::{PoseError, Recorded};
 

@@ -1,13 +1,10 @@
 //! The readings of a log under a hypothesis.
 
 use glam::DVec2;
+use locsim_comparison::{Beam, Comparison, Density, Fitted, Terms};
 use locsim_core::{Draw, Stage};
 use locsim_world::effect::Effects;
 use rand::RngExt;
-
-use crate::hypothesis::{Comparison, Fitted};
-use crate::likelihood::{Density, Terms};
-use crate::views::Beam;
 
 /// The largest noise with which readings of the surface are separated from readings of other things \[m\]. With more, most
 /// things in front of a wall would count as the wall.

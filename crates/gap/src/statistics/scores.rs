@@ -1,13 +1,12 @@
 //! Scores of effects that act on all beams, each beam with a weight of its own.
 
+use locsim_comparison::{normal_density, shown_by, values_along};
 use locsim_core::median;
 use locsim_world::effect::{self, Direction, EffectKind, Score, TAIL_FACTOR};
 
 use super::readings::Reading;
 use super::survey::Survey;
 use super::{Family, Form, Group, Halves, Readings, Start, Statistic};
-use crate::catalogue::{shown_by, values_along};
-use crate::likelihood::normal_density;
 use distreg::contamination::detectable_share;
 
 /// The scores of one effect: sums over all beams of a weight times the derivative of the reading's log density.
@@ -240,11 +239,12 @@ impl Family for Scores {
 
 #[cfg(test)]
 mod tests {
+    use locsim_comparison::fixtures::{NOMINAL, SIGMA_M, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
+
     use super::*;
     use crate::Recorded;
-    use crate::fixtures::{NOMINAL, SIGMA_M, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
     use crate::statistics::pit_draw;
 
     /// Thirty readings that are four and a half deviations off are less of a noise than all readings that are 1.5 % noisier. By their squares they

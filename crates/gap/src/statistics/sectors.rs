@@ -3,11 +3,11 @@
 use locsim_core::cell_at;
 use std::collections::HashSet;
 
+use locsim_comparison::kinds_shown_by;
 use locsim_world::effect::{self, EffectKind};
 
 use super::survey::Survey;
 use super::{Family, Form, Found, Group, Halves, OBJECT_CELL_M, Readings, Start, Statistic};
-use crate::catalogue::kinds_shown_by;
 
 /// Bins of bearing over the field of view: of 15 degrees for a full turn.
 const BEARINGS: usize = 24;

@@ -2,10 +2,10 @@
 
 use std::f64::consts::TAU;
 
+use locsim_comparison::kinds_shown_by;
 use locsim_world::effect::{self, EffectKind};
 
 use super::{Family, Form, Group, Halves, Readings, Statistic};
-use crate::catalogue::kinds_shown_by;
 
 /// Steps of lasers on the market \[m\]: 2 mm to 5 cm.
 const STEPS_M: [f64; 7] = [0.002, 0.003, 0.005, 0.01, 0.02, 0.025, 0.05];

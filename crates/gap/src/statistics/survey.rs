@@ -1,11 +1,10 @@
 //! The beams of a log by its reference poses and the map. Statistics are laid out over these, and never over readings: a
 //! log and its replicates have the same statistics.
 
+use locsim_comparison::{Comparison, jumps};
 use locsim_world::effect::BeamState;
 
 use super::wall_cells::WallCells;
-use crate::hypothesis::Comparison;
-use crate::views::jumps;
 
 /// The beams of a log, before any reading is looked at.
 pub(crate) struct Survey<'a> {

@@ -4,11 +4,11 @@ use locsim_core::cell_at;
 use std::collections::HashMap;
 
 use glam::DVec2;
+use locsim_comparison::Views;
 use locsim_world::effect::EffectKind;
 
 use super::readings::Reading;
 use super::{Form, Group, Halves, Readings, Statistic, WALL_CELL_M};
-use crate::views::Views;
 
 /// Maps have walls at round numbers. Cells of walls have their borders elsewhere, or rounding would share a wall out
 /// between two cells \[m\].

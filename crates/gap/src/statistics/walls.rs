@@ -1,6 +1,7 @@
 //! Effects of a stretch of wall, over cells of the map that walls run through.
 
 use distreg::contamination::{detectable_share, score};
+use locsim_comparison::{kinds_shown_by, near_density};
 use locsim_core::{Line, Stretch, Stretches, lines_through};
 use locsim_world::effect::{self, EffectKind};
 
@@ -8,8 +9,6 @@ use super::readings::{Reading, side_of};
 use super::survey::Survey;
 use super::wall_cells::{WallCells, wall_cell};
 use super::{Family, Found, Halves, Readings, Start, Statistic, typical_values};
-use crate::catalogue::kinds_shown_by;
-use crate::likelihood::near_density;
 
 /// The scores of a wall that is displaced along its normal.
 pub(super) struct WallShift {
@@ -206,12 +205,12 @@ mod tests {
     use std::sync::atomic::AtomicBool;
 
     use glam::DVec2;
+    use locsim_comparison::fixtures::{NOMINAL, TRUTH};
+    use locsim_comparison::hidden::{Regime, record_library};
+    use locsim_comparison::{Comparison, Nuisances};
     use locsim_world::effect::Effect;
 
     use super::*;
-    use crate::fixtures::{NOMINAL, TRUTH};
-    use crate::hidden::{Regime, record_library};
-    use crate::hypothesis::{Comparison, Nuisances};
     use crate::statistics::pit_draw;
     use crate::{GapOptions, Recorded, find};
 

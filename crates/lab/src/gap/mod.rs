@@ -302,7 +302,7 @@ impl GapStudy {
         let effects = self.simulator.effects()?;
         let nominal = Nominal::new(Arc::clone(&self.map), laser, blocks, odometry_noise, effects)?;
         match self.in_the_open {
-            Some(open) => nominal.with_things_in_the_open(open),
+            Some(open) => Ok(nominal.with_things_in_the_open(open)?),
             None => Ok(nominal),
         }
     }

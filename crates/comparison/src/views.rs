@@ -4,13 +4,14 @@ use std::sync::Arc;
 use glam::DVec2;
 use locsim_world::effect::{BeamView, Description, Effect, Effects, Moves};
 use locsim_world::raycast::{Unsure, unsure};
-pub(crate) use locsim_world::simulation::ClutteredBeam as Beam;
+pub use locsim_world::simulation::ClutteredBeam as Beam;
 use locsim_world::simulation::{
     BeamCaster, BlockIntegral, CastBeam, ClutterSurvival, Ray, Surface, WallPieces,
 };
 use rayon::prelude::*;
 
-use crate::{GapError, Nominal, Recorded};
+use crate::{ComparisonError, Nominal};
+use locsim_core::Recorded;
 
 /// Width of the bins of a survival among clutter \[m\]: a fraction of the depth of clutter.
 const BIN_M: f64 = 0.05;
@@ -33,9 +34,9 @@ pub struct Views {
     /// Beams of a scan.
     pub per_scan: usize,
     /// The piece of a measured map's wall that each beam meets; empty of a map that is taken for exact.
-    pub(crate) pieces: Vec<Option<PieceView>>,
+    pub pieces: Vec<Option<PieceView>>,
     /// Why beams have no nominal range in a measured map; empty of a map that is taken for exact.
-    pub(crate) unsure: Vec<Option<Unsure>>,
+    pub unsure: Vec<Option<Unsure>>,
     /// The effects that they depend on.
     shaped_by: Vec<Effect>,
     /// The clutter that may be in their way.
@@ -44,7 +45,7 @@ pub struct Views {
 
 /// The piece of a measured map's wall that a beam meets.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct PieceView {
+pub struct PieceView {
     /// Its number.
     pub piece: u32,
     /// Change of the beam's range with the piece's offset \[m/m\].
@@ -74,8 +75,8 @@ impl Views {
     /// Casts every beam from where the effects put the laser at the beam's own time.
     ///
     /// # Errors
-    /// [`GapError::Simulation`] for blocks that can't be.
-    pub fn new(nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Result<Self, GapError> {
+    /// [`ComparisonError::Simulation`] for blocks that can't be.
+    pub fn new(nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Result<Self, ComparisonError> {
         let blocks = nominal.integral_over(nominal.blocks_with(effects).as_ref())?;
         Ok(Self::cast(nominal, recorded, effects, blocks, None))
     }
@@ -85,7 +86,12 @@ impl Views {
     ///
     /// # Errors
     /// As [`Views::new`].
-    pub fn anew(&self, nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Result<Self, GapError> {
+    pub fn anew(
+        &self,
+        nominal: &Nominal,
+        recorded: &Recorded,
+        effects: &Effects,
+    ) -> Result<Self, ComparisonError> {
         let (blocks, is_same) = self.blocks_of(nominal, effects)?;
         let nearby = is_same.then_some(Nearby { views: self, sharing: Sharing::SameRays });
         Ok(Self::cast(nominal, recorded, effects, blocks, nearby))
@@ -101,7 +107,12 @@ impl Views {
     ///
     /// # Errors
     /// As [`Views::new`].
-    pub fn with(&self, nominal: &Nominal, recorded: &Recorded, effects: &Effects) -> Result<Self, GapError> {
+    pub fn with(
+        &self,
+        nominal: &Nominal,
+        recorded: &Recorded,
+        effects: &Effects,
+    ) -> Result<Self, ComparisonError> {
         let (blocks, is_same) = self.blocks_of(nominal, effects)?;
         // Of many faces an integral takes long: then every beam takes over what is known, and deeper blocks are these ones,
         // stretched away from their walls.
@@ -115,7 +126,7 @@ impl Views {
         &self,
         nominal: &Nominal,
         effects: &Effects,
-    ) -> Result<(Option<Arc<BlockIntegral>>, bool), GapError> {
+    ) -> Result<(Option<Arc<BlockIntegral>>, bool), ComparisonError> {
         let blocks = nominal.blocks_with(effects);
         let is_same = blocks.as_ref() == self.blocks.as_ref().map(|blocks| blocks.model().options());
         let blocks = if is_same { self.blocks.clone() } else { nominal.integral_over(blocks.as_ref())? };
@@ -156,11 +167,13 @@ impl Views {
         matches!(self.unsure.get(beam), Some(Some(_)))
     }
 
-    pub(crate) fn scans(&self) -> usize {
+    /// How many scans there are.
+    pub fn scans(&self) -> usize {
         self.beams.len() / self.per_scan
     }
 
-    pub(crate) fn scan(&self, scan: usize) -> &[Beam] {
+    /// The beams of a scan.
+    pub fn scan(&self, scan: usize) -> &[Beam] {
         &self.beams[scan * self.per_scan..][..self.per_scan]
     }
 }
@@ -241,7 +254,7 @@ fn rays<'a>(
 }
 
 /// Where each beam that is looked at begins \[m\], and its heading in the map frame \[rad\], in the nominal world.
-pub(crate) fn beam_headings(nominal: &Nominal, recorded: &Recorded) -> Vec<(DVec2, f64)> {
+pub fn beam_headings(nominal: &Nominal, recorded: &Recorded) -> Vec<(DVec2, f64)> {
     let directions = directions(recorded, &nominal.effects);
     let caster = caster(nominal, recorded, &nominal.effects, &directions);
     let of_scan = |scan| rays(recorded, &caster, scan, recorded.kept.iter().copied()).collect::<Vec<Ray>>();
@@ -329,7 +342,7 @@ impl Casts<'_> {
 }
 
 /// The range jumps of a nominal scan at the beams that are looked at.
-pub(crate) fn jumps(nominal: &Nominal, recorded: &Recorded, scan: usize) -> Vec<Option<[f64; 2]>> {
+pub fn jumps(nominal: &Nominal, recorded: &Recorded, scan: usize) -> Vec<Option<[f64; 2]>> {
     let directions = directions(recorded, &nominal.effects);
     jumps_of(recorded, &caster(nominal, recorded, &nominal.effects, &directions), scan)
 }

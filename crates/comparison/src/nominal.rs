@@ -9,7 +9,8 @@ use locsim_world::simulation::{
 
 use serde::Serialize;
 
-use crate::{GapError, Recorded};
+use crate::ComparisonError;
+use locsim_core::Recorded;
 
 /// The simulator that a log is held against.
 #[derive(Clone)]
@@ -29,23 +30,23 @@ pub struct Nominal {
     /// Prior of its clutter.
     integral: Option<Arc<BlockIntegral>>,
     /// The pieces of its walls, which may stand a little off; `None` of a map that is taken for exact.
-    pub(crate) pieces: Option<Arc<WallPieces>>,
+    pub pieces: Option<Arc<WallPieces>>,
 }
 
 impl Nominal {
     /// Prepares a simulator.
     ///
     /// # Errors
-    /// [`GapError::NoNoise`] for a laser without noise, [`GapError::Simulation`] for options out of range.
+    /// [`ComparisonError::NoNoise`] for a laser without noise, [`ComparisonError::Simulation`] for options out of range.
     pub fn new(
         map: Arc<ExactRangeMap>,
         laser: LaserOptions,
         blocks: Option<BlockOptions>,
         odometry: OdometryNoise,
         effects: Effects,
-    ) -> Result<Self, GapError> {
+    ) -> Result<Self, ComparisonError> {
         if laser.sigma_m <= 0.0 {
-            return Err(GapError::NoNoise);
+            return Err(ComparisonError::NoNoise);
         }
         // As the laser has them: the f32 of 5.6 is below 5.6, and a reading of it is at the maximum range.
         let laser = LaserOptions {
@@ -63,16 +64,16 @@ impl Nominal {
     /// The same simulator with people and things in the open, if it has blocks at all.
     ///
     /// # Errors
-    /// [`GapError::Simulation`] for options out of range.
-    pub fn with_things_in_the_open(mut self, open: BlockOptions) -> Result<Self, GapError> {
+    /// [`ComparisonError::Simulation`] for options out of range.
+    pub fn with_things_in_the_open(mut self, open: BlockOptions) -> Result<Self, ComparisonError> {
         self.open = self.blocks.map(|_| open);
         self.integral = self.blocks.map(|blocks| self.integral_of(&blocks)).transpose()?;
         Ok(self)
     }
 
     /// Prior of these blocks beside what is in the open.
-    fn integral_of(&self, blocks: &BlockOptions) -> Result<Arc<BlockIntegral>, GapError> {
-        let integral = |options: &BlockOptions| -> Result<BlockIntegral, GapError> {
+    fn integral_of(&self, blocks: &BlockOptions) -> Result<Arc<BlockIntegral>, ComparisonError> {
+        let integral = |options: &BlockOptions| -> Result<BlockIntegral, ComparisonError> {
             Ok(BlockIntegral::new(&BlockModel::new(*options, self.map.geometry())?))
         };
         let open = self.open.as_ref().map(integral).transpose()?;
@@ -83,20 +84,20 @@ impl Nominal {
     ///
     /// # Errors
     /// As [`Nominal::new`].
-    pub fn without_blocks(&self) -> Result<Self, GapError> {
+    pub fn without_blocks(&self) -> Result<Self, ComparisonError> {
         Self::new(Arc::clone(&self.map), self.laser, None, self.odometry, self.effects.clone())
     }
 
     /// The blocks of its world with these effects.
-    pub(crate) fn blocks_with(&self, effects: &Effects) -> Option<BlockOptions> {
+    pub fn blocks_with(&self, effects: &Effects) -> Option<BlockOptions> {
         self.blocks.map(|blocks| effects.blocks(blocks))
     }
 
     /// Prior of this clutter.
-    pub(crate) fn integral_over(
+    pub fn integral_over(
         &self,
         blocks: Option<&BlockOptions>,
-    ) -> Result<Option<Arc<BlockIntegral>>, GapError> {
+    ) -> Result<Option<Arc<BlockIntegral>>, ComparisonError> {
         if blocks == self.integral.as_ref().map(|integral| integral.model().options()) {
             return Ok(self.integral.clone());
         }
@@ -104,12 +105,12 @@ impl Nominal {
     }
 
     /// The simulator with more effects, `density` times as many blocks, and clutter that stays as long as `policy` says.
-    pub(crate) fn simulator(
+    pub fn simulator(
         &self,
         effects: &Effects,
         density: f64,
         policy: BlockPolicy,
-    ) -> Result<Simulator, GapError> {
+    ) -> Result<Simulator, ComparisonError> {
         let BlockPolicy { resample, moves, passing, walks } = policy;
         let standing = self.blocks.map(|blocks| BlockOptions {
             speed_m_s: if moves { blocks.speed_m_s } else { [0.0; 2] },
@@ -131,43 +132,47 @@ impl Nominal {
     }
 
     /// The same simulator with more residuals.
-    pub(crate) fn with_residuals(&self, more: &[Residual]) -> Result<Self, GapError> {
+    pub fn with_residuals(&self, more: &[Residual]) -> Result<Self, ComparisonError> {
         let residuals = [self.effects.residuals(), more].concat();
         Ok(Self { effects: self.effects.clone().with_residuals(residuals)?, ..self.clone() })
     }
 
     /// The same simulator with this standard deviation of the readings' noise \[m\].
-    pub(crate) fn with_noise(self, sigma_m: f64) -> Self {
+    pub fn with_noise(self, sigma_m: f64) -> Self {
         Self { laser: LaserOptions { sigma_m, ..self.laser }, ..self }
     }
 
     /// The same simulator with other effects that act on readings alone.
-    pub(crate) fn with_effects(&self, effects: Effects) -> Self {
+    pub fn with_effects(&self, effects: Effects) -> Self {
         Self { effects, ..self.clone() }
     }
 
     /// Its own effects and more.
     ///
     /// # Errors
-    /// [`GapError::Effect`] for effects that exclude each other.
-    pub fn effects_with(&self, more: &[Effect]) -> Result<Effects, GapError> {
+    /// [`ComparisonError::Effect`] for effects that exclude each other.
+    pub fn effects_with(&self, more: &[Effect]) -> Result<Effects, ComparisonError> {
         Ok(self.effects.replaced([self.effects.list(), more].concat())?)
     }
 
     /// Whether the log's laser can be the scenario's: number of beams and maximum range.
     ///
     /// # Errors
-    /// [`GapError::Laser`] where it can't.
-    pub fn check(&self, recorded: &Recorded) -> Result<(), GapError> {
+    /// [`ComparisonError::Laser`] where it can't.
+    pub fn check(&self, recorded: &Recorded) -> Result<(), ComparisonError> {
         let differs = |log: f64, scenario: f64| (log - scenario).abs() > 1e-3 * scenario.abs().max(1.0);
         let all = f64::from(self.laser.beams);
         if differs(recorded.log_laser.beam_count() as f64, all) {
             let log = recorded.log_laser.beam_count() as f64;
-            return Err(GapError::Laser { what: "beams per scan", log, scenario: all });
+            return Err(ComparisonError::Laser { what: "beams per scan", log, scenario: all });
         }
         let log = f64::from(recorded.laser.max_range());
         if differs(log, self.laser.max_range_m) {
-            return Err(GapError::Laser { what: "maximum range [m]", log, scenario: self.laser.max_range_m });
+            return Err(ComparisonError::Laser {
+                what: "maximum range [m]",
+                log,
+                scenario: self.laser.max_range_m,
+            });
         }
         Ok(())
     }
@@ -204,22 +209,22 @@ impl BlockPolicy {
     }
 
     /// Blocks as a scenario has them.
-    pub(crate) fn of_scenario(blocks: &BlockOptions) -> Self {
+    pub fn of_scenario(blocks: &BlockOptions) -> Self {
         Self { moves: blocks.speed_m_s[1] > 0.0, ..Self::of(blocks.resample) }
     }
 
     /// Blocks of which this share doesn't stay, and the rest never moves.
-    pub(crate) const fn passing(share: f64, walks: bool) -> Self {
+    pub const fn passing(share: f64, walks: bool) -> Self {
         Self { passing: share, walks, ..Self::of(BlockResampling::Never) }
     }
 
     /// Whether all of it stays where it is.
-    pub(crate) fn stands(&self) -> bool {
+    pub fn stands(&self) -> bool {
         *self == Self::of(BlockResampling::Never)
     }
 
     /// In how many scans a block is seen at one place, about.
-    pub(crate) fn stay_scans(&self) -> f64 {
+    pub fn stay_scans(&self) -> f64 {
         let stays = match self.resample {
             BlockResampling::EachObservation => 1,
             BlockResampling::EachScanN(scans) => scans,

@@ -3,14 +3,13 @@
 //! A displaced laser, a turned one and a late stamp all move whole scans, each in its own pattern over the drive.
 
 use glam::DVec3;
-use locsim_core::{PoseError, PoseInformation, smooth_pose_errors, without_patterns};
+use locsim_core::{PoseError, PoseInformation, Recorded, smooth_pose_errors, without_patterns};
 use locsim_world::effect::{Direction, EffectKind, PoseState, Statistic};
 
-use crate::Recorded;
 use crate::catalogue::{shown_by, values_along};
 
 /// A pattern that errors of the reference poses may follow.
-pub(crate) struct PosePattern {
+pub struct PosePattern {
     /// The effect that looks like it.
     pub kind: EffectKind,
     /// The direction of that effect's values.
@@ -50,7 +49,7 @@ impl PosePattern {
 }
 
 /// Errors of a log's poses that scans tell, but for what looks like an effect: that is left to the effect.
-pub(crate) fn errors_beyond_patterns(
+pub fn errors_beyond_patterns(
     process: &PoseError,
     recorded: &Recorded,
     scans: &[PoseInformation],

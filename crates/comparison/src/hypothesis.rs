@@ -6,7 +6,7 @@ use std::sync::Arc;
 use distreg::random_effects;
 use glam::DVec3;
 use locsim_core::{
-    Pose2, PoseError, PoseInformation, are_errors, fit_pose_error, longest_lasting, most_change,
+    Pose2, PoseError, PoseInformation, Recorded, are_errors, fit_pose_error, longest_lasting, most_change,
     pattern_score, smooth_pose_errors, without_patterns,
 };
 use locsim_world::effect::{BurstStates, Effect, Effects, InBurst};
@@ -16,7 +16,7 @@ use crate::likelihood::{Density, Terms};
 use crate::pose_pattern::{PosePattern, errors_beyond_patterns};
 use crate::views::{PieceView, Views};
 use crate::wall_error::{self, LEAST_M, OFF_M, Pull};
-use crate::{GapError, Nominal, Recorded};
+use crate::{ComparisonError, Nominal};
 
 /// Nuisance parameters: the parameters of a simulation besides the scenario, fitted to the log.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -46,7 +46,8 @@ impl Default for Nuisances {
 
 /// A log against a hypothesis.
 #[derive(Clone, Debug)]
-pub(crate) struct Fitted {
+pub struct Fitted {
+    /// What was fitted.
     pub nuisances: Nuisances,
     /// Error of each reference pose.
     pub corrections: Vec<DVec3>,
@@ -64,6 +65,7 @@ pub(crate) struct Fitted {
 }
 
 impl Fitted {
+    /// Log likelihood of the log (nats).
     pub fn total(&self) -> f64 {
         self.scans.iter().sum()
     }
@@ -76,8 +78,10 @@ impl Fitted {
 
 /// Views of a log, for hypotheses that see the world alike.
 #[derive(Clone)]
-pub(crate) struct Comparison<'a> {
+pub struct Comparison<'a> {
+    /// The simulator.
     pub nominal: &'a Nominal,
+    /// The log.
     pub recorded: Cow<'a, Recorded>,
     /// Views of its beams in the world that hypotheses change: the nominal one, or one with effects that are named
     /// already.
@@ -86,7 +90,7 @@ pub(crate) struct Comparison<'a> {
 
 /// The most steps in which errors of the reference are found, as readings depend on them linearly in each; they end where
 /// no error changes by more than this \[m\], a radian counting as 3 m.
-pub(crate) const CORRECTIONS: usize = 8;
+pub const CORRECTIONS: usize = 8;
 const CORRECTED_M: f64 = 0.001;
 /// The most times that beams are cast anew.
 const RECASTS: usize = 2;
@@ -102,7 +106,7 @@ const FIRST_WALL_ERROR_M: f64 = 0.02;
 impl<'a> Comparison<'a> {
     /// # Errors
     /// As [`Views::new`].
-    pub fn new(nominal: &'a Nominal, recorded: &'a Recorded) -> Result<Self, GapError> {
+    pub fn new(nominal: &'a Nominal, recorded: &'a Recorded) -> Result<Self, ComparisonError> {
         let views = Arc::new(Views::new(nominal, recorded, &nominal.effects)?);
         Ok(Self { nominal, recorded: Cow::Borrowed(recorded), views })
     }
@@ -114,7 +118,7 @@ impl<'a> Comparison<'a> {
     }
 
     /// The log's views in a world with these effects, while they are fitted; see [`Views::with`].
-    pub fn views_with(&self, effects: &Effects) -> Result<Arc<Views>, GapError> {
+    pub fn views_with(&self, effects: &Effects) -> Result<Arc<Views>, ComparisonError> {
         if self.views.are_of(effects) {
             Ok(Arc::clone(&self.views))
         } else {
@@ -123,7 +127,7 @@ impl<'a> Comparison<'a> {
     }
 
     /// The log against a world with these effects.
-    pub fn in_world(&self, effects: &Effects) -> Result<Self, GapError> {
+    pub fn in_world(&self, effects: &Effects) -> Result<Self, ComparisonError> {
         let views = if self.views.are_of(effects) {
             Arc::clone(&self.views)
         } else {
@@ -134,7 +138,11 @@ impl<'a> Comparison<'a> {
 
     /// The same world seen from the reference poses without the errors that were fitted, with the nuisances fitted anew. Ranges are
     /// linear in errors only as far as no beam passes an edge. The errors on a measured map stay as they are: which of its beams count is known.
-    pub fn recast(mut self, effects: &Effects, mut fitted: Fitted) -> Result<(Self, Fitted), GapError> {
+    pub fn recast(
+        mut self,
+        effects: &Effects,
+        mut fitted: Fitted,
+    ) -> Result<(Self, Fitted), ComparisonError> {
         for _ in 0..RECASTS {
             let process = &fitted.nuisances.pose_error;
             if process.is_none() || self.nominal.pieces.is_some() || fitted.is_in_pattern() {
@@ -157,7 +165,7 @@ impl<'a> Comparison<'a> {
     }
 
     /// Effects of the nominal world and more.
-    pub fn effects(&self, more: &[Effect]) -> Result<Effects, GapError> {
+    pub fn effects(&self, more: &[Effect]) -> Result<Effects, ComparisonError> {
         self.nominal.effects_with(more)
     }
 
@@ -187,7 +195,12 @@ impl<'a> Comparison<'a> {
 
     /// The log likelihood with `more` effects. `start` gives the nuisances and the reference's errors to begin with;
     /// the density of blocks and the errors are profiled, `iterations` times.
-    pub fn evaluate(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
+    pub fn evaluate(
+        &self,
+        more: &[Effect],
+        start: &Fitted,
+        iterations: usize,
+    ) -> Result<Fitted, ComparisonError> {
         let effects = self.effects(more)?;
         Ok(self.evaluate_views(&*self.views_with(&effects)?, &effects, start, iterations))
     }
@@ -324,7 +337,12 @@ impl<'a> Comparison<'a> {
     }
 
     /// Fits the nuisances anew with more effects, in the views that the numbers of these are fitted in.
-    pub fn refit(&self, more: &[Effect], start: &Fitted, iterations: usize) -> Result<Fitted, GapError> {
+    pub fn refit(
+        &self,
+        more: &[Effect],
+        start: &Fitted,
+        iterations: usize,
+    ) -> Result<Fitted, ComparisonError> {
         let effects = self.effects(more)?;
         let views = self.views_with(&effects)?;
         let comparison = Self { views, ..self.clone() };
@@ -356,6 +374,7 @@ impl<'a> Comparison<'a> {
         Density::new(&self.nominal.laser, effects, fitted.nuisances.block_density)
     }
 
+    /// Visits each reading that tells poses or walls something.
     pub fn for_each_usable(&self, views: &Views, fitted: &Fitted, mut visit: impl FnMut(Usable)) {
         let max = self.nominal.laser.max_range_m;
         for scan in 0..views.scans() {
@@ -501,7 +520,8 @@ impl<'a> Comparison<'a> {
 
 /// A usable reading of a beam.
 #[derive(Clone, Copy)]
-pub(crate) struct Usable {
+pub struct Usable {
+    /// Number of its scan.
     pub scan: usize,
     /// Number of its beam in the log.
     pub beam: usize,

@@ -1,6 +1,6 @@
 //! The density of a reading under a hypothesis: nominal world, effects, clutter, an error of the reference pose.
 
-pub(crate) use locsim_core::normal::density as normal_density;
+pub use locsim_core::normal::density as normal_density;
 use locsim_world::effect::{Alternative, Effects};
 use locsim_world::simulation::{LaserOptions, ReadingMixture, ReadingSources};
 
@@ -11,7 +11,7 @@ const FLOOR: f64 = 1e-6;
 
 /// Log likelihood of one reading, and its parts.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Terms {
+pub struct Terms {
     /// Density \[1/m\], a probability at the maximum range.
     pub density: f64,
     /// Probability that the reading is of the surface itself, given the reading.
@@ -30,12 +30,14 @@ pub(crate) struct Terms {
     pub measure: f64,
     /// Reading less the expected one \[m\], and its deviation \[m\]; 0 and infinity for no return.
     pub error: f64,
+    /// Standard deviation of the noise \[m\].
     pub sigma: f64,
 }
 
 /// A hypothesis about the world, for single readings.
 #[derive(Clone, Copy)]
-pub(crate) struct Density<'a> {
+pub struct Density<'a> {
+    /// The laser.
     pub laser: &'a LaserOptions,
     mixture: ReadingMixture<'a>,
 }
@@ -89,7 +91,7 @@ impl<'a> Density<'a> {
 }
 
 /// Density of a normal reading of what stands at `mean`.
-pub(crate) fn near_density(z: f64, mean: f64, sigma: f64, max: f64) -> f64 {
+pub fn near_density(z: f64, mean: f64, sigma: f64, max: f64) -> f64 {
     Alternative::Near { mean, sigma }.density(z, max)
 }
 
@@ -101,10 +103,11 @@ mod tests {
     use rand::RngExt;
 
     use super::*;
+    use crate::Nominal;
     use crate::fixtures::{NOMINAL, TRUTH};
     use crate::hidden::{Regime, record_library};
     use crate::views::Views;
-    use crate::{Nominal, Recorded};
+    use locsim_core::Recorded;
 
     /// False-alarm rate of each comparison below; there are about 350.
     const FALSE_ALARM: f64 = 1e-6;

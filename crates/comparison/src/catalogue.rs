@@ -3,9 +3,7 @@
 use locsim_world::effect::{Direction, EffectKind, Statistic};
 
 /// The effects that a statistic of some kind shows, in the catalogue's order, each with what `pick` takes from it.
-pub(crate) fn shown_by<T>(
-    pick: impl Fn(&'static Statistic) -> Option<T>,
-) -> impl Iterator<Item = (EffectKind, T)> {
+pub fn shown_by<T>(pick: impl Fn(&'static Statistic) -> Option<T>) -> impl Iterator<Item = (EffectKind, T)> {
     EffectKind::ALL.into_iter().flat_map(move |kind| {
         let picked: Vec<T> = kind.description().statistics.iter().filter_map(&pick).collect();
         picked.into_iter().map(move |of_kind| (kind, of_kind))
@@ -13,7 +11,7 @@ pub(crate) fn shown_by<T>(
 }
 
 /// The effects that a statistic of some kind shows, in the catalogue's order.
-pub(crate) fn kinds_shown_by(is_of_kind: impl Fn(&Statistic) -> bool) -> impl Iterator<Item = EffectKind> {
+pub fn kinds_shown_by(is_of_kind: impl Fn(&Statistic) -> bool) -> impl Iterator<Item = EffectKind> {
     EffectKind::ALL.into_iter().filter(move |kind| kind.description().statistics.iter().any(&is_of_kind))
 }
 

@@ -17,13 +17,13 @@ const NEAR_M: f64 = 0.05;
 const FAR_M: f64 = 0.5;
 /// Pieces that are farther off than this are errors of the map that are told one by one; how far the others are off is fitted
 /// without them \[m\].
-pub(crate) const OFF_M: f64 = 0.1;
+pub const OFF_M: f64 = 0.1;
 /// The least standard deviation of the offsets \[m\].
-pub(crate) const LEAST_M: f64 = 1e-4;
+pub const LEAST_M: f64 = 1e-4;
 
 /// What a reading says of poses and walls.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Pull {
+pub struct Pull {
     /// Index of its beam.
     pub beam: usize,
     /// Its information \[1/m^2\].
@@ -33,7 +33,7 @@ pub(crate) struct Pull {
 }
 
 /// The weight of a reading in a fit of poses and walls \[1/m^2\] (a redescending estimator: its influence vanishes far away).
-pub(crate) fn weight(terms: &Terms) -> f64 {
+pub fn weight(terms: &Terms) -> f64 {
     if !terms.sigma.is_finite() || terms.error.abs() > FAR_M {
         return 0.0;
     }
@@ -42,12 +42,7 @@ pub(crate) fn weight(terms: &Terms) -> f64 {
 }
 
 /// What readings say of each piece, given the corrections of the poses.
-pub(crate) fn gather(
-    views: &Views,
-    corrections: &[DVec3],
-    pulls: &[Pull],
-    pieces: usize,
-) -> Vec<GroupEvidence> {
+pub fn gather(views: &Views, corrections: &[DVec3], pulls: &[Pull], pieces: usize) -> Vec<GroupEvidence> {
     let mut data = vec![GroupEvidence::default(); pieces];
     for &Pull { beam, weight, error } in pulls {
         if let Some(PieceView { piece, lean }) = views.pieces[beam] {
@@ -68,10 +63,10 @@ mod tests {
     use locsim_world::effect::{Effect, EffectKind};
     use locsim_world::simulation::{MovedWalls, odometry_along};
 
-    use crate::Recorded;
     use crate::fixtures::{DRIVE, MEASURED, TRUTH};
     use crate::hypothesis::{Comparison, Nuisances};
     use crate::nominal::BlockPolicy;
+    use locsim_core::Recorded;
 
     /// A log in a world whose walls stand this far off, with a bias of all ranges.
     fn log(offsets: &[f64], bias_m: f64) -> Recorded {

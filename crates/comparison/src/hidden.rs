@@ -1,14 +1,14 @@
-//! Simulated logs of known truth, to try [`find`](crate::find) on: how else would one know that it finds an effect?
+//! Simulated logs of known truth, to try a search on: how else would one know that it finds an effect?
 //!
 //! [`HiddenDrive`] is the nominal drive, whose readings, odometry and poses may be changed before it becomes a log. Whoever looks for
 //! the effect is given the [`Drive`] alone.
 
-use locsim_core::{Draw, Drive, DriveStep, Pose2, Scan, Stage, Track};
+use locsim_core::{Draw, Drive, DriveStep, Pose2, PoseError, Scan, Stage, Track};
 use locsim_world::effect::{Effect, Effects};
 use locsim_world::simulation::{BlockResampling, Simulator, odometry_along};
 
 use crate::nominal::BlockPolicy;
-use crate::{GapError, Nominal, PoseError};
+use crate::{ComparisonError, Nominal};
 
 /// Item of a scan's draws of the path for the error of its reference pose; the simulator's own items are below it.
 const REFERENCE_ERROR: u32 = 2;
@@ -31,12 +31,12 @@ impl Regime {
     ///
     /// # Errors
     /// As the simulator's.
-    pub fn simulator(self, nominal: &Nominal, effects: &Effects) -> Result<Simulator, GapError> {
+    pub fn simulator(self, nominal: &Nominal, effects: &Effects) -> Result<Simulator, ComparisonError> {
         nominal.simulator(effects, 1.0, self.blocks(nominal))
     }
 
     /// How long blocks stay.
-    pub(crate) fn blocks(self, nominal: &Nominal) -> BlockPolicy {
+    pub fn blocks(self, nominal: &Nominal) -> BlockPolicy {
         let of_scenario = nominal.blocks.filter(|_| !self.persistent_blocks);
         of_scenario
             .map_or(BlockPolicy::of(BlockResampling::Never), |blocks| BlockPolicy::of_scenario(&blocks))
@@ -46,14 +46,14 @@ impl Regime {
 /// A drive with effects in the library's own form, all at once; without any, the nominal drive.
 ///
 /// # Errors
-/// [`GapError::Effect`] for effects that can't be together.
+/// [`ComparisonError::Effect`] for effects that can't be together.
 pub fn record_library(
     nominal: &Nominal,
     truth: &Track,
     effects: &[Effect],
     regime: Regime,
     seed: u64,
-) -> Result<Drive, GapError> {
+) -> Result<Drive, ComparisonError> {
     let effects = nominal.effects_with(effects)?;
     let hidden = HiddenDrive::new(nominal, truth, &effects, regime, seed)?;
     Ok(hidden.drive(&hidden.readings_along(truth), hidden.odometry()))
@@ -76,16 +76,16 @@ impl<'a> HiddenDrive<'a> {
     /// A drive along `truth` in a world with these effects.
     ///
     /// # Errors
-    /// [`GapError::Truth`] for a track of fewer than two poses or with equal times, and as the simulator's.
+    /// [`ComparisonError::Truth`] for a track of fewer than two poses or with equal times, and as the simulator's.
     pub fn new(
         nominal: &'a Nominal,
         truth: &'a Track,
         effects: &Effects,
         regime: Regime,
         seed: u64,
-    ) -> Result<Self, GapError> {
+    ) -> Result<Self, ComparisonError> {
         if truth.len() < 2 || truth.secs().windows(2).any(|pair| pair[0] == pair[1]) {
-            return Err(GapError::Truth);
+            return Err(ComparisonError::Truth);
         }
         let simulator = regime.simulator(nominal, effects)?;
         Ok(Self { nominal, truth, seed, simulator, regime })

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use glam::{DVec2, DVec3};
-use locsim_core::{Draw, Pose2, PoseInformation, Stage, Track, cell_at, share_again};
+use locsim_core::{Draw, Pose2, PoseInformation, Purpose, Recorded, Stage, Track, cell_at, share_again};
 use locsim_world::effect::{Effect, Effects};
 use locsim_world::simulation::{BlockResampling, MovedWalls};
 use rand::RngExt;
@@ -13,8 +13,7 @@ use rayon::prelude::*;
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
 use crate::nominal::BlockPolicy;
 use crate::pose_pattern::errors_beyond_patterns;
-use crate::statistics::OBJECT_CELL_M;
-use crate::{GapError, Nominal, Purpose, Recorded};
+use crate::{ComparisonError, Nominal};
 
 /// Items of a scan's draws beside those of the simulator.
 const REFERENCE_ERROR: u32 = 1;
@@ -28,23 +27,31 @@ const MAP_BIAS: u32 = 4;
 /// 0.4 to 1.3 cm from such maps.
 const MAP_BIAS_M: f64 = 0.01;
 
+/// Side of a cell of the map in which readings in front of walls are counted \[m\]: about a small object's size.
+pub const OBJECT_CELL_M: f64 = 0.25;
+
 /// A fitted simulator: it can replay the log.
-pub(crate) struct Replay<'a> {
+pub struct Replay<'a> {
+    /// The simulator.
     pub nominal: &'a Nominal,
+    /// The log, whose poses the replicates have.
     pub recorded: &'a Recorded,
     /// Effects beyond the nominal ones.
     pub effects: &'a [Effect],
+    /// What was fitted to the log.
     pub nuisances: Nuisances,
     /// What the log's scans say of errors of its poses.
     pub information: &'a [PoseInformation],
     /// Offset and standard deviation of pieces of a measured map's walls \[m\].
     pub known_offsets: Vec<[f64; 2]>,
+    /// How blocks stay, and how many there are.
     pub blocks: BlockTruth,
 }
 
 /// True density of clutter as a function of the fitted one.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct BlockTruth {
+pub struct BlockTruth {
+    /// How long blocks stay.
     pub policy: BlockPolicy,
     /// True density over fitted density: readings of blocks right in front of walls are taken for the walls.
     pub density_over_fit: f64,
@@ -70,7 +77,7 @@ impl<'a> Replay<'a> {
     }
 
     /// One simulated log.
-    pub fn simulate(&self, seed: u64) -> Result<Recorded, GapError> {
+    pub fn simulate(&self, seed: u64) -> Result<Recorded, ComparisonError> {
         let effects = self.nominal.effects_with(self.effects)?;
         let density = self.nuisances.block_density * self.blocks.density_over_fit;
         let simulator = self.nominal.simulator(&effects, density, self.blocks.policy)?;
@@ -139,12 +146,12 @@ impl<'a> Replay<'a> {
 
 /// How long blocks stay in a log: the policy under which neighbouring scans share as many short readings. The bias of their
 /// density is left out; see [`BlockTruth::in_world`].
-pub(crate) fn fit_persistence(
+pub fn fit_persistence(
     comparison: &Comparison<'_>,
     effects: &[Effect],
     fitted: &Fitted,
     seed: u64,
-) -> Result<BlockPolicy, GapError> {
+) -> Result<BlockPolicy, ComparisonError> {
     let Some(blocks) = comparison.nominal.blocks else {
         return Ok(BlockPolicy::of(BlockResampling::EachObservation));
     };
@@ -168,7 +175,7 @@ pub(crate) fn fit_persistence(
             let logs = (0..6)
                 .into_par_iter()
                 .map(|i| Ok(shared(&replay.simulate(draw.seed(i))?)))
-                .collect::<Result<Vec<_>, GapError>>()?;
+                .collect::<Result<Vec<_>, ComparisonError>>()?;
             let distance = (0..LAGS.len()).map(|lag| {
                 let mean = logs.iter().map(|log| log[lag]).sum::<f64>() / logs.len() as f64;
                 (mean - own[lag]).abs()
@@ -177,7 +184,7 @@ pub(crate) fn fit_persistence(
             let handicap = if policy == own_policy { 0.0 } else { 0.02 };
             Ok(distance.sum::<f64>() + handicap)
         })
-        .collect::<Result<Vec<f64>, GapError>>()?;
+        .collect::<Result<Vec<f64>, ComparisonError>>()?;
     let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
     // Of those that are about as good the one under which blocks are seen longest: it takes least for a discovery.
     let best = policies
@@ -202,7 +209,7 @@ impl BlockTruth {
         effects: &[Effect],
         fitted: &Fitted,
         seed: u64,
-    ) -> Result<Self, GapError> {
+    ) -> Result<Self, ComparisonError> {
         if comparison.nominal.blocks.is_none() {
             return Ok(self);
         }
@@ -216,7 +223,7 @@ impl BlockTruth {
                 let refitted = comparison.of(&simulated).find_nuisances(&all, &fitted.nuisances, 4);
                 Ok(refitted.nuisances.block_density)
             })
-            .collect::<Result<Vec<f64>, GapError>>()?;
+            .collect::<Result<Vec<f64>, ComparisonError>>()?;
         let mean = densities.iter().sum::<f64>() / densities.len() as f64;
         let simulated = fitted.nuisances.block_density * self.density_over_fit;
         Ok(Self { density_over_fit: (simulated / mean).clamp(0.5, 2.0), ..self })
