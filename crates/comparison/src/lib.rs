@@ -11,6 +11,7 @@ mod error;
 pub mod fixtures;
 pub mod hidden;
 mod hypothesis;
+mod jitter;
 mod likelihood;
 mod nominal;
 mod pose_pattern;

@@ -11,6 +11,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use crate::hypothesis::{Comparison, Fitted, Nuisances};
+use crate::jitter::Jitter;
 use crate::nominal::BlockPolicy;
 use crate::pose_pattern::errors_beyond_patterns;
 use crate::{ComparisonError, Nominal};
@@ -93,7 +94,12 @@ impl<'a> Replay<'a> {
             self.recorded.pose_at(scan, secs).moved(error - corrections[scan])
         };
         let truth: Vec<Pose2> = track.secs().iter().enumerate().map(|(i, &secs)| base_at(i, secs)).collect();
-        let readings = simulator.scan_along(track.secs(), base_at, seed);
+        let jitter = Jitter::new(self.recorded, seed);
+        let seen_from = |scan: usize, secs| {
+            let pose = base_at(scan, secs);
+            jitter.as_ref().map_or(pose, |jitter| pose.moved(jitter.at(scan, secs)))
+        };
+        let readings = simulator.scan_along(track.secs(), seen_from, seed);
         let all = self.recorded.log_laser.beam_count();
         let readings = if all == self.recorded.beams() {
             readings

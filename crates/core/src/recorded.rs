@@ -1,7 +1,7 @@
 use glam::DVec3;
 use thiserror::Error;
 
-use crate::{Drive, Folds, Laser, Pose2, Track, TrackError, wrap_angle};
+use crate::{Drive, Folds, Laser, Pose2, Track, TrackError, median, wrap_angle};
 
 /// A fold lasts about so long \[s\], and has so many scans. Readings so far apart share little clutter and little error of the
 /// reference; what comes and goes in ten seconds can still be learnt from the folds about one that is held out.
@@ -44,6 +44,8 @@ pub struct Recorded {
     pub begin_secs: f64,
     /// Reference poses between the scans as well, where they are known or scans were left out; see [`Recorded::along`].
     pub along: Option<Track>,
+    /// Standard deviation of the noise from pose to pose of these, of x and of y \[m\] and of the heading \[rad\].
+    pub jitter: [f64; 2],
     /// `odom_from_base` at each scan.
     pub odometry: Vec<Pose2>,
     /// Readings \[m\], \[scan\]\[beam\].
@@ -83,6 +85,7 @@ impl Recorded {
             log_laser: drive.laser.clone(),
             begin_secs: steps[0].0.stamp_secs,
             along: None,
+            jitter: [0.0; 2],
             folds: Folds::new(&track, FOLD_SECS, FOLD_SCANS),
             corrections: vec![DVec3::ZERO; track.len()],
             track,
@@ -102,7 +105,14 @@ impl Recorded {
     pub fn along(self, stamped: impl IntoIterator<Item = (f64, Pose2)>) -> Self {
         let first = (self.begin_secs, self.track.poses()[0]);
         let since = stamped.into_iter().filter(|(secs, _)| *secs > self.begin_secs);
-        Self { along: Track::new(std::iter::once(first).chain(since)).ok(), ..self }
+        let along = Track::new(std::iter::once(first).chain(since)).ok();
+        let jitter = along.as_ref().map_or([0.0; 2], |along| jitter(along, self.sweep_secs()));
+        Self { along, jitter, ..self }
+    }
+
+    /// Time from the first beam of a scan to the last \[s\].
+    pub fn sweep_secs(&self) -> f64 {
+        self.log_laser.beam_times_secs().iter().copied().fold(0.0, f32::max).into()
     }
 
     /// The pose that beams of a scan are cast from which are taken some time after the first scan.
@@ -186,6 +196,34 @@ impl Recorded {
             })
             .collect()
     }
+}
+
+/// Standard deviation of the noise of each pose of a track, of x and of y \[m\] and of the heading \[rad\], from its third differences over
+/// equal steps within a sweep: motion of an even acceleration has none, and their median none of a few jerks.
+fn jitter(track: &Track, sweep_secs: f64) -> [f64; 2] {
+    /// Fewer differences tell nothing.
+    const LEAST: usize = 100;
+    /// Standard deviation of a third difference over that of the noise.
+    const OF_DIFFERENCE: f64 = 4.472_135_955;
+    /// Standard deviation of a normal variable over the median of its size.
+    const OF_MEDIAN: f64 = 1.482_602_2;
+    let (secs, poses) = (track.secs(), track.poses());
+    let is_even = |i: &usize| {
+        let [a, b, c] = [1, 2, 3].map(|k| secs[i + k] - secs[i + k - 1]);
+        a > 1e-6 && secs[i + 3] - secs[*i] <= sweep_secs && (a - b).abs() < 0.1 * a && (b - c).abs() < 0.1 * a
+    };
+    let even = (0..track.len().saturating_sub(3)).filter(is_even);
+    let [mut of_position, mut of_heading] = [Vec::new(), Vec::new()];
+    for i in even {
+        let steps = [1, 2, 3].map(|k| poses[i + k].error_from(&poses[i + k - 1]));
+        let third = steps[2] - 2.0 * steps[1] + steps[0];
+        of_position.extend([third.x.abs(), third.y.abs()]);
+        of_heading.push(third.z.abs());
+    }
+    if of_heading.len() < LEAST {
+        return [0.0; 2];
+    }
+    [of_position, of_heading].map(|mut sizes| OF_MEDIAN / OF_DIFFERENCE * median(&mut sizes))
 }
 
 #[cfg(test)]

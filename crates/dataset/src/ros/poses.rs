@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DAffine3, DQuat, DVec3};
-use locsim_core::Pose2;
 use locsim_core::limits::quoted;
+use locsim_core::{Pose2, wrap_angle};
 
 use super::bag::LONGEST_NAME;
 use super::messages::{Pose, TransformStamped, secs};
@@ -53,6 +53,37 @@ impl<'a> Poses<'a> {
             }
             Self::Unknown => Some(Pose2::IDENTITY),
         }
+    }
+
+    /// Whether poses of a topic move from one to the next rather as the odometry does than evenly. Half-way, the odometry is off by about a
+    /// half of what it errs by from one to the next; an even turn by an eighth of what turns change by (root mean squares).
+    pub fn moves_as(&self, odometry: &Poses<'_>) -> bool {
+        let Self::Topic(poses) = self else { return false };
+        let [mut of_odometry, mut of_even] = [0.0; 2];
+        for [a, b, c] in poses.items.array_windows() {
+            let [from, to] = [a, b].map(|(stamp, _)| odometry.at(*stamp, 0));
+            let (Some(from), Some(to)) = (from, to) else { continue };
+            let turn = |from: &Pose2, to: &Pose2| wrap_angle(to.theta - from.theta);
+            of_odometry += (0.5 * wrap_angle(turn(&a.1, &b.1) - turn(&from, &to))).powi(2);
+            of_even += (0.125 * wrap_angle(turn(&b.1, &c.1) - turn(&a.1, &b.1))).powi(2);
+        }
+        of_odometry < of_even
+    }
+
+    /// The pose at a time (ns) between two poses of a topic that moves from one to the other as the odometry does; what they differ by
+    /// comes evenly. Of another source, and without odometry, as [`Self::at`].
+    pub fn at_by_odometry(&self, stamp: i64, odometry: &Poses<'_>) -> Option<Pose2> {
+        let by_odometry = || {
+            let Self::Topic(poses) = self else { return None };
+            let [(before, a), (after, b)] = poses.around(stamp)?;
+            let [from, now, to] = [before, stamp, after].map(|stamp| odometry.at(stamp, 0));
+            let (moved, all) = (now?.relative_to(&from?), to?.relative_to(&from?));
+            let rest = b.relative_to(&a.compose(&all));
+            let share = (stamp - before) as f64 / (after - before) as f64;
+            Some(a.compose(&moved).compose(&Pose2::IDENTITY.interpolate(&rest, share)))
+        };
+        let at = self.at(stamp, 0)?;
+        Some(by_odometry().unwrap_or(at))
     }
 
     /// The first and the last time (ns) of which a pose is known; `None` where there is none.

@@ -159,15 +159,24 @@ pub fn read_with_layout(
 /// A robot that turns within a sweep is known this well \[s\].
 const BETWEEN_SECS: f64 = 0.02;
 
+/// A reference that comes more seldom than this \[s\] may move as the odometry between two of its poses, where that comes twice as often.
+const SELDOM_SECS: f64 = 0.05;
+
 /// Poses between scans with their times \[s\].
-fn between(steps: &[DriveStep], poses: &Poses<'_>) -> Vec<(f64, Pose2)> {
+fn between(steps: &[DriveStep], poses: &Poses<'_>, odometry: &Poses<'_>) -> Vec<(f64, Pose2)> {
+    let [of_reference, of_odometry] =
+        [poses, odometry].map(|poses| poses.interval_secs().unwrap_or(f64::INFINITY));
+    let is_seldom = of_reference > SELDOM_SECS.max(2.0 * of_odometry);
+    let by_odometry = is_seldom && poses.moves_as(odometry);
+    let pose_at =
+        |stamp| if by_odometry { poses.at_by_odometry(stamp, odometry) } else { poses.at(stamp, 0) };
     let pairs = steps.array_windows().map(|[a, b]| [a.stamp_secs, b.stamp_secs]);
     let times = pairs.flat_map(|[from, to]| {
         // A pause tells nothing of a sweep.
         let parts = ((to - from).min(1.0) / BETWEEN_SECS).ceil() as u32;
         (1..parts).map(move |i| from + f64::from(i) * BETWEEN_SECS).filter(move |secs| *secs < to)
     });
-    times.filter_map(|secs| Some((secs, poses.at((1e9 * secs) as i64, 0)?))).collect()
+    times.filter_map(|secs| Some((secs, pose_at((1e9 * secs) as i64)?))).collect()
 }
 
 /// The scans of a drive with their poses, and what is counted on the way.
@@ -232,7 +241,7 @@ impl Steps {
             let scan = Scan { ranges };
             found.steps.push(DriveStep { stamp_secs: secs(stamp), odometry, reference: pose, scan });
         }
-        found.between = reference.map_or_else(Vec::new, |poses| between(&found.steps, poses));
+        found.between = reference.map_or_else(Vec::new, |poses| between(&found.steps, poses, odometry));
         found
     }
 

@@ -316,13 +316,15 @@ impl Laser {
         };
         let first = (first + 180.0 + ROUNDING_DEG).rem_euclid(360.0) - 180.0 - ROUNDING_DEG;
         let period = facts.quality.clock.interval_secs.unwrap_or(0.0);
+        // A scenario's sweep of a full circle ends where it began, one beam after the last.
+        let turn = if is_full && !is_double { count / (count - 1.0) } else { 1.0 };
         Self {
             beams: laser.beams - usize::from(is_double),
             beams_comment: if is_double { " # the log's last beam points where its first does" } else { "" },
             field_of_view_deg: if is_full { 360.0 } else { rounded(all.max(1e-3), 7) },
             first_beam_deg: if first.abs() < ROUNDING_DEG { 0.0 } else { rounded(first, 7) },
             direction,
-            scan_secs: laser.sweep_secs.clamp(0.0, 0.999 * period),
+            scan_secs: (turn * laser.sweep_secs).clamp(0.0, 0.999 * period),
         }
     }
 }

@@ -76,7 +76,7 @@ pub enum RawBlockResampling {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawRobot {
-    /// The path it drives. Needed without `log`, not allowed with it.
+    /// The path it drives. Not allowed with `log`. `locsim gap --log` drives the log's poses; the key is needed all the same, and any path in free space does.
     pub path: Option<RawPath>,
     /// The start is shifted along x and along y by a uniform draw from -this to this, anew for each trial
     /// (m), 0 to 10000.
@@ -91,7 +91,7 @@ pub struct RawRobot {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawOdometryNoise {
-    /// alpha 1 to 4 of Probabilistic Robotics, table 5.6, each 0 to 1000.
+    /// alpha 1 to 4 of Probabilistic Robotics, table 5.6, each 0 to 1000. Of the motion from one scan to the next, the variances are alpha 1 rot^2 + alpha 2 trans^2 for each of its two rotations (rad^2) and alpha 3 trans^2 + alpha 4 (rot1^2 + rot2^2) for its translation (m^2).
     #[serde(default)]
     pub alpha: [f64; 4],
 }
@@ -147,7 +147,7 @@ pub struct RawSegment {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawLaser {
-    /// Scans per second (Hz), 0.001 to 100000.
+    /// Scans per second (Hz), 0.001 to 100000. Of a log that keeps every second or third scan, those that are kept: `scan_secs` stays the time of one sweep.
     pub rate_hz: f64,
     /// Beams per scan, 1 to 100000.
     pub beams: u64,
@@ -155,10 +155,9 @@ pub struct RawLaser {
     /// ends carry a beam.
     #[serde(default = "default::field_of_view_deg")]
     pub field_of_view_deg: f64,
-    /// Bearing of the first beam (deg), -180 to 180, counter-clockwise from ahead. Without it, the middle of the field of
-    /// view is ahead, and the last beam of a full circle is at 180.
+    /// Bearing of the first beam (deg), -180 to 180, counter-clockwise from where the laser looks; `mount.yaw_deg` turns it with the laser. Beams are counter-clockwise: of a log whose beams are clockwise, as of a laser that hangs upside down, this is the lowest bearing, which its messages have last. Default: the middle of the field of view is ahead, and the last beam of a full circle is at 180.
     pub first_beam_deg: Option<f64>,
-    /// Minimum range (m), 0 to 10000.
+    /// Minimum range (m), 0 to 10000. A shorter reading is unusable: NaN in a simulated bag, 0 in a CARMEN log.
     #[serde(default)]
     pub min_range_m: f64,
     /// Maximum range (m), 0.001 to 10000, above the minimum. A reading at it means "no return".
@@ -172,7 +171,7 @@ pub struct RawLaser {
     /// Where the laser sits on the robot.
     #[serde(default)]
     pub mount: RawMount,
-    /// Time that the laser takes for its field of view (s), 0 to 1 / `rate_hz`: for a full circle that is the whole turn. Beams are stamped along it.
+    /// Time that the laser takes for its field of view (s), 0 to 1 / `rate_hz`. Of n beams, beam i from 0 is taken i `scan_secs` / (n - 1) after the stamp, so this is the time from the first beam to the last; at 360 degrees i `scan_secs` / n, so it is the whole turn. Beams are taken counter-clockwise. `gap` has the times of the log's own beams where it says any, as a `time_increment`: the key can be left out then.
     #[serde(default)]
     pub scan_secs: f64,
 }

@@ -122,6 +122,36 @@ fn a_reference_is_known_between_scans() {
     assert!(plain().read(&BagOptions::default()).unwrap().1.between.is_empty());
 }
 
+/// A robot that stops on the way between two poses of its reference stops between scans, too. The wheels' error comes evenly. Wheels that err
+/// more than even motion don't say how it moves.
+#[test]
+fn between_rare_poses_of_a_topic_the_reference_moves_as_an_odometry_that_is_good() {
+    let place = Pose2::new(10.0, -5.0, FRAC_PI_2);
+    let at = |secs: f64, gain: f64| {
+        let way = (secs - 1.0).min(0.25);
+        Pose2::new(way, 0.0, 0.8 * way + gain * (secs - 1.0))
+    };
+    for (gain, is_followed) in [(0.004, true), (0.4, false)] {
+        let mut bag = Bag::default();
+        for i in 0..=20 {
+            let secs = 1.0 + 0.05 * f64::from(i);
+            bag = bag.add("/odom", &odometry(secs, &at(secs, 0.0)));
+        }
+        for secs in [1.0, 1.5, 2.0] {
+            let pose = stamped(secs, &place.compose(&at(secs, gain)));
+            bag = bag.add("/scan", &scan(secs, &[1.0; 5])).add("/reference", &pose);
+        }
+        let (drive, summary) = bag.read(&BagOptions::default()).unwrap();
+        assert_eq!((drive.steps.len(), summary.between.len()), (3, 48));
+        for (secs, pose) in summary.between.into_iter().filter(|(secs, _)| *secs < 1.5) {
+            let even =
+                place.compose(&at(1.0, gain)).interpolate(&place.compose(&at(1.5, gain)), 2.0 * (secs - 1.0));
+            let expected = if is_followed { place.compose(&at(secs, gain)) } else { even };
+            assert!(pose.error_from(&expected).length() < 1e-6, "{secs} {pose:?}");
+        }
+    }
+}
+
 /// A robot of several, whose drivers put its name before each frame; `map` is of all of them.
 #[test]
 fn frames_may_be_in_the_namespace_of_the_laser() {

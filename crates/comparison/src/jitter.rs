@@ -1,0 +1,95 @@
+//! Noise of reference poses within sweeps: beams of a sweep are seen along poses that err from one to the next.
+
+use glam::DVec3;
+use locsim_core::{Draw, Recorded, Stage};
+use rand_distr::{Distribution, StandardNormal};
+
+/// Item of a pose's draws of the path, beside those of [`Replay`](crate::Replay).
+const JITTER: u32 = 5;
+
+/// Simulated noise of each reference pose, about the mean of its sweep: that mean is an error of the scan's pose.
+pub struct Jitter<'a> {
+    secs: &'a [f64],
+    errors: Vec<DVec3>,
+    means: Vec<DVec3>,
+}
+
+impl<'a> Jitter<'a> {
+    /// Noise as large as a log's; `None` where it has none, or knows no poses between scans.
+    pub fn new(recorded: &'a Recorded, seed: u64) -> Option<Self> {
+        let [of_position, of_heading] = recorded.jitter;
+        let along = recorded.along.as_ref().filter(|_| of_position > 0.0 || of_heading > 0.0)?;
+        let draw = Draw::new(seed, Stage::Path, 0);
+        let error = |pose: usize| {
+            let mut rng = draw.at(pose as u32).item(JITTER);
+            let normal = DVec3::from_array(std::array::from_fn(|_| StandardNormal.sample(&mut rng)));
+            DVec3::new(of_position, of_position, of_heading) * normal
+        };
+        let errors: Vec<DVec3> = (0..along.len()).map(error).collect();
+        let sweep_secs = recorded.sweep_secs();
+        let mean = |&begin: &f64| {
+            let [from, to] =
+                [begin, begin + sweep_secs].map(|t| along.secs().partition_point(|secs| *secs < t));
+            errors[from..to].iter().sum::<DVec3>() / (to - from).max(1) as f64
+        };
+        let means = recorded.track.secs().iter().map(mean).collect();
+        Some(Self { secs: along.secs(), errors, means })
+    }
+
+    /// The noise of a pose at a time during a scan, x, y \[m\] and heading \[rad\].
+    pub fn at(&self, scan: usize, secs: f64) -> DVec3 {
+        let next = self.secs.partition_point(|time| *time <= secs);
+        let error = match (next.checked_sub(1), self.errors.get(next)) {
+            (Some(before), Some(after)) => {
+                let share = (secs - self.secs[before]) / (self.secs[next] - self.secs[before]);
+                self.errors[before].lerp(*after, share)
+            }
+            (Some(last), None) => self.errors[last],
+            (None, _) => self.errors[0],
+        };
+        error - self.means[scan]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use locsim_core::Pose2;
+
+    use super::*;
+    use crate::fixtures::{DRIVE, TRUTH};
+
+    /// The noise has the size that it is given at each pose, and the mean of a sweep has none.
+    #[test]
+    fn noise_of_poses_is_about_the_mean_of_each_sweep() {
+        let times: Vec<f32> = (0..72_u8).map(|beam| 0.1 * f32::from(beam) / 72.0).collect();
+        let drive = locsim_core::Drive {
+            laser: DRIVE.laser.clone().with_beam_times(&times).unwrap(),
+            ..DRIVE.clone()
+        };
+        let recorded = Recorded::new(&drive, 170, 72, |_| true).unwrap();
+        assert!(Jitter::new(&recorded, 1).is_none());
+        let begin = recorded.begin_secs;
+        let end = recorded.track.secs()[169];
+        let between = (0..).map(|i| 0.02 * f64::from(i)).take_while(|secs| *secs < end);
+        let between: Vec<(f64, Pose2)> = between.map(|secs| (begin + secs, TRUTH.pose_at(secs))).collect();
+        let exact = recorded.clone().along(between.iter().copied());
+        assert!(exact.jitter[0] < 1e-4 && exact.jitter[1] < 1e-4, "{:?}", exact.jitter);
+        let jitter = Recorded { jitter: [0.003, 0.001], ..exact.clone() };
+        let jitter = Jitter::new(&jitter, 1).unwrap();
+        let (mut square, mut count) = (DVec3::ZERO, 0.0);
+        for (scan, &begin) in recorded.track.secs().iter().enumerate().take(165) {
+            let errors: Vec<DVec3> = (0..5).map(|i| jitter.at(scan, begin + 0.02 * f64::from(i))).collect();
+            assert!(errors.iter().sum::<DVec3>().length() < 1e-3);
+            square += errors.iter().map(|e| *e * *e).sum::<DVec3>();
+            count += 4.0;
+        }
+        // Of 660 degrees of freedom, five standard errors are 13 %.
+        for (axis, sigma) in [(0, 0.003_f64), (1, 0.003), (2, 0.001)] {
+            assert!(((square[axis] / count).sqrt() / sigma - 1.0).abs() < 0.15, "{square}");
+        }
+        // What poses err by is found again.
+        let noisy = between.iter().enumerate().map(|(i, (secs, pose))| (*secs, pose.moved(jitter.errors[i])));
+        let found = recorded.along(noisy).jitter;
+        assert!((found[0] / 0.003 - 1.0).abs() < 0.2 && (found[1] / 0.001 - 1.0).abs() < 0.2, "{found:?}");
+    }
+}
