@@ -71,6 +71,11 @@ impl Nominal {
         Ok(self)
     }
 
+    /// Whether there are people and things in the open.
+    pub fn has_things_in_the_open(&self) -> bool {
+        self.open.is_some()
+    }
+
     /// Prior of these blocks beside what is in the open.
     fn integral_of(&self, blocks: &BlockOptions) -> Result<Arc<BlockIntegral>, ComparisonError> {
         let integral = |options: &BlockOptions| -> Result<BlockIntegral, ComparisonError> {
@@ -118,7 +123,8 @@ impl Nominal {
         });
         let mut simulator = Simulator::new(Arc::clone(&self.map), standing, self.laser, effects.clone())?;
         if let Some(open) = self.open {
-            simulator = simulator.with_more_blocks(open.times(density))?;
+            // As many as the log has, however many there are of the others.
+            simulator = simulator.with_more_blocks(open)?;
         }
         let Some(blocks) = self.blocks.filter(|_| passing > 0.0) else { return Ok(simulator) };
         let passing = blocks.times(density * passing);

@@ -55,28 +55,33 @@ impl<'a> Poses<'a> {
         }
     }
 
-    /// Whether poses of a topic move from one to the next rather as the odometry does than evenly. Half-way, the odometry is off by about a
-    /// half of what it errs by from one to the next; an even turn by an eighth of what turns change by (root mean squares).
-    pub fn moves_as(&self, odometry: &Poses<'_>) -> bool {
-        let Self::Topic(poses) = self else { return false };
-        let [mut of_odometry, mut of_even] = [0.0; 2];
-        for [a, b, c] in poses.items.array_windows() {
+    /// How far the odometry's heading is off half-way between two poses of a topic (rad, root mean square): about a half of what it errs by
+    /// from one to the next. Infinite for another source.
+    pub fn turn_error(&self, odometry: &Poses<'_>) -> f64 {
+        let Self::Topic(poses) = self else { return f64::INFINITY };
+        let errors = poses.items.array_windows().filter_map(|[a, b]| {
             let [from, to] = [a, b].map(|(stamp, _)| odometry.at(*stamp, 0));
-            let (Some(from), Some(to)) = (from, to) else { continue };
-            let turn = |from: &Pose2, to: &Pose2| wrap_angle(to.theta - from.theta);
-            of_odometry += (0.5 * wrap_angle(turn(&a.1, &b.1) - turn(&from, &to))).powi(2);
-            of_even += (0.125 * wrap_angle(turn(&b.1, &c.1) - turn(&a.1, &b.1))).powi(2);
-        }
-        of_odometry < of_even
+            Some(0.5 * wrap_angle(turn([&a.1, &b.1]) - turn([&from?, &to?])))
+        });
+        let (sum, count) = errors.fold((0.0, 0.0), |(sum, count), error| (sum + error * error, count + 1.0));
+        if count > 0.0 { f64::sqrt(sum / count) } else { f64::INFINITY }
     }
 
-    /// The pose at a time (ns) between two poses of a topic that moves from one to the other as the odometry does; what they differ by
-    /// comes evenly. Of another source, and without odometry, as [`Self::at`].
-    pub fn at_by_odometry(&self, stamp: i64, odometry: &Poses<'_>) -> Option<Pose2> {
+    /// The pose at a time (ns) between two poses of a topic. Where turns begin or end, an even turn is off half-way by an eighth of what turns
+    /// change by. Where that is more than the odometry's `turn_error` (rad), the pose moves as the odometry does, and what the two differ by
+    /// comes evenly. Elsewhere, of another source, and without odometry, it is as [`Self::at`].
+    pub fn at_by_odometry(&self, stamp: i64, odometry: &Poses<'_>, turn_error: f64) -> Option<Pose2> {
         let by_odometry = || {
             let Self::Topic(poses) = self else { return None };
-            let [(before, a), (after, b)] = poses.around(stamp)?;
-            let [from, now, to] = [before, stamp, after].map(|stamp| odometry.at(stamp, 0));
+            let next = poses.items.partition_point(|(time, _)| *time < stamp);
+            let [(before, a), (after, b)] = [poses.items.get(next.checked_sub(1)?)?, poses.items.get(next)?];
+            let nearby = &poses.items[next.saturating_sub(2)..(next + 2).min(poses.items.len())];
+            let changes = nearby.array_windows().map(|[(_, a), (_, b), (_, c)]| turn([b, c]) - turn([a, b]));
+            let change = changes.map(|change| wrap_angle(change).abs()).fold(0.0, f64::max);
+            if 0.125 * change <= turn_error {
+                return None;
+            }
+            let [from, now, to] = [*before, stamp, *after].map(|stamp| odometry.at(stamp, 0));
             let (moved, all) = (now?.relative_to(&from?), to?.relative_to(&from?));
             let rest = b.relative_to(&a.compose(&all));
             let share = (stamp - before) as f64 / (after - before) as f64;
@@ -157,6 +162,11 @@ impl<'a> Poses<'a> {
             Self::Unknown => None,
         }
     }
+}
+
+/// The turn from one pose to another (rad).
+fn turn([from, to]: [&Pose2; 2]) -> f64 {
+    wrap_angle(to.theta - from.theta)
 }
 
 /// The transform `parent_from_child` of two frames.

@@ -167,9 +167,8 @@ fn between(steps: &[DriveStep], poses: &Poses<'_>, odometry: &Poses<'_>) -> Vec<
     let [of_reference, of_odometry] =
         [poses, odometry].map(|poses| poses.interval_secs().unwrap_or(f64::INFINITY));
     let is_seldom = of_reference > SELDOM_SECS.max(2.0 * of_odometry);
-    let by_odometry = is_seldom && poses.moves_as(odometry);
-    let pose_at =
-        |stamp| if by_odometry { poses.at_by_odometry(stamp, odometry) } else { poses.at(stamp, 0) };
+    let turn_error = if is_seldom { poses.turn_error(odometry) } else { f64::INFINITY };
+    let pose_at = |stamp| poses.at_by_odometry(stamp, odometry, turn_error);
     let pairs = steps.array_windows().map(|[a, b]| [a.stamp_secs, b.stamp_secs]);
     let times = pairs.flat_map(|[from, to]| {
         // A pause tells nothing of a sweep.

@@ -300,19 +300,13 @@ impl Stamped<Pose2> {
         if same > 0 {
             return Some(self.items[from + nth.min(same - 1)].1);
         }
-        let [(before, a), (after, b)] = self.around(stamp)?;
-        let step = b.relative_to(&a);
+        let ((before, a), (after, b)) = (self.items[..from].last()?, self.items.get(from)?);
+        let step = b.relative_to(a);
         let is_still = step.position().length() < STILL.0 && step.theta.abs() < STILL.1;
         if !bridged && after - before > self.longest_step && !is_still {
             return None;
         }
         let share = (stamp - before) as f64 / (after - before) as f64;
-        Some(a.interpolate(&b, share))
-    }
-
-    /// The last pose before a time (ns) and the first that isn't, with their times.
-    pub fn around(&self, stamp: i64) -> Option<[(i64, Pose2); 2]> {
-        let next = self.items.partition_point(|(time, _)| *time < stamp);
-        Some([*self.items[..next].last()?, *self.items.get(next)?])
+        Some(a.interpolate(b, share))
     }
 }
