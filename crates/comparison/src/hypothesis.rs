@@ -118,6 +118,9 @@ impl<'a> Comparison<'a> {
     }
 
     /// The log's views in a world with these effects, while they are fitted; see [`Views::with`].
+    ///
+    /// # Errors
+    /// As [`Views::new`].
     pub fn views_with(&self, effects: &Effects) -> Result<Arc<Views>, ComparisonError> {
         if self.views.are_of(effects) {
             Ok(Arc::clone(&self.views))
@@ -127,6 +130,9 @@ impl<'a> Comparison<'a> {
     }
 
     /// The log against a world with these effects.
+    ///
+    /// # Errors
+    /// As [`Views::new`].
     pub fn in_world(&self, effects: &Effects) -> Result<Self, ComparisonError> {
         let views = if self.views.are_of(effects) {
             Arc::clone(&self.views)
@@ -138,6 +144,9 @@ impl<'a> Comparison<'a> {
 
     /// The same world seen from the reference poses without the errors that were fitted, with the nuisances fitted anew. Ranges are
     /// linear in errors only as far as no beam passes an edge. The errors on a measured map stay as they are: which of its beams count is known.
+    ///
+    /// # Errors
+    /// As [`Views::new`].
     pub fn recast(
         mut self,
         effects: &Effects,
@@ -165,6 +174,9 @@ impl<'a> Comparison<'a> {
     }
 
     /// Effects of the nominal world and more.
+    ///
+    /// # Errors
+    /// As [`Nominal::effects_with`].
     pub fn effects(&self, more: &[Effect]) -> Result<Effects, ComparisonError> {
         self.nominal.effects_with(more)
     }
@@ -195,6 +207,9 @@ impl<'a> Comparison<'a> {
 
     /// The log likelihood with `more` effects. `start` gives the nuisances and the reference's errors to begin with;
     /// the density of blocks and the errors are profiled, `iterations` times.
+    ///
+    /// # Errors
+    /// As [`Nominal::effects_with`], and as [`Views::new`].
     pub fn evaluate(
         &self,
         more: &[Effect],
@@ -337,6 +352,9 @@ impl<'a> Comparison<'a> {
     }
 
     /// Fits the nuisances anew with more effects, in the views that the numbers of these are fitted in.
+    ///
+    /// # Errors
+    /// As [`Comparison::evaluate`].
     pub fn refit(
         &self,
         more: &[Effect],

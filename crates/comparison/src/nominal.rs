@@ -99,6 +99,9 @@ impl Nominal {
     }
 
     /// Prior of this clutter.
+    ///
+    /// # Errors
+    /// [`ComparisonError::Simulation`] for options out of range.
     pub fn integral_over(
         &self,
         blocks: Option<&BlockOptions>,
@@ -110,6 +113,9 @@ impl Nominal {
     }
 
     /// The simulator with more effects, `density` times as many blocks, and clutter that stays as long as `policy` says.
+    ///
+    /// # Errors
+    /// [`ComparisonError::Simulation`] for options out of range.
     pub fn simulator(
         &self,
         effects: &Effects,
@@ -138,17 +144,22 @@ impl Nominal {
     }
 
     /// The same simulator with more residuals.
+    ///
+    /// # Errors
+    /// [`ComparisonError::Effect`] for residuals that can't be.
     pub fn with_residuals(&self, more: &[Residual]) -> Result<Self, ComparisonError> {
         let residuals = [self.effects.residuals(), more].concat();
         Ok(Self { effects: self.effects.clone().with_residuals(residuals)?, ..self.clone() })
     }
 
     /// The same simulator with this standard deviation of the readings' noise \[m\].
+    #[must_use]
     pub fn with_noise(self, sigma_m: f64) -> Self {
         Self { laser: LaserOptions { sigma_m, ..self.laser }, ..self }
     }
 
     /// The same simulator with other effects that act on readings alone.
+    #[must_use]
     pub fn with_effects(&self, effects: Effects) -> Self {
         Self { effects, ..self.clone() }
     }

@@ -78,6 +78,9 @@ impl<'a> Replay<'a> {
     }
 
     /// One simulated log.
+    ///
+    /// # Errors
+    /// As [`Nominal::simulator`].
     pub fn simulate(&self, seed: u64) -> Result<Recorded, ComparisonError> {
         let effects = self.nominal.effects_with(self.effects)?;
         let density = self.nuisances.block_density * self.blocks.density_over_fit;
@@ -152,6 +155,9 @@ impl<'a> Replay<'a> {
 
 /// How long blocks stay in a log: the policy under which neighbouring scans share as many short readings. The bias of their
 /// density is left out; see [`BlockTruth::in_world`].
+///
+/// # Errors
+/// As [`Replay::simulate`].
 pub fn fit_persistence(
     comparison: &Comparison<'_>,
     effects: &[Effect],
@@ -209,6 +215,9 @@ impl BlockTruth {
     }
 
     /// The same blocks with the bias that the fit of their density has in a world with these effects, by simulated logs.
+    ///
+    /// # Errors
+    /// As [`Replay::simulate`].
     pub fn in_world(
         self,
         comparison: &Comparison<'_>,

@@ -36,8 +36,9 @@ const FEW_READINGS: usize = 20;
 const FEW_SHARE: f64 = 2e-4;
 /// Blocks per metre of wall with which it is found how many there are \[1/m\].
 const TRIED_PER_METRE: f64 = 0.05;
-/// A beam that sees so much more than the median beam sees the robot itself.
+/// A beam that sees so much more than the median beam sees the robot itself, where most of these readings are alike to this \[m\].
 const OF_ROBOT_SHARE: f64 = 0.1;
+const OF_ROBOT_M: f64 = 0.1;
 /// Side of the cells, of which two by two are a place \[m\].
 const PLACE_M: f64 = 0.5;
 /// Share of these readings that the distance in the warning holds.
@@ -185,7 +186,7 @@ pub(super) fn in_open(
         let poses: Particles = std::iter::once(pose).collect();
         map.cast(poses.as_poses(), laser.bearings(), laser.cast_range(), &mut hits);
         let ranges = &step.scan.ranges;
-        let in_open = |beam: usize| -> Option<(f64, DVec2)> {
+        let in_open = |beam: usize| -> Option<(f64, DVec2, f64)> {
             if ranges[beam] >= laser.max_range() {
                 return None;
             }
@@ -202,9 +203,9 @@ pub(super) fn in_open(
                 let at = (end / cell_m).round();
                 !in_reach.contains(&[at.x as i32, at.y as i32])
             });
-            is_in_open.then_some((distance, end))
+            is_in_open.then_some((distance, end, range))
         };
-        let found: Vec<Option<(f64, DVec2)>> = (0..beams).map(in_open).collect();
+        let found: Vec<Option<(f64, DVec2, f64)>> = (0..beams).map(in_open).collect();
         for beam in 0..beams {
             returns[beam] += usize::from(ranges[beam] < laser.max_range());
             let sees_it_too = |other: Option<usize>| {
@@ -217,8 +218,15 @@ pub(super) fn in_open(
     }
     let share = |beam: usize| open[beam].len() as f64 / returns[beam].max(1) as f64;
     let most = OF_ROBOT_SHARE + 2.0 * median(&mut (0..beams).map(share).collect::<Vec<_>>());
-    let told = || (0..beams).filter(|&beam| share(beam) <= most).flat_map(|beam| &open[beam]);
-    let (mut farthest, ends): (Vec<f64>, Vec<DVec2>) = told().copied().unzip();
+    let is_alike = |beam: usize| {
+        let [low, high] = [0.1, 0.9].map(|share| {
+            quantile(&mut open[beam].iter().map(|(_, _, range)| *range).collect::<Vec<_>>(), share)
+        });
+        high - low < OF_ROBOT_M
+    };
+    let told = (0..beams).filter(|&beam| share(beam) <= most || !is_alike(beam)).flat_map(|beam| &open[beam]);
+    let (mut farthest, ends): (Vec<f64>, Vec<DVec2>) =
+        told.map(|(distance, end, _)| (*distance, *end)).unzip();
     let share = farthest.len() as f64 / returns.iter().sum::<usize>().max(1) as f64;
     let is_told = farthest.len() >= LEAST_READINGS && share >= LEAST_SHARE;
     let are_few = farthest.len() < FEW_READINGS || share < FEW_SHARE;

@@ -373,9 +373,14 @@ fn told_lags(to_scans: Option<f64>, to_reference: f64, least: f64) -> Vec<String
     let told = |what: &str, than: &str, lag: f64| {
         (lag.abs() >= least).then(|| {
             format!(
-                "The {what} {} the {than} by {:.0} ms: their stamps are of different clocks, or late.",
+                "The {what} {} the {than} by {:.0} ms: their stamps are of different clocks, or late.{}",
                 if lag > 0.0 { "lags behind" } else { "is ahead of" },
-                1e3 * lag.abs()
+                1e3 * lag.abs(),
+                if lag > 0.0 && than == "scans" {
+                    " Of a laser that sweeps without a `time_increment`, half of the sweep is in this."
+                } else {
+                    ""
+                }
             )
         })
     };
