@@ -17,15 +17,20 @@ pub struct Jitter<'a> {
 impl<'a> Jitter<'a> {
     /// Noise as large as a log's; `None` where it has none, or knows no poses between scans.
     pub fn new(recorded: &'a Recorded, seed: u64) -> Option<Self> {
-        let [of_position, of_heading] = recorded.jitter;
-        let along = recorded.along.as_ref().filter(|_| of_position > 0.0 || of_heading > 0.0)?;
+        let along = recorded.along.as_ref().filter(|_| !recorded.jitter.is_none())?;
+        let [white, walk] =
+            [recorded.jitter.white, recorded.jitter.walk].map(|[m, rad]| DVec3::new(m, m, rad));
         let draw = Draw::new(seed, Stage::Path, 0);
-        let error = |pose: usize| {
+        let mut walked = DVec3::ZERO;
+        let mut before = 0.0;
+        let error = |(pose, &secs): (usize, &f64)| {
             let mut rng = draw.at(pose as u32).item(JITTER);
-            let normal = DVec3::from_array(std::array::from_fn(|_| StandardNormal.sample(&mut rng)));
-            DVec3::new(of_position, of_position, of_heading) * normal
+            let mut normal = || DVec3::from_array(std::array::from_fn(|_| StandardNormal.sample(&mut rng)));
+            walked += (secs - before).sqrt() * walk * normal();
+            before = secs;
+            walked + white * normal()
         };
-        let errors: Vec<DVec3> = (0..along.len()).map(error).collect();
+        let errors: Vec<DVec3> = along.secs().iter().enumerate().map(error).collect();
         let sweep_secs = recorded.sweep_secs();
         let mean = |&begin: &f64| {
             let [from, to] =
@@ -53,7 +58,7 @@ impl<'a> Jitter<'a> {
 
 #[cfg(test)]
 mod tests {
-    use locsim_core::Pose2;
+    use locsim_core::{Pose2, PoseJitter};
 
     use super::*;
     use crate::fixtures::{DRIVE, TRUTH};
@@ -73,23 +78,39 @@ mod tests {
         let between = (0..).map(|i| 0.02 * f64::from(i)).take_while(|secs| *secs < end);
         let between: Vec<(f64, Pose2)> = between.map(|secs| (begin + secs, TRUTH.pose_at(secs))).collect();
         let exact = recorded.clone().along(between.iter().copied());
-        assert!(exact.jitter[0] < 1e-4 && exact.jitter[1] < 1e-4, "{:?}", exact.jitter);
-        let jitter = Recorded { jitter: [0.003, 0.001], ..exact.clone() };
-        let jitter = Jitter::new(&jitter, 1).unwrap();
-        let (mut square, mut count) = (DVec3::ZERO, 0.0);
-        for (scan, &begin) in recorded.track.secs().iter().enumerate().take(165) {
-            let errors: Vec<DVec3> = (0..5).map(|i| jitter.at(scan, begin + 0.02 * f64::from(i))).collect();
-            assert!(errors.iter().sum::<DVec3>().length() < 1e-3);
-            square += errors.iter().map(|e| *e * *e).sum::<DVec3>();
-            count += 4.0;
+        assert!(
+            exact.jitter.white.iter().chain(&exact.jitter.walk).all(|error| *error < 1e-4),
+            "{:?}",
+            exact.jitter
+        );
+        let (white, walk) = ([0.003, 0.001], [0.02, 0.01]);
+        for truth in [PoseJitter { white, walk: [0.0; 2] }, PoseJitter { white: [0.0; 2], walk }] {
+            let erring = Recorded { jitter: truth, ..exact.clone() };
+            let jitter = Jitter::new(&erring, 1).unwrap();
+            let (mut square, mut count) = (DVec3::ZERO, 0.0);
+            for (scan, &begin) in recorded.track.secs().iter().enumerate().take(165) {
+                let errors: Vec<DVec3> =
+                    (0..5).map(|i| jitter.at(scan, begin + 0.02 * f64::from(i))).collect();
+                assert!(errors.iter().sum::<DVec3>().length() < 1e-3);
+                square += errors.iter().map(|e| *e * *e).sum::<DVec3>();
+                count += 4.0;
+            }
+            // About their mean, five poses of a walk have the variance of one step.
+            for axis in 0..2 {
+                let variance = truth.white[axis].powi(2) + 0.02 * truth.walk[axis].powi(2);
+                let found = [square.x, square.z][axis] / count;
+                // Of 660 degrees of freedom, five standard errors are 28 %.
+                assert!((found / variance - 1.0).abs() < 0.3, "{truth:?}: {found} of {variance}");
+            }
+            // What poses err by is found again.
+            let noisy =
+                between.iter().enumerate().map(|(i, (secs, pose))| (*secs, pose.moved(jitter.errors[i])));
+            let found = recorded.clone().along(noisy).jitter;
+            let near = |found: f64, truth: f64, of: f64| (found - truth).abs() < 0.5 * of;
+            for axis in 0..2 {
+                assert!(near(found.white[axis], truth.white[axis], white[axis]), "{found:?} {truth:?}");
+                assert!(near(found.walk[axis], truth.walk[axis], walk[axis]), "{found:?} {truth:?}");
+            }
         }
-        // Of 660 degrees of freedom, five standard errors are 13 %.
-        for (axis, sigma) in [(0, 0.003_f64), (1, 0.003), (2, 0.001)] {
-            assert!(((square[axis] / count).sqrt() / sigma - 1.0).abs() < 0.15, "{square}");
-        }
-        // What poses err by is found again.
-        let noisy = between.iter().enumerate().map(|(i, (secs, pose))| (*secs, pose.moved(jitter.errors[i])));
-        let found = recorded.along(noisy).jitter;
-        assert!((found[0] / 0.003 - 1.0).abs() < 0.2 && (found[1] / 0.001 - 1.0).abs() < 0.2, "{found:?}");
     }
 }

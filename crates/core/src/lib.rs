@@ -64,7 +64,7 @@ pub use pose_error::{
 };
 pub use purpose::Purpose;
 pub use quantile::{equal_bins, median, quantile, sorted};
-pub use recorded::{LEAST_SCANS, Recorded, RecordedError};
+pub use recorded::{LEAST_SCANS, PoseJitter, Recorded, RecordedError};
 pub use resampled::resampled;
 pub use shard::Shard;
 pub use stretches::{Stretch, Stretches};

@@ -44,8 +44,8 @@ pub struct Recorded {
     pub begin_secs: f64,
     /// Reference poses between the scans as well, where they are known or scans were left out; see [`Recorded::along`].
     pub along: Option<Track>,
-    /// Standard deviation of the noise from pose to pose of these, of x and of y \[m\] and of the heading \[rad\].
-    pub jitter: [f64; 2],
+    /// What these err by from one to the next.
+    pub jitter: PoseJitter,
     /// `odom_from_base` at each scan.
     pub odometry: Vec<Pose2>,
     /// Readings \[m\], \[scan\]\[beam\].
@@ -85,7 +85,7 @@ impl Recorded {
             log_laser: drive.laser.clone(),
             begin_secs: steps[0].0.stamp_secs,
             along: None,
-            jitter: [0.0; 2],
+            jitter: PoseJitter::default(),
             folds: Folds::new(&track, FOLD_SECS, FOLD_SCANS),
             corrections: vec![DVec3::ZERO; track.len()],
             track,
@@ -106,7 +106,7 @@ impl Recorded {
         let first = (self.begin_secs, self.track.poses()[0]);
         let since = stamped.into_iter().filter(|(secs, _)| *secs > self.begin_secs);
         let along = Track::new(std::iter::once(first).chain(since)).ok();
-        let jitter = along.as_ref().map_or([0.0; 2], |along| jitter(along, self.sweep_secs()));
+        let jitter = along.as_ref().map(|along| PoseJitter::of(along)).unwrap_or_default();
         Self { along, jitter, ..self }
     }
 
@@ -198,32 +198,72 @@ impl Recorded {
     }
 }
 
-/// Standard deviation of the noise of each pose of a track, of x and of y \[m\] and of the heading \[rad\], from its third differences over
-/// equal steps within a sweep: motion of an even acceleration has none, and their median none of a few jerks.
-fn jitter(track: &Track, sweep_secs: f64) -> [f64; 2] {
-    /// Fewer differences tell nothing.
-    const LEAST: usize = 100;
-    /// Standard deviation of a third difference over that of the noise.
-    const OF_DIFFERENCE: f64 = 4.472_135_955;
+/// What poses between scans err by from one to the next, of x and of y \[m\] and of the heading \[rad\].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PoseJitter {
+    /// Standard deviation of the noise of each pose, as of motion capture.
+    pub white: [f64; 2],
+    /// Standard deviation of a random walk after a second, as of wheels; it grows with the root of the time.
+    pub walk: [f64; 2],
+}
+
+impl PoseJitter {
+    /// Whether there is none.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// That of a track, from its second differences over equal steps and over longer ones: noise is as large in both, and a random walk grows
+    /// with the steps (variances). Their median has none of a few accelerations. Poses that are interpolated show in the longer steps alone.
+    fn of(track: &Track) -> Self {
+        let evenly = |stride: usize| evenly_timed(track.secs(), 2 * stride);
+        let (stride, even) = LONGER_STEPS
+            .map(|stride| (stride, evenly(stride)))
+            .into_iter()
+            .find(|(_, even)| even.len() >= LEAST_DIFFERENCES)
+            .unwrap_or_default();
+        if even.is_empty() {
+            return Self::default();
+        }
+        let [once, longer] = [1, stride].map(|stride| second_differences(track.poses(), stride, &even));
+        let more = 2.0 * (stride as f64 - 1.0);
+        let walk = [0, 1].map(|i| ((longer[i] - once[i]) / more).max(0.0));
+        let white = [0, 1].map(|i| ((once[i] - 2.0 * walk[i]).max(0.0) / 6.0).sqrt());
+        let secs = track.secs();
+        let step_secs = median(&mut even.iter().map(|i| secs[i + 1] - secs[*i]).collect::<Vec<_>>());
+        Self { white, walk: walk.map(|variance| (variance / step_secs).sqrt()) }
+    }
+}
+
+/// Steps that second differences are over beside single ones, the longest of which there are enough.
+const LONGER_STEPS: [usize; 2] = [4, 2];
+/// Fewer differences tell nothing.
+const LEAST_DIFFERENCES: usize = 100;
+
+/// Numbers of the times after which so many steps are as long as each other.
+fn evenly_timed(secs: &[f64], steps: usize) -> Vec<usize> {
+    let is_even = |i: &usize| {
+        let steps = secs[*i..=i + steps].array_windows().map(|[a, b]| b - a);
+        let (least, most) =
+            steps.fold((f64::INFINITY, 0.0_f64), |(least, most), step| (least.min(step), most.max(step)));
+        least > 1e-6 && most < 1.1 * least
+    };
+    (0..secs.len().saturating_sub(steps)).filter(is_even).collect()
+}
+
+/// Variances of second differences of poses over `stride` steps that begin at these, by their median: of x and of y \[m^2\], and of the heading
+/// \[rad^2\].
+fn second_differences(poses: &[Pose2], stride: usize, begins: &[usize]) -> [f64; 2] {
     /// Standard deviation of a normal variable over the median of its size.
     const OF_MEDIAN: f64 = 1.482_602_2;
-    let (secs, poses) = (track.secs(), track.poses());
-    let is_even = |i: &usize| {
-        let [a, b, c] = [1, 2, 3].map(|k| secs[i + k] - secs[i + k - 1]);
-        a > 1e-6 && secs[i + 3] - secs[*i] <= sweep_secs && (a - b).abs() < 0.1 * a && (b - c).abs() < 0.1 * a
-    };
-    let even = (0..track.len().saturating_sub(3)).filter(is_even);
     let [mut of_position, mut of_heading] = [Vec::new(), Vec::new()];
-    for i in even {
-        let steps = [1, 2, 3].map(|k| poses[i + k].error_from(&poses[i + k - 1]));
-        let third = steps[2] - 2.0 * steps[1] + steps[0];
-        of_position.extend([third.x.abs(), third.y.abs()]);
-        of_heading.push(third.z.abs());
+    for begin in begins {
+        let [a, b, c] = [0, stride, 2 * stride].map(|k| &poses[begin + k]);
+        let second = c.error_from(b) - b.error_from(a);
+        of_position.extend([second.x.abs(), second.y.abs()]);
+        of_heading.push(second.z.abs());
     }
-    if of_heading.len() < LEAST {
-        return [0.0; 2];
-    }
-    [of_position, of_heading].map(|mut sizes| OF_MEDIAN / OF_DIFFERENCE * median(&mut sizes))
+    [of_position, of_heading].map(|mut sizes| (OF_MEDIAN * median(&mut sizes)).powi(2))
 }
 
 #[cfg(test)]
