@@ -19,7 +19,7 @@ const LAYERS: [(&str, &[&str]); 21] = [
     ("locsim-dataset", &["locsim-core"]),
     ("locsim-comparison", &["distreg", "locsim-core", "locsim-world"]),
     ("locsim-gap", &["distreg", "locsim-comparison", "locsim-core", "locsim-world"]),
-    ("locsim-baseline", &["distreg", "locsim-core", "locsim-gap", "locsim-world"]),
+    ("locsim-baseline", &["distreg", "locsim-comparison", "locsim-core", "locsim-gap", "locsim-world"]),
     ("locsim-report", &["distreg", "locsim-core", "locsim-sensor"]),
     ("locsim-scenario", &["locsim-core", "locsim-dataset", "locsim-mcl", "locsim-sensor", "locsim-world"]),
     ("locsim-study", &["distreg", "locsim-core", "locsim-report", "locsim-scenario", "locsim-world"]),

@@ -2,14 +2,14 @@ use std::f64::consts::TAU;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, LazyLock};
 
+use locsim_comparison::fixtures;
 use locsim_core::{Draw, Pose2, Stage, Track};
 use locsim_gap::hidden::{Regime, record_library};
 use locsim_gap::{GapError, Nominal, Recorded};
 use locsim_world::effect::EffectKind as E;
-use locsim_world::effect::{Effect, EffectKind, Effects};
+use locsim_world::effect::{Effect, EffectKind};
 use locsim_world::map::{Polyline, VectorMap, Wall};
 use locsim_world::raycast::ExactRangeMap;
-use locsim_world::simulation::{BlockOptions, BlockResampling, LaserOptions, OdometryNoise};
 use rand::RngExt;
 
 use super::*;
@@ -20,33 +20,9 @@ static NOMINAL: LazyLock<Nominal> = LazyLock::new(|| {
     let outline = Polyline { points_m: corners.to_vec(), ..Polyline::default() };
     let screen = Wall { name: "screen".to_owned(), from_m: [5.0, 1.0], to_m: [5.0, 2.0] };
     let map = VectorMap { outline, obstacles: Vec::new(), walls: vec![screen] };
-    let laser = LaserOptions {
-        rate_hz: 10.0,
-        beams: 72,
-        field_of_view_rad: TAU,
-        first_bearing_rad: None,
-        min_range_m: 0.05,
-        max_range_m: 5.0,
-        resolution_m: 0.001,
-        sigma_m: 0.01,
-        sigma_per_m: 0.0,
-        mount: Pose2::new(0.1, 0.0, 0.0),
-        scan_secs: 0.0,
-    };
-    let clutter = BlockOptions {
-        per_metre_of_wall: 0.3,
-        length_m: [0.15, 0.35],
-        width_m: [0.1, 0.25],
-        yaw_rad: [-0.5, 0.5],
-        wall_distance_m: [0.1, 0.3],
-        resample: BlockResampling::EachObservation,
-        speed_m_s: [0.0; 2],
-        clearance_m: 0.35,
-    };
-    let dropout = Effect::new(E::RangeDropout, vec![0.02, 0.0], vec![]).unwrap();
-    let odometry = OdometryNoise::new([0.02, 0.005, 0.01, 0.005]).unwrap();
     let map = Arc::new(ExactRangeMap::new(map.to_geometry().unwrap()));
-    Nominal::new(map, laser, Some(clutter), odometry, Effects::new(vec![dropout]).unwrap()).unwrap()
+    let Nominal { laser, blocks, odometry, effects, .. } = fixtures::NOMINAL.clone();
+    Nominal::new(map, laser, blocks, odometry, effects).unwrap()
 });
 
 /// Two and a half laps around an ellipse, a minute and a half at ten scans a second.

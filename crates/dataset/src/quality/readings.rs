@@ -12,8 +12,8 @@ const WHOLE_SHARE: f64 = 0.9;
 
 /// The robot stands still while its odometry stays within this \[m\] and \[rad\] of where it was.
 const STILL: (f64, f64) = (1e-3, 2e-3);
-/// Scans of a stretch of standing still: fewer tell no deviation, and in longer ones people come and go.
-const STILL_SCANS: (usize, usize) = (10, 50);
+/// Scans of a stretch of standing still, at the most: in longer ones people come and go.
+const MOST_STILL_SCANS: usize = 50;
 /// Stretches that are looked at, at the most.
 const STRETCHES: usize = 200;
 
@@ -70,6 +70,9 @@ pub struct ReadingQuality {
 }
 
 impl ReadingQuality {
+    /// Fewer scans on end of a robot that stands still tell no noise.
+    pub const LEAST_STILL_SCANS: usize = 10;
+
     pub(super) fn of(drive: &Drive, has_odometry: bool) -> Self {
         let max = drive.laser.max_range();
         let all = drive.steps.iter().flat_map(|step| &step.scan.ranges);
@@ -250,7 +253,7 @@ fn still_noise(drive: &Drive, resolution_m: Option<f64>) -> (usize, Option<Noise
 
 /// Runs of scans during which the odometry doesn't change.
 fn still_stretches(steps: &[DriveStep]) -> Vec<&[DriveStep]> {
-    let (least, most) = STILL_SCANS;
+    let (least, most) = (ReadingQuality::LEAST_STILL_SCANS, MOST_STILL_SCANS);
     let mut stretches = Vec::new();
     let mut from = 0;
     for to in 1..=steps.len() {

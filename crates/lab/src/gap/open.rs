@@ -1,4 +1,4 @@
-//! What stands farther from all walls than the scenario's blocks reach: people in the open, furniture amid a room. A search whose simulated logs
+//! What stands where no block of the scenario can: people in the open, furniture amid a room. A search whose simulated logs
 //! have nothing there takes it for errors of the readings. So they get as much of it as the log has, and a scenario without any blocks gets some.
 
 use std::collections::BTreeSet;
@@ -52,7 +52,7 @@ pub(super) struct InOpen {
     most_m: f64,
     /// How far from walls blocks have to stand to be at all of these places \[m\].
     across_m: f64,
-    /// How far the scenario's blocks reach \[m\]; `None` where it has none.
+    /// How far from walls the scenario's blocks reach \[m\]; `None` where it has none.
     reach_m: Option<f64>,
     /// Whether there are enough to be told.
     is_told: bool,

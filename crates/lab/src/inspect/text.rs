@@ -1,7 +1,7 @@
 use std::fmt::{self, Write as _};
 
 use locsim_core::Pose2;
-use locsim_dataset::{DriveQuality, LogFormat, OdometrySource, Scanner};
+use locsim_dataset::{DriveQuality, LogFormat, OdometrySource, ReadingQuality, Scanner};
 use locsim_report::text::{TextTable, listing};
 
 use super::{DriveFacts, Inspection, Part, Role, Split};
@@ -219,7 +219,9 @@ fn noise(facts: &DriveFacts) -> String {
     let readings = &facts.quality.readings;
     let still = match (facts.odometry_source, readings.still_noise_m) {
         (OdometrySource::Missing, _) => "no odometry tells when the robot stands still".to_owned(),
-        (_, None) => "the robot never stands still for long enough".to_owned(),
+        (_, None) => {
+            format!("the robot never stands still for {} scans on end", ReadingQuality::LEAST_STILL_SCANS)
+        }
         (_, Some(sigma)) => {
             format!("sigma {:.1} mm from {} scans standing still", 1e3 * sigma, readings.still_scans)
         }
