@@ -106,7 +106,7 @@ impl Recorded {
         let first = (self.begin_secs, self.track.poses()[0]);
         let since = stamped.into_iter().filter(|(secs, _)| *secs > self.begin_secs);
         let along = Track::new(std::iter::once(first).chain(since)).ok();
-        let jitter = along.as_ref().map(|along| PoseJitter::of(along)).unwrap_or_default();
+        let jitter = along.as_ref().map(PoseJitter::of).unwrap_or_default();
         Self { along, jitter, ..self }
     }
 
