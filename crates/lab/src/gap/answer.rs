@@ -342,15 +342,19 @@ pub(super) fn p_value(p: f64) -> String {
 /// An error of the reference from which on it hides what else is off \[m\], \[rad\].
 const LARGE_ERROR: (f64, f64) = (0.03, 0.01);
 
+/// Errors that last longer than this \[s\] last as long as most logs, which don't say how long.
+const LONGEST_SECS: f64 = 60.0;
+
 /// How far the reference poses are off, if that is far.
 pub(super) fn large_reference_error(outcome: &Outcome) -> Option<String> {
     let PoseError { sigma_m, sigma_rad, correlation_secs, .. } = outcome.nuisances_after.pose_error;
     (sigma_m > LARGE_ERROR.0 || sigma_rad > LARGE_ERROR.1).then(|| {
-        format!(
-            "{:.0} mm and {:.1} degrees, for about {correlation_secs:.0} s on end",
-            1e3 * sigma_m,
-            sigma_rad.to_degrees(),
-        )
+        let lasting = if correlation_secs > LONGEST_SECS {
+            "minutes".to_owned()
+        } else {
+            format!("about {correlation_secs:.0} s")
+        };
+        format!("{:.0} mm and {:.1} degrees, for {lasting} on end", 1e3 * sigma_m, sigma_rad.to_degrees())
     })
 }
 
